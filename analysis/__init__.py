@@ -1,0 +1,1 @@
+"""What the sensors said against what was true: detection, fusion, scores and reports."""

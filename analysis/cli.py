@@ -1,0 +1,99 @@
+"""The analysis' subcommands; what they need is imported when they run."""
+
+import argparse
+from typing import Any
+
+
+def add_run(commands: Any) -> None:
+    """`run`: simulator, proxy, monitor and report from one scenario."""
+    parser = commands.add_parser(
+        "run", help="play a scenario: simulator + proxy + monitor + report"
+    )
+    parser.add_argument("scenario", nargs="?", metavar="SCENARIO", help="YAML (default: the demo)")
+    parser.add_argument(
+        "--schedule", metavar="FILE", help="faults to use instead of the scenario's"
+    )
+    parser.add_argument("--speed", default="max", metavar="1|N|max", help="times real time")
+    parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
+    parser.add_argument("--out", metavar="DIR", help="run folder (default: runs/ and a number)")
+    parser.add_argument(
+        "--ui", action="store_true", help="serve the page for control and live view"
+    )
+    parser.set_defaults(main=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    from analysis.run import main
+
+    return main(args)
+
+
+def add_monitor(commands: Any) -> None:
+    """`monitor`: detection, fusion and scores on a link or a log."""
+    parser = commands.add_parser("monitor", help="detect and isolate faults on a link or a log")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--link", metavar="EP", help="live MAVLink, e.g. udpin:127.0.0.1:14551")
+    source.add_argument("--log", metavar="LOG", help="a tlog")
+    source.add_argument("--rinex", nargs=2, metavar=("OBS", "NAV"), help="RINEX 2, 3 or 4 files")
+    parser.add_argument("--imu", metavar="CSV", help="IMU samples to go with --rinex")
+    parser.add_argument("--labels", metavar="FILE", help="what was injected, to score against")
+    parser.add_argument("--out", metavar="DIR", help="write results and report here")
+    parser.add_argument("--watch", action="store_true", help="a compact live status")
+    parser.set_defaults(main=_monitor)
+
+
+def _monitor(args: argparse.Namespace) -> int:
+    from analysis.monitor import main
+
+    return main(args)
+
+
+def add_search(commands: Any) -> None:
+    """`search`: the worst case of an estimator."""
+    parser = commands.add_parser("search", help="random and optimised search for the worst case")
+    parser.add_argument("testfile", metavar="TESTFILE", help="what to vary and how far (YAML)")
+    parser.add_argument("--budget", type=int, metavar="N", help="evaluations")
+    parser.add_argument("--method", metavar="M", help="random, matyas, sobol, cmaes, de or mixed")
+    parser.add_argument("--seed", type=int, metavar="N")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=int, metavar="N", help="processes on this machine")
+    where.add_argument("--ray", metavar="ADDRESS", help="a Ray cluster")
+    parser.add_argument("--out", metavar="DIR")
+    parser.set_defaults(main=_search)
+
+
+def _search(args: argparse.Namespace) -> int:
+    from analysis.search.campaign import main
+
+    return main(args)
+
+
+def add_report(commands: Any) -> None:
+    """`report`: a verdict from logs."""
+    parser = commands.add_parser("report", help="tlog, ULog or dataflash log to HTML and JSON")
+    parser.add_argument("logs", nargs="+", metavar="LOG")
+    parser.add_argument("--labels", metavar="FILE", help="what was injected")
+    parser.add_argument("--against", metavar="LOG", help="a log to compare with")
+    parser.add_argument("--criteria", metavar="FILE", help="thresholds of the checks (YAML)")
+    parser.add_argument("--out", metavar="DIR")
+    parser.set_defaults(main=_report)
+
+
+def _report(args: argparse.Namespace) -> int:
+    from analysis.report.command import main
+
+    return main(args)
+
+
+def add_ui(commands: Any) -> None:
+    """`ui`: the page."""
+    parser = commands.add_parser("ui", help="the page: control faults and watch a running proxy")
+    parser.add_argument("--port", type=int, default=8350)
+    parser.add_argument("--zenoh", metavar="URL", help="the proxy's router")
+    parser.set_defaults(main=_ui)
+
+
+def _ui(args: argparse.Namespace) -> int:
+    from analysis.web.server import main
+
+    return main(args)

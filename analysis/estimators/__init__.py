@@ -1,0 +1,1 @@
+"""Attitude estimators under test, one file each."""

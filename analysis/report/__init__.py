@@ -1,0 +1,1 @@
+"""Reports from logs and results."""

@@ -1,0 +1,80 @@
+"""What the analysis says: one schema for Zenoh, `results.jsonl` and the reports.
+
+JSON by msgspec; null stands for a number that is not finite.
+"""
+
+import msgspec
+
+
+class Decision(msgspec.Struct, frozen=True, kw_only=True):
+    """The verdict of the detector on one GNSS epoch.
+
+    `hypothesis` is one of none, satellites, imu, clock, multiple-unknown, untestable (then `reason`
+    says why). `excluded` are the satellites left out of the solution at this epoch. `residual_m`,
+    `normalised` and `satellites` run in parallel.
+    """
+
+    t_s: float
+    t_us: int
+    statistic: float | None
+    threshold: float | None
+    dof: int
+    p_value: float | None
+    alarm: bool
+    hypothesis: str
+    excluded: tuple[str, ...] = ()
+    reason: str = ""
+    satellites: tuple[str, ...] = ()
+    residual_m: tuple[float | None, ...] = ()
+    normalised: tuple[float | None, ...] = ()
+    onset_s: float | None = None
+    probabilities: dict[str, float] = {}
+    position_ecef_m: tuple[float, float, float] | None = None
+    position_sigma_m: tuple[float, float, float] | None = None
+
+
+class SensorDecision(msgspec.Struct, frozen=True, kw_only=True):
+    """The verdict on another sensor against the inertial reference.
+
+    `sensor` is one of baro, airspeed, mag, vision, range, gps-position, gps-velocity, imu.
+    """
+
+    t_s: float
+    t_us: int
+    sensor: str
+    statistic: float | None
+    threshold: float | None
+    dof: int
+    alarm: bool
+    isolated: bool = False
+    reason: str = ""
+
+
+class AttitudeError(msgspec.Struct, frozen=True, kw_only=True):
+    """Estimate minus truth at one instant, in degrees, wrapped; `angle` is the rotation between."""
+
+    t_s: float
+    t_us: int
+    estimator: str
+    roll: float
+    pitch: float
+    yaw: float
+    angle: float
+
+
+class FusedState(msgspec.Struct, frozen=True, kw_only=True):
+    """The fused navigation solution of one epoch with one-sigma values and the factors in use."""
+
+    t_s: float
+    t_us: int
+    position_ecef_m: tuple[float, float, float]
+    velocity_ned_mps: tuple[float, float, float]
+    q_nb: tuple[float, float, float, float]
+    position_sigma_m: tuple[float, float, float]
+    velocity_sigma_mps: tuple[float, float, float]
+    attitude_sigma_deg: tuple[float, float, float]
+    weights: dict[str, float] = {}
+    reason: str = ""
+
+
+Result = Decision | SensorDecision | AttitudeError | FusedState

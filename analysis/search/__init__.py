@@ -1,0 +1,1 @@
+"""Random and optimised search for the worst case of an estimator."""

@@ -1,0 +1,1 @@
+"""The page for fault control and live view."""

@@ -1,0 +1,73 @@
+"""The command: `mavproxy-fault`, made of subcommands that packages register by entry point.
+
+An entry point of the group `mavproxy_fault.commands` is a function that adds its own parser to the
+subparsers it is given and sets the default `main`, a function of the parsed arguments that returns
+the exit code. Whatever is heavy is imported inside `main`.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib.metadata import entry_points
+
+from mavproxy_fault import __version__
+from mavproxy_fault.errors import ConfigError
+
+EPILOG = """\
+examples
+  mavproxy-fault run                                     the built-in demo, report in runs/
+  mavproxy-fault proxy --master udpin:127.0.0.1:14560 --out udpout:127.0.0.1:14550 \\
+                       --schedule examples/gyro_bias.yaml
+  mavproxy-fault report flight.tlog                      any tlog, ULog or dataflash log
+
+connection strings (as in pymavlink)
+  udpin:HOST:PORT   listen          udpout:HOST:PORT  send to
+  tcp:HOST:PORT     TCP client      tcpin:HOST:PORT   TCP server
+  /dev/ttyACM0,57600                serial device and baud rate
+
+default ports (all on 127.0.0.1)
+  4560 TCP  PX4's HIL link          14550 UDP  ground station
+  7447 TCP  Zenoh router            8350 TCP   the page (ui)
+
+exit codes
+  0 fine    1 the verdict failed    2 the input is wrong
+"""
+ORDER = (
+    "run", "sim", "proxy", "monitor", "replay", "inject", "faults", "search", "report", "ui",
+)  # fmt: skip
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser with every registered subcommand."""
+    top = argparse.ArgumentParser(
+        prog="mavproxy-fault",
+        description="Apply sensor and link faults to MAVLink traffic, and see what happens.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    top.add_argument("--version", action="version", version=f"mavproxy-fault {__version__}")
+    commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    points = {point.name: point for point in entry_points(group="mavproxy_fault.commands")}
+    for name in [*(n for n in ORDER if n in points), *sorted(points.keys() - set(ORDER))]:
+        points[name].load()(commands)
+    return top
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one subcommand and return the exit code."""
+    chosen = parser().parse_args(arguments)
+    try:
+        code: int = chosen.main(chosen)
+    except ConfigError as error:
+        print(f"mavproxy-fault: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 0
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,92 @@
+"""The proxy's subcommands; what they need is imported when they run."""
+
+import argparse
+from typing import Any
+
+ENDPOINT = "connection string, e.g. udpin:127.0.0.1:14550, tcpin:127.0.0.1:4560, /dev/ttyUSB0,57600"
+
+
+def add_proxy(commands: Any) -> None:
+    """`proxy`: the proxy alone, between a vehicle and any number of others."""
+    parser = commands.add_parser("proxy", help="forward MAVLink between links and apply faults")
+    parser.add_argument("--master", required=True, metavar="EP", help=f"the vehicle: {ENDPOINT}")
+    parser.add_argument(
+        "--out", action="append", required=True, metavar="EP", help="ground station, autopilot ..."
+    )
+    parser.add_argument("--schedule", metavar="FILE", help="faults to apply (YAML)")
+    parser.add_argument("--logdir", metavar="DIR", help="write tlogs and labels here")
+    parser.add_argument("--busy-poll", action="store_true", help="spin for lowest latency")
+    parser.add_argument(
+        "--zenoh", default="auto", metavar="auto|off|URL", help="control and statistics"
+    )
+    parser.set_defaults(main=_proxy)
+
+
+def _proxy(args: argparse.Namespace) -> int:
+    from mavproxy_fault.server import main
+
+    return main(args)
+
+
+def add_replay(commands: Any) -> None:
+    """`replay`: a log through the proxy."""
+    parser = commands.add_parser("replay", help="send a tlog through the proxy, to a log or a link")
+    parser.add_argument("log", metavar="LOG", help="a tlog")
+    parser.add_argument("--schedule", required=True, metavar="FILE", help="faults to apply (YAML)")
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument(
+        "--out", metavar="LOG", help="write the tlog that was sent, labels beside it"
+    )
+    where.add_argument("--link", metavar="EP", help=f"send in real time: {ENDPOINT}")
+    parser.set_defaults(main=_replay)
+
+
+def _replay(args: argparse.Namespace) -> int:
+    from mavproxy_fault.replay import main
+
+    return main(args)
+
+
+def add_inject(commands: Any) -> None:
+    """`inject`: a live fault on a running proxy."""
+    parser = commands.add_parser("inject", help="set, change or clear a fault on a running proxy")
+    parser.add_argument("fault", nargs="?", metavar="FAULT", help="fault or preset by name")
+    parser.add_argument("--target", metavar="MSG.FIELD", help="what the fault acts on")
+    parser.add_argument("--value", type=float, metavar="X", help="magnitude in the field's unit")
+    parser.add_argument("--for", dest="for_s", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument("--clear", metavar="ID", help="end this fault (its id, or 'all')")
+    parser.add_argument("--zenoh", metavar="URL", help="the proxy's router")
+    parser.set_defaults(main=_inject)
+
+
+def _inject(args: argparse.Namespace) -> int:
+    from mavproxy_fault.inject import main
+
+    return main(args)
+
+
+def add_faults(commands: Any) -> None:
+    """`faults`: what there is, and whether a schedule is right."""
+    parser = commands.add_parser("faults", help="list faults and presets; check and plot schedules")
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    actions.add_parser("list", help="every fault and preset, a line each").set_defaults(
+        action="list"
+    )
+    show = actions.add_parser("show", help="parameters and an example of one fault or preset")
+    show.add_argument("name")
+    show.set_defaults(action="show")
+    check = actions.add_parser("check", help="check a schedule file")
+    check.add_argument("file")
+    check.set_defaults(action="check")
+    plot = actions.add_parser("plot", help="draw a schedule's fault functions to PNG")
+    plot.add_argument("file")
+    plot.add_argument("--out", metavar="PNG")
+    plot.set_defaults(action="plot")
+    actions.add_parser("schema", help="JSON Schema of schedules").set_defaults(action="schema")
+    parser.set_defaults(main=_faults)
+
+
+def _faults(args: argparse.Namespace) -> int:
+    from mavproxy_fault.catalogue import main
+
+    return main(args)

@@ -1,0 +1,1 @@
+"""Named faults of the field as YAML files."""

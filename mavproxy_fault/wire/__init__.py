@@ -1,0 +1,1 @@
+"""MAVLink bytes: layouts, frames, parsing, signing, RTCM payloads and telemetry logs."""

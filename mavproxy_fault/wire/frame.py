@@ -1,0 +1,200 @@
+"""Frames: the bytes of one verified MAVLink message, read and patched in place.
+
+MAVLink 2: FD, LEN, incompat, compat, SEQ, system, component, id (3), payload, CRC (2),
+           signature (13)
+MAVLink 1: FE, LEN, SEQ, system, component, id, payload, CRC (2)
+
+The CRC is CRC-16/MCRF4XX over everything after the start byte, then the message's CRC extra [1]_.
+
+References
+----------
+.. [1] MAVLink developer guide, "Packet Serialization".
+"""
+
+import math
+import struct
+from collections.abc import Mapping
+from functools import lru_cache
+
+from fastcrc.crc16 import mcrf4xx
+
+from mavproxy_fault.wire.dialect import Field, Layout
+
+STX_V1 = 0xFE
+STX_V2 = 0xFD
+SIGNED = 0x01  # incompat flag
+SIGNATURE_LENGTH = 13
+HEADER_V1 = 6
+HEADER_V2 = 10
+
+INTEGER_LIMITS = {
+    "B": (0, 0xFF),
+    "b": (-0x80, 0x7F),
+    "H": (0, 0xFFFF),
+    "h": (-0x8000, 0x7FFF),
+    "I": (0, 0xFFFFFFFF),
+    "i": (-0x80000000, 0x7FFFFFFF),
+    "Q": (0, 0xFFFFFFFFFFFFFFFF),
+    "q": (-0x8000000000000000, 0x7FFFFFFFFFFFFFFF),
+}
+FLOAT_MAX = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]
+
+Number = int | float
+
+
+class Frame:
+    """The received bytes of one message whose CRC was right, and its header.
+
+    `raw` is never changed; `patched` gives a new frame.
+    """
+
+    __slots__ = ("component", "id", "layout", "length", "payload_at", "raw", "seq", "system")
+
+    def __init__(self, raw: bytes, layout: Layout) -> None:
+        self.raw = raw
+        self.layout = layout
+        self.id = layout.id
+        self.length = raw[1]
+        if raw[0] == STX_V2:
+            self.payload_at = HEADER_V2
+            self.seq, self.system, self.component = raw[4], raw[5], raw[6]
+        else:
+            self.payload_at = HEADER_V1
+            self.seq, self.system, self.component = raw[2], raw[3], raw[4]
+
+    def __repr__(self) -> str:
+        return f"<{self.layout.name} v{self.version} {self.system}/{self.component} #{self.seq}>"
+
+    @property
+    def version(self) -> int:
+        """1 or 2."""
+        return 2 if self.raw[0] == STX_V2 else 1
+
+    @property
+    def signed(self) -> bool:
+        """Whether a signature follows the CRC."""
+        return self.raw[0] == STX_V2 and bool(self.raw[2] & SIGNED)
+
+    @property
+    def payload(self) -> bytes:
+        """The payload as it was sent, possibly shortened by its trailing zeros."""
+        return self.raw[self.payload_at : self.payload_at + self.length]
+
+    def read(self, name: str, index: int = 0) -> Number | bytes:
+        """One element of a field (a `char` array whole, without its zeros); cut zeros read as 0."""
+        field = self.layout.fields[name]
+        if field.type == "char":
+            text = self.payload[field.offset : field.offset + field.length]
+            return text.split(b"\0", 1)[0]
+        start = field.offset + index * field.size
+        data = self.payload[start : start + field.size].ljust(field.size, b"\0")
+        value: Number = struct.unpack("<" + field.code, data)[0]
+        return value
+
+    def number(self, name: str, index: int = 0) -> Number:
+        """One element of a numeric field."""
+        value = self.read(name, index)
+        if isinstance(value, bytes):
+            raise TypeError(f"{self.layout.name}.{name} holds text")
+        return value
+
+    def values(self) -> dict[str, Number | bytes | tuple[Number, ...]]:
+        """All fields by name; arrays as tuples, text as bytes."""
+        return {
+            field.name: self.read(field.name)
+            if field.count == 0 or field.type == "char"
+            else tuple(self.number(field.name, i) for i in range(field.count))
+            for field in self.layout.fields.values()
+        }
+
+    def patched(self, changes: Mapping[tuple[str, int], Number]) -> "Frame":
+        """A frame with some elements changed, keyed by field and index, and the CRC redone.
+
+        Integers saturate at the limits of their type (see `saturate`). The payload keeps its length
+        unless the change reaches into zeros that were cut, and then grows as little as it must.
+        A signed frame comes back with its old signature, now wrong: the sender signs it again.
+        """
+        payload = bytearray(self.payload)
+        for (name, index), value in changes.items():
+            field = self.layout.fields[name]
+            start = field.offset + index * field.size
+            data = struct.pack("<" + field.code, saturate(field, value))
+            if start + field.size > len(payload):
+                data = data.rstrip(b"\0")
+                payload.extend(bytes(max(start + len(data) - len(payload), 0)))
+            payload[start : start + len(data)] = data
+        return self.with_payload(bytes(payload))
+
+    def with_payload(self, payload: bytes) -> "Frame":
+        """The same header and trailer around another payload, length and CRC redone."""
+        raw = self.raw
+        head = bytes((raw[0], len(payload))) + raw[2 : self.payload_at]
+        crc = mcrf4xx(head[1:] + payload + bytes((self.layout.crc_extra,)))
+        signature = raw[self.payload_at + self.length + 2 :]
+        return Frame(head + payload + struct.pack("<H", crc) + signature, self.layout)
+
+
+def saturate(field: Field, value: Number) -> Number:
+    """The value nearest to `value` that the field's type can hold; NaN in an integer becomes 0."""
+    code = field.code
+    if code == "d":
+        return float(value)
+    if code == "f":
+        return max(-FLOAT_MAX, min(FLOAT_MAX, value)) if math.isfinite(value) else value
+    low, high = INTEGER_LIMITS[code]
+    if value != value:
+        return 0
+    return low if value <= low else high if value >= high else round(value)
+
+
+def build(
+    layout: Layout,
+    values: Mapping[str, object],
+    *,
+    seq: int = 0,
+    system: int = 1,
+    component: int = 1,
+) -> bytes:
+    """The bytes of a MAVLink 2 frame; fields not given are zero, arrays are sequences, text bytes.
+
+    Raises
+    ------
+    KeyError
+        If `values` names a field the message does not have.
+    struct.error
+        If a value does not fit its field.
+    """
+    packer, names = _packer(layout.id, layout.name)
+    flat: list[object] = []
+    fields = layout.fields
+    for name in names:
+        field = fields[name]
+        value = values.get(name, 0)
+        if field.type == "char":
+            flat.append(value or b"")
+        elif field.count:
+            items = list(value) if value else []  # type: ignore[call-overload]
+            flat.extend(items + [0] * (field.count - len(items)))
+        else:
+            flat.append(value)
+    unknown = values.keys() - fields.keys()
+    if unknown:
+        raise KeyError(f"{layout.name} has no field {', '.join(sorted(unknown))}")
+    payload = packer.pack(*flat).rstrip(b"\0") or b"\0"
+    head = bytes((STX_V2, len(payload), 0, 0, seq, system, component)) + layout.id.to_bytes(
+        3, "little"
+    )
+    crc = mcrf4xx(head[1:] + payload + bytes((layout.crc_extra,)))
+    return head + payload + crc.to_bytes(2, "little")
+
+
+@lru_cache(maxsize=512)
+def _packer(number: int, name: str) -> tuple[struct.Struct, tuple[str, ...]]:
+    from mavproxy_fault.wire.dialect import known
+
+    layout = known(name)
+    code = "".join(
+        f"{field.length}s" if field.type == "char" else field.code * max(field.count, 1)
+        for field in layout.fields.values()
+    )
+    return struct.Struct("<" + code), tuple(layout.fields)

@@ -1,0 +1,46 @@
+"""Labels: what a fault really did, and when; one JSON object a line in `labels.jsonl`."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+
+
+class Label(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
+    """One stretch in which one fault acted.
+
+    A label is written when the fault first touches a frame (`end_us` is None) and again, complete,
+    when it ends; the last line with the same `id` and `start_us` holds.
+    Stamps are microseconds on the vehicle's clock, like the frames' own; `t0_us` is the stamp from
+    which the schedule's `at_s` counts.
+    """
+
+    id: str
+    fault: str
+    preset: str | None = None
+    targets: tuple[str, ...] = ()
+    direction: str = ""
+    t0_us: int
+    start_us: int
+    end_us: int | None = None
+    frames: int = 0
+    magnitude: float | None = None  # largest |after - before| in the field's unit
+    saturated: int = 0
+    where: dict[str, int | str] = {}
+    parameters: dict[str, object] = {}
+    seed: int = 0
+
+
+def read_labels(path: Path) -> list[Label]:
+    """The complete labels of a file, in order of their start; a cut last line is ignored."""
+    newest: dict[tuple[str, int], Label] = {}
+    for label in _lines(path):
+        newest[label.id, label.start_us] = label
+    return sorted(newest.values(), key=lambda label: (label.start_us, label.id))
+
+
+def _lines(path: Path) -> Iterator[Label]:
+    decoder = msgspec.json.Decoder(Label)
+    for line in path.read_bytes().splitlines(keepends=True):
+        if line.endswith(b"\n"):
+            yield decoder.decode(line)

@@ -1,0 +1,1 @@
+"""A vehicle simulator: truth, sensors and the MAVLink frames that carry them."""

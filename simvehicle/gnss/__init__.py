@@ -1,0 +1,1 @@
+"""Satellites, pseudoranges and a receiver."""

@@ -1,0 +1,1 @@
+"""The kinds of vehicle and their parameter files."""
