@@ -1,12 +1,15 @@
 """What the analysis says: one schema for Zenoh, `results.jsonl` and the reports.
 
-JSON by msgspec; null stands for a number that is not finite.
+JSON by msgspec, the struct's name under `type`; null stands for a number that is not finite.
 """
+
+from collections.abc import Iterator
+from pathlib import Path
 
 import msgspec
 
 
-class Decision(msgspec.Struct, frozen=True, kw_only=True):
+class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True):
     """The verdict of the detector on one GNSS epoch.
 
     `hypothesis` is one of none, satellites, imu, clock, multiple-unknown, untestable (then `reason`
@@ -33,7 +36,7 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True):
     position_sigma_m: tuple[float, float, float] | None = None
 
 
-class SensorDecision(msgspec.Struct, frozen=True, kw_only=True):
+class SensorDecision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True):
     """The verdict on another sensor against the inertial reference.
 
     `sensor` is one of baro, airspeed, mag, vision, range, gps-position, gps-velocity, imu.
@@ -50,7 +53,7 @@ class SensorDecision(msgspec.Struct, frozen=True, kw_only=True):
     reason: str = ""
 
 
-class AttitudeError(msgspec.Struct, frozen=True, kw_only=True):
+class AttitudeError(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True):
     """Estimate minus truth at one instant, in degrees, wrapped; `angle` is the rotation between."""
 
     t_s: float
@@ -62,7 +65,7 @@ class AttitudeError(msgspec.Struct, frozen=True, kw_only=True):
     angle: float
 
 
-class FusedState(msgspec.Struct, frozen=True, kw_only=True):
+class FusedState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True):
     """The fused navigation solution of one epoch with one-sigma values and the factors in use."""
 
     t_s: float
@@ -78,3 +81,31 @@ class FusedState(msgspec.Struct, frozen=True, kw_only=True):
 
 
 Result = Decision | SensorDecision | AttitudeError | FusedState
+
+
+_ENCODER = msgspec.json.Encoder()
+_DECODER: msgspec.json.Decoder[Result] = msgspec.json.Decoder(Result)
+
+
+def encode(result: Result) -> bytes:
+    """One result as JSON."""
+    return _ENCODER.encode(result)
+
+
+def decode(line: bytes) -> Result:
+    """The result a line of JSON holds.
+
+    Raises
+    ------
+    msgspec.DecodeError
+        If the line is not a result.
+    """
+    return _DECODER.decode(line)
+
+
+def read_results(path: Path) -> Iterator[Result]:
+    """Results of a file in order; a last line that was cut short is left out."""
+    with path.open("rb") as file:
+        for line in file:
+            if line.endswith(b"\n"):
+                yield decode(line)

@@ -1,0 +1,62 @@
+"""Results to Zenoh: one key per kind of result, events kept for late joiners."""
+
+from collections.abc import Iterable
+
+from analysis.results import (
+    AttitudeError,
+    Decision,
+    FusedState,
+    Result,
+    SensorDecision,
+    encode,
+)
+from mavproxy_fault.links.bus import Bus
+
+SCHEMA = "mavfault.v1"
+EVENTS_KEPT = 100
+
+
+def suffix(result: Result) -> str:
+    """The key of a result below the run's prefix."""
+    match result:
+        case Decision():
+            return "fdi/main/stat"
+        case SensorDecision():
+            return f"fdi/{result.sensor}/stat"
+        case AttitudeError():
+            return f"att/{result.estimator}/score"
+        case FusedState():
+            return "fusion/state"
+
+
+class Publisher:
+    """Puts every result on the bus; changes of a verdict also go to the keys for events."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._verdicts: dict[str, tuple[object, ...]] = {}
+
+    def publish(self, results: Iterable[Result]) -> None:
+        """Publish results in order."""
+        for result in results:
+            key, data = suffix(result), encode(result)
+            self._bus.put(key, data, f"{SCHEMA}.{type(result).__name__}")
+            if self._changed(key, result):
+                schema = f"{SCHEMA}.{type(result).__name__}"
+                self._bus.put("fdi/events", data, schema, history=EVENTS_KEPT)
+                if isinstance(result, Decision):
+                    self._bus.put("fdi/isolation", data, schema, history=1)
+
+    def _changed(self, key: str, result: Result) -> bool:
+        match result:
+            case Decision():
+                verdict: tuple[object, ...] = (result.alarm, result.hypothesis, result.excluded)
+            case SensorDecision():
+                verdict = (result.alarm, result.isolated)
+            case _:
+                return False
+        return self._verdicts.get(key) != verdict and self._remember(key, verdict)
+
+    def _remember(self, key: str, verdict: tuple[object, ...]) -> bool:
+        self._verdicts[key] = verdict
+        return True

@@ -1,0 +1,224 @@
+"""The Zenoh session: the one place that knows the library.
+
+The proxy's process (or `run`) opens the bus as the router on loopback; everyone else is a client,
+so nothing needs to be installed. Keys lie under `mavfault/v1/{run}/`; live control is under the
+verbatim chunk `@ctl`, which no wildcard reaches. See docs/zenoh.md for the key space.
+"""
+
+import json
+import logging
+import socket
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+from mavproxy_fault.errors import ConfigError
+
+DEFAULT_URL = "tcp/127.0.0.1:7447"
+ROOT = "mavfault/v1"
+ENCODING = "application/json"
+LOG = logging.getLogger(__name__)
+
+Answer = Callable[[str, bytes], object]
+Received = Callable[[str, bytes], None]
+
+
+class Bus:
+    """A session; close it (or leave its `with` block) or the interpreter hangs at exit.
+
+    Callbacks run on Zenoh's own threads.
+    """
+
+    def __init__(self, session: Any, url: str, run: str) -> None:
+        self._session = session
+        self._publishers: dict[str, Any] = {}
+        self._declared: list[Any] = []
+        self.url = url
+        self.run = run
+
+    def __enter__(self) -> "Bus":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def key(self, suffix: str) -> str:
+        """The full key of `suffix` in this run."""
+        return f"{ROOT}/{self.run}/{suffix}"
+
+    def put(self, suffix: str, payload: bytes, schema: str = "", history: int = 0) -> None:
+        """Publish JSON under a suffix; a slow subscriber loses samples, never holds the caller.
+
+        The newest `history` samples are kept for those who subscribe late with history.
+        """
+        publisher = self._publishers.get(suffix)
+        if publisher is None:
+            publisher = self._publishers[suffix] = self._publisher(suffix, schema, history)
+        publisher.put(payload)
+
+    def _publisher(self, suffix: str, schema: str, history: int) -> Any:
+        import zenoh
+        import zenoh.ext
+
+        options: dict[str, Any] = {
+            "encoding": f"{ENCODING};{schema}" if schema else ENCODING,
+            "congestion_control": zenoh.CongestionControl.DROP,
+        }
+        if not history:
+            return self._session.declare_publisher(self.key(suffix), **options)
+        return zenoh.ext.declare_advanced_publisher(
+            self._session,
+            self.key(suffix),
+            cache=zenoh.ext.CacheConfig(history),
+            publisher_detection=True,
+            **options,
+        )
+
+    def subscribe(self, suffix: str, received: Received) -> None:
+        """Call `received(key, payload)` for every sample under a suffix (wildcards allowed).
+
+        What its publisher kept comes first.
+        """
+        import zenoh.ext
+
+        subscriber = zenoh.ext.declare_advanced_subscriber(
+            self._session,
+            self.key(suffix),
+            lambda sample: received(str(sample.key_expr), sample.payload.to_bytes()),
+            history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
+        )
+        self._declared.append(subscriber)
+
+    def answer(self, suffix: str, answer: Answer) -> None:
+        """Reply to queries under a suffix with the JSON of what `answer(key, payload)` returns.
+
+        A ConfigError becomes an error reply with its text.
+        """
+
+        def reply(query: Any) -> None:
+            payload = query.payload.to_bytes() if query.payload is not None else b""
+            try:
+                value = answer(str(query.key_expr), payload)
+            except ConfigError as error:
+                query.reply_err(json.dumps({"error": str(error)}), encoding=ENCODING)
+            except Exception as error:  # a bug must reach the caller: Zenoh only prints it
+                LOG.exception("query %s failed", query.key_expr)
+                query.reply_err(json.dumps({"error": repr(error)}), encoding=ENCODING)
+            else:
+                data = value if isinstance(value, bytes) else json.dumps(value)
+                query.reply(query.key_expr, data, encoding=ENCODING)
+
+        self._declared.append(self._session.declare_queryable(self.key(suffix), reply))
+
+    def ask(self, suffix: str, payload: bytes = b"", timeout_s: float = 3.0) -> list[bytes]:
+        """The replies to one query.
+
+        Raises
+        ------
+        ConfigError
+            If the other side refused, with its reason, or nobody answered.
+        """
+        replies = []
+        for reply in self._session.get(self.key(suffix), payload=payload, timeout=timeout_s):
+            if reply.ok is None:
+                text = reply.err.payload.to_string()
+                raise ConfigError(json.loads(text)["error"] if text[:1] == "{" else text)
+            replies.append(reply.ok.payload.to_bytes())
+        if not replies:
+            raise ConfigError(
+                f"{self.url}: nobody answers {self.key(suffix)}; start a proxy or a run first"
+            )
+        return replies
+
+    def alive(self, component: str) -> None:
+        """Declare that a component is there, until this bus closes."""
+        token = self._session.liveliness().declare_token(self.key(f"alive/{component}"))
+        self._declared.append(token)
+
+    def who(self, timeout_s: float = 2.0) -> list[str]:
+        """Keys of the components that are there, of every run."""
+        replies = self._session.liveliness().get(f"{ROOT}/*/alive/**", timeout=timeout_s)
+        return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+
+    def close(self) -> None:
+        """End the session; late callbacks are cut off."""
+        for thing in [*self._declared, *self._publishers.values()]:
+            thing.undeclare()
+        self._declared, self._publishers = [], {}
+        self._session.close()
+
+
+def open_bus(url: str | None = None, *, run: str = "live", router: bool = False) -> Bus:
+    """Open a session as the router on loopback, or as a client of one.
+
+    Parameters
+    ----------
+    url : str, optional
+        Zenoh endpoint such as `tcp/127.0.0.1:7447` (the default). Port 0 is any free port.
+    run : str
+        The run's name in the key space.
+    router : bool
+        Listen at `url` and be the hub; otherwise connect to it.
+
+    Raises
+    ------
+    ConfigError
+        If the address is taken (router) or nobody listens there (client).
+    """
+    import zenoh
+
+    address = _free_port(url or DEFAULT_URL)
+    config = zenoh.Config()
+    settings: dict[str, object] = {
+        "mode": "router" if router else "client",
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "scouting/delay": 0,
+        "timestamping/enabled": True,
+        "transport/shared_memory/enabled": False,
+        "connect/retry": {
+            "period_init_ms": 100,
+            "period_max_ms": 500,
+            "period_increase_factor": 1.5,
+        },
+        "listen/endpoints": [address] if router else [],
+        "connect/endpoints": [] if router else [address],
+    }
+    try:
+        for key, value in settings.items():
+            config.insert_json5(key, json.dumps(value))
+        return Bus(zenoh.open(config), address, run)
+    except zenoh.ZError as error:
+        wrong = "cannot be opened as the router" if router else "has no router listening"
+        reason = str(error).split(" at /")[0]
+        raise ConfigError(
+            f"zenoh {address} {wrong} ({reason}); allowed: tcp/HOST:PORT that is "
+            + ("free" if router else "served by a proxy, a run or zenohd")
+        ) from error
+
+
+def wait_for_bus(url: str | None, run: str, patience_s: float) -> Bus:
+    """A client's session, trying again until the router is there; Ctrl-C ends the wait."""
+    end = time.monotonic() + patience_s
+    while True:
+        try:
+            return open_bus(url, run=run)
+        except ConfigError:
+            if time.monotonic() >= end:
+                raise
+            time.sleep(0.2)
+
+
+def _free_port(url: str) -> str:
+    """`url` with port 0 replaced by a port that is free now."""
+    if not url.endswith(":0"):
+        return url
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"{url[:-1]}{probe.getsockname()[1]}"

@@ -1,0 +1,127 @@
+"""Turns in space: unit quaternions (w, x, y, z), rotation matrices and 3-2-1 Euler angles.
+
+`q_nb` takes body vectors to NED. Every function works on the last axis of arrays of any shape.
+Formulas: Diebel, Representing Attitude, Stanford, 2006.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def quat_from_euler(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:
+    """Quaternion (..., 4) of yaw, pitch and roll [rad], applied in this order about moving axes."""
+    half = [0.5 * np.asarray(angle, dtype=float) for angle in (roll, pitch, yaw)]
+    (cr, cp, cy), (sr, sp, sy) = [np.cos(h) for h in half], [np.sin(h) for h in half]
+    return np.stack(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ],
+        axis=-1,
+    )
+
+
+def euler_from_quat(q: ArrayLike) -> Array:
+    """Roll, pitch, yaw (..., 3) [rad]; pitch within +-pi/2."""
+    w, x, y, z = np.moveaxis(np.asarray(q, dtype=float), -1, 0)
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def matrix_from_quat(q: ArrayLike) -> Array:
+    """Rotation matrix (..., 3, 3) that turns vectors as the quaternion does."""
+    w, x, y, z = np.moveaxis(np.asarray(q, dtype=float), -1, 0)
+    rows = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quat_from_matrix(rot: ArrayLike) -> Array:
+    """Quaternion (..., 4) with w >= 0 of a rotation matrix (..., 3, 3)."""
+    m = np.asarray(rot, dtype=float)
+    d0, d1, d2 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    # Four times the square of each component; the largest is the safe one to divide by.
+    squares = np.stack(
+        [1.0 + d0 + d1 + d2, 1.0 + d0 - d1 - d2, 1.0 - d0 + d1 - d2, 1.0 - d0 - d1 + d2], axis=-1
+    )
+    wx, wy, wz = (
+        m[..., 2, 1] - m[..., 1, 2],
+        m[..., 0, 2] - m[..., 2, 0],
+        m[..., 1, 0] - m[..., 0, 1],
+    )
+    xy, xz, yz = (
+        m[..., 0, 1] + m[..., 1, 0],
+        m[..., 0, 2] + m[..., 2, 0],
+        m[..., 1, 2] + m[..., 2, 1],
+    )
+    candidates = np.stack(
+        [
+            np.stack([squares[..., 0], wx, wy, wz], axis=-1),
+            np.stack([wx, squares[..., 1], xy, xz], axis=-1),
+            np.stack([wy, xy, squares[..., 2], yz], axis=-1),
+            np.stack([wz, xz, yz, squares[..., 3]], axis=-1),
+        ],
+        axis=-2,
+    )
+    best = np.argmax(squares, axis=-1)
+    q = np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.asarray(np.where(q[..., :1] < 0.0, -q, q))
+
+
+def quat_multiply(a: ArrayLike, b: ArrayLike) -> Array:
+    """Quaternion product (..., 4): the turn `b` followed by the turn `a`."""
+    aw, ax, ay, az = np.moveaxis(np.asarray(a, dtype=float), -1, 0)
+    bw, bx, by, bz = np.moveaxis(np.asarray(b, dtype=float), -1, 0)
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+
+
+def quat_conjugate(q: ArrayLike) -> Array:
+    """The turn back (..., 4)."""
+    return np.asarray(np.asarray(q, dtype=float) * np.array([1.0, -1.0, -1.0, -1.0]))
+
+
+def quat_from_rotvec(rotvec: ArrayLike) -> Array:
+    """Quaternion (..., 4) of a rotation vector (..., 3) [rad]."""
+    v = np.asarray(rotvec, dtype=float)
+    half = 0.5 * np.linalg.norm(v, axis=-1, keepdims=True)
+    # np.sinc(x) is sin(pi x) / (pi x), so small angles need no case of their own.
+    return np.concatenate([np.cos(half), 0.5 * v * np.sinc(half / np.pi)], axis=-1)
+
+
+def rotvec_from_quat(q: ArrayLike) -> Array:
+    """Rotation vector (..., 3) [rad] of length at most pi."""
+    quat = np.asarray(q, dtype=float)
+    quat = np.where(quat[..., :1] < 0.0, -quat, quat)
+    sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
+    half = np.arctan2(sine, quat[..., :1])
+    return np.asarray(quat[..., 1:] * (2.0 / np.sinc(half / np.pi)))
+
+
+def angle_between(a: ArrayLike, b: ArrayLike) -> Array:
+    """Angle (...) [rad] of the turn that takes attitude `a` to attitude `b`, 0 to pi."""
+    return np.asarray(
+        np.linalg.norm(rotvec_from_quat(quat_multiply(quat_conjugate(a), b)), axis=-1)
+    )
+
+
+def wrap(angle: ArrayLike) -> Array:
+    """Angle brought into [-pi, pi) [rad]."""
+    return np.asarray((np.asarray(angle, dtype=float) + np.pi) % (2.0 * np.pi) - np.pi)

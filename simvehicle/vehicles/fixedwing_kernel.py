@@ -1,0 +1,230 @@
+"""Forces, moments and one integration step of the fixed wing, as scalar compiled functions.
+
+The 12-state nonlinear model of Beard and McLain, Small Unmanned Aircraft, 2012, chapters 3 and 4,
+with a quaternion for the attitude. The interactive simulator calls `step` for one vehicle, the
+worst-case search in a loop over many: all code is branch-free scalar arithmetic on a parameter
+tuple, which LLVM turns into SIMD instructions.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from simvehicle.compiled import inlined
+from simvehicle.vehicles.polynomial import atan2, exp
+from simvehicle.vehicles.rigidbody_kernel import (
+    Inertia,
+    State13,
+    moved,
+    rigid_body,
+    runge_kutta,
+    to_body,
+)
+
+_STILL = 1e-9  # m/s; keeps the flow angles defined in still air
+
+
+class Aero(NamedTuple):
+    """Coefficients of the airframe and its propulsion; symbols as in Beard and McLain, table E.1.
+
+    Angles in rad, lengths in m. `direct_current` is 1 for the motor and propeller model of the
+    book's later supplement and 0 for the thrust law of the first edition; the terms of the other
+    law are then without effect. `blend` is exp(M * alpha0) of the stall blending function.
+    """
+
+    s: float
+    b: float
+    c: float
+    cl0: float
+    cla: float
+    clq: float
+    clde: float
+    induced: float
+    cdp: float
+    cdq: float
+    cdde: float
+    cm0: float
+    cma: float
+    cmq: float
+    cmde: float
+    stall_m: float
+    blend: float
+    cy0: float
+    cyb: float
+    cyp: float
+    cyr: float
+    cyda: float
+    cydr: float
+    cr0: float
+    crb: float
+    crp: float
+    crr: float
+    crda: float
+    crdr: float
+    cn0: float
+    cnb: float
+    cnp: float
+    cnr: float
+    cnda: float
+    cndr: float
+    disc: float
+    k_motor: float
+    torque: float
+    direct_current: float
+    diameter: float
+    cq0: float
+    cq1: float
+    cq2: float
+    ct0: float
+    ct1: float
+    ct2: float
+    v_max: float
+    kq: float
+    resistance: float
+    i0: float
+
+
+@inlined
+def propulsion(
+    airspeed: float, throttle: float, density: float, aero: Aero
+) -> tuple[float, float, float]:
+    """Thrust [N], torque on the airframe [N m] and motor current [A] (0 without a motor model)."""
+    square = aero.k_motor * throttle
+    simple = 0.5 * density * aero.disc * (square * square - airspeed * airspeed)
+    simple_torque = -aero.torque * throttle * throttle
+    # Supplement to the book, "propeller thrust and torque": the speed at which the motor's torque
+    # equals the propeller's is the positive root of a quadratic.
+    d = aero.diameter
+    d3 = density * d * d * d
+    a = aero.cq0 * d3 * d * d / (4.0 * np.pi * np.pi)
+    bb = aero.cq1 * d3 * d / (2.0 * np.pi) * airspeed + aero.kq * aero.kq / aero.resistance
+    volts = aero.v_max * throttle
+    cc = aero.cq2 * d3 * airspeed * airspeed - aero.kq * volts / aero.resistance + aero.kq * aero.i0
+    disc = bb * bb - 4.0 * a * cc
+    disc = disc if disc > 0.0 else 0.0
+    omega = (np.sqrt(disc) - bb) / (2.0 * a)
+    omega = omega if omega > 0.0 else 0.0
+    n = omega / (2.0 * np.pi)
+    nd = n * d
+    va = airspeed
+    thrust = d3 / d * (aero.ct0 * nd * nd + aero.ct1 * nd * va + aero.ct2 * va * va)
+    torque = -d3 * (aero.cq0 * nd * nd + aero.cq1 * nd * va + aero.cq2 * va * va)
+    current = (volts - aero.kq * omega) / aero.resistance
+    use = aero.direct_current
+    rest = 1.0 - use
+    return use * thrust + rest * simple, use * torque + rest * simple_torque, use * current
+
+
+@inlined
+def forces_moments(
+    air: tuple[float, float, float],
+    rates: tuple[float, float, float],
+    controls: tuple[float, float, float, float],
+    density: float,
+    aero: Aero,
+) -> tuple[float, float, float, float, float, float]:
+    """Aerodynamic and propulsive force [N] and moment [N m] in body axes, without gravity.
+
+    Parameters
+    ----------
+    air : 3 floats
+        Velocity of the body relative to the air, body axes [m/s].
+    rates : 3 floats
+        Body rates p, q, r [rad/s].
+    controls : 4 floats
+        Elevator, aileron, rudder [rad], throttle (0 to 1).
+    density : float
+        Of the air [kg/m^3].
+    aero : Aero
+    """
+    ur, vr, wr = air
+    p, q, r = rates
+    de, da, dr, dt = controls
+    plane = ur * ur + wr * wr
+    va = np.sqrt(plane + vr * vr)
+    in_plane = np.sqrt(plane) + _STILL
+    alpha = atan2(wr, ur)
+    beta = atan2(vr, in_plane)
+    sa = wr / in_plane
+    ca = ur / in_plane
+    qd = 0.5 * density * va * va * aero.s
+    qr = 0.25 * density * va * aero.s  # dynamic pressure times area over 2 Va, finite at rest
+
+    linear = aero.cl0 + aero.cla * alpha
+    ea = exp(aero.stall_m * alpha)
+    k = aero.blend
+    sigma = (ea + k + k * ea * ea) / ((ea + k) * (1.0 + k * ea))
+    flat = 2.0 * abs(sa) * sa * ca  # 2 sign(alpha) sin(alpha)^2 cos(alpha)
+    lift = (
+        qd * ((1.0 - sigma) * linear + sigma * flat + aero.clde * de) + qr * aero.clq * aero.c * q
+    )
+    drag = (
+        qd * (aero.cdp + aero.induced * linear * linear + aero.cdde * de)
+        + qr * aero.cdq * aero.c * q
+    )
+    thrust, torque, _ = propulsion(va, dt, density, aero)
+    pb = aero.b * p
+    rb = aero.b * r
+    return (
+        lift * sa - drag * ca + thrust,
+        qd * (aero.cy0 + aero.cyb * beta + aero.cyda * da + aero.cydr * dr)
+        + qr * (aero.cyp * pb + aero.cyr * rb),
+        -drag * sa - lift * ca,
+        aero.b * qd * (aero.cr0 + aero.crb * beta + aero.crda * da + aero.crdr * dr)
+        + aero.b * qr * (aero.crp * pb + aero.crr * rb)
+        + torque,
+        aero.c * qd * (aero.cm0 + aero.cma * alpha + aero.cmde * de)
+        + aero.c * qr * aero.cmq * aero.c * q,
+        aero.b * qd * (aero.cn0 + aero.cnb * beta + aero.cnda * da + aero.cndr * dr)
+        + aero.b * qr * (aero.cnp * pb + aero.cnr * rb),
+    )
+
+
+@inlined
+def derivative(
+    state: State13,
+    controls: tuple[float, float, float, float],
+    wind: tuple[float, float, float],
+    gravity: tuple[float, float, float],
+    density: float,
+    body: Inertia,
+    aero: Aero,
+) -> State13:
+    """Time derivative of the 13 states.
+
+    Parameters
+    ----------
+    state : 13 floats
+        As in `rigidbody_kernel`.
+    controls : 4 floats
+        Elevator, aileron, rudder [rad], throttle (0 to 1).
+    wind, gravity : 3 floats
+        NED [m/s], [m/s^2].
+    density : float
+        Of the air [kg/m^3].
+    body, aero : Inertia, Aero
+    """
+    wx, wy, wz = to_body(state[6], state[7], state[8], state[9], wind[0], wind[1], wind[2])
+    air = (state[3] - wx, state[4] - wy, state[5] - wz)
+    rates = (state[10], state[11], state[12])
+    fx, fy, fz, mx, my, mz = forces_moments(air, rates, controls, density, aero)
+    return rigid_body(state, (fx, fy, fz), (mx, my, mz), gravity, body)
+
+
+@inlined
+def step(
+    state: State13,
+    controls: tuple[float, float, float, float],
+    wind: tuple[float, float, float],
+    gravity: tuple[float, float, float],
+    density: float,
+    body: Inertia,
+    aero: Aero,
+    dt: float,
+) -> State13:
+    """One classical Runge-Kutta step of `dt` seconds; arguments as in `derivative`."""
+    k1 = derivative(state, controls, wind, gravity, density, body, aero)
+    k2 = derivative(moved(state, k1, 0.5 * dt), controls, wind, gravity, density, body, aero)
+    k3 = derivative(moved(state, k2, 0.5 * dt), controls, wind, gravity, density, body, aero)
+    k4 = derivative(moved(state, k3, dt), controls, wind, gravity, density, body, aero)
+    return runge_kutta(state, k1, k2, k3, k4, dt)

@@ -1,0 +1,183 @@
+"""Motion of a rigid body with a plane of symmetry, as scalar compiled functions.
+
+State, in this order everywhere: position north, east, down [m]; velocity over ground in body axes
+u, v, w [m/s]; unit quaternion body to NED e0, e1, e2, e3 (scalar first); body rates p, q, r
+[rad/s]. Equations: Beard and McLain, Small Unmanned Aircraft, 2012, chapter 3 (quaternion form:
+appendix B). Everything is branch-free, so a caller's loop over vehicles can be vectorised.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from simvehicle.compiled import inlined
+
+State13 = tuple[
+    float, float, float, float, float, float, float, float, float, float, float, float, float
+]
+
+
+class Inertia(NamedTuple):
+    """Mass and the coefficients gamma 1 to 8 of Beard and McLain, equation 3.13."""
+
+    mass_kg: float
+    g1: float
+    g2: float
+    g3: float
+    g4: float
+    g5: float
+    g6: float
+    g7: float
+    g8: float
+    inverse_jy: float
+
+
+def inertia(mass_kg: float, jx: float, jy: float, jz: float, jxz: float) -> Inertia:
+    """Coefficients from mass [kg] and moments of inertia [kg m^2] about the centre of mass.
+
+    Raises
+    ------
+    ValueError
+        If no body has these moments (mass or moments not positive, triangle inequality broken).
+    """
+    det = jx * jz - jxz * jxz
+    principal = np.linalg.eigvalsh([[jx, 0.0, -jxz], [0.0, jy, 0.0], [-jxz, 0.0, jz]])
+    if mass_kg <= 0.0 or principal[0] <= 0.0 or principal[0] + principal[1] < principal[2]:
+        raise ValueError(
+            f"mass {mass_kg} kg with jx {jx}, jy {jy}, jz {jz}, jxz {jxz} kg m^2 is no rigid body; "
+            "all must be positive and no principal moment may exceed the sum of the other two"
+        )
+    return Inertia(
+        mass_kg,
+        jxz * (jx - jy + jz) / det,
+        (jz * (jz - jy) + jxz * jxz) / det,
+        jz / det,
+        jxz / det,
+        (jz - jx) / jy,
+        jxz / jy,
+        ((jx - jy) * jx + jxz * jxz) / det,
+        jx / det,
+        1.0 / jy,
+    )
+
+
+@inlined
+def to_body(
+    e0: float, e1: float, e2: float, e3: float, n: float, e: float, d: float
+) -> tuple[float, float, float]:
+    """Turn a NED vector into body axes."""
+    x = (
+        (e0 * e0 + e1 * e1 - e2 * e2 - e3 * e3) * n
+        + 2.0 * (e1 * e2 + e0 * e3) * e
+        + 2.0 * (e1 * e3 - e0 * e2) * d
+    )
+    y = (
+        2.0 * (e1 * e2 - e0 * e3) * n
+        + (e0 * e0 - e1 * e1 + e2 * e2 - e3 * e3) * e
+        + 2.0 * (e2 * e3 + e0 * e1) * d
+    )
+    z = (
+        2.0 * (e1 * e3 + e0 * e2) * n
+        + 2.0 * (e2 * e3 - e0 * e1) * e
+        + (e0 * e0 - e1 * e1 - e2 * e2 + e3 * e3) * d
+    )
+    return x, y, z
+
+
+@inlined
+def to_ned(
+    e0: float, e1: float, e2: float, e3: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Turn a body vector into NED."""
+    return to_body(e0, -e1, -e2, -e3, x, y, z)
+
+
+@inlined
+def rigid_body(
+    state: State13,
+    force: tuple[float, float, float],
+    moment: tuple[float, float, float],
+    gravity: tuple[float, float, float],
+    body: Inertia,
+) -> State13:
+    """Time derivative of the state.
+
+    Parameters
+    ----------
+    state : 13 floats
+        As in the module's docstring.
+    force, moment : 3 floats
+        Without gravity, about the centre of mass, body axes [N, N m].
+    gravity : 3 floats
+        Acceleration, NED [m/s^2].
+    body : Inertia
+    """
+    _, _, _, u, v, w, e0, e1, e2, e3, p, q, r = state
+    fx, fy, fz = force
+    mx, my, mz = moment
+    gx, gy, gz = to_body(e0, e1, e2, e3, gravity[0], gravity[1], gravity[2])
+    vn, ve, vd = to_ned(e0, e1, e2, e3, u, v, w)
+    im = 1.0 / body.mass_kg
+    return (
+        vn,
+        ve,
+        vd,
+        r * v - q * w + gx + fx * im,
+        p * w - r * u + gy + fy * im,
+        q * u - p * v + gz + fz * im,
+        0.5 * (-p * e1 - q * e2 - r * e3),
+        0.5 * (p * e0 + r * e2 - q * e3),
+        0.5 * (q * e0 - r * e1 + p * e3),
+        0.5 * (r * e0 + q * e1 - p * e2),
+        body.g1 * p * q - body.g2 * q * r + body.g3 * mx + body.g4 * mz,
+        body.g5 * p * r - body.g6 * (p * p - r * r) + body.inverse_jy * my,
+        body.g7 * p * q - body.g1 * q * r + body.g4 * mx + body.g8 * mz,
+    )
+
+
+@inlined
+def moved(state: State13, rate: State13, dt: float) -> State13:
+    """State + dt * rate (the quaternion is left as it comes)."""
+    return (
+        state[0] + dt * rate[0],
+        state[1] + dt * rate[1],
+        state[2] + dt * rate[2],
+        state[3] + dt * rate[3],
+        state[4] + dt * rate[4],
+        state[5] + dt * rate[5],
+        state[6] + dt * rate[6],
+        state[7] + dt * rate[7],
+        state[8] + dt * rate[8],
+        state[9] + dt * rate[9],
+        state[10] + dt * rate[10],
+        state[11] + dt * rate[11],
+        state[12] + dt * rate[12],
+    )
+
+
+@inlined
+def runge_kutta(
+    state: State13, k1: State13, k2: State13, k3: State13, k4: State13, dt: float
+) -> State13:
+    """Weighted end of a classical Runge-Kutta step, with the quaternion back at length one."""
+    s = moved(state, k1, dt / 6.0)
+    s = moved(s, k2, dt / 3.0)
+    s = moved(s, k3, dt / 3.0)
+    s = moved(s, k4, dt / 6.0)
+    e0, e1, e2, e3 = s[6], s[7], s[8], s[9]
+    inv = 1.0 / np.sqrt(e0 * e0 + e1 * e1 + e2 * e2 + e3 * e3)
+    return (
+        s[0],
+        s[1],
+        s[2],
+        s[3],
+        s[4],
+        s[5],
+        e0 * inv,
+        e1 * inv,
+        e2 * inv,
+        e3 * inv,
+        s[10],
+        s[11],
+        s[12],
+    )

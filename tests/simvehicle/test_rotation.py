@@ -1,0 +1,58 @@
+"""Turns: every form says the same, and agrees with scipy."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from simvehicle import rotation
+
+RNG = np.random.default_rng(4)
+SCIPY = Rotation.random(200, rng=RNG)
+QUATS = np.roll(SCIPY.as_quat(), 1, axis=-1)
+
+
+def test_matrices_agree_with_scipy() -> None:
+    assert np.allclose(rotation.matrix_from_quat(QUATS), SCIPY.as_matrix(), atol=1e-14)
+
+
+def test_a_matrix_gives_its_quaternion_back_up_to_sign() -> None:
+    back = rotation.quat_from_matrix(SCIPY.as_matrix())
+    assert np.allclose(np.abs(np.sum(back * QUATS, axis=-1)), 1.0, atol=1e-14)
+
+
+def test_half_turns_have_a_quaternion_too() -> None:
+    for axis in np.eye(3):
+        q = np.concatenate([[0.0], axis])
+        back = rotation.quat_from_matrix(rotation.matrix_from_quat(q))
+        assert np.allclose(np.abs(back), q)
+
+
+def test_euler_angles_agree_with_scipy() -> None:
+    yaw, pitch, roll = SCIPY.as_euler("ZYX").T
+    assert np.allclose(rotation.euler_from_quat(QUATS), np.stack([roll, pitch, yaw], -1), atol=1e-9)
+
+
+def test_euler_angles_there_and_back() -> None:
+    angles = RNG.uniform(-1.5, 1.5, (100, 3))
+    back = rotation.euler_from_quat(rotation.quat_from_euler(*angles.T))
+    assert np.allclose(back, angles, atol=1e-12)
+
+
+def test_products_compose_as_matrices_do() -> None:
+    product = rotation.quat_multiply(QUATS[:100], QUATS[100:])
+    expected = rotation.matrix_from_quat(QUATS[:100]) @ rotation.matrix_from_quat(QUATS[100:])
+    assert np.allclose(rotation.matrix_from_quat(product), expected, atol=1e-14)
+
+
+def test_rotation_vectors_agree_with_scipy_down_to_no_turn() -> None:
+    assert np.allclose(rotation.rotvec_from_quat(QUATS), SCIPY.as_rotvec(), atol=1e-12)
+    assert np.allclose(rotation.quat_from_rotvec(np.zeros(3)), [1, 0, 0, 0])
+    assert np.allclose(rotation.rotvec_from_quat([1.0, 0, 0, 0]), 0.0)
+
+
+def test_the_angle_between_attitudes_ignores_the_sign_of_the_quaternion() -> None:
+    q = rotation.quat_from_rotvec([0.3, 0.0, 0.0])
+    assert np.isclose(rotation.angle_between([1.0, 0, 0, 0], -q), 0.3)
+
+
+def test_angles_wrap_into_one_turn() -> None:
+    assert np.allclose(rotation.wrap([np.pi, 3.5 * np.pi, -0.1]), [-np.pi, -0.5 * np.pi, -0.1])
