@@ -129,7 +129,8 @@ def isolation_matrix(
         true = [
             label.id
             for label in labels
-            if label.start_us <= result.t_us and (label.end_us is None or result.t_us <= label.end_us)
+            if label.start_us <= result.t_us
+            and (label.end_us is None or result.t_us <= label.end_us)
         ] or ["no fault"]
         for row in true:
             for column in said:
