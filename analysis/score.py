@@ -77,31 +77,29 @@ def channel(target: str) -> str:
     return by_field.get(name.partition("[")[0], CHANNEL_OF_MESSAGE.get(message, ""))
 
 
-def alarms(results: Iterable[Result]) -> list[Alarm]:
-    """Every alarm in order of time."""
-    found = []
-    for result in results:
-        match result:
-            case Decision(alarm=True, hypothesis="imu"):
-                found.append(Alarm(result.t_us, "imu", ("imu",)))
-            case Decision() if result.alarm or result.excluded:
-                found.append(Alarm(result.t_us, "satellites", result.excluded))
-            case SensorDecision(alarm=True):
-                found.append(Alarm(result.t_us, result.sensor, (result.sensor,)))
-    return sorted(found, key=lambda alarm: alarm.t_us)
+def alarm_of(result: Result) -> Alarm | None:
+    """The alarm a result raises, if any."""
+    match result:
+        case Decision(alarm=True, hypothesis="imu"):
+            return Alarm(result.t_us, "imu", ("imu",))
+        case Decision() if result.alarm or result.excluded:
+            return Alarm(result.t_us, "satellites", result.excluded)
+        case SensorDecision(alarm=True):
+            return Alarm(result.t_us, result.sensor, (result.sensor,))
+    return None
 
 
-def score_faults(labels: Sequence[Label], results: Iterable[Result]) -> list[FaultScore]:
+def score_faults(labels: Sequence[Label], alarms: Iterable[Alarm]) -> list[FaultScore]:
     """One row per label, in order of start."""
-    raised = alarms(results)
+    raised = sorted(alarms, key=lambda alarm: alarm.t_us)
     return [_score(label, labels, raised) for label in labels]
 
 
-def false_alarms(labels: Sequence[Label], results: Iterable[Result]) -> int:
+def false_alarms(labels: Sequence[Label], alarms: Iterable[Alarm]) -> int:
     """Alarms that rose on a channel while no fault acted and none had ended shortly before."""
     count = 0
     last: dict[str, int] = {}
-    for alarm in alarms(results):
+    for alarm in sorted(alarms, key=lambda alarm: alarm.t_us):
         risen = alarm.t_us - last.get(alarm.channel, -(10**12)) > GRACE_S * 1e6
         last[alarm.channel] = alarm.t_us
         if risen and not any(_covers(label, alarm.t_us, RECOVERY_S) for label in labels):

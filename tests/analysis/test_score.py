@@ -1,7 +1,7 @@
 """Labels against results."""
 
-from analysis.results import Decision, SensorDecision
-from analysis.score import channel, false_alarms, score_faults
+from analysis.results import Decision, Result, SensorDecision
+from analysis.score import Alarm, alarm_of, channel, false_alarms, score_faults
 from mavproxy_fault.wire.label import Label
 
 
@@ -43,9 +43,13 @@ def sensor(t_s: float, name: str) -> SensorDecision:
     )
 
 
+def alarms(*results: Result) -> list[Alarm]:
+    return [alarm for result in results if (alarm := alarm_of(result)) is not None]
+
+
 def test_a_satellite_fault_is_isolated_with_its_delay() -> None:
     results = [decision(9.8), *(decision(t, ("G12",)) for t in (10.2, 10.4, 10.6))]
-    (row,) = score_faults([label("step", "PSEUDORANGE.G12", 10.0, 11.0)], results)
+    (row,) = score_faults([label("step", "PSEUDORANGE.G12", 10.0, 11.0)], alarms(*results))
     assert (row.detected, row.delay_s, row.isolated, row.verdict) == (
         True,
         0.2,
@@ -56,29 +60,29 @@ def test_a_satellite_fault_is_isolated_with_its_delay() -> None:
 
 
 def test_blaming_another_satellite_is_wrong() -> None:
-    (row,) = score_faults([label("a", "PSEUDORANGE.G12", 10, 11)], [decision(10.2, ("E05",))])
+    (row,) = score_faults([label("a", "PSEUDORANGE.G12", 10, 11)], alarms(decision(10.2, ("E05",))))
     assert row.verdict == "wrong"
 
 
 def test_blaming_the_other_of_two_faults_at_once_is_not_wrong() -> None:
     labels = [label("a", "PSEUDORANGE.G12", 10, 11), label("b", "PSEUDORANGE.E05", 10, 11)]
-    rows = score_faults(labels, [decision(10.2, ("E05", "G12"))])
+    rows = score_faults(labels, alarms(decision(10.2, ("E05", "G12"))))
     assert [row.verdict for row in rows] == ["isolated", "isolated"]
 
 
 def test_an_alarm_on_another_channel_does_not_detect() -> None:
-    (row,) = score_faults([label("a", "HIL_SENSOR.xgyro", 10, 11)], [sensor(10.5, "baro")])
+    (row,) = score_faults([label("a", "HIL_SENSOR.xgyro", 10, 11)], alarms(sensor(10.5, "baro")))
     assert (row.detected, row.verdict) == (False, "missed")
 
 
 def test_a_late_alarm_does_not_detect() -> None:
-    (row,) = score_faults([label("a", "HIL_SENSOR.xgyro", 10, 11)], [sensor(12.5, "imu")])
+    (row,) = score_faults([label("a", "HIL_SENSOR.xgyro", 10, 11)], alarms(sensor(12.5, "imu")))
     assert row.verdict == "missed"
 
 
 def test_nobody_blamed_is_only_detected() -> None:
     result = decision(10.2, hypothesis="multiple-unknown")
-    (row,) = score_faults([label("a", "PSEUDORANGE.G12", 10, 11)], [result])
+    (row,) = score_faults([label("a", "PSEUDORANGE.G12", 10, 11)], alarms(result))
     assert row.verdict == "detected"
 
 
@@ -90,7 +94,7 @@ def test_a_target_nothing_watches_is_said_so() -> None:
 def test_false_alarms_are_rises_outside_the_faults_and_their_echo() -> None:
     labels = [label("a", "HIL_SENSOR.xgyro", 10, 11)]
     results = [sensor(t, "baro") for t in (5.0, 5.2, 5.4, 10.5, 15.0, 25.0)]
-    assert false_alarms(labels, results) == 2
+    assert false_alarms(labels, alarms(*results)) == 2
 
 
 def test_channels_follow_from_targets() -> None:

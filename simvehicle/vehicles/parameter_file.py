@@ -1,0 +1,64 @@
+"""What all vehicles' parameter files share: finding them, moments of inertia, the battery."""
+
+from importlib import resources
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+
+from mavproxy_fault.errors import ConfigError
+from simvehicle.documents import decode, read_document
+
+T = TypeVar("T")
+
+
+class Moments(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Moments of inertia about the centre of mass [kg m^2]."""
+
+    jx: float
+    jy: float
+    jz: float
+    jxz: float = 0.0
+
+
+class Battery(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A lithium-polymer pack: open-circuit voltage over charge, and inner resistance.
+
+    `full_throttle_a` is the current at full throttle of a vehicle without a motor model.
+    """
+
+    cells: int
+    capacity_ah: float
+    resistance_ohm: float
+    full_throttle_a: float = 0.0
+
+    def state(self, drawn_as: float, current_a: float) -> tuple[float, float]:
+        """Terminal voltage [V] and what is left (0 to 1) after `drawn_as` ampere seconds.
+
+        The open-circuit voltage falls from 4.2 to 3.7 V per cell over most of the charge and to
+        3.0 V over the last tenth, a straight-line picture of a lithium-polymer cell's curve.
+        """
+        left = min(1.0, max(0.0, 1.0 - drawn_as / (3600.0 * self.capacity_ah)))
+        cell = 3.6 + 0.6 * left if left > 0.1 else 3.0 + 6.6 * left
+        return max(0.0, self.cells * cell - self.resistance_ohm * current_a), left
+
+
+def read_parameters(name: str | Path, kind: type[T]) -> T:
+    """Decode a shipped parameter set by name, or a file by its path.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such set or file, or its content is wrong.
+    """
+    shipped = Path(str(resources.files("simvehicle.vehicles")))
+    path = Path(name)
+    if path.suffix not in (".yaml", ".yml"):
+        path = shipped / f"{name}.yaml"
+        if not path.is_file():
+            known = ", ".join(sorted(p.stem for p in shipped.glob("*.yaml")))
+            raise ConfigError(
+                f"vehicle.parameters: {name} is unknown; known: {known}, or the path of a YAML file"
+            )
+    document, lines = read_document(path)
+    return decode(document, kind, lines)

@@ -1,0 +1,142 @@
+"""Trim of the fixed wing and its linear model about the trim.
+
+The 12 states here are those of Beard and McLain (3-2-1 Euler angles in the place of the
+quaternion): position NED, u, v, w, roll, pitch, yaw, p, q, r.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simvehicle.compiled import compiled
+from simvehicle.rotation import quat_from_euler
+from simvehicle.vehicles.fixedwing_kernel import Aero, derivative
+from simvehicle.vehicles.rigidbody_kernel import Inertia, State13
+
+Array = NDArray[np.float64]
+_LONGITUDINAL = [3, 5, 7, 10]
+_LATERAL = [4, 6, 9, 11]
+
+
+@dataclass(frozen=True, slots=True)
+class Trim:
+    """Straight, unaccelerated flight without wind: angles and deflections in rad."""
+
+    airspeed_mps: float
+    alpha_rad: float
+    pitch_rad: float
+    elevator_rad: float
+    throttle: float
+    roll_rad: float = 0.0
+    aileron_rad: float = 0.0
+    rudder_rad: float = 0.0
+
+    def state12(self) -> Array:
+        """The 12 states at the origin, heading north."""
+        x = np.zeros(12)
+        x[3] = self.airspeed_mps * math.cos(self.alpha_rad)
+        x[5] = self.airspeed_mps * math.sin(self.alpha_rad)
+        x[6] = self.roll_rad
+        x[7] = self.pitch_rad
+        return x
+
+    def controls(self) -> Array:
+        """Elevator, aileron, rudder [rad], throttle."""
+        return np.array([self.elevator_rad, self.aileron_rad, self.rudder_rad, self.throttle])
+
+
+@compiled
+def _derivative(
+    state: State13,
+    controls: tuple[float, float, float, float],
+    gravity: float,
+    density: float,
+    body: Inertia,
+    aero: Aero,
+) -> State13:
+    return derivative(state, controls, (0.0, 0.0, 0.0), (0.0, 0.0, gravity), density, body, aero)
+
+
+def euler_derivative(
+    x: Array, controls: Array, body: Inertia, aero: Aero, density: float, gravity: float
+) -> Array:
+    """Time derivative (12,) of the Euler-angle state, from the quaternion kernel."""
+    roll, pitch = x[6], x[7]
+    q = quat_from_euler(roll, pitch, x[8])
+    state = cast(State13, tuple(np.concatenate([x[:6], q, x[9:]]).tolist()))
+    de, da, dr, dt = controls.tolist()
+    rate = _derivative(state, (de, da, dr, dt), gravity, density, body, aero)
+    p, qq, r = x[9:]
+    turn = qq * math.sin(roll) + r * math.cos(roll)
+    angles = (
+        p + turn * math.tan(pitch),
+        qq * math.cos(roll) - r * math.sin(roll),
+        turn / math.cos(pitch),
+    )
+    return np.array([*rate[:6], *angles, *rate[10:]])
+
+
+def trim(
+    airspeed_mps: float,
+    body: Inertia,
+    aero: Aero,
+    density: float = 1.2682,
+    gravity: float = 9.81,
+    climb_rad: float = 0.0,
+) -> Trim:
+    """Find angle of attack, roll, deflections and throttle for straight flight without sideslip.
+
+    The default density and gravity are those of the model's source [1]_.
+
+    Raises
+    ------
+    ValueError
+        If the airframe cannot fly straight at this speed.
+
+    References
+    ----------
+    .. [1] Beard and McLain, Small Unmanned Aircraft, 2012, appendix E.
+    """
+    from scipy.optimize import least_squares
+
+    def residual(z: Array) -> Array:
+        guess = Trim(airspeed_mps, z[0], z[0] + climb_rad, *z[1:])
+        rate = euler_derivative(guess.state12(), guess.controls(), body, aero, density, gravity)
+        return np.concatenate([rate[3:6], rate[9:]])
+
+    solution = least_squares(
+        residual, [0.05, -0.05, 0.5, 0.0, 0.0, 0.0], xtol=1e-14, ftol=1e-14, gtol=1e-14
+    )
+    alpha, elevator, throttle, roll, aileron, rudder = map(float, solution.x)
+    if np.max(np.abs(solution.fun)) > 1e-6 or not 0.0 <= throttle <= 1.0 or abs(alpha) > 0.4:
+        raise ValueError(
+            f"no straight flight at {airspeed_mps} m/s: angle of attack {alpha:.2f} rad, "
+            f"throttle {throttle:.2f}; the airframe needs another speed"
+        )
+    return Trim(airspeed_mps, alpha, alpha + climb_rad, elevator, throttle, roll, aileron, rudder)
+
+
+def linearise(
+    point: Trim, body: Inertia, aero: Aero, density: float = 1.2682, gravity: float = 9.81
+) -> tuple[Array, Array]:
+    """Jacobians A (12, 12) and B (12, 4) of the Euler-angle model, by central differences."""
+    x, u = point.state12(), point.controls()
+
+    def f(dx: Array, du: Array) -> Array:
+        return euler_derivative(x + dx, u + du, body, aero, density, gravity)
+
+    h = 1e-6
+    zero_x, zero_u = np.zeros(12), np.zeros(4)
+    a = [(f(d, zero_u) - f(-d, zero_u)) / (2.0 * h) for d in h * np.eye(12)]
+    b = [(f(zero_x, d) - f(zero_x, -d)) / (2.0 * h) for d in h * np.eye(4)]
+    return np.array(a).T, np.array(b).T
+
+
+def modes(a: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Eigenvalues [1/s] of the longitudinal (u, w, pitch, q) and lateral (v, roll, p, r) blocks."""
+    longitudinal = np.linalg.eigvals(a[np.ix_(_LONGITUDINAL, _LONGITUDINAL)])
+    lateral = np.linalg.eigvals(a[np.ix_(_LATERAL, _LATERAL)])
+    return np.sort(longitudinal.astype(complex)), np.sort(lateral.astype(complex))
