@@ -33,11 +33,11 @@ WGS84_E2 = 6.69437999014e-3
 TYPICAL_ALPHA = (1.118e-8, 7.451e-9, -5.96e-8, -5.96e-8)
 TYPICAL_BETA = (9.011e4, 0.0, -1.966e5, -6.554e4)
 
-_FIELDS = (
-    ("toe_s", "toc_s", "af0_s", "af1", "af2_per_s", "sqrt_a", "eccentricity")
-    + ("i0_rad", "omega0_rad", "omega_rad", "m0_rad", "delta_n_rps", "omega_dot_rps", "idot_rps")
-    + ("crs_m", "crc_m", "cus_rad", "cuc_rad", "cis_rad", "cic_rad", "group_delay_s")
-)
+_ORBIT_FIELDS = ("sqrt_a", "eccentricity", "i0_rad", "omega0_rad", "omega_rad", "m0_rad")
+_RATE_FIELDS = ("delta_n_rps", "omega_dot_rps", "idot_rps")
+_WAVE_FIELDS = ("crs_m", "crc_m", "cus_rad", "cuc_rad", "cis_rad", "cic_rad")
+_CLOCK_FIELDS = ("toe_s", "toc_s", "af0_s", "af1", "af2_per_s")
+_FIELDS = (*_CLOCK_FIELDS, *_ORBIT_FIELDS, *_RATE_FIELDS, *_WAVE_FIELDS, "group_delay_s")
 
 
 def pack_ephemeris(ephemeris: Ephemeris) -> Vector:
@@ -175,7 +175,8 @@ def troposphere_m(lat_rad: float, height_m: float, el_rad: float) -> float:
     vapour = 6.108 * 0.5 * math.exp((17.15 * kelvin - 4684.0) / (kelvin - 38.45))
     dry = 0.0022768 * pressure / (1.0 - 0.00266 * math.cos(2.0 * lat_rad) - 0.00028e-3 * h)
     wet = 0.002277 * (1255.0 / kelvin + 0.05) * vapour
-    return (dry + wet) * 1.001 / math.sqrt(0.002001 + math.sin(el_rad) ** 2)
+    slant: float = (dry + wet) * 1.001 / math.sqrt(0.002001 + math.sin(el_rad) ** 2)
+    return slant
 
 
 @compiled

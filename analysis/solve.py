@@ -88,7 +88,7 @@ def solve(
         residual = epoch.pseudorange_m - predicted[:, 0] - design[:, 3:] @ clock[: unknowns - 3]
         weighted = design / sigma_m[:, None]
         try:
-            cofactor: Vector = np.linalg.inv(weighted.T @ weighted)
+            cofactor = np.asarray(np.linalg.inv(weighted.T @ weighted), dtype=np.float64)
         except np.linalg.LinAlgError:
             return None
         step = cofactor @ (weighted.T @ (residual / sigma_m))

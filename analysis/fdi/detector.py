@@ -17,6 +17,7 @@ from analysis.fdi.motion import (
     segment,
     split_pending,
 )
+from analysis.fdi.position import step_position
 from analysis.fdi.ranges import Tested, check_ranges, free_clock
 from analysis.fdi.rates import RatesTested, check_rates, freed_by, use_rates
 from analysis.fdi.start import start
@@ -27,6 +28,7 @@ from analysis.results import Decision, Result, SensorDecision
 from analysis.samples import (
     EphemerisSample,
     Epoch,
+    GpsFix,
     ImuSample,
     IonosphereSample,
     MagSample,
@@ -57,6 +59,11 @@ class Detector:
             return self._epoch(sample, state)  # type: ignore[arg-type]
         if kind is MagSample:
             return [], State(replace(state.core, mag_b=sample.field_b_gauss), state.pending)  # type: ignore[union-attr]
+        if isinstance(sample, GpsFix):
+            ranges_us = state.core.ranges_us
+            if ranges_us is not None and sample.t_us - ranges_us < self.config.reset_s * 1e6:
+                return [], state
+            return step_position(sample, state, self.config)
         if isinstance(sample, EphemerisSample):
             return [], State(_learn(state.core, sample), state.pending)
         if isinstance(sample, IonosphereSample):
@@ -100,6 +107,7 @@ class Detector:
         core = replace(
             core,
             motion=begun.motion,
+            ranges_us=epoch.t_us,
             excluded=exclude(core.excluded, begun.left_out, epoch.t_us),
             unknown_since_us=None,
         )
@@ -142,7 +150,7 @@ class Detector:
         excluded = readmit(
             core.excluded, observed.satellites, modelled, motion.p, epoch.t_us, config
         )
-        core = replace(core, excluded=exclude(excluded, blamed, epoch.t_us))
+        core = replace(core, excluded=exclude(excluded, blamed, epoch.t_us), ranges_us=epoch.t_us)
         imu_blamed = was_inertial and "imu" in (rates.hypothesis, tested.hypothesis)
         core = self._imu_verdict(core, imu_blamed, epoch.t_us)
         motion = self._with_rates(tested.motion, observed, trusted, rates, core.ionosphere)

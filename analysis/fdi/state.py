@@ -63,7 +63,8 @@ class Core:
     """Everything but the pending IMU samples.
 
     `imu_bad_until_us` is when a faulty IMU is tried again (None: it is trusted), `unknown_since_us`
-    since when every epoch had the verdict "multiple-unknown".
+    since when every epoch had the verdict "multiple-unknown". `ranges_us` is when raw ranges were
+    last usable; `gps_source` and `last_fix` (time and ECEF position) serve when there are none.
     """
 
     motion: Motion | None
@@ -74,6 +75,9 @@ class Core:
     imu_bad_until_us: int | None = None
     mag_b: Vector | None = None
     unknown_since_us: int | None = None
+    ranges_us: int | None = None
+    gps_source: str | None = None
+    last_fix: tuple[int, Vector] | None = None
 
 
 class State(NamedTuple):
