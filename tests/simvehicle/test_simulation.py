@@ -138,7 +138,8 @@ def test_nan_controls_are_an_error_and_not_silence() -> None:
 
 
 def test_a_state_that_leaves_the_numbers_is_an_error_and_not_silence() -> None:
-    simulation = Simulation(scenario(environment=Environment(wind_ned_mps=(1e200, 0.0, 0.0))))
+    simulation = Simulation(scenario())
+    simulation.plant("wind_e_mps", 1e200)
     with pytest.raises(ConfigError, match="left the numbers at 0"):
         simulation.step()
 
