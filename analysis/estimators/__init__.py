@@ -1,1 +1,47 @@
-"""Attitude estimators under test, one file each."""
+"""Attitude estimators under test, one file each; others' by entry point.
+
+An entry point of the group `mavproxy_fault.estimators` names a function without arguments that
+returns an `Estimator` (see `base`).
+"""
+
+from collections.abc import Callable
+from importlib import import_module
+from importlib.metadata import entry_points
+
+from analysis.estimators.base import AttitudeEstimate, Estimator, Prior
+from mavproxy_fault.errors import ConfigError
+
+__all__ = ["AttitudeEstimate", "Estimator", "Prior", "make", "names"]
+
+GROUP = "mavproxy_fault.estimators"
+BUILT_IN = {
+    "complementary": "analysis.estimators.complementary:complementary",
+    "ekf": "analysis.estimators.ekf:Ekf",
+    "inverse-model": "analysis.estimators.inverse_model:InverseModel",
+    "madgwick": "analysis.estimators.madgwick:Madgwick",
+    "mahony": "analysis.estimators.complementary:Mahony",
+}
+
+
+def names() -> list[str]:
+    """Names of all estimators, built in and registered, sorted."""
+    return sorted(BUILT_IN.keys() | {point.name for point in entry_points(group=GROUP)})
+
+
+def make(name: str) -> Estimator:
+    """The estimator of that name with its default parameters.
+
+    Raises
+    ------
+    ConfigError
+        If nothing of that name is registered.
+    """
+    factory: Callable[[], Estimator]
+    if name in BUILT_IN:
+        module, _, attribute = BUILT_IN[name].partition(":")
+        factory = getattr(import_module(module), attribute)
+        return factory()
+    for point in entry_points(group=GROUP, name=name):
+        factory = point.load()
+        return factory()
+    raise ConfigError(f"estimator: {name!r} is unknown; known: {', '.join(names())}")

@@ -1,31 +1,47 @@
 """What a fault is: one frame in, timed frames out.
 
 `Entry` (in `schedule`) says when, which frames and how often; a `Fault` says what happens to them.
-A fault is a frozen set of parameters; its moving part is the state it hands back. It does no I/O,
-takes time as `t_us` and chance from `rng`, and never changes its arguments.
+A fault is a frozen set of parameters (a `msgspec.Struct`, so that a schedule and its JSON Schema
+come from the same lines); its moving part is the state it hands back. It does no I/O, takes time
+as `t_us` and chance from `rng`, and never changes its arguments.
 """
 
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
+import msgspec
 import numpy as np
 
 from mavproxy_fault.wire.frame import Frame
 
+ActsOn = Literal["fields", "frames", "satellites", "plant"]
 
-@dataclass(frozen=True, slots=True)
-class Outgoing:
-    """Bytes to send no earlier than `due_us`; raw bytes where a fault broke the frame."""
+
+class Outgoing(msgspec.Struct, frozen=True):
+    """Bytes to send no earlier than `due_us`; raw bytes where a fault broke the frame.
+
+    `magnitude` is the largest change in this frame in the field's unit (metres for positions and
+    satellites, seconds for delays), `saturated` the number of values that did not fit their field.
+    With `back` the frame goes to where the one that called it forth came from.
+    """
 
     due_us: int
     frame: Frame | bytes
+    magnitude: float | None = None
+    saturated: int = 0
+    back: bool = False
 
 
 class Fault(Protocol):
-    """The contract; `state` is whatever `new_state` returned."""
+    """The contract; `state` is whatever `new_state` returned.
 
-    def new_state(self) -> Any:
-        """The state before the first frame."""
+    `acts_on` says what `target` names: fields of messages (handed over as `elements`), whole
+    frames, satellites or plant parameters (handed over as `names`).
+    """
+
+    acts_on: ClassVar[ActsOn]
+
+    def new_state(self, start_us: int) -> Any:
+        """The state before the first frame; the fault is active from `start_us` on."""
 
     def apply(
         self, frame: Frame, t_us: int, state: Any, rng: np.random.Generator
@@ -34,3 +50,21 @@ class Fault(Protocol):
 
         An untouched frame leaves as the same object at `t_us`. Nothing is due before `t_us`.
         """
+
+
+class LinkFault(msgspec.Struct, frozen=True, kw_only=True):
+    """A fault of the link: it takes bytes that are no frame as well, and signed frames."""
+
+    acts_on: ClassVar[ActsOn] = "frames"
+    takes_bytes: ClassVar[bool] = True
+    takes_sealed: ClassVar[bool] = True
+
+
+class Holder(Protocol):
+    """A fault that keeps frames back until others have come."""
+
+    def held_until_us(self, state: Any) -> int | None:
+        """When the oldest frame kept must leave; None if none is kept."""
+
+    def release(self, t_us: int, state: Any) -> tuple[list[Outgoing], Any]:
+        """Everything kept, to be sent now, and the state without it."""

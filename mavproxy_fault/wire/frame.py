@@ -120,7 +120,7 @@ class Frame:
             start = field.offset + index * field.size
             data = struct.pack("<" + field.code, saturate(field, value))
             if start + field.size > len(payload):
-                data = data.rstrip(b"\0")
+                data = data[: max(len(data.rstrip(b"\0")), len(payload) - start, 0)]
                 payload.extend(bytes(max(start + len(data) - len(payload), 0)))
             payload[start : start + len(data)] = data
         return self.with_payload(bytes(payload))

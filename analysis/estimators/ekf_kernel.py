@@ -1,0 +1,158 @@
+"""The arithmetic of the quaternion EKF, compiled; see `ekf` for the layout of x (91,)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.estimators.base import GRAVITY_MPS2
+from analysis.estimators.compiled import compiled
+from analysis.estimators.rotations import heading_error, matrix, turned
+
+Vector = NDArray[np.float64]
+N = 9  # error states: turn, bias, velocity
+
+
+@compiled
+def predict(
+    x: Vector,
+    gyro: Vector,
+    accel: Vector,
+    dt_s: float,
+    gyro_density: float,
+    bias_density: float,
+    accel_density: float,
+) -> Vector:
+    """State and covariance after one IMU sample (gyro, accel (3,)).
+
+    The turn's error obeys t' = -omega x t - b, the velocity's v' = -rot (f x t).
+    """
+    out = np.empty(91)
+    rx, ry, rz = gyro[0] - x[4], gyro[1] - x[5], gyro[2] - x[6]
+    q = turned(x[:4], 0.5 * rx * dt_s, 0.5 * ry * dt_s, 0.5 * rz * dt_s)  # at mid-step
+    rot = matrix(q)
+    out[:4] = turned(q, 0.5 * rx * dt_s, 0.5 * ry * dt_s, 0.5 * rz * dt_s)
+    out[4:7] = x[4:7]
+    fx, fy, fz = accel[0], accel[1], accel[2]
+    for i in range(3):
+        out[7 + i] = x[7 + i] + dt_s * (rot[i, 0] * fx + rot[i, 1] * fy + rot[i, 2] * fz)
+    out[9] += dt_s * GRAVITY_MPS2
+    transition = np.eye(N)
+    transition[0, 1], transition[0, 2] = dt_s * rz, -dt_s * ry
+    transition[1, 0], transition[1, 2] = -dt_s * rz, dt_s * rx
+    transition[2, 0], transition[2, 1] = dt_s * ry, -dt_s * rx
+    for i in range(3):
+        transition[i, 3 + i] = -dt_s
+        transition[6 + i, 0] = -dt_s * (rot[i, 1] * fz - rot[i, 2] * fy)
+        transition[6 + i, 1] = -dt_s * (rot[i, 2] * fx - rot[i, 0] * fz)
+        transition[6 + i, 2] = -dt_s * (rot[i, 0] * fy - rot[i, 1] * fx)
+    spread(out, x, transition)
+    for i in range(3):
+        out[10 + (N + 1) * i] += dt_s * gyro_density * gyro_density
+        out[10 + (N + 1) * (i + 3)] += dt_s * bias_density * bias_density
+        out[10 + (N + 1) * (i + 6)] += dt_s * accel_density * accel_density
+    return out
+
+
+@compiled
+def spread(out: Vector, x: Vector, transition: NDArray[np.float64]) -> None:
+    """Write transition @ P @ transition.T, made symmetric, into the tail of the new state `out`."""
+    before = x[10:].reshape(N, N)
+    half = np.zeros((N, N))
+    for i in range(N):
+        for k in range(N):
+            factor = transition[i, k]
+            if factor != 0.0:
+                for j in range(N):
+                    half[i, j] += factor * before[k, j]
+    for i in range(N):
+        for j in range(i, N):
+            total = 0.0
+            for k in range(N):
+                total += half[i, k] * transition[j, k]
+            out[10 + N * i + j] = total
+            out[10 + N * j + i] = total
+
+
+@compiled
+def correct(x: Vector, row: Vector, innovation: float, variance: float) -> Vector:
+    """One scalar measurement with sensitivity row (9,) to the error states."""
+    out = x.copy()
+    p = out[10:].reshape(N, N)
+    gain = np.zeros(N)
+    scale = variance
+    for i in range(N):
+        for j in range(N):
+            gain[i] += p[i, j] * row[j]
+    for i in range(N):
+        scale += row[i] * gain[i]
+    for i in range(N):
+        for j in range(i, N):
+            p[i, j] -= gain[i] * gain[j] / scale
+            p[j, i] = p[i, j]
+    step = gain * (innovation / scale)
+    out[:4] = turned(x[:4], step[0], step[1], step[2])
+    out[4:10] += step[3:]
+    return out
+
+
+@compiled
+def correct_velocity(x: Vector, v_ned_mps: Vector, variance: float) -> Vector:
+    """Velocity over ground (3,), axis by axis."""
+    for axis in range(3):
+        row = np.zeros(N)
+        row[6 + axis] = 1.0
+        x = correct(x, row, v_ned_mps[axis] - x[7 + axis], variance)
+    return x
+
+
+@compiled
+def restart_velocity(x: Vector, v_ned_mps: Vector, variance: float) -> Vector:
+    """Take the velocity as measured and forget what it had to do with the other errors."""
+    out = x.copy()
+    p = out[10:].reshape(N, N)
+    p[6:, :] = 0.0
+    p[:, 6:] = 0.0
+    for axis in range(3):
+        out[7 + axis] = v_ned_mps[axis]
+        p[6 + axis, 6 + axis] = variance
+    return out
+
+
+@compiled
+def head(x: Vector, field: Vector, declination_rad: float, variance: float) -> Vector:
+    """The heading of the field (3,): a small turn e in NED moves it by
+
+    e_d - m_d (e_n m_n + e_e m_e) / (m_n^2 + m_e^2), so that a tilt is not taken for heading.
+    """
+    rot = matrix(x[:4])
+    seen = np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            seen[i] += rot[i, j] * field[j]
+    tilt = -seen[2] / (seen[0] * seen[0] + seen[1] * seen[1] + 1e-12)
+    row = np.zeros(N)
+    for j in range(3):
+        row[j] = rot[2, j] + tilt * (seen[0] * rot[0, j] + seen[1] * rot[1, j])
+    return correct(x, row, heading_error(x[:4], field, declination_rad), variance)
+
+
+@compiled
+def level(x: Vector, gyro: Vector, accel: Vector, speed_mps: float, variance: float) -> Vector:
+    """Specific force (3,) as gravity plus the centripetal part of a flight along the nose.
+
+    The error of the turn moves gravity in body axes by g x t.
+    """
+    for axis in range(3):
+        down = matrix(x[:4])[2]
+        gx, gy, gz = -GRAVITY_MPS2 * down[0], -GRAVITY_MPS2 * down[1], -GRAVITY_MPS2 * down[2]
+        row = np.zeros(N)
+        if axis == 0:
+            row[1], row[2] = -gz, gy
+            expected = gx
+        elif axis == 1:
+            row[0], row[2] = gz, -gx
+            expected = gy + (gyro[2] - x[6]) * speed_mps
+        else:
+            row[0], row[1] = -gy, gx
+            expected = gz - (gyro[1] - x[5]) * speed_mps
+        x = correct(x, row, accel[axis] - expected, variance)
+    return x

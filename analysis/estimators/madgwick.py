@@ -1,0 +1,74 @@
+"""Madgwick's gradient filter, by the `ahrs` package.
+
+`ahrs` takes the third axis as that on which gravity reads positive; the specific force of a vehicle
+in forward-right-down axes is negative there at rest, so its sign is turned. The filter's north is
+magnetic: the attitude handed out is turned by the declination.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import cos, sin
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.epochs import ImuSample, MagSample, Sample
+from analysis.estimators.base import MAX_GAP_S, AttitudeEstimate, Prior
+
+Vector = NDArray[np.float64]
+
+
+class MadgwickState(NamedTuple):
+    """The attitude against magnetic north and the field since the last IMU sample (or None)."""
+
+    t_us: int
+    q_mb: Vector
+    field: Vector | None
+    declination_rad: float
+
+
+@dataclass(frozen=True)
+class Madgwick:
+    """`gain` is beta in rad/s; 0.041 is the paper's value for an IMU with a magnetometer."""
+
+    gain: float = 0.041
+
+    @cached_property
+    def _filter(self) -> Any:
+        from ahrs.filters import Madgwick as Filter
+
+        return Filter(gain=self.gain)
+
+    def start(self, prior: Prior) -> MadgwickState:
+        """The prior's attitude, seen from magnetic north."""
+        q = _yawed(prior.q_nb, -prior.declination_rad)
+        return MadgwickState(prior.t_us, q, None, prior.declination_rad)
+
+    def update(
+        self, reading: Sample, state: MadgwickState
+    ) -> tuple[AttitudeEstimate, MadgwickState]:
+        """A field sample waits for the next IMU sample; that moves the filter."""
+        if isinstance(reading, MagSample):
+            state = state._replace(field=reading.field_b_gauss)
+        elif isinstance(reading, ImuSample) and reading.t_us > state.t_us:
+            state = self._moved(reading, state)
+        return AttitudeEstimate(state.t_us, _yawed(state.q_mb, state.declination_rad)), state
+
+    def _moved(self, reading: ImuSample, state: MadgwickState) -> MadgwickState:
+        dt_s = (reading.t_us - state.t_us) * 1e-6
+        if dt_s > MAX_GAP_S:
+            return state._replace(t_us=reading.t_us)
+        gyro, accel = reading.gyro_b_rps, -reading.accel_b_mps2
+        if state.field is None:
+            q = self._filter.updateIMU(state.q_mb, gyro, accel, dt=dt_s)
+        else:
+            q = self._filter.updateMARG(state.q_mb, gyro, accel, state.field, dt=dt_s)
+        return MadgwickState(reading.t_us, q, None, state.declination_rad)
+
+
+def _yawed(q: Vector, angle_rad: float) -> Vector:
+    """q (4,) turned by an angle about down."""
+    c, s = cos(0.5 * angle_rad), sin(0.5 * angle_rad)
+    w, x, y, z = q
+    return np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])

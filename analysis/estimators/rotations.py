@@ -1,0 +1,137 @@
+"""Scalar quaternion kernels of the estimators; quaternions are (w, x, y, z), body to NED."""
+
+from math import asin, atan2, cos, sin, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.estimators.compiled import compiled
+
+Vector = NDArray[np.float64]
+
+
+@compiled
+def turned(q: Vector, rx: float, ry: float, rz: float) -> Vector:
+    """q (4,) turned by the rotation vector (rx, ry, rz) in rad, given in body axes."""
+    angle = sqrt(rx * rx + ry * ry + rz * rz)
+    # sin(angle / 2) / angle by its series where the quotient would lose digits
+    factor = 0.5 - angle * angle / 48.0 if angle < 1e-4 else sin(0.5 * angle) / angle
+    w, x, y, z = cos(0.5 * angle), factor * rx, factor * ry, factor * rz
+    a, b, c, d = q[0], q[1], q[2], q[3]
+    out = np.empty(4)
+    out[0] = a * w - b * x - c * y - d * z
+    out[1] = a * x + b * w + c * z - d * y
+    out[2] = a * y - b * z + c * w + d * x
+    out[3] = a * z + b * y - c * x + d * w
+    norm = sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2 + out[3] ** 2)
+    return out / norm
+
+
+@compiled
+def matrix(q: Vector) -> NDArray[np.float64]:
+    """rot_nb (3, 3) of q (4,)."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    out = np.empty((3, 3))
+    out[0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    out[0, 1] = 2.0 * (x * y - w * z)
+    out[0, 2] = 2.0 * (x * z + w * y)
+    out[1, 0] = 2.0 * (x * y + w * z)
+    out[1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    out[1, 2] = 2.0 * (y * z - w * x)
+    out[2, 0] = 2.0 * (x * z - w * y)
+    out[2, 1] = 2.0 * (y * z + w * x)
+    out[2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    return out
+
+
+@compiled
+def euler(q: Vector) -> tuple[float, float, float]:
+    """Roll, pitch, yaw in rad of q (4,)."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
+    return (
+        atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        asin(sine),
+        atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+    )
+
+
+@compiled
+def quaternion_of_euler(roll: float, pitch: float, yaw: float) -> Vector:
+    """The quaternion (4,) of Euler angles 3-2-1 in rad."""
+    cr, sr = cos(0.5 * roll), sin(0.5 * roll)
+    cp, sp = cos(0.5 * pitch), sin(0.5 * pitch)
+    cy, sy = cos(0.5 * yaw), sin(0.5 * yaw)
+    out = np.empty(4)
+    out[0] = cr * cp * cy + sr * sp * sy
+    out[1] = sr * cp * cy - cr * sp * sy
+    out[2] = cr * sp * cy + sr * cp * sy
+    out[3] = cr * cp * sy - sr * sp * cy
+    return out
+
+
+@compiled
+def wrapped(angle_rad: float) -> float:
+    """The angle in (-pi, pi]."""
+    return atan2(sin(angle_rad), cos(angle_rad))
+
+
+@compiled
+def heading_error(q: Vector, field: Vector, declination_rad: float) -> float:
+    """How far the estimate must turn about down for the field (3,) to lie at the declination."""
+    rot = matrix(q)
+    north = rot[0, 0] * field[0] + rot[0, 1] * field[1] + rot[0, 2] * field[2]
+    east = rot[1, 0] * field[0] + rot[1, 1] * field[1] + rot[1, 2] * field[2]
+    return wrapped(declination_rad - atan2(east, north))
+
+
+@compiled
+def gravity_error(
+    q: Vector, accel: Vector, gyro: Vector, speed_mps: float, gravity_mps2: float
+) -> Vector:
+    """Body rotation vector (3,) that would put the estimate's down on the measured one.
+
+    The specific force is freed of the centripetal part of a flight along the nose. Its sine is
+    scaled down as the force departs from one g, where it says little about down.
+    """
+    fx = accel[0]
+    fy = accel[1] - gyro[2] * speed_mps
+    fz = accel[2] + gyro[1] * speed_mps
+    norm = sqrt(fx * fx + fy * fy + fz * fz)
+    trust = max(0.0, 1.0 - abs(norm / gravity_mps2 - 1.0))
+    scale = 0.0 if norm == 0.0 else -trust / norm
+    rot = matrix(q)
+    dx, dy, dz = rot[2, 0], rot[2, 1], rot[2, 2]
+    mx, my, mz = scale * fx, scale * fy, scale * fz
+    out = np.empty(3)
+    out[0] = my * dz - mz * dy
+    out[1] = mz * dx - mx * dz
+    out[2] = mx * dy - my * dx
+    return out
+
+
+@compiled
+def errors(q_estimate: Vector, q_truth: Vector) -> Vector:
+    """Differences of roll, pitch and yaw, wrapped, and the angle of the turn between, rad, (4,)."""
+    a, b = q_estimate, q_truth
+    roll_a, pitch_a, yaw_a = euler(a)
+    roll_b, pitch_b, yaw_b = euler(b)
+    w = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+    x = a[0] * b[1] - a[1] * b[0] - a[2] * b[3] + a[3] * b[2]
+    y = a[0] * b[2] + a[1] * b[3] - a[2] * b[0] - a[3] * b[1]
+    z = a[0] * b[3] - a[1] * b[2] + a[2] * b[1] - a[3] * b[0]
+    out = np.empty(4)
+    out[0] = wrapped(roll_a - roll_b)
+    out[1] = wrapped(pitch_a - pitch_b)
+    out[2] = wrapped(yaw_a - yaw_b)
+    out[3] = 2.0 * atan2(sqrt(x * x + y * y + z * z), abs(w))
+    return out
+
+
+@compiled
+def between(q0: Vector, q1: Vector, share: float) -> Vector:
+    """Along the shorter way from q0 (share 0) to q1 (share 1), normalised linear."""
+    dot = q0[0] * q1[0] + q0[1] * q1[1] + q0[2] * q1[2] + q0[3] * q1[3]
+    sign = 1.0 if dot >= 0.0 else -1.0
+    out = (1.0 - share) * q0 + (share * sign) * q1
+    return out / sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2 + out[3] ** 2)

@@ -1,0 +1,64 @@
+"""Progress of a run on the terminal: simulated time, speed and the faults that act."""
+
+import sys
+import time
+from collections.abc import Sequence
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+REDRAW_S = 0.2
+
+
+class RunProgress:
+    """A bar on a terminal; into a file or a pipe, a line every tenth of the way."""
+
+    def __init__(self, total_s: float) -> None:
+        self._total_s = total_s
+        self._start_s = time.monotonic()
+        self._next_s = 0.0
+        self._tenth = 0
+        self._console = Console(stderr=True)
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TaskProgressColumn(),
+            TextColumn("{task.fields[status]}"),
+            console=self._console,
+            disable=not self._console.is_terminal,
+        )
+        self._task = self._bar.add_task("flying", total=total_s, status="")
+
+    def __enter__(self) -> "RunProgress":
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bar.stop()
+
+    @property
+    def elapsed_s(self) -> float:
+        """Wall time since the start."""
+        return time.monotonic() - self._start_s
+
+    def show(self, sim_s: float, active: Sequence[str]) -> None:
+        """Draw the state of the run, at most a few times a second."""
+        now_s = self.elapsed_s
+        if now_s < self._next_s:
+            return
+        self._next_s = now_s + REDRAW_S
+        speed = sim_s / now_s if now_s > 0 else 0.0
+        status = f"{sim_s:6.1f} s  x{speed:.1f}  {', '.join(active) or 'no fault'}"
+        if self._console.is_terminal:
+            self._bar.update(self._task, completed=sim_s, status=status)
+            return
+        tenth = int(10 * sim_s / self._total_s) if self._total_s else 0
+        if tenth > self._tenth:
+            self._tenth = tenth
+            print(f"flying {status}", file=sys.stderr, flush=True)

@@ -1,0 +1,66 @@
+"""Numbers for the page: float32 in one deflated, base64-coded block, times as offset and step.
+
+float32 holds a time of an hour to a quarter of a millisecond only, so a time axis is a line
+`offset + step * i` in double precision and, where the samples stray from it, float32 remainders.
+"""
+
+import base64
+import zlib
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.report.recording import Vector
+
+LONGEST = 100_000  # samples of one curve; beyond, each bucket keeps its extremes
+EVEN_S = 1e-5  # samples this near the line lie on it
+
+Place = dict[str, float | int]
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """The numbers gathered so far; `parts` grows."""
+
+    parts: list[NDArray[np.float32]] = field(default_factory=list)
+
+    def values(self, values: Vector) -> Place:
+        """Put values in; what the page needs to find them: first element and count."""
+        at = sum(len(part) for part in self.parts)
+        self.parts.append(values.astype("<f4"))
+        return {"at": at, "n": len(values)}
+
+    def times(self, t_s: Vector) -> Place:
+        """Put a time axis in."""
+        n = len(t_s)
+        offset = float(t_s[0]) if n else 0.0
+        step = float(t_s[-1] - t_s[0]) / (n - 1) if n > 1 else 0.0
+        stray = t_s - (offset + step * np.arange(n))
+        place: Place = {"offset": offset, "step": step, "n": n}
+        if n and np.abs(stray).max() > EVEN_S:
+            place["at"] = self.values(stray)["at"]
+        return place
+
+    def text(self) -> str:
+        """Everything as base64 of zlib's format."""
+        data = np.concatenate(self.parts) if self.parts else np.empty(0, "<f4")
+        return base64.b64encode(zlib.compress(data.tobytes(), 6)).decode("ascii")
+
+
+def thinned(t_s: Vector, value: Vector, longest: int = LONGEST) -> tuple[Vector, Vector]:
+    """The curve itself, or, if it is longer, least and greatest of each bucket, in order."""
+    n = len(t_s)
+    if n <= longest:
+        return t_s, value
+    buckets = longest // 2
+    size = -(-n // buckets)
+    whole = np.full(buckets * size, np.nan)
+    whole[:n] = value
+    table = whole.reshape(buckets, size)
+    some = np.isfinite(table).any(axis=1)
+    low = np.where(np.isfinite(table), table, np.inf).argmin(axis=1)
+    high = np.where(np.isfinite(table), table, -np.inf).argmax(axis=1)
+    starts = np.arange(buckets) * size
+    picked = np.unique(np.concatenate(((starts + low)[some], (starts + high)[some], [0, n - 1])))
+    return t_s[picked], value[picked]

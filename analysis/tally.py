@@ -1,0 +1,98 @@
+"""The summary of a run, gathered result by result, so that an hour of flight needs no more memory
+than its alarms.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+from analysis.criteria import Criteria, judge, verdict
+from analysis.results import Decision, Result
+from analysis.samples import TruthSample
+from analysis.score import Alarm, alarm_of, false_alarms, score_faults
+from mavproxy_fault.wire.label import Label
+from simvehicle.earth import ecef_from_geodetic
+
+
+class Tally:
+    """Counts epochs, collects alarms and adds up the position error."""
+
+    def __init__(self) -> None:
+        self.epochs = 0
+        self.untestable = 0
+        self.first_us: int | None = None
+        self.last_us = 0
+        self.alarms: list[Alarm] = []
+        self._truth: TruthSample | None = None
+        self._errors = 0
+        self._square_m2 = 0.0
+
+    def truth(self, sample: TruthSample) -> None:
+        """Note where the vehicle really is."""
+        self._truth = sample
+        self.clock(sample.t_us)
+
+    def clock(self, t_us: int) -> None:
+        """Note the vehicle's time."""
+        if self.first_us is None:
+            self.first_us = t_us
+        self.last_us = max(self.last_us, t_us)
+
+    def add(self, result: Result) -> None:
+        """Take one result."""
+        alarm = alarm_of(result)
+        if alarm is not None:
+            self.alarms.append(alarm)
+        if not isinstance(result, Decision):
+            return
+        self.epochs += 1
+        self.untestable += result.hypothesis == "untestable"
+        if result.position_ecef_m is not None and self._truth is not None:
+            truth = self._truth
+            true_m = ecef_from_geodetic(
+                math.radians(truth.lat_deg), math.radians(truth.lon_deg), truth.alt_m
+            )
+            self._square_m2 += math.dist(true_m, result.position_ecef_m) ** 2
+            self._errors += 1
+
+    def summary(
+        self,
+        labels: Sequence[Label],
+        attitude: Mapping[str, Any],
+        criteria: Criteria,
+        wall_s: float,
+    ) -> dict[str, Any]:
+        """The content of `summary.json`.
+
+        Parameters
+        ----------
+        labels : sequence of Label
+            What was really done.
+        attitude : mapping
+            Scores by estimator; the first is the one the criteria judge.
+        criteria : Criteria
+            Limits for the verdict.
+        wall_s : float
+            How long the run took.
+        """
+        first = next(iter(attitude.values()), None)
+        found: dict[str, Any] = {
+            "verdict": "NO VERDICT",
+            "sim_s": round((self.last_us - (self.first_us or 0)) * 1e-6, 3),
+            "wall_s": round(wall_s, 2),
+            "epochs": self.epochs,
+            "false_alarms": false_alarms(labels, self.alarms),
+            "untestable_epochs": self.untestable,
+            "attitude_rmse_deg": first["rmse_deg"] if first else None,
+            "position_rmse_m": round(math.sqrt(self._square_m2 / self._errors), 3)
+            if self._errors
+            else None,
+            "faults": [msgspec.structs.asdict(row) for row in score_faults(labels, self.alarms)],
+            "attitude": dict(attitude),
+        }
+        checks = judge(criteria, found)
+        found["verdict"] = verdict(checks)
+        found["criteria"] = [msgspec.structs.asdict(check) for check in checks]
+        return found

@@ -1,0 +1,61 @@
+"""A run's summary for people, on the terminal."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+COLOURS = {"PASS": "green", "FAIL": "red", "isolated": "green", "wrong": "red", "missed": "red"}
+
+
+def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
+    """Print the faults, the scores, the criteria that failed and where the files are."""
+    console = Console()
+    if summary["faults"]:
+        console.print(_faults(summary["faults"]))
+    attitude = summary["attitude_rmse_deg"]
+    if attitude:
+        axes = ", ".join(f"{axis} {attitude[axis]:.2f}" for axis in ("roll", "pitch", "yaw"))
+        console.print(f"attitude RMSE   {axes} degrees")
+    if summary["position_rmse_m"] is not None:
+        console.print(f"position RMSE   {summary['position_rmse_m']:.2f} m")
+    console.print(
+        f"epochs          {summary['epochs']}, untestable {summary['untestable_epochs']}, "
+        f"false alarms {summary['false_alarms']}"
+    )
+    speed = summary["sim_s"] / summary["wall_s"] if summary["wall_s"] else 0.0
+    console.print(
+        f"time            {summary['sim_s']:.1f} s of flight in {summary['wall_s']:.1f} s"
+        f" (x{speed:.1f})"
+    )
+    for check in summary["criteria"]:
+        if not check["passed"]:
+            word = "FAILED" if check["passed"] is False else "not judged"
+            console.print(
+                f"criterion       {check['name']}: {check['value']} (limit {check['limit']}) {word}"
+            )
+    verdict = summary["verdict"]
+    console.print(f"verdict         [{COLOURS.get(verdict, 'yellow')}]{verdict}[/]")
+    if folder is not None:
+        console.print(f"report          {folder / 'report.html'}", soft_wrap=True)
+
+
+def _faults(rows: list[Mapping[str, Any]]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for name in ("fault", "target", "from s", "to s", "frames", "delay s", "blamed", "verdict"):
+        table.add_column(name, justify="right" if name[-2:] in (" s", "es") else "left")
+    for row in rows:
+        word = row["verdict"]
+        table.add_row(
+            row["id"],
+            row["target"],
+            f"{row['start_s']:.1f}",
+            "" if row["end_s"] is None else f"{row['end_s']:.1f}",
+            str(row["frames"]),
+            "" if row["delay_s"] is None else f"{row['delay_s']:.2f}",
+            ", ".join(row["isolated"]),
+            f"[{COLOURS.get(word, 'yellow')}]{word}[/]",
+        )
+    return table

@@ -1,0 +1,84 @@
+"""Bias, scale, constant and drift: a number or a fault function meets the healthy value."""
+
+from typing import Any, ClassVar
+
+from mavproxy_fault.faults.profile import Mode, Profile
+from mavproxy_fault.faults.value import Moving, ValueFault, each
+from mavproxy_fault.wire.frame import Number
+
+
+class Driven(ValueFault, frozen=True, kw_only=True):
+    """A fault with one number (or one for each element) or a profile."""
+
+    mode: ClassVar[Mode]
+
+    value: float | tuple[float, ...] | None = None
+    profile: Profile | None = None
+
+    def __post_init__(self) -> None:
+        if (self.value is None) == (self.profile is None):
+            raise ValueError("takes either value or profile")
+        if isinstance(self.value, tuple):
+            for places in self.elements.values():
+                each(self.value, len(places))
+
+    def after(
+        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+    ) -> tuple[list[Number], Any]:
+        """Replace, add to or scale the healthy values."""
+        if self.profile is None:
+            assert self.value is not None
+            values = each(self.value, len(before))
+            return [meet(self.mode, x, y) for x, y in zip(before, values, strict=True)], None
+        if memory is None:
+            memory = self.profile.new_state(rng)
+        now = self.profile.value(t_s, memory)
+        if now is None:
+            return before, memory
+        mode = self.profile.mode or self.mode
+        return [meet(mode, x, now) for x in before], memory
+
+    def fed(self, state: Moving, value: float, t_us: int) -> Moving:
+        """The state after a live value that came at `t_us`."""
+        return Moving(state.start_us, ((t_us - state.start_us) * 1e-6, value))
+
+
+def meet(mode: Mode, healthy: Number, value: float) -> Number:
+    """The faulty value."""
+    if mode == "add":
+        return healthy + value
+    return healthy * value if mode == "scale" else value
+
+
+class Bias(Driven, frozen=True, kw_only=True):
+    """Add a constant, or a profile, to the healthy value."""
+
+    mode: ClassVar[Mode] = "add"
+
+
+class Scale(Driven, frozen=True, kw_only=True):
+    """Multiply the healthy value by a factor, or by a profile."""
+
+    mode: ClassVar[Mode] = "scale"
+
+
+class Constant(Driven, frozen=True, kw_only=True):
+    """Replace the healthy value by a constant, or by a profile."""
+
+    mode: ClassVar[Mode] = "replace"
+
+
+class Drift(ValueFault, frozen=True, kw_only=True):
+    """Add an error that grows by `value` units per second, up to `limit`."""
+
+    value: float | tuple[float, ...]
+    limit: float | None = None
+
+    def after(
+        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+    ) -> tuple[list[Number], Any]:
+        """Add rate times time."""
+        grown = [rate * t_s for rate in each(self.value, len(before))]
+        if self.limit is not None:
+            grown = [max(-self.limit, min(self.limit, error)) for error in grown]
+        return [x + error for x, error in zip(before, grown, strict=True)], None

@@ -1,0 +1,208 @@
+"""Fault functions of time: piecewise linear, with drawn numbers, and others.
+
+A segment is f(t) = start + rate (t - at) on [at, at + for]; between segments the value is healthy.
+`compat: param_gen` reproduces the Simulink function `param_gen` bit for bit, edges included: it is
+open on the left and closed on the right, and at a joint the earlier segment holds.
+"""
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+Mode = Literal["replace", "add", "scale"]
+OVERLAP_TOLERANCE_S = 1e-6  # stamps are microseconds: what is closer than one is not an overlap
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+
+
+class Draw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A number drawn at each start: `uniform: [low, high]` or `normal: [mean, sigma]`."""
+
+    uniform: tuple[float, float] | None = None
+    normal: tuple[float, NotNegative] | None = None
+
+    def __post_init__(self) -> None:
+        if (self.uniform is None) == (self.normal is None):
+            raise ValueError("a drawn number takes either uniform or normal")
+
+    def number(self, rng: np.random.Generator) -> float:
+        """One draw."""
+        if self.uniform is not None:
+            return float(rng.uniform(*self.uniform))
+        assert self.normal is not None
+        return float(rng.normal(*self.normal))
+
+
+class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One straight piece; times in seconds from the start of the fault, rate per second."""
+
+    at_s: float
+    for_s: float
+    start: float | Draw
+    rate: float | Draw = 0.0
+
+
+class Sine(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """offset + amplitude sin(2 pi frequency t + phase)."""
+
+    amplitude: float
+    frequency_hz: Positive
+    phase_rad: float = 0.0
+    offset: float = 0.0
+
+
+class Impulses(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Rectangles of one height: `width_s` long, every `period_s`."""
+
+    amplitude: float
+    period_s: Positive
+    width_s: Positive
+
+
+class Live(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Values streamed from outside; one older than the time-out is refused."""
+
+    timeout_s: Positive = 0.5
+
+
+class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A series from a CSV or Parquet file; times in seconds from the start of the fault."""
+
+    file: str
+    time: str = "t_s"
+    value: str = "value"
+    interpolate: Literal["hold", "linear"] = "hold"
+
+
+class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A fault function: exactly one of its kinds, and how it meets the healthy value.
+
+    `mode` defaults to what the fault does (bias adds, scale scales, constant replaces).
+    `otherwise` is used outside the segments in place of the healthy value.
+    `time_sim_s` is only looked at by `compat: param_gen`, which checks the last segment against it.
+    """
+
+    mode: Mode | None = None
+    segments: tuple[Segment, ...] | None = None
+    sine: Sine | None = None
+    impulses: Impulses | None = None
+    table: Table | None = None
+    live: Live | None = None
+    otherwise: float | None = None
+    compat: Literal["param_gen"] | None = None
+    time_sim_s: float | None = None
+
+    def __post_init__(self) -> None:
+        kinds = (self.segments, self.sine, self.impulses, self.table, self.live)
+        if sum(kind is not None for kind in kinds) != 1:
+            raise ValueError("a profile takes exactly one of segments, sine, impulses, table, live")
+        if self.segments is not None:
+            if not self.segments:
+                raise ValueError("segments is empty; give at least one")
+            if self.compat is None:
+                check_apart(self.segments)
+            else:
+                check_param_gen(self.segments, self.time_sim_s)
+
+    def new_state(self, rng: np.random.Generator) -> Any:
+        """What the profile remembers: drawn segments, an open table, or the newest live value."""
+        if self.segments is not None:
+            return drawn(self.segments, rng)
+        if self.table is not None:
+            from mavproxy_fault.faults.table import Series
+
+            return Series(self.table)
+        return None
+
+    def value(self, t_s: float, state: Any) -> float | None:
+        """The function at a time, or None where it says nothing and the value stays healthy."""
+        if self.segments is not None:
+            found = at(state, t_s, open_left=self.compat is not None)
+        elif self.sine is not None:
+            wave = self.sine
+            found = wave.offset + wave.amplitude * float(
+                np.sin(2 * np.pi * wave.frequency_hz * t_s + wave.phase_rad)
+            )
+        elif self.impulses is not None:
+            train = self.impulses
+            found = train.amplitude if t_s % train.period_s < train.width_s else None
+        elif self.table is not None:
+            found = state.at(t_s)
+        else:
+            assert self.live is not None
+            fresh = state is not None and t_s - state[0] <= self.live.timeout_s
+            found = state[1] if fresh else None
+        return self.otherwise if found is None else found
+
+
+Piece = tuple[float, float, float, float]  # at_s, for_s, start, rate
+
+
+def drawn(segments: Sequence[Segment], rng: np.random.Generator) -> tuple[Piece, ...]:
+    """The segments with every number drawn."""
+
+    def number(given: float | Draw) -> float:
+        return given.number(rng) if isinstance(given, Draw) else given
+
+    return tuple((s.at_s, s.for_s, number(s.start), number(s.rate)) for s in segments)
+
+
+def at(pieces: Sequence[Piece], t_s: float, *, open_left: bool) -> float | None:
+    """The piecewise-linear function, None outside its pieces.
+
+    With `open_left` a piece holds on (at, at + for] as in `param_gen`, else on [at, at + for],
+    where at a joint the later one holds.
+    """
+    if open_left:
+        # param_gen takes the piece before the first whose start has not passed, sorted or not.
+        k = next((i for i, piece in enumerate(pieces) if t_s <= piece[0]), len(pieces)) - 1
+    else:
+        k = bisect_right(pieces, t_s, key=lambda piece: piece[0]) - 1
+    if k < 0:
+        return None
+    at_s, for_s, start, rate = pieces[k]
+    return start + (t_s - at_s) * rate if t_s <= at_s + for_s else None
+
+
+def check_apart(segments: Sequence[Segment]) -> None:
+    """Refuse segments that overlap by more than a microsecond, or end before they start.
+
+    Raises
+    ------
+    ValueError
+        With the segments at fault.
+    """
+    for i, segment in enumerate(segments):
+        if segment.for_s < 0:
+            raise ValueError(f"segments[{i}].for_s = {segment.for_s} is negative; give 0 or more")
+        end_s = segment.at_s + segment.for_s
+        if i + 1 < len(segments) and segments[i + 1].at_s < end_s - OVERLAP_TOLERANCE_S:
+            raise ValueError(
+                f"segments[{i + 1}].at_s = {segments[i + 1].at_s} is before the end of the "
+                f"one before, {end_s:.9g}; segments must follow one another"
+            )
+
+
+def check_param_gen(segments: Sequence[Segment], time_sim_s: float | None) -> None:
+    """The check of `param_gen`, rounding included: dt must not exceed the gap to the next start.
+
+    Raises
+    ------
+    ValueError
+        Where `param_gen` says "dt error".
+    """
+    if len(segments) == 1:
+        return  # param_gen does not check a single segment
+    ends = [segment.at_s for segment in segments[1:]]
+    if time_sim_s is not None:
+        ends.append(time_sim_s)
+    for i, (segment, end_s) in enumerate(zip(segments, ends, strict=False)):
+        if end_s - segment.at_s < segment.for_s:
+            raise ValueError(
+                f"segments[{i}].for_s = {segment.for_s} is longer than the {end_s - segment.at_s!r}"
+                " s to the next start or the end (dt error); param_gen compares without tolerance"
+            )

@@ -1,0 +1,140 @@
+"""A time series from a CSV or Parquet file, read in blocks so that memory stays flat.
+
+This is the one fault that reads a file: a series of hours does not fit a schedule, and holding it
+whole would cost hundreds of megabytes. Only the present block is in memory.
+"""
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavproxy_fault.errors import ConfigError
+
+if TYPE_CHECKING:
+    from mavproxy_fault.faults.profile import Table
+
+BLOCK_ROWS = 8192
+Block = tuple[np.ndarray, np.ndarray]  # times in seconds and values, each of shape (n,)
+
+
+class Series:
+    """The values of a table at times that do not go backwards (they may, at the cost of a re-read).
+
+    Before the first row it says nothing; after the last one too.
+    """
+
+    def __init__(self, table: "Table") -> None:
+        self.table = table
+        self._start()
+
+    def _start(self) -> None:
+        self._blocks = read_blocks(self.table)
+        self._times = self._values = np.empty(0)
+        self._previous: tuple[float, float] | None = None
+        self._latest_s = -np.inf
+
+    def at(self, t_s: float) -> float | None:
+        """The value at a time: that of the newest row, or between the two rows around it."""
+        if t_s < self._latest_s:
+            self._start()
+        self._latest_s = t_s
+        while not len(self._times) or t_s >= self._times[-1]:
+            block = next(self._blocks, None)
+            if block is None:
+                if len(self._times) and t_s == self._times[-1]:
+                    return float(self._values[-1])
+                return None
+            if len(self._times):
+                self._previous = (float(self._times[-1]), float(self._values[-1]))
+            self._times, self._values = block
+        k = int(np.searchsorted(self._times, t_s, side="right"))
+        if k > 0:
+            before = (float(self._times[k - 1]), float(self._values[k - 1]))
+        elif self._previous is not None:
+            before = self._previous
+        else:
+            return None
+        if self.table.interpolate == "hold":
+            return before[1]
+        share = (t_s - before[0]) / (float(self._times[k]) - before[0])
+        return before[1] + share * (float(self._values[k]) - before[1])
+
+
+def read_blocks(table: "Table") -> Iterator[Block]:
+    """The rows of a table, some thousand at a time.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, lacks a column, holds text, or its times go backwards.
+    """
+    last_s = -np.inf
+    source = _parquet if Path(table.file).suffix == ".parquet" else _csv
+    for times, values in source(table):
+        if not (np.all(np.diff(times, prepend=last_s) > 0) and np.all(np.isfinite(values))):
+            raise ConfigError(
+                f"{table.file}: near {table.time} = {times[0]} times do not grow or values are not "
+                "finite; times must ascend and every value be a number"
+            )
+        last_s = float(times[-1])
+        yield times, values
+
+
+def _csv(table: "Table") -> Iterator[Block]:
+    try:
+        with Path(table.file).open(newline="", encoding="utf-8") as file:
+            rows = csv.reader(file)
+            names = [name.strip() for name in next(rows, [])]
+            columns = [_column(names, name, table.file) for name in (table.time, table.value)]
+            pairs: list[tuple[float, float]] = []
+            for row in rows:
+                if not row:
+                    continue
+                pairs.append((float(row[columns[0]]), float(row[columns[1]])))
+                if len(pairs) == BLOCK_ROWS:
+                    yield _block(pairs)
+                    pairs = []
+            if pairs:
+                yield _block(pairs)
+    except OSError as error:
+        raise ConfigError(f"{table.file}: cannot be read ({error}); give a CSV file") from None
+    except (ValueError, IndexError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        line = rows.line_num
+        raise ConfigError(f"{table.file}:{line}: {error}; every row needs two numbers") from None
+
+
+def _block(pairs: list[tuple[float, float]]) -> Block:
+    array = np.array(pairs)
+    return array[:, 0], array[:, 1]
+
+
+def _column(names: list[str], name: str, file: str) -> int:
+    if name not in names:
+        raise ConfigError(f"{file}:1: has no column {name}; there are {', '.join(names)}")
+    return names.index(name)
+
+
+def _parquet(table: "Table") -> Iterator[Block]:
+    try:
+        import pyarrow.parquet as parquet
+    except ImportError:
+        raise ConfigError(
+            f"{table.file}: reading Parquet needs pyarrow; pip install 'mavproxy-fault[parquet]'"
+        ) from None
+    try:
+        with parquet.ParquetFile(table.file) as file:
+            for name in (table.time, table.value):
+                _column(file.schema_arrow.names, name, table.file)
+            for batch in file.iter_batches(BLOCK_ROWS, columns=[table.time, table.value]):
+                if batch.num_rows:
+                    yield (
+                        batch.column(0).to_numpy(zero_copy_only=False).astype(float),
+                        batch.column(1).to_numpy(zero_copy_only=False).astype(float),
+                    )
+    except OSError as error:
+        raise ConfigError(f"{table.file}: cannot be read ({error}); give Parquet") from None

@@ -1,0 +1,107 @@
+"""What a schedule's `target` names: fields, whole messages, satellites or plant parameters.
+
+HIL_SENSOR.xgyro   HIL_ACTUATOR_CONTROLS.controls[3]   HIL_GPS   PSEUDORANGE.G12   PLANT.wind_n_mps
+"""
+
+import difflib
+import re
+from collections.abc import Iterable, Mapping
+
+from mavproxy_fault.wire.dialect import Layout, layout, message_names
+
+Element = tuple[str, int]
+Elements = Mapping[int, tuple[Element, ...]]  # by message id
+
+SATELLITE = re.compile(r"[A-Z]\d\d")
+ELEMENT = re.compile(r"(\w+)(?:\[(\d+)\])?")
+RANGES = "PSEUDORANGE"
+PLANT = "PLANT"
+
+
+def near(name: str, known: Iterable[str]) -> str:
+    """A sentence about the known names nearest to a wrong one."""
+    names = sorted(known)
+    close = difflib.get_close_matches(name, names, 3, 0.5) or difflib.get_close_matches(
+        name.upper(), names, 3, 0.5
+    )
+    if close:
+        return f"did you mean {' or '.join(close)}?"
+    return f"known: {', '.join(names[:40])}{', ...' if len(names) > 40 else ''}"
+
+
+def message(name: str) -> Layout:
+    """The layout of a message by name.
+
+    Raises
+    ------
+    ValueError
+        If the dialect has none of that name; the text suggests others.
+    """
+    found = layout(name)
+    if found is None:
+        raise ValueError(f"{name} is no message; {near(name, message_names())}")
+    return found
+
+
+def fields(targets: Iterable[str]) -> dict[int, tuple[Element, ...]]:
+    """The elements that `MESSAGE.field`, `MESSAGE.field[3]` or whole arrays name, by message id.
+
+    Raises
+    ------
+    ValueError
+        If a message, a field or an index does not exist, or the field holds text.
+    """
+    found: dict[int, tuple[Element, ...]] = {}
+    for target in targets:
+        name, _, rest = target.partition(".")
+        described = message(name)
+        found[described.id] = found.get(described.id, ()) + _elements(described, target, rest)
+    return found
+
+
+def _elements(described: Layout, target: str, rest: str) -> tuple[Element, ...]:
+    parts = ELEMENT.fullmatch(rest)
+    numeric = [field.name for field in described.fields.values() if field.type != "char"]
+    if parts is None or parts[1] not in numeric:
+        raise ValueError(f"{target} is no numeric field of {described.name}; {near(rest, numeric)}")
+    field = described.fields[parts[1]]
+    if parts[2] is None:
+        return tuple((field.name, i) for i in range(max(field.count, 1)))
+    if int(parts[2]) >= max(field.count, 1):
+        raise ValueError(f"{target} is out of range; {field.name} has {max(field.count, 1)}")
+    return ((field.name, int(parts[2])),)
+
+
+def messages(targets: Iterable[str]) -> frozenset[int]:
+    """The ids of whole messages.
+
+    Raises
+    ------
+    ValueError
+        If a target is not the name of a message.
+    """
+    ids = set()
+    for target in targets:
+        if "." in target:
+            raise ValueError(f"{target} names a field; this fault acts on whole messages")
+        ids.add(message(target).id)
+    return frozenset(ids)
+
+
+def named(targets: Iterable[str], prefix: str) -> tuple[str, ...]:
+    """What stands behind `PSEUDORANGE.` or `PLANT.`.
+
+    Raises
+    ------
+    ValueError
+        If a target has another prefix, or a satellite's name is not like G12.
+    """
+    names = []
+    for target in targets:
+        head, _, rest = target.partition(".")
+        if head != prefix or not rest:
+            raise ValueError(f"{target} is wrong here; it must be {prefix}.<name>")
+        if prefix == RANGES and not SATELLITE.fullmatch(rest):
+            raise ValueError(f"{target} names no satellite; they are like {RANGES}.G12")
+        names.append(rest)
+    return tuple(names)

@@ -1,0 +1,126 @@
+"""Connection strings: pymavlink's, as users know them, and MAVSDK's `scheme://` form.
+
+    udpin:HOST:PORT    listen, answer everyone heard    udpout:HOST:PORT   send to
+    tcp:HOST:PORT      TCP client                       tcpin:HOST:PORT    TCP server
+    /dev/ttyACM0,57600 serial device and baud rate      serial:///dev/ttyACM0:57600
+
+`udp:HOST:PORT` and a bare `HOST:PORT` mean what they mean to MAVProxy: listen for a master, send
+for an output. An empty host is 127.0.0.1; to listen on all interfaces say 0.0.0.0.
+"""
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.links.link import Link
+
+Kind = Literal["udpin", "udpout", "tcp", "tcpin", "serial"]
+SCHEMES: dict[str, Kind] = {
+    "udpin": "udpin",
+    "udpout": "udpout",
+    "tcp": "tcp",
+    "tcpout": "tcp",
+    "tcpin": "tcpin",
+    "serial": "serial",
+}
+ALLOWED = (
+    "allowed: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, "
+    "DEVICE,BAUD or scheme://"
+)
+DEFAULT_BAUD = 115_200  # pymavlink's
+
+
+@dataclass(frozen=True, slots=True)
+class LinkSpec:
+    """What a connection string says; `host` is the device of a serial link, `port` its baud rate.
+
+    `text` is the string as the user wrote it, for messages.
+    """
+
+    kind: Kind
+    host: str
+    port: int
+    text: str
+
+
+def parse_spec(text: str, *, plain_udp: Literal["udpin", "udpout"] = "udpin") -> LinkSpec:
+    """Read a connection string; `plain_udp` is what `udp:` and a bare HOST:PORT stand for.
+
+    Raises
+    ------
+    ConfigError
+        If the string has none of the known forms.
+    """
+    found = re.fullmatch(r"([a-z_]+)://(.*)", text) or re.fullmatch(r"([a-z]+):(.*)", text)
+    scheme, rest = (found[1], found[2]) if found else ("", text)
+    if scheme == "serial":
+        return _serial(text, rest.replace(",", ":"))
+    kind = plain_udp if scheme == "udp" else SCHEMES.get(scheme)
+    if kind is None and re.fullmatch(r"[^:,/]+:\d+", text):
+        kind, rest = plain_udp, text
+    if kind is None:
+        if text.startswith("/") or re.fullmatch(r"COM\d+(,\d+)?", text):
+            return _serial(text, text.replace(",", ":"))
+        raise ConfigError(f"{text or repr(text)}: is not a connection string; {ALLOWED}")
+    return _socket(kind, text, rest)
+
+
+def _socket(kind: Kind, text: str, rest: str) -> LinkSpec:
+    found = re.fullmatch(r"(?:\[(?P<six>[^\]]+)\]|(?P<host>[^:]*)):(?P<port>\d{1,5})", rest)
+    if found is None:
+        raise ConfigError(f"{text}: has no HOST:PORT after its scheme; {ALLOWED}")
+    port = int(found["port"])
+    if port > 0xFFFF:
+        raise ConfigError(f"{text}: port {port} is too large; allowed: 0 to 65535")
+    if port == 0 and kind in ("udpout", "tcp"):
+        raise ConfigError(f"{text}: port 0 cannot be sent to; allowed: 1 to 65535")
+    return LinkSpec(kind, found["six"] or found["host"] or "127.0.0.1", port, text)
+
+
+def _serial(text: str, rest: str) -> LinkSpec:
+    device, _, baud = rest.partition(":")
+    if not device or (baud and not baud.isdigit()) or baud == "0":
+        raise ConfigError(f"{text}: is not a serial device; allowed: DEVICE or DEVICE,BAUD")
+    return LinkSpec("serial", device, int(baud or DEFAULT_BAUD), text)
+
+
+def open_link(spec: str | LinkSpec, *, plain_udp: Literal["udpin", "udpout"] = "udpin") -> Link:
+    """Open a link by its connection string.
+
+    Raises
+    ------
+    ConfigError
+        If the string is wrong, or the address or device cannot be opened.
+    """
+    if isinstance(spec, str):
+        spec = parse_spec(spec, plain_udp=plain_udp)
+    try:
+        return _open(spec)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise ConfigError(
+            f"{spec.text}: cannot be opened: {reason}; allowed: a free address or a device"
+        ) from error
+
+
+def _open(spec: LinkSpec) -> Link:
+    if spec.kind == "udpin":
+        from mavproxy_fault.links.udp import UdpServer
+
+        return UdpServer(spec.host, spec.port)
+    if spec.kind == "udpout":
+        from mavproxy_fault.links.udp import UdpClient
+
+        return UdpClient(spec.host, spec.port)
+    if spec.kind == "tcp":
+        from mavproxy_fault.links.tcp import TcpClient
+
+        return TcpClient(spec.host, spec.port)
+    if spec.kind == "tcpin":
+        from mavproxy_fault.links.tcp import TcpServer
+
+        return TcpServer(spec.host, spec.port)
+    from mavproxy_fault.links.serial_port import SerialPort
+
+    return SerialPort(spec.host, spec.port)

@@ -1,0 +1,93 @@
+"""One open byte stream (a TCP connection or a serial device) with its bounded send queue."""
+
+import contextlib
+import os
+import select
+from collections import deque
+
+from mavproxy_fault.links.link import BATCH, QUEUE_LIMIT, LinkCounters
+
+READ_SIZE = 65_536
+
+
+class Stream:
+    """A non-blocking descriptor watched by its link's epoll.
+
+    `empty_is_end` tells whether reading nothing means that the peer closed (TCP) or only that
+    nothing waits (a serial device).
+    """
+
+    def __init__(
+        self, fileno: int, epoll: select.epoll, counters: LinkCounters, *, empty_is_end: bool
+    ) -> None:
+        self.fileno = fileno
+        self.open = True  # False while a TCP connection is still being made
+        self._epoll = epoll
+        self._counters = counters
+        self._empty_is_end = empty_is_end
+        self._queue: deque[bytes] = deque()
+        self._queued = 0
+        self._events = select.EPOLLIN
+        epoll.register(fileno, self._events)
+
+    def await_open(self) -> None:
+        """Hold what is written until the connection stands."""
+        self.open = False
+        self._watch(select.EPOLLIN | select.EPOLLOUT)
+
+    def write(self, data: bytes) -> None:
+        """Send, or queue what the kernel does not take; drop whole chunks beyond the limit."""
+        if self._queued + len(data) > QUEUE_LIMIT:
+            self._counters.drops += 1
+            return
+        self._queue.append(data)
+        self._queued += len(data)
+        if self.open and len(self._queue) == 1:
+            self.flush()
+
+    def flush(self) -> None:
+        """Send what is queued until the kernel takes no more; a part sent is continued later."""
+        queue = self._queue
+        while queue:
+            try:
+                sent = os.write(self.fileno, queue[0])
+            except OSError:  # full, or lost: the next read notices the latter
+                break
+            self._queued -= sent
+            self._counters.bytes_out += sent
+            if sent < len(queue[0]):
+                queue[0] = queue[0][sent:]
+                break
+            queue.popleft()
+            self._counters.chunks_out += 1
+        self._watch(select.EPOLLIN | (select.EPOLLOUT if queue else 0))
+
+    def read(self) -> tuple[list[bytes], bool]:
+        """What has come, and whether the stream still stands."""
+        pieces: list[bytes] = []
+        for _ in range(BATCH):
+            try:
+                data = os.read(self.fileno, READ_SIZE)
+            except BlockingIOError:
+                return pieces, True
+            except OSError:
+                return pieces, False
+            if not data:
+                return pieces, not self._empty_is_end
+            self._counters.chunks_in += 1
+            self._counters.bytes_in += len(data)
+            pieces.append(data)
+        return pieces, True
+
+    def abandon(self) -> None:
+        """Stop watching the descriptor before its owner closes it; count what is lost."""
+        self._counters.drops += len(self._queue)
+        self._queue.clear()
+        self._queued = 0
+        with contextlib.suppress(OSError):
+            self._epoll.unregister(self.fileno)
+
+    def _watch(self, events: int) -> None:
+        if events != self._events:
+            self._events = events
+            self._epoll.modify(self.fileno, events)

@@ -1,0 +1,178 @@
+"""TCP: a client that reconnects and a server for several peers.
+
+Each link watches its sockets by an epoll descriptor of its own, which is what `fileno` gives: it
+stays the same while connections come and go, and is readable when any of them needs service.
+"""
+
+import select
+import socket
+import time
+
+from mavproxy_fault.links.link import Chunk, LinkCounters, enlarge_buffers
+from mavproxy_fault.links.stream import Stream
+
+RECONNECT_S = 0.5
+
+
+def _prepare(sock: socket.socket) -> None:
+    sock.setblocking(False)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    enlarge_buffers(sock)
+
+
+class TcpServer:
+    """Accepts any number of peers; what is written goes to all of them."""
+
+    datagrams = False
+
+    def __init__(self, host: str, port: int) -> None:
+        family, _, _, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        self._listener = socket.create_server(address[:2], family=family, backlog=16)
+        self._listener.setblocking(False)
+        self.port: int = self._listener.getsockname()[1]
+        self.name = f"tcpin:{host}:{self.port}"
+        self.counters = LinkCounters()
+        self._peers: dict[int, tuple[socket.socket, Stream]] = {}  # by stream number
+        self._next_stream = 0
+        self._epoll = select.epoll()
+        self._epoll.register(self._listener.fileno(), select.EPOLLIN)
+
+    @property
+    def peer_count(self) -> int:
+        """How many peers are connected."""
+        return len(self._peers)
+
+    def fileno(self) -> int:
+        """The epoll descriptor over the listener and all connections."""
+        return self._epoll.fileno()
+
+    def read(self) -> list[Chunk]:
+        """Accept, continue pending writes, and collect what the peers sent."""
+        chunks: list[Chunk] = []
+        self._accept()
+        for number, (sock, stream) in list(self._peers.items()):
+            stream.flush()
+            pieces, stands = stream.read()
+            chunks.extend((number, piece) for piece in pieces)
+            if not stands:
+                stream.abandon()
+                sock.close()
+                del self._peers[number]
+                chunks.append((number, b""))
+        return chunks
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                sock, _ = self._listener.accept()
+            except BlockingIOError:
+                return
+            except OSError:
+                self.counters.errors += 1
+                return
+            _prepare(sock)
+            stream = Stream(sock.fileno(), self._epoll, self.counters, empty_is_end=True)
+            self._peers[self._next_stream] = (sock, stream)
+            self._next_stream += 1
+
+    def write(self, data: bytes) -> None:
+        """Send to every peer; without peers the chunk is dropped."""
+        if not self._peers:
+            self.counters.drops += 1
+        for _, stream in self._peers.values():
+            stream.write(data)
+
+    def close(self) -> None:
+        """Close the listener and all connections."""
+        for sock, stream in self._peers.values():
+            stream.abandon()
+            sock.close()
+        self._peers.clear()
+        self._listener.close()
+        self._epoll.close()
+
+
+class TcpClient:
+    """Connects to a server, again and again while there is none."""
+
+    datagrams = False
+
+    def __init__(self, host: str, port: int) -> None:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        self._family = found[0]
+        self._address = found[4]
+        self.name = f"tcp:{host}:{port}"
+        self.counters = LinkCounters()
+        self._epoll = select.epoll()
+        self._peer: tuple[socket.socket, Stream] | None = None
+        self._number = 0
+        self._retry_s = 0.0
+        self._connect()
+
+    @property
+    def peer_count(self) -> int:
+        """1 while the connection stands."""
+        return int(self._peer is not None and self._peer[1].open)
+
+    def fileno(self) -> int:
+        """The epoll descriptor over whatever connection there is."""
+        return self._epoll.fileno()
+
+    def _connect(self) -> None:
+        self._retry_s = time.monotonic() + RECONNECT_S
+        sock = socket.socket(self._family, socket.SOCK_STREAM)
+        _prepare(sock)
+        sock.connect_ex(self._address)
+        stream = Stream(sock.fileno(), self._epoll, self.counters, empty_is_end=True)
+        stream.await_open()
+        self._peer = (sock, stream)
+
+    def read(self) -> list[Chunk]:
+        """Carry on connecting or writing, and collect what came."""
+        if self._peer is None:
+            if time.monotonic() >= self._retry_s:
+                self._connect()
+            return []
+        sock, stream = self._peer
+        if not stream.open and not self._finish_connecting(sock, stream):
+            return []
+        stream.flush()
+        pieces, stands = stream.read()
+        chunks = [(self._number, piece) for piece in pieces]
+        if not stands:
+            self._lose(sock, stream)
+            chunks.append((self._number, b""))
+            self._number += 1
+        return chunks
+
+    def _finish_connecting(self, sock: socket.socket, stream: Stream) -> bool:
+        if not self._epoll.poll(0):
+            return False
+        if sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+            self._lose(sock, stream)
+            return False
+        stream.open = True
+        return True
+
+    def _lose(self, sock: socket.socket, stream: Stream) -> None:
+        stream.abandon()
+        sock.close()
+        self._peer = None
+        self.counters.errors += 1
+
+    def write(self, data: bytes) -> None:
+        """Send; while nobody answers the chunk is dropped, for it would be stale later."""
+        if self._peer is None:
+            self.counters.drops += 1
+        else:
+            self._peer[1].write(data)
+
+    def close(self) -> None:
+        """Close the connection."""
+        if self._peer is not None:
+            self._peer[1].abandon()
+            self._peer[0].close()
+            self._peer = None
+        self._epoll.close()

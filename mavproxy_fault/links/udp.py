@@ -1,0 +1,166 @@
+"""UDP: a server that answers everyone it has heard, and a client that sends to one address."""
+
+import errno
+import socket
+import time
+from typing import Any
+
+from mavproxy_fault.links.link import BATCH, Chunk, LinkCounters, enlarge_buffers
+
+LARGEST = 65_535  # bytes of one datagram
+FORGET_S = 60.0  # a silent peer is forgotten, unless it was the last to speak
+MOST_PEERS = 32
+
+
+def _open(host: str, port: int, *, listen: bool) -> tuple[socket.socket, Any]:
+    flags = socket.AI_PASSIVE if listen else 0
+    family, kind, protocol, _, address = socket.getaddrinfo(
+        host, port, type=socket.SOCK_DGRAM, flags=flags
+    )[0]
+    sock = socket.socket(family, kind, protocol)
+    sock.setblocking(False)
+    enlarge_buffers(sock)
+    try:
+        if listen:
+            sock.bind(address)
+        else:
+            sock.connect(address)
+    except OSError:
+        sock.close()
+        raise
+    return sock, address
+
+
+class UdpServer:
+    """Listens on an address; what is written goes to every peer heard of late."""
+
+    datagrams = True
+
+    def __init__(self, host: str, port: int) -> None:
+        self.sock, _ = _open(host, port, listen=True)
+        self.port: int = self.sock.getsockname()[1]
+        self.name = f"udpin:{host}:{self.port}"
+        self.counters = LinkCounters()
+        self.peers: dict[Any, float] = {}  # address -> when it last spoke, monotonic seconds
+        self._latest: Any = None
+
+    @property
+    def peer_count(self) -> int:
+        """How many peers are written to."""
+        return len(self.peers)
+
+    def fileno(self) -> int:
+        """The socket's descriptor."""
+        return self.sock.fileno()
+
+    def read(self) -> list[Chunk]:
+        """The datagrams that wait; their senders become peers."""
+        chunks: list[Chunk] = []
+        counters = self.counters
+        now_s = time.monotonic()
+        for _ in range(BATCH):
+            try:
+                data, address = self.sock.recvfrom(LARGEST)
+            except BlockingIOError:
+                break
+            except OSError:
+                counters.errors += 1
+                continue
+            self.hear(address, now_s)
+            counters.chunks_in += 1
+            counters.bytes_in += len(data)
+            if data:
+                chunks.append((0, data))
+        return chunks
+
+    def hear(self, address: Any, now_s: float) -> None:
+        """Note that a peer spoke; forget those silent for long."""
+        peers = self.peers
+        if address not in peers:
+            for known, spoke_s in list(peers.items()):
+                if now_s - spoke_s > FORGET_S and known != self._latest:
+                    del peers[known]
+            if len(peers) >= MOST_PEERS:
+                del peers[min(peers, key=lambda known: peers[known])]
+        peers[address] = now_s
+        self._latest = address
+
+    def write(self, data: bytes) -> None:
+        """Send a datagram to every peer; without peers it is dropped."""
+        if not self.peers:
+            self.counters.drops += 1
+        for address in self.peers:
+            try:
+                self.sock.sendto(data, address)
+            except OSError as error:
+                _count_loss(self.counters, error)
+            else:
+                self.counters.chunks_out += 1
+                self.counters.bytes_out += len(data)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.sock.close()
+
+
+class UdpClient:
+    """Sends to one address and hears only that one; the peer may come and go."""
+
+    datagrams = True
+
+    def __init__(self, host: str, port: int) -> None:
+        self.sock, _ = _open(host, port, listen=False)
+        self.name = f"udpout:{host}:{port}"
+        self.counters = LinkCounters()
+        self.peer_count = 1
+
+    def fileno(self) -> int:
+        """The socket's descriptor."""
+        return self.sock.fileno()
+
+    def read(self) -> list[Chunk]:
+        """The datagrams that wait."""
+        chunks: list[Chunk] = []
+        counters = self.counters
+        receive = self.sock.recv
+        for _ in range(BATCH):
+            try:
+                data = receive(LARGEST)
+            except BlockingIOError:
+                break
+            except OSError:  # ECONNREFUSED: an earlier datagram found nobody
+                counters.errors += 1
+                continue
+            counters.chunks_in += 1
+            counters.bytes_in += len(data)
+            if data:
+                chunks.append((0, data))
+        return chunks
+
+    def write(self, data: bytes) -> None:
+        """Send one datagram."""
+        try:
+            self.sock.send(data)
+        except ConnectionRefusedError:
+            # The error belongs to an earlier datagram and was cleared by reporting it: send again.
+            self.counters.errors += 1
+            try:
+                self.sock.send(data)
+            except OSError as error:
+                _count_loss(self.counters, error)
+                return
+        except OSError as error:
+            _count_loss(self.counters, error)
+            return
+        self.counters.chunks_out += 1
+        self.counters.bytes_out += len(data)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.sock.close()
+
+
+def _count_loss(counters: LinkCounters, error: OSError) -> None:
+    counters.drops += 1
+    if error.errno not in (errno.EAGAIN, errno.ENOBUFS):
+        counters.errors += 1

@@ -1,0 +1,59 @@
+"""Bit fields as RTCM packs them: most significant bit first, signed fields in two's complement."""
+
+from collections.abc import Iterable
+
+
+class BitReader:
+    """Reads fields one after another from the first bit of `data`."""
+
+    __slots__ = ("_left", "_value")
+
+    def __init__(self, data: bytes) -> None:
+        self._value = int.from_bytes(data, "big")
+        self._left = 8 * len(data)
+
+    def unsigned(self, width: int) -> int:
+        """The next `width` bits.
+
+        Raises
+        ------
+        ValueError
+            If fewer bits are left.
+        """
+        self._left -= width
+        if self._left < 0:
+            raise ValueError("message ends inside a field")
+        return (self._value >> self._left) & ((1 << width) - 1)
+
+    def signed(self, width: int) -> int:
+        """The next `width` bits as a two's complement number."""
+        value = self.unsigned(width)
+        return value - (1 << width) if value >> (width - 1) else value
+
+    def many(self, count: int, width: int) -> list[int]:
+        """`count` unsigned fields of one width."""
+        return [self.unsigned(width) for _ in range(count)]
+
+    def many_signed(self, count: int, width: int) -> list[int]:
+        """`count` signed fields of one width."""
+        return [self.signed(width) for _ in range(count)]
+
+
+def pack_bits(fields: Iterable[tuple[int, int]]) -> bytes:
+    """Bytes of (value, width) fields, padded with zero bits to a whole byte.
+
+    Negative values become two's complement.
+
+    Raises
+    ------
+    ValueError
+        If a value does not fit its width.
+    """
+    packed = length = 0
+    for value, width in fields:
+        if not -(1 << (width - 1)) <= value < 1 << width:
+            raise ValueError(f"{value} does not fit {width} bits")
+        packed = packed << width | value & ((1 << width) - 1)
+        length += width
+    padding = -length % 8
+    return (packed << padding).to_bytes((length + padding) // 8, "big")

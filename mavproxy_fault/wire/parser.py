@@ -1,0 +1,177 @@
+"""Parser: bytes of a stream or of datagrams to frames, losing none of them.
+
+Every byte comes out exactly once and in order, in a `Frame` (known id, right CRC) or in `Junk`.
+After a wrong CRC the search goes on one byte later, so a broken frame never swallows the next one.
+
+The CRC of a message the dialect does not know cannot be checked in full, since its CRC extra is
+unknown. But the extra is one byte, so that only 256 of the 65,536 CRCs are possible: the others
+show that the bytes are no frame, and those 256 pass as a frame of unknown content, unless a
+verified frame begins inside.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from fastcrc.crc16 import mcrf4xx
+
+from mavproxy_fault.wire.dialect import Layout, layout
+from mavproxy_fault.wire.frame import (
+    HEADER_V1,
+    HEADER_V2,
+    SIGNATURE_LENGTH,
+    SIGNED,
+    STX_V1,
+    STX_V2,
+    Frame,
+)
+
+CRC_LENGTH = 2
+STEPS = frozenset(mcrf4xx(bytes((last,)), 0) for last in range(256))  # the CRC's table of bytes
+JunkKind = Literal["foreign", "crc", "unknown"]
+
+
+@dataclass(frozen=True, slots=True)
+class Junk:
+    """Bytes that are no verified frame.
+
+    "unknown" is one whole frame of a message or flag the dialect does not know, "crc" holds at
+    least one frame of a known message with a wrong CRC, "foreign" is anything else.
+    """
+
+    raw: bytes
+    kind: JunkKind
+
+
+@dataclass(slots=True)
+class ParserCounters:
+    """What a parser has seen; `crc_errors` counts places that looked like a known message."""
+
+    bytes: int = 0
+    frames: int = 0
+    unknown: int = 0
+    crc_errors: int = 0
+    junk_bytes: int = 0
+
+
+class Parser:
+    """The state of one stream; datagrams leave none behind."""
+
+    def __init__(self) -> None:
+        self.counters = ParserCounters()
+        self._held = b""
+        self._layouts: dict[int, Layout | None] = {}
+
+    @property
+    def held(self) -> int:
+        """Bytes of an incomplete frame that wait for more of the stream."""
+        return len(self._held)
+
+    def push(self, data: bytes, *, datagram: bool = False) -> list[Frame | Junk]:
+        """What the bytes complete; of a datagram, everything."""
+        self.counters.bytes += len(data)
+        if self._held:
+            data = self._held + data
+            self._held = b""
+        return self._parse(data, final=datagram)
+
+    def release(self) -> list[Frame | Junk]:
+        """Give up waiting: what is held is taken apart as if the stream had ended."""
+        data, self._held = self._held, b""
+        return self._parse(data, final=True)
+
+    def _parse(self, data: bytes, *, final: bool) -> list[Frame | Junk]:
+        found: list[Frame | Junk] = []
+        counters = self.counters
+        at = junk_from = 0
+        end = len(data)
+        crc_errors = counters.crc_errors
+        while at < end:
+            start = data[at]
+            if start != STX_V2 and start != STX_V1:
+                at += 1
+                continue
+            item = self._candidate(data, at)
+            if item is None and not final:
+                break
+            if item is None or item is False:
+                at += 1
+                continue
+            if at > junk_from:
+                kind: JunkKind = "crc" if counters.crc_errors > crc_errors else "foreign"
+                found.append(self._junk(data[junk_from:at], kind))
+            found.append(item)
+            crc_errors = counters.crc_errors
+            at += len(item.raw)
+            junk_from = at
+        if at > junk_from:
+            kind = "crc" if counters.crc_errors > crc_errors else "foreign"
+            found.append(self._junk(data[junk_from:at], kind))
+        self._held = data[at:]
+        return found
+
+    def _junk(self, raw: bytes, kind: JunkKind) -> Junk:
+        self.counters.junk_bytes += len(raw)
+        return Junk(raw, kind)
+
+    def _candidate(self, data: bytes, at: int) -> Frame | Junk | Literal[False] | None:
+        """What begins at a start byte; None if it is incomplete, False if it is no frame."""
+        span = _span(data, at)
+        if span is None or at + span[0] > len(data):
+            return None
+        length, number, checked = span
+        if number in self._layouts:
+            known = self._layouts[number]
+        else:
+            known = self._layouts[number] = layout(number)
+        crc = data[at + checked] | data[at + checked + 1] << 8
+        body = data[at + 1 : at + checked]
+        if known is None:
+            if not _possible(body, crc) or _holds_frame(data, at + 1, at + length):
+                return False
+            self.counters.unknown += 1
+            return Junk(data[at : at + length], "unknown")
+        if mcrf4xx(body + bytes((known.crc_extra,))) != crc:
+            self.counters.crc_errors += 1
+            return False
+        raw = data[at : at + length]
+        if raw[0] == STX_V2 and raw[2] & ~SIGNED:
+            self.counters.unknown += 1
+            return Junk(raw, "unknown")
+        self.counters.frames += 1
+        return Frame(raw, known)
+
+
+def _span(data: bytes, at: int) -> tuple[int, int, int] | None:
+    """Length, message id and offset of the CRC of a frame by its header; None if that is cut."""
+    if data[at] == STX_V2:
+        if at + HEADER_V2 > len(data):
+            return None
+        checked = HEADER_V2 + data[at + 1]
+        length = checked + CRC_LENGTH + (SIGNATURE_LENGTH if data[at + 2] & SIGNED else 0)
+        return length, int.from_bytes(data[at + 7 : at + HEADER_V2], "little"), checked
+    if at + HEADER_V1 > len(data):
+        return None
+    checked = HEADER_V1 + data[at + 1]
+    return checked + CRC_LENGTH, data[at + 5], checked
+
+
+def _possible(body: bytes, crc: int) -> bool:
+    """Whether some CRC extra gives this CRC."""
+    return crc ^ (mcrf4xx(body) >> 8) in STEPS
+
+
+def _holds_frame(data: bytes, start: int, end: int) -> bool:
+    """Whether a verified frame lies wholly inside a stretch of the data."""
+    for at in range(start, end - HEADER_V1 - CRC_LENGTH + 1):
+        if data[at] != STX_V2 and data[at] != STX_V1:
+            continue
+        span = _span(data, at)
+        if span is None or at + span[0] > end:
+            continue
+        known = layout(span[1])
+        checked = at + span[2]
+        if known is not None and mcrf4xx(
+            data[at + 1 : checked] + bytes((known.crc_extra,))
+        ) == int.from_bytes(data[checked : checked + CRC_LENGTH], "little"):
+            return True
+    return False

@@ -1,0 +1,156 @@
+"""Readings in SI units -> the fields of the HIL messages that are not sent at full rate.
+
+Each function returns the values for `mavproxy_fault.wire.frame.build`. Scalings are those of the
+MAVLink definitions, except HIL_GPS.eph and .epv, which PX4 reads as centimetres of position error.
+"""
+
+import math
+
+from mavproxy_fault.wire.dialect import known
+from simvehicle.readings import (
+    BatteryReading,
+    FlowReading,
+    GpsReading,
+    RangeReading,
+    VisionReading,
+)
+from simvehicle.services.messages import Message
+
+COURSE_UNKNOWN = 0xFFFF  # HIL_GPS.cog
+COURSE_SPEED_MPS = 0.5  # below this the course over ground is noise
+PITCH_270 = 25  # MAV_SENSOR_ROTATION_PITCH_270: looking down
+LASER = 0  # MAV_DISTANCE_SENSOR_LASER
+LOCAL_NED = 1  # MAV_FRAME_LOCAL_NED
+BODY_FRD = 12  # MAV_FRAME_BODY_FRD
+VISION = 2  # MAV_ESTIMATOR_TYPE_VISION
+CELLS_UNUSED = (0xFFFF,) * 9  # BATTERY_STATUS.voltages beyond the first: the pack as one cell
+TEMPERATURE_UNKNOWN = 0x7FFF
+
+HIL_GPS = known("HIL_GPS")
+DISTANCE_SENSOR = known("DISTANCE_SENSOR")
+HIL_OPTICAL_FLOW = known("HIL_OPTICAL_FLOW")
+ODOMETRY = known("ODOMETRY")
+BATTERY_STATUS = known("BATTERY_STATUS")
+
+
+def limited(value: float, low: int, high: int) -> int:
+    """The integer nearest to `value` within the limits of its field."""
+    return round(min(max(value, low), high))
+
+
+def gps(reading: GpsReading, t_us: int) -> Message:
+    """HIL_GPS: a receiver's solution."""
+    north, east, down = (float(v) for v in reading.v_ned_mps)
+    speed = math.hypot(north, east)
+    moving = speed >= COURSE_SPEED_MPS
+    course = math.degrees(math.atan2(east, north)) % 360.0
+    return HIL_GPS, {
+        "time_usec": t_us,
+        "fix_type": reading.fix_type,
+        "lat": round(reading.lat_deg * 1e7),
+        "lon": round(reading.lon_deg * 1e7),
+        "alt": round(reading.alt_m * 1e3),
+        "eph": limited(reading.eph_m * 100, 0, 0xFFFF),
+        "epv": limited(reading.epv_m * 100, 0, 0xFFFF),
+        "vel": limited(speed * 100, 0, 0xFFFF),
+        "vn": limited(north * 100, -0x8000, 0x7FFF),
+        "ve": limited(east * 100, -0x8000, 0x7FFF),
+        "vd": limited(down * 100, -0x8000, 0x7FFF),
+        "cog": round(course * 100) % 36000 if moving else COURSE_UNKNOWN,
+        "satellites_visible": reading.satellites,
+        "id": reading.id,
+    }
+
+
+def distance(reading: RangeReading, t_us: int) -> Message:
+    """DISTANCE_SENSOR: a laser that looks down."""
+    return DISTANCE_SENSOR, {
+        "time_boot_ms": t_us // 1000 & 0xFFFFFFFF,
+        "min_distance": limited(reading.min_m * 100, 0, 0xFFFF),
+        "max_distance": limited(reading.max_m * 100, 0, 0xFFFF),
+        "current_distance": limited(reading.distance_m * 100, 0, 0xFFFF),
+        "type": LASER,
+        "id": reading.id,
+        "orientation": PITCH_270,
+        "covariance": 0xFF,  # unknown
+    }
+
+
+def flow(reading: FlowReading, t_us: int) -> Message:
+    """HIL_OPTICAL_FLOW: what a downward camera integrated since its last message."""
+    flow_x, flow_y = (float(v) for v in reading.flow_xy_rad)
+    gyro_x, gyro_y, gyro_z = (float(v) for v in reading.gyro_xyz_rad)
+    return HIL_OPTICAL_FLOW, {
+        "time_usec": t_us,
+        "integration_time_us": round(reading.integration_s * 1e6),
+        "integrated_x": flow_x,
+        "integrated_y": flow_y,
+        "integrated_xgyro": gyro_x,
+        "integrated_ygyro": gyro_y,
+        "integrated_zgyro": gyro_z,
+        "time_delta_distance_us": 0,
+        "distance": reading.distance_m,
+        "quality": reading.quality,
+    }
+
+
+def odometry(reading: VisionReading, t_us: int) -> Message:
+    """ODOMETRY from vision: pose in local NED, velocity in body axes.
+
+    The covariances are upper triangles of 6x6 matrices, row by row; attitude's is unknown (NaN).
+    """
+    q = [float(v) for v in reading.q_nb]
+    x, y, z = (float(v) for v in reading.r_ned_m)
+    vx, vy, vz = _into_body(q, [float(v) for v in reading.v_ned_mps])
+    return ODOMETRY, {
+        "time_usec": t_us,
+        "frame_id": LOCAL_NED,
+        "child_frame_id": BODY_FRD,
+        "x": x,
+        "y": y,
+        "z": z,
+        "q": q,
+        "vx": vx,
+        "vy": vy,
+        "vz": vz,
+        "rollspeed": math.nan,
+        "pitchspeed": math.nan,
+        "yawspeed": math.nan,
+        "pose_covariance": _triangle(reading.sigma_r_m**2, math.nan),
+        "velocity_covariance": _triangle(reading.sigma_v_mps**2, math.nan),
+        "estimator_type": VISION,
+        "quality": 100,
+    }
+
+
+def battery(reading: BatteryReading, consumed_mah: float) -> Message:
+    """BATTERY_STATUS: the pack as one cell."""
+    return BATTERY_STATUS, {
+        "current_consumed": round(consumed_mah),
+        "energy_consumed": -1,
+        "temperature": TEMPERATURE_UNKNOWN,
+        "voltages": (limited(reading.voltage_v * 1e3, 0, 0xFFFE), *CELLS_UNUSED),
+        "current_battery": limited(reading.current_a * 100, -0x8000, 0x7FFF),
+        "battery_remaining": limited(reading.remaining * 100, 0, 100),
+    }
+
+
+def _into_body(q_nb: list[float], v: list[float]) -> tuple[float, float, float]:
+    """The NED vector `v` in body axes: q* v q."""
+    w, x, y, z = q_nb
+    a, b, c = v
+    tx, ty, tz = 2 * (b * z - c * y), 2 * (c * x - a * z), 2 * (a * y - b * x)
+    return (
+        a + w * tx + ty * z - tz * y,
+        b + w * ty + tz * x - tx * z,
+        c + w * tz + tx * y - ty * x,
+    )
+
+
+def _triangle(first: float, second: float) -> list[float]:
+    """Upper triangle of diag(first, first, first, second, second, second)."""
+    return [
+        (first if row < 3 else second) if row == column else 0.0
+        for row in range(6)
+        for column in range(row, 6)
+    ]

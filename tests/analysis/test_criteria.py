@@ -1,0 +1,68 @@
+"""Criteria against a summary."""
+
+from typing import Any
+
+import msgspec
+import pytest
+
+from analysis.criteria import Criteria, judge, verdict
+
+
+def summary(**changes: Any) -> dict[str, Any]:
+    fault = {"id": "step", "detected": True, "delay_s": 0.2, "verdict": "isolated"}
+    base = {
+        "faults": [fault],
+        "false_alarms": 0,
+        "untestable_epochs": 0,
+        "attitude_rmse_deg": {"roll": 1.0, "pitch": 0.5, "yaw": 2.0, "max": 2.0},
+        "position_rmse_m": 1.5,
+    }
+    return base | changes
+
+
+ALL = Criteria(
+    must_detect=("step",),
+    must_isolate=("step",),
+    max_delay_s=1.0,
+    max_false_alarms=0,
+    max_untestable_epochs=0,
+    max_attitude_rmse_deg=5.0,
+    max_position_rmse_m=5.0,
+)
+
+
+def test_a_summary_inside_every_limit_passes() -> None:
+    checks = judge(ALL, summary())
+    assert len(checks) == 7
+    assert verdict(checks) == "PASS"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"faults": []},
+        {"faults": [{"id": "step", "detected": True, "delay_s": 3.0, "verdict": "isolated"}]},
+        {"faults": [{"id": "step", "detected": True, "delay_s": 0.2, "verdict": "wrong"}]},
+        {"false_alarms": 1},
+        {"untestable_epochs": 1},
+        {"attitude_rmse_deg": {"max": 5.1}},
+        {"position_rmse_m": 5.1},
+    ],
+)
+def test_each_limit_can_fail_the_run(change: dict[str, Any]) -> None:
+    assert verdict(judge(ALL, summary(**change))) == "FAIL"
+
+
+def test_without_criteria_there_is_no_verdict() -> None:
+    assert verdict(judge(Criteria(), summary())) == "NO VERDICT"
+
+
+def test_what_was_not_measured_bears_no_verdict() -> None:
+    checks = judge(Criteria(max_position_rmse_m=1.0), summary(position_rmse_m=None))
+    assert [check.passed for check in checks] == [None]
+    assert verdict(checks) == "NO VERDICT"
+
+
+def test_an_unknown_criterion_is_refused() -> None:
+    with pytest.raises(msgspec.ValidationError, match="max_smoke"):
+        msgspec.convert({"max_smoke": 1}, Criteria)

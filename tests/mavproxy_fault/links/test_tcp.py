@@ -1,0 +1,106 @@
+import contextlib
+import select
+import socket
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from mavproxy_fault.links import tcp
+from mavproxy_fault.links.link import QUEUE_LIMIT, Chunk
+from mavproxy_fault.links.tcp import TcpClient, TcpServer
+
+Link = TcpServer | TcpClient
+
+
+@pytest.fixture
+def server() -> Iterator[TcpServer]:
+    link = TcpServer("127.0.0.1", 0)
+    yield link
+    link.close()
+
+
+def read_until(link: Link, done: Callable[[list[Chunk]], bool]) -> list[Chunk]:
+    """Serve a link by its descriptor alone until `done`."""
+    chunks: list[Chunk] = []
+    while not done(chunks):
+        assert select.select([link], [], [], 5)[0], chunks
+        chunks += link.read()
+    return chunks
+
+
+def connect(server: TcpServer) -> socket.socket:
+    peer = socket.create_connection(("127.0.0.1", server.port), timeout=5)
+    count = server.peer_count
+    read_until(server, lambda _: server.peer_count > count)
+    return peer
+
+
+def test_a_server_tells_its_peers_apart_and_reports_their_end(server: TcpServer) -> None:
+    with connect(server) as one, connect(server) as two:
+        one.sendall(b"first")
+        assert read_until(server, bool) == [(0, b"first")]
+        two.sendall(b"second")
+        assert read_until(server, bool) == [(1, b"second")]
+        server.write(b"to all")
+        assert one.recv(99) == two.recv(99) == b"to all"
+    ends = read_until(server, lambda chunks: len(chunks) == 2)
+    assert sorted(ends) == [(0, b""), (1, b"")]
+    assert server.peer_count == 0
+
+
+def test_a_peer_that_does_not_read_stalls_nobody_and_gets_whole_chunks(server: TcpServer) -> None:
+    chunk = bytes(range(256)) * 64
+    with connect(server) as slow, connect(server) as quick:
+        sent = 0
+        while server.counters.drops < 5:
+            server.write(chunk)
+            sent += 1
+            got = b""
+            while len(got) < len(chunk):
+                got += quick.recv(len(chunk) - len(got))
+            assert got == chunk
+            assert sent * len(chunk) < 100 * QUEUE_LIMIT
+        expected = (sent - 5) * len(chunk)
+        received = bytearray()
+        slow.settimeout(0.05)
+        while len(received) < expected:
+            with contextlib.suppress(TimeoutError):
+                received += slow.recv(1 << 20)
+            server.read()
+    assert bytes(received) == chunk * (sent - 5)
+
+
+def test_a_client_connects_when_its_server_appears(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tcp, "RECONNECT_S", 0.0)
+    with socket.create_server(("127.0.0.1", 0)) as place:
+        port = place.getsockname()[1]
+    client = TcpClient("127.0.0.1", port)
+    read_until(client, lambda _: client.counters.errors > 0)
+    client.write(b"stale")
+    assert client.counters.drops == 1
+    with socket.create_server(("127.0.0.1", port)) as listener:
+        listener.settimeout(5)
+        while not client.peer_count:
+            client.read()
+        peer, _ = listener.accept()
+        client.write(b"fresh")
+        assert peer.recv(99) == b"fresh"
+        peer.sendall(b"answer")
+        assert read_until(client, bool) == [(0, b"answer")]
+        peer.close()
+        assert read_until(client, bool) == [(0, b"")]
+        while not client.peer_count:
+            client.read()
+        again, _ = listener.accept()
+        again.sendall(b"back")
+        assert read_until(client, bool) == [(1, b"back")]
+        again.close()
+    client.close()
+
+
+def test_what_is_written_while_connecting_arrives(server: TcpServer) -> None:
+    client = TcpClient("127.0.0.1", server.port)
+    client.write(b"at once")
+    read_until(client, lambda _: client.peer_count == 1)
+    assert read_until(server, bool) == [(0, b"at once")]
+    client.close()

@@ -1,0 +1,224 @@
+import pytest
+
+from mavproxy_fault.engine import Engine
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.schedule import parse_schedule
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+
+DT_US = 4000
+
+
+def sensor(t_us: int, **values: float) -> Frame:
+    layout = known("HIL_SENSOR")
+    fields = {"time_usec": t_us, "xgyro": 0.5, "zacc": -9.81, "fields_updated": 0x1FFF, **values}
+    return Frame(build(layout, fields, component=51), layout)
+
+
+def engine(text: str) -> Engine:
+    return Engine(parse_schedule("seed: 1\nfaults:\n" + text))
+
+
+def run(it: Engine, seconds: float, start_us: int = 1_000_000, **values: float) -> list[tuple]:
+    """(seconds since the start, xgyro as sent or None, due later by us) for each frame sent."""
+    found = []
+    for i in range(round(seconds * 250)):
+        t_us = start_us + i * DT_US
+        for out in it.apply(sensor(t_us, **values), "to-vehicle", t_us):
+            assert isinstance(out.frame, Frame)
+            found.append((round(i * DT_US * 1e-6, 6), out.frame.number("xgyro"), out.due_us - t_us))
+    return found
+
+
+BIAS = """
+  - {id: step, fault: bias, target: HIL_SENSOR.xgyro, value: 0.25, at_s: 0.1, for_s: 0.2}
+"""
+
+
+def test_a_bias_acts_from_its_start_until_its_end_and_no_longer():
+    sent = run(engine(BIAS), 0.5)
+    assert [x for t, x, _ in sent if t < 0.1 or t >= 0.3] == [0.5] * 75
+    assert [x for t, x, _ in sent if 0.1 <= t < 0.3] == [0.75] * 50
+
+
+def test_an_untouched_frame_is_the_same_object():
+    it = engine(BIAS)
+    frame = sensor(1_000_000)
+    (out,) = it.apply(frame, "to-vehicle", 1_000_000)
+    assert out.frame is frame
+    assert out.due_us == 1_000_000
+
+
+def test_the_label_tells_what_was_done_not_what_was_planned():
+    it = engine(BIAS)
+    run(it, 0.5)
+    opened, closed = it.take_labels()
+    assert (opened.start_us, opened.end_us, opened.frames) == (1_100_000, None, 1)
+    assert (closed.start_us, closed.end_us, closed.frames) == (1_100_000, 1_300_000, 50)
+    assert closed.magnitude == pytest.approx(0.25)
+    assert closed.t0_us == 1_000_000
+    assert closed.targets == ("HIL_SENSOR.xgyro",)
+    assert closed.parameters == {"value": 0.25}
+
+
+def test_a_fault_that_meets_no_frame_writes_no_label():
+    it = engine("  - {fault: bias, target: HIL_GPS.alt, value: 5, at_s: 0.1, for_s: 0.2}")
+    run(it, 0.5)
+    assert it.finish(2_000_000) == []
+
+
+def test_a_fault_still_active_at_the_end_gets_its_label_closed():
+    it = engine("  - {fault: bias, target: HIL_SENSOR.xgyro, value: 5}")
+    run(it, 0.1)
+    it.take_labels()
+    (label,) = it.finish(1_096_000)
+    assert (label.end_us, label.frames) == (1_096_000, 25)
+
+
+def test_the_label_counts_values_that_did_not_fit():
+    it = engine("  - {fault: bias, target: HIL_SENSOR.fields_updated, value: -1e6}")
+    run(it, 0.02)
+    (label,) = it.finish(2_000_000)[-1:]
+    assert (label.saturated, label.frames) == (5, 5)
+    assert label.magnitude == 0x1FFF
+
+
+def test_only_messages_of_the_schedule_are_wanted():
+    it = engine(BIAS)
+    assert it.wanted is None  # until the first frame has set the time
+    it.start_at(0)
+    assert it.wanted == {known("HIL_SENSOR").id}
+    it.arm({"id": "all", "fault": "drop"})
+    assert it.wanted is None
+
+
+def test_where_selects_component_direction_and_instance():
+    it = engine("""
+  - {fault: drop, where: {component: 51, direction: to-vehicle, id: 2}}
+""")
+    assert len(it.apply(sensor(1, id=0), "to-vehicle", 1)) == 1
+    assert len(it.apply(sensor(2, id=2), "to-vehicle", 2)) == 0
+    assert len(it.apply(sensor(3, id=2), "from-vehicle", 3)) == 1
+
+
+def test_probability_thins_out_a_fault():
+    it = engine("  - {fault: bias, target: HIL_SENSOR.xgyro, value: 1, probability: 0.3}")
+    hit = sum(x > 1 for _, x, _ in run(it, 4))
+    assert abs(hit - 300) < 4 * (1000 * 0.3 * 0.7) ** 0.5  # binomial, four sigma
+
+
+def test_delays_of_two_entries_add_up_and_order_is_that_of_the_schedule():
+    it = engine("""
+  - {id: a, fault: delay, value: 0.05}
+  - {id: b, fault: bias, target: HIL_SENSOR.xgyro, value: 1}
+  - {id: c, fault: scale, target: HIL_SENSOR.xgyro, value: 2}
+  - {id: d, fault: delay, value: 0.02}
+""")
+    assert run(it, 0.02) == [(round(i * DT_US * 1e-6, 6), 3.0, 70_000) for i in range(5)]
+
+
+def test_a_sealed_frame_passes_value_faults_and_is_counted():
+    it = engine(BIAS.replace("at_s: 0.1", "at_s: 0"))
+    frame = sensor(1)
+    (out,) = it.apply(frame, "to-vehicle", 1, sealed=True)
+    assert out.frame is frame
+    assert it.state()["faults"][0]["signed_skipped"] == 1
+
+
+def test_a_fault_repeats():
+    it = engine("""
+  - {fault: bias, target: HIL_SENSOR.xgyro, value: 1, at_s: 0.1, for_s: 0.04,
+     repeat: {every_s: 0.1, times: 3}}
+""")
+    struck = [t for t, x, _ in run(it, 0.8) if x > 1]
+    assert struck == [round(s + i * 0.004, 3) for s in (0.1, 0.2, 0.3) for i in range(10)]
+    assert [label.frames for label in it.take_labels() if label.end_us] == [10, 10, 10]
+
+
+def test_a_jump_of_the_clock_does_not_make_a_repeating_fault_run_wild():
+    it = engine("""
+  - {fault: bias, target: HIL_SENSOR.xgyro, value: 1, for_s: 0.04, repeat: {every_s: 0.1}}
+""")
+    it.apply(sensor(0), "to-vehicle", 0)
+    it.apply(sensor(10**17), "to-vehicle", 10**17)
+    assert it.state()["faults"][0]["start_us"] > 10**17 - 10**6
+
+
+def test_a_fault_follows_the_end_of_another():
+    it = engine(
+        BIAS
+        + """
+  - {id: next, fault: constant, target: HIL_SENSOR.xgyro, value: 9, for_s: 0.02,
+     after: {id: step, delay_s: 0.05}}
+"""
+    )
+    assert [t for t, x, _ in run(it, 0.6) if x == 9] == [0.352, 0.356, 0.36, 0.364, 0.368]
+
+
+def test_bytes_that_are_no_frame_pass_an_outage_only_outside_it():
+    it = engine("  - {fault: drop, at_s: 1, for_s: 1}")
+    it.start_at(0)
+    assert [out.frame for out in it.junk(b"x", "to-vehicle", 500_000)] == [b"x"]
+    assert it.junk(b"x", "to-vehicle", 1_500_000) == []
+    assert [out.frame for out in it.junk(b"x", "to-vehicle", 2_500_000)] == [b"x"]
+
+
+def test_a_live_fault_starts_when_armed_and_can_be_changed_and_cleared():
+    it = engine(BIAS)
+    run(it, 0.5)
+    it.arm({"id": "live", "fault": "bias", "target": "HIL_SENSOR.xgyro", "value": 1})
+    assert run(it, 0.004, 1_500_000)[0][1] == 1.5
+    it.update("live", 2)
+    assert run(it, 0.004, 1_504_000)[0][1] == 2.5
+    assert it.clear("live")
+    assert run(it, 0.004, 1_508_000)[0][1] == 0.5
+    assert it.take_labels()[-1].parameters == {"value": 2}
+    assert not it.clear("live")
+
+
+def test_a_wrong_live_edit_changes_nothing():
+    it = engine(BIAS)
+    it.start_at(0)
+    with pytest.raises(ConfigError, match="did you mean bias"):
+        it.arm({"fault": "bais", "target": "HIL_SENSOR.xgyro", "value": 1})
+    with pytest.raises(ConfigError, match="no fault"):
+        it.update("stepp", 1)
+    assert it.ids() == ["step"]
+
+
+def test_entries_that_stay_in_a_new_schedule_go_on_undisturbed():
+    text = "seed: 1\nfaults:\n  - {id: hold, fault: freeze, target: HIL_SENSOR.xgyro}\n"
+    it = Engine(parse_schedule(text))
+    run(it, 0.004)
+    it.replace(parse_schedule(text + BIAS))
+    assert run(it, 0.004, 1_004_000, xgyro=0.9)[0][1] == 0.5
+
+
+def test_a_saved_schedule_reads_back_and_does_the_same():
+    it = engine(BIAS)
+    run(it, 0.2)
+    it.arm({"id": "live", "fault": "noise", "target": "HIL_SENSOR.ygyro", "value": 1})
+    again = parse_schedule(it.save())
+    assert [(e.id, e.at_s, e.for_s) for e in again.faults] == [
+        ("step", 0.1, 0.2),
+        ("live", 0.196, None),
+    ]
+
+
+def test_streamed_values_act_until_they_are_stale():
+    it = engine("""
+  - {id: s, fault: bias, target: HIL_SENSOR.xgyro, profile: {live: {timeout_s: 0.02}}}
+""")
+    assert run(it, 0.004)[0][1] == 0.5
+    it.update("s", 0.25, sent_us=999_000)
+    values = [x for _, x, _ in run(it, 0.04, 1_004_000)]
+    assert values == [0.75] * 5 + [0.5] * 5
+    assert it.state()["faults"][0]["latency_us"] == 1000
+    with pytest.raises(ConfigError, match="refused"):
+        it.update("s", 0.25, sent_us=1_000_000)
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_entry_does_not_change_them():
+    noise = "  - {id: n, fault: noise, target: HIL_SENSOR.xgyro, value: 1}\n"
+    other = "  - {id: m, fault: noise, target: HIL_SENSOR.ygyro, value: 1}\n"
+    assert run(engine(noise), 0.1) == run(engine(other + noise), 0.1)

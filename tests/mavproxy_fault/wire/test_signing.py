@@ -1,0 +1,61 @@
+import warnings
+from typing import Any
+
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.signing import Verifier, key_of, resigned, signed, stripped
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")
+    from pymavlink.dialects.v20 import all as mavlink2
+
+KEY = key_of("correct horse")
+LAYOUT = known("HIL_GPS")
+
+
+def pymavlink_link() -> Any:
+    link = mavlink2.MAVLink(None, srcSystem=1, srcComponent=51)
+    link.robust_parsing = True
+    link.signing.secret_key = KEY
+    link.signing.sign_outgoing = True
+    link.signing.link_id = 3
+    link.signing.timestamp = 10**12
+    return link
+
+
+def frame_of_pymavlink(link: Any) -> Frame:
+    message = mavlink2.MAVLink_hil_gps_message(1, 3, 40000000, 5, 6, 7, 8, 9, 1, 1, 1, 1, 12)
+    return Frame(bytes(message.pack(link)), LAYOUT)
+
+
+def pymavlink_accepts(frame: Frame) -> bool:
+    link = pymavlink_link()
+    link.signing.timestamp = 10**12 - 1
+    (message,) = link.parse_buffer(frame.raw)
+    return bool(message.get_type() == "HIL_GPS")
+
+
+def test_pymavlinks_signature_verifies_once() -> None:
+    verifier = Verifier(KEY)
+    frame = frame_of_pymavlink(pymavlink_link())
+    assert verifier.verify(frame)
+    assert not verifier.verify(frame), "a replayed frame is refused"
+
+
+def test_a_changed_payload_or_another_key_is_refused() -> None:
+    frame = frame_of_pymavlink(pymavlink_link())
+    assert not Verifier(KEY).verify(frame.patched({("lat", 0): 1}))
+    assert not Verifier(key_of("wrong")).verify(frame)
+
+
+def test_pymavlink_accepts_a_patched_frame_signed_again_and_refuses_it_otherwise() -> None:
+    changed = frame_of_pymavlink(pymavlink_link()).patched({("lat", 0): 1})
+    assert pymavlink_accepts(resigned(changed, KEY))
+    assert not pymavlink_accepts(changed)
+
+
+def test_a_stripped_frame_equals_the_frame_never_signed() -> None:
+    plain = Frame(build(LAYOUT, {"lat": 5, "fix_type": 3}, system=1, component=51), LAYOUT)
+    frame = signed(plain, KEY, 3, 10**12)
+    assert pymavlink_accepts(frame)
+    assert stripped(frame).raw == plain.raw

@@ -1,0 +1,239 @@
+import math
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import all as dialect
+
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.msm7 import decode_msm7
+from mavproxy_fault.wire.rtcm import Reassembler, message_number, tunnel_payload, wrap
+from simvehicle import hil
+from simvehicle.body import Truth
+from simvehicle.hil import Hil
+from simvehicle.readings import (
+    AirspeedReading,
+    BatteryReading,
+    EphemerisReading,
+    FlowReading,
+    GpsReading,
+    ImuReading,
+    MagReading,
+    PressureReading,
+    PseudorangeReading,
+    RangeReading,
+    VisionReading,
+)
+
+
+def make_truth(t_us: int = 0, **changes: object) -> Truth:
+    values: dict[str, object] = {
+        "t_us": t_us,
+        "lat_rad": math.radians(47.397742),
+        "lon_rad": math.radians(8.545594),
+        "height_m": 535.0,
+        "alt_msl_m": 488.0,
+        "height_agl_m": 0.0,
+        "r_ned_m": np.zeros(3),
+        "v_ned_mps": np.zeros(3),
+        "q_nb": np.array([1.0, 0, 0, 0]),
+        "omega_b_rps": np.zeros(3),
+        "specific_force_b_mps2": np.array([0.0, 0.0, -9.80665]),
+        "v_air_b_mps": np.zeros(3),
+        "wind_ned_mps": np.zeros(3),
+        "pressure_pa": 95600.0,
+        "temperature_k": 285.0,
+        "density_kgpm3": 1.225,
+        "battery_v": 16.0,
+        "battery_a": 1.0,
+        "battery_remaining": 1.0,
+    }
+    return Truth(**(values | changes))  # type: ignore[arg-type]
+
+
+def imu(t_us: int = 0, number: int = 0) -> ImuReading:
+    return ImuReading(t_us, np.array([0.1, 0.2, 0.3]), np.array([1.0, 2.0, -9.8]), number)
+
+
+def decode(frames: list[bytes]) -> list[dialect.MAVLink_message]:
+    return dialect.MAVLink(None).parse_buffer(b"".join(frames)) or []
+
+
+def one(frames: list[bytes], name: str) -> dialect.MAVLink_message:
+    (found,) = [m for m in decode(frames) if m.get_type() == name]
+    return found
+
+
+def test_a_full_step_sets_every_bit_of_each_group_in_one_message() -> None:
+    readings = [
+        imu(),
+        MagReading(0, np.array([0.2, 0.01, 0.43])),
+        PressureReading(0, 95600.0, 488.0, 25.0),
+        AirspeedReading(0, 60.0),
+    ]
+    sensor = one(Hil().frames(0, make_truth(), readings), "HIL_SENSOR")
+    assert sensor.fields_updated == 0x1FFF
+    assert sensor.time_usec == 1_000_000
+    assert (sensor.get_srcSystem(), sensor.get_srcComponent()) == (1, 51)
+    assert [sensor.xacc, sensor.yacc, sensor.zacc] == pytest.approx([1.0, 2.0, -9.8])
+    assert [sensor.xgyro, sensor.ygyro, sensor.zgyro] == pytest.approx([0.1, 0.2, 0.3])
+    assert [sensor.xmag, sensor.ymag, sensor.zmag] == pytest.approx([0.2, 0.01, 0.43])
+    assert sensor.abs_pressure == pytest.approx(956.0)
+    assert sensor.pressure_alt == pytest.approx(488.0)
+    assert sensor.temperature == pytest.approx(25.0)
+    assert sensor.diff_pressure == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize(
+    ("reading", "bits"),
+    [
+        (imu(), 0x3F),
+        (MagReading(0, np.ones(3)), 0x1C0),
+        (PressureReading(0, 1e5, 0.0, 15.0), 0x1A00),
+        (AirspeedReading(0, 1.0), 0x400),
+    ],
+)
+def test_each_reading_marks_its_own_group_only(reading: object, bits: int) -> None:
+    frames = Hil().frames(0, make_truth(), [reading])  # type: ignore[list-item]
+    assert one(frames, "HIL_SENSOR").fields_updated == bits
+
+
+def test_values_that_are_not_new_stay_at_their_last_reading() -> None:
+    link = Hil()
+    link.frames(0, make_truth(), [imu(), PressureReading(0, 95600.0, 488.0, 25.0)])
+    sensor = one(link.frames(4000, make_truth(), [imu(4000)]), "HIL_SENSOR")
+    assert sensor.fields_updated == 0x3F
+    assert sensor.abs_pressure == pytest.approx(956.0)
+
+
+def test_several_imus_travel_in_messages_of_their_own_after_that_of_id_0() -> None:
+    frames = Hil().frames(0, make_truth(), [imu(number=2), imu(number=0), imu(number=1)])
+    assert [m.id for m in decode(frames) if m.get_type() == "HIL_SENSOR"] == [0, 1, 2]
+
+
+def test_gps_scales_to_wire_units_and_centimetres_of_error() -> None:
+    reading = GpsReading(
+        0, -33.8688197, 151.2092955, 58.25, np.array([3.0, -4.0, 0.5]), 3, 11, 0.9, 1.5
+    )
+    gps = one(Hil().frames(0, make_truth(), [reading]), "HIL_GPS")
+    assert (gps.lat, gps.lon, gps.alt) == (-338688197, 1512092955, 58250)
+    assert (gps.vel, gps.vn, gps.ve, gps.vd) == (500, 300, -400, 50)
+    assert gps.cog == round((math.degrees(math.atan2(-4, 3)) % 360) * 100)
+    assert (gps.eph, gps.epv, gps.fix_type, gps.satellites_visible) == (90, 150, 3, 11)
+
+
+def test_course_is_unknown_at_rest() -> None:
+    reading = GpsReading(0, 1.0, 2.0, 3.0, np.array([0.1, 0.1, 0.0]), 3, 11, 0.9, 1.5)
+    assert one(Hil().frames(0, make_truth(), [reading]), "HIL_GPS").cog == 65535
+
+
+def test_a_late_reading_keeps_the_stamp_of_its_measurement() -> None:
+    reading = GpsReading(100_000, 1.0, 2.0, 3.0, np.zeros(3), 3, 11, 0.9, 1.5)
+    frames = Hil().frames(220_000, make_truth(), [imu(220_000), reading])
+    assert one(frames, "HIL_GPS").time_usec == 1_100_000
+    assert one(frames, "HIL_SENSOR").time_usec == 1_220_000
+
+
+def test_truth_travels_with_attitude_velocity_and_airspeed() -> None:
+    q = np.array([math.cos(0.1), 0.0, math.sin(0.1), 0.0])
+    truth = make_truth(
+        8000,
+        q_nb=q,
+        v_ned_mps=np.array([1.5, -2.5, 0.25]),
+        omega_b_rps=np.array([0.01, 0.02, 0.03]),
+        v_air_b_mps=np.array([3.0, 4.0, 0.0]),
+        density_kgpm3=1.225 / 4,
+    )
+    state = one(Hil().frames(8000, truth, []), "HIL_STATE_QUATERNION")
+    assert state.time_usec == 1_008_000
+    assert state.attitude_quaternion == pytest.approx(q.tolist(), abs=1e-7)
+    assert (state.vx, state.vy, state.vz) == (150, -250, 25)
+    assert (state.lat, state.lon, state.alt) == (473977420, 85455940, 488000)
+    assert (state.true_airspeed, state.ind_airspeed, state.zacc) == (500, 250, -1000)
+
+
+def test_range_flow_vision_and_battery_have_their_messages() -> None:
+    turned = np.array([math.sqrt(0.5), 0, 0, math.sqrt(0.5)])  # heading east
+    readings = [
+        RangeReading(0, 12.34, 0.2, 40.0),
+        FlowReading(0, 0.02, np.array([0.01, -0.02]), np.array([0.1, 0.2, 0.3]), 12.3, 200),
+        VisionReading(0, np.array([1.0, 2, -3]), np.array([0.0, 5, 0]), turned, 0.1, 0.2),
+        BatteryReading(0, 15.8, 12.34, 0.876),
+    ]
+    frames = Hil().frames(0, make_truth(), readings)
+    distance = one(frames, "DISTANCE_SENSOR")
+    assert (distance.min_distance, distance.current_distance, distance.max_distance) == (
+        20,
+        1234,
+        4000,
+    )
+    assert distance.orientation == dialect.MAV_SENSOR_ROTATION_PITCH_270
+    flow = one(frames, "HIL_OPTICAL_FLOW")
+    assert flow.integration_time_us == 20_000
+    assert flow.integrated_y == pytest.approx(-0.02)
+    assert flow.quality == 200
+    pose = one(frames, "ODOMETRY")
+    assert (pose.frame_id, pose.child_frame_id) == (1, 12)
+    assert [pose.vx, pose.vy, pose.vz] == pytest.approx([5.0, 0.0, 0.0], abs=1e-6)
+    assert [pose.pose_covariance[i] for i in (0, 6, 11)] == pytest.approx([0.01] * 3)
+    assert all(math.isnan(pose.pose_covariance[i]) for i in (15, 18, 20))
+    battery = one(frames, "BATTERY_STATUS")
+    assert (battery.voltages[0], battery.voltages[1]) == (15800, 65535)
+    assert (battery.current_battery, battery.battery_remaining) == (1234, 88)
+
+
+def test_raw_observations_travel_as_rtcm_in_tunnel_under_one_run_of_sequence_numbers() -> None:
+    epoch = PseudorangeReading(
+        0, 2200, 345600.0, ("G05", "G12", "E07"), np.array([2.1e7, 2.2e7, 2.5e7]),
+        np.array([100.0, -200.0, 50.0]), np.array([45.0, 40.0, 42.0]),
+    )  # fmt: skip
+    ephemeris = EphemerisReading(0, "G05", wrap(bytes.fromhex("3fb0") + bytes(59)))
+    frames = Hil().frames(0, make_truth(), [imu(), epoch, ephemeris])
+    assert [f[4] for f in frames] == list(range(len(frames)))
+    reassembler = Reassembler()
+    tunnel = known("TUNNEL")
+    messages = [
+        message
+        for raw in frames
+        if int.from_bytes(raw[7:10], "little") == tunnel.id
+        for message in reassembler.add(tunnel_payload(Frame(raw, tunnel)) or b"")
+    ]
+    assert [message_number(m) for m in messages] == [1077, 1097, 1019]
+    gps = decode_msm7(messages[0])
+    assert gps.satellites == ("G05", "G12")
+    assert gps.pseudorange_m == pytest.approx((2.1e7, 2.2e7), abs=0.001)
+    assert gps.doppler_mps == pytest.approx((100.0, -200.0), abs=0.001)
+
+
+def test_charge_drawn_adds_up() -> None:
+    link = Hil()
+    link.frames(0, make_truth(), [BatteryReading(0, 16.0, 36.0, 1.0)])
+    second = link.frames(1_000_000, make_truth(), [BatteryReading(1_000_000, 16.0, 36.0, 1.0)])
+    assert one(second, "BATTERY_STATUS").current_consumed == 10
+
+
+def test_a_heartbeat_leaves_once_a_second() -> None:
+    link = Hil()
+    beats = [
+        t
+        for t in range(0, 3_000_000, 4000)
+        if any(m.get_type() == "HEARTBEAT" for m in decode(link.frames(t, make_truth(t), [])))
+    ]
+    assert beats == [0, 1_000_000, 2_000_000]
+
+
+def test_sequence_numbers_run_through_all_messages() -> None:
+    link = Hil()
+    frames = [f for t in range(0, 1_200_000, 4000) for f in link.frames(t, make_truth(t), [imu(t)])]
+    assert [f[4] for f in frames] == [i % 256 for i in range(len(frames))]
+
+
+def test_the_packed_layouts_are_those_of_the_dialect() -> None:
+    assert hil._SENSOR.size == hil.HIL_SENSOR.length
+    assert hil._TRUTH.size == hil.HIL_STATE_QUATERNION.length
+
+
+def test_velocities_beyond_the_wire_saturate() -> None:
+    truth = make_truth(v_ned_mps=np.array([400.0, -400.0, 0.0]))
+    state = one(Hil().frames(0, truth, []), "HIL_STATE_QUATERNION")
+    assert (state.vx, state.vy) == (32767, -32768)
