@@ -163,7 +163,7 @@ class Core:
             pieces: Pieces = []
             labels = [*self.engine.take_labels(), *self.engine.finish(self.clock.t_us)]
             self._announce(labels, now_us, pieces)
-            sends += self._sends(pieces, now_us)
+            sends += self._sends(pieces, now_us) + self.due(now_us)
         return sends
 
     def take_labels(self) -> "list[Label]":
@@ -223,7 +223,8 @@ class Core:
         if len(outgoing) != 1 or outgoing[0].frame is not frame or outgoing[0].due_us > t_us:
             state.faulted += 1
         for piece in outgoing:
-            self._emit(piece, frame, mask, arrival.now_us - t_us, arrival.now_us, pieces)
+            links = 1 << arrival.link if piece.back else mask
+            self._emit(piece, frame, links, arrival.now_us - t_us, arrival.now_us, pieces)
         self._announce(engine.take_labels(), arrival.now_us, pieces)
 
     def _junk(self, junk: Junk, arrival: Arrival, pieces: Pieces) -> None:
@@ -262,6 +263,7 @@ class Core:
             # The first stamp ever: the schedule, begun on the wall clock, begins on this one anew.
             self._on_wall_clock = False
             if self.engine is not None:
+                self._lead_us = now_us - t_us
                 self.engine.restart(t_us)
         self._lead_us = now_us - t_us
         return t_us
@@ -315,13 +317,13 @@ class Core:
     # What the engine holds
 
     def _engine_due_us(self) -> int:
-        held_us = None if self.engine is None else self.engine.next_due_us
+        held_us = None if self.engine is None else self.engine.held_until_us
         return NEVER_US if held_us is None else held_us + self._lead_us
 
     def _release_from_engine(self, when_us: int) -> list[Send]:
         assert self.engine is not None
         pieces: Pieces = []
-        for outgoing in self.engine.due(when_us - self._lead_us):
+        for _, outgoing in self.engine.due(when_us - self._lead_us):
             mask = self._links_of_held(outgoing.frame)
             self._emit(outgoing, None, mask, self._lead_us, when_us, pieces)
         self._announce(self.engine.take_labels(), when_us, pieces)
