@@ -52,6 +52,14 @@ class ParserCounters:
     crc_errors: int = 0
     junk_bytes: int = 0
 
+    def add(self, other: "ParserCounters") -> None:
+        """Add another parser's counts to these."""
+        self.bytes += other.bytes
+        self.frames += other.frames
+        self.unknown += other.unknown
+        self.crc_errors += other.crc_errors
+        self.junk_bytes += other.junk_bytes
+
 
 class Parser:
     """The state of one stream; datagrams leave none behind."""
