@@ -1,9 +1,10 @@
 """Recorder: a session's tlogs, labels and what a replay needs, in one folder.
 
-    received.tlog    every byte that came, stamped with the wall clock
-    sent.tlog        every byte that left, once however many links it went to
+    received.tlog    every frame that came, stamped with the wall clock
+    sent.tlog        every frame that left, once however many links it went to
     labels.jsonl     what the faults really did
-    received.index   link and length of each received record (see `tape`)
+    received.other, sent.other    bytes that are no frame (see `tape`)
+    received.index   link and length of everything received
     session.json     links, seed, schedule and time base
 
 Files are written whole and in order, so that a process killed at any time leaves them readable up
@@ -21,8 +22,9 @@ if TYPE_CHECKING:
     from mavproxy_fault.wire.label import Label
 
 RECEIVED, SENT, LABELS = "received.tlog", "sent.tlog", "labels.jsonl"
+RECEIVED_OTHER, SENT_OTHER = "received.other", "sent.other"
 INDEX, SESSION = "received.index", "session.json"
-NAMES = (RECEIVED, SENT, LABELS, INDEX, SESSION)
+APPENDED = (RECEIVED, RECEIVED_OTHER, INDEX, SENT, SENT_OTHER, LABELS)
 
 
 class Recorder:
@@ -33,16 +35,19 @@ class Recorder:
         _set_aside(folder)
         self.folder = folder
         self._session = session
-        self._files = {
-            name: (folder / name).open("wb", buffering=0)
-            for name in (RECEIVED, SENT, LABELS, INDEX)
-        }
+        self._files = {name: (folder / name).open("wb", buffering=0) for name in APPENDED}
         self._write_session()
 
     def write(self, tape: Tape, labels: "Sequence[Label]" = ()) -> None:
         """Append and empty a tape, and append labels."""
-        received, sent, index = tape.take()
-        for name, data in ((RECEIVED, received), (SENT, sent), (INDEX, index)):
+        taken = tape.take()
+        for name, data in (
+            (RECEIVED, taken.received),
+            (RECEIVED_OTHER, taken.received_other),
+            (INDEX, taken.index),
+            (SENT, taken.sent),
+            (SENT_OTHER, taken.sent_other),
+        ):
             if data:
                 self._files[name].write(data)
         if labels:
@@ -70,7 +75,7 @@ def encoded(labels: "Sequence[Label]") -> bytes:
 
 def _set_aside(folder: Path) -> None:
     """Move an earlier session's files into a numbered folder of their own."""
-    present = [folder / name for name in NAMES if (folder / name).exists()]
+    present = [folder / name for name in (*APPENDED, SESSION) if (folder / name).exists()]
     if not present:
         return
     number = 1
