@@ -35,19 +35,39 @@ class Engine:
         self._any: tuple[Running, ...] = ()
         self._edge_us = 0
         self._labels: list[Label] = []
-        self._kept: list[tuple[str, Outgoing]] = []  # let go by a fault that ended
+        self._kept: list[Outgoing] = []  # let go by a fault that ended
         self._edited()
 
     # -- time ------------------------------------------------------------------------------------
 
     def start_at(self, t0_us: int) -> None:
-        """Let `at_s` count from this stamp; the first stamp seen does the same."""
-        if self.t0_us is not None:
-            return
+        """Let `at_s` count from this stamp, as the first frame does, unless it counts already."""
+        if self.t0_us is None:
+            self.restart(t0_us)
+
+    def restart(self, t0_us: int) -> None:
+        """End what acts and let the schedule begin at this stamp."""
+        for running in [r for r in self._all if r.active]:
+            self._end(running, self.now_us)
+        entries = list(self._entries())
         self.t0_us = self.now_us = t0_us
-        self._all = [self._run(entry, t0_us) for entry in self._schedule.faults]
+        self._all = [self._run(entry, t0_us) for entry in entries]
         self._edited()
         self._advance(t0_us)
+
+    def restart(self, t0_us: int) -> None:
+        """End everything and let `at_s` count from another stamp, of a clock found only now."""
+        self._labels = self.finish(self.now_us)
+        self._schedule = Schedule(self.seed, tuple(self._entries()))
+        self.t0_us = None
+        self.start_at(t0_us)
+
+    @property
+    def held_until_us(self) -> int | None:
+        """When frames kept back must leave, whatever the schedule does then."""
+        due_us = min((r.held_until_us() for r in self._all if r.holds), default=NEVER_US)
+        due_us = min(due_us, self.now_us) if self._kept else due_us
+        return due_us if due_us < NEVER_US else None
 
     def _run(self, entry: Entry, base_us: int) -> Running:
         assert self.t0_us is not None
@@ -60,8 +80,8 @@ class Engine:
         due_us = min(due_us, self.now_us if self._kept else self._edge_us)
         return due_us if due_us < NEVER_US and self.t0_us is not None else None
 
-    def due(self, t_us: int) -> list[tuple[str, Outgoing]]:
-        """Frames that a fault kept back and that must leave by now, each with its direction."""
+    def due(self, t_us: int) -> list[Outgoing]:
+        """Frames that a fault kept back and that must leave by now."""
         if self.t0_us is None:
             return []
         self.now_us = max(self.now_us, t_us)
@@ -118,15 +138,12 @@ class Engine:
     def _edited(self) -> None:
         """Note that other messages may be wanted."""
         self.revision += 1
-        running = [r.entry for r in self._all] if self.t0_us is not None else self._schedule.faults
         ids: set[int] = set()
-        for entry in running:
-            if entry.ids is None:
-                self.wanted = None
-                break
-            ids |= entry.ids
-        else:
-            self.wanted = frozenset(ids)
+        everything = self.t0_us is None  # whatever comes first sets the time
+        for entry in self._entries():
+            everything |= entry.ids is None
+            ids |= entry.ids or set()
+        self.wanted = None if everything else frozenset(ids)
         self._index()
 
     # -- bytes -----------------------------------------------------------------------------------
@@ -160,8 +177,7 @@ class Engine:
         if sends is None:
             sends = [Outgoing(t_us, frame)]
         if self._kept:
-            sends = [out for way, out in self._kept if way == direction] + sends
-            self._kept = [(way, out) for way, out in self._kept if way != direction]
+            sends, self._kept = self._kept + sends, []
         return sends
 
     def junk(self, data: bytes, direction: str, t_us: int) -> list[Outgoing]:

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.faults.base import LinkFault, Outgoing
+from mavproxy_fault.faults.base import Outgoing
 from mavproxy_fault.schedule import Entry
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import Label
@@ -51,8 +51,8 @@ class Running:
         where = entry.where
         self._where = (where.system, where.component, where.direction, where.id)
         self._anything = self._where == (None, None, None, None)
-        self.takes_bytes = isinstance(entry.fault, LinkFault) and entry.ids is None
-        self.takes_sealed = isinstance(entry.fault, LinkFault)
+        self.takes_bytes = entry.ids is None and getattr(entry.fault, "takes_bytes", False)
+        self.takes_sealed = getattr(entry.fault, "takes_sealed", False)
         self.holds = hasattr(entry.fault, "release")
 
     def _end(self) -> int:
@@ -155,14 +155,14 @@ class Running:
         times = [self.fault.held_until_us(state) for state in self.states.values()]
         return min((time for time in times if time is not None), default=NEVER_US)
 
-    def release(self, t_us: int, *, overdue: bool) -> list[tuple[str, Outgoing]]:
-        """What the fault keeps, by direction: all of it, or only where the oldest is overdue."""
-        sends: list[tuple[str, Outgoing]] = []
-        for direction, state in self.states.items():
-            until_us = self.fault.held_until_us(state) if self.holds else None
-            if until_us is not None and (until_us <= t_us or not overdue):
+    def release(self, t_us: int, *, overdue: bool) -> list[Outgoing]:
+        """What the fault keeps: all of it, or only where the oldest is overdue."""
+        sends: list[Outgoing] = []
+        for direction, state in self.states.items() if self.holds else ():
+            until_us = self.fault.held_until_us(state)
+            if not overdue or (until_us is not None and until_us <= t_us):
                 released, self.states[direction] = self.fault.release(t_us, state)
-                sends += [(direction, out) for out in released]
+                sends += released
         return sends
 
     def label(self, end_us: int | None) -> Label:

@@ -1,7 +1,8 @@
 """Readings and truth -> the frames a HIL simulator sends, as PX4 1.18 expects them; no I/O.
 
 Per step: HIL_SENSOR of id 0 (the one that sets PX4's clock), those of further ids, then what else
-was measured, HEARTBEAT once a second, and the truth as HIL_STATE_QUATERNION. HIL_SENSOR carries
+was measured (raw GNSS observations as RTCM in TUNNEL), HEARTBEAT once a second, and the truth as
+HIL_STATE_QUATERNION. HIL_SENSOR carries
 the last value of every field; `fields_updated` says which are new. All bits of a group must be set
 for PX4 to use it, and pressure takes three of them.
 
@@ -11,27 +12,32 @@ make up nearly all of the traffic.
 
 import math
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from fastcrc.crc16 import mcrf4xx
 
 from mavproxy_fault.wire.dialect import Layout, known
 from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.msm7 import encode_epoch
+from mavproxy_fault.wire.rtcm import tunnel_frames
 from simvehicle import hil_messages
 from simvehicle.body import Truth
-from simvehicle.hil_messages import Message, limited
+from simvehicle.hil_messages import limited
 from simvehicle.readings import (
     AirspeedReading,
     BatteryReading,
+    EphemerisReading,
     FlowReading,
     GpsReading,
     ImuReading,
     MagReading,
     PressureReading,
+    PseudorangeReading,
     RangeReading,
     Reading,
     VisionReading,
 )
+from simvehicle.services.messages import Message
 
 HIL_SENSOR = known("HIL_SENSOR")
 HIL_STATE_QUATERNION = known("HIL_STATE_QUATERNION")
@@ -80,6 +86,7 @@ class Hil:
         self._component = component
         self._mav_type = mav_type
         self._seq = 0
+        self._rtcm = 0  # RTCM messages sent
         self._heartbeat_us = 0
         self._held = [[0.0] * 13 for _ in range(IMU_IDS)]  # HIL_SENSOR's floats, by id
         self._consumed_mah = 0.0
@@ -99,14 +106,19 @@ class Hil:
         """
         stamp = t_us + self.start_us
         updated = [0] * IMU_IDS
-        rest: list[bytes] = []
+        others = []
         for reading in readings:
             if isinstance(reading, (ImuReading, MagReading, PressureReading, AirspeedReading)):
                 self._hold(reading, updated)
             else:
-                rest.extend(self._build(*message) for message in self._messages(reading))
+                others.append(reading)
         out = [self._sensor(stamp, bits, number) for number, bits in enumerate(updated) if bits]
-        out += rest
+        for reading in others:
+            if isinstance(reading, (PseudorangeReading, EphemerisReading)):
+                for message in rtcm(reading):
+                    out += self._tunnel(message)
+            else:
+                out.append(self._build(*self._message(reading)))
         if t_us >= self._heartbeat_us:
             self._heartbeat_us = t_us - t_us % HEARTBEAT_US + HEARTBEAT_US
             out.append(self._build(*self._heartbeat()))
@@ -161,20 +173,29 @@ class Hil:
             self._held[0][10] = reading.diff_pressure_pa / PA_PER_HPA
             updated[0] |= DIFF_PRESSURE
 
-    def _messages(self, reading: Reading) -> list[Message]:
-        """What carries a reading that does not travel in HIL_SENSOR."""
+    def _message(
+        self, reading: GpsReading | RangeReading | FlowReading | VisionReading | BatteryReading
+    ) -> Message:
+        """What carries a reading that has a message of its own."""
         stamp = reading.t_us + self.start_us
         if isinstance(reading, GpsReading):
-            return [hil_messages.gps(reading, stamp)]
+            return hil_messages.gps(reading, stamp)
         if isinstance(reading, RangeReading):
-            return [hil_messages.distance(reading, stamp)]
+            return hil_messages.distance(reading, stamp)
         if isinstance(reading, FlowReading):
-            return [hil_messages.flow(reading, stamp)]
+            return hil_messages.flow(reading, stamp)
         if isinstance(reading, VisionReading):
-            return [hil_messages.odometry(reading, stamp)]
-        if isinstance(reading, BatteryReading):
-            return [hil_messages.battery(reading, self._consume(reading))]
-        return []
+            return hil_messages.odometry(reading, stamp)
+        return hil_messages.battery(reading, self._consume(reading))
+
+    def _tunnel(self, message: bytes) -> list[bytes]:
+        """TUNNEL frames around one RTCM message."""
+        frames = tunnel_frames(
+            message, self._rtcm, seq=self._seq, system=self._system, component=self._component
+        )
+        self._rtcm += 1
+        self._seq = (self._seq + len(frames)) & 0xFF
+        return frames
 
     def _consume(self, reading: BatteryReading) -> float:
         """Charge drawn until this reading in mAh."""
@@ -205,7 +226,7 @@ class Hil:
         crc = mcrf4xx(head + payload + bytes((layout.crc_extra,)))
         return b"\xfd" + head + payload + _TRAILER.pack(crc)
 
-    def _build(self, layout: Layout, values: dict[str, object]) -> bytes:
+    def _build(self, layout: Layout, values: Mapping[str, object]) -> bytes:
         return build(
             layout, values, seq=self._next(), system=self._system, component=self._component
         )
@@ -214,6 +235,19 @@ class Hil:
         seq = self._seq
         self._seq = (seq + 1) & 0xFF
         return seq
+
+
+def rtcm(reading: PseudorangeReading | EphemerisReading) -> list[bytes]:
+    """MSM7 messages of one epoch, or the message of one ephemeris."""
+    if isinstance(reading, EphemerisReading):
+        return [reading.rtcm]
+    return encode_epoch(
+        reading.tow_s,
+        reading.satellites,
+        reading.pseudorange_m.tolist(),
+        reading.doppler_mps.tolist(),
+        reading.cn0_dbhz.tolist(),
+    )
 
 
 def _short(value: float) -> int:

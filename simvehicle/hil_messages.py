@@ -6,7 +6,7 @@ MAVLink definitions, except HIL_GPS.eph and .epv, which PX4 reads as centimetres
 
 import math
 
-from mavproxy_fault.wire.dialect import Layout, known
+from mavproxy_fault.wire.dialect import known
 from simvehicle.readings import (
     BatteryReading,
     FlowReading,
@@ -14,8 +14,7 @@ from simvehicle.readings import (
     RangeReading,
     VisionReading,
 )
-
-Message = tuple[Layout, dict[str, object]]
+from simvehicle.services.messages import Message
 
 COURSE_UNKNOWN = 0xFFFF  # HIL_GPS.cog
 COURSE_SPEED_MPS = 0.5  # below this the course over ground is noise

@@ -68,3 +68,29 @@ def stripped(frame: Frame) -> Frame:
     raw = frame.raw[:2] + bytes((frame.raw[2] & ~SIGNED,)) + frame.raw[3 : -SIGNATURE_LENGTH - 2]
     crc = mcrf4xx(raw[1:] + bytes((frame.layout.crc_extra,)))
     return Frame(raw + crc.to_bytes(2, "little"), frame.layout)
+
+
+class Signing:
+    """What the proxy does with signed frames.
+
+    With a key, frames whose signature is right may be changed and are then signed again; others
+    stay sealed. `strip` takes the signatures off: of the frames that verify, or without a key of
+    all.
+    """
+
+    def __init__(self, key: bytes | None = None, *, strip: bool = False) -> None:
+        self.key = key
+        self.strip = strip
+        self._verifier = Verifier(key or b"")
+
+    def receive(self, frame: Frame) -> tuple[Frame, bool]:
+        """A signed frame as it goes on, and whether it must not be changed."""
+        if self.key is not None and not self._verifier.verify(frame):
+            return frame, True
+        if self.strip:
+            return stripped(frame), False
+        return frame, self.key is None
+
+    def leave(self, frame: Frame) -> Frame:
+        """A changed signed frame, signed again if there is a key."""
+        return frame if self.key is None else resigned(frame, self.key)

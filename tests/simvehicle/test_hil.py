@@ -4,17 +4,23 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.msm7 import decode_msm7
+from mavproxy_fault.wire.rtcm import Reassembler, message_number, tunnel_payload, wrap
 from simvehicle import hil
 from simvehicle.body import Truth
 from simvehicle.hil import Hil
 from simvehicle.readings import (
     AirspeedReading,
     BatteryReading,
+    EphemerisReading,
     FlowReading,
     GpsReading,
     ImuReading,
     MagReading,
     PressureReading,
+    PseudorangeReading,
     RangeReading,
     VisionReading,
 )
@@ -174,6 +180,29 @@ def test_range_flow_vision_and_battery_have_their_messages() -> None:
     battery = one(frames, "BATTERY_STATUS")
     assert (battery.voltages[0], battery.voltages[1]) == (15800, 65535)
     assert (battery.current_battery, battery.battery_remaining) == (1234, 88)
+
+
+def test_raw_observations_travel_as_rtcm_in_tunnel_under_one_run_of_sequence_numbers() -> None:
+    epoch = PseudorangeReading(
+        0, 2200, 345600.0, ("G05", "G12", "E07"), np.array([2.1e7, 2.2e7, 2.5e7]),
+        np.array([100.0, -200.0, 50.0]), np.array([45.0, 40.0, 42.0]),
+    )  # fmt: skip
+    ephemeris = EphemerisReading(0, "G05", wrap(bytes.fromhex("3fb0") + bytes(59)))
+    frames = Hil().frames(0, make_truth(), [imu(), epoch, ephemeris])
+    assert [f[4] for f in frames] == list(range(len(frames)))
+    reassembler = Reassembler()
+    tunnel = known("TUNNEL")
+    messages = [
+        message
+        for raw in frames
+        if int.from_bytes(raw[7:10], "little") == tunnel.id
+        for message in reassembler.add(tunnel_payload(Frame(raw, tunnel)) or b"")
+    ]
+    assert [message_number(m) for m in messages] == [1077, 1097, 1019]
+    gps = decode_msm7(messages[0])
+    assert gps.satellites == ("G05", "G12")
+    assert gps.pseudorange_m == pytest.approx((2.1e7, 2.2e7), abs=0.001)
+    assert gps.doppler_mps == pytest.approx((100.0, -200.0), abs=0.001)
 
 
 def test_charge_drawn_adds_up() -> None:

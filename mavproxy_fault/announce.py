@@ -1,0 +1,39 @@
+"""Labels as STATUSTEXT of the proxy's own component, so that every viewer of a log shows them."""
+
+from typing import TYPE_CHECKING
+
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import build
+
+if TYPE_CHECKING:
+    from mavproxy_fault.wire.label import Label
+
+COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+NOTICE = 5  # MAV_SEVERITY_NOTICE
+TEXT_LENGTH = 50
+
+
+def text(label: "Label") -> str:
+    """One line about a label, such as `FAULT gyro-step on: bias HIL_SENSOR.xgyro`."""
+    if label.end_us is not None:
+        return f"FAULT {label.id} off: {label.frames} frames"
+    return f"FAULT {label.id} on: {label.preset or label.fault} {' '.join(label.targets)}".rstrip()
+
+
+class Announcer:
+    """Numbers the proxy's own frames."""
+
+    def __init__(self) -> None:
+        self._seq = 0
+
+    def frame(self, label: "Label", system: int) -> bytes:
+        """A STATUSTEXT for a label, cut to the message's 50 characters."""
+        raw = build(
+            known("STATUSTEXT"),
+            {"severity": NOTICE, "text": text(label).encode("ascii", "replace")[:TEXT_LENGTH]},
+            seq=self._seq,
+            system=system,
+            component=COMPONENT,
+        )
+        self._seq = (self._seq + 1) & 0xFF
+        return raw

@@ -1,0 +1,1 @@
+"""What a ground station expects of a vehicle: parameters, missions, commands and streams."""
