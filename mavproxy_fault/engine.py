@@ -16,6 +16,7 @@ from mavproxy_fault.faults.base import Outgoing
 from mavproxy_fault.faults.target import near
 from mavproxy_fault.running import NEVER_US, Running, after_s
 from mavproxy_fault.schedule import Entry, Schedule, parse_entry
+from mavproxy_fault.triggers import Telemetry
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import Label
 
@@ -33,6 +34,8 @@ class Engine:
         self._all: list[Running] = []
         self._by_id: dict[int, tuple[Running, ...]] = {}
         self._any: tuple[Running, ...] = ()
+        self._watched: dict[int, tuple[Running, ...]] = {}
+        self._telemetry = Telemetry()
         self._edge_us = 0
         self._labels: list[Label] = []
         self._kept: list[Outgoing] = []  # let go by a fault that ended
@@ -129,7 +132,13 @@ class Engine:
         for entry in self._entries():
             everything |= entry.ids is None
             ids |= entry.ids or set()
+            if entry.condition is not None:
+                ids |= entry.condition.ids
         self.wanted = None if everything else frozenset(ids)
+        self._watched = {
+            number: tuple(r for r in self._all if r.condition and number in r.condition.ids)
+            for number in {n for r in self._all if r.condition for n in r.condition.ids}
+        }
         self._index()
 
     # -- bytes -----------------------------------------------------------------------------------
@@ -144,6 +153,8 @@ class Engine:
         if self.t0_us is None:
             self.start_at(t_us)
         self.now_us = t_us
+        if frame.id in self._watched:
+            self._watch(frame, t_us)
         if t_us >= self._edge_us:
             self._advance(t_us)
         sends: list[Outgoing] | None = None
@@ -165,6 +176,13 @@ class Engine:
         if self._kept:
             sends, self._kept = self._kept + sends, []
         return sends
+
+    def _watch(self, frame: Frame, t_us: int) -> None:
+        """Let conditions see a frame, as it came, before any fault has touched it."""
+        self._telemetry.note(frame)
+        begun = [running.watch(t_us, self._telemetry) for running in self._watched[frame.id]]
+        if any(begun):
+            self._edge_us = t_us
 
     def junk(self, data: bytes, direction: str, t_us: int) -> list[Outgoing]:
         """What leaves for bytes that are no frame: faults of the whole link act on them too."""
