@@ -58,6 +58,13 @@ class Engine:
         self._edited()
         self._advance(t0_us)
 
+    @property
+    def held_until_us(self) -> int | None:
+        """When frames kept back must leave, whatever the schedule does then."""
+        due_us = min((r.held_until_us() for r in self._all if r.holds), default=NEVER_US)
+        due_us = min(due_us, self.now_us) if self._kept else due_us
+        return due_us if due_us < NEVER_US else None
+
     def _run(self, entry: Entry, base_us: int) -> Running:
         assert self.t0_us is not None
         return Running(entry, self.seed, base_us, self.t0_us)

@@ -33,14 +33,14 @@ class Engine(Protocol):
     """The faults: frames in, timed frames out, on the vehicle's time.
 
     `wanted` are the ids of the messages it must see (None: all) and may change at any time;
-    `next_due_us` is the vehicle time at which `due` has something.
+    `held_until_us` is the vehicle time at which `due` has something.
     """
 
     @property
     def wanted(self) -> frozenset[int] | None: ...
 
     @property
-    def next_due_us(self) -> int | None: ...
+    def held_until_us(self) -> int | None: ...
 
     def restart(self, t0_us: int) -> None:
         """End what acts and count the schedule's times from `t0_us`."""
@@ -53,8 +53,8 @@ class Engine(Protocol):
     def junk(self, data: bytes, direction: Direction, t_us: int) -> "list[Outgoing]":
         """What leaves for bytes that are no frame."""
 
-    def due(self, t_us: int) -> "list[Outgoing]":
-        """What was held until now."""
+    def due(self, t_us: int) -> "list[tuple[str, Outgoing]]":
+        """What was held until now, with the direction it came in."""
 
     def take_labels(self) -> "list[Label]":
         """Labels begun or ended since the last call."""

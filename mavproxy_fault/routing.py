@@ -73,8 +73,8 @@ class LoopGuard:
     """Stops bytes that come round again and again, and nothing else.
 
     Asked only about senders heard on several links, without whom there is no loop. Bytes may come
-    back as often as they came from the sender's home link (an echo does that), and once for senders
-    that moved; a loop brings them more often.
+    back as often as they came from the sender's home link (an echo does that), and once more for
+    senders that moved; a loop brings them more often.
     """
 
     def __init__(self) -> None:
@@ -93,4 +93,4 @@ class LoopGuard:
             counts[0] += 1
             return True
         counts[1] += 1
-        return counts[1] <= max(1, counts[0])
+        return counts[1] <= 1 + counts[0]

@@ -1,0 +1,29 @@
+"""Faults on the sensors' signals, over lanes: bias, drift, scale and freeze in time slots."""
+
+from analysis.search import rows
+from analysis.search.lanes import Buffer
+from simvehicle.compiled import compiled
+
+L = rows.LANES
+M = rows.MEASURED * L
+
+
+@compiled
+def break_signals(buf: Buffer, slot: int, first: int, last: int, t_s: float) -> None:
+    """Apply one fault slot to the measured channels `first` to `last` - 1."""
+    base = (rows.FAULTS + slot * rows.FAULT_ROWS) * L
+    for channel in range(first, last):
+        for lane in range(L):
+            at = M + channel * L + lane
+            healthy = buf[at]
+            since = t_s - buf[base + rows.START * L + lane]
+            mine = buf[base + lane] == channel
+            active = (since >= 0.0) & (t_s < buf[base + rows.END * L + lane])
+            held = buf[base + rows.HELD * L + lane]
+            held = healthy if mine & (not active) else held
+            buf[base + rows.HELD * L + lane] = held
+            wrong = buf[base + rows.FACTOR * L + lane] * healthy + (
+                buf[base + rows.OFFSET * L + lane] + buf[base + rows.RATE * L + lane] * since
+            )
+            wrong = held if buf[base + rows.HOLD * L + lane] > 0.5 else wrong
+            buf[at] = wrong if mine & active else healthy

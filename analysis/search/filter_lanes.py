@@ -1,0 +1,84 @@
+"""The filters of `analysis.estimators` over lanes, by their own scalar kernels.
+
+A lane at a time, without SIMD: what the search finds is what the estimator does elsewhere.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.estimators import complementary, ekf_kernel
+from analysis.search import rows
+from analysis.search.lanes import Buffer
+from simvehicle.compiled import compiled
+
+L = rows.LANES
+M, Q = rows.MEASURED * L, rows.QUATERNION * L
+ALIVE = rows.ALIVE * L
+MAHONY, EKF = 1, 2  # kinds; 0 is the inverse sensor model
+Memory = NDArray[np.float64]  # (LANES, 91): the estimators' states x
+Gains = tuple[float, float, float, float, float]
+
+
+@compiled
+def three(buf: Buffer, row: int, lane: int) -> Buffer:
+    """Three measured channels (3,) from the offset `row` on."""
+    out = np.empty(3)
+    for i in range(3):
+        out[i] = buf[row + i * L + lane]
+    return out
+
+
+@compiled
+def predict(
+    buf: Buffer, memory: Memory, airspeed: Buffer, kind: int, gains: Gains, dt: float
+) -> None:
+    """Every living lane's estimate after its IMU sample."""
+    for lane in range(L):
+        if buf[ALIVE + lane] > 0.5:
+            gyro, accel = three(buf, M, lane), three(buf, M + 3 * L, lane)
+            if kind == MAHONY:
+                x = memory[lane, :7]
+                memory[lane, :7] = complementary.predict(
+                    x, gyro, accel, airspeed[lane], dt, gains[0], gains[2]
+                )
+            else:
+                memory[lane] = ekf_kernel.predict(
+                    memory[lane], gyro, accel, dt, gains[0], gains[1], gains[2]
+                )
+
+
+@compiled
+def head(
+    buf: Buffer, memory: Memory, kind: int, gains: Gains, declination_rad: float, dt: float
+) -> None:
+    """Every living lane's estimate after its field sample, `dt` after the one before."""
+    for lane in range(L):
+        if buf[ALIVE + lane] > 0.5:
+            field = three(buf, M + 6 * L, lane)
+            if kind == MAHONY:
+                x = memory[lane, :7]
+                memory[lane, :7] = complementary.head(
+                    x, field, declination_rad, dt, gains[1], gains[2]
+                )
+            else:
+                memory[lane] = ekf_kernel.head(memory[lane], field, declination_rad, gains[4])
+
+
+@compiled
+def velocity(buf: Buffer, memory: Memory, gains: Gains, restart: bool) -> None:
+    """Every living lane's EKF after its GPS velocity."""
+    for lane in range(L):
+        if buf[ALIVE + lane] > 0.5:
+            seen = three(buf, M + 9 * L, lane)
+            if restart:
+                memory[lane] = ekf_kernel.restart_velocity(memory[lane], seen, gains[3])
+            else:
+                memory[lane] = ekf_kernel.correct_velocity(memory[lane], seen, gains[3])
+
+
+@compiled
+def publish(buf: Buffer, memory: Memory) -> None:
+    """QUATERNION from the estimators' states."""
+    for lane in range(L):
+        for i in range(4):
+            buf[Q + i * L + lane] = memory[lane, i]

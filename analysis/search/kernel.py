@@ -1,0 +1,165 @@
+"""Many flights at once: truth, sensors, faults, estimator and scores, compiled.
+
+`fly` takes flights as the columns of an array whose rows are those of `rows`, works through them
+in groups of LANES and leaves the scores in the same rows. `trace` flies one and keeps everything.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.search import rows
+from analysis.search.aid_lanes import airspeeds, sense_field, sense_pressure, sense_velocity
+from analysis.search.fault_lanes import break_signals
+from analysis.search.filter_lanes import EKF, Gains, head, predict, publish, velocity
+from analysis.search.heun_lanes import attitudes, heun, keep
+from analysis.search.lanes import Buffer, Envelope, draw, living, move, sense_imu
+from analysis.search.score_lanes import euler_of_quaternions, score_angle, score_euler
+from analysis.search.steer_lanes import steer
+from simvehicle.compiled import compiled
+from simvehicle.vehicles.fixedwing_kernel import Aero
+from simvehicle.vehicles.rigidbody_kernel import Inertia
+
+L = rows.LANES
+Columns = NDArray[np.float64]
+Generators = NDArray[np.uint64]
+
+
+class Plan(NamedTuple):
+    """What all flights of a test share; every field is a plain number, as numba wants them.
+
+    `estimator` is 0 for the inverse sensor model, 1 for Mahony, 2 for the EKF, with its `gains`;
+    `field_every`, `velocity_every` and `pressure_every` count IMU samples.
+    """
+
+    steps: int
+    dt_s: float
+    gravity_mps2: float
+    density_kgpm3: float
+    field_ned_gauss: tuple[float, float, float]
+    declination_rad: float
+    field_every: int
+    velocity_every: int
+    pressure_every: int
+    mission: bool
+    slots: int
+    angle: bool
+    estimator: int
+    gains: Gains
+    sea_density_kgpm3: float
+    limits: Envelope
+    body: Inertia
+    aero: Aero
+
+
+@compiled
+def measure(buf: Buffer, generators: Generators, k: int, plan: Plan) -> None:
+    """The sensors' samples number `k`, with faults; generators (2, LANES): IMU, the rest."""
+    draw(buf, generators[0])
+    sense_imu(buf)
+    last = rows.ACCEL - rows.MEASURED + 3
+    if plan.estimator > 0:
+        last = rows.CHANNELS
+        if k % plan.pressure_every == 0:
+            draw(buf, generators[1])
+            sense_pressure(buf, plan.density_kgpm3)
+        if k % plan.field_every == 0 or k % plan.velocity_every == 0:
+            draw(buf, generators[1])
+            if k % plan.field_every == 0:
+                sense_field(buf, plan.field_ned_gauss)
+            if k % plan.velocity_every == 0:
+                sense_velocity(buf)
+    for slot in range(plan.slots):
+        break_signals(buf, slot, 0, last, k * plan.dt_s)
+
+
+@compiled
+def filter_step(buf: Buffer, memory: Columns, airspeed: Buffer, k: int, plan: Plan) -> None:
+    """The filters' share of sample `k`: IMU, field, airspeed, velocity, in this order."""
+    kind, gains = plan.estimator, plan.gains
+    if k > 0:
+        predict(buf, memory, airspeed, kind, gains, plan.dt_s)
+    if k % plan.field_every == 0 and (k > 0 or kind == EKF):
+        head(buf, memory, kind, gains, plan.declination_rad, plan.field_every * plan.dt_s)
+    if k % plan.pressure_every == 0:
+        airspeeds(buf, airspeed, plan.sea_density_kgpm3)
+    if k % plan.velocity_every == 0 and kind == EKF:
+        velocity(buf, memory, gains, k == 0)
+    publish(buf, memory)
+    euler_of_quaternions(buf)
+
+
+@compiled
+def tick(
+    buf: Buffer,
+    memory: Columns,
+    airspeed: Buffer,
+    generators: Generators,
+    k: int,
+    plan: Plan,
+) -> None:
+    """Sample `k` of every lane: truth, sensors, estimate, score; the truth moves on."""
+    if plan.mission:
+        steer(buf, k * plan.dt_s)
+    move(buf, plan.dt_s, (plan.gravity_mps2, plan.density_kgpm3), plan.body, plan.aero, plan.limits)
+    measure(buf, generators, k, plan)
+    if plan.estimator == 0:
+        if k > 0:
+            heun(buf, plan.dt_s, plan.gravity_mps2)
+        keep(buf)
+        if plan.angle:
+            attitudes(buf)
+    else:
+        filter_step(buf, memory, airspeed, k, plan)
+    score_euler(buf)
+    if plan.angle:
+        score_angle(buf)
+
+
+@compiled
+def fly(flights: Columns, memory: Columns, generators: Generators, plan: Plan) -> int:
+    """Fly all columns of `flights` (ROWS, n), n a multiple of LANES; the steps made in all lanes.
+
+    `memory` (n, 91) holds the filters' start states, `generators` (2, n) the noise.
+    """
+    made = 0
+    buf = np.empty(rows.ROWS * L)
+    for first in range(0, flights.shape[1], L):
+        for row in range(rows.ROWS):
+            buf[row * L : row * L + L] = flights[row, first : first + L]
+        states = memory[first : first + L]
+        noise = generators[:, first : first + L].copy()
+        airspeed = np.zeros(L)
+        for k in range(plan.steps + 1):
+            tick(buf, states, airspeed, noise, k, plan)
+            made += L
+            if k % 64 == 0 and living(buf) == 0:
+                break
+        for row in range(rows.ROWS):
+            flights[row, first : first + L] = buf[row * L : row * L + L]
+    return made
+
+
+@compiled
+def trace(flights: Columns, memory: Columns, generators: Generators, plan: Plan) -> Columns:
+    """The first lane of `flights` (ROWS, LANES), sample by sample.
+
+    Rows of the answer: 13 of the true state, CHANNELS measured, 9 of ESTIMATE and 4 of QUATERNION,
+    whether alive.
+    """
+    buf = flights.copy().ravel()
+    noise = generators.copy()
+    states = memory.copy()
+    airspeed = np.zeros(L)
+    out = np.empty((plan.steps + 1, 13 + rows.CHANNELS + 14))
+    for k in range(plan.steps + 1):
+        tick(buf, states, airspeed, noise, k, plan)
+        for i in range(13):
+            out[k, i] = buf[(rows.NOW + i) * L]
+        for i in range(rows.CHANNELS):
+            out[k, 13 + i] = buf[(rows.MEASURED + i) * L]
+        for i in range(13):
+            out[k, 13 + rows.CHANNELS + i] = buf[(rows.ESTIMATE + i) * L]
+        out[k, 26 + rows.CHANNELS] = buf[rows.ALIVE * L]
+    return out

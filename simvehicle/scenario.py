@@ -1,0 +1,177 @@
+"""The scenario file: one flight with its vehicle, weather and sensors.
+
+The sections `schedule`, `monitor` and `criteria` belong to other parts and pass through as they
+are. Lengths in m, speeds in m/s, angles in degrees; the keys carry their units.
+"""
+
+from datetime import UTC, datetime
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import yaml
+
+from mavproxy_fault.errors import ConfigError
+from simvehicle.documents import Lines, decode, read_document
+from simvehicle.sensors.airspeed import Airspeed
+from simvehicle.sensors.barometer import Barometer
+from simvehicle.sensors.gps import Gps
+from simvehicle.sensors.imu import Imu
+from simvehicle.sensors.magnetometer import Magnetometer
+
+Shape = Literal["triangle", "diamond", "s", "eight", "trapezoid", "circle", "line"]
+
+
+class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Base of the sections: unknown keys are errors."""
+
+
+class Start(_Section, frozen=True):
+    """Home and the beginning of the flight.
+
+    `alt_m` is the ground's height above mean sea level at home, `geoid_m` the geoid's above the
+    ellipsoid there; `height_m` above ground is where the vehicle starts, 0 means standing.
+    """
+
+    lat_deg: float = 47.397742
+    lon_deg: float = 8.545594
+    alt_m: float = 488.0
+    geoid_m: float = 0.0
+    height_m: float = 0.0
+    heading_deg: float = 0.0
+    time: datetime = datetime(2024, 3, 7, 12, 0, tzinfo=UTC)
+
+    def __post_init__(self) -> None:
+        if not -90.0 <= self.lat_deg <= 90.0:
+            raise ValueError(f"lat_deg = {self.lat_deg} is out of range; -90 to 90 is allowed")
+        if not -180.0 <= self.lon_deg <= 180.0:
+            raise ValueError(f"lon_deg = {self.lon_deg} is out of range; -180 to 180 is allowed")
+        if self.height_m < 0.0:
+            raise ValueError(f"height_m = {self.height_m} is below ground; 0 or more is allowed")
+        if self.time.tzinfo is None:
+            raise ValueError("time has no time zone; write it like 2024-03-07T12:00:00Z")
+
+
+class VehicleChoice(_Section, frozen=True):
+    """Kind of vehicle and its parameter set: a shipped name or the path of a YAML file."""
+
+    kind: Literal["fixedwing", "multirotor"] = "fixedwing"
+    parameters: str = "aerosonde-2025"
+
+
+class Leg(_Section, frozen=True):
+    """One shape of the mission; it begins where the last one ended, in the same direction."""
+
+    shape: Shape
+    size_m: float = 600.0
+    height_m: float = 100.0
+    speed_mps: float | None = None
+    laps: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("size_m", "height_m", "laps"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} = {getattr(self, name)} is not positive; above 0")
+        if self.speed_mps is not None and self.speed_mps <= 0.0:
+            raise ValueError(f"speed_mps = {self.speed_mps} is not positive; above 0")
+
+
+class GustChoice(_Section, frozen=True):
+    """Dryden gusts by their own numbers, along the body's axes."""
+
+    sigma_mps: tuple[float, float, float]
+    length_m: tuple[float, float, float]
+
+
+class ShearChoice(_Section, frozen=True):
+    """Power law of the wind over height; `wind_ned_mps` is that at `reference_m`."""
+
+    reference_m: float = 10.0
+    exponent: float = 1.0 / 7.0
+
+
+class Environment(_Section, frozen=True):
+    """Weather and ground."""
+
+    wind_ned_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gusts: Literal["none", "light", "moderate", "light-600m", "moderate-600m"] | GustChoice = "none"
+    shear: ShearChoice | None = None
+
+
+class Sensors(_Section, frozen=True):
+    """The sensors on board; a list stands for several of a kind, with ids 0, 1, ..."""
+
+    imu: Imu | list[Imu] = Imu()
+    mag: Magnetometer | list[Magnetometer] | None = None
+    baro: Barometer | list[Barometer] | None = None
+    airspeed: Airspeed | None = None
+    gps: Gps | list[Gps] | None = None
+
+
+class Scenario(_Section, frozen=True):
+    """A whole scenario file."""
+
+    name: str = "scenario"
+    seed: int = 1
+    duration_s: float = 120.0
+    start: Start = Start()
+    vehicle: VehicleChoice = VehicleChoice()
+    mission: list[Leg] = []
+    environment: Environment = Environment()
+    sensors: Sensors = Sensors()
+    gnss: dict[str, Any] | None = None
+    schedule: Any = None
+    monitor: Any = None
+    criteria: Any = None
+
+    def __post_init__(self) -> None:
+        if self.duration_s <= 0.0:
+            raise ValueError(f"duration_s = {self.duration_s} is not positive; seconds above 0")
+        if self.seed < 0:
+            raise ValueError(f"seed = {self.seed} is negative; 0 or more is allowed")
+
+
+def read_scenario(path: str | Path | None) -> Scenario:
+    """Read a scenario file; None gives the built-in demo.
+
+    Raises
+    ------
+    ConfigError
+        If something in the file is wrong; the text names file, line and what is allowed.
+    """
+    if path is None:
+        path = Path(str(resources.files("simvehicle.scenarios").joinpath("demo.yaml")))
+    document, lines = read_document(Path(path))
+    if not isinstance(document, dict):
+        raise ConfigError(f"{lines.where('$')}: is no scenario; a mapping with keys is expected")
+    sensors = document.get("sensors")
+    if isinstance(sensors, dict):
+        document = {**document, "sensors": _with_presets(sensors, lines)}
+    return decode(document, Scenario, lines)
+
+
+def _with_presets(sensors: dict[str, Any], lines: Lines) -> dict[str, Any]:
+    """Replace each `preset: name` by the preset's values, under those given beside it."""
+    text = resources.files("simvehicle.sensors").joinpath("presets.yaml").read_text("utf-8")
+    presets: dict[str, dict[str, dict[str, Any]]] = yaml.safe_load(text)
+    out: dict[str, Any] = {}
+    for kind, value in sensors.items():
+        entries = value if isinstance(value, list) else [value]
+        filled = []
+        for index, entry in enumerate(entries):
+            if isinstance(entry, dict) and "preset" in entry:
+                name = entry["preset"]
+                known = presets.get(kind, {})
+                if name not in known:
+                    at = f"$.sensors.{kind}" + (f"[{index}]" if isinstance(value, list) else "")
+                    raise ConfigError(
+                        f"{lines.where(at + '.preset')}: sensors.{kind}.preset = {name} is "
+                        f"unknown; known: {', '.join(known) or 'none'}"
+                    )
+                entry = {**known[name], **{k: v for k, v in entry.items() if k != "preset"}}
+            if isinstance(value, list) and isinstance(entry, dict):
+                entry = {"id": index, **entry}
+            filled.append(entry)
+        out[kind] = filled if isinstance(value, list) else filled[0]
+    return out

@@ -1,0 +1,32 @@
+"""Absolute pressure and air temperature."""
+
+import numpy as np
+
+from simvehicle.air import pressure_altitude
+from simvehicle.body import Truth
+from simvehicle.readings import PressureReading
+from simvehicle.sensors.base import SensorParameters
+from simvehicle.sensors.noise import Noise, NoiseState
+
+_ICE_K = 273.15
+
+
+class Barometer(SensorParameters, frozen=True, kw_only=True):
+    """Measures static pressure [Pa]; the altitude is that of the standard atmosphere."""
+
+    rate_hz: float = 50.0
+    noise: Noise = Noise()
+
+    def new_state(self, rng: np.random.Generator) -> NoiseState:
+        """Draw the constant error."""
+        return self.noise.new_state(rng, 1, self.rate_hz)
+
+    def sample(
+        self, truth: Truth, state: NoiseState, rng: np.random.Generator
+    ) -> tuple[PressureReading, NoiseState]:
+        """One reading."""
+        error, state = self.noise.next(state, rng, self.rate_hz)
+        pressure = (1.0 + self.noise.scale) * truth.pressure_pa + float(error[0])
+        altitude = pressure_altitude(max(pressure, 1.0))
+        celsius = truth.temperature_k - _ICE_K
+        return PressureReading(truth.t_us, pressure, altitude, celsius, self.id), state

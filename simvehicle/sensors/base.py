@@ -1,0 +1,38 @@
+"""What every sensor is, and how often it speaks."""
+
+from typing import Any, Protocol
+
+import msgspec
+import numpy as np
+
+from simvehicle.body import Truth
+from simvehicle.readings import Reading
+
+
+class Sensor(Protocol):
+    """Frozen parameters; the moving state is handed in and back."""
+
+    rate_hz: float
+    latency_s: float
+
+    def new_state(self, rng: np.random.Generator) -> Any:
+        """State at power-on."""
+
+    def sample(
+        self, truth: Truth, state: Any, rng: np.random.Generator
+    ) -> tuple[Reading | list[Reading], Any]:
+        """One reading of the truth."""
+
+
+class SensorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Parameters that all sensors have; `latency_s` is from measurement to delivery."""
+
+    rate_hz: float
+    latency_s: float = 0.0
+    id: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.rate_hz <= 2000.0:
+            raise ValueError(f"rate_hz = {self.rate_hz} is out of range; above 0, at most 2000")
+        if self.latency_s < 0.0:
+            raise ValueError(f"latency_s = {self.latency_s} is negative; 0 or more is allowed")

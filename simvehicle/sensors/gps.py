@@ -1,0 +1,86 @@
+"""A satellite receiver's solution without raw observations: Gauss-Markov position error.
+
+Model: Beard and McLain, Small Unmanned Aircraft, 2012, section 7.5.
+"""
+
+import math
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from simvehicle.body import Truth
+from simvehicle.earth import radii
+from simvehicle.readings import GpsReading
+from simvehicle.sensors.base import SensorParameters
+from simvehicle.sensors.noise import Noise, NoiseState
+
+
+class GpsState(NamedTuple):
+    """Noise of position (north, east, down) and velocity."""
+
+    horizontal: NoiseState
+    vertical: NoiseState
+    velocity: NoiseState
+
+
+class GpsError(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Gauss-Markov position error: nu[n+1] = exp(-k T) nu[n] + eta, eta of `kick_m` per sample."""
+
+    kick_m: float
+    k_per_s: float = 1.0 / 1100.0
+
+    def noise(self, rate_hz: float) -> Noise:
+        """The same process in the terms of the shared error model."""
+        phi = math.exp(-self.k_per_s / rate_hz)
+        sigma = self.kick_m / math.sqrt(1.0 - phi * phi)
+        return Noise(drift_sigma=sigma, drift_time_s=1.0 / self.k_per_s)
+
+
+class Gps(SensorParameters, frozen=True, kw_only=True):
+    """Position, velocity and quality as HIL_GPS carries them."""
+
+    rate_hz: float = 5.0
+    horizontal: GpsError = GpsError(kick_m=0.0)
+    vertical: GpsError = GpsError(kick_m=0.0)
+    velocity: Noise = Noise()
+    satellites: int = 10
+    eph_m: float = 1.0
+    epv_m: float = 1.5
+
+    def new_state(self, rng: np.random.Generator) -> GpsState:
+        """Draw the first position error from its stationary distribution."""
+        rate = self.rate_hz
+        return GpsState(
+            self.horizontal.noise(rate).new_state(rng, 2, rate),
+            self.vertical.noise(rate).new_state(rng, 1, rate),
+            self.velocity.new_state(rng, 3, rate),
+        )
+
+    def sample(
+        self, truth: Truth, state: GpsState, rng: np.random.Generator
+    ) -> tuple[GpsReading, GpsState]:
+        """One solution."""
+        rate = self.rate_hz
+        plane, horizontal = self.horizontal.noise(rate).next(state.horizontal, rng, rate)
+        height, vertical = self.vertical.noise(rate).next(state.vertical, rng, rate)
+        speed, velocity = self.velocity.next(state.velocity, rng, rate)
+        meridian, prime = radii(truth.lat_rad)
+        north, east = plane.tolist()
+        lat = truth.lat_rad + north / (float(meridian) + truth.height_m)
+        lon = truth.lon_rad + east / ((float(prime) + truth.height_m) * math.cos(truth.lat_rad))
+        v: NDArray[np.float64] = truth.v_ned_mps + speed
+        reading = GpsReading(
+            truth.t_us,
+            math.degrees(lat),
+            math.degrees(lon),
+            truth.alt_msl_m + float(height[0]),
+            v,
+            3,
+            self.satellites,
+            self.eph_m,
+            self.epv_m,
+            self.id,
+        )
+        return reading, GpsState(horizontal, vertical, velocity)

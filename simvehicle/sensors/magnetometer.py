@@ -1,0 +1,34 @@
+"""Three-axis magnetometer in a known field."""
+
+import numpy as np
+
+from simvehicle.body import Truth
+from simvehicle.readings import MagReading
+from simvehicle.rotation import matrix_from_quat
+from simvehicle.sensors.base import SensorParameters
+from simvehicle.sensors.noise import Noise, NoiseState
+
+
+class Magnetometer(SensorParameters, frozen=True, kw_only=True):
+    """Measures the Earth's field in body axes [gauss].
+
+    `field_ned_gauss` is the field at home; over a flight of some kilometres it changes by less
+    than the noise. Without it the simulation fills in the world magnetic model's value.
+    """
+
+    rate_hz: float = 50.0
+    noise: Noise = Noise()
+    field_ned_gauss: tuple[float, float, float] | None = None
+
+    def new_state(self, rng: np.random.Generator) -> NoiseState:
+        """Draw the constant errors."""
+        return self.noise.new_state(rng, 3, self.rate_hz)
+
+    def sample(
+        self, truth: Truth, state: NoiseState, rng: np.random.Generator
+    ) -> tuple[MagReading, NoiseState]:
+        """One reading."""
+        assert self.field_ned_gauss is not None
+        error, state = self.noise.next(state, rng, self.rate_hz)
+        field = matrix_from_quat(truth.q_nb).T @ np.array(self.field_ned_gauss)
+        return MagReading(truth.t_us, (1.0 + self.noise.scale) * field + error, self.id), state

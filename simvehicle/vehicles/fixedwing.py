@@ -1,0 +1,123 @@
+"""A fixed wing to fly in the simulator.
+
+Controls, in order: elevator, aileron, rudder (-1 to 1 of full throw; positive is trailing edge
+down, right roll, and trailing edge left as in Beard and McLain), throttle (0 to 1).
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simvehicle.vehicles.contact_kernel import Gear
+from simvehicle.vehicles.fixedwing_flight import fly
+from simvehicle.vehicles.fixedwing_kernel import Aero
+from simvehicle.vehicles.fixedwing_parameters import (
+    FixedWingParameters,
+    aero_of,
+    body_of,
+    gear_of,
+    read_fixedwing,
+)
+from simvehicle.vehicles.rigidbody_kernel import Inertia
+from simvehicle.vehicles.trim import Trim, trim
+
+Array = NDArray[np.float64]
+PLANT = (
+    "mass_kg_add",
+    "inertia_scale",
+    "motor_efficiency[0]",
+    "propeller_efficiency[0]",
+    "elevator_efficiency",
+    "aileron_efficiency",
+    "rudder_efficiency",
+    "battery_voltage_scale",
+)
+
+
+class FixedWing:
+    """Parameters made ready for the kernel; changing the plant gives another one.
+
+    Attributes
+    ----------
+    parameters : FixedWingParameters
+    body, aero, gear
+        The kernel's tuples.
+    """
+
+    controls_count = 4
+
+    def __init__(self, parameters: FixedWingParameters, plant: Mapping[str, float] = {}) -> None:
+        self.parameters = parameters
+        self.plant = dict(plant)
+        self.body: Inertia = body_of(parameters, plant)
+        self.aero: Aero = aero_of(parameters, plant)
+        self.gear: Gear = gear_of(parameters)
+        throw = parameters.throw_deg
+        self.throw_rad = tuple(np.radians([throw.elevator, throw.aileron, throw.rudder]).tolist())
+        self._volts = plant.get("battery_voltage_scale", 1.0)
+
+    @classmethod
+    def read(cls, name: str | Path) -> "FixedWing":
+        """Read a shipped set by name, or a parameter file."""
+        return cls(read_fixedwing(name))
+
+    def with_plant(self, plant: Mapping[str, float]) -> "FixedWing":
+        """The same airframe with plant faults (`PLANT` lists their names)."""
+        return FixedWing(self.parameters, plant)
+
+    def trim(self, airspeed_mps: float, density: float, gravity: float) -> Trim:
+        """Straight flight at this speed."""
+        return trim(airspeed_mps, self.body, self.aero, density, gravity)
+
+    def start(self, r_ned_m: Array, v_b_mps: Array, q_nb: Array) -> Array:
+        """State array (14,) at a position, velocity and attitude, battery full."""
+        return np.concatenate([r_ned_m, v_b_mps, q_nb, np.zeros(4)])
+
+    def standing_height_m(self) -> float:
+        """Height of the centre of mass above ground when the wheels carry it."""
+        return max(point[2] for point in self.parameters.gear_m)
+
+    def advance(
+        self,
+        x: Array,
+        controls: Array,
+        wind_ned_mps: Array,
+        gravity_ned_mps2: Array,
+        density: float,
+        ground_down_m: float,
+        steps: int,
+        dt: float,
+    ) -> tuple[Array, Array]:
+        """Fly `steps` steps of `dt` seconds.
+
+        Returns
+        -------
+        x : array, shape (14,)
+        load : array, shape (6,)
+            Specific force in body axes [m/s^2]; battery voltage [V], current [A], rest (0 to 1).
+        """
+        de, da, dr, dt_throttle = controls.tolist()
+        throw_e, throw_a, throw_r = self.throw_rad
+        throttle = min(1.0, max(0.0, dt_throttle))
+        surfaces = (
+            min(1.0, max(-1.0, de)) * throw_e,
+            min(1.0, max(-1.0, da)) * throw_a,
+            min(1.0, max(-1.0, dr)) * throw_r,
+            throttle,
+        )
+        wind = cast(tuple[float, float, float], tuple(wind_ned_mps.tolist()))
+        gravity = cast(tuple[float, float, float], tuple(gravity_ned_mps2.tolist()))
+        air_ground = (density, ground_down_m)
+        x, load = fly(
+            x, surfaces, wind, gravity, air_ground, steps, dt, self.body, self.aero, self.gear
+        )
+        current = float(load[3])
+        if self.parameters.motor is None:
+            current = throttle * self.parameters.battery.full_throttle_a
+            x[13] += current * steps * dt
+        volts, left = self.parameters.battery.state(float(x[13]), current)
+        fx, fy, fz, _ = load.tolist()
+        return x, np.array([fx, fy, fz, volts * self._volts, current, left])
