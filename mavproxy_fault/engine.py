@@ -34,6 +34,7 @@ class Engine:
         self._all: list[Running] = []
         self._by_id: dict[int, tuple[Running, ...]] = {}
         self._any: tuple[Running, ...] = ()
+        self._holders: tuple[Running, ...] = ()
         self._watched: dict[int, tuple[Running, ...]] = {}
         self._telemetry = Telemetry()
         self._edge_us = 0
@@ -72,8 +73,9 @@ class Engine:
     @property
     def next_due_us(self) -> int | None:
         """When `due` must be called next: something starts, ends or is to be let go."""
-        due_us = min((running.held_until_us() for running in self._all), default=NEVER_US)
-        due_us = min(due_us, self.now_us if self._kept else self._edge_us)
+        due_us = self.now_us if self._kept else self._edge_us
+        for running in self._holders:
+            due_us = min(due_us, running.held_until_us())
         return due_us if due_us < NEVER_US and self.t0_us is not None else None
 
     def due(self, t_us: int) -> list[Outgoing]:
@@ -84,8 +86,8 @@ class Engine:
         if t_us >= self._edge_us:
             self._advance(t_us)
         sends, self._kept = self._kept, []
-        for running in self._all:
-            if running.holds and running.held_until_us() <= t_us:
+        for running in self._holders:
+            if running.held_until_us() <= t_us:
                 sends += running.release(t_us, overdue=True)
         return sends
 
@@ -125,6 +127,7 @@ class Engine:
         active = [running for running in self._all if running.active]
         ids = {number for running in active for number in running.entry.ids or ()}
         self._any = tuple(r for r in active if r.entry.ids is None)
+        self._holders = tuple(r for r in active if r.holds)
         self._by_id = {
             number: tuple(r for r in active if r.entry.ids is None or number in r.entry.ids)
             for number in ids

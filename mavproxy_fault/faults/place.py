@@ -18,6 +18,7 @@ from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import FLOAT_MAX, INTEGER_LIMITS, Frame, Number
 
 Element = tuple[str, int]  # field and index
+CRC_EXTRA = [bytes((n,)) for n in range(256)]
 
 
 class Place(NamedTuple):
@@ -64,23 +65,27 @@ def changed(
     """The frame with other values at some places; the same object if no byte differs."""
     at, length = frame.payload_at, frame.length
     raw = bytearray(frame.raw)
-    written: list[Number] = []
+    size = -1.0
     saturated = 0
-    for place, value in zip(places, after, strict=True):
-        fitting, cut = fitted(place.code, value)
-        saturated += cut
-        if place.end > length:
+    for (_, _, start, stop, packer, code), healthy, value in zip(
+        places, before, after, strict=True
+    ):
+        if stop > length:
             return _beyond(frame, t_us, places, before, after)
-        place.packer.pack_into(raw, at + place.start, fitting)
-        written.append(place.packer.unpack_from(raw, at + place.start)[0])
+        if code != "f" or not -FLOAT_MAX <= value <= FLOAT_MAX:
+            value, cut = fitted(code, value)
+            saturated += cut
+        packer.pack_into(raw, at + start, value)
+        step = abs(packer.unpack_from(raw, at + start)[0] - healthy)
+        if size < step < math.inf:
+            size = step
     if raw == frame.raw:
         return Outgoing(t_us, frame)
     end = at + length
-    crc = mcrf4xx(bytes((frame.layout.crc_extra,)), mcrf4xx(bytes(raw[1:end])))
+    crc = mcrf4xx(CRC_EXTRA[frame.layout.crc_extra], mcrf4xx(raw[1:end]))
     raw[end] = crc & 0xFF
     raw[end + 1] = crc >> 8
-    patched = Frame(bytes(raw), frame.layout)
-    return Outgoing(t_us, patched, largest(before, written), saturated)
+    return Outgoing(t_us, Frame(bytes(raw), frame.layout), size if size >= 0 else None, saturated)
 
 
 def _beyond(
