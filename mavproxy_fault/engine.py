@@ -59,24 +59,17 @@ class Engine:
         self._edited()
         self._advance(t0_us)
 
-    @property
-    def held_until_us(self) -> int | None:
-        """When frames kept back must leave, whatever the schedule does then."""
-        due_us = min((r.held_until_us() for r in self._all if r.holds), default=NEVER_US)
-        due_us = min(due_us, self.now_us) if self._kept else due_us
-        return due_us if due_us < NEVER_US else None
-
     def _run(self, entry: Entry, base_us: int) -> Running:
         assert self.t0_us is not None
         return Running(entry, self.seed, base_us, self.t0_us)
 
     @property
-    def next_due_us(self) -> int | None:
-        """When `due` must be called next: something starts, ends or is to be let go."""
-        due_us = self.now_us if self._kept else self._edge_us
-        for running in self._holders:
-            due_us = min(due_us, running.held_until_us())
-        return due_us if due_us < NEVER_US and self.t0_us is not None else None
+    def held_until_us(self) -> int | None:
+        """When frames kept back must leave, whatever the schedule does then."""
+        if self._kept:
+            return self.now_us
+        due_us = min((running.held_until_us() for running in self._holders), default=NEVER_US)
+        return due_us if due_us < NEVER_US else None
 
     def due(self, t_us: int) -> list[Outgoing]:
         """Frames that a fault kept back and that must leave by now."""
