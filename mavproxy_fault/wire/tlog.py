@@ -25,6 +25,7 @@ from mavproxy_fault.wire.frame import Frame
 Columns = dict[str, NDArray[np.void]]
 
 BLOCK_FRAMES = 1 << 17
+END_BYTES = 1 << 16  # as much of a log's beginning or end as shows its first or last frame
 SLIP_US = 60_000_000  # a stamp this far from both neighbours, which agree, is damaged
 INDEX = np.dtype(
     [
@@ -241,6 +242,17 @@ def read_blocks(path: str | Path, only: Collection[str] | None = None) -> Iterat
     for index, _ in _index(data):
         index["t_us"] = _mended(index["t_us"])
         yield _columns(data, index, only)
+
+
+def extent_us(path: str | Path) -> tuple[int, int] | None:
+    """Stamps of the first and last frame, found near the ends of the file; None without frames."""
+    data = map_bytes(Path(path))
+    ends: list[int] = []
+    for part in (data[:END_BYTES], data[-END_BYTES:]):
+        for index, _ in _index(part):
+            stamps = _mended(index["t_us"])
+            ends.extend(stamps[[0, -1]].tolist() if len(stamps) else [])
+    return (ends[0], ends[-1]) if ends else None
 
 
 def read_records(path: str | Path) -> Iterator[tuple[int, bytes, Layout | None]]:
