@@ -101,8 +101,7 @@ def level(
     _, label, t_s, value = max(worst, key=lambda row: row[0])
     evidence = _evidence(label, t_s, value, limits, len(rows) > 1)
     if windows:
-        total = sum(end - start for start, end in merged_windows(windows))
-        evidence += f"; beyond the limit for {total:.1f} s"
+        evidence += _how_long(merged_windows(windows), limits.hold_s)
     return Check(
         name=name,
         verdict=verdict,
@@ -112,6 +111,12 @@ def level(
         panel=panel,
         levels=(limits.warn, limits.fail),
     )
+
+
+def _how_long(windows: Sequence[tuple[float, float]], hold_s: float) -> str:
+    if hold_s == 0:
+        return f"; beyond the limit {len(windows)} time{'s' if len(windows) > 1 else ''}"
+    return f"; beyond the limit for {sum(end - start for start, end in windows):.1f} s"
 
 
 def _inside(signal: Signal, only: Sequence[tuple[float, float]] | None) -> tuple[Vector, Vector]:
@@ -131,8 +136,8 @@ def _evidence(label: str, t_s: Vector, value: Vector, limits: Limits, several: b
     unit = f" {limits.unit}" if limits.unit else ""
     who = f"{label}: " if several else ""
     return (
-        f"{who}{word} {value[at]:.3g}{unit} at {t_s[at]:.1f} s, "
-        f"{percent}{'st' if percent == 1 else 'th'} percentile {np.percentile(value, percent):.3g}"
+        f"{who}{word} {value[at]:.4g}{unit} at {t_s[at]:.1f} s, "
+        f"{percent}{'st' if percent == 1 else 'th'} percentile {np.percentile(value, percent):.4g}"
     )
 
 

@@ -28,6 +28,8 @@ ALARMING = re.compile(
     r"|low battery|battery .*(low|critical)|failure|interference",
     re.IGNORECASE,
 )
+FIX_2D = 2
+FEWEST_FRAMES = 500  # of a sender, for its losses to be judged
 GRAVE = re.compile(r"crash|emergency|parachute|terminat|failsafe", re.IGNORECASE)
 
 
@@ -40,16 +42,15 @@ def flight_checks(recording: Recording, thresholds: Thresholds) -> list[Check]:
     )
     hold = th.hold_s
     of = recording.of
-    fixes = [s for s in of("gps-fix") if s.value.max(initial=0) > 0]
     return [
         _whole(recording, th),
         *_links(recording, th),
         level("vibration", of("vibration"), Limits(*vibration, "m/s²", hold_s=hold), armed),
         _clipping(recording, th, armed),
-        level("GPS fix", fixes, Limits(*th.gps_fix_type, below=True, hold_s=hold), armed),
+        _fix(recording, th, armed),
         level(
             "GPS satellites",
-            of("gps-satellites"),
+            of("gps-satellites") if _has_fix(recording) else [],
             Limits(*th.gps_satellites, below=True, hold_s=hold),
             armed,
         ),
@@ -117,11 +118,12 @@ def _whole(recording: Recording, th: Thresholds) -> Check:
 
 
 def _links(recording: Recording, th: Thresholds) -> list[Check]:
-    """Losses and silences of each sender that sent enough to tell."""
+    """Losses and silences of the vehicles' senders that sent enough to tell."""
+    vehicles = set(recording.systems)
     lost, silent = Limits(*th.frames_lost_percent, "%"), Limits(*th.silence_s, "s")
     checks = []
     for link in recording.links:
-        if link.frames < 500:
+        if link.frames < FEWEST_FRAMES or link.system not in vehicles:
             continue
         percent = 100 * link.lost / (link.frames + link.lost)
         bad = percent > lost.fail or link.longest_gap_s > silent.fail
@@ -138,6 +140,24 @@ def _links(recording: Recording, th: Thresholds) -> list[Check]:
             )
         )
     return checks
+
+
+def _has_fix(recording: Recording) -> bool:
+    return any(signal.value.max(initial=0) >= FIX_2D for signal in recording.of("gps-fix"))
+
+
+def _fix(
+    recording: Recording, th: Thresholds, armed: Sequence[tuple[float, float]] | None
+) -> Check:
+    """A receiver without any fix may be one nobody relies on: that is a warning, no failure."""
+    fixes = recording.of("gps-fix")
+    limits = Limits(*th.gps_fix_type, below=True, hold_s=th.hold_s)
+    if not fixes or _has_fix(recording):
+        return level("GPS fix", fixes, limits, armed)
+    evidence = "the receiver reports, but has no fix in the whole log"
+    return Check(
+        name="GPS fix", verdict=WARN, evidence=evidence, limit=limits.text(), panel="gps-fix"
+    )
 
 
 def _clipping(

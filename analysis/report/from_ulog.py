@@ -58,6 +58,11 @@ def _positive(name: str) -> Callable[[Topic], Values]:
     return lambda topic: np.where(topic[name] > 0, topic[name].astype(float), np.nan)
 
 
+def _dilution(name: str) -> Callable[[Topic], Values]:
+    """A dilution of precision; 99.99 and more say that there is no fix."""
+    return lambda topic: np.where(topic[name] < 99, topic[name].astype(float), np.nan)
+
+
 CURVES: tuple[tuple[str, str, str, Callable[[Topic], Values]], ...] = (
     ("vehicle_attitude", "roll", "ATTITUDE", _euler(0)),
     ("vehicle_attitude", "pitch", "ATTITUDE", _euler(1)),
@@ -92,8 +97,8 @@ CURVES: tuple[tuple[str, str, str, Callable[[Topic], Values]], ...] = (
     ("vehicle_gps_position", "gps-fix", "GPS", _field("fix_type")),
     ("vehicle_gps_position", "gps-accuracy", "horizontal", _field("eph")),
     ("vehicle_gps_position", "gps-accuracy", "vertical", _field("epv")),
-    ("vehicle_gps_position", "gps-dilution", "hdop", _positive("hdop")),
-    ("vehicle_gps_position", "gps-dilution", "vdop", _positive("vdop")),
+    ("vehicle_gps_position", "gps-dilution", "hdop", _dilution("hdop")),
+    ("vehicle_gps_position", "gps-dilution", "vdop", _dilution("vdop")),
     ("vehicle_gps_position", "gps-noise", "jamming indicator", _field("jamming_indicator")),
     ("vehicle_gps_position", "gps-noise", "noise per ms", _field("noise_per_ms")),
     ("vehicle_gps_position", "gps-noise", "spoofing state", _field("spoofing_state")),

@@ -83,6 +83,8 @@ class Recording:
         By name every (t_s, value) the log holds, in order.
     notes : list of str
         What a reader must know: cut data, clocks that jump.
+    systems : tuple of int
+        MAVLink system ids of the vehicles.
     size, junk_bytes : int
         Bytes of the logs, and those of them that belong to no frame.
     """
@@ -98,6 +100,7 @@ class Recording:
     links: list[LinkQuality] = field(default_factory=list)
     parameters: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    systems: tuple[int, ...] = ()
     size: int = 0
     junk_bytes: int = 0
 
@@ -120,6 +123,7 @@ def joined(first: Recording, second: Recording) -> Recording:
         first.links + second.links,
         first.parameters | second.parameters,
         first.notes + second.notes,
+        first.systems + second.systems,
         first.size + second.size,
         first.junk_bytes + second.junk_bytes,
     )

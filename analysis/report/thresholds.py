@@ -2,7 +2,8 @@
 
 Sources: vibration, compass interference and board voltage from ArduPilot's log-analysis pages
 ("Diagnosing problems using Logs", "Measuring Vibration", "Compass interference"); EKF variance
-from its FS_EKF_THRESH default; PX4's vibration metric from Flight Review's colours; innovation
+from its FS_EKF_THRESH default; PX4's vibration metric and the jamming indicator from PX4's pages
+on Flight Review (jamming: about 40 is good, 80 too much); innovation
 ratios from MAVLink's ESTIMATOR_STATUS (1 is where a measurement is refused). The others are
 judgement, set so that an uneventful flight passes.
 """
@@ -31,12 +32,12 @@ class Thresholds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     gps_satellites: tuple[float, float] = (6.0, 4.0)
     gps_dilution: tuple[float, float] = (2.5, 5.0)
     gps_step_m: tuple[float, float] = (10.0, 30.0)
-    gps_jamming: tuple[float, float] = (60.0, 120.0)
+    gps_jamming: tuple[float, float] = (50.0, 80.0)
     innovation_ratio: tuple[float, float] = (0.5, 1.0)
     ekf_variance: tuple[float, float] = (0.5, 0.8)
     compass_change_percent: tuple[float, float] = (35.0, 60.0)
     battery_remaining_percent: tuple[float, float] = (20.0, 10.0)
-    board_voltage_v: tuple[float, float] = (4.6, 4.3)
+    board_voltage_v: tuple[float, float] = (4.5, 4.3)
     attitude_error_deg: tuple[float, float] = (5.0, 15.0)
     position_error_m: tuple[float, float] = (10.0, 30.0)
     estimate_step_m: tuple[float, float] = (10.0, 30.0)
