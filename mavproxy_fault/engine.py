@@ -55,13 +55,6 @@ class Engine:
         self._edited()
         self._advance(t0_us)
 
-    def restart(self, t0_us: int) -> None:
-        """End everything and let `at_s` count from another stamp, of a clock found only now."""
-        self._labels = self.finish(self.now_us)
-        self._schedule = Schedule(self.seed, tuple(self._entries()))
-        self.t0_us = None
-        self.start_at(t0_us)
-
     @property
     def held_until_us(self) -> int | None:
         """When frames kept back must leave, whatever the schedule does then."""
