@@ -22,7 +22,8 @@ from simvehicle.vehicles.rigidbody_kernel import (
 Array = NDArray[np.float64]
 _CLEAR_M = 5.0  # above this height nothing can touch the ground
 _BODY = len(Inertia._fields)
-_AERO = _BODY + len(Aero._fields)
+_AERO = len(Aero._fields)
+_END = _BODY + _AERO
 
 
 def pack(body: Inertia, aero: Aero, wheels: Gear) -> Array:
@@ -118,8 +119,8 @@ def fly(
     """
     rho, ground = air_ground
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
-    aero = Aero(*to_fixed_tuple(packed[_BODY:_AERO], _AERO - _BODY))
-    wheels = Gear(points_m, packed[_AERO], packed[_AERO + 1], packed[_AERO + 2], packed[_AERO + 3])
+    aero = Aero(*to_fixed_tuple(packed[_BODY:_END], _AERO))
+    wheels = Gear(points_m, packed[_END], packed[_END + 1], packed[_END + 2], packed[_END + 3])
     surfaces = (
         _clipped(controls[0], -1.0, 1.0) * throw[0],
         _clipped(controls[1], -1.0, 1.0) * throw[1],
