@@ -21,6 +21,7 @@ from simvehicle.air import GUSTS, Gusts, wind_step
 from simvehicle.body import Controls, Truth
 from simvehicle.controller import FixedWingController
 from simvehicle.geomagnetism import field_ned_gauss
+from simvehicle.gnss.sensor import gnss_sensor
 from simvehicle.guidance import PathTrack
 from simvehicle.mission import plan
 from simvehicle.place import Home, locate
@@ -349,14 +350,6 @@ def _fit(scenario: Scenario, seed: int) -> list[_Fitted]:
                 sensor = msgspec.structs.replace(sensor, field_ned_gauss=field)
             fitted.append(_Fitted(f"{kind}{index}", sensor, seed))
     if scenario.gnss is not None:
-        fitted.append(_Fitted("gnss", _gnss(scenario), seed))
+        home = math.radians(start.lat_deg), math.radians(start.lon_deg)
+        fitted.append(_Fitted("gnss", gnss_sensor(scenario.gnss, *home), seed))
     return fitted
-
-
-def _gnss(scenario: Scenario) -> Sensor:
-    from simvehicle.gnss.config import GnssConfig
-    from simvehicle.gnss.sensor import gnss_sensor
-
-    config = msgspec.convert(scenario.gnss, GnssConfig)
-    home = math.radians(scenario.start.lat_deg), math.radians(scenario.start.lon_deg)
-    return gnss_sensor(config, *home)
