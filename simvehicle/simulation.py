@@ -148,6 +148,11 @@ class Simulation:
         self.truth = self._observe(load, wind)
         return t_us, self.truth, self._read()
 
+    @property
+    def controls(self) -> Array:
+        """The actuator commands now in force, in the vehicle's order."""
+        return self._controls
+
     def _checked(self, controls: Controls) -> Array:
         values = controls.values
         count = self.vehicle.controls_count
