@@ -13,7 +13,7 @@ import numpy as np
 
 from simvehicle.body import Controls, Truth
 from simvehicle.guidance import Aim, CircleTrack, Track
-from simvehicle.rotation import euler_from_quat
+from simvehicle.rotation import euler_angles
 from simvehicle.vehicles.fixedwing import FixedWing
 from simvehicle.vehicles.trim import Trim
 
@@ -88,7 +88,7 @@ class FixedWingController:
         dt = 1.0 / self.rate_hz
         par, aero, body = self.vehicle.parameters, self.vehicle.aero, self.vehicle.body
         memory, point = self._memory, self.trim(aim.speed_mps)
-        roll, pitch, _ = euler_from_quat(truth.q_nb).tolist()
+        roll, pitch, _ = euler_angles(truth.q_nb)
         p, q, r = truth.omega_b_rps.tolist()
         u, v, w = truth.v_air_b_mps.tolist()
         airspeed = max(math.sqrt(u * u + v * v + w * w), 0.5 * aim.speed_mps)

@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.errors import ConfigError
-from simvehicle.air import GUSTS, Gusts, Shear, gust_step, sheared
+from simvehicle.air import GUSTS, Gusts, wind_step
 from simvehicle.body import Controls, Truth
 from simvehicle.controller import FixedWingController
 from simvehicle.geomagnetism import field_ned_gauss
+from simvehicle.gnss.sensor import gnss_sensor
 from simvehicle.guidance import PathTrack
 from simvehicle.mission import plan
 from simvehicle.place import Home, locate
@@ -33,6 +34,7 @@ from simvehicle.vehicles.fixedwing import PLANT, FixedWing
 Array = NDArray[np.float64]
 _LONGEST_STEP_S = 0.005  # a ground contact is stiff
 _BLOCK = 512
+_NO_SHEAR = (1.0, 1.0, 0.0)
 _WINDS = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
 
 
@@ -79,8 +81,6 @@ class Simulation:
         self._plant: dict[str, float] = {}
         self._wind = np.array(scenario.environment.wind_ned_mps)
         self._gusts = _gusts(scenario)
-        shear = scenario.environment.shear
-        self._shear = Shear(shear.reference_m, shear.exponent) if shear else None
         self._gust_rng = np.random.default_rng([self.seed, crc32(b"gusts")])
         self._filters = np.concatenate([self._gust_rng.standard_normal(1), np.zeros(4)])
         self._draws = self._gust_rng.standard_normal((_BLOCK, 5))
@@ -92,7 +92,7 @@ class Simulation:
         self._order = itertools.count()
         self._controls = np.zeros(self.vehicle.controls_count)
         self._x = self._begin()
-        self.truth = self._observe(np.zeros(6), self._wind_now(np.zeros(3), 0.0))
+        self.truth = self._observe(np.zeros(6), self._wind)
         self.controller = FixedWingController(
             self.vehicle, self.truth.density_kgpm3, scenario.start.alt_m
         )
@@ -128,7 +128,7 @@ class Simulation:
         self._t_us = t_us
         truth = self.truth
         steps = max(1, math.ceil(dt / _LONGEST_STEP_S - 1e-9))
-        wind = self._wind_now(truth.v_air_b_mps, dt)
+        wind = self._wind_now(dt)
         self._x, load = self.vehicle.advance(
             self._x,
             self._controls,
@@ -141,6 +141,11 @@ class Simulation:
         )
         self.truth = self._observe(load, wind)
         return t_us, self.truth, self._read()
+
+    @property
+    def controls(self) -> Array:
+        """The actuator commands now in force, in the vehicle's order."""
+        return self._controls
 
     def _checked(self, controls: Controls) -> Array:
         values = controls.values
@@ -228,26 +233,27 @@ class Simulation:
         )
         return PathTrack(path)
 
-    def _wind_now(self, v_air_b_mps: Array, dt: float) -> Array:
+    def _wind_now(self, dt: float) -> Array:
         """Steady wind at this height and the gusts of this step, NED."""
-        wind = self._wind
-        if self._shear:
-            wind = sheared(wind, self.truth.height_agl_m if dt else 0.0, self._shear)
-        if self._gusts is None or dt == 0.0:
-            return wind
         row = self._count % _BLOCK
         if row == 0:
             self._draws = self._gust_rng.standard_normal((_BLOCK, 5))
-        u, v, w = v_air_b_mps.tolist()
-        self._filters, gust = gust_step(
+        truth, gusts, shear = self.truth, self._gusts, self.scenario.environment.shear
+        place = (truth.height_agl_m, shear.reference_m, shear.exponent) if shear else _NO_SHEAR
+        u, v, w = truth.v_air_b_mps.tolist()
+        airspeed = math.sqrt(u * u + v * v + w * w)
+        self._filters, wind = wind_step(
             self._filters,
             self._draws[row],
-            math.sqrt(u * u + v * v + w * w),
-            self._gusts.sigma_mps,
-            self._gusts.length_m,
+            self._wind,
+            place,
+            self._x[6:10],
+            airspeed,
+            gusts.sigma_mps,
+            gusts.length_m,
             dt,
         )
-        return np.asarray(wind + matrix_from_quat(self._x[6:10]) @ gust)
+        return wind
 
     def _observe(self, load: Array, wind: Array) -> Truth:
         """The truth of the state now."""
@@ -328,11 +334,11 @@ def _vehicle(scenario: Scenario) -> FixedWing:
     return FixedWing.read(scenario.vehicle.parameters)
 
 
-def _gusts(scenario: Scenario) -> Gusts | None:
+def _gusts(scenario: Scenario) -> Gusts:
     choice = scenario.environment.gusts
     if isinstance(choice, GustChoice):
         return Gusts(choice.sigma_mps, choice.length_m)
-    return GUSTS.get(choice)
+    return GUSTS[choice]
 
 
 def _fit(scenario: Scenario, seed: int) -> list[_Fitted]:
@@ -349,14 +355,6 @@ def _fit(scenario: Scenario, seed: int) -> list[_Fitted]:
                 sensor = msgspec.structs.replace(sensor, field_ned_gauss=field)
             fitted.append(_Fitted(f"{kind}{index}", sensor, seed))
     if scenario.gnss is not None:
-        fitted.append(_Fitted("gnss", _gnss(scenario), seed))
+        home = math.radians(start.lat_deg), math.radians(start.lon_deg)
+        fitted.append(_Fitted("gnss", gnss_sensor(scenario.gnss, *home), seed))
     return fitted
-
-
-def _gnss(scenario: Scenario) -> Sensor:
-    from simvehicle.gnss.config import GnssConfig
-    from simvehicle.gnss.sensor import gnss_sensor
-
-    config = msgspec.convert(scenario.gnss, GnssConfig)
-    home = math.radians(scenario.start.lat_deg), math.radians(scenario.start.lon_deg)
-    return gnss_sensor(config, *home)
