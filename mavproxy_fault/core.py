@@ -327,7 +327,7 @@ class Core:
     def _release_from_engine(self, when_us: int) -> list[Send]:
         assert self.engine is not None
         pieces: Pieces = []
-        for _, outgoing in self.engine.due(when_us - self._lead_us):
+        for outgoing in self.engine.due(when_us - self._lead_us):
             mask = self._links_of_held(outgoing.frame)
             self._emit(outgoing, None, mask, self._lead_us, when_us, pieces)
         self._announce(self.engine.take_labels(), when_us, pieces)

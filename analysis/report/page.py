@@ -183,8 +183,8 @@ def _section(section: str, page: Page, recording: Recording, model: Mapping[str,
     if section == "Timeline":
         if recording.spans:
             parts.append(
-                '<div class="plot"><div class="area" id="timeline"></div>'
-                '<div class="readout" id="timeline-readout"></div></div>'
+                '<div class="plot"><div class="readout" id="timeline-readout"></div>'
+                '<div class="area" id="timeline"></div></div>'
                 '<p class="note hint">Drag over any plot to zoom all of them; double click for the '
                 "whole flight; click a legend entry to hide its curve.</p>"
             )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.wire.ephemeris import encode_ephemeris
 from simvehicle.body import Truth
-from simvehicle.earth import ecef_from_geodetic, geodetic_from_ecef, rot_en
+from simvehicle.earth import ecef_from_geodetic
 from simvehicle.gnss.config import GnssConfig
 from simvehicle.gnss.constellation import Constellation, constellation_of
 from simvehicle.gnss.ephemeris import SPEED_OF_LIGHT_MPS, Orbits, orbits_at, orbits_of
@@ -29,6 +29,7 @@ from simvehicle.gnss.errors import (
 from simvehicle.gnss.navigation import WEEK_S
 from simvehicle.gnss.pseudorange import Atmosphere, Sight, sight
 from simvehicle.gnss.receiver import Fix, solve
+from simvehicle.gnss.receiver_kernel import axes_en
 from simvehicle.gnss.state import Faults, GnssState
 from simvehicle.gnss.tracking import LONG_AGO_US, Stamps, Tracking, next_tracking, power_off
 from simvehicle.readings import EphemerisReading, GpsReading, PseudorangeReading, Reading
@@ -177,7 +178,7 @@ class GnssSensor:
     def _seen(self, truth: Truth, tow_s: float, state: GnssState) -> Sight:
         """The satellites from where the antenna is when its clock shows `tow_s`."""
         offset_s = state.clock.offset_s
-        v_ecef_mps = rot_en(truth.lat_rad, truth.lon_rad) @ truth.v_ned_mps
+        v_ecef_mps = axes_en(truth.lat_rad, truth.lon_rad) @ truth.v_ned_mps
         r_ecef_m = ecef_from_geodetic(truth.lat_rad, truth.lon_rad, truth.height_m)
         r_ecef_m = r_ecef_m - v_ecef_mps * offset_s
         return sight(state.orbits, tow_s - offset_s, r_ecef_m, v_ecef_mps, self._atmosphere)
@@ -281,18 +282,15 @@ class GnssSensor:
 
     def _position(self, truth: Truth, fix: Fix) -> GpsReading:
         """The solution as a receiver reports it; mean sea level is taken as known."""
-        if not np.any(fix.r_ecef_m):
-            lat, lon, alt_m = 0.0, 0.0, 0.0
-        else:
-            lat, lon, height_m = (float(x) for x in geodetic_from_ecef(fix.r_ecef_m))
-            alt_m = height_m - (truth.height_m - truth.alt_msl_m)
+        known = bool(fix.r_ecef_m.any())
+        undulation_m = truth.height_m - truth.alt_msl_m
         north, east, down = fix.sigma_ned_m
         return GpsReading(
             truth.t_us,
-            math.degrees(lat),
-            math.degrees(lon),
-            alt_m,
-            rot_en(lat, lon).T @ fix.v_ecef_mps,
+            math.degrees(fix.lat_rad),
+            math.degrees(fix.lon_rad),
+            fix.height_m - undulation_m if known else 0.0,
+            fix.v_ned_mps,
             fix.fix_type,
             fix.satellites,
             math.hypot(north, east),

@@ -48,7 +48,7 @@ function axes(unit, extra) {
     ticks: { stroke: colour("--grid"), width: 1 }, font: "12px system-ui, sans-serif" };
   return [
     { ...common, values: (u, ticks) => ticks.map((t) => `${+t.toFixed(6)} s`) },
-    { ...common, size: 74, label: unit || undefined, labelSize: unit ? 18 : 0,
+    { ...common, size: 62, label: unit || " ", labelSize: 18,
       labelFont: "12px system-ui, sans-serif", ...extra },
   ];
 }
@@ -100,6 +100,7 @@ function limitLines(u, limits) {
     ctx.strokeStyle = ctx.fillStyle = colour(limit.kind === "fail" ? "--fail" : "--warn");
     ctx.beginPath(); ctx.moveTo(bbox.left, y); ctx.lineTo(bbox.left + bbox.width, y); ctx.stroke();
     ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
+    ctx.textAlign = "left";
     ctx.fillText(limit.text, bbox.left + 6, y - 4);
   }
   ctx.restore();
@@ -133,7 +134,10 @@ function drawPanel(area, panel, page, numbers, axis) {
 
 function drawLanes(area, page, axis, readout) {
   const lanes = [...new Set(page.spans.map((span) => span.lane))];
-  const height = 46 + 24 * lanes.length;
+  const height = 60 + 22 * lanes.length;
+  const pen = document.createElement("canvas").getContext("2d");
+  pen.font = "12px system-ui, sans-serif";
+  const widest = Math.max(...lanes.map((lane) => pen.measureText(lane).width));
   const pick = (u) => {
     const t = u.posToVal(u.cursor.left, "x");
     const lane = lanes[lanes.length - 1 - Math.floor(u.posToVal(u.cursor.top, "y"))];
@@ -147,6 +151,7 @@ function drawLanes(area, page, axis, readout) {
     ctx.beginPath(); ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height); ctx.clip();
     ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
     ctx.textBaseline = "middle";
+    ctx.textAlign = "left";
     for (const span of page.spans) {
       const row = lanes.length - 1 - lanes.indexOf(span.lane);
       const top = u.valToPos(row + 0.86, "y", true), bottom = u.valToPos(row + 0.14, "y", true);
@@ -156,6 +161,10 @@ function drawLanes(area, page, axis, readout) {
       ctx.globalAlpha = span.kind === "mode" ? 0.28 : 0.75;
       ctx.fillRect(left, top, width, bottom - top);
       ctx.globalAlpha = 1;
+      if (span.kind === "mode") {
+        ctx.fillStyle = colour("--paper");
+        ctx.fillRect(left, top, 1.5 * devicePixelRatio, bottom - top);
+      }
       if (span.kind === "mode" && ctx.measureText(span.text).width < width - 8) {
         ctx.fillStyle = colour("--ink");
         ctx.fillText(span.text, Math.max(left, bbox.left) + 4, (top + bottom) / 2);
@@ -166,7 +175,7 @@ function drawLanes(area, page, axis, readout) {
   const setup = options(area, axis, height, {
     legend: { show: false },
     scales: { y: { range: () => [0, lanes.length] } },
-    axes: axes("", { size: Math.min(220, area.clientWidth * 0.32), splits: () => lanes.map((_, i) => i + 0.5),
+    axes: axes("", { label: undefined, labelSize: 0, size: Math.min(widest + 16, area.clientWidth * 0.4), splits: () => lanes.map((_, i) => i + 0.5),
       values: () => lanes.slice().reverse(), grid: { show: false } }),
     series: [{}, { label: "", stroke: "transparent" }],
     hooks: { draw: [paint], setCursor: [pick] },
