@@ -23,7 +23,7 @@ def add_run(commands: Any) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from analysis.run import main
+    from analysis.run.command import main
 
     return main(args)
 

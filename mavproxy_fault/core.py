@@ -8,6 +8,7 @@ Whatever is sent depends on the input and its stamps alone, never on when `due` 
 recording played back with the same schedule gives the same bytes.
 """
 
+import dataclasses
 import heapq
 import itertools
 from collections.abc import Iterable, Sequence
@@ -20,7 +21,7 @@ from mavproxy_fault.ports import Control, Direction, Engine, LinkRole, Send
 from mavproxy_fault.routing import LoopGuard, Routes
 from mavproxy_fault.tape import Tape
 from mavproxy_fault.wire.frame import STX_V1, STX_V2, Frame
-from mavproxy_fault.wire.parser import Junk, Parser
+from mavproxy_fault.wire.parser import Junk, Parser, ParserCounters
 from mavproxy_fault.wire.signing import Signing
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ class LinkState:
     frames: int = 0
     junk: int = 0
     faulted: int = 0  # frames that were changed, delayed, multiplied or dropped
+    gaps: int = 0  # frames missing by their sequence numbers
     loops: int = 0
     bad_signatures: int = 0
 
@@ -72,7 +74,7 @@ class Core:
         self.control = control
         self.clock = VehicleClock()
         self.states = [LinkState() for _ in links]
-        self.gaps: dict[tuple[int, int], int] = {}  # frames missing by sequence, per component
+        self.gaps: dict[tuple[int, int], int] = {}  # the same per system and component
         self._signing = signing
         self._tape = tape
         self._routes = Routes(len(self.links))
@@ -80,6 +82,7 @@ class Core:
         self._announcer = Announcer()
         self._labels: list[Label] = []
         self._parsers: dict[tuple[int, int], Parser] = {}
+        self._ended = [ParserCounters() for _ in links]
         self._held_since: dict[tuple[int, int], int] = {}
         self._sequences: dict[tuple[int, int], int] = {}
         self._pending: list[tuple[int, int, int, bytes]] = []  # due, order, links, bytes
@@ -116,6 +119,7 @@ class Core:
             items = parser.push(data, datagram=role.datagrams)
         else:
             items = parser.release()
+            self._ended[link].add(parser.counters)
             del self._parsers[key]
         if not role.datagrams:
             self._held_since.pop(key, None)
@@ -171,15 +175,13 @@ class Core:
         taken, self._labels = self._labels, []
         return taken
 
-    def counters(self) -> dict[str, int]:
-        """Sums over all parsers."""
-        counted = [parser.counters for parser in self._parsers.values()]
-        return {
-            "frames": sum(c.frames for c in counted),
-            "unknown": sum(c.unknown for c in counted),
-            "crc_errors": sum(c.crc_errors for c in counted),
-            "junk_bytes": sum(c.junk_bytes for c in counted),
-        }
+    def parsed(self, link: int) -> ParserCounters:
+        """What the parsers of one link have counted, of streams that ended too."""
+        total = dataclasses.replace(self._ended[link])
+        for (number, _), parser in self._parsers.items():
+            if number == link:
+                total.add(parser.counters)
+        return total
 
     # One piece of input
 
@@ -249,7 +251,9 @@ class Core:
                 return False
         expected = self._sequences.get(source, frame.seq)
         if frame.seq != expected:
-            self.gaps[source] = self.gaps.get(source, 0) + ((frame.seq - expected) & 0xFF)
+            missing = (frame.seq - expected) & 0xFF
+            self.gaps[source] = self.gaps.get(source, 0) + missing
+            self.states[arrival.link].gaps += missing
         self._sequences[source] = (frame.seq + 1) & 0xFF
         if arrival.direction == "from-vehicle":
             self._system = frame.system
@@ -323,7 +327,7 @@ class Core:
     def _release_from_engine(self, when_us: int) -> list[Send]:
         assert self.engine is not None
         pieces: Pieces = []
-        for _, outgoing in self.engine.due(when_us - self._lead_us):
+        for outgoing in self.engine.due(when_us - self._lead_us):
             mask = self._links_of_held(outgoing.frame)
             self._emit(outgoing, None, mask, self._lead_us, when_us, pieces)
         self._announce(self.engine.take_labels(), when_us, pieces)

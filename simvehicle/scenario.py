@@ -14,6 +14,7 @@ import yaml
 
 from mavproxy_fault.errors import ConfigError
 from simvehicle.documents import Lines, decode, read_document
+from simvehicle.gnss.config import GnssConfig
 from simvehicle.sensors.airspeed import Airspeed
 from simvehicle.sensors.barometer import Barometer
 from simvehicle.sensors.gps import Gps
@@ -120,7 +121,7 @@ class Scenario(_Section, frozen=True):
     mission: list[Leg] = []
     environment: Environment = Environment()
     sensors: Sensors = Sensors()
-    gnss: dict[str, Any] | None = None
+    gnss: GnssConfig | None = None
     schedule: Any = None
     monitor: Any = None
     criteria: Any = None
@@ -148,7 +149,18 @@ def read_scenario(path: str | Path | None) -> Scenario:
     sensors = document.get("sensors")
     if isinstance(sensors, dict):
         document = {**document, "sensors": _with_presets(sensors, lines)}
-    return decode(document, Scenario, lines)
+    return _beside(decode(document, Scenario, lines), Path(path).parent)
+
+
+def _beside(scenario: Scenario, folder: Path) -> Scenario:
+    """Names of files in a scenario count from the scenario's own folder."""
+    vehicle, gnss = scenario.vehicle, scenario.gnss
+    if vehicle.parameters.endswith((".yaml", ".yml")):
+        parameters = str(folder / vehicle.parameters)
+        vehicle = msgspec.structs.replace(vehicle, parameters=parameters)
+    if gnss is not None and gnss.navigation is not None:
+        gnss = msgspec.structs.replace(gnss, navigation=str(folder / gnss.navigation))
+    return msgspec.structs.replace(scenario, vehicle=vehicle, gnss=gnss)
 
 
 def _with_presets(sensors: dict[str, Any], lines: Lines) -> dict[str, Any]:

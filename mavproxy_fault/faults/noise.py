@@ -1,6 +1,6 @@
 """Noise, and a random walk whose variance grows with time."""
 
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -28,6 +28,8 @@ class Noise(ValueFault, frozen=True, kw_only=True):
 
 class RandomWalk(ValueFault, frozen=True, kw_only=True):
     """Add a Wiener process: its sigma is `value` times the square root of the seconds passed."""
+
+    by_sender: ClassVar[bool] = True
 
     value: NotNegative
 

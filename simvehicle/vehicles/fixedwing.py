@@ -4,15 +4,15 @@ Controls, in order: elevator, aileron, rudder (-1 to 1 of full throw; positive i
 down, right roll, and trailing edge left as in Beard and McLain), throttle (0 to 1).
 """
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simvehicle.vehicles.contact_kernel import Gear
-from simvehicle.vehicles.fixedwing_flight import fly
+from simvehicle.vehicles.fixedwing_flight import fly, pack
 from simvehicle.vehicles.fixedwing_kernel import Aero
 from simvehicle.vehicles.fixedwing_parameters import (
     FixedWingParameters,
@@ -55,8 +55,13 @@ class FixedWing:
         self.body: Inertia = body_of(parameters, plant)
         self.aero: Aero = aero_of(parameters, plant)
         self.gear: Gear = gear_of(parameters)
+        self._packed = pack(self.body, self.aero, self.gear)
         throw = parameters.throw_deg
-        self.throw_rad = tuple(np.radians([throw.elevator, throw.aileron, throw.rudder]).tolist())
+        self.throw_rad = (
+            math.radians(throw.elevator),
+            math.radians(throw.aileron),
+            math.radians(throw.rudder),
+        )
         self._volts = plant.get("battery_voltage_scale", 1.0)
 
     @classmethod
@@ -99,23 +104,21 @@ class FixedWing:
         load : array, shape (6,)
             Specific force in body axes [m/s^2]; battery voltage [V], current [A], rest (0 to 1).
         """
-        de, da, dr, dt_throttle = controls.tolist()
-        throw_e, throw_a, throw_r = self.throw_rad
-        throttle = min(1.0, max(0.0, dt_throttle))
-        surfaces = (
-            min(1.0, max(-1.0, de)) * throw_e,
-            min(1.0, max(-1.0, da)) * throw_a,
-            min(1.0, max(-1.0, dr)) * throw_r,
-            throttle,
-        )
-        wind = cast(tuple[float, float, float], tuple(wind_ned_mps.tolist()))
-        gravity = cast(tuple[float, float, float], tuple(gravity_ned_mps2.tolist()))
-        air_ground = (density, ground_down_m)
         x, load = fly(
-            x, surfaces, wind, gravity, air_ground, steps, dt, self.body, self.aero, self.gear
+            x,
+            controls,
+            self.throw_rad,
+            wind_ned_mps,
+            gravity_ned_mps2,
+            (density, ground_down_m),
+            steps,
+            dt,
+            self._packed,
+            self.gear.points_m,
         )
         current = float(load[3])
         if self.parameters.motor is None:
+            throttle = min(1.0, max(0.0, float(controls[3])))
             current = throttle * self.parameters.battery.full_throttle_a
             x[13] += current * steps * dt
         volts, left = self.parameters.battery.state(float(x[13]), current)

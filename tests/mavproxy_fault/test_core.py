@@ -219,8 +219,9 @@ def test_the_tape_holds_what_came_and_what_left() -> None:
     tape = Tape()
     core = Core(ROLES[:2], tape=tape)
     core.received(SIM, sensor(1.0) + b"noise", WALL_US)
-    received, sent, index = tape.take()
+    taken = tape.take()
     stamp = WALL_US.to_bytes(8, "big")
-    assert received == sent == stamp + sensor(1.0) + stamp + b"noise"
-    assert index == bytes((0, 0, len(sensor(1.0)), 0, 0, 0, 5, 0))
-    assert tape.take() == (b"", b"", b"")
+    assert taken.received == taken.sent == stamp + sensor(1.0)
+    assert taken.received_other == taken.sent_other == stamp + b"\0\0\0\x05noise"
+    assert taken.index == bytes((0, 0, len(sensor(1.0)), 0, 0, 0, 0, 1, 5, 0, 0, 0))
+    assert tape.take().received == b""
