@@ -48,6 +48,7 @@ def main(args: argparse.Namespace) -> int:
             f"--gcs: {args.gcs} is not served beside --hil {args.hil}, whose autopilot answers "
             "ground stations itself; leave one of them out"
         )
+    Simulation(scenario, args.seed).step()  # compiles the kernels before anyone waits for a step
     simulation = Simulation(scenario, args.seed)
     progress = Progress(time.monotonic())
     hil = open_link(args.hil, plain_udp="udpout") if args.hil else None
