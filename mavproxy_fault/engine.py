@@ -302,6 +302,11 @@ class Engine:
         """The ids of all faults, waiting, active or done."""
         return [entry.id for entry in self._entries()]
 
+    @property
+    def active(self) -> list[str]:
+        """The ids of the faults that act now."""
+        return [running.entry.id for running in self._all if running.active]
+
     def state(self) -> dict[str, Any]:
         """What a page or a bus shows: every fault, whether it is active, and what it did."""
         return {
