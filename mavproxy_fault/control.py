@@ -61,7 +61,7 @@ class Control:
         instance = int(parameters[2]) if parameters[2] == parameters[2] else 0
         if unit is None or kind is None or instance < 0:
             return UNSUPPORTED
-        self.engine.now_us = max(self.engine.now_us, t_us)
+        self.engine.tell_time(t_us)
         if kind == "ok":
             return self._clear(unit, instance)
         try:
@@ -85,8 +85,9 @@ class Control:
 
     # -- RflySim ---------------------------------------------------------------------------------
 
-    def packet(self, data: bytes) -> list[str]:
+    def packet(self, data: bytes, t_us: int) -> list[str]:
         """Carry out one RflySim packet; the ids of the faults it set. Others are passed over."""
+        self.engine.tell_time(t_us)
         packet = Packet.read(data)
         if packet is None or self.rflysim is None or not self.allowed:
             return []
@@ -101,7 +102,7 @@ class Control:
 
     # -- the bus ---------------------------------------------------------------------------------
 
-    def answer(self, key: str, payload: bytes) -> Any:
+    def answer(self, key: str, payload: bytes, t_us: int) -> Any:
         """The answer to a query whose key ends in `@ctl/<what>`.
 
         `fault/{id}/arm` (an entry as JSON), `fault/{id}/value` (`{"value": 1.5, "sent_us": ...}`),
@@ -112,6 +113,7 @@ class Control:
         ConfigError
             If there is no such key, or the payload is wrong; nothing has changed then.
         """
+        self.engine.tell_time(t_us)
         _, _, what = key.partition("@ctl/")
         head, _, action = what.rpartition("/")
         if what == "state":

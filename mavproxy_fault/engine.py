@@ -63,6 +63,11 @@ class Engine:
         assert self.t0_us is not None
         return Running(entry, self.seed, base_us, self.t0_us)
 
+    def tell_time(self, t_us: int) -> None:
+        """Let edits count from this stamp, whatever frame was seen last."""
+        if self.t0_us is not None:
+            self.now_us = max(self.now_us, t_us)
+
     @property
     def held_until_us(self) -> int | None:
         """When frames kept back must leave, whatever the schedule does then."""

@@ -52,7 +52,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """The parts of a unit, and how wrong (offset), noisy (sigma) and drifting (per second) it gets."""
+    """The parts of a unit, and how wrong (offset), noisy (sigma) and drifting (per s) it gets."""
 
     parts: tuple[Part, ...]
     wrong: float = 1.0
@@ -125,10 +125,12 @@ WHAT: dict[str, Unit] = {
     ), 200.0, 100.0, 20.0),
     "mavlink": Unit(()),  # the link itself: every message
     "esc": Unit((
-        Part("ESC_STATUS", (("rpm", 1.0), ("voltage", 0.001), ("current", 0.001))),
         Part("ESC_TELEMETRY_1_TO_4", (("rpm", 1.0),)),
+        Part("ESC_TELEMETRY_5_TO_8", (("rpm", 1.0),)),
     ), 1000.0, 500.0, 50.0),
-    "traffic": Unit((Part("ADSB_VEHICLE", POSITION),), 5000.0, 500.0, 50.0),
+    "traffic": Unit((
+        Part("ADSB_VEHICLE", (*POSITION[:2], ("altitude", 1000.0))),
+    ), 5000.0, 500.0, 50.0),
 }  # fmt: skip
 MESSAGES = frozenset(part.message for unit in WHAT.values() for part in unit.parts)
 
@@ -198,10 +200,10 @@ def _of_a_part(unit: Unit, part: Part, kind: str, instance: int) -> dict[str, An
         }
         return {"target": part.message, **whole[kind]}
     if kind == "off" and part.group:
-        target = f"{part.message}.fields_updated"
-        return {"fault": "clear-bits", "target": target, "groups": [part.group]}
+        flags = f"{part.message}.fields_updated"
+        return {"fault": "clear-bits", "target": flags, "groups": [part.group]}
     fields, scales = _elements(part, instance)
-    target = {"target": fields}
+    target: dict[str, Any] = {"target": fields}
     if kind == "off":
         return {**target, "fault": "constant", "value": 0.0}
     if kind == "stuck":

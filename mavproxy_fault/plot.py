@@ -63,7 +63,7 @@ def draw(schedule: Schedule, path: Path, columns: int = COLUMNS) -> None:
         from matplotlib.figure import Figure
     except ImportError:
         raise ConfigError(
-            "faults plot: needs matplotlib; pip install 'mavproxy-fault[plot]'"
+            "faults plot: needs matplotlib, which is not installed; pip install matplotlib"
         ) from None
     entries = schedule.faults
     if not entries:

@@ -30,6 +30,7 @@ from simvehicle.readings import Reading
 from simvehicle.rotation import quat_from_euler
 from simvehicle.scenario import GustChoice, Scenario
 from simvehicle.sensors.base import Sensor
+from simvehicle.terrain import Grid, Level, read_grid
 from simvehicle.vehicles.fixedwing import FixedWing
 from simvehicle.vehicles.multirotor import Multirotor
 from simvehicle.vehicles.vehicle import Vehicle, read_vehicle
@@ -66,6 +67,7 @@ class Simulation:
     Attributes
     ----------
     scenario : Scenario
+    terrain : Grid or Level
     home : Home
         Origin of the local frame, on the ground.
     vehicle, controller
@@ -76,6 +78,8 @@ class Simulation:
     """
 
     def __init__(self, scenario: Scenario, seed: int | None = None) -> None:
+        self.terrain = _terrain(scenario)
+        scenario = _grounded(scenario, self.terrain)
         self.scenario = scenario
         self.seed = scenario.seed if seed is None else seed
         start = scenario.start
@@ -147,11 +151,6 @@ class Simulation:
         )
         self.truth = self._observe(load, wind)
         return t_us, self.truth, self._read()
-
-    @property
-    def controls(self) -> Array:
-        """The actuator commands now in force, in the vehicle's order."""
-        return self._controls
 
     def _checked(self, controls: Controls) -> Array:
         values = controls.values
@@ -273,7 +272,7 @@ class Simulation:
             )
         self._gravity = v[10:]
         alt = height - home.geoid_m
-        agl = alt - self.scenario.start.alt_m
+        agl = alt - self.terrain.ground(lat, lon)
         standing = agl < self.vehicle.standing_height_m() + 0.02
         volts, amperes, left = load[3:].tolist()
         return Truth(
@@ -342,6 +341,18 @@ def _controller(
         return FixedWingController(vehicle, truth.density_kgpm3, home_alt_m)
     assert isinstance(vehicle, Multirotor)
     return MultirotorController(vehicle, home_alt_m)
+
+
+def _terrain(scenario: Scenario) -> Grid | Level:
+    path = scenario.environment.terrain
+    return read_grid(path) if path is not None else Level(scenario.start.alt_m)
+
+
+def _grounded(scenario: Scenario, terrain: Grid | Level) -> Scenario:
+    """The scenario with home on the terrain."""
+    start = scenario.start
+    alt = terrain.ground(math.radians(start.lat_deg), math.radians(start.lon_deg))
+    return msgspec.structs.replace(scenario, start=msgspec.structs.replace(start, alt_m=alt))
 
 
 def _gusts(scenario: Scenario) -> Gusts:
