@@ -19,11 +19,14 @@ def add_run(commands: Any) -> None:
     parser.add_argument(
         "--ui", action="store_true", help="serve the page for control and live view"
     )
+    parser.add_argument(
+        "--zenoh", default="auto", metavar="auto|off|URL", help="where results are published"
+    )
     parser.set_defaults(main=_run)
 
 
 def _run(args: argparse.Namespace) -> int:
-    from analysis.run import main
+    from analysis.run.command import main
 
     return main(args)
 
@@ -43,7 +46,7 @@ def add_monitor(commands: Any) -> None:
 
 
 def _monitor(args: argparse.Namespace) -> int:
-    from analysis.monitor import main
+    from analysis.monitor_command import main
 
     return main(args)
 
@@ -76,9 +79,13 @@ def add_report(commands: Any) -> None:
     parser = commands.add_parser("report", help="tlog, ULog or dataflash log to HTML and JSON")
     parser.add_argument("logs", nargs="+", metavar="LOG")
     parser.add_argument("--labels", metavar="FILE", help="what was injected")
-    parser.add_argument("--against", metavar="LOG", help="a log to compare with")
+    parser.add_argument(
+        "--against", action="append", default=[], metavar="LOG", help="a log to compare with"
+    )
     parser.add_argument("--criteria", metavar="FILE", help="thresholds of the checks (YAML)")
-    parser.add_argument("--out", metavar="DIR")
+    parser.add_argument("--out", metavar="DIR", help="default: LOG's name and -report")
+    parser.add_argument("--figures", action="store_true", help="every plot as PNG and SVG too")
+    parser.add_argument("--export", choices=("csv", "parquet", "mcap"), help="the data as tables")
     parser.set_defaults(main=_report)
 
 

@@ -12,9 +12,12 @@ import msgspec
 class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True):
     """The verdict of the detector on one GNSS epoch.
 
-    `hypothesis` is one of none, satellites, imu, clock, multiple-unknown, untestable (then `reason`
-    says why). `excluded` are the satellites left out of the solution at this epoch. `residual_m`,
-    `normalised` and `satellites` run in parallel.
+    `hypothesis` is one of none, satellites, imu, clock, gps (without raw ranges: the receiver's own
+    position), multiple-unknown, untestable (then `reason` says why). `excluded` are the satellites
+    left out of the solution at this epoch. `residual_m`, `normalised` and `satellites` run in
+    parallel. `mode` says what predicts the epoch: inertial,
+    free (no sound IMU), start (a first snapshot) or position (no raw ranges). The parity test asks
+    the satellites alone; the slow test is the one with memory, for ramps.
     """
 
     t_s: float
@@ -34,6 +37,12 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=
     probabilities: dict[str, float] = {}
     position_ecef_m: tuple[float, float, float] | None = None
     position_sigma_m: tuple[float, float, float] | None = None
+    mode: str = ""
+    parity_statistic: float | None = None
+    parity_threshold: float | None = None
+    parity_dof: int = 0
+    slow_statistic: float | None = None
+    slow_threshold: float | None = None
 
 
 class SensorDecision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True):

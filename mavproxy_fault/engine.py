@@ -16,6 +16,7 @@ from mavproxy_fault.faults.base import Outgoing
 from mavproxy_fault.faults.target import near
 from mavproxy_fault.running import NEVER_US, Running, after_s
 from mavproxy_fault.schedule import Entry, Schedule, parse_entry
+from mavproxy_fault.triggers import Telemetry
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import Label
 
@@ -33,19 +34,28 @@ class Engine:
         self._all: list[Running] = []
         self._by_id: dict[int, tuple[Running, ...]] = {}
         self._any: tuple[Running, ...] = ()
+        self._holders: tuple[Running, ...] = ()
+        self._watched: dict[int, tuple[Running, ...]] = {}
+        self._telemetry = Telemetry()
         self._edge_us = 0
         self._labels: list[Label] = []
-        self._kept: list[tuple[str, Outgoing]] = []  # let go by a fault that ended
+        self._kept: list[Outgoing] = []  # let go by a fault that ended
         self._edited()
 
     # -- time ------------------------------------------------------------------------------------
 
     def start_at(self, t0_us: int) -> None:
-        """Let `at_s` count from this stamp; the first stamp seen does the same."""
-        if self.t0_us is not None:
-            return
+        """Let `at_s` count from this stamp, as the first frame does, unless it counts already."""
+        if self.t0_us is None:
+            self.restart(t0_us)
+
+    def restart(self, t0_us: int) -> None:
+        """End what acts and let the schedule begin at this stamp."""
+        for running in [r for r in self._all if r.active]:
+            self._end(running, self.now_us)
+        entries = list(self._entries())
         self.t0_us = self.now_us = t0_us
-        self._all = [self._run(entry, t0_us) for entry in self._schedule.faults]
+        self._all = [self._run(entry, t0_us) for entry in entries]
         self._edited()
         self._advance(t0_us)
 
@@ -53,23 +63,29 @@ class Engine:
         assert self.t0_us is not None
         return Running(entry, self.seed, base_us, self.t0_us)
 
-    @property
-    def next_due_us(self) -> int | None:
-        """When `due` must be called next: something starts, ends or is to be let go."""
-        due_us = min((running.held_until_us() for running in self._all), default=NEVER_US)
-        due_us = min(due_us, self.now_us if self._kept else self._edge_us)
-        return due_us if due_us < NEVER_US and self.t0_us is not None else None
+    def tell_time(self, t_us: int) -> None:
+        """Let edits count from this stamp, whatever frame was seen last."""
+        if self.t0_us is not None:
+            self.now_us = max(self.now_us, t_us)
 
-    def due(self, t_us: int) -> list[tuple[str, Outgoing]]:
-        """Frames that a fault kept back and that must leave by now, each with its direction."""
+    @property
+    def held_until_us(self) -> int | None:
+        """When frames kept back must leave, whatever the schedule does then."""
+        if self._kept:
+            return self.now_us
+        due_us = min((running.held_until_us() for running in self._holders), default=NEVER_US)
+        return due_us if due_us < NEVER_US else None
+
+    def due(self, t_us: int) -> list[Outgoing]:
+        """Frames that a fault kept back and that must leave by now."""
         if self.t0_us is None:
             return []
         self.now_us = max(self.now_us, t_us)
         if t_us >= self._edge_us:
             self._advance(t_us)
         sends, self._kept = self._kept, []
-        for running in self._all:
-            if running.holds and running.held_until_us() <= t_us:
+        for running in self._holders:
+            if running.held_until_us() <= t_us:
                 sends += running.release(t_us, overdue=True)
         return sends
 
@@ -109,6 +125,7 @@ class Engine:
         active = [running for running in self._all if running.active]
         ids = {number for running in active for number in running.entry.ids or ()}
         self._any = tuple(r for r in active if r.entry.ids is None)
+        self._holders = tuple(r for r in active if r.holds)
         self._by_id = {
             number: tuple(r for r in active if r.entry.ids is None or number in r.entry.ids)
             for number in ids
@@ -118,15 +135,18 @@ class Engine:
     def _edited(self) -> None:
         """Note that other messages may be wanted."""
         self.revision += 1
-        running = [r.entry for r in self._all] if self.t0_us is not None else self._schedule.faults
         ids: set[int] = set()
-        for entry in running:
-            if entry.ids is None:
-                self.wanted = None
-                break
-            ids |= entry.ids
-        else:
-            self.wanted = frozenset(ids)
+        everything = self.t0_us is None  # whatever comes first sets the time
+        for entry in self._entries():
+            everything |= entry.ids is None
+            ids |= entry.ids or set()
+            if entry.condition is not None:
+                ids |= entry.condition.ids
+        self.wanted = None if everything else frozenset(ids)
+        self._watched = {
+            number: tuple(r for r in self._all if r.condition and number in r.condition.ids)
+            for number in {n for r in self._all if r.condition for n in r.condition.ids}
+        }
         self._index()
 
     # -- bytes -----------------------------------------------------------------------------------
@@ -141,6 +161,8 @@ class Engine:
         if self.t0_us is None:
             self.start_at(t_us)
         self.now_us = t_us
+        if frame.id in self._watched:
+            self._watch(frame, t_us)
         if t_us >= self._edge_us:
             self._advance(t_us)
         sends: list[Outgoing] | None = None
@@ -160,9 +182,15 @@ class Engine:
         if sends is None:
             sends = [Outgoing(t_us, frame)]
         if self._kept:
-            sends = [out for way, out in self._kept if way == direction] + sends
-            self._kept = [(way, out) for way, out in self._kept if way != direction]
+            sends, self._kept = self._kept + sends, []
         return sends
+
+    def _watch(self, frame: Frame, t_us: int) -> None:
+        """Let conditions see a frame, as it came, before any fault has touched it."""
+        self._telemetry.note(frame)
+        begun = [running.watch(t_us, self._telemetry) for running in self._watched[frame.id]]
+        if any(begun):
+            self._edge_us = t_us
 
     def junk(self, data: bytes, direction: str, t_us: int) -> list[Outgoing]:
         """What leaves for bytes that are no frame: faults of the whole link act on them too."""
@@ -273,6 +301,11 @@ class Engine:
     def ids(self) -> list[str]:
         """The ids of all faults, waiting, active or done."""
         return [entry.id for entry in self._entries()]
+
+    @property
+    def active(self) -> list[str]:
+        """The ids of the faults that act now."""
+        return [running.entry.id for running in self._all if running.active]
 
     def state(self) -> dict[str, Any]:
         """What a page or a bus shows: every fault, whether it is active, and what it did."""

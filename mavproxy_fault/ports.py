@@ -33,14 +33,14 @@ class Engine(Protocol):
     """The faults: frames in, timed frames out, on the vehicle's time.
 
     `wanted` are the ids of the messages it must see (None: all) and may change at any time;
-    `next_due_us` is the vehicle time at which `due` has something.
+    `held_until_us` is the vehicle time at which `due` has something.
     """
 
     @property
     def wanted(self) -> frozenset[int] | None: ...
 
     @property
-    def next_due_us(self) -> int | None: ...
+    def held_until_us(self) -> int | None: ...
 
     def restart(self, t0_us: int) -> None:
         """End what acts and count the schedule's times from `t0_us`."""

@@ -1,20 +1,20 @@
 """Schedules: which faults, when, on which frames; read from YAML with every error and its line."""
 
-from collections.abc import Callable
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
+from mavproxy_fault.binding import GIVEN, aim, bind, wrong_targets
 from mavproxy_fault.checked import Check, Lines, Path, read_yaml
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.faults import target as targets
 from mavproxy_fault.faults.base import Fault
 from mavproxy_fault.faults.profile import NotNegative, Positive
 from mavproxy_fault.faults.registry import ALIASES, fault_class, known_faults
+from mavproxy_fault.triggers import Condition
 
-GIVEN = ("elements", "names")  # fields of a fault that come from `target`
 Byte = Annotated[int, Meta(ge=0, le=255)]
 
 
@@ -36,14 +36,20 @@ class After(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class Repeat(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Start again every `every_s` seconds, `times` times in all (for ever by default)."""
+    """Start again every `every_s` seconds, `times` times in all (for ever by default).
 
-    every_s: Positive
+    Without `every_s`, which needs a `when`: each time the condition becomes true again.
+    """
+
+    every_s: Positive | None = None
     times: Annotated[int, Meta(ge=1)] | None = None
 
 
 class Keys(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What every entry of a schedule may say; the fault's own parameters stand beside it."""
+    """What every entry of a schedule may say; the fault's own parameters stand beside it.
+
+    With `via: simulator` a satellite fault acts in the simulated receiver instead of on the wire.
+    """
 
     id: str | None = None
     fault: str | None = None
@@ -56,6 +62,7 @@ class Keys(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     repeat: Repeat | None = None
     where: Where = Where()
     probability: Annotated[float, Meta(ge=0, le=1)] = 1.0
+    via: Literal["proxy", "simulator"] = "proxy"
 
 
 KEYS = tuple(field.name for field in msgspec.structs.fields(Keys))
@@ -71,6 +78,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     fault: Fault
     ids: frozenset[int] | None
+    condition: Condition | None = None
     targets: tuple[str, ...] = ()
     preset: str | None = None
     at_s: float = 0.0
@@ -201,7 +209,7 @@ def _from_preset(data: dict[str, Any], number: int, check: Check, path: Path) ->
 def _entry(data: dict[str, Any], number: int, check: Check, path: Path) -> Entry | None:
     before = len(check.errors)
     keys = check.arguments({k: v for k, v in data.items() if k in KEYS}, Keys, path, ())
-    name = keys.get("fault")
+    name = keys.pop("fault", None)
     kind = fault_class(name) if name is not None else None
     if name is None or kind is None:
         known = [*known_faults(), *ALIASES]
@@ -215,38 +223,27 @@ def _entry(data: dict[str, Any], number: int, check: Check, path: Path) -> Entry
     found = check.arguments(data, kind, path, GIVEN)
     names = keys.pop("target", None) or ()
     names = (names,) if isinstance(names, str) else tuple(names)
+    for text in wrong_targets(name, kind, names):
+        check.wrong((*path, "target"), f"= {text}" if names else text)
+    if keys.get("repeat") is not None and data.get("for_s") is None:
+        check.wrong((*path, "repeat"), "needs for_s; a fault that never ends cannot start again")
+    repeat = keys.get("repeat")
+    if repeat is not None and repeat.every_s is None and keys.get("when") is None:
+        check.wrong((*path, "repeat"), "lacks every_s; only a fault with `when` can do without")
     if len(check.errors) > before:
-        _resolved(kind, names, lambda text: check.wrong((*path, "target"), text))
-        return None
-    given = _resolved(kind, names, lambda text: check.wrong((*path, "target"), text))
-    if given is None:
         return None
     try:
-        fault = kind(**found, **given[0])
+        fault, ids = bind(kind, found, aim(name, kind, names), keys.pop("via", "proxy"))
     except ValueError as error:
         check.wrong(path, f"({name}) {error}")
         return None
-    if keys.get("repeat") is not None and keys.get("for_s") is None:
-        check.wrong((*path, "repeat"), "needs for_s; a fault that never ends cannot start again")
-        return None
+    if keys.get("when") is not None:
+        try:
+            keys["condition"] = Condition(keys["when"])
+        except ValueError as error:
+            check.wrong((*path, "when"), str(error))
+            return None
     after = keys.pop("after", None)
     keys["after"] = After(id=after) if isinstance(after, str) else after
     keys["id"] = keys.get("id") or f"{name}-{number + 1}"
-    keys.pop("fault")
-    return Entry(name=name, fault=fault, ids=given[1], targets=names, written=data, **keys)
-
-
-def _resolved(
-    kind: type[Any], names: tuple[str, ...], wrong: Callable[[str], None]
-) -> tuple[dict[str, Any], frozenset[int] | None] | None:
-    """What a fault takes from its target, and the messages it acts on; None if that is wrong."""
-    try:
-        if kind.acts_on == "fields":
-            if not names:
-                raise ValueError("is missing; give MESSAGE.field, for example HIL_SENSOR.xgyro")
-            elements = targets.fields(names)
-            return {"elements": elements}, frozenset(elements)
-        return {}, targets.messages(names) or None
-    except ValueError as error:
-        wrong(f"= {error}" if names else str(error))
-        return None
+    return Entry(name=name, fault=fault, ids=ids, targets=names, written=data, **keys)

@@ -1,16 +1,32 @@
-"""Tape: what the core received, sent and labelled, kept in memory until a recorder takes it.
+"""Tape: what the core received and sent, kept in memory until a recorder takes it.
 
-The bytes are tlogs: a big-endian Unix stamp in microseconds before each frame. What is no frame is
-kept as it is behind its own stamp; readers of tlogs skip it by searching the next plausible stamp.
-`index` says for every received record which link it came on and how long it is, so that a replay
-needs no search.
+Frames, also of unknown messages or with a wrong CRC, go to tlogs: a big-endian Unix stamp in
+microseconds before each frame. Readers step over such a frame by its length; other bytes would
+cost them the frames behind (pymavlink loses one or two each time), so these go to a file of their
+own, as stamp, length and bytes. `index` says for every received record which link it came on,
+which of the two files it is in and how long it is.
 """
 
 import struct
 from dataclasses import dataclass, field
 
+from mavproxy_fault.wire.frame import STX_V1, STX_V2
+from mavproxy_fault.wire.parser import span
+
 STAMP = struct.Struct(">Q")
-INDEX = struct.Struct("<BxH")  # link, length in bytes
+LENGTH = struct.Struct(">I")
+INDEX = struct.Struct("<BBI")  # link, 1 if among the others, length in bytes
+
+
+@dataclass(slots=True)
+class Taken:
+    """Bytes to append to the files of one session."""
+
+    received: bytes
+    received_other: bytes
+    index: bytes
+    sent: bytes
+    sent_other: bytes
 
 
 @dataclass(slots=True)
@@ -18,22 +34,39 @@ class Tape:
     """Growing logs; `take` hands over and empties each."""
 
     received: bytearray = field(default_factory=bytearray)
-    sent: bytearray = field(default_factory=bytearray)
+    received_other: bytearray = field(default_factory=bytearray)
     index: bytearray = field(default_factory=bytearray)
+    sent: bytearray = field(default_factory=bytearray)
+    sent_other: bytearray = field(default_factory=bytearray)
 
     def receive(self, now_us: int, link: int, raw: bytes) -> None:
         """Note what came."""
-        self.received += STAMP.pack(now_us) + raw
-        self.index += INDEX.pack(link, len(raw))
+        if framed(raw):
+            self.received += STAMP.pack(now_us) + raw
+            self.index += INDEX.pack(link, 0, len(raw))
+        else:
+            self.received_other += STAMP.pack(now_us) + LENGTH.pack(len(raw)) + raw
+            self.index += INDEX.pack(link, 1, len(raw))
 
     def send(self, due_us: int, raw: bytes) -> None:
         """Note what left."""
-        self.sent += STAMP.pack(due_us) + raw
+        if framed(raw):
+            self.sent += STAMP.pack(due_us) + raw
+        else:
+            self.sent_other += STAMP.pack(due_us) + LENGTH.pack(len(raw)) + raw
 
-    def take(self) -> tuple[bytes, bytes, bytes]:
-        """Received, sent and index since the last call."""
-        taken = bytes(self.received), bytes(self.sent), bytes(self.index)
-        self.received.clear()
-        self.sent.clear()
-        self.index.clear()
+    def take(self) -> Taken:
+        """What came together since the last call."""
+        parts = (self.received, self.received_other, self.index, self.sent, self.sent_other)
+        taken = Taken(*(bytes(part) for part in parts))
+        for part in parts:
+            part.clear()
         return taken
+
+
+def framed(raw: bytes) -> bool:
+    """Whether the bytes have the shape of one frame, right or wrong."""
+    if not raw or raw[0] not in (STX_V1, STX_V2):
+        return False
+    place = span(raw, 0)
+    return place is not None and place[0] == len(raw)

@@ -83,9 +83,12 @@ def rot_en(lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
 
 
 def gravity(lat_rad: ArrayLike, height_m: ArrayLike) -> Array:
-    """Normal gravity along the local vertical [m/s^2]: Somigliana, with height to second order."""
+    """Normal gravity along the local vertical [m/s^2]: Somigliana, with height to second order.
+
+    Scalars and arrays alike; the simulator compiles it.
+    """
     s2 = np.sin(lat_rad) ** 2
     surface = _GRAVITY_EQUATOR_MPS2 * (1.0 + _SOMIGLIANA_K * s2) / np.sqrt(1.0 - ECCENTRICITY2 * s2)
-    h = np.asarray(height_m, dtype=float) / SEMI_MAJOR_M
+    h = np.divide(height_m, SEMI_MAJOR_M)
     free_air = 1.0 - 2.0 * (1.0 + FLATTENING + _GRAVITY_M - 2.0 * FLATTENING * s2) * h + 3.0 * h * h
-    return np.asarray(surface * free_air)
+    return np.multiply(surface, free_air)

@@ -41,14 +41,14 @@ class Clock:
 
     def at(self, stamp_us: NDArray[np.int64] | NDArray[np.float64]) -> NDArray[np.float64]:
         """Seconds on the axis of stamps of the log."""
-        stamps = np.asarray(stamp_us, float)
+        stamps: NDArray[np.float64] = np.asarray(stamp_us, float)
         if len(self.stamp_us) == 0:
-            return (stamps - self.t0_us) * 1e-6
-        inside = np.interp(stamps, self.stamp_us, self.vehicle_us)
+            return np.asarray((stamps - self.t0_us) * 1e-6)
+        inside: NDArray[np.float64] = np.interp(stamps, self.stamp_us, self.vehicle_us)
         inside += np.minimum(stamps - self.stamp_us[0], 0) + np.maximum(
             stamps - self.stamp_us[-1], 0
         )
-        return (inside - self.t0_us) * 1e-6
+        return np.asarray((inside - self.t0_us) * 1e-6)
 
 
 def own_time_us(rows: NDArray[np.void]) -> NDArray[np.float64] | None:

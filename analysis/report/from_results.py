@@ -97,6 +97,13 @@ def _signal(panel: str, name: str, rows: list[tuple[float, float]]) -> Signal:
     return Signal(panel, name, t_s, value)
 
 
+def _track(name: str, rows: list[tuple[float, tuple[float, float, float]]]) -> Track:
+    rows.sort(key=lambda row: row[0])
+    lat, lon, height = earth.geodetic_from_ecef(np.array([row[1] for row in rows]))
+    t_s = np.array([row[0] for row in rows])
+    return Track(name, t_s, np.degrees(lat), np.degrees(lon), height)
+
+
 def _alarm_spans(lane: str, rows: list[tuple[float, bool, str]]) -> list[Span]:
     rows.sort(key=lambda row: row[0])
     t_s: Vector = np.array([row[0] for row in rows])
@@ -129,7 +136,8 @@ def isolation_matrix(
         true = [
             label.id
             for label in labels
-            if label.start_us <= result.t_us and (label.end_us is None or result.t_us <= label.end_us)
+            if label.start_us <= result.t_us
+            and (label.end_us is None or result.t_us <= label.end_us)
         ] or ["no fault"]
         for row in true:
             for column in said:

@@ -57,6 +57,7 @@ class LinkFault(msgspec.Struct, frozen=True, kw_only=True):
 
     acts_on: ClassVar[ActsOn] = "frames"
     takes_bytes: ClassVar[bool] = True
+    takes_sealed: ClassVar[bool] = True
 
 
 class Holder(Protocol):

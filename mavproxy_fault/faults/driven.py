@@ -28,6 +28,8 @@ class Driven(ValueFault, frozen=True, kw_only=True):
         """Replace, add to or scale the healthy values."""
         if self.profile is None:
             assert self.value is not None
+            if len(before) == 1 and isinstance(self.value, float):
+                return [meet(self.mode, before[0], self.value)], None
             values = each(self.value, len(before))
             return [meet(self.mode, x, y) for x, y in zip(before, values, strict=True)], None
         if memory is None:

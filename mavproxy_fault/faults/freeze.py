@@ -1,19 +1,88 @@
-"""Values that stand still."""
+"""Values of the past: held, played again, or following too slowly."""
 
-from typing import Any
+import math
+from typing import Any, ClassVar
 
+from mavproxy_fault.faults.profile import NotNegative, Positive
 from mavproxy_fault.faults.value import ValueFault
 from mavproxy_fault.wire.frame import Number
+
+Key = tuple[int, ...]
 
 
 class Freeze(ValueFault, frozen=True, kw_only=True):
     """Hold the values of the first frame after the fault began (a stuck sensor)."""
 
+    by_sender: ClassVar[bool] = True
+
     def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """The values of this sender's first frame."""
-        held: dict[tuple[int, ...], list[Number]] = memory or {}
+        held: dict[Key, list[Number]] = memory or {}
         if key in held:
             return held[key], held
         return before, {**held, key: before}
+
+
+class Replay(ValueFault, frozen=True, kw_only=True):
+    """Let the first `value` seconds pass, then play them again and again."""
+
+    by_sender: ClassVar[bool] = True
+
+    value: Positive
+
+    def after(
+        self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any
+    ) -> tuple[list[Number], Any]:
+        """The next recorded values of this sender."""
+        tapes: dict[Key, tuple[list[list[Number]], int]] = memory or {}
+        tape, at = tapes.get(key, ([], 0))
+        if t_s < self.value or not tape:
+            # Appending to the list of the old state would alter it; a copy per frame would cost
+            # time quadratic in the stretch. The tape only grows at its end and is read up to `at`.
+            tape = [*tape, before] if len(tape) != at else _appended(tape, before)
+            return before, {**tapes, key: (tape, len(tape))}
+        return tape[at % len(tape)], {**tapes, key: (tape, at + 1)}
+
+
+def _appended(tape: list[list[Number]], values: list[Number]) -> list[list[Number]]:
+    tape.append(values)
+    return tape
+
+
+class SlewLimit(ValueFault, frozen=True, kw_only=True):
+    """Follow the healthy value by at most `value` units per second (a weak servo)."""
+
+    by_sender: ClassVar[bool] = True
+
+    value: NotNegative
+
+    def after(
+        self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any
+    ) -> tuple[list[Number], Any]:
+        """One step towards the healthy value."""
+        last: dict[Key, tuple[float, list[Number]]] = memory or {}
+        last_s, held = last.get(key, (t_s, before))
+        most = self.value * max(t_s - last_s, 0.0)
+        now = [h + min(max(x - h, -most), most) for x, h in zip(before, held, strict=True)]
+        return now, {**last, key: (t_s, now)}
+
+
+class Float(ValueFault, frozen=True, kw_only=True):
+    """Let go of the value: it falls back to `neutral` with the time constant `settle_s`."""
+
+    by_sender: ClassVar[bool] = True
+
+    neutral: float = 0.0
+    settle_s: Positive = 0.2
+
+    def after(
+        self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any
+    ) -> tuple[list[Number], Any]:
+        """An exponential from where the fault found it; the healthy value no longer matters."""
+        found: dict[Key, tuple[float, list[Number]]] = memory or {}
+        start_s, start = found.get(key, (t_s, before))
+        share = math.exp(-(t_s - start_s) / self.settle_s)
+        now = [self.neutral + (x - self.neutral) * share for x in start]
+        return now, {**found, key: (start_s, start)}

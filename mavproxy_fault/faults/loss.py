@@ -1,6 +1,6 @@
 """Lost frames: at random, in bursts, or all of them."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from msgspec import Meta
@@ -26,3 +26,87 @@ class Drop(LinkFault, frozen=True, kw_only=True):
         if self.value < 1.0 and rng.random() >= self.value:
             return [Outgoing(t_us, frame)], None
         return [], None
+
+
+class Outage(LinkFault, frozen=True, kw_only=True):
+    """Lose everything: communication is interrupted."""
+
+    def new_state(self, start_us: int) -> None:
+        """Nothing to remember."""
+
+    def apply(
+        self, frame: Frame | bytes, t_us: int, state: Any, rng: np.random.Generator
+    ) -> tuple[list[Outgoing], Any]:
+        """Nothing leaves."""
+        return [], None
+
+
+class GilbertElliott(LinkFault, frozen=True, kw_only=True):
+    """A channel with a good and a bad state: losses come in clusters.
+
+    `to_bad` and `to_good` are the chances, per frame, of changing state; `loss_good` and `loss_bad`
+    the shares lost in each. In the long run to_bad / (to_bad + to_good) of the frames meet the bad
+    state (E. O. Elliott, Bell System Technical Journal 42(5), 1963).
+    """
+
+    to_bad: Share = 0.01
+    to_good: Share = 0.2
+    loss_good: Share = 0.0
+    loss_bad: Share = 1.0
+
+    def new_state(self, start_us: int) -> bool:
+        """Whether the channel is bad: it starts good."""
+        return False
+
+    def apply(
+        self, frame: Frame | bytes, t_us: int, state: bool, rng: np.random.Generator
+    ) -> tuple[list[Outgoing], bool]:
+        """Change state or not, then lose the frame or not."""
+        bad = rng.random() >= self.to_good if state else rng.random() < self.to_bad
+        lost = rng.random() < (self.loss_bad if bad else self.loss_good)
+        return ([] if lost else [Outgoing(t_us, frame)]), bad
+
+
+class Burst(LinkFault, frozen=True, kw_only=True):
+    """Now and then lose `frames` in a row; `value` is the chance that a burst begins at a frame."""
+
+    value: Share = 0.01
+    frames: Annotated[int, Meta(ge=1)] = 10
+
+    def new_state(self, start_us: int) -> int:
+        """How many frames are still to be lost."""
+        return 0
+
+    def apply(
+        self, frame: Frame | bytes, t_us: int, state: int, rng: np.random.Generator
+    ) -> tuple[list[Outgoing], int]:
+        """Lose this frame or not."""
+        left = state or (self.frames if rng.random() < self.value else 0)
+        return ([], left - 1) if left else ([Outgoing(t_us, frame)], 0)
+
+
+class Bucket(NamedTuple):
+    """The moving part of a rate limit: when the next frame may leave."""
+
+    free_us: int
+
+
+class RateLimit(LinkFault, frozen=True, kw_only=True):
+    """Let `value` frames per second pass; what is too much is lost, or queued up to `queue_s`."""
+
+    value: Annotated[float, Meta(gt=0)]
+    queue_s: Annotated[float, Meta(ge=0)] = 0.0
+
+    def new_state(self, start_us: int) -> Bucket:
+        """The first frame may leave at once."""
+        return Bucket(start_us)
+
+    def apply(
+        self, frame: Frame | bytes, t_us: int, state: Bucket, rng: np.random.Generator
+    ) -> tuple[list[Outgoing], Bucket]:
+        """Pass, wait or be lost."""
+        due_us = max(state.free_us, t_us)
+        if due_us - t_us > self.queue_s * 1e6:
+            return [], state
+        late_s = (due_us - t_us) * 1e-6 or None
+        return [Outgoing(due_us, frame, late_s)], Bucket(due_us + round(1e6 / self.value))

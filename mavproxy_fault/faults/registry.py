@@ -4,20 +4,70 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
-from mavproxy_fault.faults import driven, freeze, loss, noise, timing
+from mavproxy_fault.faults import (
+    axes,
+    bits,
+    damage,
+    driven,
+    freeze,
+    late,
+    loss,
+    noise,
+    plant,
+    shape,
+    spoof,
+    stamps,
+    timing,
+    waves,
+)
 
-OURS: dict[str, type] = {
+OURS: dict[str, type[Any]] = {
+    "axis-swap": axes.AxisSwap,
     "bias": driven.Bias,
+    "bit-flip": bits.BitFlip,
+    "burst-loss": loss.Burst,
+    "clear-bits": bits.ClearBits,
     "constant": driven.Constant,
+    "corrupt": damage.Corrupt,
+    "cycle": waves.Cycle,
+    "dead-band": shape.DeadBand,
     "delay": timing.Delay,
     "drift": driven.Drift,
     "drop": loss.Drop,
+    "duplicate": timing.Duplicate,
+    "float": freeze.Float,
     "freeze": freeze.Freeze,
+    "gilbert-elliott": loss.GilbertElliott,
+    "gps-spoof": spoof.GpsSpoof,
+    "impulse": waves.Impulse,
+    "iron": axes.Iron,
+    "jitter": timing.Jitter,
+    "lag": late.Lag,
     "noise": noise.Noise,
+    "not-a-number": bits.NotANumber,
+    "outage": loss.Outage,
+    "plant": plant.Plant,
+    "quantise": shape.Quantise,
     "random-walk": noise.RandomWalk,
+    "rate-limit": loss.RateLimit,
+    "reorder": timing.Reorder,
+    "replay": freeze.Replay,
+    "rotation": axes.Rotation,
+    "sample-hold": late.SampleHold,
+    "saturate": shape.Saturate,
     "scale": driven.Scale,
+    "sequence-gap": damage.SequenceGap,
+    "sine": waves.Sine,
+    "slew-limit": freeze.SlewLimit,
+    "time-backwards": stamps.TimeBackwards,
+    "time-drift": stamps.TimeDrift,
+    "time-jump": stamps.TimeJump,
+    "truncate": damage.Truncate,
 }
-ALIASES = {"stuck": "freeze", "ramp": "drift"}
+ALIASES = {"stuck": "freeze", "ramp": "drift", "nan": "not-a-number", "quantize": "quantise"}
+
+# Faults whose error does not depend on the healthy value: these act on PSEUDORANGE targets too.
+ON_RANGES = ("bias", "cycle", "drift", "drop", "impulse", "noise", "random-walk", "sine")
 
 
 @cache

@@ -1,10 +1,12 @@
-"""Late frames."""
+"""Frames at the wrong time: late, jittered, out of order, twice."""
 
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta
 
 from mavproxy_fault.faults.base import LinkFault, Outgoing
+from mavproxy_fault.faults.loss import Share
 from mavproxy_fault.faults.profile import NotNegative
 from mavproxy_fault.wire.frame import Frame
 
@@ -22,6 +24,80 @@ class Delay(LinkFault, frozen=True, kw_only=True):
     ) -> tuple[list[Outgoing], Any]:
         """The same frame, later."""
         return [late(frame, t_us, self.value)], None
+
+
+class Jitter(LinkFault, frozen=True, kw_only=True):
+    """Hold frames back by a random time on top of `base_s`.
+
+    `value` is the greatest delay (uniform), the mean (exponential), the sigma of the normal
+    distribution (cut at zero), or the scale of the Pareto one (of `shape`, heavy-tailed). With
+    `keep_order` no frame overtakes another.
+    """
+
+    value: NotNegative
+    distribution: Literal["uniform", "normal", "exponential", "pareto"] = "uniform"
+    base_s: NotNegative = 0.0
+    shape: Annotated[float, Meta(gt=1)] = 3.0
+    keep_order: bool = True
+
+    def new_state(self, start_us: int) -> int:
+        """When the frame before is due."""
+        return start_us
+
+    def apply(
+        self, frame: Frame | bytes, t_us: int, state: int, rng: np.random.Generator
+    ) -> tuple[list[Outgoing], int]:
+        """The same frame, a random time later."""
+        out = late(frame, t_us, self.base_s + self._draw(rng))
+        if self.keep_order and out.due_us < state:
+            out = late(frame, t_us, (state - t_us) * 1e-6)
+        return [out], max(out.due_us, state)
+
+    def _draw(self, rng: np.random.Generator) -> float:
+        if self.distribution == "uniform":
+            return float(rng.uniform(0.0, self.value))
+        if self.distribution == "normal":
+            return max(float(rng.normal(0.0, self.value)), 0.0)
+        if self.distribution == "exponential":
+            return float(rng.exponential(self.value))
+        return self.value * float(rng.pareto(self.shape))
+
+
+class Reorder(LinkFault, frozen=True, kw_only=True):
+    """Hold a share `value` of the frames back by `by_s`, so that later ones overtake them."""
+
+    value: Share = 0.1
+    by_s: NotNegative = 0.05
+
+    def new_state(self, start_us: int) -> None:
+        """Nothing to remember."""
+
+    def apply(
+        self, frame: Frame | bytes, t_us: int, state: Any, rng: np.random.Generator
+    ) -> tuple[list[Outgoing], Any]:
+        """Hold this frame back or not."""
+        return [late(frame, t_us, self.by_s if rng.random() < self.value else 0.0)], None
+
+
+class Duplicate(LinkFault, frozen=True, kw_only=True):
+    """Send a share `value` of the frames more than once: `copies` more, the last `by_s` later."""
+
+    value: Share = 1.0
+    copies: Annotated[int, Meta(ge=1, le=100)] = 1
+    by_s: NotNegative = 0.0
+
+    def new_state(self, start_us: int) -> None:
+        """Nothing to remember."""
+
+    def apply(
+        self, frame: Frame | bytes, t_us: int, state: Any, rng: np.random.Generator
+    ) -> tuple[list[Outgoing], Any]:
+        """The frame, and its copies."""
+        first = Outgoing(t_us, frame)
+        if self.value < 1.0 and rng.random() >= self.value:
+            return [first], None
+        step_s = self.by_s / self.copies
+        return [first, *(late(frame, t_us, step_s * (i + 1)) for i in range(self.copies))], None
 
 
 def late(frame: Frame | bytes, t_us: int, by_s: float) -> Outgoing:

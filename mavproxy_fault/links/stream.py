@@ -7,7 +7,7 @@ from collections import deque
 
 from mavproxy_fault.links.link import BATCH, QUEUE_LIMIT, LinkCounters
 
-READ_SIZE = 65_536
+READ_SIZE = 32_768  # what is no frame must still fit one datagram
 
 
 class Stream:

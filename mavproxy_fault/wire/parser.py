@@ -52,6 +52,14 @@ class ParserCounters:
     crc_errors: int = 0
     junk_bytes: int = 0
 
+    def add(self, other: "ParserCounters") -> None:
+        """Add another parser's counts to these."""
+        self.bytes += other.bytes
+        self.frames += other.frames
+        self.unknown += other.unknown
+        self.crc_errors += other.crc_errors
+        self.junk_bytes += other.junk_bytes
+
 
 class Parser:
     """The state of one stream; datagrams leave none behind."""
@@ -115,10 +123,10 @@ class Parser:
 
     def _candidate(self, data: bytes, at: int) -> Frame | Junk | Literal[False] | None:
         """What begins at a start byte; None if it is incomplete, False if it is no frame."""
-        span = _span(data, at)
-        if span is None or at + span[0] > len(data):
+        place = span(data, at)
+        if place is None or at + place[0] > len(data):
             return None
-        length, number, checked = span
+        length, number, checked = place
         if number in self._layouts:
             known = self._layouts[number]
         else:
@@ -141,7 +149,7 @@ class Parser:
         return Frame(raw, known)
 
 
-def _span(data: bytes, at: int) -> tuple[int, int, int] | None:
+def span(data: bytes, at: int) -> tuple[int, int, int] | None:
     """Length, message id and offset of the CRC of a frame by its header; None if that is cut."""
     if data[at] == STX_V2:
         if at + HEADER_V2 > len(data):
@@ -165,11 +173,11 @@ def _holds_frame(data: bytes, start: int, end: int) -> bool:
     for at in range(start, end - HEADER_V1 - CRC_LENGTH + 1):
         if data[at] != STX_V2 and data[at] != STX_V1:
             continue
-        span = _span(data, at)
-        if span is None or at + span[0] > end:
+        place = span(data, at)
+        if place is None or at + place[0] > end:
             continue
-        known = layout(span[1])
-        checked = at + span[2]
+        known = layout(place[1])
+        checked = at + place[2]
         if known is not None and mcrf4xx(
             data[at + 1 : checked] + bytes((known.crc_extra,))
         ) == int.from_bytes(data[checked : checked + CRC_LENGTH], "little"):

@@ -185,7 +185,7 @@ class Reassembler:
             return list(split_messages(data))
         parts = self._pending.setdefault(sequence, {})
         parts[flags >> 1 & 3] = data
-        whole = _joined(parts)
+        whole = joined(parts)
         if whole is not None:
             del self._pending[sequence]
             return list(split_messages(whole))
@@ -194,7 +194,7 @@ class Reassembler:
         return []
 
 
-def _joined(parts: dict[int, bytes]) -> bytes | None:
+def joined(parts: dict[int, bytes]) -> bytes | None:
     """All fragments up to the first that is not full, joined; None while one of them is missing."""
     whole = b""
     for number in range(FRAGMENTS_MAX):

@@ -16,7 +16,7 @@ def test_a_client_receives_what_the_router_publishes() -> None:
     with router() as hub, open_bus(hub.url, run="test") as client:
         got: queue.Queue[tuple[str, bytes]] = queue.Queue(10)
         client.subscribe("fdi/**", lambda key, payload: got.put((key, payload)))
-        hub.put("fdi/main/stat", b'{"t_s": 1}')
+        hub.put("fdi/main/stat", b'{"t_s": 1}', history=1)
         assert got.get(timeout=5) == ("mavfault/v1/test/fdi/main/stat", b'{"t_s": 1}')
 
 

@@ -85,6 +85,8 @@ def test_the_label_counts_values_that_did_not_fit():
 
 def test_only_messages_of_the_schedule_are_wanted():
     it = engine(BIAS)
+    assert it.wanted is None  # until the first frame has set the time
+    it.start_at(0)
     assert it.wanted == {known("HIL_SENSOR").id}
     it.arm({"id": "all", "fault": "drop"})
     assert it.wanted is None

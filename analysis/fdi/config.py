@@ -1,0 +1,137 @@
+"""Parameters of the detector."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from analysis.fdi.verdict import RULES
+from analysis.gnss import TYPICAL_ALPHA, TYPICAL_BETA
+from analysis.samples import Vector
+from mavproxy_fault.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SigmaModel:
+    """One sigma of a pseudorange from elevation and C/N0.
+
+    sigma^2 = scale^2 (floor^2 + (zenith / sin(elevation))^2 + thermal^2 10^((45 - C/N0) / 10))
+
+    `slow` is the share of sigma that stays the same for minutes (multipath, ephemeris and
+    atmosphere left over): what the tests with memory may not take for a fault.
+    """
+
+    scale: float = 1.0
+    floor_m: float = 0.3
+    zenith_m: float = 0.4
+    thermal_m: float = 0.3
+    slow: float = 0.3
+    rate_mps: float = 0.1
+
+    def sigma_m(self, elevation_rad: Vector, cn0_dbhz: Vector) -> Vector:
+        """One sigma (n,) of each pseudorange; 45 dBHz where C/N0 is not given."""
+        cn0 = np.where(np.isfinite(cn0_dbhz), cn0_dbhz, 45.0)
+        variance = (
+            self.floor_m**2
+            + (self.zenith_m / np.sin(np.maximum(elevation_rad, 0.05))) ** 2
+            + self.thermal_m**2 * 10.0 ** ((45.0 - cn0) / 10.0)
+        )
+        result: Vector = self.scale * np.sqrt(variance)
+        return result
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Noise:
+    """Process noise: densities of the IMU, the receiver's clock, and motion without an IMU.
+
+    The densities of the IMU are those of a small MEMS part with room for vibration and timing.
+    """
+
+    gyro_rps: float = 2e-3  # rad/s/sqrt(Hz)
+    accel_mps2: float = 2e-2  # m/s^2/sqrt(Hz)
+    gyro_walk: float = 2e-5  # rad/s^2/sqrt(Hz)
+    accel_walk: float = 5e-4  # m/s^3/sqrt(Hz)
+    clock_m: float = 0.3  # m/sqrt(s)
+    drift_mps: float = 0.3  # m/s/sqrt(s)
+    isb_m: float = 0.005  # m/sqrt(s)
+    motion_mps2: float = 3.0  # m/s^2/sqrt(Hz), where no IMU tells of the motion
+
+    def densities(self) -> Vector:
+        """Squares (8,) in the order of the fields, as the kernels take them."""
+        values = [getattr(self, name) for name in self.__dataclass_fields__]
+        return np.array(values) ** 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectorConfig:
+    """What the detector may assume and how often it may cry wolf.
+
+    `p_false_alarm` is per GNSS epoch for the main test F00; `p_slow` per epoch for the tests with
+    memory. `readmit_s` is how long an excluded satellite must look healthy before it is used
+    again, `gap_s` the longest IMU gap that is bridged, `reset_s` the longest gap of epochs.
+    """
+
+    p_false_alarm: float = 1e-4
+    p_slow: float = 1e-5
+    p_other: float = 1e-5
+    rule: str = "explicit"
+    left_out: int = 3
+    mask_deg: float = 10.0
+    readmit_s: float = 10.0
+    imu_hold_s: float = 10.0
+    gap_s: float = 0.15
+    reset_s: float = 10.0
+    history_s: float = 30.0
+    doppler: bool = True
+    sigma: SigmaModel = field(default_factory=SigmaModel)
+    noise: Noise = field(default_factory=Noise)
+    ionosphere: tuple[float, ...] = TYPICAL_ALPHA + TYPICAL_BETA
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be meant.
+
+        Raises
+        ------
+        ConfigError
+            Naming the field, its value and what is allowed.
+        """
+        for name in ("p_false_alarm", "p_slow", "p_other"):
+            value = getattr(self, name)
+            if not 0.0 < value < 0.5:
+                raise ConfigError(f"monitor.{name} = {value} is no probability; 0 to 0.5 is")
+        if self.rule not in RULES:
+            raise ConfigError(
+                f"monitor.rule = {self.rule!r} is unknown; known: {', '.join(sorted(RULES))}"
+            )
+        for name in ("left_out", "readmit_s", "imu_hold_s", "gap_s", "reset_s", "history_s"):
+            value = getattr(self, name)
+            if not value >= 0:
+                raise ConfigError(f"monitor.{name} = {value} is negative; it must be 0 or more")
+        if len(self.ionosphere) != 8:
+            raise ConfigError("monitor.ionosphere must hold Klobuchar's four alpha and four beta")
+
+    @classmethod
+    def from_mapping(cls, values: dict[str, Any]) -> "DetectorConfig":
+        """A configuration from the names of a scenario or a calibration file.
+
+        Raises
+        ------
+        ConfigError
+            For a name or value that is not allowed.
+        """
+        parts: dict[str, Any] = dict(values)
+        for name, kind in (("sigma", SigmaModel), ("noise", Noise)):
+            if name in parts:
+                parts[name] = _build(f"monitor.{name}", kind, parts[name])
+        if "ionosphere" in parts:
+            parts["ionosphere"] = tuple(float(x) for x in parts["ionosphere"])
+        built: DetectorConfig = _build("monitor", cls, parts)
+        return built
+
+
+def _build(where: str, kind: Any, values: dict[str, Any]) -> Any:
+    known = kind.__dataclass_fields__
+    for name in values:
+        if name not in known:
+            raise ConfigError(f"{where}.{name} is unknown; known: {', '.join(sorted(known))}")
+    return kind(**values)

@@ -1,0 +1,224 @@
+"""The navigation state between epochs: strapdown mechanisation in ECEF and its error covariance.
+
+State x (19,): position r (m), velocity v (m/s), quaternion q_eb (body to ECEF), gyro bias (rad/s),
+accelerometer bias (m/s^2), receiver clock (m), its drift (m/s), Galileo's offset (m).
+Error (18,): dr, dv, psi, dbg, dba, dc, dd, di with the true attitude exp([psi]x) C_eb. Then [1]_
+
+    dr' = dv
+    dv' = -[f_e]x psi - C dba - 2 Omega x dv
+    psi' = -C dbg - Omega x psi
+    dc' = dd
+
+with white noise on psi', dv', and random walks of the biases, clock, drift and offset. The
+gradient of gravity is left out: it matters over minutes without GNSS only.
+
+References
+----------
+.. [1] P. D. Groves, Principles of GNSS, Inertial and Multisensor Integrated Navigation Systems,
+   2nd ed., 2013, sections 5.3 and 14.2.3.
+"""
+
+import math
+
+import numpy as np
+
+from analysis.compiled import compiled
+from analysis.samples import Vector
+
+X_SIZE = 19
+ERRORS = 18
+R, V, PSI, BG, BA, CLOCK, DRIFT, ISB = 0, 3, 6, 9, 12, 15, 16, 17
+X_Q, X_BG, X_BA, X_CLOCK, X_DRIFT, X_ISB = 6, 10, 13, 16, 17, 18
+
+
+@compiled
+def gravity_ecef(r: Vector) -> Vector:
+    """Gravity (3,) in ECEF: mass attraction with J2, and the centrifugal part (WGS 84)."""
+    square = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
+    size = math.sqrt(square)
+    out = np.zeros(3)
+    if size < 1.0e6:
+        return out
+    factor = -3.986004418e14 / (square * size)
+    bulge = 1.5 * 1.082627e-3 * 6378137.0 * 6378137.0 / square
+    tilt = 5.0 * r[2] * r[2] / square
+    spin = 7.2921151467e-5**2
+    out[0] = (factor * (1.0 + bulge * (1.0 - tilt)) + spin) * r[0]
+    out[1] = (factor * (1.0 + bulge * (1.0 - tilt)) + spin) * r[1]
+    out[2] = factor * (1.0 + bulge * (3.0 - tilt)) * r[2]
+    return out
+
+
+@compiled
+def matrix(q: Vector) -> Vector:
+    """Rotation matrix (3, 3) of a unit quaternion (w, x, y, z)."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    out = np.empty((3, 3))
+    out[0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    out[0, 1] = 2.0 * (x * y - w * z)
+    out[0, 2] = 2.0 * (x * z + w * y)
+    out[1, 0] = 2.0 * (x * y + w * z)
+    out[1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    out[1, 2] = 2.0 * (y * z - w * x)
+    out[2, 0] = 2.0 * (x * z - w * y)
+    out[2, 1] = 2.0 * (y * z + w * x)
+    out[2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    return out
+
+
+@compiled
+def turned(q: Vector, rotvec: Vector, left: bool) -> Vector:
+    """q followed (left) or preceded by the turn of a rotation vector (3,), normalised."""
+    angle = math.sqrt(rotvec[0] ** 2 + rotvec[1] ** 2 + rotvec[2] ** 2)
+    scale = 0.5 if angle < 1e-8 else math.sin(0.5 * angle) / angle
+    w, x, y, z = math.cos(0.5 * angle), scale * rotvec[0], scale * rotvec[1], scale * rotvec[2]
+    sign = 1.0 if left else -1.0
+    out = np.empty(4)
+    out[0] = w * q[0] - x * q[1] - y * q[2] - z * q[3]
+    out[1] = w * q[1] + x * q[0] + sign * (y * q[3] - z * q[2])
+    out[2] = w * q[2] + y * q[0] + sign * (z * q[1] - x * q[3])
+    out[3] = w * q[3] + z * q[0] + sign * (x * q[2] - y * q[1])
+    return out / math.sqrt((out * out).sum())
+
+
+@compiled
+def _mechanise(x: Vector, gyro: Vector, accel: Vector, dt: float) -> tuple[Vector, Vector]:
+    """Advance x in place; returns the rotation and the specific force in ECEF at mid-step."""
+    earth = 7.2921151467e-5
+    rate = np.empty(3)
+    c = matrix(x[6:10])
+    for i in range(3):
+        rate[i] = (gyro[i] - x[10 + i] - earth * c[2, i]) * dt
+    mid = matrix(turned(x[6:10], 0.5 * rate, False))
+    f = np.empty(3)
+    for i in range(3):
+        f[i] = 0.0
+        for j in range(3):
+            f[i] += mid[i, j] * (accel[j] - x[13 + j])
+    g = gravity_ecef(x[0:3])
+    vx, vy = x[3], x[4]
+    step = np.empty(3)
+    step[0] = (f[0] + g[0] + 2.0 * earth * vy) * dt
+    step[1] = (f[1] + g[1] - 2.0 * earth * vx) * dt
+    step[2] = (f[2] + g[2]) * dt
+    for i in range(3):
+        x[i] += (x[3 + i] + 0.5 * step[i]) * dt
+        x[3 + i] += step[i]
+    x[6:10] = turned(x[6:10], rate, False)
+    return mid, f
+
+
+@compiled
+def _transition(p: Vector, c: Vector, f: Vector, dt: float) -> None:
+    """Multiply p (18, k) from the left by the transition of one step, in place."""
+    earth = 7.2921151467e-5 * dt
+    fx, fy, fz = f[0] * dt, f[1] * dt, f[2] * dt
+    for j in range(p.shape[1]):
+        vx, vy = p[3, j], p[4, j]
+        tx, ty, tz = p[6, j], p[7, j], p[8, j]
+        p[0, j] += dt * p[3, j]
+        p[1, j] += dt * p[4, j]
+        p[2, j] += dt * p[5, j]
+        a0, a1, a2 = p[12, j] * dt, p[13, j] * dt, p[14, j] * dt
+        g0, g1, g2 = p[9, j] * dt, p[10, j] * dt, p[11, j] * dt
+        p[3, j] += fz * ty - fy * tz - (c[0, 0] * a0 + c[0, 1] * a1 + c[0, 2] * a2)
+        p[4, j] += fx * tz - fz * tx - (c[1, 0] * a0 + c[1, 1] * a1 + c[1, 2] * a2)
+        p[5, j] += fy * tx - fx * ty - (c[2, 0] * a0 + c[2, 1] * a1 + c[2, 2] * a2)
+        p[3, j] += 2.0 * earth * vy
+        p[4, j] -= 2.0 * earth * vx
+        p[6, j] += earth * ty - (c[0, 0] * g0 + c[0, 1] * g1 + c[0, 2] * g2)
+        p[7, j] -= earth * tx + (c[1, 0] * g0 + c[1, 1] * g1 + c[1, 2] * g2)
+        p[8, j] -= c[2, 0] * g0 + c[2, 1] * g1 + c[2, 2] * g2
+        p[15, j] += dt * p[16, j]
+
+
+@compiled
+def _add_noise(p: Vector, noise: Vector, dt: float) -> None:
+    for i in range(3):
+        p[3 + i, 3 + i] += noise[1] * dt
+        p[6 + i, 6 + i] += noise[0] * dt
+        p[9 + i, 9 + i] += noise[2] * dt
+        p[12 + i, 12 + i] += noise[3] * dt
+    p[15, 15] += noise[4] * dt + noise[5] * dt * dt * dt / 3.0
+    p[15, 16] += noise[5] * dt * dt / 2.0
+    p[16, 15] += noise[5] * dt * dt / 2.0
+    p[16, 16] += noise[5] * dt
+    p[17, 17] += noise[6] * dt
+
+
+@compiled
+def propagate_inertial(
+    x: Vector, p: Vector, samples: Vector, noise: Vector
+) -> tuple[Vector, Vector, Vector]:
+    """State and covariance over a run of IMU samples.
+
+    Parameters
+    ----------
+    x, p : (19,) and (18, 18)
+    samples : (k, 7), each the length of its step in s, rates (3) and specific force (3)
+    noise : (8,), squared densities of `Noise`
+
+    Returns
+    -------
+    x, p and the transition (18, 18) of the whole run; the arguments stay as they were.
+    """
+    x, p = x.copy(), p.copy()
+    phi = np.eye(18)
+    for k in range(samples.shape[0]):
+        dt = samples[k, 0]
+        if dt <= 0.0:
+            continue
+        c, f = _mechanise(x, samples[k, 1:4], samples[k, 4:7], dt)
+        _transition(p, c, f, dt)
+        _transition(p.T, c, f, dt)
+        _transition(phi, c, f, dt)
+        _add_noise(p, noise, dt)
+        x[16] += x[17] * dt
+    return x, p, phi
+
+
+@compiled
+def propagate_freely(
+    x: Vector, p: Vector, dt: float, noise: Vector
+) -> tuple[Vector, Vector, Vector]:
+    """The same over `dt` seconds without an IMU: steady velocity with random acceleration."""
+    x, p = x.copy(), p.copy()
+    phi = np.eye(18)
+    for i in range(3):
+        phi[i, 3 + i] = dt
+        x[i] += x[3 + i] * dt
+    phi[15, 16] = dt
+    x[16] += x[17] * dt
+    p = phi @ p @ phi.T
+    quiet = noise.copy()
+    quiet[0] = quiet[1] = 0.0
+    _add_noise(p, quiet, dt)
+    q = noise[7]
+    for i in range(3):
+        p[i, i] += q * dt**3 / 3.0
+        p[i, 3 + i] += q * dt**2 / 2.0
+        p[3 + i, i] += q * dt**2 / 2.0
+        p[3 + i, 3 + i] += q * dt
+    return x, p, phi
+
+
+@compiled
+def project(p: Vector, h: Vector, variance: Vector) -> tuple[Vector, Vector]:
+    """P H' (18, n) and the innovation covariance S = H P H' + diag(variance) (n, n)."""
+    ph = p @ h.T
+    s = h @ ph
+    for i in range(variance.shape[0]):
+        s[i, i] += variance[i]
+    return ph, 0.5 * (s + s.T)
+
+
+@compiled
+def correct(x: Vector, p: Vector, gain: Vector, ph: Vector, v: Vector) -> tuple[Vector, Vector]:
+    """State and covariance after the innovations v (n,) with the gain P H' inv(S) (18, n)."""
+    d = gain @ v
+    x = x.copy()
+    x[0:6] += d[0:6]
+    x[6:10] = turned(x[6:10], d[6:9], True)
+    x[10:19] += d[9:18]
+    p = p - gain @ ph.T
+    return x, 0.5 * (p + p.T)

@@ -1,0 +1,98 @@
+"""From one epoch to the next: by the IMU where it is there and sound, freely otherwise."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from analysis.fdi.align import LONGEST_S, aligned, extend, new_alignment
+from analysis.fdi.config import DetectorConfig
+from analysis.fdi.inertial import PSI, propagate_freely, propagate_inertial
+from analysis.fdi.state import Core, Motion, Pending
+from analysis.samples import ImuSample, Vector
+
+PENDING_MAX = 40_000  # samples without an epoch between; older ones are forgotten
+TURN_SIGMA_RPS = 0.5  # how fast a body may turn while its IMU is silent
+SHORT_GAP_S = 1.0  # after a longer one the attitude is found anew
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """The IMU between two instants: samples (k, 7) with the length of each step; `gap_s` is the
+    longest silence in it and `heard` whether there was any sample."""
+
+    samples: Vector
+    gap_s: float
+    heard: bool
+
+
+def keep_pending(sample: ImuSample, pending: Pending | None) -> Pending:
+    """One more sample for the next epoch."""
+    if pending is None or pending.depth >= PENDING_MAX:
+        return Pending(sample, None, 1)
+    return Pending(sample, pending, pending.depth + 1)
+
+
+def split_pending(pending: Pending | None, until_us: int) -> tuple[list[ImuSample], Pending | None]:
+    """Samples up to `until_us`, oldest first, and those that stay pending."""
+    newer: list[ImuSample] = []
+    while pending is not None and pending.sample.t_us > until_us:
+        newer.append(pending.sample)
+        pending = pending.older
+    older: list[ImuSample] = []
+    while pending is not None:
+        older.append(pending.sample)
+        pending = pending.older
+    rest: Pending | None = None
+    for sample in reversed(newer):
+        rest = keep_pending(sample, rest)
+    older.reverse()
+    return older, rest
+
+
+def segment(run: list[ImuSample], motion: Motion, until_us: int) -> Segment:
+    """Steps from the filter's time to `until_us`; the last sample is held to the end."""
+    run = [sample for sample in run if sample.t_us > motion.t_us]
+    if not run:
+        return Segment(np.empty((0, 7)), (until_us - motion.t_us) * 1e-6, False)
+    stamps = np.array([motion.t_us, *(sample.t_us for sample in run), until_us])
+    table = np.empty((len(run) + 1, 7))
+    table[:-1, 1:4] = [sample.gyro_b_rps for sample in run]
+    table[:-1, 4:7] = [sample.accel_b_mps2 for sample in run]
+    table[-1, 1:7] = table[-2, 1:7]
+    table[:, 0] = np.diff(stamps) * 1e-6
+    finite = np.isfinite(table).all(axis=1)
+    if not finite.all():
+        return Segment(np.empty((0, 7)), float(table[:, 0].sum()), True)
+    return Segment(table, float(table[:, 0].max()), True)
+
+
+def advance(motion: Motion, part: Segment, until_us: int, config: DetectorConfig) -> Motion:
+    """The filter at `until_us`, before the epoch there is used."""
+    dt_s = (until_us - motion.t_us) * 1e-6
+    noise = config.noise.densities()
+    whole = part.gap_s <= config.gap_s and len(part.samples) > 0
+    if motion.inertial and whole:
+        x, p, _ = propagate_inertial(motion.x, motion.p, part.samples, noise)
+        return Motion(until_us, x, p, True)
+    x, p, _ = propagate_freely(motion.x, motion.p, dt_s, noise)
+    inertial = motion.inertial and part.gap_s <= SHORT_GAP_S and part.heard
+    if inertial:
+        p[range(PSI, PSI + 3), range(PSI, PSI + 3)] += (TURN_SIGMA_RPS * part.gap_s) ** 2
+    alignment = motion.alignment if whole and not motion.inertial else None
+    return replace(motion, t_us=until_us, x=x, p=p, inertial=inertial, alignment=alignment)
+
+
+def find_attitude(
+    core: Core, motion: Motion, part: Segment, dt_s: float, config: DetectorConfig
+) -> Motion:
+    """After an epoch without inertial attitude: gather, and switch to the IMU once it is found."""
+    if motion.inertial or not len(part.samples) or part.gap_s > config.gap_s:
+        return motion
+    if core.imu_bad_until_us is not None and motion.t_us < core.imu_bad_until_us:
+        return motion
+    alignment = motion.alignment
+    if alignment is None or (motion.t_us - alignment.start_us) * 1e-6 > LONGEST_S:
+        return replace(motion, alignment=new_alignment(motion))
+    alignment = extend(alignment, motion, part.samples, dt_s)
+    found = aligned(alignment, motion, core.mag_b)
+    return found if found is not None else replace(motion, alignment=alignment)

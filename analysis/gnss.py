@@ -1,0 +1,234 @@
+"""Broadcast orbits and clocks of GPS and Galileo, and the delays of the atmosphere.
+
+Positions and velocities follow the algorithm of the interface documents [1]_ [2]_ with the
+velocity in closed form; the ionosphere is Klobuchar's model [1]_, the troposphere Saastamoinen's
+zenith delay [3]_ in the standard atmosphere with the mapping of Black and Eisner [4]_.
+
+References
+----------
+.. [1] IS-GPS-200N, 20.3.3.3.3 (clock), 20.3.3.4.3 (orbit), 20.3.3.5.2.5 (ionosphere).
+.. [2] Galileo OS SIS ICD 2.1, sections 5.1.1 and 5.1.4.
+.. [3] J. Saastamoinen, Bulletin Geodesique 107, 1973.
+.. [4] H. D. Black and A. Eisner, J. Geophys. Res. 89 (D2), 1984.
+"""
+
+import math
+
+import numpy as np
+
+from analysis.compiled import compiled
+from analysis.samples import Vector
+from mavproxy_fault.wire.ephemeris import Ephemeris
+
+LIGHT_MPS = 299_792_458.0
+MU_GPS = 3.986005e14  # m^3/s^2, IS-GPS-200N
+MU_GALILEO = 3.986004418e14  # m^3/s^2, Galileo OS SIS ICD
+EARTH_RATE_RPS = 7.2921151467e-5  # both documents
+L1_HZ = 1575.42e6  # GPS L1 and Galileo E1
+WEEK_S = 604_800.0
+WGS84_A_M = 6_378_137.0
+WGS84_E2 = 6.69437999014e-3
+
+# Klobuchar's coefficients of a quiet to moderate day, for when none are broadcast.
+TYPICAL_ALPHA = (1.118e-8, 7.451e-9, -5.96e-8, -5.96e-8)
+TYPICAL_BETA = (9.011e4, 0.0, -1.966e5, -6.554e4)
+
+_ORBIT_FIELDS = ("sqrt_a", "eccentricity", "i0_rad", "omega0_rad", "omega_rad", "m0_rad")
+_RATE_FIELDS = ("delta_n_rps", "omega_dot_rps", "idot_rps")
+_WAVE_FIELDS = ("crs_m", "crc_m", "cus_rad", "cuc_rad", "cis_rad", "cic_rad")
+_CLOCK_FIELDS = ("toe_s", "toc_s", "af0_s", "af1", "af2_per_s")
+_FIELDS = (*_CLOCK_FIELDS, *_ORBIT_FIELDS, *_RATE_FIELDS, *_WAVE_FIELDS, "group_delay_s")
+
+
+def pack_ephemeris(ephemeris: Ephemeris) -> Vector:
+    """The numbers of one ephemeris (23,): mu, week, then `_FIELDS` in their order."""
+    mu = MU_GALILEO if ephemeris.satellite[0] == "E" else MU_GPS
+    values = [float(getattr(ephemeris, name)) for name in _FIELDS]
+    return np.array([mu, float(ephemeris.week), *values])
+
+
+@compiled
+def satellite_states(packed: Vector, week: float, tow_s: float, pseudorange_m: Vector) -> Vector:
+    """Satellites when they sent what is received now.
+
+    Parameters
+    ----------
+    packed : (n, 23), rows of `pack_ephemeris`
+    week, tow_s : GPS time of reception by the receiver's clock
+    pseudorange_m : (n,)
+
+    Returns
+    -------
+    (n, 8) : position (3) in m and velocity (3) in m/s, ECEF at the time of transmission; clock
+        offset in m (relativity and group delay of L1 or E1 included) and its rate in m/s.
+    """
+    out = np.empty((packed.shape[0], 8))
+    for i in range(packed.shape[0]):
+        row = packed[i]
+        since_toc = (week - row[1]) * 604800.0 + tow_s - pseudorange_m[i] / 299792458.0 - row[3]
+        clock = row[4] + row[5] * since_toc + row[6] * since_toc * since_toc
+        since_toc -= clock
+        clock = row[4] + row[5] * since_toc + row[6] * since_toc * since_toc
+        relativity = _orbit(row, since_toc + row[3] - row[2], out[i])
+        out[i, 6] = 299792458.0 * (clock - row[22] + relativity)
+        out[i, 7] = 299792458.0 * (row[5] + 2.0 * row[6] * since_toc)
+    return out
+
+
+@compiled
+def _orbit(row: Vector, t_k: float, out: Vector) -> float:
+    """Fill position and velocity `t_k` seconds after toe; returns the relativistic clock term."""
+    mu, e, sqrt_a = row[0], row[8], row[7]
+    a = sqrt_a * sqrt_a
+    n = math.sqrt(mu / (a * a * a)) + row[13]
+    mean = row[12] + n * t_k
+    ecc = mean
+    for _ in range(12):
+        step = (ecc - e * math.sin(ecc) - mean) / (1.0 - e * math.cos(ecc))
+        ecc -= step
+        if abs(step) < 1e-13:
+            break
+    sin_e, cos_e = math.sin(ecc), math.cos(ecc)
+    ecc_rate = n / (1.0 - e * cos_e)
+    root = math.sqrt(1.0 - e * e)
+    phi = math.atan2(root * sin_e, cos_e - e) + row[11]
+    phi_rate = root * ecc_rate / (1.0 - e * cos_e)
+    s2, c2 = math.sin(2.0 * phi), math.cos(2.0 * phi)
+    u = phi + row[18] * s2 + row[19] * c2
+    u_rate = phi_rate * (1.0 + 2.0 * (row[18] * c2 - row[19] * s2))
+    r = a * (1.0 - e * cos_e) + row[16] * s2 + row[17] * c2
+    r_rate = a * e * sin_e * ecc_rate + 2.0 * phi_rate * (row[16] * c2 - row[17] * s2)
+    inc = row[9] + row[15] * t_k + row[20] * s2 + row[21] * c2
+    inc_rate = row[15] + 2.0 * phi_rate * (row[20] * c2 - row[21] * s2)
+    node_rate = row[14] - 7.2921151467e-5
+    node = row[10] + node_rate * t_k - 7.2921151467e-5 * row[2]
+    x, y = r * math.cos(u), r * math.sin(u)
+    x_rate = r_rate * math.cos(u) - y * u_rate
+    y_rate = r_rate * math.sin(u) + x * u_rate
+    so, co, si, ci = math.sin(node), math.cos(node), math.sin(inc), math.cos(inc)
+    out[0] = x * co - y * ci * so
+    out[1] = x * so + y * ci * co
+    out[2] = y * si
+    out[3] = x_rate * co - y_rate * ci * so + y * si * so * inc_rate - out[1] * node_rate
+    out[4] = x_rate * so + y_rate * ci * co - y * si * co * inc_rate + out[0] * node_rate
+    out[5] = y_rate * si + y * ci * inc_rate
+    relativity: float = -2.0 * math.sqrt(mu) / (299792458.0 * 299792458.0) * e * sqrt_a * sin_e
+    return relativity
+
+
+@compiled
+def geodetic(r_ecef_m: Vector) -> tuple[float, float, float]:
+    """Latitude and longitude in rad and ellipsoidal height in m (WGS 84, by iteration)."""
+    x, y, z = r_ecef_m[0], r_ecef_m[1], r_ecef_m[2]
+    p = math.sqrt(x * x + y * y)
+    lat = math.atan2(z, p * (1.0 - 6.69437999014e-3))
+    height = 0.0
+    for _ in range(5):
+        s = math.sin(lat)
+        n = 6378137.0 / math.sqrt(1.0 - 6.69437999014e-3 * s * s)
+        height = p * math.cos(lat) + z * s - n * (1.0 - 6.69437999014e-3 * s * s)
+        lat = math.atan2(z, p * (1.0 - 6.69437999014e-3 * n / (n + height)))
+    return lat, math.atan2(y, x), height
+
+
+@compiled
+def ned_axes(lat_rad: float, lon_rad: float) -> Vector:
+    """Rows (3, 3): north, east and down in ECEF."""
+    sl, cl = math.sin(lat_rad), math.cos(lat_rad)
+    so, co = math.sin(lon_rad), math.cos(lon_rad)
+    return np.array([[-sl * co, -sl * so, cl], [-so, co, 0.0], [-cl * co, -cl * so, -sl]])
+
+
+@compiled
+def klobuchar_m(
+    lat_rad: float, lon_rad: float, az_rad: float, el_rad: float, tow_s: float, coefficients: Vector
+) -> float:
+    """Delay of L1 by the ionosphere; `coefficients` (8,) are alpha, then beta."""
+    el = el_rad / math.pi
+    psi = 0.0137 / (el + 0.11) - 0.022
+    lat = lat_rad / math.pi + psi * math.cos(az_rad)
+    lat = min(max(lat, -0.416), 0.416)
+    lon = lon_rad / math.pi + psi * math.sin(az_rad) / math.cos(lat * math.pi)
+    lat_m = lat + 0.064 * math.cos((lon - 1.617) * math.pi)
+    local_s = (4.32e4 * lon + tow_s) % 86400.0
+    slant = 1.0 + 16.0 * (0.53 - el) ** 3
+    amplitude, period = 0.0, 0.0
+    for i in range(4):
+        amplitude += coefficients[i] * lat_m**i
+        period += coefficients[4 + i] * lat_m**i
+    x = 2.0 * math.pi * (local_s - 50400.0) / max(period, 72000.0)
+    delay = 5e-9
+    if abs(x) < 1.57:
+        delay += max(amplitude, 0.0) * (1.0 - x * x / 2.0 + x**4 / 24.0)
+    metres: float = 299792458.0 * slant * delay
+    return metres
+
+
+@compiled
+def troposphere_m(lat_rad: float, height_m: float, el_rad: float) -> float:
+    """Slant delay in the standard atmosphere at 50 % humidity."""
+    if height_m < -1000.0 or height_m > 20000.0:
+        return 0.0
+    h = max(height_m, 0.0)
+    pressure = 1013.25 * (1.0 - 2.2557e-5 * h) ** 5.2568  # hPa
+    kelvin = 288.15 - 6.5e-3 * h
+    vapour = 6.108 * 0.5 * math.exp((17.15 * kelvin - 4684.0) / (kelvin - 38.45))
+    dry = 0.0022768 * pressure / (1.0 - 0.00266 * math.cos(2.0 * lat_rad) - 0.00028e-3 * h)
+    wet = 0.002277 * (1255.0 / kelvin + 0.05) * vapour
+    slant: float = (dry + wet) * 1.001 / math.sqrt(0.002001 + math.sin(el_rad) ** 2)
+    return slant
+
+
+@compiled
+def predict_ranges(
+    states: Vector, r_ecef_m: Vector, v_ecef_mps: Vector, tow_s: float, ionosphere: Vector
+) -> Vector:
+    """What a receiver with a perfect clock would measure.
+
+    Parameters
+    ----------
+    states : (n, 8), of `satellite_states`
+    r_ecef_m, v_ecef_mps : (3,), the receiver
+    tow_s : seconds of the GPS week
+    ionosphere : (8,), Klobuchar's coefficients
+
+    Returns
+    -------
+    (n, 7) : pseudorange in m and its rate in m/s, unit vector to the satellite (3) in ECEF at the
+        time of reception, elevation and azimuth in rad.
+    """
+    out = np.empty((states.shape[0], 7))
+    lat, lon, height = geodetic(r_ecef_m)
+    axes = ned_axes(lat, lon)
+    for i in range(states.shape[0]):
+        turn = 0.0
+        d = np.zeros(3)
+        rho = 0.0
+        for _ in range(2):  # the earth turns while the signal travels
+            s, c = math.sin(turn), math.cos(turn)
+            d[0] = c * states[i, 0] + s * states[i, 1] - r_ecef_m[0]
+            d[1] = -s * states[i, 0] + c * states[i, 1] - r_ecef_m[1]
+            d[2] = states[i, 2] - r_ecef_m[2]
+            rho = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+            turn = 7.2921151467e-5 * rho / 299792458.0
+        s, c = math.sin(turn), math.cos(turn)
+        vx = c * states[i, 3] + s * states[i, 4] - v_ecef_mps[0]
+        vy = -s * states[i, 3] + c * states[i, 4] - v_ecef_mps[1]
+        vz = states[i, 5] - v_ecef_mps[2]
+        u = d / rho
+        north = axes[0, 0] * u[0] + axes[0, 1] * u[1] + axes[0, 2] * u[2]
+        east = axes[1, 0] * u[0] + axes[1, 1] * u[1] + axes[1, 2] * u[2]
+        down = axes[2, 0] * u[0] + axes[2, 1] * u[1] + axes[2, 2] * u[2]
+        el = math.asin(min(max(-down, -1.0), 1.0))
+        az = math.atan2(east, north)
+        delay = 0.0
+        if el > 0.0:
+            delay = troposphere_m(lat, height, el) + klobuchar_m(
+                lat, lon, az, el, tow_s, ionosphere
+            )
+        out[i, 0] = rho - states[i, 6] + delay
+        out[i, 1] = u[0] * vx + u[1] * vy + u[2] * vz - states[i, 7]
+        out[i, 2:5] = u
+        out[i, 5] = el
+        out[i, 6] = az
+    return out

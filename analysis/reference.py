@@ -1,0 +1,178 @@
+"""The other sensors against the navigation filter.
+
+Barometer, airspeed, magnetometer, vision, range, and a receiver's own position and velocity.
+
+While the detector finds the IMU (or at least the satellites) sound, its filter is the reference.
+Every sensor is tested at each GNSS epoch with its newest sample: innovation v, what the filter and
+the sensor's own slow states (an offset, the wind, the local field) leave uncertain of it, and
+
+    v' inv(H_b P_b H_b' + R) v  against chi-square(m),
+
+with a false-alarm probability of its own (`p_other`). A sensor that fails several times running is
+isolated until it has been healthy for `readmit_s`; its slow states stand still meanwhile. How each
+is predicted is in `reference_models`.
+
+`References` contains the detector: its results are the detector's and the sensors' together, so a
+pipeline holds either a `Detector` or a `References`.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from analysis.fdi.config import DetectorConfig
+from analysis.fdi.detector import Detector
+from analysis.fdi.state import State
+from analysis.fdi.thresholds import chi_square
+from analysis.reference_models import MODELS, Seen, SensorNoise, Slow, view
+from analysis.results import Decision, Result, SensorDecision
+from analysis.samples import (
+    AirspeedSample,
+    BaroSample,
+    GpsFix,
+    ImuSample,
+    MagSample,
+    RangeSample,
+    Sample,
+    VisionSample,
+)
+
+KINDS: dict[type, tuple[str, ...]] = {
+    BaroSample: ("baro",),
+    AirspeedSample: ("airspeed",),
+    MagSample: ("mag",),
+    RangeSample: ("range",),
+    VisionSample: ("vision",),
+    GpsFix: ("gps-position", "gps-velocity"),
+}
+SOUND = ("none", "satellites", "clock", "gps")
+STALE_S = 0.5
+FAILS_TO_ISOLATE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """One sensor: its slow states, how often it failed running, and whether it is isolated."""
+
+    slow: Slow | None = None
+    fails: int = 0
+    isolated: bool = False
+    healthy_since_us: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceState:
+    """The detector's state, each sensor's newest sample and its watch."""
+
+    detector: State
+    newest: dict[str, Sample]
+    watches: dict[str, Watch]
+
+
+@dataclass(frozen=True)
+class References:
+    """The detector and the tests of the other sensors against it."""
+
+    config: DetectorConfig = field(default_factory=DetectorConfig)
+    sensors: SensorNoise = field(default_factory=SensorNoise)
+
+    def new_state(self) -> ReferenceState:
+        """Nothing known."""
+        return ReferenceState(Detector(self.config).new_state(), {}, {})
+
+    def step(self, sample: Sample, state: ReferenceState) -> tuple[list[Result], ReferenceState]:
+        """Decisions that one sample allows, and the next state."""
+        if type(sample) is ImuSample:
+            _, detector = Detector(self.config).step(sample, state.detector)
+            return [], ReferenceState(detector, state.newest, state.watches)
+        newest = state.newest
+        for sensor in KINDS.get(type(sample), ()):
+            newest = {**newest, sensor: sample}
+        results, detector = Detector(self.config).step(sample, state.detector)
+        decision = next((r for r in results if isinstance(r, Decision)), None)
+        if decision is None or decision.mode == "":
+            return results, ReferenceState(detector, newest, state.watches)
+        watches = dict(state.watches)
+        for sensor, waiting in newest.items():
+            if sensor.startswith("gps") and decision.mode.startswith("position"):
+                continue  # the fix is the filter's own input
+            judged, watch = self._judge(sensor, waiting, decision, detector, watches.get(sensor))
+            watches[sensor] = watch
+            results = [*results, *judged]
+        return results, ReferenceState(detector, {}, watches)
+
+    def _judge(
+        self,
+        sensor: str,
+        sample: Sample,
+        decision: Decision,
+        detector: State,
+        watch: Watch | None,
+    ) -> tuple[list[Result], Watch]:
+        """One sensor's test at one epoch."""
+        watch = watch or Watch()
+        motion = detector.core.motion
+        if motion is None or decision.hypothesis not in SOUND:
+            return [_untested(sensor, decision, "no sound reference", watch)], watch
+        if abs(sample.t_us - decision.t_us) * 1e-6 > STALE_S:
+            return [], watch
+        seen = MODELS[sensor](sample, view(motion), watch.slow, self.sensors)
+        if isinstance(seen, str):
+            return [_untested(sensor, decision, seen, watch)], watch
+        if isinstance(seen, Slow):
+            return [], replace(watch, slow=seen)
+        return self._tested(sensor, seen, decision, watch)
+
+    def _tested(
+        self, sensor: str, seen: Seen, decision: Decision, watch: Watch
+    ) -> tuple[list[Result], Watch]:
+        slow = seen.slow
+        dt_s = (decision.t_us - slow.t_us) * 1e-6
+        p = slow.p + np.diag(slow.walk) * max(dt_s, 0.0)
+        s = seen.h @ p @ seen.h.T + seen.r
+        inverse = np.linalg.inv(s)
+        q = float(seen.v @ inverse @ seen.v)
+        threshold = chi_square(len(seen.v), self.config.p_other)
+        failed = not q <= threshold
+        watch = self._hysteresis(watch, failed, decision.t_us)
+        if failed or watch.isolated:
+            slow = Slow(decision.t_us, slow.b, slow.p, slow.walk)  # the offset keeps still
+        else:
+            gain = p @ seen.h.T @ inverse
+            slow = Slow(decision.t_us, slow.b + gain @ seen.v, p - gain @ seen.h @ p, slow.walk)
+        result = SensorDecision(
+            t_s=decision.t_s,
+            t_us=decision.t_us,
+            sensor=sensor,
+            statistic=q if np.isfinite(q) else None,
+            threshold=threshold,
+            dof=len(seen.v),
+            alarm=failed,
+            isolated=watch.isolated,
+        )
+        return [result], replace(watch, slow=slow)
+
+    def _hysteresis(self, watch: Watch, failed: bool, t_us: int) -> Watch:
+        if failed:
+            fails = watch.fails + 1
+            return Watch(watch.slow, fails, watch.isolated or fails >= FAILS_TO_ISOLATE)
+        if not watch.isolated:
+            return Watch(watch.slow)
+        since = watch.healthy_since_us if watch.healthy_since_us is not None else t_us
+        if (t_us - since) * 1e-6 >= self.config.readmit_s:
+            return Watch(watch.slow)
+        return Watch(watch.slow, 0, True, since)
+
+
+def _untested(sensor: str, decision: Decision, reason: str, watch: Watch) -> SensorDecision:
+    return SensorDecision(
+        t_s=decision.t_s,
+        t_us=decision.t_us,
+        sensor=sensor,
+        statistic=None,
+        threshold=None,
+        dof=0,
+        alarm=False,
+        isolated=watch.isolated,
+        reason=reason,
+    )

@@ -1,0 +1,105 @@
+"use strict";
+// The tracks of a report on a canvas: from above (a map without tiles) and in space.
+// Drag to move (from above) or to turn (in space), wheel to zoom, double click to reset.
+
+class TrackView {
+  constructor(canvas, tracks, axis, solid) {
+    Object.assign(this, { canvas, tracks, axis, solid, t: null, hidden: new Set() });
+    this.reset();
+    canvas.addEventListener("pointerdown", (e) => { this.from = [e.clientX, e.clientY]; canvas.setPointerCapture(e.pointerId); });
+    canvas.addEventListener("pointerup", () => { this.from = null; });
+    canvas.addEventListener("pointermove", (e) => this.drag(e));
+    canvas.addEventListener("dblclick", () => { this.reset(); this.draw(); });
+    canvas.addEventListener("wheel", (e) => { e.preventDefault(); this.zoom *= e.deltaY < 0 ? 1.15 : 1 / 1.15; this.draw(); }, { passive: false });
+    axis.listeners.add(({ t }) => { if (t !== undefined) this.t = t; this.later(); });
+  }
+  reset() { this.zoom = 1; this.move = [0, 0]; this.turn = this.solid ? [-0.6, 0.45] : [0, Math.PI / 2]; }
+  later() {
+    if (this.waiting) return;
+    this.waiting = true;
+    requestAnimationFrame(() => { this.waiting = false; this.draw(); });
+  }
+  drag(e) {
+    if (!this.from) return;
+    const step = [e.clientX - this.from[0], e.clientY - this.from[1]];
+    this.from = [e.clientX, e.clientY];
+    if (this.solid) {
+      this.turn[0] += step[0] * 0.01;
+      this.turn[1] = Math.min(Math.PI / 2, Math.max(0, this.turn[1] + step[1] * 0.01));
+    } else this.move = [this.move[0] + step[0], this.move[1] + step[1]];
+    this.later();
+  }
+  bounds() {
+    const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
+    for (const track of this.tracks) {
+      if (this.hidden.has(track.name)) continue;
+      [track.e, track.n, track.u].forEach((values, k) => {
+        for (const value of values) {
+          if (value < low[k]) low[k] = value;
+          if (value > high[k]) high[k] = value;
+        }
+      });
+    }
+    return Number.isFinite(low[0]) ? [low, high] : [[-1, -1, -1], [1, 1, 1]];
+  }
+  draw() {
+    const ratio = devicePixelRatio || 1, { canvas } = this;
+    const width = canvas.clientWidth, height = canvas.clientHeight;
+    if (!width) return;
+    canvas.width = width * ratio; canvas.height = height * ratio;
+    const ctx = canvas.getContext("2d");
+    ctx.scale(ratio, ratio);
+    const [low, high] = this.bounds();
+    const middle = low.map((v, k) => (v + high[k]) / 2);
+    const spanXY = Math.max(high[0] - low[0], high[1] - low[1], 1);
+    const lift = this.solid ? Math.min(8, Math.max(1, 0.35 * spanXY / Math.max(high[2] - low[2], 1))) : 1;
+    const reach = this.solid ? Math.hypot(high[0] - low[0], high[1] - low[1], lift * (high[2] - low[2])) : spanXY;
+    const scale = this.zoom * 0.86 * (this.solid ? Math.min(width, height * 1.2) / reach
+      : Math.min(width / Math.max(high[0] - low[0], 1), height / Math.max(high[1] - low[1], 1)));
+    const [a, b] = this.turn, ca = Math.cos(a), sa = Math.sin(a), cb = Math.cos(b), sb = Math.sin(b);
+    const place = (e, n, u) => {
+      const x = e - middle[0], y = n - middle[1], z = (u - middle[2]) * lift;
+      const across = x * ca - y * sa, along = x * sa + y * ca;
+      return [width / 2 + this.move[0] + scale * across, height / 2 + this.move[1] - scale * (along * sb + z * cb)];
+    };
+    this.ground(ctx, place, low, high, scale, width, height, lift);
+    this.tracks.forEach((track, i) => { if (!this.hidden.has(track.name)) this.path(ctx, place, track, seriesColour(i)); });
+  }
+  ground(ctx, place, low, high, scale, width, height, lift) {
+    const raw = 90 / scale, power = 10 ** Math.floor(Math.log10(raw));
+    const step = [1, 2, 5, 10].map((m) => m * power).find((s) => s >= raw);
+    ctx.strokeStyle = colour("--grid"); ctx.fillStyle = colour("--faint"); ctx.lineWidth = 1;
+    ctx.font = "12px system-ui, sans-serif";
+    const base = low[2], margin = this.solid ? 0 : Math.max(width, height) / scale;
+    const range = (k) => [Math.floor((low[k] - margin) / step) * step, Math.ceil((high[k] + margin) / step) * step];
+    const [e0, e1] = range(0), [n0, n1] = range(1);
+    const line = (p, q) => { ctx.beginPath(); ctx.moveTo(...p); ctx.lineTo(...q); ctx.stroke(); };
+    for (let e = e0; e <= e1 + step / 2; e += step) line(place(e, n0, base), place(e, n1, base));
+    for (let n = n0; n <= n1 + step / 2; n += step) line(place(e0, n, base), place(e1, n, base));
+    ctx.strokeStyle = colour("--ink");
+    line([14, height - 16], [14 + step * scale, height - 16]);
+    ctx.fillText(`${+step.toPrecision(3)} m` + (this.solid ? `   (up drawn ×${lift.toFixed(1)}, ${(high[2] - low[2]).toFixed(1)} m)` : "   north up"), 14, height - 22);
+  }
+  path(ctx, place, track, stroke) {
+    const [from, to] = this.axis.range;
+    for (const inside of [false, true]) {
+      ctx.strokeStyle = stroke; ctx.globalAlpha = inside ? 1 : 0.18; ctx.lineWidth = inside ? 1.8 : 1;
+      ctx.beginPath();
+      let pen = false;
+      for (let i = 0; i < track.t.length; i++) {
+        if ((track.t[i] >= from && track.t[i] <= to) !== inside || track.e[i] == null) { pen = false; continue; }
+        const p = place(track.e[i], track.n[i], track.u[i]);
+        if (pen) ctx.lineTo(...p); else ctx.moveTo(...p);
+        pen = true;
+      }
+      ctx.stroke();
+    }
+    ctx.globalAlpha = 1;
+    if (this.t == null) return;
+    let i = 0, j = track.t.length - 1;
+    if (this.t < track.t[0] || this.t > track.t[j]) return;
+    while (j - i > 1) { const k = (i + j) >> 1; if (track.t[k] <= this.t) i = k; else j = k; }
+    ctx.fillStyle = stroke; ctx.beginPath();
+    ctx.arc(...place(track.e[i], track.n[i], track.u[i]), 4.5, 0, 7); ctx.fill();
+  }
+}

@@ -1,0 +1,63 @@
+"""A run's report: `write` for the commands that have everything in memory."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from analysis.report.from_results import recording_of_results
+from analysis.report.from_tlog import recording_of
+from analysis.report.page import Page, html
+from analysis.report.panels import DETECTION
+from analysis.report.recording import Recording, joined
+from analysis.report.tables import facts, matrix_table, run_tables
+from analysis.results import Result
+from mavproxy_fault.wire.label import Label
+from mavproxy_fault.wire.tlog import Columns
+
+
+def write(
+    out: Path,
+    *,
+    summary: Mapping[str, Any],
+    labels: Sequence[Label],
+    results: Iterable[Result],
+    columns: Columns,
+    title: str = "Run",
+) -> Path:
+    """Write `report.html` into the folder `out`.
+
+    Parameters
+    ----------
+    out : Path
+        An existing folder.
+    summary : mapping
+        The content of `summary.json`.
+    labels, results
+        What was really done, and what the analysis said.
+    columns : dict of structured arrays
+        The log as received (`mavproxy_fault.wire.tlog.read_columns`); empty where there is none.
+
+    Returns
+    -------
+    Path
+        The file written.
+    """
+    results = list(results)
+    t0_us = labels[0].t0_us if labels else _origin(results)
+    flight = recording_of(columns, name=title, t0_us=t0_us) if columns else Recording(title)
+    if t0_us is None:
+        t0_us = flight.t0_us
+    said = recording_of_results(labels, results, t0_us)
+    together = joined(flight, said)
+    page = Page(title, str(summary.get("verdict", "")), facts(summary), run_tables(summary))
+    matrix = matrix_table(labels, results)
+    if matrix is not None:
+        page = Page(page.title, page.verdict, page.facts, [*page.tables, (DETECTION, matrix)])
+    path = out / "report.html"
+    path.write_text(html(page, together), encoding="utf-8")
+    return path
+
+
+def _origin(results: Sequence[Result]) -> int | None:
+    """The vehicle time of t_s = 0, from a result that gives both."""
+    return round(results[0].t_us - results[0].t_s * 1e6) if results else None

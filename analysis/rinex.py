@@ -1,0 +1,215 @@
+"""RINEX 2, 3 and 4 observation files, one code range, Doppler and C/N0 per satellite.
+
+Only what the detector needs is read: GPS L1 and Galileo E1. Of the code signals of a system the
+first in `PREFERRED` that the file has is taken [1]_ [2]_. Lines that are no observation are passed
+over; a file cut short ends with its last whole epoch.
+
+References
+----------
+.. [1] IGS/RTCM, RINEX 3.05 and 4.01, tables A2, A3. Hatanaka's compression: package `hatanaka`.
+.. [2] W. Gurtner, RINEX 2.11, tables A1, A2.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+
+from analysis.gnss import L1_HZ, LIGHT_MPS
+from analysis.samples import Epoch
+from mavproxy_fault.errors import ConfigError
+
+PREFERRED = {"G": ("1C", "1X", "1L", "1S", "1W", "1P"), "E": ("1C", "1X", "1B", "1A")}
+GPS_DAY_ZERO = date(1980, 1, 6).toordinal()
+WEEK_DAYS = 7
+FIELD_WIDTH = 16  # F14.3, loss of lock, signal strength
+_COMPRESSED = (".gz", ".z", ".bz2", ".zip", ".crx", ".crx.gz")
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """Where code, Doppler and C/N0 of one system lie among its observations (-1: nowhere)."""
+
+    code: int
+    doppler: int
+    cn0: int
+
+
+def read_text(path: Path) -> list[str]:
+    """The lines of a RINEX file, unpacked where it is compressed.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read or is not RINEX.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read; {error.strerror}") from error
+    if path.name.lower().endswith(_COMPRESSED) or b"CRINEX" in data[:80]:
+        import hatanaka
+
+        data = hatanaka.decompress(data)
+    lines = data.decode("ascii", "replace").splitlines()
+    if not lines or not lines[0][60:].startswith("RINEX VERSION"):
+        raise ConfigError(f"{path}: is not a RINEX file; its first line must end in RINEX VERSION")
+    return lines
+
+
+def gps_time(year: int, month: int, day: int, seconds_of_day: float) -> tuple[int, float]:
+    """GPS week and seconds of week of a calendar date in GPS time."""
+    days = date(year, month, day).toordinal() - GPS_DAY_ZERO
+    return days // WEEK_DAYS, days % WEEK_DAYS * 86_400.0 + seconds_of_day
+
+
+def read_observations(path: Path) -> list[Epoch]:
+    """All epochs of an observation file in its order; `t_us` counts from the start of GPS time.
+
+    Raises
+    ------
+    ConfigError
+        If the file is no RINEX observation file.
+    """
+    lines = read_text(path)
+    version, kind = float(lines[0][:9]), lines[0][20:21]
+    if kind != "O":
+        raise ConfigError(f"{path}: has type {kind!r}; an observation file has O")
+    start = next((i for i, line in enumerate(lines) if line[60:].startswith("END OF HEADER")), None)
+    if start is None:
+        raise ConfigError(f"{path}: has no END OF HEADER; the header is cut short")
+    if version < 3.0:
+        return list(_epochs_2(lines, start + 1, _types_2(lines[:start])))
+    return list(_epochs_3(lines, start + 1, _types_3(lines[:start])))
+
+
+def _columns(system: str, types: list[str]) -> _Columns:
+    for signal in PREFERRED[system]:
+        if "C" + signal in types:
+            found = [types.index(k + signal) if k + signal in types else -1 for k in "CDS"]
+            return _Columns(*found)
+    return _Columns(-1, -1, -1)
+
+
+def _types_3(header: list[str]) -> dict[str, _Columns]:
+    types: dict[str, list[str]] = {}
+    system = ""
+    for line in header:
+        if line[60:].startswith("SYS / # / OBS TYPES"):
+            system = line[0] if line[0] != " " else system
+            types.setdefault(system, []).extend(line[6:60].split())
+    return {system: _columns(system, types[system]) for system in PREFERRED if system in types}
+
+
+def _types_2(header: list[str]) -> tuple[int, _Columns]:
+    names: list[str] = []
+    for line in header:
+        if line[60:].startswith("# / TYPES OF OBSERV"):
+            names.extend(line[6:60].split())
+    code = names.index("C1") if "C1" in names else names.index("P1") if "P1" in names else -1
+    places = [names.index(k) if k in names else -1 for k in ("D1", "S1")]
+    return len(names), _Columns(code, *places)
+
+
+def _number(text: str) -> float:
+    text = text.strip()
+    return float(text) if text else math.nan
+
+
+def _values(line: str, first: int, columns: _Columns) -> tuple[float, float, float] | None:
+    """Code, Doppler and C/N0 from one line of fields that starts at `first`."""
+    values = []
+    for place in (columns.code, columns.doppler, columns.cn0):
+        at = first + FIELD_WIDTH * place
+        values.append(_number(line[at : at + 14]) if place >= 0 else math.nan)
+    if not values[0] > 0.0:
+        return None
+    return values[0], values[1], values[2]
+
+
+def _epoch(
+    week: int, tow_s: float, rows: list[tuple[str, tuple[float, float, float]]]
+) -> Epoch | None:
+    if not rows:
+        return None
+    table = np.array([values for _, values in rows])
+    return Epoch(
+        t_us=round((week * 604_800 + tow_s) * 1e6),
+        week=week,
+        tow_s=tow_s,
+        satellites=tuple(name for name, _ in rows),
+        pseudorange_m=table[:, 0].copy(),
+        doppler_mps=table[:, 1] * (-LIGHT_MPS / L1_HZ),
+        cn0_dbhz=table[:, 2].copy(),
+    )
+
+
+def _epochs_3(lines: list[str], at: int, types: dict[str, _Columns]) -> Iterator[Epoch]:
+    while at < len(lines):
+        head = lines[at]
+        at += 1
+        if not head.startswith(">") or head[31:32] > "1":
+            continue
+        try:
+            week, tow_s = _time(head[2:6], head[6:29])
+            count = int(head[32:35])
+        except ValueError:
+            continue
+        rows = []
+        for line in lines[at : at + count]:
+            columns = types.get(line[:1])
+            if columns is not None and columns.code >= 0:
+                values = _parse(line, 3, columns)
+                if values is not None:
+                    rows.append((line[0] + line[1:3].replace(" ", "0"), values))
+        at += count
+        epoch = _epoch(week, tow_s, rows)
+        if epoch is not None and at <= len(lines):
+            yield epoch
+
+
+def _parse(line: str, first: int, columns: _Columns) -> tuple[float, float, float] | None:
+    try:
+        return _values(line, first, columns)
+    except ValueError:
+        return None
+
+
+def _time(year: str, rest: str) -> tuple[int, float]:
+    month, day, hour, minute, second = rest.split()
+    return gps_time(
+        int(year), int(month), int(day), int(hour) * 3600 + int(minute) * 60 + float(second)
+    )
+
+
+def _epochs_2(lines: list[str], at: int, types: tuple[int, _Columns]) -> Iterator[Epoch]:
+    total, columns = types
+    per_satellite = -(-total // 5)
+    while at < len(lines):
+        head = lines[at]
+        at += 1
+        try:
+            year = int(head[1:3])
+            week, tow_s = _time(str(year + (1900 if year >= 80 else 2000)), head[3:26])
+            flag, count = int(head[26:29]), int(head[29:32])
+        except ValueError:
+            continue
+        names = head[32:68]
+        for _ in range((count - 1) // 12):
+            names = names.ljust(36) + lines[at][32:68] if at < len(lines) else names
+            at += 1
+        rows = []
+        for i in range(count if flag <= 1 else 0):
+            block = lines[at : at + per_satellite]
+            at += per_satellite
+            name = names[3 * i : 3 * i + 3].replace(" ", "0")
+            name = "G" + name[1:] if name[:1] == "0" else name
+            values = _parse("".join(line.ljust(80)[:80] for line in block), 0, columns)
+            if values is not None and name[:1] in PREFERRED:
+                rows.append((name, values))
+        epoch = _epoch(week, tow_s, rows)
+        if epoch is not None and at <= len(lines):
+            yield epoch

@@ -1,0 +1,134 @@
+"""RINEX 2, 3 and 4 navigation files: ephemerides of GPS and Galileo, Klobuchar's coefficients.
+
+Galileo's I/NAV records are preferred; F/NAV, whose clock belongs to E1 and E5a, serves satellites
+that have no other [1]_.
+
+References
+----------
+.. [1] IGS/RTCM, RINEX 3.05, tables A5, A6, A8; RINEX 4.01, section 8; RINEX 2.11, tables A3, A4.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from analysis.rinex import gps_time, read_text
+from analysis.samples import EphemerisSample, IonosphereSample
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.wire.ephemeris import Ephemeris
+
+FNAV_ONLY = 0b010  # bit 1 of Galileo's data source word: F/NAV on E5a
+ACCURACY_INDEX_M = (2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24.0, 48.0, 96.0, 192.0)  # IS-GPS-200N
+
+
+def read_navigation(path: Path) -> list[EphemerisSample | IonosphereSample]:
+    """Everything usable of a navigation file, in its order; all stamped 0.
+
+    Raises
+    ------
+    ConfigError
+        If the file is no RINEX navigation file.
+    """
+    lines = read_text(path)
+    version, kind = float(lines[0][:9]), lines[0][20:21]
+    if kind != "N" and lines[0][20:21] not in "NE":
+        raise ConfigError(f"{path}: has type {kind!r}; a navigation file has N")
+    start = next((i for i, line in enumerate(lines) if line[60:].startswith("END OF HEADER")), None)
+    if start is None:
+        raise ConfigError(f"{path}: has no END OF HEADER; the header is cut short")
+    samples: list[EphemerisSample | IonosphereSample] = list(_ionosphere(lines[:start]))
+    records = list(_records(lines[start + 1 :], version))
+    with_inav = {e.satellite for e, fnav in records if not fnav}
+    for ephemeris, fnav in records:
+        if not fnav or ephemeris.satellite not in with_inav:
+            samples.append(EphemerisSample(0, ephemeris))
+    return samples
+
+
+def _ionosphere(header: list[str]) -> Iterator[IonosphereSample]:
+    found: dict[str, tuple[float, float, float, float]] = {}
+    for line in header:
+        label = line[60:].strip()
+        if label == "IONOSPHERIC CORR" and line[:4] in ("GPSA", "GPSB"):
+            found[line[3]] = _four(line, 5)
+        elif label in ("ION ALPHA", "ION BETA"):
+            found[label[4]] = _four(line, 2)
+    if len(found) == 2:
+        yield IonosphereSample(0, found["A"], found["B"])
+
+
+def _four(line: str, first: int) -> tuple[float, float, float, float]:
+    a, b, c, d = (_float(line[first + 12 * i : first + 12 * i + 12]) for i in range(4))
+    return a, b, c, d
+
+
+def _float(text: str) -> float:
+    text = text.strip().replace("D", "E").replace("d", "e")
+    return float(text) if text else 0.0
+
+
+def _records(lines: list[str], version: float) -> Iterator[tuple[Ephemeris, bool]]:
+    """Each ephemeris of GPS and Galileo, and whether it is an F/NAV one."""
+    indent = 3 if version < 3.0 else 4
+    at = 0
+    while at < len(lines):
+        line = lines[at]
+        at += 1
+        if version < 3.0:
+            name = "G" + line[:2].replace(" ", "0")
+            known = line[:2].strip().isdigit()
+        else:
+            name = line[:1] + line[1:3].replace(" ", "0")
+            known = line[:1] in ("G", "E") and name[1:].isdigit() and line[4:8].isdigit()
+        if not known or at + 7 > len(lines):
+            continue
+        try:
+            yield _ephemeris(name, line, lines[at : at + 7], indent)
+        except ValueError:
+            continue
+        at += 7
+
+
+def _ephemeris(name: str, head: str, body: list[str], indent: int) -> tuple[Ephemeris, bool]:
+    start = indent + 19
+    parts = head[3 if indent == 3 else 4 : start].split()
+    year = int(parts[0])
+    if indent == 3:
+        year += 1900 if year >= 80 else 2000
+    month, day, hour, minute = (int(p) for p in parts[1:5])
+    _, toc_s = gps_time(year, month, day, hour * 3600 + minute * 60 + float(parts[5]))
+    af0, af1, af2 = (_float(head[start + 19 * i : start + 19 * i + 19]) for i in range(3))
+    v = [_float(line[indent + 19 * i : indent + 19 * i + 19]) for line in body for i in range(4)]
+    galileo = name[0] == "E"
+    fnav = galileo and bool(int(v[17]) & FNAV_ONLY)
+    delay = (v[22] if fnav else v[23]) if galileo else v[22]
+    ephemeris = Ephemeris(
+        satellite=name,
+        week=int(v[18]),
+        toe_s=v[8],
+        toc_s=toc_s,
+        af0_s=af0,
+        af1=af1,
+        af2_per_s=af2,
+        iode=int(v[0]),
+        iodc=int(v[0]) if galileo else int(v[23]),
+        sqrt_a=v[7],
+        eccentricity=v[5],
+        i0_rad=v[12],
+        omega0_rad=v[10],
+        omega_rad=v[14],
+        m0_rad=v[3],
+        delta_n_rps=v[2],
+        omega_dot_rps=v[15],
+        idot_rps=v[16],
+        crs_m=v[1],
+        crc_m=v[13],
+        cus_rad=v[6],
+        cuc_rad=v[4],
+        cis_rad=v[11],
+        cic_rad=v[9],
+        group_delay_s=delay,
+        group_delay_e5a_s=v[22] if galileo else 0.0,
+        accuracy=0 if galileo else sum(v[20] > limit for limit in ACCURACY_INDEX_M),
+        health=int(v[21]),
+    )
+    return ephemeris, fnav

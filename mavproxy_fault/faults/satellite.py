@@ -1,0 +1,152 @@
+"""Satellite faults: metres on the pseudoranges of some satellites, or satellites lost.
+
+Raw ranges travel as RTCM 3 in TUNNEL fragments (`wire.rtcm`), so a fault has to keep fragments back
+until a message is whole; then it patches the message and sends the fragments on. Messages that are
+not MSM7 and fragments that belong to nothing pass.
+"""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import msgspec
+import numpy as np
+
+from mavproxy_fault.faults.base import ActsOn, Outgoing
+from mavproxy_fault.faults.loss import Drop
+from mavproxy_fault.faults.value import ValueFault
+from mavproxy_fault.wire import rtcm
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.msm7 import SYSTEMS, msm7_satellites, patch_msm7
+
+HOLD_US = 500_000  # fragments of one message leave a receiver within milliseconds
+
+Sender = tuple[int, int, int]  # system, component, sequence number of the RTCM message
+
+
+class Held(NamedTuple):
+    """Fragments of a message that is not whole yet, in order of their coming."""
+
+    since_us: int
+    frames: tuple[Frame, ...]
+    parts: Mapping[int, bytes]
+
+
+class Ranges(NamedTuple):
+    """The state: when the fault began, its memory, and what it keeps back."""
+
+    start_us: int
+    memory: Any
+    held: Mapping[Sender, Held]
+
+
+class Satellites(msgspec.Struct, frozen=True, kw_only=True):
+    """A value fault (or loss) applied to pseudoranges instead of fields."""
+
+    acts_on: ClassVar[ActsOn] = "satellites"
+
+    fault: ValueFault | Drop
+    names: tuple[str, ...]
+
+    def new_state(self, start_us: int) -> Ranges:
+        """Nothing kept yet."""
+        return Ranges(start_us, None, {})
+
+    def apply(
+        self, frame: Frame, t_us: int, state: Ranges, rng: np.random.Generator
+    ) -> tuple[list[Outgoing], Ranges]:
+        """Keep a fragment back, or patch the message that it completes."""
+        payload = rtcm.tunnel_payload(frame)
+        if payload is None:
+            return [Outgoing(t_us, frame)], state
+        if not payload[0] & 1:
+            return self._patched((frame,), payload[1:], payload[0] >> 3, t_us, state, rng)
+        key = (frame.system, frame.component, payload[0] >> 3)
+        number = payload[0] >> 1 & 3
+        old = state.held.get(key)
+        broken: list[Outgoing] = []
+        if old is not None and (number in old.parts or t_us - old.since_us > HOLD_US):
+            broken, old = _let_go(old, t_us), None
+        since_us, frames, parts = old or Held(t_us, (), {})
+        new = Held(since_us, (*frames, frame), {**parts, number: payload[1:]})
+        whole = rtcm.joined(dict(new.parts))
+        rest = {other: held for other, held in state.held.items() if other != key}
+        if whole is None:
+            return broken, state._replace(held={**rest, key: new})
+        sends, state = self._patched(new.frames, whole, key[2], t_us, state, rng)
+        return broken + sends, state._replace(held=rest)
+
+    def _patched(
+        self,
+        frames: tuple[Frame, ...],
+        data: bytes,
+        sequence: int,
+        t_us: int,
+        state: Ranges,
+        rng: Any,
+    ) -> tuple[list[Outgoing], Ranges]:
+        """The fragments of a whole message, with the fault in it."""
+        healthy = [Outgoing(t_us, frame) for frame in frames]
+        present = self._present(data)
+        if not present:
+            return healthy, state
+        changes_m, lost, memory = self._errors(frames[0], present, t_us, state, rng)
+        state = state._replace(memory=memory)
+        message = patch_msm7(data, changes_m, lost)
+        if message == data:
+            return healthy, state
+        size_m = max((abs(change) for change in changes_m.values()), default=None)
+        sends = [
+            Outgoing(t_us, refilled(frame, payload), size_m)
+            for frame, payload in zip(frames, rtcm.fragments(message, sequence), strict=False)
+        ]
+        return sends, state
+
+    def _present(self, data: bytes) -> list[str]:
+        """Those of our satellites that an MSM7 message holds."""
+        if rtcm.message_number(data) not in SYSTEMS:
+            return []
+        try:
+            satellites = msm7_satellites(data)
+        except ValueError:
+            return []  # damaged on its way: not ours to repair
+        return [name for name in self.names if name in satellites]
+
+    def _errors(
+        self, frame: Frame, present: list[str], t_us: int, state: Ranges, rng: Any
+    ) -> tuple[dict[str, float], list[str], Any]:
+        if isinstance(self.fault, Drop):
+            lost = [name for name in present if rng.random() < self.fault.value]
+            return {}, lost, None
+        t_s = (t_us - state.start_us) * 1e-6
+        key = (frame.system, frame.component)
+        healthy: list[int | float] = [0.0] * len(self.names)
+        errors, memory = self.fault.after(healthy, key, t_s, state.memory, rng)
+        by_name = dict(zip(self.names, errors, strict=True))
+        return {name: float(by_name[name]) for name in present}, [], memory
+
+    def held_until_us(self, state: Ranges) -> int | None:
+        """When the oldest message that is still broken off must leave."""
+        return min((held.since_us + HOLD_US for held in state.held.values()), default=None)
+
+    def release(self, t_us: int, state: Ranges) -> tuple[list[Outgoing], Ranges]:
+        """All fragments kept, as they came."""
+        sends = [out for held in state.held.values() for out in _let_go(held, t_us)]
+        return sends, state._replace(held={})
+
+
+def _let_go(held: Held, t_us: int) -> list[Outgoing]:
+    return [Outgoing(t_us, frame) for frame in held.frames]
+
+
+def refilled(frame: Frame, payload: bytes) -> Frame:
+    """A TUNNEL frame with another payload, header and signature block as they were."""
+    layout = known("TUNNEL")
+    values = {
+        "payload_type": rtcm.PAYLOAD_TYPE,
+        "target_system": frame.number("target_system"),
+        "target_component": frame.number("target_component"),
+        "payload_length": len(payload),
+        "payload": payload,
+    }
+    return frame.with_payload(Frame(build(layout, values), layout).payload)

@@ -1,0 +1,83 @@
+"""A coherent GNSS spoof: every message that tells position or velocity is moved alike.
+
+The offset lies in the local level frame (north, east, down). Where the position moves with time the
+velocity moves with it, so that each message stays consistent in itself and with the others.
+Metres become degrees on the WGS 84 ellipsoid with its radii of curvature [1]_. Values that a
+message marks as unknown stay unknown.
+
+References
+----------
+.. [1] NIMA TR8350.2, "World Geodetic System 1984", third edition; the radii are in its chapter 4.
+"""
+
+import math
+from typing import ClassVar, NamedTuple
+
+import msgspec
+import numpy as np
+
+from mavproxy_fault.faults.base import ActsOn, Outgoing
+from mavproxy_fault.faults.place import rewritten
+from mavproxy_fault.faults.profile import NotNegative
+from mavproxy_fault.faults.spoofed import MOVERS, Move, Three
+from mavproxy_fault.wire.frame import Frame
+
+
+class Shift(NamedTuple):
+    """How far positions and velocities are off, north, east and down."""
+
+    offset_m: Three
+    velocity_mps: Three
+
+
+class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
+    """Move the position by `offset_m` within `ramp_s`, then on with `velocity_mps`, everywhere.
+
+    Both are [north, east, down]. Without `ramp_s` the offset is a jump. `value` is short for an
+    offset to the north. Acts on HIL_GPS, GPS_RAW_INT, GPS2_RAW, GPS_INPUT, GLOBAL_POSITION_INT,
+    LOCAL_POSITION_NED and ODOMETRY, or those named as target.
+    """
+
+    acts_on: ClassVar[ActsOn] = "frames"
+    messages: ClassVar[tuple[str, ...]] = tuple(MOVERS)
+
+    value: float | None = None
+    offset_m: Three = (0.0, 0.0, 0.0)
+    velocity_mps: Three = (0.0, 0.0, 0.0)
+    ramp_s: NotNegative = 0.0
+
+    def __post_init__(self) -> None:
+        if self.value is None and not any(self.offset_m) and not any(self.velocity_mps):
+            raise ValueError("moves nothing; give value, offset_m or velocity_mps")
+
+    def shift(self, t_s: float) -> Shift:
+        """The offset and its rate, `t_s` after the spoof began."""
+        aim = self.offset_m if self.value is None else (self.value, 0.0, 0.0)
+        if t_s < self.ramp_s:
+            share, rate = t_s / self.ramp_s, 1.0 / self.ramp_s
+            return Shift(_scaled(aim, share), _scaled(aim, rate))
+        further = _scaled(self.velocity_mps, t_s - self.ramp_s)
+        moved = (aim[0] + further[0], aim[1] + further[1], aim[2] + further[2])
+        return Shift(moved, self.velocity_mps)
+
+    def new_state(self, start_us: int) -> int:
+        """When the spoof began."""
+        return start_us
+
+    def apply(
+        self, frame: Frame, t_us: int, state: int, rng: np.random.Generator
+    ) -> tuple[list[Outgoing], int]:
+        """Move one frame; a message that tells no position passes."""
+        mover = MOVERS.get(frame.layout.name)
+        if mover is None:
+            return [Outgoing(t_us, frame)], state
+        shift = self.shift((t_us - state) * 1e-6)
+        out = rewritten(frame, t_us, mover(frame, Move(*shift)))
+        if out.frame is frame:
+            return [out], state
+        size_m = math.hypot(*shift.offset_m)
+        return [Outgoing(t_us, out.frame, size_m, out.saturated)], state
+
+
+def _scaled(vector: Three, factor: float) -> Three:
+    return vector[0] * factor, vector[1] * factor, vector[2] * factor

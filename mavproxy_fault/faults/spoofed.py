@@ -1,0 +1,158 @@
+"""How each message that tells position or velocity is moved by metres north, east and down."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from mavproxy_fault.wire.frame import Frame, Number
+
+Three = tuple[float, float, float]
+
+# WGS 84: semi-major axis and first eccentricity squared (NIMA TR8350.2, tables 3.1 and 3.3).
+WGS84_A_M = 6378137.0
+WGS84_E2 = 6.69437999014e-3
+
+UNKNOWN_U16 = 0xFFFF
+LOCAL_NED, LOCAL_ENU, BODY_FRD = 1, 4, 12  # MAV_FRAME
+
+
+class Move(NamedTuple):
+    """An offset of the position and of the velocity, north, east and down."""
+
+    offset_m: Three
+    velocity_mps: Three
+
+
+def moved_degrees(lat_deg: float, alt_m: float, offset_m: Three) -> tuple[float, float]:
+    """Degrees of latitude and longitude that so many metres north and east are."""
+    lat = math.radians(lat_deg)
+    w2 = 1.0 - WGS84_E2 * math.sin(lat) ** 2
+    east_radius_m = WGS84_A_M / math.sqrt(w2)
+    north_radius_m = east_radius_m * (1.0 - WGS84_E2) / w2
+    north, east, _ = offset_m
+    return (
+        math.degrees(north / (north_radius_m + alt_m)),
+        math.degrees(east / ((east_radius_m + alt_m) * max(math.cos(lat), 1e-6))),
+    )
+
+
+def position(frame: Frame, move: Move, alt_scale: float) -> dict[str, Number]:
+    """New `lat`, `lon` (degE7) and `alt` (`alt_scale` counts per metre)."""
+    lat, lon, alt = frame.number("lat"), frame.number("lon"), frame.number("alt")
+    dlat, dlon = moved_degrees(lat * 1e-7, alt / alt_scale, move.offset_m)
+    turned = (lon * 1e-7 + dlon + 180.0) % 360.0 - 180.0
+    return {
+        "lat": lat + round(dlat * 1e7),
+        "lon": lon + round(dlon * 1e7) if -180.0 <= lon * 1e-7 + dlon < 180.0 else turned * 1e7,
+        "alt": alt - move.offset_m[2] * alt_scale,
+    }
+
+
+def ground_speed(vn: float, ve: float) -> dict[str, Number]:
+    """`vel` in cm/s and `cog` in cdeg from a velocity in m/s."""
+    course = math.degrees(math.atan2(ve, vn)) % 360.0
+    return {"vel": math.hypot(vn, ve) * 100.0, "cog": round(course * 100.0) % 36000}
+
+
+def hil_gps(frame: Frame, move: Move) -> dict[str, Number]:
+    """HIL_GPS: velocity in cm/s, its size and course redone where they were known."""
+    values = position(frame, move, 1000.0)
+    if not any(move.velocity_mps):
+        return values
+    old = [frame.number(name) / 100.0 for name in ("vn", "ve", "vd")]
+    new = [v + dv for v, dv in zip(old, move.velocity_mps, strict=True)]
+    speed = ground_speed(new[0], new[1])
+    values |= {"vn": new[0] * 100.0, "ve": new[1] * 100.0, "vd": new[2] * 100.0}
+    return values | {k: v for k, v in speed.items() if frame.number(k) != UNKNOWN_U16}
+
+
+def gps_raw(frame: Frame, move: Move) -> dict[str, Number]:
+    """GPS_RAW_INT and GPS2_RAW: velocity only as ground speed and course."""
+    values = position(frame, move, 1000.0)
+    if "alt_ellipsoid" in frame.layout.fields and frame.number("alt_ellipsoid"):
+        values["alt_ellipsoid"] = frame.number("alt_ellipsoid") - move.offset_m[2] * 1000.0
+    vel, cog = frame.number("vel"), frame.number("cog")
+    if UNKNOWN_U16 in (vel, cog) or not any(move.velocity_mps[:2]):
+        return values
+    course = math.radians(cog / 100.0)
+    vn = vel / 100.0 * math.cos(course) + move.velocity_mps[0]
+    ve = vel / 100.0 * math.sin(course) + move.velocity_mps[1]
+    return values | ground_speed(vn, ve)
+
+
+def gps_input(frame: Frame, move: Move) -> dict[str, Number]:
+    """GPS_INPUT: metres and metres per second."""
+    values = position(frame, move, 1.0)
+    for name, change in zip(("vn", "ve", "vd"), move.velocity_mps, strict=True):
+        values[name] = frame.number(name) + change
+    return values
+
+
+def global_position(frame: Frame, move: Move) -> dict[str, Number]:
+    """GLOBAL_POSITION_INT: both altitudes in mm, velocity in cm/s."""
+    values = position(frame, move, 1000.0)
+    values["relative_alt"] = frame.number("relative_alt") - move.offset_m[2] * 1000.0
+    for name, change in zip(("vx", "vy", "vz"), move.velocity_mps, strict=True):
+        values[name] = frame.number(name) + change * 100.0
+    return values
+
+
+def local_position(frame: Frame, move: Move) -> dict[str, Number]:
+    """LOCAL_POSITION_NED."""
+    changes = (*move.offset_m, *move.velocity_mps)
+    names = ("x", "y", "z", "vx", "vy", "vz")
+    return {name: frame.number(name) + c for name, c in zip(names, changes, strict=True)}
+
+
+def odometry(frame: Frame, move: Move) -> dict[str, Number]:
+    """ODOMETRY: position in a local frame that knows north, velocity in it or in body axes.
+
+    A frame of reference of unknown heading is left alone, as metres north mean nothing in it.
+    """
+    local, child = frame.number("frame_id"), frame.number("child_frame_id")
+    if local not in (LOCAL_NED, LOCAL_ENU):
+        return {}
+    axes = _enu if local == LOCAL_ENU else _same
+    values = _added(frame, ("x", "y", "z"), axes(move.offset_m))
+    velocity = axes(move.velocity_mps)
+    if child == BODY_FRD:
+        velocity = _to_body(frame, velocity)
+    elif child != local:
+        return values
+    return values | _added(frame, ("vx", "vy", "vz"), velocity)
+
+
+def _added(frame: Frame, names: tuple[str, str, str], change: Three) -> dict[str, Number]:
+    return {name: frame.number(name) + c for name, c in zip(names, change, strict=True)}
+
+
+def _same(ned: Three) -> Three:
+    return ned
+
+
+def _enu(ned: Three) -> Three:
+    return ned[1], ned[0], -ned[2]
+
+
+def _to_body(frame: Frame, vector: Three) -> Three:
+    """A vector of the local frame in body axes: the inverse turn of the message's quaternion."""
+    w, x, y, z = (float(frame.number("q", i)) for i in range(4))
+    a, b, c = vector
+    # v' = v - 2 w (u x v) + 2 u x (u x v), with u = (x, y, z)
+    p, q, r = y * c - z * b, z * a - x * c, x * b - y * a
+    return (
+        a - 2 * w * p + 2 * (y * r - z * q),
+        b - 2 * w * q + 2 * (z * p - x * r),
+        c - 2 * w * r + 2 * (x * q - y * p),
+    )
+
+
+MOVERS: dict[str, Callable[[Frame, Move], dict[str, Number]]] = {
+    "HIL_GPS": hil_gps,
+    "GPS_RAW_INT": gps_raw,
+    "GPS2_RAW": gps_raw,
+    "GPS_INPUT": gps_input,
+    "GLOBAL_POSITION_INT": global_position,
+    "LOCAL_POSITION_NED": local_position,
+    "ODOMETRY": odometry,
+}

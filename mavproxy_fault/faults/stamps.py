@@ -1,0 +1,87 @@
+"""Wrong time stamps: a jump, a clock that drifts, time that runs backwards.
+
+Every field that holds the sender's time is changed, whatever its unit: `time_usec`, `usec`,
+`time_boot_us`, `timestamp`, `time_boot_ms`.
+"""
+
+from typing import ClassVar
+
+import numpy as np
+
+from mavproxy_fault.faults.base import LinkFault, Outgoing
+from mavproxy_fault.faults.place import rewritten
+from mavproxy_fault.faults.profile import Positive
+from mavproxy_fault.wire.dialect import Layout
+from mavproxy_fault.wire.frame import Frame
+
+NAMES = ("time_usec", "usec", "time_boot_us", "time_unix_usec", "timestamp", "time_boot_ms")
+COUNTS_PER_S = {"us": 1e6, "ms": 1e3}
+
+
+class Stamps(LinkFault, frozen=True, kw_only=True):
+    """What the three faults share: how far the stamps are off at a time."""
+
+    takes_bytes: ClassVar[bool] = False
+    takes_sealed: ClassVar[bool] = False
+
+    def new_state(self, start_us: int) -> int:
+        """When the fault began."""
+        return start_us
+
+    def off_s(self, t_s: float) -> float:
+        """How far the stamps are off, `t_s` after the fault began."""
+        raise NotImplementedError
+
+    def apply(
+        self, frame: Frame, t_us: int, state: int, rng: np.random.Generator
+    ) -> tuple[list[Outgoing], int]:
+        """Move every stamp of the frame; a message without one passes."""
+        off_s = self.off_s((t_us - state) * 1e-6)
+        scales = stamp_fields(frame.layout)
+        out = rewritten(
+            frame,
+            t_us,
+            {name: frame.number(name) + round(off_s * scale) for name, scale in scales.items()},
+        )
+        if out.frame is frame:
+            return [out], state
+        return [Outgoing(t_us, out.frame, abs(off_s), out.saturated)], state
+
+
+def stamp_fields(layout: Layout) -> dict[str, float]:
+    """The fields of a message that hold its sender's time, and their counts per second."""
+    return {
+        name: COUNTS_PER_S[layout.fields[name].unit]
+        for name in NAMES
+        if name in layout.fields and layout.fields[name].unit in COUNTS_PER_S
+    }
+
+
+class TimeJump(Stamps, frozen=True, kw_only=True):
+    """Stamps jump by `value` seconds, forwards or backwards, and stay off."""
+
+    value: float
+
+    def off_s(self, t_s: float) -> float:
+        """Always the same."""
+        return self.value
+
+
+class TimeDrift(Stamps, frozen=True, kw_only=True):
+    """The sender's clock runs `value` seconds per second too fast (or, negative, too slow)."""
+
+    value: float
+
+    def off_s(self, t_s: float) -> float:
+        """Grows with time."""
+        return self.value * t_s
+
+
+class TimeBackwards(Stamps, frozen=True, kw_only=True):
+    """Stamps run backwards, `value` seconds per second, from where the fault found them."""
+
+    value: Positive = 1.0
+
+    def off_s(self, t_s: float) -> float:
+        """Undo the time that passed, and as much again."""
+        return -(1.0 + self.value) * t_s

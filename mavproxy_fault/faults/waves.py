@@ -1,0 +1,61 @@
+"""Errors that come and go by the clock: a sine, a train of impulses, one element after another."""
+
+import math
+from typing import Any
+
+from mavproxy_fault.faults.driven import meet
+from mavproxy_fault.faults.profile import Mode, Positive
+from mavproxy_fault.faults.value import ValueFault
+from mavproxy_fault.wire.frame import Number
+
+
+class Sine(ValueFault, frozen=True, kw_only=True):
+    """Add a sine of amplitude `value` and `frequency_hz` (vibration)."""
+
+    value: float
+    frequency_hz: Positive
+    phase_rad: float = 0.0
+
+    def after(
+        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+    ) -> tuple[list[Number], Any]:
+        """The same phase on every element."""
+        error = self.value * math.sin(2 * math.pi * self.frequency_hz * t_s + self.phase_rad)
+        return [x + error for x in before], None
+
+
+class Impulse(ValueFault, frozen=True, kw_only=True):
+    """A train of impulses of height `value`: `width_s` long, every `period_s`."""
+
+    value: float
+    period_s: Positive
+    width_s: Positive
+    mode: Mode = "add"
+
+    def __post_init__(self) -> None:
+        if self.width_s >= self.period_s:
+            raise ValueError(
+                f"width_s = {self.width_s} must be shorter than period_s = {self.period_s}"
+            )
+
+    def after(
+        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+    ) -> tuple[list[Number], Any]:
+        """Healthy between the impulses."""
+        if t_s % self.period_s >= self.width_s:
+            return before, None
+        return [meet(self.mode, x, self.value) for x in before], None
+
+
+class Cycle(ValueFault, frozen=True, kw_only=True):
+    """Add `value` to one element (or satellite) after another, each for `period_s`."""
+
+    value: float
+    period_s: Positive
+
+    def after(
+        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+    ) -> tuple[list[Number], Any]:
+        """Only the one whose turn it is."""
+        turn = int(t_s / self.period_s) % len(before)
+        return [x + self.value * (i == turn) for i, x in enumerate(before)], None

@@ -1,0 +1,97 @@
+"""The `gnss` section of a scenario: which satellites, which errors, which receiver.
+
+Every error can be switched off; with all of them off pseudoranges are geometry and the satellites'
+broadcast clocks, nothing else.
+"""
+
+from datetime import datetime
+from typing import Literal
+
+import msgspec
+
+
+class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """No number of a section is negative, except where its name ends in `_dbhz` or `_offset_m`."""
+
+    def __post_init__(self) -> None:
+        for name in self.__struct_fields__:
+            value = getattr(self, name)
+            if isinstance(value, int | float) and value < 0 and not name.endswith("_offset_m"):
+                raise ValueError(f"{name} = {value} is negative; 0 or more is allowed")
+
+
+class ClockConfig(_Section, frozen=True, kw_only=True):
+    """The receiver's clock: two states driven by white noise.
+
+    `offset_s` and `drift` are the standard deviations of what is drawn at power-on. `h0_s` and
+    `h2_hz` are the Allan coefficients h_0 and h_-2 of its frequency; the defaults are a
+    temperature-compensated crystal's (Brown and Hwang, Introduction to Random Signals and Applied
+    Kalman Filtering, 4th ed., table 9.2). Galileo's signals come out `galileo_offset_m` longer than
+    GPS's (system time and hardware).
+    """
+
+    offset_s: float = 1e-6
+    drift: float = 1e-7
+    h0_s: float = 2e-19
+    h2_hz: float = 2e-20
+    galileo_offset_m: float = 1.5
+
+
+class ReceiverConfig(_Section, frozen=True, kw_only=True):
+    """How the receiver finds and loses satellites.
+
+    A `hot` start knows all ephemerides and tracks everything at power-on. After a `cold` one a
+    satellite is found after a time with mean `search_s` (exponential), and used for positions when
+    its ephemeris has been read, `message_s[0]` to `message_s[1]` later (uniform; GPS repeats its
+    subframes 1 to 3 every 30 s). Below `lock_dbhz` a satellite is lost, and comes back
+    `reacquire_s` after its signal does.
+    """
+
+    start: Literal["hot", "cold"] = "hot"
+    search_s: float = 5.0
+    message_s: tuple[float, float] = (18.0, 36.0)
+    lock_dbhz: float = 25.0
+    reacquire_s: float = 2.0
+
+
+class GnssConfig(_Section, frozen=True, kw_only=True):
+    """Satellites and errors of the measurements.
+
+    Parameters
+    ----------
+    navigation : str, optional
+        A RINEX 3 navigation file; without it the shipped constellation, turned over the home.
+    time : datetime, optional
+        GPS time at the simulation's start, without a zone; by default the shipped file's
+        2021-03-19T12:00:00, or where most of another file's satellites are valid.
+    mask_deg : float
+        Satellites below this elevation are not tracked.
+    cn0_zenith_dbhz, cn0_horizon_dbhz, cn0_sigma_db : float
+        C/N0 goes linearly with the sine of the elevation and wanders (Gauss-Markov, 20 s).
+    thermal : float
+        Scale of the code and frequency noise that follows from C/N0 (0: none, 1: as modelled).
+    multipath, multipath_s : float
+        Scale and correlation time of multipath, 0.13 m + 0.53 m exp(-elevation/10 deg).
+    orbit_m, orbit_s : float
+        Standard deviation and correlation time of what broadcast orbits and clocks are wrong by.
+    """
+
+    rate_hz: float = 5.0
+    latency_s: float = 0.0
+    id: int = 0
+    navigation: str | None = None
+    time: datetime | None = None
+    systems: tuple[Literal["GPS", "Galileo"], ...] = ("GPS", "Galileo")
+    mask_deg: float = 10.0
+    ionosphere: bool = True
+    troposphere: bool = True
+    cn0_zenith_dbhz: float = 49.5
+    cn0_horizon_dbhz: float = 32.0
+    cn0_sigma_db: float = 0.5
+    thermal: float = 1.0
+    multipath: float = 1.0
+    multipath_s: float = 20.0
+    orbit_m: float = 0.4
+    orbit_s: float = 1800.0
+    clock: ClockConfig = ClockConfig()
+    receiver: ReceiverConfig = ReceiverConfig()

@@ -1,0 +1,137 @@
+"""Pseudoranges and range rates without noise: geometry, clocks and the atmosphere.
+
+P = rho + c (dt_r - dt_s) + I + T. The range rho is c times the time of flight: the satellite stands
+where it was at transmission, seen from the Earth-fixed frame at reception, which turned meanwhile
+(Sagnac effect) [1]_.
+
+References
+----------
+.. [1] IS-GPS-200N, 20.3.3.4.3.4; Ashby, Living Reviews in Relativity 6(1), 2003.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import asin, atan2, cos, pi, sin, sqrt
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simvehicle.compiled import compiled, inlined
+from simvehicle.earth import geodetic_of
+from simvehicle.gnss.atmosphere import ionosphere_m, troposphere_m
+from simvehicle.gnss.ephemeris import EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS, Orbits, satellite_state
+
+Vector = NDArray[np.float64]
+
+FLIGHT_S = 0.075  # typical; where the iteration starts
+NONE = np.zeros(0)
+LOWEST_RAD = 3.0 * pi / 180.0  # the atmosphere's models end about here
+
+_Geodetic = Callable[[float, float, float], tuple[float, float, float]]
+geodetic = cast(_Geodetic, inlined(geodetic_of))
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """n satellites as one receiver sees them; all arrays are (n,) but `toward` (n, 3).
+
+    `range_m`, `rate_mps` are geometry alone; `toward` are unit vectors from the receiver to the
+    satellites, Earth-fixed at reception; `clock_s`, `clock_rate` are those of the satellites;
+    `delay_m` is that of the atmosphere.
+    """
+
+    range_m: Vector
+    rate_mps: Vector
+    clock_s: Vector
+    clock_rate: Vector
+    elevation_rad: Vector
+    azimuth_rad: Vector
+    delay_m: Vector
+    toward: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Atmosphere:
+    """What delays the signals: Klobuchar's coefficients (8,), or None, and the troposphere."""
+
+    klobuchar: Vector | None
+    troposphere: bool
+
+    @property
+    def coefficients(self) -> Vector:
+        """Klobuchar's, or an empty array without an ionosphere."""
+        return NONE if self.klobuchar is None else self.klobuchar
+
+
+def sight(
+    orbits: Orbits, tow_s: float, r_ecef_m: Vector, v_ecef_mps: Vector, atmosphere: Atmosphere
+) -> Sight:
+    """The satellites seen at GPS time `tow_s` from `r_ecef_m` (3,), moving with `v_ecef_mps` (3,).
+
+    Satellites below the horizon are computed all the same; the atmosphere's delay of those below
+    3 degrees is that at 3 degrees.
+    """
+    out = sights(
+        orbits.table,
+        tow_s,
+        r_ecef_m,
+        v_ecef_mps,
+        atmosphere.coefficients,
+        atmosphere.troposphere,
+    )
+    return Sight(out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7:].T)
+
+
+@compiled
+def sights(
+    table: Vector,
+    tow_s: float,
+    r_ecef_m: Vector,
+    v_ecef_mps: Vector,
+    coefficients: Vector,
+    troposphere: bool,
+) -> Vector:
+    """`Sight` as rows (10, n); no coefficients, no ionosphere; the place is `r_ecef_m[:3]`.
+
+    The time of flight comes from two evaluations of the orbit, each refined along the velocity;
+    what is left is below a micrometre.
+    """
+    rx, ry, rz = r_ecef_m[0], r_ecef_m[1], r_ecef_m[2]
+    lat, lon, height = geodetic(rx, ry, rz)
+    s_lat, c_lat, s_lon, c_lon = sin(lat), cos(lat), sin(lon), cos(lon)
+    out = np.empty((10, len(table)))
+    for k in range(len(table)):
+        flight = FLIGHT_S
+        for _ in range(2):
+            start = flight
+            px, py, pz, vx, vy, vz, clock, clock_rate = satellite_state(table[k], tow_s - start)
+            for _ in range(3):
+                s, c = sin(EARTH_RATE_RPS * flight), cos(EARTH_RATE_RPS * flight)
+                earlier = start - flight
+                mx, my, mz = px + vx * earlier, py + vy * earlier, pz + vz * earlier
+                x, y = c * mx + s * my, c * my - s * mx
+                dx, dy, dz = x - rx, y - ry, mz - rz
+                distance = sqrt(dx * dx + dy * dy + dz * dz)
+                flight = distance / SPEED_OF_LIGHT_MPS
+        ex, ey, ez = dx / distance, dy / distance, dz / distance
+        # the frame turns on, and transmission moves by the range's own change
+        wx, wy = c * vx + s * vy, c * vy - s * vx
+        closing = ex * (wx - v_ecef_mps[0]) + ey * (wy - v_ecef_mps[1]) + ez * (vz - v_ecef_mps[2])
+        drag = ex * (wx - EARTH_RATE_RPS * y) + ey * (wy + EARTH_RATE_RPS * x) + ez * vz
+        outward = c_lon * ex + s_lon * ey
+        north = c_lat * ez - s_lat * outward
+        east = c_lon * ey - s_lon * ex
+        elevation = asin(min(max(c_lat * outward + s_lat * ez, -1.0), 1.0))
+        azimuth = atan2(east, north)
+        above = max(elevation, LOWEST_RAD)
+        delay = 0.0
+        if len(coefficients):
+            delay += ionosphere_m(tow_s, lat, lon, above, azimuth, coefficients)
+        if troposphere:
+            delay += troposphere_m(lat, height, above)
+        out[0, k], out[1, k] = distance, closing / (1.0 + drag / SPEED_OF_LIGHT_MPS)
+        out[2, k], out[3, k] = clock + clock_rate * (start - flight), clock_rate
+        out[4, k], out[5, k], out[6, k] = elevation, azimuth, delay
+        out[7, k], out[8, k], out[9, k] = ex, ey, ez
+    return out

@@ -1,0 +1,129 @@
+"""The receiver's own navigation solution: weighted least squares on pseudoranges and Doppler.
+
+It knows what is broadcast (orbits, clocks, Klobuchar's coefficients) and the troposphere's model,
+solves for position and one clock offset per satellite system, then for velocity and clock drift. It
+tests nothing: a faulty satellite moves the solution, as in a receiver without integrity monitoring.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simvehicle.gnss import receiver_kernel as kernel
+from simvehicle.gnss.ephemeris import Orbits, satellite_states
+from simvehicle.gnss.pseudorange import Atmosphere
+
+Vector = NDArray[np.float64]
+
+SURFACE_M = 6.37e6
+EPH_MAX_M = 100.0  # worse is no fix
+REASONS = {kernel.SINGULAR: "satellites in one plane", kernel.DIVERGED: "no convergence"}
+
+
+@dataclass(frozen=True, slots=True)
+class Fix:
+    """A solution; `clock_m` (m,) are the offsets by system, the first GPS's if there is one.
+
+    `fix_type` is MAVLink's: 0 no satellites, 1 no fix, 3 three-dimensional. Without a fix the place
+    is the last one (all zero if there was none), nothing moves, and `reason` says why.
+    `sigma_ned_m` (3,) is what the receiver believes.
+    """
+
+    fix_type: int
+    satellites: int
+    r_ecef_m: Vector
+    lat_rad: float
+    lon_rad: float
+    height_m: float
+    v_ecef_mps: Vector
+    v_ned_mps: Vector
+    clock_m: Vector
+    drift_mps: float
+    sigma_ned_m: Vector
+    reason: str = ""
+
+
+def solve(
+    orbits: Orbits,
+    tow_s: float,
+    pseudorange_m: Vector,
+    doppler_mps: Vector,
+    atmosphere: Atmosphere,
+    last: Fix | None = None,
+) -> Fix:
+    """Position, velocity and clock of one epoch.
+
+    Parameters
+    ----------
+    orbits : Orbits
+        Of the n satellites observed.
+    tow_s : float
+        Time of reception by the receiver's clock, in seconds of the week of `orbits`.
+    pseudorange_m, doppler_mps : (n,) arrays
+        Observations; the range rate is positive when the range grows.
+    atmosphere : Atmosphere
+        What to correct for.
+    last : Fix, optional
+        Where to start from.
+    """
+    letters = [name[0] for name in orbits.satellites]
+    systems = sorted(set(letters), reverse=True)  # GPS before Galileo
+    count = len(letters)
+    if count < 3 + max(len(systems), 1):
+        return _none(count, f"{count} satellites of {len(systems)} systems", last)
+    near = last is not None and last.fix_type == 3 and len(last.clock_m) == len(systems)
+    if last is not None and near:
+        start = np.concatenate((last.r_ecef_m, last.clock_m))
+    else:
+        start = np.concatenate((_somewhere_below(orbits, tow_s), np.zeros(len(systems))))
+    system = np.array([systems.index(letter) for letter in letters])
+    out = kernel.navigate(
+        orbits.table,
+        system,
+        tow_s,
+        pseudorange_m,
+        doppler_mps,
+        atmosphere.coefficients,
+        atmosphere.troposphere,
+        start,
+        near,
+    )
+    if out[kernel.STATUS] != kernel.SOLVED:
+        return _none(count, REASONS[float(out[kernel.STATUS])], last)
+    sigma = out[kernel.SIGMA : kernel.SIGMA + 3]
+    if math.hypot(sigma[0], sigma[1]) > EPH_MAX_M:
+        return _none(count, "geometry too poor", last)
+    return Fix(
+        3,
+        count,
+        out[kernel.PLACE : kernel.PLACE + 3],
+        float(out[kernel.GEODETIC]),
+        float(out[kernel.GEODETIC + 1]),
+        float(out[kernel.GEODETIC + 2]),
+        out[kernel.MOTION : kernel.MOTION + 3],
+        out[kernel.MOTION_NED : kernel.MOTION_NED + 3],
+        out[kernel.CLOCK : kernel.CLOCK + len(systems)],
+        float(out[kernel.DRIFT]),
+        sigma,
+    )
+
+
+def _somewhere_below(orbits: Orbits, tow_s: float) -> Vector:
+    """A place on the Earth's surface amid the satellites, to start from."""
+    middle = satellite_states(orbits, np.full(len(orbits.table), tow_s))[0].mean(axis=0)
+    return np.asarray(SURFACE_M * middle / np.linalg.norm(middle))
+
+
+def _none(count: int, reason: str, last: Fix | None) -> Fix:
+    """No fix; the place stays the last one."""
+    still, unknown = np.zeros(3), np.full(3, np.inf)
+    if last is None:
+        place, lat, lon, height = still, 0.0, 0.0, 0.0
+    else:
+        place, lat, lon, height = last.r_ecef_m, last.lat_rad, last.lon_rad, last.height_m
+    fix_type = min(count, 1)
+    return Fix(
+        fix_type, count, place, lat, lon, height, still, still, np.zeros(0), 0.0, unknown, reason
+    )

@@ -1,0 +1,27 @@
+"""The frames that come in on a link, whichever of its streams they come on."""
+
+from mavproxy_fault.links.link import Link
+from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.parser import Parser
+
+
+class Inbox:
+    """A link's parsers; `ended` counts the streams whose peer has closed."""
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.ended = 0
+        self._parsers: dict[int, Parser] = {}
+
+    def frames(self) -> list[Frame]:
+        """What has come since the last call; bytes that are no frame are left out."""
+        found = []
+        for stream, data in self.link.read():
+            if not data:
+                self.ended += 1
+                self._parsers.pop(stream, None)
+                continue
+            parser = self._parsers.setdefault(stream, Parser())
+            items = parser.push(data, datagram=self.link.datagrams)
+            found += [item for item in items if isinstance(item, Frame)]
+        return found

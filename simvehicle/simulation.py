@@ -1,0 +1,381 @@
+"""One flight: the vehicle in its air, the sensors on board, the controller or someone else's.
+
+Time is simulated; nothing here reads a clock or does I/O. The same scenario and seed give the same
+readings, and each part draws from a stream of its own, so adding a sensor changes no other.
+"""
+
+import heapq
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+from zlib import crc32
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.errors import ConfigError
+from simvehicle.air import GUSTS, Gusts, wind_step
+from simvehicle.body import Controls, Truth
+from simvehicle.controller import FixedWingController
+from simvehicle.geomagnetism import field_ned_gauss
+from simvehicle.gnss.sensor import gnss_sensor
+from simvehicle.guidance import PathTrack
+from simvehicle.mission import plan
+from simvehicle.multirotor_controller import MultirotorController
+from simvehicle.place import Home, locate
+from simvehicle.readings import Reading
+from simvehicle.rotation import quat_from_euler
+from simvehicle.scenario import GustChoice, Scenario
+from simvehicle.sensors.base import Sensor
+from simvehicle.terrain import Grid, Level, read_grid
+from simvehicle.vehicles.fixedwing import FixedWing
+from simvehicle.vehicles.multirotor import Multirotor
+from simvehicle.vehicles.vehicle import Vehicle, read_vehicle
+
+Array = NDArray[np.float64]
+_LONGEST_STEP_S = 0.005  # a ground contact is stiff
+_BLOCK = 512
+_NO_SHEAR = (1.0, 1.0, 0.0)
+_WINDS = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
+
+
+class _Fitted:
+    """A sensor on board: its moving state, its stream and when it is due."""
+
+    def __init__(self, name: str, sensor: Sensor, seed: int) -> None:
+        self.name, self.sensor = name, sensor
+        self.rng = np.random.default_rng([seed, crc32(name.encode())])
+        self.state: Any = sensor.new_state(self.rng)
+        self.count = 1
+        self.due_us = 1e6 / sensor.rate_hz
+        self.latency_us = round(sensor.latency_s * 1e6)
+
+    def sample(self, truth: Truth) -> list[Reading]:
+        """Readings now."""
+        self.count += 1
+        self.due_us = self.count * 1e6 / self.sensor.rate_hz
+        found, self.state = self.sensor.sample(truth, self.state, self.rng)
+        return found if isinstance(found, list) else [found]
+
+
+class Simulation:
+    """A flight that goes on step by step, at the rate of the first inertial unit.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    terrain : Grid or Level
+    home : Home
+        Origin of the local frame, on the ground.
+    vehicle, controller
+        What flies, and what flies it when `step` gets no controls. The controller's `track` may be
+        replaced in flight.
+    truth : Truth
+        The last one.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int | None = None) -> None:
+        self.terrain = _terrain(scenario)
+        scenario = _grounded(scenario, self.terrain)
+        self.scenario = scenario
+        self.seed = scenario.seed if seed is None else seed
+        start = scenario.start
+        self.home = Home.at(start.lat_deg, start.lon_deg, start.alt_m, start.geoid_m)
+        self.vehicle = read_vehicle(scenario.vehicle.kind, scenario.vehicle.parameters)
+        self._plant: dict[str, float] = {}
+        self._wind = np.array(scenario.environment.wind_ned_mps)
+        self._gusts = _gusts(scenario)
+        self._gust_rng = np.random.default_rng([self.seed, crc32(b"gusts")])
+        self._filters = np.concatenate([self._gust_rng.standard_normal(1), np.zeros(4)])
+        self._draws = self._gust_rng.standard_normal((_BLOCK, 5))
+        self._fitted = _fit(scenario, self.seed)
+        self._rate_hz = self._fitted[0].sensor.rate_hz
+        self._count = 0
+        self._t_us = 0
+        self._late: list[tuple[int, int, Reading]] = []
+        self._order = itertools.count()
+        self._controls = np.zeros(self.vehicle.controls_count)
+        self._x = self._begin()
+        self.truth = self._observe(np.zeros(6), self._wind)
+        self.controller = _controller(self.vehicle, self.truth, scenario.start.alt_m)
+        self._next_control_us = 0.0
+        if scenario.mission:
+            self.controller.track = self._mission()
+
+    @property
+    def controls(self) -> Array:
+        """The actuator commands now in force, in the vehicle's order."""
+        return self._controls
+
+    def step(self, controls: Controls | None = None) -> tuple[int, Truth, list[Reading]]:
+        """Go on to the next sample of the inertial unit.
+
+        Parameters
+        ----------
+        controls : Controls, optional
+            Someone else's, for example an autopilot's; without them the controller flies.
+
+        Returns
+        -------
+        t_us : int
+            Since the start of the simulation, above 0.
+        truth : Truth
+        readings : list of Reading
+            What the sensors delivered by now; the inertial unit's comes first.
+        """
+        if controls is None:
+            if self._t_us >= self._next_control_us:
+                self._controls = self.controller.update(self.truth).values
+                self._next_control_us += 1e6 / self.controller.rate_hz
+        else:
+            self._controls = self._checked(controls)
+        self._count += 1
+        t_us = round(self._count * 1e6 / self._rate_hz)
+        dt = (t_us - self._t_us) * 1e-6
+        self._t_us = t_us
+        truth = self.truth
+        steps = max(1, math.ceil(dt / _LONGEST_STEP_S - 1e-9))
+        wind = self._wind_now(dt)
+        self._x, load = self.vehicle.advance(
+            self._x,
+            self._controls,
+            wind,
+            self._gravity,
+            truth.density_kgpm3,
+            float(self._x[2]) + truth.height_agl_m,
+            steps,
+            dt / steps,
+        )
+        self.truth = self._observe(load, wind)
+        return t_us, self.truth, self._read()
+
+    def _checked(self, controls: Controls) -> Array:
+        values = controls.values
+        count = self.vehicle.controls_count
+        if len(values) != count or not math.isfinite(sum(values.tolist())):
+            raise ConfigError(
+                f"controls: {values.tolist()} at {self._t_us * 1e-6:.3f} s cannot be used; "
+                f"{count} finite numbers are needed"
+            )
+        return values if controls.armed else np.zeros(count)
+
+    def plant(self, name: str, value: float | None) -> None:
+        """Switch a plant fault on, or off with None.
+
+        Names: the vehicle's `plant_names`, `wind_n_mps`, `wind_e_mps`,
+        `wind_d_mps`, and those of the satellite sensor.
+
+        Raises
+        ------
+        ConfigError
+            If the name is unknown or the value makes no vehicle.
+        """
+        if name in _WINDS:
+            axis = _WINDS.index(name)
+            healthy = self.scenario.environment.wind_ned_mps[axis]
+            self._wind = self._wind.copy()
+            self._wind[axis] = healthy if value is None else value
+        elif name in self.vehicle.plant_names:
+            changed = {k: v for k, v in self._plant.items() if k != name}
+            if value is not None:
+                changed[name] = value
+            try:
+                self.vehicle = self.vehicle.with_plant(changed)
+            except ValueError as error:
+                raise ConfigError(f"plant: {name} = {value} is impossible; {error}") from None
+            self._plant = changed
+        else:
+            self._satellite_plant(name, value)
+
+    def _satellite_plant(self, name: str, value: float | None) -> None:
+        for fitted in self._fitted:
+            sensor: Any = fitted.sensor
+            if hasattr(sensor, "with_plant"):
+                fitted.state = sensor.with_plant(fitted.state, name, value)
+                return
+        known = ", ".join((*self.vehicle.plant_names, *_WINDS))
+        raise ConfigError(f"plant: {name} is unknown; known: {known}")
+
+    def _begin(self) -> Array:
+        """The vehicle's first state: trimmed flight at height, or standing on the ground."""
+        start, scenario = self.scenario.start, self.scenario
+        heading = math.radians(start.heading_deg)
+        vehicle = self.vehicle
+        zero = np.zeros(3)
+        self._gravity = np.array([0.0, 0.0, 9.81])
+        if start.height_m == 0.0:
+            height = vehicle.standing_height_m()
+            return vehicle.start(
+                np.array([0.0, 0.0, -height]), zero, quat_from_euler(0.0, 0.0, heading)
+            )
+        r = np.array([0.0, 0.0, -start.height_m])
+        level = vehicle.start(r, zero, quat_from_euler(0.0, 0.0, heading))
+        h = self.home
+        *_, density, vectors = locate(level, zero, h.r_ecef_m, h.rot_en, h.geoid_m)
+        self._gravity = vectors[10:]
+        first = scenario.mission[0].speed_mps if scenario.mission else None
+        speed = first or vehicle.parameters.cruise_mps
+        pull = float(np.linalg.norm(self._gravity))
+        try:
+            return vehicle.cruise(r, heading, self._wind, speed, density, pull)
+        except ValueError as error:
+            raise ConfigError(
+                f"mission[0].speed_mps = {speed:g} cannot be flown; {error}"
+            ) from None
+
+    def _mission(self) -> PathTrack:
+        scenario, controller = self.scenario, self.controller
+        path = plan(
+            scenario.mission,
+            (float(self._x[0]), float(self._x[1]), math.radians(scenario.start.heading_deg)),
+            self.vehicle.parameters.cruise_mps,
+            float(np.hypot(self._wind[0], self._wind[1])) if controller.drifts else 0.0,
+            controller.lateral_mps2,
+        )
+        return PathTrack(path)
+
+    def _wind_now(self, dt: float) -> Array:
+        """Steady wind at this height and the gusts of this step, NED."""
+        row = self._count % _BLOCK
+        if row == 0:
+            self._draws = self._gust_rng.standard_normal((_BLOCK, 5))
+        truth, gusts, shear = self.truth, self._gusts, self.scenario.environment.shear
+        place = (truth.height_agl_m, shear.reference_m, shear.exponent) if shear else _NO_SHEAR
+        u, v, w = truth.v_air_b_mps.tolist()
+        airspeed = math.sqrt(u * u + v * v + w * w)
+        self._filters, wind = wind_step(
+            self._filters,
+            self._draws[row],
+            self._wind,
+            place,
+            self._x[6:10],
+            airspeed,
+            gusts.sigma_mps,
+            gusts.length_m,
+            dt,
+        )
+        return wind
+
+    def _observe(self, load: Array, wind: Array) -> Truth:
+        """The truth of the state now."""
+        home, x = self.home, self._x
+        lat, lon, height, pressure, temperature, density, v = locate(
+            x, wind, home.r_ecef_m, home.rot_en, home.geoid_m
+        )
+        if not math.isfinite(height):
+            raise ConfigError(
+                f"the simulation left the numbers at {self._t_us * 1e-6:.3f} s; the vehicle's "
+                "parameters, controls or faults let it diverge"
+            )
+        self._gravity = v[10:]
+        alt = height - home.geoid_m
+        agl = alt - self.terrain.ground(lat, lon)
+        standing = agl < self.vehicle.standing_height_m() + 0.02
+        volts, amperes, left = load[3:].tolist()
+        return Truth(
+            self._t_us,
+            lat,
+            lon,
+            height,
+            alt,
+            agl,
+            x[:3],
+            v[:3],
+            v[3:7],
+            x[10:13],
+            load[:3],
+            v[7:10],
+            wind,
+            pressure,
+            temperature,
+            density,
+            volts,
+            amperes,
+            left,
+            standing,
+        )
+
+    def _read(self) -> list[Reading]:
+        """Readings delivered by now, late ones of earlier samples included."""
+        truth, t_us = self.truth, self._t_us
+        out: list[Reading] = []
+        for fitted in self._fitted:
+            if t_us < fitted.due_us:
+                continue
+            if fitted.latency_us == 0:
+                out += fitted.sample(truth)
+                continue
+            for reading in fitted.sample(truth):
+                heapq.heappush(self._late, (t_us + fitted.latency_us, next(self._order), reading))
+        while self._late and self._late[0][0] <= t_us:
+            out.append(replace(heapq.heappop(self._late)[2], t_us=t_us))
+        return out
+
+
+def simulate(
+    scenario: Scenario, seed: int | None = None
+) -> Iterator[tuple[int, Truth, list[Reading]]]:
+    """Fly a scenario from start to end with the built-in controller.
+
+    Yields
+    ------
+    t_us, truth, readings
+        At each sample of the inertial unit.
+    """
+    simulation = Simulation(scenario, seed)
+    end_us = round(scenario.duration_s * 1e6)
+    while True:
+        found = simulation.step()
+        if found[0] > end_us:
+            return
+        yield found
+
+
+def _controller(
+    vehicle: Vehicle, truth: Truth, home_alt_m: float
+) -> FixedWingController | MultirotorController:
+    if isinstance(vehicle, FixedWing):
+        return FixedWingController(vehicle, truth.density_kgpm3, home_alt_m)
+    assert isinstance(vehicle, Multirotor)
+    return MultirotorController(vehicle, home_alt_m)
+
+
+def _terrain(scenario: Scenario) -> Grid | Level:
+    path = scenario.environment.terrain
+    return read_grid(path) if path is not None else Level(scenario.start.alt_m)
+
+
+def _grounded(scenario: Scenario, terrain: Grid | Level) -> Scenario:
+    """The scenario with home on the terrain."""
+    start = scenario.start
+    alt = terrain.ground(math.radians(start.lat_deg), math.radians(start.lon_deg))
+    return msgspec.structs.replace(scenario, start=msgspec.structs.replace(start, alt_m=alt))
+
+
+def _gusts(scenario: Scenario) -> Gusts:
+    choice = scenario.environment.gusts
+    if isinstance(choice, GustChoice):
+        return Gusts(choice.sigma_mps, choice.length_m)
+    return GUSTS[choice]
+
+
+def _fit(scenario: Scenario, seed: int) -> list[_Fitted]:
+    """The sensors on board, the first inertial unit first."""
+    sensors, start = scenario.sensors, scenario.start
+    fitted: list[_Fitted] = []
+    for kind in sensors.__struct_fields__:
+        value = getattr(sensors, kind)
+        if value is None or (kind == "gps" and scenario.gnss is not None):
+            continue  # a receiver with raw observations takes the place of the simple one
+        for index, sensor in enumerate(value if isinstance(value, list) else [value]):
+            if kind == "mag" and sensor.field_ned_gauss is None:
+                field = field_ned_gauss(start.lat_deg, start.lon_deg, start.alt_m, start.time)
+                sensor = msgspec.structs.replace(sensor, field_ned_gauss=field)
+            fitted.append(_Fitted(f"{kind}{index}", sensor, seed))
+    if scenario.gnss is not None:
+        home = math.radians(start.lat_deg), math.radians(start.lon_deg)
+        fitted.append(_Fitted("gnss", gnss_sensor(scenario.gnss, *home), seed))
+    return fitted

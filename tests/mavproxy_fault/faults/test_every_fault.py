@@ -1,0 +1,181 @@
+"""What every registered fault keeps to, and what each of them does end to end.
+
+The frames run through an engine and are judged by pymavlink's decoder.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import all as pymavlink
+
+from mavproxy_fault.engine import Engine
+from mavproxy_fault.faults.base import Outgoing
+from mavproxy_fault.faults.registry import known_faults
+from mavproxy_fault.schedule import parse_schedule
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.plant import plant_change
+
+GYRO = "HIL_SENSOR.xgyro"
+GYROS = ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"]
+EXAMPLES: dict[str, dict[str, Any]] = {
+    "axis-swap": {"target": GYROS},
+    "bias": {"target": GYRO, "value": 1.0},
+    "bit-flip": {"target": GYRO},
+    "burst-loss": {"value": 0.2, "frames": 3},
+    "clear-bits": {"target": "HIL_SENSOR.fields_updated", "groups": ["baro"]},
+    "constant": {"target": GYRO, "value": 3.0},
+    "corrupt": {"crc": "redone", "target": "HIL_SENSOR"},
+    "cycle": {"target": GYROS, "value": 1.0, "period_s": 0.1},
+    "dead-band": {"target": GYRO, "value": 0.05},
+    "delay": {"value": 0.02},
+    "drift": {"target": GYRO, "value": 10.0},
+    "drop": {"value": 0.5},
+    "duplicate": {"copies": 2, "by_s": 0.01},
+    "float": {"target": GYRO, "settle_s": 0.05},
+    "freeze": {"target": GYRO},
+    "gilbert-elliott": {"to_bad": 0.2, "to_good": 0.2},
+    "gps-spoof": {"offset_m": [100, 0, 0]},
+    "impulse": {"target": GYRO, "value": 5.0, "period_s": 0.1, "width_s": 0.02},
+    "iron": {"target": GYROS, "hard": [0.1, 0, 0]},
+    "jitter": {"value": 0.02},
+    "lag": {"target": GYRO, "value": 0.05},
+    "noise": {"target": GYRO, "value": 0.1},
+    "not-a-number": {"target": GYRO},
+    "outage": {},
+    "plant": {"target": "PLANT.mass_kg_add", "value": 0.5},
+    "quantise": {"target": GYRO, "value": 0.25},
+    "random-walk": {"target": GYRO, "value": 0.1},
+    "rate-limit": {"value": 50},
+    "reorder": {"value": 0.2, "by_s": 0.02},
+    "replay": {"target": GYRO, "value": 0.1},
+    "rotation": {"target": GYROS, "angles_deg": [0, 0, 90]},
+    "sample-hold": {"target": GYRO, "value": 0.1},
+    "saturate": {"target": GYRO, "value": 0.05},
+    "scale": {"target": GYRO, "value": 2.0},
+    "sequence-gap": {"value": 0.2},
+    "sine": {"target": GYRO, "value": 0.1, "frequency_hz": 10},
+    "slew-limit": {"target": GYRO, "value": 0.01},
+    "time-backwards": {},
+    "time-drift": {"value": 0.5},
+    "time-jump": {"value": 5.0},
+    "truncate": {},
+}
+START_US = 1_000_000
+STEP_US = 4_000
+FRAMES = 200  # 0.8 s; the fault acts from 0.2 s to 0.6 s
+FIRST, LAST = 50, 150
+
+
+def frames() -> list[tuple[int, Frame]]:
+    """HIL_SENSOR at 250 Hz and HIL_GPS with every tenth of them."""
+    made = []
+    for i in range(FRAMES):
+        t_us = START_US + i * STEP_US
+        sensor = {
+            "time_usec": t_us,
+            "xgyro": math.sin(i / 9),
+            "ygyro": 0.2,
+            "zgyro": -0.1,
+            "zacc": -9.81,
+            "abs_pressure": 950.0,
+            "fields_updated": 0x1FFF,
+        }
+        gps = {"time_usec": t_us, "lat": 473977418, "lon": 85455939, "alt": 488_000, "vn": 100}
+        for name, values in [("HIL_SENSOR", sensor)] + [("HIL_GPS", gps)] * (i % 10 == 0):
+            layout = known(name)
+            made.append((t_us, Frame(build(layout, values, seq=i % 256, component=51), layout)))
+    return made
+
+
+def schedule(name: str) -> Engine:
+    entry = {"id": "it", "fault": name, "at_s": 0.2, "for_s": 0.4, **EXAMPLES[name]}
+    return Engine(parse_schedule({"seed": 3, "faults": [entry]}))
+
+
+def sent(engine: Engine) -> list[tuple[int, Outgoing]]:
+    return [
+        (t_us, out) for t_us, frame in frames() for out in engine.apply(frame, "to-vehicle", t_us)
+    ] + [(0, out) for out in engine.due(10**9)]
+
+
+def raw(out: Outgoing) -> bytes:
+    return out.frame if isinstance(out.frame, bytes) else out.frame.raw
+
+
+def test_there_is_an_example_of_every_fault() -> None:
+    assert set(EXAMPLES) == set(known_faults())
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_nothing_is_due_before_it_came(name: str) -> None:
+    assert all(out.due_us >= t_us for t_us, out in sent(schedule(name)))
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_same_seed_gives_the_same_output(name: str) -> None:
+    one, two = sent(schedule(name)), sent(schedule(name))
+    assert [(out.due_us, raw(out)) for _, out in one] == [(out.due_us, raw(out)) for _, out in two]
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_a_state_handed_back_does_not_touch_the_one_before(name: str) -> None:
+    entry = schedule(name)._schedule.faults[0]
+    outcomes = []
+    for _ in range(2):
+        rng = np.random.default_rng(7)
+        state = entry.fault.new_state(START_US)
+        found = []
+        for t_us, frame in frames():
+            if entry.ids is None or frame.id in entry.ids:
+                sends, state = entry.fault.apply(frame, t_us, state, rng)
+                found += [(out.due_us, raw(out)) for out in sends]
+        outcomes.append(found)
+    assert outcomes[0] == outcomes[1]
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_frames_outside_the_stretch_pass_as_the_same_object(name: str) -> None:
+    engine = schedule(name)
+    for t_us, frame in frames():
+        outs = [out for out in engine.apply(frame, "to-vehicle", t_us) if not out.back]
+        i = (t_us - START_US) // STEP_US
+        if not FIRST <= i < LAST:
+            assert [(out.frame is frame, out.due_us) for out in outs] == [(True, t_us)]
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_label_covers_the_stretch_and_every_frame_is_counted(name: str) -> None:
+    engine = schedule(name)
+    touched = 0
+    for t_us, frame in frames():
+        outs = engine.apply(frame, "to-vehicle", t_us)
+        touched += not (len(outs) == 1 and outs[0].frame is frame and outs[0].due_us == t_us)
+    labels = [label for label in engine.take_labels() if label.end_us is not None]
+    assert len(labels) == 1
+    label = labels[0]
+    begin_us, end_us = START_US + FIRST * STEP_US, START_US + LAST * STEP_US
+    assert begin_us <= label.start_us < begin_us + 110_000
+    assert label.end_us == end_us
+    assert label.frames > 0
+    extra = name == "plant"  # the message that says healthy again
+    assert label.frames == touched - extra
+
+
+@pytest.mark.parametrize("name", sorted(set(EXAMPLES) - {"truncate", "outage"}))
+def test_pymavlink_reads_what_leaves(name: str) -> None:
+    decoder = pymavlink.MAVLink(None)
+    read = [decoder.decode(bytearray(raw(out))) for _, out in sent(schedule(name))]
+    assert len(read) > FRAMES // 3
+
+
+def test_a_plant_fault_tells_the_simulator_and_at_the_end_that_all_is_well() -> None:
+    told = [out for _, out in sent(schedule("plant")) if out.back]
+    changes = [plant_change(out.frame) for out in told if isinstance(out.frame, Frame)]
+    assert changes[0] is not None
+    assert (changes[0].name, changes[0].value) == ("mass_kg_add", 0.5)
+    assert changes[-1] is not None
+    assert changes[-1].value is None
+    assert len(changes) == 3  # at the start, after 0.2 s, at the end

@@ -1,0 +1,57 @@
+from mavproxy_fault.clock import VehicleClock, stamp_us
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+
+UNIX_US = 1_700_000_000_000_000
+
+
+def frame(name: str, system: int = 1, component: int = 1, **values: object) -> Frame:
+    return Frame(build(known(name), values, system=system, component=component), known(name))
+
+
+def test_stamps_are_read_in_microseconds_even_where_their_zeros_were_cut() -> None:
+    assert stamp_us(frame("HIL_SENSOR", time_usec=1_234_567)) == 1_234_567
+    assert stamp_us(frame("ATTITUDE", time_boot_ms=70_000)) == 70_000_000
+    assert stamp_us(frame("ATTITUDE", time_boot_ms=5)) == 5_000
+    assert stamp_us(frame("SYSTEM_TIME", time_unix_usec=UNIX_US, time_boot_ms=9)) == 9_000
+    assert stamp_us(frame("HEARTBEAT", type=2)) == 0
+
+
+def test_the_first_stamp_starts_the_timeline_and_frames_without_one_take_the_newest() -> None:
+    clock = VehicleClock()
+    assert clock.read(frame("HEARTBEAT", type=2), 123) == 123
+    assert clock.t0_us is None
+    assert clock.read(frame("ATTITUDE", time_boot_ms=60_000), 124) == 60_000_000
+    assert clock.t0_us == 60_000_000
+    assert clock.read(frame("HEARTBEAT", type=2), 999_999) == 60_000_000
+    assert clock.read(frame("HEARTBEAT", 255, type=2), 999_999) == 60_000_000
+
+
+def test_a_clock_near_the_timeline_is_taken_as_it_is() -> None:
+    clock = VehicleClock()
+    clock.read(frame("HIL_SENSOR", component=51, time_usec=2_000_000), 0)
+    assert clock.read(frame("ATTITUDE", time_boot_ms=1_990), 0) == 1_990_000
+
+
+def test_unix_stamps_of_the_same_system_are_shifted_onto_the_timeline() -> None:
+    clock = VehicleClock()
+    clock.read(frame("ATTITUDE", time_boot_ms=60_000), 0)
+    assert clock.read(frame("GPS_RAW_INT", time_usec=UNIX_US), 0) == 60_000_000
+    clock.read(frame("ATTITUDE", time_boot_ms=61_000), 0)
+    assert clock.read(frame("GPS_RAW_INT", time_usec=UNIX_US + 1_500_000), 0) == 61_500_000
+
+
+def test_each_vehicle_has_its_own_clock() -> None:
+    clock = VehicleClock()
+    clock.read(frame("ATTITUDE", 1, time_boot_ms=60_000), 0)
+    assert clock.read(frame("ATTITUDE", 2, time_boot_ms=900_000), 0) == 60_000_000
+    clock.read(frame("ATTITUDE", 1, time_boot_ms=62_000), 0)
+    assert clock.read(frame("ATTITUDE", 2, time_boot_ms=901_000), 0) == 61_000_000
+    assert clock.read(frame("HEARTBEAT", 2, type=2), 0) == 61_000_000
+
+
+def test_time_goes_on_after_a_reboot() -> None:
+    clock = VehicleClock()
+    clock.read(frame("ATTITUDE", time_boot_ms=60_000), 0)
+    assert clock.read(frame("ATTITUDE", time_boot_ms=1_000), 0) == 60_000_000
+    assert clock.read(frame("ATTITUDE", time_boot_ms=3_000), 0) == 62_000_000

@@ -1,0 +1,227 @@
+from collections.abc import Mapping
+
+from mavproxy_fault.core import Core, LinkRole, Send
+from mavproxy_fault.engine import Engine
+from mavproxy_fault.schedule import parse_schedule
+from mavproxy_fault.tape import Tape
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.parser import Parser
+from mavproxy_fault.wire.signing import Signing, Verifier, key_of, signed
+
+SIM, AUTOPILOT, GCS = 0, 1, 2
+ROLES = (
+    LinkRole("sim", "to-vehicle"),
+    LinkRole("autopilot", "from-vehicle"),
+    LinkRole("gcs", "to-vehicle"),
+)
+WALL_US = 1_700_000_000_000_000
+
+
+def message(
+    name: str, *, seq: int = 0, system: int = 1, component: int = 51, **values: object
+) -> bytes:
+    return build(known(name), values, seq=seq, system=system, component=component)
+
+
+def sensor(t_s: float, seq: int = 0) -> bytes:
+    return message("HIL_SENSOR", seq=seq, time_usec=round(t_s * 1e6), xgyro=0.25, fields_updated=63)
+
+
+def heartbeat(system: int = 1, component: int = 1, seq: int = 0) -> bytes:
+    return message("HEARTBEAT", system=system, component=component, seq=seq, type=2)
+
+
+def core_with(schedule: str, tape: Tape | None = None, signing: Signing | None = None) -> Core:
+    engine = Engine(parse_schedule(schedule))
+    return Core(ROLES[:2], engine, tape=tape, signing=signing)
+
+
+def values(sends: list[Send]) -> list[Mapping[str, object]]:
+    found = []
+    for send in sends:
+        for item in Parser().push(send.data, datagram=True):
+            assert isinstance(item, Frame)
+            found.append({"name": item.layout.name, **item.values()})
+    return found
+
+
+def test_an_untouched_datagram_leaves_as_it_came() -> None:
+    data = sensor(1.0) + b"noise" + heartbeat(component=51)
+    assert Core(ROLES[:2]).received(SIM, data, WALL_US) == [Send(AUTOPILOT, data, WALL_US)]
+
+
+def test_frames_of_a_stream_leave_one_by_one() -> None:
+    roles = (LinkRole("sim", "to-vehicle", datagrams=False), ROLES[1])
+    core = Core(roles)
+    data = sensor(1.0, 0) + sensor(1.1, 1)
+    assert core.received(SIM, data[:30], WALL_US) == []
+    assert core.received(SIM, data[30:], WALL_US + 9) == [
+        Send(AUTOPILOT, sensor(1.0, 0), WALL_US + 9),
+        Send(AUTOPILOT, sensor(1.1, 1), WALL_US + 9),
+    ]
+
+
+def test_streams_of_one_link_do_not_mix() -> None:
+    roles = (LinkRole("sim", "to-vehicle", datagrams=False), ROLES[1])
+    core = Core(roles)
+    core.received(SIM, sensor(1.0)[:30], WALL_US, stream=0)
+    assert core.received(SIM, heartbeat(), WALL_US, stream=1)[0].data == heartbeat()
+    assert core.received(SIM, sensor(1.0)[30:], WALL_US, stream=0)[0].data == sensor(1.0)
+
+
+def test_a_stream_that_owes_the_rest_of_a_frame_is_not_waited_for_long() -> None:
+    roles = (LinkRole("sim", "to-vehicle", datagrams=False), ROLES[1])
+    core = Core(roles)
+    assert core.received(SIM, b"\xfd\xff\0\0" + heartbeat(), WALL_US) == []
+    due_us = core.next_due_us
+    assert due_us is not None
+    assert core.due(due_us - 1) == []
+    assert b"".join(send.data for send in core.due(due_us)) == b"\xfd\xff\0\0" + heartbeat()
+
+
+def test_a_stream_that_ends_leaves_nothing_behind() -> None:
+    roles = (LinkRole("sim", "to-vehicle", datagrams=False), ROLES[1])
+    core = Core(roles)
+    core.received(SIM, sensor(1.0)[:30], WALL_US)
+    assert [s.data for s in core.received(SIM, b"", WALL_US)] == [sensor(1.0)[:30]]
+
+
+def test_a_frame_for_one_component_goes_where_that_was_heard() -> None:
+    core = Core(ROLES)
+    core.received(AUTOPILOT, heartbeat(1, 1), WALL_US)
+    core.received(SIM, heartbeat(1, 51), WALL_US)
+    core.received(GCS, heartbeat(255, 190), WALL_US)
+    command = message("COMMAND_LONG", system=255, target_system=1, target_component=1, command=400)
+    assert [s.link for s in core.received(GCS, command, WALL_US)] == [AUTOPILOT]
+    for_all = message("COMMAND_LONG", system=255, target_system=1, command=400)
+    assert [s.link for s in core.received(GCS, for_all, WALL_US)] == [SIM, AUTOPILOT]
+
+
+def test_a_target_never_heard_is_sought_everywhere() -> None:
+    request = message("PARAM_REQUEST_LIST", system=255, target_system=77, target_component=1)
+    assert [s.link for s in Core(ROLES).received(GCS, request, WALL_US)] == [SIM, AUTOPILOT]
+
+
+def test_unknown_bytes_go_to_all_other_links() -> None:
+    assert [s.link for s in Core(ROLES).received(AUTOPILOT, b"boot: ok\r\n", WALL_US)] == [SIM, GCS]
+
+
+def test_a_sender_heard_on_both_sides_is_still_forwarded() -> None:
+    core = Core(ROLES[:2])
+    for seq in range(5):
+        assert core.received(SIM, heartbeat(seq=seq), WALL_US)
+        assert core.received(AUTOPILOT, heartbeat(seq=100 + seq), WALL_US)
+
+
+def test_an_echo_passes_as_often_as_it_was_sent() -> None:
+    core = Core(ROLES[:2])
+    for _ in range(5):
+        assert core.received(SIM, heartbeat(), WALL_US)
+        assert core.received(AUTOPILOT, heartbeat(), WALL_US)
+
+
+def test_a_loop_between_links_dies_out() -> None:
+    core = Core(ROLES)
+    cable = {AUTOPILOT: GCS, GCS: AUTOPILOT}
+    waiting = core.received(SIM, heartbeat(), WALL_US)
+    passed = 0
+    while waiting:
+        send = waiting.pop()
+        passed += 1
+        assert passed < 20
+        if send.link in cable:
+            waiting += core.received(cable[send.link], send.data, WALL_US + passed)
+
+
+def test_gaps_are_counted_per_component() -> None:
+    core = Core(ROLES[:2])
+    for seq in (250, 251, 255, 0):
+        core.received(SIM, heartbeat(1, 51, seq), WALL_US)
+    for seq in (3, 4, 5):
+        core.received(SIM, heartbeat(1, 1, seq), WALL_US)
+    assert core.gaps() == {(1, 51): 3}
+
+
+def test_a_fault_changes_the_frame_and_writes_its_label_into_the_log() -> None:
+    schedule = """
+        seed: 1
+        faults: [{id: g, fault: bias, target: HIL_SENSOR.xgyro, value: 0.5, at_s: 1, for_s: 1}]"""
+    tape = Tape()
+    core = core_with(schedule, tape)
+    seen = []
+    for step in range(40):
+        seen += values(core.received(SIM, sensor(10 + step / 10, step), WALL_US + step * 100_000))
+    rates = [v["xgyro"] for v in seen if v["name"] == "HIL_SENSOR"]
+    assert rates == [0.25] * 10 + [0.75] * 10 + [0.25] * 20
+    texts = [v["text"] for v in seen if v["name"] == "STATUSTEXT"]
+    assert texts == [b"FAULT g on: bias HIL_SENSOR.xgyro", b"FAULT g off: 10 frames"]
+    (begun, ended) = core.take_labels()
+    assert (begun.start_us, begun.end_us, ended.end_us) == (11_000_000, None, 12_000_000)
+    assert ended.t0_us == 10_000_000
+
+
+def test_a_delay_is_kept_on_the_wall_clock() -> None:
+    schedule = "faults: [{id: d, fault: delay, target: HIL_SENSOR, value: 0.25}]"
+    core = core_with(schedule)
+    sends = core.received(SIM, sensor(5.0), WALL_US)
+    assert [send.link for send in sends] == [SIM]  # the announcement alone
+    assert core.next_due_us == WALL_US + 250_000
+    assert core.due(WALL_US + 249_999) == []
+    assert core.due(WALL_US + 300_000) == [Send(AUTOPILOT, sensor(5.0), WALL_US + 250_000)]
+
+
+def test_what_is_due_leaves_before_what_comes_later() -> None:
+    schedule = "faults: [{id: d, fault: delay, target: HIL_SENSOR, value: 0.001, for_s: 0.5}]"
+    core = core_with(schedule)
+    core.received(SIM, sensor(5.0), WALL_US)
+    sends = core.received(SIM, heartbeat(component=51), WALL_US + 2_000)
+    assert [s.due_us for s in sends] == [WALL_US + 1_000, WALL_US + 2_000]
+
+
+def test_a_schedule_begun_on_the_wall_clock_begins_anew_with_the_first_stamp() -> None:
+    schedule = "faults: [{id: d, fault: drop, target: HEARTBEAT, at_s: 2}]"
+    core = core_with(schedule)
+    assert core.received(SIM, heartbeat(), WALL_US)
+    assert not values(core.received(SIM, heartbeat(), WALL_US + 3_000_000))[1:]
+    core.received(SIM, sensor(7.0), WALL_US + 4_000_000)
+    assert "HEARTBEAT" in {
+        v["name"] for v in values(core.received(SIM, heartbeat(), WALL_US + 4_000_000))
+    }
+    core.received(SIM, sensor(9.5), WALL_US + 5_000_000)
+    core.received(SIM, heartbeat(), WALL_US + 6_000_000)
+    assert [label.t0_us for label in core.take_labels()] == [WALL_US, WALL_US, 7_000_000]
+
+
+def test_a_signed_frame_stays_sealed_without_its_key_and_is_signed_again_with_it() -> None:
+    key = key_of("secret")
+    schedule = "faults: [{id: g, fault: bias, target: HIL_SENSOR.xgyro, value: 0.5}]"
+    frame = signed(Frame(sensor(1.0), known("HIL_SENSOR")), key, 1, 1000)
+    (send,) = core_with(schedule).received(SIM, frame.raw, WALL_US)
+    assert send.data == frame.raw
+    keyed = core_with(schedule, signing=Signing(key))
+    changed = next(s for s in keyed.received(SIM, frame.raw, WALL_US) if s.link == AUTOPILOT)
+    (item,) = Parser().push(changed.data)
+    assert isinstance(item, Frame)
+    assert item.number("xgyro") == 0.75
+    assert Verifier(key).verify(item)
+    replayed = keyed.received(SIM, frame.raw, WALL_US)
+    assert [s.data for s in replayed] == [frame.raw], "an old stamp is not vouched for"
+
+
+def test_signatures_are_stripped_on_request() -> None:
+    frame = signed(Frame(sensor(1.0), known("HIL_SENSOR")), key_of("secret"), 1, 1000)
+    core = Core(ROLES[:2], signing=Signing(strip=True))
+    assert [s.data for s in core.received(SIM, frame.raw, WALL_US)] == [sensor(1.0)]
+
+
+def test_the_tape_holds_what_came_and_what_left() -> None:
+    tape = Tape()
+    core = Core(ROLES[:2], tape=tape)
+    core.received(SIM, sensor(1.0) + b"noise", WALL_US)
+    taken = tape.take()
+    stamp = WALL_US.to_bytes(8, "big")
+    assert taken.received == taken.sent == stamp + sensor(1.0)
+    assert taken.received_other == taken.sent_other == stamp + b"\0\0\0\x05noise"
+    assert taken.index == bytes((0, 0, len(sensor(1.0)), 0, 0, 0, 0, 1, 5, 0, 0, 0))
+    assert tape.take().received == b""

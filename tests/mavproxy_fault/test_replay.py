@@ -1,0 +1,143 @@
+import argparse
+import socket
+import threading
+from pathlib import Path
+
+import pytest
+
+from mavproxy_fault import replay
+from mavproxy_fault.core import Core
+from mavproxy_fault.engine import Engine
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.links.udp import UdpClient, UdpServer
+from mavproxy_fault.playback import open_log, split
+from mavproxy_fault.record import Recorder
+from mavproxy_fault.schedule import parse_schedule
+from mavproxy_fault.server import Server, roles
+from mavproxy_fault.tape import Tape
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.label import read_labels
+
+SCHEDULE = """
+seed: 5
+faults:
+  - {id: noisy, fault: noise, target: HIL_SENSOR.xgyro, value: 0.1, at_s: 0.1, for_s: 0.3}
+  - {id: late, fault: delay, target: HIL_SENSOR, value: 0.003, at_s: 0.2, for_s: 0.4}
+  - {id: loss, fault: drop, target: HEARTBEAT, probability: 0.5}
+"""
+QUIET = "faults: [{id: never, fault: bias, target: HIL_SENSOR.xgyro, value: 1, at_s: 100000}]"
+
+
+def arguments(log: Path, schedule: str, tmp_path: Path, **chosen: str | None) -> argparse.Namespace:
+    path = tmp_path / "schedule.yaml"
+    path.write_text(schedule)
+    return argparse.Namespace(
+        log=str(log), schedule=str(path), **{"out": None, "link": None, **chosen}
+    )
+
+
+def sensor(step: int, component: int = 51) -> bytes:
+    values = {"time_usec": 1_000_000 + step * 4000, "xgyro": 0.5, "fields_updated": 63}
+    return build(known("HIL_SENSOR"), values, seq=step & 255, component=component)
+
+
+def heartbeat(step: int) -> bytes:
+    return build(known("HEARTBEAT"), {"type": 2}, seq=step & 255)
+
+
+def record_a_live_session(folder: Path) -> None:
+    """Run a server with links on loopback, a simulator and an autopilot that talk through it."""
+    master = UdpServer("127.0.0.1", 0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sim:
+        sim.bind(("127.0.0.1", 0))
+        sim.settimeout(10)
+        links = [master, UdpClient(*sim.getsockname())]
+        tape = Tape()
+        core = Core(roles(links), Engine(parse_schedule(SCHEDULE)), tape=tape)
+        server = Server(links, core, tape=tape, recorder=Recorder(folder, {
+            "links": [{"name": role.name, "direction": role.direction} for role in core.links]
+        }))  # fmt: skip
+        loop = threading.Thread(target=server.run)
+        loop.start()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
+            autopilot.connect(("127.0.0.1", master.port))
+            autopilot.settimeout(10)
+            autopilot.send(b"here I am")
+            assert sim.recv(999) == b"here I am"
+            proxy = links[1].sock.getsockname()
+            for step in range(150):
+                sim.sendto(sensor(step) + (b"\xfd\x01junk" if step % 7 == 0 else b""), proxy)
+                if step < 40:
+                    autopilot.recv(999)
+                autopilot.send(heartbeat(step))
+            sim.sendto(b"the end", proxy)
+            while autopilot.recv(999) != b"the end":
+                pass
+        server.stop()
+        loop.join(10)
+        for link in links:
+            link.close()
+
+
+def test_a_recording_replayed_with_its_schedule_gives_what_was_sent_byte_for_byte(
+    tmp_path: Path,
+) -> None:
+    live = tmp_path / "live"
+    record_a_live_session(live)
+    out = tmp_path / "again.tlog"
+    assert replay.main(arguments(live / "received.tlog", SCHEDULE, tmp_path, out=str(out))) == 0
+    assert out.read_bytes() == (live / "sent.tlog").read_bytes()
+    assert out.with_suffix(".labels.jsonl").read_bytes() == (live / "labels.jsonl").read_bytes()
+    ids = {label.id for label in read_labels(live / "labels.jsonl")}
+    assert ids == {"noisy", "late", "loss"}
+
+
+@pytest.mark.parametrize(
+    "log", ["px4_hil/hover_gps_jump_gcs.tlog", "tlog/dronekit_flight_replay.tlog"]
+)
+def test_a_real_log_passes_unchanged_where_no_fault_acts(
+    log: str, shared_data: Path, tmp_path: Path
+) -> None:
+    whole = (shared_data / log).read_bytes()
+    records = list(split(whole))
+    assert sum(8 + len(raw) for _, raw in records) == len(whole)
+    part = tmp_path / "part.tlog"
+    part.write_bytes(b"".join(t.to_bytes(8, "big") + raw for t, raw in records[:6000]))
+    out = tmp_path / "out.tlog"
+    replay.main(arguments(part, QUIET, tmp_path, out=str(out)))
+    assert out.read_bytes() == part.read_bytes()
+
+
+def test_directions_of_a_foreign_log_are_told_by_the_sender(tmp_path: Path) -> None:
+    log = tmp_path / "foreign.tlog"
+    station = build(known("HEARTBEAT"), {"type": 6}, system=255, component=190)
+    simulator = [sensor(step, component=7) for step in range(2)]
+    frames = [heartbeat(0), station, *simulator, heartbeat(1)]
+    log.write_bytes(b"".join((10**15 + n).to_bytes(8, "big") + raw for n, raw in enumerate(frames)))
+    source = open_log(log)
+    assert [source.roles[r.link].direction for r in source.records] == [
+        "from-vehicle", "to-vehicle", "to-vehicle", "to-vehicle", "from-vehicle",
+    ]  # fmt: skip
+
+
+def test_a_log_is_sent_to_a_link(tmp_path: Path) -> None:
+    log = tmp_path / "short.tlog"
+    log.write_bytes(
+        b"".join((10**15 + n * 500).to_bytes(8, "big") + heartbeat(n) for n in range(10))
+    )
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+        peer.bind(("127.0.0.1", 0))
+        peer.settimeout(5)
+        link = f"udpout:127.0.0.1:{peer.getsockname()[1]}"
+        replay.main(arguments(log, QUIET, tmp_path, link=link))
+        assert [peer.recv(99) for _ in range(10)] == [heartbeat(n) for n in range(10)]
+
+
+def test_what_is_no_log_is_the_users_error(tmp_path: Path) -> None:
+    text = tmp_path / "notes.txt"
+    text.write_text("no log at all" * 10)
+    with pytest.raises(ConfigError, match="holds no MAVLink record; allowed: a tlog"):
+        open_log(text)
+    with pytest.raises(ConfigError, match="is not a file"):
+        open_log(tmp_path / "missing.tlog")
