@@ -68,6 +68,9 @@ def add_search(commands: Any) -> None:
     where.add_argument("--workers", type=int, metavar="N", help="processes on this machine")
     where.add_argument("--ray", metavar="ADDRESS", help="a Ray cluster")
     parser.add_argument("--out", metavar="DIR")
+    parser.add_argument(
+        "--interactive", action="store_true", help="look at one test after the other"
+    )
     parser.set_defaults(main=_search)
 
 
