@@ -19,6 +19,9 @@ def add_run(commands: Any) -> None:
     parser.add_argument(
         "--ui", action="store_true", help="serve the page for control and live view"
     )
+    parser.add_argument(
+        "--zenoh", default="auto", metavar="auto|off|URL", help="where results are published"
+    )
     parser.set_defaults(main=_run)
 
 
@@ -43,7 +46,7 @@ def add_monitor(commands: Any) -> None:
 
 
 def _monitor(args: argparse.Namespace) -> int:
-    from analysis.monitor import main
+    from analysis.monitor_command import main
 
     return main(args)
 

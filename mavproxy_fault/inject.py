@@ -1,0 +1,49 @@
+"""`mavproxy-fault inject`: set, change or clear a fault on a running proxy, over the bus."""
+
+import argparse
+import json
+from typing import Any
+
+import msgspec
+
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.faults.registry import fault_class
+from mavproxy_fault.links.bus import open_bus
+from mavproxy_fault.presets import preset_names
+from mavproxy_fault.schedule import parse_entry
+
+
+def main(args: argparse.Namespace) -> int:
+    """Send one request and say what the proxy made of it."""
+    if (args.fault is None) == (args.clear is None):
+        raise ConfigError("inject: takes either FAULT or --clear ID; see `mavproxy-fault faults`")
+    what, data = request(args)
+    with open_bus(args.zenoh, run=args.run) as bus:
+        for reply in bus.ask(f"@ctl/{what}", msgspec.json.encode(data)):
+            print(json.dumps(json.loads(reply)))
+    return 0
+
+
+def request(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
+    """The key below `@ctl/` and its payload; the entry is checked before it is sent.
+
+    Raises
+    ------
+    ConfigError
+        If the fault does not exist, or lacks something.
+    """
+    if args.clear is not None:
+        what = "schedule/stop" if args.clear == "all" else f"fault/{args.clear}/disarm"
+        return what, {}
+    plain = args.target is None and args.value is None
+    known = fault_class(args.fault) is not None and not (plain and args.fault in preset_names())
+    entry: dict[str, Any] = {"fault" if known else "preset": args.fault}
+    if args.target is not None:
+        several = args.target.split(",")
+        entry["target"] = several if len(several) > 1 else several[0]
+    if args.value is not None:
+        entry["value"] = args.value
+    if args.for_s is not None:
+        entry["for_s"] = args.for_s
+    parse_entry(entry, "inject")
+    return f"fault/{args.id or args.fault}/arm", entry
