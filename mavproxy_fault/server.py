@@ -1,7 +1,8 @@
 """The proxy as a process: links, clock and files around the core, whose sends it carries out.
 
 One thread waits on all links and for the next due time. Links are drained in batches; nothing ever
-blocks on a slow one. Recordings are flushed each second.
+blocks on a slow one. Recordings are flushed each second. When traffic is dense the compiled path
+(`fast`) is loaded in the background and takes over what is plain.
 """
 
 import argparse
@@ -10,10 +11,13 @@ import ctypes
 import select
 import signal
 import socket
+import subprocess
+import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.core import Core
 from mavproxy_fault.links.link import Link
@@ -23,8 +27,14 @@ from mavproxy_fault.record import Recorder
 from mavproxy_fault.stats import Latencies, table
 from mavproxy_fault.tape import Tape
 
+if TYPE_CHECKING:
+    from mavproxy_fault.fast import FastPath
+
 TEND_S = 0.1  # how often links get a chance to reconnect
 FLUSH_S = 1.0
+DENSE_HZ = 1000  # chunks a second from which the compiled path pays
+SHORT_TURN_S = 2e-4
+_FAST = "mavproxy_fault.fast"
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>; the default of 50 us makes every wait that late
 
 
@@ -50,6 +60,10 @@ class Server:
         self._stopping = False
         self._by_fd = {link.fileno(): number for number, link in enumerate(links)}
         self._tend_s = self._flush_s = 0.0
+        self._loader: threading.Thread | None = None
+        self._fast: FastPath | None = None
+        self._chunks = 0
+        self._wake: int | None = None
 
     def now_us(self) -> int:
         """Wall time that never jumps: Unix time at the start plus the monotonic clock."""
@@ -62,17 +76,57 @@ class Server:
     def run(self, wake: socket.socket | None = None) -> None:
         """Forward until stopped; `wake` becomes readable when a signal came."""
         ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1)
-        descriptors = [*self._by_fd, *([wake.fileno()] if wake else [])]
+        self._wake = None if wake is None else wake.fileno()
+        descriptors = [*self._by_fd, *([] if self._wake is None else [self._wake])]
         try:
             while not self._stopping:
-                ready, _, _ = select.select(descriptors, (), (), self._patience_s())
-                for descriptor in ready:
-                    number = self._by_fd.get(descriptor)
-                    if number is not None:
-                        self._serve(number)
+                if self._fast is not None:
+                    self._turn_fast(self._fast)
+                else:
+                    ready, _, _ = select.select(descriptors, (), (), self._patience_s())
+                    for descriptor in ready:
+                        if descriptor in self._by_fd:
+                            self._serve(self._by_fd[descriptor])
                 self._keep_time()
         finally:
             self._finish()
+
+    def _turn_fast(self, fast: "FastPath") -> None:
+        """Let the compiled path forward until something is left to do here."""
+        due_us = self.core.next_due_us
+        deadline_ns = round(self._tend_s * 1e9)
+        if due_us is not None:
+            deadline_ns = min(deadline_ns, due_us * 1000 - self._base_ns)
+        fast.forward(deadline_ns, spin=self._busy_poll)
+        if fast.pending:
+            number, data = fast.take_datagram()
+            if data:
+                started_ns = time.monotonic_ns()
+                now_us = (self._base_ns + started_ns) // 1000
+                self._carry_out(self.core.received(number, data, now_us))
+                self.latencies[number].add(time.monotonic_ns() - started_ns)
+        for number in fast.ready():
+            self._serve(number)
+
+    def _consider_fast(self) -> None:
+        """Load the compiled path when traffic is dense, and switch to it once it is there."""
+        if self._loader is None:
+            chunks = sum(link.counters.chunks_in for link in self.links)
+            dense = chunks - self._chunks > DENSE_HZ * FLUSH_S
+            self._chunks = chunks
+            if dense or self._busy_poll:
+                self._loader = threading.Thread(target=_load_fast, daemon=True)
+                self._loader.start()
+        elif self._fast is None and not self._loader.is_alive() and _FAST in sys.modules:
+            self.use_fast()
+
+    def use_fast(self) -> None:
+        """Let the compiled path take over."""
+        from mavproxy_fault.fast import FastPath
+
+        self._fast = FastPath(
+            self.links, self.core, self.tape, self.latencies, self._base_ns, self._wake
+        )
 
     def _patience_s(self) -> float:
         """How long the loop may sleep."""
@@ -107,11 +161,19 @@ class Server:
         now_s = time.monotonic()
         if now_s >= self._tend_s:
             self._tend_s = now_s + TEND_S
-            for number in range(len(self.links)):
-                self._serve(number)
+            self._tend()
         if now_s >= self._flush_s:
             self._flush_s = now_s + FLUSH_S
             self._record()
+            self._consider_fast()
+
+    def _tend(self) -> None:
+        """Let links reconnect; take over what the compiled path has counted."""
+        for number in range(len(self.links)):
+            if self._fast is None or not self._fast.takes(number):
+                self._serve(number)
+        if self._fast is not None:
+            self._fast.count()
 
     def _record(self) -> None:
         if self.recorder is not None and self.tape is not None:
@@ -119,6 +181,8 @@ class Server:
 
     def _finish(self) -> None:
         now_us = self.now_us()
+        if self._fast is not None:
+            self._fast.count()
         self._carry_out(self.core.finish(now_us))
         self._record()
         if self.recorder is not None:
@@ -153,6 +217,26 @@ class Server:
                 }
             )
         return found
+
+
+def _load_fast() -> None:
+    """Bring in the compiled path without holding up the plain one.
+
+    Compiling, needed once after an installation, would keep the interpreter busy for seconds, so
+    another process does it; loading then takes turns with forwarding, and short ones.
+    """
+    make = [sys.executable, "-c", "import os; os.nice(10); from mavproxy_fault import fast as f; "]
+    make[-1] += "f.compile_now()"
+    if subprocess.run(make, stdin=subprocess.DEVNULL, check=False).returncode != 0:
+        return
+    before_s = sys.getswitchinterval()
+    sys.setswitchinterval(SHORT_TURN_S)
+    try:
+        from mavproxy_fault.fast import compile_now
+
+        compile_now()
+    finally:
+        sys.setswitchinterval(before_s)
 
 
 def open_links(master: str, outs: Sequence[str]) -> list[Link]:
