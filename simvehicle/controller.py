@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simvehicle.body import Controls, Truth
-from simvehicle.guidance import Aim, CircleTrack, Track
+from simvehicle.guidance import Aim, CircleTrack, PathTrack, Track
 from simvehicle.rotation import euler_angles
 from simvehicle.vehicles.fixedwing import FixedWing
 from simvehicle.vehicles.trim import Trim
@@ -41,6 +41,7 @@ class FixedWingController:
     """Flies a track; `track` may be replaced at any time."""
 
     rate_hz = 50.0
+    drifts = True  # it holds its airspeed, so wind carries it through turns
     lateral_mps2 = _G * math.tan(math.radians(35.0))
 
     def __init__(self, vehicle: FixedWing, density: float, home_alt_m: float) -> None:
@@ -57,7 +58,9 @@ class FixedWingController:
             self._trims[speed_mps] = self.vehicle.trim(speed_mps, self._density, _G)
         return self._trims[speed_mps]
 
-    def circle(self, north_m: float, east_m: float, height_m: float, speed_mps: float) -> Track:
+    def circle(
+        self, north_m: float, east_m: float, height_m: float, speed_mps: float
+    ) -> CircleTrack:
         """A track that waits at a point."""
         radius = 1.3 * speed_mps**2 / self.lateral_mps2
         return CircleTrack(north_m, east_m, height_m, radius, speed_mps)
@@ -69,6 +72,13 @@ class FixedWingController:
             cruise = self.vehicle.parameters.cruise_mps
             self.track = self.circle(north, east, truth.alt_msl_m - self.home_alt_m, cruise)
         vn, ve, vd = truth.v_ned_mps.tolist()
+        if isinstance(self.track, PathTrack) and self.track.finished:
+            end = self.track.look(north, east, 0.0)
+            wait = self.circle(north, east, end.height_m, end.speed_mps)
+            course, radius = math.atan2(ve, vn), wait.radius_m
+            wait.north_m -= radius * math.sin(course)
+            wait.east_m += radius * math.cos(course)
+            self.track = wait
         ground_speed = max(math.hypot(vn, ve), 1.0)
         aim = self.track.look(north, east, ground_speed * _ROLL_LAG_S)
         bank = self._bank(aim, math.atan2(ve, vn), ground_speed)

@@ -24,12 +24,16 @@ from simvehicle.geomagnetism import field_ned_gauss
 from simvehicle.gnss.sensor import gnss_sensor
 from simvehicle.guidance import PathTrack
 from simvehicle.mission import plan
+from simvehicle.multirotor_controller import MultirotorController
 from simvehicle.place import Home, locate
 from simvehicle.readings import Reading
-from simvehicle.rotation import matrix_from_quat, quat_from_euler
+from simvehicle.rotation import quat_from_euler
 from simvehicle.scenario import GustChoice, Scenario
 from simvehicle.sensors.base import Sensor
-from simvehicle.vehicles.fixedwing import PLANT, FixedWing
+from simvehicle.terrain import Grid, Level, read_grid
+from simvehicle.vehicles.fixedwing import FixedWing
+from simvehicle.vehicles.multirotor import Multirotor
+from simvehicle.vehicles.vehicle import Vehicle, read_vehicle
 
 Array = NDArray[np.float64]
 _LONGEST_STEP_S = 0.005  # a ground contact is stiff
@@ -63,6 +67,7 @@ class Simulation:
     Attributes
     ----------
     scenario : Scenario
+    terrain : Grid or Level
     home : Home
         Origin of the local frame, on the ground.
     vehicle, controller
@@ -73,11 +78,13 @@ class Simulation:
     """
 
     def __init__(self, scenario: Scenario, seed: int | None = None) -> None:
+        self.terrain = _terrain(scenario)
+        scenario = _grounded(scenario, self.terrain)
         self.scenario = scenario
         self.seed = scenario.seed if seed is None else seed
         start = scenario.start
         self.home = Home.at(start.lat_deg, start.lon_deg, start.alt_m, start.geoid_m)
-        self.vehicle: FixedWing = _vehicle(scenario)
+        self.vehicle = read_vehicle(scenario.vehicle.kind, scenario.vehicle.parameters)
         self._plant: dict[str, float] = {}
         self._wind = np.array(scenario.environment.wind_ned_mps)
         self._gusts = _gusts(scenario)
@@ -93,12 +100,15 @@ class Simulation:
         self._controls = np.zeros(self.vehicle.controls_count)
         self._x = self._begin()
         self.truth = self._observe(np.zeros(6), self._wind)
-        self.controller = FixedWingController(
-            self.vehicle, self.truth.density_kgpm3, scenario.start.alt_m
-        )
+        self.controller = _controller(self.vehicle, self.truth, scenario.start.alt_m)
         self._next_control_us = 0.0
         if scenario.mission:
             self.controller.track = self._mission()
+
+    @property
+    def controls(self) -> Array:
+        """The actuator commands now in force, in the vehicle's order."""
+        return self._controls
 
     def step(self, controls: Controls | None = None) -> tuple[int, Truth, list[Reading]]:
         """Go on to the next sample of the inertial unit.
@@ -142,11 +152,6 @@ class Simulation:
         self.truth = self._observe(load, wind)
         return t_us, self.truth, self._read()
 
-    @property
-    def controls(self) -> Array:
-        """The actuator commands now in force, in the vehicle's order."""
-        return self._controls
-
     def _checked(self, controls: Controls) -> Array:
         values = controls.values
         count = self.vehicle.controls_count
@@ -160,7 +165,7 @@ class Simulation:
     def plant(self, name: str, value: float | None) -> None:
         """Switch a plant fault on, or off with None.
 
-        Names: the vehicle's (`simvehicle.vehicles.fixedwing.PLANT`), `wind_n_mps`, `wind_e_mps`,
+        Names: the vehicle's `plant_names`, `wind_n_mps`, `wind_e_mps`,
         `wind_d_mps`, and those of the satellite sensor.
 
         Raises
@@ -173,7 +178,7 @@ class Simulation:
             healthy = self.scenario.environment.wind_ned_mps[axis]
             self._wind = self._wind.copy()
             self._wind[axis] = healthy if value is None else value
-        elif name in PLANT:
+        elif name in self.vehicle.plant_names:
             changed = {k: v for k, v in self._plant.items() if k != name}
             if value is not None:
                 changed[name] = value
@@ -191,7 +196,8 @@ class Simulation:
             if hasattr(sensor, "with_plant"):
                 fitted.state = sensor.with_plant(fitted.state, name, value)
                 return
-        raise ConfigError(f"plant: {name} is unknown; known: {', '.join((*PLANT, *_WINDS))}")
+        known = ", ".join((*self.vehicle.plant_names, *_WINDS))
+        raise ConfigError(f"plant: {name} is unknown; known: {known}")
 
     def _begin(self) -> Array:
         """The vehicle's first state: trimmed flight at height, or standing on the ground."""
@@ -212,15 +218,13 @@ class Simulation:
         self._gravity = vectors[10:]
         first = scenario.mission[0].speed_mps if scenario.mission else None
         speed = first or vehicle.parameters.cruise_mps
+        pull = float(np.linalg.norm(self._gravity))
         try:
-            point = vehicle.trim(speed, density, float(np.linalg.norm(self._gravity)))
+            return vehicle.cruise(r, heading, self._wind, speed, density, pull)
         except ValueError as error:
             raise ConfigError(
                 f"mission[0].speed_mps = {speed:g} cannot be flown; {error}"
             ) from None
-        q = quat_from_euler(point.roll_rad, point.pitch_rad, heading)
-        relative = speed * np.array([math.cos(point.alpha_rad), 0.0, math.sin(point.alpha_rad)])
-        return vehicle.start(r, relative + matrix_from_quat(q).T @ self._wind, q)
 
     def _mission(self) -> PathTrack:
         scenario, controller = self.scenario, self.controller
@@ -228,7 +232,7 @@ class Simulation:
             scenario.mission,
             (float(self._x[0]), float(self._x[1]), math.radians(scenario.start.heading_deg)),
             self.vehicle.parameters.cruise_mps,
-            float(np.hypot(self._wind[0], self._wind[1])),
+            float(np.hypot(self._wind[0], self._wind[1])) if controller.drifts else 0.0,
             controller.lateral_mps2,
         )
         return PathTrack(path)
@@ -268,7 +272,7 @@ class Simulation:
             )
         self._gravity = v[10:]
         alt = height - home.geoid_m
-        agl = alt - self.scenario.start.alt_m
+        agl = alt - self.terrain.ground(lat, lon)
         standing = agl < self.vehicle.standing_height_m() + 0.02
         volts, amperes, left = load[3:].tolist()
         return Truth(
@@ -330,8 +334,25 @@ def simulate(
         yield found
 
 
-def _vehicle(scenario: Scenario) -> FixedWing:
-    return FixedWing.read(scenario.vehicle.parameters)
+def _controller(
+    vehicle: Vehicle, truth: Truth, home_alt_m: float
+) -> FixedWingController | MultirotorController:
+    if isinstance(vehicle, FixedWing):
+        return FixedWingController(vehicle, truth.density_kgpm3, home_alt_m)
+    assert isinstance(vehicle, Multirotor)
+    return MultirotorController(vehicle, home_alt_m)
+
+
+def _terrain(scenario: Scenario) -> Grid | Level:
+    path = scenario.environment.terrain
+    return read_grid(path) if path is not None else Level(scenario.start.alt_m)
+
+
+def _grounded(scenario: Scenario, terrain: Grid | Level) -> Scenario:
+    """The scenario with home on the terrain."""
+    start = scenario.start
+    alt = terrain.ground(math.radians(start.lat_deg), math.radians(start.lon_deg))
+    return msgspec.structs.replace(scenario, start=msgspec.structs.replace(start, alt_m=alt))
 
 
 def _gusts(scenario: Scenario) -> Gusts:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from simvehicle.rotation import matrix_from_quat, quat_from_euler
 from simvehicle.vehicles.contact_kernel import Gear
 from simvehicle.vehicles.fixedwing_flight import fly, pack
 from simvehicle.vehicles.fixedwing_kernel import Aero
@@ -25,16 +26,6 @@ from simvehicle.vehicles.rigidbody_kernel import Inertia
 from simvehicle.vehicles.trim import Trim, trim
 
 Array = NDArray[np.float64]
-PLANT = (
-    "mass_kg_add",
-    "inertia_scale",
-    "motor_efficiency[0]",
-    "propeller_efficiency[0]",
-    "elevator_efficiency",
-    "aileron_efficiency",
-    "rudder_efficiency",
-    "battery_voltage_scale",
-)
 
 
 class FixedWing:
@@ -48,6 +39,17 @@ class FixedWing:
     """
 
     controls_count = 4
+    plant_names = (
+        "mass_kg_add",
+        "inertia_scale",
+        "load_shift_x_m",
+        "motor_efficiency[0]",
+        "propeller_efficiency[0]",
+        "elevator_efficiency",
+        "aileron_efficiency",
+        "rudder_efficiency",
+        "battery_voltage_scale",
+    )
 
     def __init__(self, parameters: FixedWingParameters, plant: Mapping[str, float] = {}) -> None:
         self.parameters = parameters
@@ -55,7 +57,7 @@ class FixedWing:
         self.body: Inertia = body_of(parameters, plant)
         self.aero: Aero = aero_of(parameters, plant)
         self.gear: Gear = gear_of(parameters)
-        self._packed = pack(self.body, self.aero, self.gear)
+        self._packed = pack(self.body, self.aero, self.gear, plant.get("load_shift_x_m", 0.0))
         throw = parameters.throw_deg
         self.throw_rad = (
             math.radians(throw.elevator),
@@ -70,7 +72,7 @@ class FixedWing:
         return cls(read_fixedwing(name))
 
     def with_plant(self, plant: Mapping[str, float]) -> "FixedWing":
-        """The same airframe with plant faults (`PLANT` lists their names)."""
+        """The same airframe with plant faults (`plant_names`)."""
         return FixedWing(self.parameters, plant)
 
     def trim(self, airspeed_mps: float, density: float, gravity: float) -> Trim:
@@ -80,6 +82,22 @@ class FixedWing:
     def start(self, r_ned_m: Array, v_b_mps: Array, q_nb: Array) -> Array:
         """State array (14,) at a position, velocity and attitude, battery full."""
         return np.concatenate([r_ned_m, v_b_mps, q_nb, np.zeros(4)])
+
+    def cruise(
+        self, r_ned_m: Array, heading_rad: float, wind_ned_mps: Array, speed_mps: float,
+        density: float, gravity: float,
+    ) -> Array:  # fmt: skip
+        """State of trimmed flight at a place.
+
+        Raises
+        ------
+        ValueError
+            If this airspeed cannot be flown.
+        """
+        point = self.trim(speed_mps, density, gravity)
+        q = quat_from_euler(point.roll_rad, point.pitch_rad, heading_rad)
+        relative = speed_mps * np.array([math.cos(point.alpha_rad), 0, math.sin(point.alpha_rad)])
+        return self.start(r_ned_m, relative + matrix_from_quat(q).T @ wind_ned_mps, q)
 
     def standing_height_m(self) -> float:
         """Height of the centre of mass above ground when the wheels carry it."""

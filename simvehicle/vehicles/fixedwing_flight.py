@@ -26,9 +26,12 @@ _AERO = len(Aero._fields)
 _END = _BODY + _AERO
 
 
-def pack(body: Inertia, aero: Aero, wheels: Gear) -> Array:
-    """All parameters of `fly` but the contact points, in one array."""
-    return np.array([*body, *aero, *wheels[1:]])
+def pack(body: Inertia, aero: Aero, wheels: Gear, shift_x_m: float) -> Array:
+    """All parameters of `fly` but the contact points, in one array.
+
+    `shift_x_m` is how far the centre of mass lies ahead of where the coefficients hold.
+    """
+    return np.array([*body, *aero, *wheels[1:], shift_x_m])
 
 
 @inlined
@@ -40,17 +43,25 @@ def _loads(
     ground_down_m: float,
     aero: Aero,
     wheels: Gear,
+    shift: float,
 ) -> tuple[float, float, float, float, float, float]:
     wx, wy, wz = to_body(state[6], state[7], state[8], state[9], wind[0], wind[1], wind[2])
     air = (state[3] - wx, state[4] - wy, state[5] - wz)
     rates = (state[10], state[11], state[12])
     a = forces_moments(air, rates, controls, density, aero)
     g = contact(state, ground_down_m, wheels)
-    return a[0] + g[0], a[1] + g[1], a[2] + g[2], a[3] + g[3], a[4] + g[4], a[5] + g[5]
+    return (
+        a[0] + g[0],
+        a[1] + g[1],
+        a[2] + g[2],
+        a[3] + g[3],
+        a[4] + g[4] + shift * a[2],
+        a[5] + g[5] - shift * a[1],
+    )
 
 
 @inlined
-def _near_ground(
+def _loaded_step(
     s: State13,
     u: tuple[float, float, float, float],
     wind: tuple[float, float, float],
@@ -60,19 +71,20 @@ def _near_ground(
     body: Inertia,
     aero: Aero,
     wheels: Gear,
+    shift: float,
     dt: float,
 ) -> State13:
-    """One Runge-Kutta step with ground contact."""
-    f = _loads(s, u, wind, rho, ground, aero, wheels)
+    """One Runge-Kutta step with ground contact and a shifted centre of mass."""
+    f = _loads(s, u, wind, rho, ground, aero, wheels, shift)
     k1 = rigid_body(s, (f[0], f[1], f[2]), (f[3], f[4], f[5]), gravity, body)
     s2 = moved(s, k1, 0.5 * dt)
-    f = _loads(s2, u, wind, rho, ground, aero, wheels)
+    f = _loads(s2, u, wind, rho, ground, aero, wheels, shift)
     k2 = rigid_body(s2, (f[0], f[1], f[2]), (f[3], f[4], f[5]), gravity, body)
     s3 = moved(s, k2, 0.5 * dt)
-    f = _loads(s3, u, wind, rho, ground, aero, wheels)
+    f = _loads(s3, u, wind, rho, ground, aero, wheels, shift)
     k3 = rigid_body(s3, (f[0], f[1], f[2]), (f[3], f[4], f[5]), gravity, body)
     s4 = moved(s, k3, dt)
-    f = _loads(s4, u, wind, rho, ground, aero, wheels)
+    f = _loads(s4, u, wind, rho, ground, aero, wheels, shift)
     k4 = rigid_body(s4, (f[0], f[1], f[2]), (f[3], f[4], f[5]), gravity, body)
     return runge_kutta(s, k1, k2, k3, k4, dt)
 
@@ -121,6 +133,7 @@ def fly(
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
     aero = Aero(*to_fixed_tuple(packed[_BODY:_END], _AERO))
     wheels = Gear(points_m, packed[_END], packed[_END + 1], packed[_END + 2], packed[_END + 3])
+    shift = packed[_END + 4]
     surfaces = (
         _clipped(controls[0], -1.0, 1.0) * throw[0],
         _clipped(controls[1], -1.0, 1.0) * throw[1],
@@ -131,11 +144,11 @@ def fly(
     g = (gravity[0], gravity[1], gravity[2])
     s = (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[9], x[10], x[11], x[12])
     for _ in range(steps):
-        if s[2] < ground - _CLEAR_M:
+        if s[2] < ground - _CLEAR_M and shift == 0.0:
             s = step(s, surfaces, w, g, rho, body, aero, dt)
         else:
-            s = _near_ground(s, surfaces, w, g, rho, ground, body, aero, wheels, dt)
-    f = _loads(s, surfaces, w, rho, ground, aero, wheels)
+            s = _loaded_step(s, surfaces, w, g, rho, ground, body, aero, wheels, shift, dt)
+    f = _loads(s, surfaces, w, rho, ground, aero, wheels, shift)
     wx, wy, wz = to_body(s[6], s[7], s[8], s[9], w[0], w[1], w[2])
     airspeed = np.sqrt((s[3] - wx) ** 2 + (s[4] - wy) ** 2 + (s[5] - wz) ** 2)
     current = propulsion(airspeed, surfaces[3], rho, aero)[2]
