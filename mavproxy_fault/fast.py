@@ -39,7 +39,7 @@ class FastPath:
         tape: Tape | None,
         latencies: Sequence[Latencies],
         base_ns: int,
-        wake: int | None,
+        others: Sequence[int],
     ) -> None:
         self._links = links
         self._core = core
@@ -70,7 +70,7 @@ class FastPath:
         self._logs = tuple(np.empty(n, np.uint8) for n in (size, size, max(size // 2, 1)))
         self._seen: tuple[Any, ...] = ()
         self._point()
-        self._watch([link.fileno() for link in links] + ([] if wake is None else [wake]))
+        self._watch([*(link.fileno() for link in links), *others])
         self._arguments = (
             self.ports, self._heads, self._headers, self._parts, self._names, self._peers,
             np.full(count, SOCKADDR_IN.size, np.int64), self._heard, self._data,
@@ -132,6 +132,11 @@ class FastPath:
             link.hear((socket.inet_ntoa(host), int.from_bytes(port, "big")))
         self._learn(data)
         return number, data
+
+    @property
+    def others_ready(self) -> bool:
+        """Whether something that is no link wants service."""
+        return bool((self.polls[len(self._links) :] >> 48 != 0).any())
 
     def ready(self) -> list[int]:
         """Links outside the compiled path that have something."""
@@ -297,5 +302,5 @@ class FastPath:
 def compile_now() -> None:
     """Load the kernel's machine code, or make it, by letting it look at nothing."""
     core = Core(())
-    path = FastPath((), core, None, (), 0, None)
+    path = FastPath((), core, None, (), 0, ())
     path.forward(0, spin=True)

@@ -13,8 +13,9 @@ from mavproxy_fault.fast import compile_now
 from mavproxy_fault.links.link import enlarge_buffers
 from mavproxy_fault.links.udp import UdpClient, UdpServer
 from mavproxy_fault.playback import split
+from mavproxy_fault.proxy import roles
 from mavproxy_fault.schedule import parse_schedule
-from mavproxy_fault.server import Server, roles
+from mavproxy_fault.server import Server
 from mavproxy_fault.tape import Taken, Tape
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
