@@ -19,9 +19,6 @@ def add_proxy(commands: Any) -> None:
     parser.add_argument(
         "--zenoh", default="auto", metavar="auto|off|URL", help="control and statistics"
     )
-    parser.add_argument("--no-inject", action="store_true", help="refuse live faults")
-    parser.add_argument("--rflysim", type=int, metavar="PORT", help="take RflySim's fault packets")
-    parser.add_argument("--rflysim-map", metavar="FILE", help="its fault ids and what they mean")
     parser.set_defaults(main=_proxy)
 
 

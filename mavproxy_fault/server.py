@@ -18,7 +18,6 @@ from typing import Any
 from mavproxy_fault.core import Core
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
-from mavproxy_fault.live import Live, live_control
 from mavproxy_fault.ports import LinkRole, Send
 from mavproxy_fault.record import Recorder
 from mavproxy_fault.stats import Latencies, table
@@ -51,7 +50,6 @@ class Server:
         self._stopping = False
         self._by_fd = {link.fileno(): number for number, link in enumerate(links)}
         self._tend_s = self._flush_s = 0.0
-        self.live: Live | None = None
 
     def now_us(self) -> int:
         """Wall time that never jumps: Unix time at the start plus the monotonic clock."""
@@ -61,7 +59,7 @@ class Server:
         """Leave the loop at its next turn."""
         self._stopping = True
 
-    def run(self, wake: socket.socket | Live | None = None) -> None:
+    def run(self, wake: socket.socket | None = None) -> None:
         """Forward until stopped; `wake` becomes readable when a signal came."""
         ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1)
         descriptors = [*self._by_fd, *([wake.fileno()] if wake else [])]
@@ -103,8 +101,6 @@ class Server:
             links[send.link].write(send.data)
 
     def _keep_time(self) -> None:
-        if self.live is not None:
-            self.live.serve()
         due_us = self.core.next_due_us
         if due_us is not None and due_us <= (now_us := self.now_us()):
             self._carry_out(self.core.due(now_us))
@@ -116,15 +112,10 @@ class Server:
         if now_s >= self._flush_s:
             self._flush_s = now_s + FLUSH_S
             self._record()
-            if self.live is not None:
-                self.live.publish(self.stats())
 
     def _record(self) -> None:
-        labels = self.core.take_labels()
-        if self.live is not None:
-            self.live.tell(labels)
         if self.recorder is not None and self.tape is not None:
-            self.recorder.write(self.tape, labels)
+            self.recorder.write(self.tape, self.core.take_labels())
 
     def _finish(self) -> None:
         now_us = self.now_us()
@@ -219,12 +210,11 @@ def main(args: argparse.Namespace) -> int:
     session["links"] = [{"name": role.name, "direction": role.direction} for role in core.links]
     recorder = Recorder(Path(args.logdir), session) if args.logdir else None
     server = Server(links, core, tape=tape, recorder=recorder, busy_poll=args.busy_poll)
-    with signals(server) as wake, live_control(args, core, engine) as live:
-        server.live = live
+    with signals(server) as wake:
         print(
             f"ready: {links[0].name} <-> {', '.join(link.name for link in links[1:])}", flush=True
         )
-        server.run(live.watch(wake))
+        server.run(wake)
     print(table(server.stats()), flush=True)
     for link in links:
         link.close()
