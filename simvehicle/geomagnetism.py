@@ -3,6 +3,8 @@
 from datetime import datetime
 from functools import lru_cache
 
+from mavproxy_fault.errors import ConfigError
+
 NANOTESLA_PER_GAUSS = 1e5
 
 
@@ -10,11 +12,23 @@ NANOTESLA_PER_GAUSS = 1e5
 def field_ned_gauss(
     lat_deg: float, lon_deg: float, height_m: float, time: datetime
 ) -> tuple[float, float, float]:
-    """Field vector at a place and time, north, east, down [gauss]."""
+    """Field vector at a place and time, north, east, down [gauss].
+
+    Raises
+    ------
+    ConfigError
+        If no model covers the time.
+    """
     from pygeomag import GeoMag
 
     year = time.year + (time.timetuple().tm_yday - 1) / 365.25
-    model = GeoMag(base_year=time)
+    try:
+        model = GeoMag(base_year=time)
+    except ValueError:
+        raise ConfigError(
+            f"start.time = {time:%Y-%m-%d} has no world magnetic model; 2010 to 2029 is allowed, "
+            "or sensors.mag.field_ned_gauss says the field"
+        ) from None
     found = model.calculate(glat=lat_deg, glon=lon_deg, alt=height_m / 1000.0, time=year)
     return (
         found.x / NANOTESLA_PER_GAUSS,
