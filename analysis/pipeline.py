@@ -10,42 +10,38 @@ from typing import Any
 import msgspec
 
 from analysis.attitude import AttitudeConfig, AttitudeScorer
-from analysis.fdi import Detector, DetectorConfig
-from analysis.reference import ReferenceConfig, References
+from analysis.fdi import DetectorConfig
+from analysis.reference import References
 from analysis.results import Result
 from analysis.samples import EphemerisSample, IonosphereSample, Sample
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.wire.label import Label
 
-SECTIONS = ("attitude", "references")
-
 
 class MonitorConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """What the monitor does: the detector, the checks of other sensors, the attitude scores."""
+    """What the monitor does: the detector with the checks of other sensors, attitude scores."""
 
-    detector: DetectorConfig = DetectorConfig()
-    references: ReferenceConfig = ReferenceConfig()
+    detector: DetectorConfig = msgspec.field(default_factory=DetectorConfig)
     attitude: AttitudeConfig = AttitudeConfig()
 
 
 def monitor_config(values: Mapping[str, Any] | None, where: str) -> MonitorConfig:
-    """The `monitor` section of a scenario: the detector's keys, and a mapping per other step.
+    """The `monitor` section of a scenario: the detector's keys, and a mapping `attitude`.
 
     Raises
     ------
     ConfigError
         For a name or value that is not allowed.
     """
-    rest = dict(values or {})
-    parts = {name: rest.pop(name) for name in SECTIONS if name in rest}
+    detector = dict(values or {})
+    attitude = detector.pop("attitude", {})
     try:
         return MonitorConfig(
-            detector=DetectorConfig.from_mapping(rest),
-            references=msgspec.convert(parts.get("references", {}), ReferenceConfig),
-            attitude=msgspec.convert(parts.get("attitude", {}), AttitudeConfig),
+            detector=DetectorConfig.from_mapping(detector),
+            attitude=msgspec.convert(attitude, AttitudeConfig),
         )
-    except msgspec.ValidationError as error:
-        raise ConfigError(f"{where}: monitor: {error}") from error
+    except (ConfigError, msgspec.ValidationError) as error:
+        raise ConfigError(f"{where}: {error}") from error
 
 
 class Pipeline:
@@ -54,22 +50,21 @@ class Pipeline:
     def __init__(self, config: MonitorConfig) -> None:
         self._attitude = AttitudeScorer(config.attitude)
         self._attitude_state = self._attitude.new_state()
-        self._steps: list[Any] = [Detector(config.detector), References(config.references)]
-        self._states = [step.new_state() for step in self._steps]
+        self._detector = References(config.detector)
+        self._detector_state = self._detector.new_state()
         self._t0_us: int | None = None
 
     def push(self, sample: Sample) -> list[Result]:
         """What one sample leads to."""
         if self._t0_us is None and not isinstance(sample, (EphemerisSample, IonosphereSample)):
             self._t0_us = sample.t_us
-        results: list[Result] = []
-        for number, step in enumerate(self._steps):
-            found, self._states[number] = step.step(sample, self._states[number])
-            results += found
+        results, self._detector_state = self._detector.step(sample, self._detector_state)
         scores, self._attitude_state = self._attitude.step(sample, self._attitude_state)
-        results += scores
         base_us = self._t0_us or 0
-        return [msgspec.structs.replace(r, t_s=(r.t_us - base_us) * 1e-6) for r in results]
+        return [
+            msgspec.structs.replace(result, t_s=round((result.t_us - base_us) * 1e-6, 6))
+            for result in (*results, *scores)
+        ]
 
     def attitude(self, labels: Sequence[Label] = ()) -> dict[str, Any]:
         """Scores by estimator."""

@@ -54,7 +54,9 @@ def add_inject(commands: Any) -> None:
     parser.add_argument("--target", metavar="MSG.FIELD", help="what the fault acts on")
     parser.add_argument("--value", type=float, metavar="X", help="magnitude in the field's unit")
     parser.add_argument("--for", dest="for_s", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument("--id", metavar="ID", help="the fault's id (default: its name)")
     parser.add_argument("--clear", metavar="ID", help="end this fault (its id, or 'all')")
+    parser.add_argument("--run", default="*", metavar="NAME", help="the run (default: any)")
     parser.add_argument("--zenoh", metavar="URL", help="the proxy's router")
     parser.set_defaults(main=_inject)
 

@@ -63,6 +63,11 @@ class Engine:
         assert self.t0_us is not None
         return Running(entry, self.seed, base_us, self.t0_us)
 
+    def tell_time(self, t_us: int) -> None:
+        """Let edits count from this stamp, whatever frame was seen last."""
+        if self.t0_us is not None:
+            self.now_us = max(self.now_us, t_us)
+
     @property
     def held_until_us(self) -> int | None:
         """When frames kept back must leave, whatever the schedule does then."""
@@ -296,6 +301,11 @@ class Engine:
     def ids(self) -> list[str]:
         """The ids of all faults, waiting, active or done."""
         return [entry.id for entry in self._entries()]
+
+    @property
+    def active(self) -> list[str]:
+        """The ids of the faults that act now."""
+        return [running.entry.id for running in self._all if running.active]
 
     def state(self) -> dict[str, Any]:
         """What a page or a bus shows: every fault, whether it is active, and what it did."""

@@ -137,7 +137,7 @@ class Running:
     @staticmethod
     def _instance(frame: Frame) -> object:
         name = frame.layout.instance or "id"
-        return frame.read(name) if name in frame.layout.fields else None
+        return frame.read(name) if name in frame.layout.fields else 0
 
     def takes_junk(self, direction: str) -> bool:
         """Whether bytes that are no frame pass through the fault."""

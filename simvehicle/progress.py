@@ -10,9 +10,9 @@ FILE_S = 10.0  # lines that stay
 class Progress:
     """Simulated time and speed every now and then; wall time comes in as `now_s`."""
 
-    def __init__(self, now_s: float, out: TextIO = sys.stderr) -> None:
-        self._out = out
-        self._terminal = out.isatty()
+    def __init__(self, now_s: float, out: TextIO | None = None) -> None:
+        self._out = out or sys.stderr
+        self._terminal = self._out.isatty()
         self._period_s = TERMINAL_S if self._terminal else FILE_S
         self._start_s = self._last_s = now_s
         self._last_us = 0

@@ -9,6 +9,7 @@ import argparse
 import select
 import time
 from collections.abc import Callable
+from contextlib import ExitStack, closing
 from typing import Any
 
 from mavproxy_fault.errors import ConfigError
@@ -48,24 +49,25 @@ def main(args: argparse.Namespace) -> int:
             f"--gcs: {args.gcs} is not served beside --hil {args.hil}, whose autopilot answers "
             "ground stations itself; leave one of them out"
         )
+    Simulation(scenario, args.seed).step()  # compiles the kernels before anyone waits for a step
     simulation = Simulation(scenario, args.seed)
     progress = Progress(time.monotonic())
-    hil = open_link(args.hil, plain_udp="udpout") if args.hil else None
-    gcs = open_link(args.gcs, plain_udp="udpout") if args.gcs else None
-    try:
-        if served and hil is not None:
-            return _lockstep(simulation, hil, speed, progress)
-        loop = FreeLoop(simulation, hil, gcs, speed, progress)
-        loop.run(None if gcs else round(scenario.duration_s * 1e6))
-        return 0
-    except KeyboardInterrupt:
-        progress.say("stopped")
-        return 0
-    finally:
-        progress.end(simulation.truth.t_us, time.monotonic())
-        for link in (hil, gcs):
-            if link is not None:
-                link.close()
+    with ExitStack() as links:
+        hil, gcs = (
+            links.enter_context(closing(open_link(text, plain_udp="udpout"))) if text else None
+            for text in (args.hil, args.gcs)
+        )
+        try:
+            if served and hil is not None:
+                return _lockstep(simulation, hil, speed, progress)
+            loop = FreeLoop(simulation, hil, gcs, speed, progress)
+            loop.run(None if gcs else round(scenario.duration_s * 1e6))
+            return 0
+        except KeyboardInterrupt:
+            progress.say("stopped")
+            return 0
+        finally:
+            progress.end(simulation.truth.t_us, time.monotonic())
 
 
 def _lockstep(simulation: Simulation, link: Link, speed: float, progress: Progress) -> int:
@@ -146,14 +148,16 @@ class FreeLoop:
                 for frame in self._gcs.frames()
                 for raw in self._services.received(frame, self.t_us)
             ]
-            answers += self._services.tick(self.t_us, truth, readings, self._throttle())
+            answers += self._services.tick(self.t_us, truth, readings, throttle(self._simulation))
             for raw in answers:
                 link.write(raw)
 
-    def _throttle(self) -> float:
-        values = self._simulation.controls
-        wing = self._simulation.scenario.vehicle.kind == "fixedwing"
-        return float(values[3] if wing else values.mean())
+
+def throttle(simulation: Any) -> float:
+    """The motors' command, 0 to 1."""
+    values = simulation.controls
+    wing = simulation.scenario.vehicle.kind == "fixedwing"
+    return float(values[3] if wing else values.mean())
 
 
 def services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:

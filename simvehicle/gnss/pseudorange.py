@@ -92,7 +92,7 @@ def sights(
     coefficients: Vector,
     troposphere: bool,
 ) -> Vector:
-    """`Sight` as rows (10, n); no coefficients, no ionosphere.
+    """`Sight` as rows (10, n); no coefficients, no ionosphere; the place is `r_ecef_m[:3]`.
 
     The time of flight comes from two evaluations of the orbit, each refined along the velocity;
     what is left is below a micrometre.

@@ -26,28 +26,43 @@ SOLVED, SINGULAR, DIVERGED = 0.0, 1.0, 2.0
 
 @compiled
 def inverted(matrix: Vector) -> Vector:
-    """The inverse of a small positive definite matrix by Gauss and Jordan; empty if singular."""
+    """The inverse of a small positive definite matrix by Gauss and Jordan; empty if singular.
+
+    Loops and not slices, here and below: they compile in a fraction of the time.
+    """
     m = len(matrix)
-    work, out = matrix.copy(), np.eye(m)
-    floor = PIVOT_MIN * np.max(np.abs(matrix))
+    work, out = np.empty((m, m)), np.zeros((m, m))
+    floor = 0.0
+    for j in range(m):
+        out[j, j] = 1.0
+        for i in range(m):
+            work[j, i] = matrix[j, i]
+            floor = max(floor, PIVOT_MIN * abs(matrix[j, i]))
     for k in range(m):
         pivot = work[k, k]
         if not pivot > floor:
             return np.empty((0, 0))
-        work[k] /= pivot
-        out[k] /= pivot
+        for i in range(m):
+            work[k, i] /= pivot
+            out[k, i] /= pivot
         for j in range(m):
+            factor = work[j, k]
             if j != k:
-                factor = work[j, k]
-                work[j] -= factor * work[k]
-                out[j] -= factor * out[k]
+                for i in range(m):
+                    work[j, i] -= factor * work[k, i]
+                    out[j, i] -= factor * out[k, i]
     return out
 
 
 @compiled
-def least_squares(design: Vector, residual: Vector, weights: Vector) -> tuple[Vector, Vector]:
-    """The weighted solution (m,) and its covariance (m, m); both empty without full rank."""
-    n, m = design.shape
+def least_squares(
+    design: Vector, residual: Vector, weights: Vector, m: int
+) -> tuple[Vector, Vector]:
+    """The weighted solution (m,) for the first m columns of `design` and its covariance (m, m).
+
+    Both are empty without full rank.
+    """
+    n = len(design)
     normal, right = np.zeros((m, m)), np.zeros(m)
     for i in range(n):
         for a in range(m):
@@ -77,65 +92,61 @@ def navigate(
 ) -> Vector:
     """Position, velocity and clocks of one epoch.
 
-    Parameters
-    ----------
-    table : (n, 20) array
-        Orbits, see `ephemeris.Orbits`.
-    system : (n,) array
-        Index of each satellite's clock among those of `start`.
-    tow_s, code_m, rate_mps
-        Time and observations.
-    coefficients, troposphere
-        What to correct for.
-    start : (3 + m,) array
-        Position and clock offsets [m] to begin with.
-    near : bool
-        Whether that is within some kilometres, so that elevations are right.
-
-    Returns
-    -------
-    (19,) array
-        Rows named above.
+    `table` (n, 20) are the orbits, `system` (n,) the index of each satellite's clock among those of
+    `start` (3 + m,), which holds position and clock offsets [m] to begin with; `near` says that it
+    is within some kilometres, so that elevations are right. The answer (19,) has the rows named
+    above; the rest is as in `receiver.solve`.
     """
     n, m = len(table), len(start)
     out = np.zeros(SIZE)
-    x = start.copy()
+    x = np.zeros(m)
+    for a in range(m):
+        x[a] = start[a]
     weights, residual = np.ones(n), np.zeros(n)
     design, still = np.zeros((n, m)), np.zeros(3)
     for _ in range(ROUNDS_MAX):
-        seen = sights(
-            table, tow_s - x[3] / SPEED_OF_LIGHT_MPS, x[:3], still, coefficients, troposphere
-        )
+        seen = sights(table, tow_s - x[3] / SPEED_OF_LIGHT_MPS, x, still, coefficients, troposphere)
         for i in range(n):
-            design[i, :] = 0.0
+            own = 3 + system[i]
             design[i, 0], design[i, 1], design[i, 2] = -seen[7, i], -seen[8, i], -seen[9, i]
-            design[i, 3 + system[i]] = 1.0
-            model = seen[0, i] - SPEED_OF_LIGHT_MPS * seen[2, i] + seen[6, i] + x[3 + system[i]]
+            design[i, own] = 1.0
+            model = seen[0, i] - SPEED_OF_LIGHT_MPS * seen[2, i] + seen[6, i] + x[own]
             residual[i] = code_m[i] - model
             if near:
                 weights[i] = (max(sin(seen[4, i]), SINE_MIN) / ZENITH_SIGMA_M) ** 2
-        step, covariance = least_squares(design, residual, weights)
+        step, covariance = least_squares(design, residual, weights, m)
         if len(step) == 0:
             out[STATUS] = SINGULAR
             return out
-        x += step
-        size = np.max(np.abs(step))
+        size = 0.0
+        for a in range(m):
+            x[a] += step[a]
+            size = max(size, abs(step[a]))
         if near and size < NEAR_M:
             break
         near = near or size < CONVERGED_M
     else:
         out[STATUS] = DIVERGED
         return out
-    out[PLACE:CLOCK] = x[:3]
-    out[CLOCK : CLOCK + m - 3] = x[3:]
-    for i in range(n):
-        residual[i] = rate_mps[i] - seen[1, i] + SPEED_OF_LIGHT_MPS * seen[3, i]
-        design[i, 3] = 1.0
-    motion, _ = least_squares(np.ascontiguousarray(design[:, :4]), residual, weights)
-    if len(motion):
-        out[MOTION : DRIFT + 1] = motion
+    for a in range(m):
+        out[PLACE + a] = x[a]  # and the clocks after it
+    _add_motion(out, seen, rate_mps, design, weights)
     _add_local(out, covariance)
     return out
+
+
+@compiled
+def _add_motion(
+    out: Vector, seen: Vector, rate_mps: Vector, design: Vector, weights: Vector
+) -> None:
+    """Velocity and drift from range rates; `design` becomes that of one clock."""
+    residual = np.zeros(len(rate_mps))
+    for i in range(len(rate_mps)):
+        residual[i] = rate_mps[i] - seen[1, i] + SPEED_OF_LIGHT_MPS * seen[3, i]
+        design[i, 3] = 1.0
+    motion, _ = least_squares(design, residual, weights, 4)
+    for a in range(len(motion)):
+        out[MOTION + a] = motion[a]  # and the drift after it
 
 
 @compiled
@@ -157,4 +168,8 @@ def _add_local(out: Vector, covariance: Vector) -> None:
 def axes_en(lat_rad: float, lon_rad: float) -> Vector:
     """Matrix (3, 3) that takes local NED vectors to Earth-fixed axes."""
     sp, cp, sl, cl = sin(lat_rad), cos(lat_rad), sin(lon_rad), cos(lon_rad)
-    return np.array([[-sp * cl, -sl, -cp * cl], [-sp * sl, cl, -cp * sl], [cp, 0.0, -sp]])
+    out = np.empty((3, 3))
+    out[0, 0], out[0, 1], out[0, 2] = -sp * cl, -sl, -cp * cl
+    out[1, 0], out[1, 1], out[1, 2] = -sp * sl, cl, -cp * sl
+    out[2, 0], out[2, 1], out[2, 2] = cp, 0.0, -sp
+    return out

@@ -74,7 +74,7 @@ class Flight:
         self.mode = Mode.HOLD
         self.armed = airborne
         self.landed = LandedState.IN_AIR if airborne else LandedState.ON_GROUND
-        self.goal = Goal(Kind.FLY if airborne else Kind.IDLE, np.zeros(3))
+        self.goal = Goal(Kind.IDLE, np.zeros(3))  # until the first `advance`
         self.seq = 0
         self._parameters = parameters
         self._missions = missions
@@ -151,7 +151,10 @@ class Flight:
 
     def advance(self, truth: Truth) -> list[Message]:
         """Look at where the vehicle is, set the goal, and tell what was reached."""
+        first = self._truth is None
         self._truth = truth
+        if first:
+            self._enter(self.mode)
         if self._missions.changed != self._mission_seen:
             self._mission_seen = self._missions.changed
             self.seq = 0

@@ -83,6 +83,22 @@ def test_an_ephemeris_is_kept_while_it_holds_and_then_replaced() -> None:
     assert seen == [0, 0, 0, 1, 1, None]
 
 
+def test_a_choice_holds_until_one_of_it_ends_or_another_satellite_comes_up() -> None:
+    constellation = constellation_of(GnssConfig(), 0.6, 2.4)
+    start_s = constellation.start_s
+    chosen = constellation.choose(start_s, [None] * 24)
+    used = [e[k] for e, k in zip(constellation.ephemerides, chosen, strict=True) if k is not None]
+    ends = [e.toe_s + e.fit_half_s for e in used]
+    assert constellation.holds_until_s(start_s, chosen) == min(ends)
+    early_s = start_s - 3.0 * 3600.0  # before G02, whose only ephemeris is that of 14:00
+    before = constellation.choose(early_s, [None] * 24)
+    assert before[constellation.satellites.index("G02")] is None
+    assert constellation.holds_until_s(early_s, before) <= start_s
+    late_s = start_s + 5.0 * 3600.0
+    gone = constellation.choose(late_s, [None] * 24)
+    assert constellation.holds_until_s(late_s, gone) == math.inf
+
+
 def test_systems_not_asked_for_are_left_out() -> None:
     gps = constellation_of(GnssConfig(systems=("GPS",)), 0.6, 2.4)
     assert {name[0] for name in gps.satellites} == {"G"}
