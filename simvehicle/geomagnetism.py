@@ -24,12 +24,12 @@ def field_ned_gauss(
     year = time.year + (time.timetuple().tm_yday - 1) / 365.25
     try:
         model = GeoMag(base_year=time)
+        found = model.calculate(glat=lat_deg, glon=lon_deg, alt=height_m / 1000.0, time=year)
     except ValueError:
         raise ConfigError(
             f"start.time = {time:%Y-%m-%d} has no world magnetic model; 2010 to 2029 is allowed, "
             "or sensors.mag.field_ned_gauss says the field"
         ) from None
-    found = model.calculate(glat=lat_deg, glon=lon_deg, alt=height_m / 1000.0, time=year)
     return (
         found.x / NANOTESLA_PER_GAUSS,
         found.y / NANOTESLA_PER_GAUSS,

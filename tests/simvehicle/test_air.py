@@ -136,7 +136,7 @@ def test_the_magnetic_field_is_that_of_the_world_magnetic_model(
 
 
 def test_a_date_without_a_model_is_refused() -> None:
-    with pytest.raises(ConfigError, match="start.time = 1999"):
+    with pytest.raises(ConfigError, match=r"start.time = 1999"):
         field_ned_gauss(47.4, 8.5, 500.0, datetime(1999, 3, 19, tzinfo=UTC))
 
 
