@@ -37,13 +37,13 @@ class Pilot:
 
     def __init__(self, simulation: Any, flight: Flight) -> None:
         self._simulation = simulation
-        self._flight = flight
+        self.flight = flight
         self._goal: Goal | None = None
         self._idle = Controls(np.zeros(simulation.vehicle.controls_count), armed=False)
 
     def controls(self) -> Controls | None:
         """Actuators off on the ground; None where the built-in controller flies."""
-        goal = self._flight.goal
+        goal = self.flight.goal
         if goal.kind is Kind.IDLE:
             self._goal = None
             return self._idle
