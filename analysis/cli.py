@@ -17,6 +17,12 @@ def add_run(commands: Any) -> None:
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
     parser.add_argument("--out", metavar="DIR", help="run folder (default: runs/ and a number)")
     parser.add_argument(
+        "--gcs",
+        default="udpout:127.0.0.1:14550",
+        metavar="EP|off",
+        help="ground station, unless --speed max (default: udpout:127.0.0.1:14550)",
+    )
+    parser.add_argument(
         "--ui", action="store_true", help="serve the page for control and live view"
     )
     parser.add_argument(

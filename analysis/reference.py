@@ -21,8 +21,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
+from analysis.fdi.core import State
 from analysis.fdi.detector import Detector
-from analysis.fdi.state import State
 from analysis.fdi.thresholds import chi_square
 from analysis.reference_models import MODELS, Seen, SensorNoise, Slow, view
 from analysis.results import Decision, Result, SensorDecision

@@ -66,7 +66,8 @@ def read_ulog(path: str | Path) -> ULogFile:
     from pyulog import ULog
 
     try:
-        log = ULog(str(path))
+        with Path(path).open("rb") as file:
+            log = ULog(file)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; give the path of a ULog") from error
     except Exception as error:  # pyulog raises whatever its struct and index code does

@@ -148,14 +148,16 @@ class FreeLoop:
                 for frame in self._gcs.frames()
                 for raw in self._services.received(frame, self.t_us)
             ]
-            answers += self._services.tick(self.t_us, truth, readings, self._throttle())
+            answers += self._services.tick(self.t_us, truth, readings, throttle(self._simulation))
             for raw in answers:
                 link.write(raw)
 
-    def _throttle(self) -> float:
-        values = self._simulation.controls
-        wing = self._simulation.scenario.vehicle.kind == "fixedwing"
-        return float(values[3] if wing else values.mean())
+
+def throttle(simulation: Any) -> float:
+    """The motors' command, 0 to 1."""
+    values = simulation.controls
+    wing = simulation.scenario.vehicle.kind == "fixedwing"
+    return float(values[3] if wing else values.mean())
 
 
 def services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:

@@ -37,7 +37,7 @@ def readmit(
     """
     if not excluded:
         return excluded
-    variance = np.einsum("ij,jk,ik->i", modelled.h, p, modelled.h) + modelled.sigma_m**2
+    variance = np.einsum("ij,jk,ik->i", modelled.h, p, modelled.h) + modelled.variance
     healthy = np.abs(modelled.v_m) <= two_sided(HEALTHY_P) * np.sqrt(variance)
     left = dict(excluded)
     for i, name in enumerate(satellites):

@@ -203,22 +203,29 @@ def propagate_freely(
 
 
 @compiled
-def project(p: Vector, h: Vector, variance: Vector) -> tuple[Vector, Vector]:
-    """P H' (18, n) and the innovation covariance S = H P H' + diag(variance) (n, n)."""
+def innovate(
+    p: Vector, h: Vector, variance: Vector, v: Vector
+) -> tuple[Vector, Vector, Vector, float]:
+    """P H' (18, n), M = inv(H P H' + diag(variance)) (n, n), u = M v (n,) and q = v' M v."""
     ph = p @ h.T
     s = h @ ph
     for i in range(variance.shape[0]):
         s[i, i] += variance[i]
-    return ph, 0.5 * (s + s.T)
+    m: Vector = np.linalg.inv(0.5 * (s + s.T))
+    u = m @ v
+    return ph, m, u, float(v @ u)
 
 
 @compiled
-def correct(x: Vector, p: Vector, gain: Vector, ph: Vector, v: Vector) -> tuple[Vector, Vector]:
-    """State and covariance after the innovations v (n,) with the gain P H' inv(S) (18, n)."""
-    d = gain @ v
+def correct(
+    x: Vector, p: Vector, ph: Vector, m: Vector, u: Vector
+) -> tuple[Vector, Vector, Vector]:
+    """State, covariance and the gain P H' M (18, n) after what `innovate` gave."""
+    d = ph @ u
     x = x.copy()
     x[0:6] += d[0:6]
     x[6:10] = turned(x[6:10], d[6:9], True)
     x[10:19] += d[9:18]
+    gain = ph @ m
     p = p - gain @ ph.T
-    return x, 0.5 * (p + p.T)
+    return x, 0.5 * (p + p.T), gain

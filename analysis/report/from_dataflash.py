@@ -56,7 +56,7 @@ CURVES: tuple[tuple[str, str, str, str, float], ...] = (
     ("XKF3", "IPN", "innovation", "position north, m", 1.0),
     ("CTUN", "ThO", "throttle", "throttle", 100.0),
 )
-WANTED = tuple({row[0] for row in CURVES} | {"MAG", "MODE", "MSG", "EV", "PARM", "ERR"})
+WANTED = {row[0] for row in CURVES} | {"MAG", "MODE", "MSG", "EV", "PARM", "ERR"}
 
 
 def is_dataflash(head: bytes) -> bool:
@@ -72,20 +72,30 @@ def recording_of_dataflash(path: Path, name: str, t0_us: int | None = None) -> R
     ConfigError
         If nothing in the file can be read.
     """
-    from pymavlink.DFReader import DFReader_binary
-
-    try:
-        reader = DFReader_binary(str(path), zero_time_base=True)
-    except Exception as error:  # pymavlink raises whatever its struct and index code does
-        raise ConfigError(f"{path}: not a readable dataflash log ({error})") from error
-    rows: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    while (message := reader.recv_match(type=WANTED)) is not None:
-        rows[message.get_type()].append(message.to_dict())
+    rows = _rows(path)
     stamped = [row["TimeUS"] for some in rows.values() for row in some if "TimeUS" in row]
     if not stamped:
         raise ConfigError(f"{path}: the dataflash log holds no message a report can show")
     start_us = min(stamped) if t0_us is None else t0_us
     return _recording(name, rows, start_us, (max(stamped) - start_us) * 1e-6)
+
+
+def _rows(path: Path) -> dict[str, list[dict[str, Any]]]:
+    """Every message wanted, by kind."""
+    from pymavlink.DFReader import DFReader_binary
+
+    rows: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    reader = DFReader_binary.__new__(DFReader_binary)  # apart, to close its file if it fails
+    try:
+        reader.__init__(str(path), zero_time_base=True)
+        while (message := reader.recv_match(type=WANTED)) is not None:
+            rows[message.get_type()].append(message.to_dict())
+    except Exception as error:  # pymavlink raises whatever its struct and index code does
+        if not rows:
+            raise ConfigError(f"{path}: not a readable dataflash log ({error})") from error
+    finally:
+        reader.filehandle.close()
+    return rows
 
 
 def _recording(

@@ -42,7 +42,7 @@ class Driven(ValueFault, frozen=True, kw_only=True):
 
     def fed(self, state: Moving, value: float, t_us: int) -> Moving:
         """The state after a live value that came at `t_us`."""
-        return Moving(state.start_us, ((t_us - state.start_us) * 1e-6, value))
+        return Moving(state.start_us, ((t_us - state.start_us) / 1e6, value))
 
 
 def meet(mode: Mode, healthy: Number, value: float) -> Number:

@@ -41,7 +41,7 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
         places = places_of(frame.id, self.elements[frame.id])
         before = values_at(frame, places)
         key = sender(frame) if self.by_sender else ()
-        after, memory = self.after(before, key, (t_us - start_us) * 1e-6, remembered, rng)
+        after, memory = self.after(before, key, (t_us - start_us) / 1e6, remembered, rng)
         if memory is not remembered:
             state = Moving(start_us, memory)
         return [changed(frame, t_us, places, before, after)], state
