@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from analysis.report.derive import with_derived
 from analysis.report.from_results import recording_of_results
 from analysis.report.from_tlog import recording_of
 from analysis.report.page import Page, html
@@ -48,7 +49,7 @@ def write(
     if t0_us is None:
         t0_us = flight.t0_us
     said = recording_of_results(labels, results, t0_us)
-    together = joined(flight, said)
+    together = with_derived(joined(flight, said))
     page = Page(title, str(summary.get("verdict", "")), facts(summary), run_tables(summary))
     matrix = matrix_table(labels, results)
     if matrix is not None:

@@ -27,11 +27,19 @@ def recording_of_results(
     points: Points = defaultdict(list)
     alarms: dict[str, list[tuple[float, bool, str]]] = defaultdict(list)
     fused: list[tuple[float, tuple[float, float, float]]] = []
+    solved: list[tuple[float, tuple[float, float, float]]] = []
+    excluded: dict[str, list[float]] = defaultdict(list)
+    epochs: list[float] = []
     for result in results:
         t_s = (result.t_us - t0_us) * 1e-6
         if isinstance(result, Decision):
             _decision(result, t_s, points)
             alarms["detected: GNSS"].append((t_s, result.alarm, _verdict(result)))
+            epochs.append(t_s)
+            for satellite in result.excluded:
+                excluded[satellite].append(t_s)
+            if result.position_ecef_m is not None:
+                solved.append((t_s, result.position_ecef_m))
         elif isinstance(result, SensorDecision):
             if result.statistic is not None and result.threshold:
                 points["fdi-sensor", result.sensor].append(
@@ -47,8 +55,10 @@ def recording_of_results(
     found.signals.extend(_signal(panel, name, rows) for (panel, name), rows in points.items())
     for lane, rows in alarms.items():
         found.spans.extend(_alarm_spans(lane, rows))
-    if len(fused) > 1:
-        found.tracks.append(_track("fused", fused))
+    found.spans.extend(_excluded_spans(excluded, epochs))
+    for name, track in (("GNSS solution", solved), ("fused", fused)):
+        if len(track) > 1:
+            found.tracks.append(_track(name, track))
     return found
 
 
@@ -112,6 +122,20 @@ def _alarm_spans(lane: str, rows: list[tuple[float, bool, str]]) -> list[Span]:
         texts = list(dict.fromkeys(row[2] for row in rows[begin:end]))
         stop = t_s[min(end, len(t_s) - 1)]
         spans.append(Span(lane, float(t_s[begin]), float(stop), "; ".join(texts[:4]), "detected"))
+    return spans
+
+
+def _excluded_spans(excluded: dict[str, list[float]], epochs: list[float]) -> list[Span]:
+    """When each satellite was left out of the solution, a lane each."""
+    times = np.array(sorted(epochs))
+    spans = []
+    for satellite, out in sorted(excluded.items()):
+        for begin, end in runs(np.isin(times, out)):
+            stop = float(times[min(end, len(times) - 1)])
+            text = f"{satellite} left out"
+            spans.append(
+                Span(f"excluded: {satellite}", float(times[begin]), stop, text, "detected")
+            )
     return spans
 
 

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from analysis.report.checks import FAIL, NONE, WARN, Check, verdict_of
-from analysis.report.derive import derived
+from analysis.report.derive import with_derived
 from analysis.report.flight import flight_checks
 from analysis.report.panels import BY_KEY
 from analysis.report.reaction import ECHO_S, reactions
@@ -36,13 +36,7 @@ class Outcome:
 
 def judged(flight: Flight, thresholds: Thresholds) -> Outcome:
     """Derive what follows from the recording, check it, and sum up."""
-    recording = flight.recording
-    signals, events = derived(recording)
-    recording = replace(
-        recording,
-        signals=recording.signals + signals,
-        events=sorted(recording.events + events, key=lambda event: event.t_s),
-    )
+    recording = with_derived(flight.recording)
     checks = [_expected(check, recording) for check in flight_checks(recording, thresholds)]
     checks += [_criterion(row) for row in flight.summary.get("criteria", ())]
     recording = replace(recording, spans=recording.spans + _found(checks))

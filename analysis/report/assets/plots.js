@@ -13,11 +13,11 @@ function decodeTimes(place, numbers) {
   return t;
 }
 
-function decodeValues(place, numbers) {
+function decodeValues(place, numbers, log) {
   const y = new Array(place.n);
   for (let i = 0; i < place.n; i++) {
     const value = numbers[place.at + i];
-    y[i] = Number.isFinite(value) ? value : null;
+    y[i] = Number.isFinite(value) && (!log || value > 0) ? value : null;
   }
   return y;
 }
@@ -107,7 +107,7 @@ function limitLines(u, limits) {
 }
 
 function drawPanel(area, panel, page, numbers, axis) {
-  const tables = panel.series.map((s) => [decodeTimes(s.t, numbers), decodeValues(s.y, numbers)]);
+  const tables = panel.series.map((s) => [decodeTimes(s.t, numbers), decodeValues(s.y, numbers, panel.log)]);
   const same = tables.every((table) => table[0].length === tables[0][0].length &&
     table[0].every((t, i) => t === tables[0][0][i]));
   const data = same ? [tables[0][0], ...tables.map((table) => table[1])] : uPlot.join(tables);

@@ -96,6 +96,7 @@ def test_injected_and_detected_stretches_stand_on_the_timeline(tmp_path: Path) -
     assert [(s["lane"], s["start"], s["end"]) for s in spans] == [
         ("injected: jump<1>", 10.0, 19.5),
         ("detected: GNSS", 10.0, 20.0),
+        ("excluded: G05", 10.0, 20.0),
     ]
 
 
