@@ -7,9 +7,11 @@ import numpy as np
 
 from analysis.report.recording import Event, Recording, Signal, Span, Track, Vector, runs
 from analysis.results import AttitudeError, Decision, FusedState, Result, SensorDecision
+from analysis.score import RECOVERY_S
 from mavproxy_fault.wire.label import Label
 from simvehicle import earth
 
+AFTER = f"{RECOVERY_S:g} s after one"
 Points = dict[tuple[str, str], list[tuple[float, float]]]
 
 
@@ -149,25 +151,32 @@ def isolation_matrix(
     tuple
         The decisions that head the columns, and per row one count for each.
     """
-    rows = [label.id for label in labels] + ["no fault"]
+    rows = [label.id for label in labels] + [AFTER, "no fault"]
     counts: dict[str, dict[str, int]] = {row: defaultdict(int) for row in rows}
     for result in results:
         if not isinstance(result, Decision):
             continue
-        said = ["none" if result.hypothesis == "none" else result.hypothesis]
-        if result.excluded:
-            said = list(result.excluded)
+        said = result.excluded or (result.hypothesis,)
         true = [
             label.id
             for label in labels
             if label.start_us <= result.t_us
             and (label.end_us is None or result.t_us <= label.end_us)
-        ] or ["no fault"]
+        ]
+        true = true or [AFTER if _just_after(labels, result.t_us) else "no fault"]
         for row in true:
             for column in said:
                 counts[row][column] += 1
+    if not counts[AFTER]:
+        del counts[AFTER]
     heads = sorted({column for row in counts.values() for column in row}, key=_rank)
     return heads, {row: [counts[row][head] for head in heads] for row in rows}
+
+
+def _just_after(labels: Sequence[Label], t_us: int) -> bool:
+    return any(
+        label.end_us is not None and 0 < t_us - label.end_us <= RECOVERY_S * 1e6 for label in labels
+    )
 
 
 def _rank(name: str) -> tuple[int, str]:

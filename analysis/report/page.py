@@ -43,6 +43,9 @@ class Limit:
     kind: str
 
 
+SENSOR_LIMIT = {"fdi-sensor": [Limit(1.0, "threshold", "fail")]}
+
+
 @dataclass(frozen=True, slots=True)
 class Page:
     """What stands on the page besides the recording's own plots.
