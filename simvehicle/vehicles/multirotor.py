@@ -87,6 +87,8 @@ class Multirotor:
             plant.get("load_shift_x_m", 0.0),
             plant.get("load_shift_y_m", 0.0),
         )
+        # Height of the centre of mass above ground when the ground carries it.
+        self.standing_height_m = max(point[2] for point in parameters.gear_m)
         self.gear: Gear = gear(np.array(parameters.gear_m), parameters.mass_kg, 0.6, 0.6)
         self.rotors = np.array(
             [
@@ -95,13 +97,10 @@ class Multirotor:
                     rotor.y_m,
                     1.0 if rotor.turns == "ccw" else -1.0,
                     plant.get(f"propeller_efficiency[{i}]", 1.0),
+                    plant.get(f"motor_efficiency[{i}]", 1.0),
                 )
                 for i, rotor in enumerate(parameters.rotors)
             ]
-        )
-        # A motor's efficiency scales its power into thrust, so its speed by the square root.
-        self._speed_scale = np.sqrt(
-            [max(0.0, plant.get(f"motor_efficiency[{i}]", 1.0)) for i in range(len(self.rotors))]
         )
         self._volts = plant.get("battery_voltage_scale", 1.0)
         self._resistance = plant.get("battery_resistance_scale", 1.0)
@@ -132,8 +131,8 @@ class Multirotor:
         )
 
     def start(self, r_ned_m: Array, v_b_mps: Array, q_nb: Array) -> Array:
-        """State array (14 + n,) with the motors standing, battery full."""
-        return np.concatenate([r_ned_m, v_b_mps, q_nb, np.zeros(4 + self.controls_count)])
+        """State array (15 + n,) with the motors standing, battery full."""
+        return np.concatenate([r_ned_m, v_b_mps, q_nb, np.zeros(5 + self.controls_count)])
 
     def cruise(
         self, r_ned_m: Array, heading_rad: float, wind_ned_mps: Array, speed_mps: float,
@@ -145,12 +144,8 @@ class Multirotor:
         x = self.start(r_ned_m, np.zeros(3), q)
         each = self.body.mass_kg * gravity / self.controls_count
         thrust = self.parameters.motor.thrust_n_per_rps2 * density / SEA_LEVEL_KGPM3
-        x[13:-1] = math.sqrt(each / thrust)
+        x[13:-2] = math.sqrt(each / thrust)
         return x
-
-    def standing_height_m(self) -> float:
-        """Height of the centre of mass above ground when the legs carry it."""
-        return max(point[2] for point in self.parameters.gear_m)
 
     def advance(
         self,
@@ -167,22 +162,18 @@ class Multirotor:
 
         Returns
         -------
-        x : array, shape (14 + n,)
+        x : array, shape (15 + n,)
         load : array, shape (6,)
             Specific force in body axes [m/s^2]; battery voltage [V], current [A], rest (0 to 1).
         """
-        motor, battery = self.parameters.motor, self.parameters.battery
-        current = float(
-            battery.full_throttle_a * np.mean((x[13:-1] / motor.full_rps) ** 3)
-        )  # shaft power goes with the cube of the speed
+        battery = self.parameters.battery
+        current = float(x[-2])
         volts, left = battery.state(float(x[-1]), current * self._resistance)
         volts *= self._volts
-        sag = min(1.0, volts / (battery.cells * 4.2))
-        u = np.minimum(np.maximum(controls, 0.0), 1.0)
-        wanted = (motor.idle_rps + (motor.full_rps * sag - motor.idle_rps) * u) * (u > 0.0)
-        x, force = fly(
+        x, load = fly(
             x,
-            wanted * self._speed_scale,
+            controls,
+            min(1.0, volts / (battery.cells * 4.2)),
             self.rotors,
             wind_ned_mps,
             gravity_ned_mps2,
@@ -192,6 +183,8 @@ class Multirotor:
             self._packed,
             self.gear.points_m,
         )
+        fx, fy, fz, power = load.tolist()
+        current = battery.full_throttle_a * power
+        x[-2] = current
         x[-1] += current * steps * dt
-        fx, fy, fz = force.tolist()
         return x, np.array([fx, fy, fz, volts, current, left])
