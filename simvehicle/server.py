@@ -173,7 +173,16 @@ def services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:
         airborne=start.height_m > 0.0,
         acceptance_m=_acceptance_m(simulation) if wing else float(parameters["NAV_ACC_RAD"]),
     )
-    link = AutopilotLink(flight, parameters, missions, airframe(simulation)[0])
+    count = 1 if wing else simulation.vehicle.controls_count
+
+    def fail_motor(number: int, off: bool) -> bool:
+        if not 0 <= number <= count:
+            return False
+        for motor in range(count) if number == 0 else (number - 1,):
+            simulation.plant(f"motor_efficiency[{motor}]", 0.0 if off else None)
+        return True
+
+    link = AutopilotLink(flight, parameters, missions, fail_motor, airframe(simulation)[0])
     return link, Pilot(simulation, flight)
 
 
