@@ -61,6 +61,14 @@ class MultirotorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unk
             raise ValueError(f"{len(self.rotors)} rotors are not supported; 4 to 8 are")
         if not 0.0 <= self.motor.idle_rps < self.motor.full_rps:
             raise ValueError("motor.idle_rps must lie between 0 and motor.full_rps")
+        body_of(self, {})  # refuses what is no body
+
+
+def body_of(parameters: MultirotorParameters, plant: Mapping[str, float]) -> Inertia:
+    """Mass and inertia, with the plant faults `mass_kg_add` and `inertia_scale`."""
+    j, scale = parameters.inertia_kgm2, plant.get("inertia_scale", 1.0)
+    mass = parameters.mass_kg + plant.get("mass_kg_add", 0.0)
+    return inertia(mass, scale * j.jx, scale * j.jy, scale * j.jz, scale * j.jxz)
 
 
 class Multirotor:
@@ -69,11 +77,8 @@ class Multirotor:
     def __init__(self, parameters: MultirotorParameters, plant: Mapping[str, float] = {}) -> None:
         self.parameters = parameters
         self.controls_count = len(parameters.rotors)
-        motor, moments = parameters.motor, parameters.inertia_kgm2
-        scale = plant.get("inertia_scale", 1.0)
-        mass = parameters.mass_kg + plant.get("mass_kg_add", 0.0)
-        jx, jy, jz = scale * moments.jx, scale * moments.jy, scale * moments.jz
-        self.body: Inertia = inertia(mass, jx, jy, jz, scale * moments.jxz)
+        motor = parameters.motor
+        self.body = body_of(parameters, plant)
         self.frame = Airframe(
             motor.thrust_n_per_rps2,
             motor.torque_per_thrust_m,
