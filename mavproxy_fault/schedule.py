@@ -11,7 +11,7 @@ from mavproxy_fault.checked import Check, Lines, Path, read_yaml
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.faults import target as targets
 from mavproxy_fault.faults.base import Fault
-from mavproxy_fault.faults.profile import NotNegative, Positive
+from mavproxy_fault.faults.profile import NotNegative, Positive, Profile
 from mavproxy_fault.faults.registry import ALIASES, fault_class, known_faults
 from mavproxy_fault.triggers import Condition
 
@@ -183,6 +183,22 @@ def _entries(data: Any, number: int, check: Check, path: Path) -> list[Entry]:
     return [] if entry is None else [entry]
 
 
+def _open_table(found: dict[str, Any], check: Check, path: Path) -> None:
+    """Let a table's file lie beside the schedule, and see that it begins as it should."""
+    profile = found.get("profile")
+    if not isinstance(profile, Profile) or profile.table is None:
+        return
+    from mavproxy_fault.faults.table import read_blocks
+
+    file = FilePath(check.where).parent / profile.table.file
+    table = msgspec.structs.replace(profile.table, file=str(file))
+    found["profile"] = msgspec.structs.replace(profile, table=table)
+    try:
+        next(read_blocks(table), None)
+    except ConfigError as error:
+        check.wrong((*path, "profile", "table", "file"), f"= {profile.table.file}: {error}")
+
+
 def _from_preset(data: dict[str, Any], number: int, check: Check, path: Path) -> list[Entry]:
     from mavproxy_fault.presets import preset_names, preset_parts
 
@@ -232,6 +248,7 @@ def _entry(data: dict[str, Any], number: int, check: Check, path: Path) -> Entry
         check.wrong((*path, "repeat"), "lacks every_s; only a fault with `when` can do without")
     if len(check.errors) > before:
         return None
+    _open_table(found, check, path)
     try:
         fault, ids = bind(kind, found, aim(name, kind, names), keys.pop("via", "proxy"))
     except ValueError as error:
