@@ -18,13 +18,13 @@ from mavproxy_fault.links.spec import open_link, parse_spec
 from mavproxy_fault.wire.plant import plant_change
 from simvehicle.actuators import Mix, motors, plane
 from simvehicle.autopilot_link import AutopilotLink
-from simvehicle.hil import Hil
+from simvehicle.hil import BARO_IDS, IMU_IDS, MAG_IDS, Hil
 from simvehicle.inbox import Inbox
 from simvehicle.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.pace import Pace, parse_speed
 from simvehicle.pilot import Pilot
 from simvehicle.progress import Progress
-from simvehicle.scenario import read_scenario
+from simvehicle.scenario import Scenario, read_scenario
 from simvehicle.services.enums import MavType
 from simvehicle.services.flight import Flight
 from simvehicle.services.missions import Missions
@@ -49,6 +49,8 @@ def main(args: argparse.Namespace) -> int:
             f"--gcs: {args.gcs} is not served beside --hil {args.hil}, whose autopilot answers "
             "ground stations itself; leave one of them out"
         )
+    if args.hil:
+        check_sensors(scenario)
     Simulation(scenario, args.seed).step()  # compiles the kernels before anyone waits for a step
     simulation = Simulation(scenario, args.seed)
     progress = Progress(time.monotonic())
@@ -68,6 +70,22 @@ def main(args: argparse.Namespace) -> int:
             return 0
         finally:
             progress.end(simulation.truth.t_us, time.monotonic())
+
+
+def check_sensors(scenario: Scenario) -> None:
+    """Refuse more sensors of a kind than PX4 takes from HIL_SENSOR.
+
+    Raises
+    ------
+    ConfigError
+        If a list of sensors is too long.
+    """
+    for kind, most in (("imu", IMU_IDS), ("mag", MAG_IDS), ("baro", BARO_IDS)):
+        fitted = getattr(scenario.sensors, kind)
+        if isinstance(fitted, list) and len(fitted) > most:
+            raise ConfigError(
+                f"sensors.{kind}: {len(fitted)} are too many for a HIL link; at most {most}"
+            )
 
 
 def _lockstep(simulation: Simulation, link: Link, speed: float, progress: Progress) -> int:
