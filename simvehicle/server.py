@@ -32,6 +32,7 @@ from simvehicle.services.parameters import Parameters
 from simvehicle.services.telemetry import Home
 from simvehicle.simulation import Simulation
 
+WING: dict[str, int | float] = {"MIS_TAKEOFF_ALT": 50.0, "RTL_RETURN_ALT": 100.0}  # m above home
 DATAGRAM = 1400  # bytes that cross an Ethernet in one piece
 
 
@@ -181,8 +182,8 @@ def throttle(simulation: Any) -> float:
 def services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:
     """The ground station's view of a simulation, and who flies what it commands."""
     start = simulation.scenario.start
-    parameters, missions = Parameters(), Missions()
     wing = simulation.scenario.vehicle.kind == "fixedwing"
+    parameters, missions = Parameters(WING if wing else {}), Missions()
     flight = Flight(
         parameters,
         missions,
