@@ -2,8 +2,8 @@
 
 import argparse
 import contextlib
-import select
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -11,6 +11,7 @@ from types import FrameType
 
 from analysis.criteria import Criteria
 from analysis.folder import ResultFile, make_folder, write_summary
+from analysis.intake import Intake
 from analysis.monitor import Monitor
 from analysis.pipeline import MonitorConfig
 from analysis.publish import Publisher
@@ -22,8 +23,6 @@ from mavproxy_fault.links.bus import open_run_bus
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.wire.label import Label, read_labels
 
-PATIENCE_S = 0.1
-BATCH = 500  # samples of a file between two looks at the clock
 EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 
 Take = Callable[[list[Result]], None]
@@ -99,13 +98,13 @@ def _feed(args: argparse.Namespace, monitor: Monitor, take: Take) -> None:
 def watch_link(spec: str, monitor: Monitor, take: Take, for_s: float | None) -> None:
     """Feed the monitor from a link, until `for_s` seconds of the vehicle's time have passed."""
     link = open_link(spec)
-    try:
+    with Intake(link) as intake:
+        print(f"watching {link.name}", file=sys.stderr, flush=True)
         while for_s is None or monitor.t_s < for_s:
-            select.select([link.fileno()], [], [], PATIENCE_S)
-            for _, data in link.read():
+            for data in intake.take():
                 take(monitor.bytes(data, datagram=link.datagrams))
-    finally:
-        link.close()
+    if intake.drops:
+        print(f"{intake.drops} chunks came too fast and were not seen", file=sys.stderr)
 
 
 @contextlib.contextmanager
