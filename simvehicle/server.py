@@ -15,7 +15,6 @@ from typing import Any
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link, parse_spec
-from mavproxy_fault.wire.plant import plant_change
 from simvehicle.actuators import Mix, motors, plane
 from simvehicle.autopilot_link import AutopilotLink
 from simvehicle.hil import BARO_IDS, IMU_IDS, MAG_IDS, Hil
@@ -23,6 +22,7 @@ from simvehicle.inbox import Inbox
 from simvehicle.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.pace import Pace, parse_speed
 from simvehicle.pilot import Pilot
+from simvehicle.plant_changes import PlantChanges
 from simvehicle.progress import Progress
 from simvehicle.scenario import Scenario, read_scenario
 from simvehicle.services.enums import MavType
@@ -128,6 +128,7 @@ class FreeLoop:
         self.t_us = 0
         self._simulation = simulation
         self._hil = Inbox(hil) if hil else None
+        self._changes = PlantChanges(simulation, progress.say)
         self._packer = Hil(mav_type=airframe(simulation)[0])
         self._gcs = Inbox(gcs) if gcs else None
         self._services: AutopilotLink | None = None
@@ -157,9 +158,7 @@ class FreeLoop:
             for chunk in datagrams(self._packer.frames(self.t_us, truth, readings)):
                 self._hil.link.write(chunk)
             for frame in self._hil.frames():
-                change = plant_change(frame)
-                if change is not None:
-                    self._simulation.plant(change.name, change.value)
+                self._changes.take(frame)
         if self._gcs and self._services:
             link = self._gcs.link
             answers = [
