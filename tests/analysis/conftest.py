@@ -73,8 +73,15 @@ def make_flight(seconds: float, seed: int = 1, with_fix: bool = False) -> list[S
             for reading in readings:
                 samples += _samples(reading, with_fix)
             samples.append(
-                TruthSample(k * STEP_US, truth.q_nb, gyro, math.degrees(lat), math.degrees(lon),
-                            height, here @ v)
+                TruthSample(
+                    k * STEP_US,
+                    truth.q_nb,
+                    gyro,
+                    math.degrees(lat),
+                    math.degrees(lon),
+                    height,
+                    here @ v,
+                )
             )
     return samples
 
@@ -82,11 +89,25 @@ def make_flight(seconds: float, seed: int = 1, with_fix: bool = False) -> list[S
 def _truth(t_us, lat, lon, height, v_ned, rot_nb) -> Truth:
     zero = np.zeros(3)
     return Truth(
-        t_us=t_us, lat_rad=lat, lon_rad=lon, height_m=height, alt_msl_m=height,
-        height_agl_m=height - HEIGHT_M + 100.0, r_ned_m=zero, v_ned_mps=v_ned,
-        q_nb=quat_from_matrix(rot_nb), omega_b_rps=zero, specific_force_b_mps2=zero,
-        v_air_b_mps=zero, wind_ned_mps=zero, pressure_pa=95_000.0, temperature_k=285.0,
-        density_kgpm3=1.16, battery_v=12.0, battery_a=1.0, battery_remaining=0.9,
+        t_us=t_us,
+        lat_rad=lat,
+        lon_rad=lon,
+        height_m=height,
+        alt_msl_m=height,
+        height_agl_m=height - HEIGHT_M + 100.0,
+        r_ned_m=zero,
+        v_ned_mps=v_ned,
+        q_nb=quat_from_matrix(rot_nb),
+        omega_b_rps=zero,
+        specific_force_b_mps2=zero,
+        v_air_b_mps=zero,
+        wind_ned_mps=zero,
+        pressure_pa=95_000.0,
+        temperature_k=285.0,
+        density_kgpm3=1.16,
+        battery_v=12.0,
+        battery_a=1.0,
+        battery_remaining=0.9,
     )
 
 
@@ -95,14 +116,30 @@ def _samples(reading: object, with_fix: bool) -> list[Sample]:
         return [EphemerisSample(reading.t_us, decode_ephemeris(reading.rtcm))]
     if isinstance(reading, PseudorangeReading):
         return [
-            Epoch(reading.t_us, reading.week, reading.tow_s, reading.satellites,
-                  reading.pseudorange_m, reading.doppler_mps, reading.cn0_dbhz)
+            Epoch(
+                reading.t_us,
+                reading.week,
+                reading.tow_s,
+                reading.satellites,
+                reading.pseudorange_m,
+                reading.doppler_mps,
+                reading.cn0_dbhz,
+            )
         ]
     if isinstance(reading, GpsReading) and with_fix:
         return [
-            GpsFix(reading.t_us, reading.lat_deg, reading.lon_deg, reading.alt_m,
-                   reading.v_ned_mps, reading.fix_type, reading.satellites, reading.eph_m,
-                   reading.epv_m, "HIL_GPS")
+            GpsFix(
+                reading.t_us,
+                reading.lat_deg,
+                reading.lon_deg,
+                reading.alt_m,
+                reading.v_ned_mps,
+                reading.fix_type,
+                reading.satellites,
+                reading.eph_m,
+                reading.epv_m,
+                "HIL_GPS",
+            )
         ]
     return []
 
