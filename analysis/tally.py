@@ -34,6 +34,11 @@ class Tally:
         self._truth = sample
         self.clock(sample.t_us)
 
+    @property
+    def span_s(self) -> float:
+        """Time from the first sample to the last, in seconds."""
+        return (self.last_us - (self.first_us or 0)) * 1e-6
+
     def clock(self, t_us: int) -> None:
         """Note the vehicle's time."""
         if self.first_us is None:
@@ -80,7 +85,7 @@ class Tally:
         first = next(iter(attitude.values()), None)
         found: dict[str, Any] = {
             "verdict": "NO VERDICT",
-            "sim_s": round((self.last_us - (self.first_us or 0)) * 1e-6, 3),
+            "sim_s": round(self.span_s, 3),
             "wall_s": round(wall_s, 2),
             "epochs": self.epochs,
             "false_alarms": false_alarms(labels, self.alarms),

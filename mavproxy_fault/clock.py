@@ -6,8 +6,10 @@ are taken as they are, so that labels and frames show the same numbers; others a
 their first stamp falls on the newest time known, and again after a reboot.
 """
 
+from array import array
 from functools import cache
 
+from mavproxy_fault.memory import NEWEST, NOW, SHIFT, SYSTEM_TIME, T0, UNKNOWN, new_memory
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame
 
@@ -17,7 +19,8 @@ NEAR_US = 10_000_000
 
 
 @cache
-def _stamp_place(name: str) -> tuple[int, int, int] | None:
+def stamp_place(name: str) -> tuple[int, int, int] | None:
+    """Offset and size of a message's stamp, and microseconds per count; None without one."""
     fields = known(name).fields
     for field, scale in STAMP_FIELDS.items():
         if field in fields and not fields[field].extension:
@@ -27,7 +30,7 @@ def _stamp_place(name: str) -> tuple[int, int, int] | None:
 
 def stamp_us(frame: Frame) -> int:
     """The stamp inside a frame in microseconds; 0 where it has none or says that it is unknown."""
-    place = _stamp_place(frame.layout.name)
+    place = stamp_place(frame.layout.name)
     if place is None:
         return 0
     offset, size, scale = place
@@ -37,14 +40,21 @@ def stamp_us(frame: Frame) -> int:
 
 
 class VehicleClock:
-    """The timeline; `t0_us` is its first stamp and `t_us` its newest."""
+    """The timeline, kept in the memory that the compiled path shares."""
 
-    def __init__(self) -> None:
-        self.t0_us: int | None = None
-        self.t_us = 0
-        self._shifts: dict[tuple[int, int, bool], int] = {}
-        self._newest: dict[tuple[int, int, bool], int] = {}
-        self._systems: dict[int, int] = {}
+    def __init__(self, memory: "array[int] | None" = None) -> None:
+        self._memory = new_memory() if memory is None else memory
+
+    @property
+    def t0_us(self) -> int | None:
+        """The first stamp of all, None before it."""
+        first_us = self._memory[T0]
+        return None if first_us == UNKNOWN else first_us
+
+    @property
+    def t_us(self) -> int:
+        """The newest time."""
+        return self._memory[NOW]
 
     def read(self, frame: Frame, now_us: int) -> int:
         """The time of a frame that came at `now_us` of the wall clock.
@@ -52,18 +62,22 @@ class VehicleClock:
         A frame without a stamp takes the newest time of its system, else of any; before the first
         stamp the wall clock serves.
         """
+        memory = self._memory
         stamp = stamp_us(frame)
         if stamp == 0:
-            return self._systems.get(frame.system, now_us if self.t0_us is None else self.t_us)
-        if self.t0_us is None:
-            self.t0_us = self.t_us = stamp
-        clock = (frame.system, frame.component, stamp >= UNIX_FROM_US)
-        shift = self._shifts.get(clock)
-        if shift is None:
-            shift = 0 if abs(stamp - self.t_us) <= NEAR_US else self.t_us - stamp
-            self._shifts[clock] = shift
-        elif stamp < self._newest[clock] - NEAR_US:
-            shift = self._shifts[clock] = self.t_us - stamp
-        self._newest[clock] = stamp
-        self.t_us = self._systems[frame.system] = stamp + shift
-        return self.t_us
+            latest = memory[SYSTEM_TIME + frame.system]
+            if latest != UNKNOWN:
+                return latest
+            return now_us if memory[T0] == UNKNOWN else memory[NOW]
+        if memory[T0] == UNKNOWN:
+            memory[T0] = memory[NOW] = stamp
+        clock = (frame.system << 8 | frame.component) << 1 | (stamp >= UNIX_FROM_US)
+        shift = memory[SHIFT + clock]
+        if shift == UNKNOWN:
+            shift = 0 if abs(stamp - memory[NOW]) <= NEAR_US else memory[NOW] - stamp
+            memory[SHIFT + clock] = shift
+        elif stamp < memory[NEWEST + clock] - NEAR_US:
+            shift = memory[SHIFT + clock] = memory[NOW] - stamp
+        memory[NEWEST + clock] = stamp
+        t_us = memory[NOW] = memory[SYSTEM_TIME + frame.system] = stamp + shift
+        return t_us

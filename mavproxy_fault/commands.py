@@ -19,11 +19,23 @@ def add_proxy(commands: Any) -> None:
     parser.add_argument(
         "--zenoh", default="auto", metavar="auto|off|URL", help="control and statistics"
     )
+    parser.add_argument("--run", default="live", metavar="NAME", help="this proxy's name on Zenoh")
+    parser.add_argument(
+        "--no-inject", dest="inject", action="store_false", help="refuse live faults"
+    )
+    parser.add_argument(
+        "--rflysim", type=int, metavar="PORT", help="take RflySim's fault packets on this UDP port"
+    )
+    parser.add_argument("--rflysim-map", metavar="FILE", help="its fault ids (YAML)")
+    parser.add_argument(
+        "--signing-key", metavar="FILE", help="passphrase to verify and sign changed frames with"
+    )
+    parser.add_argument("--strip-signatures", action="store_true", help="send frames unsigned")
     parser.set_defaults(main=_proxy)
 
 
 def _proxy(args: argparse.Namespace) -> int:
-    from mavproxy_fault.server import main
+    from mavproxy_fault.proxy import main
 
     return main(args)
 
@@ -54,7 +66,9 @@ def add_inject(commands: Any) -> None:
     parser.add_argument("--target", metavar="MSG.FIELD", help="what the fault acts on")
     parser.add_argument("--value", type=float, metavar="X", help="magnitude in the field's unit")
     parser.add_argument("--for", dest="for_s", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument("--id", metavar="ID", help="the fault's id (default: its name)")
     parser.add_argument("--clear", metavar="ID", help="end this fault (its id, or 'all')")
+    parser.add_argument("--run", default="*", metavar="NAME", help="the run (default: any)")
     parser.add_argument("--zenoh", metavar="URL", help="the proxy's router")
     parser.set_defaults(main=_inject)
 

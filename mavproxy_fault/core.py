@@ -15,8 +15,17 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from mavproxy_fault.announce import Announcer
+from mavproxy_fault.announce import COMPONENT, Announcer
 from mavproxy_fault.clock import VehicleClock
+from mavproxy_fault.memory import (
+    GAPS,
+    LEAD,
+    NEXT_SEQ,
+    SENDERS,
+    SPEAKER,
+    UNKNOWN,
+    new_memory,
+)
 from mavproxy_fault.ports import Control, Direction, Engine, LinkRole, Send
 from mavproxy_fault.routing import LoopGuard, Routes
 from mavproxy_fault.tape import Tape
@@ -72,24 +81,21 @@ class Core:
         self.links = tuple(links)
         self.engine = engine
         self.control = control
-        self.clock = VehicleClock()
+        self.memory = new_memory()
+        self.clock = VehicleClock(self.memory)
         self.states = [LinkState() for _ in links]
-        self.gaps: dict[tuple[int, int], int] = {}  # the same per system and component
         self._signing = signing
         self._tape = tape
-        self._routes = Routes(len(self.links))
+        self._routes = Routes(len(self.links), self.memory)
         self._guard = LoopGuard()
         self._announcer = Announcer()
         self._labels: list[Label] = []
         self._parsers: dict[tuple[int, int], Parser] = {}
         self._ended = [ParserCounters() for _ in links]
         self._held_since: dict[tuple[int, int], int] = {}
-        self._sequences: dict[tuple[int, int], int] = {}
         self._pending: list[tuple[int, int, int, bytes]] = []  # due, order, links, bytes
         self._order = itertools.count()
-        self._lead_us = 0  # wall time minus vehicle time, by the newest frame
         self._on_wall_clock = False
-        self._system = 1  # whose name the proxy's own frames carry
         self._listeners = sum(
             1 << number for number, role in enumerate(links) if role.direction == "to-vehicle"
         )
@@ -170,6 +176,11 @@ class Core:
             sends += self._sends(pieces, now_us) + self.due(now_us)
         return sends
 
+    def gaps(self) -> dict[tuple[int, int], int]:
+        """Frames missing by their sequence numbers, per system and component."""
+        missing = self.memory[GAPS : GAPS + SENDERS]
+        return {(n >> 8, n & 0xFF): count for n, count in enumerate(missing) if count}
+
     def take_labels(self) -> "list[Label]":
         """Labels begun or ended since the last call."""
         taken, self._labels = self._labels, []
@@ -249,14 +260,15 @@ class Core:
             from_home = self._routes.home[source] == arrival.link
             if not self._guard.passes(frame.raw, from_home=from_home, now_us=arrival.now_us):
                 return False
-        expected = self._sequences.get(source, frame.seq)
-        if frame.seq != expected:
+        memory, sender = self.memory, frame.system << 8 | frame.component
+        expected = memory[NEXT_SEQ + sender]
+        if frame.seq != expected and expected != UNKNOWN:
             missing = (frame.seq - expected) & 0xFF
-            self.gaps[source] = self.gaps.get(source, 0) + missing
+            memory[GAPS + sender] += missing
             self.states[arrival.link].gaps += missing
-        self._sequences[source] = (frame.seq + 1) & 0xFF
+        memory[NEXT_SEQ + sender] = (frame.seq + 1) & 0xFF
         if arrival.direction == "from-vehicle":
-            self._system = frame.system
+            memory[SPEAKER] = frame.system
         return True
 
     def _time(self, frame: Frame, now_us: int) -> int:
@@ -267,9 +279,9 @@ class Core:
             # The first stamp ever: the schedule, begun on the wall clock, begins on this one anew.
             self._on_wall_clock = False
             if self.engine is not None:
-                self._lead_us = now_us - t_us
+                self.memory[LEAD] = now_us - t_us
                 self.engine.restart(t_us)
-        self._lead_us = now_us - t_us
+        self.memory[LEAD] = now_us - t_us
         return t_us
 
     # What leaves
@@ -308,7 +320,9 @@ class Core:
     def _announce(self, labels: "list[Label]", now_us: int, pieces: Pieces) -> None:
         for label in labels:
             self._labels.append(label)
-            self._leave(self._listeners, self._announcer.frame(label, self._system), now_us, pieces)
+            self._leave(
+                self._listeners, self._announcer.frame(label, self.memory[SPEAKER]), now_us, pieces
+            )
 
     def _sends(self, pieces: Pieces, when_us: int) -> list[Send]:
         return [send for mask, data in pieces for send in self._to_links(mask, data, when_us)]
@@ -322,14 +336,14 @@ class Core:
 
     def _engine_due_us(self) -> int:
         held_us = None if self.engine is None else self.engine.held_until_us
-        return NEVER_US if held_us is None else held_us + self._lead_us
+        return NEVER_US if held_us is None else held_us + self.memory[LEAD]
 
     def _release_from_engine(self, when_us: int) -> list[Send]:
         assert self.engine is not None
         pieces: Pieces = []
-        for _, outgoing in self.engine.due(when_us - self._lead_us):
+        for outgoing in self.engine.due(when_us - self.memory[LEAD]):
             mask = self._links_of_held(outgoing.frame)
-            self._emit(outgoing, None, mask, self._lead_us, when_us, pieces)
+            self._emit(outgoing, None, mask, self.memory[LEAD], when_us, pieces)
         self._announce(self.engine.take_labels(), when_us, pieces)
         return self._sends(pieces, when_us)
 
@@ -353,9 +367,13 @@ def _source(raw: bytes) -> tuple[int, int]:
 
 
 def _together(pieces: Pieces) -> Pieces:
-    """Neighbours for the same links as one datagram."""
+    """Neighbours for the same links as one datagram, but for the proxy's own announcements."""
     joined: Pieces = []
-    for mask, group in itertools.groupby(pieces, key=lambda piece: piece[0]):
+
+    def kind(piece: tuple[int, bytes]) -> tuple[int, bool]:
+        return piece[0], _source(piece[1])[1] == COMPONENT
+
+    for (mask, _), group in itertools.groupby(pieces, key=kind):
         data = b""
         for _, raw in group:
             if len(data) + len(raw) > LARGEST_DATAGRAM:

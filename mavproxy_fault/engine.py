@@ -16,6 +16,7 @@ from mavproxy_fault.faults.base import Outgoing
 from mavproxy_fault.faults.target import near
 from mavproxy_fault.running import NEVER_US, Running, after_s
 from mavproxy_fault.schedule import Entry, Schedule, parse_entry
+from mavproxy_fault.triggers import Telemetry
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import Label
 
@@ -26,6 +27,7 @@ class Engine:
     def __init__(self, schedule: Schedule, seed: int | None = None) -> None:
         self.seed = schedule.seed if seed is None else seed
         self.revision = 0
+        self.turns = 0  # how often it has changed who acts on what
         self.t0_us: int | None = None
         self.now_us = 0
         self.wanted: frozenset[int] | None = frozenset()
@@ -33,6 +35,9 @@ class Engine:
         self._all: list[Running] = []
         self._by_id: dict[int, tuple[Running, ...]] = {}
         self._any: tuple[Running, ...] = ()
+        self._holders: tuple[Running, ...] = ()
+        self._watched: dict[int, tuple[Running, ...]] = {}
+        self._telemetry = Telemetry()
         self._edge_us = 0
         self._labels: list[Label] = []
         self._kept: list[Outgoing] = []  # let go by a fault that ended
@@ -55,23 +60,22 @@ class Engine:
         self._edited()
         self._advance(t0_us)
 
-    @property
-    def held_until_us(self) -> int | None:
-        """When frames kept back must leave, whatever the schedule does then."""
-        due_us = min((r.held_until_us() for r in self._all if r.holds), default=NEVER_US)
-        due_us = min(due_us, self.now_us) if self._kept else due_us
-        return due_us if due_us < NEVER_US else None
-
     def _run(self, entry: Entry, base_us: int) -> Running:
         assert self.t0_us is not None
         return Running(entry, self.seed, base_us, self.t0_us)
 
+    def tell_time(self, t_us: int) -> None:
+        """Let edits count from this stamp, whatever frame was seen last."""
+        if self.t0_us is not None:
+            self.now_us = max(self.now_us, t_us)
+
     @property
-    def next_due_us(self) -> int | None:
-        """When `due` must be called next: something starts, ends or is to be let go."""
-        due_us = min((running.held_until_us() for running in self._all), default=NEVER_US)
-        due_us = min(due_us, self.now_us if self._kept else self._edge_us)
-        return due_us if due_us < NEVER_US and self.t0_us is not None else None
+    def held_until_us(self) -> int | None:
+        """When frames kept back must leave, whatever the schedule does then."""
+        if self._kept:
+            return self.now_us
+        due_us = min((running.held_until_us() for running in self._holders), default=NEVER_US)
+        return due_us if due_us < NEVER_US else None
 
     def due(self, t_us: int) -> list[Outgoing]:
         """Frames that a fault kept back and that must leave by now."""
@@ -81,8 +85,8 @@ class Engine:
         if t_us >= self._edge_us:
             self._advance(t_us)
         sends, self._kept = self._kept, []
-        for running in self._all:
-            if running.holds and running.held_until_us() <= t_us:
+        for running in self._holders:
+            if running.held_until_us() <= t_us:
                 sends += running.release(t_us, overdue=True)
         return sends
 
@@ -119,9 +123,11 @@ class Engine:
 
     def _index(self) -> None:
         """Who acts on which message now, and when that changes by the clock."""
+        self.turns += 1
         active = [running for running in self._all if running.active]
         ids = {number for running in active for number in running.entry.ids or ()}
         self._any = tuple(r for r in active if r.entry.ids is None)
+        self._holders = tuple(r for r in active if r.holds)
         self._by_id = {
             number: tuple(r for r in active if r.entry.ids is None or number in r.entry.ids)
             for number in ids
@@ -136,8 +142,23 @@ class Engine:
         for entry in self._entries():
             everything |= entry.ids is None
             ids |= entry.ids or set()
+            if entry.condition is not None:
+                ids |= entry.condition.ids
         self.wanted = None if everything else frozenset(ids)
+        self._watched = {
+            number: tuple(r for r in self._all if r.condition and number in r.condition.ids)
+            for number in {n for r in self._all if r.condition for n in r.condition.ids}
+        }
         self._index()
+
+    @property
+    def edge_us(self) -> int:
+        """When the next fault starts or ends by the clock."""
+        return self._edge_us
+
+    def acting(self, number: int) -> tuple[Running, ...] | None:
+        """Who acts on a message now; None if a condition watches it as well."""
+        return None if number in self._watched else self._by_id.get(number, self._any)
 
     # -- bytes -----------------------------------------------------------------------------------
 
@@ -151,6 +172,8 @@ class Engine:
         if self.t0_us is None:
             self.start_at(t_us)
         self.now_us = t_us
+        if frame.id in self._watched:
+            self._watch(frame, t_us)
         if t_us >= self._edge_us:
             self._advance(t_us)
         sends: list[Outgoing] | None = None
@@ -172,6 +195,13 @@ class Engine:
         if self._kept:
             sends, self._kept = self._kept + sends, []
         return sends
+
+    def _watch(self, frame: Frame, t_us: int) -> None:
+        """Let conditions see a frame, as it came, before any fault has touched it."""
+        self._telemetry.note(frame)
+        begun = [running.watch(t_us, self._telemetry) for running in self._watched[frame.id]]
+        if any(begun):
+            self._edge_us = t_us
 
     def junk(self, data: bytes, direction: str, t_us: int) -> list[Outgoing]:
         """What leaves for bytes that are no frame: faults of the whole link act on them too."""
@@ -282,6 +312,11 @@ class Engine:
     def ids(self) -> list[str]:
         """The ids of all faults, waiting, active or done."""
         return [entry.id for entry in self._entries()]
+
+    @property
+    def active(self) -> list[str]:
+        """The ids of the faults that act now."""
+        return [running.entry.id for running in self._all if running.active]
 
     def state(self) -> dict[str, Any]:
         """What a page or a bus shows: every fault, whether it is active, and what it did."""

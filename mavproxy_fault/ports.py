@@ -53,8 +53,8 @@ class Engine(Protocol):
     def junk(self, data: bytes, direction: Direction, t_us: int) -> "list[Outgoing]":
         """What leaves for bytes that are no frame."""
 
-    def due(self, t_us: int) -> "list[tuple[str, Outgoing]]":
-        """What was held until now, with the direction it came in."""
+    def due(self, t_us: int) -> "list[Outgoing]":
+        """What was held until now."""
 
     def take_labels(self) -> "list[Label]":
         """Labels begun or ended since the last call."""

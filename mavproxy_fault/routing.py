@@ -9,8 +9,10 @@ References
 .. [1] MAVLink developer guide, "Routing".
 """
 
+from array import array
 from functools import cache
 
+from mavproxy_fault.memory import LINKS, SYSTEM_LINKS, new_memory
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame
 
@@ -19,7 +21,8 @@ MOST_REMEMBERED = 4096
 
 
 @cache
-def _target_places(name: str) -> tuple[int, int]:
+def target_places(name: str) -> tuple[int, int]:
+    """Offsets of a message's target system and component; -1 without one."""
     fields = known(name).fields
     system, component = fields.get("target_system"), fields.get("target_component")
     return (system.offset if system else -1), (component.offset if component else -1)
@@ -27,7 +30,7 @@ def _target_places(name: str) -> tuple[int, int]:
 
 def target(frame: Frame) -> tuple[int, int]:
     """System and component a frame is for; 0 stands for all."""
-    system_at, component_at = _target_places(frame.layout.name)
+    system_at, component_at = target_places(frame.layout.name)
     if system_at < 0:
         return 0, 0
     start, length = frame.payload_at, frame.length
@@ -37,24 +40,23 @@ def target(frame: Frame) -> tuple[int, int]:
 
 
 class Routes:
-    """Who was heard on which links."""
+    """Who was heard on which links, kept in the memory that the compiled path shares."""
 
-    def __init__(self, link_count: int) -> None:
+    def __init__(self, link_count: int, memory: "array[int] | None" = None) -> None:
         self.everywhere = (1 << link_count) - 1
         self.home: dict[tuple[int, int], int] = {}  # the link each component was first heard on
-        self._components: dict[tuple[int, int], int] = {}
-        self._systems: dict[int, int] = {}
+        self._memory = new_memory() if memory is None else memory
 
     def learn(self, system: int, component: int, link: int) -> bool:
         """Note a sender; True if it has been heard on other links too."""
         bit = 1 << link
-        source = (system, component)
-        seen = self._components.get(source, 0)
+        sender = system << 8 | component
+        seen = self._memory[LINKS + sender]
         if not seen & bit:
-            self.home.setdefault(source, link)
+            self.home.setdefault((system, component), link)
             seen |= bit
-            self._components[source] = seen
-            self._systems[system] = self._systems.get(system, 0) | bit
+            self._memory[LINKS + sender] = seen
+            self._memory[SYSTEM_LINKS + system] |= bit
         return seen != bit
 
     def find(self, frame: Frame, link: int) -> int:
@@ -63,10 +65,10 @@ class Routes:
         system, component = target(frame)
         if system == 0:
             return others
-        exact = self._components.get((system, component), 0)
+        exact = self._memory[LINKS + (system << 8 | component)]
         if exact:
             return exact & others
-        return self._systems.get(system, 0) & others or others
+        return self._memory[SYSTEM_LINKS + system] & others or others
 
 
 class LoopGuard:

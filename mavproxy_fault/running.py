@@ -10,6 +10,7 @@ import numpy as np
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.faults.base import Outgoing
 from mavproxy_fault.schedule import Entry
+from mavproxy_fault.triggers import Telemetry
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import Label
 
@@ -35,6 +36,8 @@ class Running:
         self.seed = seed
         self.t0_us = t0_us
         self.base_us = base_us
+        self.condition = entry.condition
+        self.armed = True  # a condition starts the fault when it becomes true, not while it is
         self.earliest_us = after_s(base_us, entry.at_s)
         self.start_us = NEVER_US if entry.when or entry.after else self.earliest_us
         self.end_us = self._end()
@@ -66,6 +69,29 @@ class Running:
         self.start_us = t_us
         self.end_us = self._end()
 
+    def watch(self, t_us: int, telemetry: Telemetry) -> bool:
+        """Start if the condition has become true; whether it did."""
+        if self.active or self.condition is None or t_us < self.earliest_us:
+            return False
+        if self.start_us < NEVER_US or not self._may_start_again():
+            return False
+        if not self.condition.holds(telemetry):
+            self.armed = True
+            return False
+        if not self.armed:
+            return False
+        self.armed = False
+        self.trigger(t_us)
+        return True
+
+    def _may_start_again(self) -> bool:
+        repeat = self.entry.repeat
+        if not self.starts:
+            return True
+        if repeat is None or repeat.every_s is not None:
+            return False
+        return repeat.times is None or self.starts < repeat.times
+
     def begin(self) -> None:
         """Become active; every direction starts with a fresh state."""
         self.active = True
@@ -76,7 +102,7 @@ class Running:
         """End a stretch; set the next start if the entry repeats, leaving out what is long past."""
         self.active = False
         repeat = self.entry.repeat
-        if repeat is not None:
+        if repeat is not None and repeat.every_s is not None:
             missed = int((now_us - self.start_us) * 1e-6 / repeat.every_s) - 1
             self.starts += max(missed, 0)
             if repeat.times is None or self.starts < repeat.times:
@@ -111,7 +137,7 @@ class Running:
     @staticmethod
     def _instance(frame: Frame) -> object:
         name = frame.layout.instance or "id"
-        return frame.read(name) if name in frame.layout.fields else None
+        return frame.read(name) if name in frame.layout.fields else 0
 
     def takes_junk(self, direction: str) -> bool:
         """Whether bytes that are no frame pass through the fault."""
@@ -141,6 +167,15 @@ class Running:
         for out in sends:
             self._measure(out)
         return sends  # type: ignore[no-any-return]
+
+    def credit(self, frames: int, saturated: int, last_us: int, magnitude: float) -> None:
+        """Count what was done elsewhere in this fault's name; a negative magnitude is none."""
+        self.frames += frames
+        self.total_frames += frames
+        self.saturated += saturated
+        self.last_us = last_us
+        if magnitude >= 0.0:
+            self.magnitude = max(self.magnitude or 0.0, magnitude)
 
     def _measure(self, out: Outgoing) -> None:
         self.saturated += out.saturated

@@ -11,8 +11,9 @@ from mavproxy_fault.checked import Check, Lines, Path, read_yaml
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.faults import target as targets
 from mavproxy_fault.faults.base import Fault
-from mavproxy_fault.faults.profile import NotNegative, Positive
+from mavproxy_fault.faults.profile import NotNegative, Positive, Profile
 from mavproxy_fault.faults.registry import ALIASES, fault_class, known_faults
+from mavproxy_fault.triggers import Condition
 
 Byte = Annotated[int, Meta(ge=0, le=255)]
 
@@ -35,9 +36,12 @@ class After(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class Repeat(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Start again every `every_s` seconds, `times` times in all (for ever by default)."""
+    """Start again every `every_s` seconds, `times` times in all (for ever by default).
 
-    every_s: Positive
+    Without `every_s`, which needs a `when`: each time the condition becomes true again.
+    """
+
+    every_s: Positive | None = None
     times: Annotated[int, Meta(ge=1)] | None = None
 
 
@@ -74,6 +78,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     fault: Fault
     ids: frozenset[int] | None
+    condition: Condition | None = None
     targets: tuple[str, ...] = ()
     preset: str | None = None
     at_s: float = 0.0
@@ -178,6 +183,22 @@ def _entries(data: Any, number: int, check: Check, path: Path) -> list[Entry]:
     return [] if entry is None else [entry]
 
 
+def _open_table(found: dict[str, Any], check: Check, path: Path) -> None:
+    """Let a table's file lie beside the schedule, and see that it begins as it should."""
+    profile = found.get("profile")
+    if not isinstance(profile, Profile) or profile.table is None:
+        return
+    from mavproxy_fault.faults.table import read_blocks
+
+    file = FilePath(check.where).parent / profile.table.file
+    table = msgspec.structs.replace(profile.table, file=str(file))
+    found["profile"] = msgspec.structs.replace(profile, table=table)
+    try:
+        next(read_blocks(table), None)
+    except ConfigError as error:
+        check.wrong((*path, "profile", "table", "file"), f"= {profile.table.file}: {error}")
+
+
 def _from_preset(data: dict[str, Any], number: int, check: Check, path: Path) -> list[Entry]:
     from mavproxy_fault.presets import preset_names, preset_parts
 
@@ -222,13 +243,23 @@ def _entry(data: dict[str, Any], number: int, check: Check, path: Path) -> Entry
         check.wrong((*path, "target"), f"= {text}" if names else text)
     if keys.get("repeat") is not None and data.get("for_s") is None:
         check.wrong((*path, "repeat"), "needs for_s; a fault that never ends cannot start again")
+    repeat = keys.get("repeat")
+    if repeat is not None and repeat.every_s is None and keys.get("when") is None:
+        check.wrong((*path, "repeat"), "lacks every_s; only a fault with `when` can do without")
     if len(check.errors) > before:
         return None
+    _open_table(found, check, path)
     try:
         fault, ids = bind(kind, found, aim(name, kind, names), keys.pop("via", "proxy"))
     except ValueError as error:
         check.wrong(path, f"({name}) {error}")
         return None
+    if keys.get("when") is not None:
+        try:
+            keys["condition"] = Condition(keys["when"])
+        except ValueError as error:
+            check.wrong((*path, "when"), str(error))
+            return None
     after = keys.pop("after", None)
     keys["after"] = After(id=after) if isinstance(after, str) else after
     keys["id"] = keys.get("id") or f"{name}-{number + 1}"

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simvehicle.compiled import compiled, inlined
+from simvehicle.vehicles.rigidbody_kernel import to_ned
 
 Array = NDArray[np.float64]
 
@@ -55,19 +56,12 @@ class Gusts:
 
 
 GUSTS = {
+    "none": Gusts((0.0, 0.0, 0.0), (200.0, 200.0, 50.0)),
     "light": Gusts((1.06, 1.06, 0.7), (200.0, 200.0, 50.0)),
     "moderate": Gusts((2.12, 2.12, 1.4), (200.0, 200.0, 50.0)),
     "light-600m": Gusts((1.5, 1.5, 1.5), (533.0, 533.0, 533.0)),
     "moderate-600m": Gusts((3.0, 3.0, 3.0), (533.0, 533.0, 533.0)),
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Shear:
-    """Power law of the steady wind over height above ground."""
-
-    reference_m: float = 10.0
-    exponent: float = 1.0 / 7.0
 
 
 @inlined
@@ -93,52 +87,56 @@ def _second_order(
 
 
 @compiled
-def gust_step(
+def wind_step(
     filters: Array,
     noise: Array,
+    steady: Array,
+    place: tuple[float, float, float],
+    q_nb: Array,
     airspeed: float,
     sigma: tuple[float, float, float],
     length: tuple[float, float, float],
     dt: float,
 ) -> tuple[Array, Array]:
-    """Advance the gust filters by `dt` seconds.
+    """Wind of the next `dt` seconds, and the gust filters after them.
 
     Parameters
     ----------
     filters : array, shape (5,)
-        States; standard-normal draws make a good start of the first, zeros of the rest.
+        States; a standard-normal draw makes a good start of the first, zeros of the rest.
     noise : array, shape (5,)
         Standard-normal draws of this step.
+    steady : array, shape (3,)
+        Wind at the reference height, NED [m/s].
+    place : 3 floats
+        Height above ground [m], reference height [m] and exponent of the shear's power law.
+    q_nb : array, shape (4,)
+        Attitude, as the gusts act along the body's axes.
     airspeed : float
         Speed through the frozen turbulence [m/s].
     sigma, length : 3 floats
-        Along the body's axes [m/s], [m].
+        Of the gusts [m/s], [m].
 
     Returns
     -------
     filters : array, shape (5,)
-    gust_b_mps : array, shape (3,)
+    wind_ned_mps : array, shape (3,)
     """
     speed = max(airspeed, _SLOWEST_MPS)
     out = np.empty(5)
-    gust = np.empty(3)
     e = math.exp(-speed / length[0] * dt)
     out[0] = e * filters[0] + math.sqrt(1.0 - e * e) * noise[0]
-    gust[0] = sigma[0] * out[0]
-    for i in range(2):
-        out[1 + 2 * i], out[2 + 2 * i], gust[1 + i] = _second_order(
-            filters[1 + 2 * i],
-            filters[2 + 2 * i],
-            speed / length[1 + i],
-            sigma[1 + i],
-            dt,
-            noise[1 + 2 * i],
-            noise[2 + 2 * i],
-        )
-    return out, gust
-
-
-def sheared(wind_ned_mps: Array, height_agl_m: float, shear: Shear) -> Array:
-    """Steady wind (3,) at a height above ground, from the wind at the reference height."""
-    height = max(height_agl_m, 0.01 * shear.reference_m)
-    return np.asarray(wind_ned_mps * (height / shear.reference_m) ** shear.exponent)
+    out[1], out[2], v = _second_order(
+        filters[1], filters[2], speed / length[1], sigma[1], dt, noise[1], noise[2]
+    )
+    out[3], out[4], w = _second_order(
+        filters[3], filters[4], speed / length[2], sigma[2], dt, noise[3], noise[4]
+    )
+    north, east, down = to_ned(q_nb[0], q_nb[1], q_nb[2], q_nb[3], sigma[0] * out[0], v, w)
+    height, reference, exponent = place
+    grown = (max(height, 0.01 * reference) / reference) ** exponent
+    wind = np.empty(3)
+    wind[0] = steady[0] * grown + north
+    wind[1] = steady[1] * grown + east
+    wind[2] = steady[2] * grown + down
+    return out, wind

@@ -11,14 +11,16 @@ from typing import Protocol
 from simvehicle.mission import Path
 
 _WINDOW = 400  # points searched ahead for the nearest one
+_BRAKE_MPS2 = 1.5
 
 
 @dataclass(frozen=True, slots=True)
 class Aim:
     """What a track asks for.
 
-    Course over ground [rad], cross-track error [m] (positive right of the track), curvature now
-    and a little ahead [1/m], height above home [m], speed [m/s].
+    Course over ground [rad], cross-track error [m] (positive right of the track), curvature
+    a little ahead [1/m], height above home [m], speed [m/s] and the distance to go to the place
+    where the track ends, infinite for tracks that do not end.
     """
 
     course_rad: float
@@ -26,7 +28,7 @@ class Aim:
     curvature_pm: float
     height_m: float
     speed_mps: float
-    finished: bool = False
+    distance_m: float = math.inf
 
 
 class Track(Protocol):
@@ -83,7 +85,6 @@ class PathTrack:
             self._curvature[j],
             self._height[i],
             self._speed[i],
-            i >= last,
         )
 
 
@@ -105,3 +106,19 @@ class CircleTrack:
         return Aim(
             bearing + 0.5 * math.pi, error, 1.0 / self.radius_m, self.height_m, self.speed_mps
         )
+
+
+class HoldTrack:
+    """Goes straight to a point and stays there."""
+
+    def __init__(self, north_m: float, east_m: float, height_m: float, speed_mps: float) -> None:
+        self.north_m, self.east_m, self.height_m = north_m, east_m, height_m
+        self.speed_mps = speed_mps
+        self.radius_m = speed_mps**2 / (2.0 * _BRAKE_MPS2)  # where it begins to slow down
+
+    def look(self, north_m: float, east_m: float, ahead_m: float) -> Aim:
+        """Aim at the point, slower and slower."""
+        dn, de = self.north_m - north_m, self.east_m - east_m
+        distance = math.hypot(dn, de)
+        speed = min(self.speed_mps, math.sqrt(2.0 * _BRAKE_MPS2 * distance), distance)
+        return Aim(math.atan2(de, dn), 0.0, 0.0, self.height_m, speed, distance)

@@ -52,12 +52,14 @@ HEARTBEAT_US = 1_000_000
 AUTOPILOT_INVALID = 8  # MAV_AUTOPILOT_INVALID: the simulator flies nothing itself
 TYPE_QUADROTOR = 2  # MAV_TYPE_QUADROTOR
 
-GRAVITY_MPS2 = 9.80665
+MPS2_TO_MILLI_G = 1000.0 / 9.80665
+RAD_TO_DEGE7 = 1e7 * 180.0 / math.pi
 DENSITY_SEA_LEVEL_KGPM3 = 1.225  # ISA
 PA_PER_HPA = 100.0
 
 _SENSOR = struct.Struct("<Q13fIB")
 _TRUTH = struct.Struct("<Q7f3i3h2H3h")
+_HEAD = struct.Struct("<9B")
 _TRAILER = struct.Struct("<H")
 
 
@@ -130,23 +132,30 @@ class Hil:
 
         Accelerations are the specific force in mG, as other simulators do (-1000 at rest).
         """
-        w, x, y, z = truth.q_nb.tolist()
-        p, q, r = truth.omega_b_rps.tolist()
         vn, ve, vd = truth.v_ned_mps.tolist()
         fx, fy, fz = truth.specific_force_b_mps2.tolist()
         ax, ay, az = truth.v_air_b_mps.tolist()
-        airspeed_cmps = math.sqrt(ax * ax + ay * ay + az * az) * 100
-        indicated = airspeed_cmps * math.sqrt(truth.density_kgpm3 / DENSITY_SEA_LEVEL_KGPM3)
-        milli_g = 1000 / GRAVITY_MPS2
-        payload = _TRUTH.pack(
-            stamp_us, w, x, y, z, p, q, r,
-            round(math.degrees(truth.lat_rad) * 1e7),
-            round(math.degrees(truth.lon_rad) * 1e7),
+        airspeed = math.sqrt(ax * ax + ay * ay + az * az) * 100.0
+        indicated = airspeed * math.sqrt(truth.density_kgpm3 / DENSITY_SEA_LEVEL_KGPM3)
+        places = (
+            round(truth.lat_rad * RAD_TO_DEGE7),
+            round(truth.lon_rad * RAD_TO_DEGE7),
             round(truth.alt_msl_m * 1e3),
-            _short(vn * 100), _short(ve * 100), _short(vd * 100),
-            limited(indicated, 0, 0xFFFF), limited(airspeed_cmps, 0, 0xFFFF),
-            _short(fx * milli_g), _short(fy * milli_g), _short(fz * milli_g),
+        )
+        scaled = (
+            round(vn * 100.0), round(ve * 100.0), round(vd * 100.0),
+            round(indicated), round(airspeed),
+            round(fx * MPS2_TO_MILLI_G), round(fy * MPS2_TO_MILLI_G), round(fz * MPS2_TO_MILLI_G),
         )  # fmt: skip
+        turning = (*truth.q_nb.tolist(), *truth.omega_b_rps.tolist())
+        try:
+            payload = _TRUTH.pack(stamp_us, *turning, *places, *scaled)
+        except struct.error:  # beyond 327 m/s or 32 g
+            shorts = [
+                limited(value, *((0, 0xFFFF) if number in (3, 4) else (-0x8000, 0x7FFF)))
+                for number, value in enumerate(scaled)
+            ]
+            payload = _TRUTH.pack(stamp_us, *turning, *places, *shorts)
         return self._frame(HIL_STATE_QUATERNION, payload)
 
     def _hold(
@@ -219,12 +228,14 @@ class Hil:
         """A MAVLink 2 frame around a packed payload, its trailing zeros cut."""
         payload = payload.rstrip(b"\0")
         number = layout.id
-        head = bytes(
-            (len(payload), 0, 0, self._next(), self._system, self._component,
-             number & 0xFF, number >> 8, 0)
+        body = (
+            _HEAD.pack(
+                len(payload), 0, 0, self._next(), self._system, self._component,
+                number & 0xFF, number >> 8, 0,
+            )
+            + payload
         )  # fmt: skip
-        crc = mcrf4xx(head + payload + bytes((layout.crc_extra,)))
-        return b"\xfd" + head + payload + _TRAILER.pack(crc)
+        return b"\xfd" + body + _TRAILER.pack(mcrf4xx(body + bytes((layout.crc_extra,))))
 
     def _build(self, layout: Layout, values: Mapping[str, object]) -> bytes:
         return build(
@@ -248,8 +259,3 @@ def rtcm(reading: PseudorangeReading | EphemerisReading) -> list[bytes]:
         reading.doppler_mps.tolist(),
         reading.cn0_dbhz.tolist(),
     )
-
-
-def _short(value: float) -> int:
-    """The nearest int16."""
-    return round(-32768.0 if value < -32768.0 else 32767.0 if value > 32767.0 else value)

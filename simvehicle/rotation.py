@@ -4,6 +4,8 @@
 Formulas: Diebel, Representing Attitude, Stanford, 2006.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -32,6 +34,31 @@ def euler_from_quat(q: ArrayLike) -> Array:
     pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
     yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def euler_angles(q_nb: Array) -> tuple[float, float, float]:
+    """Roll, pitch, yaw [rad] of one quaternion (4,), without numpy's cost for single values."""
+    w, x, y, z = q_nb.tolist()
+    return (
+        math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x)))),
+        math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+    )
+
+
+def into_body(q_nb: Array, v_ned: Array) -> Array:
+    """One NED vector (3,) in body axes, without numpy's cost for single values."""
+    w, x, y, z = q_nb.tolist()
+    n, e, d = v_ned.tolist()
+    # v + 2 q x (q x v + w v), for the turn back.
+    tn, te, td = 2.0 * (e * z - d * y), 2.0 * (d * x - n * z), 2.0 * (n * y - e * x)
+    return np.array(
+        [
+            n + w * tn + te * z - td * y,
+            e + w * te + td * x - tn * z,
+            d + w * td + tn * y - te * x,
+        ]
+    )
 
 
 def matrix_from_quat(q: ArrayLike) -> Array:

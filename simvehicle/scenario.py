@@ -14,11 +14,16 @@ import yaml
 
 from mavproxy_fault.errors import ConfigError
 from simvehicle.documents import Lines, decode, read_document
+from simvehicle.gnss.config import GnssConfig
 from simvehicle.sensors.airspeed import Airspeed
 from simvehicle.sensors.barometer import Barometer
+from simvehicle.sensors.battery import BatteryMonitor
+from simvehicle.sensors.flow import OpticalFlow
 from simvehicle.sensors.gps import Gps
 from simvehicle.sensors.imu import Imu
 from simvehicle.sensors.magnetometer import Magnetometer
+from simvehicle.sensors.rangefinder import Rangefinder
+from simvehicle.sensors.vision import Vision
 
 Shape = Literal["triangle", "diamond", "s", "eight", "trapezoid", "circle", "line"]
 
@@ -92,11 +97,16 @@ class ShearChoice(_Section, frozen=True):
 
 
 class Environment(_Section, frozen=True):
-    """Weather and ground."""
+    """Weather and ground.
+
+    `terrain` is an ASCII raster of heights in m over degrees; without it the ground is level at
+    `start.alt_m`, with it the raster says how high home is.
+    """
 
     wind_ned_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
     gusts: Literal["none", "light", "moderate", "light-600m", "moderate-600m"] | GustChoice = "none"
     shear: ShearChoice | None = None
+    terrain: str | None = None
 
 
 class Sensors(_Section, frozen=True):
@@ -107,6 +117,10 @@ class Sensors(_Section, frozen=True):
     baro: Barometer | list[Barometer] | None = None
     airspeed: Airspeed | None = None
     gps: Gps | list[Gps] | None = None
+    range: Rangefinder | list[Rangefinder] | None = None
+    flow: OpticalFlow | None = None
+    vision: Vision | None = None
+    battery: BatteryMonitor | None = None
 
 
 class Scenario(_Section, frozen=True):
@@ -120,7 +134,7 @@ class Scenario(_Section, frozen=True):
     mission: list[Leg] = []
     environment: Environment = Environment()
     sensors: Sensors = Sensors()
-    gnss: dict[str, Any] | None = None
+    gnss: GnssConfig | None = None
     schedule: Any = None
     monitor: Any = None
     criteria: Any = None
@@ -148,7 +162,20 @@ def read_scenario(path: str | Path | None) -> Scenario:
     sensors = document.get("sensors")
     if isinstance(sensors, dict):
         document = {**document, "sensors": _with_presets(sensors, lines)}
-    return decode(document, Scenario, lines)
+    return _beside(decode(document, Scenario, lines), Path(path).parent)
+
+
+def _beside(scenario: Scenario, folder: Path) -> Scenario:
+    """Names of files in a scenario count from the scenario's own folder."""
+    vehicle, gnss, weather = scenario.vehicle, scenario.gnss, scenario.environment
+    if vehicle.parameters.endswith((".yaml", ".yml")):
+        parameters = str(folder / vehicle.parameters)
+        vehicle = msgspec.structs.replace(vehicle, parameters=parameters)
+    if gnss is not None and gnss.navigation is not None:
+        gnss = msgspec.structs.replace(gnss, navigation=str(folder / gnss.navigation))
+    if weather.terrain is not None:
+        weather = msgspec.structs.replace(weather, terrain=str(folder / weather.terrain))
+    return msgspec.structs.replace(scenario, vehicle=vehicle, gnss=gnss, environment=weather)
 
 
 def _with_presets(sensors: dict[str, Any], lines: Lines) -> dict[str, Any]:

@@ -17,22 +17,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.errors import ConfigError
-from simvehicle.air import GUSTS, Gusts, Shear, gust_step, sheared
+from simvehicle.air import GUSTS, Gusts, wind_step
 from simvehicle.body import Controls, Truth
 from simvehicle.controller import FixedWingController
 from simvehicle.geomagnetism import field_ned_gauss
+from simvehicle.gnss.sensor import gnss_sensor
 from simvehicle.guidance import PathTrack
 from simvehicle.mission import plan
+from simvehicle.multirotor_controller import MultirotorController
 from simvehicle.place import Home, locate
 from simvehicle.readings import Reading
-from simvehicle.rotation import matrix_from_quat, quat_from_euler
+from simvehicle.rotation import quat_from_euler
 from simvehicle.scenario import GustChoice, Scenario
 from simvehicle.sensors.base import Sensor
-from simvehicle.vehicles.fixedwing import PLANT, FixedWing
+from simvehicle.terrain import Grid, Level, read_grid
+from simvehicle.vehicles.fixedwing import FixedWing
+from simvehicle.vehicles.multirotor import Multirotor
+from simvehicle.vehicles.vehicle import Vehicle, read_vehicle
 
 Array = NDArray[np.float64]
 _LONGEST_STEP_S = 0.005  # a ground contact is stiff
 _BLOCK = 512
+_NO_SHEAR = (1.0, 1.0, 0.0)
 _WINDS = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
 
 
@@ -61,6 +67,7 @@ class Simulation:
     Attributes
     ----------
     scenario : Scenario
+    terrain : Grid or Level
     home : Home
         Origin of the local frame, on the ground.
     vehicle, controller
@@ -71,16 +78,16 @@ class Simulation:
     """
 
     def __init__(self, scenario: Scenario, seed: int | None = None) -> None:
+        self.terrain = _terrain(scenario)
+        scenario = _grounded(scenario, self.terrain)
         self.scenario = scenario
         self.seed = scenario.seed if seed is None else seed
         start = scenario.start
         self.home = Home.at(start.lat_deg, start.lon_deg, start.alt_m, start.geoid_m)
-        self.vehicle: FixedWing = _vehicle(scenario)
+        self.vehicle = read_vehicle(scenario.vehicle.kind, scenario.vehicle.parameters)
         self._plant: dict[str, float] = {}
         self._wind = np.array(scenario.environment.wind_ned_mps)
         self._gusts = _gusts(scenario)
-        shear = scenario.environment.shear
-        self._shear = Shear(shear.reference_m, shear.exponent) if shear else None
         self._gust_rng = np.random.default_rng([self.seed, crc32(b"gusts")])
         self._filters = np.concatenate([self._gust_rng.standard_normal(1), np.zeros(4)])
         self._draws = self._gust_rng.standard_normal((_BLOCK, 5))
@@ -92,13 +99,16 @@ class Simulation:
         self._order = itertools.count()
         self._controls = np.zeros(self.vehicle.controls_count)
         self._x = self._begin()
-        self.truth = self._observe(np.zeros(6), self._wind_now(np.zeros(3), 0.0))
-        self.controller = FixedWingController(
-            self.vehicle, self.truth.density_kgpm3, scenario.start.alt_m
-        )
+        self.truth = self._observe(np.zeros(6), self._wind)
+        self.controller = _controller(self.vehicle, self.truth, scenario.start.alt_m)
         self._next_control_us = 0.0
         if scenario.mission:
             self.controller.track = self._mission()
+
+    @property
+    def controls(self) -> Array:
+        """The actuator commands now in force, in the vehicle's order."""
+        return self._controls
 
     def step(self, controls: Controls | None = None) -> tuple[int, Truth, list[Reading]]:
         """Go on to the next sample of the inertial unit.
@@ -128,7 +138,7 @@ class Simulation:
         self._t_us = t_us
         truth = self.truth
         steps = max(1, math.ceil(dt / _LONGEST_STEP_S - 1e-9))
-        wind = self._wind_now(truth.v_air_b_mps, dt)
+        wind = self._wind_now(dt)
         self._x, load = self.vehicle.advance(
             self._x,
             self._controls,
@@ -155,7 +165,7 @@ class Simulation:
     def plant(self, name: str, value: float | None) -> None:
         """Switch a plant fault on, or off with None.
 
-        Names: the vehicle's (`simvehicle.vehicles.fixedwing.PLANT`), `wind_n_mps`, `wind_e_mps`,
+        Names: the vehicle's `plant_names`, `wind_n_mps`, `wind_e_mps`,
         `wind_d_mps`, and those of the satellite sensor.
 
         Raises
@@ -168,7 +178,7 @@ class Simulation:
             healthy = self.scenario.environment.wind_ned_mps[axis]
             self._wind = self._wind.copy()
             self._wind[axis] = healthy if value is None else value
-        elif name in PLANT:
+        elif name in self.vehicle.plant_names:
             changed = {k: v for k, v in self._plant.items() if k != name}
             if value is not None:
                 changed[name] = value
@@ -186,7 +196,8 @@ class Simulation:
             if hasattr(sensor, "with_plant"):
                 fitted.state = sensor.with_plant(fitted.state, name, value)
                 return
-        raise ConfigError(f"plant: {name} is unknown; known: {', '.join((*PLANT, *_WINDS))}")
+        known = ", ".join((*self.vehicle.plant_names, *_WINDS))
+        raise ConfigError(f"plant: {name} is unknown; known: {known}")
 
     def _begin(self) -> Array:
         """The vehicle's first state: trimmed flight at height, or standing on the ground."""
@@ -205,17 +216,17 @@ class Simulation:
         h = self.home
         *_, density, vectors = locate(level, zero, h.r_ecef_m, h.rot_en, h.geoid_m)
         self._gravity = vectors[10:]
-        first = scenario.mission[0].speed_mps if scenario.mission else None
-        speed = first or vehicle.parameters.cruise_mps
-        try:
-            point = vehicle.trim(speed, density, float(np.linalg.norm(self._gravity)))
-        except ValueError as error:
-            raise ConfigError(
-                f"mission[0].speed_mps = {speed:g} cannot be flown; {error}"
-            ) from None
-        q = quat_from_euler(point.roll_rad, point.pitch_rad, heading)
-        relative = speed * np.array([math.cos(point.alpha_rad), 0.0, math.sin(point.alpha_rad)])
-        return vehicle.start(r, relative + matrix_from_quat(q).T @ self._wind, q)
+        pull = float(np.linalg.norm(self._gravity))
+        speeds = [leg.speed_mps or vehicle.parameters.cruise_mps for leg in scenario.mission]
+        states = []
+        for number, speed in enumerate(speeds or [vehicle.parameters.cruise_mps]):
+            try:
+                states.append(vehicle.cruise(r, heading, self._wind, speed, density, pull))
+            except ValueError as error:
+                raise ConfigError(
+                    f"mission[{number}].speed_mps = {speed:g} cannot be flown; {error}"
+                ) from None
+        return states[0]
 
     def _mission(self) -> PathTrack:
         scenario, controller = self.scenario, self.controller
@@ -223,31 +234,32 @@ class Simulation:
             scenario.mission,
             (float(self._x[0]), float(self._x[1]), math.radians(scenario.start.heading_deg)),
             self.vehicle.parameters.cruise_mps,
-            float(np.hypot(self._wind[0], self._wind[1])),
+            float(np.hypot(self._wind[0], self._wind[1])) if controller.drifts else 0.0,
             controller.lateral_mps2,
         )
         return PathTrack(path)
 
-    def _wind_now(self, v_air_b_mps: Array, dt: float) -> Array:
+    def _wind_now(self, dt: float) -> Array:
         """Steady wind at this height and the gusts of this step, NED."""
-        wind = self._wind
-        if self._shear:
-            wind = sheared(wind, self.truth.height_agl_m if dt else 0.0, self._shear)
-        if self._gusts is None or dt == 0.0:
-            return wind
         row = self._count % _BLOCK
         if row == 0:
             self._draws = self._gust_rng.standard_normal((_BLOCK, 5))
-        u, v, w = v_air_b_mps.tolist()
-        self._filters, gust = gust_step(
+        truth, gusts, shear = self.truth, self._gusts, self.scenario.environment.shear
+        place = (truth.height_agl_m, shear.reference_m, shear.exponent) if shear else _NO_SHEAR
+        u, v, w = truth.v_air_b_mps.tolist()
+        airspeed = math.sqrt(u * u + v * v + w * w)
+        self._filters, wind = wind_step(
             self._filters,
             self._draws[row],
-            math.sqrt(u * u + v * v + w * w),
-            self._gusts.sigma_mps,
-            self._gusts.length_m,
+            self._wind,
+            place,
+            self._x[6:10],
+            airspeed,
+            gusts.sigma_mps,
+            gusts.length_m,
             dt,
         )
-        return np.asarray(wind + matrix_from_quat(self._x[6:10]) @ gust)
+        return wind
 
     def _observe(self, load: Array, wind: Array) -> Truth:
         """The truth of the state now."""
@@ -262,7 +274,7 @@ class Simulation:
             )
         self._gravity = v[10:]
         alt = height - home.geoid_m
-        agl = alt - self.scenario.start.alt_m
+        agl = alt - self.terrain.ground(lat, lon)
         standing = agl < self.vehicle.standing_height_m() + 0.02
         volts, amperes, left = load[3:].tolist()
         return Truth(
@@ -324,15 +336,32 @@ def simulate(
         yield found
 
 
-def _vehicle(scenario: Scenario) -> FixedWing:
-    return FixedWing.read(scenario.vehicle.parameters)
+def _controller(
+    vehicle: Vehicle, truth: Truth, home_alt_m: float
+) -> FixedWingController | MultirotorController:
+    if isinstance(vehicle, FixedWing):
+        return FixedWingController(vehicle, truth.density_kgpm3, home_alt_m)
+    assert isinstance(vehicle, Multirotor)
+    return MultirotorController(vehicle, home_alt_m)
 
 
-def _gusts(scenario: Scenario) -> Gusts | None:
+def _terrain(scenario: Scenario) -> Grid | Level:
+    path = scenario.environment.terrain
+    return read_grid(path) if path is not None else Level(scenario.start.alt_m)
+
+
+def _grounded(scenario: Scenario, terrain: Grid | Level) -> Scenario:
+    """The scenario with home on the terrain."""
+    start = scenario.start
+    alt = terrain.ground(math.radians(start.lat_deg), math.radians(start.lon_deg))
+    return msgspec.structs.replace(scenario, start=msgspec.structs.replace(start, alt_m=alt))
+
+
+def _gusts(scenario: Scenario) -> Gusts:
     choice = scenario.environment.gusts
     if isinstance(choice, GustChoice):
         return Gusts(choice.sigma_mps, choice.length_m)
-    return GUSTS.get(choice)
+    return GUSTS[choice]
 
 
 def _fit(scenario: Scenario, seed: int) -> list[_Fitted]:
@@ -349,14 +378,6 @@ def _fit(scenario: Scenario, seed: int) -> list[_Fitted]:
                 sensor = msgspec.structs.replace(sensor, field_ned_gauss=field)
             fitted.append(_Fitted(f"{kind}{index}", sensor, seed))
     if scenario.gnss is not None:
-        fitted.append(_Fitted("gnss", _gnss(scenario), seed))
+        home = math.radians(start.lat_deg), math.radians(start.lon_deg)
+        fitted.append(_Fitted("gnss", gnss_sensor(scenario.gnss, *home), seed))
     return fitted
-
-
-def _gnss(scenario: Scenario) -> Sensor:
-    from simvehicle.gnss.config import GnssConfig
-    from simvehicle.gnss.sensor import gnss_sensor
-
-    config = msgspec.convert(scenario.gnss, GnssConfig)
-    home = math.radians(scenario.start.lat_deg), math.radians(scenario.start.lon_deg)
-    return gnss_sensor(config, *home)

@@ -73,6 +73,16 @@ def cell_volts(rows: Rows) -> Values:
     return np.where(np.isnan(cells).all(axis=1), np.nan, total)
 
 
+def dilution(name: str) -> Callable[[Rows], Values]:
+    """GPS_RAW_INT's eph or epv; 0 and 65535 say that it is unknown, 99.99 that there is no fix."""
+
+    def values(rows: Rows) -> Values:
+        raw = rows[name].astype(float)
+        return np.where((raw == 0) | (raw >= 9999), np.nan, raw * 1e-2)
+
+    return values
+
+
 def milli_g(axis: str) -> Callable[[Rows], Values]:
     """An acceleration in thousandths of g as m/s^2."""
     return field(axis, GRAVITY_MPS2 * 1e-3)
@@ -118,8 +128,8 @@ CURVES: tuple[Curve, ...] = (
     ("GPS_RAW_INT", "gps-satellites", "GPS", field("satellites_visible", 1, 255)),
     ("GPS2_RAW", "gps-satellites", "GPS 2", field("satellites_visible", 1, 255)),
     ("HIL_GPS", "gps-satellites", "HIL_GPS", field("satellites_visible", 1, 255)),
-    ("GPS_RAW_INT", "gps-dilution", "eph", field("eph", 1e-2, 65535)),
-    ("GPS_RAW_INT", "gps-dilution", "epv", field("epv", 1e-2, 65535)),
+    ("GPS_RAW_INT", "gps-dilution", "eph", dilution("eph")),
+    ("GPS_RAW_INT", "gps-dilution", "epv", dilution("epv")),
     ("GPS_RAW_INT", "gps-accuracy", "horizontal", field("h_acc", 1e-3, 0)),
     ("GPS_RAW_INT", "gps-accuracy", "vertical", field("v_acc", 1e-3, 0)),
     ("GPS_RAW_INT", "gps-fix", "GPS", field("fix_type")),

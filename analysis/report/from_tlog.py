@@ -90,7 +90,7 @@ def recording_of(
     return Recording(
         name, autopilot, int(vehicles[0].clock.t0_us), max(ends, default=0.0),
         found.signals, found.spans, found.events, found.tracks, found.links, found.parameters,
-        found.notes,
+        found.notes, tuple(systems),
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.report.pack import Block, thinned
+from analysis.report.pack import Block, broken, thinned
 from analysis.report.panels import BY_KEY, PANELS
 from analysis.report.recording import Recording, Track, Vector
 
@@ -41,6 +41,9 @@ class Limit:
     value: float
     text: str
     kind: str
+
+
+SENSOR_LIMIT = {"fdi-sensor": [Limit(1.0, "threshold", "fail")]}
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +112,7 @@ def _model(page: Page, recording: Recording, block: Block) -> tuple[dict[str, An
     for panel in PANELS:
         series = []
         for signal in recording.of(panel.key):
-            t_s, value = thinned(signal.t_s, signal.value)
+            t_s, value = thinned(*broken(signal.t_s, signal.value))
             series.append({"name": signal.name, "t": block.times(t_s), "y": block.values(value)})
         if series:
             limits = [
@@ -117,7 +120,13 @@ def _model(page: Page, recording: Recording, block: Block) -> tuple[dict[str, An
                 for limit in page.limits.get(panel.key, ())
             ]
             panels.append(
-                {"key": panel.key, "unit": panel.unit, "series": series, "limits": limits}
+                {
+                    "key": panel.key,
+                    "unit": panel.unit,
+                    "log": panel.log,
+                    "series": series,
+                    "limits": limits,
+                }
             )
     starts = [signal.t_s[0] for signal in recording.signals] + [s.start_s for s in recording.spans]
     ends = [signal.t_s[-1] for signal in recording.signals] + [s.end_s for s in recording.spans]
@@ -145,7 +154,7 @@ def _model(page: Page, recording: Recording, block: Block) -> tuple[dict[str, An
 
 def _lane_rank(lane: str) -> int:
     """Injected first, then what was detected, flags, modes."""
-    order = ("injected", "detected", "found", "estimator", "mode", "armed")
+    order = ("injected", "detected", "excluded", "found", "estimator", "mode", "armed")
     return next((i for i, word in enumerate(order) if lane.startswith(word)), len(order))
 
 
@@ -183,8 +192,8 @@ def _section(section: str, page: Page, recording: Recording, model: Mapping[str,
     if section == "Timeline":
         if recording.spans:
             parts.append(
-                '<div class="plot"><div class="area" id="timeline"></div>'
-                '<div class="readout" id="timeline-readout"></div></div>'
+                '<div class="plot"><div class="readout" id="timeline-readout"></div>'
+                '<div class="area" id="timeline"></div></div>'
                 '<p class="note hint">Drag over any plot to zoom all of them; double click for the '
                 "whole flight; click a legend entry to hide its curve.</p>"
             )

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One plot over time; `key` is what signals name it by."""
+    """One plot over time; `key` is what signals name it by, `log` asks for a logarithmic axis."""
 
     key: str
     section: str
     title: str
     unit: str
+    log: bool = False
 
 
 DETECTION = "Fault detection"
@@ -24,13 +25,12 @@ LINK = "Link quality"
 ACTUATORS = "Control"
 
 PANELS = (
-    Panel("fdi-statistic", DETECTION, "Chi-square statistic of the GNSS residuals", ""),
+    Panel("fdi-statistic", DETECTION, "Chi-square statistic of the GNSS residuals", "", True),
     Panel("fdi-residual", DETECTION, "Residuals per satellite", "m"),
     Panel("fdi-normalised", DETECTION, "Residuals per satellite over their sigma", ""),
-    Panel("fdi-sensor", DETECTION, "Sensor statistics over their thresholds", ""),
+    Panel("fdi-sensor", DETECTION, "Sensor statistics over their thresholds", "", True),
     Panel("fdi-probability", DETECTION, "Probability of each hypothesis", ""),
     Panel("fused-sigma", DETECTION, "Fused solution: position sigma", "m"),
-    Panel("fused-error", DETECTION, "Fused solution: position error against the truth", "m"),
     Panel("error-angle", ATTITUDE, "Attitude error: total angle", "deg"),
     Panel("error-roll", ATTITUDE, "Attitude error: roll", "deg"),
     Panel("error-pitch", ATTITUDE, "Attitude error: pitch", "deg"),
@@ -46,6 +46,7 @@ PANELS = (
     Panel("ratio", ESTIMATOR, "Innovation test ratios (above 1: refused)", ""),
     Panel("variance", ESTIMATOR, "EKF variances", ""),
     Panel("innovation", ESTIMATOR, "Innovations", ""),
+    Panel("estimate-jump", ESTIMATOR, "Step of the estimate beyond what the speed explains", "m"),
     Panel("accuracy", ESTIMATOR, "Accuracy as the estimator sees it", "m"),
     Panel("gps-satellites", GPS, "Satellites used", ""),
     Panel("gps-dilution", GPS, "Dilution of precision as reported (eph, epv / 100)", ""),

@@ -82,7 +82,11 @@ class Recording:
     parameters : dict
         By name every (t_s, value) the log holds, in order.
     notes : list of str
-        What a reader must know: broken bytes, cut data, clocks that jump.
+        What a reader must know: cut data, clocks that jump.
+    systems : tuple of int
+        MAVLink system ids of the vehicles.
+    size, junk_bytes : int
+        Bytes of the logs, and those of them that belong to no frame.
     """
 
     name: str
@@ -96,10 +100,33 @@ class Recording:
     links: list[LinkQuality] = field(default_factory=list)
     parameters: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    systems: tuple[int, ...] = ()
+    size: int = 0
+    junk_bytes: int = 0
 
     def of(self, panel: str) -> list[Signal]:
         """The signals of one panel."""
         return [signal for signal in self.signals if signal.panel == panel]
+
+
+def joined(first: Recording, second: Recording) -> Recording:
+    """Two recordings on one axis as one."""
+    return Recording(
+        first.name,
+        first.autopilot or second.autopilot,
+        first.t0_us,
+        max(first.duration_s, second.duration_s),
+        first.signals + second.signals,
+        first.spans + second.spans,
+        sorted(first.events + second.events, key=lambda event: event.t_s),
+        first.tracks + second.tracks,
+        first.links + second.links,
+        first.parameters | second.parameters,
+        first.notes + second.notes,
+        first.systems + second.systems,
+        first.size + second.size,
+        first.junk_bytes + second.junk_bytes,
+    )
 
 
 def runs(active: NDArray[np.bool_]) -> list[tuple[int, int]]:

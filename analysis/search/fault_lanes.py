@@ -1,4 +1,4 @@
-"""Faults on the sensors' signals, over lanes: bias, drift, scale and freeze in time slots."""
+"""Faults on the sensors' signals, over lanes, as the proxy's faults of the same names do them."""
 
 from analysis.search import rows
 from analysis.search.lanes import Buffer
@@ -10,7 +10,7 @@ M = rows.MEASURED * L
 
 @compiled
 def break_signals(buf: Buffer, slot: int, first: int, last: int, t_s: float) -> None:
-    """Apply one fault slot to the measured channels `first` to `last` - 1."""
+    """Apply one fault slot to the channels `first` to `last` - 1, which have just been measured."""
     base = (rows.FAULTS + slot * rows.FAULT_ROWS) * L
     for channel in range(first, last):
         for lane in range(L):
@@ -20,7 +20,7 @@ def break_signals(buf: Buffer, slot: int, first: int, last: int, t_s: float) -> 
             mine = buf[base + lane] == channel
             active = (since >= 0.0) & (t_s < buf[base + rows.END * L + lane])
             held = buf[base + rows.HELD * L + lane]
-            held = healthy if mine & (not active) else held
+            held = healthy if mine & active & (held != held) else held  # NaN before the first
             buf[base + rows.HELD * L + lane] = held
             wrong = buf[base + rows.FACTOR * L + lane] * healthy + (
                 buf[base + rows.OFFSET * L + lane] + buf[base + rows.RATE * L + lane] * since

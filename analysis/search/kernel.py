@@ -22,6 +22,10 @@ from simvehicle.vehicles.fixedwing_kernel import Aero
 from simvehicle.vehicles.rigidbody_kernel import Inertia
 
 L = rows.LANES
+IMU = 0
+FIELD = rows.FIELD - rows.MEASURED
+VELOCITY = rows.VELOCITY - rows.MEASURED
+PRESSURE = rows.DIFF_PRESSURE - rows.MEASURED
 Columns = NDArray[np.float64]
 Generators = NDArray[np.uint64]
 
@@ -54,24 +58,31 @@ class Plan(NamedTuple):
 
 
 @compiled
+def break_all(buf: Buffer, first: int, last: int, k: int, plan: Plan) -> None:
+    """The faults of all slots on some channels."""
+    for slot in range(plan.slots):
+        break_signals(buf, slot, first, last, k * plan.dt_s)
+
+
+@compiled
 def measure(buf: Buffer, generators: Generators, k: int, plan: Plan) -> None:
     """The sensors' samples number `k`, with faults; generators (2, LANES): IMU, the rest."""
     draw(buf, generators[0])
     sense_imu(buf)
-    last = rows.ACCEL - rows.MEASURED + 3
+    break_all(buf, IMU, IMU + 6, k, plan)
     if plan.estimator > 0:
-        last = rows.CHANNELS
         if k % plan.pressure_every == 0:
             draw(buf, generators[1])
             sense_pressure(buf, plan.density_kgpm3)
+            break_all(buf, PRESSURE, PRESSURE + 1, k, plan)
         if k % plan.field_every == 0 or k % plan.velocity_every == 0:
             draw(buf, generators[1])
-            if k % plan.field_every == 0:
-                sense_field(buf, plan.field_ned_gauss)
-            if k % plan.velocity_every == 0:
-                sense_velocity(buf)
-    for slot in range(plan.slots):
-        break_signals(buf, slot, 0, last, k * plan.dt_s)
+        if k % plan.field_every == 0:
+            sense_field(buf, plan.field_ned_gauss)
+            break_all(buf, FIELD, FIELD + 3, k, plan)
+        if k % plan.velocity_every == 0:
+            sense_velocity(buf)
+            break_all(buf, VELOCITY, VELOCITY + 3, k, plan)
 
 
 @compiled
@@ -118,12 +129,11 @@ def tick(
 
 
 @compiled
-def fly(flights: Columns, memory: Columns, generators: Generators, plan: Plan) -> int:
-    """Fly all columns of `flights` (ROWS, n), n a multiple of LANES; the steps made in all lanes.
+def fly(flights: Columns, memory: Columns, generators: Generators, plan: Plan) -> None:
+    """Fly all columns of `flights` (ROWS, n), n a multiple of LANES.
 
     `memory` (n, 91) holds the filters' start states, `generators` (2, n) the noise.
     """
-    made = 0
     buf = np.empty(rows.ROWS * L)
     for first in range(0, flights.shape[1], L):
         for row in range(rows.ROWS):
@@ -133,12 +143,10 @@ def fly(flights: Columns, memory: Columns, generators: Generators, plan: Plan) -
         airspeed = np.zeros(L)
         for k in range(plan.steps + 1):
             tick(buf, states, airspeed, noise, k, plan)
-            made += L
             if k % 64 == 0 and living(buf) == 0:
                 break
         for row in range(rows.ROWS):
             flights[row, first : first + L] = buf[row * L : row * L + L]
-    return made
 
 
 @compiled

@@ -24,7 +24,6 @@ from simvehicle.compiled import inlined
 from simvehicle.vehicles.polynomial import sin_cos
 
 _intrinsic: Callable[[Any], Callable[[Any], Any]] = intrinsic
-MASK64 = (1 << 64) - 1
 
 
 @_intrinsic
@@ -66,11 +65,12 @@ def log(x: float) -> float:
     q = q * z + 2.31251620126765340583e1
     square = z * z
     y = z * square * p / q - 2.121944400546905827679e-4 * exponent - 0.5 * square
-    return z + y + 0.693359375 * exponent
+    result: float = z + y + 0.693359375 * exponent
+    return result
 
 
 @inlined
-def next_bits(s: int) -> int:
+def next_bits(s: np.uint64) -> np.uint64:
     """The generator's next state, which is also its output (uint64)."""
     s = s ^ (s << np.uint64(13))
     s = s ^ (s >> np.uint64(7))
@@ -78,7 +78,7 @@ def next_bits(s: int) -> int:
 
 
 @inlined
-def gauss_pair(bits: int) -> tuple[float, float]:
+def gauss_pair(bits: np.uint64) -> tuple[float, float]:
     """Two independent standard Gaussian numbers from one draw of 64 bits."""
     one = np.uint64(0x3FF0000000000000)
     half = np.uint64(0x80000)  # the middle of the 2^-32 step: never 0
@@ -89,18 +89,17 @@ def gauss_pair(bits: int) -> tuple[float, float]:
     return radius * cosine, radius * sine
 
 
-def generator_states(seed: int, numbers: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """Start states (n,) of the generators of trajectories with these numbers (n,)."""
-    return np.array([_start(seed, int(number)) for number in numbers], dtype=np.uint64)
+def generator_states(seed: int, numbers: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Start states (n,) of the generators with these numbers (n,), never 0.
+
+    SplitMix64 (Steele, Lea and Flood, OOPSLA 2014) of the seed, then of the number.
+    """
+    start = _mixed(np.array([seed], dtype=np.uint64))
+    return np.maximum(_mixed(start ^ numbers), np.uint64(1))
 
 
-def _start(seed: int, number: int) -> int:
-    """SplitMix64 (Steele, Lea and Flood, 2014) of the seed, then of the number; never 0."""
-    return _mixed(_mixed(seed & MASK64) ^ (number & MASK64)) or 1
-
-
-def _mixed(z: int) -> int:
-    z = (z + 0x9E3779B97F4A7C15) & MASK64
-    z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & MASK64
-    z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & MASK64
-    return z ^ (z >> 31)
+def _mixed(z: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    z = z + np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))

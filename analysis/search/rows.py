@@ -50,8 +50,8 @@ END = 2  # s
 OFFSET = 3  # added
 RATE = 4  # added per second since the start
 FACTOR = 5  # times the healthy value
-HOLD = 6  # 1: the value before the start stays
-HELD = 7  # that value
+HOLD = 6  # 1: the first value within the fault stays
+HELD = 7  # that value, NaN before
 FAULT_ROWS = 8
 SLOTS = 4
 

@@ -8,7 +8,8 @@ import numpy as np
 from msgspec import Meta
 
 from mavproxy_fault.faults.base import Outgoing
-from mavproxy_fault.faults.value import Moving, ValueFault, changed
+from mavproxy_fault.faults.place import changed, places_of, values_at
+from mavproxy_fault.faults.value import Moving, ValueFault
 from mavproxy_fault.wire.dialect import layout
 from mavproxy_fault.wire.frame import Frame, Number
 
@@ -33,22 +34,22 @@ class BitFlip(ValueFault, frozen=True, kw_only=True):
         self, frame: Frame, t_us: int, state: Moving, rng: np.random.Generator
     ) -> tuple[list[Outgoing], Moving]:
         """Flip in each element of one frame."""
-        places = self.elements[frame.id]
-        values = [self._flipped(frame, name, index, rng) for name, index in places]
-        return [changed(frame, t_us, places, values)], state
+        places = places_of(frame.id, self.elements[frame.id])
+        before = values_at(frame, places)
+        after = [self._flipped(x, p.packer, rng) for x, p in zip(before, places, strict=True)]
+        return [changed(frame, t_us, places, before, after)], state
 
-    def _flipped(self, frame: Frame, name: str, index: int, rng: np.random.Generator) -> Number:
-        field = frame.layout.fields[name]
-        width = 8 * field.size
+    def _flipped(self, value: Number, packer: struct.Struct, rng: np.random.Generator) -> Number:
+        width = 8 * packer.size
         if self.bit is None:
             chosen = [int(b) for b in rng.choice(width, min(self.value, width), replace=False)]
         else:
             chosen = [self.bit % width]
-        word = int.from_bytes(struct.pack("<" + field.code, frame.number(name, index)), "little")
+        word = int.from_bytes(packer.pack(value), "little")
         for bit in chosen:
             word ^= 1 << bit
-        value: Number = struct.unpack("<" + field.code, word.to_bytes(field.size, "little"))[0]
-        return value
+        flipped: Number = packer.unpack(word.to_bytes(packer.size, "little"))[0]
+        return flipped
 
 
 class NotANumber(ValueFault, frozen=True, kw_only=True):

@@ -28,6 +28,8 @@ class Driven(ValueFault, frozen=True, kw_only=True):
         """Replace, add to or scale the healthy values."""
         if self.profile is None:
             assert self.value is not None
+            if len(before) == 1 and isinstance(self.value, float):
+                return [meet(self.mode, before[0], self.value)], None
             values = each(self.value, len(before))
             return [meet(self.mode, x, y) for x, y in zip(before, values, strict=True)], None
         if memory is None:
@@ -40,7 +42,7 @@ class Driven(ValueFault, frozen=True, kw_only=True):
 
     def fed(self, state: Moving, value: float, t_us: int) -> Moving:
         """The state after a live value that came at `t_us`."""
-        return Moving(state.start_us, ((t_us - state.start_us) * 1e-6, value))
+        return Moving(state.start_us, ((t_us - state.start_us) / 1e6, value))
 
 
 def meet(mode: Mode, healthy: Number, value: float) -> Number:

@@ -1,7 +1,7 @@
 """Values of the past: held, played again, or following too slowly."""
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 from mavproxy_fault.faults.profile import NotNegative, Positive
 from mavproxy_fault.faults.value import ValueFault
@@ -12,6 +12,8 @@ Key = tuple[int, ...]
 
 class Freeze(ValueFault, frozen=True, kw_only=True):
     """Hold the values of the first frame after the fault began (a stuck sensor)."""
+
+    by_sender: ClassVar[bool] = True
 
     def after(
         self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any
@@ -25,6 +27,8 @@ class Freeze(ValueFault, frozen=True, kw_only=True):
 
 class Replay(ValueFault, frozen=True, kw_only=True):
     """Let the first `value` seconds pass, then play them again and again."""
+
+    by_sender: ClassVar[bool] = True
 
     value: Positive
 
@@ -50,6 +54,8 @@ def _appended(tape: list[list[Number]], values: list[Number]) -> list[list[Numbe
 class SlewLimit(ValueFault, frozen=True, kw_only=True):
     """Follow the healthy value by at most `value` units per second (a weak servo)."""
 
+    by_sender: ClassVar[bool] = True
+
     value: NotNegative
 
     def after(
@@ -65,6 +71,8 @@ class SlewLimit(ValueFault, frozen=True, kw_only=True):
 
 class Float(ValueFault, frozen=True, kw_only=True):
     """Let go of the value: it falls back to `neutral` with the time constant `settle_s`."""
+
+    by_sender: ClassVar[bool] = True
 
     neutral: float = 0.0
     settle_s: Positive = 0.2

@@ -1,18 +1,18 @@
 """Noise, and a random walk whose variance grows with time."""
 
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from mavproxy_fault.faults.profile import NotNegative
-from mavproxy_fault.faults.value import ValueFault
+from mavproxy_fault.faults.value import ValueFault, each
 from mavproxy_fault.wire.frame import Number
 
 
 class Noise(ValueFault, frozen=True, kw_only=True):
     """Add white noise: Gaussian with sigma `value`, or uniform in plus or minus `value`."""
 
-    value: NotNegative
+    value: NotNegative | tuple[NotNegative, ...]
     distribution: Literal["gaussian", "uniform"] = "gaussian"
 
     def after(
@@ -20,14 +20,17 @@ class Noise(ValueFault, frozen=True, kw_only=True):
     ) -> tuple[list[Number], Any]:
         """Add one draw to each element."""
         if self.distribution == "gaussian":
-            errors = rng.normal(0.0, self.value, len(before))
+            errors = rng.standard_normal(len(before))
         else:
-            errors = rng.uniform(-self.value, self.value, len(before))
+            errors = rng.uniform(-1.0, 1.0, len(before))
+        errors = errors * each(self.value, len(before))
         return [x + float(error) for x, error in zip(before, errors, strict=True)], None
 
 
 class RandomWalk(ValueFault, frozen=True, kw_only=True):
     """Add a Wiener process: its sigma is `value` times the square root of the seconds passed."""
+
+    by_sender: ClassVar[bool] = True
 
     value: NotNegative
 

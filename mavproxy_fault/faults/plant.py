@@ -56,7 +56,7 @@ class InSimulator(msgspec.Struct, frozen=True, kw_only=True):
         since_us = t_us - state.at_us
         if frame.component != SIMULATOR[1] or (state.values is not None and since_us < STEP_US):
             return [passed], state
-        values, memory = self.values((t_us - state.start_us) * 1e-6, state.memory, rng)
+        values, memory = self.values((t_us - state.start_us) / 1e6, state.memory, rng)
         if values == state.values and since_us < REPEAT_US:
             return [passed], state._replace(memory=memory)
         target = (frame.system, frame.component)

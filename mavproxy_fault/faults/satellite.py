@@ -118,7 +118,7 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         if isinstance(self.fault, Drop):
             lost = [name for name in present if rng.random() < self.fault.value]
             return {}, lost, None
-        t_s = (t_us - state.start_us) * 1e-6
+        t_s = (t_us - state.start_us) / 1e6
         key = (frame.system, frame.component)
         healthy: list[int | float] = [0.0] * len(self.names)
         errors, memory = self.fault.after(healthy, key, t_s, state.memory, rng)

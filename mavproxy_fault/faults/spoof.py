@@ -17,9 +17,9 @@ import msgspec
 import numpy as np
 
 from mavproxy_fault.faults.base import ActsOn, Outgoing
+from mavproxy_fault.faults.place import rewritten
 from mavproxy_fault.faults.profile import NotNegative
 from mavproxy_fault.faults.spoofed import MOVERS, Move, Three
-from mavproxy_fault.faults.value import changed
 from mavproxy_fault.wire.frame import Frame
 
 
@@ -71,9 +71,8 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
         mover = MOVERS.get(frame.layout.name)
         if mover is None:
             return [Outgoing(t_us, frame)], state
-        shift = self.shift((t_us - state) * 1e-6)
-        values = mover(frame, Move(*shift))
-        out = changed(frame, t_us, [(name, 0) for name in values], list(values.values()))
+        shift = self.shift((t_us - state) / 1e6)
+        out = rewritten(frame, t_us, mover(frame, Move(*shift)))
         if out.frame is frame:
             return [out], state
         size_m = math.hypot(*shift.offset_m)

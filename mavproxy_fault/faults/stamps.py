@@ -9,8 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from mavproxy_fault.faults.base import LinkFault, Outgoing
+from mavproxy_fault.faults.place import rewritten
 from mavproxy_fault.faults.profile import Positive
-from mavproxy_fault.faults.value import changed
 from mavproxy_fault.wire.dialect import Layout
 from mavproxy_fault.wire.frame import Frame
 
@@ -36,10 +36,13 @@ class Stamps(LinkFault, frozen=True, kw_only=True):
         self, frame: Frame, t_us: int, state: int, rng: np.random.Generator
     ) -> tuple[list[Outgoing], int]:
         """Move every stamp of the frame; a message without one passes."""
-        off_s = self.off_s((t_us - state) * 1e-6)
+        off_s = self.off_s((t_us - state) / 1e6)
         scales = stamp_fields(frame.layout)
-        values = [frame.number(name) + round(off_s * scale) for name, scale in scales.items()]
-        out = changed(frame, t_us, [(name, 0) for name in scales], values)
+        out = rewritten(
+            frame,
+            t_us,
+            {name: frame.number(name) + round(off_s * scale) for name, scale in scales.items()},
+        )
         if out.frame is frame:
             return [out], state
         return [Outgoing(t_us, out.frame, abs(off_s), out.saturated)], state

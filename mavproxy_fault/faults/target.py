@@ -5,12 +5,10 @@ HIL_SENSOR.xgyro   HIL_ACTUATOR_CONTROLS.controls[3]   HIL_GPS   PSEUDORANGE.G12
 
 import difflib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
+from mavproxy_fault.faults.place import Element
 from mavproxy_fault.wire.dialect import Layout, layout, message_names
-
-Element = tuple[str, int]
-Elements = Mapping[int, tuple[Element, ...]]  # by message id
 
 SATELLITE = re.compile(r"[A-Z]\d\d")
 ELEMENT = re.compile(r"(\w+)(?:\[(\d+)\])?")

@@ -1,6 +1,5 @@
 """Value faults: they change elements of a frame in place and say how much and whether it fitted."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
@@ -8,9 +7,8 @@ import msgspec
 import numpy as np
 
 from mavproxy_fault.faults.base import ActsOn, Outgoing
-from mavproxy_fault.faults.target import Element
-from mavproxy_fault.wire.dialect import Field
-from mavproxy_fault.wire.frame import FLOAT_MAX, Frame, Number, saturate
+from mavproxy_fault.faults.place import Element, changed, places_of, values_at
+from mavproxy_fault.wire.frame import Frame, Number
 
 
 class Moving(NamedTuple):
@@ -23,10 +21,12 @@ class Moving(NamedTuple):
 class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
     """A fault on some elements of some messages.
 
-    A concrete fault has `after`, which turns healthy values into faulty ones.
+    A concrete fault has `after`, which turns healthy values into faulty ones; with `by_sender` it
+    is told who sent them.
     """
 
     acts_on: ClassVar[ActsOn] = "fields"
+    by_sender: ClassVar[bool] = False
     elements: Mapping[int, tuple[Element, ...]] = {}
 
     def new_state(self, start_us: int) -> Moving:
@@ -37,11 +37,14 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
         self, frame: Frame, t_us: int, state: Moving, rng: np.random.Generator
     ) -> tuple[list[Outgoing], Moving]:
         """Change the elements of one frame."""
-        places = self.elements[frame.id]
-        before = [frame.number(name, index) for name, index in places]
-        t_s = (t_us - state.start_us) * 1e-6
-        after, memory = self.after(before, source(frame), t_s, state.memory, rng)
-        return [changed(frame, t_us, places, after)], Moving(state.start_us, memory)
+        start_us, remembered = state
+        places = places_of(frame.id, self.elements[frame.id])
+        before = values_at(frame, places)
+        key = sender(frame) if self.by_sender else ()
+        after, memory = self.after(before, key, (t_us - start_us) / 1e6, remembered, rng)
+        if memory is not remembered:
+            state = Moving(start_us, memory)
+        return [changed(frame, t_us, places, before, after)], state
 
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
@@ -53,7 +56,7 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
         before : list of number
             Healthy values of the elements, in the order of the target.
         key : tuple of int
-            Who sent the frame (system, component, message id, instance).
+            Who sent the frame (system, component, message id, instance), or empty.
         t_s : float
             Seconds since the fault became active.
         memory
@@ -64,39 +67,11 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
         raise NotImplementedError
 
 
-def source(frame: Frame) -> tuple[int, ...]:
+def sender(frame: Frame) -> tuple[int, ...]:
     """Who sent a frame: system, component, message id and instance."""
     name = frame.layout.instance or ("id" if "id" in frame.layout.fields else "")
     value = frame.read(name) if name else 0
     return (frame.system, frame.component, frame.id, value if isinstance(value, int) else 0)
-
-
-def changed(
-    frame: Frame, t_us: int, places: Sequence[Element], values: Sequence[Number]
-) -> Outgoing:
-    """The frame with other values at some places; the same object if no byte differs."""
-    changes = dict(zip(places, values, strict=True))
-    patched = frame.patched(changes)
-    if patched.raw == frame.raw:
-        return Outgoing(t_us, frame)
-    size: float | None = None
-    saturated = 0
-    fields = frame.layout.fields
-    for (name, index), value in changes.items():
-        saturated += not fits(fields[name], value)
-        step = abs(patched.number(name, index) - frame.number(name, index))
-        if math.isfinite(step):
-            size = step if size is None else max(size, step)
-    return Outgoing(t_us, patched, size, saturated)
-
-
-def fits(field: Field, value: Number) -> bool:
-    """Whether a field can hold a value, but for rounding."""
-    if field.code == "d":
-        return True
-    if field.code == "f":
-        return abs(value) <= FLOAT_MAX or not math.isfinite(value)
-    return math.isfinite(value) and saturate(field, value) == round(value)
 
 
 def each(value: float | tuple[float, ...], count: int) -> Sequence[float]:

@@ -10,7 +10,7 @@ References
 
 import json
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -29,11 +29,16 @@ CODES = {
     "float": "f",
     "double": "d",
 }
+PACKERS = {code: struct.Struct("<" + code) for code in CODES.values()}
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field: `count` is 0 for a scalar, else the length of the array; `offset` in bytes."""
+    """One field: `count` is 0 for a scalar, else the length of the array; `offset` in bytes.
+
+    `code` is the `struct` code of one element, `packer` its `Struct`, `size` its bytes, and
+    `length` the bytes of the whole field.
+    """
 
     name: str
     type: str
@@ -41,21 +46,18 @@ class Field:
     unit: str
     extension: bool
     offset: int
+    code: str = field(init=False)
+    packer: struct.Struct = field(init=False, compare=False, repr=False)
+    size: int = field(init=False)
+    length: int = field(init=False)
 
-    @property
-    def code(self) -> str:
-        """The `struct` code of one element."""
-        return CODES[self.type]
-
-    @property
-    def size(self) -> int:
-        """Bytes of one element."""
-        return struct.calcsize("<" + self.code)
-
-    @property
-    def length(self) -> int:
-        """Bytes of the whole field."""
-        return self.size * max(self.count, 1)
+    def __post_init__(self) -> None:
+        code = CODES[self.type]
+        size = PACKERS[code].size
+        object.__setattr__(self, "code", code)
+        object.__setattr__(self, "packer", PACKERS[code])
+        object.__setattr__(self, "size", size)
+        object.__setattr__(self, "length", size * max(self.count, 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,9 +104,9 @@ def layout(key: str | int) -> Layout | None:
     fields = {}
     offset = base_length = 0
     for field_name, type_name, count, unit, extension in entry["fields"]:
-        field = Field(field_name, type_name, count, unit, extension, offset)
-        fields[field_name] = field
-        offset += field.length
+        one = Field(field_name, type_name, count, unit, extension, offset)
+        fields[field_name] = one
+        offset += one.length
         if not extension:
             base_length = offset
     return Layout(

@@ -87,8 +87,12 @@ class Frame:
             text = self.payload[field.offset : field.offset + field.length]
             return text.split(b"\0", 1)[0]
         start = field.offset + index * field.size
-        data = self.payload[start : start + field.size].ljust(field.size, b"\0")
-        value: Number = struct.unpack("<" + field.code, data)[0]
+        value: Number
+        if start + field.size <= self.length:
+            value = field.packer.unpack_from(self.raw, self.payload_at + start)[0]
+        else:
+            data = self.payload[start : start + field.size].ljust(field.size, b"\0")
+            value = field.packer.unpack(data)[0]
         return value
 
     def number(self, name: str, index: int = 0) -> Number:
@@ -118,7 +122,7 @@ class Frame:
         for (name, index), value in changes.items():
             field = self.layout.fields[name]
             start = field.offset + index * field.size
-            data = struct.pack("<" + field.code, saturate(field, value))
+            data = field.packer.pack(saturate(field, value))
             if start + field.size > len(payload):
                 data = data[: max(len(data.rstrip(b"\0")), len(payload) - start, 0)]
                 payload.extend(bytes(max(start + len(data) - len(payload), 0)))

@@ -1,6 +1,6 @@
 """Labels: what a fault really did, and when; one JSON object a line in `labels.jsonl`."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import msgspec
@@ -33,10 +33,13 @@ class Label(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
 
 def read_labels(path: Path) -> list[Label]:
     """The complete labels of a file, in order of their start; a cut last line is ignored."""
-    newest: dict[tuple[str, int], Label] = {}
-    for label in _lines(path):
-        newest[label.id, label.start_us] = label
-    return sorted(newest.values(), key=lambda label: (label.start_us, label.id))
+    return newest(_lines(path))
+
+
+def newest(labels: Iterable[Label]) -> list[Label]:
+    """The last word on every stretch, in order of start."""
+    last = {(label.id, label.start_us): label for label in labels}
+    return sorted(last.values(), key=lambda label: (label.start_us, label.id))
 
 
 def _lines(path: Path) -> Iterator[Label]:

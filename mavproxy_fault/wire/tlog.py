@@ -20,20 +20,23 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.wire.dialect import Layout, known, message_names
-from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.frame import HEADER_V1, HEADER_V2, SIGNATURE_LENGTH, SIGNED, Frame
 
 Columns = dict[str, NDArray[np.void]]
 
 BLOCK_FRAMES = 1 << 17
-SLIP_US = 60_000_000  # a stamp this far from both neighbours, which agree, is damaged
-INDEX = np.dtype(
-    [
-        ("at", "<i8"),  # byte at which the frame starts
-        ("end", "<i8"),
-        ("t_us", "<i8"),
-        ("slot", "<i2"),  # place of its message in `message_names`, -1 if unknown
-    ]
-)
+END_BYTES = 1 << 16  # as much of a log's beginning or end as shows its first or last frame
+
+
+@dataclass(frozen=True, slots=True)
+class _Index:
+    """Where the frames of a block are; arrays of shape (n,)."""
+
+    at: NDArray[np.int64]
+    t_us: NDArray[np.int64]
+    slot: NDArray[np.int16]  # place of its message in `message_names`, -1 if unknown
+    counts: NDArray[np.int64]  # frames of each slot
+    junk_bytes: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,13 +95,13 @@ def row_dtype(name: str) -> np.dtype[np.void]:
 
 
 @cache
-def _tables() -> tuple[NDArray[np.int16], NDArray[np.uint8], NDArray[np.int64]]:
+def _tables() -> tuple[NDArray[np.int16], NDArray[np.uint64], NDArray[np.int64]]:
     """Slot by message id; CRC extra and payload length by slot."""
     layouts = [known(name) for name in message_names()]
     slots = np.full(max(item.id for item in layouts) + 1, -1, np.int16)
     for slot, item in enumerate(layouts):
         slots[item.id] = slot
-    extras = np.array([item.crc_extra for item in layouts], np.uint8)
+    extras = np.array([item.crc_extra for item in layouts], np.uint64)
     lengths = np.array([item.length for item in layouts], np.int64)
     return slots, extras, lengths
 
@@ -118,21 +121,35 @@ def map_bytes(path: Path) -> NDArray[np.uint8]:
     return np.memmap(path, np.uint8, mode="r")
 
 
-def _index(data: NDArray[np.uint8]) -> Iterator[tuple[NDArray[np.void], int]]:
-    """Blocks of `INDEX` rows and the junk bytes among them."""
+def _index(data: NDArray[np.uint8]) -> Iterator[_Index]:
+    """The frames of a log, block by block."""
     from mavproxy_fault.wire.walk import crc_tables, walk
 
-    slots, extras, _ = _tables()
+    slots, extras, lengths = _tables()
     tables = crc_tables()
     start = 0
     while start < len(data):
-        index = np.empty(BLOCK_FRAMES, INDEX)
-        columns = [np.empty(BLOCK_FRAMES, INDEX[name]) for name in ("at", "end", "t_us", "slot")]
-        found, start, junk = walk(data, start, slots, extras, tables, *columns)
-        index = np.empty(found, INDEX)
-        for name, column in zip(("at", "end", "t_us", "slot"), columns, strict=True):
-            index[name] = column[:found]
-        yield index, junk
+        at = np.empty(BLOCK_FRAMES, np.int64)
+        t_us = np.empty(BLOCK_FRAMES, np.int64)
+        slot = np.empty(BLOCK_FRAMES, np.int16)
+        counts = np.zeros(len(lengths), np.int64)
+        found, start, junk, slips = walk(data, start, slots, extras, tables, at, t_us, slot, counts)
+        stamps = t_us[:found]
+        yield _Index(at[:found], _mended(stamps) if slips else stamps, slot[:found], counts, junk)
+
+
+def _whole(data: NDArray[np.uint8]) -> _Index:
+    """The frames of a whole log."""
+    blocks = list(_index(data))
+    if len(blocks) == 1:
+        return blocks[0]
+    return _Index(
+        np.concatenate([block.at for block in blocks]),
+        np.concatenate([block.t_us for block in blocks]),
+        np.concatenate([block.slot for block in blocks]),
+        np.sum([block.counts for block in blocks], axis=0),
+        sum(block.junk_bytes for block in blocks),
+    )
 
 
 def _mended(t_us: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -140,6 +157,8 @@ def _mended(t_us: NDArray[np.int64]) -> NDArray[np.int64]:
 
     A clock that jumps and stays there is no damage.
     """
+    from mavproxy_fault.wire.walk import SLIP_US
+
     if len(t_us) < 3:
         return t_us
     before = np.concatenate((t_us[:1], t_us[:-1]))
@@ -157,49 +176,37 @@ def _mended(t_us: NDArray[np.int64]) -> NDArray[np.int64]:
     return t_us[whole[nearest]]
 
 
-def _columns(
-    data: NDArray[np.uint8], index: NDArray[np.void], only: Collection[str] | None
-) -> Columns:
-    from mavproxy_fault.wire.walk import HEAD, scatter
+def _columns(data: NDArray[np.uint8], index: _Index, only: Collection[str] | None) -> Columns:
+    from mavproxy_fault.wire.walk import HEAD, SLACK, scatter
 
     names = message_names()
     lengths = _tables()[2]
-    counts = np.bincount(index["slot"][index["slot"] >= 0], minlength=len(names))
-    wanted = counts > 0
+    wanted = index.counts > 0
     if only is not None:
         wanted &= np.isin(names, list(only))
-    sizes = np.where(wanted, counts * (lengths + HEAD), 0)
-    sizes += -sizes % 64
-    begins = np.concatenate(([0], np.cumsum(sizes)))
+    sizes = np.where(wanted, index.counts * (lengths + HEAD) + SLACK, 0)
+    begins = np.concatenate(([0], np.cumsum(sizes + -sizes % 64)))
     rows = np.zeros(int(begins[-1]), np.uint8)
-    t_us = np.ascontiguousarray(index["t_us"])
-    scatter(
-        data,
-        np.ascontiguousarray(index["at"]),
-        t_us,
-        np.ascontiguousarray(index["slot"]),
-        np.where(wanted, lengths, -1),
-        begins[:-1].copy(),
-        rows,
-    )
+    wanted_lengths = np.where(wanted, lengths, -1)
+    scatter(data, index.at, index.t_us, index.slot, wanted_lengths, begins[:-1].copy(), rows)
     columns = {}
     for slot in np.flatnonzero(wanted):
         dtype = row_dtype(names[slot])
         begin = int(begins[slot])
-        columns[names[slot]] = rows[begin : begin + counts[slot] * dtype.itemsize].view(dtype)
+        columns[names[slot]] = rows[begin : begin + index.counts[slot] * dtype.itemsize].view(dtype)
     return columns
 
 
-def _frames(data: NDArray[np.uint8], index: NDArray[np.void]) -> NDArray[np.void]:
-    at = index["at"]
+def _frames(data: NDArray[np.uint8], index: _Index) -> NDArray[np.void]:
+    at = index.at
     second = data[at] == 0xFD
-    frames = np.empty(len(index), FRAMES)
-    frames["t_us"] = index["t_us"]
+    frames = np.empty(len(at), FRAMES)
+    frames["t_us"] = index.t_us
     source = at + np.where(second, 5, 3)
     frames["system"] = data[source]
     frames["component"] = data[source + 1]
     frames["seq"] = data[source - 1]
-    frames["known"] = index["slot"] >= 0
+    frames["known"] = index.slot >= 0
     number = data[at + np.where(second, 7, 5)].astype(np.uint32)
     high = np.where(second, at, 0)
     number += np.where(second, data[high + 8].astype(np.uint32) << 8, 0)
@@ -211,11 +218,8 @@ def _frames(data: NDArray[np.uint8], index: NDArray[np.void]) -> NDArray[np.void
 def read_log(path: str | Path, only: Collection[str] | None = None) -> Log:
     """Read a whole log; with `only`, columns of these messages alone."""
     data = map_bytes(Path(path))
-    blocks = list(_index(data))
-    index = np.concatenate([block for block, _ in blocks])
-    index["t_us"] = _mended(index["t_us"])
-    junk = sum(junk for _, junk in blocks)
-    return Log(_columns(data, index, only), _frames(data, index), junk, len(data))
+    index = _whole(data)
+    return Log(_columns(data, index, only), _frames(data, index), index.junk_bytes, len(data))
 
 
 def read_columns(path: str | Path, only: Collection[str] | None = None) -> Columns:
@@ -230,33 +234,37 @@ def read_columns(path: str | Path, only: Collection[str] | None = None) -> Colum
         first four has `_` appended.
     """
     data = map_bytes(Path(path))
-    index = np.concatenate([block for block, _ in _index(data)])
-    index["t_us"] = _mended(index["t_us"])
-    return _columns(data, index, only)
+    return _columns(data, _whole(data), only)
 
 
 def read_blocks(path: str | Path, only: Collection[str] | None = None) -> Iterator[Columns]:
     """The same block by block (131,072 frames each), for logs larger than memory."""
     data = map_bytes(Path(path))
-    for index, _ in _index(data):
-        index["t_us"] = _mended(index["t_us"])
+    for index in _index(data):
         yield _columns(data, index, only)
+
+
+def extent_us(path: str | Path) -> tuple[int, int] | None:
+    """Stamps of the first and last frame, found near the ends of the file; None without frames."""
+    data = map_bytes(Path(path))
+    ends: list[int] = []
+    for part in (data[:END_BYTES], data[-END_BYTES:]):
+        for index in _index(part):
+            ends.extend(index.t_us[[0, -1]].tolist() if len(index.t_us) else [])
+    return (ends[0], ends[-1]) if ends else None
 
 
 def read_records(path: str | Path) -> Iterator[tuple[int, bytes, Layout | None]]:
     """Stamp, bytes and layout of every frame in order; None where the message is unknown."""
     data = map_bytes(Path(path))
     layouts = [known(name) for name in message_names()]
-    for index, _ in _index(data):
-        stamps = _mended(index["t_us"])
-        rows = zip(
-            index["at"].tolist(),
-            index["end"].tolist(),
-            stamps.tolist(),
-            index["slot"].tolist(),
-            strict=True,
-        )
-        for at, end, t_us, slot in rows:
+    for index in _index(data):
+        second = data[index.at] == 0xFD
+        signed = second & (data[index.at + 2] & SIGNED == SIGNED)
+        ends = index.at + data[index.at + 1] + np.where(second, HEADER_V2 + 2, HEADER_V1 + 2)
+        ends += np.where(signed, SIGNATURE_LENGTH, 0)
+        rows = (index.at.tolist(), ends.tolist(), index.t_us.tolist(), index.slot.tolist())
+        for at, end, t_us, slot in zip(*rows, strict=True):
             yield t_us, data[at:end].tobytes(), layouts[slot] if slot >= 0 else None
 
 

@@ -1,8 +1,9 @@
 """The compiled walk over a log's bytes: where the frames are, and their payloads into columns.
 
-Importing this file imports numba (half a second); the compiled code is cached on disk. Both kernels
-release the interpreter's lock. The CRC (CRC-16/MCRF4XX, reflected polynomial 0x8408) goes eight
-bytes a step by eight tables ("slicing-by-8" [1]_).
+Importing this file imports numba (half a second); the compiled code is cached on disk. The kernels
+release the interpreter's lock. They read and write memory eight bytes at a time by address: what
+bounds each access is said beside it. The CRC (CRC-16/MCRF4XX, reflected polynomial 0x8408) goes
+eight bytes a step by eight tables ("slicing-by-8" [1]_).
 
 References
 ----------
@@ -11,92 +12,143 @@ References
 """
 
 # mypy: allow-untyped-defs, allow-untyped-decorators, no-check-untyped-defs
+from typing import Any
+
 import numpy as np
-from numba import njit
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import njit, types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-STAMP = 8  # bytes of the big-endian microseconds before each frame
 HEAD = 11  # bytes of a row before the payload: t_us, system, component, seq
+SLACK = 16  # bytes that must follow the rows of each message: stores are eight bytes wide
 UNKNOWN = -1  # the slot of a frame whose message the dialect does not know
 NEAR_US = 1 << 36  # two neighbouring stamps further apart than this (19 h) do not belong together
+SLIP_US = 60_000_000  # a stamp this far from its neighbours may be damaged
 
 
-def crc_tables() -> NDArray[np.uint16]:
+def crc_tables() -> NDArray[np.uint64]:
     """Slicing tables, shape (8, 256): entry [k, b] is the CRC of byte b followed by k zeros."""
-    tables = np.zeros((8, 256), np.uint16)
+    tables = np.zeros((8, 256), np.uint64)
     for byte in range(256):
         crc = byte
         for _ in range(8):
             crc = (crc >> 1) ^ (0x8408 if crc & 1 else 0)
         tables[0, byte] = crc
+    low = np.uint64(0xFF)
     for k in range(1, 8):
-        tables[k] = (tables[k - 1] >> 8) ^ tables[0, tables[k - 1] & 0xFF]
+        tables[k] = (tables[k - 1] >> np.uint64(8)) ^ tables[0, tables[k - 1] & low]
     return tables
 
 
+def _memory(bits: int) -> Any:
+    """Intrinsics that load and store an unaligned little-endian word at an address."""
+    word = getattr(types, f"uint{bits}")
+
+    @intrinsic
+    def load(_, address):
+        def code(__, builder, ___, values):
+            pointer = builder.inttoptr(values[0], ir.IntType(bits).as_pointer())
+            loaded = builder.load(pointer)
+            loaded.align = 1
+            return loaded
+
+        return word(types.uint64), code
+
+    @intrinsic
+    def store(_, address, value):
+        def code(__, builder, ___, values):
+            pointer = builder.inttoptr(values[0], ir.IntType(bits).as_pointer())
+            stored = builder.store(values[1], pointer)
+            stored.align = 1
+
+        return types.void(types.uint64, word), code
+
+    return load, store
+
+
+_load8, _store8 = _memory(8)
+_load64, _store64 = _memory(64)
+
+
+@intrinsic
+def _swapped(_, value):
+    """The eight bytes of a word in opposite order."""
+
+    def code(__, builder, ___, values):
+        return builder.bswap(values[0])
+
+    return types.uint64(types.uint64), code
+
+
 @njit(cache=True, nogil=True, inline="always")
-def _crc(data, start, stop, extra, tables):
-    crc = 0xFFFF
+def _byte(address):
+    return np.uint64(_load8(np.uint64(address)))
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _stamp(address):
+    return np.int64(_swapped(_load64(np.uint64(address))))
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _crc(start, stop, extra, tables):
+    """CRC of the bytes at addresses [start, stop) and of `extra`."""
+    low = np.uint64(0xFF)
+    crc = np.uint64(0xFFFF)
     at = start
     while at + 8 <= stop:
-        crc ^= np.int64(data[at]) | np.int64(data[at + 1]) << 8
+        word = _load64(np.uint64(at)) ^ crc
         crc = (
-            np.int64(tables[7, crc & 0xFF])
-            ^ np.int64(tables[6, crc >> 8])
-            ^ np.int64(tables[5, data[at + 2]])
-            ^ np.int64(tables[4, data[at + 3]])
-            ^ np.int64(tables[3, data[at + 4]])
-            ^ np.int64(tables[2, data[at + 5]])
-            ^ np.int64(tables[1, data[at + 6]])
-            ^ np.int64(tables[0, data[at + 7]])
+            tables[7, word & low]
+            ^ tables[6, word >> np.uint64(8) & low]
+            ^ tables[5, word >> np.uint64(16) & low]
+            ^ tables[4, word >> np.uint64(24) & low]
+            ^ tables[3, word >> np.uint64(32) & low]
+            ^ tables[2, word >> np.uint64(40) & low]
+            ^ tables[1, word >> np.uint64(48) & low]
+            ^ tables[0, word >> np.uint64(56)]
         )
         at += 8
     while at < stop:
-        crc = (crc >> 8) ^ np.int64(tables[0, (crc ^ np.int64(data[at])) & 0xFF])
+        crc = (crc >> np.uint64(8)) ^ tables[0, (crc ^ _byte(at)) & low]
         at += 1
-    return (crc >> 8) ^ np.int64(tables[0, (crc ^ extra) & 0xFF])
+    return (crc >> np.uint64(8)) ^ tables[0, (crc ^ extra) & low]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _stamp(data, at):
-    value = np.int64(0)
-    for i in range(8):
-        value = value << 8 | np.int64(data[at + i])
-    return value
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _header(data, at):
-    """Bytes before the payload, message id and end of a frame at `at`; zeros if none is."""
-    size = data.shape[0]
-    if at + 8 > size:
+def _header(base, size, at):
+    """Bytes before the payload, message id and end of a frame at `at`; zeros if none is whole."""
+    if at + 12 > size and (at + 8 > size or _byte(base + at) != 0xFE):
         return 0, 0, 0
-    if data[at] == 0xFE:
-        head, number, tail = 6, np.int64(data[at + 5]), 2
-    elif data[at] == 0xFD and at + 12 <= size and data[at + 2] <= 1:
-        number = np.int64(data[at + 7]) | np.int64(data[at + 8]) << 8 | np.int64(data[at + 9]) << 16
-        head, tail = 10, 2 + 13 * np.int64(data[at + 2])
+    first = _byte(base + at)
+    if first == 0xFE:
+        head, number, tail = 6, np.int64(_byte(base + at + 5)), 2
+    elif first == 0xFD and _byte(base + at + 2) <= 1:
+        word = _load64(np.uint64(base + at + 4)) >> np.uint64(24)  # within the 12 bytes
+        head, number = 10, np.int64(word & np.uint64(0xFFFFFF))
+        tail = 2 + 13 * np.int64(_byte(base + at + 2))
     else:
         return 0, 0, 0
-    end = at + head + np.int64(data[at + 1]) + tail
+    end = at + head + np.int64(_byte(base + at + 1)) + tail
     if end > size:
         return 0, 0, 0
     return head, number, end
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _follows(data, at, end):
+def _follows(base, size, at, end):
     """Whether a further record, stamped near the one whose frame is at `at`, starts at `end`."""
-    size = data.shape[0]
     if end + 9 > size:
         return True
-    if data[end + 8] != 0xFE and data[end + 8] != 0xFD:
+    first = _byte(base + end + 8)
+    if first != 0xFE and first != 0xFD:
         return False
-    return abs(_stamp(data, end) - _stamp(data, at - 8)) < NEAR_US
+    return abs(_stamp(base + end) - _stamp(base + at - 8)) < NEAR_US
 
 
 @njit(cache=True, nogil=True)
-def walk(data, start, slots, extras, tables, at, ends, t_us, slot):
+def walk(data, start, slots, extras, tables, at, t_us, slot, counts):
     """Find frames from byte `start` on until the arrays are full or the data ends.
 
     Where a record does not verify, every later byte is tried as the start of a frame, so that one
@@ -111,54 +163,62 @@ def walk(data, start, slots, extras, tables, at, ends, t_us, slot):
         Where the previous record ended.
     slots : int16 array
         Slot of each message id, -1 where it is unknown; ids beyond are unknown too.
-    extras : uint8 array
+    extras : uint64 array
         CRC extra of each slot.
-    tables : uint16 array (8, 256)
+    tables : uint64 array (8, 256)
         From `crc_tables`.
-    at, ends, t_us, slot : int64, int64, int64, int16 arrays (m,)
-        Filled: start and end of the frame, stamp (-1 if its bytes are not all there), slot.
+    at, t_us, slot : int64, int64, int16 arrays (m,)
+        Filled: start of the frame, stamp (-1 if its bytes are not all there), slot.
+    counts : int64 array
+        Frames of each slot, counted up.
 
     Returns
     -------
     tuple
-        Frames found, where to go on (the data's length at its end), bytes belonging to no record.
+        Frames found, where to go on (the data's length at its end), bytes belonging to no record,
+        stamps that are missing or far from the one before.
     """
     size = data.shape[0]
-    found = 0
-    junk = 0
+    base = data.ctypes.data
+    found = junk = slips = 0
     previous = start  # the end of the last record
+    last_us = np.int64(-1)
     probe = start + 8
     in_line = True  # the next frame is where the last record says it is
     while found < at.shape[0] and (in_line or probe + 8 <= size):
-        head, number, end = _header(data, probe)
+        head, number, end = _header(base, size, probe)
         which = np.int16(UNKNOWN)
         if head and number < slots.shape[0]:
             which = slots[number]
         good = False
         if which >= 0:
-            tail = probe + head + np.int64(data[probe + 1])
-            sent = np.int64(data[tail]) | np.int64(data[tail + 1]) << 8
-            good = _crc(data, probe + 1, tail, np.int64(extras[which]), tables) == sent
+            tail = probe + head + np.int64(_byte(base + probe + 1))
+            sent = _byte(base + tail) | _byte(base + tail + 1) << np.uint64(8)
+            good = _crc(base + probe + 1, base + tail, extras[which], tables) == sent
         elif head and probe == previous + 8:
-            good = _follows(data, probe, end)
+            good = _follows(base, size, probe, end)
         if not good:
             # A lost byte may lie in the stamp: then the frame starts early, so look from its start.
             probe = previous if in_line else probe + 1
             in_line = False
             continue
-        at[found] = probe
-        ends[found] = end
-        slot[found] = which
         whole = probe - 8 >= previous
-        t_us[found] = _stamp(data, probe - 8) if whole else -1
+        stamp = _stamp(base + probe - 8) if whole else np.int64(-1)
+        slips += abs(stamp - last_us) > SLIP_US
+        last_us = stamp
+        at[found] = probe
+        slot[found] = which
+        t_us[found] = stamp
+        if which >= 0:
+            counts[which] += 1
         junk += probe - 8 - previous if whole else probe - previous
         found += 1
         previous = end
         probe = end + 8
         in_line = True
     if found < at.shape[0]:
-        return found, size, junk + size - previous
-    return found, previous, junk
+        return found, size, junk + size - previous, slips
+    return found, previous, junk, slips
 
 
 @njit(cache=True, nogil=True)
@@ -174,24 +234,38 @@ def scatter(data, at, t_us, slot, lengths, nexts, rows):
     nexts : int64 array
         Where in `rows` the next row of each slot goes; moved on.
     rows : uint8 array
-        Zeros, filled with packed rows of `HEAD` bytes and the payload, cut zeros put back.
+        Zeros, filled with packed rows of `HEAD` bytes and the payload, cut zeros put back. `SLACK`
+        bytes must follow the last row of each slot: a row's last store may reach seven bytes into
+        the next row, which is written later.
     """
+    source = data.ctypes.data
+    target = rows.ctypes.data
+    size = data.shape[0]
     for i in range(at.shape[0]):
         which = slot[i]
         if which < 0 or lengths[which] < 0:
             continue
-        begin = at[i]
-        version_2 = data[begin] == 0xFD
-        to = nexts[which]
+        begin = source + at[i]
+        to = target + nexts[which]
         length = lengths[which]
-        nexts[which] = to + HEAD + length
-        stamp = t_us[i]
-        for k in range(8):
-            rows[to + k] = np.uint8((stamp >> (8 * k)) & 0xFF)
-        source = begin + (5 if version_2 else 3)
-        rows[to + 8] = data[source]
-        rows[to + 9] = data[source + 1]
-        rows[to + 10] = data[source - 1]
-        payload = begin + (10 if version_2 else 6)
-        for k in range(min(length, np.int64(data[begin + 1]))):
-            rows[to + HEAD + k] = data[payload + k]
+        nexts[which] += HEAD + length
+        second = _byte(begin) == 0xFD
+        sender = begin + (5 if second else 3)
+        _store64(np.uint64(to), np.uint64(t_us[i]))
+        _store8(np.uint64(to + 8), _load8(np.uint64(sender)))
+        _store8(np.uint64(to + 9), _load8(np.uint64(sender + 1)))
+        _store8(np.uint64(to + 10), _load8(np.uint64(sender - 1)))
+        come = min(length, np.int64(_byte(begin + 1)))
+        payload = begin + (10 if second else 6)
+        to += HEAD
+        k = 0
+        while k + 8 <= come:
+            _store64(np.uint64(to + k), _load64(np.uint64(payload + k)))
+            k += 8
+        if k < come and payload + k + 8 <= source + size:
+            mask = (np.uint64(1) << np.uint64(8 * (come - k))) - np.uint64(1)
+            _store64(np.uint64(to + k), _load64(np.uint64(payload + k)) & mask)
+        else:
+            while k < come:
+                _store8(np.uint64(to + k), _load8(np.uint64(payload + k)))
+                k += 1

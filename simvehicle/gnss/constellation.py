@@ -50,13 +50,27 @@ class Constellation:
             for sets, now in zip(self.ephemerides, present, strict=True)
         )
 
+    def holds_until_s(self, tow_s: float, chosen: Iterable[int | None]) -> float:
+        """Until when a choice made at `tow_s` is the right one: one ends, or another comes up."""
+        ends = [math.inf]
+        for sets, k in zip(self.ephemerides, chosen, strict=True):
+            if k is not None:
+                ends.append(self._toe_s(sets[k]) + sets[k].fit_half_s)
+            else:
+                starts = [self._toe_s(e) - e.fit_half_s for e in sets]
+                ends += [start for start in starts if start > tow_s]
+        return min(ends)
+
     def _nearest(self, sets: tuple[Ephemeris, ...], tow_s: float) -> int | None:
         ages = [self._age_s(e, tow_s) for e in sets]
         best = min(range(len(sets)), key=lambda k: (ages[k], -k))
         return best if ages[best] <= sets[best].fit_half_s else None
 
     def _age_s(self, ephemeris: Ephemeris, tow_s: float) -> float:
-        return abs(tow_s - ephemeris.toe_s - (ephemeris.week - self.week) * WEEK_S)
+        return abs(tow_s - self._toe_s(ephemeris))
+
+    def _toe_s(self, ephemeris: Ephemeris) -> float:
+        return ephemeris.toe_s + (ephemeris.week - self.week) * WEEK_S
 
 
 def constellation_of(

@@ -133,7 +133,9 @@ def satellite_state(row: Vector, tow_s: float) -> State8:
 def _states(table: Vector, tow_s: Vector) -> Vector:
     out = np.empty((len(table), 8))
     for k in range(len(table)):
-        out[k] = satellite_state(table[k], tow_s[k])
+        px, py, pz, vx, vy, vz, clock, clock_rate = satellite_state(table[k], tow_s[k])
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4], out[k, 5] = px, py, pz, vx, vy, vz
+        out[k, 6], out[k, 7] = clock, clock_rate
     return out
 
 

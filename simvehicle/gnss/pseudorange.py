@@ -29,7 +29,7 @@ NONE = np.zeros(0)
 LOWEST_RAD = 3.0 * pi / 180.0  # the atmosphere's models end about here
 
 _Geodetic = Callable[[float, float, float], tuple[float, float, float]]
-_geodetic = cast(_Geodetic, inlined(geodetic_of))
+geodetic = cast(_Geodetic, inlined(geodetic_of))
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +58,11 @@ class Atmosphere:
     klobuchar: Vector | None
     troposphere: bool
 
+    @property
+    def coefficients(self) -> Vector:
+        """Klobuchar's, or an empty array without an ionosphere."""
+        return NONE if self.klobuchar is None else self.klobuchar
+
 
 def sight(
     orbits: Orbits, tow_s: float, r_ecef_m: Vector, v_ecef_mps: Vector, atmosphere: Atmosphere
@@ -67,13 +72,19 @@ def sight(
     Satellites below the horizon are computed all the same; the atmosphere's delay of those below
     3 degrees is that at 3 degrees.
     """
-    klobuchar = NONE if atmosphere.klobuchar is None else atmosphere.klobuchar
-    out = _sights(orbits.table, tow_s, r_ecef_m, v_ecef_mps, klobuchar, atmosphere.troposphere)
+    out = sights(
+        orbits.table,
+        tow_s,
+        r_ecef_m,
+        v_ecef_mps,
+        atmosphere.coefficients,
+        atmosphere.troposphere,
+    )
     return Sight(out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7:].T)
 
 
 @compiled
-def _sights(
+def sights(
     table: Vector,
     tow_s: float,
     r_ecef_m: Vector,
@@ -81,13 +92,13 @@ def _sights(
     coefficients: Vector,
     troposphere: bool,
 ) -> Vector:
-    """`Sight` as rows (10, n); no coefficients, no ionosphere.
+    """`Sight` as rows (10, n); no coefficients, no ionosphere; the place is `r_ecef_m[:3]`.
 
     The time of flight comes from two evaluations of the orbit, each refined along the velocity;
     what is left is below a micrometre.
     """
     rx, ry, rz = r_ecef_m[0], r_ecef_m[1], r_ecef_m[2]
-    lat, lon, height = _geodetic(rx, ry, rz)
+    lat, lon, height = geodetic(rx, ry, rz)
     s_lat, c_lat, s_lon, c_lon = sin(lat), cos(lat), sin(lon), cos(lon)
     out = np.empty((10, len(table)))
     for k in range(len(table)):

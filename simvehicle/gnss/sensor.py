@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.wire.ephemeris import encode_ephemeris
 from simvehicle.body import Truth
-from simvehicle.earth import ecef_from_geodetic, geodetic_from_ecef, rot_en
+from simvehicle.earth import ecef_from_geodetic
 from simvehicle.gnss.config import GnssConfig
 from simvehicle.gnss.constellation import Constellation, constellation_of
-from simvehicle.gnss.ephemeris import SPEED_OF_LIGHT_MPS, Orbits, orbits_at, orbits_of
+from simvehicle.gnss.ephemeris import SPEED_OF_LIGHT_MPS, orbits_at, orbits_of
 from simvehicle.gnss.errors import (
     CN0_S,
     Clock,
@@ -29,7 +29,8 @@ from simvehicle.gnss.errors import (
 from simvehicle.gnss.navigation import WEEK_S
 from simvehicle.gnss.pseudorange import Atmosphere, Sight, sight
 from simvehicle.gnss.receiver import Fix, solve
-from simvehicle.gnss.state import Faults, GnssState
+from simvehicle.gnss.receiver_kernel import axes_en
+from simvehicle.gnss.state import Broadcast, Faults, GnssState
 from simvehicle.gnss.tracking import LONG_AGO_US, Stamps, Tracking, next_tracking, power_off
 from simvehicle.readings import EphemerisReading, GpsReading, PseudorangeReading, Reading
 
@@ -89,7 +90,6 @@ class GnssSensor:
         clock, receiver = self.config.clock, self.config.receiver
         n = len(self.constellation.satellites)
         drawn = rng.standard_normal((3, n))
-        chosen = self.constellation.choose(self.constellation.start_s, [None] * n)
         return GnssState(
             t_us=None,
             clock=Clock(
@@ -101,8 +101,7 @@ class GnssSensor:
             cn0=drawn[2],
             search_s=receiver.search_s * rng.standard_exponential(n),
             message_s=rng.uniform(*receiver.message_s, n),
-            chosen=chosen,
-            orbits=self._orbits(chosen),
+            broadcast=self._broadcast(self.constellation.start_s, [None] * n),
             tracking=power_off(n, cold=receiver.start == "cold"),
             sent_us=self._unsent,
             faults=Faults(np.zeros(n), np.zeros(n), np.zeros(n)),
@@ -129,7 +128,7 @@ class GnssSensor:
         tracking = self._tracking(seen, cn0, state, t_us)
         code, rate = self._observables(seen, cn0, state, noise)
         usable = np.flatnonzero(tracking.usable(t_us))
-        orbits = orbits_at(state.orbits, usable)
+        orbits = orbits_at(state.broadcast.orbits, usable)
         fix = solve(orbits, tow_s, code[usable], rate[usable], self._atmosphere, state.fix)
         due = self._due(usable, state.sent_us, t_us)
         sent_us = state.sent_us.copy()
@@ -177,15 +176,24 @@ class GnssSensor:
     def _seen(self, truth: Truth, tow_s: float, state: GnssState) -> Sight:
         """The satellites from where the antenna is when its clock shows `tow_s`."""
         offset_s = state.clock.offset_s
-        v_ecef_mps = rot_en(truth.lat_rad, truth.lon_rad) @ truth.v_ned_mps
+        v_ecef_mps = axes_en(truth.lat_rad, truth.lon_rad) @ truth.v_ned_mps
         r_ecef_m = ecef_from_geodetic(truth.lat_rad, truth.lon_rad, truth.height_m)
         r_ecef_m = r_ecef_m - v_ecef_mps * offset_s
-        return sight(state.orbits, tow_s - offset_s, r_ecef_m, v_ecef_mps, self._atmosphere)
+        return sight(
+            state.broadcast.orbits, tow_s - offset_s, r_ecef_m, v_ecef_mps, self._atmosphere
+        )
 
-    def _orbits(self, chosen: Sequence[int | None]) -> Orbits:
-        """The chosen ephemerides; a satellite without one stands where its first would have it."""
-        sets = zip(self.constellation.ephemerides, chosen, strict=True)
-        return orbits_of([every[k or 0] for every, k in sets], self.constellation.week)
+    def _broadcast(self, tow_s: float, present: Sequence[int | None]) -> Broadcast:
+        """The ephemerides in use; a satellite without one stands where its first would have it."""
+        constellation = self.constellation
+        chosen = constellation.choose(tow_s, present)
+        sets = zip(constellation.ephemerides, chosen, strict=True)
+        return Broadcast(
+            chosen,
+            np.array([k is not None for k in chosen]),
+            orbits_of([every[k or 0] for every, k in sets], constellation.week),
+            constellation.holds_until_s(tow_s, chosen),
+        )
 
     def _advanced(self, state: GnssState, t_us: int, rng: np.random.Generator) -> GnssState:
         """Clock, processes and the choice of ephemerides at `t_us`."""
@@ -193,15 +201,12 @@ class GnssSensor:
         n = len(state.cn0)
         draws = rng.standard_normal(3 * n + 2)
         tow_s = self.constellation.start_s + t_us * US
-        chosen = self.constellation.choose(tow_s, state.chosen)
-        if chosen != state.chosen:
-            renewed = np.array([a != b for a, b in zip(chosen, state.chosen, strict=True)])
-            state = replace(
-                state,
-                chosen=chosen,
-                orbits=self._orbits(chosen),
-                sent_us=np.where(renewed, LONG_AGO_US, state.sent_us),
-            )
+        if tow_s > state.broadcast.until_s:
+            old = state.broadcast
+            new = self._broadcast(tow_s, old.chosen)
+            renewed = [a != b for a, b in zip(new.chosen, old.chosen, strict=True)]
+            sent_us = np.where(renewed, LONG_AGO_US, state.sent_us)
+            state = replace(state, broadcast=new, sent_us=sent_us)
         if state.t_us is None:
             return replace(state, t_us=t_us)
         step_s = (t_us - state.t_us) * US
@@ -227,7 +232,7 @@ class GnssSensor:
             (seen.elevation_rad >= math.radians(self.config.mask_deg))
             & (cn0 >= receiver.lock_dbhz)
             & (state.faults.lost == 0.0)
-            & np.array([k is not None for k in state.chosen])
+            & state.broadcast.valid
         )
         return next_tracking(
             state.tracking, signal, t_us, receiver, state.search_s, state.message_s
@@ -256,7 +261,9 @@ class GnssSensor:
         return [oldest] if t_us - sent_us[oldest] >= BROADCAST_US else []
 
     def _ephemeris(self, t_us: int, satellite: int, state: GnssState) -> EphemerisReading:
-        ephemeris = self.constellation.ephemerides[satellite][state.chosen[satellite] or 0]
+        ephemeris = self.constellation.ephemerides[satellite][
+            state.broadcast.chosen[satellite] or 0
+        ]
         return EphemerisReading(t_us, ephemeris.satellite, encode_ephemeris(ephemeris))
 
     def _pseudoranges(
@@ -281,18 +288,15 @@ class GnssSensor:
 
     def _position(self, truth: Truth, fix: Fix) -> GpsReading:
         """The solution as a receiver reports it; mean sea level is taken as known."""
-        if not np.any(fix.r_ecef_m):
-            lat, lon, alt_m = 0.0, 0.0, 0.0
-        else:
-            lat, lon, height_m = (float(x) for x in geodetic_from_ecef(fix.r_ecef_m))
-            alt_m = height_m - (truth.height_m - truth.alt_msl_m)
+        known = bool(fix.r_ecef_m.any())
+        undulation_m = truth.height_m - truth.alt_msl_m
         north, east, down = fix.sigma_ned_m
         return GpsReading(
             truth.t_us,
-            math.degrees(lat),
-            math.degrees(lon),
-            alt_m,
-            rot_en(lat, lon).T @ fix.v_ecef_mps,
+            math.degrees(fix.lat_rad),
+            math.degrees(fix.lon_rad),
+            fix.height_m - undulation_m if known else 0.0,
+            fix.v_ned_mps,
             fix.fix_type,
             fix.satellites,
             math.hypot(north, east),

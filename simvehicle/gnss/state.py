@@ -27,12 +27,24 @@ class Faults:
 
 
 @dataclass(frozen=True, slots=True)
+class Broadcast:
+    """Which ephemerides are in use: their indices, which satellites have one, and their orbits.
+
+    It is the right choice up to and including `until_s` (seconds of the constellation's week).
+    """
+
+    chosen: tuple[int | None, ...]
+    valid: NDArray[np.bool_]
+    orbits: Orbits
+    until_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class GnssState:
     """State of `GnssSensor`; arrays (n,) run along its constellation's satellites.
 
     `multipath`, `orbit`, `cn0` are unit-variance processes. `search_s`, `message_s` are what a cold
-    start takes for each satellite. `sent_us` is when the ephemerides last went
-    out, `chosen` are their indices, `orbits` is their table.
+    start takes for each satellite. `sent_us` is when the ephemerides last went out.
     """
 
     t_us: int | None
@@ -42,8 +54,7 @@ class GnssState:
     cn0: Vector
     search_s: Vector
     message_s: Vector
-    chosen: tuple[int | None, ...]
-    orbits: Orbits
+    broadcast: Broadcast
     tracking: Tracking
     sent_us: Stamps
     faults: Faults

@@ -12,8 +12,13 @@ from simvehicle.readings import Reading
 class Sensor(Protocol):
     """Frozen parameters; the moving state is handed in and back."""
 
-    rate_hz: float
-    latency_s: float
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second."""
+
+    @property
+    def latency_s(self) -> float:
+        """From measurement to delivery."""
 
     def new_state(self, rng: np.random.Generator) -> Any:
         """State at power-on."""

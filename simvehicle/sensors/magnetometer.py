@@ -4,7 +4,7 @@ import numpy as np
 
 from simvehicle.body import Truth
 from simvehicle.readings import MagReading
-from simvehicle.rotation import matrix_from_quat
+from simvehicle.rotation import into_body
 from simvehicle.sensors.base import SensorParameters
 from simvehicle.sensors.noise import Noise, NoiseState
 
@@ -30,5 +30,5 @@ class Magnetometer(SensorParameters, frozen=True, kw_only=True):
         """One reading."""
         assert self.field_ned_gauss is not None
         error, state = self.noise.next(state, rng, self.rate_hz)
-        field = matrix_from_quat(truth.q_nb).T @ np.array(self.field_ned_gauss)
+        field = into_body(truth.q_nb, np.array(self.field_ned_gauss))
         return MagReading(truth.t_us, (1.0 + self.noise.scale) * field + error, self.id), state

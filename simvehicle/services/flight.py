@@ -74,7 +74,7 @@ class Flight:
         self.mode = Mode.HOLD
         self.armed = airborne
         self.landed = LandedState.IN_AIR if airborne else LandedState.ON_GROUND
-        self.goal = Goal(Kind.FLY if airborne else Kind.IDLE, np.zeros(3))
+        self.goal = Goal(Kind.IDLE, np.zeros(3))  # until the first `advance`
         self.seq = 0
         self._parameters = parameters
         self._missions = missions
@@ -83,6 +83,7 @@ class Flight:
         self._acceptance_m = acceptance_m
         self._speed_mps: float | None = None
         self._truth: Truth | None = None
+        self._aimed_at: Item | None = None  # the item that the goal was made from
         self._reached_us: int | None = None  # since when the current item is reached
         self._ground_us: int | None = None  # since when a landing vehicle is on the ground
 
@@ -150,7 +151,10 @@ class Flight:
 
     def advance(self, truth: Truth) -> list[Message]:
         """Look at where the vehicle is, set the goal, and tell what was reached."""
+        first = self._truth is None
         self._truth = truth
+        if first:
+            self._enter(self.mode)
         if self._missions.changed != self._mission_seen:
             self._mission_seen = self._missions.changed
             self.seq = 0
@@ -185,10 +189,12 @@ class Flight:
         if item.command == Command.CHANGE_SPEED:
             self.set_speed(item.params[1])
         elif item.command != Command.DELAY:
-            kind = Kind.LAND if item.command == Command.LAND else Kind.FLY
-            yaw = math.radians(item.params[3])
-            self.goal = Goal(kind, self._place(item), self._speed_mps, yaw)
-            if kind is Kind.LAND:
+            if self._aimed_at is not item:
+                self._aimed_at = item
+                kind = Kind.LAND if item.command == Command.LAND else Kind.FLY
+                yaw = math.radians(item.params[3])
+                self.goal = Goal(kind, self._place(item), self._speed_mps, yaw)
+            if self.goal.kind is Kind.LAND:
                 return self._touch_down(truth)
             if self._reached_us is None and not self._is_there(self.goal.r_ned_m):
                 return []
@@ -209,9 +215,7 @@ class Flight:
         if self.seq + 1 < len(self._missions.items):
             self.seq += 1
             return [reached]
-        place = self.goal
         self.mode = Mode.HOLD
-        self.goal = place
         return [reached, statustext("Mission finished, loitering")]
 
     def _touch_down(self, truth: Truth) -> list[Message]:
@@ -233,6 +237,7 @@ class Flight:
     def _enter(self, mode: Mode) -> None:
         """Set a mode and its goal from where the vehicle is."""
         self.mode = mode
+        self._aimed_at = None
         self._reached_us = self._ground_us = None
         if not self.armed:
             return

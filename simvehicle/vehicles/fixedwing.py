@@ -4,15 +4,16 @@ Controls, in order: elevator, aileron, rudder (-1 to 1 of full throw; positive i
 down, right roll, and trailing edge left as in Beard and McLain), throttle (0 to 1).
 """
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from simvehicle.rotation import matrix_from_quat, quat_from_euler
 from simvehicle.vehicles.contact_kernel import Gear
-from simvehicle.vehicles.fixedwing_flight import fly
+from simvehicle.vehicles.fixedwing_flight import fly, pack
 from simvehicle.vehicles.fixedwing_kernel import Aero
 from simvehicle.vehicles.fixedwing_parameters import (
     FixedWingParameters,
@@ -25,16 +26,6 @@ from simvehicle.vehicles.rigidbody_kernel import Inertia
 from simvehicle.vehicles.trim import Trim, trim
 
 Array = NDArray[np.float64]
-PLANT = (
-    "mass_kg_add",
-    "inertia_scale",
-    "motor_efficiency[0]",
-    "propeller_efficiency[0]",
-    "elevator_efficiency",
-    "aileron_efficiency",
-    "rudder_efficiency",
-    "battery_voltage_scale",
-)
 
 
 class FixedWing:
@@ -48,6 +39,17 @@ class FixedWing:
     """
 
     controls_count = 4
+    plant_names = (
+        "mass_kg_add",
+        "inertia_scale",
+        "load_shift_x_m",
+        "motor_efficiency[0]",
+        "propeller_efficiency[0]",
+        "elevator_efficiency",
+        "aileron_efficiency",
+        "rudder_efficiency",
+        "battery_voltage_scale",
+    )
 
     def __init__(self, parameters: FixedWingParameters, plant: Mapping[str, float] = {}) -> None:
         self.parameters = parameters
@@ -55,8 +57,13 @@ class FixedWing:
         self.body: Inertia = body_of(parameters, plant)
         self.aero: Aero = aero_of(parameters, plant)
         self.gear: Gear = gear_of(parameters)
+        self._packed = pack(self.body, self.aero, self.gear, plant.get("load_shift_x_m", 0.0))
         throw = parameters.throw_deg
-        self.throw_rad = tuple(np.radians([throw.elevator, throw.aileron, throw.rudder]).tolist())
+        self.throw_rad = (
+            math.radians(throw.elevator),
+            math.radians(throw.aileron),
+            math.radians(throw.rudder),
+        )
         self._volts = plant.get("battery_voltage_scale", 1.0)
 
     @classmethod
@@ -65,7 +72,7 @@ class FixedWing:
         return cls(read_fixedwing(name))
 
     def with_plant(self, plant: Mapping[str, float]) -> "FixedWing":
-        """The same airframe with plant faults (`PLANT` lists their names)."""
+        """The same airframe with plant faults (`plant_names`)."""
         return FixedWing(self.parameters, plant)
 
     def trim(self, airspeed_mps: float, density: float, gravity: float) -> Trim:
@@ -75,6 +82,22 @@ class FixedWing:
     def start(self, r_ned_m: Array, v_b_mps: Array, q_nb: Array) -> Array:
         """State array (14,) at a position, velocity and attitude, battery full."""
         return np.concatenate([r_ned_m, v_b_mps, q_nb, np.zeros(4)])
+
+    def cruise(
+        self, r_ned_m: Array, heading_rad: float, wind_ned_mps: Array, speed_mps: float,
+        density: float, gravity: float,
+    ) -> Array:  # fmt: skip
+        """State of trimmed flight at a place.
+
+        Raises
+        ------
+        ValueError
+            If this airspeed cannot be flown.
+        """
+        point = self.trim(speed_mps, density, gravity)
+        q = quat_from_euler(point.roll_rad, point.pitch_rad, heading_rad)
+        relative = speed_mps * np.array([math.cos(point.alpha_rad), 0, math.sin(point.alpha_rad)])
+        return self.start(r_ned_m, relative + matrix_from_quat(q).T @ wind_ned_mps, q)
 
     def standing_height_m(self) -> float:
         """Height of the centre of mass above ground when the wheels carry it."""
@@ -99,23 +122,21 @@ class FixedWing:
         load : array, shape (6,)
             Specific force in body axes [m/s^2]; battery voltage [V], current [A], rest (0 to 1).
         """
-        de, da, dr, dt_throttle = controls.tolist()
-        throw_e, throw_a, throw_r = self.throw_rad
-        throttle = min(1.0, max(0.0, dt_throttle))
-        surfaces = (
-            min(1.0, max(-1.0, de)) * throw_e,
-            min(1.0, max(-1.0, da)) * throw_a,
-            min(1.0, max(-1.0, dr)) * throw_r,
-            throttle,
-        )
-        wind = cast(tuple[float, float, float], tuple(wind_ned_mps.tolist()))
-        gravity = cast(tuple[float, float, float], tuple(gravity_ned_mps2.tolist()))
-        air_ground = (density, ground_down_m)
         x, load = fly(
-            x, surfaces, wind, gravity, air_ground, steps, dt, self.body, self.aero, self.gear
+            x,
+            controls,
+            self.throw_rad,
+            wind_ned_mps,
+            gravity_ned_mps2,
+            (density, ground_down_m),
+            steps,
+            dt,
+            self._packed,
+            self.gear.points_m,
         )
         current = float(load[3])
         if self.parameters.motor is None:
+            throttle = min(1.0, max(0.0, float(controls[3])))
             current = throttle * self.parameters.battery.full_throttle_a
             x[13] += current * steps * dt
         volts, left = self.parameters.battery.state(float(x[13]), current)

@@ -140,7 +140,7 @@ def test_gaps_are_counted_per_component() -> None:
         core.received(SIM, heartbeat(1, 51, seq), WALL_US)
     for seq in (3, 4, 5):
         core.received(SIM, heartbeat(1, 1, seq), WALL_US)
-    assert core.gaps == {(1, 51): 3}
+    assert core.gaps() == {(1, 51): 3}
 
 
 def test_a_fault_changes_the_frame_and_writes_its_label_into_the_log() -> None:

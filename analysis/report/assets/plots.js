@@ -4,6 +4,8 @@
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const seriesColour = (i) => colour(`--s${i % 12}`);
+const NULL_EXPAND = 2; // a null stays a gap even between the samples of other curves
+const DECADES = 5; // that a logarithmic axis shows below its largest value
 const KIND = { injected: "--s1", detected: "--s0", flag: "--fail", fail: "--fail", warn: "--warn", mode: "--none" };
 
 function decodeTimes(place, numbers) {
@@ -13,11 +15,11 @@ function decodeTimes(place, numbers) {
   return t;
 }
 
-function decodeValues(place, numbers) {
+function decodeValues(place, numbers, log) {
   const y = new Array(place.n);
   for (let i = 0; i < place.n; i++) {
     const value = numbers[place.at + i];
-    y[i] = Number.isFinite(value) ? value : null;
+    y[i] = Number.isFinite(value) && (!log || value > 0) ? value : null;
   }
   return y;
 }
@@ -48,7 +50,7 @@ function axes(unit, extra) {
     ticks: { stroke: colour("--grid"), width: 1 }, font: "12px system-ui, sans-serif" };
   return [
     { ...common, values: (u, ticks) => ticks.map((t) => `${+t.toFixed(6)} s`) },
-    { ...common, size: 74, label: unit || undefined, labelSize: unit ? 18 : 0,
+    { ...common, size: 62, label: unit || " ", labelSize: 18,
       labelFont: "12px system-ui, sans-serif", ...extra },
   ];
 }
@@ -58,7 +60,7 @@ function options(area, axis, height, more) {
     width: Math.max(300, area.clientWidth), height,
     pxAlign: 0,
     cursor: {
-      sync: { key: "time", scales: ["x", null] }, drag: { x: true, y: false },
+      sync: { key: "time", scales: ["x", null] }, drag: { x: true, y: false, setScale: false },
       bind: { dblclick: () => () => { axis.reset(); return null; } },
     },
     ...more,
@@ -100,22 +102,34 @@ function limitLines(u, limits) {
     ctx.strokeStyle = ctx.fillStyle = colour(limit.kind === "fail" ? "--fail" : "--warn");
     ctx.beginPath(); ctx.moveTo(bbox.left, y); ctx.lineTo(bbox.left + bbox.width, y); ctx.stroke();
     ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
+    ctx.textAlign = "left";
     ctx.fillText(limit.text, bbox.left + 6, y - 4);
   }
   ctx.restore();
 }
 
+function logRange(u, min, max) {
+  if (!(max > 0)) return [0.1, 1];
+  const high = Math.ceil(Math.log10(max));
+  return [10 ** Math.max(Math.floor(Math.log10(min > 0 ? min : max)), high - DECADES), 10 ** high];
+}
+
+function powerOfTen(tick) {
+  const power = Math.log10(tick);
+  return Math.abs(power - Math.round(power)) < 1e-6 ? String(+tick.toPrecision(1)) : "";
+}
+
 function drawPanel(area, panel, page, numbers, axis) {
-  const tables = panel.series.map((s) => [decodeTimes(s.t, numbers), decodeValues(s.y, numbers)]);
+  const tables = panel.series.map((s) => [decodeTimes(s.t, numbers), decodeValues(s.y, numbers, panel.log)]);
   const same = tables.every((table) => table[0].length === tables[0][0].length &&
     table[0].every((t, i) => t === tables[0][0][i]));
-  const data = same ? [tables[0][0], ...tables.map((table) => table[1])] : uPlot.join(tables);
+  const data = same ? [tables[0][0], ...tables.map((table) => table[1])] : uPlot.join(tables, tables.map(() => [0, NULL_EXPAND]));
   const injected = page.spans.filter((span) => span.kind === "injected");
   const digits = (value) => value == null ? "–" : Math.abs(value) >= 1e5 || (value && Math.abs(value) < 1e-3)
     ? value.toExponential(3) : String(+value.toPrecision(6));
   const setup = options(area, axis, panel.height || 230, {
-    scales: { y: panel.log ? { distr: 3 } : {} },
-    axes: axes(panel.unit),
+    scales: { y: panel.log ? { distr: 3, range: logRange } : {} },
+    axes: axes(panel.unit, panel.log ? { values: (u, ticks) => ticks.map(powerOfTen) } : {}),
     series: [
       { label: "t", value: (u, t) => t == null ? "–" : `${t.toFixed(3)} s` },
       ...panel.series.map((s, i) => ({
@@ -133,7 +147,10 @@ function drawPanel(area, panel, page, numbers, axis) {
 
 function drawLanes(area, page, axis, readout) {
   const lanes = [...new Set(page.spans.map((span) => span.lane))];
-  const height = 46 + 24 * lanes.length;
+  const height = 60 + 22 * lanes.length;
+  const pen = document.createElement("canvas").getContext("2d");
+  pen.font = "12px system-ui, sans-serif";
+  const widest = Math.max(...lanes.map((lane) => pen.measureText(lane).width));
   const pick = (u) => {
     const t = u.posToVal(u.cursor.left, "x");
     const lane = lanes[lanes.length - 1 - Math.floor(u.posToVal(u.cursor.top, "y"))];
@@ -147,6 +164,7 @@ function drawLanes(area, page, axis, readout) {
     ctx.beginPath(); ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height); ctx.clip();
     ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
     ctx.textBaseline = "middle";
+    ctx.textAlign = "left";
     for (const span of page.spans) {
       const row = lanes.length - 1 - lanes.indexOf(span.lane);
       const top = u.valToPos(row + 0.86, "y", true), bottom = u.valToPos(row + 0.14, "y", true);
@@ -156,6 +174,10 @@ function drawLanes(area, page, axis, readout) {
       ctx.globalAlpha = span.kind === "mode" ? 0.28 : 0.75;
       ctx.fillRect(left, top, width, bottom - top);
       ctx.globalAlpha = 1;
+      if (span.kind === "mode") {
+        ctx.fillStyle = colour("--paper");
+        ctx.fillRect(left, top, 1.5 * devicePixelRatio, bottom - top);
+      }
       if (span.kind === "mode" && ctx.measureText(span.text).width < width - 8) {
         ctx.fillStyle = colour("--ink");
         ctx.fillText(span.text, Math.max(left, bbox.left) + 4, (top + bottom) / 2);
@@ -166,7 +188,7 @@ function drawLanes(area, page, axis, readout) {
   const setup = options(area, axis, height, {
     legend: { show: false },
     scales: { y: { range: () => [0, lanes.length] } },
-    axes: axes("", { size: Math.min(220, area.clientWidth * 0.32), splits: () => lanes.map((_, i) => i + 0.5),
+    axes: axes("", { label: undefined, labelSize: 0, size: Math.min(widest + 16, area.clientWidth * 0.4), splits: () => lanes.map((_, i) => i + 0.5),
       values: () => lanes.slice().reverse(), grid: { show: false } }),
     series: [{}, { label: "", stroke: "transparent" }],
     hooks: { draw: [paint], setCursor: [pick] },

@@ -1,0 +1,71 @@
+"""Samples to results: the only place where the steps are strung together, live and offline alike.
+
+A step is a frozen set of parameters with `new_state()` and `step(sample, state)`, which gives back
+results and the next state.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+from analysis.attitude import AttitudeConfig, AttitudeScorer
+from analysis.fdi import DetectorConfig
+from analysis.reference import References
+from analysis.results import Result
+from analysis.samples import EphemerisSample, IonosphereSample, Sample
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.wire.label import Label
+
+
+class MonitorConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """What the monitor does: the detector with the checks of other sensors, attitude scores."""
+
+    detector: DetectorConfig = msgspec.field(default_factory=DetectorConfig)
+    attitude: AttitudeConfig = AttitudeConfig()
+
+
+def monitor_config(values: Mapping[str, Any] | None, where: str) -> MonitorConfig:
+    """The `monitor` section of a scenario: the detector's keys, and a mapping `attitude`.
+
+    Raises
+    ------
+    ConfigError
+        For a name or value that is not allowed.
+    """
+    detector = dict(values or {})
+    attitude = detector.pop("attitude", {})
+    try:
+        return MonitorConfig(
+            detector=DetectorConfig.from_mapping(detector),
+            attitude=msgspec.convert(attitude, AttitudeConfig),
+        )
+    except (ConfigError, msgspec.ValidationError) as error:
+        raise ConfigError(f"{where}: {error}") from error
+
+
+class Pipeline:
+    """The steps and their states; times in results count from the first stamped sample."""
+
+    def __init__(self, config: MonitorConfig) -> None:
+        self._attitude = AttitudeScorer(config.attitude)
+        self._attitude_state = self._attitude.new_state()
+        self._detector = References(config.detector)
+        self._detector_state = self._detector.new_state()
+        self._t0_us: int | None = None
+
+    def push(self, sample: Sample) -> list[Result]:
+        """What one sample leads to."""
+        if self._t0_us is None and not isinstance(sample, (EphemerisSample, IonosphereSample)):
+            self._t0_us = sample.t_us
+        results, self._detector_state = self._detector.step(sample, self._detector_state)
+        scores, self._attitude_state = self._attitude.step(sample, self._attitude_state)
+        base_us = self._t0_us or 0
+        return [
+            msgspec.structs.replace(result, t_s=round((result.t_us - base_us) * 1e-6, 6))
+            for result in (*results, *scores)
+        ]
+
+    def attitude(self, labels: Sequence[Label] = ()) -> dict[str, Any]:
+        """Scores by estimator."""
+        return self._attitude.summary(self._attitude_state, labels)

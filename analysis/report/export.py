@@ -1,0 +1,156 @@
+"""Logs as tables for other tools: CSV and Parquet (one file per message), or one MCAP file.
+
+A column is a field as the log names it; arrays become columns `name[0]`, `name[1]`, ... Times are
+the log's own microseconds.
+"""
+
+import csv
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.report.from_dataflash import is_dataflash
+from analysis.results import read_results
+from analysis.ulog import is_ulog, read_ulog
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.wire import tlog
+
+Table = dict[str, NDArray[Any]]
+TIMES = ("t_us", "timestamp")
+
+
+def export(paths: Sequence[Path], folder: Path, form: str) -> None:
+    """Write the tables of logs (or of a run's folder) into `folder` as csv, parquet or mcap.
+
+    Raises
+    ------
+    ConfigError
+        If a log is of a kind that cannot be exported.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in paths:
+        target = folder / path.stem if len(paths) > 1 else folder
+        target.mkdir(exist_ok=True)
+        if form == "mcap":
+            _write_mcap(target / f"{path.stem}.mcap", path)
+            continue
+        for name, table in tables_of(path):
+            if form == "csv":
+                _write_csv(target / f"{name}.csv", table)
+            else:
+                _write_parquet(target / f"{name}.parquet", table)
+
+
+def tables_of(path: Path) -> Iterator[tuple[str, Table]]:
+    """Name and columns of every table in a log."""
+    if path.is_dir():
+        for name in ("received", "sent"):
+            if (path / f"{name}.tlog").is_file():
+                for message, table in tables_of(path / f"{name}.tlog"):
+                    yield f"{name}.{message}", table
+        yield from _result_tables(path / "results.jsonl")
+        return
+    with path.open("rb") as file:
+        head = file.read(16)
+    if is_dataflash(head):
+        raise ConfigError(f"{path}: dataflash logs are not exported; export takes tlogs and ULogs")
+    if is_ulog(head):
+        for (name, instance), topic in read_ulog(path).topics.items():
+            yield f"{name}_{instance}", dict(topic)
+        return
+    for name, rows in tlog.read_columns(path).items():
+        yield name, _flat(rows)
+
+
+def _flat(rows: NDArray[np.void]) -> Table:
+    table: Table = {}
+    for name in rows.dtype.names or ():
+        column = rows[name]
+        if column.ndim == 1:
+            table[name] = column
+        else:
+            table.update({f"{name}[{i}]": column[:, i] for i in range(column.shape[1])})
+    return table
+
+
+def _result_tables(path: Path) -> Iterator[tuple[str, Table]]:
+    """Numbers and words of the results by kind; lists stay in results.jsonl."""
+    if not path.is_file():
+        return
+    kinds: dict[str, list[Any]] = {}
+    for result in read_results(path):
+        kinds.setdefault(type(result).__name__, []).append(result)
+    for kind, results in kinds.items():
+        names = [
+            name
+            for name in results[0].__struct_fields__
+            if isinstance(getattr(results[0], name), (int, float, str, bool))
+        ]
+        yield kind, {name: np.array([getattr(r, name) for r in results]) for name in names}
+
+
+def _write_csv(path: Path, table: Table) -> None:
+    columns = [_plain(column) for column in table.values()]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(table)
+        writer.writerows(zip(*columns, strict=True))
+
+
+def _plain(column: NDArray[Any]) -> list[Any]:
+    """Python values; bytes as text."""
+    if column.dtype.kind == "S":
+        return [value.split(b"\0", 1)[0].decode("utf-8", "replace") for value in column.tolist()]
+    return list(column.tolist())
+
+
+def _write_parquet(path: Path, table: Table) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    arrays = {
+        name: pa.array(_plain(column) if column.dtype.kind == "S" else np.ascontiguousarray(column))
+        for name, column in table.items()
+    }
+    pq.write_table(pa.table(arrays), path, compression="zstd")
+
+
+def _write_mcap(path: Path, log: Path) -> None:
+    """One channel of JSON messages per table, in order of time."""
+    from mcap.writer import CompressionType, Writer
+
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start(profile="", library="mavproxy-fault")
+        for name, table in tables_of(log):
+            _write_channel(writer, name, table)
+        writer.finish()
+
+
+def _write_channel(writer: Any, name: str, table: Table) -> None:
+    properties = {column: {"type": _json_type(values)} for column, values in table.items()}
+    schema = json.dumps({"type": "object", "properties": properties}).encode()
+    schema_id = writer.register_schema(name, "jsonschema", schema)
+    channel = writer.register_channel(f"/{name}", "json", schema_id)
+    time = next((key for key in TIMES if key in table), None)
+    columns = [_plain(column) for column in table.values()]
+    stamps = table[time].astype(np.int64) * 1000 if time else np.zeros(len(columns[0]), np.int64)
+    for stamp, row in zip(stamps.tolist(), zip(*columns, strict=True), strict=True):
+        values = {key: _finite(value) for key, value in zip(table, row, strict=True)}
+        data = json.dumps(values, allow_nan=False).encode()
+        writer.add_message(channel, log_time=max(stamp, 0), data=data, publish_time=max(stamp, 0))
+
+
+def _json_type(column: NDArray[Any]) -> str:
+    if column.dtype.kind == "b":
+        return "boolean"
+    return "string" if column.dtype.kind in "SU" else "number"
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN or infinity: null stands for them."""
+    return None if isinstance(value, float) and not np.isfinite(value) else value

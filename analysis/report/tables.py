@@ -1,0 +1,157 @@
+"""The tables of a report."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from analysis.report.checks import RANK, Check
+from analysis.report.from_results import isolation_matrix
+from analysis.report.page import Table
+from analysis.report.recording import Recording
+from analysis.results import Result
+from mavproxy_fault.wire.label import Label
+
+
+def facts(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    facts = []
+    attitude = summary.get("attitude_rmse_deg")
+    rows = summary.get("faults") or []
+    hours = (summary.get("sim_s") or 0) / 3600
+    false_alarms = summary.get("false_alarms")
+    if rows:
+        seen = sum(bool(row["detected"]) for row in rows)
+        facts.append(("faults detected", f"{seen} of {len(rows)}"))
+        delays = [row["delay_s"] for row in rows if row["delay_s"] is not None]
+        if delays:
+            facts.append(("longest detection delay", f"{max(delays):.2f} s"))
+    if false_alarms is not None:
+        facts.append(("false alarms", str(false_alarms)))
+        if hours > 0:
+            facts.append(("false alarms per hour", f"{false_alarms / hours:.1f}"))
+    if summary.get("epochs") is not None:
+        facts.append(("GNSS epochs", str(summary["epochs"])))
+    if summary.get("untestable_epochs") is not None:
+        facts.append(("epochs untestable", str(summary["untestable_epochs"])))
+    if attitude:
+        facts.append(("attitude RMSE, worst axis", f"{attitude['max']:.2f}°"))
+    if summary.get("position_rmse_m") is not None:
+        facts.append(("position RMSE", f"{summary['position_rmse_m']:.2f} m"))
+    if summary.get("sim_s"):
+        facts.append(("flight", f"{summary['sim_s']:.0f} s"))
+    return facts
+
+
+def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
+    tables = []
+    rows = summary.get("faults") or []
+    if rows:
+        head = ("fault", "target", "from, s", "to, s", "frames", "delay, s", "blamed", "verdict")
+        cells = [
+            (
+                str(row["id"]),
+                str(row["target"]),
+                _short(row["start_s"]),
+                _short(row["end_s"]),
+                str(row["frames"]),
+                _short(row["delay_s"]),
+                ", ".join(row["isolated"]),
+                (str(row["verdict"]), str(row["verdict"])),
+            )
+            for row in rows
+        ]
+        tables.append(("", Table("Injected against detected", head, cells)))
+    checks = summary.get("criteria") or []
+    if checks:
+        words = {True: "PASS", False: "FAIL", None: "not judged"}
+        cells_ = [
+            (
+                str(check["name"]),
+                _plain(check["value"]),
+                _plain(check["limit"]),
+                (words[check["passed"]], words[check["passed"]]),
+            )
+            for check in checks
+        ]
+        tables.append(("", Table("Criteria", ("criterion", "found", "limit", "verdict"), cells_)))
+    return tables
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "" if value is None else str(value)
+
+
+def _short(value: float | None) -> str:
+    return "" if value is None else f"{value:.2f}"
+
+
+def matrix_table(labels: Sequence[Label], results: Sequence[Result]) -> Table | None:
+    """Decisions by what really acted, shaded by share of the row."""
+    heads, counts = isolation_matrix(labels, results)
+    if not heads:
+        return None
+    rows = [(name, *(str(count) if count else "" for count in row)) for name, row in counts.items()]
+    note = "GNSS epochs by what acted (rows) and what the detector said or excluded (columns)."
+    return Table("Isolation matrix", ("acted", *heads), rows, note, style="matrix")
+
+
+def checks_table(checks: Sequence[Check]) -> Table:
+    """Every check, the worst first."""
+    rows = [
+        ((check.verdict, check.verdict), check.name, check.evidence, check.limit, _when(check))
+        for check in sorted(checks, key=lambda check: -RANK[check.verdict])
+    ]
+    return Table("Checks", ("verdict", "check", "found", "limit", "when"), rows)
+
+
+def _when(check: Check) -> str:
+    shown = ", ".join(f"{start:.1f}–{end:.1f} s" for start, end in check.windows[:3])
+    return shown + (f" and {len(check.windows) - 3} more" if len(check.windows) > 3 else "")
+
+
+def reaction_table(faults: Sequence[Mapping[str, Any]]) -> Table | None:
+    """What the autopilot said to each fault; None where that was not looked at."""
+    rows = [
+        (str(fault["id"]), f"{said['t_s']:.2f}", f"{said['after_s']:.2f}", str(said["text"]))
+        for fault in faults
+        for said in fault.get("reaction", ())
+    ]
+    if not any("reaction" in fault for fault in faults):
+        return None
+    head = ("fault", "t, s", "after, s", "what it said or did")
+    return Table("The autopilot's reaction to what was injected", head, rows[:60])
+
+
+def links_table(recording: Recording) -> Table:
+    """Frames and losses of each sender."""
+    rows = [
+        (
+            link.log,
+            f"{link.system}/{link.component}",
+            str(link.frames),
+            str(link.lost),
+            f"{100 * link.lost / (link.frames + link.lost):.2f}",
+            f"{link.longest_gap_s:.2f}",
+        )
+        for link in recording.links
+    ]
+    head = ("log", "sender", "frames", "missing", "%", "longest silence, s")
+    note = "Missing frames are counted by gaps in each sender's sequence numbers (modulo 256)."
+    return Table("Senders", head, rows, note)
+
+
+def parameters_table(recording: Recording) -> list[Table]:
+    """Parameters that changed, then all of them, folded."""
+    changed = [
+        (name, f"{t_s:.2f}", f"{before:.7g}", f"{value:.7g}")
+        for name, history in recording.parameters.items()
+        for (_, before), (t_s, value) in itertools.pairwise(history)
+    ]
+    every = [(name, f"{h[-1][1]:.7g}") for name, h in sorted(recording.parameters.items())]
+    title = f"All parameters ({len(every)})"
+    tables = [Table(title, ("parameter", "value"), every, folded=True)]
+    if changed:
+        head = ("parameter", "t, s", "before", "after")
+        tables.insert(0, Table("Parameters changed", head, changed[:200]))
+    return tables

@@ -1,0 +1,1 @@
+"""A whole fault test in one process: simulator, proxy, monitor and report."""

@@ -1,0 +1,116 @@
+"""`run`: a scenario flown through the proxy, watched, recorded and reported."""
+
+import argparse
+import contextlib
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from analysis.folder import ResultFile, make_folder, write_summary
+from analysis.progress import RunProgress
+from analysis.publish import Publisher
+from analysis.results import Result
+from analysis.run.flight import Flight
+from analysis.run.setup import Setup, read_setup
+from analysis.run.worker import MonitorProcess
+from analysis.terminal import print_summary
+from mavproxy_fault.links.bus import open_run_bus
+from mavproxy_fault.links.link import Link
+from mavproxy_fault.links.spec import open_link
+from mavproxy_fault.record import Recorder
+from simvehicle.pace import Pace, parse_speed
+
+RECORD_US = 200_000  # simulated time between writes to the logs
+EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
+
+
+def main(args: argparse.Namespace) -> int:
+    """Fly, report, and return the exit code of the verdict."""
+    setup = read_setup(args.scenario, args.schedule, args.seed)
+    pace = Pace(parse_speed(args.speed))
+    folder = make_folder(args.out, setup.scenario.name)
+    with (
+        open_run_bus(args.zenoh, folder.name) as bus,
+        MonitorProcess(setup.monitor) as monitor,
+        ResultFile(folder) as file,
+    ):
+        publisher = Publisher(bus) if bus else None
+
+        def take(results: list[Result]) -> None:
+            file.write(results)
+            if publisher is not None:
+                publisher.publish(results)
+
+        flight = Flight(setup.scenario, setup.schedule)
+        link = open_ground(args.gcs, pace)
+        wall_s = fly(flight, monitor, Recorder(folder, session(setup)), pace, take, link)
+        summary = monitor.summary(flight.completed_labels(), setup.criteria, wall_s)
+    write_summary(folder, summary)
+    report(folder, summary)
+    print_summary(summary, folder)
+    return EXIT_CODES[summary["verdict"]]
+
+
+def fly(
+    flight: Flight,
+    monitor: MonitorProcess,
+    recorder: Recorder,
+    pace: Pace,
+    take: Callable[[list[Result]], None],
+    ground: Link | None,
+) -> float:
+    """Fly to the end of the scenario, or until Ctrl-C; the wall time it took in seconds."""
+    recorded_us = 0
+    with RunProgress(flight.duration_s) as progress:
+        with contextlib.suppress(KeyboardInterrupt):
+            while not flight.over:
+                wait_s = pace.wait_s(flight.t_us, time.monotonic())
+                if wait_s > 0.0:
+                    time.sleep(wait_s)
+                sent = flight.advance([data for _, data in ground.read()] if ground else [])
+                take(monitor.feed(sent.monitor))
+                if ground is not None:
+                    for data in sent.ground:
+                        ground.write(data)
+                if flight.t_us - recorded_us >= RECORD_US:
+                    recorded_us = flight.t_us
+                    recorder.write(flight.tape, flight.take_labels())
+                    if ground is not None:
+                        take(monitor.feed(b"", now=True))
+                    progress.show(flight.t_us * 1e-6, flight.engine.active)
+        monitor.feed(flight.finish().monitor)
+        take(monitor.results())
+        recorder.write(flight.tape, flight.take_labels())
+        recorder.close(flight.core.clock.t0_us, flight.now_us)
+        return progress.elapsed_s
+
+
+def open_ground(spec: str, pace: Pace) -> Link | None:
+    """The ground station's link; at full speed there is none, nobody could watch."""
+    if math.isinf(pace.speed) or spec == "off":
+        return None
+    return open_link(spec, plain_udp="udpout")
+
+
+def session(setup: Setup) -> dict[str, Any]:
+    """What a replay of the run needs to know."""
+    return {"scenario": setup.scenario.name, "seed": setup.schedule.seed}
+
+
+def report(folder: Path, summary: dict[str, Any]) -> None:
+    """`report.html` from what stands in the folder."""
+    from analysis.report.build import write
+    from analysis.results import read_results
+    from mavproxy_fault.wire.label import read_labels
+    from mavproxy_fault.wire.tlog import read_columns
+
+    write(
+        folder,
+        summary=summary,
+        labels=read_labels(folder / "labels.jsonl"),
+        results=read_results(folder / "results.jsonl"),
+        columns=read_columns(folder / "sent.tlog"),
+        title=folder.name,
+    )

@@ -1,0 +1,56 @@
+"""A scenario file, decoded for every part."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from analysis.criteria import Criteria
+from analysis.pipeline import MonitorConfig, monitor_config
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.schedule import Schedule, parse_schedule, read_schedule
+from simvehicle.scenario import Scenario, read_scenario
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What a run needs; `scenario.seed` is the seed of simulator and faults alike."""
+
+    scenario: Scenario
+    schedule: Schedule
+    monitor: MonitorConfig
+    criteria: Criteria
+
+
+def read_setup(path: str | None, schedule: str | None = None, seed: int | None = None) -> Setup:
+    """Read a scenario (None: the demo), with another schedule or seed where given.
+
+    Raises
+    ------
+    ConfigError
+        If a section is wrong; nothing has been started then.
+    """
+    where = path or "the demo scenario"
+    scenario = read_scenario(path)
+    if seed is not None:
+        if seed < 0:
+            raise ConfigError(f"--seed: {seed} is negative; 0 or more is allowed")
+        scenario = msgspec.structs.replace(scenario, seed=seed)
+    faults = _schedule(scenario, path, schedule)
+    try:
+        criteria = msgspec.convert(scenario.criteria or {}, Criteria)
+    except msgspec.ValidationError as error:
+        known = ", ".join(field.name for field in msgspec.structs.fields(Criteria))
+        raise ConfigError(f"{where}: criteria: {error}; known: {known}") from error
+    return Setup(scenario, faults, monitor_config(scenario.monitor, where), criteria)
+
+
+def _schedule(scenario: Scenario, path: str | None, other: str | None) -> Schedule:
+    """The schedule: another file's, one named in the scenario, or the one written there."""
+    if other is not None:
+        return read_schedule(other)
+    section = scenario.schedule
+    if isinstance(section, str):
+        return read_schedule(Path(path or ".").parent / section)
+    data = section if isinstance(section, dict) else {"faults": section or []}
+    return parse_schedule({"seed": scenario.seed, **data}, path or "the demo scenario")

@@ -1,0 +1,104 @@
+"""PX4's ULog files as columns, by pyulog.
+
+A topic's columns are its fields as pyulog names them (`q[0]`), with `timestamp` in microseconds on
+the vehicle's clock. Field names that PX4 1.14 and later changed are given their newer form.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.errors import ConfigError
+
+Topic = dict[str, NDArray[Any]]
+MAGIC = b"ULog\x01\x12\x35"
+DEGREES = {"lat": "latitude_deg", "lon": "longitude_deg"}
+
+
+@dataclass(frozen=True, slots=True)
+class ULogFile:
+    """A ULog read.
+
+    Attributes
+    ----------
+    topics : dict
+        By topic name and instance its columns.
+    messages : list of (t_us, severity, text)
+        What the autopilot logged, severity as in MAVLink, 0 (worst) to 7.
+    parameters : dict
+        Initial parameters by name.
+    changes : list of (t_us, name, value)
+        Parameters changed in flight.
+    info : dict
+        The file's information messages (version, hardware).
+    dropouts : list of (t_us, duration_s)
+    damaged : bool
+        Whether parts of the file could not be read.
+    """
+
+    topics: Mapping[tuple[str, int], Topic]
+    messages: list[tuple[int, int, str]]
+    parameters: dict[str, float]
+    changes: list[tuple[int, str, float]]
+    info: dict[str, Any]
+    start_us: int
+    dropouts: list[tuple[int, float]]
+    damaged: bool
+
+
+def is_ulog(head: bytes) -> bool:
+    """Whether a file that begins with these bytes is a ULog."""
+    return head.startswith(MAGIC)
+
+
+def read_ulog(path: str | Path) -> ULogFile:
+    """Read a whole ULog; what a damaged file still holds comes back with `damaged` set.
+
+    Raises
+    ------
+    ConfigError
+        If nothing can be read.
+    """
+    from pyulog import ULog
+
+    try:
+        with Path(path).open("rb") as file:
+            log = ULog(file)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; give the path of a ULog") from error
+    except Exception as error:  # pyulog raises whatever its struct and index code does
+        raise ConfigError(f"{path}: not a readable ULog ({error}); give a whole file") from error
+    topics = {
+        (data.name, data.multi_id): _renamed(data.data)
+        for data in log.data_list
+        if len(data.data["timestamp"])
+    }
+    return ULogFile(
+        topics,
+        [(m.timestamp, (m.log_level - ord("0")) & 7, m.message) for m in log.logged_messages],
+        {name: float(value) for name, value in log.initial_parameters.items()},
+        [(t_us, name, float(value)) for t_us, name, value in log.changed_parameters],
+        dict(log.msg_info_dict),
+        int(log.start_timestamp),
+        [(drop.timestamp, drop.duration * 1e-3) for drop in log.dropouts],
+        bool(log.file_corruption),
+    )
+
+
+def _renamed(columns: Mapping[str, NDArray[Any]]) -> Topic:
+    """Older PX4 gave positions in 1e-7 degrees and millimetres."""
+    found = dict(columns)
+    for old, new in DEGREES.items():
+        if old in found and new not in found:
+            raw = found[old]
+            scale = 1e-7 if np.issubdtype(raw.dtype, np.integer) else 1.0
+            found[new] = raw * scale
+    if "alt" in found and "altitude_msl_m" not in found:
+        raw = found["alt"]
+        scale = 1e-3 if np.issubdtype(raw.dtype, np.integer) else 1.0
+        found["altitude_msl_m"] = raw * scale
+    return found

@@ -1,0 +1,233 @@
+"""MAV_CMD_INJECT_FAILURE: what each unit and type of failure means on the messages that pass.
+
+The command has no magnitudes, so each unit has some that a vehicle notices. A unit that has a
+message of its own is switched off by losing it; a sensor that shares HIL_SENSOR with others loses
+its `fields_updated` bits instead, and is late or slow by its values, since that message is also the
+vehicle's clock [1]_.
+
+References
+----------
+.. [1] MAVLink common message set, MAV_CMD_INJECT_FAILURE, FAILURE_UNIT, FAILURE_TYPE.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any
+
+UNITS = {
+    0: "gyro", 1: "accel", 2: "mag", 3: "baro", 4: "gps", 5: "optical-flow", 6: "vio",
+    7: "distance", 8: "airspeed", 100: "battery", 101: "motor", 102: "servo", 103: "avoidance",
+    104: "rc", 105: "mavlink", 106: "esc", 107: "traffic",
+}  # fmt: skip
+TYPES = {
+    0: "ok", 1: "off", 2: "stuck", 3: "garbage", 4: "wrong", 5: "slow", 6: "delayed",
+    7: "intermittent", 8: "drift",
+}  # fmt: skip
+
+SLOW_S = 1.0  # a slow sensor renews its values this often
+DELAY_S = 0.5
+INTERMITTENT = {"for_s": 0.5, "repeat": {"every_s": 1.0}}
+
+G_MPS2 = 9.80665
+M_PER_HPA = 8.4  # of height, near the ground
+DEGE7_PER_M = 90.0  # of latitude
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A unit's share of one message.
+
+    `fields` come with the field's counts per unit of the magnitudes; `group` is the unit's group of
+    bits in `fields_updated`; `shared` says that the message carries other things too; `instance` is
+    the number of the unit whose message it is, 0 where an id or an index tells.
+    """
+
+    message: str
+    fields: tuple[tuple[str, float], ...] = ()
+    group: str = ""
+    shared: bool = False
+    instance: int = 0
+    indexed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """The parts of a unit, and how wrong (offset), noisy (sigma) and drifting (per s) it gets."""
+
+    parts: tuple[Part, ...]
+    wrong: float = 1.0
+    noise: float = 1.0
+    drift: float = 0.1
+
+
+def _axes(stem: str, scale: float = 1.0) -> tuple[tuple[str, float], ...]:
+    return tuple((f"{axis}{stem}", scale) for axis in "xyz")
+
+
+def _imu(stem: str, group: str, scaled: float) -> tuple[Part, ...]:
+    """HIL_SENSOR, HIGHRES_IMU and the scaled and raw messages of the IMU or magnetometer."""
+    rows = [
+        Part("HIL_SENSOR", _axes(stem), group, True),
+        Part("HIGHRES_IMU", _axes(stem), "", True),
+    ]
+    rows += [Part("RAW_IMU", _axes(stem, scaled), "", True)]
+    for number, name in enumerate(("SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3"), 1):
+        rows.append(Part(name, _axes(stem, scaled), "", True, number))
+    return tuple(rows)
+
+
+POSITION = (("lat", DEGE7_PER_M), ("lon", DEGE7_PER_M), ("alt", 1000.0))
+HEIGHTS = (("abs_pressure", 1.0), ("pressure_alt", -M_PER_HPA))
+CONTROLS = (Part("HIL_ACTUATOR_CONTROLS", (("controls", 1.0),), "", True, indexed=True),)
+
+WHAT: dict[str, Unit] = {
+    "gyro": Unit(_imu("gyro", "gyro", 1000.0), 0.5, 1.0, 0.02),
+    "accel": Unit(_imu("acc", "accel", 1000.0 / G_MPS2), 3.0, 5.0, 0.2),
+    "mag": Unit(_imu("mag", "mag", 1000.0), 0.3, 0.3, 0.02),
+    "baro": Unit((
+        Part("HIL_SENSOR", HEIGHTS, "baro", True),
+        Part("HIGHRES_IMU", HEIGHTS, "", True),
+        Part("SCALED_PRESSURE", (("press_abs", 1.0),), "", True, 1),
+        Part("SCALED_PRESSURE2", (("press_abs", 1.0),), "", True, 2),
+    ), 5.0, 5.0, 0.12),
+    "gps": Unit((
+        Part("HIL_GPS", POSITION),
+        Part("GPS_INPUT", (*POSITION[:2], ("alt", 1.0))),
+        Part("GPS_RAW_INT", POSITION, instance=1),
+        Part("GPS2_RAW", POSITION, instance=2),
+    ), 200.0, 100.0, 2.0),
+    "optical-flow": Unit((
+        Part("HIL_OPTICAL_FLOW", (("integrated_x", 1.0), ("integrated_y", 1.0))),
+        Part("OPTICAL_FLOW_RAD", (("integrated_x", 1.0), ("integrated_y", 1.0))),
+        Part("OPTICAL_FLOW", (("flow_x", 100.0), ("flow_y", 100.0))),
+    ), 0.2, 0.2, 0.02),
+    "vio": Unit((
+        Part("ODOMETRY", _axes("")),
+        Part("VISION_POSITION_ESTIMATE", _axes("")),
+    ), 5.0, 2.0, 0.5),
+    "distance": Unit((Part("DISTANCE_SENSOR", (("current_distance", 100.0),)),), 5.0, 2.0, 0.2),
+    "airspeed": Unit((
+        Part("HIL_SENSOR", (("diff_pressure", 1.0),), "airspeed", True),
+        Part("HIGHRES_IMU", (("diff_pressure", 1.0),), "", True),
+        Part("SCALED_PRESSURE", (("press_diff", 1.0),), "", True, 1),
+    ), 2.0, 1.0, 0.05),
+    "battery": Unit((
+        Part("BATTERY_STATUS", (("voltages[0]", 1000.0),)),
+        Part("SYS_STATUS", (("voltage_battery", 1000.0),), "", True),
+    ), -3.0, 1.0, -0.05),
+    "motor": Unit(CONTROLS, -0.3, 0.2, -0.02),
+    "servo": Unit(CONTROLS, 0.3, 0.2, 0.02),
+    "avoidance": Unit((Part("OBSTACLE_DISTANCE", (("distances", 100.0),)),), -2.0, 2.0, -0.2),
+    "rc": Unit((
+        Part("RC_CHANNELS", tuple((f"chan{n}_raw", 1.0) for n in range(1, 9))),
+        Part("RC_CHANNELS_OVERRIDE", tuple((f"chan{n}_raw", 1.0) for n in range(1, 9))),
+        Part("MANUAL_CONTROL", (("x", 2.0), ("y", 2.0), ("z", 2.0), ("r", 2.0))),
+    ), 200.0, 100.0, 20.0),
+    "mavlink": Unit(()),  # the link itself: every message
+    "esc": Unit((
+        Part("ESC_TELEMETRY_1_TO_4", (("rpm", 1.0),)),
+        Part("ESC_TELEMETRY_5_TO_8", (("rpm", 1.0),)),
+    ), 1000.0, 500.0, 50.0),
+    "traffic": Unit((
+        Part("ADSB_VEHICLE", (*POSITION[:2], ("altitude", 1000.0))),
+    ), 5000.0, 500.0, 50.0),
+}  # fmt: skip
+MESSAGES = frozenset(part.message for unit in WHAT.values() for part in unit.parts)
+
+
+def name_of(unit: str, instance: int) -> str:
+    """The id of the faults of one failure; a second failure of a unit replaces the first."""
+    return f"mav-{unit}-{instance}" if instance else f"mav-{unit}"
+
+
+def faults_for(
+    unit: str, kind: str, instance: int, passed: Collection[str]
+) -> list[dict[str, Any]]:
+    """The entries of a schedule that carry out a failure on the messages that have passed.
+
+    Parameters
+    ----------
+    unit, kind : str
+        A unit and a type by name; not the type `ok`.
+    instance : int
+        1 for the first sensor or motor, 0 for all.
+    passed : collection of str
+        Names of the messages seen so far.
+
+    Returns
+    -------
+    list of dict
+        Empty if no message of the unit has passed.
+    """
+    if unit == "mavlink":
+        return [{"id": f"{name_of(unit, instance)}.1", **_of_the_link(kind)}] if passed else []
+    chosen = [
+        part
+        for part in WHAT[unit].parts
+        if part.message in passed and (not part.instance or instance in (0, part.instance))
+    ]
+    entries = []
+    for number, part in enumerate(chosen, 1):
+        entry = _of_a_part(WHAT[unit], part, kind, instance)
+        if instance and not part.instance and not part.indexed:
+            entry["where"] = {"id": instance - 1}
+        entries.append({"id": f"{name_of(unit, instance)}.{number}", **entry})
+    return entries
+
+
+def _of_the_link(kind: str) -> dict[str, Any]:
+    whole: dict[str, dict[str, Any]] = {
+        "off": {"fault": "outage"},
+        "stuck": {"fault": "outage"},
+        "garbage": {"fault": "corrupt", "count": 3},
+        "wrong": {"fault": "corrupt", "crc": "redone"},
+        "slow": {"fault": "rate-limit", "value": 10},
+        "delayed": {"fault": "delay", "value": DELAY_S},
+        "intermittent": {"fault": "outage", **INTERMITTENT},
+        "drift": {"fault": "jitter", "value": DELAY_S},
+    }
+    return whole[kind]
+
+
+def _of_a_part(unit: Unit, part: Part, kind: str, instance: int) -> dict[str, Any]:
+    if kind == "intermittent":
+        return {**_of_a_part(unit, part, "off", instance), **INTERMITTENT}
+    if not part.shared and kind in ("off", "slow", "delayed"):
+        whole: dict[str, dict[str, Any]] = {
+            "off": {"fault": "drop"},
+            "slow": {"fault": "rate-limit", "value": 1.0 / SLOW_S},
+            "delayed": {"fault": "delay", "value": DELAY_S},
+        }
+        return {"target": part.message, **whole[kind]}
+    if kind == "off" and part.group:
+        flags = f"{part.message}.fields_updated"
+        return {"fault": "clear-bits", "target": flags, "groups": [part.group]}
+    fields, scales = _elements(part, instance)
+    target: dict[str, Any] = {"target": fields}
+    if kind == "off":
+        return {**target, "fault": "constant", "value": 0.0}
+    if kind == "stuck":
+        return {**target, "fault": "freeze"}
+    if kind == "slow":
+        return {**target, "fault": "sample-hold", "value": SLOW_S}
+    if kind == "delayed":
+        return {**target, "fault": "lag", "value": DELAY_S}
+    if kind == "garbage":
+        return {**target, "fault": "noise", "value": [unit.noise * abs(s) for s in scales]}
+    if kind == "wrong":
+        return {**target, "fault": "bias", "value": [unit.wrong * s for s in scales]}
+    return {**target, "fault": "drift", "value": [unit.drift * s for s in scales]}
+
+
+def _elements(part: Part, instance: int) -> tuple[list[str], list[float]]:
+    """The targets of a part and the scale of each element they name."""
+    from mavproxy_fault.faults.target import fields
+
+    found: list[str] = []
+    scales: list[float] = []
+    for name, scale in part.fields:
+        chosen = f"[{instance - 1}]" if part.indexed and instance else ""
+        found.append(f"{part.message}.{name}{chosen}")
+        (elements,) = fields([found[-1]]).values()
+        scales += [scale] * len(elements)
+    return found, scales

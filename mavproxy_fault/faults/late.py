@@ -1,0 +1,52 @@
+"""Values that are late while their frames are not: lag, and sample and hold.
+
+HIL_SENSOR carries several sensors and the vehicle's clock, so that one of its sensors cannot be
+late or slow by delaying or losing the frame.
+"""
+
+from typing import Any, ClassVar
+
+from mavproxy_fault.faults.profile import CLOSE_S, Positive
+from mavproxy_fault.faults.value import ValueFault
+from mavproxy_fault.wire.frame import Number
+
+Key = tuple[int, ...]
+ROWS_MAX = 65_536  # per sender; 65 s at 1 kHz
+Row = tuple[float, list[Number]]
+
+
+class Lag(ValueFault, frozen=True, kw_only=True):
+    """Send the values of `value` seconds ago; until then those of the fault's first frame."""
+
+    by_sender: ClassVar[bool] = True
+
+    value: Positive
+
+    def after(
+        self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any
+    ) -> tuple[list[Number], Any]:
+        """The newest values that are old enough."""
+        rows: dict[Key, tuple[Row, ...]] = memory or {}
+        past = (*rows.get(key, ()), (t_s, before))[-ROWS_MAX:]
+        old = 0
+        while old + 1 < len(past) and past[old + 1][0] <= t_s - self.value + CLOSE_S:
+            old += 1
+        return past[old][1], {**rows, key: past[old:]}
+
+
+class SampleHold(ValueFault, frozen=True, kw_only=True):
+    """Take new values only every `value` seconds (a slow sensor)."""
+
+    by_sender: ClassVar[bool] = True
+
+    value: Positive
+
+    def after(
+        self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any
+    ) -> tuple[list[Number], Any]:
+        """The values of the last sample."""
+        held: dict[Key, Row] = memory or {}
+        taken = held.get(key)
+        if taken is not None and t_s - taken[0] < self.value - CLOSE_S:
+            return taken[1], held
+        return before, {**held, key: (t_s, before)}

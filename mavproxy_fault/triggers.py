@@ -1,0 +1,256 @@
+"""Conditions over telemetry: a small expression language, parsed and walked, never evaluated.
+
+    GLOBAL_POSITION_INT.relative_alt > 50000 and armed
+    count(HIL_SENSOR) >= 1000 or HIL_ACTUATOR_CONTROLS.controls[3] > 0.9
+    mode == "AUTO.MISSION" and abs(ATTITUDE.roll) < 0.1 and altitude_m > 20
+
+A field stands for its newest value from the vehicle; a comparison with a message that has not come
+yet is false. `mode` is PX4's name of the flight mode (other autopilots: the number in custom_mode).
+The syntax is Python's, read by its parser; of the syntax tree only what is listed here is taken.
+"""
+
+import ast
+import operator
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from mavproxy_fault.faults.target import message, near
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame
+
+Value = float | int | str | bool | None
+
+COMPARE: Mapping[type[ast.cmpop], Callable[[Any, Any], bool]] = {
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+}
+ARITHMETIC: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: lambda a, b: a / b if b else None,
+    ast.BitAnd: lambda a, b: int(a) & int(b),
+}
+LENGTH_MAX = 500
+_SYNTAX = (SyntaxError, RecursionError, MemoryError)
+
+ARMED = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
+PX4 = 12  # MAV_AUTOPILOT
+NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID: ground stations, cameras and the like
+# PX4's custom_mode: main mode in bits 16 to 23, sub mode in bits 24 to 31 (px4_custom_mode.h).
+PX4_MAIN = ("", "MANUAL", "ALTCTL", "POSCTL", "AUTO", "ACRO", "OFFBOARD", "STABILIZED", "RATTITUDE")
+PX4_AUTO = (
+    "",
+    "READY",
+    "TAKEOFF",
+    "LOITER",
+    "MISSION",
+    "RTL",
+    "LAND",
+    "RTGS",
+    "FOLLOW",
+    "PRECLAND",
+)
+WORDS: Mapping[str, str] = {
+    "armed": "HEARTBEAT",
+    "mode": "HEARTBEAT",
+    "altitude_m": "GLOBAL_POSITION_INT",
+}
+
+
+class Telemetry:
+    """The newest frame of each message asked for, and how many have come."""
+
+    def __init__(self) -> None:
+        self.newest: dict[int, Frame] = {}
+        self.counts: dict[int, int] = {}
+
+    def note(self, frame: Frame) -> None:
+        """Take a frame in; heartbeats of what is no autopilot are passed over."""
+        if frame.id == 0 and frame.number("autopilot") == NO_AUTOPILOT:
+            return
+        self.newest[frame.id] = frame
+        self.counts[frame.id] = self.counts.get(frame.id, 0) + 1
+
+
+class Condition:
+    """A parsed expression; `ids` are the messages it looks at.
+
+    Raises
+    ------
+    ValueError
+        If the text is no expression of this language; the text says what is.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.ids: set[int] = set()
+        if len(text) > LENGTH_MAX:
+            raise ValueError(f"is longer than {LENGTH_MAX} characters")
+        try:
+            self._root = self._part(ast.parse(text.strip(), mode="eval").body)
+        except _SYNTAX as error:
+            raise ValueError(
+                f"= {text!r} cannot be read ({getattr(error, 'msg', error)}); "
+                "write for example: HIL_GPS.alt > 500000 and armed"
+            ) from None
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Condition) and other.text == self.text
+
+    def __hash__(self) -> int:
+        return hash(self.text)
+
+    def holds(self, telemetry: Telemetry) -> bool:
+        """Whether it is true now."""
+        return bool(self._root(telemetry))
+
+    def _part(self, node: ast.expr) -> Callable[[Telemetry], Value]:
+        """A closure for one node of the tree."""
+        if isinstance(node, ast.Constant) and isinstance(node.value, int | float | str):
+            value = node.value
+            return lambda telemetry: value
+        if isinstance(node, ast.BoolOp):
+            parts = [self._part(one) for one in node.values]
+            join = all if isinstance(node.op, ast.And) else any
+            return lambda telemetry: join(part(telemetry) for part in parts)
+        if isinstance(node, ast.UnaryOp):
+            return self._unary(node)
+        if isinstance(node, ast.Compare):
+            return self._comparison(node)
+        if isinstance(node, ast.BinOp) and type(node.op) in ARITHMETIC:
+            return self._both(ARITHMETIC[type(node.op)], node.left, node.right)
+        if isinstance(node, ast.Call):
+            return self._call(node)
+        if isinstance(node, ast.Name | ast.Attribute | ast.Subscript):
+            return self._name(node)
+        raise ValueError(
+            f"= {self.text!r} holds {ast.unparse(node)!r}, which is not allowed; "
+            "allowed are fields, numbers, and, or, not, comparisons, + - * / &, abs(), count()"
+        )
+
+    def _unary(self, node: ast.UnaryOp) -> Callable[[Telemetry], Value]:
+        part = self._part(node.operand)
+        if isinstance(node.op, ast.Not):
+            return lambda telemetry: not part(telemetry)
+
+        def negative(telemetry: Telemetry) -> Value:
+            value = part(telemetry)
+            return -value if isinstance(value, int | float) else None
+
+        return negative
+
+    def _comparison(self, node: ast.Compare) -> Callable[[Telemetry], Value]:
+        sides = [node.left, *node.comparators]
+        steps = [
+            self._both(COMPARE.get(type(op), _refused), left, right)
+            for op, left, right in zip(node.ops, sides, sides[1:], strict=False)
+        ]
+        if any(type(op) not in COMPARE for op in node.ops):
+            raise ValueError(f"= {self.text!r}: allowed comparisons are == != < <= > >=")
+        return lambda telemetry: all(step(telemetry) for step in steps)
+
+    def _both(
+        self, act: Callable[[Any, Any], Any], left: ast.expr, right: ast.expr
+    ) -> Callable[[Telemetry], Value]:
+        one, two = self._part(left), self._part(right)
+
+        def joined(telemetry: Telemetry) -> Value:
+            a, b = one(telemetry), two(telemetry)
+            if a is None or b is None or isinstance(a, str) != isinstance(b, str):
+                return None
+            found: Value = act(a, b)
+            return found
+
+        return joined
+
+    def _call(self, node: ast.Call) -> Callable[[Telemetry], Value]:
+        name = node.func.id if isinstance(node.func, ast.Name) else ""
+        if len(node.args) != 1 or node.keywords or name not in ("abs", "count"):
+            raise ValueError(
+                f"= {self.text!r} calls {ast.unparse(node)!r}; there are abs() and count()"
+            )
+        argument = node.args[0]
+        if name == "count":
+            if not isinstance(argument, ast.Name):
+                raise ValueError(f"= {self.text!r}: count() takes the name of a message")
+            number = message(argument.id).id
+            self.ids.add(number)
+            return lambda telemetry: telemetry.counts.get(number, 0)
+        part = self._part(argument)
+
+        def size(telemetry: Telemetry) -> Value:
+            value = part(telemetry)
+            return abs(value) if isinstance(value, int | float) else None
+
+        return size
+
+    def _name(self, node: ast.expr) -> Callable[[Telemetry], Value]:
+        """A word, or MESSAGE.field, or MESSAGE.field[3]."""
+        index = 0
+        if isinstance(node, ast.Subscript):
+            if not isinstance(node.slice, ast.Constant) or not isinstance(node.slice.value, int):
+                raise ValueError(f"= {self.text!r}: an index is a number")
+            index, node = node.slice.value, node.value
+        if isinstance(node, ast.Name):
+            return self._word(node.id)
+        if not isinstance(node, ast.Attribute) or not isinstance(node.value, ast.Name):
+            raise ValueError(f"= {self.text!r}: {ast.unparse(node)} is no MESSAGE.field")
+        layout = message(node.value.id)
+        field = layout.fields.get(node.attr)
+        if field is None or field.type == "char" or not 0 <= index < max(field.count, 1):
+            raise ValueError(
+                f"= {self.text!r}: {layout.name} has no number {node.attr}[{index}]; "
+                f"{near(node.attr, layout.fields)}"
+            )
+        self.ids.add(layout.id)
+        name, number = field.name, layout.id
+
+        def read(telemetry: Telemetry) -> Value:
+            frame = telemetry.newest.get(number)
+            return None if frame is None else frame.number(name, index)
+
+        return read
+
+    def _word(self, word: str) -> Callable[[Telemetry], Value]:
+        if word not in WORDS:
+            raise ValueError(f"= {self.text!r}: {word} is unknown; words are {', '.join(WORDS)}")
+        number = known(WORDS[word]).id
+        self.ids.add(number)
+        meaning = {"armed": armed, "mode": mode, "altitude_m": altitude_m}[word]
+
+        def read(telemetry: Telemetry) -> Value:
+            frame = telemetry.newest.get(number)
+            return None if frame is None else meaning(frame)
+
+        return read
+
+
+def _refused(a: Any, b: Any) -> bool:
+    raise AssertionError("refused when parsed")
+
+
+def armed(heartbeat: Frame) -> bool:
+    """Whether the vehicle says that it is armed."""
+    return bool(int(heartbeat.number("base_mode")) & ARMED)
+
+
+def mode(heartbeat: Frame) -> str | int:
+    """PX4's flight mode by name; of other autopilots the number."""
+    number = int(heartbeat.number("custom_mode"))
+    if heartbeat.number("autopilot") != PX4:
+        return number
+    main, sub = number >> 16 & 0xFF, number >> 24 & 0xFF
+    name = PX4_MAIN[main] if main < len(PX4_MAIN) else str(main)
+    if name == "AUTO" and 0 < sub < len(PX4_AUTO):
+        return f"AUTO.{PX4_AUTO[sub]}"
+    return name
+
+
+def altitude_m(position: Frame) -> float:
+    """Height above home in metres."""
+    return position.number("relative_alt") / 1000.0

@@ -1,0 +1,175 @@
+"""The arithmetic of the receiver's least squares, compiled."""
+
+from math import cos, sin, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simvehicle.compiled import compiled
+from simvehicle.gnss.ephemeris import SPEED_OF_LIGHT_MPS
+from simvehicle.gnss.pseudorange import geodetic, sights
+
+Vector = NDArray[np.float64]
+
+ROUNDS_MAX = 12
+CONVERGED_M = 1e-4
+NEAR_M = 10.0  # the geometry hardly changes over such a step
+ZENITH_SIGMA_M = 0.5  # what a pseudorange from the zenith is taken to be wrong by
+SINE_MIN = 0.05
+PIVOT_MIN = 1e-12
+
+# rows of the answer
+STATUS, PLACE, CLOCK, MOTION, DRIFT, SIGMA, GEODETIC, MOTION_NED = 0, 1, 4, 6, 9, 10, 13, 16
+SIZE = 19
+SOLVED, SINGULAR, DIVERGED = 0.0, 1.0, 2.0
+
+
+@compiled
+def inverted(matrix: Vector) -> Vector:
+    """The inverse of a small positive definite matrix by Gauss and Jordan; empty if singular.
+
+    Loops and not slices, here and below: they compile in a fraction of the time.
+    """
+    m = len(matrix)
+    work, out = np.empty((m, m)), np.zeros((m, m))
+    floor = 0.0
+    for j in range(m):
+        out[j, j] = 1.0
+        for i in range(m):
+            work[j, i] = matrix[j, i]
+            floor = max(floor, PIVOT_MIN * abs(matrix[j, i]))
+    for k in range(m):
+        pivot = work[k, k]
+        if not pivot > floor:
+            return np.empty((0, 0))
+        for i in range(m):
+            work[k, i] /= pivot
+            out[k, i] /= pivot
+        for j in range(m):
+            factor = work[j, k]
+            if j != k:
+                for i in range(m):
+                    work[j, i] -= factor * work[k, i]
+                    out[j, i] -= factor * out[k, i]
+    return out
+
+
+@compiled
+def least_squares(
+    design: Vector, residual: Vector, weights: Vector, m: int
+) -> tuple[Vector, Vector]:
+    """The weighted solution (m,) for the first m columns of `design` and its covariance (m, m).
+
+    Both are empty without full rank.
+    """
+    n = len(design)
+    normal, right = np.zeros((m, m)), np.zeros(m)
+    for i in range(n):
+        for a in range(m):
+            weighted = weights[i] * design[i, a]
+            right[a] += weighted * residual[i]
+            for b in range(m):
+                normal[a, b] += weighted * design[i, b]
+    covariance = inverted(normal)
+    step = np.zeros(len(covariance))
+    for a in range(len(covariance)):
+        for b in range(m):
+            step[a] += covariance[a, b] * right[b]
+    return step, covariance
+
+
+@compiled
+def navigate(
+    table: Vector,
+    system: NDArray[np.int64],
+    tow_s: float,
+    code_m: Vector,
+    rate_mps: Vector,
+    coefficients: Vector,
+    troposphere: bool,
+    start: Vector,
+    near: bool,
+) -> Vector:
+    """Position, velocity and clocks of one epoch.
+
+    `table` (n, 20) are the orbits, `system` (n,) the index of each satellite's clock among those of
+    `start` (3 + m,), which holds position and clock offsets [m] to begin with; `near` says that it
+    is within some kilometres, so that elevations are right. The answer (19,) has the rows named
+    above; the rest is as in `receiver.solve`.
+    """
+    n, m = len(table), len(start)
+    out = np.zeros(SIZE)
+    x = np.zeros(m)
+    for a in range(m):
+        x[a] = start[a]
+    weights, residual = np.ones(n), np.zeros(n)
+    design, still = np.zeros((n, m)), np.zeros(3)
+    for _ in range(ROUNDS_MAX):
+        seen = sights(table, tow_s - x[3] / SPEED_OF_LIGHT_MPS, x, still, coefficients, troposphere)
+        for i in range(n):
+            own = 3 + system[i]
+            design[i, 0], design[i, 1], design[i, 2] = -seen[7, i], -seen[8, i], -seen[9, i]
+            design[i, own] = 1.0
+            model = seen[0, i] - SPEED_OF_LIGHT_MPS * seen[2, i] + seen[6, i] + x[own]
+            residual[i] = code_m[i] - model
+            if near:
+                weights[i] = (max(sin(seen[4, i]), SINE_MIN) / ZENITH_SIGMA_M) ** 2
+        step, covariance = least_squares(design, residual, weights, m)
+        if len(step) == 0:
+            out[STATUS] = SINGULAR
+            return out
+        size = 0.0
+        for a in range(m):
+            x[a] += step[a]
+            size = max(size, abs(step[a]))
+        if near and size < NEAR_M:
+            break
+        near = near or size < CONVERGED_M
+    else:
+        out[STATUS] = DIVERGED
+        return out
+    for a in range(m):
+        out[PLACE + a] = x[a]  # and the clocks after it
+    _add_motion(out, seen, rate_mps, design, weights)
+    _add_local(out, covariance)
+    return out
+
+
+@compiled
+def _add_motion(
+    out: Vector, seen: Vector, rate_mps: Vector, design: Vector, weights: Vector
+) -> None:
+    """Velocity and drift from range rates; `design` becomes that of one clock."""
+    residual = np.zeros(len(rate_mps))
+    for i in range(len(rate_mps)):
+        residual[i] = rate_mps[i] - seen[1, i] + SPEED_OF_LIGHT_MPS * seen[3, i]
+        design[i, 3] = 1.0
+    motion, _ = least_squares(design, residual, weights, 4)
+    for a in range(len(motion)):
+        out[MOTION + a] = motion[a]  # and the drift after it
+
+
+@compiled
+def _add_local(out: Vector, covariance: Vector) -> None:
+    """Geodetic coordinates, the velocity in NED and the standard deviations in NED."""
+    lat, lon, height = geodetic(out[PLACE], out[PLACE + 1], out[PLACE + 2])
+    out[GEODETIC], out[GEODETIC + 1], out[GEODETIC + 2] = lat, lon, height
+    axes = axes_en(lat, lon)
+    for a in range(3):
+        variance = 0.0
+        for i in range(3):
+            out[MOTION_NED + a] += axes[i, a] * out[MOTION + i]
+            for j in range(3):
+                variance += axes[i, a] * covariance[i, j] * axes[j, a]
+        out[SIGMA + a] = sqrt(max(variance, 0.0))
+
+
+@compiled
+def axes_en(lat_rad: float, lon_rad: float) -> Vector:
+    """Matrix (3, 3) that takes local NED vectors to Earth-fixed axes."""
+    sp, cp, sl, cl = sin(lat_rad), cos(lat_rad), sin(lon_rad), cos(lon_rad)
+    out = np.empty((3, 3))
+    out[0, 0], out[0, 1], out[0, 2] = -sp * cl, -sl, -cp * cl
+    out[1, 0], out[1, 1], out[1, 2] = -sp * sl, cl, -cp * sl
+    out[2, 0], out[2, 1], out[2, 2] = cp, 0.0, -sp
+    return out

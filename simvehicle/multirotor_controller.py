@@ -1,0 +1,182 @@
+"""A plain autopilot for the multirotor: path following, height, attitude and motor mixing.
+
+It works on the true state, as it is there to fly missions without an autopilot, not to be tested.
+Velocity errors become a wanted acceleration, that a wanted attitude and thrust (Mellinger and
+Kumar, ICRA 2011), and those motor commands by the inverse of the rotors' geometry.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simvehicle.body import Controls, Truth
+from simvehicle.compiled import compiled
+from simvehicle.guidance import Aim, HoldTrack, PathTrack, Track
+from simvehicle.rotation import euler_angles
+from simvehicle.vehicles.multirotor import Multirotor
+from simvehicle.vehicles.multirotor_flight import SEA_LEVEL_KGPM3
+
+Array = NDArray[np.float64]
+_G = 9.80665
+_TRACK_GAIN = 1.0  # 1/s, cross-track error to closing speed
+_SPEED_GAIN = 2.5  # 1/s, velocity error to acceleration
+_INTEGRAL_GAIN = 0.8  # 1/s^2
+_HEIGHT_GAIN = 1.2  # 1/s
+_CLIMB_MPS, _SINK_MPS = 3.0, 2.0
+_LANDING_MPS = 0.7
+_TILT_MPS2 = 0.7 * _G  # largest horizontal acceleration, 35 degrees of tilt
+_YAW_RATE_RPS = 1.0
+_ATTITUDE_GAIN = 8.0  # 1/s
+_RATE_GAIN = 22.0  # 1/s
+_CLOSE_M = 1.0  # from the place to land on
+_TURN_LEAD_S = 0.15
+
+
+@compiled
+def _motors(
+    q: Array, rates: Array, accel: Array, yaw: float, body: Array, allocation: Array, limits: Array
+) -> Array:
+    """Commands (n,) for a wanted acceleration (NED, without gravity) [m/s^2] and heading [rad].
+
+    `body` is mass and jx, jy, jz; `allocation` (n, 4) gives rotor thrusts for thrust and moments;
+    `limits` is the thrust coefficient at this density, idle and full speed [rad/s].
+    """
+    push = np.array([-accel[0], -accel[1], _G - accel[2]])  # down axis of the wanted attitude
+    size = math.sqrt(push[0] ** 2 + push[1] ** 2 + push[2] ** 2)
+    z = push / size
+    y = np.array([-math.sin(yaw), math.cos(yaw), 0.0])
+    x = np.array([y[1] * z[2], -y[0] * z[2], y[0] * z[1] - y[1] * z[0]])
+    x /= math.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
+    y = np.array([z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0]])
+    w, a, b, d = q
+    now = np.array(
+        [
+            [1.0 - 2.0 * (b * b + d * d), 2.0 * (a * b - w * d), 2.0 * (a * d + w * b)],
+            [2.0 * (a * b + w * d), 1.0 - 2.0 * (a * a + d * d), 2.0 * (b * d - w * a)],
+            [2.0 * (a * d - w * b), 2.0 * (b * d + w * a), 1.0 - 2.0 * (a * a + b * b)],
+        ]
+    )
+    # Half the antisymmetric part of now^T wanted: the attitude error in body axes.
+    error = np.zeros(3)
+    for column, wanted in enumerate((x, y, z)):
+        have = now[:, column]
+        error[0] += 0.5 * (have[1] * wanted[2] - have[2] * wanted[1])
+        error[1] += 0.5 * (have[2] * wanted[0] - have[0] * wanted[2])
+        error[2] += 0.5 * (have[0] * wanted[1] - have[1] * wanted[0])
+    turn = np.zeros(3)
+    for axis in range(3):
+        turn[axis] = now[0, axis] * error[0] + now[1, axis] * error[1] + now[2, axis] * error[2]
+    along = max(0.3, now[0, 2] * z[0] + now[1, 2] * z[1] + now[2, 2] * z[2])
+    want = np.empty(4)
+    want[0] = body[0] * size * along
+    for axis in range(3):
+        gain = 1.0 if axis < 2 else 0.3  # the heading is the least urgent
+        rate = gain * _ATTITUDE_GAIN * turn[axis]
+        want[1 + axis] = body[1 + axis] * gain * _RATE_GAIN * (rate - rates[axis])
+    out = np.empty(allocation.shape[0])
+    for i in range(allocation.shape[0]):
+        thrust = 0.0
+        for k in range(4):
+            thrust += allocation[i, k] * want[k]
+        speed = math.sqrt(max(thrust, 0.0) / limits[0])
+        out[i] = min(1.0, max(0.01, (speed - limits[1]) / (limits[2] - limits[1])))
+    return out
+
+
+class MultirotorController:
+    """Flies a track; `track`, `landing` and `yaw_rad` may be changed at any time."""
+
+    rate_hz = 125.0
+    drifts = False  # it holds its speed over ground
+    lateral_mps2 = 3.0
+
+    def __init__(self, vehicle: Multirotor, home_alt_m: float) -> None:
+        self.vehicle = vehicle
+        self.home_alt_m = home_alt_m
+        self.track: Track | None = None
+        self.landing = False
+        self.yaw_rad = math.nan
+        self._heading: float | None = None
+        self._integral = [0.0, 0.0, 0.0]
+        motor, rotors = vehicle.parameters.motor, vehicle.rotors
+        moments = vehicle.parameters.inertia_kgm2
+        self._body = np.array([vehicle.parameters.mass_kg, moments.jx, moments.jy, moments.jz])
+        effect = np.array(
+            [
+                np.ones(len(rotors)),
+                -rotors[:, 1],
+                rotors[:, 0],
+                rotors[:, 2] * motor.torque_per_thrust_m,
+            ]
+        )
+        self._allocation = np.ascontiguousarray(np.linalg.pinv(effect))
+
+    def circle(self, north_m: float, east_m: float, height_m: float, speed_mps: float) -> Track:
+        """A track that waits at a point."""
+        return HoldTrack(north_m, east_m, height_m, speed_mps)
+
+    def update(self, truth: Truth) -> Controls:
+        """Controls for the next control period."""
+        if self.landing and truth.on_ground:
+            self._integral = [0.0, 0.0, 0.0]
+            return Controls(np.zeros(self.vehicle.controls_count))
+        north, east, _ = truth.r_ned_m.tolist()
+        height = truth.alt_msl_m - self.home_alt_m
+        if self.track is None:
+            self.track = self.circle(north, east, height, self.vehicle.parameters.cruise_mps)
+        if isinstance(self.track, PathTrack) and self.track.finished:
+            end = self.track.look(north, east, 0.0)
+            self.track = self.circle(north, east, end.height_m, end.speed_mps)
+        vn, ve, vd = truth.v_ned_mps.tolist()
+        aim = self.track.look(north, east, math.hypot(vn, ve) * _TURN_LEAD_S)
+        accel = self._acceleration(aim, height, (vn, ve, vd))
+        yaw = self._yaw(aim, truth)
+        motor = self.vehicle.parameters.motor
+        thrust = motor.thrust_n_per_rps2 * truth.density_kgpm3 / SEA_LEVEL_KGPM3
+        limits = np.array([thrust, motor.idle_rps, motor.full_rps])
+        values = _motors(
+            truth.q_nb, truth.omega_b_rps, accel, yaw, self._body, self._allocation, limits
+        )
+        return Controls(values)
+
+    def _acceleration(self, aim: Aim, height: float, velocity: tuple[float, float, float]) -> Array:
+        """Wanted acceleration without gravity, NED (3,) [m/s^2]."""
+        c, s = math.cos(aim.course_rad), math.sin(aim.course_rad)
+        closing = max(
+            -aim.speed_mps - 1.0, min(aim.speed_mps + 1.0, _TRACK_GAIN * aim.cross_track_m)
+        )
+        climb = _HEIGHT_GAIN * (aim.height_m - height)
+        if self.landing and math.hypot(aim.cross_track_m, aim.distance_m) < _CLOSE_M:
+            climb = -_LANDING_MPS if height < 5.0 else -_SINK_MPS
+        climb = max(-_SINK_MPS, min(_CLIMB_MPS, climb))
+        wanted = (
+            aim.speed_mps * c + closing * s,
+            aim.speed_mps * s - closing * c,
+            -climb,
+        )
+        bend = aim.curvature_pm * aim.speed_mps**2
+        forward = (-bend * s, bend * c, 0.0)
+        dt = 1.0 / self.rate_hz
+        out = []
+        for axis in range(3):
+            error = wanted[axis] - velocity[axis]
+            if abs(error) < 2.0:  # larger ones are manoeuvres, not disturbances
+                held = self._integral[axis] + _INTEGRAL_GAIN * error * dt
+                self._integral[axis] = max(-5.0, min(5.0, held))
+            out.append(_SPEED_GAIN * error + self._integral[axis] + forward[axis])
+        size = math.hypot(out[0], out[1])
+        scale = min(1.0, _TILT_MPS2 / max(size, 1e-9))
+        return np.array([out[0] * scale, out[1] * scale, max(-6.0, min(6.0, out[2]))])
+
+    def _yaw(self, aim: Aim, truth: Truth) -> float:
+        """Heading to hold: the one asked for, else along the track, turned at a limited rate."""
+        if self._heading is None:
+            self._heading = euler_angles(truth.q_nb)[2]
+        wanted = self.yaw_rad
+        if not math.isfinite(wanted):
+            wanted = aim.course_rad if aim.distance_m > 2.0 else self._heading
+        turn = math.remainder(wanted - self._heading, 2.0 * math.pi)
+        limit = _YAW_RATE_RPS / self.rate_hz
+        self._heading += max(-limit, min(limit, turn))
+        return self._heading

@@ -1,0 +1,46 @@
+"""Voltage and current of the pack, and the charge left as a perfect gauge shows it."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from simvehicle.body import Truth
+from simvehicle.readings import BatteryReading
+from simvehicle.sensors.base import SensorParameters
+from simvehicle.sensors.noise import Noise, NoiseState
+
+
+class BatteryState(NamedTuple):
+    """Noise of voltage and current."""
+
+    voltage: NoiseState
+    current: NoiseState
+
+
+class BatteryMonitor(SensorParameters, frozen=True, kw_only=True):
+    """Measures voltage [V] and current [A]."""
+
+    rate_hz: float = 2.0
+    voltage: Noise = Noise()
+    current: Noise = Noise()
+
+    def new_state(self, rng: np.random.Generator) -> BatteryState:
+        """Draw the constant errors."""
+        rate = self.rate_hz
+        return BatteryState(
+            self.voltage.new_state(rng, 1, rate), self.current.new_state(rng, 1, rate)
+        )
+
+    def sample(
+        self, truth: Truth, state: BatteryState, rng: np.random.Generator
+    ) -> tuple[BatteryReading, BatteryState]:
+        """One reading."""
+        v, voltage = self.voltage.next(state.voltage, rng, self.rate_hz)
+        a, current = self.current.next(state.current, rng, self.rate_hz)
+        reading = BatteryReading(
+            truth.t_us,
+            (1.0 + self.voltage.scale) * truth.battery_v + float(v[0]),
+            (1.0 + self.current.scale) * truth.battery_a + float(a[0]),
+            truth.battery_remaining,
+        )
+        return reading, BatteryState(voltage, current)

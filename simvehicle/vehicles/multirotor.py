@@ -1,0 +1,197 @@
+"""A multirotor to fly in the simulator: any number of upright rotors around the centre of mass.
+
+Controls: one per motor, 0 to 1 between idle and full speed, in the order of the parameter file;
+all zero stops the motors.
+"""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from simvehicle.vehicles.contact_kernel import Gear, gear
+from simvehicle.vehicles.multirotor_flight import SEA_LEVEL_KGPM3, Airframe, fly, pack
+from simvehicle.vehicles.parameter_file import Battery, Moments, read_parameters
+from simvehicle.vehicles.rigidbody_kernel import Inertia, inertia
+
+Array = NDArray[np.float64]
+
+
+class Rotor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Place forward and right of the centre of mass, and direction of turning seen from above."""
+
+    x_m: float
+    y_m: float
+    turns: Literal["ccw", "cw"]
+
+
+class Motor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Motor and propeller, alike for all rotors; rates are of the rotor [rad/s]."""
+
+    thrust_n_per_rps2: float
+    torque_per_thrust_m: float
+    idle_rps: float
+    full_rps: float
+    spin_up_s: float
+    spin_down_s: float
+    drag_ns2pm: float
+
+
+class MultirotorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The whole file."""
+
+    name: str
+    source: str
+    mass_kg: float
+    inertia_kgm2: Moments
+    rotors: list[Rotor]
+    motor: Motor
+    drag_area_m2: float
+    damping_nms: float
+    gear_m: list[tuple[float, float, float]]
+    battery: Battery
+    cruise_mps: float
+
+    def __post_init__(self) -> None:
+        if not 4 <= len(self.rotors) <= 8:
+            raise ValueError(f"{len(self.rotors)} rotors are not supported; 4 to 8 are")
+        if not 0.0 <= self.motor.idle_rps < self.motor.full_rps:
+            raise ValueError("motor.idle_rps must lie between 0 and motor.full_rps")
+
+
+class Multirotor:
+    """Parameters made ready for the compiled flight; changing the plant gives another one."""
+
+    def __init__(self, parameters: MultirotorParameters, plant: Mapping[str, float] = {}) -> None:
+        self.parameters = parameters
+        self.controls_count = len(parameters.rotors)
+        motor, moments = parameters.motor, parameters.inertia_kgm2
+        scale = plant.get("inertia_scale", 1.0)
+        mass = parameters.mass_kg + plant.get("mass_kg_add", 0.0)
+        jx, jy, jz = scale * moments.jx, scale * moments.jy, scale * moments.jz
+        self.body: Inertia = inertia(mass, jx, jy, jz, scale * moments.jxz)
+        self.frame = Airframe(
+            motor.thrust_n_per_rps2,
+            motor.torque_per_thrust_m,
+            motor.idle_rps,
+            motor.full_rps,
+            motor.spin_up_s,
+            motor.spin_down_s,
+            motor.drag_ns2pm,
+            parameters.drag_area_m2,
+            parameters.damping_nms,
+            plant.get("load_shift_x_m", 0.0),
+            plant.get("load_shift_y_m", 0.0),
+        )
+        self.gear: Gear = gear(np.array(parameters.gear_m), parameters.mass_kg, 0.6, 0.6)
+        self.rotors = np.array(
+            [
+                (
+                    rotor.x_m,
+                    rotor.y_m,
+                    1.0 if rotor.turns == "ccw" else -1.0,
+                    plant.get(f"propeller_efficiency[{i}]", 1.0),
+                )
+                for i, rotor in enumerate(parameters.rotors)
+            ]
+        )
+        # A motor's efficiency scales its power into thrust, so its speed by the square root.
+        self._speed_scale = np.sqrt(
+            [max(0.0, plant.get(f"motor_efficiency[{i}]", 1.0)) for i in range(len(self.rotors))]
+        )
+        self._volts = plant.get("battery_voltage_scale", 1.0)
+        self._resistance = plant.get("battery_resistance_scale", 1.0)
+        self._packed = pack(self.body, self.frame, self.gear)
+
+    @classmethod
+    def read(cls, name: str | Path) -> "Multirotor":
+        """Read a shipped set by name (`iris`, `hexa`), or a parameter file."""
+        return cls(read_parameters(name, MultirotorParameters))
+
+    def with_plant(self, plant: Mapping[str, float]) -> "Multirotor":
+        """The same airframe with plant faults."""
+        return Multirotor(self.parameters, plant)
+
+    @property
+    def plant_names(self) -> tuple[str, ...]:
+        """Names of the plant faults that this vehicle knows."""
+        each = range(self.controls_count)
+        return (
+            "mass_kg_add",
+            "inertia_scale",
+            "load_shift_x_m",
+            "load_shift_y_m",
+            "battery_voltage_scale",
+            "battery_resistance_scale",
+            *(f"motor_efficiency[{i}]" for i in each),
+            *(f"propeller_efficiency[{i}]" for i in each),
+        )
+
+    def start(self, r_ned_m: Array, v_b_mps: Array, q_nb: Array) -> Array:
+        """State array (14 + n,) with the motors standing, battery full."""
+        return np.concatenate([r_ned_m, v_b_mps, q_nb, np.zeros(4 + self.controls_count)])
+
+    def cruise(
+        self, r_ned_m: Array, heading_rad: float, wind_ned_mps: Array, speed_mps: float,
+        density: float, gravity: float,
+    ) -> Array:  # fmt: skip
+        """Hover at a place with the motors at hover speed."""
+        half = 0.5 * heading_rad
+        q = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
+        x = self.start(r_ned_m, np.zeros(3), q)
+        each = self.body.mass_kg * gravity / self.controls_count
+        thrust = self.parameters.motor.thrust_n_per_rps2 * density / SEA_LEVEL_KGPM3
+        x[13:-1] = math.sqrt(each / thrust)
+        return x
+
+    def standing_height_m(self) -> float:
+        """Height of the centre of mass above ground when the legs carry it."""
+        return max(point[2] for point in self.parameters.gear_m)
+
+    def advance(
+        self,
+        x: Array,
+        controls: Array,
+        wind_ned_mps: Array,
+        gravity_ned_mps2: Array,
+        density: float,
+        ground_down_m: float,
+        steps: int,
+        dt: float,
+    ) -> tuple[Array, Array]:
+        """Fly `steps` steps of `dt` seconds.
+
+        Returns
+        -------
+        x : array, shape (14 + n,)
+        load : array, shape (6,)
+            Specific force in body axes [m/s^2]; battery voltage [V], current [A], rest (0 to 1).
+        """
+        motor, battery = self.parameters.motor, self.parameters.battery
+        current = float(
+            battery.full_throttle_a * np.mean((x[13:-1] / motor.full_rps) ** 3)
+        )  # shaft power goes with the cube of the speed
+        volts, left = battery.state(float(x[-1]), current * self._resistance)
+        volts *= self._volts
+        sag = min(1.0, volts / (battery.cells * 4.2))
+        u = np.minimum(np.maximum(controls, 0.0), 1.0)
+        wanted = (motor.idle_rps + (motor.full_rps * sag - motor.idle_rps) * u) * (u > 0.0)
+        x, force = fly(
+            x,
+            wanted * self._speed_scale,
+            self.rotors,
+            wind_ned_mps,
+            gravity_ned_mps2,
+            (density, ground_down_m),
+            steps,
+            dt,
+            self._packed,
+            self.gear.points_m,
+        )
+        x[-1] += current * steps * dt
+        fx, fy, fz = force.tolist()
+        return x, np.array([fx, fy, fz, volts, current, left])

@@ -1,0 +1,139 @@
+"""`report` writes a page, numbers and JUnit XML, and its exit code is the verdict."""
+
+import csv
+import json
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from mcap.reader import make_reader
+
+from mavproxy_fault.cli import main
+from mavproxy_fault.wire import tlog
+
+Flight = Callable[..., Path]
+
+
+def report(*arguments: object) -> int:
+    return main(["report", *map(str, arguments)])
+
+
+def test_a_sound_flight_exits_0_and_leaves_three_files(flight: Flight, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert report(flight(), "--out", out) == 0
+    assert sorted(path.name for path in out.iterdir()) == [
+        "junit.xml",
+        "report.html",
+        "summary.json",
+    ]
+
+
+def test_the_summary_holds_what_scripts_rely_on(flight: Flight, tmp_path: Path) -> None:
+    report(flight(), "--out", tmp_path / "out")
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["verdict"] == "PASS"
+    assert summary["sim_s"] == pytest.approx(19.8)
+    for key in ("wall_s", "epochs", "false_alarms", "untestable_epochs", "position_rmse_m"):
+        assert key in summary
+    assert summary["faults"] == []
+    assert summary["signals"]["roll"]["ATTITUDE"]["p99"] == pytest.approx(5.73, abs=0.01)
+
+
+def test_a_failed_flight_exits_1_and_fails_its_junit_case(flight: Flight, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert report(flight(vibration=75.0), "--out", out) == 1
+    suite = ET.parse(out / "junit.xml").getroot()
+    failed = [case.get("name") for case in suite if case.find("failure") is not None]
+    assert failed == ["vibration"]
+    assert suite.get("failures") == "1"
+
+
+def test_criteria_move_the_limits(flight: Flight, tmp_path: Path) -> None:
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("vibration_ardupilot_mps2: [80, 90]\n")
+    path = flight(vibration=75.0)
+    assert report(path, "--criteria", limits, "--out", tmp_path / "out") == 0
+
+
+def test_a_log_that_cannot_be_read_exits_2_and_the_others_are_reported(
+    flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    foreign = tmp_path / "foreign.tlog"
+    foreign.write_bytes(b"hello " * 1000)
+    out = tmp_path / "out"
+    assert report(flight(), foreign, tmp_path / "none.tlog", "--out", out) == 2
+    assert (out / "flight" / "report.html").is_file()
+    said = capsys.readouterr().err
+    assert "foreign.tlog: 6000 bytes without MAVLink frames" in said
+    assert "none.tlog: there is no such file" in said
+
+
+def test_a_damaged_log_is_reported_and_says_how_much_is_missing(
+    flight: Flight, tmp_path: Path
+) -> None:
+    path = flight()
+    data = bytearray(path.read_bytes())
+    data[1000:1600] = bytes(600)
+    path.write_bytes(data)
+    report(path, "--out", tmp_path / "out")
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["junk_bytes"] >= 550
+    check = next(check for check in summary["checks"] if check["name"] == "log is whole")
+    assert check["verdict"] == "WARN"
+
+
+def test_against_lays_curves_over_each_other_and_lists_differing_parameters(
+    flight: Flight, tmp_path: Path
+) -> None:
+    one, other = flight("one"), flight("other", seconds=5, vibration=20.0)
+    report(one, "--against", other, "--out", tmp_path / "out")
+    text = (tmp_path / "out" / "report.html").read_text()
+    assert "Checks side by side" in text
+    assert "z \\u00b7 other" in text
+    assert "<td>WPNAV_SPEED</td>" in text
+
+
+def test_figures_are_written_as_png_and_svg(flight: Flight, tmp_path: Path) -> None:
+    report(flight(seconds=5), "--figures", "--out", tmp_path / "out")
+    names = {path.name for path in (tmp_path / "out" / "figures").iterdir()}
+    assert {"roll.png", "roll.svg", "map.png", "map.svg"} <= names
+
+
+def test_csv_parquet_and_mcap_hold_the_same_rows(flight: Flight, tmp_path: Path) -> None:
+    path = flight()
+    rows = tlog.read_columns(path)["ATTITUDE"]
+    for form in ("csv", "parquet", "mcap"):
+        report(path, "--export", form, "--out", tmp_path / form)
+    with (tmp_path / "csv" / "export" / "ATTITUDE.csv").open() as file:
+        read = list(csv.DictReader(file))
+    assert [int(row["time_boot_ms"]) for row in read] == rows["time_boot_ms"].tolist()
+    table = pq.read_table(tmp_path / "parquet" / "export" / "ATTITUDE.parquet")
+    assert table["roll"].to_pylist() == rows["roll"].tolist()
+    with (tmp_path / "mcap" / "export" / "flight.mcap").open("rb") as file:
+        messages = [
+            (message.log_time, json.loads(message.data))
+            for _, _, message in make_reader(file).iter_messages(topics=["/ATTITUDE"])
+        ]
+    assert [stamp for stamp, _ in messages] == (rows["t_us"] * 1000).tolist()
+    assert [values["yaw"] for _, values in messages] == rows["yaw"].tolist()
+
+
+def test_a_run_folder_is_reported_with_its_labels_and_results(
+    flight: Flight, tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    flight().rename(folder / "received.tlog")
+    (folder / "labels.jsonl").write_text(
+        '{"id":"a","fault":"bias","t0_us":1000000,"start_us":2000000,"end_us":3000000}\n'
+    )
+    (folder / "results.jsonl").write_text(
+        '{"type":"SensorDecision","t_s":1.5,"t_us":2500000,"sensor":"baro","statistic":9.0,'
+        '"threshold":3.0,"dof":1,"alarm":true}\n{"type":"SensorDec'
+    )
+    report(folder, "--out", tmp_path / "out")
+    text = (tmp_path / "out" / "report.html").read_text()
+    assert '"lane": "injected: a"' in text
+    assert '"lane": "detected: baro"' in text

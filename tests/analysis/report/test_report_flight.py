@@ -1,0 +1,181 @@
+"""Checks find what is wrong with a flight, and nothing in a sound one."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.report.checks import Limits, held, level
+from analysis.report.outcome import Outcome, judged
+from analysis.report.recording import Recording, Signal
+from analysis.report.sources import group, read_flight
+from analysis.report.thresholds import Thresholds, read_thresholds
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.wire.label import Label
+
+Flight = Callable[..., Path]
+
+
+def outcome(path: Path, *labels: Label) -> Outcome:
+    return judged(read_flight([path], labels), Thresholds())
+
+
+def verdicts(found: Outcome) -> dict[str, str]:
+    return {check.name: check.verdict for check in found.checks}
+
+
+def signal(values: list[float], step_s: float = 0.1) -> Signal:
+    return Signal("vibration", "x", np.arange(len(values)) * step_s, np.array(values, float))
+
+
+def test_a_sound_flight_passes(flight: Flight) -> None:
+    found = outcome(flight())
+    assert found.verdict == "PASS"
+    assert set(verdicts(found).values()) == {"PASS", "not judged"}
+
+
+def test_what_has_no_data_is_not_judged(flight: Flight) -> None:
+    found = verdicts(outcome(flight()))
+    assert found["innovation test ratios"] == "not judged"
+    assert found["position against the truth"] == "not judged"
+
+
+def test_vibration_beyond_the_limit_fails_with_its_peak_as_evidence(flight: Flight) -> None:
+    found = outcome(flight(vibration=75.0))
+    check = next(check for check in found.checks if check.name == "vibration")
+    assert check.verdict == "FAIL"
+    assert "peak 75 m/s²" in check.evidence
+    assert found.verdict == "FAIL"
+
+
+def test_a_gps_jump_is_found_without_a_label(flight: Flight) -> None:
+    found = outcome(flight(jump_at_s=10.0))
+    check = next(check for check in found.checks if check.name == "GPS jumps")
+    assert check.verdict == "FAIL"
+    assert check.windows[0][0] == pytest.approx(10.0, abs=0.05)
+    assert any(span.lane == "found: GPS jumps" for span in found.flight.recording.spans)
+
+
+def test_an_ekf_variance_between_the_limits_warns(flight: Flight) -> None:
+    assert verdicts(outcome(flight(variance=0.6)))["EKF variances"] == "WARN"
+    assert verdicts(outcome(flight(variance=0.9)))["EKF variances"] == "FAIL"
+
+
+def test_a_failsafe_text_fails_and_a_harmless_one_does_not(flight: Flight) -> None:
+    bad = outcome(flight("bad", texts=((8, 2, b"Battery Failsafe - RTL"),)))
+    assert verdicts(bad)["messages of the autopilot"] == "FAIL"
+    good = outcome(flight("good", texts=((8, 6, b"Reached command #3"),)))
+    assert verdicts(good)["messages of the autopilot"] == "PASS"
+
+
+def test_frames_missing_by_sequence_numbers_are_counted(flight: Flight) -> None:
+    found = outcome(flight(seconds=30, lost=3))
+    link = found.flight.recording.links[0]
+    assert link.lost == pytest.approx(3 * 150, abs=3)
+    assert verdicts(found)["link from 1/1"] == "FAIL"
+
+
+def test_an_alarm_during_an_injected_fault_is_what_it_should_be(flight: Flight) -> None:
+    label = Label(
+        id="jump", fault="bias", targets=("GPS_RAW_INT.lat",), t0_us=1_000_000,
+        start_us=10_900_000, end_us=21_000_000,
+    )  # fmt: skip
+    found = outcome(flight(jump_at_s=10.0), label)
+    assert verdicts(found)["GPS jumps"] == "PASS"
+    assert verdicts(found)["estimate steps"] == "FAIL"
+    row = found.summary["faults"][0]
+    assert row["detected"]
+    assert row["reaction"][0]["text"] == "position estimate moves 200 m at once"
+
+
+def test_modes_arming_and_changed_parameters_are_events_of_the_recording(flight: Flight) -> None:
+    recording = outcome(flight()).flight.recording
+    texts = [(event.t_s, event.text) for event in recording.events if event.kind == "mode"]
+    assert texts == [(2.0, "armed"), (5.0, "mode AUTO")]
+    assert recording.parameters["WPNAV_SPEED"] == [(0.0, 500.0), (6.0, 300.0)]
+
+
+def test_a_value_counts_only_when_it_stays_beyond_the_limit() -> None:
+    brief = signal([0.0] * 50 + [9.0] * 5 + [0.0] * 50)
+    long = signal([0.0] * 50 + [9.0] * 15 + [0.0] * 50)
+    limits = Limits(1.0, 5.0, hold_s=1.0)
+    assert level("x", [brief], limits, None).verdict == "PASS"
+    check = level("x", [long], limits, None)
+    assert check.verdict == "FAIL"
+    assert check.windows == ((pytest.approx(5.0), pytest.approx(6.5)),)
+
+
+def test_only_what_was_flown_armed_is_judged() -> None:
+    values = signal([9.0] * 50 + [0.0] * 50)
+    limits = Limits(1.0, 5.0)
+    assert level("x", [values], limits, [(6.0, 9.0)]).verdict == "PASS"
+    assert level("x", [values], limits, []).verdict == "not judged"
+
+
+def test_a_gap_in_the_data_does_not_join_two_excursions() -> None:
+    t_s = np.array([0.0, 0.4, 100.0, 100.4])
+    assert held(t_s, np.ones(4, bool), 1.0) == []
+
+
+def test_thresholds_come_from_a_file_and_unknown_ones_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "limits.yaml"
+    path.write_text("gps_step_m: [1, 2]\n")
+    assert read_thresholds(str(path)).gps_step_m == (1.0, 2.0)
+    path.write_text("gps_stepm: [1, 2]\n")
+    with pytest.raises(ConfigError, match="gps_step_m"):
+        read_thresholds(str(path))
+
+
+def test_overlapping_tlogs_are_one_flight_and_others_are_not(
+    flight: Flight, tmp_path: Path
+) -> None:
+    one, two = flight("one"), flight("two", 10)
+    later = tmp_path / "later.tlog"
+    data = one.read_bytes()
+    later.write_bytes(data)
+    assert group([one, two]) == [[one, two]]
+    ulog = tmp_path / "a.ulg"
+    ulog.write_bytes(b"ULog\x01\x12\x35" + bytes(50))
+    assert group([one, ulog]) == [[one], [ulog]]
+
+
+def test_two_vehicles_keep_their_curves_apart(tmp_path: Path, flight: Flight) -> None:
+    first, second = flight("a"), flight("b", system=7)
+    both = tmp_path / "both.tlog"
+    both.write_bytes(first.read_bytes() + second.read_bytes())
+    recording = outcome(both).flight.recording
+    names = {signal.name for signal in recording.of("roll")}
+    assert names == {"ATTITUDE (system 1)", "ATTITUDE (system 7)"}
+
+
+@pytest.mark.parametrize("content", [b"", b"not a log at all " * 500, bytes(5000)])
+def test_a_foreign_or_empty_file_is_the_users_error(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.tlog"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match=r"x\.tlog"):
+        read_flight([path], ())
+
+
+def test_a_recording_without_anything_has_no_verdict() -> None:
+    from analysis.report.sources import Flight as Source
+
+    found = judged(Source(Recording("nothing"), (Path("x"),)), Thresholds())
+    assert found.verdict == "NO VERDICT"
+
+
+def test_px4s_glitch_flag_and_the_accepted_jump_show_in_the_real_log(shared_data: Path) -> None:
+    folder = shared_data / "px4_hil"
+    label = Label(
+        id="gps-jump", fault="bias", targets=("HIL_GPS.lat",), t0_us=1_000_000,
+        start_us=41_000_000, end_us=56_000_000, frames=75,
+    )  # fmt: skip
+    paths = [folder / "hover_gps_jump_hil.tlog", folder / "hover_gps_jump_gcs.tlog"]
+    assert group(paths) == [paths]
+    found = judged(read_flight(paths, [label]), Thresholds())
+    said = found.summary["faults"][0]["reaction"]
+    assert said[0]["text"] == "estimator: GPS glitch raised"
+    assert said[0]["after_s"] == pytest.approx(0.18, abs=0.01)
+    assert said[1]["text"] == "position estimate moves 200 m at once"
+    assert said[1]["after_s"] == pytest.approx(7.15, abs=0.05)
+    assert said[2]["text"] == "estimator: GPS glitch cleared"

@@ -1,0 +1,101 @@
+"""ULog and dataflash logs give the same kinds of curves as tlogs do."""
+
+import struct
+from pathlib import Path
+
+import pytest
+
+from analysis.report.from_dataflash import recording_of_dataflash
+from analysis.report.outcome import judged
+from analysis.report.sources import read_flight
+from analysis.report.thresholds import Thresholds
+from analysis.ulog import read_ulog
+from mavproxy_fault.errors import ConfigError
+
+HEAD = b"\xa3\x95"
+FORMATS = {  # name: (type, struct code, dataflash code, columns)
+    "FMT": (128, "BB4s16s64s", "BBnNZ", "Type,Length,Name,Format,Columns"),
+    "ATT": (10, "Qfff", "Qfff", "TimeUS,Roll,Pitch,Yaw"),
+    "GPS": (11, "QBBfiiff", "QBBfLLff", "TimeUS,Status,NSats,HDop,Lat,Lng,Alt,Spd"),
+    "MODE": (12, "QBBB", "QMBB", "TimeUS,Mode,ModeNum,Rsn"),
+    "EV": (13, "QB", "QB", "TimeUS,Id"),
+    "MSG": (14, "Q64s", "QZ", "TimeUS,Message"),
+    "PARM": (15, "Q16sf", "QNf", "TimeUS,Name,Value"),
+    "VIBE": (16, "QfffI", "QfffI", "TimeUS,VibeX,VibeY,VibeZ,Clip"),
+    "MAG": (17, "Qhhh", "Qhhh", "TimeUS,MagX,MagY,MagZ"),
+}
+
+
+def row(name: str, *values: object) -> bytes:
+    number, code, _, _ = FORMATS[name]
+    return HEAD + bytes((number,)) + struct.pack("<" + code, *values)
+
+
+def dataflash(path: Path) -> Path:
+    """Ten seconds of a copter that vibrates, armed from 1 s."""
+    data = bytearray()
+    for name, (number, code, form, columns) in FORMATS.items():
+        length = 3 + struct.calcsize("<" + code)
+        data += row("FMT", number, length, name.encode(), form.encode(), columns.encode())
+    data += row("MSG", 1_000_000, b"ArduCopter V4.5")
+    data += row("PARM", 1_000_000, b"INS_GYRO_FILTER", 20.0)
+    data += row("MODE", 1_100_000, 5, 5, 1)
+    data += row("EV", 2_000_000, 10)
+    for tick in range(100):
+        t_us = 1_000_000 + tick * 100_000
+        data += row("ATT", t_us, 1.0, 2.0, 90.0)
+        data += row("GPS", t_us, 3, 12, 0.8, 470_000_000 + tick, 80_000_000, 500.0, 0.1)
+        data += row("VIBE", t_us, 5.0, 5.0, 70.0, 0)
+        data += row("MAG", t_us, 300, 0, 400)
+    path.write_bytes(bytes(data))
+    return path
+
+
+def test_a_dataflash_log_has_curves_modes_texts_and_parameters(tmp_path: Path) -> None:
+    found = recording_of_dataflash(dataflash(tmp_path / "a.bin"), "a")
+    assert found.of("yaw")[0].value[:2].tolist() == [90.0, 90.0]
+    assert found.of("mag")[0].value[0] == pytest.approx(0.5)
+    assert found.tracks[0].lat_deg[0] == pytest.approx(47.0)
+    lanes = {(span.lane, span.text) for span in found.spans}
+    assert lanes == {("mode", "LOITER"), ("armed", "armed")}
+    assert found.parameters["INS_GYRO_FILTER"][0][1] == 20.0
+    assert "ArduCopter V4.5" in [event.text for event in found.events]
+
+
+def test_a_dataflash_log_is_judged_like_any_other(tmp_path: Path) -> None:
+    flight = read_flight([dataflash(tmp_path / "a.bin")], ())
+    checks = {check.name: check.verdict for check in judged(flight, Thresholds()).checks}
+    assert checks["vibration"] == "FAIL"
+    assert checks["GPS satellites"] == "PASS"
+
+
+def test_a_dataflash_log_without_messages_is_the_users_error(tmp_path: Path) -> None:
+    path = tmp_path / "a.bin"
+    path.write_bytes(HEAD + bytes(400))
+    with pytest.raises(ConfigError, match=r"a\.bin"):
+        read_flight([path], ())
+
+
+def test_the_real_ulog_shows_its_interference(shared_data: Path) -> None:
+    found = judged(read_flight([shared_data / "ulog" / "gps_interference.ulg"], ()), Thresholds())
+    checks = {check.name: check.verdict for check in found.checks}
+    assert checks["GPS jamming indicator"] == "WARN"
+    assert checks["GPS fix"] == "WARN"
+    recording = found.flight.recording
+    assert recording.duration_s == pytest.approx(62, abs=1)
+    assert len(recording.of("accel")[0].value) == 12_321
+    assert "[commander] Takeoff detected" in [event.text for event in recording.events]
+
+
+def test_a_cut_ulog_gives_what_it_still_holds(tmp_path: Path, shared_data: Path) -> None:
+    whole = (shared_data / "ulog" / "gps_interference.ulg").read_bytes()
+    path = tmp_path / "cut.ulg"
+    path.write_bytes(whole[: len(whole) // 2])
+    assert 0 < len(read_ulog(path).topics["vehicle_attitude", 0]["timestamp"]) < 1247
+
+
+def test_bytes_that_only_begin_like_a_ulog_are_the_users_error(tmp_path: Path) -> None:
+    path = tmp_path / "a.ulg"
+    path.write_bytes(b"ULog\x01\x12\x35" + bytes(3))
+    with pytest.raises(ConfigError, match=r"a\.ulg"):
+        read_flight([path], ())

@@ -1,0 +1,157 @@
+"""The batched kernels: the simulator's truth, the estimators' arithmetic, the proxy's faults."""
+
+import math
+
+import numpy as np
+import pytest
+
+from analysis.estimators import make
+from analysis.search import rows
+from analysis.search.batch import Batch, start_memory
+from analysis.search.space import flights_of
+from analysis.search.testfile import FaultRange, Initial, Mission, OpenLoop, Sensors, TestFile, Wind
+from analysis.search.traced import estimated, traced
+from simvehicle.rotation import euler_from_quat
+
+QUIET = Sensors(
+    gyro_sigma_dps=0.0,
+    accel_sigma_mps2=0.0,
+    field_sigma_gauss=0.0,
+    velocity_sigma_mps=0.0,
+    pressure_sigma_pa=0.0,
+)
+WEAVE = Mission(roll_deg=35.0, period_s=12.0)
+
+
+def test_of(**changes):
+    return TestFile(**({"duration_s": 10.0, "noise_draws": 1} | changes))
+
+
+test_of.__test__ = False
+
+
+def flown(test, number=0):
+    """One flight of a test without ranges."""
+    batch = Batch(test)
+    column = flights_of(test, batch.space.values(np.zeros((1, batch.space.dimension))))
+    memory = start_memory(test.estimator, column)[0]
+    return traced(batch.plan, column[:, 0], memory, test.seed, number)
+
+
+def test_the_truth_is_the_simulators_own():
+    test = test_of(
+        initial=Initial(roll_deg=20.0, p_dps=10.0),
+        controls=OpenLoop(aileron_deg=0.5),
+        wind=Wind(north_mps=4.0, east_mps=-2.0),
+    )
+    flight = flown(test)
+    vehicle, fixed = Batch(test).vehicle, Batch(test).space.fixed
+    surfaces = np.radians([fixed["controls.elevator_deg"], 0.5, 0.0]) / vehicle.throw_rad
+    after, _ = vehicle.advance(
+        np.append(flight.state[0], 0.0),
+        np.append(surfaces, fixed["controls.throttle"]),
+        np.array([4.0, -2.0, 0.0]),
+        np.array([0.0, 0.0, 9.80665]),
+        1.225,
+        0.0,
+        1000,
+        0.01,
+    )
+    assert flight.state[1000] == pytest.approx(after[:13], rel=1e-10, abs=1e-9)
+
+
+def test_sensors_without_noise_show_the_truth():
+    flight = flown(test_of(sensors=QUIET, mission=WEAVE, estimator="ekf"))
+    k = 740  # a sample of the field, of GPS and of airspeed
+    assert flight.measured[k, 0:3] == pytest.approx(flight.state[k, 10:13])
+    speed = np.linalg.norm(flight.measured[k, 9:12])
+    assert speed == pytest.approx(np.linalg.norm(flight.state[k, 3:6]))
+    assert flight.measured[k, 12] == pytest.approx(0.5 * 1.225 * speed**2)
+    assert np.linalg.norm(flight.measured[k, 6:9]) == pytest.approx(0.48)
+
+
+def test_specific_force_without_noise_integrates_to_the_velocity():
+    flight = flown(test_of(sensors=QUIET, mission=WEAVE))
+    assert flight.estimate[-1, 3:6] == pytest.approx(flight.state[-1, 3:6], abs=0.01)
+    assert flight.estimate[-1, 6:9] == pytest.approx(flight.state[-1, 0:3], abs=0.1)
+
+
+@pytest.mark.parametrize("name", ["inverse-model", "mahony", "complementary", "ekf"])
+def test_an_estimator_in_the_kernel_is_the_one_in_python(name):
+    flight = flown(test_of(estimator=name, mission=WEAVE))
+    again = estimated(flight, make(name))
+    assert np.abs(flight.q_estimate - again).max() < 1e-9
+
+
+def test_scores_are_those_of_the_trace():
+    test = test_of(mission=WEAVE, criterion="angle")
+    batch = Batch(test)
+    outcome = batch.evaluate(np.zeros((1, 0)), seed=1, first=0)
+    error = np.degrees(flown(test).errors_rad())
+    assert outcome.rmse_deg[0] == pytest.approx(np.sqrt((error**2).mean(axis=0)), rel=1e-6)
+    assert outcome.largest_deg[0] == pytest.approx(np.abs(error).max(axis=0), rel=1e-6)
+    assert outcome.fitness[0] == outcome.rmse_deg[0, 3]
+
+
+def test_noise_belongs_to_the_evaluation_not_to_its_neighbours():
+    test = test_of(initial=Initial(roll_deg=(-20.0, 20.0)), noise_draws=3)
+    points = np.linspace(0.1, 0.9, 40)[:, None]
+    together = Batch(test).evaluate(points, seed=5, first=100).fitness
+    alone = [
+        Batch(test).evaluate(points[i : i + 1], 5, 100 + i).fitness[0] for i in range(0, 40, 5)
+    ]
+    assert together[::5].tolist() == alone
+
+
+def test_noise_has_the_sigma_it_was_given():
+    flight = flown(test_of(duration_s=60.0))
+    noise = flight.measured[:, 0:3] - flight.state[:, 10:13]
+    n = noise.size
+    ratio = noise.var() / math.radians(0.13) ** 2
+    assert abs(ratio - 1.0) < 4.0 * math.sqrt(2.0 / n)
+    assert abs(noise.mean()) < 4.0 * math.radians(0.13) / math.sqrt(n)
+
+
+@pytest.mark.parametrize(
+    ("fault", "value", "expected"),
+    [
+        ("bias", 0.2, lambda x, t: x + 0.2),
+        ("drift", 0.1, lambda x, t: x + 0.1 * t),
+        ("scale", 3.0, lambda x, t: 3.0 * x),
+        ("constant", 0.3, lambda x, t: 0.3 + 0.0 * x),
+        ("freeze", 0.0, lambda x, t: x[0] + 0.0 * x),
+    ],
+)
+def test_a_fault_acts_in_its_time_only(fault, value, expected):
+    broken = FaultRange(fault=fault, target="HIL_SENSOR.ygyro", value=value, at_s=2.0, for_s=3.0)
+    healthy = flown(test_of(mission=WEAVE)).measured
+    faulty = flown(test_of(mission=WEAVE, faults=[broken])).measured
+    times = np.arange(200, 500) * 0.01 - 2.0
+    assert faulty[200:500, 1] == pytest.approx(expected(healthy[200:500, 1], times))
+    assert (faulty[:200] == healthy[:200]).all()
+    assert (faulty[500:] == healthy[500:]).all()
+    assert (faulty[:, [0, 2, 3, 4, 5]] == healthy[:, [0, 2, 3, 4, 5]]).all()
+
+
+def test_a_fault_on_a_slow_sensor_is_not_applied_twice_to_one_sample():
+    broken = FaultRange(fault="scale", target="HIL_GPS.vn", value=2.0)
+    test = test_of(estimator="ekf", sensors=QUIET, faults=[broken])
+    measured = flown(test).measured[:, 9]
+    assert measured == pytest.approx(np.full(len(measured), measured[0]), rel=1e-3)
+
+
+def test_a_flight_that_leaves_the_envelope_scores_by_how_long_it_lasted():
+    test = test_of(controls=OpenLoop(elevator_deg=(-25.0, -4.0)), duration_s=20.0)
+    outcome = Batch(test).evaluate(np.array([[0.0], [0.5], [1.0]]), 1, 0)
+    assert (outcome.left[:2] > 0).all()
+    assert outcome.fitness[:2] == pytest.approx(outcome.lasted_s[:2] / 20.0 - 1.0, abs=1e-3)
+    assert outcome.fitness[0] < outcome.fitness[1] < 0.0
+    assert rows.LIMITS[outcome.left[0]] in ("alpha", "load", "pitch", "rate")
+
+
+def test_a_mission_rolls_from_side_to_side():
+    flight = flown(test_of(mission=WEAVE, sensors=QUIET, duration_s=24.0))
+    roll = np.degrees(euler_from_quat(flight.state[:, 6:10])[:, 0])
+    assert roll.max() == pytest.approx(35.0, abs=6.0)
+    assert roll.min() == pytest.approx(-35.0, abs=6.0)
+    assert flight.alive.all()

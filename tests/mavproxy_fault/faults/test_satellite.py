@@ -1,0 +1,167 @@
+import pytest
+
+from mavproxy_fault.engine import Engine
+from mavproxy_fault.faults.base import Outgoing
+from mavproxy_fault.faults.satellite import HOLD_US
+from mavproxy_fault.schedule import parse_schedule
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.msm7 import Msm7, decode_msm7, encode_msm7
+from mavproxy_fault.wire.plant import plant_change
+from mavproxy_fault.wire.rtcm import Reassembler, tunnel_frames, tunnel_payload
+
+NAMES = tuple(f"G{n:02d}" for n in range(2, 22, 2))
+TUNNEL = known("TUNNEL")
+
+
+def message(tow_s: float) -> bytes:
+    many = len(NAMES)
+    return encode_msm7(
+        Msm7(
+            system="G",
+            tow_s=tow_s,
+            satellites=NAMES,
+            pseudorange_m=tuple(2.1e7 + 1e5 * i for i in range(many)),
+            phase_m=tuple(2.1e7 + 1e5 * i for i in range(many)),
+            doppler_mps=(100.0,) * many,
+            cn0_dbhz=(45.0,) * many,
+            lock_s=(10.0,) * many,
+        )
+    )
+
+
+def fragments(epoch: int) -> list[Frame]:
+    made = tunnel_frames(message(100.0 + epoch), epoch, seq=4 * epoch)
+    assert len(made) > 1
+    return [Frame(raw, TUNNEL) for raw in made]
+
+
+def engine(*faults: dict[str, object]) -> Engine:
+    it = Engine(parse_schedule({"seed": 2, "faults": list(faults)}))
+    it.start_at(0)
+    return it
+
+
+def pushed(it: Engine, epochs: int) -> list[Outgoing]:
+    return [
+        out
+        for epoch in range(epochs)
+        for frame in fragments(epoch)
+        for out in it.apply(frame, "to-vehicle", (epoch + 1) * 1_000_000)
+    ]
+
+
+def read(outs: list[Outgoing]) -> list[dict[str, float]]:
+    """Metres off per satellite, one dictionary per message; lost ones are missing."""
+    together = Reassembler()
+    healthy = decode_msm7(message(0))
+    ranges = dict(zip(healthy.satellites, healthy.pseudorange_m, strict=True))
+    found = []
+    for out in outs:
+        assert isinstance(out.frame, Frame)
+        payload = tunnel_payload(out.frame)
+        assert payload is not None
+        for whole in together.add(payload):
+            data = decode_msm7(whole)
+            rows = zip(data.satellites, data.pseudorange_m, strict=True)
+            found.append({name: metres - ranges[name] for name, metres in rows})
+    return found
+
+
+def test_a_step_acts_on_its_satellite_alone() -> None:
+    outs = pushed(engine({"fault": "bias", "target": "PSEUDORANGE.G12", "value": 50}), 3)
+    for off in read(outs):
+        assert off.pop("G12") == pytest.approx(50, abs=1e-3)
+        assert set(off.values()) == {0.0}
+        assert len(off) == len(NAMES) - 1
+
+
+def test_a_ramp_grows_with_the_vehicle_s_time() -> None:
+    outs = pushed(engine({"fault": "drift", "target": "PSEUDORANGE.G12", "value": 2}), 4)
+    assert [off["G12"] for off in read(outs)] == pytest.approx([2, 4, 6, 8], abs=1e-3)
+
+
+def test_a_lost_satellite_is_missing_and_the_others_stay() -> None:
+    outs = pushed(engine({"fault": "drop", "target": ["PSEUDORANGE.G02", "PSEUDORANGE.G04"]}), 2)
+    assert [sorted(off) for off in read(outs)] == [sorted(NAMES[2:])] * 2
+
+
+def test_a_cycle_passes_from_one_satellite_to_the_next() -> None:
+    it = engine(
+        {
+            "fault": "cycle",
+            "target": ["PSEUDORANGE.G06", "PSEUDORANGE.G08"],
+            "value": 30,
+            "period_s": 2,
+        }
+    )
+    faulty = [[n for n, off in row.items() if off > 1] for row in read(pushed(it, 5))]
+    assert faulty == [["G06"], ["G08"], ["G08"], ["G06"], ["G06"]]
+
+
+def test_two_faults_on_two_satellites_act_together() -> None:
+    it = engine(
+        {"fault": "bias", "target": "PSEUDORANGE.G06", "value": 20},
+        {"fault": "bias", "target": "PSEUDORANGE.G08", "value": -20},
+    )
+    (off,) = read(pushed(it, 1))
+    assert (off["G06"], off["G08"]) == (pytest.approx(20, abs=1e-3), pytest.approx(-20, abs=1e-3))
+
+
+def test_a_satellite_that_is_not_there_leaves_every_byte() -> None:
+    outs = pushed(engine({"fault": "bias", "target": "PSEUDORANGE.E05", "value": 50}), 2)
+    sent = [frame.raw for epoch in range(2) for frame in fragments(epoch)]
+    assert [out.frame.raw for out in outs if isinstance(out.frame, Frame)] == sent
+
+
+def test_fragments_keep_their_headers() -> None:
+    outs = pushed(engine({"fault": "bias", "target": "PSEUDORANGE.G12", "value": 50}), 1)
+    for before, out in zip(fragments(0), outs, strict=True):
+        assert isinstance(out.frame, Frame)
+        assert (out.frame.seq, out.frame.system, out.frame.component) == (before.seq, 1, 51)
+
+
+def test_a_message_broken_off_leaves_when_its_time_is_over() -> None:
+    it = engine({"fault": "bias", "target": "PSEUDORANGE.G12", "value": 50})
+    first = fragments(0)[0]
+    assert it.apply(first, "to-vehicle", 1_000_000) == []
+    assert it.held_until_us == 1_000_000 + HOLD_US
+    assert it.due(1_000_000 + HOLD_US - 1) == []
+    (out,) = it.due(1_000_000 + HOLD_US)
+    assert out.frame is first
+    assert it.held_until_us is None
+
+
+def test_a_fault_that_ends_lets_go_of_what_it_kept() -> None:
+    it = engine({"fault": "bias", "target": "PSEUDORANGE.G12", "value": 50, "for_s": 1.1})
+    first = fragments(0)[0]
+    it.apply(first, "to-vehicle", 1_000_000)
+    assert [out.frame for out in it.due(1_100_000)] == [first]
+
+
+def test_other_tunnels_pass() -> None:
+    it = engine({"fault": "bias", "target": "PSEUDORANGE.G12", "value": 50})
+    raw = bytearray(fragments(0)[0].payload)
+    raw[0] ^= 1  # another payload type
+    other = fragments(0)[0].with_payload(bytes(raw))
+    (out,) = it.apply(other, "to-vehicle", 1)
+    assert out.frame is other
+
+
+def test_by_the_control_path_the_simulated_receiver_carries_it_out() -> None:
+    from mavproxy_fault.wire.frame import build
+
+    it = engine(
+        {"fault": "drift", "target": "PSEUDORANGE.G12", "value": 2, "via": "simulator", "for_s": 1}
+    )
+    layout = known("HIL_SENSOR")
+    told = []
+    for t_us in range(0, 1_200_000, 100_000):
+        frame = Frame(build(layout, {"time_usec": t_us}, component=51), layout)
+        outs = it.apply(frame, "to-vehicle", t_us)
+        assert frame in [out.frame for out in outs]
+        told += [plant_change(o.frame) for o in outs if o.back and isinstance(o.frame, Frame)]
+    values = [change.value for change in told if change is not None]
+    assert {change.name for change in told if change is not None} == {"pseudorange_m[G12]"}
+    assert values[:-1] == pytest.approx([0.2 * i for i in range(10)])
+    assert values[-1] is None

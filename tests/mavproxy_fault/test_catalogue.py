@@ -1,0 +1,84 @@
+import json
+from pathlib import Path
+
+import jsonschema
+import pytest
+import yaml
+
+from mavproxy_fault.catalogue import listing, schema
+from mavproxy_fault.cli import main
+from mavproxy_fault.faults.registry import known_faults
+from mavproxy_fault.presets import preset_names
+
+SCHEDULE = """\
+seed: 1
+faults:
+  - {id: step, fault: bias, target: HIL_SENSOR.xgyro, value: 0.1, at_s: 3, for_s: 2}
+  - {id: sat, preset: satellite-ramp, after: step}
+  - {id: lost, fault: drop, value: 0.2, when: armed}
+"""
+
+
+@pytest.fixture
+def schedule(tmp_path: Path) -> Path:
+    path = tmp_path / "night.yaml"
+    path.write_text(SCHEDULE)
+    return path
+
+
+def test_the_list_has_one_line_for_every_fault_and_preset() -> None:
+    words = [line.split()[0] for line in listing().splitlines()]
+    assert words == ["faults", *known_faults(), "presets", *preset_names()]
+
+
+def test_show_tells_the_parameters_of_a_fault(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["faults", "show", "jitter"]) == 0
+    text = capsys.readouterr().out
+    assert "distribution: exponential | normal | pareto | uniform (default uniform)" in text
+    assert "value: number (required)" in text
+
+
+def test_show_tells_what_a_preset_is_made_of(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["faults", "show", "imu-impulse"]) == 0
+    assert "HIL_SENSOR.zacc" in capsys.readouterr().out
+
+
+def test_show_suggests_a_name_near_a_wrong_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["faults", "show", "jiter"]) == 2
+    assert "did you mean jitter" in capsys.readouterr().err
+
+
+def test_check_says_what_a_schedule_will_do(
+    schedule: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["faults", "check", str(schedule)]) == 0
+    text = capsys.readouterr().out
+    assert "step: bias, HIL_SENSOR.xgyro, from 3 s, for 2 s" in text
+    assert "sat: satellite-ramp, PSEUDORANGE.G12, after the end of step, for good" in text
+    assert "lost: drop, everything, when armed, for good" in text
+
+
+def test_check_of_a_wrong_schedule_ends_with_two(
+    schedule: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    schedule.write_text(SCHEDULE.replace("drop", "dorp").replace("bias", "bais"))
+    assert main(["faults", "check", str(schedule)]) == 2
+    text = capsys.readouterr().err
+    assert "night.yaml:3:" in text
+    assert "night.yaml:5:" in text
+
+
+def test_plot_draws_a_picture(schedule: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    out = tmp_path / "night.png"
+    assert main(["faults", "plot", str(schedule), "--out", str(out)]) == 0
+    assert out.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_schema_takes_what_the_reader_takes_and_refuses_what_it_refuses() -> None:
+    checker = jsonschema.Draft202012Validator(json.loads(json.dumps(schema())))
+    checker.check_schema(checker.schema)
+    checker.validate(yaml.safe_load(SCHEDULE))
+    for wrong in ("bais", "drift, rate: 3"):
+        data = yaml.safe_load(SCHEDULE.replace("fault: bias", f"fault: {wrong}"))
+        assert not checker.is_valid(data)

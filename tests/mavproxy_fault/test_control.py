@@ -1,0 +1,254 @@
+import json
+import struct
+
+import pytest
+
+from mavproxy_fault.control import Control
+from mavproxy_fault.engine import Engine
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.failure import TYPES, UNITS, WHAT
+from mavproxy_fault.faults.base import Outgoing
+from mavproxy_fault.rflysim import read_map
+from mavproxy_fault.schedule import Schedule, parse_schedule
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+
+ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
+
+
+def frame(name: str, **values: object) -> Frame:
+    return Frame(build(known(name), values, component=51), known(name))
+
+
+def failure(unit: float, kind: float, instance: float = 0, name: str = "COMMAND_LONG") -> Frame:
+    values = {
+        "command": 420, "param1": unit, "param2": kind, "param3": instance,
+        "target_system": 1, "target_component": 1,
+    }  # fmt: skip
+    return Frame(build(known(name), values, system=255, component=190), known(name))
+
+
+def control(*passed: str, **options: bool) -> Control:
+    engine = Engine(Schedule(1))
+    engine.start_at(1_000_000)
+    it = Control(engine, **options)
+    for name in passed:
+        assert it.consume(frame(name), 1_000_000) is None
+    return it
+
+
+def result(it: Control, command: Frame, t_us: int = 2_000_000) -> int:
+    replies = it.consume(command, t_us)
+    assert replies is not None
+    (raw,) = replies
+    ack = Frame(raw, known("COMMAND_ACK"))
+    assert (ack.number("command"), ack.system, ack.component) == (420, 1, 1)
+    assert (ack.number("target_system"), ack.number("target_component")) == (255, 190)
+    return int(ack.number("result"))
+
+
+def through(it: Control, one: Frame, t_us: int) -> list[Outgoing]:
+    return it.engine.apply(one, "to-vehicle", t_us)
+
+
+def test_a_command_that_is_no_failure_goes_on() -> None:
+    other = frame("COMMAND_LONG", command=400, param1=1)
+    assert control().consume(other, 0) is None
+
+
+def test_a_unit_is_unsupported_until_its_message_has_passed() -> None:
+    it = control()
+    assert result(it, failure(0, 1)) == UNSUPPORTED
+    it.consume(frame("HIL_SENSOR"), 0)
+    assert result(it, failure(0, 1)) == ACCEPTED
+
+
+def test_a_message_is_looked_at_only_until_it_is_known() -> None:
+    it = control("HIL_SENSOR")
+    assert known("HIL_SENSOR").id not in it.wanted
+    assert known("COMMAND_LONG").id in it.wanted
+
+
+def test_failures_are_denied_when_switched_off() -> None:
+    it = control("HIL_SENSOR", allowed=False)
+    assert result(it, failure(0, 1)) == DENIED
+    assert it.engine.ids() == []
+
+
+@pytest.mark.parametrize("name", ["COMMAND_LONG", "COMMAND_INT"])
+def test_both_kinds_of_command_are_answered(name: str) -> None:
+    assert result(control("HIL_SENSOR"), failure(1, 2, name=name)) == ACCEPTED
+
+
+@pytest.mark.parametrize("kind", sorted(set(TYPES) - {0}))
+@pytest.mark.parametrize("unit", sorted(UNITS))
+def test_every_unit_and_type_is_carried_out(unit: int, kind: int) -> None:
+    """On each message of the unit something happens within two seconds."""
+    name = UNITS[unit]
+    for part in WHAT[name].parts or [None]:
+        message = "ATTITUDE" if part is None else part.message
+        passed = "HIL_SENSOR" if part is None else message
+        it = control(passed)
+        assert result(it, failure(unit, kind)) == ACCEPTED
+        acted = False
+        fields = known(message).fields
+        for i in range(40):
+            varying = {
+                n: [1 + i % 50] * f.count if f.count else 1 + i % 50
+                for n, f in fields.items()
+                if f.type != "char" and n not in ("id", known(message).instance)
+            }
+            if "fields_updated" in fields:
+                varying["fields_updated"] = 0x1FFF
+            t_us = 2_000_000 + i * 50_000
+            one = frame(message, **varying)
+            outs = through(it, one, t_us)
+            acted |= [(out.frame is one, out.due_us) for out in outs] != [(True, t_us)]
+        assert acted, message
+
+
+def test_instance_two_leaves_instance_one_alone() -> None:
+    it = control("HIL_SENSOR")
+    result(it, failure(0, 4, 2))
+    for id, changed in [(0, False), (1, True)]:
+        one = frame("HIL_SENSOR", id=id, xgyro=0.1)
+        (out,) = through(it, one, 2_100_000)
+        assert (out.frame is not one) is changed
+
+
+def test_one_motor_stops_and_the_others_run() -> None:
+    it = control("HIL_ACTUATOR_CONTROLS")
+    result(it, failure(101, 1, 2))
+    (out,) = through(it, frame("HIL_ACTUATOR_CONTROLS", controls=[0.5] * 16), 2_100_000)
+    assert isinstance(out.frame, Frame)
+    assert [out.frame.number("controls", i) for i in range(4)] == [0.5, 0, 0.5, 0.5]
+    assert result(it, failure(101, 1, 17)) == UNSUPPORTED
+
+
+def test_ok_ends_the_failures_of_its_unit_only() -> None:
+    it = control("HIL_SENSOR")
+    for unit in (0, 1):
+        result(it, failure(unit, 2))
+    result(it, failure(0, 2, 1))
+    assert result(it, failure(0, 0)) == ACCEPTED
+    assert it.engine.ids() == ["mav-accel.1"]
+
+
+def test_a_second_failure_of_a_unit_replaces_the_first() -> None:
+    it = control("HIL_SENSOR")
+    result(it, failure(0, 2))
+    result(it, failure(0, 3))
+    assert [fault["fault"] for fault in it.engine.state()["faults"]] == ["noise"]
+
+
+@pytest.mark.parametrize(("unit", "kind"), [(50, 1), (0, 99), (float("nan"), 1), (0, float("inf"))])
+def test_what_does_not_exist_is_unsupported(unit: float, kind: float) -> None:
+    assert result(control("HIL_SENSOR"), failure(unit, kind)) == UNSUPPORTED
+
+
+def rflysim(ids: list[int], floats: list[float], checksum: int = 1234567897) -> bytes:
+    slots, numbers = ids + [0] * (8 - len(ids)), floats + [0.0] * (20 - len(floats))
+    return struct.pack("<10i20f", checksum, 1, *slots, *numbers)
+
+
+def test_rflysim_motor_faults_scale_the_commands_and_repeats_name_more_motors() -> None:
+    it = control()
+    it.rflysim = read_map()
+    it.packet(rflysim([123450, 123450], [0.8, 0.9, 0.5, 1.0]), 2_000_000)
+    (out,) = through(it, frame("HIL_ACTUATOR_CONTROLS", controls=[1.0] * 16), 2_000_000)
+    assert isinstance(out.frame, Frame)
+    assert [out.frame.number("controls", i) for i in range(5)] == pytest.approx(
+        [0.8, 0.9, 0.5, 1, 1]
+    )
+
+
+def test_an_rflysim_fault_latches_until_no_fault_comes() -> None:
+    it = control()
+    it.rflysim = read_map()
+    it.packet(rflysim([123455], [4, 1.5]), 2_000_000)
+    it.packet(rflysim([123450], [0.5]), 2_100_000)
+    assert len(it.engine.ids()) == 3
+    it.packet(rflysim([123549], []), 2_200_000)
+    assert it.engine.ids() == []
+
+
+def test_an_rflysim_sensor_fault_has_a_bias_per_axis() -> None:
+    it = control()
+    it.rflysim = read_map()
+    it.packet(rflysim([123452] * 4, [3, 2.0, 0.0, -1.0, 0.0, 0.5, 0.0]), 2_000_000)
+    biases = {
+        fault["targets"][0]: fault["parameters"]["value"]
+        for fault in it.engine.state()["faults"]
+        if fault["fault"] == "bias"
+    }
+    assert biases == {"HIL_SENSOR.xacc": 2, "HIL_SENSOR.yacc": -1, "HIL_SENSOR.zacc": 0.5}
+
+
+@pytest.mark.parametrize("data", [b"", bytes(120), rflysim([123450], [0.5], 1234567800)])
+def test_other_datagrams_on_rflysim_s_port_do_nothing(data: bytes) -> None:
+    it = control()
+    it.rflysim = read_map()
+    assert it.packet(data, 2_000_000) == []
+
+
+def ask(it: Control, what: str, payload: object = None) -> object:
+    data = payload.encode() if isinstance(payload, str) else json.dumps(payload).encode()
+    return it.answer(f"mavfault/v1/live/@ctl/{what}", data, 5_000_000)
+
+
+BIAS = {"fault": "bias", "target": "HIL_SENSOR.xgyro", "value": 1, "for_s": 2}
+
+
+def test_a_query_arms_changes_and_ends_a_fault() -> None:
+    it = control()
+    assert ask(it, "fault/it/arm", BIAS) == {"armed": ["it"]}
+    (out,) = through(it, frame("HIL_SENSOR"), 6_900_000)  # armed at 5 s, for two
+    assert isinstance(out.frame, Frame)
+    assert out.frame.number("xgyro") == 1
+    ask(it, "fault/it/value", {"value": 3})
+    (out,) = through(it, frame("HIL_SENSOR"), 6_950_000)
+    assert isinstance(out.frame, Frame)
+    assert out.frame.number("xgyro") == 3
+    assert ask(it, "fault/it/disarm") == {"cleared": "it"}
+    assert it.engine.ids() == []
+
+
+def test_a_schedule_is_loaded_saved_and_stopped() -> None:
+    it = control()
+    ask(it, "schedule/load", json.dumps({"seed": 1, "faults": [{"id": "a", **BIAS}]}))
+    saved = ask(it, "schedule/save")
+    assert isinstance(saved, dict)
+    assert [entry.id for entry in parse_schedule(saved["yaml"]).faults] == ["a"]
+    ask(it, "schedule/stop")
+    assert it.engine.ids() == []
+
+
+def test_a_wrong_schedule_leaves_the_right_one_running() -> None:
+    it = control()
+    ask(it, "fault/it/arm", BIAS)
+    with pytest.raises(ConfigError, match=r"schedule/load:2: .*did you mean bias"):
+        ask(it, "schedule/load", "faults:\n  - {fault: bais}\n")
+    assert it.engine.ids() == ["it"]
+
+
+@pytest.mark.parametrize(
+    ("what", "payload"),
+    [
+        ("fault/it/arm", {"fault": "bais"}),
+        ("fault/it/arm", [1]),
+        ("fault/it/disarm", None),
+        ("fault/it/value", {"value": "much"}),
+        ("fault/it/explode", {}),
+        ("schedule/lod", ""),
+    ],
+)
+def test_a_wrong_query_says_so(what: str, payload: object) -> None:
+    with pytest.raises(ConfigError):
+        ask(control(), what, payload)
+
+
+def test_queries_are_refused_when_live_control_is_off_but_the_state_is_told() -> None:
+    it = control(allowed=False)
+    with pytest.raises(ConfigError, match="switched off"):
+        ask(it, "fault/it/arm", BIAS)
+    assert isinstance(ask(it, "state"), dict)

@@ -1,0 +1,133 @@
+from pathlib import Path
+
+import pytest
+
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.schedule import Schedule, parse_schedule, read_schedule
+from mavproxy_fault.wire.dialect import known
+
+GOOD = """\
+seed: 1
+faults:
+  - id: gyro-step
+    fault: bias
+    target: HIL_SENSOR.xgyro
+    value: 0.1
+    at_s: 20
+    for_s: 15
+    where: {system: 1, component: 51, id: 0, direction: to-vehicle}
+    probability: 1.0
+  - fault: constant
+    target: ['HIL_ACTUATOR_CONTROLS.controls[3]', HIL_SENSOR.xacc]
+    profile: {segments: [{at_s: 0.2, for_s: 0.2, start: 1.0, rate: 5e-1}], mode: replace}
+"""
+
+
+def errors(text: str) -> list[str]:
+    with pytest.raises(ConfigError) as caught:
+        parse_schedule(text, "night.yaml")
+    return str(caught.value).splitlines()
+
+
+def test_the_design_s_example_is_read() -> None:
+    schedule = parse_schedule(GOOD)
+    step, other = schedule.faults
+    assert (schedule.seed, step.id, step.at_s, step.for_s) == (1, "gyro-step", 20, 15)
+    assert (step.where.component, step.where.direction) == (51, "to-vehicle")
+    assert other.id == "constant-2"
+    assert other.ids == {known("HIL_ACTUATOR_CONTROLS").id, known("HIL_SENSOR").id}
+    assert other.fault.profile.segments[0].rate == 0.5  # type: ignore[attr-defined]
+
+
+def test_an_empty_schedule_has_no_faults() -> None:
+    assert parse_schedule("seed: 4") == Schedule(4)
+
+
+def test_every_error_is_told_with_its_line() -> None:
+    found = errors("""\
+seed: -1
+faults:
+  - fault: bais
+    target: HIL_SENSOR.xgyro
+  - fault: bias
+    target: HIL_SENSOR.xgiro
+    value: much
+    at: 3
+  - fault: drift
+    target: HIL_SENSR.xgyro
+    for_s: 0
+    where: {sytem: 1, direction: up}
+  - fault: constant
+    target: HIL_SENSOR.xgyro
+    profile: {segments: [{at_s: 1, for_s: 1, start: a}, {at_s: 2, fr_s: 1, start: 1}]}
+other: 1
+""")
+    said = "\n".join(found)
+    for part in [
+        "night.yaml:1: seed = -1",
+        "night.yaml:3: faults[0].fault = bais is unknown; did you mean bias",
+        "night.yaml:6: faults[1].target = HIL_SENSOR.xgiro is no numeric field of HIL_SENSOR; "
+        "did you mean xgyro",
+        "night.yaml:7: faults[1].value = 'much' does not fit",
+        "night.yaml:8: faults[1].at is unknown; did you mean at_s",
+        "night.yaml:9: faults[2] lacks value",
+        "night.yaml:10: faults[2].target = HIL_SENSR is no message; did you mean HIL_SENSOR",
+        "night.yaml:11: faults[2].for_s = 0",
+        "night.yaml:12: faults[2].where.sytem is unknown; did you mean system",
+        "night.yaml:12: faults[2].where.direction = 'up' does not fit",
+        "night.yaml:15: faults[3].profile.segments[0].start = 'a' does not fit",
+        "night.yaml:15: faults[3].profile.segments[1].fr_s is unknown; did you mean for_s",
+        "night.yaml:15: faults[3].profile.segments[1] lacks for_s",
+        "night.yaml:16: other is unknown",
+    ]:
+        assert part in said, said
+    assert len(found) == 14
+
+
+def test_text_that_is_no_yaml_is_told_with_its_line() -> None:
+    assert errors("seed: 1\nfaults: [}\n")[0].startswith("night.yaml:2: not YAML")
+
+
+def test_a_key_given_twice_is_refused() -> None:
+    assert errors("seed: 1\nseed: 2\n") == ["night.yaml:2: seed stands twice; give each key once"]
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        ("{fault: bias, value: 1}", "target is missing; give MESSAGE.field"),
+        ("{fault: bias, target: HIL_GPS.alt}", "takes either value or profile"),
+        ("{fault: drop, target: HIL_GPS.alt}", "names a field; this fault acts on whole messages"),
+        ("{fault: bias, target: 'HIL_ACTUATOR_CONTROLS.controls[16]', value: 1}", "out of range"),
+        ("{fault: bias, target: STATUSTEXT.text, value: 1}", "no numeric field"),
+        (
+            "{fault: bias, target: [HIL_SENSOR.xacc, HIL_SENSOR.yacc], value: [1, 2, 3]}",
+            "3 numbers",
+        ),
+        ("{fault: rotation, target: HIL_SENSOR.xacc, angles_deg: [1, 2, 3]}", "three fields"),
+        ("{fault: not-a-number, target: HIL_GPS.alt}", "is an integer"),
+        ("{fault: freeze, target: PSEUDORANGE.G12}", "is no target for freeze"),
+        ("{fault: bias, target: PSEUDORANGE.12, value: 1}", "names no satellite"),
+        ("{fault: plant, target: HIL_GPS, value: 1}", "must be PLANT.<name>"),
+        ("{fault: bias, target: HIL_GPS.alt, value: 1, via: simulator}", "via: simulator is for"),
+        ("{fault: drop, repeat: {every_s: 1}}", "needs for_s"),
+        ("{fault: drop, after: nothing}", "is no other fault"),
+        ("{target: HIL_GPS.alt}", "lacks fault; give `fault` or `preset`"),
+        ("{preset: gps-jmup}", "is unknown; did you mean"),
+        ("just text", "is no fault"),
+    ],
+)
+def test_what_does_not_fit_together_is_told(entry: str, said: str) -> None:
+    found = errors(f"faults:\n  - {entry}\n")
+    assert len(found) == 1
+    assert said in found[0]
+    assert found[0].startswith("night.yaml:2: ")
+
+
+def test_two_faults_of_one_id_are_refused() -> None:
+    assert "stands twice" in errors("faults: [{id: a, fault: drop}, {id: a, fault: drop}]")[0]
+
+
+def test_a_file_that_is_not_there_is_told(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_schedule(tmp_path / "none.yaml")

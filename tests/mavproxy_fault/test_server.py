@@ -1,0 +1,216 @@
+import argparse
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+from mavproxy_fault import commands, proxy
+from mavproxy_fault.core import Core
+from mavproxy_fault.engine import Engine
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.links.bus import open_bus
+from mavproxy_fault.links.link import Link
+from mavproxy_fault.links.spec import open_link
+from mavproxy_fault.proxy import roles
+from mavproxy_fault.schedule import parse_schedule
+from mavproxy_fault.server import Server
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.parser import Parser
+
+
+def heartbeat(seq: int = 0, system: int = 1, component: int = 1) -> bytes:
+    return build(known("HEARTBEAT"), {"type": 2}, seq=seq, system=system, component=component)
+
+
+def sensor(step: int) -> bytes:
+    values = {"time_usec": 1_000_000 + step * 4000, "fields_updated": 63}
+    return build(known("HIL_SENSOR"), values, seq=step & 255, component=51)
+
+
+@contextlib.contextmanager
+def serving(links: Sequence[Link], engine: Engine | None = None) -> Iterator[Server]:
+    running = Server(links, Core(roles(links), engine))
+    loop = threading.Thread(target=running.run)
+    loop.start()
+    try:
+        yield running
+    finally:
+        running.stop()
+        loop.join(10)
+        for link in links:
+            link.close()
+
+
+@contextlib.contextmanager
+def udp() -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        sock.settimeout(10)
+        yield sock
+
+
+def address(link: Link) -> tuple[str, int]:
+    return "127.0.0.1", int(link.name.rsplit(":", 1)[1])
+
+
+def sending_to(sock: socket.socket) -> Link:
+    return open_link(f"udpout:127.0.0.1:{sock.getsockname()[1]}")
+
+
+def test_a_tcp_peer_that_does_not_read_stalls_nobody() -> None:
+    master, slow = open_link("udpin:127.0.0.1:0"), open_link("tcpin:127.0.0.1:0")
+    with udp() as station, udp() as vehicle:
+        links = [master, slow, sending_to(station)]
+        with serving(links), socket.create_connection(address(slow), timeout=10) as peer:
+            peer.sendall(heartbeat(system=200))
+            station.recv(999)
+            filler = b"\0" * 30_000
+            while not slow.counters.drops:
+                vehicle.sendto(filler, address(master))
+                assert station.recv(65535) == filler
+            vehicle.sendto(heartbeat(7), address(master))
+            assert station.recv(999) == heartbeat(7)
+
+
+def test_a_tcp_endpoint_that_comes_back_is_served_again() -> None:
+    master = open_link("udpin:127.0.0.1:0")
+    with udp() as vehicle, socket.create_server(("127.0.0.1", 0)) as listener:
+        listener.settimeout(10)
+        port = listener.getsockname()[1]
+        with serving([master, open_link(f"tcp:127.0.0.1:{port}")]):
+            for seq in range(3):
+                peer, _ = listener.accept()
+                peer.settimeout(10)
+                vehicle.sendto(heartbeat(seq), address(master))
+                assert peer.recv(999) == heartbeat(seq)
+                peer.sendall(heartbeat(seq, system=255) + heartbeat(seq, system=254)[:5])
+                assert vehicle.recv(999) == heartbeat(seq, system=255)
+                peer.close()
+                assert vehicle.recv(999) == heartbeat(seq, system=254)[:5]
+
+
+def test_two_vehicles_and_two_stations_share_one_proxy() -> None:
+    master = open_link("udpin:127.0.0.1:0")
+    with udp() as one, udp() as two, udp() as station, udp() as other:
+        links = [master, sending_to(station), sending_to(other)]
+        with serving(links):
+            one.sendto(heartbeat(0, 1), address(master))
+            two.sendto(heartbeat(0, 2), address(master))
+            for sock in (station, other):
+                assert {sock.recv(999), sock.recv(999)} == {heartbeat(0, 1), heartbeat(0, 2)}
+            other.sendto(heartbeat(0, 254), links[2].sock.getsockname())  # type: ignore[attr-defined]
+            assert station.recv(999) == heartbeat(0, 254)
+            values = {"target_system": 254, "target_component": 1, "command": 400}
+            answer = build(known("COMMAND_ACK"), values, system=2)
+            two.sendto(answer, address(master))
+            two.sendto(heartbeat(1, 2), address(master))
+            assert station.recv(999) == heartbeat(1, 2), "the answer was for the other one"
+            assert other.recv(999) == answer
+
+
+def test_a_delayed_frame_leaves_by_itself() -> None:
+    schedule = "faults: [{id: d, fault: delay, target: HIL_SENSOR, value: 0.02}]"
+    master = open_link("udpin:127.0.0.1:0")
+    with udp() as station, udp() as vehicle:
+        links = [master, sending_to(station)]
+        with serving(links, Engine(parse_schedule(schedule))) as running:
+            vehicle.sendto(sensor(0), address(master))
+            assert b"FAULT d on" in station.recv(999)
+            assert station.recv(999) == sensor(0)
+        assert running.stats()[0]["faulted"] == 1
+
+
+def test_figures_are_kept_per_endpoint() -> None:
+    master = open_link("udpin:127.0.0.1:0")
+    with udp() as station, udp() as vehicle:
+        with serving([master, sending_to(station)]) as running:
+            for seq in (0, 1, 4):
+                vehicle.sendto(heartbeat(seq) + b"noise", address(master))
+                station.recv(999)
+        first, second = running.stats()
+    assert (first["frames_in"], first["junk_in"], first["gaps"], first["peers"]) == (3, 3, 2, 1)
+    assert (second["chunks_out"], second["frames_in"]) == (3, 0)
+    assert first["p50_us"] > 0
+    assert second["p50_us"] is None
+
+
+def test_the_process_stops_cleanly_and_says_what_passed(tmp_path: Path) -> None:
+    with udp() as station, udp() as vehicle:
+        command = [sys.executable, "-m", "mavproxy_fault.cli", "proxy", "--zenoh", "off"]
+        command += ["--master", "udpin:127.0.0.1:0", "--logdir", str(tmp_path)]
+        command += ["--out", f"127.0.0.1:{station.getsockname()[1]}"]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert process.stdout is not None
+        ready = process.stdout.readline()
+        assert ready.startswith("ready: udpin:127.0.0.1:")
+        vehicle.sendto(heartbeat(), ("127.0.0.1", int(ready.split()[1].rsplit(":", 1)[1])))
+        assert station.recv(999) == heartbeat()
+        process.send_signal(signal.SIGINT)
+        lines = process.stdout.read().splitlines()
+        assert process.wait(10) == 0
+        process.stdout.close()
+    assert lines[0].split()[:3] == ["endpoint", "peers", "in"]
+    assert lines[1].split()[1:3] == ["1", "1"]
+    assert (tmp_path / "sent.tlog").read_bytes()[8:] == heartbeat()
+    assert json.loads((tmp_path / "session.json").read_text())["end_us"] > 10**15
+
+
+def test_a_proxy_without_faults_does_not_load_what_only_faults_need() -> None:
+    code = "import mavproxy_fault.proxy, sys; print({'numpy', 'yaml', 'msgspec'} & {*sys.modules})"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
+    assert said.stdout == "set()\n"
+
+
+def test_a_wrong_output_leaves_no_socket_behind() -> None:
+    before = len(os.listdir("/proc/self/fd"))
+    parser = argparse.ArgumentParser()
+    commands.add_proxy(parser.add_subparsers())
+    args = parser.parse_args(["proxy", "--master", "udpin:127.0.0.1:0", "--out", "nonsense"])
+    with pytest.raises(ConfigError, match="nonsense: is not a connection string"):
+        proxy.main(args)
+    assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_a_running_proxy_takes_faults_over_the_bus_and_answers_injected_failures() -> None:
+    with udp() as station, udp() as vehicle, socket.socket() as place:
+        place.bind(("127.0.0.1", 0))
+        url = f"tcp/127.0.0.1:{place.getsockname()[1]}"
+        place.close()
+        command = [sys.executable, "-m", "mavproxy_fault.cli", "proxy", "--zenoh", url]
+        command += ["--master", "udpin:127.0.0.1:0"]
+        command += ["--out", f"127.0.0.1:{station.getsockname()[1]}"]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert process.stdout is not None
+        try:
+            port = int(process.stdout.readline().split()[1].rsplit(":", 1)[1])
+            vehicle.sendto(sensor(0), ("127.0.0.1", port))
+            data, address = station.recvfrom(999)
+            assert data == sensor(0)
+            with open_bus(url) as bus:
+                entry = b'{"fault": "bias", "target": "HIL_SENSOR.xgyro", "value": 0.5}'
+                bus.ask("@ctl/fault/step/arm", entry)
+                vehicle.sendto(sensor(1), ("127.0.0.1", port))
+                (frame,) = Parser().push(station.recv(999), datagram=True)
+                assert isinstance(frame, Frame)
+                assert frame.number("xgyro") == 0.5
+                assert b"FAULT step on" in station.recv(999)
+            values = {"target_system": 1, "target_component": 1, "command": 420, "param2": 1}
+            request = build(known("COMMAND_LONG"), values, system=255, component=190)
+            station.sendto(request, address)
+            (answer,) = Parser().push(station.recv(999), datagram=True)
+            assert isinstance(answer, Frame)
+            assert (answer.layout.name, answer.number("command")) == ("COMMAND_ACK", 420)
+            assert answer.number("result") == 0
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=10)
+    assert process.returncode == 0

@@ -1,0 +1,72 @@
+"""Satellite positions against precise orbits, and velocities against differences."""
+
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simvehicle.gnss.ephemeris import (
+    EARTH_RATE_RPS,
+    SPEED_OF_LIGHT_MPS,
+    orbits_at,
+    orbits_of,
+    satellite_states,
+)
+from simvehicle.gnss.navigation import SHIPPED, gps_time, read_navigation
+
+PRECISE = Path(__file__).parents[2] / "authorities" / "code_orbits" / "orbits.sp3"
+NAVIGATION = read_navigation(SHIPPED)
+
+
+def precise() -> list[tuple[str, float, np.ndarray, float]]:
+    """Satellite, seconds of week, position [m] and clock [s] of each record."""
+    rows = []
+    tow_s = 0.0
+    for line in PRECISE.read_text().splitlines():
+        if line[0] == "*":
+            tow_s = gps_time(datetime(*(int(x) for x in line.split()[1:6])))[1]
+        else:
+            x, y, z, clock = (float(v) for v in line[4:].split())
+            rows.append((line[1:4], tow_s, np.array([x, y, z]) * 1e3, clock * 1e-6))
+    return rows
+
+
+@pytest.mark.parametrize("row", precise(), ids=lambda row: f"{row[0]}-{row[1]:.0f}")
+def test_broadcast_orbits_and_clocks_agree_with_precise_ones(
+    row: tuple[str, float, np.ndarray, float],
+) -> None:
+    name, tow_s, position, clock_s = row
+    ephemeris = min(NAVIGATION.ephemerides[name], key=lambda e: abs(e.toe_s - tow_s))
+    r, v, clock, _ = satellite_states(orbits_of([ephemeris], 2149), np.array([tow_s]))
+    assert np.linalg.norm(r[0] - position) < 2.5  # broadcast: 1 m, and the antenna's offset
+    inertial = v[0] + np.cross([0.0, 0.0, EARTH_RATE_RPS], r[0])
+    relativity_s = -2.0 * (r[0] @ inertial) / SPEED_OF_LIGHT_MPS**2  # IS-GPS-200N 20.3.3.3.3.1
+    polynomial_s = clock[0] + ephemeris.group_delay_s - relativity_s
+    assert polynomial_s == pytest.approx(clock_s, abs=5e-9)
+
+
+def test_velocities_and_clock_rates_are_the_derivatives() -> None:
+    orbits = orbits_of([sets[0] for sets in NAVIGATION.ephemerides.values()], 2149)
+    t = np.full(len(orbits.table), 476000.0)
+    r, v, _, clock_rate = satellite_states(orbits, t)
+    ahead, behind = satellite_states(orbits, t + 0.5), satellite_states(orbits, t - 0.5)
+    assert np.abs(ahead[0] - behind[0] - v).max() < 1e-4
+    assert np.abs(ahead[2] - behind[2] - clock_rate).max() < 1e-15
+    assert np.linalg.norm(r, axis=1).min() > 2.5e7
+
+
+def test_another_week_shifts_the_times_and_nothing_else() -> None:
+    sets = [NAVIGATION.ephemerides["G17"][0], NAVIGATION.ephemerides["E08"][0]]
+    tow = np.array([475300.0, 475300.0])
+    here = satellite_states(orbits_of(sets, 2149), tow)
+    there = satellite_states(orbits_of(sets, 2148), tow + 604800.0)
+    for a, b in zip(here, there, strict=True):
+        assert a == pytest.approx(b, rel=1e-12, abs=1e-14)
+
+
+def test_some_rows_are_the_orbits_of_some_satellites() -> None:
+    every = orbits_of([sets[0] for sets in NAVIGATION.ephemerides.values()], 2149)
+    some = orbits_at(every, np.array([3, 1]))
+    assert some.satellites == (every.satellites[3], every.satellites[1])
+    assert np.array_equal(some.table, every.table[[3, 1]])

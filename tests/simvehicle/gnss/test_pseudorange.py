@@ -1,0 +1,109 @@
+"""Geometry against the light-time equation, and everything against a real receiver."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simvehicle.earth import ecef_from_geodetic, geodetic_from_ecef
+from simvehicle.gnss.ephemeris import (
+    EARTH_RATE_RPS,
+    SPEED_OF_LIGHT_MPS,
+    Orbits,
+    orbits_of,
+    satellite_states,
+)
+from simvehicle.gnss.navigation import SHIPPED, read_navigation
+from simvehicle.gnss.pseudorange import Atmosphere, sight
+
+VACUUM = Atmosphere(None, False)
+TOW_S = 475200.0
+SITE_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])  # the real receiver's antenna
+REST = np.zeros(3)
+
+
+def orbits() -> Orbits:
+    return orbits_of([sets[0] for sets in read_navigation(SHIPPED).ephemerides.values()], 2149)
+
+
+def inertial(r_m: np.ndarray, t_s: float) -> np.ndarray:
+    """Earth-fixed vectors at `t_s` in the frame that is inertial and coincides at TOW_S."""
+    angle = EARTH_RATE_RPS * (t_s - TOW_S)
+    s, c = math.sin(angle), math.cos(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ r_m
+
+
+def test_ranges_solve_the_light_time_equation_in_an_inertial_frame() -> None:
+    seen = sight(orbits(), TOW_S, SITE_M, REST, VACUUM)
+    sent_s = TOW_S - seen.range_m / SPEED_OF_LIGHT_MPS
+    positions, _, clocks, _ = satellite_states(orbits(), sent_s)
+    for k, position in enumerate(positions):
+        flown = np.linalg.norm(inertial(position, float(sent_s[k])) - SITE_M)
+        assert flown == pytest.approx(seen.range_m[k], abs=2e-6)
+    assert seen.clock_s == pytest.approx(clocks, abs=1e-16)
+
+
+def test_rates_are_the_derivatives_of_ranges_for_a_moving_receiver() -> None:
+    v = np.array([50.0, -120.0, 30.0])
+    ahead = sight(orbits(), TOW_S + 0.1, SITE_M + 0.1 * v, v, VACUUM)
+    behind = sight(orbits(), TOW_S - 0.1, SITE_M - 0.1 * v, v, VACUUM)
+    seen = sight(orbits(), TOW_S, SITE_M, v, VACUUM)
+    assert seen.rate_mps == pytest.approx((ahead.range_m - behind.range_m) / 0.2, abs=3e-5)
+
+
+def test_directions_are_those_of_the_local_horizon() -> None:
+    seen = sight(orbits(), TOW_S, SITE_M, REST, VACUUM)
+    lat, lon, height = geodetic_from_ecef(SITE_M)
+    for k, (elevation, azimuth) in enumerate(
+        zip(seen.elevation_rad, seen.azimuth_rad, strict=True)
+    ):
+        step = 1e-5  # rad north and east, seen from which the range must shrink accordingly
+        north = ecef_from_geodetic(lat + step, lon, height) - SITE_M
+        east = ecef_from_geodetic(lat, lon + step, height) - SITE_M
+        assert seen.toward[k] @ north / np.linalg.norm(north) == pytest.approx(
+            math.cos(elevation) * math.cos(azimuth), abs=1e-5
+        )
+        assert seen.toward[k] @ east / np.linalg.norm(east) == pytest.approx(
+            math.cos(elevation) * math.sin(azimuth), abs=1e-5
+        )
+
+
+def test_satellites_below_the_horizon_are_told_apart() -> None:
+    other_side = sight(orbits(), TOW_S, -SITE_M, REST, VACUUM)
+    assert other_side.elevation_rad.max() < 0.0
+    assert np.isfinite(other_side.range_m).all()
+
+
+def real_epochs(path: Path) -> list[tuple[float, dict[str, float]]]:
+    """Seconds of week and C1C [m] by satellite of every 60th epoch."""
+    epochs: list[tuple[float, dict[str, float]]] = []
+    for line in path.read_text().split("END OF HEADER")[1].splitlines()[1:]:
+        if line[0] == ">":
+            parts = line.split()
+            epochs.append((TOW_S + 60.0 * int(parts[5]) + float(parts[6]), {}))
+        elif line[0] in "GE" and line[3:17].strip():
+            epochs[-1][1][line[:3]] = float(line[3:17])
+    return epochs[::60]
+
+
+def test_a_real_receiver_at_a_known_place_measures_what_the_models_say(shared_data: Path) -> None:
+    navigation = read_navigation(SHIPPED)
+    air = Atmosphere(np.array(navigation.alpha + navigation.beta), True)
+    squares: list[float] = []
+    for tow_s, ranges in real_epochs(shared_data / "gnss_static" / "SEPT078M.21O"):
+        names = [n for n in ranges if n in navigation.ephemerides]
+        measured = np.array([ranges[n] for n in names])
+        galileo = np.array([n[0] == "E" for n in names])
+        table = orbits_of([navigation.ephemerides[n][0] for n in names], 2149)
+        offset_m = 0.0
+        for _ in range(3):  # the receiver's clock comes out of the ranges themselves
+            true_s = tow_s - offset_m / SPEED_OF_LIGHT_MPS
+            seen = sight(table, true_s, SITE_M, REST, air)
+            residual = measured - seen.range_m + SPEED_OF_LIGHT_MPS * seen.clock_s - seen.delay_m
+            offset_m = float(np.median(residual[~galileo]))
+        residual -= np.where(galileo, np.median(residual[galileo]), offset_m)
+        squares += list(residual[seen.elevation_rad > math.radians(15.0)] ** 2)
+    assert len(squares) > 200
+    assert math.sqrt(np.mean(squares)) < 1.0
+    assert math.sqrt(max(squares)) < 3.0

@@ -1,0 +1,118 @@
+"""The receiver's least squares: exact without errors, honest with them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from simvehicle.earth import ecef_from_geodetic
+from simvehicle.gnss.ephemeris import SPEED_OF_LIGHT_MPS, Orbits, orbits_at, orbits_of
+from simvehicle.gnss.navigation import SHIPPED, read_navigation
+from simvehicle.gnss.pseudorange import Atmosphere, sight
+from simvehicle.gnss.receiver import Fix, solve
+
+TOW_S = 475200.0
+PLACE_M = ecef_from_geodetic(math.radians(35.3), math.radians(139.5), 300.0)
+MOTION = np.array([12.0, -7.0, 3.0])
+NAVIGATION = read_navigation(SHIPPED)
+AIR = Atmosphere(np.array(NAVIGATION.alpha + NAVIGATION.beta), True)
+OFFSET_S, DRIFT = 2.5e-4, 3e-7
+GALILEO_M = 4.0
+
+
+def in_view(letters: str = "GE") -> Orbits:
+    every = orbits_of([sets[0] for sets in NAVIGATION.ephemerides.values()], 2149)
+    seen = sight(every, TOW_S, PLACE_M, MOTION, AIR)
+    pick = [k for k in range(24)
+            if seen.elevation_rad[k] > 0.2 and every.satellites[k][0] in letters]  # fmt: skip
+    return orbits_at(every, np.array(pick))
+
+
+def observed(orbits: Orbits) -> tuple[np.ndarray, np.ndarray]:
+    """Pseudoranges and range rates when the receiver's clock shows TOW_S."""
+    seen = sight(orbits, TOW_S - OFFSET_S, PLACE_M, MOTION, AIR)
+    code = seen.range_m + SPEED_OF_LIGHT_MPS * (OFFSET_S - seen.clock_s) + seen.delay_m
+    code += np.array([GALILEO_M * (name[0] == "E") for name in orbits.satellites])
+    return code, seen.rate_mps + SPEED_OF_LIGHT_MPS * (DRIFT - seen.clock_rate)
+
+
+@pytest.mark.parametrize("letters", ["G", "E", "GE"])
+def test_without_errors_position_velocity_and_clock_come_out_exactly(letters: str) -> None:
+    orbits = in_view(letters)
+    fix = solve(orbits, TOW_S, *observed(orbits), AIR)
+    assert (fix.fix_type, fix.satellites, fix.reason) == (3, len(orbits.satellites), "")
+    assert fix.r_ecef_m == pytest.approx(PLACE_M, abs=1e-4)
+    assert fix.v_ecef_mps == pytest.approx(MOTION, abs=1e-4)
+    assert fix.drift_mps == pytest.approx(DRIFT * SPEED_OF_LIGHT_MPS, abs=1e-4)
+    first = OFFSET_S * SPEED_OF_LIGHT_MPS + (GALILEO_M if letters == "E" else 0.0)
+    assert fix.clock_m[0] == pytest.approx(first, abs=1e-3)
+    if letters == "GE":
+        assert fix.clock_m[1] - fix.clock_m[0] == pytest.approx(GALILEO_M, abs=1e-3)
+
+
+def test_it_follows_from_the_last_fix_in_the_same_way() -> None:
+    orbits = in_view()
+    first = solve(orbits, TOW_S, *observed(orbits), AIR)
+    code, rate = observed(orbits)
+    moved = solve(orbits, TOW_S, code, rate, AIR, first)
+    assert moved.r_ecef_m == pytest.approx(PLACE_M, abs=1e-4)
+    assert moved.fix_type == 3
+
+
+def test_a_faulty_satellite_moves_the_position() -> None:
+    orbits = in_view()
+    code, rate = observed(orbits)
+    code[3] += 100.0
+    fix = solve(orbits, TOW_S, code, rate, AIR)
+    assert fix.fix_type == 3
+    assert np.linalg.norm(fix.r_ecef_m - PLACE_M) > 5.0
+
+
+@pytest.mark.parametrize(("letters", "count"), [("G", 3), ("E", 3), ("GE", 4), ("G", 1), ("GE", 0)])
+def test_too_few_satellites_give_no_fix_and_say_so(letters: str, count: int) -> None:
+    every = in_view(letters)
+    names = every.satellites
+    pick = [0, 1, -1, -2][:count] if letters == "GE" else list(range(count))
+    orbits = orbits_at(every, np.array(pick, dtype=int))
+    fix = solve(orbits, TOW_S, *observed(orbits), AIR)
+    systems = len({names[k][0] for k in pick})
+    assert fix.fix_type == (1 if count else 0)
+    assert fix.reason == f"{count} satellites of {systems} systems"
+    assert np.isinf(fix.sigma_ned_m).all()
+
+
+def test_five_satellites_of_two_systems_are_enough() -> None:
+    every = in_view()
+    orbits = orbits_at(every, np.array([0, 2, -1, -5, -9]))
+    assert solve(orbits, TOW_S, *observed(orbits), AIR).fix_type == 3
+
+
+def test_the_same_satellite_five_times_is_no_geometry() -> None:
+    orbits = orbits_at(in_view("G"), np.array([0, 0, 0, 0, 0]))
+    fix = solve(orbits, TOW_S, *observed(orbits), AIR)
+    assert fix.fix_type == 1
+    assert fix.reason in ("satellites in one plane", "geometry too poor", "no convergence")
+
+
+def test_without_a_fix_the_place_stays_the_last_one() -> None:
+    orbits = in_view("G")
+    last = solve(orbits, TOW_S, *observed(orbits), AIR)
+    few = orbits_at(orbits, np.array([0, 1]))
+    fix = solve(few, TOW_S, *observed(few), AIR, last)
+    assert fix.fix_type == 1
+    assert np.array_equal(fix.r_ecef_m, last.r_ecef_m)
+
+
+def test_the_error_divided_by_its_own_sigma_has_unit_variance_for_its_noise_model() -> None:
+    orbits = in_view()
+    code, rate = observed(orbits)
+    seen = sight(orbits, TOW_S, PLACE_M, MOTION, AIR)
+    sigma = 0.5 / np.sin(seen.elevation_rad)  # what the receiver takes pseudoranges to have
+    rng = np.random.default_rng(5)
+    fix: Fix | None = None
+    ratios = []
+    for _ in range(600):
+        fix = solve(orbits, TOW_S, code + sigma * rng.standard_normal(len(code)), rate, AIR, fix)
+        error = np.linalg.norm(fix.r_ecef_m - PLACE_M) ** 2
+        ratios.append(error / np.sum(fix.sigma_ned_m**2))
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.2)

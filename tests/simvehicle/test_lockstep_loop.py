@@ -1,0 +1,212 @@
+"""The lockstep loop over real TCP on loopback, with stand-ins for vehicle and autopilot."""
+
+import io
+import math
+import socket
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+
+import numpy as np
+from pymavlink.dialects.v20 import all as dialect
+
+from mavproxy_fault.links.spec import open_link
+from mavproxy_fault.links.tcp import TcpServer
+from mavproxy_fault.wire.plant import PlantChange, plant_frame
+from simvehicle.actuators import motors
+from simvehicle.body import Controls, Truth
+from simvehicle.hil import Hil
+from simvehicle.inbox import Inbox
+from simvehicle.lockstep import Lockstep
+from simvehicle.lockstep_loop import LockstepLoop, serve_autopilot
+from simvehicle.progress import Progress
+from simvehicle.readings import ImuReading, Reading
+
+
+class Lift:
+    """A vehicle that only goes up and down: 1.5 kg under four motors of 7.5 N each."""
+
+    def __init__(self) -> None:
+        self.t_us = -4000
+        self.height_m = self.climb_mps = 0.0
+        self.controls: list[Controls | None] = []
+        self.changes: list[tuple[str, float | None]] = []
+
+    def step(self, controls: Controls | None) -> tuple[int, Truth, Sequence[Reading]]:
+        self.t_us += 4000
+        self.controls.append(controls)
+        thrust = 7.5 * float(controls.values.sum()) / 1.5 if controls else 0.0
+        self.climb_mps += (thrust - 9.81) * 0.004
+        self.height_m += self.climb_mps * 0.004
+        grounded = self.height_m <= 0.0
+        if grounded:
+            self.height_m = self.climb_mps = 0.0
+        force = np.array([0.0, 0.0, -9.81 if grounded else -thrust])
+        truth = Truth(
+            self.t_us, 0.8, 0.1, self.height_m, self.height_m, self.height_m,
+            np.array([0.0, 0.0, -self.height_m]), np.array([0.0, 0.0, -self.climb_mps]),
+            np.array([1.0, 0, 0, 0]), np.zeros(3), force, np.zeros(3), np.zeros(3),
+            101325.0, 288.0, 1.225, 16.0, 1.0, 1.0,
+        )  # fmt: skip
+        return self.t_us, truth, [ImuReading(self.t_us, np.zeros(3), force)]
+
+    def plant(self, name: str, value: float | None) -> None:
+        self.changes.append((name, value))
+
+
+class Autopilot:
+    """The other end of the link: reads HIL frames, answers when told to."""
+
+    def __init__(self, port: int) -> None:
+        self.sock = socket.create_connection(("127.0.0.1", port), timeout=20)
+        self.mav = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+        self.reader = dialect.MAVLink(None)
+        self.send(self.mav.command_long_encode(0, 0, 511, 0, 115.0, 5000.0, 0, 0, 0, 0, 0))
+
+    def send(self, message: dialect.MAVLink_message) -> None:
+        self.sock.sendall(message.pack(self.mav))
+
+    def messages(self) -> Iterator[dialect.MAVLink_message]:
+        while data := self.sock.recv(65536):
+            yield from self.reader.parse_buffer(data) or []
+
+    def answer(self, t_us: int, motor: float) -> None:
+        self.send(self.mav.hil_actuator_controls_encode(t_us, [motor] * 4 + [0] * 12, 129, 1))
+
+    def close(self) -> None:
+        self.sock.close()
+
+
+@contextmanager
+def served(
+    vehicle: Lift, until_us: int | None, timeout_s: float = 20.0
+) -> Iterator[tuple[Autopilot, list[int], io.StringIO, LockstepLoop]]:
+    link = open_link("tcpin:127.0.0.1:0")
+    assert isinstance(link, TcpServer)
+    said, codes = io.StringIO(), list[int]()
+    progress = Progress(0.0, said)
+    loop = LockstepLoop(vehicle, Hil(), Inbox(link), motors(4), math.inf, progress)
+    loop.lockstep = Lockstep(timeout_s, silence_s=20.0 * timeout_s)
+
+    def serve() -> None:
+        codes.append(serve_autopilot(loop, progress, until_us))
+        link.close()
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    autopilot = Autopilot(link.port)
+    try:
+        yield autopilot, codes, said, loop
+    finally:
+        autopilot.close()
+        thread.join(20)
+
+
+def test_an_autopilot_that_holds_its_height_hovers_in_lockstep() -> None:
+    vehicle = Lift()
+    with served(vehicle, until_us=10_000_000) as (autopilot, codes, _, _):
+        speed = 0.0
+        height = 0.0
+        for message in autopilot.messages():
+            if message.get_type() == "HIL_STATE_QUATERNION":
+                height, speed = message.alt * 1e-3, -message.vz * 1e-2
+            elif message.get_type() == "HIL_SENSOR":
+                thrust = 0.4905 + 0.1 * (5.0 - height) - 0.15 * speed
+                autopilot.answer(message.time_usec, min(max(thrust, 0.0), 1.0))
+                if message.time_usec >= 11_000_000:
+                    break
+    assert codes == [0]
+    assert abs(vehicle.height_m - 5.0) < 0.1
+    assert vehicle.t_us == 10_000_000
+
+
+def test_each_step_is_taken_on_the_answer_to_the_step_before() -> None:
+    vehicle = Lift()
+    with served(vehicle, until_us=2_000_000) as (autopilot, codes, _, _):
+        answered: list[int] = []
+        for message in autopilot.messages():
+            if message.get_type() == "HIL_SENSOR":
+                # The number of the step travels to the vehicle as the motor command.
+                answered.append(message.time_usec)
+                autopilot.answer(message.time_usec, (len(answered) % 100) / 100)
+                if message.time_usec >= 3_000_000:
+                    break
+    assert codes == [0]
+    assert np.diff(answered).tolist() == [4000] * (len(answered) - 1)
+    sent = [0 if c is None else round(float(c.values[0]) * 100) for c in vehicle.controls]
+    first = next(i for i, value in enumerate(sent) if value)
+    after = sent[first + 30 :]  # the free running at the start leaves a few steps under way
+    assert {(b - a) % 100 for a, b in pairwise(after)} == {1}
+
+
+def test_before_the_first_answer_steps_leave_freely_and_in_real_time() -> None:
+    vehicle = Lift()
+    with served(vehicle, until_us=None) as (autopilot, _, _, loop):
+        seen = 0
+        for message in autopilot.messages():
+            seen += message.get_type() == "HIL_SENSOR"
+            if seen == 25:
+                break
+        assert not loop.lockstep.answered
+
+
+def test_a_missing_answer_is_told_and_passed_over() -> None:
+    vehicle = Lift()
+    with served(vehicle, until_us=400_000, timeout_s=0.05) as (autopilot, codes, said, _):
+        for message in autopilot.messages():
+            if message.get_type() == "HIL_SENSOR":
+                if message.time_usec != 1_200_000:
+                    autopilot.answer(message.time_usec, 0.0)
+                if message.time_usec >= 1_400_000:
+                    break
+    assert codes == [0]
+    assert said.getvalue().splitlines()[-2:] == [
+        "no answer to the step at 1.200 s; going on in real time",
+        "in lockstep from 1.204 s",
+    ]
+
+
+def test_a_stretch_without_answers_costs_one_time_out() -> None:
+    vehicle = Lift()
+    with served(vehicle, until_us=800_000, timeout_s=0.2) as (autopilot, codes, said, _):
+        for message in autopilot.messages():
+            if message.get_type() == "HIL_SENSOR":
+                if not 1_200_000 <= message.time_usec < 1_400_000:
+                    autopilot.answer(message.time_usec, 0.0)
+                if message.time_usec >= 1_800_000:
+                    break
+    assert codes == [0]
+    assert said.getvalue().count("no answer to the step") == 1
+
+
+def test_an_autopilot_that_falls_silent_ends_the_flight_with_a_reason() -> None:
+    vehicle = Lift()
+    with served(vehicle, until_us=None, timeout_s=0.02) as (autopilot, codes, said, _):
+        for message in autopilot.messages():
+            if message.get_type() == "HIL_SENSOR":
+                autopilot.answer(message.time_usec, 0.0)
+                break
+        for _ in autopilot.messages():  # until the simulator closes the link
+            pass
+    assert codes == [1]
+    assert "the autopilot has not answered for 0.4 s after" in said.getvalue()
+
+
+def test_a_vanished_autopilot_is_told() -> None:
+    vehicle = Lift()
+    with served(vehicle, until_us=10_000_000_000) as (autopilot, codes, said, _):
+        next(autopilot.messages())
+    assert codes == [1]
+    assert "the autopilot closed the link after" in said.getvalue()
+
+
+def test_a_change_of_the_plant_reaches_the_vehicle() -> None:
+    vehicle = Lift()
+    with served(vehicle, until_us=None) as (autopilot, _, _, _):
+        autopilot.sock.sendall(plant_frame(PlantChange("motor_efficiency[0]", 0.5)))
+        autopilot.sock.sendall(plant_frame(PlantChange("motor_efficiency[0]", None)))
+        for message in autopilot.messages():
+            if len(vehicle.changes) == 2 and message.get_type() == "HIL_SENSOR":
+                break
+    assert vehicle.changes == [("motor_efficiency[0]", 0.5), ("motor_efficiency[0]", None)]

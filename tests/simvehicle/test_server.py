@@ -1,0 +1,158 @@
+"""`sim` from its command line, and its loops on links of loopback."""
+
+import argparse
+import io
+import math
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from pathlib import Path
+
+import pytest
+from pymavlink.dialects.v20 import all as dialect
+
+from mavproxy_fault.cli import main
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.links.spec import open_link
+from mavproxy_fault.links.udp import UdpServer
+from simvehicle import server
+from simvehicle.progress import Progress
+from simvehicle.scenario import read_scenario
+from simvehicle.simulation import Simulation
+
+SCENARIO = """
+duration_s: 2.0
+start: {height_m: 100.0}
+vehicle: {kind: fixedwing, parameters: aerosonde-2025}
+sensors: {imu: {rate_hz: 250}}
+"""
+
+
+@pytest.fixture
+def scenario(tmp_path: Path) -> Path:
+    path = tmp_path / "short.yaml"
+    path.write_text(SCENARIO)
+    return path
+
+
+def received(link: UdpServer) -> list[dialect.MAVLink_message]:
+    data = b"".join(chunk for _, chunk in link.read())
+    return dialect.MAVLink(None).parse_buffer(data) or []
+
+
+Loop = Callable[..., tuple[server.FreeLoop, UdpServer]]
+
+
+@pytest.fixture
+def free_loop(scenario: Path) -> Iterator[Loop]:
+    """Makes a loop of the scenario and the far end of its link."""
+    with ExitStack() as links:
+
+        def make(*, hil: bool = False, gcs: bool = False) -> tuple[server.FreeLoop, UdpServer]:
+            far = links.enter_context(closing(open_link("udpin:127.0.0.1:0")))
+            assert isinstance(far, UdpServer)
+            near = links.enter_context(closing(open_link(f"udpout:127.0.0.1:{far.port}")))
+            simulation = Simulation(read_scenario(scenario))
+            progress = Progress(0.0, io.StringIO())
+            loop = server.FreeLoop(
+                simulation, near if hil else None, near if gcs else None, math.inf, progress
+            )
+            return loop, far
+
+        yield make
+
+
+def test_without_links_the_scenario_is_flown_to_its_end(
+    scenario: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["sim", str(scenario), "--speed", "max"]) == 0
+    assert "2.0 s simulated" in capsys.readouterr().err
+
+
+def test_hil_frames_are_published_step_by_step(free_loop: Loop) -> None:
+    loop, far = free_loop(hil=True)
+    for _ in range(20):
+        loop.step()
+    names = [m.get_type() for m in received(far)]
+    assert names.count("HIL_SENSOR") == 20
+    assert names.count("HIL_STATE_QUATERNION") == 20
+
+
+def test_two_flights_of_one_seed_send_the_same_bytes(free_loop: Loop) -> None:
+    sent = []
+    for _ in range(2):
+        loop, far = free_loop(hil=True)
+        for _ in range(50):
+            loop.step()
+        sent.append(b"".join(chunk for _, chunk in far.read()))
+    assert sent[0] == sent[1]
+    assert len(sent[0]) > 5000
+
+
+def test_a_ground_station_sees_a_vehicle_that_starts_in_the_air_hold_its_height(
+    free_loop: Loop,
+) -> None:
+    loop, far = free_loop(gcs=True)
+    for _ in range(2500):
+        loop.step()
+        if loop.t_us % 2_000_000 == 0:
+            messages = received(far)
+    last = {m.get_type(): m for m in messages}
+    assert last["GLOBAL_POSITION_INT"].relative_alt == pytest.approx(100_000, abs=8_000)
+    assert last["EXTENDED_SYS_STATE"].landed_state == dialect.MAV_LANDED_STATE_IN_AIR
+
+
+def test_datagrams_hold_whole_frames_and_fit_an_ethernet() -> None:
+    frames = [bytes([i]) * 300 for i in range(10)]
+    chunks = server.datagrams(frames)
+    assert b"".join(chunks) == b"".join(frames)
+    assert [len(c) for c in chunks] == [1200, 1200, 600]
+
+
+def test_a_ground_station_beside_an_autopilot_is_refused(
+    scenario: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["--hil", "tcpin:127.0.0.1:0", "--gcs", "udpout:127.0.0.1:14550"]
+    assert main(["sim", str(scenario), *arguments]) == 2
+    assert "--gcs: udpout:127.0.0.1:14550 is not served beside" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--speed", "fast"], "--speed: fast is not a speed"),
+        (["--hil", "tcpin:127.0.0.1"], "has no HOST:PORT"),
+        (["no_such.yaml"], "no_such.yaml: cannot be read"),
+    ],
+)
+def test_wrong_input_is_told_with_exit_code_2(
+    arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["sim", *arguments]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_an_interrupt_ends_the_flight_with_a_summary(
+    scenario: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps = 0
+
+    def step(loop: server.FreeLoop) -> None:
+        nonlocal steps
+        steps += 1
+        if steps == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(server.FreeLoop, "step", step)
+    args = argparse.Namespace(
+        scenario=str(scenario), hil=None, gcs=None, speed="1", seed=None, plot=None
+    )
+    assert server.main(args) == 0
+    assert "stopped" in capsys.readouterr().err
+
+
+def test_a_vehicle_that_diverges_is_told(free_loop: Loop) -> None:
+    loop, _ = free_loop()
+    loop._simulation._x[3] = math.nan
+
+    with pytest.raises(ConfigError, match="left the numbers at"):
+        loop.step()
