@@ -260,7 +260,7 @@ def _patch(data, at, head, size, first, t_us, extra, plans, numbers, hits, steps
     changed = False
     saturated = 0
     step = -1.0
-    t_s = (t_us - plans[first, START]) * 1e-6
+    t_s = (t_us - plans[first, START]) / 1e6
     for row in range(first, first + plans[first, ROWS]):
         changed |= _patch_element(
             data,
