@@ -32,7 +32,13 @@ from simvehicle.services.parameters import Parameters
 from simvehicle.services.telemetry import Home
 from simvehicle.simulation import Simulation
 
-WING: dict[str, int | float] = {"MIS_TAKEOFF_ALT": 50.0, "RTL_RETURN_ALT": 100.0}  # m above home
+# What differs from the common parameters; SYS_AUTOSTART is PX4's airframe that flies the same way
+MULTIROTOR: dict[str, int | float] = {"SYS_AUTOSTART": 10016}
+WING: dict[str, int | float] = {
+    "SYS_AUTOSTART": 1030,
+    "MIS_TAKEOFF_ALT": 50.0,
+    "RTL_RETURN_ALT": 100.0,
+}
 DATAGRAM = 1400  # bytes that cross an Ethernet in one piece
 
 
@@ -182,7 +188,7 @@ def services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:
     """The ground station's view of a simulation, and who flies what it commands."""
     start = simulation.scenario.start
     wing = simulation.scenario.vehicle.kind == "fixedwing"
-    parameters, missions = Parameters(WING if wing else {}), Missions()
+    parameters, missions = Parameters(WING if wing else MULTIROTOR), Missions()
     flight = Flight(
         parameters,
         missions,
