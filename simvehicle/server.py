@@ -2,7 +2,7 @@
 
 With `--hil tcpin:` (or `tcp:`) an autopilot flies the vehicle in lockstep; else its own controller
 does, and HIL frames are published to whoever listens. With `--gcs` a ground station commands it;
-without one the scenario's mission is flown to its end.
+a mission of the scenario's own is flown until it does. Without one the scenario ends in time.
 """
 
 import argparse
@@ -158,7 +158,8 @@ class FreeLoop:
 
     def step(self) -> None:
         """One step of the simulation and of everything on the links."""
-        controls = self._pilot.controls() if self._pilot else None
+        pilot = self._pilot
+        controls = pilot.controls() if pilot and pilot.flight.flown else None
         self.t_us, truth, readings = self._simulation.step(controls)
         if self._hil:
             for chunk in datagrams(self._packer.frames(self.t_us, truth, readings)):
@@ -195,6 +196,7 @@ def services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:
         Home(start.lat_deg, start.lon_deg, start.alt_m),
         simulation.home.ned,
         airborne=start.height_m > 0.0,
+        own_mission=bool(simulation.scenario.mission),
         acceptance_m=_acceptance_m(simulation) if wing else float(parameters["NAV_ACC_RAD"]),
     )
     count = 1 if wing else simulation.vehicle.controls_count
