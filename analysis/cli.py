@@ -17,6 +17,12 @@ def add_run(commands: Any) -> None:
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
     parser.add_argument("--out", metavar="DIR", help="run folder (default: runs/ and a number)")
     parser.add_argument(
+        "--gcs",
+        default="udpout:127.0.0.1:14550",
+        metavar="EP|off",
+        help="ground station, unless --speed max (default: udpout:127.0.0.1:14550)",
+    )
+    parser.add_argument(
         "--ui", action="store_true", help="serve the page for control and live view"
     )
     parser.add_argument(
@@ -42,6 +48,13 @@ def add_monitor(commands: Any) -> None:
     parser.add_argument("--labels", metavar="FILE", help="what was injected, to score against")
     parser.add_argument("--out", metavar="DIR", help="write results and report here")
     parser.add_argument("--watch", action="store_true", help="a compact live status")
+    parser.add_argument("--scenario", metavar="FILE", help="monitor and criteria sections to use")
+    parser.add_argument(
+        "--for", dest="for_s", type=float, metavar="S", help="end after S seconds of vehicle time"
+    )
+    parser.add_argument(
+        "--zenoh", default="auto", metavar="auto|off|URL", help="where results are published"
+    )
     parser.set_defaults(main=_monitor)
 
 
@@ -62,6 +75,9 @@ def add_search(commands: Any) -> None:
     where.add_argument("--workers", type=int, metavar="N", help="processes on this machine")
     where.add_argument("--ray", metavar="ADDRESS", help="a Ray cluster")
     parser.add_argument("--out", metavar="DIR")
+    parser.add_argument(
+        "--interactive", action="store_true", help="look at one test after the other"
+    )
     parser.set_defaults(main=_search)
 
 

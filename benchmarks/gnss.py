@@ -17,7 +17,7 @@ from mavproxy_fault.wire.rtcm import tunnel_frames
 from simvehicle.body import Truth
 from simvehicle.gnss.config import GnssConfig
 from simvehicle.gnss.sensor import gnss_sensor
-from simvehicle.readings import EphemerisReading, PseudorangeReading
+from simvehicle.readings import EphemerisReading, PseudorangeReading, Reading
 
 ROUNDS = 30
 HOME = (math.radians(47.4), math.radians(8.5))
@@ -53,11 +53,11 @@ class Flight:
         self.t_us = 0
         self.readings = self.sample()
 
-    def sample(self) -> list[object]:
+    def sample(self) -> list[Reading]:
         """The next epoch."""
         self.readings, self.state = self.sensor.sample(truth_at(self.t_us), self.state, self.rng)
         self.t_us += 200_000
-        return list(self.readings)
+        return self.readings
 
 
 def main() -> None:

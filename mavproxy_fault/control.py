@@ -4,6 +4,7 @@ Everything here runs in the thread of the proxy's loop and does no I/O. `Control
 that pass (MAV_CMD_INJECT_FAILURE and nothing else) and answers them in the vehicle's name.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -55,10 +56,9 @@ class Control:
     def _inject(self, parameters: list[int | float], t_us: int) -> int:
         if not self.allowed:
             return DENIED
-        if any(number != number for number in parameters[:2]):
-            return UNSUPPORTED
-        unit, kind = UNITS.get(int(parameters[0])), TYPES.get(int(parameters[1]))
-        instance = int(parameters[2]) if parameters[2] == parameters[2] else 0
+        numbers = [int(one) if math.isfinite(one) else -1 for one in parameters]
+        unit, kind = UNITS.get(numbers[0]), TYPES.get(numbers[1])
+        instance = 0 if math.isnan(parameters[2]) else numbers[2]
         if unit is None or kind is None or instance < 0:
             return UNSUPPORTED
         self.engine.tell_time(t_us)

@@ -7,7 +7,8 @@ from typing import Any
 import msgspec
 
 from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.faults.registry import fault_class
+from mavproxy_fault.faults.registry import fault_class, known_faults
+from mavproxy_fault.faults.target import near
 from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.presets import preset_names
 from mavproxy_fault.schedule import parse_entry
@@ -35,9 +36,12 @@ def request(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
     if args.clear is not None:
         what = "schedule/stop" if args.clear == "all" else f"fault/{args.clear}/disarm"
         return what, {}
+    if fault_class(args.fault) is None and args.fault not in preset_names():
+        known = near(args.fault, [*known_faults(), *preset_names()])
+        raise ConfigError(f"inject: {args.fault} is neither fault nor preset; {known}")
     plain = args.target is None and args.value is None
-    known = fault_class(args.fault) is not None and not (plain and args.fault in preset_names())
-    entry: dict[str, Any] = {"fault" if known else "preset": args.fault}
+    as_preset = args.fault in preset_names() and (plain or fault_class(args.fault) is None)
+    entry: dict[str, Any] = {"preset" if as_preset else "fault": args.fault}
     if args.target is not None:
         several = args.target.split(",")
         entry["target"] = several if len(several) > 1 else several[0]

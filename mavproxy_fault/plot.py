@@ -210,7 +210,7 @@ def _satellite_curves(
     for number, t_s in enumerate(times(begin_s, end_s, 2)):
         for system in sorted({name[0] for name in names}):
             ours = sorted(name for name in names if name[0] == system)
-            for raw in tunnel_frames(_epoch(system, ours, t_s), number):
+            for raw in tunnel_frames(epoch(system, ours, t_s), number):
                 for out in passed(engine, Frame(raw, known("TUNNEL")), t_s):
                     payload = tunnel_payload(out.frame) if isinstance(out.frame, Frame) else None
                     for message in together.add(payload or b""):
@@ -218,7 +218,7 @@ def _satellite_curves(
     return list(found.values())
 
 
-def _epoch(system: str, names: list[str], t_s: float) -> bytes:
+def epoch(system: str, names: list[str], t_s: float) -> bytes:
     each = (RANGE_M,) * len(names)
     nothing = (0.0,) * len(names)
     return encode_msm7(Msm7(system, t_s, tuple(names), each, each, nothing, nothing, nothing))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from simvehicle.body import Controls
-from simvehicle.guidance import Aim, Track
+from simvehicle.guidance import Aim, CircleTrack, Track
 from simvehicle.services.flight import Flight, Goal, Kind
 
 
@@ -37,13 +37,13 @@ class Pilot:
 
     def __init__(self, simulation: Any, flight: Flight) -> None:
         self._simulation = simulation
-        self._flight = flight
+        self.flight = flight
         self._goal: Goal | None = None
         self._idle = Controls(np.zeros(simulation.vehicle.controls_count), armed=False)
 
     def controls(self) -> Controls | None:
         """Actuators off on the ground; None where the built-in controller flies."""
-        goal = self._flight.goal
+        goal = self.flight.goal
         if goal.kind is Kind.IDLE:
             self._goal = None
             return self._idle
@@ -57,6 +57,9 @@ class Pilot:
         north, east, down = goal.r_ned_m.tolist()
         speed = goal.speed_mps or self._simulation.vehicle.parameters.cruise_mps
         wait = controller.circle(north, east, -down, speed)
-        near = 2.0 * getattr(wait, "radius_m", 0.0)
-        controller.track = Approach(north, east, near, wait)
+        if isinstance(wait, CircleTrack):
+            wait = Approach(north, east, 2.0 * wait.radius_m, wait)
+        else:
+            controller.yaw_rad = goal.yaw_rad
+        controller.track = wait
         controller.landing = goal.kind is Kind.LAND

@@ -11,10 +11,15 @@ References
 .. [2] F. L. Markley, J. Astronautical Sciences 36(3), 1988.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from analysis.compiled import compiled
+from analysis.fdi.config import DetectorConfig
+from analysis.fdi.core import Core
 from analysis.fdi.inertial import BA, BG, ERRORS, PSI, gravity_ecef, matrix, turned
+from analysis.fdi.motion import Segment
 from analysis.fdi.start import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.fdi.state import Alignment, Motion
 from analysis.gnss import EARTH_RATE_RPS, geodetic, ned_axes
@@ -35,11 +40,15 @@ def _integrate(q: Vector, alpha: Vector, samples: Vector) -> tuple[Vector, Vecto
     alpha = alpha.copy()
     for k in range(samples.shape[0]):
         dt = samples[k, 0]
-        mid = matrix(turned(q, 0.5 * dt * samples[k, 1:4], False))
+        turn = np.empty(3)
+        for i in range(3):
+            turn[i] = 0.5 * dt * samples[k, 1 + i]
+        mid = matrix(turned(q, turn, False))
         for i in range(3):
             for j in range(3):
                 alpha[i] += mid[i, j] * samples[k, 4 + j] * dt
-        q = turned(q, dt * samples[k, 1:4], False)
+            turn[i] *= 2.0
+        q = turned(q, turn, False)
     return q, alpha
 
 
@@ -92,7 +101,7 @@ def aligned(alignment: Alignment, motion: Motion, mag_b: Vector | None) -> Motio
     for at, sigma in ((BG, GYRO_BIAS_SIGMA_RPS), (BA, ACCEL_BIAS_SIGMA_MPS2)):
         p[range(at, at + 3), range(at, at + 3)] = sigma**2
     assert p.shape == (ERRORS, ERRORS)
-    return Motion(motion.t_us, x, p, True, motion.last, None)
+    return Motion(motion.t_us, x, p, True)
 
 
 def _mag_pair(alignment: Alignment, motion: Motion, mag_b: Vector) -> tuple[Vector, Vector]:
@@ -102,3 +111,19 @@ def _mag_pair(alignment: Alignment, motion: Motion, mag_b: Vector) -> tuple[Vect
     level = field - (field @ up) * up
     lat, lon, _ = geodetic(motion.x[0:3])
     return level / max(float(np.linalg.norm(level)), 1e-9), ned_axes(lat, lon)[0]
+
+
+def find_attitude(
+    core: Core, motion: Motion, part: Segment, dt_s: float, config: DetectorConfig
+) -> Motion:
+    """After an epoch without inertial attitude: gather, and switch to the IMU once it is found."""
+    if motion.inertial or not len(part.samples) or part.gap_s > config.gap_s:
+        return motion
+    if core.imu_bad_until_us is not None and motion.t_us < core.imu_bad_until_us:
+        return motion
+    alignment = motion.alignment
+    if alignment is None or (motion.t_us - alignment.start_us) * 1e-6 > LONGEST_S:
+        return replace(motion, alignment=new_alignment(motion))
+    alignment = extend(alignment, motion, part.samples, dt_s)
+    found = aligned(alignment, motion, core.mag_b)
+    return found if found is not None else replace(motion, alignment=alignment)

@@ -1,10 +1,12 @@
 """Parameters of the detector."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from analysis.compiled import compiled
 from analysis.fdi.verdict import RULES
 from analysis.gnss import TYPICAL_ALPHA, TYPICAL_BETA
 from analysis.samples import Vector
@@ -17,27 +19,42 @@ class SigmaModel:
 
     sigma^2 = scale^2 (floor^2 + (zenith / sin(elevation))^2 + thermal^2 10^((45 - C/N0) / 10))
 
-    `slow` is the share of sigma that stays the same for minutes (multipath, ephemeris and
-    atmosphere left over): what the tests with memory may not take for a fault.
+    What stays the same for minutes (multipath, ephemeris and atmosphere left over) the tests with
+    memory may not take for a fault: a bias of `slow` times sigma, and a slope of `slow_mps`.
+    `rate_mps` is one sigma of a Doppler rate in the zenith.
     """
 
     scale: float = 1.0
     floor_m: float = 0.3
     zenith_m: float = 0.4
     thermal_m: float = 0.3
-    slow: float = 0.3
+    slow: float = 1.0
+    slow_mps: float = 0.03
     rate_mps: float = 0.1
 
     def sigma_m(self, elevation_rad: Vector, cn0_dbhz: Vector) -> Vector:
         """One sigma (n,) of each pseudorange; 45 dBHz where C/N0 is not given."""
-        cn0 = np.where(np.isfinite(cn0_dbhz), cn0_dbhz, 45.0)
-        variance = (
-            self.floor_m**2
-            + (self.zenith_m / np.sin(np.maximum(elevation_rad, 0.05))) ** 2
-            + self.thermal_m**2 * 10.0 ** ((45.0 - cn0) / 10.0)
-        )
-        result: Vector = self.scale * np.sqrt(variance)
+        result: Vector = np.sqrt(range_variance(elevation_rad, cn0_dbhz, self.numbers()))
         return result
+
+    def numbers(self) -> Vector:
+        """The numbers (5,) that the kernels take."""
+        return np.array(
+            [self.scale, self.floor_m, self.zenith_m, self.thermal_m, self.rate_mps], dtype=float
+        )
+
+
+@compiled
+def range_variance(elevation_rad: Vector, cn0_dbhz: Vector, sigma: Vector) -> Vector:
+    """Variance (n,) of pseudoranges in m^2; `sigma` (5,) of `SigmaModel.numbers`."""
+    out = np.empty(elevation_rad.shape[0])
+    for i in range(out.shape[0]):
+        cn0 = cn0_dbhz[i] if np.isfinite(cn0_dbhz[i]) else 45.0
+        sine = math.sin(max(elevation_rad[i], 0.05))
+        out[i] = sigma[0] ** 2 * (
+            sigma[1] ** 2 + (sigma[2] / sine) ** 2 + sigma[3] ** 2 * 10.0 ** ((45.0 - cn0) / 10.0)
+        )
+    return out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,8 +84,12 @@ class DetectorConfig:
     """What the detector may assume and how often it may cry wolf.
 
     `p_false_alarm` is per GNSS epoch for the main test F00; `p_slow` per epoch for the tests with
-    memory. `readmit_s` is how long an excluded satellite must look healthy before it is used
-    again, `gap_s` the longest IMU gap that is bridged, `reset_s` the longest gap of epochs.
+    memory and `p_other` for Doppler and the other sensors. `rule` is how a verdict is found and
+    `left_out` the most satellites left out for it. `readmit_s` is how long an excluded satellite
+    must look healthy before it is used again, `imu_hold_s` how long a faulty IMU is not, `gap_s`
+    the longest IMU gap that is bridged, `reset_s` the longest gap of epochs. `slow_accel_mps2` is
+    what a sound IMU's acceleration may be wrong by for seconds. `history_s` is how far back the
+    filter can be repaired. `ionosphere` holds Klobuchar's coefficients until some are received.
     """
 
     p_false_alarm: float = 1e-4
@@ -82,6 +103,7 @@ class DetectorConfig:
     gap_s: float = 0.15
     reset_s: float = 10.0
     history_s: float = 30.0
+    slow_accel_mps2: float = 0.1
     doppler: bool = True
     sigma: SigmaModel = field(default_factory=SigmaModel)
     noise: Noise = field(default_factory=Noise)

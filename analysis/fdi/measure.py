@@ -1,15 +1,19 @@
 """An epoch's usable satellites and what the model makes of them."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from analysis.fdi.config import SigmaModel
-from analysis.fdi.inertial import CLOCK, DRIFT, ERRORS, ISB, X_CLOCK, X_DRIFT, X_ISB
+from analysis.compiled import compiled
+from analysis.fdi.config import SigmaModel, range_variance
 from analysis.fdi.state import Stored
-from analysis.gnss import WEEK_S, predict_ranges, satellite_states
+from analysis.gnss import PACKED, WEEK_S, predict_ranges, satellite_states
 from analysis.samples import Epoch, Vector
 
+Indices = NDArray[np.int64]
+CHOSEN_US = 30_000_000  # the choice is looked at again
 RANGE_LIMITS_M = (1.5e7, 6.0e7)  # medium orbits as seen from near the earth
 
 
@@ -42,14 +46,15 @@ class Observed:
 class Modelled:
     """Innovations at a state: ranges and rates with geometry.
 
-    `v_m` and `v_mps` (n,), `los` (n, 3), `sigma_m` (n,), `elevation_rad` (n,), `h` (n, 18) of the
-    ranges and `h_rate` (n, 18) of the rates.
+    `v_m` and `v_mps` (n,), `los` (n, 3), `variance` and `rate_variance` (n,) of both,
+    `elevation_rad` (n,), `h` (n, 18) of the ranges and `h_rate` (n, 18) of the rates.
     """
 
     v_m: Vector
     v_mps: Vector
     los: Vector
-    sigma_m: Vector
+    variance: Vector
+    rate_variance: Vector
     elevation_rad: Vector
     h: Vector
     h_rate: Vector
@@ -60,42 +65,76 @@ class Modelled:
             self.v_m[keep],
             self.v_mps[keep],
             self.los[keep],
-            self.sigma_m[keep],
+            self.variance[keep],
+            self.rate_variance[keep],
             self.elevation_rad[keep],
             self.h[keep],
             self.h_rate[keep],
         )
 
 
-def observe(
-    epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]]
-) -> tuple[Observed | None, str]:
-    """The satellites that can be used; or None and the reason why there are none."""
-    if not np.isfinite(epoch.tow_s) or not 0.0 <= epoch.tow_s <= WEEK_S:
-        return None, f"time of week {epoch.tow_s} is none"
-    keep, rows, known = [], [], 0
-    low, high = RANGE_LIMITS_M
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """The ephemerides of a set of satellites, chosen until `until_us`: indices of those that have
+    one, and their packed rows (n, 23)."""
+
+    satellites: tuple[str, ...]
+    week: int
+    until_us: int
+    keep: Indices
+    names: tuple[str, ...]
+    packed: Vector
+    galileo: Vector
+
+    def serves(self, epoch: Epoch) -> bool:
+        """Whether the choice still holds for an epoch."""
+        age_us = epoch.t_us - self.until_us + CHOSEN_US
+        same = self.satellites == epoch.satellites and self.week == epoch.week
+        return same and 0 <= age_us <= CHOSEN_US
+
+
+def choose(epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]]) -> Chosen:
+    """The healthy ephemeris nearest in time for each satellite of an epoch that has one."""
+    keep, rows = [], []
     for i, name in enumerate(epoch.satellites):
-        stored = ephemerides.get(name)
-        if stored is None:
-            continue
-        known += 1
-        packed = _nearest(stored, epoch)
-        if packed is not None and low < epoch.pseudorange_m[i] < high:
+        packed = _nearest(ephemerides.get(name, ()), epoch)
+        if packed is not None:
             keep.append(i)
             rows.append(packed)
-    if not keep:
-        return None, _why_none(epoch, ephemerides, known)
+    names = tuple(epoch.satellites[i] for i in keep)
+    return Chosen(
+        epoch.satellites,
+        epoch.week,
+        epoch.t_us + CHOSEN_US,
+        np.array(keep, dtype=np.int64),
+        names,
+        np.array(rows).reshape(len(rows), PACKED),
+        np.array([name[0] == "E" for name in names], dtype=bool),
+    )
+
+
+def observe(epoch: Epoch, chosen: Chosen) -> Observed | None:
+    """The satellites that can be used; None where there are none."""
+    if not len(chosen.keep) or not 0.0 <= epoch.tow_s <= WEEK_S:
+        return None
+    keep, names, packed, galileo = chosen.keep, chosen.names, chosen.packed, chosen.galileo
     ranges = epoch.pseudorange_m[keep]
+    plausible = (ranges > RANGE_LIMITS_M[0]) & (ranges < RANGE_LIMITS_M[1])
+    if not plausible.all():
+        if not plausible.any():
+            return None
+        names = tuple(name for name, ok in zip(names, plausible, strict=True) if ok)
+        keep, packed, galileo = keep[plausible], packed[plausible], galileo[plausible]
+        ranges = ranges[plausible]
     return Observed(
-        tuple(epoch.satellites[i] for i in keep),
+        names,
         ranges,
         epoch.doppler_mps[keep],
         epoch.cn0_dbhz[keep],
-        satellite_states(np.array(rows), float(epoch.week), epoch.tow_s, ranges),
-        np.array([epoch.satellites[i][0] == "E" for i in keep]),
+        satellite_states(packed, float(epoch.week), epoch.tow_s, ranges),
+        galileo,
         epoch.tow_s,
-    ), ""
+    )
 
 
 def _nearest(stored: tuple[Stored, ...], epoch: Epoch) -> Vector | None:
@@ -108,10 +147,13 @@ def _nearest(stored: tuple[Stored, ...], epoch: Epoch) -> Vector | None:
     return best
 
 
-def _why_none(epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]], known: int) -> str:
+def why_none(epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]]) -> str:
+    """Why `observe` found nothing to use."""
     if not epoch.satellites:
         return "no pseudoranges"
-    if not known:
+    if not 0.0 <= epoch.tow_s <= WEEK_S:
+        return f"time of week {epoch.tow_s} is none"
+    if not any(name in ephemerides for name in epoch.satellites):
         return "no ephemeris for any satellite in view"
     weeks = sorted({e.week for stored in ephemerides.values() for e, _ in stored})
     if epoch.week not in range(weeks[0] - 1, weeks[-1] + 2):
@@ -120,23 +162,51 @@ def _why_none(epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]], known: i
 
 
 def model(observed: Observed, x: Vector, sigma: SigmaModel, ionosphere: Vector) -> Modelled:
-    """Innovations, their geometry and sigma at the state x (19,)."""
-    predicted = predict_ranges(observed.states, x[0:3], x[3:6], observed.tow_s, ionosphere)
-    isb = np.where(observed.galileo, x[X_ISB], 0.0)
-    count = len(observed.satellites)
-    h = np.zeros((count, ERRORS))
-    h[:, 0:3] = -predicted[:, 2:5]
-    h[:, CLOCK] = 1.0
-    h[:, ISB] = observed.galileo
-    h_rate = np.zeros((count, ERRORS))
-    h_rate[:, 3:6] = h[:, 0:3]
-    h_rate[:, DRIFT] = 1.0
-    return Modelled(
-        v_m=observed.pseudorange_m - predicted[:, 0] - x[X_CLOCK] - isb,
-        v_mps=observed.doppler_mps - predicted[:, 1] - x[X_DRIFT],
-        los=predicted[:, 2:5],
-        sigma_m=sigma.sigma_m(predicted[:, 5], observed.cn0_dbhz),
-        elevation_rad=predicted[:, 5],
-        h=h,
-        h_rate=h_rate,
+    """Innovations, their geometry and variance at the state x (19,)."""
+    parts = _model(
+        observed.states,
+        observed.pseudorange_m,
+        observed.doppler_mps,
+        observed.cn0_dbhz,
+        observed.galileo,
+        x,
+        observed.tow_s,
+        ionosphere,
+        sigma.numbers(),
     )
+    return Modelled(*parts)
+
+
+@compiled
+def _model(
+    states: Vector,
+    pseudorange_m: Vector,
+    doppler_mps: Vector,
+    cn0_dbhz: Vector,
+    galileo: Vector,
+    x: Vector,
+    tow_s: float,
+    ionosphere: Vector,
+    sigma: Vector,
+) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector]:
+    predicted = predict_ranges(states, x[0:3], x[3:6], tow_s, ionosphere)
+    count = states.shape[0]
+    v, v_rate = np.empty(count), np.empty(count)
+    h, h_rate = np.zeros((count, 18)), np.zeros((count, 18))
+    los = np.empty((count, 3))
+    rate_variance = np.empty(count)
+    elevation = predicted[:, 5].copy()
+    for i in range(count):
+        isb = x[18] if galileo[i] else 0.0
+        v[i] = pseudorange_m[i] - predicted[i, 0] - x[16] - isb
+        v_rate[i] = doppler_mps[i] - predicted[i, 1] - x[17]
+        for k in range(3):
+            los[i, k] = predicted[i, 2 + k]
+            h[i, k] = -los[i, k]
+            h_rate[i, 3 + k] = -los[i, k]
+        h[i, 15] = 1.0
+        h[i, 17] = 1.0 if galileo[i] else 0.0
+        h_rate[i, 16] = 1.0
+        rate_variance[i] = sigma[4] ** 2 / math.sin(max(elevation[i], 0.1))
+    variance = range_variance(elevation, cn0_dbhz, sigma)
+    return v, v_rate, los, variance, rate_variance, elevation, h, h_rate

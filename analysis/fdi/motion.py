@@ -4,10 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.fdi.align import LONGEST_S, aligned, extend, new_alignment
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.inertial import PSI, propagate_freely, propagate_inertial
-from analysis.fdi.state import Core, Motion, Pending
+from analysis.fdi.state import Motion, Pending
 from analysis.samples import ImuSample, Vector
 
 PENDING_MAX = 40_000  # samples without an epoch between; older ones are forgotten
@@ -66,33 +65,19 @@ def segment(run: list[ImuSample], motion: Motion, until_us: int) -> Segment:
     return Segment(table, float(table[:, 0].max()), True)
 
 
-def advance(motion: Motion, part: Segment, until_us: int, config: DetectorConfig) -> Motion:
-    """The filter at `until_us`, before the epoch there is used."""
+def advance(
+    motion: Motion, part: Segment, until_us: int, config: DetectorConfig
+) -> tuple[Motion, Vector]:
+    """The filter at `until_us`, before the epoch there is used, and the transition (18, 18)."""
     dt_s = (until_us - motion.t_us) * 1e-6
     noise = config.noise.densities()
     whole = part.gap_s <= config.gap_s and len(part.samples) > 0
     if motion.inertial and whole:
-        x, p, _ = propagate_inertial(motion.x, motion.p, part.samples, noise)
-        return Motion(until_us, x, p, True)
-    x, p, _ = propagate_freely(motion.x, motion.p, dt_s, noise)
+        x, p, phi = propagate_inertial(motion.x, motion.p, part.samples, noise)
+        return Motion(until_us, x, p, True), phi
+    x, p, phi = propagate_freely(motion.x, motion.p, dt_s, noise)
     inertial = motion.inertial and part.gap_s <= SHORT_GAP_S and part.heard
     if inertial:
         p[range(PSI, PSI + 3), range(PSI, PSI + 3)] += (TURN_SIGMA_RPS * part.gap_s) ** 2
     alignment = motion.alignment if whole and not motion.inertial else None
-    return replace(motion, t_us=until_us, x=x, p=p, inertial=inertial, alignment=alignment)
-
-
-def find_attitude(
-    core: Core, motion: Motion, part: Segment, dt_s: float, config: DetectorConfig
-) -> Motion:
-    """After an epoch without inertial attitude: gather, and switch to the IMU once it is found."""
-    if motion.inertial or not len(part.samples) or part.gap_s > config.gap_s:
-        return motion
-    if core.imu_bad_until_us is not None and motion.t_us < core.imu_bad_until_us:
-        return motion
-    alignment = motion.alignment
-    if alignment is None or (motion.t_us - alignment.start_us) * 1e-6 > LONGEST_S:
-        return replace(motion, alignment=new_alignment(motion))
-    alignment = extend(alignment, motion, part.samples, dt_s)
-    found = aligned(alignment, motion, core.mag_b)
-    return found if found is not None else replace(motion, alignment=alignment)
+    return replace(motion, t_us=until_us, x=x, p=p, inertial=inertial, alignment=alignment), phi

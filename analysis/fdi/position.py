@@ -10,13 +10,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from analysis.fdi.align import find_attitude
 from analysis.fdi.config import DetectorConfig
+from analysis.fdi.core import Core, State
 from analysis.fdi.exclusion import exclude
-from analysis.fdi.inertial import BA, BG, CLOCK, DRIFT, ERRORS, PSI, X_SIZE, correct, project
-from analysis.fdi.motion import advance, find_attitude, segment, split_pending
+from analysis.fdi.inertial import BA, BG, CLOCK, DRIFT, ERRORS, PSI, X_SIZE, correct, innovate
+from analysis.fdi.motion import advance, segment, split_pending
 from analysis.fdi.ranges import free_position
 from analysis.fdi.start import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
-from analysis.fdi.state import Core, Exclusion, Motion, State
+from analysis.fdi.state import Motion
 from analysis.fdi.thresholds import chi_square, p_value
 from analysis.gnss import ned_axes
 from analysis.results import Decision, Result, SensorDecision
@@ -78,7 +80,7 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
         core = replace(core, motion=_start(fix.t_us, measured), excluded={}, last_fix=None)
         return [_decision(fix, core, None, None, "none", False, "start")], State(core, pending)
     part = segment(run, motion, fix.t_us)
-    predicted = advance(motion, part, fix.t_us, config)
+    predicted, _ = advance(motion, part, fix.t_us, config)
     position, velocity = check(measured, predicted, config)
     hypothesis, alarm = _judge(core, measured, fix.t_us, predicted, position, velocity, config)
     core = _with_hysteresis(core, hypothesis, position, fix.t_us, config)
@@ -136,8 +138,7 @@ def check(measured: Measured, motion: Motion, config: DetectorConfig) -> tuple[C
 
 
 def _check(p: Vector, v: Vector, h: Vector, variance: Vector, p_false_alarm: float) -> Check:
-    _, s = project(p, h, variance)
-    q = float(v @ np.linalg.solve(s, v))
+    _, _, _, q = innovate(p, np.ascontiguousarray(h), variance, v)
     return Check(q, chi_square(len(v), p_false_alarm), v, h, variance)
 
 
@@ -184,7 +185,7 @@ def _with_hysteresis(
     if core.imu_bad_until_us is not None and t_us >= core.imu_bad_until_us:
         core = replace(core, imu_bad_until_us=None)
     if hypothesis in ("gps", "multiple-unknown"):
-        left = exclude(core.excluded, (RECEIVER,), t_us)
+        left = exclude(core.excluded, (RECEIVER,), t_us, t_us)
         return replace(
             core, excluded={**left, RECEIVER: replace(left[RECEIVER], healthy_since_us=None)}
         )
@@ -194,7 +195,7 @@ def _with_hysteresis(
     since = entry.healthy_since_us if entry.healthy_since_us is not None else t_us
     if (t_us - since) * 1e-6 >= config.readmit_s:
         return replace(core, excluded={})
-    return replace(core, excluded={RECEIVER: Exclusion(entry.onset_us, since)})
+    return replace(core, excluded={RECEIVER: replace(entry, healthy_since_us=since)})
 
 
 def _used(
@@ -220,8 +221,8 @@ def _used(
 
 def _updated(motion: Motion, part: Check) -> Motion:
     h = np.ascontiguousarray(part.h)
-    ph, s = project(motion.p, h, part.variance)
-    x, p = correct(motion.x, motion.p, ph @ np.linalg.inv(s), ph, part.v)
+    ph, m, u, _ = innovate(motion.p, h, part.variance, part.v)
+    x, p, _ = correct(motion.x, motion.p, h, part.variance, ph, m, u)
     return replace(motion, x=x, p=p)
 
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
-from analysis.fdi.inertial import DRIFT, correct, project
+from analysis.fdi.inertial import DRIFT, correct, innovate
 from analysis.fdi.measure import Modelled
-from analysis.fdi.ranges import free_position, largest_set
+from analysis.fdi.ranges import FREE_DRIFT_MPS, Update, free_position, largest_set
 from analysis.fdi.state import Motion
 from analysis.fdi.thresholds import chi_square
 from analysis.fdi.verdict import judge
@@ -27,24 +27,17 @@ class RatesTested:
     fit: Vector
 
 
-def rate_variance(modelled: Modelled, config: DetectorConfig) -> Vector:
-    """Variance (n,) of the range rates; as the ranges' it grows towards the horizon."""
-    sine = np.sin(np.maximum(modelled.elevation_rad, 0.1))
-    result: Vector = (config.sigma.rate_mps / np.sqrt(sine)) ** 2
-    return result
-
-
 def check_rates(motion: Motion, modelled: Modelled, config: DetectorConfig) -> RatesTested:
     """Test the predicted velocity against the rates."""
     fit = np.isfinite(modelled.v_mps)
     count = int(fit.sum())
     if not config.doppler or count < MIN_RATES:
         return RatesTested(None, None, 0, "none", np.zeros(len(fit), dtype=bool))
-    variance = rate_variance(modelled, config)
-    h, v = modelled.h_rate[fit], modelled.v_mps[fit]
-    _, s = project(motion.p, h, variance[fit])
-    m = np.linalg.inv(s)
-    q, threshold = float(v @ m @ v), chi_square(count, config.p_other)
+    h, v, variance = modelled.h_rate, modelled.v_mps, modelled.rate_variance
+    if count < len(fit):
+        h, v, variance = h[fit], v[fit], variance[fit]
+    _, m, _, q = innovate(motion.p, h, variance, v)
+    threshold = chi_square(count, config.p_other)
     if q <= threshold:
         return RatesTested(q, threshold, count, "none", fit)
     velocity = np.ascontiguousarray(h[:, 3:6])
@@ -64,16 +57,19 @@ def freed_by(motion: Motion, hypothesis: str) -> Motion:
         return free_position(motion)
     if hypothesis == "clock":
         p = motion.p.copy()
-        p[DRIFT, DRIFT] += 100.0**2
+        p[DRIFT, DRIFT] += FREE_DRIFT_MPS**2
         return replace(motion, p=p)
     return motion
 
 
-def use_rates(motion: Motion, modelled: Modelled, fit: Vector, config: DetectorConfig) -> Motion:
+def use_rates(motion: Motion, modelled: Modelled, fit: Vector) -> tuple[Motion, Update | None]:
     """Update with the rates that fit."""
-    if not fit.any():
-        return motion
-    h = np.ascontiguousarray(modelled.h_rate[fit])
-    ph, s = project(motion.p, h, rate_variance(modelled, config)[fit])
-    x, p = correct(motion.x, motion.p, ph @ np.linalg.inv(s), ph, modelled.v_mps[fit])
-    return replace(motion, x=x, p=p)
+    which = np.flatnonzero(fit)
+    if not len(which):
+        return motion, None
+    h, v, variance = modelled.h_rate, modelled.v_mps, modelled.rate_variance
+    if len(which) < len(fit):
+        h, v, variance = h[fit], v[fit], variance[fit]
+    ph, m, u, _ = innovate(motion.p, h, variance, v)
+    x, p, gain = correct(motion.x, motion.p, h, variance, ph, m, u)
+    return replace(motion, x=x, p=p), Update(gain, m, h, v, np.full(len(which), -1))

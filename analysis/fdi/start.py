@@ -51,7 +51,7 @@ def start(t_us: int, observed: Observed, config: DetectorConfig, ionosphere: Vec
     dof = len(design) - design.shape[1]
     if dof < 1:
         return Start(None, f"{len(design)} satellites; {design.shape[1] + 1} are needed to test")
-    m = projected_weights(design, modelled.sigma_m**-2.0)
+    m = projected_weights(design, 1.0 / modelled.variance)
     u = m @ modelled.v_m
     q = float(modelled.v_m @ u)
     threshold = chi_square(dof, config.p_false_alarm)
@@ -108,7 +108,7 @@ def _solve(
     for _ in range(ITERATIONS):
         near = float(x[:3] @ x[:3]) > FAR_FROM_EARTH_M**2
         modelled = model(observed, x if near else x + 1e-3, config.sigma, ionosphere)
-        weight = 1.0 / modelled.sigma_m if near else np.ones(len(modelled.sigma_m))
+        weight = modelled.variance**-0.5 if near else np.ones(len(modelled.v_m))
         design = design_matrix(modelled.los, observed.galileo) * weight[:, None]
         step, _, rank, _ = np.linalg.lstsq(design, modelled.v_m * weight, rcond=1e-10)
         if rank < design.shape[1] or not np.isfinite(step).all():
@@ -132,7 +132,7 @@ def _motion(
 ) -> Motion:
     """The filter at the solution x, with velocity from Doppler where there is enough of it."""
     p = np.zeros((ERRORS, ERRORS))
-    weighted = design / modelled.sigma_m[:, None]
+    weighted = design / np.sqrt(modelled.variance)[:, None]
     cofactor = np.linalg.inv(weighted.T @ weighted)
     spots = [0, 1, 2, CLOCK, ISB][: design.shape[1]]
     p[np.ix_(spots, spots)] = cofactor

@@ -4,7 +4,7 @@ import argparse
 import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,9 @@ from analysis.run.flight import Flight
 from analysis.run.setup import Setup, read_setup
 from analysis.run.worker import MonitorProcess
 from analysis.terminal import print_summary
-from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.links.bus import Bus, open_bus
+from mavproxy_fault.links.bus import open_run_bus
+from mavproxy_fault.links.link import Link
+from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.record import Recorder
 from simvehicle.pace import Pace, parse_speed
 
@@ -43,7 +44,8 @@ def main(args: argparse.Namespace) -> int:
                 publisher.publish(results)
 
         flight = Flight(setup.scenario, setup.schedule)
-        wall_s = fly(flight, monitor, Recorder(folder, session(setup)), pace, take)
+        link = open_ground(args.gcs, pace)
+        wall_s = fly(flight, monitor, Recorder(folder, session(setup)), pace, take, link)
         summary = monitor.summary(flight.completed_labels(), setup.criteria, wall_s)
     write_summary(folder, summary)
     report(folder, summary)
@@ -57,9 +59,9 @@ def fly(
     recorder: Recorder,
     pace: Pace,
     take: Callable[[list[Result]], None],
+    ground: Link | None,
 ) -> float:
     """Fly to the end of the scenario, or until Ctrl-C; the wall time it took in seconds."""
-    paced = math.isfinite(pace.speed)
     recorded_us = 0
     with RunProgress(flight.duration_s) as progress:
         with contextlib.suppress(KeyboardInterrupt):
@@ -67,45 +69,34 @@ def fly(
                 wait_s = pace.wait_s(flight.t_us, time.monotonic())
                 if wait_s > 0.0:
                     time.sleep(wait_s)
-                take(monitor.feed(flight.advance()))
+                sent = flight.advance([data for _, data in ground.read()] if ground else [])
+                take(monitor.feed(sent.monitor))
+                if ground is not None:
+                    for data in sent.ground:
+                        ground.write(data)
                 if flight.t_us - recorded_us >= RECORD_US:
                     recorded_us = flight.t_us
                     recorder.write(flight.tape, flight.take_labels())
-                    if paced:
+                    if ground is not None:
                         take(monitor.feed(b"", now=True))
-                    progress.show(flight.t_us * 1e-6, flight.active)
-        monitor.feed(flight.finish())
+                    progress.show(flight.t_us * 1e-6, flight.engine.active)
+        monitor.feed(flight.finish().monitor)
         take(monitor.results())
         recorder.write(flight.tape, flight.take_labels())
         recorder.close(flight.core.clock.t0_us, flight.now_us)
         return progress.elapsed_s
 
 
+def open_ground(spec: str, pace: Pace) -> Link | None:
+    """The ground station's link; at full speed there is none, nobody could watch."""
+    if math.isinf(pace.speed) or spec == "off":
+        return None
+    return open_link(spec, plain_udp="udpout")
+
+
 def session(setup: Setup) -> dict[str, Any]:
     """What a replay of the run needs to know."""
     return {"scenario": setup.scenario.name, "seed": setup.schedule.seed}
-
-
-@contextlib.contextmanager
-def open_run_bus(choice: str, run: str) -> Iterator[Bus | None]:
-    """The bus of a run: the router, or a client of the one that is there already.
-
-    Raises
-    ------
-    ConfigError
-        If `choice` names an address where neither can be had.
-    """
-    if choice == "off":
-        yield None
-        return
-    url = None if choice == "auto" else choice
-    try:
-        bus = open_bus(url, run=run, router=True)
-    except ConfigError:
-        bus = open_bus(url, run=run)
-    with bus:
-        bus.alive("run")
-        yield bus
 
 
 def report(folder: Path, summary: dict[str, Any]) -> None:

@@ -4,32 +4,57 @@ No sockets, files or clocks: `advance` goes one step of simulated time, and the 
 sends on and publishes what comes of it.
 """
 
+from typing import NamedTuple
+
 from mavproxy_fault.core import Core
 from mavproxy_fault.engine import Engine
 from mavproxy_fault.ports import LinkRole, Send
 from mavproxy_fault.schedule import Schedule
 from mavproxy_fault.tape import Tape
+from mavproxy_fault.wire.frame import STX_V2, Frame
 from mavproxy_fault.wire.label import Label, newest
+from mavproxy_fault.wire.parser import Parser
+from mavproxy_fault.wire.plant import plant_change
 from simvehicle.hil import Hil
 from simvehicle.scenario import Scenario
+from simvehicle.server import airframe, services, throttle
 from simvehicle.simulation import Simulation
 
-SIMULATOR, MONITOR = range(2)
-LINKS = (LinkRole("simulator", "to-vehicle"), LinkRole("monitor", "from-vehicle"))
+SIMULATOR, MONITOR, VEHICLE, GROUND = range(4)
+LINKS = (
+    LinkRole("simulator", "to-vehicle"),
+    LinkRole("monitor", "from-vehicle"),
+    LinkRole("vehicle", "from-vehicle"),
+    LinkRole("ground station", "to-vehicle"),
+)
+HIL_COMPONENT = 51
+
+
+class Sent(NamedTuple):
+    """Bytes that left the proxy for the monitor and for the ground station."""
+
+    monitor: bytes
+    ground: list[bytes]
 
 
 class Flight:
-    """A scenario in flight; its wall clock is the scenario's own start time."""
+    """A scenario in flight; its wall clock is the scenario's own start time.
+
+    The scenario's mission is flown until a ground station commands something else.
+    """
 
     def __init__(self, scenario: Scenario, schedule: Schedule) -> None:
+        self.duration_s = scenario.duration_s
         self.simulation = Simulation(scenario)
         self.engine = Engine(schedule)
         self.tape = Tape()
         self.core = Core(LINKS, self.engine, tape=self.tape)
         self._labels: list[Label] = []
-        self._hil = Hil()
+        self._hil = Hil(mav_type=airframe(self.simulation)[0])
+        self._services, self._pilot = services(self.simulation)
+        self._own_goal = self._pilot.flight.goal
+        self._parser = Parser()
         self._start_us = round(scenario.start.time.timestamp() * 1e6)
-        self.duration_s = scenario.duration_s
 
     @property
     def t_us(self) -> int:
@@ -46,22 +71,23 @@ class Flight:
         """Whether the scenario's duration has been flown."""
         return self.t_us >= self.duration_s * 1e6
 
-    @property
-    def active(self) -> list[str]:
-        """Faults that act now."""
-        return self.engine.active
-
-    def advance(self) -> bytes:
-        """Fly to the next sample of the IMU; what the proxy sent to the monitor."""
-        t_us, truth, readings = self.simulation.step()
+    def advance(self, commands: list[bytes]) -> Sent:
+        """Fly to the next sample of the IMU, with what a ground station sent meanwhile."""
+        commanded = self._pilot.flight.goal is not self._own_goal
+        controls = self._pilot.controls() if commanded else None
+        t_us, truth, readings = self.simulation.step(controls)
         sends: list[Send] = []
         for raw in self._hil.frames(t_us, truth, readings):
             sends += self.core.received(SIMULATOR, raw, self.now_us)
-        return self._to_monitor(sends)
+        for raw in self._services.tick(t_us, truth, readings, throttle(self.simulation)):
+            sends += self.core.received(VEHICLE, raw, self.now_us)
+        for data in commands:
+            sends += self.core.received(GROUND, data, self.now_us)
+        return self._sort(sends)
 
-    def finish(self) -> bytes:
+    def finish(self) -> Sent:
         """End the faults that still act."""
-        return self._to_monitor(self.core.finish(self.now_us))
+        return self._sort(self.core.finish(self.now_us))
 
     def take_labels(self) -> list[Label]:
         """Labels since the last call, begun and ended ones, for the log."""
@@ -73,5 +99,34 @@ class Flight:
         """What every fault really did, for the scores; after `take_labels`."""
         return newest(self._labels)
 
-    def _to_monitor(self, sends: list[Send]) -> bytes:
-        return b"".join(send.data for send in sends if send.link == MONITOR)
+    def _sort(self, sends: list[Send]) -> Sent:
+        """Hand commands to the vehicle; the HIL stream is the monitor's, the rest the ground's."""
+        sent = Sent(b"".join(s.data for s in sends if s.link == MONITOR and _is_hil(s.data)), [])
+        answers: list[Send] = []
+        for link, data, _ in sends:
+            if link == GROUND and not _is_hil(data):
+                sent.ground.append(data)
+            elif link in (VEHICLE, SIMULATOR):
+                answers += self._obey(link, data)
+        sent.ground.extend(s.data for s in answers if s.link == GROUND)
+        return sent
+
+    def _obey(self, link: int, data: bytes) -> list[Send]:
+        """What a frame for the vehicle or for the simulated plant leads to."""
+        sends: list[Send] = []
+        for item in self._parser.push(data, datagram=True):
+            if not isinstance(item, Frame) or item.component == HIL_COMPONENT:
+                continue
+            if link == SIMULATOR:
+                change = plant_change(item)
+                if change is not None:
+                    self.simulation.plant(change.name, change.value)
+                continue
+            for raw in self._services.received(item, self.t_us):
+                sends += self.core.received(VEHICLE, raw, self.now_us)
+        return sends
+
+
+def _is_hil(data: bytes) -> bool:
+    """Whether a datagram comes from the simulator's HIL end."""
+    return data[0] == STX_V2 and data[6] == HIL_COMPONENT

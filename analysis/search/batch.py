@@ -31,12 +31,14 @@ class Outcome(NamedTuple):
     """What became of n evaluations.
 
     `fitness` (n,) is the criterion in degrees, or, where the flight left the envelope, minus the
-    share of the time that was left (-1 to 0). `rmse_deg` and `largest_deg` (n, 4): roll, pitch,
-    yaw, angle (0 unless the criterion is the angle), means over the noise draws. `lasted_s` (n,);
-    `left` (n,) numbers of `rows.LIMITS`; `steps` that were flown and scored, all in all.
+    share of the time that was left (-1 to 0); `spread_deg` (n,) is its standard deviation over the
+    noise draws. `rmse_deg` and `largest_deg` (n, 4): roll, pitch, yaw, angle (0 unless the
+    criterion is the angle), means over the noise draws. `lasted_s` (n,); `left` (n,) numbers of
+    `rows.LIMITS`; `steps` that were flown and scored, all in all.
     """
 
     fitness: Array
+    spread_deg: Array
     rmse_deg: Array
     largest_deg: Array
     lasted_s: Array
@@ -74,21 +76,30 @@ class Batch:
         draws = self.test.noise_draws if draws is None else draws
         return self.fly(flights_of(self.test, self.space.values(points)), seed, first, draws)
 
-    def fly(self, flights: Array, seed: int, first: int, draws: int) -> Outcome:
-        """Fly columns (ROWS, n), `draws` times each.
+    def fly(
+        self, flights: Array, seed: int, first: int, draws: int, alike: bool = False
+    ) -> Outcome:
+        """Fly columns (ROWS, n), `draws` times each; with the same noise for all if `alike`.
 
-        The noise does not move the aircraft: what leaves the envelope once is flown only once.
+        The noise does not move the aircraft: of many flights, those that leave the envelope are
+        flown only once.
         """
-        numbers = first * draws + draws * np.arange(flights.shape[1])
-        once = self._flown(flights, seed, numbers)
+        count = flights.shape[1]
+        numbers = first * draws + np.arange(count * draws).reshape(count, draws)
+        if alike:
+            numbers = np.broadcast_to(numbers[0], numbers.shape)
+        if count < 2 * rows.LANES or draws == 1:
+            columns = self._flown(np.repeat(flights, draws, axis=1), seed, numbers.ravel())
+            columns = columns.reshape(rows.ROWS, count, draws)
+            return outcome_of(columns, self.plan)
+        once = self._flown(flights, seed, numbers[:, 0])
         columns = np.repeat(once[:, :, None], draws, axis=2)
         stays = once[rows.LEFT] == 0.0
-        if draws > 1 and stays.any():
-            rest = (numbers[stays, None] + np.arange(1, draws)).ravel()
-            again = self._flown(np.repeat(flights[:, stays], draws - 1, axis=1), seed, rest)
+        if stays.any():
+            rest = np.repeat(flights[:, stays], draws - 1, axis=1)
+            again = self._flown(rest, seed, numbers[stays, 1:].ravel())
             columns[:, stays, 1:] = again.reshape(rows.ROWS, -1, draws - 1)
-        steps = int(once[rows.COUNT].sum() + columns[rows.COUNT][stays, 1:].sum())
-        return outcome_of(columns, self.plan, steps)
+        return outcome_of(columns, self.plan)
 
     def _flown(self, flights: Array, seed: int, numbers: NDArray[np.int64]) -> Array:
         """The columns as the kernel leaves them; `numbers` (n,) choose the noise."""
@@ -192,7 +203,7 @@ def ned_velocity(q: Array, v_b_mps: Array) -> Array:
     return turned
 
 
-def outcome_of(columns: Array, plan: Plan, steps: int) -> Outcome:
+def outcome_of(columns: Array, plan: Plan) -> Outcome:
     """Scores from the rows (ROWS, n, draws) that the kernel left."""
     count = columns[rows.COUNT]
     squares = columns[rows.SQUARES : rows.SQUARES + 4]
@@ -204,9 +215,10 @@ def outcome_of(columns: Array, plan: Plan, steps: int) -> Outcome:
     fitness = np.where(left > 0, lasted - 1.0, worst.mean(axis=1))
     return Outcome(
         np.nan_to_num(fitness, nan=-1.0),
+        worst.std(axis=1),
         rmse.mean(axis=2).T,
         largest.mean(axis=2).T,
         lasted * plan.steps * plan.dt_s,
         left,
-        steps,
+        int(np.where(left > 0, count.max(axis=1), count.sum(axis=1)).sum()),
     )

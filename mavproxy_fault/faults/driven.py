@@ -18,9 +18,7 @@ class Driven(ValueFault, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if (self.value is None) == (self.profile is None):
             raise ValueError("takes either value or profile")
-        if isinstance(self.value, tuple):
-            for places in self.elements.values():
-                each(self.value, len(places))
+        super().__post_init__()
 
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
@@ -42,7 +40,7 @@ class Driven(ValueFault, frozen=True, kw_only=True):
 
     def fed(self, state: Moving, value: float, t_us: int) -> Moving:
         """The state after a live value that came at `t_us`."""
-        return Moving(state.start_us, ((t_us - state.start_us) * 1e-6, value))
+        return Moving(state.start_us, ((t_us - state.start_us) / 1e6, value))
 
 
 def meet(mode: Mode, healthy: Number, value: float) -> Number:

@@ -6,7 +6,7 @@ late or slow by delaying or losing the frame.
 
 from typing import Any, ClassVar
 
-from mavproxy_fault.faults.profile import Positive
+from mavproxy_fault.faults.profile import CLOSE_S, Positive
 from mavproxy_fault.faults.value import ValueFault
 from mavproxy_fault.wire.frame import Number
 
@@ -29,7 +29,7 @@ class Lag(ValueFault, frozen=True, kw_only=True):
         rows: dict[Key, tuple[Row, ...]] = memory or {}
         past = (*rows.get(key, ()), (t_s, before))[-ROWS_MAX:]
         old = 0
-        while old + 1 < len(past) and past[old + 1][0] <= t_s - self.value:
+        while old + 1 < len(past) and past[old + 1][0] <= t_s - self.value + CLOSE_S:
             old += 1
         return past[old][1], {**rows, key: past[old:]}
 
@@ -47,6 +47,6 @@ class SampleHold(ValueFault, frozen=True, kw_only=True):
         """The values of the last sample."""
         held: dict[Key, Row] = memory or {}
         taken = held.get(key)
-        if taken is not None and t_s - taken[0] < self.value:
+        if taken is not None and t_s - taken[0] < self.value - CLOSE_S:
             return taken[1], held
         return before, {**held, key: (t_s, before)}

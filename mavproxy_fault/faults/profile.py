@@ -15,6 +15,7 @@ from msgspec import Meta
 
 Mode = Literal["replace", "add", "scale"]
 OVERLAP_TOLERANCE_S = 1e-6  # stamps are microseconds: what is closer than one is not an overlap
+CLOSE_S = 1e-7  # nor do a sum of steps and a multiple of them differ that are closer
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 
@@ -129,7 +130,8 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             )
         elif self.impulses is not None:
             train = self.impulses
-            found = train.amplitude if t_s % train.period_s < train.width_s else None
+            passed_s = since_last(t_s, train.period_s)
+            found = train.amplitude if passed_s < train.width_s - CLOSE_S else None
         elif self.table is not None:
             found = state.at(t_s)
         else:
@@ -166,6 +168,11 @@ def at(pieces: Sequence[Piece], t_s: float, *, open_left: bool) -> float | None:
         return None
     at_s, for_s, start, rate = pieces[k]
     return start + (t_s - at_s) * rate if t_s <= at_s + for_s else None
+
+
+def since_last(t_s: float, period_s: float) -> float:
+    """Seconds since the last whole period, robust against rounding."""
+    return t_s - int((t_s + CLOSE_S) / period_s) * period_s
 
 
 def check_apart(segments: Sequence[Segment]) -> None:

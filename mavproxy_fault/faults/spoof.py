@@ -71,7 +71,7 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
         mover = MOVERS.get(frame.layout.name)
         if mover is None:
             return [Outgoing(t_us, frame)], state
-        shift = self.shift((t_us - state) * 1e-6)
+        shift = self.shift((t_us - state) / 1e6)
         out = rewritten(frame, t_us, mover(frame, Move(*shift)))
         if out.frame is frame:
             return [out], state

@@ -36,7 +36,7 @@ class Stamps(LinkFault, frozen=True, kw_only=True):
         self, frame: Frame, t_us: int, state: int, rng: np.random.Generator
     ) -> tuple[list[Outgoing], int]:
         """Move every stamp of the frame; a message without one passes."""
-        off_s = self.off_s((t_us - state) * 1e-6)
+        off_s = self.off_s((t_us - state) / 1e6)
         scales = stamp_fields(frame.layout)
         out = rewritten(
             frame,

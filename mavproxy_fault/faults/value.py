@@ -29,6 +29,12 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
     by_sender: ClassVar[bool] = False
     elements: Mapping[int, tuple[Element, ...]] = {}
 
+    def __post_init__(self) -> None:
+        value = getattr(self, "value", None)
+        if isinstance(value, tuple):
+            for places in self.elements.values():
+                each(value, len(places))
+
     def new_state(self, start_us: int) -> Moving:
         """The state when the fault becomes active."""
         return Moving(start_us, None)
@@ -41,7 +47,7 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
         places = places_of(frame.id, self.elements[frame.id])
         before = values_at(frame, places)
         key = sender(frame) if self.by_sender else ()
-        after, memory = self.after(before, key, (t_us - start_us) * 1e-6, remembered, rng)
+        after, memory = self.after(before, key, (t_us - start_us) / 1e6, remembered, rng)
         if memory is not remembered:
             state = Moving(start_us, memory)
         return [changed(frame, t_us, places, before, after)], state

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from mavproxy_fault.faults.driven import meet
-from mavproxy_fault.faults.profile import Mode, Positive
+from mavproxy_fault.faults.profile import CLOSE_S, Mode, Positive, since_last
 from mavproxy_fault.faults.value import ValueFault
 from mavproxy_fault.wire.frame import Number
 
@@ -42,7 +42,7 @@ class Impulse(ValueFault, frozen=True, kw_only=True):
         self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Healthy between the impulses."""
-        if t_s % self.period_s >= self.width_s:
+        if since_last(t_s, self.period_s) >= self.width_s - CLOSE_S:
             return before, None
         return [meet(self.mode, x, self.value) for x in before], None
 
@@ -57,5 +57,5 @@ class Cycle(ValueFault, frozen=True, kw_only=True):
         self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Only the one whose turn it is."""
-        turn = int(t_s / self.period_s) % len(before)
+        turn = int((t_s + CLOSE_S) / self.period_s) % len(before)
         return [x + self.value * (i == turn) for i, x in enumerate(before)], None

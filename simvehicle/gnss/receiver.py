@@ -74,10 +74,7 @@ def solve(
     if count < 3 + max(len(systems), 1):
         return _none(count, f"{count} satellites of {len(systems)} systems", last)
     near = last is not None and last.fix_type == 3 and len(last.clock_m) == len(systems)
-    if last is not None and near:
-        start = np.concatenate((last.r_ecef_m, last.clock_m))
-    else:
-        start = np.concatenate((_somewhere_below(orbits, tow_s), np.zeros(len(systems))))
+    start = (last.r_ecef_m, last.clock_m) if last is not None and near else None
     system = np.array([systems.index(letter) for letter in letters])
     out = kernel.navigate(
         orbits.table,
@@ -87,7 +84,7 @@ def solve(
         doppler_mps,
         atmosphere.coefficients,
         atmosphere.troposphere,
-        start,
+        np.concatenate(start or (_somewhere_below(orbits, tow_s), np.zeros(len(systems)))),
         near,
     )
     if out[kernel.STATUS] != kernel.SOLVED:

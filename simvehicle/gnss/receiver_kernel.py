@@ -92,25 +92,10 @@ def navigate(
 ) -> Vector:
     """Position, velocity and clocks of one epoch.
 
-    Parameters
-    ----------
-    table : (n, 20) array
-        Orbits, see `ephemeris.Orbits`.
-    system : (n,) array
-        Index of each satellite's clock among those of `start`.
-    tow_s, code_m, rate_mps
-        Time and observations.
-    coefficients, troposphere
-        What to correct for.
-    start : (3 + m,) array
-        Position and clock offsets [m] to begin with.
-    near : bool
-        Whether that is within some kilometres, so that elevations are right.
-
-    Returns
-    -------
-    (19,) array
-        Rows named above.
+    `table` (n, 20) are the orbits, `system` (n,) the index of each satellite's clock among those of
+    `start` (3 + m,), which holds position and clock offsets [m] to begin with; `near` says that it
+    is within some kilometres, so that elevations are right. The answer (19,) has the rows named
+    above; the rest is as in `receiver.solve`.
     """
     n, m = len(table), len(start)
     out = np.zeros(SIZE)
@@ -122,9 +107,10 @@ def navigate(
     for _ in range(ROUNDS_MAX):
         seen = sights(table, tow_s - x[3] / SPEED_OF_LIGHT_MPS, x, still, coefficients, troposphere)
         for i in range(n):
+            own = 3 + system[i]
             design[i, 0], design[i, 1], design[i, 2] = -seen[7, i], -seen[8, i], -seen[9, i]
-            design[i, 3 + system[i]] = 1.0
-            model = seen[0, i] - SPEED_OF_LIGHT_MPS * seen[2, i] + seen[6, i] + x[3 + system[i]]
+            design[i, own] = 1.0
+            model = seen[0, i] - SPEED_OF_LIGHT_MPS * seen[2, i] + seen[6, i] + x[own]
             residual[i] = code_m[i] - model
             if near:
                 weights[i] = (max(sin(seen[4, i]), SINE_MIN) / ZENITH_SIGMA_M) ** 2
@@ -144,14 +130,23 @@ def navigate(
         return out
     for a in range(m):
         out[PLACE + a] = x[a]  # and the clocks after it
-    for i in range(n):
+    _add_motion(out, seen, rate_mps, design, weights)
+    _add_local(out, covariance)
+    return out
+
+
+@compiled
+def _add_motion(
+    out: Vector, seen: Vector, rate_mps: Vector, design: Vector, weights: Vector
+) -> None:
+    """Velocity and drift from range rates; `design` becomes that of one clock."""
+    residual = np.zeros(len(rate_mps))
+    for i in range(len(rate_mps)):
         residual[i] = rate_mps[i] - seen[1, i] + SPEED_OF_LIGHT_MPS * seen[3, i]
         design[i, 3] = 1.0
     motion, _ = least_squares(design, residual, weights, 4)
     for a in range(len(motion)):
         out[MOTION + a] = motion[a]  # and the drift after it
-    _add_local(out, covariance)
-    return out
 
 
 @compiled

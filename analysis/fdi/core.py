@@ -1,0 +1,52 @@
+"""The detector's state; every step hands back a new one."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from analysis.fdi.measure import Chosen, Observed
+from analysis.fdi.motion import Segment
+from analysis.fdi.slow import Memory
+from analysis.fdi.state import Exclusion, Motion, Pending, Stored
+from analysis.samples import Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Core:
+    """Everything but the pending IMU samples.
+
+    `imu_bad_until_us` is when a faulty IMU is tried again (None: it is trusted), `unknown_since_us`
+    since when every epoch had the verdict "multiple-unknown". `ranges_us` is when raw ranges were
+    last usable; `gps_source` and `last_fix` (time and ECEF position) serve when there are none.
+    """
+
+    motion: Motion | None
+    ephemerides: dict[str, tuple[Stored, ...]]
+    ionosphere: Vector
+    excluded: dict[str, Exclusion] = field(default_factory=dict)
+    imu_id: int | None = None
+    imu_bad_until_us: int | None = None
+    mag_b: Vector | None = None
+    unknown_since_us: int | None = None
+    ranges_us: int | None = None
+    chosen: Chosen | None = None
+    memory: Memory | None = None
+    history: "tuple[Record, ...]" = ()
+    gps_source: str | None = None
+    last_fix: tuple[int, Vector] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One epoch of the past, to be judged again: the core before it and what was observed."""
+
+    t_us: int
+    core: Core
+    observed: Observed
+    part: Segment
+
+
+class State(NamedTuple):
+    """The detector's state."""
+
+    core: Core
+    pending: Pending | None = None

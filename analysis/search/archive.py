@@ -1,0 +1,47 @@
+"""The worst cases so far: the best few points, no two of them close together."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+APART = 0.1  # root-mean-square distance, per searched number, from which cases count as different
+SPARE = 8  # candidates kept for each case asked for: some will turn out to have been lucky
+
+
+class Case(NamedTuple):
+    """One evaluation: its number, its point (d,) and what it came to."""
+
+    number: int
+    point: Array
+    fitness: float
+
+
+class Archive:
+    """Keeps the candidates for the `keep` worst cases."""
+
+    def __init__(self, keep: int) -> None:
+        self._limit = keep * SPARE
+        self.cases: list[Case] = []
+
+    def add(self, first: int, points: Array, fitness: Array) -> None:
+        """Take in evaluations `first`, `first` + 1, ... at points (n, d)."""
+        floor = self.cases[-1].fitness if len(self.cases) >= self._limit else -np.inf
+        for i in np.argsort(-fitness, kind="stable"):
+            if fitness[i] <= floor:
+                break
+            self._insert(Case(first + int(i), points[i], float(fitness[i])))
+
+    def _insert(self, case: Case) -> None:
+        """A case replaces its worse neighbours and gives way to a better one."""
+        near = [other for other in self.cases if distance(case.point, other.point) < APART]
+        if any(other.fitness >= case.fitness for other in near):
+            return
+        kept = [other for other in self.cases if not any(other is n for n in near)]
+        self.cases = sorted([*kept, case], key=lambda c: (-c.fitness, c.number))[: self._limit]
+
+
+def distance(a: Array, b: Array) -> float:
+    """Root-mean-square difference of two points; 0 for points without numbers."""
+    return float(np.sqrt(np.mean((a - b) ** 2))) if len(a) else 0.0

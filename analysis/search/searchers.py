@@ -1,0 +1,241 @@
+"""Searchers: where to look next, by ask and tell, in the unit cube, for the largest fitness.
+
+A searcher depends on its seed and on what it was told, on nothing else, so that a search is resumed
+by telling it again what was found. Noise in the fitness is expected.
+"""
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.search.inverted import Function, Inverted
+from mavproxy_fault.errors import ConfigError
+
+Array = NDArray[np.float64]
+BATCH = 256  # points of a batch where the method does not say
+
+
+class Searcher(Protocol):
+    """The contract: `ask` and `tell` take turns."""
+
+    def ask(self) -> Array:
+        """Points (n, d) to try."""
+
+    def tell(self, points: Array, fitness: Array) -> None:
+        """What they came to (n,)."""
+
+
+class Random:
+    """Independent uniform points."""
+
+    def __init__(self, dimension: int, seed: int, budget: int) -> None:
+        self._dimension = dimension
+        self._rng = np.random.default_rng([seed, 1])
+
+    def ask(self) -> Array:
+        """The next points."""
+        return self._rng.random((BATCH, self._dimension))
+
+    def tell(self, points: Array, fitness: Array) -> None:
+        """Nothing is learned."""
+
+
+class Sobol:
+    """A scrambled Sobol sequence, which fills the cube more evenly."""
+
+    def __init__(self, dimension: int, seed: int, budget: int) -> None:
+        from scipy.stats.qmc import Sobol as Sequence
+
+        self._sequence = Sequence(dimension, rng=np.random.default_rng([seed, 2]))
+
+    def ask(self) -> Array:
+        """The next points."""
+        points: Array = self._sequence.random(BATCH)
+        return points
+
+    def tell(self, points: Array, fitness: Array) -> None:
+        """Nothing is learned."""
+
+
+class Matyas:
+    """Random optimisation (Matyas, Automation and Remote Control 26, 1965).
+
+    A Gaussian step from the best point so far is kept if it is better; a tenth of the range wide.
+    """
+
+    STEP = 0.1
+    TOGETHER = 8
+
+    def __init__(self, dimension: int, seed: int, budget: int) -> None:
+        self._rng = np.random.default_rng([seed, 3])
+        self._best = self._rng.random(dimension)
+        self._fitness = -np.inf
+
+    def ask(self) -> Array:
+        """Steps from the best point, that point itself at first."""
+        if self._fitness == -np.inf:
+            return self._best[None, :]
+        steps = self._rng.normal(0.0, self.STEP, (self.TOGETHER, len(self._best)))
+        return np.clip(self._best + steps, 0.0, 1.0)
+
+    def tell(self, points: Array, fitness: Array) -> None:
+        """Move to a better point."""
+        k = int(np.argmax(fitness))
+        if fitness[k] > self._fitness:
+            self._best, self._fitness = points[k], float(fitness[k])
+
+
+class CmaEs:
+    """CMA-ES (the `cma` package) with restarts at random points, each with a larger population."""
+
+    SIGMA = 0.3
+    GROWTH = 1.5
+
+    def __init__(self, dimension: int, seed: int, budget: int) -> None:
+        self._dimension = dimension
+        self._rng = np.random.default_rng([seed, 4])
+        self._restarts = 0
+        self._es = self._started(self._rng.random(dimension))
+
+    def _started(self, x: Array) -> Any:
+        size = round((4 + int(3 * np.log(self._dimension))) * self.GROWTH**self._restarts)
+        return evolution(x, self.SIGMA, size, self._rng)
+
+    def ask(self) -> Array:
+        """A generation."""
+        if self._es.stop():
+            self._restarts += 1
+            self._es = self._started(self._rng.random(self._dimension))
+        return np.array(self._es.ask())
+
+    def tell(self, points: Array, fitness: Array) -> None:
+        """The generation's fitness."""
+        self._es.tell(list(points), list(-fitness))
+
+
+def evolution(x: Array, sigma: float, size: int, rng: np.random.Generator) -> Any:
+    """A CMA evolution strategy within the unit cube that draws from `rng` alone."""
+    import cma
+
+    options = {
+        "bounds": [0.0, 1.0],
+        "popsize": size,
+        "verbose": -9,
+        "randn": lambda *shape: rng.standard_normal(shape),
+        "seed": np.nan,  # leaves the global generator alone
+        "tolfun": 1e-4,
+        "tolstagnation": 60,
+    }
+    return cma.CMAEvolutionStrategy(x, sigma, options)
+
+
+class DifferentialEvolution:
+    """SciPy's differential evolution, best/1/bin, a generation at a time."""
+
+    def __init__(self, dimension: int, seed: int, budget: int) -> None:
+        from scipy.optimize import Bounds, differential_evolution
+
+        def minimise(function: Function) -> None:
+            def of_columns(x: Any, /) -> Any:
+                return function(x.T)
+
+            differential_evolution(
+                of_columns,
+                Bounds(np.zeros(dimension), np.ones(dimension)),
+                popsize=max(1, 65 // dimension),
+                maxiter=1_000_000,
+                tol=0.0,
+                polish=False,
+                vectorized=True,
+                updating="deferred",
+                rng=np.random.default_rng([seed, 5]),
+            )
+
+        self._solver = Inverted(minimise)
+
+    def ask(self) -> Array:
+        """A generation."""
+        return self._solver.ask()
+
+    def tell(self, points: Array, fitness: Array) -> None:
+        """The generation's fitness."""
+        self._solver.tell(-fitness)
+
+
+class Mixed:
+    """The default: a Sobol design, then CMA-ES from its best points, then from new ones.
+
+    An eighth of the runs that follow a stop begin at the best point of all with small steps, the
+    others at the best of a few points that lie far from where runs have ended.
+    """
+
+    DESIGN = 64  # a power of two keeps the sequence balanced
+    SIGMA = 0.25
+
+    def __init__(self, dimension: int, seed: int, budget: int) -> None:
+        self._dimension = dimension
+        self._rng = np.random.default_rng([seed, 6])
+        from scipy.stats.qmc import Sobol as Sequence
+
+        self._sequence = Sequence(dimension, rng=np.random.default_rng([seed, 7]))
+        self._islands = int(np.clip(budget // 10_000, 1, 16))
+        self._runs: list[Any] = []
+        self._points: list[Array] = []
+        self._fitness: list[Array] = []
+        self._sizes: list[int] = []
+
+    def ask(self) -> Array:
+        """The design, then a generation of every island."""
+        if not self._points:
+            points: Array = self._sequence.random(self.DESIGN)
+            return points
+        self._runs = [run for run in self._runs if not run.stop()]
+        while len(self._runs) < self._islands:
+            self._runs.append(self._begun(len(self._runs)))
+        generations = [np.array(run.ask()) for run in self._runs]
+        self._sizes = [len(g) for g in generations]
+        return np.concatenate(generations)
+
+    def _begun(self, rank: int) -> Any:
+        """A run from the best point of those told that no run holds yet."""
+        points, fitness = np.concatenate(self._points), np.concatenate(self._fitness)
+        size = 4 + int(3 * np.log(self._dimension))
+        order = np.argsort(-fitness)
+        start = points[order[min(rank, len(order) - 1)]]
+        return evolution(start, self.SIGMA, size, self._rng)
+
+    def tell(self, points: Array, fitness: Array) -> None:
+        """Every island learns from its own generation."""
+        self._points.append(points)
+        self._fitness.append(fitness)
+        if not self._runs:
+            return
+        ends = np.cumsum(self._sizes)[:-1]
+        for run, x, f in zip(
+            self._runs, np.split(points, ends), np.split(fitness, ends), strict=True
+        ):
+            run.tell(list(x), list(-f))
+
+
+METHODS: dict[str, type[Searcher]] = {
+    "cmaes": CmaEs,
+    "de": DifferentialEvolution,
+    "matyas": Matyas,
+    "mixed": Mixed,
+    "random": Random,
+    "sobol": Sobol,
+}
+
+
+def searcher(method: str, dimension: int, seed: int, budget: int) -> Searcher:
+    """The searcher of that name.
+
+    Raises
+    ------
+    ConfigError
+        If there is none.
+    """
+    if method not in METHODS:
+        raise ConfigError(f"method: {method!r} is unknown; known: {', '.join(METHODS)}")
+    return METHODS[method](dimension, seed, budget)  # type: ignore[call-arg]

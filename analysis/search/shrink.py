@@ -1,0 +1,101 @@
+"""Make a worst case smaller: the least fault that still breaks the estimator.
+
+One after the other each fault's value and duration are brought towards no fault at all, as far as
+the mean error over fresh noise stays at the limit. The error need not grow evenly with a fault, so
+that a grid is tried, then a finer one within the cell where the estimator breaks.
+"""
+
+from collections.abc import Mapping
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.search.batch import Batch
+from analysis.search.space import flights_of, target_of
+from analysis.search.testfile import Initial, Mission, OpenLoop, Sensors, TestFile, Wind
+
+Array = NDArray[np.float64]
+GRID = 12
+ROUNDS = 2
+
+
+def pinned(test: TestFile, values: Mapping[str, float]) -> TestFile:
+    """The test with every range replaced by its value: a file that flies this case again."""
+
+    def part(section: str) -> dict[str, float]:
+        head = section + "."
+        return {k.removeprefix(head): float(v) for k, v in values.items() if k.startswith(head)}
+
+    faults = []
+    for i, fault in enumerate(test.faults):
+        mine = part(f"faults[{i}]")
+        target = target_of(test, i, mine.pop("target"))
+        faults.append(msgspec.structs.replace(fault, target=target, any_of=[], **mine))
+    return msgspec.structs.replace(
+        test,
+        initial=Initial(**part("initial")),
+        controls=OpenLoop(**part("controls")),
+        mission=Mission(**part("mission")) if test.mission is not None else None,
+        wind=Wind(**part("wind")),
+        sensors=Sensors(**part("sensors")),
+        faults=faults,
+    )
+
+
+def fault_names(test: TestFile) -> list[str]:
+    """What shrinking works on, in order."""
+    return [
+        f"faults[{i}].{key}"
+        for i, fault in enumerate(test.faults)
+        for key in (("for_s",) if fault.fault == "freeze" else ("value", "for_s"))
+    ]
+
+
+def smaller(test: TestFile, name: str, value: float, share: Array) -> Array:
+    """Values (n,) between no fault (share 0) and `value` (share 1)."""
+    index = int(name[len("faults[") : name.index("]")])
+    scale = test.faults[index].fault == "scale" and name.endswith(".value")
+    healthy = 1.0 if scale else 0.0
+    if name.endswith(".for_s"):
+        value = min(value, test.duration_s)
+    return healthy + share * (value - healthy)
+
+
+def shrunk(
+    test: TestFile,
+    values: Mapping[str, float],
+    limit_deg: float,
+    errors_deg: "Errors",
+) -> dict[str, float]:
+    """The values of the smallest fault found; `errors_deg` gives the mean error of many."""
+    found = dict(values)
+    for name in fault_names(test):
+        low, high = 0.0, 1.0
+        for _ in range(ROUNDS):
+            share = np.linspace(low, high, GRID + 1)[:-1]
+            tried = [found | {name: float(v)} for v in smaller(test, name, found[name], share)]
+            broken = errors_deg(tried) >= limit_deg
+            if not broken.any():
+                low = float(share[-1])
+                continue
+            k = int(np.argmax(broken))
+            high = float(share[k])
+            low = float(share[k - 1]) if k else high
+            if k == 0:
+                break
+        found[name] = float(smaller(test, name, found[name], np.array([high]))[0])
+    return found
+
+
+class Errors:
+    """Mean error in degrees of several cases, with the same noise for all; -inf if one leaves."""
+
+    def __init__(self, test: TestFile, seed: int, draws: int) -> None:
+        self._test, self._seed, self._draws = test, seed, draws
+
+    def __call__(self, cases: list[dict[str, float]]) -> Array:
+        columns = {name: np.array([case[name] for case in cases]) for name in cases[0]}
+        batch = Batch(self._test)
+        outcome = batch.fly(flights_of(self._test, columns), self._seed, 0, self._draws, True)
+        return np.where(outcome.left > 0, -np.inf, outcome.fitness)

@@ -1,0 +1,173 @@
+"""Live control of a running proxy: the bus and RflySim's port, joined to the loop.
+
+Zenoh answers queries on threads of its own, the engine belongs to the loop's thread. A request
+therefore waits until the loop, woken by a socket, has carried it out.
+"""
+
+import contextlib
+import logging
+import queue
+import socket
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from typing import Any
+
+import msgspec
+
+from mavproxy_fault.control import Control
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.links.bus import Bus, open_bus
+from mavproxy_fault.rflysim import FIRST_PORT, PACKED
+from mavproxy_fault.wire.label import Label
+
+PATIENCE_S = 3.0
+LABELS_KEPT = 100
+LOG = logging.getLogger(__name__)
+
+
+class Requests:
+    """Hands work of other threads to the loop, and its outcome back."""
+
+    def __init__(self) -> None:
+        self._waiting: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = (
+            queue.SimpleQueue()
+        )
+        self._reads, self._wakes = socket.socketpair()
+        self._reads.setblocking(False)
+        self._wakes.setblocking(False)
+
+    def fileno(self) -> int:
+        """Readable while something waits."""
+        return self._reads.fileno()
+
+    def ask(self, act: Callable[[], Any]) -> Any:
+        """Have the loop call `act`; its value, or what it raised.
+
+        Raises
+        ------
+        ConfigError
+            If the loop does not come to it in three seconds.
+        """
+        outcome: Future[Any] = Future()
+        self._waiting.put((act, outcome))
+        with contextlib.suppress(BlockingIOError):
+            self._wakes.send(b"!")
+        try:
+            return outcome.result(PATIENCE_S)
+        except TimeoutError:
+            outcome.cancel()
+            raise ConfigError(f"the proxy did not answer within {PATIENCE_S} s") from None
+
+    def serve(self) -> None:
+        """Carry out all that waits; called by the loop."""
+        with contextlib.suppress(BlockingIOError):
+            while self._reads.recv(4096):
+                pass
+        while not self._waiting.empty():
+            act, outcome = self._waiting.get()
+            if not outcome.set_running_or_notify_cancel():
+                continue  # whoever asked has given up
+            try:
+                outcome.set_result(act())
+            except Exception as error:
+                outcome.set_exception(error)
+
+    def close(self) -> None:
+        """Close the sockets."""
+        self._reads.close()
+        self._wakes.close()
+
+
+class Live:
+    """What a running proxy offers besides forwarding: control by the bus and by RflySim, and news.
+
+    `now_us` tells the vehicle's time.
+    """
+
+    def __init__(self, control: Control, now_us: Callable[[], int]) -> None:
+        self.control = control
+        self._now_us = now_us
+        self._requests = Requests()
+        self._bus: Bus | None = None
+        self._port: socket.socket | None = None
+
+    def open_bus(self, zenoh: str, run: str = "live") -> None:
+        """Offer control on the bus: `auto` (the router here, or another's), `off`, or a URL.
+
+        Raises
+        ------
+        ConfigError
+            If a URL was given and cannot be used.
+        """
+        if zenoh == "off":
+            return
+        url = None if zenoh == "auto" else zenoh
+        try:
+            self._bus = open_bus(url, run=run, router=True)
+        except ConfigError as error:
+            try:
+                self._bus = open_bus(url, run=run)  # somebody else is the router already
+            except ConfigError:
+                if url is not None:
+                    raise error from None
+                LOG.warning("no live control: %s", error)
+                return
+        self._bus.answer("@ctl/**", self._answer)
+        self._bus.alive("proxy")
+
+    def open_rflysim(self, port: int = FIRST_PORT) -> int:
+        """Listen for RflySim's packets on loopback; the port."""
+        self._port = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._port.setblocking(False)
+        try:
+            self._port.bind(("127.0.0.1", port))
+        except OSError as error:
+            raise ConfigError(f"--rflysim {port}: {error}; give a free UDP port") from None
+        return int(self._port.getsockname()[1])
+
+    def _answer(self, key: str, payload: bytes) -> Any:
+        act = self.control.answer
+        return self._requests.ask(lambda: act(key, payload, self._now_us()))
+
+    def filenos(self) -> list[int]:
+        """What the loop waits on besides its links."""
+        ports = [] if self._port is None else [self._port.fileno()]
+        return [self._requests.fileno(), *ports]
+
+    def serve(self) -> None:
+        """Carry out what has been asked for."""
+        self._requests.serve()
+        if self._port is None:
+            return
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                data = self._port.recv(PACKED.size + 1)
+                try:
+                    self.control.packet(data, self._now_us())
+                except ConfigError as error:
+                    LOG.warning("RflySim: %s", error)
+
+    def publish(self, stats: object, labels: Sequence[Label]) -> None:
+        """Tell the bus how the links and the faults are doing."""
+        if self._bus is None:
+            return
+        self._bus.put("proxy/stats", msgspec.json.encode(stats))
+        self._bus.put("schedule/state", msgspec.json.encode(self.control.engine.state()), history=1)
+        for label in labels:
+            self._bus.put(
+                "proxy/labels", msgspec.json.encode(label), "mavfault.v1.Label", LABELS_KEPT
+            )
+
+    @property
+    def url(self) -> str | None:
+        """Where the bus is, once open."""
+        return None if self._bus is None else self._bus.url
+
+    def close(self) -> None:
+        """Close the bus and the port; requests that wait are given up."""
+        self._requests.serve()
+        if self._bus is not None:
+            self._bus.close()
+        if self._port is not None:
+            self._port.close()
+        self._requests.close()

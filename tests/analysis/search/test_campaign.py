@@ -1,0 +1,161 @@
+"""Campaigns: same seed same cases whatever the workers, resumed after a kill, written to files."""
+
+import argparse
+
+import numpy as np
+import pytest
+
+from analysis.search.archive import APART, Archive, distance
+from analysis.search.campaign import campaign, main
+from analysis.search.cases import yaml_of
+from analysis.search.pool import Here, Processes
+from analysis.search.testfile import (
+    FaultRange,
+    Initial,
+    Mission,
+    OpenLoop,
+    TestFile,
+    read_test,
+)
+from mavproxy_fault.errors import ConfigError
+
+TEST = TestFile(
+    duration_s=3.0,
+    noise_draws=2,
+    rescore_draws=16,
+    keep=2,
+    budget=112,
+    initial=Initial(roll_deg=(-60.0, 60.0), pitch_deg=(-30.0, 30.0)),
+    controls=OpenLoop(elevator_deg=(-20.0, 1.0)),
+    faults=[
+        FaultRange(
+            fault="bias",
+            any_of=["HIL_SENSOR.xgyro", "HIL_SENSOR.zgyro"],
+            value=(-0.02, 0.02),
+            at_s=(0.3, 2.0),
+            for_s=(0.3, 2.0),
+        )
+    ],
+)
+
+
+class Killed(Exception):
+    """Stands for a kill."""
+
+
+def test_the_worst_case_has_a_large_fault_and_a_smaller_one_that_still_breaks(tmp_path):
+    cases, totals = campaign(TEST, Here(), tmp_path)
+    worst = cases[0]
+    assert totals.tests == 112
+    assert sum(totals.rejected.values()) > 0
+    assert abs(worst.values["faults[0].value"]) > 0.015
+    assert worst.error_deg == max(case.error_deg for case in cases)
+    size = abs(worst.shrunk["faults[0].value"]) * worst.shrunk["faults[0].for_s"]
+    before = abs(worst.values["faults[0].value"]) * worst.values["faults[0].for_s"]
+    assert 0.0 < size < before
+    assert worst.shrunk_deg >= 0.5 * worst.error_deg
+    assert worst.quiet_deg == pytest.approx(worst.error_deg, rel=0.2)
+
+
+def test_workers_change_nothing(tmp_path):
+    alone = campaign(TEST, Here(), tmp_path / "a")[0]
+    pool = Processes(2)
+    try:
+        together = campaign(TEST, pool, tmp_path / "b")[0]
+    finally:
+        pool.close()
+    assert alone == together
+    assert (tmp_path / "a/history.bin").read_bytes() == (tmp_path / "b/history.bin").read_bytes()
+
+
+def test_a_killed_search_goes_on_where_it_was(tmp_path):
+    whole = campaign(TEST, Here(), tmp_path / "whole")[0]
+
+    def kill(tests, worst, budget):
+        if tests >= 100:
+            raise Killed
+
+    with pytest.raises(Killed):
+        campaign(TEST, Here(), tmp_path / "killed", progress=kill)
+    history = tmp_path / "killed/history.bin"
+    found = len(history.read_bytes())
+    history.write_bytes(history.read_bytes()[:-5])  # the kill came within a record
+    flown = []
+
+    class Counting(Here):
+        def evaluate(self, test, points, seed, first, draws):
+            if seed == TEST.seed:
+                flown.append(first)
+            return super().evaluate(test, points, seed, first, draws)
+
+    resumed = campaign(TEST, Counting(), tmp_path / "killed")[0]
+    assert resumed == whole
+    assert min(flown) >= found // 16 - 20  # one batch again at most
+
+
+def test_another_test_does_not_go_on_in_the_same_folder(tmp_path):
+    campaign(TestFile(duration_s=1.0, mission=Mission()), Here(), tmp_path)
+    with pytest.raises(ConfigError, match="another search"):
+        campaign(TEST, Here(), tmp_path)
+
+
+def test_the_command_writes_log_and_files_that_fly_the_cases_again(tmp_path, capsys):
+    path = tmp_path / "test.yaml"
+    path.write_text(yaml_text())
+    out = tmp_path / "out"
+    arguments = argparse.Namespace(
+        testfile=str(path), budget=80, method="random", seed=2, workers=None, ray=None,
+        out=str(out), interactive=False,
+    )  # fmt: skip
+    assert main(arguments) == 0
+    text = (out / "TestResFile.log").read_text()
+    assert text in capsys.readouterr().out
+    for said in ("Number of tests           80", "Greatest error", "Initial position", "Run time"):
+        assert said in text
+    case = read_test(out / "worst-01.yaml")
+    again, totals = campaign(case, Here(), tmp_path / "again")
+    assert totals.tests == 1
+    first = next(line for line in text.splitlines() if line.startswith("     1 "))
+    assert again[0].error_deg == pytest.approx(float(first.split()[2]), rel=0.05)
+
+
+def test_the_archive_keeps_cases_apart():
+    archive = Archive(4)
+    rng = np.random.default_rng(1)
+    for first in range(0, 2000, 100):
+        points = rng.random((100, 3))
+        archive.add(first, points, -((points - 0.5) ** 2).sum(axis=1))
+    found = archive.cases
+    assert all(distance(a.point, b.point) >= APART for i, a in enumerate(found) for b in found[:i])
+    assert [case.fitness for case in found] == sorted((c.fitness for c in found), reverse=True)
+
+
+def test_a_test_file_that_is_written_reads_back_the_same(tmp_path):
+    test = TestFile(mission=Mission(), initial=Initial(roll_deg=3.0), seed=9)
+    path = tmp_path / "t.yaml"
+    path.write_text(yaml_of(test))
+    assert read_test(path) == test
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("initial: {rol_deg: 3}", "rol_deg is unknown; known: height_m"),
+        ("initial: {roll_deg: [30, -30]}", "roll_deg = .* ends reversed"),
+        ("faults: [{fault: melt, target: HIL_SENSOR.xgyro}]", "fault is wrong; invalid enum"),
+        ("faults: [{fault: bias, target: HIL_SENSOR.xgyr}]", "unknown; known: HIL_SENSOR.xgyro"),
+        ("duration_s: 0", "duration_s = 0.* is not positive"),
+        ("- 1", "a test file is a YAML mapping"),
+    ],
+)
+def test_what_is_wrong_in_a_test_file_is_said_with_its_line(tmp_path, text, said):
+    path = tmp_path / "t.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=said):
+        read_test(path)
+
+
+def yaml_text():
+    text = yaml_of(TEST).replace("  target: null\n", "")
+    listed = "  any_of: [HIL_SENSOR.xgyro, HIL_SENSOR.zgyro]\n"
+    return text.replace("- fault: bias\n", "- fault: bias\n" + listed)

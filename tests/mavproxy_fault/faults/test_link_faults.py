@@ -1,0 +1,140 @@
+"""Link faults: how many, how late, in which order."""
+
+import itertools
+import math
+from typing import Any
+
+import pytest
+
+from mavproxy_fault.engine import Engine
+from mavproxy_fault.schedule import parse_schedule
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+
+LAYOUT = known("HIL_SENSOR")
+STEP_US = 10_000
+
+
+def run(fault: dict[str, Any], count: int) -> list[tuple[int, int, Any]]:
+    """(number of the frame, microseconds late, the frame or bytes) of all that leaves."""
+    engine = Engine(parse_schedule({"seed": 11, "faults": [fault]}))
+    found = []
+    for i in range(count):
+        values = {"time_usec": 1_000_000 + i * STEP_US, "zacc": -9.81, "id": 1}
+        frame = Frame(build(LAYOUT, values, seq=i % 256, component=51), LAYOUT)
+        t_us = 1_000_000 + i * STEP_US
+        found += [(i, o.due_us - t_us, o.frame) for o in engine.apply(frame, "to-vehicle", t_us)]
+    return found
+
+
+def test_a_share_is_lost() -> None:
+    left = len(run({"fault": "drop", "value": 0.3}, 4000))
+    assert abs(left - 2800) < 4 * math.sqrt(4000 * 0.3 * 0.7)
+
+
+def test_losses_of_a_bad_channel_come_in_clusters_of_their_mean_length() -> None:
+    fault = {"fault": "gilbert-elliott", "to_bad": 0.02, "to_good": 0.2}
+    left = {i for i, _, _ in run(fault, 20_000)}
+    lost = [i for i in range(20_000) if i not in left]
+    clusters = sum(i - 1 in left for i in lost)
+    # the bad state lasts 1 / 0.2 frames on average, and holds 0.02 / 0.22 of the time
+    assert len(lost) / clusters == pytest.approx(5, rel=4 / math.sqrt(clusters))
+    assert len(lost) / 20_000 == pytest.approx(0.02 / 0.22, rel=0.3)
+
+
+def test_a_burst_takes_its_number_of_frames() -> None:
+    left = {i for i, _, _ in run({"fault": "burst-loss", "value": 0.01, "frames": 7}, 2000)}
+    lost = [i for i in range(2000) if i not in left]
+    runs = [i for i in lost if i - 1 in left]
+    assert runs
+    assert all(set(range(i, min(i + 7, 2000))).isdisjoint(left) for i in runs)
+
+
+def test_a_delay_is_exact() -> None:
+    assert {late for _, late, _ in run({"fault": "delay", "value": 0.0125}, 50)} == {12_500}
+
+
+@pytest.mark.parametrize("kind", ["uniform", "normal", "exponential", "pareto"])
+def test_jitter_keeps_the_order_unless_told_otherwise(kind: str) -> None:
+    fault = {"fault": "jitter", "value": 0.05, "distribution": kind, "base_s": 0.01}
+    due = [i * STEP_US + late for i, late, _ in run(fault, 400)]
+    assert due == sorted(due)
+    loose = [i * STEP_US + late for i, late, _ in run({**fault, "keep_order": False}, 400)]
+    assert loose != sorted(loose)
+    assert min(late for _, late, _ in run(fault, 400)) >= 10_000
+
+
+def test_jitter_has_its_mean() -> None:
+    fault = {"fault": "jitter", "value": 0.03, "keep_order": False}
+    late = [late for _, late, _ in run(fault, 3000)]
+    sigma_us = 30_000 / math.sqrt(12)
+    assert sum(late) / 3000 == pytest.approx(15_000, abs=4 * sigma_us / math.sqrt(3000))
+
+
+def test_reordered_frames_are_overtaken() -> None:
+    sent = run({"fault": "reorder", "value": 0.2, "by_s": 0.025}, 200)
+    order = [i for i, late, _ in sorted(sent, key=lambda row: row[0] * STEP_US + row[1])]
+    assert sorted(order) == list(range(200))
+    assert order != sorted(order)
+
+
+def test_duplicates_are_the_same_bytes() -> None:
+    sent = run({"fault": "duplicate", "copies": 2, "by_s": 0.01}, 5)
+    assert [(i, late) for i, late, _ in sent[:3]] == [(0, 0), (0, 5_000), (0, 10_000)]
+    assert len({frame.raw for _, _, frame in sent[:3]}) == 1
+
+
+def test_a_rate_limit_loses_what_is_too_much() -> None:
+    assert len(run({"fault": "rate-limit", "value": 25}, 400)) == 100
+
+
+def test_a_rate_limit_with_a_queue_delays_instead() -> None:
+    sent = run({"fault": "rate-limit", "value": 50, "queue_s": 0.1}, 10)
+    assert [late for _, late, _ in sent[:4]] == [0, 10_000, 20_000, 30_000]
+
+
+def test_corruption_leaves_a_wrong_crc_or_a_right_one() -> None:
+    ((_, _, broken),) = run({"fault": "corrupt", "count": 2}, 1)
+    ((_, _, healthy),) = run({"fault": "delay", "value": 0}, 1)
+    assert isinstance(broken, bytes)
+    assert sum(a != b for a, b in zip(broken, healthy.raw, strict=True)) == 2
+    ((_, _, believed),) = run({"fault": "corrupt", "crc": "redone"}, 1)
+    assert isinstance(believed, Frame)
+    assert believed.with_payload(believed.payload).raw == believed.raw
+
+
+def test_truncation_cuts_the_end() -> None:
+    ((_, _, cut),) = run({"fault": "truncate", "count": 10}, 1)
+    ((_, _, healthy),) = run({"fault": "delay", "value": 0}, 1)
+    assert cut == healthy.raw[:-10]
+
+
+def test_a_sequence_gap_stays_open() -> None:
+    sent = run({"fault": "sequence-gap", "value": 0.05, "count": 3}, 300)
+    ahead = [(frame.seq - i) % 256 for i, _, frame in sent]
+    assert all((b - a) % 256 in (0, 3) for a, b in itertools.pairwise(ahead))
+    assert ahead[-1] > 0
+
+
+@pytest.mark.parametrize(
+    ("fault", "off_us"),
+    [
+        ({"fault": "time-jump", "value": -0.5}, [-500_000] * 4),
+        ({"fault": "time-drift", "value": 0.1}, [0, 1_000, 2_000, 3_000]),
+        ({"fault": "time-backwards"}, [0, -20_000, -40_000, -60_000]),
+    ],
+)
+def test_stamps_are_off_and_the_rest_stays(fault: dict[str, Any], off_us: list[int]) -> None:
+    sent = run(fault, 4)
+    stamps = [f.number("time_usec") - 1_000_000 - i * STEP_US for i, _, f in sent]
+    assert stamps == off_us
+    assert {round(float(frame.number("zacc")), 2) for _, _, frame in sent} == {-9.81}
+
+
+def test_stamps_in_milliseconds_are_off_alike() -> None:
+    engine = Engine(parse_schedule({"faults": [{"fault": "time-jump", "value": 2.5}]}))
+    layout = known("ATTITUDE")
+    frame = Frame(build(layout, {"time_boot_ms": 1000, "yaw": 1.0}), layout)
+    (out,) = engine.apply(frame, "from-vehicle", 1_000_000)
+    assert isinstance(out.frame, Frame)
+    assert out.frame.number("time_boot_ms") == 3500

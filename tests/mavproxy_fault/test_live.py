@@ -1,0 +1,110 @@
+import select
+import socket
+import struct
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from mavproxy_fault.cli import main
+from mavproxy_fault.control import Control
+from mavproxy_fault.engine import Engine
+from mavproxy_fault.live import Live
+from mavproxy_fault.rflysim import read_map
+from mavproxy_fault.schedule import Schedule
+
+
+class Loop:
+    """A proxy's loop that does nothing but live control."""
+
+    def __init__(self) -> None:
+        self.engine = Engine(Schedule(1))
+        self.engine.start_at(1_000_000)
+        self.live = Live(Control(self.engine, rflysim=read_map()), lambda: 5_000_000)
+        self.live.open_bus("tcp/127.0.0.1:0")
+        self.port = self.live.open_rflysim(0)
+        self._stop, self._stopped = socket.socketpair()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while True:
+            ready, _, _ = select.select([self._stopped, *self.live.filenos()], (), ())
+            if self._stopped in ready:
+                return
+            self.live.serve()
+
+    def close(self) -> None:
+        self._stop.send(b"!")
+        self._thread.join()
+        self.live.close()
+        self._stop.close()
+        self._stopped.close()
+
+
+@pytest.fixture
+def loop() -> Iterator[Loop]:
+    running = Loop()
+    yield running
+    running.close()
+
+
+def inject(loop: Loop, *words: str) -> int:
+    assert loop.live.url is not None
+    return main(["inject", *words, "--zenoh", loop.live.url])
+
+
+def test_inject_arms_changes_and_clears_a_fault(loop: Loop) -> None:
+    gyro = ["bias", "--target", "HIL_SENSOR.xgyro"]
+    assert inject(loop, *gyro, "--value", "0.1", "--for", "5") == 0
+    (fault,) = loop.engine.state()["faults"]
+    assert (fault["id"], fault["state"], fault["parameters"]) == ("bias", "active", {"value": 0.1})
+    assert fault["end_us"] == 10_000_000
+    assert inject(loop, *gyro, "--value", "0.2") == 0
+    assert loop.engine.state()["faults"][0]["parameters"] == {"value": 0.2}
+    assert inject(loop, "--clear", "bias") == 0
+    assert loop.engine.ids() == []
+
+
+def test_inject_takes_presets_and_clears_all(loop: Loop) -> None:
+    assert inject(loop, "imu-impulse") == 0
+    assert inject(loop, "baro-freeze") == 0
+    assert loop.engine.ids() == ["imu-impulse.1", "imu-impulse.2", "baro-freeze"]
+    assert inject(loop, "--clear", "all") == 0
+    assert loop.engine.ids() == []
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["bais"], "did you mean"),
+        (["bias", "--target", "HIL_SENSOR.xgyr", "--value", "1"], "did you mean xgyro"),
+        (["--clear", "nothing"], "nothing is no fault"),
+        ([], "takes either FAULT or --clear"),
+    ],
+)
+def test_inject_says_what_is_wrong(
+    loop: Loop, words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert inject(loop, *words) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_inject_without_a_proxy_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        url = f"tcp/127.0.0.1:{unused.getsockname()[1]}"
+        assert main(["inject", "baro-freeze", "--zenoh", url]) == 2
+    assert url in capsys.readouterr().err
+
+
+def test_rflysim_packets_reach_the_engine(loop: Loop) -> None:
+    numbers = [1234567897, 1, 123455, *[0] * 7, 4.0, 1.5, *[0.0] * 18]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.sendto(struct.pack("<10i20f", *numbers), ("127.0.0.1", loop.port))  # type: ignore[arg-type]
+    deadline = threading.Event()
+    for _ in range(500):
+        if loop.engine.ids():
+            break
+        deadline.wait(0.01)
+    assert loop.engine.ids() == ["rflysim-1-123455.1"]

@@ -1,0 +1,161 @@
+"""Every preset at work, judged by pymavlink's decoder."""
+
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import all as pymavlink
+
+from mavproxy_fault.engine import Engine
+from mavproxy_fault.faults.satellite import Satellites
+from mavproxy_fault.plot import epoch, sample
+from mavproxy_fault.presets import preset_names, read_preset
+from mavproxy_fault.schedule import Entry, parse_schedule
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.plant import plant_change
+from mavproxy_fault.wire.rtcm import tunnel_frames
+
+START_US = 2_000_000
+STEP_US = 10_000
+FRAMES = 400  # 4 s
+
+
+def decoded(frame: Frame | bytes) -> dict[str, Any]:
+    raw = frame if isinstance(frame, bytes) else frame.raw
+    values: dict[str, Any] = pymavlink.MAVLink(None).decode(bytearray(raw)).to_dict()
+    return values
+
+
+def messages(entries: list[Entry]) -> set[str]:
+    """The messages that the entries act on; HIL_SENSOR for what acts on all."""
+    found: set[str] = set()
+    for entry in entries:
+        for name in entry.targets or getattr(entry.fault, "messages", ("HIL_SENSOR",)):
+            head = name.split(".")[0]
+            found.add("HIL_SENSOR" if head == "PLANT" else head)
+    return found
+
+
+def changes(name: str) -> tuple[set[str], int, list[Any]]:
+    """The fields that differ, how many frames were lost, late or doubled, and what went back."""
+    schedule = parse_schedule({"seed": 1, "faults": [{"preset": name, "id": "it"}]})
+    engine = Engine(schedule)
+    engine.start_at(START_US)
+    fields: set[str] = set()
+    moved = 0
+    told = []
+    for i in range(FRAMES):
+        t_us = START_US + i * STEP_US
+        for message in sorted(messages(list(schedule.faults))):
+            healthy = sample(message, t_us * 1e-6)
+            outs = engine.apply(healthy, "to-vehicle", t_us)
+            told += [plant_change(o.frame) for o in outs if o.back and isinstance(o.frame, Frame)]
+            outs = [out for out in outs if not out.back]
+            moved += [out.due_us for out in outs] != [t_us]
+            before = decoded(healthy)
+            for out in outs:
+                after = decoded(out.frame)
+                fields |= {f"{message}.{k}" for k in before if repr(before[k]) != repr(after[k])}
+    return fields, moved, told
+
+
+def kind(name: str) -> str:
+    faults = {part["fault"] for part in read_preset(name)["faults"]}
+    if faults <= {"outage", "drop", "gilbert-elliott", "jitter", "duplicate"}:
+        targets = str(read_preset(name)["faults"][0].get("target", ""))
+        return "satellites" if "PSEUDORANGE" in targets else "link"
+    if "PSEUDORANGE" in str(read_preset(name)["faults"][0].get("target", "")):
+        return "satellites"
+    if faults & {"gps-spoof", "time-jump"}:
+        return "coherent"
+    return "plant" if "plant" in faults else "fields"
+
+
+NAMES = preset_names()
+
+
+def of_kind(chosen: str) -> list[str]:
+    return [name for name in NAMES if kind(name) == chosen]
+
+
+@pytest.mark.parametrize("name", of_kind("fields"))
+def test_a_preset_changes_its_targets_and_nothing_else(name: str) -> None:
+    targets = set()
+    for part in read_preset(name)["faults"]:
+        given = part["target"]
+        targets |= {t.split("[")[0] for t in ([given] if isinstance(given, str) else given)}
+    fields, moved, told = changes(name)
+    assert fields
+    assert fields <= targets
+    assert (moved, told) == (0, [])
+
+
+@pytest.mark.parametrize("name", of_kind("link"))
+def test_a_preset_of_the_link_loses_delays_or_doubles_frames_and_changes_none(name: str) -> None:
+    fields, moved, _ = changes(name)
+    assert fields == set()
+    assert moved > 0
+
+
+@pytest.mark.parametrize("name", of_kind("plant"))
+def test_a_preset_of_the_plant_tells_the_simulator_and_leaves_its_frames(name: str) -> None:
+    fields, moved, told = changes(name)
+    assert (fields, moved) == (set(), 0)
+    assert {change.name for change in told} <= {
+        part["target"].removeprefix("PLANT.") for part in read_preset(name)["faults"]
+    }
+    assert len(told) >= 15  # each fifth of a second
+
+
+@pytest.mark.parametrize("name", of_kind("coherent"))
+def test_a_coherent_preset_moves_every_message_of_its_kind(name: str) -> None:
+    fields, moved, _ = changes(name)
+    assert moved == 0
+    if name == "clock-jump":
+        assert fields == {"HIL_SENSOR.time_usec", "HIL_GPS.time_usec"}
+    else:
+        moved_latitudes = {field.split(".")[0] for field in fields if field.endswith(".lat")}
+        assert moved_latitudes == {
+            "HIL_GPS", "GPS_RAW_INT", "GPS2_RAW", "GPS_INPUT", "GLOBAL_POSITION_INT",
+        }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", of_kind("satellites"))
+def test_a_preset_of_satellites_patches_the_tunnelled_ranges(name: str) -> None:
+    (entry,) = parse_schedule({"seed": 1, "faults": [{"preset": name}]}).faults
+    assert isinstance(entry.fault, Satellites)
+    engine = Engine(parse_schedule({"seed": 1, "faults": [{"preset": name}]}))
+    engine.start_at(0)
+    touched = 0
+    for second in range(1, 4):
+        for system in {satellite[0] for satellite in entry.fault.names}:
+            names = sorted({s for s in entry.fault.names if s[0] == system} | {f"{system}30"})
+            frames = [
+                Frame(raw, known("TUNNEL"))
+                for raw in tunnel_frames(epoch(system, names, second), second)
+            ]
+            outs = [
+                out for one in frames for out in engine.apply(one, "to-vehicle", second * 1_000_000)
+            ]
+            assert all(decoded(out.frame)["payload_type"] == 33845 for out in outs)
+            touched += [out.frame for out in outs] != frames
+    assert touched >= 3
+
+
+def test_every_preset_is_told_in_one_line() -> None:
+    assert sum(len(of_kind(k)) for k in ("fields", "link", "plant", "coherent", "satellites")) == (
+        len(NAMES)
+    )
+    for name in NAMES:
+        about = read_preset(name)["about"]
+        assert "\n" not in about
+        assert 20 < len(about) < 110
+
+
+def test_the_times_of_an_entry_hold_for_all_parts_of_its_preset() -> None:
+    entry = {"preset": "imu-impulse", "id": "blow", "at_s": 5, "for_s": 3}
+    schedule = parse_schedule({"faults": [entry]})
+    assert [(e.id, e.at_s, e.for_s, e.preset) for e in schedule.faults] == [
+        ("blow.1", 5, 3, "imu-impulse"),
+        ("blow.2", 5, 3, "imu-impulse"),
+    ]
