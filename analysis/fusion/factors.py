@@ -1,0 +1,187 @@
+"""Measurements as factors; keys are letters with the number of an epoch.
+
+x pose (body to local), v velocity, b IMU biases, c receiver clock and d its drift, e Galileo's
+clock and i its offset from c, h the barometer's offset, w the wind, z a zero. Clocks are in
+seconds as GTSAM wants them.
+"""
+
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from analysis.fdi.config import DetectorConfig
+from analysis.fdi.measure import Observed
+from analysis.fusion.config import FusionConfig
+from analysis.fusion.frame import Frame
+from analysis.gnss import LIGHT_MPS, geodetic, klobuchar_m, predict_ranges, troposphere_m
+from analysis.samples import Vector
+
+NO_ARM = np.zeros(3)
+TINY_S = 1e-12
+LEAST_WEIGHT = 0.02  # less is left out
+HUBER = 1.345  # 95 % efficiency for normal noise (Huber 1964)
+GEMAN = 3.0
+
+
+def key(letter: str, epoch: int) -> int:
+    """The key of a variable."""
+    return int(gtsam.symbol(letter, epoch))
+
+
+def sigma1(sigma: float) -> Any:
+    """The noise of a scalar."""
+    return gtsam.noiseModel.Isotropic.Sigma(1, sigma)
+
+
+class Ranges:
+    """Pseudoranges and Doppler rates of an epoch, ready to become factors."""
+
+    def __init__(
+        self,
+        observed: Observed,
+        r_ecef_m: Vector,
+        ionosphere: Vector,
+        config: FusionConfig,
+        detector: DetectorConfig,
+    ) -> None:
+        predicted = predict_ranges(
+            observed.states, r_ecef_m, np.zeros(3), observed.tow_s, ionosphere
+        )
+        elevation, azimuth = predicted[:, 5], predicted[:, 6]
+        lat, lon, height = geodetic(r_ecef_m)
+        delay = [
+            troposphere_m(lat, height, el)
+            + klobuchar_m(lat, lon, az, el, observed.tow_s, ionosphere)
+            for el, az in zip(elevation, azimuth, strict=True)
+        ]
+        self.observed = observed
+        self.r_ecef_m = r_ecef_m
+        self.corrected_m = observed.pseudorange_m - np.array(delay)
+        self.sigma_m = config.correlation * detector.sigma.sigma_m(elevation, observed.cn0_dbhz)
+        self.sigma_mps = detector.sigma.rate_mps / np.sqrt(np.sin(np.maximum(elevation, 0.1)))
+        self.above = elevation >= np.radians(detector.mask_deg)
+        self._robust = config.robust
+        self._doppler = detector.doppler
+
+    def factors(self, epoch: int, frame: Frame, weights: dict[str, float]) -> dict[str, list[Any]]:
+        """Factors by satellite, of those with a weight."""
+        nav = gtsam.Pose3(gtsam.Rot3(frame.axes.T), frame.anchor_m)
+        made = {}
+        for i, name in enumerate(self.observed.satellites):
+            share = weights.get(name, 0.0)
+            if self.above[i] and share >= LEAST_WEIGHT:
+                made[name] = self._of(i, epoch, nav, 1.0 / np.sqrt(share))
+        return made
+
+    def _of(self, i: int, epoch: int, nav: Any, widened: float) -> list[Any]:
+        state, pose = self.observed.states[i], key("x", epoch)
+        clock = key("e" if self.observed.galileo[i] else "c", epoch)
+        noise = self._loss(sigma1(widened * self.sigma_m[i]))
+        made = [
+            gtsam.PseudorangeFactorArm(
+                pose,
+                clock,
+                self.corrected_m[i],
+                state[:3],
+                NO_ARM,
+                nav,
+                state[6] / LIGHT_MPS,
+                noise,
+            )
+        ]
+        rate_mps = self.observed.doppler_mps[i]
+        if self._doppler and np.isfinite(rate_mps):
+            # Doppler by a wavelength of 1 m is minus the range rate; over one second the "clock
+            # before" is zero and the "clock now" the drift.
+            made.append(
+                gtsam.DopplerFactorArm(
+                    pose,
+                    key("v", epoch),
+                    key("z", epoch),
+                    key("d", epoch),
+                    -rate_mps,
+                    1.0,
+                    state[:3],
+                    state[3:6],
+                    self.r_ecef_m,
+                    NO_ARM,
+                    nav,
+                    NO_ARM,
+                    1.0,
+                    state[7] / LIGHT_MPS,
+                    sigma1(widened * self.sigma_mps[i]),
+                )
+            )
+        return made
+
+    def _loss(self, noise: Any) -> Any:
+        estimator = gtsam.noiseModel.mEstimator
+        if self._robust == "huber":
+            return gtsam.noiseModel.Robust.Create(estimator.Huber.Create(HUBER), noise)
+        if self._robust == "geman-mcclure":
+            return gtsam.noiseModel.Robust.Create(estimator.GemanMcClure.Create(GEMAN), noise)
+        return noise
+
+
+def linear(terms: list[tuple[int, float]], sigma: float) -> Any:
+    """A factor that keeps the sum of scalars times numbers at zero."""
+    point = gtsam.Values()
+    parts: list[Any] = []
+    for name, factor in terms:
+        point.insert(name, 0.0)
+        parts += [name, np.array([[factor]])]
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([sigma]))
+    return gtsam.LinearContainerFactor(gtsam.JacobianFactor(*parts, np.zeros(1), noise), point)
+
+
+def clock_factors(
+    before: int, epoch: int, dt_s: float, jumped_s: float, detector: DetectorConfig
+) -> list[Any]:
+    """The receiver's clock from one epoch to the next; `jumped_s` is how far it may have leapt."""
+    noise, root = detector.noise, np.sqrt(dt_s)
+    walk_s = np.hypot(noise.clock_m * root, noise.drift_mps * dt_s * root) / LIGHT_MPS
+    c0, c1, d0, d1 = key("c", before), key("c", epoch), key("d", before), key("d", epoch)
+    return [
+        linear([(c1, 1.0), (c0, -1.0), (d0, -dt_s)], float(np.hypot(walk_s, jumped_s))),
+        linear([(d1, 1.0), (d0, -1.0)], noise.drift_mps * float(root) / LIGHT_MPS),
+        linear([(key("i", epoch), 1.0), (key("i", before), -1.0)], noise.isb_m * root / LIGHT_MPS),
+        *galileo_clock(epoch),
+    ]
+
+
+def galileo_clock(epoch: int) -> list[Any]:
+    """Galileo's clock is the receiver's with the offset; and the zero is zero."""
+    tied = [(key("e", epoch), 1.0), (key("c", epoch), -1.0), (key("i", epoch), -1.0)]
+    return [linear(tied, TINY_S), gtsam.PriorFactorDouble(key("z", epoch), 0.0, sigma1(TINY_S))]
+
+
+def baro_factor(epoch: int, altitude_m: float, config: FusionConfig) -> Any:
+    """A pressure altitude; GTSAM wants the pressure of its own standard atmosphere for it."""
+    pressure = gtsam.BarometricFactor().baroOut(altitude_m)
+    return gtsam.BarometricFactor(key("x", epoch), key("h", epoch), pressure, sigma1(config.baro_m))
+
+
+def mag_factor(epoch: int, field_b_gauss: Vector, frame: Frame, config: FusionConfig) -> Any:
+    """The field in body axes against the world's magnetic model."""
+    field = frame.field_gauss()
+    size = float(np.linalg.norm(field))
+    noise = gtsam.noiseModel.Isotropic.Sigma(3, config.mag_gauss)
+    return gtsam.MagPoseFactorPose3(
+        key("x", epoch), field_b_gauss, size, field / size, np.zeros(3), noise
+    )
+
+
+def airspeed_factor(epoch: int, speed_mps: float, config: FusionConfig) -> Any:
+    """The speed through the air: the length of velocity less wind."""
+    velocity, wind = key("v", epoch), key("w", epoch)
+
+    def error(_: Any, values: Any, jacobians: Any) -> Vector:
+        air = values.atPoint3(velocity) - values.atPoint3(wind)
+        size = max(float(np.linalg.norm(air)), 1e-3)
+        if jacobians is not None:
+            jacobians[0] = (air / size)[None, :]
+            jacobians[1] = -(air / size)[None, :]
+        return np.array([size - speed_mps])
+
+    return gtsam.CustomFactor(sigma1(config.airspeed_mps), [velocity, wind], error)
