@@ -1,7 +1,7 @@
 """Measurements as factors; keys are letters with the number of an epoch.
 
 x pose (body to local), v velocity, b IMU biases, c receiver clock and d its drift, e Galileo's
-clock and i its offset from c, h the barometer's offset, w the wind, z a zero. Clocks are in
+clock and i its offset from c, h the barometer's offset, w the wind. Clocks are in
 seconds as GTSAM wants them.
 """
 
@@ -19,6 +19,7 @@ from analysis.samples import Vector
 
 NO_ARM = np.zeros(3)
 TINY_S = 1e-12
+LIGHT = np.array([[LIGHT_MPS]])
 LEAST_WEIGHT = 0.02  # less is left out
 HUBER = 1.345  # 95 % efficiency for normal noise (Huber 1964)
 GEMAN = 3.0
@@ -56,7 +57,8 @@ class Ranges:
             for el, az in zip(elevation, azimuth, strict=True)
         ]
         self.observed = observed
-        self.r_ecef_m = r_ecef_m
+        self.los = predicted[:, 2:5]
+        self.still_mps = predicted[:, 1]
         self.corrected_m = observed.pseudorange_m - np.array(delay)
         self.sigma_m = config.correlation * detector.sigma.sigma_m(elevation, observed.cn0_dbhz)
         self.sigma_mps = detector.sigma.rate_mps / np.sqrt(np.sin(np.maximum(elevation, 0.1)))
@@ -71,10 +73,10 @@ class Ranges:
         for i, name in enumerate(self.observed.satellites):
             share = weights.get(name, 0.0)
             if self.above[i] and share >= LEAST_WEIGHT:
-                made[name] = self._of(i, epoch, nav, 1.0 / np.sqrt(share))
+                made[name] = self._of(i, epoch, frame, nav, 1.0 / np.sqrt(share))
         return made
 
-    def _of(self, i: int, epoch: int, nav: Any, widened: float) -> list[Any]:
+    def _of(self, i: int, epoch: int, frame: Frame, nav: Any, widened: float) -> list[Any]:
         state, pose = self.observed.states[i], key("x", epoch)
         clock = key("e" if self.observed.galileo[i] else "c", epoch)
         noise = self._loss(sigma1(widened * self.sigma_m[i]))
@@ -92,28 +94,22 @@ class Ranges:
         ]
         rate_mps = self.observed.doppler_mps[i]
         if self._doppler and np.isfinite(rate_mps):
-            # Doppler by a wavelength of 1 m is minus the range rate; over one second the "clock
-            # before" is zero and the "clock now" the drift.
-            made.append(
-                gtsam.DopplerFactorArm(
-                    pose,
-                    key("v", epoch),
-                    key("z", epoch),
-                    key("d", epoch),
-                    -rate_mps,
-                    1.0,
-                    state[:3],
-                    state[3:6],
-                    self.r_ecef_m,
-                    NO_ARM,
-                    nav,
-                    NO_ARM,
-                    1.0,
-                    state[7] / LIGHT_MPS,
-                    sigma1(widened * self.sigma_mps[i]),
-                )
+            noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([widened * self.sigma_mps[i]]))
+            toward = -self.los[i] @ frame.axes.T
+            seen = np.array([rate_mps - self.still_mps[i]])
+            row = gtsam.JacobianFactor(
+                key("v", epoch), toward[None, :], key("d", epoch), LIGHT, seen, noise
             )
+            made.append(gtsam.LinearContainerFactor(row, self._origin(epoch)))
         return made
+
+    @staticmethod
+    def _origin(epoch: int) -> Any:
+        """Rates are linear in velocity and drift: the factor holds from zero on."""
+        point = gtsam.Values()
+        point.insert(key("v", epoch), np.zeros(3))
+        point.insert(key("d", epoch), 0.0)
+        return point
 
     def _loss(self, noise: Any) -> Any:
         estimator = gtsam.noiseModel.mEstimator
@@ -151,9 +147,9 @@ def clock_factors(
 
 
 def galileo_clock(epoch: int) -> list[Any]:
-    """Galileo's clock is the receiver's with the offset; and the zero is zero."""
+    """Galileo's clock is the receiver's with the offset."""
     tied = [(key("e", epoch), 1.0), (key("c", epoch), -1.0), (key("i", epoch), -1.0)]
-    return [linear(tied, TINY_S), gtsam.PriorFactorDouble(key("z", epoch), 0.0, sigma1(TINY_S))]
+    return [linear(tied, TINY_S)]
 
 
 def baro_factor(epoch: int, altitude_m: float, config: FusionConfig) -> Any:

@@ -103,7 +103,6 @@ class Graph:
             ("d", drift),
             ("i", offset),
             ("e", clock + offset),
-            ("z", 0.0),
         ):
             name = key(letter, node.epoch)
             self._values.insert(name, value)
