@@ -1,8 +1,9 @@
 """Measurements as factors; keys are letters with the number of an epoch.
 
-x pose (body to local), v velocity, b IMU biases, c receiver clock and d its drift, e Galileo's
-clock and i its offset from c, h the barometer's offset, w the wind. Clocks are in
-seconds as GTSAM wants them.
+x pose (body to local), v velocity, b IMU biases, c receiver clock and d its drift, h the
+barometer's offset, w the wind. Clocks are in seconds as GTSAM wants them. Galileo's offset from
+the receiver's clock is taken from the detector's filter, which has known it for longer than the
+graph remembers; as a state it doubled the time per epoch.
 """
 
 from typing import Any
@@ -11,6 +12,7 @@ import gtsam
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
+from analysis.fdi.inertial import X_ISB
 from analysis.fdi.measure import Observed
 from analysis.fusion.config import FusionConfig
 from analysis.fusion.frame import Frame
@@ -18,7 +20,6 @@ from analysis.gnss import LIGHT_MPS, geodetic, klobuchar_m, predict_ranges, trop
 from analysis.samples import Vector
 
 NO_ARM = np.zeros(3)
-TINY_S = 1e-12
 LIGHT = np.array([[LIGHT_MPS]])
 LEAST_WEIGHT = 0.02  # less is left out
 HUBER = 1.345  # 95 % efficiency for normal noise (Huber 1964)
@@ -41,11 +42,12 @@ class Ranges:
     def __init__(
         self,
         observed: Observed,
-        r_ecef_m: Vector,
+        x: Vector,
         ionosphere: Vector,
         config: FusionConfig,
         detector: DetectorConfig,
     ) -> None:
+        r_ecef_m = x[:3]
         predicted = predict_ranges(
             observed.states, r_ecef_m, np.zeros(3), observed.tow_s, ionosphere
         )
@@ -59,7 +61,8 @@ class Ranges:
         self.observed = observed
         self.los = predicted[:, 2:5]
         self.still_mps = predicted[:, 1]
-        self.corrected_m = observed.pseudorange_m - np.array(delay)
+        offset_m = np.where(observed.galileo, x[X_ISB], 0.0)
+        self.corrected_m = observed.pseudorange_m - np.array(delay) - offset_m
         self.sigma_m = config.correlation * detector.sigma.sigma_m(elevation, observed.cn0_dbhz)
         self.sigma_mps = detector.sigma.rate_mps / np.sqrt(np.sin(np.maximum(elevation, 0.1)))
         self.above = elevation >= np.radians(detector.mask_deg)
@@ -78,9 +81,9 @@ class Ranges:
 
     def _of(self, i: int, epoch: int, frame: Frame, nav: Any, widened: float) -> list[Any]:
         state, pose = self.observed.states[i], key("x", epoch)
-        clock = key("e" if self.observed.galileo[i] else "c", epoch)
+        clock = key("c", epoch)
         noise = self._loss(sigma1(widened * self.sigma_m[i]))
-        made = [
+        made: list[Any] = [
             gtsam.PseudorangeFactorArm(
                 pose,
                 clock,
@@ -123,12 +126,13 @@ class Ranges:
 def linear(terms: list[tuple[int, float]], sigma: float) -> Any:
     """A factor that keeps the sum of scalars times numbers at zero."""
     point = gtsam.Values()
+    jacobian: Any = gtsam.JacobianFactor
     parts: list[Any] = []
     for name, factor in terms:
         point.insert(name, 0.0)
         parts += [name, np.array([[factor]])]
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([sigma]))
-    return gtsam.LinearContainerFactor(gtsam.JacobianFactor(*parts, np.zeros(1), noise), point)
+    return gtsam.LinearContainerFactor(jacobian(*parts, np.zeros(1), noise), point)
 
 
 def clock_factors(
@@ -141,15 +145,7 @@ def clock_factors(
     return [
         linear([(c1, 1.0), (c0, -1.0), (d0, -dt_s)], float(np.hypot(walk_s, jumped_s))),
         linear([(d1, 1.0), (d0, -1.0)], noise.drift_mps * float(root) / LIGHT_MPS),
-        linear([(key("i", epoch), 1.0), (key("i", before), -1.0)], noise.isb_m * root / LIGHT_MPS),
-        *galileo_clock(epoch),
     ]
-
-
-def galileo_clock(epoch: int) -> list[Any]:
-    """Galileo's clock is the receiver's with the offset."""
-    tied = [(key("e", epoch), 1.0), (key("c", epoch), -1.0), (key("i", epoch), -1.0)]
-    return [linear(tied, TINY_S)]
 
 
 def baro_factor(epoch: int, altitude_m: float, config: FusionConfig) -> Any:

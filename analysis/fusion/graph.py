@@ -17,13 +17,11 @@ from analysis.fdi.inertial import (
     BG,
     CLOCK,
     DRIFT,
-    ISB,
     PSI,
     X_BA,
     X_BG,
     X_CLOCK,
     X_DRIFT,
-    X_ISB,
     X_Q,
     R,
     V,
@@ -31,12 +29,12 @@ from analysis.fdi.inertial import (
 )
 from analysis.fdi.state import Motion
 from analysis.fusion.config import FusionConfig
-from analysis.fusion.factors import clock_factors, galileo_clock, key, linear, sigma1
+from analysis.fusion.factors import clock_factors, key, linear, sigma1
 from analysis.fusion.frame import Frame, frame_at
 from analysis.gnss import LIGHT_MPS
 from analysis.samples import Vector
 
-Clock = tuple[float, float, float]  # clock, drift and Galileo's offset, in seconds
+Clock = tuple[float, float]  # clock in s, drift in s/s
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +52,7 @@ class Node:
 def clock_of(motion: Motion) -> Clock:
     """The clock of the detector's filter, in seconds."""
     x = motion.x
-    return x[X_CLOCK] / LIGHT_MPS, x[X_DRIFT] / LIGHT_MPS, x[X_ISB] / LIGHT_MPS
+    return x[X_CLOCK] / LIGHT_MPS, x[X_DRIFT] / LIGHT_MPS
 
 
 class Graph:
@@ -85,7 +83,7 @@ class Graph:
     def _clear(self) -> None:
         self._batch = gtsam.NonlinearFactorGraph()
         self._values = gtsam.Values()
-        self._stamps: dict[int, float] = {}
+        self._stamps: dict[Any, Any] = {}
         self._named: list[tuple[str, int]] = []
 
     def _stamp(self, name: int) -> None:
@@ -94,15 +92,13 @@ class Graph:
     def _insert(self) -> None:
         """The newest node's variables."""
         node = self.node
-        clock, drift, offset = node.clock
+        clock, drift = node.clock
         for letter, value in (
             ("x", node.pose),
             ("v", node.velocity),
             ("b", node.bias),
             ("c", clock),
             ("d", drift),
-            ("i", offset),
-            ("e", clock + offset),
         ):
             name = key(letter, node.epoch)
             self._values.insert(name, value)
@@ -135,10 +131,9 @@ class Graph:
                 key("b", 0), node.bias, gaussian(p[np.ix_(spots, spots)] + tiny * np.eye(6))
             ),
         )
-        for letter, at, value in zip("cdi", (CLOCK, DRIFT, ISB), node.clock, strict=True):
+        for letter, at, value in zip("cd", (CLOCK, DRIFT), node.clock, strict=True):
             sigma = self._config.correlation * np.sqrt(p[at, at] + 1e-4) / LIGHT_MPS
             self.attach("prior", gtsam.PriorFactorDouble(key(letter, 0), value, sigma1(sigma)))
-        self.attach("clock", *galileo_clock(0))
 
     def attach(self, source: str, *factors: Any) -> None:
         """Factors of a source on the newest epoch, for the next `commit`."""
@@ -152,7 +147,7 @@ class Graph:
         self.dt_s = dt_s = (t_us - old.t_us) * 1e-6
         guess = preintegrated.predict(gtsam.NavState(old.pose, old.velocity), old.bias)
         before = old.clock
-        clock = clock or (before[0] + dt_s * before[1], before[1], before[2])
+        clock = clock or (before[0] + dt_s * before[1], before[1])
         self.node = Node(old.epoch + 1, t_us, guess.pose(), guess.velocity(), old.bias, clock)
         self._insert()
         i, j = old.epoch, self.node.epoch
@@ -236,13 +231,11 @@ class Graph:
         epoch = node.epoch
         pose = smoother.calculateEstimatePose3(key("x", epoch))
         velocity = np.asarray(smoother.calculateEstimateVector(key("v", epoch)))
-        clock, drift, offset = (
-            smoother.calculateEstimateDouble(key(letter, epoch)) for letter in "cdi"
-        )
+        clock, drift = (smoother.calculateEstimateDouble(key(letter, epoch)) for letter in "cd")
         if not (np.isfinite(pose.matrix()).all() and np.isfinite([*velocity, clock]).all()):
             raise RuntimeError("the estimate is not finite")
         bias = smoother.calculateEstimateConstantBias(key("b", epoch))
-        self.node = Node(epoch, node.t_us, pose, velocity, bias, (clock, drift, offset))
+        self.node = Node(epoch, node.t_us, pose, velocity, bias, (clock, drift))
         for letter, (last, value) in self._slow.items():
             if last == epoch:
                 read = (

@@ -144,7 +144,7 @@ class Fusion:
         observed = observe(sample, core.chosen)
         if observed is None:
             return None
-        return Ranges(observed, motion.x[:3], core.ionosphere, self.config, self.detector)
+        return Ranges(observed, motion.x, core.ionosphere, self.config, self.detector)
 
     def _attach(self, graph: Graph, ranges: Ranges, weights: dict[str, float]) -> dict[str, float]:
         made = ranges.factors(graph.node.epoch, graph.frame, weights)
