@@ -12,9 +12,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.compiled import compiled
 from analysis.epochs import AttitudeSample, ImuSample, Sample, TruthSample
 from analysis.estimators import Estimator, Prior, make
-from analysis.estimators.compiled import compiled
 from analysis.estimators.rotations import between, errors
 from analysis.results import AttitudeError
 from mavproxy_fault.wire.label import Label

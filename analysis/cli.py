@@ -48,6 +48,13 @@ def add_monitor(commands: Any) -> None:
     parser.add_argument("--labels", metavar="FILE", help="what was injected, to score against")
     parser.add_argument("--out", metavar="DIR", help="write results and report here")
     parser.add_argument("--watch", action="store_true", help="a compact live status")
+    parser.add_argument("--scenario", metavar="FILE", help="monitor and criteria sections to use")
+    parser.add_argument(
+        "--for", dest="for_s", type=float, metavar="S", help="end after S seconds of vehicle time"
+    )
+    parser.add_argument(
+        "--zenoh", default="auto", metavar="auto|off|URL", help="where results are published"
+    )
     parser.set_defaults(main=_monitor)
 
 

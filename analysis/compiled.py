@@ -11,5 +11,5 @@ R = TypeVar("R")
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """`function` as machine code; compiled at its first call and cached on disk."""
-    result: Callable[P, R] = numba.njit(cache=True)(function)
+    result: Callable[P, R] = numba.njit(cache=True, error_model="numpy")(function)
     return result

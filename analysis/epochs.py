@@ -10,9 +10,11 @@ References
 
 import math
 import struct
+from collections import deque
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from statistics import median_low
 
 import numpy as np
 
@@ -69,6 +71,7 @@ BODY_FRD = 12  # MAV_FRAME_BODY_FRD
 UNKNOWN_16 = 0xFFFF
 HALF_WEEK_S = 302_400.0
 WEEK_S = 604_800
+OFFSETS_KEPT = 25
 UNIX_TO_GPS_S = 315_964_800  # 1980-01-06 on Unix's count
 
 
@@ -88,16 +91,17 @@ def _unpack(frame: Frame) -> tuple[float, ...]:
 class Decoder:
     """Frames of one stream to samples; holds what spans frames (RTCM fragments, clock offset).
 
-    TUNNEL frames bear no stamp, so a pseudorange epoch gets its GPS time plus the smallest
-    difference yet seen between the sender's clock and GPS time; a late frame keeps its true time.
+    TUNNEL frames bear no stamp, so a pseudorange epoch gets its GPS time plus the median
+    of the newest differences between the sender's clock and GPS time: a late frame keeps its true
+    time, and so do the frames of a sender whose stamped messages pause.
     """
 
-    __slots__ = ("_offset_us", "_parts", "_reassemblers", "_stamps", "_week")
+    __slots__ = ("_offsets", "_parts", "_reassemblers", "_stamps", "_week")
 
     def __init__(self) -> None:
         self._reassemblers: dict[tuple[int, int], Reassembler] = {}
         self._stamps: dict[tuple[int, int], int] = {}
-        self._offset_us: int | None = None
+        self._offsets: deque[int] = deque(maxlen=OFFSETS_KEPT)
         self._parts: list[Msm7] = []
         self._week: tuple[int, float] | None = None
 
@@ -110,7 +114,7 @@ class Decoder:
         if read is None:
             return []
         samples = read(frame)
-        if samples and name in ("HIL_SENSOR", "HIL_GPS"):
+        if samples and name in ("HIL_SENSOR", "HIL_GPS", "HIL_STATE_QUATERNION"):
             self._stamps[frame.system, frame.component] = samples[-1].t_us
         return samples
 
@@ -151,13 +155,14 @@ class Decoder:
         week = self._full_week(tow_s)
         gps_us = round((week * WEEK_S + tow_s) * 1e6)
         if stamp_us is not None:
-            late_us = stamp_us - gps_us
-            if self._offset_us is None or abs(late_us - self._offset_us) > WEEK_S * 1_000_000 // 2:
-                self._offset_us = late_us
-            self._offset_us = min(self._offset_us, late_us)
+            offset_us = stamp_us - gps_us
+            if self._offsets and abs(offset_us - self._offsets[-1]) > WEEK_S * 1_000_000 // 2:
+                self._offsets.clear()  # the week has become known
+            self._offsets.append(offset_us)
+        offset_us = median_low(self._offsets) if self._offsets else 0
         return [
             Epoch(
-                t_us=gps_us + (self._offset_us or 0),
+                t_us=gps_us + offset_us,
                 week=week,
                 tow_s=tow_s,
                 satellites=tuple(name for part in parts for name in part.satellites),

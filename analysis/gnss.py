@@ -38,6 +38,7 @@ _RATE_FIELDS = ("delta_n_rps", "omega_dot_rps", "idot_rps")
 _WAVE_FIELDS = ("crs_m", "crc_m", "cus_rad", "cuc_rad", "cis_rad", "cic_rad")
 _CLOCK_FIELDS = ("toe_s", "toc_s", "af0_s", "af1", "af2_per_s")
 _FIELDS = (*_CLOCK_FIELDS, *_ORBIT_FIELDS, *_RATE_FIELDS, *_WAVE_FIELDS, "group_delay_s")
+PACKED = 2 + len(_FIELDS)
 
 
 def pack_ephemeris(ephemeris: Ephemeris) -> Vector:
@@ -136,7 +137,11 @@ def ned_axes(lat_rad: float, lon_rad: float) -> Vector:
     """Rows (3, 3): north, east and down in ECEF."""
     sl, cl = math.sin(lat_rad), math.cos(lat_rad)
     so, co = math.sin(lon_rad), math.cos(lon_rad)
-    return np.array([[-sl * co, -sl * so, cl], [-so, co, 0.0], [-cl * co, -cl * so, -sl]])
+    out = np.zeros((3, 3))
+    out[0, 0], out[0, 1], out[0, 2] = -sl * co, -sl * so, cl
+    out[1, 0], out[1, 1] = -so, co
+    out[2, 0], out[2, 1], out[2, 2] = -cl * co, -cl * so, -sl
+    return out
 
 
 @compiled
@@ -152,14 +157,15 @@ def klobuchar_m(
     lat_m = lat + 0.064 * math.cos((lon - 1.617) * math.pi)
     local_s = (4.32e4 * lon + tow_s) % 86400.0
     slant = 1.0 + 16.0 * (0.53 - el) ** 3
-    amplitude, period = 0.0, 0.0
+    amplitude, period, power = 0.0, 0.0, 1.0
     for i in range(4):
-        amplitude += coefficients[i] * lat_m**i
-        period += coefficients[4 + i] * lat_m**i
+        amplitude += coefficients[i] * power
+        period += coefficients[4 + i] * power
+        power *= lat_m
     x = 2.0 * math.pi * (local_s - 50400.0) / max(period, 72000.0)
     delay = 5e-9
     if abs(x) < 1.57:
-        delay += max(amplitude, 0.0) * (1.0 - x * x / 2.0 + x**4 / 24.0)
+        delay += max(amplitude, 0.0) * (1.0 - x * x / 2.0 + x * x * x * x / 24.0)
     metres: float = 299792458.0 * slant * delay
     return metres
 
@@ -215,7 +221,10 @@ def predict_ranges(
         vx = c * states[i, 3] + s * states[i, 4] - v_ecef_mps[0]
         vy = -s * states[i, 3] + c * states[i, 4] - v_ecef_mps[1]
         vz = states[i, 5] - v_ecef_mps[2]
-        u = d / rho
+        u = np.empty(3)
+        for k in range(3):
+            u[k] = d[k] / rho
+            out[i, 2 + k] = u[k]
         north = axes[0, 0] * u[0] + axes[0, 1] * u[1] + axes[0, 2] * u[2]
         east = axes[1, 0] * u[0] + axes[1, 1] * u[1] + axes[1, 2] * u[2]
         down = axes[2, 0] * u[0] + axes[2, 1] * u[1] + axes[2, 2] * u[2]
@@ -228,7 +237,6 @@ def predict_ranges(
             )
         out[i, 0] = rho - states[i, 6] + delay
         out[i, 1] = u[0] * vx + u[1] * vy + u[2] * vz - states[i, 7]
-        out[i, 2:5] = u
         out[i, 5] = el
         out[i, 6] = az
     return out

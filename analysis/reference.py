@@ -37,6 +37,8 @@ from analysis.samples import (
     VisionSample,
 )
 
+FIX_OF_EPOCH_S = 0.01
+
 KINDS: dict[type, tuple[str, ...]] = {
     BaroSample: ("baro",),
     AirspeedSample: ("airspeed",),
@@ -62,11 +64,12 @@ class Watch:
 
 @dataclass(frozen=True, slots=True)
 class ReferenceState:
-    """The detector's state, each sensor's newest sample and its watch."""
+    """The detector's state, each sensor's newest sample and its watch, the newest decision."""
 
     detector: State
     newest: dict[str, Sample]
     watches: dict[str, Watch]
+    decision: Decision | None = None
 
 
 @dataclass(frozen=True)
@@ -84,14 +87,16 @@ class References:
         """Decisions that one sample allows, and the next state."""
         if type(sample) is ImuSample:
             _, detector = Detector(self.config).step(sample, state.detector)
-            return [], ReferenceState(detector, state.newest, state.watches)
+            return [], replace(state, detector=detector)
         newest = state.newest
         for sensor in KINDS.get(type(sample), ()):
             newest = {**newest, sensor: sample}
         results, detector = Detector(self.config).step(sample, state.detector)
         decision = next((r for r in results if isinstance(r, Decision)), None)
+        if decision is None and isinstance(sample, GpsFix):
+            decision = _of_same_instant(state.decision, sample)
         if decision is None or decision.mode == "":
-            return results, ReferenceState(detector, newest, state.watches)
+            return results, replace(state, detector=detector, newest=newest)
         watches = dict(state.watches)
         for sensor, waiting in newest.items():
             if sensor.startswith("gps") and decision.mode.startswith("position"):
@@ -99,7 +104,7 @@ class References:
             judged, watch = self._judge(sensor, waiting, decision, detector, watches.get(sensor))
             watches[sensor] = watch
             results = [*results, *judged]
-        return results, ReferenceState(detector, {}, watches)
+        return results, ReferenceState(detector, {}, watches, decision)
 
     def _judge(
         self,
@@ -162,6 +167,13 @@ class References:
         if (t_us - since) * 1e-6 >= self.config.readmit_s:
             return Watch(watch.slow)
         return Watch(watch.slow, 0, True, since)
+
+
+def _of_same_instant(decision: Decision | None, fix: GpsFix) -> Decision | None:
+    """The newest decision if a fix belongs to its epoch: a receiver sends it after the ranges."""
+    if decision is None or abs(fix.t_us - decision.t_us) * 1e-6 > FIX_OF_EPOCH_S:
+        return None
+    return decision
 
 
 def _untested(sensor: str, decision: Decision, reason: str, watch: Watch) -> SensorDecision:

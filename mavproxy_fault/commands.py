@@ -19,11 +19,23 @@ def add_proxy(commands: Any) -> None:
     parser.add_argument(
         "--zenoh", default="auto", metavar="auto|off|URL", help="control and statistics"
     )
+    parser.add_argument("--run", default="live", metavar="NAME", help="this proxy's name on Zenoh")
+    parser.add_argument(
+        "--no-inject", dest="inject", action="store_false", help="refuse live faults"
+    )
+    parser.add_argument(
+        "--rflysim", type=int, metavar="PORT", help="take RflySim's fault packets on this UDP port"
+    )
+    parser.add_argument("--rflysim-map", metavar="FILE", help="its fault ids (YAML)")
+    parser.add_argument(
+        "--signing-key", metavar="FILE", help="passphrase to verify and sign changed frames with"
+    )
+    parser.add_argument("--strip-signatures", action="store_true", help="send frames unsigned")
     parser.set_defaults(main=_proxy)
 
 
 def _proxy(args: argparse.Namespace) -> int:
-    from mavproxy_fault.server import main
+    from mavproxy_fault.proxy import main
 
     return main(args)
 

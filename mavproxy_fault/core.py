@@ -15,7 +15,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from mavproxy_fault.announce import Announcer
+from mavproxy_fault.announce import COMPONENT, Announcer
 from mavproxy_fault.clock import VehicleClock
 from mavproxy_fault.memory import (
     GAPS,
@@ -367,9 +367,13 @@ def _source(raw: bytes) -> tuple[int, int]:
 
 
 def _together(pieces: Pieces) -> Pieces:
-    """Neighbours for the same links as one datagram."""
+    """Neighbours for the same links as one datagram, but for the proxy's own announcements."""
     joined: Pieces = []
-    for mask, group in itertools.groupby(pieces, key=lambda piece: piece[0]):
+
+    def kind(piece: tuple[int, bytes]) -> tuple[int, bool]:
+        return piece[0], _source(piece[1])[1] == COMPONENT
+
+    for (mask, _), group in itertools.groupby(pieces, key=kind):
         data = b""
         for _, raw in group:
             if len(data) + len(raw) > LARGEST_DATAGRAM:

@@ -27,6 +27,7 @@ class Engine:
     def __init__(self, schedule: Schedule, seed: int | None = None) -> None:
         self.seed = schedule.seed if seed is None else seed
         self.revision = 0
+        self.turns = 0  # how often it has changed who acts on what
         self.t0_us: int | None = None
         self.now_us = 0
         self.wanted: frozenset[int] | None = frozenset()
@@ -122,6 +123,7 @@ class Engine:
 
     def _index(self) -> None:
         """Who acts on which message now, and when that changes by the clock."""
+        self.turns += 1
         active = [running for running in self._all if running.active]
         ids = {number for running in active for number in running.entry.ids or ()}
         self._any = tuple(r for r in active if r.entry.ids is None)
@@ -148,6 +150,15 @@ class Engine:
             for number in {n for r in self._all if r.condition for n in r.condition.ids}
         }
         self._index()
+
+    @property
+    def edge_us(self) -> int:
+        """When the next fault starts or ends by the clock."""
+        return self._edge_us
+
+    def acting(self, number: int) -> tuple[Running, ...] | None:
+        """Who acts on a message now; None if a condition watches it as well."""
+        return None if number in self._watched else self._by_id.get(number, self._any)
 
     # -- bytes -----------------------------------------------------------------------------------
 

@@ -168,6 +168,15 @@ class Running:
             self._measure(out)
         return sends  # type: ignore[no-any-return]
 
+    def credit(self, frames: int, saturated: int, last_us: int, magnitude: float) -> None:
+        """Count what was done elsewhere in this fault's name; a negative magnitude is none."""
+        self.frames += frames
+        self.total_frames += frames
+        self.saturated += saturated
+        self.last_us = last_us
+        if magnitude >= 0.0:
+            self.magnitude = max(self.magnitude or 0.0, magnitude)
+
     def _measure(self, out: Outgoing) -> None:
         self.saturated += out.saturated
         size = out.magnitude

@@ -1,30 +1,40 @@
 """The proxy as a process: links, clock and files around the core, whose sends it carries out.
 
 One thread waits on all links and for the next due time. Links are drained in batches; nothing ever
-blocks on a slow one. Recordings are flushed each second.
+blocks on a slow one. Recordings are flushed each second. When traffic is dense the compiled path
+(`fast`) is loaded in the background and takes over what is plain.
 """
 
-import argparse
 import contextlib
 import ctypes
 import select
-import signal
 import socket
+import subprocess
+import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.core import Core
 from mavproxy_fault.links.link import Link
-from mavproxy_fault.links.spec import open_link
-from mavproxy_fault.ports import LinkRole, Send
+from mavproxy_fault.ports import Send
 from mavproxy_fault.record import Recorder
-from mavproxy_fault.stats import Latencies, table
+from mavproxy_fault.stats import Latencies
 from mavproxy_fault.tape import Tape
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+    from mavproxy_fault.fast import FastPath
+    from mavproxy_fault.live import Live
 
 TEND_S = 0.1  # how often links get a chance to reconnect
 FLUSH_S = 1.0
+DENSE_HZ = 1000  # chunks a second from which the compiled path pays
+SHORT_TURN_S = 2e-4
+_FAST = "mavproxy_fault.fast"
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>; the default of 50 us makes every wait that late
 
 
@@ -50,6 +60,12 @@ class Server:
         self._stopping = False
         self._by_fd = {link.fileno(): number for number, link in enumerate(links)}
         self._tend_s = self._flush_s = 0.0
+        self._loader: threading.Thread | None = None
+        self._fast: FastPath | None = None
+        self._chunks = 0
+        self._wake: int | None = None
+        self.live: Live | None = None
+        self.coming: Future[Live] | None = None  # live control that is still being opened
 
     def now_us(self) -> int:
         """Wall time that never jumps: Unix time at the start plus the monotonic clock."""
@@ -62,17 +78,88 @@ class Server:
     def run(self, wake: socket.socket | None = None) -> None:
         """Forward until stopped; `wake` becomes readable when a signal came."""
         ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1)
-        descriptors = [*self._by_fd, *([wake.fileno()] if wake else [])]
+        self._wake = None if wake is None else wake.fileno()
         try:
             while not self._stopping:
-                ready, _, _ = select.select(descriptors, (), (), self._patience_s())
-                for descriptor in ready:
-                    number = self._by_fd.get(descriptor)
-                    if number is not None:
-                        self._serve(number)
+                if self._fast is not None:
+                    self._turn_fast(self._fast)
+                else:
+                    self._turn_plain()
                 self._keep_time()
         finally:
             self._finish()
+
+    def _others(self) -> list[int]:
+        """Descriptors to wait on besides the links."""
+        wake = [] if self._wake is None else [self._wake]
+        return wake + ([] if self.live is None else self.live.filenos())
+
+    def _turn_plain(self) -> None:
+        """Wait for whatever comes next and pass it on."""
+        waited = [*self._by_fd, *self._others()]
+        ready, _, _ = select.select(waited, (), (), self._patience_s())
+        for descriptor in ready:
+            if descriptor in self._by_fd:
+                self._serve(self._by_fd[descriptor])
+            elif self.live is not None:
+                self.live.serve()
+
+    def _turn_fast(self, fast: "FastPath") -> None:
+        """Let the compiled path forward until something is left to do here."""
+        due_us = self.core.next_due_us
+        deadline_ns = round(self._tend_s * 1e9)
+        if due_us is not None:
+            deadline_ns = min(deadline_ns, due_us * 1000 - self._base_ns)
+        fast.forward(deadline_ns, spin=self._busy_poll)
+        if fast.pending:
+            number, data = fast.take_datagram()
+            if data:
+                started_ns = time.monotonic_ns()
+                now_us = (self._base_ns + started_ns) // 1000
+                self._carry_out(self.core.received(number, data, now_us))
+                self.latencies[number].add(time.monotonic_ns() - started_ns)
+        for number in fast.ready():
+            self._serve(number)
+        if self.live is not None and fast.others_ready:
+            self.live.serve()
+
+    def _consider_fast(self) -> None:
+        """Load the compiled path when traffic is dense, and switch to it once it is there."""
+        if self._loader is None:
+            chunks = sum(link.counters.chunks_in for link in self.links)
+            dense = chunks - self._chunks > DENSE_HZ * TEND_S
+            self._chunks = chunks
+            if dense or self._busy_poll:
+                self._loader = threading.Thread(target=_load_fast, daemon=True)
+                self._loader.start()
+        elif self._fast is None and not self._loader.is_alive() and _FAST in sys.modules:
+            self.use_fast()
+
+    def join(self, live: "Live") -> None:
+        """Let live control take part; its engine takes over if there was none."""
+        self.live = live
+        if self.core.engine is None:
+            first_us = self.core.clock.t0_us
+            if first_us is not None:
+                live.control.engine.start_at(first_us)
+            self.core.engine = live.control.engine
+        self.core.control = live.control
+        if self._fast is not None and not self._fast.pending:
+            self._fast.count()
+            self.use_fast()
+
+    def vehicle_us(self) -> int:
+        """The vehicle's time, or the wall clock while none is known."""
+        clock = self.core.clock
+        return self.now_us() if clock.t0_us is None else clock.t_us
+
+    def use_fast(self) -> None:
+        """Let the compiled path take over."""
+        from mavproxy_fault.fast import FastPath
+
+        self._fast = FastPath(
+            self.links, self.core, self.tape, self.latencies, self._base_ns, self._others()
+        )
 
     def _patience_s(self) -> float:
         """How long the loop may sleep."""
@@ -107,22 +194,46 @@ class Server:
         now_s = time.monotonic()
         if now_s >= self._tend_s:
             self._tend_s = now_s + TEND_S
-            for number in range(len(self.links)):
-                self._serve(number)
+            self._tend()
         if now_s >= self._flush_s:
             self._flush_s = now_s + FLUSH_S
             self._record()
+        if self.coming is not None and self.coming.done():
+            self.join(self.coming.result())
+            self.coming = None
+
+    def _tend(self) -> None:
+        """Let links reconnect; take over what the compiled path has counted."""
+        for number in range(len(self.links)):
+            if self._fast is None or not self._fast.takes(number):
+                self._serve(number)
+        if self._fast is not None:
+            self._fast.count()
+        else:
+            self._consider_fast()
 
     def _record(self) -> None:
+        if self.recorder is None and self.live is None:
+            return
+        labels = self.core.take_labels()
         if self.recorder is not None and self.tape is not None:
-            self.recorder.write(self.tape, self.core.take_labels())
+            self.recorder.write(self.tape, labels)
+        if self.live is not None:
+            self.live.publish(self.stats(), labels)
 
     def _finish(self) -> None:
         now_us = self.now_us()
+        if self._fast is not None:
+            self._fast.count()
         self._carry_out(self.core.finish(now_us))
+        if self.coming is not None:
+            self.live = self.coming.result()
+            self.coming = None
         self._record()
         if self.recorder is not None:
             self.recorder.close(self.core.clock.t0_us, now_us)
+        if self.live is not None:
+            self.live.close()
 
     def stats(self) -> list[dict[str, Any]]:
         """Counters and latency percentiles of every endpoint."""
@@ -155,67 +266,36 @@ class Server:
         return found
 
 
-def open_links(master: str, outs: Sequence[str]) -> list[Link]:
-    """The vehicle's link and the others'; all closed again if one cannot be opened."""
-    links: list[Link] = []
-    try:
-        links.append(open_link(master, plain_udp="udpin"))
-        links += [open_link(out, plain_udp="udpout") for out in outs]
-    except ValueError:
-        for link in links:
-            link.close()
-        raise
-    return links
+def _load_fast() -> None:
+    """Bring in the compiled path without holding up the plain one.
+
+    Compiling, needed once after an installation, would keep the interpreter busy for seconds, so
+    another process does it; loading then takes turns with forwarding, and short ones.
+    """
+    if not _is_compiled():
+        code = f"import os; os.nice(10); from {_FAST} import compile_now; compile_now()"
+        made = subprocess.run([sys.executable, "-c", code], stdin=subprocess.DEVNULL, check=False)
+        if made.returncode != 0:
+            return
+    with short_turns():
+        from mavproxy_fault.fast import compile_now
+
+        compile_now()
 
 
-def roles(links: Sequence[Link]) -> list[LinkRole]:
-    """The first link is the vehicle's."""
-    return [
-        LinkRole(link.name, "to-vehicle" if number else "from-vehicle", link.datagrams)
-        for number, link in enumerate(links)
-    ]
+def _is_compiled() -> bool:
+    """Whether the machine code beside the sources is younger than they are."""
+    source = Path(__file__).with_name("kernel.py")
+    made = source.parent.glob(f"__pycache__/kernel.forward-*.py3{sys.version_info.minor}.nbi")
+    return any(path.stat().st_mtime > source.stat().st_mtime for path in made)
 
 
 @contextlib.contextmanager
-def signals(server: Server) -> Iterator[socket.socket]:
-    """Let SIGINT and SIGTERM stop the server; gives the socket that wakes it."""
-    wake, woken = socket.socketpair()
-    woken.setblocking(False)
-    names = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(name, lambda *_: server.stop()) for name in names]
-    descriptor = signal.set_wakeup_fd(woken.fileno(), warn_on_full_buffer=False)
+def short_turns() -> Iterator[None]:
+    """Let threads take short turns, so that one that imports does not hold up forwarding."""
+    before_s = sys.getswitchinterval()
+    sys.setswitchinterval(SHORT_TURN_S)
     try:
-        yield wake
+        yield
     finally:
-        signal.set_wakeup_fd(descriptor)
-        for name, action in zip(names, before, strict=True):
-            signal.signal(name, action)
-        wake.close()
-        woken.close()
-
-
-def main(args: argparse.Namespace) -> int:
-    """`mavproxy-fault proxy`."""
-    engine = None
-    session: dict[str, Any] = {"seed": None, "schedule": None}
-    if args.schedule:
-        from mavproxy_fault.engine import Engine
-        from mavproxy_fault.schedule import read_schedule
-
-        engine = Engine(read_schedule(args.schedule))
-        session = {"seed": engine.seed, "schedule": Path(args.schedule).read_text()}
-    links = open_links(args.master, args.out)
-    tape = Tape() if args.logdir else None
-    core = Core(roles(links), engine, tape=tape)
-    session["links"] = [{"name": role.name, "direction": role.direction} for role in core.links]
-    recorder = Recorder(Path(args.logdir), session) if args.logdir else None
-    server = Server(links, core, tape=tape, recorder=recorder, busy_poll=args.busy_poll)
-    with signals(server) as wake:
-        print(
-            f"ready: {links[0].name} <-> {', '.join(link.name for link in links[1:])}", flush=True
-        )
-        server.run(wake)
-    print(table(server.stats()), flush=True)
-    for link in links:
-        link.close()
-    return 0
+        sys.setswitchinterval(before_s)

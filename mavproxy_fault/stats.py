@@ -21,7 +21,10 @@ class Latencies:
     def add(self, ns: int, count: int = 1) -> None:
         """Note that `count` frames took `ns` nanoseconds."""
         octave = max(ns, 16).bit_length()
-        step = octave << 3 | max(ns, 16) >> (octave - 4) & 7
+        self.add_step(octave << 3 | max(ns, 16) >> (octave - 4) & 7, count)
+
+    def add_step(self, step: int, count: int) -> None:
+        """The same by the number of the histogram's step."""
         self._counts[step] = self._counts.get(step, 0) + count
 
     def percentile_us(self, percent: float) -> float | None:

@@ -5,7 +5,7 @@ identifies as PX4 and answers as PX4 does; what it flies is `Flight`, whose goal
 own controller follows.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from mavproxy_fault.wire.frame import Frame, build
 from simvehicle.body import Truth
@@ -36,6 +36,8 @@ class AutopilotLink:
     ----------
     flight, parameters, missions
         What the services work on.
+    fail_motor : callable
+        Stops (True) or starts a motor by its number from 1, 0 for all; False if there is none.
     mav_type : MavType
         For the heartbeat.
     system : int
@@ -49,6 +51,7 @@ class AutopilotLink:
         flight: Flight,
         parameters: Parameters,
         missions: Missions,
+        fail_motor: Callable[[int, bool], bool],
         mav_type: MavType = MavType.QUADROTOR,
         system: int = 1,
         start_us: int = START_US,
@@ -57,7 +60,7 @@ class AutopilotLink:
         self._parameters = parameters
         self._missions = missions
         self._streams = Streams()
-        self._commands = Commands(flight, self._streams, parameters)
+        self._commands = Commands(flight, self._streams, parameters, fail_motor)
         self._mav_type = mav_type
         self._system = system
         self._start_us = start_us

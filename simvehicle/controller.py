@@ -25,6 +25,8 @@ _PITCH_LIMIT = math.radians(20.0)
 _ROLL_LAG_S = 0.5  # bank command to bank
 _HEIGHT_GAIN = 0.25  # 1/s, height error to climb rate
 _CLIMB_LIMIT = 0.12  # climb rate over airspeed
+_LEVEL_M, _FREE_M = 3.0, 18.0  # heights of wings level and of full bank
+_SINK_MPS, _FLARE_MPS, _FLARE_M = 1.5, 0.5, 6.0
 
 
 @dataclass(slots=True)
@@ -38,7 +40,11 @@ class _Memory:
 
 
 class FixedWingController:
-    """Flies a track; `track` may be replaced at any time."""
+    """Flies a track; `track` and `landing` may be changed at any time.
+
+    On the ground it takes off straight ahead; to land it sinks along its track, levels the wings
+    near the ground, flares and rolls out.
+    """
 
     rate_hz = 50.0
     drifts = True  # it holds its airspeed, so wind carries it through turns
@@ -48,14 +54,20 @@ class FixedWingController:
         self.vehicle = vehicle
         self.home_alt_m = home_alt_m
         self.track: Track | None = None
+        self.landing = False
         self._density = density
         self._trims: dict[float, Trim] = {}
         self._memory = _Memory()
 
     def trim(self, speed_mps: float) -> Trim:
-        """Trim at this speed, kept for later."""
+        """Trim at this speed, kept for later; a speed that cannot be flown becomes the cruise's."""
         if speed_mps not in self._trims:
-            self._trims[speed_mps] = self.vehicle.trim(speed_mps, self._density, _G)
+            try:
+                found = self.vehicle.trim(speed_mps, self._density, _G)
+            except ValueError:
+                cruise = self.vehicle.parameters.cruise_mps
+                found = self.vehicle.trim(cruise, self._density, _G)
+            self._trims[speed_mps] = found
         return self._trims[speed_mps]
 
     def circle(
@@ -81,7 +93,11 @@ class FixedWingController:
             self.track = wait
         ground_speed = max(math.hypot(vn, ve), 1.0)
         aim = self.track.look(north, east, ground_speed * _ROLL_LAG_S)
-        bank = self._bank(aim, math.atan2(ve, vn), ground_speed)
+        if self.landing and truth.on_ground:
+            return Controls(np.zeros(4))
+        room = max(0.0, min(1.0, (truth.height_agl_m - _LEVEL_M) / (_FREE_M - _LEVEL_M)))
+        limit = _BANK_LIMIT * room
+        bank = max(-limit, min(limit, self._bank(aim, math.atan2(ve, vn), ground_speed)))
         return self._attitude(truth, aim, bank, -vd)
 
     def _bank(self, aim: Aim, course: float, ground_speed: float) -> float:
@@ -91,7 +107,7 @@ class FixedWingController:
         error = math.remainder(wanted - course, 2.0 * math.pi)
         along = ground_speed * max(0.0, math.cos(aim.course_rad - course))
         lateral = aim.curvature_pm * along * along + _COURSE_GAIN * ground_speed * error
-        return max(-_BANK_LIMIT, min(_BANK_LIMIT, math.atan(lateral / _G)))
+        return math.atan(lateral / _G)
 
     def _attitude(self, truth: Truth, aim: Aim, bank: float, climb: float) -> Controls:
         """Surfaces and throttle for a bank angle, a height and a speed."""
@@ -101,7 +117,7 @@ class FixedWingController:
         roll, pitch, _ = euler_angles(truth.q_nb)
         p, q, r = truth.omega_b_rps.tolist()
         u, v, w = truth.v_air_b_mps.tolist()
-        airspeed = max(math.sqrt(u * u + v * v + w * w), 0.5 * aim.speed_mps)
+        airspeed = max(math.sqrt(u * u + v * v + w * w), 0.5 * point.airspeed_mps)
         qs = 0.5 * truth.density_kgpm3 * airspeed * airspeed * par.wing.area_m2
         span, chord = par.wing.span_m, par.wing.chord_m
 
@@ -109,7 +125,9 @@ class FixedWingController:
         error = aim.height_m - (truth.alt_msl_m - self.home_alt_m)
         limit = _CLIMB_LIMIT * airspeed
         wanted = max(-limit, min(limit, _HEIGHT_GAIN * error))
-        if abs(wanted) < limit:
+        if self.landing:
+            wanted = -_SINK_MPS if truth.height_agl_m > _FLARE_M else -_FLARE_MPS
+        if abs(wanted) < limit and not truth.on_ground:
             memory.climb += 0.15 * (wanted - climb) / airspeed * dt
         memory.climb = max(-0.15, min(0.15, memory.climb))
         load = 1.0 / max(0.5, math.cos(roll))
@@ -141,10 +159,12 @@ class FixedWingController:
         turning = _G / airspeed * math.sin(roll)
         rudder = -1.0 * (r - turning) / power if abs(power) > 1e-6 else 0.0
 
-        short = aim.speed_mps - airspeed
+        short = point.airspeed_mps - airspeed
         memory.speed = max(-0.5, min(0.5, memory.speed + 0.02 * short * dt))
         throttle = point.throttle + 0.1 * short + memory.speed + 1.5 * wanted / airspeed
         throw_e, throw_a, throw_r = self.vehicle.throw_rad
         values = [elevator / throw_e, aileron / throw_a, rudder / throw_r]
         clipped = [max(-1.0, min(1.0, value)) for value in values]
+        if self.landing and truth.height_agl_m < _FLARE_M:
+            throttle *= 0.5
         return Controls(np.array([*clipped, max(0.0, min(1.0, throttle))]))

@@ -6,27 +6,24 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from mavproxy_fault.wire.frame import Frame
-from mavproxy_fault.wire.plant import plant_change
 from simvehicle.actuators import Mix, read_controls
 from simvehicle.body import Controls, Truth
 from simvehicle.hil import Hil
 from simvehicle.inbox import Inbox
 from simvehicle.lockstep import AutopilotSilentError, Lockstep
 from simvehicle.pace import Pace
+from simvehicle.plant_changes import Plant, PlantChanges
 from simvehicle.progress import Progress
 from simvehicle.readings import Reading
 
 FIRST_WORD_S = 5.0  # after which a peer that only listens is served too
 
 
-class Simulated(Protocol):
-    """What the loops need of a simulation."""
+class Simulated(Plant, Protocol):
+    """What the loop needs of a simulation."""
 
     def step(self, controls: Controls | None) -> tuple[int, Truth, Sequence[Reading]]:
         """One step: its instant, the truth and what was measured."""
-
-    def plant(self, name: str, value: float | None) -> None:
-        """Change a parameter of the plant; None makes it healthy again."""
 
 
 class PeerGoneError(RuntimeError):
@@ -64,12 +61,14 @@ class LockstepLoop:
         self._simulation = simulation
         self._hil = hil
         self._inbox = inbox
+        self._changes = PlantChanges(simulation, progress.say)
         self._mix = mix
         self._progress = progress
         self._clock = clock
         self._controls: Controls | None = None
-        self._pace = Pace(speed)
-        self._boot_pace = Pace(min(speed, 1.0))
+        self._speed = speed
+        self._locked = False
+        self._pace = Pace(min(speed, 1.0))
 
     def run(self, until_us: int | None = None) -> None:
         """Step until the autopilot goes away or `until_us` is reached.
@@ -110,14 +109,12 @@ class LockstepLoop:
         now_s = self._clock()
         self.lockstep.sent(self.t_us + self._hil.start_us, now_s)
         self._await_answer()
-        self._progress.step(
-            self.t_us, now_s, "" if self.lockstep.answered else ", the autopilot is starting"
-        )
+        self._progress.step(self.t_us, now_s, "" if self._locked else ", not in lockstep")
 
     def _await_answer(self) -> None:
         """Take what comes until the step is answered, its time-out is over and the pace allows."""
         link = self._inbox.link
-        waiting = self.lockstep.answered
+        waiting = self.lockstep.locked
         while True:
             if waiting:
                 select.select([link.fileno()], [], [], self._wait_s())
@@ -135,22 +132,27 @@ class LockstepLoop:
 
     def _wait_s(self) -> float:
         now_s = self._clock()
-        timeouts = self.lockstep.timeouts
         answer_s = self.lockstep.wait_s(now_s)
-        if self.lockstep.timeouts > timeouts:
-            stamp_s = (self.t_us + self._hil.start_us) * 1e-6
-            self._progress.say(f"no answer to the step at {stamp_s:.3f} s; going on without")
-        pace = self._pace if self.lockstep.answered else self._boot_pace
-        return max(answer_s, pace.wait_s(self.t_us, now_s))
+        if self.lockstep.locked != self._locked:
+            self._change_pace(self.lockstep.locked)
+        return max(answer_s, self._pace.wait_s(self.t_us, now_s))
+
+    def _change_pace(self, locked: bool) -> None:
+        """At most real time while nobody is waited for, and a new start of the clock."""
+        self._locked = locked
+        self._pace = Pace(self._speed if locked else min(self._speed, 1.0))
+        stamp_s = (self.t_us + self._hil.start_us) * 1e-6
+        if locked:
+            self._progress.say(f"in lockstep from {stamp_s:.3f} s")
+        else:
+            self._progress.say(f"no answer to the step at {stamp_s:.3f} s; going on in real time")
 
     def _take(self, frame: Frame) -> None:
         if frame.layout.name == "HIL_ACTUATOR_CONTROLS":
             stamp_us, self._controls = read_controls(frame, self._mix)
-            self.lockstep.received(stamp_us)
+            self.lockstep.received(stamp_us, self._clock())
             return
-        change = plant_change(frame)
-        if change is not None:
-            self._simulation.plant(change.name, change.value)
+        self._changes.take(frame)
 
 
 def serve_autopilot(loop: LockstepLoop, progress: Progress, until_us: int | None) -> int:

@@ -207,7 +207,7 @@ class Simulation:
         zero = np.zeros(3)
         self._gravity = np.array([0.0, 0.0, 9.81])
         if start.height_m == 0.0:
-            height = vehicle.standing_height_m()
+            height = vehicle.standing_height_m
             return vehicle.start(
                 np.array([0.0, 0.0, -height]), zero, quat_from_euler(0.0, 0.0, heading)
             )
@@ -216,15 +216,17 @@ class Simulation:
         h = self.home
         *_, density, vectors = locate(level, zero, h.r_ecef_m, h.rot_en, h.geoid_m)
         self._gravity = vectors[10:]
-        first = scenario.mission[0].speed_mps if scenario.mission else None
-        speed = first or vehicle.parameters.cruise_mps
         pull = float(np.linalg.norm(self._gravity))
-        try:
-            return vehicle.cruise(r, heading, self._wind, speed, density, pull)
-        except ValueError as error:
-            raise ConfigError(
-                f"mission[0].speed_mps = {speed:g} cannot be flown; {error}"
-            ) from None
+        speeds = [leg.speed_mps or vehicle.parameters.cruise_mps for leg in scenario.mission]
+        states = []
+        for number, speed in enumerate(speeds or [vehicle.parameters.cruise_mps]):
+            try:
+                states.append(vehicle.cruise(r, heading, self._wind, speed, density, pull))
+            except ValueError as error:
+                raise ConfigError(
+                    f"mission[{number}].speed_mps = {speed:g} cannot be flown; {error}"
+                ) from None
+        return states[0]
 
     def _mission(self) -> PathTrack:
         scenario, controller = self.scenario, self.controller
@@ -273,7 +275,7 @@ class Simulation:
         self._gravity = v[10:]
         alt = height - home.geoid_m
         agl = alt - self.terrain.ground(lat, lon)
-        standing = agl < self.vehicle.standing_height_m() + 0.02
+        standing = agl < self.vehicle.standing_height_m + 0.02
         volts, amperes, left = load[3:].tolist()
         return Truth(
             self._t_us,

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.compiled import compiled
 from analysis.epochs import AirspeedSample, ImuSample, MagSample, Sample
 from analysis.estimators.base import (
     GRAVITY_MPS2,
@@ -24,7 +25,6 @@ from analysis.estimators.base import (
     Prior,
     airspeed_mps,
 )
-from analysis.estimators.compiled import compiled
 from analysis.estimators.rotations import gravity_error, heading_error, matrix, turned
 
 Vector = NDArray[np.float64]

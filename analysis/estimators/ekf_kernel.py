@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.compiled import compiled
 from analysis.estimators.base import GRAVITY_MPS2
-from analysis.estimators.compiled import compiled
 from analysis.estimators.rotations import heading_error, matrix, turned
 
 Vector = NDArray[np.float64]

@@ -23,9 +23,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.compiled import compiled
 from analysis.epochs import ImuSample, Sample
 from analysis.estimators.base import GRAVITY_MPS2, MAX_GAP_S, AttitudeEstimate, Prior
-from analysis.estimators.compiled import compiled
 from analysis.estimators.rotations import euler, matrix, quaternion_of_euler
 
 Vector = NDArray[np.float64]

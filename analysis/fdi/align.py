@@ -40,11 +40,15 @@ def _integrate(q: Vector, alpha: Vector, samples: Vector) -> tuple[Vector, Vecto
     alpha = alpha.copy()
     for k in range(samples.shape[0]):
         dt = samples[k, 0]
-        mid = matrix(turned(q, 0.5 * dt * samples[k, 1:4], False))
+        turn = np.empty(3)
+        for i in range(3):
+            turn[i] = 0.5 * dt * samples[k, 1 + i]
+        mid = matrix(turned(q, turn, False))
         for i in range(3):
             for j in range(3):
                 alpha[i] += mid[i, j] * samples[k, 4 + j] * dt
-        q = turned(q, dt * samples[k, 1:4], False)
+            turn[i] *= 2.0
+        q = turned(q, turn, False)
     return q, alpha
 
 

@@ -19,16 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.compiled import compiled
+from analysis.fdi.linear import inverse, multiply, transposed
 from analysis.samples import Vector
 
 Indices = NDArray[np.int64]
-
-
-@compiled
-def quadratic(m: Vector, v: Vector) -> tuple[Vector, float]:
-    """u = M v (n,) and q = v' M v."""
-    u = m @ v
-    return u, float(v @ u)
 
 
 @compiled
@@ -84,7 +78,8 @@ def best_subset(m: Vector, u: Vector, q: float, size: int) -> tuple[float, Indic
         left = q - reduction(block, right)
         if left < best:
             best = left
-            best_pick[:] = pick
+            for i in range(size):
+                best_pick[i] = pick[i]
         at = size - 1
         while at >= 0 and pick[at] == n - size + at:
             at -= 1
@@ -95,11 +90,9 @@ def best_subset(m: Vector, u: Vector, q: float, size: int) -> tuple[float, Indic
             pick[j] = pick[j - 1] + 1
 
 
-@compiled
 def freed(m: Vector, u: Vector, q: float, g: Vector) -> float:
     """The statistic with the parameters along the columns of g (n, k) freed; q if not separable."""
-    block = g.T @ (m @ g)
-    lowered = reduction(block, g.T @ u)
+    lowered = reduction(np.ascontiguousarray(g.T @ (m @ g)), g.T @ u)
     return q - lowered if lowered >= 0.0 else q
 
 
@@ -118,9 +111,15 @@ def normalised(m: Vector, u: Vector) -> Vector:
 @compiled
 def projected_weights(design: Vector, weight: Vector) -> Vector:
     """W - W A inv(A'WA) A'W (n, n) for the geometry A (n, k) and weights (n,): the parity test."""
-    wa = design * weight.reshape(-1, 1)
-    inverse = np.linalg.inv(design.T @ wa)
-    out: Vector = -(wa @ inverse @ wa.T)
-    for i in range(weight.shape[0]):
+    count = weight.shape[0]
+    wa = np.empty_like(design)
+    for i in range(count):
+        for j in range(design.shape[1]):
+            wa[i, j] = weight[i] * design[i, j]
+    cofactor = inverse(multiply(transposed(design), wa))
+    out = multiply(multiply(wa, cofactor), transposed(wa))
+    for i in range(count):
+        for j in range(count):
+            out[i, j] = -out[i, j]
         out[i, i] += weight[i]
     return out

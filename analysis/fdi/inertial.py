@@ -23,6 +23,7 @@ import math
 import numpy as np
 
 from analysis.compiled import compiled
+from analysis.fdi.linear import apply, inverse, multiply, transposed
 from analysis.samples import Vector
 
 X_SIZE = 19
@@ -42,7 +43,7 @@ def gravity_ecef(r: Vector) -> Vector:
     factor = -3.986004418e14 / (square * size)
     bulge = 1.5 * 1.082627e-3 * 6378137.0 * 6378137.0 / square
     tilt = 5.0 * r[2] * r[2] / square
-    spin = 7.2921151467e-5**2
+    spin = 7.2921151467e-5 * 7.2921151467e-5
     out[0] = (factor * (1.0 + bulge * (1.0 - tilt)) + spin) * r[0]
     out[1] = (factor * (1.0 + bulge * (1.0 - tilt)) + spin) * r[1]
     out[2] = factor * (1.0 + bulge * (3.0 - tilt)) * r[2]
@@ -69,7 +70,7 @@ def matrix(q: Vector) -> Vector:
 @compiled
 def turned(q: Vector, rotvec: Vector, left: bool) -> Vector:
     """q followed (left) or preceded by the turn of a rotation vector (3,), normalised."""
-    angle = math.sqrt(rotvec[0] ** 2 + rotvec[1] ** 2 + rotvec[2] ** 2)
+    angle = math.sqrt(rotvec[0] * rotvec[0] + rotvec[1] * rotvec[1] + rotvec[2] * rotvec[2])
     scale = 0.5 if angle < 1e-8 else math.sin(0.5 * angle) / angle
     w, x, y, z = math.cos(0.5 * angle), scale * rotvec[0], scale * rotvec[1], scale * rotvec[2]
     sign = 1.0 if left else -1.0
@@ -78,7 +79,10 @@ def turned(q: Vector, rotvec: Vector, left: bool) -> Vector:
     out[1] = w * q[1] + x * q[0] + sign * (y * q[3] - z * q[2])
     out[2] = w * q[2] + y * q[0] + sign * (z * q[1] - x * q[3])
     out[3] = w * q[3] + z * q[0] + sign * (x * q[2] - y * q[1])
-    return out / math.sqrt((out * out).sum())
+    size = math.sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2] + out[3] * out[3])
+    for i in range(4):
+        out[i] /= size
+    return out
 
 
 @compiled
@@ -89,7 +93,10 @@ def _mechanise(x: Vector, gyro: Vector, accel: Vector, dt: float) -> tuple[Vecto
     c = matrix(x[6:10])
     for i in range(3):
         rate[i] = (gyro[i] - x[10 + i] - earth * c[2, i]) * dt
-    mid = matrix(turned(x[6:10], 0.5 * rate, False))
+    half = np.empty(3)
+    for i in range(3):
+        half[i] = 0.5 * rate[i]
+    mid = matrix(turned(x[6:10], half, False))
     f = np.empty(3)
     for i in range(3):
         f[i] = 0.0
@@ -104,7 +111,9 @@ def _mechanise(x: Vector, gyro: Vector, accel: Vector, dt: float) -> tuple[Vecto
     for i in range(3):
         x[i] += (x[3 + i] + 0.5 * step[i]) * dt
         x[3 + i] += step[i]
-    x[6:10] = turned(x[6:10], rate, False)
+    q = turned(x[6:10], rate, False)
+    for i in range(4):
+        x[6 + i] = q[i]
     return mid, f
 
 
@@ -170,7 +179,8 @@ def propagate_inertial(
             continue
         c, f = _mechanise(x, samples[k, 1:4], samples[k, 4:7], dt)
         _transition(p, c, f, dt)
-        _transition(p.T, c, f, dt)
+        p = transposed(p)
+        _transition(p, c, f, dt)
         _transition(phi, c, f, dt)
         _add_noise(p, noise, dt)
         x[16] += x[17] * dt
@@ -182,22 +192,22 @@ def propagate_freely(
     x: Vector, p: Vector, dt: float, noise: Vector
 ) -> tuple[Vector, Vector, Vector]:
     """The same over `dt` seconds without an IMU: steady velocity with random acceleration."""
-    x, p = x.copy(), p.copy()
+    x = x.copy()
     phi = np.eye(18)
     for i in range(3):
         phi[i, 3 + i] = dt
         x[i] += x[3 + i] * dt
     phi[15, 16] = dt
     x[16] += x[17] * dt
-    p = phi @ p @ phi.T
+    p = multiply(multiply(phi, p), transposed(phi))
     quiet = noise.copy()
     quiet[0] = quiet[1] = 0.0
     _add_noise(p, quiet, dt)
     q = noise[7]
     for i in range(3):
-        p[i, i] += q * dt**3 / 3.0
-        p[i, 3 + i] += q * dt**2 / 2.0
-        p[3 + i, i] += q * dt**2 / 2.0
+        p[i, i] += q * dt * dt * dt / 3.0
+        p[i, 3 + i] += q * dt * dt / 2.0
+        p[3 + i, i] += q * dt * dt / 2.0
         p[3 + i, 3 + i] += q * dt
     return x, p, phi
 
@@ -207,25 +217,53 @@ def innovate(
     p: Vector, h: Vector, variance: Vector, v: Vector
 ) -> tuple[Vector, Vector, Vector, float]:
     """P H' (18, n), M = inv(H P H' + diag(variance)) (n, n), u = M v (n,) and q = v' M v."""
-    ph = p @ h.T
-    s = h @ ph
+    hp = multiply(h, p)
+    ph = transposed(hp)
+    s = multiply(h, ph)
     for i in range(variance.shape[0]):
         s[i, i] += variance[i]
-    m: Vector = np.linalg.inv(0.5 * (s + s.T))
-    u = m @ v
-    return ph, m, u, float(v @ u)
+    m = inverse(s)
+    u = apply(m, v)
+    q = 0.0
+    for i in range(v.shape[0]):
+        q += v[i] * u[i]
+    return ph, m, u, q
 
 
 @compiled
 def correct(
-    x: Vector, p: Vector, ph: Vector, m: Vector, u: Vector
+    x: Vector, p: Vector, h: Vector, variance: Vector, ph: Vector, m: Vector, u: Vector
 ) -> tuple[Vector, Vector, Vector]:
-    """State, covariance and the gain P H' M (18, n) after what `innovate` gave."""
-    d = ph @ u
+    """State, covariance and the gain K = P H' M (18, n) after what `innovate` gave.
+
+    The covariance in Joseph's form, (I - K H) P (I - K H)' + K R K', stays positive definite when a
+    part of the state was forgotten.
+    """
+    d = apply(ph, u)
     x = x.copy()
-    x[0:6] += d[0:6]
-    x[6:10] = turned(x[6:10], d[6:9], True)
-    x[10:19] += d[9:18]
-    gain = ph @ m
-    p = p - gain @ ph.T
-    return x, 0.5 * (p + p.T), gain
+    turn = np.empty(3)
+    for i in range(3):
+        turn[i] = d[6 + i]
+    q = turned(x[6:10], turn, True)
+    for i in range(6):
+        x[i] += d[i]
+    for i in range(4):
+        x[6 + i] = q[i]
+    for i in range(9):
+        x[10 + i] += d[9 + i]
+    gain = multiply(ph, m)
+    left = multiply(gain, h)
+    noisy = gain.copy()
+    for i in range(left.shape[0]):
+        for j in range(left.shape[0]):
+            left[i, j] = -left[i, j]
+        left[i, i] += 1.0
+        for j in range(noisy.shape[1]):
+            noisy[i, j] *= variance[j]
+    kept = multiply(multiply(left, p), transposed(left))
+    added = multiply(noisy, transposed(gain))
+    after = np.empty_like(p)
+    for i in range(p.shape[0]):
+        for j in range(p.shape[0]):
+            after[i, j] = 0.5 * (kept[i, j] + kept[j, i] + added[i, j] + added[j, i])
+    return x, after, gain

@@ -25,6 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.compiled import compiled
+from analysis.fdi.bank import reduction
+from analysis.fdi.linear import apply, multiply
 from analysis.samples import Vector
 
 Slots = NDArray[np.int64]
@@ -65,21 +67,32 @@ def respond(
     windows = sums.shape[0]
     count = (sums.shape[1] - 12) // 5
     each = 2 * count + 3
-    response = phi @ d
+    response = multiply(phi, d)
     for w in range(windows):
         for axis in range(3):
             at = w * each + 2 * count + axis
             response[axis, at] += 0.5 * dt * dt
             if d.shape[0] > 6:
                 response[3 + axis, at] += dt
-    g = -(h @ response)
-    for w in range(windows):
-        for i in range(v.shape[0]):
+    g = multiply(h, response)
+    for i in range(g.shape[0]):
+        for j in range(g.shape[1]):
+            g[i, j] = -g[i, j]
+        for w in range(windows):
             at = w * each + slots[i]
             g[i, at] += ages[w]
             g[i, at + count] += 1.0
-    sums = _summed(sums, g, m @ g, m @ v, 0)
-    return response + gain @ g, sums
+    sums = _summed(sums, g, multiply(m, g), apply(m, v), False)
+    return _plus(response, multiply(gain, g)), sums
+
+
+@compiled
+def _plus(a: Vector, b: Vector) -> Vector:
+    out = np.empty_like(a)
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[i, j] = a[i, j] + b[i, j]
+    return out
 
 
 @compiled
@@ -88,17 +101,21 @@ def respond_to_rates(
 ) -> tuple[Vector, Vector]:
     """The same for Doppler rates, which no fault of a range touches: accelerations alone gain."""
     count = (sums.shape[1] - 12) // 5
-    g = -(h @ d)
+    g = multiply(h, d)
     each = 2 * count + 3
     few = np.empty((g.shape[0], 3 * sums.shape[0]))
-    for w in range(sums.shape[0]):
-        few[:, 3 * w : 3 * w + 3] = g[:, w * each + 2 * count : (w + 1) * each]
-    sums = _summed(sums, few, m @ few, m @ v, 1)
-    return d + gain @ g, sums
+    for i in range(g.shape[0]):
+        for j in range(g.shape[1]):
+            g[i, j] = -g[i, j]
+        for w in range(sums.shape[0]):
+            for a in range(3):
+                few[i, 3 * w + a] = g[i, w * each + 2 * count + a]
+    sums = _summed(sums, few, multiply(m, few), apply(m, v), True)
+    return _plus(d, multiply(gain, g)), sums
 
 
 @compiled
-def _summed(sums: Vector, g: Vector, mg: Vector, mv: Vector, only_accelerations: int) -> Vector:
+def _summed(sums: Vector, g: Vector, mg: Vector, mv: Vector, only_accelerations: bool) -> Vector:
     sums = sums.copy()
     count = (sums.shape[1] - 12) // 5
     each = 3 if only_accelerations else 2 * count + 3
@@ -151,15 +168,16 @@ def acceleration_statistics(sums: Vector, prior: float) -> Vector:
     count = (sums.shape[1] - 12) // 5
     out = np.zeros(sums.shape[0])
     for w in range(sums.shape[0]):
-        c = sums[w, 5 * count : 5 * count + 3].copy()
-        info = np.empty((3, 3))
+        c, info, covariance = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
         for a in range(3):
+            c[a] = sums[w, 5 * count + a]
             for b in range(3):
                 info[a, b] = sums[w, 5 * count + 3 + 3 * a + b]
-        if info[0, 0] + info[1, 1] + info[2, 2] < 1e-6:
-            continue
-        covariance = info + prior * (info @ info)
+        squared = multiply(info, info)
         for a in range(3):
+            for b in range(3):
+                covariance[a, b] = info[a, b] + prior * squared[a, b]
             covariance[a, a] += 1e-9
-        out[w] = c @ np.linalg.solve(covariance, c)
+        if info[0, 0] + info[1, 1] + info[2, 2] > 1e-6:
+            out[w] = max(reduction(covariance, c), 0.0)
     return out

@@ -4,9 +4,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from analysis.report.derive import with_derived
 from analysis.report.from_results import recording_of_results
 from analysis.report.from_tlog import recording_of
-from analysis.report.page import Page, html
+from analysis.report.page import SENSOR_LIMIT, Page, html
 from analysis.report.panels import DETECTION
 from analysis.report.recording import Recording, joined
 from analysis.report.tables import facts, matrix_table, run_tables
@@ -48,11 +49,12 @@ def write(
     if t0_us is None:
         t0_us = flight.t0_us
     said = recording_of_results(labels, results, t0_us)
-    together = joined(flight, said)
-    page = Page(title, str(summary.get("verdict", "")), facts(summary), run_tables(summary))
+    together = with_derived(joined(flight, said))
+    tables = run_tables(summary)
     matrix = matrix_table(labels, results)
     if matrix is not None:
-        page = Page(page.title, page.verdict, page.facts, [*page.tables, (DETECTION, matrix)])
+        tables.append((DETECTION, matrix))
+    page = Page(title, str(summary.get("verdict", "")), facts(summary), tables, SENSOR_LIMIT)
     path = out / "report.html"
     path.write_text(html(page, together), encoding="utf-8")
     return path

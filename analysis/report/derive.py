@@ -1,5 +1,7 @@
 """Curves that follow from others: steps of a track, distances and angles to the truth."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from analysis.report.recording import Event, Recording, Signal, Track, Vector
@@ -9,6 +11,16 @@ LONG_STEP_S = 3.0  # fixes further apart than this say nothing about a jump
 ACCEPTED_M = 5.0  # an estimate that moves so far between two samples was reset
 
 
+def with_derived(recording: Recording) -> Recording:
+    """A recording and the signals and events computed from its own."""
+    signals, events = derived(recording)
+    return replace(
+        recording,
+        signals=recording.signals + signals,
+        events=sorted(recording.events + events, key=lambda event: event.t_s),
+    )
+
+
 def derived(recording: Recording) -> tuple[list[Signal], list[Event]]:
     """Signals and events computed from a recording's own."""
     signals, events = [], []
@@ -16,7 +28,7 @@ def derived(recording: Recording) -> tuple[list[Signal], list[Event]]:
         if track.name.startswith("truth") or len(track.t_s) < 3:
             continue
         step = step_beyond_speed(track, _speed_of(recording, track))
-        is_gps = "GPS" in track.name
+        is_gps = "GPS" in track.name or "GNSS" in track.name
         panel = "gps-jump" if is_gps else "estimate-jump"
         signals.append(Signal(panel, track.name, track.t_s[1:], step))
         if not is_gps:

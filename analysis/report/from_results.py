@@ -7,9 +7,11 @@ import numpy as np
 
 from analysis.report.recording import Event, Recording, Signal, Span, Track, Vector, runs
 from analysis.results import AttitudeError, Decision, FusedState, Result, SensorDecision
+from analysis.score import RECOVERY_S
 from mavproxy_fault.wire.label import Label
 from simvehicle import earth
 
+AFTER = f"{RECOVERY_S:g} s after one"
 Points = dict[tuple[str, str], list[tuple[float, float]]]
 
 
@@ -27,11 +29,19 @@ def recording_of_results(
     points: Points = defaultdict(list)
     alarms: dict[str, list[tuple[float, bool, str]]] = defaultdict(list)
     fused: list[tuple[float, tuple[float, float, float]]] = []
+    solved: list[tuple[float, tuple[float, float, float]]] = []
+    excluded: dict[str, list[float]] = defaultdict(list)
+    epochs: list[float] = []
     for result in results:
         t_s = (result.t_us - t0_us) * 1e-6
         if isinstance(result, Decision):
             _decision(result, t_s, points)
             alarms["detected: GNSS"].append((t_s, result.alarm, _verdict(result)))
+            epochs.append(t_s)
+            for satellite in result.excluded:
+                excluded[satellite].append(t_s)
+            if result.position_ecef_m is not None:
+                solved.append((t_s, result.position_ecef_m))
         elif isinstance(result, SensorDecision):
             if result.statistic is not None and result.threshold:
                 points["fdi-sensor", result.sensor].append(
@@ -47,8 +57,10 @@ def recording_of_results(
     found.signals.extend(_signal(panel, name, rows) for (panel, name), rows in points.items())
     for lane, rows in alarms.items():
         found.spans.extend(_alarm_spans(lane, rows))
-    if len(fused) > 1:
-        found.tracks.append(_track("fused", fused))
+    found.spans.extend(_excluded_spans(excluded, epochs))
+    for name, track in (("GNSS solution", solved), ("fused", fused)):
+        if len(track) > 1:
+            found.tracks.append(_track(name, track))
     return found
 
 
@@ -115,6 +127,20 @@ def _alarm_spans(lane: str, rows: list[tuple[float, bool, str]]) -> list[Span]:
     return spans
 
 
+def _excluded_spans(excluded: dict[str, list[float]], epochs: list[float]) -> list[Span]:
+    """When each satellite was left out of the solution, a lane each."""
+    times = np.array(sorted(epochs))
+    spans = []
+    for satellite, out in sorted(excluded.items()):
+        for begin, end in runs(np.isin(times, out)):
+            stop = float(times[min(end, len(times) - 1)])
+            text = f"{satellite} left out"
+            spans.append(
+                Span(f"excluded: {satellite}", float(times[begin]), stop, text, "detected")
+            )
+    return spans
+
+
 def isolation_matrix(
     labels: Sequence[Label], results: Iterable[Result]
 ) -> tuple[list[str], dict[str, list[int]]]:
@@ -125,25 +151,32 @@ def isolation_matrix(
     tuple
         The decisions that head the columns, and per row one count for each.
     """
-    rows = [label.id for label in labels] + ["no fault"]
+    rows = [label.id for label in labels] + [AFTER, "no fault"]
     counts: dict[str, dict[str, int]] = {row: defaultdict(int) for row in rows}
     for result in results:
         if not isinstance(result, Decision):
             continue
-        said = ["none" if result.hypothesis == "none" else result.hypothesis]
-        if result.excluded:
-            said = list(result.excluded)
+        said = result.excluded or (result.hypothesis,)
         true = [
             label.id
             for label in labels
             if label.start_us <= result.t_us
             and (label.end_us is None or result.t_us <= label.end_us)
-        ] or ["no fault"]
+        ]
+        true = true or [AFTER if _just_after(labels, result.t_us) else "no fault"]
         for row in true:
             for column in said:
                 counts[row][column] += 1
+    if not counts[AFTER]:
+        del counts[AFTER]
     heads = sorted({column for row in counts.values() for column in row}, key=_rank)
     return heads, {row: [counts[row][head] for head in heads] for row in rows}
+
+
+def _just_after(labels: Sequence[Label], t_us: int) -> bool:
+    return any(
+        label.end_us is not None and 0 < t_us - label.end_us <= RECOVERY_S * 1e6 for label in labels
+    )
 
 
 def _rank(name: str) -> tuple[int, str]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from analysis.report.checks import FAIL, PASS, WARN, Check
 from analysis.report.outcome import Outcome
-from analysis.report.page import Limit, Page, Table
+from analysis.report.page import SENSOR_LIMIT, Limit, Page, Table
 from analysis.report.panels import DETECTION, LINK
 from analysis.report.tables import (
     checks_table,
@@ -45,7 +45,13 @@ def log_page(outcome: Outcome, tables: Sequence[tuple[str, Table]]) -> Page:
     if recording.autopilot:
         shown.append(("autopilot", AUTOPILOTS[recording.autopilot]))
     shown += _run_facts(outcome)
-    return Page(recording.name, outcome.verdict, shown, every, panel_limits(outcome.checks))
+    return Page(
+        recording.name,
+        outcome.verdict,
+        shown,
+        every,
+        {**SENSOR_LIMIT, **panel_limits(outcome.checks)},
+    )
 
 
 def _counts(checks: Sequence[Check]) -> list[tuple[str, str]]:

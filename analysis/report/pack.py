@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from analysis.report.recording import Vector
 
 LONGEST = 100_000  # samples of one curve; beyond, each bucket keeps its extremes
+GAP_STEPS, LEAST_GAP_S = 10.0, 0.5  # a pause longer than both is a gap in a curve
 EVEN_S = 1e-5  # samples this near the line lie on it
 
 Place = dict[str, float | int]
@@ -46,6 +47,16 @@ class Block:
         """Everything as base64 of zlib's format."""
         data = np.concatenate(self.parts) if self.parts else np.empty(0, "<f4")
         return base64.b64encode(zlib.compress(data.tobytes(), 6)).decode("ascii")
+
+
+def broken(t_s: Vector, value: Vector) -> tuple[Vector, Vector]:
+    """The curve with NaN in its gaps, so that no line is drawn where there were no samples."""
+    if len(t_s) < 3:
+        return t_s, value
+    steps = np.diff(t_s)
+    gaps = np.flatnonzero(steps > max(GAP_STEPS * float(np.median(steps)), LEAST_GAP_S))
+    middle = (t_s[gaps] + t_s[gaps + 1]) / 2
+    return np.insert(t_s, gaps + 1, middle), np.insert(value, gaps + 1, np.nan)
 
 
 def thinned(t_s: Vector, value: Vector, longest: int = LONGEST) -> tuple[Vector, Vector]:

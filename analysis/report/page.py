@@ -13,13 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from analysis.report.pack import Block, thinned
+from analysis.report.checks import armed_windows
+from analysis.report.pack import Block, broken, thinned
 from analysis.report.panels import BY_KEY, PANELS
 from analysis.report.recording import Recording, Track, Vector
 
 EARTH_RADIUS_M = 6_371_000.0  # for a picture of the track; nothing is measured on it
 VERDICT_CLASS = {"PASS": "PASS", "WARN": "WARN", "FAIL": "FAIL"}
 EVENTS_SHOWN = 400
+MARGIN_S = 2.0  # of a track, before arming and after
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +43,9 @@ class Limit:
     value: float
     text: str
     kind: str
+
+
+SENSOR_LIMIT = {"fdi-sensor": [Limit(1.0, "threshold", "fail")]}
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +114,7 @@ def _model(page: Page, recording: Recording, block: Block) -> tuple[dict[str, An
     for panel in PANELS:
         series = []
         for signal in recording.of(panel.key):
-            t_s, value = thinned(signal.t_s, signal.value)
+            t_s, value = thinned(*broken(signal.t_s, signal.value))
             series.append({"name": signal.name, "t": block.times(t_s), "y": block.values(value)})
         if series:
             limits = [
@@ -117,7 +122,13 @@ def _model(page: Page, recording: Recording, block: Block) -> tuple[dict[str, An
                 for limit in page.limits.get(panel.key, ())
             ]
             panels.append(
-                {"key": panel.key, "unit": panel.unit, "series": series, "limits": limits}
+                {
+                    "key": panel.key,
+                    "unit": panel.unit,
+                    "log": panel.log,
+                    "series": series,
+                    "limits": limits,
+                }
             )
     starts = [signal.t_s[0] for signal in recording.signals] + [s.start_s for s in recording.spans]
     ends = [signal.t_s[-1] for signal in recording.signals] + [s.end_s for s in recording.spans]
@@ -130,7 +141,7 @@ def _model(page: Page, recording: Recording, block: Block) -> tuple[dict[str, An
             {"lane": s.lane, "start": s.start_s, "end": s.end_s, "text": s.text, "kind": s.kind}
             for s in sorted(recording.spans, key=lambda span: _lane_rank(span.lane))
         ],
-        "tracks": _tracks(recording.tracks, block),
+        "tracks": _tracks(_flown(recording), block),
     }
     with_plots = {BY_KEY[str(panel["key"])].section for panel in panels}
     with_tables = {section for section, _ in page.tables if section}
@@ -145,8 +156,24 @@ def _model(page: Page, recording: Recording, block: Block) -> tuple[dict[str, An
 
 def _lane_rank(lane: str) -> int:
     """Injected first, then what was detected, flags, modes."""
-    order = ("injected", "detected", "found", "estimator", "mode", "armed")
+    order = ("injected", "detected", "excluded", "found", "estimator", "mode", "armed")
     return next((i for i, word in enumerate(order) if lane.startswith(word)), len(order))
+
+
+def _flown(recording: Recording) -> list[Track]:
+    """Tracks while armed, where the log says when: before, there may be no position yet."""
+    armed = armed_windows(recording)
+    if not armed:
+        return recording.tracks
+    found = []
+    for track in recording.tracks:
+        inside = np.zeros(len(track.t_s), bool)
+        for start, end in armed:
+            inside |= (track.t_s >= start - MARGIN_S) & (track.t_s <= end + MARGIN_S)
+        if inside.sum() > 1:
+            columns = (track.t_s, track.lat_deg, track.lon_deg, track.alt_m)
+            found.append(Track(track.name, *(column[inside] for column in columns)))
+    return found
 
 
 def _tracks(tracks: Sequence[Track], block: Block) -> list[dict[str, Any]]:

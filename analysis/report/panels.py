@@ -5,12 +5,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One plot over time; `key` is what signals name it by."""
+    """One plot over time; `key` is what signals name it by, `log` asks for a logarithmic axis."""
 
     key: str
     section: str
     title: str
     unit: str
+    log: bool = False
 
 
 DETECTION = "Fault detection"
@@ -24,10 +25,10 @@ LINK = "Link quality"
 ACTUATORS = "Control"
 
 PANELS = (
-    Panel("fdi-statistic", DETECTION, "Chi-square statistic of the GNSS residuals", ""),
+    Panel("fdi-statistic", DETECTION, "Chi-square statistic of the GNSS residuals", "", True),
     Panel("fdi-residual", DETECTION, "Residuals per satellite", "m"),
     Panel("fdi-normalised", DETECTION, "Residuals per satellite over their sigma", ""),
-    Panel("fdi-sensor", DETECTION, "Sensor statistics over their thresholds", ""),
+    Panel("fdi-sensor", DETECTION, "Sensor statistics over their thresholds", "", True),
     Panel("fdi-probability", DETECTION, "Probability of each hypothesis", ""),
     Panel("fused-sigma", DETECTION, "Fused solution: position sigma", "m"),
     Panel("error-angle", ATTITUDE, "Attitude error: total angle", "deg"),

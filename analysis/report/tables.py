@@ -66,14 +66,20 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
         cells_ = [
             (
                 str(check["name"]),
-                "" if check["value"] is None else str(check["value"]),
-                str(check["limit"]),
+                _plain(check["value"]),
+                _plain(check["limit"]),
                 (words[check["passed"]], words[check["passed"]]),
             )
             for check in checks
         ]
         tables.append(("", Table("Criteria", ("criterion", "found", "limit", "verdict"), cells_)))
     return tables
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "" if value is None else str(value)
 
 
 def _short(value: float | None) -> str:

@@ -4,7 +4,7 @@ import argparse
 import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,7 @@ from analysis.run.flight import Flight
 from analysis.run.setup import Setup, read_setup
 from analysis.run.worker import MonitorProcess
 from analysis.terminal import print_summary
-from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.links.bus import Bus, open_bus
+from mavproxy_fault.links.bus import open_run_bus
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.record import Recorder
@@ -98,28 +97,6 @@ def open_ground(spec: str, pace: Pace) -> Link | None:
 def session(setup: Setup) -> dict[str, Any]:
     """What a replay of the run needs to know."""
     return {"scenario": setup.scenario.name, "seed": setup.schedule.seed}
-
-
-@contextlib.contextmanager
-def open_run_bus(choice: str, run: str) -> Iterator[Bus | None]:
-    """The bus of a run: the router, or a client of the one that is there already.
-
-    Raises
-    ------
-    ConfigError
-        If `choice` names an address where neither can be had.
-    """
-    if choice == "off":
-        yield None
-        return
-    url = None if choice == "auto" else choice
-    try:
-        bus = open_bus(url, run=run, router=True)
-    except ConfigError:
-        bus = open_bus(url, run=run)
-    with bus:
-        bus.alive("run")
-        yield bus
 
 
 def report(folder: Path, summary: dict[str, Any]) -> None:

@@ -76,14 +76,18 @@ class Batch:
         draws = self.test.noise_draws if draws is None else draws
         return self.fly(flights_of(self.test, self.space.values(points)), seed, first, draws)
 
-    def fly(self, flights: Array, seed: int, first: int, draws: int) -> Outcome:
-        """Fly columns (ROWS, n), `draws` times each.
+    def fly(
+        self, flights: Array, seed: int, first: int, draws: int, alike: bool = False
+    ) -> Outcome:
+        """Fly columns (ROWS, n), `draws` times each; with the same noise for all if `alike`.
 
         The noise does not move the aircraft: of many flights, those that leave the envelope are
         flown only once.
         """
         count = flights.shape[1]
         numbers = first * draws + np.arange(count * draws).reshape(count, draws)
+        if alike:
+            numbers = np.broadcast_to(numbers[0], numbers.shape)
         if count < 2 * rows.LANES or draws == 1:
             columns = self._flown(np.repeat(flights, draws, axis=1), seed, numbers.ravel())
             columns = columns.reshape(rows.ROWS, count, draws)

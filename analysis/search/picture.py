@@ -28,7 +28,7 @@ class Picture:
 
     def __init__(self, figure: Figure) -> None:
         self.figure = figure
-        grid = figure.add_gridspec(3, 3, width_ratios=(1.3, 1, 1), bottom=0.14, wspace=0.3)
+        grid = figure.add_gridspec(3, 3, width_ratios=(1.3, 1, 1), bottom=0.14, wspace=0.45)
         self._space: Any = figure.add_subplot(grid[:, 0], projection="3d")
         self._angles = [figure.add_subplot(grid[i, 1]) for i in range(3)]
         self._signals = [figure.add_subplot(grid[i, 2]) for i in range(3)]

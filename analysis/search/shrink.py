@@ -89,7 +89,7 @@ def shrunk(
 
 
 class Errors:
-    """Mean error in degrees of several cases over `draws` noise draws; -inf if a flight leaves."""
+    """Mean error in degrees of several cases, with the same noise for all; -inf if one leaves."""
 
     def __init__(self, test: TestFile, seed: int, draws: int) -> None:
         self._test, self._seed, self._draws = test, seed, draws
@@ -97,5 +97,5 @@ class Errors:
     def __call__(self, cases: list[dict[str, float]]) -> Array:
         columns = {name: np.array([case[name] for case in cases]) for name in cases[0]}
         batch = Batch(self._test)
-        outcome = batch.fly(flights_of(self._test, columns), self._seed, 0, self._draws)
+        outcome = batch.fly(flights_of(self._test, columns), self._seed, 0, self._draws, True)
         return np.where(outcome.left > 0, -np.inf, outcome.fitness)

@@ -14,6 +14,7 @@ import numpy as np
 from mavproxy_fault.faults.base import ActsOn, Outgoing
 from mavproxy_fault.faults.loss import Drop
 from mavproxy_fault.faults.profile import Profile
+from mavproxy_fault.faults.satellite import check_count
 from mavproxy_fault.faults.value import ValueFault
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame
@@ -118,6 +119,9 @@ class InReceiver(InSimulator, frozen=True, kw_only=True):
     acts_on: ClassVar[ActsOn] = "satellites"
 
     fault: ValueFault | Drop
+
+    def __post_init__(self) -> None:
+        check_count(self.fault, self.names)
 
     def values(self, t_s: float, memory: Any, rng: np.random.Generator) -> tuple[Values, Any]:
         """Metres per satellite, or 1 for lost."""

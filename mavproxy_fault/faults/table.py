@@ -5,6 +5,7 @@ whole would cost hundreds of megabytes. Only the present block is in memory.
 """
 
 import csv
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from mavproxy_fault.faults.profile import Table
 
 BLOCK_ROWS = 8192
+LOG = logging.getLogger(__name__)
 Block = tuple[np.ndarray, np.ndarray]  # times in seconds and values, each of shape (n,)
 
 
@@ -36,13 +38,21 @@ class Series:
         self._previous: tuple[float, float] | None = None
         self._latest_s = -np.inf
 
+    def _next(self) -> Block | None:
+        """The next block; a series that turns out broken ends there, for traffic must go on."""
+        try:
+            return next(self._blocks, None)
+        except ConfigError as error:
+            LOG.warning("the series ends early: %s", error)
+            return None
+
     def at(self, t_s: float) -> float | None:
         """The value at a time: that of the newest row, or between the two rows around it."""
         if t_s < self._latest_s:
             self._start()
         self._latest_s = t_s
         while not len(self._times) or t_s >= self._times[-1]:
-            block = next(self._blocks, None)
+            block = self._next()
             if block is None:
                 if len(self._times) and t_s == self._times[-1]:
                     return float(self._values[-1])

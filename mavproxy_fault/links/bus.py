@@ -5,11 +5,11 @@ so nothing needs to be installed. Keys lie under `mavfault/v1/{run}/`; live cont
 verbatim chunk `@ctl`, which no wildcard reaches. See docs/zenoh.md for the key space.
 """
 
+import contextlib
 import json
 import logging
 import socket
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Any
 
@@ -203,16 +203,28 @@ def open_bus(url: str | None = None, *, run: str = "live", router: bool = False)
         ) from error
 
 
-def wait_for_bus(url: str | None, run: str, patience_s: float) -> Bus:
-    """A client's session, trying again until the router is there; Ctrl-C ends the wait."""
-    end = time.monotonic() + patience_s
-    while True:
-        try:
-            return open_bus(url, run=run)
-        except ConfigError:
-            if time.monotonic() >= end:
-                raise
-            time.sleep(0.2)
+@contextlib.contextmanager
+def open_run_bus(choice: str, run: str, component: str = "run") -> Iterator[Bus | None]:
+    """The bus of a run: the router, or a client of the one that is there already.
+
+    `choice` is `auto` (the default address), `off` or an address.
+
+    Raises
+    ------
+    ConfigError
+        If `choice` names an address where neither can be had.
+    """
+    if choice == "off":
+        yield None
+        return
+    url = None if choice == "auto" else choice
+    try:
+        bus = open_bus(url, run=run, router=True)
+    except ConfigError:
+        bus = open_bus(url, run=run)
+    with bus:
+        bus.alive(component)
+        yield bus
 
 
 def _free_port(url: str) -> str:

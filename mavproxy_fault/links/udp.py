@@ -73,9 +73,10 @@ class UdpServer:
                 chunks.append((0, data))
         return chunks
 
-    def hear(self, address: Any, now_s: float) -> None:
+    def hear(self, address: Any, now_s: float | None = None) -> None:
         """Note that a peer spoke; forget those silent for long."""
         peers = self.peers
+        now_s = time.monotonic() if now_s is None else now_s
         if address not in peers:
             for known, spoke_s in list(peers.items()):
                 if now_s - spoke_s > FORGET_S and known != self._latest:

@@ -17,7 +17,8 @@ from simvehicle.services.streams import Streams
 from simvehicle.services.telemetry import Snapshot
 
 FORCE = 21196  # MAV_CMD_COMPONENT_ARM_DISARM.param2: arm or disarm whatever the state
-FAILURE_OK = 0  # FAILURE_TYPE_OK
+FAILURE_MOTOR = 101  # FAILURE_UNIT_SYSTEM_MOTOR
+FAILURE_OK, FAILURE_OFF = 0, 1  # FAILURE_TYPE
 PLACE_UNKNOWN = 0x7FFFFFFF  # COMMAND_INT.x, .y: keep the present place
 
 
@@ -39,7 +40,14 @@ Answer = tuple[Result, list[Message]]
 class Commands:
     """Carries out commands on the flight, the streams and the parameters of one vehicle."""
 
-    def __init__(self, flight: Flight, streams: Streams, parameters: Parameters) -> None:
+    def __init__(
+        self,
+        flight: Flight,
+        streams: Streams,
+        parameters: Parameters,
+        fail_motor: Callable[[int, bool], bool],
+    ) -> None:
+        self._fail_motor = fail_motor
         self._flight = flight
         self._streams = streams
         self._parameters = parameters
@@ -159,13 +167,17 @@ class Commands:
         return Result.ACCEPTED, [self._streams.make(name, now)]
 
     def _inject(self, request: Request, now: Snapshot) -> Answer:
-        """The vehicle injects nothing itself: faults come from the proxy, which answers for them.
+        """Motors can be stopped and started; other failures are for a proxy on the way.
 
-        As PX4 it denies all of it while SYS_FAILURE_EN is 0; an end of failures it can confirm.
+        As PX4 it denies all of it while SYS_FAILURE_EN is 0.
         """
         if self._parameters["SYS_FAILURE_EN"] != 1:
             return Result.DENIED, []
-        return (Result.ACCEPTED if request.params[1] == FAILURE_OK else Result.UNSUPPORTED), []
+        unit, kind, instance = (whole(value) for value in request.params[:3])
+        if unit != FAILURE_MOTOR or kind not in (FAILURE_OK, FAILURE_OFF):
+            return Result.UNSUPPORTED, []
+        found = self._fail_motor(instance, kind == FAILURE_OFF)
+        return (Result.ACCEPTED if found else Result.DENIED), []
 
     def _amsl(self, request: Request) -> float:
         relative = request.frame in (Frame.GLOBAL_RELATIVE, Frame.GLOBAL_RELATIVE_INT)

@@ -21,6 +21,7 @@ from simvehicle.vehicles.rigidbody_kernel import (
 
 Array = NDArray[np.float64]
 _CLEAR_M = 5.0  # above this height nothing can touch the ground
+_BRAKES = 0.4  # friction along the body while the throttle is closed
 _BODY = len(Inertia._fields)
 _AERO = len(Aero._fields)
 _END = _BODY + _AERO
@@ -132,7 +133,8 @@ def fly(
     rho, ground = air_ground
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
     aero = Aero(*to_fixed_tuple(packed[_BODY:_END], _AERO))
-    wheels = Gear(points_m, packed[_END], packed[_END + 1], packed[_END + 2], packed[_END + 3])
+    rolling = packed[_END + 2] if controls[3] > 0.0 else _BRAKES
+    wheels = Gear(points_m, packed[_END], packed[_END + 1], rolling, packed[_END + 3])
     shift = packed[_END + 4]
     surfaces = (
         _clipped(controls[0], -1.0, 1.0) * throw[0],

@@ -102,21 +102,28 @@ def trim(
     """
     from scipy.optimize import least_squares
 
+    def at(z: Array) -> Trim:
+        # The square of the throttle is sought: thrust laws are even in the throttle, and their
+        # negative root is no answer.
+        alpha, elevator, square, *rest = z.tolist()
+        throttle = math.sqrt(max(square, 0.0))
+        return Trim(airspeed_mps, alpha, alpha + climb_rad, elevator, throttle, *rest)
+
     def residual(z: Array) -> Array:
-        guess = Trim(airspeed_mps, z[0], z[0] + climb_rad, *z[1:])
+        guess = at(z)
         rate = euler_derivative(guess.state12(), guess.controls(), body, aero, density, gravity)
         return np.concatenate([rate[3:6], rate[9:]])
 
-    solution = least_squares(
-        residual, [0.05, -0.05, 0.5, 0.0, 0.0, 0.0], xtol=1e-14, ftol=1e-14, gtol=1e-14
-    )
-    alpha, elevator, throttle, roll, aileron, rudder = map(float, solution.x)
-    if np.max(np.abs(solution.fun)) > 1e-6 or not 0.0 <= throttle <= 1.0 or abs(alpha) > 0.4:
+    start = [0.05, -0.05, 0.25, 0.0, 0.0, 0.0]
+    solution = least_squares(residual, start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    found = at(solution.x)
+    missed = np.max(np.abs(solution.fun)) > 1e-6
+    if missed or found.throttle > 1.0 or abs(found.alpha_rad) > 0.4:
         raise ValueError(
-            f"no straight flight at {airspeed_mps} m/s: angle of attack {alpha:.2f} rad, "
-            f"throttle {throttle:.2f}; the airframe needs another speed"
+            f"no straight flight at {airspeed_mps} m/s: angle of attack {found.alpha_rad:.2f} rad, "
+            f"throttle {found.throttle:.2f}; the airframe needs another speed"
         )
-    return Trim(airspeed_mps, alpha, alpha + climb_rad, elevator, throttle, roll, aileron, rudder)
+    return found
 
 
 def linearise(

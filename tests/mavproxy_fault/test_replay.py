@@ -11,9 +11,10 @@ from mavproxy_fault.engine import Engine
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.links.udp import UdpClient, UdpServer
 from mavproxy_fault.playback import open_log, split
+from mavproxy_fault.proxy import roles
 from mavproxy_fault.record import Recorder
 from mavproxy_fault.schedule import parse_schedule
-from mavproxy_fault.server import Server, roles
+from mavproxy_fault.server import Server
 from mavproxy_fault.tape import Tape
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import build

@@ -12,16 +12,19 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault import server
+from mavproxy_fault import commands, proxy
 from mavproxy_fault.core import Core
 from mavproxy_fault.engine import Engine
 from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
+from mavproxy_fault.proxy import roles
 from mavproxy_fault.schedule import parse_schedule
-from mavproxy_fault.server import Server, roles
+from mavproxy_fault.server import Server
 from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.parser import Parser
 
 
 def heartbeat(seq: int = 0, system: int = 1, component: int = 1) -> bytes:
@@ -162,16 +165,52 @@ def test_the_process_stops_cleanly_and_says_what_passed(tmp_path: Path) -> None:
 
 
 def test_a_proxy_without_faults_does_not_load_what_only_faults_need() -> None:
-    code = "import mavproxy_fault.server, sys; print({'numpy', 'yaml', 'msgspec'} & {*sys.modules})"
+    code = "import mavproxy_fault.proxy, sys; print({'numpy', 'yaml', 'msgspec'} & {*sys.modules})"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
     assert said.stdout == "set()\n"
 
 
 def test_a_wrong_output_leaves_no_socket_behind() -> None:
     before = len(os.listdir("/proc/self/fd"))
-    args = argparse.Namespace(
-        master="udpin:127.0.0.1:0", out=["nonsense"], schedule=None, logdir=None, busy_poll=False
-    )
+    parser = argparse.ArgumentParser()
+    commands.add_proxy(parser.add_subparsers())
+    args = parser.parse_args(["proxy", "--master", "udpin:127.0.0.1:0", "--out", "nonsense"])
     with pytest.raises(ConfigError, match="nonsense: is not a connection string"):
-        server.main(args)
+        proxy.main(args)
     assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_a_running_proxy_takes_faults_over_the_bus_and_answers_injected_failures() -> None:
+    with udp() as station, udp() as vehicle, socket.socket() as place:
+        place.bind(("127.0.0.1", 0))
+        url = f"tcp/127.0.0.1:{place.getsockname()[1]}"
+        place.close()
+        command = [sys.executable, "-m", "mavproxy_fault.cli", "proxy", "--zenoh", url]
+        command += ["--master", "udpin:127.0.0.1:0"]
+        command += ["--out", f"127.0.0.1:{station.getsockname()[1]}"]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert process.stdout is not None
+        try:
+            port = int(process.stdout.readline().split()[1].rsplit(":", 1)[1])
+            vehicle.sendto(sensor(0), ("127.0.0.1", port))
+            data, address = station.recvfrom(999)
+            assert data == sensor(0)
+            with open_bus(url) as bus:
+                entry = b'{"fault": "bias", "target": "HIL_SENSOR.xgyro", "value": 0.5}'
+                bus.ask("@ctl/fault/step/arm", entry)
+                vehicle.sendto(sensor(1), ("127.0.0.1", port))
+                (frame,) = Parser().push(station.recv(999), datagram=True)
+                assert isinstance(frame, Frame)
+                assert frame.number("xgyro") == 0.5
+                assert b"FAULT step on" in station.recv(999)
+            values = {"target_system": 1, "target_component": 1, "command": 420, "param2": 1}
+            request = build(known("COMMAND_LONG"), values, system=255, component=190)
+            station.sendto(request, address)
+            (answer,) = Parser().push(station.recv(999), datagram=True)
+            assert isinstance(answer, Frame)
+            assert (answer.layout.name, answer.number("command")) == ("COMMAND_ACK", 420)
+            assert answer.number("result") == 0
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=10)
+    assert process.returncode == 0

@@ -20,7 +20,7 @@ def make_link() -> AutopilotLink:
     parameters, missions = Parameters(), Missions()
     home = Home(47.0, 8.0, 500.0)
     flight = Flight(parameters, missions, home, lambda lat, lon, alt: np.zeros(3))
-    return AutopilotLink(flight, parameters, missions)
+    return AutopilotLink(flight, parameters, missions, lambda motor, off: False)
 
 
 def make_truth(t_us: int) -> Truth:

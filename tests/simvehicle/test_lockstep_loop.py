@@ -18,6 +18,7 @@ from simvehicle.actuators import motors
 from simvehicle.body import Controls, Truth
 from simvehicle.hil import Hil
 from simvehicle.inbox import Inbox
+from simvehicle.lockstep import Lockstep
 from simvehicle.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.progress import Progress
 from simvehicle.readings import ImuReading, Reading
@@ -86,7 +87,7 @@ def served(
     said, codes = io.StringIO(), list[int]()
     progress = Progress(0.0, said)
     loop = LockstepLoop(vehicle, Hil(), Inbox(link), motors(4), math.inf, progress)
-    loop.lockstep._timeout_s = timeout_s
+    loop.lockstep = Lockstep(timeout_s, silence_s=20.0 * timeout_s)
 
     def serve() -> None:
         codes.append(serve_autopilot(loop, progress, until_us))
@@ -104,7 +105,7 @@ def served(
 
 def test_an_autopilot_that_holds_its_height_hovers_in_lockstep() -> None:
     vehicle = Lift()
-    with served(vehicle, until_us=20_000_000) as (autopilot, codes, _, _):
+    with served(vehicle, until_us=10_000_000) as (autopilot, codes, _, _):
         speed = 0.0
         height = 0.0
         for message in autopilot.messages():
@@ -113,11 +114,11 @@ def test_an_autopilot_that_holds_its_height_hovers_in_lockstep() -> None:
             elif message.get_type() == "HIL_SENSOR":
                 thrust = 0.4905 + 0.1 * (5.0 - height) - 0.15 * speed
                 autopilot.answer(message.time_usec, min(max(thrust, 0.0), 1.0))
-                if message.time_usec >= 21_000_000:
+                if message.time_usec >= 11_000_000:
                     break
     assert codes == [0]
     assert abs(vehicle.height_m - 5.0) < 0.1
-    assert vehicle.t_us == 20_000_000
+    assert vehicle.t_us == 10_000_000
 
 
 def test_each_step_is_taken_on_the_answer_to_the_step_before() -> None:
@@ -160,7 +161,23 @@ def test_a_missing_answer_is_told_and_passed_over() -> None:
                 if message.time_usec >= 1_400_000:
                     break
     assert codes == [0]
-    assert "no answer to the step at 1.200 s; going on without" in said.getvalue()
+    assert said.getvalue().splitlines()[-2:] == [
+        "no answer to the step at 1.200 s; going on in real time",
+        "in lockstep from 1.204 s",
+    ]
+
+
+def test_a_stretch_without_answers_costs_one_time_out() -> None:
+    vehicle = Lift()
+    with served(vehicle, until_us=800_000, timeout_s=0.2) as (autopilot, codes, said, _):
+        for message in autopilot.messages():
+            if message.get_type() == "HIL_SENSOR":
+                if not 1_200_000 <= message.time_usec < 1_400_000:
+                    autopilot.answer(message.time_usec, 0.0)
+                if message.time_usec >= 1_800_000:
+                    break
+    assert codes == [0]
+    assert said.getvalue().count("no answer to the step") == 1
 
 
 def test_an_autopilot_that_falls_silent_ends_the_flight_with_a_reason() -> None:
@@ -173,7 +190,7 @@ def test_an_autopilot_that_falls_silent_ends_the_flight_with_a_reason() -> None:
         for _ in autopilot.messages():  # until the simulator closes the link
             pass
     assert codes == [1]
-    assert "the autopilot has not answered 5 steps in a row" in said.getvalue()
+    assert "the autopilot has not answered for 0.4 s after" in said.getvalue()
 
 
 def test_a_vanished_autopilot_is_told() -> None:

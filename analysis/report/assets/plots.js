@@ -4,6 +4,8 @@
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const seriesColour = (i) => colour(`--s${i % 12}`);
+const NULL_EXPAND = 2; // a null stays a gap even between the samples of other curves
+const DECADES = 5; // that a logarithmic axis shows below its largest value
 const KIND = { injected: "--s1", detected: "--s0", flag: "--fail", fail: "--fail", warn: "--warn", mode: "--none" };
 
 function decodeTimes(place, numbers) {
@@ -13,11 +15,11 @@ function decodeTimes(place, numbers) {
   return t;
 }
 
-function decodeValues(place, numbers) {
+function decodeValues(place, numbers, log) {
   const y = new Array(place.n);
   for (let i = 0; i < place.n; i++) {
     const value = numbers[place.at + i];
-    y[i] = Number.isFinite(value) ? value : null;
+    y[i] = Number.isFinite(value) && (!log || value > 0) ? value : null;
   }
   return y;
 }
@@ -106,17 +108,28 @@ function limitLines(u, limits) {
   ctx.restore();
 }
 
+function logRange(u, min, max) {
+  if (!(max > 0)) return [0.1, 1];
+  const high = Math.ceil(Math.log10(max));
+  return [10 ** Math.max(Math.floor(Math.log10(min > 0 ? min : max)), high - DECADES), 10 ** high];
+}
+
+function powerOfTen(tick) {
+  const power = Math.log10(tick);
+  return Math.abs(power - Math.round(power)) < 1e-6 ? String(+tick.toPrecision(1)) : "";
+}
+
 function drawPanel(area, panel, page, numbers, axis) {
-  const tables = panel.series.map((s) => [decodeTimes(s.t, numbers), decodeValues(s.y, numbers)]);
+  const tables = panel.series.map((s) => [decodeTimes(s.t, numbers), decodeValues(s.y, numbers, panel.log)]);
   const same = tables.every((table) => table[0].length === tables[0][0].length &&
     table[0].every((t, i) => t === tables[0][0][i]));
-  const data = same ? [tables[0][0], ...tables.map((table) => table[1])] : uPlot.join(tables);
+  const data = same ? [tables[0][0], ...tables.map((table) => table[1])] : uPlot.join(tables, tables.map(() => [0, NULL_EXPAND]));
   const injected = page.spans.filter((span) => span.kind === "injected");
   const digits = (value) => value == null ? "–" : Math.abs(value) >= 1e5 || (value && Math.abs(value) < 1e-3)
     ? value.toExponential(3) : String(+value.toPrecision(6));
   const setup = options(area, axis, panel.height || 230, {
-    scales: { y: panel.log ? { distr: 3 } : {} },
-    axes: axes(panel.unit),
+    scales: { y: panel.log ? { distr: 3, range: logRange } : {} },
+    axes: axes(panel.unit, panel.log ? { values: (u, ticks) => ticks.map(powerOfTen) } : {}),
     series: [
       { label: "t", value: (u, t) => t == null ? "–" : `${t.toFixed(3)} s` },
       ...panel.series.map((s, i) => ({

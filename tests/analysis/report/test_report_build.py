@@ -96,6 +96,7 @@ def test_injected_and_detected_stretches_stand_on_the_timeline(tmp_path: Path) -
     assert [(s["lane"], s["start"], s["end"]) for s in spans] == [
         ("injected: jump<1>", 10.0, 19.5),
         ("detected: GNSS", 10.0, 20.0),
+        ("excluded: G05", 10.0, 20.0),
     ]
 
 
@@ -115,4 +116,4 @@ def test_the_statistic_its_threshold_and_residuals_have_plots(tmp_path: Path) ->
 def test_the_isolation_matrix_counts_epochs_by_what_acted() -> None:
     heads, rows = isolation_matrix([JUMP], decisions())
     assert heads == ["none", "G05"]
-    assert rows == {"jump<1>": [0, 10], "no fault": [20, 0]}
+    assert rows == {"jump<1>": [0, 10], "10 s after one": [10, 0], "no fault": [10, 0]}

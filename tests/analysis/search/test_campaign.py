@@ -20,20 +20,20 @@ from analysis.search.testfile import (
 from mavproxy_fault.errors import ConfigError
 
 TEST = TestFile(
-    duration_s=6.0,
+    duration_s=3.0,
     noise_draws=2,
-    rescore_draws=20,
-    keep=3,
-    budget=150,
+    rescore_draws=16,
+    keep=2,
+    budget=112,
     initial=Initial(roll_deg=(-60.0, 60.0), pitch_deg=(-30.0, 30.0)),
-    controls=OpenLoop(elevator_deg=(-9.0, 1.0)),
+    controls=OpenLoop(elevator_deg=(-20.0, 1.0)),
     faults=[
         FaultRange(
             fault="bias",
             any_of=["HIL_SENSOR.xgyro", "HIL_SENSOR.zgyro"],
             value=(-0.02, 0.02),
-            at_s=(0.5, 5.0),
-            for_s=(0.5, 4.0),
+            at_s=(0.3, 2.0),
+            for_s=(0.3, 2.0),
         )
     ],
 )
@@ -46,7 +46,7 @@ class Killed(Exception):
 def test_the_worst_case_has_a_large_fault_and_a_smaller_one_that_still_breaks(tmp_path):
     cases, totals = campaign(TEST, Here(), tmp_path)
     worst = cases[0]
-    assert totals.tests == 150
+    assert totals.tests == 112
     assert sum(totals.rejected.values()) > 0
     assert abs(worst.values["faults[0].value"]) > 0.015
     assert worst.error_deg == max(case.error_deg for case in cases)

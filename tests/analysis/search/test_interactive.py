@@ -9,7 +9,7 @@ import pytest
 from analysis.search.interactive import COLUMNS, Session, Window, show
 from analysis.search.testfile import Initial, TestFile, read_test
 
-TEST = TestFile(duration_s=3.0, initial=Initial(roll_deg=(-30.0, 30.0)))
+TEST = TestFile(duration_s=1.0, initial=Initial(roll_deg=(-30.0, 30.0)))
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def test_a_session_steps_animates_and_saves(tmp_path, plt):
     frames = 1
     while window.frame():
         frames += 1
-    assert frames == 31
+    assert frames == 11
     window.next()
     assert window.session.number == 1
     assert not np.array_equal(window.session.trace.state, first.state)
@@ -41,7 +41,7 @@ def test_a_session_steps_animates_and_saves(tmp_path, plt):
     with table.open() as file:
         rows = list(csv.reader(file))
     assert tuple(rows[0]) == COLUMNS
-    assert len(rows) == 302
+    assert len(rows) == 102
     assert float(rows[1][7]) == pytest.approx(np.radians(read_test(case).initial.roll_deg))
 
 

@@ -9,6 +9,7 @@ import pytest
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.faults.profile import Draw, Live, Profile, Segment, Sine, Table
 from mavproxy_fault.faults.table import BLOCK_ROWS
+from mavproxy_fault.schedule import read_schedule
 
 RNG = np.random.default_rng(0)
 
@@ -119,13 +120,35 @@ def test_a_parquet_table_says_the_same_as_its_csv(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("t_s,x\n0,1\n", "a.csv:1: has no column value; there are t_s, x"),
+        ("t_s,x\n0,1\n", "has no column value; there are t_s, x"),
         ("t_s,value\n0,1\n1,one\n", "a.csv:3: could not convert"),
         ("t_s,value\n1,1\n0,1\n", "times do not grow"),
+        (None, "cannot be read"),
     ],
 )
-def test_a_wrong_table_says_what_and_where(tmp_path: Path, text: str, said: str) -> None:
-    (tmp_path / "a.csv").write_text(text)
-    profile = Profile(table=Table(str(tmp_path / "a.csv")))
-    with pytest.raises(ConfigError, match=said):
-        profile.value(5.0, profile.new_state(RNG))
+def test_a_wrong_table_is_told_when_the_schedule_is_read(
+    tmp_path: Path, text: str | None, said: str
+) -> None:
+    if text is not None:
+        (tmp_path / "a.csv").write_text(text)
+    (tmp_path / "night.yaml").write_text(
+        "faults:\n"
+        "  - fault: bias\n"
+        "    target: HIL_SENSOR.xgyro\n"
+        "    profile:\n"
+        "      table: {file: a.csv}\n"
+    )
+    with pytest.raises(ConfigError) as caught:
+        read_schedule(tmp_path / "night.yaml")
+    assert "night.yaml:5: faults[0].profile.table.file = a.csv" in str(caught.value)
+    assert said in str(caught.value)
+
+
+def test_a_table_broken_further_on_ends_there(tmp_path: Path) -> None:
+    rows = [(i * 1.0, 5.0) for i in range(BLOCK_ROWS)]
+    profile = table(tmp_path / "a.csv", rows)
+    with (tmp_path / "a.csv").open("a") as file:
+        file.write(f"{BLOCK_ROWS},none\n")
+    state = profile.new_state(RNG)
+    assert profile.value(BLOCK_ROWS - 2.0, state) == 5
+    assert profile.value(BLOCK_ROWS + 1.0, state) is None

@@ -34,10 +34,15 @@ class Station:
         self.parameters = Parameters()
         self.missions = Missions()
         self.flight = Flight(self.parameters, self.missions, HOME, locate)
-        self.link = AutopilotLink(self.flight, self.parameters, self.missions)
+        self.failed: list[tuple[int, bool]] = []
+        self.link = AutopilotLink(self.flight, self.parameters, self.missions, self.fail_motor)
         self.mav = dialect.MAVLink(None, srcSystem=255, srcComponent=190)
         self.t_us = 0
         self.at(np.zeros(3))
+
+    def fail_motor(self, number: int, off: bool) -> bool:
+        self.failed.append((number, off))
+        return number <= 4
 
     def at(self, r_ned_m: Any, seconds: float = 0.0, **changes: Any) -> list[Any]:
         """Let time pass with the vehicle at a place; what it said."""

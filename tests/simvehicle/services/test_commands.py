@@ -85,10 +85,16 @@ def test_reposition_goes_there_once_flying(station: Any) -> None:
     assert station.flight.goal.r_ned_m[0] == pytest.approx(6.46, abs=0.05)
 
 
-def test_failures_are_denied_until_enabled_and_then_not_the_vehicles_to_inject(
-    station: Any,
-) -> None:
-    assert station.command(420, 0, 1, 0)[0].result == DENIED
+def test_failures_are_denied_until_enabled(station: Any) -> None:
+    assert station.command(420, 101, 1, 1)[0].result == DENIED
+    assert station.failed == []
+
+
+def test_motors_fail_and_other_failures_are_not_the_vehicles_to_inject(station: Any) -> None:
     station.send("param_set", 1, 1, b"SYS_FAILURE_EN", 1e-45, 6)
+    assert station.command(420, 101, 1, 2)[0].result == ACCEPTED
+    assert station.command(420, 101, 0, 0)[0].result == ACCEPTED
+    assert station.failed == [(2, True), (0, False)]
+    assert station.command(420, 101, 1, 9)[0].result == DENIED
     assert station.command(420, 0, 1, 0)[0].result == UNSUPPORTED
-    assert station.command(420, 0, 0, 0)[0].result == ACCEPTED
+    assert station.command(420, 101, 5, 1)[0].result == UNSUPPORTED

@@ -1,0 +1,73 @@
+"""Small dense linear algebra for the kernels: plain loops, which compile fast and stay in cache."""
+
+import math
+
+import numpy as np
+
+from analysis.compiled import compiled
+from analysis.samples import Vector
+
+
+@compiled
+def multiply(a: Vector, b: Vector) -> Vector:
+    """a b (n, m)."""
+    out = np.zeros((a.shape[0], b.shape[1]))
+    for i in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            factor = a[i, k]
+            if factor != 0.0:
+                for j in range(b.shape[1]):
+                    out[i, j] += factor * b[k, j]
+    return out
+
+
+@compiled
+def transposed(a: Vector) -> Vector:
+    """a' as an array of its own."""
+    out = np.empty((a.shape[1], a.shape[0]))
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[j, i] = a[i, j]
+    return out
+
+
+@compiled
+def apply(a: Vector, v: Vector) -> Vector:
+    """a v (n,)."""
+    out = np.zeros(a.shape[0])
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[i] += a[i, j] * v[j]
+    return out
+
+
+@compiled
+def inverse(s: Vector) -> Vector:
+    """The inverse of a positive definite matrix, by Cholesky; NaN where it is not."""
+    n = s.shape[0]
+    low = np.zeros((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            total = 0.5 * (s[i, j] + s[j, i])
+            for k in range(j):
+                total -= low[i, k] * low[j, k]
+            if i == j:
+                low[i, i] = math.sqrt(total) if total > 0.0 else np.nan
+            else:
+                low[i, j] = total / low[j, j]
+    root = np.zeros((n, n))  # inverse of the triangle
+    for i in range(n):
+        root[i, i] = 1.0 / low[i, i]
+        for k in range(i):
+            factor = low[i, k]
+            for j in range(k + 1):
+                root[i, j] -= factor * root[k, j]
+        for j in range(i):
+            root[i, j] *= root[i, i]
+    out = np.zeros((n, n))
+    for k in range(n):
+        for i in range(k + 1):
+            factor = root[k, i]
+            for j in range(k + 1):
+                out[i, j] += factor * root[k, j]
+    return out

@@ -1,0 +1,59 @@
+"""A link drained by a thread, so that nothing is lost while the monitor compiles or falls behind.
+
+The kernel's buffer holds a few seconds of HIL traffic; compiling the kernels for the first time
+takes longer.
+"""
+
+import queue
+import select
+import threading
+from collections.abc import Iterator
+from types import TracebackType
+
+from mavproxy_fault.links.link import Link
+
+MOST_CHUNKS = 500_000  # about ten minutes of HIL traffic
+PATIENCE_S = 0.1
+
+
+class Intake:
+    """Chunks of a link in order; `drops` counts what no longer found room."""
+
+    def __init__(self, link: Link) -> None:
+        self.drops = 0
+        self._link = link
+        self._chunks: queue.Queue[bytes] = queue.Queue(MOST_CHUNKS)
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._drain, daemon=True)
+
+    def __enter__(self) -> "Intake":
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._over.set()
+        self._thread.join()
+        self._link.close()
+
+    def take(self) -> Iterator[bytes]:
+        """What has come by now; waits a little for the first of it."""
+        try:
+            yield self._chunks.get(timeout=PATIENCE_S)
+            while True:
+                yield self._chunks.get_nowait()
+        except queue.Empty:
+            return
+
+    def _drain(self) -> None:
+        while not self._over.is_set():
+            select.select([self._link.fileno()], [], [], PATIENCE_S)
+            for _, data in self._link.read():
+                try:
+                    self._chunks.put_nowait(data)
+                except queue.Full:
+                    self.drops += 1

@@ -1,0 +1,138 @@
+"""`monitor`: detection, fusion and scores on a live link, a log, or RINEX files."""
+
+import argparse
+import contextlib
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from types import FrameType
+
+from analysis.criteria import Criteria
+from analysis.folder import ResultFile, make_folder, write_summary
+from analysis.intake import Intake
+from analysis.monitor import Monitor
+from analysis.pipeline import MonitorConfig
+from analysis.publish import Publisher
+from analysis.results import Result
+from analysis.terminal import print_summary
+from analysis.watch import Watch
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.links.bus import open_run_bus
+from mavproxy_fault.links.spec import open_link
+from mavproxy_fault.wire.label import Label, read_labels
+
+EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
+
+Take = Callable[[list[Result]], None]
+
+
+def main(args: argparse.Namespace) -> int:
+    """Watch until the source ends, the time is over or Ctrl-C; the exit code of the verdict."""
+    config, criteria = settings(args.scenario)
+    labels = _labels(args.labels)
+    folder = make_folder(args.out, "monitor") if args.out else None
+    monitor = Monitor(config)
+    started_s = time.monotonic()
+    with contextlib.ExitStack() as stack:
+        bus = stack.enter_context(open_run_bus(args.zenoh, "live", "monitor"))
+        publisher = Publisher(bus) if bus else None
+        file = stack.enter_context(ResultFile(folder)) if folder else None
+        watch = stack.enter_context(Watch()) if args.watch else None
+
+        def take(results: list[Result]) -> None:
+            if file is not None:
+                file.write(results)
+            if publisher is not None:
+                publisher.publish(results)
+            if watch is not None:
+                watch.show(results)
+
+        with contextlib.suppress(KeyboardInterrupt):
+            _feed(args, monitor, take)
+    summary = monitor.summary(labels, criteria, time.monotonic() - started_s)
+    if folder is not None:
+        write_summary(folder, summary)
+        _report(args, folder, labels, summary)
+    print_summary(summary, folder)
+    return EXIT_CODES[summary["verdict"]]
+
+
+def settings(scenario: str | None) -> tuple[MonitorConfig, Criteria]:
+    """The monitor's part of a scenario; without one the defaults and no criteria."""
+    if scenario is None:
+        return MonitorConfig(), Criteria()
+    from analysis.run.setup import read_setup
+
+    setup = read_setup(scenario)
+    return setup.monitor, setup.criteria
+
+
+def _labels(path: str | None) -> list[Label]:
+    if path is None:
+        return []
+    if not Path(path).is_file():
+        raise ConfigError(f"--labels {path}: there is no such file; give a labels.jsonl")
+    return read_labels(Path(path))
+
+
+def _feed(args: argparse.Namespace, monitor: Monitor, take: Take) -> None:
+    if args.link is not None:
+        with _ended_by_signals():
+            watch_link(args.link, monitor, take, args.for_s)
+    elif args.log is not None:
+        from mavproxy_fault.wire.tlog import read_frames
+
+        for _, frame in read_frames(args.log):
+            take(monitor.frame(frame))
+    else:
+        from analysis.epochs import read_rinex_samples
+
+        obs, nav = (Path(path) for path in args.rinex)
+        imu = Path(args.imu) if args.imu else None
+        for sample in read_rinex_samples(obs, nav, imu):
+            take(monitor.samples([sample]))
+
+
+def watch_link(spec: str, monitor: Monitor, take: Take, for_s: float | None) -> None:
+    """Feed the monitor from a link, until `for_s` seconds of the vehicle's time have passed."""
+    link = open_link(spec)
+    with Intake(link) as intake:
+        print(f"watching {link.name}", file=sys.stderr, flush=True)
+        while for_s is None or monitor.t_s < for_s:
+            for data in intake.take():
+                take(monitor.bytes(data, datagram=link.datagrams))
+    if intake.drops:
+        print(f"{intake.drops} chunks came too fast and were not seen", file=sys.stderr)
+
+
+@contextlib.contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """SIGTERM ends the watch like Ctrl-C, with everything written."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _report(
+    args: argparse.Namespace, folder: Path, labels: Sequence[Label], summary: dict[str, object]
+) -> None:
+    from analysis.report.build import write
+    from analysis.results import read_results
+    from mavproxy_fault.wire.tlog import read_columns
+
+    write(
+        folder,
+        summary=summary,
+        labels=labels,
+        results=read_results(folder / "results.jsonl"),
+        columns=read_columns(args.log) if args.log else {},
+        title=Path(args.log).name if args.log else folder.name,
+    )

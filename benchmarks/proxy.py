@@ -1,0 +1,221 @@
+"""Throughput, latency, loss and CPU of a MAVLink proxy, beside a plain forwarder in C.
+
+    python benchmarks/proxy.py [--router PATH] [--rounds N] [--command "NAME=COMMAND"]...
+
+HIL_SENSOR frames, one per UDP datagram, go in at one port and come out at another (`load.c`,
+compiled here). Our proxy runs with ten active faults, one of which changes every frame. The
+proxies take turns within each round, so that what else the machine does hits all of them alike;
+medians of the rounds are printed as a Markdown table. `--router` adds a mavlink-routerd;
+`--command` any proxy, whose command gets `{master}` and `{out}` (or `{in_port}`, `{out_port}`).
+"""
+
+import argparse
+import os
+import shlex
+import signal
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+HERE = Path(__file__).parent
+OURS = f"{sys.executable} -m mavproxy_fault.cli proxy --zenoh off --master udpin:{{master}} "
+OURS += "--out udpout:{out}"
+FAULTS = """\
+seed: 1
+faults:
+  - {id: touches-each, fault: bias, target: HIL_SENSOR.xgyro, value: 0.1}
+  - {id: two, fault: bias, target: ATTITUDE.roll, value: 0.1}
+  - {id: three, fault: bias, target: GPS_RAW_INT.lat, value: 10}
+  - {id: four, fault: drop, target: STATUSTEXT}
+  - {id: five, fault: scale, target: VFR_HUD.alt, value: 2}
+  - {id: six, fault: bias, target: SCALED_IMU.xacc, value: 10}
+  - {id: seven, fault: stuck, target: SCALED_PRESSURE.press_abs}
+  - {id: eight, fault: noise, target: HIL_GPS.lat, value: 10}
+  - {id: nine, fault: delay, target: ODOMETRY, value: 0.1}
+  - {id: ten, fault: drift, target: HIGHRES_IMU.xgyro, value: 0.1}
+"""
+DELAY = "faults: [{id: late, fault: delay, target: HIL_SENSOR, value: 0.005}]\n"
+CASES = (
+    ("64 in flight", "window", 64, 300_000),
+    ("lockstep", "window", 1, 40_000),
+    ("10,000/s", "rate", 10_000, 20_000),
+    ("100,000/s", "rate", 100_000, 200_000),
+)
+
+
+class Outcome(NamedTuple):
+    """One case on one proxy: frames, seconds, latencies in microseconds, CPU seconds."""
+
+    sent: int
+    received: int
+    lost: int
+    seconds: float
+    p50_us: float
+    p99_us: float
+    p999_us: float
+    cpu_s: float
+
+    @property
+    def rate_k(self) -> float:
+        """Thousands of frames a second."""
+        return self.received / self.seconds * 1e-3
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as place:
+        place.bind(("127.0.0.1", 0))
+        port: int = place.getsockname()[1]
+        return port
+
+
+def cpu_s(process: subprocess.Popen[bytes]) -> float:
+    fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+class Bench:
+    """The compiled load generator and the ports of one run."""
+
+    def __init__(self, folder: Path) -> None:
+        self.load = self.compile(folder, "load")
+        self.forwarder = self.compile(folder, "forwarder")
+        self.folder = folder
+
+    @staticmethod
+    def compile(folder: Path, name: str) -> str:
+        """Build one of the C files beside this one."""
+        target = folder / name
+        subprocess.run(["cc", "-O2", "-o", target, HERE / f"{name}.c"], check=True)
+        return str(target)
+
+    @contextmanager
+    def running(self, command: str) -> Iterator[tuple[subprocess.Popen[bytes], int, int]]:
+        """A proxy that forwards and is warm."""
+        in_port, out_port = free_port(), free_port()
+        text = command.format(
+            master=f"127.0.0.1:{in_port}",
+            out=f"127.0.0.1:{out_port}",
+            in_port=in_port,
+            out_port=out_port,
+        )
+        process = subprocess.Popen(shlex.split(text), stdout=subprocess.DEVNULL)
+        try:
+            for _ in range(100):
+                time.sleep(0.1)
+                if self.measure(process, in_port, out_port, "rate", 100, 5).received == 5:
+                    break
+            else:
+                raise SystemExit(f"nothing comes through: {text}")
+            if "mavproxy_fault" in text:  # the compiled path comes in under dense traffic
+                self.measure(process, in_port, out_port, "rate", 2000, 16_000)
+            yield process, in_port, out_port
+        finally:
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(10)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def measure(
+        self,
+        process: subprocess.Popen[bytes],
+        in_port: int,
+        out_port: int,
+        mode: str,
+        pace: int,
+        count: int,
+    ) -> Outcome:
+        """One case."""
+        before_s = cpu_s(process)
+        words = [self.load, in_port, out_port, mode, pace, count]
+        said = subprocess.run(
+            [str(word) for word in words], capture_output=True, check=True, text=True
+        ).stdout.split()
+        return Outcome(
+            *(int(word) for word in said[:3]),
+            *(float(word) for word in said[3:]),
+            cpu_s(process) - before_s,
+        )
+
+
+def commands(args: argparse.Namespace, bench: Bench) -> dict[str, str]:
+    """The proxies by name."""
+    schedule = bench.folder / "ten.yaml"
+    schedule.write_text(FAULTS)
+    found = {"C forwarder": f"{bench.forwarder} {{in_port}} {{out_port}}"}
+    if args.router:
+        found["mavlink-router"] = f"{args.router} -t 0 -e {{out}} {{master}}"
+    found["ours, no fault"] = OURS
+    found["ours, ten faults"] = f"{OURS} --schedule {schedule}"
+    found["ours, ten faults, --busy-poll"] = f"{OURS} --schedule {schedule} --busy-poll"
+    for text in args.command:
+        name, _, command = text.partition("=")
+        found[name] = command
+    return found
+
+
+def delay_row(bench: Bench) -> str:
+    """How late frames delayed by 5 ms come, at 200 a second."""
+    schedule = bench.folder / "delay.yaml"
+    schedule.write_text(DELAY)
+    with bench.running(f"{OURS} --schedule {schedule}") as (process, in_port, out_port):
+        outcome = bench.measure(process, in_port, out_port, "rate", 200, 1000)
+    late = [value - 5000 for value in (outcome.p50_us, outcome.p99_us)]
+    return f"delayed by 5 ms at 200/s: p50 {late[0]:.0f} us, p99 {late[1]:.0f} us beyond the 5 ms"
+
+
+def start_row() -> str:
+    """From the start of the process to its line `ready`."""
+    times = []
+    for _ in range(5):
+        begun = time.perf_counter()
+        command = OURS.format(master="127.0.0.1:0", out="127.0.0.1:9")
+        process = subprocess.Popen(shlex.split(command), stdout=subprocess.PIPE)
+        assert process.stdout is not None
+        process.stdout.readline()
+        times.append(time.perf_counter() - begun)
+        process.send_signal(signal.SIGINT)
+        process.communicate()
+    return f"start to ready: {statistics.median(times):.3f} s (median of {len(times)})"
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--router", help="a mavlink-routerd to compare with")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--command", action="append", default=[], help="NAME=COMMAND")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        bench = Bench(Path(folder))
+        found: dict[tuple[str, str], list[Outcome]] = {}
+        for _ in range(args.rounds):
+            for name, command in commands(args, bench).items():
+                with bench.running(command) as (process, in_port, out_port):
+                    for case, mode, pace, count in CASES:
+                        outcome = bench.measure(process, in_port, out_port, mode, pace, count)
+                        found.setdefault((name, case), []).append(outcome)
+        print("| proxy | case | k/s | p50 us | p99 us | lost | CPU s per million |")
+        print("|---|---|---|---|---|---|---|")
+        for (name, case), outcomes in found.items():
+            middle = [statistics.median(column) for column in zip(*outcomes, strict=True)]
+            outcome = Outcome(*middle)  # type: ignore[arg-type]
+            rate = statistics.median(one.rate_k for one in outcomes)
+            per_million = outcome.cpu_s / max(outcome.received, 1) * 1e6
+            print(
+                f"| {name} | {case} | {rate:.0f} | {outcome.p50_us:.1f} | {outcome.p99_us:.1f} "
+                f"| {max(one.lost for one in outcomes)} | {per_million:.1f} |"
+            )
+        print(f"\n{delay_row(bench)}\n\n{start_row()}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""Numbers survive their packing, long curves keep their peaks, gaps stay gaps."""
+
+import base64
+import zlib
+
+import numpy as np
+
+from analysis.report.pack import Block, broken, thinned
+
+
+def unpacked(block: Block) -> np.typing.NDArray[np.float32]:
+    return np.frombuffer(zlib.decompress(base64.b64decode(block.text())), "<f4")
+
+
+def test_values_come_back_where_their_place_says() -> None:
+    block = Block()
+    block.values(np.array([1.0, 2.0]))
+    place = block.values(np.array([3.5, np.nan]))
+    assert place == {"at": 2, "n": 2}
+    assert unpacked(block)[2] == 3.5
+    assert np.isnan(unpacked(block)[3])
+
+
+def test_an_even_time_axis_is_two_numbers() -> None:
+    block = Block()
+    place = block.times(1000.0 + 0.004 * np.arange(50_000))
+    assert set(place) == {"offset", "step", "n"}
+    assert block.parts == []
+
+
+def test_an_uneven_time_axis_keeps_microseconds_an_hour_into_a_log() -> None:
+    rng = np.random.default_rng(1)
+    t_s = 3600 + np.cumsum(rng.uniform(0.003, 0.005, 10_000))
+    block = Block()
+    place = block.times(t_s)
+    at = int(place["at"])
+    back = place["offset"] + place["step"] * np.arange(10_000) + unpacked(block)[at : at + 10_000]
+    assert np.abs(back - t_s).max() < 2e-6
+
+
+def test_a_thinned_curve_keeps_its_ends_and_its_single_spike() -> None:
+    t_s = np.arange(500_000) * 0.001
+    value = np.sin(t_s)
+    value[123_456] = 99.0
+    thin_t_s, thin = thinned(t_s, value, 10_000)
+    assert len(thin) <= 10_002
+    assert thin.max() == 99.0
+    assert thin_t_s[thin.argmax()] == t_s[123_456]
+    assert (thin_t_s[0], thin_t_s[-1]) == (t_s[0], t_s[-1])
+
+
+def test_a_pause_breaks_the_curve_and_jitter_does_not() -> None:
+    t_s = np.array([0.0, 0.1, 0.2, 0.25, 0.4, 9.0, 9.1])
+    broken_t_s, value = broken(t_s, np.ones(7))
+    assert broken_t_s.tolist() == [0.0, 0.1, 0.2, 0.25, 0.4, 4.7, 9.0, 9.1]
+    assert np.flatnonzero(np.isnan(value)).tolist() == [5]

@@ -1,0 +1,49 @@
+"""A local Ray cluster of two workers, one of which is killed on the way."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+
+from analysis.search import pool
+from analysis.search.batch import Batch
+from analysis.search.testfile import Initial, TestFile
+
+ray = pytest.importorskip("ray", reason="Ray is not installed")
+TEST = TestFile(duration_s=1.0, noise_draws=2, initial=Initial(roll_deg=(-40.0, 40.0)))
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.filterwarnings("ignore")
+def test_a_killed_worker_changes_nothing(tmp_path, monkeypatch):
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+    marker = tmp_path / "killed"
+    work = pool.work
+
+    def deadly(job):
+        if job[3] > 0 and not marker.exists():
+            marker.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return work(job)
+
+    monkeypatch.setattr(pool, "work", deadly)
+    cluster = pool.Cluster("auto")
+    try:
+        points = np.linspace(0.0, 1.0, 64)[:, None]
+        found = cluster.evaluate(TEST, points, 1, 0, 2)
+    finally:
+        cluster.close()
+        ray.shutdown()
+    assert marker.exists()
+    alone = Batch(TEST).evaluate(points, 1, 0, 2)
+    assert found.fitness.tolist() == alone.fitness.tolist()
+    assert found.steps == alone.steps
+
+
+def test_a_cluster_that_is_already_joined_is_left_running(monkeypatch):
+    calls = []
+    monkeypatch.setattr(ray, "is_initialized", lambda: True)
+    monkeypatch.setattr(ray, "shutdown", lambda: calls.append("shutdown"))
+    pool.Cluster("auto").close()
+    assert calls == []

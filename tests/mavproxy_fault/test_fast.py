@@ -1,0 +1,164 @@
+"""The compiled path does what the plain one does, byte for byte and count for count."""
+
+import random
+import socket
+import threading
+from typing import Any, NamedTuple
+
+import pytest
+
+from mavproxy_fault.core import Core
+from mavproxy_fault.engine import Engine
+from mavproxy_fault.fast import compile_now
+from mavproxy_fault.links.link import enlarge_buffers
+from mavproxy_fault.links.udp import UdpClient, UdpServer
+from mavproxy_fault.playback import split
+from mavproxy_fault.proxy import roles
+from mavproxy_fault.schedule import parse_schedule
+from mavproxy_fault.server import Server
+from mavproxy_fault.tape import Taken, Tape
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.label import Label
+
+SCHEDULE = """
+seed: 4
+faults:
+  - {id: bias, fault: bias, target: [HIL_SENSOR.xgyro, HIL_SENSOR.yacc], value: [0.1, -0.5]}
+  - {id: grows, fault: drift, target: ATTITUDE.roll, value: 0.3, limit: 0.4, at_s: 1}
+  - {id: full, fault: scale, target: GLOBAL_POSITION_INT.vx, value: 900, where: {component: 1}}
+  - {id: fixed, fault: constant, target: VFR_HUD.throttle, value: -7, at_s: 1, for_s: 1.5}
+  - {id: noisy, fault: noise, target: HIL_GPS.lat, value: 10}
+  - {id: gone, fault: drop, target: SYS_STATUS, probability: 0.5}
+  - {id: never, fault: bias, target: HIGHRES_IMU.xgyro, value: 1, at_s: 1000}
+"""
+
+
+class Run(NamedTuple):
+    """What one server did."""
+
+    got: list[bytes]
+    labels: list[Label]
+    figures: list[dict[str, Any]]
+    taped: Taken | None
+
+
+def frame(name: str, seq: int, system: int = 1, component: int = 1, **values: object) -> bytes:
+    return build(known(name), values, seq=seq & 255, system=system, component=component)
+
+
+def traffic(count: int = 400, seed: int = 1) -> list[bytes]:
+    """Datagrams of two vehicles and a simulator with everything that is hard in between."""
+    rng = random.Random(seed)
+    datagrams = [frame("ATTITUDE", 0, 1, time_boot_ms=1), frame("HEARTBEAT", 0, 2, type=2)]
+    for n in range(count):
+        ms = 10 + n * 10
+        a = rng.uniform(-3, 3)
+        choice = [
+            frame("HIL_SENSOR", n, 1, 51, time_usec=ms * 1000, xgyro=a, yacc=2 * a, id=n & 1),
+            frame("ATTITUDE", n, 1, time_boot_ms=ms, roll=a, yawspeed=1),
+            frame("ATTITUDE", n, 2, time_boot_ms=900_000 + ms, roll=a, yawspeed=1),
+            frame("GLOBAL_POSITION_INT", n, 1, n & 1, time_boot_ms=ms, vx=int(a * 30), hdg=9),
+            frame("VFR_HUD", n, 1, throttle=40, airspeed=a, climb=1),
+            frame("HIL_GPS", n, 1, 51, time_usec=ms * 1000, lat=5, satellites_visible=9),
+            frame("SYS_STATUS", n, 2, load=n),
+            frame("COMMAND_LONG", n, 255, 190, target_system=rng.choice([0, 1, 9]), command=400),
+            frame("STATUSTEXT", n + rng.randrange(2), 2, text=b"words"),
+            Frame(frame("HEARTBEAT", n), known("HEARTBEAT")).with_payload(bytes(9)).raw,
+        ]
+        datagram = b"".join(rng.choice(choice) for _ in range(rng.choice([1, 1, 1, 3])))
+        if rng.random() < 0.1:
+            place = rng.randrange(len(datagram))
+            datagram = datagram[:place] + bytes((rng.randrange(256),)) + datagram[place + 1 :]
+        if rng.random() < 0.05:
+            datagram += rng.randbytes(rng.randrange(1, 20))
+        datagrams.append(datagram)
+    return datagrams
+
+
+def run(datagrams: list[bytes], *, fast: bool, spin: bool = False, tape: bool = False) -> Run:
+    """Push datagrams through a server on loopback, in both directions in turn."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle,
+    ):
+        for sock in (station, vehicle):
+            sock.bind(("127.0.0.1", 0))
+            sock.settimeout(20)
+            enlarge_buffers(sock)
+        master = UdpServer("127.0.0.1", 0)
+        links = [master, UdpClient(*station.getsockname())]
+        kept = Tape() if tape else None
+        core = Core(roles(links), Engine(parse_schedule(SCHEDULE)), tape=kept)
+        server = Server(links, core, tape=kept, busy_poll=spin)
+        if fast:
+            server.use_fast()
+        loop = threading.Thread(target=server.run)
+        loop.start()
+        got = []
+        for number, datagram in enumerate([*datagrams, b"the end"]):
+            vehicle.sendto(datagram, ("127.0.0.1", master.port))
+            if number % 20 == 0 or datagram == b"the end":
+                # The station answers a mark, so that both directions keep their order.
+                station.sendto(b"mark %d" % number, links[1].sock.getsockname())
+                while (data := vehicle.recv(65_535)) != b"mark %d" % number:
+                    got.append(data)
+        while (data := station.recv(65_535)) != b"the end":
+            got.append(data)
+        server.stop()
+        loop.join(20)
+        for link in links:
+            link.close()
+        figures = server.stats()
+    for point in figures:
+        for key in ("name", "p50_us", "p99_us", "p99.9_us"):
+            del point[key]
+    return Run(got, core.take_labels(), figures, kept.take() if kept else None)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled() -> None:
+    compile_now()
+
+
+@pytest.mark.parametrize("spin", [False, True])
+def test_the_compiled_path_equals_the_plain_one(spin: bool) -> None:
+    datagrams = traffic()
+    plain, fast = run(datagrams, fast=False), run(datagrams, fast=True, spin=spin)
+    assert fast.got == plain.got
+    assert fast.labels == plain.labels
+    assert fast.figures == plain.figures
+    assert {label.id for label in plain.labels} == {
+        "bias", "grows", "full", "fixed", "noisy", "gone",
+    }  # fmt: skip
+    assert any(label.saturated for label in plain.labels)
+
+
+def test_the_compiled_path_records_the_same() -> None:
+    datagrams = traffic(seed=2)
+    plain, fast = run(datagrams, fast=False, tape=True), run(datagrams, fast=True, tape=True)
+    assert plain.taped is not None
+    assert fast.taped is not None
+    assert fast.taped.index == plain.taped.index
+    for one, other in (
+        (fast.taped.received, plain.taped.received),
+        (fast.taped.sent, plain.taped.sent),
+    ):
+        assert [raw for _, raw in split(one)] == [raw for _, raw in split(other)]
+        stamps = [t_us for t_us, _ in split(one)]
+        assert stamps == sorted(stamps)
+
+
+def test_most_plain_traffic_never_reaches_the_plain_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+    received = Core.received
+
+    def counted(self: Core, *args: Any, **options: Any) -> Any:
+        seen.append(args)
+        return received(self, *args, **options)
+
+    monkeypatch.setattr(Core, "received", counted)
+    sensors = [frame("HIL_SENSOR", n, 1, 51, time_usec=10**6 + n, xgyro=1) for n in range(500)]
+    outcome = run(sensors, fast=True)
+    assert len(outcome.got) == 501  # and the announcement
+    assert len(seen) < 80  # the marks, and what is new at first
