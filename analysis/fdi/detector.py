@@ -65,11 +65,7 @@ class Detector:
     def _epoch(self, epoch: Epoch, state: State) -> tuple[list[Result], State]:
         core, pending = state
         chosen = core.chosen
-        if (
-            chosen is None
-            or chosen.satellites != epoch.satellites
-            or not chosen.until_us - epoch.t_us >= 0
-        ):
+        if chosen is None or not chosen.serves(epoch):
             chosen = choose(epoch, core.ephemerides)
             core = replace(core, chosen=chosen)
         observed = observe(epoch, chosen)
@@ -98,7 +94,7 @@ class Detector:
             core,
             motion=begun.motion,
             ranges_us=epoch.t_us,
-            excluded=exclude(core.excluded, begun.left_out, epoch.t_us),
+            excluded=exclude(core.excluded, begun.left_out, epoch.t_us, epoch.t_us),
             unknown_since_us=None,
             memory=None,
             history=(),
@@ -149,8 +145,10 @@ class Detector:
         kept = tuple(record for record in history if record.t_us <= since_us)
         again = history[len(kept) :]
         core = replace(again[0].core, history=())
+        found_us = history[-1].t_us
         for name, onset_us in late.items():
-            core = replace(core, excluded=exclude(core.excluded, (name,), onset_us))
+            excluded = exclude(core.excluded, (name,), onset_us, found_us)
+            core = replace(core, excluded=excluded)
         replayed = list(kept)
         for record in again:
             if core.motion is None:
