@@ -6,7 +6,6 @@ with the plain path, frame by frame, in order.
 """
 
 import socket
-import struct
 from collections.abc import Sequence
 from typing import Any, cast
 
@@ -26,7 +25,7 @@ IDS = 1 << 16
 MOST_PLANS = 256
 MODES = {"add": k.ADD, "scale": k.SCALE, "replace": k.REPLACE}
 POLLIN = 1
-SOCKADDR_IN = struct.Struct("=H2s4s8x")
+SOCKADDR_IN = 16  # bytes of an IPv4 socket address
 
 
 class FastPath:
@@ -73,7 +72,7 @@ class FastPath:
         self._watch([*(link.fileno() for link in links), *others])
         self._arguments = (
             self.ports, self._heads, self._headers, self._parts, self._names, self._peers,
-            np.full(count, SOCKADDR_IN.size, np.int64), self._heard, self._data,
+            np.full(count, SOCKADDR_IN, np.int64), self._heard, self._data,
             np.frombuffer(cast(Any, core.memory), np.int64), self._table, self._plans,
             self._numbers, self._hits, self._steps, k.crc_tables(), self._histogram, self.polls,
             self.turn, *self._logs, np.zeros(2),
@@ -128,8 +127,7 @@ class FastPath:
         data = self._data[start : start + (int(self._heads[number, at, 7]) & 0xFFFFFFFF)].tobytes()
         link = self._links[number]
         if isinstance(link, UdpServer):
-            _, port, host = SOCKADDR_IN.unpack_from(self._names[number, at].tobytes())
-            link.hear((socket.inet_ntoa(host), int.from_bytes(port, "big")))
+            link.hear(self._names[number, at, :SOCKADDR_IN].tobytes())
         self._learn(data)
         return number, data
 
@@ -185,10 +183,7 @@ class FastPath:
                 self._known_peers[number] = [*link.peers]
                 self._heard[number] = 0
                 self.ports[number, k.PEER_COUNT] = len(link.peers)
-                for row, (host, port) in enumerate(link.peers):
-                    name = SOCKADDR_IN.pack(
-                        socket.AF_INET, port.to_bytes(2, "big"), socket.inet_aton(host)
-                    )
+                for row, name in enumerate(link.peers):
                     self._peers[number, row, : len(name)] = np.frombuffer(name, np.uint8)
 
     @property
