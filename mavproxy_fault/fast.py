@@ -16,6 +16,7 @@ from mavproxy_fault.clock import stamp_place
 from mavproxy_fault.core import Core
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.udp import UdpClient, UdpServer
+from mavproxy_fault.pump import forward as pump_forward
 from mavproxy_fault.routing import target_places
 from mavproxy_fault.stats import Latencies
 from mavproxy_fault.tape import Tape
@@ -70,13 +71,15 @@ class FastPath:
         self._seen: tuple[Any, ...] = ()
         self._point()
         self._watch([*(link.fileno() for link in links), *others])
-        self._arguments = (
+        net = (
             self.ports, self._heads, self._headers, self._parts, self._names, self._peers,
-            np.full(count, SOCKADDR_IN, np.int64), self._heard, self._data,
-            np.frombuffer(cast(Any, core.memory), np.int64), self._table, self._plans,
-            self._numbers, self._hits, self._steps, k.crc_tables(), self._histogram, self.polls,
-            self.turn, *self._logs, np.zeros(2),
+            np.full(count, SOCKADDR_IN, np.int64), self._heard,
         )  # fmt: skip
+        wire = (
+            self._data, np.frombuffer(cast(Any, core.memory), np.int64), self._table, self._plans,
+            *self._logs, self._numbers, self._hits, self._steps, k.crc_tables(), np.zeros(2),
+        )  # fmt: skip
+        self._arguments = (self._histogram, self.polls, self.turn, net, wire)
 
     def _point(self) -> None:
         """Let the headers of both kinds of system call point to the rows of data."""
@@ -106,7 +109,7 @@ class FastPath:
         """Forward until `deadline_ns` of the monotonic clock or until the plain path is needed."""
         self._refresh()
         self.turn[k.DEADLINE], self.turn[k.SPIN] = deadline_ns, spin
-        reason: int = k.forward(*self._arguments)
+        reason: int = pump_forward(*self._arguments)
         self._settle()
         return reason
 
