@@ -4,6 +4,8 @@ A topic's columns are its fields as pyulog names them (`q[0]`), with `timestamp`
 the vehicle's clock. Field names that PX4 1.14 and later changed are given their newer form.
 """
 
+import contextlib
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.errors import ConfigError
 
+NUMBER = (int, float)  # what a parameter is, unless its definition is damaged
 Topic = dict[str, NDArray[Any]]
 MAGIC = b"ULog\x01\x12\x35"
 DEGREES = {"lat": "latitude_deg", "lon": "longitude_deg"}
@@ -65,8 +68,9 @@ def read_ulog(path: str | Path) -> ULogFile:
     """
     from pyulog import ULog
 
+    complaints = io.StringIO()  # pyulog prints what it cannot read
     try:
-        with Path(path).open("rb") as file:
+        with Path(path).open("rb") as file, contextlib.redirect_stdout(complaints):
             log = ULog(file)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; give the path of a ULog") from error
@@ -75,17 +79,21 @@ def read_ulog(path: str | Path) -> ULogFile:
     topics = {
         (data.name, data.multi_id): _renamed(data.data)
         for data in log.data_list
-        if len(data.data["timestamp"])
+        if len(data.data.get("timestamp", ()))
     }
     return ULogFile(
         topics,
         [(m.timestamp, (m.log_level - ord("0")) & 7, m.message) for m in log.logged_messages],
-        {name: float(value) for name, value in log.initial_parameters.items()},
-        [(t_us, name, float(value)) for t_us, name, value in log.changed_parameters],
+        {name: float(v) for name, v in log.initial_parameters.items() if isinstance(v, NUMBER)},
+        [
+            (t_us, name, float(v))
+            for t_us, name, v in log.changed_parameters
+            if isinstance(v, NUMBER)
+        ],
         dict(log.msg_info_dict),
         int(log.start_timestamp),
         [(drop.timestamp, drop.duration * 1e-3) for drop in log.dropouts],
-        bool(log.file_corruption),
+        bool(log.file_corruption or complaints.getvalue()),
     )
 
 

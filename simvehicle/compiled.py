@@ -5,14 +5,19 @@ from typing import Any, TypeVar, cast
 
 from numba import njit
 
+# Fused multiply-add, one reciprocal for several divisions by one number, signless zeros: a quarter
+# faster, differences in the last bit only. Not allowed: reordering, or ignoring NaN and infinity.
+_FAST = {"contract", "arcp", "nsz"}
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def compiled(function: Function) -> Function:
     """Compile a function that Python calls; the machine code is cached beside its file."""
-    return cast(Function, njit(cache=True, error_model="numpy")(function))
+    return cast(Function, njit(cache=True, error_model="numpy", fastmath=_FAST)(function))
 
 
 def inlined(function: Function) -> Function:
     """Compile a function for compiled callers, always inlined, so that their loops vectorise."""
-    return cast(Function, njit(cache=True, error_model="numpy", forceinline=True)(function))
+    options = {"cache": True, "error_model": "numpy", "fastmath": _FAST, "forceinline": True}
+    return cast(Function, njit(**options)(function))

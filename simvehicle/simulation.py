@@ -207,7 +207,7 @@ class Simulation:
         zero = np.zeros(3)
         self._gravity = np.array([0.0, 0.0, 9.81])
         if start.height_m == 0.0:
-            height = vehicle.standing_height_m()
+            height = vehicle.standing_height_m
             return vehicle.start(
                 np.array([0.0, 0.0, -height]), zero, quat_from_euler(0.0, 0.0, heading)
             )
@@ -275,7 +275,7 @@ class Simulation:
         self._gravity = v[10:]
         alt = height - home.geoid_m
         agl = alt - self.terrain.ground(lat, lon)
-        standing = agl < self.vehicle.standing_height_m() + 0.02
+        standing = agl < self.vehicle.standing_height_m + 0.02
         volts, amperes, left = load[3:].tolist()
         return Truth(
             self._t_us,

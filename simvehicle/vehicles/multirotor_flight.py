@@ -3,7 +3,8 @@
 Rotor thrust grows with the square of the motor's speed and with air density; the drag of a rotor's
 disc is linear in the speed across its axis (Martin and Salaun, ICRA 2010; the model of the RotorS
 simulator, Furrer et al. 2016). Motors follow their commands with first-order lags. The state array
-holds the 13 of `rigidbody_kernel`, the motor speeds [rad/s] and the charge drawn [A s].
+holds the 13 of `rigidbody_kernel`, the motor speeds [rad/s], the current [A] and the charge drawn
+[A s].
 """
 
 from typing import NamedTuple
@@ -66,7 +67,8 @@ def loads(
 ) -> tuple[float, float, float, float, float, float]:
     """Force [N] and moment [N m] without gravity about the centre of mass, body axes.
 
-    `rotors` (n, 4) holds x, y [m], the sign of the reaction torque and the propeller's efficiency.
+    `rotors` (n, 4 or more) holds x, y [m], the sign of the reaction torque and the propeller's
+    efficiency.
     """
     wx, wy, wz = to_body(state[6], state[7], state[8], state[9], wind[0], wind[1], wind[2])
     ax, ay, az = state[3] - wx, state[4] - wy, state[5] - wz
@@ -110,7 +112,8 @@ def _spun(speeds: Array, wanted: Array, frame: Airframe, dt: float) -> Array:
 @compiled
 def fly(
     x: Array,
-    wanted: Array,
+    controls: Array,
+    sag: float,
     rotors: Array,
     wind: Array,
     gravity: Array,
@@ -124,12 +127,14 @@ def fly(
 
     Parameters
     ----------
-    x : array, shape (14 + n,)
+    x : array, shape (15 + n,)
         For n motors.
-    wanted : array, shape (n,)
-        Commanded motor speeds [rad/s].
-    rotors : array, shape (n, 4)
-        As in `loads`.
+    controls : array, shape (n,)
+        0 to 1 between idle and full speed, clipped; 0 stops the motor.
+    sag : float
+        Battery voltage over that of a full pack, which lowers the full speed.
+    rotors : array, shape (n, 5)
+        As in `loads`, and in the last column what is left of the motor's power.
     wind, gravity : arrays, shape (3,)
         NED [m/s], [m/s^2].
     air_ground : 2 floats
@@ -139,9 +144,10 @@ def fly(
 
     Returns
     -------
-    x : array, shape (14 + n,)
-    specific_force : array, shape (3,)
-        Body axes, at the new state [m/s^2].
+    x : array, shape (15 + n,)
+    load : array, shape (4,)
+        Specific force in body axes at the new state [m/s^2]; mean cube of the motors' speeds over
+        full speed, as shaft power goes with the cube.
     """
     rho, ground = air_ground
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
@@ -150,7 +156,14 @@ def fly(
     w = (wind[0], wind[1], wind[2])
     g = (gravity[0], gravity[1], gravity[2])
     s = (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[9], x[10], x[11], x[12])
-    n = wanted.shape[0]
+    n = controls.shape[0]
+    wanted = np.zeros(n)
+    for i in range(n):
+        u = min(1.0, max(0.0, controls[i]))
+        if u > 0.0:
+            wanted[i] = frame.idle + (frame.full * sag - frame.idle) * u
+        # Power goes into thrust with the square of the speed, so efficiency with its root.
+        wanted[i] *= np.sqrt(max(0.0, rotors[i, 4]))
     speeds = x[13 : 13 + n].copy()
     for _ in range(steps):
         half = _spun(speeds, wanted, frame, 0.5 * dt)
@@ -173,8 +186,10 @@ def fly(
     for i in range(13):
         out[i] = s[i]
     out[13 : 13 + n] = speeds
-    out[13 + n] = x[13 + n]
-    force = np.empty(3)
+    out[13 + n :] = x[13 + n :]
+    load = np.zeros(4)
     for i in range(3):
-        force[i] = f[i] / body.mass_kg
-    return out, force
+        load[i] = f[i] / body.mass_kg
+    for i in range(n):
+        load[3] += (speeds[i] / frame.full) ** 3 / n
+    return out, load

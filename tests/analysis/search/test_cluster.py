@@ -17,7 +17,7 @@ TEST = TestFile(duration_s=1.0, noise_draws=2, initial=Initial(roll_deg=(-40.0, 
 @pytest.mark.timeout(300)
 @pytest.mark.filterwarnings("ignore")
 def test_a_killed_worker_changes_nothing(tmp_path, monkeypatch):
-    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, _temp_dir=str(tmp_path))
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     marker = tmp_path / "killed"
     work = pool.work
 
