@@ -30,7 +30,7 @@ class SigmaModel:
     thermal_m: float = 0.3
     slow: float = 1.0
     slow_mps: float = 0.03
-    rate_mps: float = 0.1
+    rate_mps: float = 0.15
 
     def sigma_m(self, elevation_rad: Vector, cn0_dbhz: Vector) -> Vector:
         """One sigma (n,) of each pseudorange; 45 dBHz where C/N0 is not given."""
