@@ -38,6 +38,7 @@ _RATE_FIELDS = ("delta_n_rps", "omega_dot_rps", "idot_rps")
 _WAVE_FIELDS = ("crs_m", "crc_m", "cus_rad", "cuc_rad", "cis_rad", "cic_rad")
 _CLOCK_FIELDS = ("toe_s", "toc_s", "af0_s", "af1", "af2_per_s")
 _FIELDS = (*_CLOCK_FIELDS, *_ORBIT_FIELDS, *_RATE_FIELDS, *_WAVE_FIELDS, "group_delay_s")
+PACKED = 2 + len(_FIELDS)
 
 
 def pack_ephemeris(ephemeris: Ephemeris) -> Vector:

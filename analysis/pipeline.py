@@ -11,6 +11,7 @@ import msgspec
 
 from analysis.attitude import AttitudeConfig, AttitudeScorer
 from analysis.fdi import DetectorConfig
+from analysis.fusion.config import FusionConfig
 from analysis.reference import References
 from analysis.results import Result
 from analysis.samples import EphemerisSample, IonosphereSample, Sample
@@ -19,14 +20,16 @@ from mavproxy_fault.wire.label import Label
 
 
 class MonitorConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """What the monitor does: the detector with the checks of other sensors, attitude scores."""
+    """The detector with the checks of other sensors, attitude scores, and fusion where wanted."""
 
     detector: DetectorConfig = msgspec.field(default_factory=DetectorConfig)
     attitude: AttitudeConfig = AttitudeConfig()
+    fusion: FusionConfig | None = None
 
 
 def monitor_config(values: Mapping[str, Any] | None, where: str) -> MonitorConfig:
-    """The `monitor` section of a scenario: the detector's keys, and a mapping `attitude`.
+    """The `monitor` section of a scenario: the detector's keys, and mappings `attitude` and
+    `fusion` (which switches it on).
 
     Raises
     ------
@@ -35,13 +38,24 @@ def monitor_config(values: Mapping[str, Any] | None, where: str) -> MonitorConfi
     """
     detector = dict(values or {})
     attitude = detector.pop("attitude", {})
+    fusion = detector.pop("fusion", None)
     try:
         return MonitorConfig(
             detector=DetectorConfig.from_mapping(detector),
             attitude=msgspec.convert(attitude, AttitudeConfig),
+            fusion=None if fusion is None else _fusion_config(fusion),
         )
     except (ConfigError, msgspec.ValidationError) as error:
         raise ConfigError(f"{where}: {error}") from error
+
+
+def _fusion_config(values: Any) -> FusionConfig:
+    if isinstance(values, dict):
+        known = FusionConfig.__struct_fields__
+        for name in values:
+            if name not in known:
+                raise ConfigError(f"monitor.fusion.{name} is unknown; known: {', '.join(known)}")
+    return msgspec.convert(values, FusionConfig)
 
 
 class Pipeline:
@@ -52,6 +66,12 @@ class Pipeline:
         self._attitude_state = self._attitude.new_state()
         self._detector = References(config.detector)
         self._detector_state = self._detector.new_state()
+        self._fusion = None
+        if config.fusion is not None:
+            from analysis.fusion.smoother import Fusion  # GTSAM takes its time to load
+
+            self._fusion = Fusion(config.fusion, config.detector)
+            self._fusion_state = self._fusion.new_state()
         self._t0_us: int | None = None
 
     def push(self, sample: Sample) -> list[Result]:
@@ -59,6 +79,10 @@ class Pipeline:
         if self._t0_us is None and not isinstance(sample, (EphemerisSample, IonosphereSample)):
             self._t0_us = sample.t_us
         results, self._detector_state = self._detector.step(sample, self._detector_state)
+        if self._fusion is not None:
+            core = self._detector_state.detector.core
+            fused, self._fusion_state = self._fusion.step(sample, results, core, self._fusion_state)
+            results = [*results, *fused]
         scores, self._attitude_state = self._attitude.step(sample, self._attitude_state)
         base_us = self._t0_us or 0
         return [

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from analysis.criteria import Criteria, judge, verdict
-from analysis.results import Decision, Result
+from analysis.results import Decision, FusedState, Result
 from analysis.samples import TruthSample
 from analysis.score import Alarm, alarm_of, false_alarms, score_faults
 from mavproxy_fault.wire.label import Label
@@ -28,6 +28,8 @@ class Tally:
         self._truth: TruthSample | None = None
         self._errors = 0
         self._square_m2 = 0.0
+        self._fused = 0
+        self._fused_square_m2 = 0.0
 
     def truth(self, sample: TruthSample) -> None:
         """Note where the vehicle really is."""
@@ -50,21 +52,33 @@ class Tally:
         alarm = alarm_of(result)
         if alarm is not None:
             self.alarms.append(alarm)
+        if isinstance(result, FusedState) and self._truth is not None:
+            self._fused_square_m2 += self._square_error(result.position_ecef_m, self._truth)
+            self._fused += 1
         if not isinstance(result, Decision):
             return
         self.epochs += 1
         self.untestable += result.hypothesis == "untestable"
         if result.position_ecef_m is not None and self._truth is not None:
-            truth = self._truth
-            true_m = ecef_from_geodetic(
-                math.radians(truth.lat_deg), math.radians(truth.lon_deg), truth.alt_m
-            )
-            self._square_m2 += math.dist(true_m, result.position_ecef_m) ** 2
+            self._square_m2 += self._square_error(result.position_ecef_m, self._truth)
             self._errors += 1
+
+    @staticmethod
+    def _square_error(r_ecef_m: tuple[float, float, float], truth: TruthSample) -> float:
+        true_m = ecef_from_geodetic(
+            math.radians(truth.lat_deg), math.radians(truth.lon_deg), truth.alt_m
+        )
+        return math.dist(true_m, r_ecef_m) ** 2
+
+    def _fused_summary(self) -> dict[str, float]:
+        """The error of the fused position, where it was fused and the truth is known."""
+        if not self._fused:
+            return {}
+        return {"fused_position_rmse_m": round(math.sqrt(self._fused_square_m2 / self._fused), 3)}
 
     def summary(
         self,
-        labels: Sequence[Label],
+        labels: Sequence[Label] | None,
         attitude: Mapping[str, Any],
         criteria: Criteria,
         wall_s: float,
@@ -74,7 +88,7 @@ class Tally:
         Parameters
         ----------
         labels : sequence of Label
-            What was really done.
+            What was really done; None if nobody knows.
         attitude : mapping
             Scores by estimator; the first is the one the criteria judge.
         criteria : Criteria
@@ -88,13 +102,17 @@ class Tally:
             "sim_s": round(self.span_s, 3),
             "wall_s": round(wall_s, 2),
             "epochs": self.epochs,
-            "false_alarms": false_alarms(labels, self.alarms),
+            "false_alarms": None if labels is None else false_alarms(labels, self.alarms),
+            "alarms": len(self.alarms),
             "untestable_epochs": self.untestable,
             "attitude_rmse_deg": first["rmse_deg"] if first else None,
             "position_rmse_m": round(math.sqrt(self._square_m2 / self._errors), 3)
             if self._errors
             else None,
-            "faults": [msgspec.structs.asdict(row) for row in score_faults(labels, self.alarms)],
+            **self._fused_summary(),
+            "faults": [
+                msgspec.structs.asdict(row) for row in score_faults(labels or (), self.alarms)
+            ],
             "attitude": dict(attitude),
         }
         checks = judge(criteria, found)

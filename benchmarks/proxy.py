@@ -152,9 +152,7 @@ def commands(args: argparse.Namespace, bench: Bench) -> dict[str, str]:
     schedule.write_text(FAULTS)
     found = {"C forwarder": f"{bench.forwarder} {{in_port}} {{out_port}}"}
     if args.router:
-        config = bench.folder / "empty.conf"
-        config.write_text("")
-        found["mavlink-router"] = f"{args.router} -c {config} -t 0 -e {{out}} {{master}}"
+        found["mavlink-router"] = f"{args.router} -t 0 -e {{out}} {{master}}"
     found["ours, no fault"] = OURS
     found["ours, ten faults"] = f"{OURS} --schedule {schedule}"
     found["ours, ten faults, --busy-poll"] = f"{OURS} --schedule {schedule} --busy-poll"

@@ -84,6 +84,7 @@ class Check:
     def __init__(self, where: str, lines: Lines | None = None) -> None:
         self.where = where
         self.lines = lines or {}
+        self.via = "proxy"  # where satellite faults act that do not say
         self.errors: list[tuple[int, str]] = []
 
     def wrong(self, path: Path, text: str) -> None:

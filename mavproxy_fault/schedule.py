@@ -15,6 +15,7 @@ from mavproxy_fault.faults.profile import NotNegative, Positive, Profile
 from mavproxy_fault.faults.registry import ALIASES, fault_class, known_faults
 from mavproxy_fault.triggers import Condition
 
+Via = Literal["proxy", "simulator"]
 Byte = Annotated[int, Meta(ge=0, le=255)]
 
 
@@ -62,7 +63,7 @@ class Keys(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     repeat: Repeat | None = None
     where: Where = Where()
     probability: Annotated[float, Meta(ge=0, le=1)] = 1.0
-    via: Literal["proxy", "simulator"] = "proxy"
+    via: Via | None = None
 
 
 KEYS = tuple(field.name for field in msgspec.structs.fields(Keys))
@@ -103,8 +104,8 @@ class Schedule(msgspec.Struct, frozen=True):
     faults: tuple[Entry, ...] = ()
 
 
-def read_schedule(path: FilePath | str) -> Schedule:
-    """The schedule of a YAML file.
+def read_schedule(path: FilePath | str, via: Via = "proxy") -> Schedule:
+    """The schedule of a YAML file; `via` is where satellite faults act that do not say.
 
     Raises
     ------
@@ -115,11 +116,14 @@ def read_schedule(path: FilePath | str) -> Schedule:
         text = FilePath(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read ({error}); give a schedule in YAML") from None
-    return parse_schedule(text, str(path))
+    return parse_schedule(text, str(path), via=via)
 
 
 def parse_schedule(
-    data: dict[str, Any] | str, where: str = "schedule", lines: Lines | None = None
+    data: dict[str, Any] | str,
+    where: str = "schedule",
+    lines: Lines | None = None,
+    via: Via = "proxy",
 ) -> Schedule:
     """The schedule of a YAML text, or of data already read; `where` names it in errors.
 
@@ -131,6 +135,7 @@ def parse_schedule(
     if isinstance(data, str):
         data, lines = read_yaml(data, where)
     check = Check(where, lines)
+    check.via = via
     if not isinstance(data, dict):
         raise ConfigError(f"{where}: is no schedule; give `seed` and a list of `faults`")
     check.keys(data, ("seed", "faults"), ())
@@ -250,7 +255,11 @@ def _entry(data: dict[str, Any], number: int, check: Check, path: Path) -> Entry
         return None
     _open_table(found, check, path)
     try:
-        fault, ids = bind(kind, found, aim(name, kind, names), keys.pop("via", "proxy"))
+        via = keys.pop("via", None)
+        at = aim(name, kind, names)
+        if via is None and at.satellites:
+            via = check.via
+        fault, ids = bind(kind, found, at, via or "proxy")
     except ValueError as error:
         check.wrong(path, f"({name}) {error}")
         return None

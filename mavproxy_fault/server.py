@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.core import Core
@@ -126,7 +127,7 @@ class Server:
         """Load the compiled path when traffic is dense, and switch to it once it is there."""
         if self._loader is None:
             chunks = sum(link.counters.chunks_in for link in self.links)
-            dense = chunks - self._chunks > DENSE_HZ * FLUSH_S
+            dense = chunks - self._chunks > DENSE_HZ * TEND_S
             self._chunks = chunks
             if dense or self._busy_poll:
                 self._loader = threading.Thread(target=_load_fast, daemon=True)
@@ -197,7 +198,6 @@ class Server:
         if now_s >= self._flush_s:
             self._flush_s = now_s + FLUSH_S
             self._record()
-            self._consider_fast()
         if self.coming is not None and self.coming.done():
             self.join(self.coming.result())
             self.coming = None
@@ -209,6 +209,8 @@ class Server:
                 self._serve(number)
         if self._fast is not None:
             self._fast.count()
+        else:
+            self._consider_fast()
 
     def _record(self) -> None:
         if self.recorder is None and self.live is None:
@@ -270,14 +272,26 @@ def _load_fast() -> None:
     Compiling, needed once after an installation, would keep the interpreter busy for seconds, so
     another process does it; loading then takes turns with forwarding, and short ones.
     """
-    make = [sys.executable, "-c", "import os; os.nice(10); from mavproxy_fault import fast as f; "]
-    make[-1] += "f.compile_now()"
-    if subprocess.run(make, stdin=subprocess.DEVNULL, check=False).returncode != 0:
-        return
+    if not _is_compiled():
+        code = f"import os; os.nice(10); from {_FAST} import compile_now; compile_now()"
+        quiet = subprocess.DEVNULL  # it may outlive us: nobody must wait for its output to end
+        made = subprocess.run(
+            [sys.executable, "-c", code], stdin=quiet, stdout=quiet, stderr=quiet, check=False
+        )
+        if made.returncode != 0:
+            return
     with short_turns():
         from mavproxy_fault.fast import compile_now
 
         compile_now()
+
+
+def _is_compiled() -> bool:
+    """Whether the machine code beside the sources is younger than they are."""
+    here = Path(__file__).parent
+    changed = max((here / name).stat().st_mtime for name in ("kernel.py", "pump.py"))
+    made = here.glob(f"__pycache__/pump.forward-*.py3{sys.version_info.minor}.nbi")
+    return any(path.stat().st_mtime > changed for path in made)
 
 
 @contextlib.contextmanager

@@ -6,27 +6,24 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from mavproxy_fault.wire.frame import Frame
-from mavproxy_fault.wire.plant import plant_change
 from simvehicle.actuators import Mix, read_controls
 from simvehicle.body import Controls, Truth
 from simvehicle.hil import Hil
 from simvehicle.inbox import Inbox
 from simvehicle.lockstep import AutopilotSilentError, Lockstep
 from simvehicle.pace import Pace
+from simvehicle.plant_changes import Plant, PlantChanges
 from simvehicle.progress import Progress
 from simvehicle.readings import Reading
 
 FIRST_WORD_S = 5.0  # after which a peer that only listens is served too
 
 
-class Simulated(Protocol):
-    """What the loops need of a simulation."""
+class Simulated(Plant, Protocol):
+    """What the loop needs of a simulation."""
 
     def step(self, controls: Controls | None) -> tuple[int, Truth, Sequence[Reading]]:
         """One step: its instant, the truth and what was measured."""
-
-    def plant(self, name: str, value: float | None) -> None:
-        """Change a parameter of the plant; None makes it healthy again."""
 
 
 class PeerGoneError(RuntimeError):
@@ -64,6 +61,7 @@ class LockstepLoop:
         self._simulation = simulation
         self._hil = hil
         self._inbox = inbox
+        self._changes = PlantChanges(simulation, progress.say)
         self._mix = mix
         self._progress = progress
         self._clock = clock
@@ -154,9 +152,7 @@ class LockstepLoop:
             stamp_us, self._controls = read_controls(frame, self._mix)
             self.lockstep.received(stamp_us, self._clock())
             return
-        change = plant_change(frame)
-        if change is not None:
-            self._simulation.plant(change.name, change.value)
+        self._changes.take(frame)
 
 
 def serve_autopilot(loop: LockstepLoop, progress: Progress, until_us: int | None) -> int:

@@ -104,7 +104,7 @@ def smallest_size(shape: str, radius_m: float) -> float:
         "eight": 6.0,
         "s": 0.0,
         "triangle": 2.0 * corner,
-        "diamond": corner + blunt,
+        "diamond": 2.0 * corner,
         "trapezoid": 2.0 * (corner + blunt),
     }.get(shape, 0.0)
 

@@ -15,6 +15,7 @@ from simvehicle.scenario import Scenario
 from simvehicle.simulation import Simulation
 
 Array = NDArray[np.float64]
+_SURFACES = ("elevator", "aileron", "rudder", "throttle")
 _PICTURES = (".png", ".svg", ".pdf")
 
 
@@ -71,7 +72,7 @@ def plot_scenario(scenario: Scenario, seed: int | None, path: str | Path) -> int
     """Fly a scenario and draw it; the exit code."""
     if Path(path).suffix.lower() not in _PICTURES:
         raise ConfigError(f"--plot: {path} is no picture; {', '.join(_PICTURES)} are known")
-    figure = draw(fly(scenario, seed), scenario.name)
+    figure = draw(fly(scenario, seed), scenario.name, scenario.vehicle.kind == "fixedwing")
     try:
         figure.savefig(path, dpi=110)
     except OSError as error:
@@ -80,7 +81,7 @@ def plot_scenario(scenario: Scenario, seed: int | None, path: str | Path) -> int
     return 0
 
 
-def draw(flight: Flight, title: str) -> Any:
+def draw(flight: Flight, title: str, wing: bool) -> Any:
     """Path on the left, states over time on the right."""
     from matplotlib.figure import Figure
 
@@ -89,23 +90,23 @@ def draw(flight: Flight, title: str) -> Any:
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.0, 1.1))
     left, right = halves
     path(left.subplots(), flight)
-    motors = [f"control {i + 1}" for i in range(flight.controls.shape[1])]
+    names = list(_SURFACES) if wing else [f"motor {i + 1}" for i in range(flight.controls.shape[1])]
     panels = [
         ("height above ground [m]", flight.height_agl_m[:, None], [""]),
         ("speed [m/s]", _speeds(flight), ["airspeed", "over ground"]),
-        ("attitude [deg]", flight.euler_deg, ["roll", "pitch", "yaw"]),
+        ("attitude [deg]", _unbroken(flight.euler_deg), ["roll", "pitch", "yaw"]),
         ("body rates [deg/s]", flight.rates_dps, ["p", "q", "r"]),
-        ("controls", flight.controls, motors),
+        ("controls", flight.controls, names),
     ]
-    for axes, (label, values, names) in zip(
+    for axes, (label, values, legend) in zip(
         right.subplots(len(panels), 1, sharex=True), panels, strict=True
     ):
-        for column, name in zip(values.T, names, strict=True):
+        for column, name in zip(values.T, legend, strict=True):
             axes.plot(flight.t_s, column, linewidth=0.9, label=name or None)
         axes.set_ylabel(label, fontsize=8)
         axes.grid(alpha=0.3)
-        if len(names) > 1:
-            axes.legend(fontsize=7, ncols=len(names), loc="upper right")
+        if len(legend) > 1:
+            axes.legend(fontsize=7, ncols=len(legend), loc="upper right")
     axes.set_xlabel("time [s]")
     return figure
 
@@ -126,3 +127,10 @@ def path(axes: Any, flight: Flight) -> None:
 def _speeds(flight: Flight) -> Array:
     ground = np.hypot(flight.v_ned_mps[:, 0], flight.v_ned_mps[:, 1])
     return np.stack([flight.airspeed_mps, ground], axis=-1)
+
+
+def _unbroken(angles_deg: Array) -> Array:
+    """Angles with a gap instead of a stroke where they wrap."""
+    out = angles_deg.copy()
+    out[1:][np.abs(np.diff(angles_deg, axis=0)) > 180.0] = np.nan
+    return out

@@ -2,7 +2,7 @@
 
 With `--hil tcpin:` (or `tcp:`) an autopilot flies the vehicle in lockstep; else its own controller
 does, and HIL frames are published to whoever listens. With `--gcs` a ground station commands it;
-without one the scenario's mission is flown to its end.
+a mission of the scenario's own is flown until it does. Without one the scenario ends in time.
 """
 
 import argparse
@@ -15,16 +15,16 @@ from typing import Any
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link, parse_spec
-from mavproxy_fault.wire.plant import plant_change
 from simvehicle.actuators import Mix, motors, plane
 from simvehicle.autopilot_link import AutopilotLink
-from simvehicle.hil import Hil
+from simvehicle.hil import BARO_IDS, IMU_IDS, MAG_IDS, Hil
 from simvehicle.inbox import Inbox
 from simvehicle.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.pace import Pace, parse_speed
 from simvehicle.pilot import Pilot
+from simvehicle.plant_changes import PlantChanges
 from simvehicle.progress import Progress
-from simvehicle.scenario import read_scenario
+from simvehicle.scenario import Scenario, read_scenario
 from simvehicle.services.enums import MavType
 from simvehicle.services.flight import Flight
 from simvehicle.services.missions import Missions
@@ -32,6 +32,13 @@ from simvehicle.services.parameters import Parameters
 from simvehicle.services.telemetry import Home
 from simvehicle.simulation import Simulation
 
+# What differs from the common parameters; SYS_AUTOSTART is PX4's airframe that flies the same way
+MULTIROTOR: dict[str, int | float] = {"SYS_AUTOSTART": 10016}
+WING: dict[str, int | float] = {
+    "SYS_AUTOSTART": 1030,
+    "MIS_TAKEOFF_ALT": 50.0,
+    "RTL_RETURN_ALT": 100.0,
+}
 DATAGRAM = 1400  # bytes that cross an Ethernet in one piece
 
 
@@ -49,6 +56,8 @@ def main(args: argparse.Namespace) -> int:
             f"--gcs: {args.gcs} is not served beside --hil {args.hil}, whose autopilot answers "
             "ground stations itself; leave one of them out"
         )
+    if args.hil:
+        check_sensors(scenario)
     Simulation(scenario, args.seed).step()  # compiles the kernels before anyone waits for a step
     simulation = Simulation(scenario, args.seed)
     progress = Progress(time.monotonic())
@@ -68,6 +77,22 @@ def main(args: argparse.Namespace) -> int:
             return 0
         finally:
             progress.end(simulation.truth.t_us, time.monotonic())
+
+
+def check_sensors(scenario: Scenario) -> None:
+    """Refuse more sensors of a kind than PX4 takes from HIL_SENSOR.
+
+    Raises
+    ------
+    ConfigError
+        If a list of sensors is too long.
+    """
+    for kind, most in (("imu", IMU_IDS), ("mag", MAG_IDS), ("baro", BARO_IDS)):
+        fitted = getattr(scenario.sensors, kind)
+        if isinstance(fitted, list) and len(fitted) > most:
+            raise ConfigError(
+                f"sensors.{kind}: {len(fitted)} are too many for a HIL link; at most {most}"
+            )
 
 
 def _lockstep(simulation: Simulation, link: Link, speed: float, progress: Progress) -> int:
@@ -109,6 +134,7 @@ class FreeLoop:
         self.t_us = 0
         self._simulation = simulation
         self._hil = Inbox(hil) if hil else None
+        self._changes = PlantChanges(simulation, progress.say)
         self._packer = Hil(mav_type=airframe(simulation)[0])
         self._gcs = Inbox(gcs) if gcs else None
         self._services: AutopilotLink | None = None
@@ -132,15 +158,14 @@ class FreeLoop:
 
     def step(self) -> None:
         """One step of the simulation and of everything on the links."""
-        controls = self._pilot.controls() if self._pilot else None
+        pilot = self._pilot
+        controls = pilot.controls() if pilot and pilot.flight.flown else None
         self.t_us, truth, readings = self._simulation.step(controls)
         if self._hil:
             for chunk in datagrams(self._packer.frames(self.t_us, truth, readings)):
                 self._hil.link.write(chunk)
             for frame in self._hil.frames():
-                change = plant_change(frame)
-                if change is not None:
-                    self._simulation.plant(change.name, change.value)
+                self._changes.take(frame)
         if self._gcs and self._services:
             link = self._gcs.link
             answers = [
@@ -163,14 +188,15 @@ def throttle(simulation: Any) -> float:
 def services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:
     """The ground station's view of a simulation, and who flies what it commands."""
     start = simulation.scenario.start
-    parameters, missions = Parameters(), Missions()
     wing = simulation.scenario.vehicle.kind == "fixedwing"
+    parameters, missions = Parameters(WING if wing else MULTIROTOR), Missions()
     flight = Flight(
         parameters,
         missions,
         Home(start.lat_deg, start.lon_deg, start.alt_m),
         simulation.home.ned,
         airborne=start.height_m > 0.0,
+        own_mission=bool(simulation.scenario.mission),
         acceptance_m=_acceptance_m(simulation) if wing else float(parameters["NAV_ACC_RAD"]),
     )
     count = 1 if wing else simulation.vehicle.controls_count
@@ -195,6 +221,9 @@ def _acceptance_m(simulation: Simulation) -> float:
 
 def datagrams(frames: list[bytes]) -> list[bytes]:
     """Frames joined to chunks that fit a datagram."""
+    whole = b"".join(frames)
+    if len(whole) <= DATAGRAM:
+        return [whole]
     chunks = [b""]
     for frame in frames:
         if len(chunks[-1]) + len(frame) > DATAGRAM:

@@ -65,24 +65,22 @@ class Detector:
     def _epoch(self, epoch: Epoch, state: State) -> tuple[list[Result], State]:
         core, pending = state
         chosen = core.chosen
-        if (
-            chosen is None
-            or chosen.satellites != epoch.satellites
-            or not chosen.until_us - epoch.t_us >= 0
-        ):
+        if chosen is None or not chosen.serves(epoch):
             chosen = choose(epoch, core.ephemerides)
             core = replace(core, chosen=chosen)
         observed = observe(epoch, chosen)
         if observed is None:
             return [untestable(epoch, why_none(epoch, core.ephemerides), core)], state
+        if core.ranges_us is None or epoch.t_us - core.ranges_us > self.config.reset_s * 1e6:
+            core = _forgotten(core)  # what there is came from the receiver's own position
         motion = core.motion
         if motion is not None:
             since_s = (epoch.t_us - motion.t_us) * 1e-6
             if -self.config.reset_s < since_s <= 0.0:
                 return [untestable(epoch, f"time went back by {-since_s:.3f} s", core)], state
             if not 0.0 < since_s <= self.config.reset_s:
+                core = _forgotten(core)
                 motion = None
-                core = replace(core, motion=None, excluded={}, memory=None, history=())
         run, pending = split_pending(pending, epoch.t_us)
         if motion is None:
             results, core = self._start(epoch, observed, core)
@@ -98,7 +96,7 @@ class Detector:
             core,
             motion=begun.motion,
             ranges_us=epoch.t_us,
-            excluded=exclude(core.excluded, begun.left_out, epoch.t_us),
+            excluded=exclude(core.excluded, begun.left_out, epoch.t_us, epoch.t_us),
             unknown_since_us=None,
             memory=None,
             history=(),
@@ -149,8 +147,10 @@ class Detector:
         kept = tuple(record for record in history if record.t_us <= since_us)
         again = history[len(kept) :]
         core = replace(again[0].core, history=())
+        found_us = history[-1].t_us
         for name, onset_us in late.items():
-            core = replace(core, excluded=exclude(core.excluded, (name,), onset_us))
+            excluded = exclude(core.excluded, (name,), onset_us, found_us)
+            core = replace(core, excluded=excluded)
         replayed = list(kept)
         for record in again:
             if core.motion is None:
@@ -170,6 +170,11 @@ def run(detector: Detector, samples: Iterable[Sample]) -> list[Result]:
         said, state = detector.step(sample, state)
         results += said
     return results
+
+
+def _forgotten(core: Core) -> Core:
+    """The core without its filter."""
+    return replace(core, motion=None, excluded={}, memory=None, history=())
 
 
 def _with_imu(sample: ImuSample, state: State) -> State:

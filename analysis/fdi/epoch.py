@@ -58,7 +58,7 @@ def judge_epoch(
     rates = check_rates(motion, used, config)
     tested = check_ranges(freed_by(motion, rates.hypothesis), used, config)
     excluded = readmit(core.excluded, observed.satellites, modelled, motion.p, t_us, config)
-    excluded = exclude(excluded, tuple(names[i] for i in tested.left_out), t_us)
+    excluded = exclude(excluded, tuple(names[i] for i in tested.left_out), t_us, t_us)
     after = model(trusted, tested.motion.x, config.sigma, core.ionosphere)
     moved, update = use_rates(tested.motion, after, rates.fit)
     memory = None

@@ -14,12 +14,11 @@ HEALTHY_P = 1e-3  # a satellite looks healthy within the bounds of this probabil
 
 
 def exclude(
-    excluded: dict[str, Exclusion], names: tuple[str, ...], t_us: int
+    excluded: dict[str, Exclusion], names: tuple[str, ...], onset_us: int, found_us: int
 ) -> dict[str, Exclusion]:
-    """Leave out more satellites from `t_us`."""
-    if not names:
-        return excluded
-    return {**excluded, **{name: Exclusion(t_us) for name in names if name not in excluded}}
+    """Leave out more satellites since `onset_us`; those that are out already stay as they are."""
+    new = {name: Exclusion(onset_us, found_us) for name in names if name not in excluded}
+    return {**excluded, **new} if new else excluded
 
 
 def readmit(
@@ -45,7 +44,7 @@ def readmit(
         if entry is None:
             continue
         since = entry.healthy_since_us if entry.healthy_since_us is not None else t_us
-        if not healthy[i]:
+        if not healthy[i] or t_us < entry.found_us:
             left[name] = replace(entry, healthy_since_us=None)
         elif (t_us - since) * 1e-6 >= config.readmit_s:
             del left[name]

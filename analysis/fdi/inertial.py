@@ -232,9 +232,13 @@ def innovate(
 
 @compiled
 def correct(
-    x: Vector, p: Vector, ph: Vector, m: Vector, u: Vector
+    x: Vector, p: Vector, h: Vector, variance: Vector, ph: Vector, m: Vector, u: Vector
 ) -> tuple[Vector, Vector, Vector]:
-    """State, covariance and the gain P H' M (18, n) after what `innovate` gave."""
+    """State, covariance and the gain K = P H' M (18, n) after what `innovate` gave.
+
+    The covariance in Joseph's form, (I - K H) P (I - K H)' + K R K', stays positive definite when a
+    part of the state was forgotten.
+    """
     d = apply(ph, u)
     x = x.copy()
     turn = np.empty(3)
@@ -248,9 +252,18 @@ def correct(
     for i in range(9):
         x[10 + i] += d[9 + i]
     gain = multiply(ph, m)
-    less = multiply(gain, transposed(ph))
+    left = multiply(gain, h)
+    noisy = gain.copy()
+    for i in range(left.shape[0]):
+        for j in range(left.shape[0]):
+            left[i, j] = -left[i, j]
+        left[i, i] += 1.0
+        for j in range(noisy.shape[1]):
+            noisy[i, j] *= variance[j]
+    kept = multiply(multiply(left, p), transposed(left))
+    added = multiply(noisy, transposed(gain))
     after = np.empty_like(p)
     for i in range(p.shape[0]):
         for j in range(p.shape[0]):
-            after[i, j] = 0.5 * (p[i, j] + p[j, i] - less[i, j] - less[j, i])
+            after[i, j] = 0.5 * (kept[i, j] + kept[j, i] + added[i, j] + added[j, i])
     return x, after, gain

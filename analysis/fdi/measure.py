@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from analysis.compiled import compiled
 from analysis.fdi.config import SigmaModel, range_variance
 from analysis.fdi.state import Stored
-from analysis.gnss import WEEK_S, predict_ranges, satellite_states
+from analysis.gnss import PACKED, WEEK_S, predict_ranges, satellite_states
 from analysis.samples import Epoch, Vector
 
 Indices = NDArray[np.int64]
@@ -79,11 +79,18 @@ class Chosen:
     one, and their packed rows (n, 23)."""
 
     satellites: tuple[str, ...]
+    week: int
     until_us: int
     keep: Indices
     names: tuple[str, ...]
     packed: Vector
     galileo: Vector
+
+    def serves(self, epoch: Epoch) -> bool:
+        """Whether the choice still holds for an epoch."""
+        age_us = epoch.t_us - self.until_us + CHOSEN_US
+        same = self.satellites == epoch.satellites and self.week == epoch.week
+        return same and 0 <= age_us <= CHOSEN_US
 
 
 def choose(epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]]) -> Chosen:
@@ -97,10 +104,11 @@ def choose(epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]]) -> Chosen:
     names = tuple(epoch.satellites[i] for i in keep)
     return Chosen(
         epoch.satellites,
+        epoch.week,
         epoch.t_us + CHOSEN_US,
         np.array(keep, dtype=np.int64),
         names,
-        np.array(rows).reshape(len(rows), -1),
+        np.array(rows).reshape(len(rows), PACKED),
         np.array([name[0] == "E" for name in names], dtype=bool),
     )
 

@@ -18,7 +18,7 @@ from analysis.fdi.inertial import BA, BG, CLOCK, DRIFT, ERRORS, PSI, X_SIZE, cor
 from analysis.fdi.motion import advance, segment, split_pending
 from analysis.fdi.ranges import free_position
 from analysis.fdi.start import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
-from analysis.fdi.state import Exclusion, Motion
+from analysis.fdi.state import Motion
 from analysis.fdi.thresholds import chi_square, p_value
 from analysis.gnss import ned_axes
 from analysis.results import Decision, Result, SensorDecision
@@ -185,7 +185,7 @@ def _with_hysteresis(
     if core.imu_bad_until_us is not None and t_us >= core.imu_bad_until_us:
         core = replace(core, imu_bad_until_us=None)
     if hypothesis in ("gps", "multiple-unknown"):
-        left = exclude(core.excluded, (RECEIVER,), t_us)
+        left = exclude(core.excluded, (RECEIVER,), t_us, t_us)
         return replace(
             core, excluded={**left, RECEIVER: replace(left[RECEIVER], healthy_since_us=None)}
         )
@@ -195,7 +195,7 @@ def _with_hysteresis(
     since = entry.healthy_since_us if entry.healthy_since_us is not None else t_us
     if (t_us - since) * 1e-6 >= config.readmit_s:
         return replace(core, excluded={})
-    return replace(core, excluded={RECEIVER: Exclusion(entry.onset_us, since)})
+    return replace(core, excluded={RECEIVER: replace(entry, healthy_since_us=since)})
 
 
 def _used(
@@ -220,8 +220,9 @@ def _used(
 
 
 def _updated(motion: Motion, part: Check) -> Motion:
-    ph, m, u, _ = innovate(motion.p, np.ascontiguousarray(part.h), part.variance, part.v)
-    x, p, _ = correct(motion.x, motion.p, ph, m, u)
+    h = np.ascontiguousarray(part.h)
+    ph, m, u, _ = innovate(motion.p, h, part.variance, part.v)
+    x, p, _ = correct(motion.x, motion.p, h, part.variance, ph, m, u)
     return replace(motion, x=x, p=p)
 
 

@@ -19,7 +19,7 @@ Indices = NDArray[np.int64]
 FREE_POSITION_M = 300.0
 FREE_SPEED_MPS = 30.0
 FREE_TILT_RAD = 0.3
-FREE_CLOCK_M = 1e5
+FREE_CLOCK_M = 1000.0  # larger jumps are taken off before
 FREE_DRIFT_MPS = 100.0
 ROUNDS = 3  # a clock jump and a wrong prediction may come together
 
@@ -80,21 +80,21 @@ def check_ranges(motion: Motion, modelled: Modelled, config: DetectorConfig) -> 
     ph, m, u, q = innovate(motion.p, modelled.h, modelled.variance, modelled.v_m)
     statistic, each = q, normalised(m, u)
     if q <= threshold:
-        motion, used = _updated(motion, modelled.h, modelled.v_m, everyone, (ph, m, u))
-        return Tested(motion, "none", False, (), q, threshold, each, {}, used, False)
+        motion, update = _updated(motion, modelled, everyone, (ph, m, u))
+        return Tested(motion, "none", False, (), q, threshold, each, {}, update, False)
     hypothesis, verdict, motion = _freed(motion, modelled, threshold, config)
-    keep = np.ones(count, dtype=bool)
-    keep[list(verdict.subset)] = False
-    update: Update | None = None
+    used: Update | None = None
     if verdict.hypothesis in ("none", "satellites"):
-        h, v = modelled.h[keep], modelled.v_m[keep]
-        ph, m, u, q = innovate(motion.p, h, modelled.variance[keep], v)
-        motion, update = _updated(motion, h, v, everyone[keep], (ph, m, u))
+        keep = np.ones(count, dtype=bool)
+        keep[list(verdict.subset)] = False
+        part = modelled.select(keep)
+        ph, m, u, q = innovate(motion.p, part.h, part.variance, part.v_m)
+        motion, used = _updated(motion, part, everyone[keep], (ph, m, u))
     blamed = verdict.hypothesis if hypothesis in ("none", "clock") else hypothesis
     shown = hypothesis if verdict.hypothesis == "none" else blamed
     alarm = shown not in ("none", "clock")
     subset, chances = verdict.subset, verdict.probabilities
-    return Tested(motion, shown, alarm, subset, statistic, threshold, each, chances, update, True)
+    return Tested(motion, shown, alarm, subset, statistic, threshold, each, chances, used, True)
 
 
 def _freed(
@@ -130,15 +130,11 @@ def _freed(
 
 
 def _updated(
-    motion: Motion,
-    h: Vector,
-    v: Vector,
-    which: Indices,
-    innovated: tuple[Vector, Vector, Vector],
+    motion: Motion, part: Modelled, which: Indices, innovated: tuple[Vector, Vector, Vector]
 ) -> tuple[Motion, Update]:
     ph, m, u = innovated
-    x, p, gain = correct(motion.x, motion.p, ph, m, u)
-    return replace(motion, x=x, p=p), Update(gain, m, h, v, which)
+    x, p, gain = correct(motion.x, motion.p, part.h, part.variance, ph, m, u)
+    return replace(motion, x=x, p=p), Update(gain, m, part.h, part.v_m, which)
 
 
 def free_clock(motion: Motion) -> Motion:

@@ -71,5 +71,5 @@ def use_rates(motion: Motion, modelled: Modelled, fit: Vector) -> tuple[Motion, 
     if len(which) < len(fit):
         h, v, variance = h[fit], v[fit], variance[fit]
     ph, m, u, _ = innovate(motion.p, h, variance, v)
-    x, p, gain = correct(motion.x, motion.p, ph, m, u)
+    x, p, gain = correct(motion.x, motion.p, h, variance, ph, m, u)
     return replace(motion, x=x, p=p), Update(gain, m, h, v, np.full(len(which), -1))

@@ -35,9 +35,10 @@ class Alignment:
 
 @dataclass(frozen=True, slots=True)
 class Exclusion:
-    """A satellite left out: since when, and since when it looks healthy again."""
+    """A satellite left out: since when, when found, and since when it looks healthy again."""
 
     onset_us: int
+    found_us: int
     healthy_since_us: int | None = None
 
 

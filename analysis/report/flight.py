@@ -102,6 +102,7 @@ def flight_checks(recording: Recording, thresholds: Thresholds) -> list[Check]:
             Limits(*th.attitude_error_deg, "deg", hold_s=hold),
             armed,
         ),
+        _flags(recording, armed),
         _texts(recording, armed),
         _status(recording, armed),
     ]
@@ -219,6 +220,22 @@ def _texts(recording: Recording, armed: Sequence[tuple[float, float]] | None) ->
         limit="warn: an alarming text; fail: crash, emergency, failsafe while armed",
         windows=tuple((event.t_s, event.t_s + 0.5) for event in loud),
     )
+
+
+def _flags(recording: Recording, armed: Sequence[tuple[float, float]] | None) -> Check:
+    """Flags by which the autopilot itself says that something is wrong."""
+    name = "flags of the autopilot"
+    spans = [s for s in recording.spans if s.kind == "flag"]
+    spans = [s for s in spans if _within(s.start_s, armed) or _within(s.end_s, armed)]
+    if not spans:
+        known = recording.of("ratio") or recording.of("variance")
+        evidence = "none raised while armed" if known else "no estimator status in the log"
+        return Check(name=name, verdict=PASS if known else NONE, evidence=evidence)
+    shown = ", ".join(f"{s.lane} at {s.start_s:.1f} to {s.end_s:.1f} s" for s in spans[:4])
+    if len(spans) > 4:
+        shown += f" and {len(spans) - 4} more"
+    windows = tuple((s.start_s, s.end_s) for s in spans)
+    return Check(name=name, verdict=WARN, evidence=shown, limit="warn: any", windows=windows)
 
 
 def _within(t_s: float, windows: Sequence[tuple[float, float]] | None) -> bool:

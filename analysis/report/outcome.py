@@ -20,7 +20,7 @@ from analysis.report.thresholds import Thresholds
 ALARMS = {
     "GPS fix", "GPS satellites", "GPS dilution of precision", "GPS jumps", "GPS jamming indicator",
     "innovation test ratios", "EKF variances", "compass field strength", "vibration",
-    "accelerometer clipping", "messages of the autopilot",
+    "accelerometer clipping", "messages of the autopilot", "flags of the autopilot",
 }  # fmt: skip
 
 
@@ -71,11 +71,11 @@ def _criterion(row: Mapping[str, Any]) -> Check:
 
 
 def _found(checks: Sequence[Check]) -> list[Span]:
-    """Windows of the checks that did not pass, as lanes of the timeline."""
+    """Windows of the checks that did not pass; what the autopilot said has lanes of its own."""
     return [
         Span(f"found: {check.name}", start, end, check.evidence, check.verdict.lower())
         for check in checks
-        if check.verdict in (WARN, FAIL)
+        if check.verdict in (WARN, FAIL) and not check.name.endswith("of the autopilot")
         for start, end in check.windows
     ]
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from analysis.report.checks import armed_windows
 from analysis.report.pack import Block, broken, thinned
 from analysis.report.panels import BY_KEY, PANELS
 from analysis.report.recording import Recording, Track, Vector
@@ -20,6 +21,7 @@ from analysis.report.recording import Recording, Track, Vector
 EARTH_RADIUS_M = 6_371_000.0  # for a picture of the track; nothing is measured on it
 VERDICT_CLASS = {"PASS": "PASS", "WARN": "WARN", "FAIL": "FAIL"}
 EVENTS_SHOWN = 400
+MARGIN_S = 2.0  # of a track, before arming and after
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +141,7 @@ def _model(page: Page, recording: Recording, block: Block) -> tuple[dict[str, An
             {"lane": s.lane, "start": s.start_s, "end": s.end_s, "text": s.text, "kind": s.kind}
             for s in sorted(recording.spans, key=lambda span: _lane_rank(span.lane))
         ],
-        "tracks": _tracks(recording.tracks, block),
+        "tracks": _tracks(_flown(recording), block),
     }
     with_plots = {BY_KEY[str(panel["key"])].section for panel in panels}
     with_tables = {section for section, _ in page.tables if section}
@@ -156,6 +158,22 @@ def _lane_rank(lane: str) -> int:
     """Injected first, then what was detected, flags, modes."""
     order = ("injected", "detected", "excluded", "found", "estimator", "mode", "armed")
     return next((i for i, word in enumerate(order) if lane.startswith(word)), len(order))
+
+
+def _flown(recording: Recording) -> list[Track]:
+    """Tracks while armed, where the log says when: before, there may be no position yet."""
+    armed = armed_windows(recording)
+    if not armed:
+        return recording.tracks
+    found = []
+    for track in recording.tracks:
+        inside = np.zeros(len(track.t_s), bool)
+        for start, end in armed:
+            inside |= (track.t_s >= start - MARGIN_S) & (track.t_s <= end + MARGIN_S)
+        if inside.sum() > 1:
+            columns = (track.t_s, track.lat_deg, track.lon_deg, track.alt_m)
+            found.append(Track(track.name, *(column[inside] for column in columns)))
+    return found
 
 
 def _tracks(tracks: Sequence[Track], block: Block) -> list[dict[str, Any]]:

@@ -52,7 +52,6 @@ class Flight:
         self._labels: list[Label] = []
         self._hil = Hil(mav_type=airframe(self.simulation)[0])
         self._services, self._pilot = services(self.simulation)
-        self._own_goal = self._pilot.flight.goal
         self._parser = Parser()
         self._start_us = round(scenario.start.time.timestamp() * 1e6)
 
@@ -73,8 +72,7 @@ class Flight:
 
     def advance(self, commands: list[bytes]) -> Sent:
         """Fly to the next sample of the IMU, with what a ground station sent meanwhile."""
-        commanded = self._pilot.flight.goal is not self._own_goal
-        controls = self._pilot.controls() if commanded else None
+        controls = self._pilot.controls() if self._pilot.flight.flown else None
         t_us, truth, readings = self.simulation.step(controls)
         sends: list[Send] = []
         for raw in self._hil.frames(t_us, truth, readings):

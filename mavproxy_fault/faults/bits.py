@@ -10,7 +10,7 @@ from msgspec import Meta
 from mavproxy_fault.faults.base import Outgoing
 from mavproxy_fault.faults.place import changed, places_of, values_at
 from mavproxy_fault.faults.value import Moving, ValueFault
-from mavproxy_fault.wire.dialect import layout
+from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, Number
 
 # HIL_SENSOR.fields_updated (HIL_SENSOR_UPDATED_FLAGS); PX4 takes baro only with bits 9, 11 and 12.
@@ -59,9 +59,9 @@ class NotANumber(ValueFault, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         for number, places in self.elements.items():
-            described = layout(number)
+            described = known(number)
             for name, _ in places:
-                if described is not None and described.fields[name].code not in "fd":
+                if described.fields[name].code not in "fd":
                     raise ValueError(
                         f"{described.name}.{name} is an integer; it holds no {self.value}"
                     )
@@ -83,6 +83,10 @@ class ClearBits(ValueFault, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if not self.value and not self.groups:
             raise ValueError("clears nothing; give value (a mask) or groups")
+        for number, places in self.elements.items():
+            for name, _ in places:
+                if known(number).fields[name].code in "fd":
+                    raise ValueError(f"{known(number).name}.{name} is no integer; it has no flags")
 
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any

@@ -18,9 +18,7 @@ class Driven(ValueFault, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if (self.value is None) == (self.profile is None):
             raise ValueError("takes either value or profile")
-        if isinstance(self.value, tuple):
-            for places in self.elements.values():
-                each(self.value, len(places))
+        super().__post_init__()
 
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any

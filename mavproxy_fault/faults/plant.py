@@ -14,6 +14,7 @@ import numpy as np
 from mavproxy_fault.faults.base import ActsOn, Outgoing
 from mavproxy_fault.faults.loss import Drop
 from mavproxy_fault.faults.profile import Profile
+from mavproxy_fault.faults.satellite import check_count
 from mavproxy_fault.faults.value import ValueFault
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame
@@ -62,6 +63,10 @@ class InSimulator(msgspec.Struct, frozen=True, kw_only=True):
         target = (frame.system, frame.component)
         told = self._told(values, target, t_us)
         return [passed, *told], Sent(state.start_us, target, values, t_us, memory)
+
+    def fed(self, state: Sent, value: float, t_us: int) -> Sent:
+        """The state after a live value that came at `t_us`."""
+        return state._replace(memory=((t_us - state.start_us) / 1e6, value))
 
     def held_until_us(self, state: Sent) -> None:
         """It keeps nothing back."""
@@ -118,6 +123,9 @@ class InReceiver(InSimulator, frozen=True, kw_only=True):
     acts_on: ClassVar[ActsOn] = "satellites"
 
     fault: ValueFault | Drop
+
+    def __post_init__(self) -> None:
+        check_count(self.fault, self.names)
 
     def values(self, t_s: float, memory: Any, rng: np.random.Generator) -> tuple[Values, Any]:
         """Metres per satellite, or 1 for lost."""

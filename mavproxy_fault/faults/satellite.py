@@ -13,7 +13,7 @@ import numpy as np
 
 from mavproxy_fault.faults.base import ActsOn, Outgoing
 from mavproxy_fault.faults.loss import Drop
-from mavproxy_fault.faults.value import ValueFault
+from mavproxy_fault.faults.value import ValueFault, each
 from mavproxy_fault.wire import rtcm
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
@@ -47,6 +47,9 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
 
     fault: ValueFault | Drop
     names: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        check_count(self.fault, self.names)
 
     def new_state(self, start_us: int) -> Ranges:
         """Nothing kept yet."""
@@ -125,6 +128,10 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         by_name = dict(zip(self.names, errors, strict=True))
         return {name: float(by_name[name]) for name in present}, [], memory
 
+    def fed(self, state: Ranges, value: float, t_us: int) -> Ranges:
+        """The state after a live value that came at `t_us`."""
+        return state._replace(memory=((t_us - state.start_us) / 1e6, value))
+
     def held_until_us(self, state: Ranges) -> int | None:
         """When the oldest message that is still broken off must leave."""
         return min((held.since_us + HOLD_US for held in state.held.values()), default=None)
@@ -137,6 +144,19 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
 
 def _let_go(held: Held, t_us: int) -> list[Outgoing]:
     return [Outgoing(t_us, frame) for frame in held.frames]
+
+
+def check_count(fault: object, names: tuple[str, ...]) -> None:
+    """Refuse a list of numbers that is not one for each satellite.
+
+    Raises
+    ------
+    ValueError
+        If it is longer or shorter.
+    """
+    value = getattr(fault, "value", None)
+    if isinstance(value, tuple):
+        each(value, len(names))
 
 
 def refilled(frame: Frame, payload: bytes) -> Frame:

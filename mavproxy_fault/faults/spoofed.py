@@ -39,7 +39,8 @@ def moved_degrees(lat_deg: float, alt_m: float, offset_m: Three) -> tuple[float,
 def position(frame: Frame, move: Move, alt_scale: float) -> dict[str, Number]:
     """New `lat`, `lon` (degE7) and `alt` (`alt_scale` counts per metre)."""
     lat, lon, alt = frame.number("lat"), frame.number("lon"), frame.number("alt")
-    dlat, dlon = moved_degrees(lat * 1e-7, alt / alt_scale, move.offset_m)
+    alt_m = alt / alt_scale if math.isfinite(alt) else 0.0
+    dlat, dlon = moved_degrees(lat * 1e-7, alt_m, move.offset_m)
     turned = (lon * 1e-7 + dlon + 180.0) % 360.0 - 180.0
     return {
         "lat": lat + round(dlat * 1e7),

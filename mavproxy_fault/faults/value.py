@@ -29,6 +29,12 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
     by_sender: ClassVar[bool] = False
     elements: Mapping[int, tuple[Element, ...]] = {}
 
+    def __post_init__(self) -> None:
+        value = getattr(self, "value", None)
+        if isinstance(value, tuple):
+            for places in self.elements.values():
+                each(value, len(places))
+
     def new_state(self, start_us: int) -> Moving:
         """The state when the fault becomes active."""
         return Moving(start_us, None)

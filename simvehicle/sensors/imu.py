@@ -3,11 +3,33 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simvehicle.body import Truth
+from simvehicle.compiled import compiled
 from simvehicle.readings import ImuReading
 from simvehicle.sensors.base import SensorParameters
 from simvehicle.sensors.noise import Noise, NoiseState
+
+Array = NDArray[np.float64]
+
+
+@compiled
+def _measured(
+    rates: Array,
+    force: Array,
+    errors: tuple[Array, Array],
+    scales: tuple[float, float],
+    limits: tuple[float, float],
+) -> tuple[Array, Array]:
+    """Both triads with scale and error, cut off; one compiled call costs less than ten of numpy."""
+    gyro, accel = np.empty(3), np.empty(3)
+    for i in range(3):
+        g = (1.0 + scales[0]) * rates[i] + errors[0][i]
+        a = (1.0 + scales[1]) * force[i] + errors[1][i]
+        gyro[i] = min(limits[0], max(-limits[0], g))
+        accel[i] = min(limits[1], max(-limits[1], a))
+    return gyro, accel
 
 
 class ImuState(NamedTuple):
@@ -38,13 +60,12 @@ class Imu(SensorParameters, frozen=True, kw_only=True):
         """One reading."""
         gyro_error, gyro_state = self.gyro.next(state.gyro, rng, self.rate_hz)
         accel_error, accel_state = self.accel.next(state.accel, rng, self.rate_hz)
-        gyro = (1.0 + self.gyro.scale) * truth.omega_b_rps + gyro_error
-        accel = (1.0 + self.accel.scale) * truth.specific_force_b_mps2 + accel_error
-        reach, limit = self.gyro_range_rps, self.accel_range_mps2
-        reading = ImuReading(
-            truth.t_us,
-            np.minimum(np.maximum(gyro, -reach), reach),
-            np.minimum(np.maximum(accel, -limit), limit),
-            self.id,
+        gyro, accel = _measured(
+            truth.omega_b_rps,
+            truth.specific_force_b_mps2,
+            (gyro_error, accel_error),
+            (self.gyro.scale, self.accel.scale),
+            (self.gyro_range_rps, self.accel_range_mps2),
         )
+        reading = ImuReading(truth.t_us, gyro, accel, self.id)
         return reading, ImuState(gyro_state, accel_state)

@@ -56,6 +56,8 @@ class FixedWing:
         self.plant = dict(plant)
         self.body: Inertia = body_of(parameters, plant)
         self.aero: Aero = aero_of(parameters, plant)
+        # Height of the centre of mass above ground when the ground carries it.
+        self.standing_height_m = max(point[2] for point in parameters.gear_m)
         self.gear: Gear = gear_of(parameters)
         self._packed = pack(self.body, self.aero, self.gear, plant.get("load_shift_x_m", 0.0))
         throw = parameters.throw_deg
@@ -98,10 +100,6 @@ class FixedWing:
         q = quat_from_euler(point.roll_rad, point.pitch_rad, heading_rad)
         relative = speed_mps * np.array([math.cos(point.alpha_rad), 0, math.sin(point.alpha_rad)])
         return self.start(r_ned_m, relative + matrix_from_quat(q).T @ wind_ned_mps, q)
-
-    def standing_height_m(self) -> float:
-        """Height of the centre of mass above ground when the wheels carry it."""
-        return max(point[2] for point in self.parameters.gear_m)
 
     def advance(
         self,

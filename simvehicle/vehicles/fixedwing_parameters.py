@@ -122,6 +122,7 @@ class FixedWingParameters(_Struct, frozen=True):
     def __post_init__(self) -> None:
         if (self.thrust_law is None) == (self.motor is None):
             raise ValueError("exactly one of thrust_law and motor is needed")
+        body_of(self, {})  # refuses what is no body
 
 
 def read_fixedwing(name: str | Path) -> FixedWingParameters:

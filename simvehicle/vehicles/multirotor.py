@@ -61,6 +61,14 @@ class MultirotorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unk
             raise ValueError(f"{len(self.rotors)} rotors are not supported; 4 to 8 are")
         if not 0.0 <= self.motor.idle_rps < self.motor.full_rps:
             raise ValueError("motor.idle_rps must lie between 0 and motor.full_rps")
+        body_of(self, {})  # refuses what is no body
+
+
+def body_of(parameters: MultirotorParameters, plant: Mapping[str, float]) -> Inertia:
+    """Mass and inertia, with the plant faults `mass_kg_add` and `inertia_scale`."""
+    j, scale = parameters.inertia_kgm2, plant.get("inertia_scale", 1.0)
+    mass = parameters.mass_kg + plant.get("mass_kg_add", 0.0)
+    return inertia(mass, scale * j.jx, scale * j.jy, scale * j.jz, scale * j.jxz)
 
 
 class Multirotor:
@@ -69,11 +77,8 @@ class Multirotor:
     def __init__(self, parameters: MultirotorParameters, plant: Mapping[str, float] = {}) -> None:
         self.parameters = parameters
         self.controls_count = len(parameters.rotors)
-        motor, moments = parameters.motor, parameters.inertia_kgm2
-        scale = plant.get("inertia_scale", 1.0)
-        mass = parameters.mass_kg + plant.get("mass_kg_add", 0.0)
-        jx, jy, jz = scale * moments.jx, scale * moments.jy, scale * moments.jz
-        self.body: Inertia = inertia(mass, jx, jy, jz, scale * moments.jxz)
+        motor = parameters.motor
+        self.body = body_of(parameters, plant)
         self.frame = Airframe(
             motor.thrust_n_per_rps2,
             motor.torque_per_thrust_m,
@@ -87,6 +92,8 @@ class Multirotor:
             plant.get("load_shift_x_m", 0.0),
             plant.get("load_shift_y_m", 0.0),
         )
+        # Height of the centre of mass above ground when the ground carries it.
+        self.standing_height_m = max(point[2] for point in parameters.gear_m)
         self.gear: Gear = gear(np.array(parameters.gear_m), parameters.mass_kg, 0.6, 0.6)
         self.rotors = np.array(
             [
@@ -95,13 +102,10 @@ class Multirotor:
                     rotor.y_m,
                     1.0 if rotor.turns == "ccw" else -1.0,
                     plant.get(f"propeller_efficiency[{i}]", 1.0),
+                    plant.get(f"motor_efficiency[{i}]", 1.0),
                 )
                 for i, rotor in enumerate(parameters.rotors)
             ]
-        )
-        # A motor's efficiency scales its power into thrust, so its speed by the square root.
-        self._speed_scale = np.sqrt(
-            [max(0.0, plant.get(f"motor_efficiency[{i}]", 1.0)) for i in range(len(self.rotors))]
         )
         self._volts = plant.get("battery_voltage_scale", 1.0)
         self._resistance = plant.get("battery_resistance_scale", 1.0)
@@ -132,8 +136,8 @@ class Multirotor:
         )
 
     def start(self, r_ned_m: Array, v_b_mps: Array, q_nb: Array) -> Array:
-        """State array (14 + n,) with the motors standing, battery full."""
-        return np.concatenate([r_ned_m, v_b_mps, q_nb, np.zeros(4 + self.controls_count)])
+        """State array (15 + n,) with the motors standing, battery full."""
+        return np.concatenate([r_ned_m, v_b_mps, q_nb, np.zeros(5 + self.controls_count)])
 
     def cruise(
         self, r_ned_m: Array, heading_rad: float, wind_ned_mps: Array, speed_mps: float,
@@ -145,12 +149,8 @@ class Multirotor:
         x = self.start(r_ned_m, np.zeros(3), q)
         each = self.body.mass_kg * gravity / self.controls_count
         thrust = self.parameters.motor.thrust_n_per_rps2 * density / SEA_LEVEL_KGPM3
-        x[13:-1] = math.sqrt(each / thrust)
+        x[13:-2] = math.sqrt(each / thrust)
         return x
-
-    def standing_height_m(self) -> float:
-        """Height of the centre of mass above ground when the legs carry it."""
-        return max(point[2] for point in self.parameters.gear_m)
 
     def advance(
         self,
@@ -167,22 +167,18 @@ class Multirotor:
 
         Returns
         -------
-        x : array, shape (14 + n,)
+        x : array, shape (15 + n,)
         load : array, shape (6,)
             Specific force in body axes [m/s^2]; battery voltage [V], current [A], rest (0 to 1).
         """
-        motor, battery = self.parameters.motor, self.parameters.battery
-        current = float(
-            battery.full_throttle_a * np.mean((x[13:-1] / motor.full_rps) ** 3)
-        )  # shaft power goes with the cube of the speed
+        battery = self.parameters.battery
+        current = float(x[-2])
         volts, left = battery.state(float(x[-1]), current * self._resistance)
         volts *= self._volts
-        sag = min(1.0, volts / (battery.cells * 4.2))
-        u = np.minimum(np.maximum(controls, 0.0), 1.0)
-        wanted = (motor.idle_rps + (motor.full_rps * sag - motor.idle_rps) * u) * (u > 0.0)
-        x, force = fly(
+        x, load = fly(
             x,
-            wanted * self._speed_scale,
+            controls,
+            min(1.0, volts / (battery.cells * 4.2)),
             self.rotors,
             wind_ned_mps,
             gravity_ned_mps2,
@@ -192,6 +188,8 @@ class Multirotor:
             self._packed,
             self.gear.points_m,
         )
+        fx, fy, fz, power = load.tolist()
+        current = battery.full_throttle_a * power
+        x[-2] = current
         x[-1] += current * steps * dt
-        fx, fy, fz = force.tolist()
         return x, np.array([fx, fy, fz, volts, current, left])

@@ -3,7 +3,8 @@
 Rotor thrust grows with the square of the motor's speed and with air density; the drag of a rotor's
 disc is linear in the speed across its axis (Martin and Salaun, ICRA 2010; the model of the RotorS
 simulator, Furrer et al. 2016). Motors follow their commands with first-order lags. The state array
-holds the 13 of `rigidbody_kernel`, the motor speeds [rad/s] and the charge drawn [A s].
+holds the 13 of `rigidbody_kernel`, the motor speeds [rad/s], the current [A] and the charge drawn
+[A s].
 """
 
 from typing import NamedTuple
@@ -66,7 +67,8 @@ def loads(
 ) -> tuple[float, float, float, float, float, float]:
     """Force [N] and moment [N m] without gravity about the centre of mass, body axes.
 
-    `rotors` (n, 4) holds x, y [m], the sign of the reaction torque and the propeller's efficiency.
+    `rotors` (n, 4 or more) holds x, y [m], the sign of the reaction torque and the propeller's
+    efficiency.
     """
     wx, wy, wz = to_body(state[6], state[7], state[8], state[9], wind[0], wind[1], wind[2])
     ax, ay, az = state[3] - wx, state[4] - wy, state[5] - wz
@@ -107,10 +109,53 @@ def _spun(speeds: Array, wanted: Array, frame: Airframe, dt: float) -> Array:
     return out
 
 
+@inlined
+def _commanded(controls: Array, sag: float, rotors: Array, frame: Airframe) -> Array:
+    """Motor speeds [rad/s] that the motors run to; arguments as in `fly`."""
+    out = np.zeros(controls.shape[0])
+    for i in range(controls.shape[0]):
+        u = min(1.0, max(0.0, controls[i]))
+        if u > 0.0:
+            out[i] = frame.idle + (frame.full * sag - frame.idle) * u
+        # Power goes into thrust with the square of the speed, so efficiency with its root.
+        out[i] *= np.sqrt(max(0.0, rotors[i, 4]))
+    return out
+
+
+@inlined
+def _step(
+    s: State13,
+    speeds: tuple[Array, Array, Array],
+    rotors: Array,
+    w: tuple[float, float, float],
+    g: tuple[float, float, float],
+    rho: float,
+    ground: float,
+    body: Inertia,
+    frame: Airframe,
+    wheels: Gear,
+    dt: float,
+) -> State13:
+    """One Runge-Kutta step; motor speeds at its beginning, middle and end."""
+    f = loads(s, speeds[0], rotors, w, rho, ground, frame, wheels)
+    k1 = rigid_body(s, (f[0], f[1], f[2]), (f[3], f[4], f[5]), g, body)
+    s2 = moved(s, k1, 0.5 * dt)
+    f = loads(s2, speeds[1], rotors, w, rho, ground, frame, wheels)
+    k2 = rigid_body(s2, (f[0], f[1], f[2]), (f[3], f[4], f[5]), g, body)
+    s3 = moved(s, k2, 0.5 * dt)
+    f = loads(s3, speeds[1], rotors, w, rho, ground, frame, wheels)
+    k3 = rigid_body(s3, (f[0], f[1], f[2]), (f[3], f[4], f[5]), g, body)
+    s4 = moved(s, k3, dt)
+    f = loads(s4, speeds[2], rotors, w, rho, ground, frame, wheels)
+    k4 = rigid_body(s4, (f[0], f[1], f[2]), (f[3], f[4], f[5]), g, body)
+    return runge_kutta(s, k1, k2, k3, k4, dt)
+
+
 @compiled
 def fly(
     x: Array,
-    wanted: Array,
+    controls: Array,
+    sag: float,
     rotors: Array,
     wind: Array,
     gravity: Array,
@@ -124,12 +169,14 @@ def fly(
 
     Parameters
     ----------
-    x : array, shape (14 + n,)
+    x : array, shape (15 + n,)
         For n motors.
-    wanted : array, shape (n,)
-        Commanded motor speeds [rad/s].
-    rotors : array, shape (n, 4)
-        As in `loads`.
+    controls : array, shape (n,)
+        0 to 1 between idle and full speed, clipped; 0 stops the motor.
+    sag : float
+        Battery voltage over that of a full pack, which lowers the full speed.
+    rotors : array, shape (n, 5)
+        As in `loads`, and in the last column what is left of the motor's power.
     wind, gravity : arrays, shape (3,)
         NED [m/s], [m/s^2].
     air_ground : 2 floats
@@ -139,9 +186,10 @@ def fly(
 
     Returns
     -------
-    x : array, shape (14 + n,)
-    specific_force : array, shape (3,)
-        Body axes, at the new state [m/s^2].
+    x : array, shape (15 + n,)
+    load : array, shape (4,)
+        Specific force in body axes at the new state [m/s^2]; mean cube of the motors' speeds over
+        full speed, as shaft power goes with the cube.
     """
     rho, ground = air_ground
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
@@ -150,31 +198,23 @@ def fly(
     w = (wind[0], wind[1], wind[2])
     g = (gravity[0], gravity[1], gravity[2])
     s = (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[9], x[10], x[11], x[12])
-    n = wanted.shape[0]
+    n = controls.shape[0]
+    wanted = _commanded(controls, sag, rotors, frame)
     speeds = x[13 : 13 + n].copy()
     for _ in range(steps):
         half = _spun(speeds, wanted, frame, 0.5 * dt)
         after = _spun(speeds, wanted, frame, dt)
-        f = loads(s, speeds, rotors, w, rho, ground, frame, wheels)
-        k1 = rigid_body(s, (f[0], f[1], f[2]), (f[3], f[4], f[5]), g, body)
-        s2 = moved(s, k1, 0.5 * dt)
-        f = loads(s2, half, rotors, w, rho, ground, frame, wheels)
-        k2 = rigid_body(s2, (f[0], f[1], f[2]), (f[3], f[4], f[5]), g, body)
-        s3 = moved(s, k2, 0.5 * dt)
-        f = loads(s3, half, rotors, w, rho, ground, frame, wheels)
-        k3 = rigid_body(s3, (f[0], f[1], f[2]), (f[3], f[4], f[5]), g, body)
-        s4 = moved(s, k3, dt)
-        f = loads(s4, after, rotors, w, rho, ground, frame, wheels)
-        k4 = rigid_body(s4, (f[0], f[1], f[2]), (f[3], f[4], f[5]), g, body)
-        s = runge_kutta(s, k1, k2, k3, k4, dt)
+        s = _step(s, (speeds, half, after), rotors, w, g, rho, ground, body, frame, wheels, dt)
         speeds = after
     f = loads(s, speeds, rotors, w, rho, ground, frame, wheels)
     out = np.empty_like(x)
     for i in range(13):
         out[i] = s[i]
     out[13 : 13 + n] = speeds
-    out[13 + n] = x[13 + n]
-    force = np.empty(3)
+    out[13 + n :] = x[13 + n :]
+    load = np.zeros(4)
     for i in range(3):
-        force[i] = f[i] / body.mass_kg
-    return out, force
+        load[i] = f[i] / body.mass_kg
+    for i in range(n):
+        load[3] += (speeds[i] / frame.full) ** 3 / n
+    return out, load

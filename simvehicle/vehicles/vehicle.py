@@ -27,6 +27,7 @@ class Vehicle(Protocol):
     def with_plant(self, plant: Mapping[str, float]) -> "Vehicle":
         """The same vehicle with plant faults; ValueError if no such body exists."""
 
+    @property
     def standing_height_m(self) -> float:
         """Height of the centre of mass when the ground carries it."""
 

@@ -20,69 +20,71 @@ from simvehicle.rotation import quat_from_matrix
 LAT, LON, HEIGHT_M = math.radians(47.4), math.radians(8.55), 500.0
 STEP_US = 5000
 EPOCH_STEPS = 40
+EARTH = np.array([0.0, 0.0, EARTH_RATE_RPS])
 
 
-def _position(t: float, axes: np.ndarray) -> np.ndarray:
-    """A figure of eight, 25 m/s, in ECEF."""
+def _path(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A figure of eight at 25 m/s: position, velocity, acceleration (n, 3) in ECEF."""
     w = 2.0 * math.pi / 40.0
-    north, east, up = 150.0 * math.sin(w * t), 80.0 * math.sin(2.0 * w * t), 5.0 * math.sin(w * t)
+    sizes, rates = np.array([150.0, 80.0, -5.0]), np.array([w, 2.0 * w, w])  # north, east, down
+    angle = np.outer(t, rates)
+    axes = ned_axes(LAT, LON)
     home = np.asarray(ecef_from_geodetic(LAT, LON, HEIGHT_M))
-    return home + axes.T @ np.array([north, east, -up])
+    return (
+        home + (sizes * np.sin(angle)) @ axes,
+        (sizes * rates * np.cos(angle)) @ axes,
+        (-sizes * rates**2 * np.sin(angle)) @ axes,
+    )
 
 
-def _attitude(v: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Body axes (columns) in ECEF: forward along the velocity, the force in the body's plane."""
-    forward = v / np.linalg.norm(v)
-    right = np.cross(-force, forward)
-    right = -right / np.linalg.norm(right) * -1.0
-    return np.column_stack([forward, right, np.cross(forward, right)])
+def _attitudes(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Body axes (n, 3, 3) as columns in ECEF, and the specific force (n, 3) in ECEF.
+
+    The nose points along the velocity, the force lies in the plane of symmetry.
+    """
+    r, v, a = _path(t)
+    force = a - np.array([gravity_ecef(row) for row in r]) + 2.0 * np.cross(EARTH, v)
+    forward = v / np.linalg.norm(v, axis=1)[:, None]
+    right = np.cross(forward, force)
+    right = right / np.linalg.norm(right, axis=1)[:, None]
+    down = np.cross(forward, right)
+    return np.stack([forward, right, down], axis=2), force
 
 
 def make_flight(seconds: float, seed: int = 1, with_fix: bool = False) -> list[Sample]:
     """IMU at 200 Hz, pseudoranges at 5 Hz and the truth of a flight."""
     rng = np.random.default_rng(seed)
-    axes = ned_axes(LAT, LON)
     gnss = gnss_sensor(GnssConfig(), LAT, LON)
     state = gnss.new_state(rng)
-    earth = np.array([0.0, 0.0, EARTH_RATE_RPS])
-    gyro_bias, accel_bias = rng.normal(0, 0.003, 3), rng.normal(0, 0.05, 3)
-    dt, samples = STEP_US * 1e-6, []
-
-    def kinematics(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        h = 1e-2
-        a, b, c = (_position(t + k * h, axes) for k in (-1, 0, 1))
-        v, acc = (c - a) / (2 * h), (c - 2 * b + a) / h**2
-        force = acc - gravity_ecef(b) + 2.0 * np.cross(earth, v)
-        return b, v, force, _attitude(v, force)
-
-    for k in range(int(seconds / dt) + 1):
-        t = k * dt
-        r, v, _, rot = kinematics(t)
-        _, _, force, middle = kinematics(t - 0.5 * dt)
-        before, after = kinematics(t - dt)[3], rot
-        turn = before.T @ after
-        rate = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-        gyro = 0.5 * rate / dt + middle.T @ earth + gyro_bias + rng.normal(0, 0.01, 3)
-        accel = middle.T @ force + accel_bias + rng.normal(0, 0.05, 3)
-        samples.append(ImuSample(k * STEP_US, gyro, accel))
+    dt = STEP_US * 1e-6
+    count = round(seconds / dt) + 1
+    t = np.arange(count) * dt
+    (r, v, _), (rot, _), (middle, force) = _path(t), _attitudes(t), _attitudes(t - 0.5 * dt)
+    turn = np.einsum("nji,njk->nik", _attitudes(t - dt)[0], rot)
+    rates = np.stack(
+        [
+            turn[:, 2, 1] - turn[:, 1, 2],
+            turn[:, 0, 2] - turn[:, 2, 0],
+            turn[:, 1, 0] - turn[:, 0, 1],
+        ],
+        axis=1,
+    )
+    gyro = 0.5 * rates / dt + middle.transpose(0, 2, 1) @ EARTH + rng.normal(0, 0.003, 3)
+    gyro += rng.normal(0, 0.01, (count, 3))
+    accel = np.einsum("nji,nj->ni", middle, force) + rng.normal(0, 0.05, 3)
+    accel += rng.normal(0, 0.05, (count, 3))
+    samples: list[Sample] = []
+    for k in range(count):
+        samples.append(ImuSample(k * STEP_US, gyro[k], accel[k]))
         if k % EPOCH_STEPS == 0:
-            lat, lon, height = geodetic(r)
+            lat, lon, height = geodetic(r[k])
             here = ned_axes(lat, lon)
-            truth = _truth(k * STEP_US, lat, lon, height, here @ v, here @ rot)
+            truth = _truth(k * STEP_US, lat, lon, height, here @ v[k], here @ rot[k])
             readings, state = gnss.sample(truth, state, rng)
             for reading in readings:
                 samples += _samples(reading, with_fix)
-            samples.append(
-                TruthSample(
-                    k * STEP_US,
-                    truth.q_nb,
-                    gyro,
-                    math.degrees(lat),
-                    math.degrees(lon),
-                    height,
-                    here @ v,
-                )
-            )
+            place = math.degrees(lat), math.degrees(lon), height
+            samples.append(TruthSample(truth.t_us, truth.q_nb, gyro[k], *place, here @ v[k]))
     return samples
 
 

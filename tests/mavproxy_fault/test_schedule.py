@@ -104,6 +104,9 @@ def test_a_key_given_twice_is_refused() -> None:
             "{fault: bias, target: [HIL_SENSOR.xacc, HIL_SENSOR.yacc], value: [1, 2, 3]}",
             "3 numbers",
         ),
+        ("{fault: drift, target: [HIL_GPS.lat, HIL_GPS.lon], value: [1, 2, 3]}", "3 numbers"),
+        ("{fault: noise, target: [PSEUDORANGE.G01, PSEUDORANGE.G02], value: [1]}", "1 numbers"),
+        ("{fault: clear-bits, target: HIL_SENSOR.xacc, value: 3}", "is no integer"),
         ("{fault: rotation, target: HIL_SENSOR.xacc, angles_deg: [1, 2, 3]}", "three fields"),
         ("{fault: not-a-number, target: HIL_GPS.alt}", "is an integer"),
         ("{fault: freeze, target: PSEUDORANGE.G12}", "is no target for freeze"),
@@ -131,3 +134,12 @@ def test_two_faults_of_one_id_are_refused() -> None:
 def test_a_file_that_is_not_there_is_told(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be read"):
         read_schedule(tmp_path / "none.yaml")
+
+
+def test_satellite_faults_act_where_the_reader_says_unless_they_say_themselves() -> None:
+    entry = {"fault": "bias", "target": "PSEUDORANGE.G12", "value": 5}
+    own = {"id": "b", "via": "proxy", **entry}
+    data = {"faults": [{"id": "a", **entry}, own, {**entry, "target": "HIL_GPS.alt"}]}
+    kinds = [type(e.fault).__name__ for e in parse_schedule(data, via="simulator").faults]
+    assert kinds == ["InReceiver", "Satellites", "Bias"]
+    assert type(parse_schedule(data).faults[0].fault).__name__ == "Satellites"

@@ -15,6 +15,7 @@ from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.links.udp import UdpServer
 from simvehicle import server
+from simvehicle.pace import Pace
 from simvehicle.progress import Progress
 from simvehicle.scenario import read_scenario
 from simvehicle.simulation import Simulation
@@ -129,6 +130,25 @@ def test_wrong_input_is_told_with_exit_code_2(
 ) -> None:
     assert main(["sim", *arguments]) == 2
     assert told in capsys.readouterr().err
+
+
+def test_more_sensors_than_px4_takes_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "many.yaml"
+    path.write_text("sensors: {imu: [{}, {}, {}], mag: [{}, {}, {}]}")
+    assert main(["sim", str(path), "--hil", "tcpin:127.0.0.1:0"]) == 2
+    assert "sensors.mag: 3 are too many for a HIL link; at most 2" in capsys.readouterr().err
+
+
+def test_the_pace_changes_nothing_of_what_is_sent(free_loop: Loop) -> None:
+    sent = []
+    for speed in (math.inf, 200.0):
+        loop, far = free_loop(hil=True)
+        loop._pace = Pace(speed)
+        loop.run(100_000)
+        sent.append(b"".join(chunk for _, chunk in far.read()))
+    assert sent[0] == sent[1]
 
 
 def test_an_interrupt_ends_the_flight_with_a_summary(

@@ -76,6 +76,14 @@ def test_a_closed_shape_ends_where_and_as_it_began(shape: str) -> None:
     assert math.cos(path.course_rad[-1] - 0.5) > 0.99
 
 
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_smallest_size_leaves_no_piece_negative_and_a_smaller_one_does(shape: str) -> None:
+    least = smallest_size(shape, 20.0)
+    assert min(length for length, _ in shape_pieces(shape, least + 1e-6, 20.0)) > -1e-9
+    if shape in ("triangle", "diamond", "trapezoid"):
+        assert min(length for length, _ in shape_pieces(shape, 0.99 * least, 20.0)) < 0.0
+
+
 def test_legs_follow_one_another_without_a_jump() -> None:
     legs = [Leg(shape="s", size_m=100.0, laps=2), Leg(shape="eight", size_m=300.0, height_m=50.0)]
     path = plan(legs, (0.0, 0.0, 1.0), 10.0, 0.0, 5.0)

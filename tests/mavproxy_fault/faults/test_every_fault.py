@@ -4,13 +4,17 @@ The frames run through an engine and are judged by pymavlink's decoder.
 """
 
 import math
+from importlib.metadata import EntryPoint
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as pymavlink
 
 from mavproxy_fault.engine import Engine
+from mavproxy_fault.faults import registry
 from mavproxy_fault.faults.base import Outgoing
 from mavproxy_fault.faults.registry import known_faults
 from mavproxy_fault.schedule import parse_schedule
@@ -179,3 +183,34 @@ def test_a_plant_fault_tells_the_simulator_and_at_the_end_that_all_is_well() -> 
     assert changes[-1] is not None
     assert changes[-1].value is None
     assert len(changes) == 3  # at the start, after 0.2 s, at the end
+
+
+LAYOUTS = [
+    known(name) for name in ("HIL_SENSOR", "HIL_GPS", "GPS_INPUT", "ODOMETRY", "GPS_RAW_INT")
+]
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+@settings(max_examples=15)
+@given(data=st.data())
+def test_whatever_the_payload_holds_a_fault_goes_on(name: str, data: st.DataObject) -> None:
+    engine = Engine(parse_schedule({"seed": 3, "faults": [{"fault": name, **EXAMPLES[name]}]}))
+    for step in range(3):
+        layout = data.draw(st.sampled_from(LAYOUTS))
+        payload = data.draw(st.binary(min_size=1, max_size=layout.length))
+        frame = Frame(build(layout, {}, component=51), layout).with_payload(payload)
+        for out in engine.apply(frame, "to-vehicle", START_US + step * 100_000):
+            assert out.due_us >= START_US + step * 100_000
+            if isinstance(out.frame, Frame):
+                assert out.frame.with_payload(out.frame.payload).raw == out.frame.raw
+
+
+def test_another_package_adds_a_fault_by_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    point = EntryPoint("double", "mavproxy_fault.faults.driven:Scale", "mavproxy_fault.faults")
+    monkeypatch.setattr(registry, "entry_points", lambda group: [point])
+    registry.known_faults.cache_clear()
+    try:
+        entry = {"fault": "double", "target": GYRO, "value": 2}
+        assert parse_schedule({"faults": [entry]}).faults[0].name == "double"
+    finally:
+        registry.known_faults.cache_clear()

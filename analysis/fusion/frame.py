@@ -1,0 +1,70 @@
+"""The local frame of the graph: east, north, up at an anchor, in metres."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from analysis.fdi.inertial import gravity_ecef
+from analysis.gnss import EARTH_RATE_RPS, geodetic, ned_axes
+from analysis.samples import Vector
+
+NANOTESLA_PER_GAUSS = 1e5
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """An anchor (3,) in ECEF and rows (3, 3) east, north, up there."""
+
+    anchor_m: Vector
+    axes: Vector
+
+    def local(self, r_ecef_m: Vector) -> Vector:
+        """A position (3,) in this frame."""
+        result: Vector = self.axes @ (r_ecef_m - self.anchor_m)
+        return result
+
+    def ecef(self, r_m: Vector) -> Vector:
+        """A position (3,) of this frame in ECEF."""
+        result: Vector = self.anchor_m + self.axes.T @ r_m
+        return result
+
+    def gravity(self, r_m: Vector) -> Vector:
+        """Gravity (3,) at a position of this frame."""
+        result: Vector = self.axes @ gravity_ecef(self.ecef(r_m))
+        return result
+
+    def earth_rate(self) -> Vector:
+        """The earth's rotation (3,) in rad/s."""
+        result: Vector = self.axes[:, 2] * EARTH_RATE_RPS
+        return result
+
+    def ned_from_local(self, r_m: Vector) -> Vector:
+        """Rotation (3, 3) to north, east, down at a position of this frame."""
+        lat, lon, _ = geodetic(self.ecef(r_m))
+        result: Vector = ned_axes(lat, lon) @ self.axes.T
+        return result
+
+    def field_gauss(self) -> Vector:
+        """The magnetic field (3,) at the anchor."""
+        lat, lon, height = geodetic(self.anchor_m)
+        north, east, down = _field_ned_gauss(float(np.degrees(lat)), float(np.degrees(lon)), height)
+        return np.array([east, north, -down])
+
+
+def frame_at(r_ecef_m: Vector) -> Frame:
+    """The frame anchored at a position (3,)."""
+    lat, lon, _ = geodetic(r_ecef_m)
+    north, east, down = ned_axes(lat, lon)
+    return Frame(r_ecef_m.copy(), np.array([east, north, -down]))
+
+
+@lru_cache(maxsize=4)
+def _field_ned_gauss(lat_deg: float, lon_deg: float, height_m: float) -> tuple[float, ...]:
+    """World Magnetic Model 2025 at its epoch."""
+    from pygeomag import GeoMag
+
+    found = GeoMag(coefficients_file="wmm/WMM_2025.COF").calculate(
+        glat=lat_deg, glon=lon_deg, alt=height_m / 1000.0, time=2025.0
+    )
+    return tuple(float(value) / NANOTESLA_PER_GAUSS for value in (found.x, found.y, found.z))

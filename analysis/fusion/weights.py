@@ -1,0 +1,49 @@
+"""Decisions as weights: 1 healthy, between the thresholds less, 0 isolated."""
+
+from collections.abc import Iterable
+
+from analysis.fusion.config import FusionConfig
+from analysis.results import Decision, Result, SensorDecision
+
+SOUND = ("none", "satellites", "clock", "gps", "imu")
+
+
+def weight(normalised: float, suspicious: float, hopeless: float) -> float:
+    """s(r) of a normalised residual: 1 up to `suspicious`, 0 from `hopeless`.
+
+    Between them 1 - 3 u^2 + 2 u^3 with u the share of the way, so that neither the weight nor its
+    slope jumps.
+    """
+    u = (abs(normalised) - suspicious) / (hopeless - suspicious)
+    u = min(max(u, 0.0), 1.0)
+    return 1.0 - u * u * (3.0 - 2.0 * u)
+
+
+def range_weights(decision: Decision, config: FusionConfig) -> dict[str, float]:
+    """Weights of the satellites the detector tested at one epoch.
+
+    Nothing is trusted where the detector could not tell who is wrong. The residuals are those
+    before the isolation: where something was isolated, they say nothing about the others.
+    """
+    if not config.decide:
+        return dict.fromkeys((*decision.satellites, *decision.excluded), 1.0)
+    if decision.hypothesis not in SOUND:
+        return dict.fromkeys(decision.satellites, 0.0)
+    weights = dict.fromkeys(decision.satellites, 1.0)
+    if not decision.alarm and decision.hypothesis in ("none", "satellites"):
+        for name, value in zip(decision.satellites, decision.normalised, strict=False):
+            residual = float("inf") if value is None else value
+            weights[name] = weight(residual, config.suspicious, config.hopeless)
+    weights.update(dict.fromkeys(decision.excluded, 0.0))
+    return weights
+
+
+def isolated_sensors(results: Iterable[Result], config: FusionConfig) -> set[str]:
+    """Sensors other than satellites that must not be used at this epoch."""
+    if not config.decide:
+        return set()
+    return {
+        result.sensor
+        for result in results
+        if isinstance(result, SensorDecision) and (result.isolated or result.alarm)
+    }

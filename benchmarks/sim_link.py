@@ -1,0 +1,114 @@
+"""How many times real time one vehicle is simulated with its frames packed and sent.
+
+Run `python benchmarks/sim_link.py`. CPU time of this process counts and the best simulated second
+of each column, so that a busy machine disturbs little. Frames go by UDP to a socket on loopback
+that nobody reads.
+"""
+
+import argparse
+import math
+import socket
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from mavproxy_fault.links.spec import open_link
+from simvehicle.hil import Hil
+from simvehicle.scenario import read_scenario
+from simvehicle.server import datagrams
+from simvehicle.simulation import Simulation
+
+SENSORS = """
+  imu: {preset: consumer-mems, rate_hz: 250}
+  mag: {preset: consumer-mag, rate_hz: 50}
+  baro: {preset: consumer-baro, rate_hz: 50}
+  airspeed: {preset: mpxv5004dp, rate_hz: 50}
+  gps: {preset: beard-mclain, rate_hz: 5}
+"""
+GNSS = "gnss: {rate_hz: 5, systems: [GPS, Galileo]}\n"
+VEHICLES = {
+    "multirotor iris": "vehicle: {kind: multirotor, parameters: iris}\n"
+    "mission: [{shape: circle, size_m: 60, height_m: 20, speed_mps: 5}]\n",
+    "fixed wing aerosonde-2025": "vehicle: {kind: fixedwing, parameters: aerosonde-2025}\n"
+    "mission: [{shape: eight, size_m: 800, height_m: 100, speed_mps: 25}]\n",
+}
+START = "start: {height_m: 100}\nenvironment: {wind_ned_mps: [2, -3, 0], gusts: light}\n"
+
+
+def simulation(text: str) -> Simulation:
+    """A flight that is under way, its kernels compiled."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "scenario.yaml")
+        path.write_text(text)
+        flight = Simulation(read_scenario(path))
+    for _ in range(500):
+        flight.step()
+    return flight
+
+
+def times_real(seconds: float, step: Callable[[], object]) -> float:
+    """Simulated seconds per second of CPU, at 250 steps a simulated second: the best of rounds."""
+    best = math.inf
+    for _ in range(round(seconds)):
+        start = time.process_time()
+        for _ in range(250):
+            step()
+        best = min(best, time.process_time() - start)
+    return 1.0 / best
+
+
+def measure(text: str, seconds: float, port: int) -> tuple[float, float, float]:
+    """Times real time of the steps alone, with frames packed, and with frames sent."""
+    flight = simulation(text)
+    hil = Hil()
+    link = open_link(f"udpout:127.0.0.1:{port}")
+
+    def pack() -> list[bytes]:
+        t_us, truth, readings = flight.step()
+        return hil.frames(t_us, truth, readings)
+
+    def send() -> None:
+        for chunk in datagrams(pack()):
+            link.write(chunk)
+
+    speeds = (
+        times_real(seconds, flight.step),
+        times_real(seconds, pack),
+        times_real(seconds, send),
+    )
+    link.close()
+    return speeds
+
+
+def fixed_work_us() -> float:
+    """Best CPU time of a piece of Python that tells machines and loads apart."""
+    best = math.inf
+    for _ in range(300):
+        start = time.process_time()
+        sum(i * i for i in range(1000))
+        best = min(best, time.process_time() - start)
+    return best * 1e6
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seconds", type=float, default=30.0, help="simulated, per measurement")
+    seconds = parser.parse_args().seconds
+    print(f"fixed work (sum of 1000 squares): {fixed_work_us():.0f} us\n")
+    print("| vehicle, IMU 250 Hz | steps | + frames packed | + frames sent |")
+    print("|---|---|---|---|")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sink:
+        sink.bind(("127.0.0.1", 0))
+        port = sink.getsockname()[1]
+        for name, vehicle in VEHICLES.items():
+            for gnss in ("", GNSS):
+                text = vehicle + START + "sensors:" + SENSORS + gnss
+                speeds = measure(text, seconds, port)
+                label = name + (", GNSS 5 Hz" if gnss else "")
+                print(f"| {label} | " + " | ".join(f"{s:.0f}" for s in speeds) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

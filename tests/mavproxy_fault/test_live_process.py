@@ -1,0 +1,75 @@
+"""Live control of a proxy process by real clients."""
+
+import signal
+import socket
+import subprocess
+import sys
+from math import nan
+from pathlib import Path
+
+from pymavlink import mavutil
+
+from mavproxy_fault.cli import main
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import build
+
+
+def test_a_ground_station_injects_a_failure_through_a_running_proxy(tmp_path: Path) -> None:
+    schedule = tmp_path / "quiet.yaml"
+    schedule.write_text("seed: 1\n")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
+        vehicle.bind(("127.0.0.1", 0))
+        vehicle.settimeout(30)
+        command = [
+            sys.executable,
+            "-m",
+            "mavproxy_fault.cli",
+            "proxy",
+            "--zenoh",
+            "tcp/127.0.0.1:0",
+        ]
+        command += ["--schedule", str(schedule), "--master", "udpin:127.0.0.1:0"]
+        command += ["--out", "udpin:127.0.0.1:0"]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert process.stdout is not None
+        words = process.stdout.readline().split()
+        master, out = (int(words[i].rsplit(":", 1)[1]) for i in (1, 3))
+        station = mavutil.mavlink_connection(f"udpout:127.0.0.1:{out}", source_system=255)
+        try:
+            station.mav.heartbeat_send(6, 8, 0, 0, 4)
+            layout = known("SCALED_IMU")
+            healthy = build(layout, {"time_boot_ms": 1000, "xgyro": 100})
+            vehicle.sendto(healthy, ("127.0.0.1", master))
+            assert station.recv_match(type="SCALED_IMU", blocking=True, timeout=30).xgyro == 100
+            station.mav.command_long_send(1, 1, 420, 0, 0, 4, 0, nan, nan, nan, nan)
+            ack = station.recv_match(type="COMMAND_ACK", blocking=True, timeout=30)
+            assert (ack.command, ack.result, ack.get_srcSystem()) == (420, 0, 1)
+            vehicle.sendto(healthy, ("127.0.0.1", master))
+            assert station.recv_match(type="SCALED_IMU", blocking=True, timeout=30).xgyro == 600
+            said = station.recv_match(type="STATUSTEXT", blocking=True, timeout=30)
+            assert said.get_srcComponent() == 191
+        finally:
+            station.close()
+            process.send_signal(signal.SIGINT)
+            process.stdout.read()
+            process.stdout.close()
+            assert process.wait(30) == 0
+
+
+def test_a_proxy_without_a_schedule_takes_faults_from_the_bus() -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        url = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    command = [sys.executable, "-m", "mavproxy_fault.cli", "proxy", "--zenoh", url]
+    command += ["--master", "udpin:127.0.0.1:0", "--out", "udpin:127.0.0.1:0"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        assert process.stdout.readline().startswith("ready: ")
+        assert main(["inject", "baro-freeze", "--zenoh", url]) == 0
+        assert main(["inject", "--clear", "baro-freeze", "--zenoh", url]) == 0
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.stdout.read()
+        process.stdout.close()
+        assert process.wait(30) == 0

@@ -1,0 +1,112 @@
+"""The built-in controllers fly what the services command."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from simvehicle.body import Truth
+from simvehicle.pilot import Pilot
+from simvehicle.scenario import read_scenario
+from simvehicle.server import services
+from simvehicle.services.enums import Mode
+from simvehicle.services.flight import Flight
+from simvehicle.simulation import Simulation
+
+Holds = Callable[[Truth], bool]
+
+
+class Flown:
+    """A vehicle at home, and the flight that commands it."""
+
+    def __init__(self, folder: Path, vehicle: str, more: str = "") -> None:
+        path = folder / "vehicle.yaml"
+        path.write_text(f"vehicle: {vehicle}\nsensors: {{imu: {{rate_hz: 100}}}}\n{more}")
+        self.simulation = Simulation(read_scenario(path))
+        self.pilot: Pilot = services(self.simulation)[1]
+        self.flight: Flight = self.pilot.flight
+        self.flight.advance(self.simulation.truth)
+
+    def until(self, holds: Holds, limit_s: float) -> Truth:
+        """Fly until something holds of the truth, for `limit_s` of simulated time at most."""
+        end_us = self.simulation.truth.t_us + limit_s * 1e6
+        while not holds(self.simulation.truth):
+            assert self.simulation.truth.t_us < end_us, self.simulation.truth
+            _, truth, _ = self.simulation.step(self.pilot.controls())
+            self.flight.advance(truth)
+        return self.simulation.truth
+
+
+@pytest.fixture
+def quad(tmp_path: Path) -> Flown:
+    return Flown(tmp_path, "{kind: multirotor, parameters: iris}")
+
+
+@pytest.fixture
+def wing(tmp_path: Path) -> Flown:
+    return Flown(tmp_path, "{kind: fixedwing, parameters: aerosonde-2025}")
+
+
+def away(truth: Truth, north_m: float, east_m: float) -> float:
+    north, east, _ = truth.r_ned_m.tolist()
+    return math.hypot(north - north_m, east - east_m)
+
+
+def place(flown: Flown, north_m: float) -> tuple[float, float]:
+    home = flown.flight.home
+    return home.lat_deg + north_m / 111_200.0, home.lon_deg
+
+
+def test_the_multirotor_takes_off_goes_there_returns_and_lands(quad: Flown) -> None:
+    flight = quad.flight
+    flight.arm()
+    flight.take_off(math.nan)
+    quad.until(lambda truth: flight.mode is Mode.HOLD, 20)
+    assert flight.go_to(*place(quad, 25.0), math.nan, math.nan)
+    there = quad.until(lambda truth: away(truth, 25.0, 0.0) < 0.5, 30)
+    assert there.height_agl_m == pytest.approx(10.0, abs=1.5)
+    flight.set_mode(Mode.RETURN)
+    quad.until(lambda truth: not flight.armed, 120)
+    assert away(quad.simulation.truth, 0.0, 0.0) < 2.0
+    assert quad.simulation.truth.on_ground
+
+
+def test_the_multirotor_turns_to_the_heading_it_is_given(quad: Flown) -> None:
+    quad.flight.arm()
+    quad.flight.take_off(math.nan)
+    quad.until(lambda truth: quad.flight.mode is Mode.HOLD, 20)
+    quad.flight.go_to(*place(quad, 3.0), math.nan, math.radians(90.0))
+    quad.until(lambda truth: abs(truth.q_nb[3] - math.sqrt(0.5)) < 0.03, 20)
+
+
+def test_the_fixed_wing_takes_off_circles_a_place_and_lands(wing: Flown) -> None:
+    flight = wing.flight
+    flight.arm()
+    flight.take_off(math.nan)
+    wing.until(lambda truth: flight.mode is Mode.HOLD, 60)
+    assert flight.go_to(*place(wing, 800.0), flight.home.alt_m + 80.0, math.nan)
+    wing.until(lambda truth: away(truth, 800.0, 0.0) < 160.0, 90)
+    start_us = wing.simulation.truth.t_us
+    wing.until(lambda truth: truth.t_us > start_us + 30_000_000, 31)
+    assert away(wing.simulation.truth, 800.0, 0.0) < 160.0
+    assert wing.simulation.truth.height_agl_m == pytest.approx(80.0, abs=8.0)
+    flight.set_mode(Mode.LAND)
+    wing.until(lambda truth: not flight.armed, 180)
+    assert wing.simulation.truth.on_ground
+
+
+def test_a_mission_of_the_scenarios_own_is_flown_until_a_command_comes(tmp_path: Path) -> None:
+    mission = "mission: [{shape: circle, size_m: 400, height_m: 100}]\nstart: {height_m: 100}\n"
+    wing = Flown(tmp_path, "{kind: fixedwing, parameters: aerosonde-2025}", mission)
+    flight = wing.flight
+    assert (flight.mode, flight.armed, flight.flown) == (Mode.MISSION, True, False)
+    track = wing.simulation.controller.track
+    for _ in range(200):
+        _, truth, _ = wing.simulation.step(wing.pilot.controls() if flight.flown else None)
+        flight.advance(truth)
+    assert wing.simulation.controller.track is track
+    flight.set_mode(Mode.HOLD)
+    assert flight.flown
+    wing.pilot.controls()
+    assert wing.simulation.controller.track is not track
