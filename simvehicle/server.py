@@ -221,6 +221,9 @@ def _acceptance_m(simulation: Simulation) -> float:
 
 def datagrams(frames: list[bytes]) -> list[bytes]:
     """Frames joined to chunks that fit a datagram."""
+    whole = b"".join(frames)
+    if len(whole) <= DATAGRAM:
+        return [whole]
     chunks = [b""]
     for frame in frames:
         if len(chunks[-1]) + len(frame) > DATAGRAM:

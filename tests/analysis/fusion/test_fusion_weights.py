@@ -1,0 +1,98 @@
+"""Decisions as weights."""
+
+import itertools
+
+import msgspec
+import pytest
+
+from analysis.fusion.config import FusionConfig
+from analysis.fusion.weights import isolated_sensors, range_weights, weight
+from analysis.pipeline import monitor_config
+from analysis.results import Decision, SensorDecision
+from mavproxy_fault.errors import ConfigError
+
+CONFIG = FusionConfig()
+
+
+def decided(**changes: object) -> Decision:
+    """A clean decision on three satellites, changed."""
+    clean = Decision(
+        t_s=1.0,
+        t_us=1_000_000,
+        statistic=3.0,
+        threshold=20.0,
+        dof=3,
+        p_value=0.5,
+        alarm=False,
+        hypothesis="none",
+        satellites=("G01", "G02", "G03"),
+        normalised=(0.1, -1.0, 0.4),
+    )
+    return msgspec.structs.replace(clean, **changes)
+
+
+def test_the_weight_falls_smoothly_from_one_to_zero_between_the_thresholds():
+    values = [weight(3.0 + 0.01 * k, 3.0, 6.0) for k in range(301)]
+    assert values[0] == 1.0
+    assert values[150] == pytest.approx(0.5)
+    assert values[-1] == 0.0
+    steps = [a - b for a, b in itertools.pairwise(values)]
+    assert min(steps) > 0.0
+    assert max(steps) < 0.0051  # the steepest slope of the cubic is 1.5 over the way
+
+
+def test_the_sign_of_a_residual_does_not_matter():
+    assert weight(-4.0, 3.0, 6.0) == weight(4.0, 3.0, 6.0) < 1.0
+
+
+def test_a_suspicious_satellite_is_weighed_down_and_the_healthy_are_not():
+    weights = range_weights(decided(normalised=(0.1, 4.5, -2.9)), CONFIG)
+    assert weights == {"G01": 1.0, "G02": pytest.approx(0.5), "G03": 1.0}
+
+
+def test_an_isolated_satellite_weighs_nothing_and_its_fault_is_not_held_against_the_others():
+    said = decided(alarm=True, hypothesis="satellites", excluded=("G02",), normalised=(5.0, 9.0, 4))
+    assert range_weights(said, CONFIG) == {"G01": 1.0, "G02": 0.0, "G03": 1.0}
+
+
+def test_nothing_is_trusted_while_the_detector_cannot_tell_who_is_wrong():
+    said = decided(alarm=True, hypothesis="multiple-unknown")
+    assert set(range_weights(said, CONFIG).values()) == {0.0}
+
+
+def test_without_decisions_everything_weighs_one():
+    said = decided(alarm=True, hypothesis="satellites", excluded=("G04",))
+    weights = range_weights(said, FusionConfig(decide=False))
+    assert weights == dict.fromkeys(("G01", "G02", "G03", "G04"), 1.0)
+
+
+def test_isolated_and_alarmed_sensors_are_left_out():
+    said = [
+        SensorDecision(
+            t_s=0, t_us=0, sensor=name, statistic=1, threshold=1, dof=1, alarm=alarm, isolated=out
+        )
+        for name, alarm, out in (("baro", True, False), ("mag", False, True), ("imu", False, False))
+    ]
+    assert isolated_sensors(said, CONFIG) == {"baro", "mag"}
+    assert isolated_sensors(said, FusionConfig(decide=False)) == set()
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"lag_s": 0.0}, "monitor.fusion.lag_s = 0.0 is not positive"),
+        ({"hopeless": 2.0}, "is not above suspicious"),
+        ({"robust": "cauchy"}, "known: none, huber, geman-mcclure"),
+        ({"lag": 5.0}, "monitor.fusion.lag is unknown"),
+        ({"lag_s": "five"}, "Expected `float`"),
+    ],
+)
+def test_a_wrong_setting_is_refused_by_name(values, told):
+    with pytest.raises(ConfigError, match=r"night\.yaml") as refused:
+        monitor_config({"fusion": values}, "night.yaml")
+    assert told in str(refused.value)
+
+
+def test_fusion_is_off_unless_asked_for():
+    assert monitor_config({}, "x").fusion is None
+    assert monitor_config({"fusion": {}}, "x").fusion == FusionConfig()
