@@ -19,6 +19,7 @@ from mavproxy_fault.errors import ConfigError
 NUMBER = (int, float)  # what a parameter is, unless its definition is damaged
 Topic = dict[str, NDArray[Any]]
 MAGIC = b"ULog\x01\x12\x35"
+MOST_READS = 100  # times the file's size that a reader may read of it
 DEGREES = {"lat": "latitude_deg", "lon": "longitude_deg"}
 
 
@@ -53,6 +54,22 @@ class ULogFile:
     damaged: bool
 
 
+class _Patient(io.FileIO):
+    """A file that ends a reader which goes over the same damaged bytes for ever, as pyulog can."""
+
+    def __init__(self, path: str | Path) -> None:
+        super().__init__(path, "rb")
+        self._left = MOST_READS * Path(path).stat().st_size + 10_000_000
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """As in any file, until too much was read."""
+        data = super().read(-1 if size is None else size) or b""
+        self._left -= len(data) + 1
+        if self._left < 0:
+            raise RuntimeError("damaged beyond reading")
+        return data
+
+
 def is_ulog(head: bytes) -> bool:
     """Whether a file that begins with these bytes is a ULog."""
     return head.startswith(MAGIC)
@@ -70,10 +87,12 @@ def read_ulog(path: str | Path) -> ULogFile:
 
     complaints = io.StringIO()  # pyulog prints what it cannot read
     try:
-        with Path(path).open("rb") as file, contextlib.redirect_stdout(complaints):
-            log = ULog(file)
+        file = _Patient(path)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; give the path of a ULog") from error
+    try:
+        with file, contextlib.redirect_stdout(complaints):
+            log = ULog(file)
     except Exception as error:  # pyulog raises whatever its struct and index code does
         raise ConfigError(f"{path}: not a readable ULog ({error}); give a whole file") from error
     topics = {

@@ -274,7 +274,10 @@ def _load_fast() -> None:
     """
     if not _is_compiled():
         code = f"import os; os.nice(10); from {_FAST} import compile_now; compile_now()"
-        made = subprocess.run([sys.executable, "-c", code], stdin=subprocess.DEVNULL, check=False)
+        quiet = subprocess.DEVNULL  # it may outlive us: nobody must wait for its output to end
+        made = subprocess.run(
+            [sys.executable, "-c", code], stdin=quiet, stdout=quiet, stderr=quiet, check=False
+        )
         if made.returncode != 0:
             return
     with short_turns():

@@ -25,7 +25,7 @@ class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
     robust: str = "none"
     correlation: float = 3.0
     baro_m: float = 1.0
-    baro_walk_m: float = 0.05
+    baro_walk_m: float = 0.3
     mag_gauss: float = 0.1
     airspeed_mps: float = 1.0
     wind_walk_mps: float = 0.3

@@ -18,6 +18,7 @@ from analysis.fusion.config import FusionConfig
 from analysis.fusion.frame import Frame
 from analysis.gnss import LIGHT_MPS, geodetic, klobuchar_m, predict_ranges, troposphere_m
 from analysis.samples import Vector
+from analysis.solve import design_matrix
 
 NO_ARM = np.zeros(3)
 LIGHT = np.array([[LIGHT_MPS]])
@@ -63,7 +64,9 @@ class Ranges:
         self.still_mps = predicted[:, 1]
         offset_m = np.where(observed.galileo, x[X_ISB], 0.0)
         self.corrected_m = observed.pseudorange_m - np.array(delay) - offset_m
-        self.sigma_m = config.correlation * detector.sigma.sigma_m(elevation, observed.cn0_dbhz)
+        self._white_m = detector.sigma.sigma_m(elevation, observed.cn0_dbhz)
+        self._slow = detector.sigma.slow
+        self.sigma_m = config.correlation * self._white_m
         self.sigma_mps = detector.sigma.rate_mps / np.sqrt(np.sin(np.maximum(elevation, 0.1)))
         self.above = elevation >= np.radians(detector.mask_deg)
         self._robust = config.robust
@@ -78,6 +81,22 @@ class Ranges:
             if self.above[i] and share >= LEAST_WEIGHT:
                 made[name] = self._of(i, epoch, frame, nav, 1.0 / np.sqrt(share))
         return made
+
+    def slow_covariance(self, weights: dict[str, float]) -> Vector | None:
+        """Covariance (3, 3) in ECEF of what averaging cannot take away; None if undetermined.
+
+        Multipath, ephemeris and atmosphere stay the same for minutes: a bias of `slow` sigmas per
+        satellite, which the position follows as the snapshot solution does.
+        """
+        names = self.observed.satellites
+        used = self.above & np.array([weights.get(n, 0.0) >= LEAST_WEIGHT for n in names], bool)
+        galileo = self.observed.galileo[used]
+        if used.sum() < 4 + int(0 < galileo.sum() < len(galileo)):
+            return None
+        sigma = self._slow * self._white_m[used]
+        design = design_matrix(self.los[used], galileo) / sigma[:, None]
+        result: Vector = np.linalg.pinv(design.T @ design)[:3, :3]
+        return result
 
     def _of(self, i: int, epoch: int, frame: Frame, nav: Any, widened: float) -> list[Any]:
         state, pose = self.observed.states[i], key("x", epoch)

@@ -71,6 +71,7 @@ class Graph:
         self._slow: dict[str, tuple[int, Any]] = {}
         self._zero_us = motion.t_us
         self.dt_s = 0.0
+        self.slow_m2: Vector = np.zeros((3, 3))  # ECEF, what averaging leaves of the position
         self._clear()
         rot = self.frame.axes @ matrix(motion.x[X_Q : X_Q + 4])
         pose = gtsam.Pose3(gtsam.Rot3(rot), np.zeros(3))

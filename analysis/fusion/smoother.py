@@ -107,6 +107,8 @@ class Fusion:
             if motion is None:
                 return [], state
             graph = Graph(motion, self.config, self.detector)
+            if state.graph is not None:
+                graph.slow_m2 = state.graph.slow_m2
             if ranges and np.sqrt(motion.p[0, 0]) > LOOSE_M:
                 used = self._attach(graph, ranges, weights)
             state = replace(state, graph=graph, vision=None)
@@ -150,6 +152,9 @@ class Fusion:
         made = ranges.factors(graph.node.epoch, graph.frame, weights)
         for name, factors in made.items():
             graph.attach(name, *factors)
+        slow = ranges.slow_covariance(weights)
+        if slow is not None:
+            graph.slow_m2 = slow
         return {name: weights[name] for name in made}
 
     def _extend(
@@ -220,7 +225,8 @@ def fused_state(graph: Graph, weights: dict[str, float], reason: str) -> FusedSt
     to_ned = graph.frame.ned_from_local(r_m)
     pose, velocity = graph.covariances()
     body = to_ned @ rot
-    position = body @ pose[3:, 3:] @ body.T
+    to_ned_ecef = to_ned @ graph.frame.axes
+    position = body @ pose[3:, 3:] @ body.T + to_ned_ecef @ graph.slow_m2 @ to_ned_ecef.T
     speed = to_ned @ velocity @ to_ned.T
     turn = np.degrees(np.sqrt(np.diag(pose)[:3]))
     return FusedState(

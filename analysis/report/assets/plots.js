@@ -65,6 +65,7 @@ function options(area, axis, height, more) {
     width: Math.max(300, area.clientWidth), height,
     pxAlign: 0,
     cursor: {
+      y: false,
       sync: { key: "time", scales: ["x", null] }, drag: { x: true, y: false, setScale: false },
       bind: { dblclick: () => () => { axis.reset(); return null; } },
     },

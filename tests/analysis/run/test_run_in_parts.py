@@ -59,8 +59,8 @@ def test_three_processes_decide_as_one(tmp_path: Path) -> None:
         )  # fmt: skip
         stack.enter_context(
             started(
-                "ready", "proxy", "--master", f"udpin:127.0.0.1:{to_proxy}",
-                "--out", f"udpout:127.0.0.1:{to_monitor}", "--schedule", schedule,
+                "ready", "proxy", "--master", f"udpout:127.0.0.1:{to_monitor}",
+                "--out", f"udpin:127.0.0.1:{to_proxy}", "--schedule", schedule,
                 "--logdir", tmp_path / "log", "--zenoh", "off",
             )
         )  # fmt: skip
