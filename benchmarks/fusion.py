@@ -85,6 +85,13 @@ def rmse(found: dict[int, Vector], skip_s: float = 10.0) -> float:
     return math.sqrt(float(np.mean([e @ e for t, e in found.items() if t >= first])))
 
 
+def spread(found: dict[int, Vector], skip_s: float = 10.0) -> float:
+    """The same about the mean error: what a constant offset, of the reference too, leaves."""
+    first = min(found) + skip_s * 1e6
+    late = np.array([e for t, e in found.items() if t >= first])
+    return rmse({k: e for k, e in enumerate(late - late.mean(axis=0))}, 0.0)
+
+
 def nees(states: list[FusedState], found: dict[int, Vector]) -> float:
     """Mean normalised squared position error; 3 where the sigmas are right."""
     each = [
@@ -177,8 +184,8 @@ def walk(folder: Path) -> None:
         for t_us, at in single.items()
         if t_us in near
     }
-    print("| walk | position RMSE m | epochs | NEES (3) |\n|---|---|---|---|")
-    print(f"| RTKLIB, single point | {rmse(found):.2f} | {len(found)} | |")
+    print("| walk | position RMSE m | about its mean m | NEES (3) |\n|---|---|---|---|")
+    print(f"| RTKLIB, single point | {rmse(found):.2f} | {spread(found):.2f} | |")
     samples = read_rinex_samples(observations, navigation, folder / "imu_1730_sf.csv")
     epochs = [s for s in samples if isinstance(s, Epoch)]
     truths = nearest(truths, [s.t_us for s in epochs])
@@ -193,12 +200,12 @@ def walk(folder: Path) -> None:
         ),
     ):
         value = errors(decisions(these), truths)
-        print(f"| {title}: the detector's filter | {rmse(value):.2f} | {len(value)} | |")
+        print(f"| {title}: the detector's filter | {rmse(value):.2f} | {spread(value):.2f} | |")
         for name, config in list(SETTINGS.items())[: 1 if title == "clean" else None]:
             states = fused(these, config)
             value = errors(states, truths)
             print(
-                f"| {title}: {name} | {rmse(value):.2f} | {len(value)} "
+                f"| {title}: {name} | {rmse(value):.2f} | {spread(value):.2f} "
                 f"| {nees(states, value):.1f} |"
             )
 
