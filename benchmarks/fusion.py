@@ -39,6 +39,7 @@ SETTINGS = {
 }
 WALK_GEOID_M = 21.387  # of the folder's README: heights of the reference are above sea level
 STEP_M, STEP_FROM_S, STEP_FOR_S = 50.0, 60.0, 30.0
+TIMED_S = 20
 GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
 
 
@@ -236,9 +237,16 @@ def stepped(samples: list[Sample], name: str, start_us: int) -> list[Sample]:
 
 
 def timing(folder: Path, satellites: int = 10) -> None:
-    """Milliseconds of processor time per GNSS epoch, of a recorded flight with fewer satellites."""
+    """Milliseconds of processor time per GNSS epoch with all samples since the last one.
+
+    Of a recorded flight with fewer satellites.
+    """
     samples: list[Sample] = []
-    for sample in tlog_samples(folder / "received.tlog"):
+    recorded = tlog_samples(folder / "received.tlog")
+    until_us = recorded[0].t_us + TIMED_S * 1_000_000
+    for sample in recorded:
+        if sample.t_us > until_us:
+            break
         if isinstance(sample, Epoch):
             keep = slice(0, satellites)
             sample = replace(
@@ -253,14 +261,14 @@ def timing(folder: Path, satellites: int = 10) -> None:
     fusion = Fusion()
     state = fusion.new_state()
     spent: list[float] = []
-    imu = 0.0
+    since = 0.0
     for sample, results, core in rows:
         before = time.process_time()
         said, state = fusion.step(sample, results, core, state)
-        took = time.process_time() - before
-        imu = imu + took if not said else 0.0
+        since += time.process_time() - before
         if said:
-            spent.append(took)
+            spent.append(since)
+            since = 0.0
     rest = np.array(spent[len(spent) // 4 :]) * 1e3
     rate = sum(isinstance(s, ImuSample) for s, _, _ in rows) / max(len(spent), 1)
     print(
