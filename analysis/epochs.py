@@ -12,6 +12,7 @@ import math
 import struct
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from statistics import median_low
@@ -338,7 +339,7 @@ def read_rinex_samples(
 
     The IMU file has one sample a line: GPS time on Unix's count of seconds, specific force (3) in g
     and rates (3) in rad/s, axes forward-left-up; further columns are passed over. `t_us` counts
-    from the start of GPS time.
+    from the start of GPS time; what the navigation file holds comes first, stamped as the first.
 
     Raises
     ------
@@ -353,7 +354,9 @@ def read_rinex_samples(
     if imu is not None:
         samples += _read_imu(imu)
     samples.sort(key=lambda sample: sample.t_us)
-    return [*read_navigation(navigation), *samples]
+    first_us = samples[0].t_us if samples else 0
+    known = [replace(sample, t_us=first_us) for sample in read_navigation(navigation)]
+    return [*known, *samples]
 
 
 def _read_imu(path: Path) -> list[ImuSample]:

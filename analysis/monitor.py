@@ -50,7 +50,9 @@ class Monitor:
             self._tally.add(result)
         return results
 
-    def summary(self, labels: Sequence[Label], criteria: Criteria, wall_s: float) -> dict[str, Any]:
-        """The content of `summary.json`."""
-        attitude = self._pipeline.attitude(labels)
+    def summary(
+        self, labels: Sequence[Label] | None, criteria: Criteria, wall_s: float
+    ) -> dict[str, Any]:
+        """The content of `summary.json`; without labels no alarm can be called false."""
+        attitude = self._pipeline.attitude(labels or ())
         return self._tally.summary(labels, attitude, criteria, wall_s)

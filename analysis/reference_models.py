@@ -193,7 +193,9 @@ def _range(sample: RangeSample, at: View, slow: Slow | None, noise: SensorNoise)
     if upright < 0.7:
         return "tilted by more than 45 degrees"
     terrain = np.array([at.height_m - sample.distance_m * upright])
-    variance = noise.range_m**2 + float(at.p_position[2, 2])
+    level = sample.distance_m * math.sqrt(1.0 - min(upright, 1.0) ** 2)
+    tilt = float(np.trace(at.p_attitude)) / 3.0 if at.rot_nb is not None else 0.0
+    variance = noise.range_m**2 + float(at.p_position[2, 2]) + level**2 * tilt
     if slow is None:
         return _offset(at.t_us, terrain, math.sqrt(variance), noise.terrain_walk_m)
     return Seen(terrain - slow.b, np.eye(1), np.array([[variance]]), slow)

@@ -78,7 +78,7 @@ class Tally:
 
     def summary(
         self,
-        labels: Sequence[Label],
+        labels: Sequence[Label] | None,
         attitude: Mapping[str, Any],
         criteria: Criteria,
         wall_s: float,
@@ -88,7 +88,7 @@ class Tally:
         Parameters
         ----------
         labels : sequence of Label
-            What was really done.
+            What was really done; None if nobody knows.
         attitude : mapping
             Scores by estimator; the first is the one the criteria judge.
         criteria : Criteria
@@ -102,14 +102,17 @@ class Tally:
             "sim_s": round(self.span_s, 3),
             "wall_s": round(wall_s, 2),
             "epochs": self.epochs,
-            "false_alarms": false_alarms(labels, self.alarms),
+            "false_alarms": None if labels is None else false_alarms(labels, self.alarms),
+            "alarms": len(self.alarms),
             "untestable_epochs": self.untestable,
             "attitude_rmse_deg": first["rmse_deg"] if first else None,
             "position_rmse_m": round(math.sqrt(self._square_m2 / self._errors), 3)
             if self._errors
             else None,
             **self._fused_summary(),
-            "faults": [msgspec.structs.asdict(row) for row in score_faults(labels, self.alarms)],
+            "faults": [
+                msgspec.structs.asdict(row) for row in score_faults(labels or (), self.alarms)
+            ],
             "attitude": dict(attitude),
         }
         checks = judge(criteria, found)

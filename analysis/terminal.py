@@ -23,7 +23,7 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
         console.print(f"position RMSE   {summary['position_rmse_m']:.2f} m")
     console.print(
         f"epochs          {summary['epochs']}, untestable {summary['untestable_epochs']}, "
-        f"false alarms {summary['false_alarms']}"
+        f"alarms {summary['alarms']}, of them false {_known(summary['false_alarms'])}"
     )
     speed = summary["sim_s"] / summary["wall_s"] if summary["wall_s"] else 0.0
     console.print(
@@ -40,6 +40,10 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
     console.print(f"verdict         [{COLOURS.get(verdict, 'yellow')}]{verdict}[/]")
     if folder is not None:
         console.print(f"report          {folder / 'report.html'}", soft_wrap=True)
+
+
+def _known(count: int | None) -> str:
+    return "unknown without labels" if count is None else str(count)
 
 
 def _faults(rows: list[Mapping[str, Any]]) -> Table:

@@ -4,6 +4,8 @@ A topic's columns are its fields as pyulog names them (`q[0]`), with `timestamp`
 the vehicle's clock. Field names that PX4 1.14 and later changed are given their newer form.
 """
 
+import contextlib
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +16,10 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.errors import ConfigError
 
+NUMBER = (int, float)  # what a parameter is, unless its definition is damaged
 Topic = dict[str, NDArray[Any]]
 MAGIC = b"ULog\x01\x12\x35"
+MOST_READS = 100  # times the file's size that a reader may read of it
 DEGREES = {"lat": "latitude_deg", "lon": "longitude_deg"}
 
 
@@ -50,6 +54,22 @@ class ULogFile:
     damaged: bool
 
 
+class _Patient(io.FileIO):
+    """A file that ends a reader which goes over the same damaged bytes for ever, as pyulog can."""
+
+    def __init__(self, path: str | Path) -> None:
+        super().__init__(path, "rb")
+        self._left = MOST_READS * Path(path).stat().st_size + 10_000_000
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """As in any file, until too much was read."""
+        data = super().read(-1 if size is None else size) or b""
+        self._left -= len(data) + 1
+        if self._left < 0:
+            raise RuntimeError("damaged beyond reading")
+        return data
+
+
 def is_ulog(head: bytes) -> bool:
     """Whether a file that begins with these bytes is a ULog."""
     return head.startswith(MAGIC)
@@ -65,27 +85,34 @@ def read_ulog(path: str | Path) -> ULogFile:
     """
     from pyulog import ULog
 
+    complaints = io.StringIO()  # pyulog prints what it cannot read
     try:
-        with Path(path).open("rb") as file:
-            log = ULog(file)
+        file = _Patient(path)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; give the path of a ULog") from error
+    try:
+        with file, contextlib.redirect_stdout(complaints):
+            log = ULog(file)
     except Exception as error:  # pyulog raises whatever its struct and index code does
         raise ConfigError(f"{path}: not a readable ULog ({error}); give a whole file") from error
     topics = {
         (data.name, data.multi_id): _renamed(data.data)
         for data in log.data_list
-        if len(data.data["timestamp"])
+        if len(data.data.get("timestamp", ()))
     }
     return ULogFile(
         topics,
         [(m.timestamp, (m.log_level - ord("0")) & 7, m.message) for m in log.logged_messages],
-        {name: float(value) for name, value in log.initial_parameters.items()},
-        [(t_us, name, float(value)) for t_us, name, value in log.changed_parameters],
+        {name: float(v) for name, v in log.initial_parameters.items() if isinstance(v, NUMBER)},
+        [
+            (t_us, name, float(v))
+            for t_us, name, v in log.changed_parameters
+            if isinstance(v, NUMBER)
+        ],
         dict(log.msg_info_dict),
         int(log.start_timestamp),
         [(drop.timestamp, drop.duration * 1e-3) for drop in log.dropouts],
-        bool(log.file_corruption),
+        bool(log.file_corruption or complaints.getvalue()),
     )
 
 

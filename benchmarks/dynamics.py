@@ -1,7 +1,7 @@
 """Speed of the vehicle models: the bare kernel, single vehicles, and whole simulations.
 
 Run by hand: `python benchmarks/dynamics.py`. Times are CPU time of this process, the best of
-several rounds; what compiles is compiled before.
+25 rounds, as machines are seldom quiet; what compiles is compiled before.
 """
 
 import time
@@ -26,7 +26,7 @@ from simvehicle.vehicles.rigidbody_kernel import Inertia
 
 LANES = 32
 STEPS = 2000
-ROUNDS = 7
+ROUNDS = 25
 
 
 @compiled
@@ -92,7 +92,7 @@ def simulation(name: str, scenario: Scenario, frames: bool) -> None:
             if frames:
                 packer.frames(*found)
 
-    seconds = best(second)
+    seconds = best(second)  # of simulated time, the GNSS epochs in it
     what = "with HIL frames packed" if frames else "readings only"
     print(f"| {name}, {what} | {1.0 / seconds:.0f} x real time, {seconds * 4000:.0f} us/step |")
 

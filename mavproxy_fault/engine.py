@@ -286,6 +286,7 @@ class Engine:
         if not chosen:
             raise ConfigError(f"update: {id} is no fault; {near(id, self.ids())}")
         chosen[0].feed(value, self.now_us, sent_us)
+        self._edited()
 
     def replace(self, schedule: Schedule) -> None:
         """Take another schedule; entries that stand in both as they were go on undisturbed."""

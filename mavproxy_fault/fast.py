@@ -6,7 +6,6 @@ with the plain path, frame by frame, in order.
 """
 
 import socket
-import struct
 from collections.abc import Sequence
 from typing import Any, cast
 
@@ -17,6 +16,7 @@ from mavproxy_fault.clock import stamp_place
 from mavproxy_fault.core import Core
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.udp import UdpClient, UdpServer
+from mavproxy_fault.pump import forward as pump_forward
 from mavproxy_fault.routing import target_places
 from mavproxy_fault.stats import Latencies
 from mavproxy_fault.tape import Tape
@@ -26,7 +26,7 @@ IDS = 1 << 16
 MOST_PLANS = 256
 MODES = {"add": k.ADD, "scale": k.SCALE, "replace": k.REPLACE}
 POLLIN = 1
-SOCKADDR_IN = struct.Struct("=H2s4s8x")
+SOCKADDR_IN = 16  # bytes of an IPv4 socket address
 
 
 class FastPath:
@@ -71,13 +71,15 @@ class FastPath:
         self._seen: tuple[Any, ...] = ()
         self._point()
         self._watch([*(link.fileno() for link in links), *others])
-        self._arguments = (
+        net = (
             self.ports, self._heads, self._headers, self._parts, self._names, self._peers,
-            np.full(count, SOCKADDR_IN.size, np.int64), self._heard, self._data,
-            np.frombuffer(cast(Any, core.memory), np.int64), self._table, self._plans,
-            self._numbers, self._hits, self._steps, k.crc_tables(), self._histogram, self.polls,
-            self.turn, *self._logs, np.zeros(2),
+            np.full(count, SOCKADDR_IN, np.int64), self._heard,
         )  # fmt: skip
+        wire = (
+            self._data, np.frombuffer(cast(Any, core.memory), np.int64), self._table, self._plans,
+            *self._logs, self._numbers, self._hits, self._steps, k.crc_tables(), np.zeros(2),
+        )  # fmt: skip
+        self._arguments = (self._histogram, self.polls, self.turn, net, wire)
 
     def _point(self) -> None:
         """Let the headers of both kinds of system call point to the rows of data."""
@@ -107,7 +109,7 @@ class FastPath:
         """Forward until `deadline_ns` of the monotonic clock or until the plain path is needed."""
         self._refresh()
         self.turn[k.DEADLINE], self.turn[k.SPIN] = deadline_ns, spin
-        reason: int = k.forward(*self._arguments)
+        reason: int = pump_forward(*self._arguments)
         self._settle()
         return reason
 
@@ -128,8 +130,7 @@ class FastPath:
         data = self._data[start : start + (int(self._heads[number, at, 7]) & 0xFFFFFFFF)].tobytes()
         link = self._links[number]
         if isinstance(link, UdpServer):
-            _, port, host = SOCKADDR_IN.unpack_from(self._names[number, at].tobytes())
-            link.hear((socket.inet_ntoa(host), int.from_bytes(port, "big")))
+            link.hear(self._names[number, at, :SOCKADDR_IN].tobytes())
         self._learn(data)
         return number, data
 
@@ -185,10 +186,7 @@ class FastPath:
                 self._known_peers[number] = [*link.peers]
                 self._heard[number] = 0
                 self.ports[number, k.PEER_COUNT] = len(link.peers)
-                for row, (host, port) in enumerate(link.peers):
-                    name = SOCKADDR_IN.pack(
-                        socket.AF_INET, port.to_bytes(2, "big"), socket.inet_aton(host)
-                    )
+                for row, name in enumerate(link.peers):
                     self._peers[number, row, : len(name)] = np.frombuffer(name, np.uint8)
 
     @property

@@ -46,7 +46,7 @@ def request(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
         several = args.target.split(",")
         entry["target"] = several if len(several) > 1 else several[0]
     if args.value is not None:
-        entry["value"] = args.value
+        entry["value"] = int(args.value) if args.value.is_integer() else args.value
     if args.for_s is not None:
         entry["for_s"] = args.for_s
     parse_entry(entry, "inject")

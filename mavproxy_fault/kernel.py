@@ -3,14 +3,18 @@
 It takes only what is plain: known senders on UDP links, whole frames with right CRCs and no
 signature, messages that no fault or only constant and linearly growing faults act on. At anything
 else it stops and hands that datagram to the plain path; both work on the same memory (`memory`),
-so order and state stay exact. Importing this file imports numba; the machine code is cached on
-disk. System calls are made from within, so a busy stretch never returns to the interpreter.
+so order and state stay exact. Here are the frames, in `pump` the sockets. Importing this file
+imports numba; the machine code is cached on disk, by `pump.py`'s date alone: after a change here or
+in `memory`, touch that file too.
+
+Arrays travel in two tuples, `wire` (data, memory, table, plans, three logs, numbers, hits, steps,
+CRC tables, result) and `net` (ports, heads, headers, parts, names, peers, name lengths, heard).
 """
 
 # mypy: allow-untyped-defs, allow-untyped-decorators, no-check-untyped-defs
 import numpy as np
 from fastcrc.crc16 import mcrf4xx
-from numba import njit, types
+from numba import njit
 from numpy.typing import NDArray
 
 from mavproxy_fault.clock import NEAR_US, UNIX_FROM_US
@@ -50,7 +54,6 @@ DEADLINE, BASE, SPIN, LINK, AT, COUNT, EDGE, WANTED_AT, POLLS, KEEP = range(10)
 RECEIVED_AT, SENT_AT, INDEX_AT, SECONDS, NANOSECONDS, HITS = range(10, 16)
 TIME_IS_UP, NOT_PLAIN, OTHER_READY, LOG_FULL = range(4)  # why it returns
 
-DONTWAIT = 0x40
 LOG_SIZE = 1 << 24
 LOG_MARGIN = 1 << 23  # more than a batch of the smallest frames in the largest datagrams
 
@@ -62,24 +65,6 @@ def crc_tables() -> NDArray[np.int64]:
     for n in range(1, 8):
         tables[n] = tables[n - 1] >> 8 ^ tables[0, tables[n - 1] & 0xFF]
     return tables
-
-
-_recvmmsg = types.ExternalFunction(
-    "recvmmsg", types.intc(types.intc, types.intp, types.uintc, types.intc, types.intp)
-)
-_sendmmsg = types.ExternalFunction(
-    "sendmmsg", types.intc(types.intc, types.intp, types.uintc, types.intc)
-)
-_ppoll = types.ExternalFunction(
-    "ppoll", types.intc(types.intp, types.uintp, types.intp, types.intp)
-)
-_clock_gettime = types.ExternalFunction("clock_gettime", types.intc(types.intc, types.intp))
-
-
-@njit(cache=True, nogil=True)
-def _now_ns(turn):
-    _clock_gettime(1, turn[SECONDS:].ctypes.data)
-    return turn[SECONDS] * 1_000_000_000 + turn[NANOSECONDS]
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -154,8 +139,9 @@ def _links(data, payload, length, entry, memory, everywhere, bit):
 
 
 @njit(cache=True, nogil=True)
-def _check(data, start, length, bit, fast, everywhere, memory, table, plans, tables, turn):
+def check(start, length, bit, fast, everywhere, turn, wire):
     """The links a datagram goes to, -1 if it is not plain."""
+    data, memory, table, plans, tables = wire[0], wire[1], wire[2], wire[3], wire[10]
     at, end = start, start + length
     mask = np.int64(-1)
     while at < end:
@@ -255,8 +241,10 @@ def _patch_element(data, at, code, mode, value, limit, t_s, result):
 
 
 @njit(cache=True, nogil=True)
-def _patch(data, at, head, size, first, t_us, extra, plans, numbers, hits, steps, tables, result):
+def _patch(at, head, size, entry, t_us, wire):
     """Apply one planned fault to a frame; whether a byte changed."""
+    data, plans, (numbers, hits, steps, tables, result) = wire[0], wire[3], wire[7:]
+    first, extra = entry[PLAN], entry[EXTRA]
     changed = False
     saturated = 0
     step = -1.0
@@ -308,11 +296,9 @@ def _log(log, place, turn, now_us, data, at, length):
 
 
 @njit(cache=True, nogil=True)
-def _take(
-    data, start, length, link, mask, now_us, ports, memory, table, plans, numbers, hits, steps,
-    tables, turn, received, sent, index, result,
-):  # fmt: skip
+def take(start, length, link, mask, now_us, ports, turn, wire):
     """Count, patch and record the frames of one plain datagram."""
+    data, memory, table, plans, received, sent, index = wire[:7]
     at, end = start, start + length
     while at < end:
         if data[at] == 0xFD:
@@ -353,166 +339,9 @@ def _take(
         if entry[KIND] == PLANNED and _is_for(
             plans[entry[PLAN]], sender, ports[link, FROM_VEHICLE]
         ):
-            changed = _patch(
-                data, at, head, size, entry[PLAN], t_us, entry[EXTRA], plans, numbers, hits,
-                steps, tables, result,
-            )  # fmt: skip
+            changed = _patch(at, head, size, entry, t_us, wire)
             ports[link, FAULTED] += changed
             turn[HITS] |= changed
         if turn[KEEP] and mask:
             _log(sent, SENT_AT, turn, now_us, data, at, whole)
         at += whole
-
-
-@njit(cache=True, nogil=True)
-def _peer(names, peers, count):
-    """Which known peer a datagram came from, -1 if from none."""
-    for peer in range(count):
-        same = True
-        for k in range(16):
-            if names[k] != peers[peer, k]:
-                same = False
-                break
-        if same:
-            return peer
-    return -1
-
-
-@njit(cache=True, nogil=True)
-def _send(first, last, source, link, ports, headers, parts, peers, name_lengths):
-    """Send rows of `source` to all peers of a link."""
-    count = last - first
-    length = np.int64(0)
-    for k in range(first, last):
-        length += parts[source, k, 1]
-    listens = ports[link, LISTENS]
-    if listens and ports[link, PEER_COUNT] == 0:
-        ports[link, DROPS] += count
-        return
-    for peer in range(max(ports[link, PEER_COUNT], 1) if listens else 1):
-        for k in range(first, last):
-            headers[source, k, 0] = peers[link, peer].ctypes.data if listens else 0
-            headers[source, k, 1] = name_lengths[link] if listens else 0
-        done = first
-        refused = 0
-        while done < last:
-            went = _sendmmsg(
-                ports[link, FD], headers[source, done].ctypes.data, last - done, DONTWAIT
-            )
-            if went > 0:
-                done += went
-                ports[link, SENT] += went
-            elif refused == 0:  # an error of an earlier datagram, now reported: try again
-                refused = 1
-                ports[link, ERRORS] += 1
-            else:
-                ports[link, DROPS] += 1
-                refused = 0
-                done += 1
-        ports[link, BYTES_SENT] += length
-
-
-@njit(cache=True, nogil=True)
-def _drain(
-    link, ports, heads, headers, parts, names, peers, name_lengths, heard, data, memory, table,
-    plans, numbers, hits, steps, tables, histogram, turn, received, sent, index, result,
-):  # fmt: skip
-    """Pass on one batch of a link; False if it stopped at a datagram that is not plain."""
-    started = _now_ns(turn)
-    now_us = (turn[BASE] + started) // 1000
-    if turn[AT] >= turn[COUNT]:
-        for k in range(BATCH):
-            heads[link, k, 1] = NAME
-        count = _recvmmsg(ports[link, FD], heads[link].ctypes.data, BATCH, DONTWAIT, 0)
-        if count <= 0:
-            return True
-        turn[LINK], turn[AT], turn[COUNT] = link, 0, count
-        ports[link, DATAGRAMS] += count
-        for k in range(count):
-            ports[link, BYTES] += heads[link, k, 7] & 0xFFFFFFFF
-    everywhere = (np.int64(1) << ports.shape[0]) - 1
-    fast = np.int64(0)
-    for other in range(ports.shape[0]):
-        fast |= ports[other, FAST] << other
-    bit = np.int64(1) << link
-    begun = turn[AT]
-    plain = True
-    while plain and turn[AT] < turn[COUNT]:
-        first = turn[AT]
-        at = first
-        run_mask = np.int64(-1)
-        while at < turn[COUNT]:
-            length = heads[link, at, 7] & 0xFFFFFFFF
-            start = (link * BATCH + at) * ROW
-            peer = 0
-            if ports[link, LISTENS]:
-                peer = _peer(names[link, at], peers[link], ports[link, PEER_COUNT])
-            mask = np.int64(-1)
-            if peer >= 0 and length > 0:
-                mask = _check(
-                    data, start, length, bit, fast, everywhere, memory, table, plans, tables, turn
-                )
-            if mask < 0 or (run_mask >= 0 and mask != run_mask):
-                plain = mask >= 0
-                break
-            run_mask = mask
-            heard[link, peer] = 1
-            _take(
-                data, start, length, link, mask, now_us, ports, memory, table, plans, numbers,
-                hits, steps, tables, turn, received, sent, index, result,
-            )  # fmt: skip
-            parts[link, at, 1] = length
-            at += 1
-        if at > first:
-            for other in range(ports.shape[0]):
-                if run_mask >> other & 1:
-                    _send(first, at, link, other, ports, headers, parts, peers, name_lengths)
-        turn[AT] = at
-    spent = max(_now_ns(turn) - started, 16)
-    octave = np.int64(0)
-    while spent >> octave:
-        octave += 1
-    histogram[link, octave << 3 | spent >> (octave - 4) & 7] += turn[AT] - begun
-    return plain
-
-
-@njit(cache=True, nogil=True)
-def forward(
-    ports, heads, headers, parts, names, peers, name_lengths, heard, data, memory, table, plans,
-    numbers, hits, steps, tables, histogram, polls, turn, received, sent, index, result,
-):  # fmt: skip
-    """Forward until the deadline, or until something is left to the plain path; says which."""
-    count = ports.shape[0]
-    link = turn[LINK]
-    wait = np.zeros(2, np.int64)
-    while True:
-        if turn[KEEP] and max(turn[RECEIVED_AT], turn[SENT_AT]) > LOG_SIZE - LOG_MARGIN:
-            return LOG_FULL
-        now = _now_ns(turn)
-        if now >= turn[DEADLINE]:
-            return TIME_IS_UP
-        resumed = turn[AT] < turn[COUNT]
-        other_ready = False
-        if not resumed:
-            if turn[SPIN] == 0:
-                rest = turn[DEADLINE] - now
-                wait[0], wait[1] = rest // 1_000_000_000, rest % 1_000_000_000
-                if _ppoll(polls.ctypes.data, turn[POLLS], wait.ctypes.data, 0) < 0:
-                    return TIME_IS_UP  # a signal
-                for k in range(count, turn[POLLS]):
-                    other_ready |= polls[k] >> 48 != 0
-            link = np.int64(0)
-        while link < count:
-            ready = turn[AT] < turn[COUNT] or turn[SPIN] or polls[link] >> 48 != 0
-            if ports[link, FAST] and ready:
-                if not _drain(
-                    link, ports, heads, headers, parts, names, peers, name_lengths, heard, data,
-                    memory, table, plans, numbers, hits, steps, tables, histogram, turn, received,
-                    sent, index, result,
-                ):  # fmt: skip
-                    return NOT_PLAIN
-            elif ready and not turn[SPIN]:
-                other_ready = True
-            link += 1
-        if other_ready:
-            return OTHER_READY

@@ -112,8 +112,13 @@ class Live:
                     raise error from None
                 LOG.warning("no live control: %s", error)
                 return
-        self._bus.answer("@ctl/**", self._answer)
-        self._bus.alive("proxy")
+        self.offer(self._bus)
+
+    def offer(self, bus: Bus) -> None:
+        """Answer queries on a bus that is open."""
+        self._bus = bus
+        bus.answer("@ctl/**", self._answer)
+        bus.alive("proxy")
 
     def open_rflysim(self, port: int = FIRST_PORT) -> int:
         """Listen for RflySim's packets on loopback; the port."""

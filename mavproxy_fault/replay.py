@@ -103,6 +103,7 @@ def main(args: argparse.Namespace) -> int:
         out = Path(args.out)
         if out.exists() and out.samefile(path):
             raise ConfigError(f"{out}: is the log that is replayed; allowed: another file")
+        out.parent.mkdir(parents=True, exist_ok=True)
         labels = to_log(source, engine, out)
         print(f"{out}\n{labels}")
         return 0

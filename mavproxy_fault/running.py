@@ -1,7 +1,7 @@
 """One entry of a schedule at work: when it is active, what it did, and the labels for it."""
 
 import math
-from typing import Any
+from typing import Any, get_type_hints
 from zlib import crc32
 
 import msgspec
@@ -240,27 +240,37 @@ class Running:
         ConfigError
             If the fault has no value.
         """
-        profile = getattr(self.fault, "profile", None)
+        inner = getattr(self.fault, "fault", self.fault)  # what acts on satellites is wrapped
+        profile = getattr(inner, "profile", None)
         if profile is not None and profile.live is not None:
-            if sent_us is not None:
-                self.latency_us = t_us - sent_us
-                if self.latency_us > profile.live.timeout_s * 1e6:
-                    raise ConfigError(
-                        f"update: {self.entry.id} = {value} is {self.latency_us * 1e-6:.3f} s old; "
-                        f"values older than {profile.live.timeout_s} s are refused"
-                    )
-            self.live = (value, t_us)
-            for direction, state in self.states.items():
-                self.states[direction] = self.fault.fed(state, value, t_us)
-        elif getattr(self.fault, "value", None) is not None:
-            written = {**self.entry.written, "value": value}
-            self.fault = msgspec.structs.replace(self.fault, value=value)
-            self.entry = msgspec.structs.replace(self.entry, fault=self.fault, written=written)
-        else:
+            self._stream(value, t_us, sent_us, profile.live.timeout_s)
+            return
+        if getattr(inner, "value", None) is None:
             raise ConfigError(
                 f"update: {self.entry.id} ({self.entry.name}) has no value to change; "
                 "clear it and arm another"
             )
+        try:
+            hints = get_type_hints(type(inner), include_extras=True)
+            changed = msgspec.structs.replace(inner, value=msgspec.convert(value, hints["value"]))
+        except (ValueError, msgspec.ValidationError) as error:
+            raise ConfigError(f"update: {self.entry.id} = {value}: {error}") from None
+        wrapped = inner is not self.fault
+        self.fault = msgspec.structs.replace(self.fault, fault=changed) if wrapped else changed
+        written = {**self.entry.written, "value": value}
+        self.entry = msgspec.structs.replace(self.entry, fault=self.fault, written=written)
+
+    def _stream(self, value: float, t_us: int, sent_us: int | None, timeout_s: float) -> None:
+        if sent_us is not None:
+            self.latency_us = t_us - sent_us
+            if self.latency_us > timeout_s * 1e6:
+                raise ConfigError(
+                    f"update: {self.entry.id} = {value} is {self.latency_us / 1e6:.3f} s old; "
+                    f"values older than {timeout_s} s are refused"
+                )
+        self.live = (value, t_us)
+        for direction, state in self.states.items():
+            self.states[direction] = self.fault.fed(state, value, t_us)
 
     def state(self) -> dict[str, Any]:
         """What a page shows of it."""

@@ -274,7 +274,10 @@ def _load_fast() -> None:
     """
     if not _is_compiled():
         code = f"import os; os.nice(10); from {_FAST} import compile_now; compile_now()"
-        made = subprocess.run([sys.executable, "-c", code], stdin=subprocess.DEVNULL, check=False)
+        quiet = subprocess.DEVNULL  # it may outlive us: nobody must wait for its output to end
+        made = subprocess.run(
+            [sys.executable, "-c", code], stdin=quiet, stdout=quiet, stderr=quiet, check=False
+        )
         if made.returncode != 0:
             return
     with short_turns():
@@ -285,9 +288,10 @@ def _load_fast() -> None:
 
 def _is_compiled() -> bool:
     """Whether the machine code beside the sources is younger than they are."""
-    source = Path(__file__).with_name("kernel.py")
-    made = source.parent.glob(f"__pycache__/kernel.forward-*.py3{sys.version_info.minor}.nbi")
-    return any(path.stat().st_mtime > source.stat().st_mtime for path in made)
+    here = Path(__file__).parent
+    changed = max((here / name).stat().st_mtime for name in ("kernel.py", "pump.py"))
+    made = here.glob(f"__pycache__/pump.forward-*.py3{sys.version_info.minor}.nbi")
+    return any(path.stat().st_mtime > changed for path in made)
 
 
 @contextlib.contextmanager

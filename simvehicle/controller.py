@@ -8,6 +8,7 @@ coefficients at the airspeed of the moment (chapter 6 of the same book).
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,6 +38,18 @@ class _Memory:
     speed: float = 0.0
     climb: float = 0.0
     bank: float = 0.0
+
+
+class _Now(NamedTuple):
+    """Roll, pitch [rad], body rates [rad/s], airspeed [m/s], dynamic pressure times area [N]."""
+
+    roll: float
+    pitch: float
+    p: float
+    q: float
+    r: float
+    airspeed: float
+    qs: float
 
 
 class FixedWingController:
@@ -111,60 +124,90 @@ class FixedWingController:
 
     def _attitude(self, truth: Truth, aim: Aim, bank: float, climb: float) -> Controls:
         """Surfaces and throttle for a bank angle, a height and a speed."""
-        dt = 1.0 / self.rate_hz
-        par, aero, body = self.vehicle.parameters, self.vehicle.aero, self.vehicle.body
-        memory, point = self._memory, self.trim(aim.speed_mps)
+        point = self.trim(aim.speed_mps)
+        now = self._now(truth, point)
+        wanted = self._climb_rate(truth, aim, now)
+        pitch = self._pitch(truth, point, now, wanted, climb)
+        throw_e, throw_a, throw_r = self.vehicle.throw_rad
+        values = [
+            self._elevator(point, now, pitch) / throw_e,
+            self._aileron(now, bank) / throw_a,
+            self._rudder(now) / throw_r,
+        ]
+        clipped = [max(-1.0, min(1.0, value)) for value in values]
+        throttle = self._throttle(point, now, wanted)
+        if self.landing and truth.height_agl_m < _FLARE_M:
+            throttle *= 0.5
+        return Controls(np.array([*clipped, max(0.0, min(1.0, throttle))]))
+
+    def _now(self, truth: Truth, point: Trim) -> _Now:
         roll, pitch, _ = euler_angles(truth.q_nb)
         p, q, r = truth.omega_b_rps.tolist()
         u, v, w = truth.v_air_b_mps.tolist()
         airspeed = max(math.sqrt(u * u + v * v + w * w), 0.5 * point.airspeed_mps)
-        qs = 0.5 * truth.density_kgpm3 * airspeed * airspeed * par.wing.area_m2
-        span, chord = par.wing.span_m, par.wing.chord_m
+        area = self.vehicle.parameters.wing.area_m2
+        qs = 0.5 * truth.density_kgpm3 * airspeed * airspeed * area
+        return _Now(roll, pitch, p, q, r, airspeed, qs)
 
-        # Height to climb rate to pitch; the angle of attack that carries the turn is fed forward.
-        error = aim.height_m - (truth.alt_msl_m - self.home_alt_m)
-        limit = _CLIMB_LIMIT * airspeed
-        wanted = max(-limit, min(limit, _HEIGHT_GAIN * error))
+    def _climb_rate(self, truth: Truth, aim: Aim, now: _Now) -> float:
+        """Climb rate that closes the height error, or the sink rate of a landing [m/s]."""
         if self.landing:
-            wanted = -_SINK_MPS if truth.height_agl_m > _FLARE_M else -_FLARE_MPS
-        if abs(wanted) < limit and not truth.on_ground:
-            memory.climb += 0.15 * (wanted - climb) / airspeed * dt
+            return -_SINK_MPS if truth.height_agl_m > _FLARE_M else -_FLARE_MPS
+        error = aim.height_m - (truth.alt_msl_m - self.home_alt_m)
+        limit = _CLIMB_LIMIT * now.airspeed
+        return max(-limit, min(limit, _HEIGHT_GAIN * error))
+
+    def _pitch(self, truth: Truth, point: Trim, now: _Now, wanted: float, climb: float) -> float:
+        """Pitch for a climb rate; the angle of attack that carries the turn is fed forward."""
+        aero, memory = self.vehicle.aero, self._memory
+        if abs(wanted) < _CLIMB_LIMIT * now.airspeed and not truth.on_ground:
+            memory.climb += 0.15 * (wanted - climb) / now.airspeed / self.rate_hz
         memory.climb = max(-0.15, min(0.15, memory.climb))
-        load = 1.0 / max(0.5, math.cos(roll))
-        lift = load * par.mass_kg * _G / qs
+        load = 1.0 / max(0.5, math.cos(now.roll))
+        lift = load * self.vehicle.parameters.mass_kg * _G / now.qs
         alpha = (lift - aero.cl0 - aero.clde * point.elevator_rad) / aero.cla
-        pitch_wanted = min(0.3, alpha) + wanted / airspeed + memory.climb
-        pitch_wanted = max(-_PITCH_LIMIT, min(_PITCH_LIMIT, pitch_wanted))
+        pitch = min(0.3, alpha) + wanted / now.airspeed + memory.climb
+        return max(-_PITCH_LIMIT, min(_PITCH_LIMIT, pitch))
 
-        stiffness = -qs * chord * aero.cma * body.inverse_jy
-        power = qs * chord * aero.cmde * body.inverse_jy
-        damping = -0.5 * qs * chord * chord * aero.cmq / airspeed * body.inverse_jy
-        omega2 = max(stiffness, 20.0)
-        lack = max(0.0, 1.4 * math.sqrt(stiffness + omega2) - damping)
-        memory.pitch += 0.5 * omega2 * (pitch_wanted - pitch) * dt
+    def _elevator(self, point: Trim, now: _Now, pitch: float) -> float:
+        """Deflection [rad] that doubles the airframe's own pitch stiffness and adds damping."""
+        aero, memory, inverse = self.vehicle.aero, self._memory, self.vehicle.body.inverse_jy
+        chord = self.vehicle.parameters.wing.chord_m
+        own = -now.qs * chord * aero.cma * inverse
+        power = now.qs * chord * aero.cmde * inverse
+        damping = -0.5 * now.qs * chord * chord * aero.cmq / now.airspeed * inverse
+        added = max(own, 20.0)
+        lack = max(0.0, 1.4 * math.sqrt(max(0.0, own + added)) - damping)
+        memory.pitch += 0.5 * added * (pitch - now.pitch) / self.rate_hz
         memory.pitch = max(-10.0, min(10.0, memory.pitch))
-        pitch_rate = _G / airspeed * math.tan(roll) * math.sin(roll)
-        elevator = (
-            omega2 * (pitch_wanted - pitch) + memory.pitch - lack * (q - pitch_rate)
-        ) / power + point.elevator_rad
+        turning = _G / now.airspeed * math.tan(now.roll) * math.sin(now.roll)
+        moment = added * (pitch - now.pitch) + memory.pitch - lack * (now.q - turning)
+        return moment / power + point.elevator_rad
 
-        damping = -0.5 * qs * span * span / airspeed * (body.g3 * aero.crp + body.g4 * aero.cnp)
-        power = qs * span * (body.g3 * aero.crda + body.g4 * aero.cnda)
+    def _aileron(self, now: _Now, bank: float) -> float:
+        """Deflection [rad] for a bank angle."""
+        aero, body, memory = self.vehicle.aero, self.vehicle.body, self._memory
+        span = self.vehicle.parameters.wing.span_m
+        gain = 0.5 * now.qs * span * span / now.airspeed
+        damping = -gain * (body.g3 * aero.crp + body.g4 * aero.cnp)
+        power = now.qs * span * (body.g3 * aero.crda + body.g4 * aero.cnda)
         stiff = max(25.0, 3.5 * damping)
         lack = max(0.0, 1.4 * math.sqrt(stiff) - damping)
-        memory.bank = max(-0.3, min(0.3, memory.bank + 0.3 * (bank - roll) * dt))
-        aileron = (stiff * (bank + memory.bank - roll) - lack * p) / power
+        held = memory.bank + 0.3 * (bank - now.roll) / self.rate_hz
+        memory.bank = max(-0.3, min(0.3, held))
+        return (stiff * (bank + memory.bank - now.roll) - lack * now.p) / power
 
-        power = qs * span * (body.g4 * aero.crdr + body.g8 * aero.cndr)
-        turning = _G / airspeed * math.sin(roll)
-        rudder = -1.0 * (r - turning) / power if abs(power) > 1e-6 else 0.0
+    def _rudder(self, now: _Now) -> float:
+        """Deflection [rad] that damps yaw about the rate of a coordinated turn."""
+        aero, body = self.vehicle.aero, self.vehicle.body
+        span = self.vehicle.parameters.wing.span_m
+        power = now.qs * span * (body.g4 * aero.crdr + body.g8 * aero.cndr)
+        turning = _G / now.airspeed * math.sin(now.roll)
+        return -(now.r - turning) / power if abs(power) > 1e-6 else 0.0
 
-        short = point.airspeed_mps - airspeed
-        memory.speed = max(-0.5, min(0.5, memory.speed + 0.02 * short * dt))
-        throttle = point.throttle + 0.1 * short + memory.speed + 1.5 * wanted / airspeed
-        throw_e, throw_a, throw_r = self.vehicle.throw_rad
-        values = [elevator / throw_e, aileron / throw_a, rudder / throw_r]
-        clipped = [max(-1.0, min(1.0, value)) for value in values]
-        if self.landing and truth.height_agl_m < _FLARE_M:
-            throttle *= 0.5
-        return Controls(np.array([*clipped, max(0.0, min(1.0, throttle))]))
+    def _throttle(self, point: Trim, now: _Now, wanted: float) -> float:
+        """Throttle for the airspeed and the climb rate."""
+        short = point.airspeed_mps - now.airspeed
+        held = self._memory.speed + 0.02 * short / self.rate_hz
+        self._memory.speed = max(-0.5, min(0.5, held))
+        return point.throttle + 0.1 * short + self._memory.speed + 1.5 * wanted / now.airspeed

@@ -6,11 +6,10 @@ from mavproxy_fault.wire.parser import Parser
 
 
 class Inbox:
-    """A link's parsers; `ended` counts the streams whose peer has closed."""
+    """A link and the parsers of its streams."""
 
     def __init__(self, link: Link) -> None:
         self.link = link
-        self.ended = 0
         self._parsers: dict[int, Parser] = {}
 
     def frames(self) -> list[Frame]:
@@ -18,7 +17,6 @@ class Inbox:
         found = []
         for stream, data in self.link.read():
             if not data:
-                self.ended += 1
                 self._parsers.pop(stream, None)
                 continue
             parser = self._parsers.setdefault(stream, Parser())

@@ -29,6 +29,7 @@ _TILT_MPS2 = 0.7 * _G  # largest horizontal acceleration, 35 degrees of tilt
 _YAW_RATE_RPS = 1.0
 _ATTITUDE_GAIN = 8.0  # 1/s
 _RATE_GAIN = 22.0  # 1/s
+_CLEAR_M = 2.0  # of height to gather speed in
 _CLOSE_M = 1.0  # from the place to land on
 _TURN_LEAD_S = 0.15
 
@@ -130,7 +131,10 @@ class MultirotorController:
             self.track = self.circle(north, east, end.height_m, end.speed_mps)
         vn, ve, vd = truth.v_ned_mps.tolist()
         aim = self.track.look(north, east, math.hypot(vn, ve) * _TURN_LEAD_S)
-        accel = self._acceleration(aim, height, (vn, ve, vd))
+        # Near the ground it climbs before it goes anywhere, unless that is as high as it shall go.
+        room = max(0.0, min(1.0, (truth.height_agl_m - 1.0) / _CLEAR_M))
+        room = max(room, 1.0 if aim.height_m - height < 0.5 or self.landing else 0.0)
+        accel = self._acceleration(aim, height, (vn, ve, vd), room)
         yaw = self._yaw(aim, truth)
         motor = self.vehicle.parameters.motor
         thrust = motor.thrust_n_per_rps2 * truth.density_kgpm3 / SEA_LEVEL_KGPM3
@@ -140,8 +144,10 @@ class MultirotorController:
         )
         return Controls(values)
 
-    def _acceleration(self, aim: Aim, height: float, velocity: tuple[float, float, float]) -> Array:
-        """Wanted acceleration without gravity, NED (3,) [m/s^2]."""
+    def _acceleration(
+        self, aim: Aim, height: float, velocity: tuple[float, float, float], room: float
+    ) -> Array:
+        """Wanted acceleration without gravity, NED (3,) [m/s^2]; `room` scales the speed ahead."""
         c, s = math.cos(aim.course_rad), math.sin(aim.course_rad)
         closing = max(
             -aim.speed_mps - 1.0, min(aim.speed_mps + 1.0, _TRACK_GAIN * aim.cross_track_m)
@@ -150,9 +156,10 @@ class MultirotorController:
         if self.landing and math.hypot(aim.cross_track_m, aim.distance_m) < _CLOSE_M:
             climb = -_LANDING_MPS if height < 5.0 else -_SINK_MPS
         climb = max(-_SINK_MPS, min(_CLIMB_MPS, climb))
+        ahead = aim.speed_mps * room
         wanted = (
-            aim.speed_mps * c + closing * s,
-            aim.speed_mps * s - closing * c,
+            ahead * c + closing * s,
+            ahead * s - closing * c,
             -climb,
         )
         bend = aim.curvature_pm * aim.speed_mps**2

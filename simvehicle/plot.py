@@ -94,7 +94,7 @@ def draw(flight: Flight, title: str, wing: bool) -> Any:
     panels = [
         ("height above ground [m]", flight.height_agl_m[:, None], [""]),
         ("speed [m/s]", _speeds(flight), ["airspeed", "over ground"]),
-        ("attitude [deg]", flight.euler_deg, ["roll", "pitch", "yaw"]),
+        ("attitude [deg]", _unbroken(flight.euler_deg), ["roll", "pitch", "yaw"]),
         ("body rates [deg/s]", flight.rates_dps, ["p", "q", "r"]),
         ("controls", flight.controls, names),
     ]
@@ -127,3 +127,10 @@ def path(axes: Any, flight: Flight) -> None:
 def _speeds(flight: Flight) -> Array:
     ground = np.hypot(flight.v_ned_mps[:, 0], flight.v_ned_mps[:, 1])
     return np.stack([flight.airspeed_mps, ground], axis=-1)
+
+
+def _unbroken(angles_deg: Array) -> Array:
+    """Angles with a gap instead of a stroke where they wrap."""
+    out = angles_deg.copy()
+    out[1:][np.abs(np.diff(angles_deg, axis=0)) > 180.0] = np.nan
+    return out

@@ -2,7 +2,7 @@
 
 With `--hil tcpin:` (or `tcp:`) an autopilot flies the vehicle in lockstep; else its own controller
 does, and HIL frames are published to whoever listens. With `--gcs` a ground station commands it;
-without one the scenario's mission is flown to its end.
+a mission of the scenario's own is flown until it does. Without one the scenario ends in time.
 """
 
 import argparse
@@ -32,7 +32,13 @@ from simvehicle.services.parameters import Parameters
 from simvehicle.services.telemetry import Home
 from simvehicle.simulation import Simulation
 
-WING: dict[str, int | float] = {"MIS_TAKEOFF_ALT": 50.0, "RTL_RETURN_ALT": 100.0}  # m above home
+# What differs from the common parameters; SYS_AUTOSTART is PX4's airframe that flies the same way
+MULTIROTOR: dict[str, int | float] = {"SYS_AUTOSTART": 10016}
+WING: dict[str, int | float] = {
+    "SYS_AUTOSTART": 1030,
+    "MIS_TAKEOFF_ALT": 50.0,
+    "RTL_RETURN_ALT": 100.0,
+}
 DATAGRAM = 1400  # bytes that cross an Ethernet in one piece
 
 
@@ -152,7 +158,8 @@ class FreeLoop:
 
     def step(self) -> None:
         """One step of the simulation and of everything on the links."""
-        controls = self._pilot.controls() if self._pilot else None
+        pilot = self._pilot
+        controls = pilot.controls() if pilot and pilot.flight.flown else None
         self.t_us, truth, readings = self._simulation.step(controls)
         if self._hil:
             for chunk in datagrams(self._packer.frames(self.t_us, truth, readings)):
@@ -182,13 +189,14 @@ def services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:
     """The ground station's view of a simulation, and who flies what it commands."""
     start = simulation.scenario.start
     wing = simulation.scenario.vehicle.kind == "fixedwing"
-    parameters, missions = Parameters(WING if wing else {}), Missions()
+    parameters, missions = Parameters(WING if wing else MULTIROTOR), Missions()
     flight = Flight(
         parameters,
         missions,
         Home(start.lat_deg, start.lon_deg, start.alt_m),
         simulation.home.ned,
         airborne=start.height_m > 0.0,
+        own_mission=bool(simulation.scenario.mission),
         acceptance_m=_acceptance_m(simulation) if wing else float(parameters["NAV_ACC_RAD"]),
     )
     count = 1 if wing else simulation.vehicle.controls_count
@@ -213,6 +221,9 @@ def _acceptance_m(simulation: Simulation) -> float:
 
 def datagrams(frames: list[bytes]) -> list[bytes]:
     """Frames joined to chunks that fit a datagram."""
+    whole = b"".join(frames)
+    if len(whole) <= DATAGRAM:
+        return [whole]
     chunks = [b""]
     for frame in frames:
         if len(chunks[-1]) + len(frame) > DATAGRAM:

@@ -20,16 +20,14 @@ from mavproxy_fault.errors import ConfigError
 from simvehicle.air import GUSTS, Gusts, wind_step
 from simvehicle.body import Controls, Truth
 from simvehicle.controller import FixedWingController
-from simvehicle.geomagnetism import field_ned_gauss
-from simvehicle.gnss.sensor import gnss_sensor
 from simvehicle.guidance import PathTrack
 from simvehicle.mission import plan
 from simvehicle.multirotor_controller import MultirotorController
+from simvehicle.onboard import fit
 from simvehicle.place import Home, locate
 from simvehicle.readings import Reading
 from simvehicle.rotation import quat_from_euler
 from simvehicle.scenario import GustChoice, Scenario
-from simvehicle.sensors.base import Sensor
 from simvehicle.terrain import Grid, Level, read_grid
 from simvehicle.vehicles.fixedwing import FixedWing
 from simvehicle.vehicles.multirotor import Multirotor
@@ -40,25 +38,6 @@ _LONGEST_STEP_S = 0.005  # a ground contact is stiff
 _BLOCK = 512
 _NO_SHEAR = (1.0, 1.0, 0.0)
 _WINDS = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
-
-
-class _Fitted:
-    """A sensor on board: its moving state, its stream and when it is due."""
-
-    def __init__(self, name: str, sensor: Sensor, seed: int) -> None:
-        self.name, self.sensor = name, sensor
-        self.rng = np.random.default_rng([seed, crc32(name.encode())])
-        self.state: Any = sensor.new_state(self.rng)
-        self.count = 1
-        self.due_us = 1e6 / sensor.rate_hz
-        self.latency_us = round(sensor.latency_s * 1e6)
-
-    def sample(self, truth: Truth) -> list[Reading]:
-        """Readings now."""
-        self.count += 1
-        self.due_us = self.count * 1e6 / self.sensor.rate_hz
-        found, self.state = self.sensor.sample(truth, self.state, self.rng)
-        return found if isinstance(found, list) else [found]
 
 
 class Simulation:
@@ -91,7 +70,7 @@ class Simulation:
         self._gust_rng = np.random.default_rng([self.seed, crc32(b"gusts")])
         self._filters = np.concatenate([self._gust_rng.standard_normal(1), np.zeros(4)])
         self._draws = self._gust_rng.standard_normal((_BLOCK, 5))
-        self._fitted = _fit(scenario, self.seed)
+        self._fitted = fit(scenario, self.seed)
         self._rate_hz = self._fitted[0].sensor.rate_hz
         self._count = 0
         self._t_us = 0
@@ -362,22 +341,3 @@ def _gusts(scenario: Scenario) -> Gusts:
     if isinstance(choice, GustChoice):
         return Gusts(choice.sigma_mps, choice.length_m)
     return GUSTS[choice]
-
-
-def _fit(scenario: Scenario, seed: int) -> list[_Fitted]:
-    """The sensors on board, the first inertial unit first."""
-    sensors, start = scenario.sensors, scenario.start
-    fitted: list[_Fitted] = []
-    for kind in sensors.__struct_fields__:
-        value = getattr(sensors, kind)
-        if value is None or (kind == "gps" and scenario.gnss is not None):
-            continue  # a receiver with raw observations takes the place of the simple one
-        for index, sensor in enumerate(value if isinstance(value, list) else [value]):
-            if kind == "mag" and sensor.field_ned_gauss is None:
-                field = field_ned_gauss(start.lat_deg, start.lon_deg, start.alt_m, start.time)
-                sensor = msgspec.structs.replace(sensor, field_ned_gauss=field)
-            fitted.append(_Fitted(f"{kind}{index}", sensor, seed))
-    if scenario.gnss is not None:
-        home = math.radians(start.lat_deg), math.radians(start.lon_deg)
-        fitted.append(_Fitted("gnss", gnss_sensor(scenario.gnss, *home), seed))
-    return fitted

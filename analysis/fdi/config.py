@@ -29,8 +29,8 @@ class SigmaModel:
     zenith_m: float = 0.4
     thermal_m: float = 0.3
     slow: float = 1.0
-    slow_mps: float = 0.03
-    rate_mps: float = 0.1
+    slow_mps: float = 0.02
+    rate_mps: float = 0.15
 
     def sigma_m(self, elevation_rad: Vector, cn0_dbhz: Vector) -> Vector:
         """One sigma (n,) of each pseudorange; 45 dBHz where C/N0 is not given."""
@@ -93,7 +93,7 @@ class DetectorConfig:
     """
 
     p_false_alarm: float = 1e-4
-    p_slow: float = 1e-5
+    p_slow: float = 1e-4
     p_other: float = 1e-5
     rule: str = "explicit"
     left_out: int = 3

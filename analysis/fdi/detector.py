@@ -71,14 +71,16 @@ class Detector:
         observed = observe(epoch, chosen)
         if observed is None:
             return [untestable(epoch, why_none(epoch, core.ephemerides), core)], state
+        if core.ranges_us is None or epoch.t_us - core.ranges_us > self.config.reset_s * 1e6:
+            core = _forgotten(core)  # what there is came from the receiver's own position
         motion = core.motion
         if motion is not None:
             since_s = (epoch.t_us - motion.t_us) * 1e-6
             if -self.config.reset_s < since_s <= 0.0:
                 return [untestable(epoch, f"time went back by {-since_s:.3f} s", core)], state
             if not 0.0 < since_s <= self.config.reset_s:
+                core = _forgotten(core)
                 motion = None
-                core = replace(core, motion=None, excluded={}, memory=None, history=())
         run, pending = split_pending(pending, epoch.t_us)
         if motion is None:
             results, core = self._start(epoch, observed, core)
@@ -168,6 +170,11 @@ def run(detector: Detector, samples: Iterable[Sample]) -> list[Result]:
         said, state = detector.step(sample, state)
         results += said
     return results
+
+
+def _forgotten(core: Core) -> Core:
+    """The core without its filter."""
+    return replace(core, motion=None, excluded={}, memory=None, history=())
 
 
 def _with_imu(sample: ImuSample, state: State) -> State:

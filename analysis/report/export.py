@@ -10,11 +10,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.report.from_dataflash import is_dataflash
-from analysis.results import read_results
+from analysis.results import encode, read_results
 from analysis.ulog import is_ulog, read_ulog
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.wire import tlog
@@ -45,14 +46,15 @@ def export(paths: Sequence[Path], folder: Path, form: str) -> None:
                 _write_parquet(target / f"{name}.parquet", table)
 
 
-def tables_of(path: Path) -> Iterator[tuple[str, Table]]:
-    """Name and columns of every table in a log."""
+def tables_of(path: Path, *, with_results: bool = True) -> Iterator[tuple[str, Table]]:
+    """Name and columns of every table in a log or a run's folder."""
     if path.is_dir():
         for name in ("received", "sent"):
             if (path / f"{name}.tlog").is_file():
                 for message, table in tables_of(path / f"{name}.tlog"):
                     yield f"{name}.{message}", table
-        yield from _result_tables(path / "results.jsonl")
+        if with_results:
+            yield from _result_tables(path / "results.jsonl")
         return
     with path.open("rb") as file:
         head = file.read(16)
@@ -126,8 +128,9 @@ def _write_mcap(path: Path, log: Path) -> None:
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType.ZSTD)
         writer.start(profile="", library="mavproxy-fault")
-        for name, table in tables_of(log):
+        for name, table in tables_of(log, with_results=False):
             _write_channel(writer, name, table)
+        _write_results(writer, log / "results.jsonl")
         writer.finish()
 
 
@@ -143,6 +146,23 @@ def _write_channel(writer: Any, name: str, table: Table) -> None:
         values = {key: _finite(value) for key, value in zip(table, row, strict=True)}
         data = json.dumps(values, allow_nan=False).encode()
         writer.add_message(channel, log_time=max(stamp, 0), data=data, publish_time=max(stamp, 0))
+
+
+def _write_results(writer: Any, path: Path) -> None:
+    """Results whole, as `results.jsonl` holds them, a channel per kind under `/results`."""
+    if not path.is_file():
+        return
+    channels: dict[str, int] = {}
+    for result in read_results(path):
+        kind = type(result).__name__
+        if kind not in channels:
+            schema = json.dumps(msgspec.json.schema(type(result))).encode()
+            schema_id = writer.register_schema(kind, "jsonschema", schema)
+            channels[kind] = writer.register_channel(f"/results/{kind}", "json", schema_id)
+        time_ns = max(result.t_us, 0) * 1000
+        writer.add_message(
+            channels[kind], log_time=time_ns, data=encode(result), publish_time=time_ns
+        )
 
 
 def _json_type(column: NDArray[Any]) -> str:

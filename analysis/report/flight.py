@@ -33,78 +33,71 @@ FEWEST_FRAMES = 500  # of a sender, for its losses to be judged
 GRAVE = re.compile(r"crash|emergency|parachute|terminat|failsafe", re.IGNORECASE)
 
 
+Windows = Sequence[tuple[float, float]]
+
+
 def flight_checks(recording: Recording, thresholds: Thresholds) -> list[Check]:
     """Every check on one flight, judged or not."""
-    th = thresholds
     armed = armed_windows(recording)
-    vibration = (
-        th.vibration_px4_mps2 if recording.autopilot == "px4" else th.vibration_ardupilot_mps2
-    )
-    hold = th.hold_s
-    of = recording.of
     return [
-        _whole(recording, th),
-        *_links(recording, th),
-        level("vibration", of("vibration"), Limits(*vibration, "m/s²", hold_s=hold), armed),
-        _clipping(recording, th, armed),
-        _fix(recording, th, armed),
-        level(
-            "GPS satellites",
-            of("gps-satellites") if _has_fix(recording) else [],
-            Limits(*th.gps_satellites, below=True, hold_s=hold),
-            armed,
-        ),
-        level(
-            "GPS dilution of precision",
-            of("gps-dilution"),
-            Limits(*th.gps_dilution, hold_s=hold),
-            armed,
-        ),
-        level("GPS jumps", of("gps-jump"), Limits(*th.gps_step_m, "m"), armed),
-        level(
-            "GPS jamming indicator", _jamming(recording), Limits(*th.gps_jamming, hold_s=hold), None
-        ),
-        level(
-            "innovation test ratios",
-            of("ratio"),
-            Limits(*th.innovation_ratio, hold_s=hold),
-            armed,
-        ),
-        level("EKF variances", of("variance"), Limits(*th.ekf_variance, hold_s=hold), armed),
-        level("estimate steps", of("estimate-jump"), Limits(*th.estimate_step_m, "m"), armed),
-        level(
-            "compass field strength",
-            _compass(recording),
-            Limits(*th.compass_change_percent, "% off its median", hold_s=hold),
-            armed,
-        ),
-        level(
-            "battery remaining",
-            of("battery-remaining"),
-            Limits(*th.battery_remaining_percent, "%", below=True, hold_s=hold),
-            armed,
-        ),
-        level(
-            "board voltage",
-            [s for s in of("board-voltage") if s.value.max(initial=0) > 0],
-            Limits(*th.board_voltage_v, "V", below=True),
-            armed,
-        ),
-        level(
-            "position against the truth",
-            [s for s in of("position-error") if s.name in ("estimate", "fused")],
-            Limits(*th.position_error_m, "m", hold_s=hold),
-            armed,
-        ),
-        level(
-            "attitude against the truth",
-            _tilt_errors(recording),
-            Limits(*th.attitude_error_deg, "deg", hold_s=hold),
-            armed,
-        ),
+        _whole(recording, thresholds),
+        *_links(recording, thresholds),
+        *_body(recording, thresholds, armed),
+        *_gps(recording, thresholds, armed),
+        *_estimate(recording, thresholds, armed),
         _flags(recording, armed),
         _texts(recording, armed),
         _status(recording, armed),
+    ]
+
+
+def _body(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
+    """Vibration, compass and power."""
+    of, hold = recording.of, th.hold_s
+    shaking = th.vibration_px4_mps2 if recording.autopilot == "px4" else th.vibration_ardupilot_mps2
+    compass = Limits(*th.compass_change_percent, "% off its median", hold_s=hold)
+    remaining = Limits(*th.battery_remaining_percent, "%", below=True, hold_s=hold)
+    powered = [s for s in of("board-voltage") if s.value.max(initial=0) > 0]
+    voltage = Limits(*th.board_voltage_v, "V", below=True)
+    return [
+        level("vibration", of("vibration"), Limits(*shaking, "m/s²", hold_s=hold), armed),
+        _clipping(recording, th, armed),
+        level("compass field strength", _compass(recording), compass, armed),
+        level("battery remaining", of("battery-remaining"), remaining, armed),
+        level("board voltage", powered, voltage, armed),
+    ]
+
+
+def _gps(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
+    of, hold = recording.of, th.hold_s
+    used = of("gps-satellites") if _has_fix(recording) else []
+    satellites = Limits(*th.gps_satellites, below=True, hold_s=hold)
+    dilution = Limits(*th.gps_dilution, hold_s=hold)
+    jamming = Limits(*th.gps_jamming, hold_s=hold)
+    return [
+        _fix(recording, th, armed),
+        level("GPS satellites", used, satellites, armed),
+        level("GPS dilution of precision", of("gps-dilution"), dilution, armed),
+        level("GPS jumps", of("gps-jump"), Limits(*th.gps_step_m, "m"), armed),
+        level("GPS jamming indicator", _jamming(recording), jamming, None),
+    ]
+
+
+def _estimate(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
+    """The autopilot's estimator, by its own account and against the truth."""
+    of, hold = recording.of, th.hold_s
+    ratio = Limits(*th.innovation_ratio, hold_s=hold)
+    variance = Limits(*th.ekf_variance, hold_s=hold)
+    step = Limits(*th.estimate_step_m, "m")
+    far = Limits(*th.position_error_m, "m", hold_s=hold)
+    tilted = Limits(*th.attitude_error_deg, "deg", hold_s=hold)
+    positions = [s for s in of("position-error") if s.name in ("estimate", "fused")]
+    return [
+        level("innovation test ratios", of("ratio"), ratio, armed),
+        level("EKF variances", of("variance"), variance, armed),
+        level("estimate steps", of("estimate-jump"), step, armed),
+        level("position against the truth", positions, far, armed),
+        level("attitude against the truth", _tilt_errors(recording), tilted, armed),
     ]
 
 
@@ -147,9 +140,7 @@ def _has_fix(recording: Recording) -> bool:
     return any(signal.value.max(initial=0) >= FIX_2D for signal in recording.of("gps-fix"))
 
 
-def _fix(
-    recording: Recording, th: Thresholds, armed: Sequence[tuple[float, float]] | None
-) -> Check:
+def _fix(recording: Recording, th: Thresholds, armed: Windows | None) -> Check:
     """A receiver without any fix may be one nobody relies on: that is a warning, no failure."""
     fixes = recording.of("gps-fix")
     limits = Limits(*th.gps_fix_type, below=True, hold_s=th.hold_s)
@@ -161,9 +152,7 @@ def _fix(
     )
 
 
-def _clipping(
-    recording: Recording, th: Thresholds, armed: Sequence[tuple[float, float]] | None
-) -> Check:
+def _clipping(recording: Recording, th: Thresholds, armed: Windows | None) -> Check:
     """Counts since the first one of the log, or since arming."""
     grown = []
     for signal in recording.of("clipping"):
@@ -202,7 +191,7 @@ def _tilt_errors(recording: Recording) -> list[Signal]:
     return found
 
 
-def _texts(recording: Recording, armed: Sequence[tuple[float, float]] | None) -> Check:
+def _texts(recording: Recording, armed: Windows | None) -> Check:
     texts = [event for event in recording.events if event.kind == "text"]
     name = "messages of the autopilot"
     if not texts:
@@ -222,7 +211,7 @@ def _texts(recording: Recording, armed: Sequence[tuple[float, float]] | None) ->
     )
 
 
-def _flags(recording: Recording, armed: Sequence[tuple[float, float]] | None) -> Check:
+def _flags(recording: Recording, armed: Windows | None) -> Check:
     """Flags by which the autopilot itself says that something is wrong."""
     name = "flags of the autopilot"
     spans = [s for s in recording.spans if s.kind == "flag"]
@@ -238,11 +227,11 @@ def _flags(recording: Recording, armed: Sequence[tuple[float, float]] | None) ->
     return Check(name=name, verdict=WARN, evidence=shown, limit="warn: any", windows=windows)
 
 
-def _within(t_s: float, windows: Sequence[tuple[float, float]] | None) -> bool:
+def _within(t_s: float, windows: Windows | None) -> bool:
     return windows is None or any(start <= t_s <= end for start, end in windows)
 
 
-def _status(recording: Recording, armed: Sequence[tuple[float, float]] | None) -> Check:
+def _status(recording: Recording, armed: Windows | None) -> Check:
     name = "system status of the autopilot"
     if not any(span.lane.startswith("mode") for span in recording.spans):
         return Check(name=name, verdict=NONE, evidence="no heartbeats in the log")

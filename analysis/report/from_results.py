@@ -170,7 +170,7 @@ def isolation_matrix(
     if not counts[AFTER]:
         del counts[AFTER]
     heads = sorted({column for row in counts.values() for column in row}, key=_rank)
-    return heads, {row: [counts[row][head] for head in heads] for row in rows}
+    return heads, {row: [counts[row][head] for head in heads] for row in counts}
 
 
 def _just_after(labels: Sequence[Label], t_us: int) -> bool:

@@ -133,14 +133,18 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Rec
     """Everything of a ULog that a report shows; the axis starts at `t0_us` or the log's start."""
     start_us = log.start_us if t0_us is None else t0_us
     found = Recording(name)
+    log_lacks: list[str] = []
     for (topic_name, instance), topic in sorted(log.topics.items()):
         t_s: Values = (topic["timestamp"].astype(np.float64) - start_us) * 1e-6
         suffix = f" {instance + 1}" if instance else ""
         for topic_of_curve, panel, label, values in CURVES:
             if topic_of_curve == topic_name and (y := _values(topic, values)) is not None:
                 found.signals.append(Signal(panel, label + suffix, t_s, y))
-        found.tracks.extend(_tracks(topic_name, suffix, topic, t_s))
-        found.spans.extend(_spans(topic_name, suffix, topic, t_s))
+        try:
+            found.tracks.extend(_tracks(topic_name, suffix, topic, t_s))
+            found.spans.extend(_spans(topic_name, suffix, topic, t_s))
+        except KeyError:  # a definition that is damaged, or of another version of PX4
+            log_lacks.append(topic_name)
     for t_us, severity, text in log.messages:
         found.events.append(Event((t_us - start_us) * 1e-6, "text", text.strip(), severity))
     found.events.extend(_mode_events(found.spans))
@@ -151,7 +155,8 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Rec
         found.parameters.setdefault(parameter, []).append(((t_us - start_us) * 1e-6, value))
     return Recording(
         name, "px4", start_us, max((float(s.t_s[-1]) for s in found.signals), default=0.0),
-        found.signals, found.spans, found.events, found.tracks, [], found.parameters, _notes(log),
+        found.signals, found.spans, found.events, found.tracks, [], found.parameters,
+        _notes(log, log_lacks),
     )  # fmt: skip
 
 
@@ -239,12 +244,14 @@ def _mode_events(spans: Sequence[Span]) -> list[Event]:
     ]
 
 
-def _notes(log: ULogFile) -> list[str]:
+def _notes(log: ULogFile, lacking: Sequence[str]) -> list[str]:
     version = str(log.info.get("ver_sw_branch", "")) or str(log.info.get("ver_sw", ""))[:10]
     notes = [f"PX4 {version} on {log.info.get('ver_hw', 'unknown hardware')}"]
     if log.dropouts:
         total = sum(duration for _, duration in log.dropouts)
         notes.append(f"{len(log.dropouts)} dropouts in the log, {total:.2f} s in all")
+    if lacking:
+        notes.append(f"fields missing in {', '.join(lacking)}: no spans or track from there")
     if log.damaged:
         notes.append("parts of the file are damaged and were passed over")
     return notes

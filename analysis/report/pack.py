@@ -22,9 +22,13 @@ Place = dict[str, float | int]
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """The numbers gathered so far; `parts` grows."""
+    """The numbers gathered so far; `parts` grows.
+
+    Curves of one message share their times: these are put in once.
+    """
 
     parts: list[NDArray[np.float32]] = field(default_factory=list)
+    axes: dict[int, Place] = field(default_factory=dict)
 
     def values(self, values: Vector) -> Place:
         """Put values in; what the page needs to find them: first element and count."""
@@ -33,7 +37,13 @@ class Block:
         return {"at": at, "n": len(values)}
 
     def times(self, t_s: Vector) -> Place:
-        """Put a time axis in."""
+        """Put a time axis in, unless it is there already."""
+        key = hash(t_s.tobytes())
+        if key not in self.axes:
+            self.axes[key] = self._new_axis(t_s)
+        return self.axes[key]
+
+    def _new_axis(self, t_s: Vector) -> Place:
         n = len(t_s)
         offset = float(t_s[0]) if n else 0.0
         step = float(t_s[-1] - t_s[0]) / (n - 1) if n > 1 else 0.0

@@ -12,13 +12,14 @@ from analysis.report.from_results import recording_of_results
 from analysis.report.from_tlog import merged, recording_of
 from analysis.report.from_ulog import recording_of_ulog
 from analysis.report.recording import Recording, joined
-from analysis.results import Result, read_results
+from analysis.results import Result, decode, read_results
 from analysis.ulog import is_ulog, read_ulog
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.label import Label, read_labels
 
 HEAD = 16
+MCAP_MAGIC = b"\x89MCAP0\r\n"
 LEAST_SHARE = 0.01  # of a file that must be frames for it to count as a log
 
 
@@ -54,7 +55,8 @@ def _span(path: Path) -> tuple[int, int] | None:
     if path.is_dir():
         return None
     head = _head(path)
-    return None if is_ulog(head) or is_dataflash(head) else tlog.extent_us(path)
+    other = is_ulog(head) or is_dataflash(head) or head.startswith(MCAP_MAGIC)
+    return None if other or path.suffix == ".jsonl" else tlog.extent_us(path)
 
 
 def _head(path: Path) -> bytes:
@@ -78,6 +80,8 @@ def read_flight(paths: Sequence[Path], labels: Sequence[Label]) -> Flight:
     t0_us = labels[0].t0_us if labels else None
     head = _head(paths[0])
     name = paths[0].stem
+    if head.startswith(MCAP_MAGIC) or paths[0].suffix == ".jsonl":
+        return _results_alone(paths[0], labels)
     if is_ulog(head):
         recording = recording_of_ulog(read_ulog(paths[0]), name, t0_us)
     elif is_dataflash(head):
@@ -133,6 +137,32 @@ def _results(path: Path) -> list[Result]:
         return list(read_results(path))
     except msgspec.DecodeError as error:
         raise ConfigError(f"{path}: {error}; each line must be a result") from error
+
+
+def _results_alone(path: Path, labels: Sequence[Label]) -> Flight:
+    """Results without the log they came from, from `results.jsonl` or an exported MCAP file."""
+    results = _results(path) if path.suffix == ".jsonl" else _mcap_results(path)
+    if not results:
+        raise ConfigError(f"{path}: no results in the file; give results.jsonl or its MCAP export")
+    t0_us = labels[0].t0_us if labels else round(results[0].t_us - results[0].t_s * 1e6)
+    recording = recording_of_results(labels, results, t0_us)
+    end_s = (max(result.t_us for result in results) - t0_us) * 1e-6
+    return Flight(replace(recording, name=path.stem, duration_s=end_s), (path,), labels, results)
+
+
+def _mcap_results(path: Path) -> list[Result]:
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+
+    try:
+        with path.open("rb") as file:
+            return [
+                decode(message.data)
+                for _, channel, message in make_reader(file).iter_messages()
+                if channel.topic.startswith("/results/")
+            ]
+    except (McapError, msgspec.DecodeError) as error:
+        raise ConfigError(f"{path}: {error}; give a whole MCAP file of results") from error
 
 
 def _with_labels(flight: Flight) -> Flight:

@@ -19,6 +19,7 @@ from analysis.terminal import print_summary
 from mavproxy_fault.links.bus import open_run_bus
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
+from mavproxy_fault.live import Live
 from mavproxy_fault.record import Recorder
 from simvehicle.pace import Pace, parse_speed
 
@@ -31,11 +32,10 @@ def main(args: argparse.Namespace) -> int:
     setup = read_setup(args.scenario, args.schedule, args.seed)
     pace = Pace(parse_speed(args.speed))
     folder = make_folder(args.out, setup.scenario.name)
-    with (
-        open_run_bus(args.zenoh, folder.name) as bus,
-        MonitorProcess(setup.monitor) as monitor,
-        ResultFile(folder) as file,
-    ):
+    with contextlib.ExitStack() as stack:
+        bus = stack.enter_context(open_run_bus(args.zenoh, folder.name))
+        monitor = stack.enter_context(MonitorProcess(setup.monitor))
+        file = stack.enter_context(ResultFile(folder))
         publisher = Publisher(bus) if bus else None
 
         def take(results: list[Result]) -> None:
@@ -44,8 +44,13 @@ def main(args: argparse.Namespace) -> int:
                 publisher.publish(results)
 
         flight = Flight(setup.scenario, setup.schedule)
+        live = stack.enter_context(
+            contextlib.closing(Live(flight.control, lambda: flight.vehicle_us))
+        )
+        if bus is not None:
+            live.offer(bus)
         link = open_ground(args.gcs, pace)
-        wall_s = fly(flight, monitor, Recorder(folder, session(setup)), pace, take, link)
+        wall_s = fly(flight, monitor, Recorder(folder, session(setup)), pace, take, link, live)
         summary = monitor.summary(flight.completed_labels(), setup.criteria, wall_s)
     write_summary(folder, summary)
     report(folder, summary)
@@ -60,6 +65,7 @@ def fly(
     pace: Pace,
     take: Callable[[list[Result]], None],
     ground: Link | None,
+    live: Live,
 ) -> float:
     """Fly to the end of the scenario, or until Ctrl-C; the wall time it took in seconds."""
     recorded_us = 0
@@ -69,6 +75,7 @@ def fly(
                 wait_s = pace.wait_s(flight.t_us, time.monotonic())
                 if wait_s > 0.0:
                     time.sleep(wait_s)
+                live.serve()
                 sent = flight.advance([data for _, data in ground.read()] if ground else [])
                 take(monitor.feed(sent.monitor))
                 if ground is not None:
@@ -76,7 +83,9 @@ def fly(
                         ground.write(data)
                 if flight.t_us - recorded_us >= RECORD_US:
                     recorded_us = flight.t_us
-                    recorder.write(flight.tape, flight.take_labels())
+                    labels = flight.take_labels()
+                    recorder.write(flight.tape, labels)
+                    live.publish({}, labels)
                     if ground is not None:
                         take(monitor.feed(b"", now=True))
                     progress.show(flight.t_us * 1e-6, flight.engine.active)

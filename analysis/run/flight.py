@@ -4,8 +4,10 @@ No sockets, files or clocks: `advance` goes one step of simulated time, and the 
 sends on and publishes what comes of it.
 """
 
+import logging
 from typing import NamedTuple
 
+from mavproxy_fault.control import Control
 from mavproxy_fault.core import Core
 from mavproxy_fault.engine import Engine
 from mavproxy_fault.ports import LinkRole, Send
@@ -14,10 +16,10 @@ from mavproxy_fault.tape import Tape
 from mavproxy_fault.wire.frame import STX_V2, Frame
 from mavproxy_fault.wire.label import Label, newest
 from mavproxy_fault.wire.parser import Parser
-from mavproxy_fault.wire.plant import plant_change
 from simvehicle.hil import Hil
+from simvehicle.plant_changes import PlantChanges
 from simvehicle.scenario import Scenario
-from simvehicle.server import airframe, services, throttle
+from simvehicle.server import airframe, check_sensors, services, throttle
 from simvehicle.simulation import Simulation
 
 SIMULATOR, MONITOR, VEHICLE, GROUND = range(4)
@@ -28,6 +30,7 @@ LINKS = (
     LinkRole("ground station", "to-vehicle"),
 )
 HIL_COMPONENT = 51
+LOG = logging.getLogger(__name__)
 
 
 class Sent(NamedTuple):
@@ -44,15 +47,17 @@ class Flight:
     """
 
     def __init__(self, scenario: Scenario, schedule: Schedule) -> None:
+        check_sensors(scenario)
         self.duration_s = scenario.duration_s
         self.simulation = Simulation(scenario)
         self.engine = Engine(schedule)
         self.tape = Tape()
-        self.core = Core(LINKS, self.engine, tape=self.tape)
+        self.control = Control(self.engine)
+        self.core = Core(LINKS, self.engine, tape=self.tape, control=self.control)
         self._labels: list[Label] = []
         self._hil = Hil(mav_type=airframe(self.simulation)[0])
         self._services, self._pilot = services(self.simulation)
-        self._own_goal = self._pilot.flight.goal
+        self._plant = PlantChanges(self.simulation, LOG.warning)
         self._parser = Parser()
         self._start_us = round(scenario.start.time.timestamp() * 1e6)
 
@@ -67,14 +72,18 @@ class Flight:
         return self._start_us + self.t_us
 
     @property
+    def vehicle_us(self) -> int:
+        """The vehicle's own clock, which schedules and labels go by."""
+        return self.core.clock.t_us
+
+    @property
     def over(self) -> bool:
         """Whether the scenario's duration has been flown."""
         return self.t_us >= self.duration_s * 1e6
 
     def advance(self, commands: list[bytes]) -> Sent:
         """Fly to the next sample of the IMU, with what a ground station sent meanwhile."""
-        commanded = self._pilot.flight.goal is not self._own_goal
-        controls = self._pilot.controls() if commanded else None
+        controls = self._pilot.controls() if self._pilot.flight.flown else None
         t_us, truth, readings = self.simulation.step(controls)
         sends: list[Send] = []
         for raw in self._hil.frames(t_us, truth, readings):
@@ -118,9 +127,7 @@ class Flight:
             if not isinstance(item, Frame) or item.component == HIL_COMPONENT:
                 continue
             if link == SIMULATOR:
-                change = plant_change(item)
-                if change is not None:
-                    self.simulation.plant(change.name, change.value)
+                self._plant.take(item)
                 continue
             for raw in self._services.received(item, self.t_us):
                 sends += self.core.received(VEHICLE, raw, self.now_us)

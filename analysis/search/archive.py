@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 APART = 0.1  # root-mean-square distance, per searched number, from which cases count as different
-SPARE = 8  # candidates kept for each case asked for: some will turn out to have been lucky
+SPARE = 3  # candidates kept for each case asked for: some will turn out to have been lucky
 
 
 class Case(NamedTuple):

@@ -1,6 +1,6 @@
 """Evaluate points of a test's space: fly them all, draw their noise, score the estimator."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -18,6 +18,8 @@ from analysis.search.lanes import Envelope
 from analysis.search.noise_kernel import generator_states
 from analysis.search.space import Space, flights_of, space_of
 from analysis.search.testfile import TestFile
+from analysis.search.traced import Trace, estimated, traced, with_all_sensors
+from simvehicle.rotation import matrix_from_quat
 from simvehicle.vehicles.fixedwing import FixedWing
 
 Array = NDArray[np.float64]
@@ -108,8 +110,21 @@ class Batch:
         noise = np.ones((2, columns.shape[1]), dtype=np.uint64)
         noise[0, : len(numbers)] = generator_states(seed, np.uint64(2) * unsigned)
         noise[1, : len(numbers)] = generator_states(seed, np.uint64(2) * unsigned + np.uint64(1))
-        fly(columns, start_memory(self.test.estimator, columns), noise, self.plan)
+        memory = start_memory(self.test.estimator, columns)
+        fly(columns, memory, noise, self.plan)
+        if self.test.estimator not in COMPILED:
+            for lane in np.flatnonzero(columns[rows.LEFT, : len(numbers)] == 0.0):
+                column, number = flights[:, lane], int(numbers[lane])
+                plan = with_all_sensors(self.plan)
+                self._score(columns[:, lane], traced(plan, column, memory[lane], seed, number))
         return columns[:, : len(numbers)]
+
+    def _score(self, column: Array, flight: Trace) -> None:
+        """Put the scores of an estimator in Python in the place of the kernel's."""
+        estimate = estimated(flight, make(self.test.estimator))
+        error = replace(flight, q_estimate=estimate).errors_rad()
+        column[rows.SQUARES : rows.SQUARES + 4] = (error**2).sum(axis=0)
+        column[rows.LARGEST : rows.LARGEST + 4] = np.abs(error).max(axis=0)
 
 
 def plan_of(test: TestFile, vehicle: FixedWing) -> Plan:
@@ -133,7 +148,7 @@ def plan_of(test: TestFile, vehicle: FixedWing) -> Plan:
         mission=test.mission is not None,
         slots=len(test.faults),
         angle=test.criterion == "angle",
-        estimator=COMPILED[test.estimator],
+        estimator=COMPILED.get(test.estimator, HEUN),
         gains=gains_of(test.estimator),
         sea_density_kgpm3=SEA_LEVEL_DENSITY_KGPM3,
         limits=envelope_of(test),
@@ -184,7 +199,8 @@ def start_memory(name: str, columns: Array) -> Array:
     """The filters' start states (n, MEMORY) at the true attitude and velocity."""
     count = columns.shape[1]
     memory = np.zeros((count, MEMORY))
-    if COMPILED[name] == HEUN:
+    if COMPILED.get(name, HEUN) == HEUN:
+        memory[:, 0] = 1.0
         return memory
     x = make(name).start(Prior(0, np.array([1.0, 0.0, 0.0, 0.0]))).x
     memory[:, : len(x)] = x
@@ -197,8 +213,6 @@ def start_memory(name: str, columns: Array) -> Array:
 
 def ned_velocity(q: Array, v_b_mps: Array) -> Array:
     """Body vectors (3, n) turned to NED by quaternions (4, n)."""
-    from simvehicle.rotation import matrix_from_quat
-
     turned: Array = np.einsum("nij,jn->in", matrix_from_quat(q.T), v_b_mps)
     return turned
 

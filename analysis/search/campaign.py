@@ -174,7 +174,7 @@ def finished(test: TestFile, case: Case, outcome: Outcome) -> WorstCase:
     limit = test.breaks_at_deg if test.breaks_at_deg is not None else 0.5 * error
     if not test.faults or error < limit:
         return worst
-    errors = Errors(test, test.seed + FRESH, max(test.noise_draws, 8))
+    errors = Errors(test, test.seed + FRESH, test.noise_draws)
     least = shrunk(test, values, limit, errors)
     return worst._replace(shrunk=least, shrunk_deg=float(errors([least])[0]))
 

@@ -171,7 +171,7 @@ class Mixed:
     """
 
     DESIGN = 64  # a power of two keeps the sequence balanced
-    SIGMA = 0.25
+    SIGMA = 0.15
 
     def __init__(self, dimension: int, seed: int, budget: int) -> None:
         self._dimension = dimension

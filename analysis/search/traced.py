@@ -10,7 +10,7 @@ from analysis.epochs import AirspeedSample, GpsFix, ImuSample, MagSample, Sample
 from analysis.estimators import Estimator, Prior
 from analysis.estimators.rotations import errors
 from analysis.search import rows
-from analysis.search.filter_lanes import EKF
+from analysis.search.filter_lanes import MAHONY
 from analysis.search.kernel import Plan, trace
 from analysis.search.noise_kernel import generator_states
 from simvehicle.rotation import matrix_from_quat
@@ -94,4 +94,4 @@ def estimated(flight: Trace, estimator: Estimator) -> Array:
 
 def with_all_sensors(plan: Plan) -> Plan:
     """The plan with the slow sensors sampled, as estimators in Python may want them."""
-    return plan if plan.estimator > 0 else plan._replace(estimator=EKF)
+    return plan if plan.estimator > 0 else plan._replace(estimator=MAHONY)

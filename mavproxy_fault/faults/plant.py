@@ -64,6 +64,10 @@ class InSimulator(msgspec.Struct, frozen=True, kw_only=True):
         told = self._told(values, target, t_us)
         return [passed, *told], Sent(state.start_us, target, values, t_us, memory)
 
+    def fed(self, state: Sent, value: float, t_us: int) -> Sent:
+        """The state after a live value that came at `t_us`."""
+        return state._replace(memory=((t_us - state.start_us) / 1e6, value))
+
     def held_until_us(self, state: Sent) -> None:
         """It keeps nothing back."""
 

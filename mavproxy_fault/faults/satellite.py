@@ -128,6 +128,10 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         by_name = dict(zip(self.names, errors, strict=True))
         return {name: float(by_name[name]) for name in present}, [], memory
 
+    def fed(self, state: Ranges, value: float, t_us: int) -> Ranges:
+        """The state after a live value that came at `t_us`."""
+        return state._replace(memory=((t_us - state.start_us) / 1e6, value))
+
     def held_until_us(self, state: Ranges) -> int | None:
         """When the oldest message that is still broken off must leave."""
         return min((held.since_us + HOLD_US for held in state.held.values()), default=None)

@@ -6,6 +6,7 @@ whole would cost hundreds of megabytes. Only the present block is in memory.
 
 import csv
 import logging
+from bisect import bisect_right
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -34,7 +35,9 @@ class Series:
 
     def _start(self) -> None:
         self._blocks = read_blocks(self.table)
-        self._times = self._values = np.empty(0)
+        self._times: list[float] = []
+        self._values: list[float] = []
+        self._at = 0  # no row before it is needed any more
         self._previous: tuple[float, float] | None = None
         self._latest_s = -np.inf
 
@@ -55,22 +58,24 @@ class Series:
             block = self._next()
             if block is None:
                 if len(self._times) and t_s == self._times[-1]:
-                    return float(self._values[-1])
+                    return self._values[-1]
                 return None
             if len(self._times):
-                self._previous = (float(self._times[-1]), float(self._values[-1]))
-            self._times, self._values = block
-        k = int(np.searchsorted(self._times, t_s, side="right"))
+                self._previous = (self._times[-1], self._values[-1])
+            self._times, self._values = block[0].tolist(), block[1].tolist()
+            self._at = 0
+        k = bisect_right(self._times, t_s, self._at)
+        self._at = k
         if k > 0:
-            before = (float(self._times[k - 1]), float(self._values[k - 1]))
+            before = (self._times[k - 1], self._values[k - 1])
         elif self._previous is not None:
             before = self._previous
         else:
             return None
         if self.table.interpolate == "hold":
             return before[1]
-        share = (t_s - before[0]) / (float(self._times[k]) - before[0])
-        return before[1] + share * (float(self._values[k]) - before[1])
+        share = (t_s - before[0]) / (self._times[k] - before[0])
+        return before[1] + share * (self._values[k] - before[1])
 
 
 def read_blocks(table: "Table") -> Iterator[Block]:

@@ -151,7 +151,8 @@ class Bus:
         for thing in [*self._declared, *self._publishers.values()]:
             thing.undeclare()
         self._declared, self._publishers = [], {}
-        self._session.close()
+        if not self._session.is_closed():
+            self._session.close()
 
 
 def open_bus(url: str | None = None, *, run: str = "live", router: bool = False) -> Bus:

@@ -1,13 +1,12 @@
 """UDP: a server that answers everyone it has heard, and a client that sends to one address."""
 
-import errno
 import socket
 import time
 from typing import Any
 
-from mavproxy_fault.links.link import BATCH, Chunk, LinkCounters, enlarge_buffers
+from mavproxy_fault.links.batch import Receiver, send
+from mavproxy_fault.links.link import Chunk, LinkCounters, enlarge_buffers
 
-LARGEST = 65_535  # bytes of one datagram
 FORGET_S = 60.0  # a silent peer is forgotten, unless it was the last to speak
 MOST_PEERS = 32
 
@@ -41,8 +40,9 @@ class UdpServer:
         self.port: int = self.sock.getsockname()[1]
         self.name = f"udpin:{host}:{self.port}"
         self.counters = LinkCounters()
-        self.peers: dict[Any, float] = {}  # address -> when it last spoke, monotonic seconds
-        self._latest: Any = None
+        self.peers: dict[bytes, float] = {}  # raw address -> when it last spoke, monotonic seconds
+        self._latest = b""
+        self._receiver = Receiver(self.sock.fileno())
 
     @property
     def peer_count(self) -> int:
@@ -58,14 +58,7 @@ class UdpServer:
         chunks: list[Chunk] = []
         counters = self.counters
         now_s = time.monotonic()
-        for _ in range(BATCH):
-            try:
-                data, address = self.sock.recvfrom(LARGEST)
-            except BlockingIOError:
-                break
-            except OSError:
-                counters.errors += 1
-                continue
+        for address, data in self._receiver.receive():
             self.hear(address, now_s)
             counters.chunks_in += 1
             counters.bytes_in += len(data)
@@ -73,7 +66,7 @@ class UdpServer:
                 chunks.append((0, data))
         return chunks
 
-    def hear(self, address: Any, now_s: float | None = None) -> None:
+    def hear(self, address: bytes, now_s: float | None = None) -> None:
         """Note that a peer spoke; forget those silent for long."""
         peers = self.peers
         now_s = time.monotonic() if now_s is None else now_s
@@ -91,13 +84,7 @@ class UdpServer:
         if not self.peers:
             self.counters.drops += 1
         for address in self.peers:
-            try:
-                self.sock.sendto(data, address)
-            except OSError as error:
-                _count_loss(self.counters, error)
-            else:
-                self.counters.chunks_out += 1
-                self.counters.bytes_out += len(data)
+            _send(self.sock, data, self.counters, address)
 
     def close(self) -> None:
         """Close the socket."""
@@ -114,6 +101,7 @@ class UdpClient:
         self.name = f"udpout:{host}:{port}"
         self.counters = LinkCounters()
         self.peer_count = 1
+        self._receiver = Receiver(self.sock.fileno())
 
     def fileno(self) -> int:
         """The socket's descriptor."""
@@ -123,15 +111,7 @@ class UdpClient:
         """The datagrams that wait."""
         chunks: list[Chunk] = []
         counters = self.counters
-        receive = self.sock.recv
-        for _ in range(BATCH):
-            try:
-                data = receive(LARGEST)
-            except BlockingIOError:
-                break
-            except OSError:  # ECONNREFUSED: an earlier datagram found nobody
-                counters.errors += 1
-                continue
+        for _, data in self._receiver.receive():
             counters.chunks_in += 1
             counters.bytes_in += len(data)
             if data:
@@ -140,28 +120,21 @@ class UdpClient:
 
     def write(self, data: bytes) -> None:
         """Send one datagram."""
-        try:
-            self.sock.send(data)
-        except ConnectionRefusedError:
-            # The error belongs to an earlier datagram and was cleared by reporting it: send again.
-            self.counters.errors += 1
-            try:
-                self.sock.send(data)
-            except OSError as error:
-                _count_loss(self.counters, error)
-                return
-        except OSError as error:
-            _count_loss(self.counters, error)
-            return
-        self.counters.chunks_out += 1
-        self.counters.bytes_out += len(data)
+        _send(self.sock, data, self.counters)
 
     def close(self) -> None:
         """Close the socket."""
         self.sock.close()
 
 
-def _count_loss(counters: LinkCounters, error: OSError) -> None:
-    counters.drops += 1
-    if error.errno not in (errno.EAGAIN, errno.ENOBUFS):
+def _send(
+    sock: socket.socket, data: bytes, counters: LinkCounters, address: bytes | None = None
+) -> None:
+    """Send and count; a refusal belongs to an earlier datagram and is cleared by reporting it."""
+    if not send(sock.fileno(), data, address):
         counters.errors += 1
+        if not send(sock.fileno(), data, address):
+            counters.drops += 1
+            return
+    counters.chunks_out += 1
+    counters.bytes_out += len(data)

@@ -56,6 +56,8 @@ class Flight:
         Turns latitude, longitude (degrees) and height (m above sea level) into local NED (3,).
     airborne : bool
         The vehicle starts flying: armed, in HOLD.
+    own_mission : bool
+        It flies a mission of its own, by its controller, until it is commanded: armed, in MISSION.
     acceptance_m : float
         Horizontal distance within which a place counts as reached.
     """
@@ -68,14 +70,17 @@ class Flight:
         locate: Locate,
         *,
         airborne: bool = False,
+        own_mission: bool = False,
         acceptance_m: float = 2.0,
     ) -> None:
         self.home = home
-        self.mode = Mode.HOLD
-        self.armed = airborne
+        self.mode = Mode.MISSION if own_mission else Mode.HOLD
+        self.armed = airborne or own_mission
+        self.commanded = False  # whether a ground station has taken over
         self.landed = LandedState.IN_AIR if airborne else LandedState.ON_GROUND
         self.goal = Goal(Kind.IDLE, np.zeros(3))  # until the first `advance`
         self.seq = 0
+        self._own_mission = own_mission
         self._parameters = parameters
         self._missions = missions
         self._mission_seen = missions.changed
@@ -87,13 +92,18 @@ class Flight:
         self._reached_us: int | None = None  # since when the current item is reached
         self._ground_us: int | None = None  # since when a landing vehicle is on the ground
 
+    @property
+    def flown(self) -> bool:
+        """Whether the goal counts: not while the vehicle flies a mission of its own."""
+        return self.commanded or not self._own_mission
+
     # -- what a ground station commands ------------------------------------------------------------
 
     def arm(self) -> None:
         """Motors on; the mode decides what follows. After a landing that is HOLD again."""
         if not self.armed and self.mode in (Mode.LAND, Mode.RETURN):
             self.mode = Mode.HOLD
-        self.armed = True
+        self.armed = self.commanded = True
         self._enter(self.mode)
 
     def disarm(self, force: bool) -> bool:
@@ -101,6 +111,7 @@ class Flight:
         if self.armed and self.landed != LandedState.ON_GROUND and not force:
             return False
         self.armed = False
+        self.commanded = True
         self.goal = replace(self.goal, kind=Kind.IDLE)
         return True
 
@@ -108,11 +119,13 @@ class Flight:
         """Change the mode; a mission needs items."""
         if mode == Mode.MISSION and not self._missions.items:
             return False
+        self.commanded = True
         self._enter(mode)
         return True
 
     def take_off(self, alt_m: float) -> None:
         """Climb over the present place to `alt_m` above sea level (NaN: MIS_TAKEOFF_ALT)."""
+        self.commanded = True
         self._enter(Mode.TAKEOFF)
         if math.isfinite(alt_m):
             self.goal = replace(self.goal, r_ned_m=self._above_here(alt_m))
@@ -121,6 +134,7 @@ class Flight:
         """Fly to a place and hold there; what is NaN stays as it is. Refused on the ground."""
         if not self.armed or self.landed == LandedState.ON_GROUND:
             return False
+        self.commanded = True
         self.mode = Mode.HOLD
         here = self._here()
         alt_m = alt_m if math.isfinite(alt_m) else self.home.alt_m - float(here[2])
@@ -159,10 +173,10 @@ class Flight:
             self._mission_seen = self._missions.changed
             self.seq = 0
             self._reached_us = None
-            if self.mode == Mode.MISSION and not self._missions.items:
+            if self.flown and self.mode == Mode.MISSION and not self._missions.items:
                 self._enter(Mode.HOLD)
         said: list[Message] = []
-        if self.armed:
+        if self.armed and self.flown:
             said = self._fly(truth)
         self.landed = self._landed_state(truth)
         return said

@@ -109,6 +109,48 @@ def _spun(speeds: Array, wanted: Array, frame: Airframe, dt: float) -> Array:
     return out
 
 
+@inlined
+def _commanded(controls: Array, sag: float, rotors: Array, frame: Airframe) -> Array:
+    """Motor speeds [rad/s] that the motors run to; arguments as in `fly`."""
+    out = np.zeros(controls.shape[0])
+    for i in range(controls.shape[0]):
+        u = min(1.0, max(0.0, controls[i]))
+        if u > 0.0:
+            out[i] = frame.idle + (frame.full * sag - frame.idle) * u
+        # Power goes into thrust with the square of the speed, so efficiency with its root.
+        out[i] *= np.sqrt(max(0.0, rotors[i, 4]))
+    return out
+
+
+@inlined
+def _step(
+    s: State13,
+    speeds: tuple[Array, Array, Array],
+    rotors: Array,
+    w: tuple[float, float, float],
+    g: tuple[float, float, float],
+    rho: float,
+    ground: float,
+    body: Inertia,
+    frame: Airframe,
+    wheels: Gear,
+    dt: float,
+) -> State13:
+    """One Runge-Kutta step; motor speeds at its beginning, middle and end."""
+    f = loads(s, speeds[0], rotors, w, rho, ground, frame, wheels)
+    k1 = rigid_body(s, (f[0], f[1], f[2]), (f[3], f[4], f[5]), g, body)
+    s2 = moved(s, k1, 0.5 * dt)
+    f = loads(s2, speeds[1], rotors, w, rho, ground, frame, wheels)
+    k2 = rigid_body(s2, (f[0], f[1], f[2]), (f[3], f[4], f[5]), g, body)
+    s3 = moved(s, k2, 0.5 * dt)
+    f = loads(s3, speeds[1], rotors, w, rho, ground, frame, wheels)
+    k3 = rigid_body(s3, (f[0], f[1], f[2]), (f[3], f[4], f[5]), g, body)
+    s4 = moved(s, k3, dt)
+    f = loads(s4, speeds[2], rotors, w, rho, ground, frame, wheels)
+    k4 = rigid_body(s4, (f[0], f[1], f[2]), (f[3], f[4], f[5]), g, body)
+    return runge_kutta(s, k1, k2, k3, k4, dt)
+
+
 @compiled
 def fly(
     x: Array,
@@ -157,29 +199,12 @@ def fly(
     g = (gravity[0], gravity[1], gravity[2])
     s = (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[9], x[10], x[11], x[12])
     n = controls.shape[0]
-    wanted = np.zeros(n)
-    for i in range(n):
-        u = min(1.0, max(0.0, controls[i]))
-        if u > 0.0:
-            wanted[i] = frame.idle + (frame.full * sag - frame.idle) * u
-        # Power goes into thrust with the square of the speed, so efficiency with its root.
-        wanted[i] *= np.sqrt(max(0.0, rotors[i, 4]))
+    wanted = _commanded(controls, sag, rotors, frame)
     speeds = x[13 : 13 + n].copy()
     for _ in range(steps):
         half = _spun(speeds, wanted, frame, 0.5 * dt)
         after = _spun(speeds, wanted, frame, dt)
-        f = loads(s, speeds, rotors, w, rho, ground, frame, wheels)
-        k1 = rigid_body(s, (f[0], f[1], f[2]), (f[3], f[4], f[5]), g, body)
-        s2 = moved(s, k1, 0.5 * dt)
-        f = loads(s2, half, rotors, w, rho, ground, frame, wheels)
-        k2 = rigid_body(s2, (f[0], f[1], f[2]), (f[3], f[4], f[5]), g, body)
-        s3 = moved(s, k2, 0.5 * dt)
-        f = loads(s3, half, rotors, w, rho, ground, frame, wheels)
-        k3 = rigid_body(s3, (f[0], f[1], f[2]), (f[3], f[4], f[5]), g, body)
-        s4 = moved(s, k3, dt)
-        f = loads(s4, after, rotors, w, rho, ground, frame, wheels)
-        k4 = rigid_body(s4, (f[0], f[1], f[2]), (f[3], f[4], f[5]), g, body)
-        s = runge_kutta(s, k1, k2, k3, k4, dt)
+        s = _step(s, (speeds, half, after), rotors, w, g, rho, ground, body, frame, wheels, dt)
         speeds = after
     f = loads(s, speeds, rotors, w, rho, ground, frame, wheels)
     out = np.empty_like(x)

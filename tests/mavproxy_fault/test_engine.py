@@ -5,6 +5,7 @@ from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.schedule import parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.plant import plant_change
 
 DT_US = 4000
 
@@ -222,3 +223,27 @@ def test_the_same_seed_gives_the_same_bytes_and_another_entry_does_not_change_th
     noise = "  - {id: n, fault: noise, target: HIL_SENSOR.xgyro, value: 1}\n"
     other = "  - {id: m, fault: noise, target: HIL_SENSOR.ygyro, value: 1}\n"
     assert run(engine(noise), 0.1) == run(engine(other + noise), 0.1)
+
+
+def test_a_value_that_a_fault_cannot_take_is_refused():
+    it = engine("  - {id: lost, fault: drop, value: 0.5}")
+    it.start_at(0)
+    with pytest.raises(ConfigError, match="lost = 5"):
+        it.update("lost", 5)
+    it.update("lost", 1)
+    assert it.apply(sensor(1), "to-vehicle", 1) == []
+
+
+def test_plant_parameters_and_satellites_take_streamed_and_changed_values():
+    it = engine("""
+  - {id: wind, fault: plant, target: PLANT.wind_n_mps, profile: {live: {timeout_s: 1}}}
+  - {id: range, fault: bias, target: PSEUDORANGE.G12, value: 5, via: simulator}
+""")
+    it.start_at(0)
+    it.update("wind", 3)
+    it.update("range", 8)
+    told = [plant_change(out.frame) for out in it.apply(sensor(1), "to-vehicle", 1) if out.back]
+    assert {change.name: change.value for change in told} == {
+        "wind_n_mps": 3,
+        "pseudorange_m[G12]": 8,
+    }

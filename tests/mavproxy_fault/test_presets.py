@@ -16,13 +16,14 @@ from mavproxy_fault.wire.plant import plant_change
 from mavproxy_fault.wire.rtcm import tunnel_frames
 
 START_US = 2_000_000
-STEP_US = 10_000
-FRAMES = 400  # 4 s
+STEP_US = 20_000
+FRAMES = 200  # 4 s
+DECODER = pymavlink.MAVLink(None)
 
 
 def decoded(frame: Frame | bytes) -> dict[str, Any]:
     raw = frame if isinstance(frame, bytes) else frame.raw
-    values: dict[str, Any] = pymavlink.MAVLink(None).decode(bytearray(raw)).to_dict()
+    values: dict[str, Any] = DECODER.decode(bytearray(raw)).to_dict()
     return values
 
 
@@ -52,9 +53,10 @@ def changes(name: str) -> tuple[set[str], int, list[Any]]:
             told += [plant_change(o.frame) for o in outs if o.back and isinstance(o.frame, Frame)]
             outs = [out for out in outs if not out.back]
             moved += [out.due_us for out in outs] != [t_us]
-            before = decoded(healthy)
-            for out in outs:
-                after = decoded(out.frame)
+            changed = [out.frame for out in outs if out.frame is not healthy]
+            before = decoded(healthy) if changed else {}
+            for frame in changed:
+                after = decoded(frame)
                 fields |= {f"{message}.{k}" for k in before if repr(before[k]) != repr(after[k])}
     return fields, moved, told
 

@@ -1,10 +1,13 @@
 """Standing, taking off and landing."""
 
+from pathlib import Path
+
+import msgspec
 import numpy as np
 import pytest
 
 from simvehicle.body import Controls
-from simvehicle.scenario import Environment, Scenario, Sensors, VehicleChoice
+from simvehicle.scenario import Environment, Scenario, Sensors, VehicleChoice, read_scenario
 from simvehicle.sensors.imu import Imu
 from simvehicle.simulation import Simulation
 
@@ -69,6 +72,19 @@ def test_a_fixed_wing_takes_off_circles_and_lands() -> None:
     fly(simulation, 45.0)
     assert simulation.truth.on_ground
     assert np.linalg.norm(simulation.truth.v_ned_mps) < 0.3
+
+
+def test_the_example_mission_takes_off_and_flies_its_first_leg() -> None:
+    example = Path(__file__).parents[2] / "examples" / "quad_mission.yaml"
+    scenario = msgspec.structs.replace(read_scenario(example), gnss=None)
+    simulation = Simulation(scenario)
+    assert simulation.truth.height_agl_m < 0.2
+    kinds = set()
+    for _ in range(12 * 250):
+        _, truth, readings = simulation.step()
+        kinds |= {(type(reading).__name__, getattr(reading, "id", 0)) for reading in readings}
+    assert truth.height_agl_m == pytest.approx(20.0, abs=2.0)
+    assert {("ImuReading", 0), ("ImuReading", 1), ("FlowReading", 0), ("VisionReading", 0)} <= kinds
 
 
 def test_a_stopped_motor_brings_a_quad_down() -> None:

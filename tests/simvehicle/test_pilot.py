@@ -20,9 +20,9 @@ Holds = Callable[[Truth], bool]
 class Flown:
     """A vehicle at home, and the flight that commands it."""
 
-    def __init__(self, folder: Path, vehicle: str) -> None:
+    def __init__(self, folder: Path, vehicle: str, more: str = "") -> None:
         path = folder / "vehicle.yaml"
-        path.write_text(f"vehicle: {vehicle}\nsensors: {{imu: {{rate_hz: 100}}}}\n")
+        path.write_text(f"vehicle: {vehicle}\nsensors: {{imu: {{rate_hz: 100}}}}\n{more}")
         self.simulation = Simulation(read_scenario(path))
         self.pilot: Pilot = services(self.simulation)[1]
         self.flight: Flight = self.pilot.flight
@@ -94,3 +94,19 @@ def test_the_fixed_wing_takes_off_circles_a_place_and_lands(wing: Flown) -> None
     flight.set_mode(Mode.LAND)
     wing.until(lambda truth: not flight.armed, 180)
     assert wing.simulation.truth.on_ground
+
+
+def test_a_mission_of_the_scenarios_own_is_flown_until_a_command_comes(tmp_path: Path) -> None:
+    mission = "mission: [{shape: circle, size_m: 400, height_m: 100}]\nstart: {height_m: 100}\n"
+    wing = Flown(tmp_path, "{kind: fixedwing, parameters: aerosonde-2025}", mission)
+    flight = wing.flight
+    assert (flight.mode, flight.armed, flight.flown) == (Mode.MISSION, True, False)
+    track = wing.simulation.controller.track
+    for _ in range(200):
+        _, truth, _ = wing.simulation.step(wing.pilot.controls() if flight.flown else None)
+        flight.advance(truth)
+    assert wing.simulation.controller.track is track
+    flight.set_mode(Mode.HOLD)
+    assert flight.flown
+    wing.pilot.controls()
+    assert wing.simulation.controller.track is not track

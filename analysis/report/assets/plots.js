@@ -8,10 +8,15 @@ const NULL_EXPAND = 2; // a null stays a gap even between the samples of other c
 const DECADES = 5; // that a logarithmic axis shows below its largest value
 const KIND = { injected: "--s1", detected: "--s0", flag: "--fail", fail: "--fail", warn: "--warn", mode: "--none" };
 
+const decoded = new Map(); // time axes by where they stand: curves of one message share one
+
 function decodeTimes(place, numbers) {
+  const key = `${place.offset} ${place.step} ${place.n} ${place.at}`;
+  if (decoded.has(key)) return decoded.get(key);
   const t = new Float64Array(place.n);
   for (let i = 0; i < place.n; i++) t[i] = place.offset + place.step * i;
   if (place.at !== undefined) for (let i = 0; i < place.n; i++) t[i] += numbers[place.at + i];
+  decoded.set(key, t);
   return t;
 }
 
@@ -60,6 +65,7 @@ function options(area, axis, height, more) {
     width: Math.max(300, area.clientWidth), height,
     pxAlign: 0,
     cursor: {
+      y: false,
       sync: { key: "time", scales: ["x", null] }, drag: { x: true, y: false, setScale: false },
       bind: { dblclick: () => () => { axis.reset(); return null; } },
     },
@@ -121,8 +127,7 @@ function powerOfTen(tick) {
 
 function drawPanel(area, panel, page, numbers, axis) {
   const tables = panel.series.map((s) => [decodeTimes(s.t, numbers), decodeValues(s.y, numbers, panel.log)]);
-  const same = tables.every((table) => table[0].length === tables[0][0].length &&
-    table[0].every((t, i) => t === tables[0][0][i]));
+  const same = tables.every((table) => table[0] === tables[0][0]);
   const data = same ? [tables[0][0], ...tables.map((table) => table[1])] : uPlot.join(tables, tables.map(() => [0, NULL_EXPAND]));
   const injected = page.spans.filter((span) => span.kind === "injected");
   const digits = (value) => value == null ? "–" : Math.abs(value) >= 1e5 || (value && Math.abs(value) < 1e-3)

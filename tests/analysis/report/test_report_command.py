@@ -133,7 +133,10 @@ def test_a_run_folder_is_reported_with_its_labels_and_results(
         '{"type":"SensorDecision","t_s":1.5,"t_us":2500000,"sensor":"baro","statistic":9.0,'
         '"threshold":3.0,"dof":1,"alarm":true}\n{"type":"SensorDec'
     )
-    report(folder, "--out", tmp_path / "out")
+    report(folder, "--export", "mcap", "--out", tmp_path / "out")
     text = (tmp_path / "out" / "report.html").read_text()
     assert '"lane": "injected: a"' in text
     assert '"lane": "detected: baro"' in text
+    for source in (folder / "results.jsonl", tmp_path / "out" / "export" / "run.mcap"):
+        report(source, "--out", tmp_path / "again")
+        assert '"lane": "detected: baro"' in (tmp_path / "again" / "report.html").read_text()

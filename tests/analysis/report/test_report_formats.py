@@ -99,3 +99,15 @@ def test_bytes_that_only_begin_like_a_ulog_are_the_users_error(tmp_path: Path) -
     path.write_bytes(b"ULog\x01\x12\x35" + bytes(3))
     with pytest.raises(ConfigError, match=r"a\.ulg"):
         read_flight([path], ())
+
+
+def test_a_ulog_that_pyulog_would_read_for_ever_is_given_up(tmp_path: Path) -> None:
+    info = b"char[3] a" + b"xyz"
+    good = struct.pack("<HBB", len(info) + 1, ord("I"), 9) + info
+    path = tmp_path / "a.ulg"
+    # A message of kind 0, longer than the file: pyulog seeks back as far as it says, to the last
+    # good message, and begins again.
+    cut = struct.pack("<HB", 6 + len(good), 0) + bytes(5)
+    path.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + 3 * good + cut)
+    with pytest.raises(ConfigError, match="damaged beyond reading"):
+        read_ulog(path)

@@ -11,6 +11,7 @@ from analysis.search.batch import Batch, start_memory
 from analysis.search.space import flights_of
 from analysis.search.testfile import FaultRange, Initial, Mission, OpenLoop, Sensors, TestFile, Wind
 from analysis.search.traced import estimated, traced
+from mavproxy_fault.errors import ConfigError
 from simvehicle.rotation import euler_from_quat
 
 QUIET = Sensors(
@@ -155,3 +156,18 @@ def test_a_mission_rolls_from_side_to_side():
     assert roll.max() == pytest.approx(35.0, abs=6.0)
     assert roll.min() == pytest.approx(-35.0, abs=6.0)
     assert flight.alive.all()
+
+
+def test_an_estimator_that_is_not_compiled_is_searched_too():
+    test = test_of(estimator="madgwick", mission=WEAVE, criterion="angle", duration_s=3.0)
+    outcome = Batch(test).evaluate(np.zeros((1, 0)), seed=1, first=0)
+    again = Batch(test).evaluate(np.zeros((1, 0)), seed=1, first=0)
+    assert 0.0 < outcome.fitness[0] < 30.0
+    assert outcome.fitness[0] == again.fitness[0]
+    other = Batch(test_of(mission=WEAVE, criterion="angle", duration_s=3.0))
+    assert other.evaluate(np.zeros((1, 0)), seed=1, first=0).fitness[0] < outcome.fitness[0]
+
+
+def test_an_unknown_estimator_is_the_users_error():
+    with pytest.raises(ConfigError, match="known: complementary"):
+        Batch(test_of(estimator="guess")).evaluate(np.zeros((1, 0)), 1, 0)

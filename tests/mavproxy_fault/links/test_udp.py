@@ -57,18 +57,18 @@ def test_a_server_without_peers_counts_what_it_drops(server: UdpServer) -> None:
 
 
 def test_a_server_forgets_the_silent_but_never_the_latest(server: UdpServer) -> None:
-    server.hear("old", 0.0)
-    server.hear("newer", 1.0)
-    server.hear("new", FORGET_S + 0.5)
-    assert list(server.peers) == ["newer", "new"]
-    server.hear("late", 10 * FORGET_S)
-    assert list(server.peers) == ["new", "late"]
+    server.hear(b"old", 0.0)
+    server.hear(b"newer", 1.0)
+    server.hear(b"new", FORGET_S + 0.5)
+    assert list(server.peers) == [b"newer", b"new"]
+    server.hear(b"late", 10 * FORGET_S)
+    assert list(server.peers) == [b"new", b"late"]
 
 
 def test_a_server_keeps_a_bounded_number_of_peers(server: UdpServer) -> None:
     for number in range(2 * MOST_PEERS):
-        server.hear(number, float(number) / 1000)
-    assert list(server.peers) == list(range(MOST_PEERS, 2 * MOST_PEERS))
+        server.hear(b"%d" % number, float(number) / 1000)
+    assert list(server.peers) == [b"%d" % n for n in range(MOST_PEERS, 2 * MOST_PEERS)]
 
 
 def test_a_client_survives_a_peer_that_comes_and_goes() -> None:

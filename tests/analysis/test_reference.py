@@ -1,0 +1,148 @@
+"""The other sensors against the filter, and the detector without raw ranges."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.epochs import Decoder
+from analysis.fdi import Detector, DetectorConfig
+from analysis.fdi.detector import run
+from analysis.reference import References
+from analysis.results import Decision, SensorDecision
+from analysis.samples import (
+    AirspeedSample,
+    BaroSample,
+    Epoch,
+    GpsFix,
+    ImuSample,
+    MagSample,
+    RangeSample,
+    Sample,
+    TruthSample,
+    VisionSample,
+)
+from mavproxy_fault.wire.tlog import read_frames
+from simvehicle.earth import ecef_from_geodetic
+from simvehicle.rotation import matrix_from_quat
+
+FROM_S, UNTIL_S = 30.0, 40.0
+FIELD_NED = np.array([0.21, 0.02, 0.43])  # gauss, middle Europe
+WIND_NED = np.array([3.0, -2.0, 0.0])
+SENSORS = ("baro", "airspeed", "mag", "range", "vision", "gps-position", "gps-velocity")
+
+
+def readings(truth: TruthSample, rng: np.random.Generator, fault: str) -> list[Sample]:
+    """What sound sensors say at the truth, one of them faulty between FROM_S and UNTIL_S."""
+    bad = {name: 0.0 for name in SENSORS}
+    if FROM_S <= truth.t_us * 1e-6 < UNTIL_S and fault:
+        bad[fault] = 1.0
+    t_us, rot = truth.t_us - 4000, matrix_from_quat(truth.q_nb)
+    alt = truth.alt_m + 3.0 + rng.normal(0, 0.3) + 30.0 * bad["baro"]
+    pressure = 101_325.0 * (1.0 - 6.5e-3 * alt / 288.15) ** 5.25588
+    density = 1.225 * (1.0 - 6.5e-3 * truth.alt_m / 288.15) ** 4.25588
+    speed = np.linalg.norm(truth.v_ned_mps - WIND_NED) + rng.normal(0, 0.3) - 8 * bad["airspeed"]
+    field = rot.T @ FIELD_NED + rng.normal(0, 0.005, 3) + np.array([0.3, 0, 0]) * bad["mag"]
+    lat, lon = math.radians(truth.lat_deg), math.radians(truth.lon_deg)
+    home = ecef_from_geodetic(math.radians(47.4), math.radians(8.55), 500.0)
+    sl, cl, so, co = math.sin(0.8273), math.cos(0.8273), math.sin(0.14923), math.cos(0.14923)
+    axes = np.array([[-sl * co, -sl * so, cl], [-so, co, 0.0], [-cl * co, -cl * so, -sl]])
+    r_ned = axes @ (np.asarray(ecef_from_geodetic(lat, lon, truth.alt_m)) - home)
+    return [
+        BaroSample(t_us, pressure, alt),
+        AirspeedSample(t_us, 0.5 * density * speed**2),
+        MagSample(t_us, field),
+        RangeSample(t_us, (truth.alt_m - 400.0) / max(rot[2, 2], 0.3) + 10.0 * bad["range"]),
+        VisionSample(t_us, r_ned + np.array([15.0, 0, 0]) * bad["vision"], None, truth.q_nb),
+        GpsFix(
+            truth.t_us,
+            truth.lat_deg + 5e-4 * bad["gps-position"],
+            truth.lon_deg,
+            truth.alt_m,
+            truth.v_ned_mps + 5.0 * bad["gps-velocity"],
+            3,
+            10,
+            1.0,
+            1.5,
+            "HIL_GPS",
+        ),
+    ]
+
+
+def with_sensors(flight: list[Sample], fault: str) -> list[Sample]:
+    rng = np.random.default_rng(4)
+    truths = {s.t_us: s for s in flight if isinstance(s, TruthSample)}
+    out: list[Sample] = []
+    for sample in flight:
+        if isinstance(sample, Epoch):
+            out += readings(truths[sample.t_us], rng, fault)
+        out.append(sample)
+    return out
+
+
+def judged(samples: list[Sample]) -> list[SensorDecision]:
+    references = References(DetectorConfig())
+    state, out = references.new_state(), []
+    for sample in samples:
+        results, state = references.step(sample, state)
+        out += [r for r in results if isinstance(r, SensorDecision)]
+    return out
+
+
+def test_sound_sensors_raise_no_alarm(flight):
+    found = judged(with_sensors(flight, ""))
+    assert {r.sensor for r in found} >= set(SENSORS)
+    assert not [r for r in found if r.alarm]
+    tested = [r for r in found if r.sensor == "baro" and r.statistic is not None]
+    assert len(tested) > 250
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_a_faulty_sensor_alone_is_isolated(flight, sensor: str):
+    found = judged(with_sensors(flight, sensor))
+    isolated = {r.sensor for r in found if r.isolated}
+    first = next(r for r in found if r.alarm)
+    assert isolated == {sensor}
+    assert first.t_s == pytest.approx(FROM_S, abs=0.41)
+
+
+def test_a_receiver_that_jumps_is_told_from_the_imu_without_raw_ranges(shared_data: Path):
+    decoder, samples = Decoder(), []
+    path = next((shared_data / "px4_hil").glob("*_hil.tlog"))
+    for _, frame in read_frames(path):
+        samples += decoder.decode(frame)
+    found = [r for r in run(Detector(DetectorConfig()), samples) if isinstance(r, Decision)]
+    alarms = [d for d in found if d.alarm]
+    assert alarms[0].t_s == pytest.approx(41.0, abs=0.2)
+    assert {d.hypothesis for d in alarms} == {"gps"}
+    out = [d.t_s for d in found if "GPS" in d.excluded]
+    assert out[-1] == pytest.approx(56.0 + DetectorConfig().readmit_s, abs=0.5)
+
+
+def test_a_faulty_imu_is_told_from_the_receiver_without_raw_ranges(flights):
+    samples = [s for s in flights(45.0, 2, with_fix=True) if not isinstance(s, Epoch)]
+    faulty = [
+        replace(s, accel_b_mps2=s.accel_b_mps2 + np.array([0.0, 8.0, 0.0]))
+        if isinstance(s, ImuSample) and s.t_us >= 30_000_000
+        else s
+        for s in samples
+    ]
+    found = [r for r in run(Detector(DetectorConfig()), faulty) if isinstance(r, Decision)]
+    first = next(d for d in found if d.alarm)
+    assert first.hypothesis == "imu"
+    assert 30.0 <= first.t_s < 31.0
+
+
+def test_a_fix_that_is_none_is_untestable():
+    fix = GpsFix(1, 47.0, 8.0, 400.0, None, 2, 3, 1.0, 1.0, "HIL_GPS")
+    cases = [
+        (fix, "fix type 2"),
+        (replace(fix, fix_type=3, lat_deg=math.nan), "not finite"),
+        (replace(fix, fix_type=3, lat_deg=0.0, lon_deg=0.0), "0, 0"),
+    ]
+    for bad, reason in cases:
+        (result,) = run(Detector(DetectorConfig()), [bad])
+        assert result.hypothesis == "untestable"
+        assert reason in result.reason

@@ -1,0 +1,100 @@
+"""MAVSDK injects failures into a vehicle behind a proxy process, and the proxy carries them out."""
+
+import contextlib
+import json
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from mavsdk import ComponentType, Configuration, Mavsdk, log_subscribe
+from mavsdk.plugins.failure import Failure, FailureError, FailureType, FailureUnit
+from pymavlink import mavutil
+
+ENABLED = struct.unpack("<f", struct.pack("<i", 1))[0]  # PX4 sends integers bytewise
+
+
+def fly(vehicle: mavutil.mavudp, stop: threading.Event) -> None:
+    """A PX4 that says little: heartbeats, an IMU, and that failures are enabled."""
+    step = 0
+    while not stop.wait(0.02):
+        step += 1
+        vehicle.mav.heartbeat_send(2, 12, 0, 4 << 16, 4)
+        vehicle.mav.scaled_imu_send(20 * step, 0, 0, -1000, 100, 0, 0, 200, 0, 400)
+        asked = vehicle.recv_match(type="PARAM_REQUEST_READ", blocking=False)
+        if asked is not None and asked.param_id == "SYS_FAILURE_EN":
+            vehicle.mav.param_value_send(b"SYS_FAILURE_EN", ENABLED, 6, 1, 0)
+
+
+@contextlib.contextmanager
+def proxy(folder: Path, out: int, *options: str) -> Iterator[int]:
+    """A proxy process that sends to a port; gives the vehicle's port."""
+    command = [sys.executable, "-m", "mavproxy_fault.cli", "proxy", "--logdir", str(folder)]
+    command += ["--zenoh", "tcp/127.0.0.1:0", "--master", "udpin:127.0.0.1:0"]
+    command += ["--out", f"udpout:127.0.0.1:{out}", *options]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        yield int(process.stdout.readline().split()[1].rsplit(":", 1)[1])
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.stdout.read()
+        process.stdout.close()
+        assert process.wait(30) == 0
+
+
+@contextlib.contextmanager
+def flying(port: int) -> Iterator[None]:
+    """The vehicle in a thread of its own."""
+    vehicle = mavutil.mavlink_connection(
+        f"udpout:127.0.0.1:{port}", source_system=1, source_component=1
+    )
+    stop = threading.Event()
+    flight = threading.Thread(target=fly, args=(vehicle, stop))
+    flight.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        flight.join()
+        vehicle.close()
+
+
+@contextlib.contextmanager
+def flown(folder: Path, *options: str) -> Iterator[Failure]:
+    """The failure plugin of MAVSDK, connected through a proxy."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    log_subscribe(lambda *_: True)
+    station = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
+    with proxy(folder, port, *options) as master, flying(master), Mavsdk(station) as mavsdk:
+        mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
+        system = mavsdk.first_autopilot(30.0)
+        assert system is not None
+        yield Failure(system)
+
+
+def test_mavsdk_injects_failures_and_the_labels_tell_of_them(tmp_path: Path) -> None:
+    with flown(tmp_path) as failure:
+        failure.inject(FailureUnit.SENSOR_GYRO, FailureType.WRONG, 0)
+        failure.inject(FailureUnit.SENSOR_MAG, FailureType.SLOW, 1)
+        with pytest.raises(FailureError, match=r"(?i)unsupported"):
+            failure.inject(FailureUnit.SYSTEM_BATTERY, FailureType.OFF, 0)
+        failure.inject(FailureUnit.SENSOR_GYRO, FailureType.OK, 0)
+    labels = [json.loads(line) for line in (tmp_path / "labels.jsonl").read_text().splitlines()]
+    assert {label["id"] for label in labels} >= {"mav-gyro.1"}
+    assert all(label["frames"] > 0 for label in labels)
+
+
+def test_mavsdk_is_denied_when_live_faults_are_refused(tmp_path: Path) -> None:
+    with (
+        flown(tmp_path, "--no-inject") as failure,
+        pytest.raises(FailureError, match=r"(?i)denied"),
+    ):
+        failure.inject(FailureUnit.SENSOR_GYRO, FailureType.WRONG, 0)

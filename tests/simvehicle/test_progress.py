@@ -1,0 +1,37 @@
+import io
+
+from simvehicle.progress import Progress
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_file_gets_a_line_every_ten_seconds() -> None:
+    out = io.StringIO()
+    progress = Progress(0.0, out)
+    for second in range(25):
+        progress.step(second * 2_000_000, float(second), ", not in lockstep")
+    assert out.getvalue().splitlines() == [
+        "    20.0 s simulated, 2.0 times real time, not in lockstep",
+        "    40.0 s simulated, 2.0 times real time, not in lockstep",
+    ]
+
+
+def test_on_a_terminal_one_line_is_written_over_and_others_stand_below() -> None:
+    out = Terminal()
+    progress = Progress(0.0, out)
+    progress.step(1_000_000, 1.0)
+    progress.step(2_000_000, 2.0)
+    progress.say("stopped")
+    text = out.getvalue()
+    assert text.count("\n") == 2
+    assert text.count("\r") == 2
+    assert text.endswith("2.0 s simulated, 1.0 times real time\nstopped\n")
+
+
+def test_the_summary_tells_the_speed_of_the_whole_flight() -> None:
+    out = io.StringIO()
+    Progress(10.0, out).end(60_000_000, 14.0)
+    assert out.getvalue() == "60.0 s simulated in 4.0 s, 15.0 times real time\n"
