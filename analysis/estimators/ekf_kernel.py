@@ -1,4 +1,7 @@
-"""The arithmetic of the quaternion EKF, compiled; see `ekf` for the layout of x (91,)."""
+"""The arithmetic of the quaternion EKF, compiled; see `ekf` for the layout of x (91,).
+
+Plain loops, no slices: assignments of slices cost seconds of compilation.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,13 +32,17 @@ def predict(
     rx, ry, rz = gyro[0] - x[4], gyro[1] - x[5], gyro[2] - x[6]
     q = turned(x[:4], 0.5 * rx * dt_s, 0.5 * ry * dt_s, 0.5 * rz * dt_s)  # at mid-step
     rot = matrix(q)
-    out[:4] = turned(q, 0.5 * rx * dt_s, 0.5 * ry * dt_s, 0.5 * rz * dt_s)
-    out[4:7] = x[4:7]
+    q = turned(q, 0.5 * rx * dt_s, 0.5 * ry * dt_s, 0.5 * rz * dt_s)
+    for i in range(4):
+        out[i] = q[i]
     fx, fy, fz = accel[0], accel[1], accel[2]
     for i in range(3):
+        out[4 + i] = x[4 + i]
         out[7 + i] = x[7 + i] + dt_s * (rot[i, 0] * fx + rot[i, 1] * fy + rot[i, 2] * fz)
     out[9] += dt_s * GRAVITY_MPS2
-    transition = np.eye(N)
+    transition = np.zeros((N, N))
+    for i in range(N):
+        transition[i, i] = 1.0
     transition[0, 1], transition[0, 2] = dt_s * rz, -dt_s * ry
     transition[1, 0], transition[1, 2] = -dt_s * rz, dt_s * rx
     transition[2, 0], transition[2, 1] = dt_s * ry, -dt_s * rx
@@ -88,9 +95,12 @@ def correct(x: Vector, row: Vector, innovation: float, variance: float) -> Vecto
         for j in range(i, N):
             p[i, j] -= gain[i] * gain[j] / scale
             p[j, i] = p[i, j]
-    step = gain * (innovation / scale)
-    out[:4] = turned(x[:4], step[0], step[1], step[2])
-    out[4:10] += step[3:]
+    size = innovation / scale
+    q = turned(x[:4], gain[0] * size, gain[1] * size, gain[2] * size)
+    for i in range(4):
+        out[i] = q[i]
+    for i in range(6):
+        out[4 + i] += gain[3 + i] * size
     return out
 
 
@@ -109,8 +119,10 @@ def restart_velocity(x: Vector, v_ned_mps: Vector, variance: float) -> Vector:
     """Take the velocity as measured and forget what it had to do with the other errors."""
     out = x.copy()
     p = out[10:].reshape(N, N)
-    p[6:, :] = 0.0
-    p[:, 6:] = 0.0
+    for i in range(6, N):
+        for j in range(N):
+            p[i, j] = 0.0
+            p[j, i] = 0.0
     for axis in range(3):
         out[7 + axis] = v_ned_mps[axis]
         p[6 + axis, 6 + axis] = variance
