@@ -75,7 +75,7 @@ function objectPart(key, schema, defs) {
   return { element: box, value: inner.value };
 }
 
-function rowsPart(key, items, defs, changed) {
+function rowsPart(key, items, defs) {
   const rows = new Set();
   const list = make("div");
   const add = () => {

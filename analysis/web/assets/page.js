@@ -116,6 +116,7 @@ function download(name, text, type) {
 
 // -- a new fault ------------------------------------------------------------------------------
 
+const preview = new Preview($("preview"));
 let catalogue = null, entryOf = () => ({}), previewTimer = 0, previewNumber = 0;
 
 async function offer() {
@@ -185,11 +186,10 @@ async function showPreview() {
     const { curves } = await ask("preview", JSON.stringify(entry()));
     if (number !== previewNumber) return;
     say("form-said", "");
-    $("preview").replaceChildren();
-    for (const curve of curves.slice(0, 4)) drawCurve($("preview"), curve);
+    preview.show(curves.slice(0, 4));
   } catch (error) {
     if (number !== previewNumber) return;
-    $("preview").replaceChildren();
+    preview.show([]);
     say("form-said", error.message);
   }
 }

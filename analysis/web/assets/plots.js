@@ -107,6 +107,25 @@ function drawCurve(area, curve) {
   }, [curve.t, curve.healthy, curve.faulty], area);
 }
 
+class Preview {
+  // The curves of a fault that is not armed yet; drawn anew when the page's width or colours change.
+  constructor(area) {
+    this.area = area;
+    this.show([]);
+    let width = area.clientWidth;
+    new ResizeObserver(() => {
+      if (area.clientWidth !== width) this.show(this.curves);
+      width = area.clientWidth;
+    }).observe(area);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.show(this.curves));
+  }
+  show(curves) {
+    this.curves = curves;
+    this.area.replaceChildren();
+    for (const curve of curves) drawCurve(this.area, curve);
+  }
+}
+
 class Satellites {
   // A bar for each satellite of the newest epoch; rows stay where they are while the list does.
   constructor(area) {
