@@ -17,7 +17,7 @@ class Source:
 
     def __init__(self, feed: Feed, url: str | None) -> None:
         self._feed = feed
-        self._url = url or DEFAULT_URL
+        self.url = url or DEFAULT_URL
         self._over = threading.Event()
         self._bus: Bus | None = None
         self._watch: Bus | None = None
@@ -43,7 +43,7 @@ class Source:
         """
         bus = self._bus
         if bus is None:
-            raise ConfigError(f"{self._url}: no proxy and no run is there; start one first")
+            raise ConfigError(f"{self.url}: no proxy and no run is there; start one first")
         return bus.ask(f"@ctl/{what}", payload)[0]
 
     def _follow(self) -> None:
@@ -57,7 +57,7 @@ class Source:
         """Join the run that is alive, leave the one that is not."""
         try:
             if self._watch is None:
-                self._watch = stack.enter_context(open_bus(self._url, run="*"))
+                self._watch = stack.enter_context(open_bus(self.url, run="*"))
             runs = [run_of(key) for key in self._watch.who() if key.endswith(PROXY)]
             joined = self._bus.run if self._bus is not None else None
             if joined in runs or (joined is None and not runs):
@@ -70,7 +70,7 @@ class Source:
 
     def _join(self, run: str) -> None:
         self._feed.forget()
-        bus = open_bus(self._url, run=run)
+        bus = open_bus(self.url, run=run)
         prefix = len(bus.key(""))
         for stream in STREAMS:
             bus.subscribe(stream, lambda key, payload: self._feed.take(key[prefix:], payload))
@@ -85,7 +85,7 @@ class Source:
         self._say(None)
 
     def _say(self, run: str | None) -> None:
-        self._feed.status({"run": run, "url": self._url})
+        self._feed.status({"run": run, "url": self.url})
 
 
 def run_of(key: str) -> str:
