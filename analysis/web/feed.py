@@ -1,6 +1,6 @@
 """What the bus says, gathered for the viewers: one batch each tick, encoded once for all of them.
 
-Streams are thinned to the newest sample of each key and tick; what must not be lost (events,
+Streams are thinned to the newest few samples of each key and tick; what must not be lost (events,
 labels) is kept whole up to a bound. A viewer that does not keep up loses batches and is given
 the whole picture again; it never slows the bus or another viewer.
 """
@@ -14,6 +14,9 @@ import msgspec
 KEPT = 200  # events and labels remembered for late joiners
 WAITING = 50  # batches a viewer may be behind: one second
 LISTED = ("fdi/events", "proxy/labels")  # every sample counts
+BURST = 25  # samples of one key sent in one tick: a monitor's results come by the second
+PAST = 300  # samples of a curve that a late joiner is shown
+CURVES = ("fdi/main/", "att/")
 STATUS = "page/status"
 
 
@@ -30,8 +33,8 @@ class Feed:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._newest: dict[str, bytes] = {}
-        self._fresh: dict[str, bytes] = {}
+        self._past: dict[str, deque[bytes]] = {}
+        self._fresh: dict[str, deque[bytes]] = {}
         self._listed: deque[tuple[str, bytes]] = deque(maxlen=KEPT)
         self._unsent: deque[tuple[str, bytes]] = deque(maxlen=KEPT)
         self._viewers: set[Viewer] = set()
@@ -47,7 +50,9 @@ class Feed:
                 self._listed.append((key, payload))
                 self._unsent.append((key, payload))
             else:
-                self._newest[key] = self._fresh[key] = payload
+                length = PAST if key.startswith(CURVES) else 1
+                self._past.setdefault(key, deque(maxlen=length)).append(payload)
+                self._fresh.setdefault(key, deque(maxlen=min(length, BURST))).append(payload)
 
     def status(self, said: object) -> None:
         """Tell the viewers how the page itself is doing."""
@@ -56,7 +61,7 @@ class Feed:
     def forget(self) -> None:
         """Drop what belongs to a run that is over; the status stays."""
         with self._lock:
-            self._newest = {key: data for key, data in self._newest.items() if key == STATUS}
+            self._past = {key: data for key, data in self._past.items() if key == STATUS}
             self._fresh.clear()
             self._listed.clear()
             self._unsent.clear()
@@ -74,7 +79,7 @@ class Feed:
     def tick(self) -> None:
         """Give every viewer what came since the last tick."""
         with self._lock:
-            samples = [*self._unsent, *self._fresh.items()]
+            samples = [*self._unsent, *flat(self._fresh)]
             self._unsent.clear()
             self._fresh.clear()
         if not samples:
@@ -91,7 +96,12 @@ class Feed:
 
     def _picture(self) -> str:
         with self._lock:
-            return encoded([("page/picture", b"null"), *self._listed, *self._newest.items()])
+            return encoded([("page/picture", b"null"), *self._listed, *flat(self._past)])
+
+
+def flat(samples: dict[str, deque[bytes]]) -> list[tuple[str, bytes]]:
+    """Samples with their keys, in order of arrival within a key."""
+    return [(key, payload) for key, payloads in samples.items() for payload in payloads]
 
 
 def encoded(samples: list[tuple[str, bytes]]) -> str:

@@ -185,7 +185,7 @@ async function showPreview() {
   try {
     const { curves } = await ask("preview", JSON.stringify(entry()));
     if (number !== previewNumber) return;
-    say("form-said", "");
+    if (!$("form-said").classList.contains("fine")) say("form-said", ""); // what was armed stays said
     preview.show(curves.slice(0, 4));
   } catch (error) {
     if (number !== previewNumber) return;
@@ -212,6 +212,7 @@ const statistic = new Sliding($("statistic"), { log: true, dashed: ["threshold"]
 const attitude = new Sliding($("attitude"));
 const satellites = new Satellites($("satellites"));
 const sensors = new Map();
+const kept = new Map(); // source: time of its newest row
 let received = [];
 let epoch = null;
 
@@ -243,12 +244,16 @@ function showSensor(decision) {
 function showLinks(news) {
   const points = Array.isArray(news) ? news : news?.endpoints || [];
   const columns = ["name", "frames_in", "chunks_out", "faulted", "drops", "crc_errors", "p50_us", "p99_us"];
+  $("links-title").hidden = !points.length;
   if (!points.length) return;
   const cells = (tag, values) => make("tr", {}, ...values.map((one) => make(tag, { textContent: one ?? "–" })));
   $("links").replaceChildren(cells("th", columns.map((one) => one.replaceAll("_", " "))), ...points.map((one) => cells("td", columns.map((key) => one[key]))));
 }
 
 function keep(row) {
+  const [t_s, source] = row;
+  if (t_s <= kept.get(source)) return; // told again after a reconnection
+  kept.set(source, t_s);
   received.push(row);
   if (received.length > ROWS_KEPT * 1.2) received = received.slice(-ROWS_KEPT);
 }
@@ -268,7 +273,7 @@ function addEvent(t_s, text, bad) {
 
 function showEvent(one) {
   if (one.type === "SensorDecision") {
-    addEvent(one.t_s, `${one.sensor}: ${one.isolated ? "isolated" : one.alarm ? "alarm" : "agrees again"}`, one.alarm);
+    addEvent(one.t_s, `${one.sensor}: ${one.isolated ? "isolated" : one.alarm ? "alarm" : "agrees"}`, one.alarm);
   } else {
     const out = one.excluded.length ? `, isolated: ${one.excluded.join(", ")}` : "";
     addEvent(one.t_s, `${one.alarm ? "alarm: " : ""}${one.hypothesis === "none" ? "no fault" : one.hypothesis}${out}`, one.alarm);
@@ -291,6 +296,9 @@ function showStatus(news) {
     : `${run ? "The proxy is gone; waiting for it to come back" : "No proxy or run yet; waiting"} on ${news.url}`;
   if (news.run && !there) {
     for (const plot of [statistic, attitude]) plot.clear();
+    kept.clear();
+    for (const chip of sensors.values()) chip.remove();
+    sensors.clear();
     showFaults({ faults: [] });
   }
   if (!news.run && run) showFaults({ faults: [] });
@@ -299,7 +307,10 @@ function showStatus(news) {
 }
 
 function take(key, value) {
-  if (key === "page/picture") $("events").replaceChildren();
+  if (key === "page/picture") {
+    $("events").replaceChildren();
+    for (const plot of [statistic, attitude]) plot.clear();
+  }
   else if (key === "page/status") showStatus(value);
   else if (key === "schedule/state") showFaults(value);
   else if (key === "proxy/labels") showLabel(value);
