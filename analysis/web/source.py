@@ -72,10 +72,10 @@ class Source:
         self._feed.forget()
         bus = open_bus(self.url, run=run)
         prefix = len(bus.key(""))
+        self._bus = bus
+        self._say(run)  # before its first sample: the page clears its plots
         for stream in STREAMS:
             bus.subscribe(stream, lambda key, payload: self._feed.take(key[prefix:], payload))
-        self._bus = bus
-        self._say(run)
 
     def _leave(self) -> None:
         if self._bus is None:

@@ -310,8 +310,7 @@ function take(key, value) {
   if (key === "page/picture") {
     $("events").replaceChildren();
     for (const plot of [statistic, attitude]) plot.clear();
-  }
-  else if (key === "page/status") showStatus(value);
+  } else if (key === "page/status") showStatus(value);
   else if (key === "schedule/state") showFaults(value);
   else if (key === "proxy/labels") showLabel(value);
   else if (key === "proxy/stats") showLinks(value);

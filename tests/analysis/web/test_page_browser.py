@@ -158,6 +158,21 @@ def test_a_schedule_is_saved_loaded_and_a_wrong_one_explained(
     assert "id: still" in Path(saved.value.path()).read_text()
 
 
+@pytest.mark.browser
+@needs_browser
+def test_a_second_viewer_without_the_token_sees_the_same_and_can_change_nothing(
+    browser: Any, page: Any, address: str
+) -> None:
+    page.select_option("#kind", "preset:gyro-bias")
+    page.click("#arm")
+    second = browser.new_page()
+    second.goto(address.partition("#")[0])
+    second.wait_for_selector("#faults li.active")
+    assert second.is_visible("#viewing")
+    assert all(one.is_disabled() for one in second.query_selector_all("main button:not(#csv)"))
+    second.close()
+
+
 def status_of(address: str, headers: dict[str, str]) -> int:
     origin = address.partition("/#")[0]
     url = f"{origin}/api/ctl/schedule/stop"
