@@ -13,6 +13,7 @@ import socket
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import uvicorn
 from starlette.applications import Starlette
@@ -23,7 +24,6 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from analysis.web.feed import Feed
-from analysis.web.offer import catalogue, preview
 from analysis.web.source import Source
 from mavproxy_fault.errors import ConfigError
 
@@ -124,7 +124,7 @@ class Page:
         refusal = self._refusal(request)
         if refusal:
             return said(403, refusal)
-        data = await run_in_threadpool(catalogue)
+        data = await run_in_threadpool(offered)
         return Response(data, media_type="application/json", headers=HEADERS)
 
     async def _preview(self, request: Request) -> Response:
@@ -133,7 +133,7 @@ class Page:
             return said(403, refusal)
         try:
             body = await self._body(request)
-            return JSONResponse(await run_in_threadpool(preview, body))
+            return JSONResponse(await run_in_threadpool(previewed, body))
         except ConfigError as error:
             return said(400, str(error))
 
@@ -173,6 +173,26 @@ async def send(socket: WebSocket, queue: "asyncio.Queue[str]") -> None:
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):
         while True:
             await socket.send_text(await queue.get())
+
+
+def offered() -> bytes:
+    """The catalogue; the faults are loaded when the first page asks, not at the start."""
+    from analysis.web.offer import catalogue
+
+    return catalogue()
+
+
+def previewed(body: bytes) -> dict[str, Any]:
+    """The drawing of an entry, likewise.
+
+    Raises
+    ------
+    ConfigError
+        If the entry is wrong.
+    """
+    from analysis.web.offer import preview
+
+    return preview(body)
 
 
 def said(status: int, text: str) -> JSONResponse:
