@@ -50,6 +50,10 @@ def add_monitor(commands: Any) -> None:
     parser.add_argument("--watch", action="store_true", help="a compact live status")
     parser.add_argument("--scenario", metavar="FILE", help="monitor and criteria sections to use")
     parser.add_argument(
+        "--calibrate", metavar="FILE", help="fit the noise of pseudoranges to clean data, write it"
+    )
+    parser.add_argument("--sigma", metavar="FILE", help="a noise model that --calibrate wrote")
+    parser.add_argument(
         "--for", dest="for_s", type=float, metavar="S", help="end after S seconds of vehicle time"
     )
     parser.add_argument(

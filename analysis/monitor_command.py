@@ -6,18 +6,22 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
 import msgspec
 
+from analysis.calibrate import calibrate, read_sigma, write_sigma
 from analysis.criteria import Criteria
+from analysis.epochs import Decoder, read_rinex_samples
 from analysis.folder import ResultFile, make_folder, write_summary
 from analysis.intake import Intake
 from analysis.monitor import Monitor
 from analysis.pipeline import MonitorConfig
 from analysis.publish import Publisher
 from analysis.results import Result
+from analysis.samples import Sample
 from analysis.terminal import print_summary
 from analysis.watch import Watch
 from mavproxy_fault.errors import ConfigError
@@ -32,7 +36,9 @@ Take = Callable[[list[Result]], None]
 
 def main(args: argparse.Namespace) -> int:
     """Watch until the source ends, the time is over or Ctrl-C; the exit code of the verdict."""
-    config, criteria = settings(args.scenario)
+    config, criteria = settings(args.scenario, args.sigma)
+    if args.calibrate is not None:
+        return calibrate_to(Path(args.calibrate), args, config)
     if args.link is None:
         read_known(args.labels)  # a wrong name is told before the work, not after
     folder = make_folder(args.out, "monitor") if args.out else None
@@ -65,14 +71,31 @@ def main(args: argparse.Namespace) -> int:
     return EXIT_CODES[summary["verdict"]]
 
 
-def settings(scenario: str | None) -> tuple[MonitorConfig, Criteria]:
-    """The monitor's part of a scenario; without one the defaults and no criteria."""
-    if scenario is None:
-        return MonitorConfig(), Criteria()
-    from analysis.run.setup import read_setup
+def settings(scenario: str | None, sigma: str | None) -> tuple[MonitorConfig, Criteria]:
+    """The monitor's part of a scenario, or the defaults; with another noise model where given."""
+    config, criteria = MonitorConfig(), Criteria()
+    if scenario is not None:
+        from analysis.run.setup import read_setup
 
-    setup = read_setup(scenario)
-    return setup.monitor, setup.criteria
+        setup = read_setup(scenario)
+        config, criteria = setup.monitor, setup.criteria
+    if sigma is not None:
+        detector = replace(config.detector, sigma=read_sigma(Path(sigma)))
+        config = msgspec.structs.replace(config, detector=detector)
+    return config, criteria
+
+
+def calibrate_to(path: Path, args: argparse.Namespace, config: MonitorConfig) -> int:
+    """Fit the noise model of pseudoranges to a clean recording and write it."""
+    if args.link is not None:
+        raise ConfigError("--calibrate: a link cannot be read twice; give --log or --rinex")
+    found = calibrate(list(samples_of(args)), config.detector)
+    write_sigma(path, found)
+    print(
+        f"{path}: from {found.epochs} epochs, chi-square per degree of freedom "
+        f"{found.chi_square_per_dof:.2f}; use it with --sigma {path}"
+    )
+    return 0
 
 
 def read_known(path: str | None) -> list[Label] | None:
@@ -94,18 +117,22 @@ def _feed(args: argparse.Namespace, monitor: Monitor, take: Take) -> None:
     if args.link is not None:
         with _ended_by_signals():
             watch_link(args.link, monitor, take, args.for_s)
-    elif args.log is not None:
+    else:
+        for sample in samples_of(args):
+            take(monitor.samples([sample]))
+
+
+def samples_of(args: argparse.Namespace) -> Iterator[Sample]:
+    """The samples of the recording that was given."""
+    if args.log is not None:
         from mavproxy_fault.wire.tlog import read_frames
 
+        decoder = Decoder()
         for _, frame in read_frames(args.log):
-            take(monitor.frame(frame))
+            yield from decoder.decode(frame)
     else:
-        from analysis.epochs import read_rinex_samples
-
         obs, nav = (Path(path) for path in args.rinex)
-        imu = Path(args.imu) if args.imu else None
-        for sample in read_rinex_samples(obs, nav, imu):
-            take(monitor.samples([sample]))
+        yield from read_rinex_samples(obs, nav, Path(args.imu) if args.imu else None)
 
 
 def watch_link(spec: str, monitor: Monitor, take: Take, for_s: float | None) -> None:

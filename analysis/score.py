@@ -95,16 +95,23 @@ def score_faults(labels: Sequence[Label], alarms: Iterable[Alarm]) -> list[Fault
     return [_score(label, labels, raised) for label in labels]
 
 
-def false_alarms(labels: Sequence[Label], alarms: Iterable[Alarm]) -> int:
-    """Alarms that rose on a channel while no fault acted and none had ended shortly before."""
-    count = 0
+def risen(alarms: Iterable[Alarm]) -> list[Alarm]:
+    """The alarms that begin one: the first on their channel after a quiet second."""
     last: dict[str, int] = {}
+    found = []
     for alarm in sorted(alarms, key=lambda alarm: alarm.t_us):
-        risen = alarm.t_us - last.get(alarm.channel, -(10**12)) > GRACE_S * 1e6
+        if alarm.t_us - last.get(alarm.channel, -(10**12)) > GRACE_S * 1e6:
+            found.append(alarm)
         last[alarm.channel] = alarm.t_us
-        if risen and not any(_covers(label, alarm.t_us, RECOVERY_S) for label in labels):
-            count += 1
-    return count
+    return found
+
+
+def false_alarms(labels: Sequence[Label], alarms: Iterable[Alarm]) -> int:
+    """Alarms that rose while no fault acted and none had ended shortly before."""
+    return sum(
+        not any(_covers(label, alarm.t_us, RECOVERY_S) for label in labels)
+        for alarm in risen(alarms)
+    )
 
 
 def _covers(label: Label, t_us: int, grace_s: float) -> bool:

@@ -11,7 +11,7 @@ import msgspec
 from analysis.criteria import Criteria, judge, verdict
 from analysis.results import Decision, FusedState, Result
 from analysis.samples import TruthSample
-from analysis.score import Alarm, alarm_of, false_alarms, score_faults
+from analysis.score import Alarm, alarm_of, false_alarms, risen, score_faults
 from mavproxy_fault.wire.label import Label
 from simvehicle.earth import ecef_from_geodetic
 
@@ -103,7 +103,7 @@ class Tally:
             "wall_s": round(wall_s, 2),
             "epochs": self.epochs,
             "false_alarms": None if labels is None else false_alarms(labels, self.alarms),
-            "alarms": len(self.alarms),
+            "alarms": len(risen(self.alarms)),
             "untestable_epochs": self.untestable,
             "attitude_rmse_deg": first["rmse_deg"] if first else None,
             "position_rmse_m": round(math.sqrt(self._square_m2 / self._errors), 3)

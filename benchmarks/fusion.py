@@ -39,6 +39,7 @@ SETTINGS = {
 }
 WALK_GEOID_M = 21.387  # of the folder's README: heights of the reference are above sea level
 STEP_M, STEP_FROM_S, STEP_FOR_S = 50.0, 60.0, 30.0
+TIMED_S = 20
 GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
 
 
@@ -83,6 +84,13 @@ def rmse(found: dict[int, Vector], skip_s: float = 10.0) -> float:
         return math.nan
     first = min(found) + skip_s * 1e6
     return math.sqrt(float(np.mean([e @ e for t, e in found.items() if t >= first])))
+
+
+def spread(found: dict[int, Vector], skip_s: float = 10.0) -> float:
+    """The same about the mean error: what a constant offset, of the reference too, leaves."""
+    first = min(found) + skip_s * 1e6
+    late = np.array([e for t, e in found.items() if t >= first])
+    return rmse({k: e for k, e in enumerate(late - late.mean(axis=0))}, 0.0)
 
 
 def nees(states: list[FusedState], found: dict[int, Vector]) -> float:
@@ -177,8 +185,8 @@ def walk(folder: Path) -> None:
         for t_us, at in single.items()
         if t_us in near
     }
-    print("| walk | position RMSE m | epochs | NEES (3) |\n|---|---|---|---|")
-    print(f"| RTKLIB, single point | {rmse(found):.2f} | {len(found)} | |")
+    print("| walk | position RMSE m | about its mean m | NEES (3) |\n|---|---|---|---|")
+    print(f"| RTKLIB, single point | {rmse(found):.2f} | {spread(found):.2f} | |")
     samples = read_rinex_samples(observations, navigation, folder / "imu_1730_sf.csv")
     epochs = [s for s in samples if isinstance(s, Epoch)]
     truths = nearest(truths, [s.t_us for s in epochs])
@@ -193,12 +201,12 @@ def walk(folder: Path) -> None:
         ),
     ):
         value = errors(decisions(these), truths)
-        print(f"| {title}: the detector's filter | {rmse(value):.2f} | {len(value)} | |")
+        print(f"| {title}: the detector's filter | {rmse(value):.2f} | {spread(value):.2f} | |")
         for name, config in list(SETTINGS.items())[: 1 if title == "clean" else None]:
             states = fused(these, config)
             value = errors(states, truths)
             print(
-                f"| {title}: {name} | {rmse(value):.2f} | {len(value)} "
+                f"| {title}: {name} | {rmse(value):.2f} | {spread(value):.2f} "
                 f"| {nees(states, value):.1f} |"
             )
 
@@ -229,9 +237,16 @@ def stepped(samples: list[Sample], name: str, start_us: int) -> list[Sample]:
 
 
 def timing(folder: Path, satellites: int = 10) -> None:
-    """Milliseconds of processor time per GNSS epoch, of a recorded flight with fewer satellites."""
+    """Milliseconds of processor time per GNSS epoch with all samples since the last one.
+
+    Of a recorded flight with fewer satellites.
+    """
     samples: list[Sample] = []
-    for sample in tlog_samples(folder / "received.tlog"):
+    recorded = tlog_samples(folder / "received.tlog")
+    until_us = recorded[0].t_us + TIMED_S * 1_000_000
+    for sample in recorded:
+        if sample.t_us > until_us:
+            break
         if isinstance(sample, Epoch):
             keep = slice(0, satellites)
             sample = replace(
@@ -246,14 +261,14 @@ def timing(folder: Path, satellites: int = 10) -> None:
     fusion = Fusion()
     state = fusion.new_state()
     spent: list[float] = []
-    imu = 0.0
+    since = 0.0
     for sample, results, core in rows:
         before = time.process_time()
         said, state = fusion.step(sample, results, core, state)
-        took = time.process_time() - before
-        imu = imu + took if not said else 0.0
+        since += time.process_time() - before
         if said:
-            spent.append(took)
+            spent.append(since)
+            since = 0.0
     rest = np.array(spent[len(spent) // 4 :]) * 1e3
     rate = sum(isinstance(s, ImuSample) for s, _, _ in rows) / max(len(spent), 1)
     print(

@@ -1,12 +1,13 @@
 """Throughput, latency, loss and CPU of a MAVLink proxy, beside a plain forwarder in C.
 
-    python benchmarks/proxy.py [--router PATH] [--rounds N] [--command "NAME=COMMAND"]...
+    python benchmarks/proxy.py [--router PATH] [--rounds N] [--realtime]
 
 HIL_SENSOR frames, one per UDP datagram, go in at one port and come out at another (`load.c`,
 compiled here). Our proxy runs with ten active faults, one of which changes every frame. The
 proxies take turns within each round, so that what else the machine does hits all of them alike;
 medians of the rounds are printed as a Markdown table. `--router` adds a mavlink-routerd;
-`--command` any proxy, whose command gets `{master}` and `{out}` (or `{in_port}`, `{out_port}`).
+`--command NAME=COMMAND` any proxy, whose command gets `{master}` and `{out}` (or `{in_port}` and
+`{out_port}`).
 """
 
 import argparse
@@ -43,10 +44,10 @@ faults:
 """
 DELAY = "faults: [{id: late, fault: delay, target: HIL_SENSOR, value: 0.005}]\n"
 CASES = (
-    ("64 in flight", "window", 64, 300_000),
-    ("lockstep", "window", 1, 40_000),
-    ("10,000/s", "rate", 10_000, 20_000),
-    ("100,000/s", "rate", 100_000, 200_000),
+    ("64 in flight", "window", 64, 200_000),
+    ("lockstep", "window", 1, 20_000),
+    ("10,000/s", "rate", 10_000, 10_000),
+    ("100,000/s", "rate", 100_000, 100_000),
 )
 
 
@@ -83,7 +84,10 @@ def cpu_s(process: subprocess.Popen[bytes]) -> float:
 class Bench:
     """The compiled load generator and the ports of one run."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, warm_s: int, realtime: bool) -> None:
+        self.warm_s = warm_s
+        self.realtime = realtime
+        self.prefix: tuple[str, ...] = ()
         self.load = self.compile(folder, "load")
         self.forwarder = self.compile(folder, "forwarder")
         self.folder = folder
@@ -114,9 +118,13 @@ class Bench:
             else:
                 raise SystemExit(f"nothing comes through: {text}")
             if "mavproxy_fault" in text:  # the compiled path comes in under dense traffic
-                self.measure(process, in_port, out_port, "rate", 2000, 16_000)
+                self.measure(process, in_port, out_port, "rate", 1500, 1500 * self.warm_s)
+            if self.realtime:
+                os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(10))
+                self.prefix = ("chrt", "-f", "10")
             yield process, in_port, out_port
         finally:
+            self.prefix = ()
             process.send_signal(signal.SIGINT)
             try:
                 process.wait(10)
@@ -135,7 +143,7 @@ class Bench:
     ) -> Outcome:
         """One case."""
         before_s = cpu_s(process)
-        words = [self.load, in_port, out_port, mode, pace, count]
+        words = [*self.prefix, self.load, in_port, out_port, mode, pace, count]
         said = subprocess.run(
             [str(word) for word in words], capture_output=True, check=True, text=True
         ).stdout.split()
@@ -192,15 +200,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--router", help="a mavlink-routerd to compare with")
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument(
+        "--realtime", action="store_true", help="measure as SCHED_FIFO, on a machine that is busy"
+    )
+    parser.add_argument("--repeat", type=int, default=1, help="of each case within a round")
+    parser.add_argument("--warm-s", type=int, default=10, help="seconds before measuring ours")
     parser.add_argument("--command", action="append", default=[], help="NAME=COMMAND")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        bench = Bench(Path(folder))
+        bench = Bench(Path(folder), args.warm_s, args.realtime)
         found: dict[tuple[str, str], list[Outcome]] = {}
         for _ in range(args.rounds):
             for name, command in commands(args, bench).items():
                 with bench.running(command) as (process, in_port, out_port):
-                    for case, mode, pace, count in CASES:
+                    for case, mode, pace, count in CASES * args.repeat:
                         outcome = bench.measure(process, in_port, out_port, mode, pace, count)
                         found.setdefault((name, case), []).append(outcome)
         print("| proxy | case | k/s | p50 us | p99 us | lost | CPU s per million |")

@@ -89,7 +89,7 @@ class FastPath:
             parts[:, :, 0], parts[:, :, 1] = rows, k.ROW
             headers[:, :, 2] = parts.ctypes.data + 16 * step
             headers[:, :, 3] = 1
-        self._heads[:, :, 0] = self._names.ctypes.data + k.NAME * step
+        self._heads[:, :, 0], self._heads[:, :, 1] = self._names.ctypes.data + k.NAME * step, k.NAME
         for number, link in enumerate(self._links):
             port = self.ports[number]
             port[k.FD] = link.fileno()

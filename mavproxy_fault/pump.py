@@ -117,8 +117,6 @@ def _send(first, last, source, link, net):
 def _receive(link, turn, net):
     """Fill a link's rows; whether anything came."""
     ports, heads = net[0], net[1]
-    for k in range(BATCH):
-        heads[link, k, 1] = NAME
     count = _recvmmsg(ports[link, FD], heads[link].ctypes.data, BATCH, DONTWAIT, 0)
     if count <= 0:
         return False
@@ -126,6 +124,7 @@ def _receive(link, turn, net):
     ports[link, DATAGRAMS] += count
     for k in range(count):
         ports[link, BYTES] += heads[link, k, 7] & 0xFFFFFFFF
+        heads[link, k, 1] = NAME  # room for the next name; the kernel wrote the length of this one
     return True
 
 

@@ -57,6 +57,7 @@ class Running:
         self.takes_bytes = entry.ids is None and getattr(entry.fault, "takes_bytes", False)
         self.takes_sealed = getattr(entry.fault, "takes_sealed", False)
         self.holds = hasattr(entry.fault, "release")
+        self.keeps_back = getattr(entry.fault, "keeps_back", False)
 
     def _end(self) -> int:
         for_s = self.entry.for_s
@@ -158,8 +159,12 @@ class Running:
         sends, self.states[direction] = self.fault.apply(frame, t_us, state, self.rng)
         if len(sends) == 1 and sends[0].frame is frame and sends[0].due_us == t_us:
             return sends  # type: ignore[no-any-return]
-        self.frames += 1
-        self.total_frames += 1
+        # What was kept back and leaves as it came was not touched; what changed has a magnitude.
+        touched = sum(out.magnitude is not None for out in sends) if self.keeps_back else 1
+        if not touched:
+            return sends  # type: ignore[no-any-return]
+        self.frames += touched
+        self.total_frames += touched
         self.last_us = t_us
         if self.first_us is None:
             self.first_us = t_us

@@ -59,8 +59,10 @@ def judge_epoch(
     tested = check_ranges(freed_by(motion, rates.hypothesis), used, config)
     excluded = readmit(core.excluded, observed.satellites, modelled, motion.p, t_us, config)
     excluded = exclude(excluded, tuple(names[i] for i in tested.left_out), t_us, t_us)
-    after = model(trusted, tested.motion.x, config.sigma, core.ionosphere)
-    moved, update = use_rates(tested.motion, after, rates.fit)
+    moved, update = tested.motion, None
+    if rates.fit.any():
+        after = model(trusted, moved.x, config.sigma, core.ionosphere)
+        moved, update = use_rates(moved, after, rates.fit)
     memory = None
     undisturbed = not leapt and not tested.freed and rates.hypothesis in ("none", "satellites")
     if undisturbed and tested.update is not None and before.inertial == moved.inertial:
@@ -121,7 +123,8 @@ def _modelled(
     above = modelled.elevation_rad >= np.radians(config.mask_deg)
     if not above.all():
         observed, modelled = observed.select(above), modelled.select(above)
-    leap = float(np.median(modelled.v_m)) if len(modelled.v_m) else 0.0
+    count = len(modelled.v_m)
+    leap = float(np.sort(modelled.v_m)[count // 2]) if count else 0.0
     if abs(leap) <= CLOCK_LEAP_M:
         return observed, modelled, motion, False
     x = motion.x.copy()

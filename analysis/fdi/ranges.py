@@ -7,13 +7,12 @@ from numpy.typing import NDArray
 
 from analysis.fdi.bank import normalised, projected_weights
 from analysis.fdi.config import DetectorConfig
-from analysis.fdi.inertial import CLOCK, DRIFT, PSI, correct, innovate
+from analysis.fdi.inertial import CLOCK, DRIFT, ISB, PSI, correct, innovate
 from analysis.fdi.measure import Modelled
 from analysis.fdi.state import Motion
 from analysis.fdi.thresholds import chi_square
 from analysis.fdi.verdict import Verdict, judge
 from analysis.samples import Vector
-from analysis.solve import design_matrix
 
 Indices = NDArray[np.int64]
 FREE_POSITION_M = 300.0
@@ -59,11 +58,12 @@ class Tested:
 
 def parity(modelled: Modelled, galileo: Vector, p_false_alarm: float) -> tuple[float, float, int]:
     """The test that asks the satellites only: statistic, threshold, degrees of freedom."""
-    design = design_matrix(modelled.los, galileo)
+    mixed = 0 < int(galileo.sum()) < len(galileo)
+    design = modelled.h[:, [0, 1, 2, CLOCK, ISB] if mixed else [0, 1, 2, CLOCK]]
     dof = len(design) - design.shape[1]
     if dof < 1:
         return 0.0, 0.0, 0
-    m = projected_weights(design, 1.0 / modelled.variance)
+    m = projected_weights(np.ascontiguousarray(design), 1.0 / modelled.variance)
     return float(modelled.v_m @ m @ modelled.v_m), chi_square(dof, p_false_alarm), dof
 
 

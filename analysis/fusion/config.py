@@ -14,7 +14,8 @@ class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
     weight 1, above `hopeless` weight 0. `decide` False takes every measurement as it comes, and
     `robust` is a loss of GTSAM's on the pseudoranges: both for comparison. What is wrong with
     a satellite's pseudorange stays wrong for seconds to minutes while the graph takes every
-    measurement for independent: `correlation` multiplies their sigmas. The other sigmas are per
+    measurement for independent: `correlation` multiplies their sigmas, and the reported covariance
+    of position has a bias of `slow` sigmas per satellite added. The other sigmas are per
     GNSS epoch, walks per square root of a second.
     """
 
@@ -24,6 +25,7 @@ class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
     decide: bool = True
     robust: str = "none"
     correlation: float = 3.0
+    slow: float = 0.5
     baro_m: float = 1.0
     baro_walk_m: float = 0.3
     mag_gauss: float = 0.1

@@ -65,7 +65,7 @@ class Ranges:
         offset_m = np.where(observed.galileo, x[X_ISB], 0.0)
         self.corrected_m = observed.pseudorange_m - np.array(delay) - offset_m
         self._white_m = detector.sigma.sigma_m(elevation, observed.cn0_dbhz)
-        self._slow = detector.sigma.slow
+        self._slow = config.slow
         self.sigma_m = config.correlation * self._white_m
         self.sigma_mps = detector.sigma.rate_mps / np.sqrt(np.sin(np.maximum(elevation, 0.1)))
         self.above = elevation >= np.radians(detector.mask_deg)

@@ -107,10 +107,11 @@ class Fusion:
             if motion is None:
                 return [], state
             graph = Graph(motion, self.config, self.detector)
+            used["imu"] = float(motion.inertial)
             if state.graph is not None:
                 graph.slow_m2 = state.graph.slow_m2
             if ranges and np.sqrt(motion.p[0, 0]) > LOOSE_M:
-                used = self._attach(graph, ranges, weights)
+                used |= self._attach(graph, ranges, weights)
             state = replace(state, graph=graph, vision=None)
         else:
             used["imu"] = self._extend(graph, decision, motion, run, isolated)

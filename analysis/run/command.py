@@ -11,7 +11,7 @@ from typing import Any
 from analysis.folder import ResultFile, make_folder, write_summary
 from analysis.progress import RunProgress
 from analysis.publish import Publisher
-from analysis.results import Result
+from analysis.results import Result, read_results
 from analysis.run.flight import Flight
 from analysis.run.setup import Setup, read_setup
 from analysis.run.worker import MonitorProcess
@@ -21,6 +21,8 @@ from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.live import Live
 from mavproxy_fault.record import Recorder
+from mavproxy_fault.wire.label import read_labels
+from mavproxy_fault.wire.tlog import Columns, read_columns
 from simvehicle.pace import Pace, parse_speed
 
 RECORD_US = 200_000  # simulated time between writes to the logs
@@ -50,10 +52,14 @@ def main(args: argparse.Namespace) -> int:
         if bus is not None:
             live.offer(bus)
         link = open_ground(args.gcs, pace)
-        wall_s = fly(flight, monitor, Recorder(folder, session(setup)), pace, take, link, live)
+        started_s = time.monotonic()
+        fly(flight, monitor, Recorder(folder, session(setup)), pace, take, link, live)
+        columns = read_columns(folder / "sent.tlog")  # while the monitor catches up
+        take(monitor.results())
+        wall_s = time.monotonic() - started_s
         summary = monitor.summary(flight.completed_labels(), setup.criteria, wall_s)
     write_summary(folder, summary)
-    report(folder, summary)
+    report(folder, summary, columns)
     print_summary(summary, folder)
     return EXIT_CODES[summary["verdict"]]
 
@@ -66,8 +72,8 @@ def fly(
     take: Callable[[list[Result]], None],
     ground: Link | None,
     live: Live,
-) -> float:
-    """Fly to the end of the scenario, or until Ctrl-C; the wall time it took in seconds."""
+) -> None:
+    """Fly to the end of the scenario, or until Ctrl-C; the logs are closed then."""
     recorded_us = 0
     with RunProgress(flight.duration_s) as progress:
         with contextlib.suppress(KeyboardInterrupt):
@@ -89,11 +95,9 @@ def fly(
                     if ground is not None:
                         take(monitor.feed(b"", now=True))
                     progress.show(flight.t_us * 1e-6, flight.engine.active)
-        monitor.feed(flight.finish().monitor)
-        take(monitor.results())
+        take(monitor.feed(flight.finish().monitor, now=True))
         recorder.write(flight.tape, flight.take_labels())
         recorder.close(flight.core.clock.t0_us, flight.now_us)
-        return progress.elapsed_s
 
 
 def open_ground(spec: str, pace: Pace) -> Link | None:
@@ -108,18 +112,15 @@ def session(setup: Setup) -> dict[str, Any]:
     return {"scenario": setup.scenario.name, "seed": setup.schedule.seed}
 
 
-def report(folder: Path, summary: dict[str, Any]) -> None:
-    """`report.html` from what stands in the folder."""
+def report(folder: Path, summary: dict[str, Any], columns: Columns) -> None:
+    """`report.html` from what stands in the folder, and the columns of `sent.tlog`."""
     from analysis.report.build import write
-    from analysis.results import read_results
-    from mavproxy_fault.wire.label import read_labels
-    from mavproxy_fault.wire.tlog import read_columns
 
     write(
         folder,
         summary=summary,
         labels=read_labels(folder / "labels.jsonl"),
         results=read_results(folder / "results.jsonl"),
-        columns=read_columns(folder / "sent.tlog"),
+        columns=columns,
         title=folder.name,
     )

@@ -1,12 +1,15 @@
 """The monitor in a process of its own, so that a run uses two cores.
 
-Bytes go to it by a pipe, results and the summary come back; the pipe's buffer bounds what waits.
+Bytes go to it by a bounded queue, results come back by a pipe. The flight runs ahead while the
+monitor compiles its kernels, and the monitor catches up.
 """
 
 import multiprocessing
+import queue
 import signal
 from collections.abc import Sequence
 from multiprocessing.connection import Connection
+from multiprocessing.queues import Queue
 from types import TracebackType
 from typing import Any
 
@@ -16,37 +19,37 @@ from analysis.results import Result
 from mavproxy_fault.wire.label import Label
 
 BATCH_BYTES = 32_768
-Question = tuple[list[Label], Criteria, float]
+MOST_BATCHES = 1000  # 32 MB that the flight may be ahead
+Order = bytes | tuple[list[Label], Criteria, float]
 
 
-def _work(pipe: Connection, config: MonitorConfig) -> None:
-    """The process: bytes in, results out, until a question asks for the summary."""
+def _work(orders: "Queue[Order | None]", answers: Connection, config: MonitorConfig) -> None:
+    """The process: bytes in, results out; a question is answered by the summary."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's: it still wants a summary
     from analysis.monitor import Monitor
 
     monitor = Monitor(config)
-    while True:
-        try:
-            order = pipe.recv()
-        except EOFError:
-            return
+    while (order := orders.get()) is not None:
         if isinstance(order, bytes):
-            pipe.send(monitor.bytes(order, datagram=False))
+            answers.send(monitor.bytes(order, datagram=False))
         else:
-            pipe.send(monitor.summary(*order))
+            answers.send(monitor.summary(*order))
 
 
 class MonitorProcess:
-    """A monitor to feed; it works on one batch while the caller makes the next."""
+    """A monitor to feed; it works on what it was given while the caller makes more."""
 
     def __init__(self, config: MonitorConfig) -> None:
         context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_work, args=(theirs, config), daemon=True)
+        self._orders: Queue[Order | None] = context.Queue(MOST_BATCHES)
+        self._answers, theirs = context.Pipe(duplex=False)
+        self._process = context.Process(
+            target=_work, args=(self._orders, theirs, config), daemon=True
+        )
         self._process.start()
         theirs.close()
         self._batch = bytearray()
-        self._working = False
+        self._owed = 0  # batches without their results yet
 
     def __enter__(self) -> "MonitorProcess":
         return self
@@ -57,35 +60,51 @@ class MonitorProcess:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._pipe.close()
-        self._process.join(timeout=5.0)
-        if self._process.is_alive():
+        if kind is not None:
             self._process.terminate()
+            self._orders.cancel_join_thread()
+        else:
+            self._orders.put(None)
+        self._orders.close()
+        self._process.join()
+        self._answers.close()
 
     def feed(self, data: bytes, *, now: bool = False) -> list[Result]:
-        """Hand on bytes, in batches unless `now`; the results of an earlier batch."""
+        """Hand on bytes, in batches unless `now`; the results that are there."""
         self._batch += data
-        if not self._batch or (len(self._batch) < BATCH_BYTES and not now):
-            return []
-        results = self._collect()
-        self._pipe.send(bytes(self._batch))
-        self._batch.clear()
-        self._working = True
+        results: list[Result] = []
+        if len(self._batch) >= BATCH_BYTES or (now and self._batch):
+            batch = bytes(self._batch)
+            self._batch.clear()
+            while not self._handed_on(batch):
+                results += self._receive()
+            self._owed += 1
+        while self._owed and self._answers.poll():
+            results += self._receive()
         return results
 
     def results(self) -> list[Result]:
-        """The results of what was fed, all of it."""
-        return self.feed(b"", now=True) + self._collect()
+        """The results of all that was fed; waits for them."""
+        results = self.feed(b"", now=True)
+        while self._owed:
+            results += self._receive()
+        return results
 
     def summary(self, labels: Sequence[Label], criteria: Criteria, wall_s: float) -> dict[str, Any]:
         """The content of `summary.json`; after `results`."""
-        self._pipe.send((list(labels), criteria, wall_s))
-        summary: dict[str, Any] = self._pipe.recv()
+        self._orders.put((list(labels), criteria, wall_s))
+        summary: dict[str, Any] = self._answers.recv()
         return summary
 
-    def _collect(self) -> list[Result]:
-        if not self._working:
-            return []
-        self._working = False
-        results: list[Result] = self._pipe.recv()
+    def _handed_on(self, batch: bytes) -> bool:
+        try:
+            self._orders.put_nowait(batch)
+        except queue.Full:
+            return False
+        return True
+
+    def _receive(self) -> list[Result]:
+        """The oldest results owed; EOFError if the monitor died."""
+        results: list[Result] = self._answers.recv()
+        self._owed -= 1
         return results

@@ -5,6 +5,7 @@ until a message is whole; then it patches the message and sends the fragments on
 not MSM7 and fragments that belong to nothing pass.
 """
 
+import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
@@ -44,6 +45,7 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
     """A value fault (or loss) applied to pseudoranges instead of fields."""
 
     acts_on: ClassVar[ActsOn] = "satellites"
+    keeps_back: ClassVar[bool] = True  # what leaves without a magnitude was not touched
 
     fault: ValueFault | Drop
     names: tuple[str, ...]
@@ -98,7 +100,7 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         message = patch_msm7(data, changes_m, lost)
         if message == data:
             return healthy, state
-        size_m = max((abs(change) for change in changes_m.values()), default=None)
+        size_m = max((abs(change) for change in changes_m.values()), default=math.nan)
         sends = [
             Outgoing(t_us, refilled(frame, payload), size_m)
             for frame, payload in zip(frames, rtcm.fragments(message, sequence), strict=False)

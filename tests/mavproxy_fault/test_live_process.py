@@ -1,11 +1,13 @@
 """Live control of a proxy process by real clients."""
 
+import contextlib
 import signal
 import socket
 import subprocess
 import sys
 from math import nan
 from pathlib import Path
+from typing import Any
 
 from pymavlink import mavutil
 
@@ -14,12 +16,23 @@ from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import build
 
 
+def meet(vehicle: socket.socket, proxy: tuple[str, int], station: Any) -> None:
+    """Have both ends heard by the proxy: a heartbeat passes only once the other end is known."""
+    vehicle.settimeout(1)
+    for _ in range(30):
+        vehicle.sendto(build(known("HEARTBEAT"), {"type": 2}), proxy)
+        station.mav.heartbeat_send(6, 8, 0, 0, 4)
+        with contextlib.suppress(TimeoutError):
+            vehicle.recv(300)
+            return
+    raise AssertionError("the proxy passed no heartbeat on")
+
+
 def test_a_ground_station_injects_a_failure_through_a_running_proxy(tmp_path: Path) -> None:
     schedule = tmp_path / "quiet.yaml"
     schedule.write_text("seed: 1\n")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
         vehicle.bind(("127.0.0.1", 0))
-        vehicle.settimeout(30)
         command = [
             sys.executable,
             "-m",
@@ -36,9 +49,9 @@ def test_a_ground_station_injects_a_failure_through_a_running_proxy(tmp_path: Pa
         master, out = (int(words[i].rsplit(":", 1)[1]) for i in (1, 3))
         station = mavutil.mavlink_connection(f"udpout:127.0.0.1:{out}", source_system=255)
         try:
-            station.mav.heartbeat_send(6, 8, 0, 0, 4)
             layout = known("SCALED_IMU")
             healthy = build(layout, {"time_boot_ms": 1000, "xgyro": 100})
+            meet(vehicle, ("127.0.0.1", master), station)
             vehicle.sendto(healthy, ("127.0.0.1", master))
             assert station.recv_match(type="SCALED_IMU", blocking=True, timeout=30).xgyro == 100
             station.mav.command_long_send(1, 1, 420, 0, 0, 4, 0, nan, nan, nan, nan)

@@ -108,10 +108,12 @@ def test_two_faults_on_two_satellites_act_together() -> None:
     assert (off["G06"], off["G08"]) == (pytest.approx(20, abs=1e-3), pytest.approx(-20, abs=1e-3))
 
 
-def test_a_satellite_that_is_not_there_leaves_every_byte() -> None:
-    outs = pushed(engine({"fault": "bias", "target": "PSEUDORANGE.E05", "value": 50}), 2)
+def test_a_satellite_that_is_not_there_leaves_every_byte_and_no_label() -> None:
+    it = engine({"fault": "bias", "target": "PSEUDORANGE.E05", "value": 50})
+    outs = pushed(it, 2)
     sent = [frame.raw for epoch in range(2) for frame in fragments(epoch)]
     assert [out.frame.raw for out in outs if isinstance(out.frame, Frame)] == sent
+    assert it.finish(10_000_000) == []
 
 
 def test_fragments_keep_their_headers() -> None:
