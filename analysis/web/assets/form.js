@@ -3,13 +3,14 @@
 // What cannot be read as a number is sent as it stands: the checker says what is wrong with it.
 
 const UNITS = { _s: "s", _m: "m", _hz: "Hz", _rad: "rad", _mps: "m/s", _deg: "deg", _db: "dB" };
+// Of the entry itself; inside a profile `at_s` and `for_s` mean the function's own time.
 const SAID = { at_s: "begin in, s (0: now)", for_s: "for, s (empty: for good)", id: "name", when: "when (condition)", via: "acts in" };
 const LATER = ["id", "when", "after", "repeat", "where", "probability", "via"];
 let numbered = 0;
 
 function spelled(key) {
   const end = Object.keys(UNITS).find((suffix) => key.endsWith(suffix));
-  return SAID[key] || (end ? `${key.slice(0, -end.length)}, ${UNITS[end]}` : key).replaceAll("_", " ");
+  return (end ? `${key.slice(0, -end.length)}, ${UNITS[end]}` : key).replaceAll("_", " ");
 }
 
 function make(tag, properties = {}, ...children) {
@@ -61,6 +62,7 @@ function textPart(key, schema) {
 function choicePart(key, schema) {
   const select = make("select", {}, make("option", { value: "", textContent: "–" }),
     ...schema.enum.map((one) => make("option", { value: one, textContent: one })));
+  select.dataset.key = key;
   return { element: labelled(key, select), value: () => select.value || undefined };
 }
 
@@ -124,6 +126,10 @@ function faultForm(area, schema, defs) {
   const later = fieldsOf(Object.fromEntries(LATER.filter((key) => key in keys).map((key) => [key, keys[key]])), defs);
   const fold = make("details", {}, make("summary", { textContent: "more: name, condition, repetition, which frames" }), make("div", {}, ...later.elements));
   area.replaceChildren(...main.elements, fold);
+  for (const [key, words] of Object.entries(SAID)) {
+    const own = area.querySelector(`:scope > .field > [data-key=${key}], :scope > details:last-child > div > .field > [data-key=${key}]`);
+    if (own) own.previousSibling.textContent = words;
+  }
   area.querySelector("[data-key=target]")?.setAttribute("list", "targets");
   return () => ({ ...main.value(), ...later.value() });
 }

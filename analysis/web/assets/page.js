@@ -61,8 +61,9 @@ function faultRow(fault) {
   disarm.onclick = () => attempt("schedule-said", () => ask(`ctl/fault/${fault.id}/disarm`).then(() => ""));
   const head = make("span", {}, make("b", { textContent: fault.id }), " ", stateText);
   const element = make("li", {}, head, disarm, what);
-  const value = fault.parameters?.value;
-  if (typeof value === "number" || fault.parameters?.profile?.live) element.append(slider(fault.id, value ?? 0));
+  const { value, profile } = fault.parameters || {};
+  if (typeof value === "number" || profile?.live) element.append(slider(fault.id, value ?? 0));
+  else if (fault.preset && catalogue?.faults[fault.fault]?.schema.properties.value) element.append(slider(fault.id));
   $("faults").append(element);
   const t0 = () => state.t0_us ?? 0;
   return {
@@ -76,10 +77,12 @@ function faultRow(fault) {
   };
 }
 
+// A slider and a field for the value of a fault; only a field where the value is not known.
 function slider(id, value) {
-  const reach = Math.abs(value) * 3 || 1;
-  const range = make("input", { type: "range", min: -reach, max: reach, step: reach / 300, value, disabled: !token });
-  const number = make("input", { type: "number", step: "any", value, disabled: !token });
+  const known = value !== undefined;
+  const reach = Math.abs(value ?? 0) * 3 || 1;
+  const range = make("input", { type: "range", min: -reach, max: reach, step: reach / 300, value: value ?? 0, disabled: !token });
+  const number = make("input", { type: "number", step: "any", value: value ?? "", placeholder: "value", disabled: !token });
   range.setAttribute("aria-label", `Value of ${id}, slider`);
   number.setAttribute("aria-label", `Value of ${id}`);
   let wanted = null, busy = false;
@@ -92,8 +95,8 @@ function slider(id, value) {
     setTimeout(() => { busy = false; send(); }, SLIDER_MS);
   };
   range.oninput = () => { number.value = range.value; wanted = Number(range.value); send(); };
-  number.onchange = () => { range.value = number.value; wanted = Number(number.value); send(); };
-  return make("div", { className: "live" }, range, number);
+  number.onchange = () => { if (number.value === "") return; range.value = number.value; wanted = Number(number.value); send(); };
+  return make("div", { className: "live" }, known ? range : make("span", { className: "note", textContent: "another value" }), number);
 }
 
 $("stop").onclick = () => attempt("schedule-said", () => ask("ctl/schedule/stop").then(() => ""));
@@ -128,6 +131,9 @@ async function offer() {
   };
   $("kind").append(group("presets", Object.keys(catalogue.presets), "preset"), group("faults", Object.keys(catalogue.faults), "fault"));
   choose();
+  $("faults").replaceChildren(); // now it is known which of them take a value
+  rows.clear();
+  showFaults(state);
 }
 
 function chosen() {
