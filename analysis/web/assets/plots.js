@@ -1,0 +1,159 @@
+"use strict";
+// Plots over a sliding window, by uPlot, and the bars of the satellites.
+
+const SPAN_S = 120;
+const MOST = 6000; // samples kept of a curve
+const BAR_SIGMAS = 8; // a bar of full length
+const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+function plotAxes() {
+  const common = { stroke: () => colour("--faint"), grid: { stroke: () => colour("--grid"), width: 1 },
+    ticks: { stroke: () => colour("--grid"), width: 1 }, font: "12px system-ui, sans-serif" };
+  return [{ ...common, values: (u, ticks) => ticks.map((t) => `${+t.toFixed(3)} s`) }, { ...common, size: 56 }];
+}
+
+function logRange(u, min, max) {
+  if (!(max > 0)) return [0.1, 10];
+  return [10 ** Math.floor(Math.log10(Math.max(min, max * 1e-5))), 10 ** Math.ceil(Math.log10(max))];
+}
+
+class Sliding {
+  // Curves by name over the newest SPAN_S seconds; a name that is new adds a curve.
+  constructor(area, { log = false, dashed = [] } = {}) {
+    this.area = area;
+    this.log = log;
+    this.dashed = dashed;
+    this.clear();
+    new ResizeObserver(() => this.resize()).observe(area);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.plot?.redraw());
+  }
+  clear() {
+    this.names = [];
+    this.t = [];
+    this.rows = new Map();
+    this.rebuild();
+  }
+  add(t, values) {
+    for (const name of Object.keys(values)) {
+      if (this.rows.has(name)) continue;
+      this.names.push(name);
+      this.rows.set(name, new Array(this.t.length).fill(null));
+      this.stale = true;
+    }
+    const last = this.t.length - 1;
+    if (last >= 0 && t < this.t[last]) return; // two keys of one tick may come out of order
+    if (last < 0 || t > this.t[last]) {
+      this.t.push(t);
+      for (const row of this.rows.values()) row.push(null);
+    }
+    for (const [name, value] of Object.entries(values)) {
+      const fits = Number.isFinite(value) && (!this.log || value > 0);
+      this.rows.get(name)[this.t.length - 1] = fits ? value : null;
+    }
+    this.trim();
+    this.dirty = true;
+  }
+  trim() {
+    let old = Math.max(0, this.t.length - MOST);
+    while (this.t[old] < this.t[this.t.length - 1] - SPAN_S) old++;
+    if (old < 200 && this.t.length <= MOST) return; // shifting arrays at each sample is dear
+    this.t.splice(0, old);
+    for (const row of this.rows.values()) row.splice(0, old);
+  }
+  draw() {
+    if (this.stale) this.rebuild();
+    if (!this.dirty || !this.plot) return;
+    this.dirty = false;
+    this.plot.setData([this.t, ...this.names.map((name) => this.rows.get(name))]);
+  }
+  rebuild() {
+    this.plot?.destroy();
+    this.plot = null;
+    this.stale = false;
+    this.dirty = true;
+    if (!this.names.length) return;
+    this.plot = new uPlot({
+      width: Math.max(240, this.area.clientWidth), height: 190, pxAlign: 0,
+      cursor: { drag: { x: false, y: false } },
+      scales: { x: { time: false, range: (u, min, max) => [Math.max(this.t[0], max - SPAN_S), Math.max(max, min + 1)] },
+        y: this.log ? { distr: 3, range: logRange } : {} },
+      axes: plotAxes(),
+      series: [{ label: "t", value: (u, t) => t == null ? "–" : `${t.toFixed(2)} s` },
+        ...this.names.map((name, i) => ({
+          label: name, width: 1.4, spanGaps: true, points: { show: false },
+          stroke: () => this.dashed.includes(name) ? colour("--bad") : colour(`--s${i % 6}`),
+          dash: this.dashed.includes(name) ? [6, 4] : undefined,
+          value: (u, value) => value == null ? "–" : String(+value.toPrecision(4)),
+        }))],
+    }, [this.t, ...this.names.map((name) => this.rows.get(name))], this.area);
+  }
+  resize() {
+    if (this.plot) this.plot.setSize({ width: Math.max(240, this.area.clientWidth), height: 190 });
+  }
+}
+
+function drawCurve(area, curve) {
+  const lost = curve.lost.length ? `, ${curve.lost.length} frames lost` : "";
+  const title = document.createElement("p");
+  title.className = "note";
+  title.textContent = `${curve.name}${lost} (grey: healthy, made up)`;
+  area.append(title);
+  if (!curve.t.length) return;
+  const line = (label, stroke) => ({ label, stroke: () => colour(stroke), width: 1.3, points: { show: false } });
+  new uPlot({
+    width: Math.max(240, area.clientWidth), height: 150, pxAlign: 0, legend: { show: false },
+    cursor: { drag: { x: false, y: false } }, scales: { x: { time: false } }, axes: plotAxes(),
+    series: [{}, line("healthy", "--faint"), line("faulty", "--s1")],
+  }, [curve.t, curve.healthy, curve.faulty], area);
+}
+
+class Preview {
+  // The curves of a fault that is not armed yet; drawn anew when the page's width or colours change.
+  constructor(area) {
+    this.area = area;
+    this.show([]);
+    let width = area.clientWidth;
+    new ResizeObserver(() => {
+      if (area.clientWidth !== width) this.show(this.curves);
+      width = area.clientWidth;
+    }).observe(area);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.show(this.curves));
+  }
+  show(curves) {
+    this.curves = curves;
+    this.area.replaceChildren();
+    for (const curve of curves) drawCurve(this.area, curve);
+  }
+}
+
+class Satellites {
+  // A bar for each satellite of the newest epoch; rows stay where they are while the list does.
+  constructor(area) {
+    this.area = area;
+    this.rows = new Map();
+  }
+  show(decision) {
+    const out = new Set(decision.excluded);
+    const names = [...new Set([...decision.satellites, ...out])].sort();
+    if (names.join() !== [...this.rows.keys()].join()) this.lay(names);
+    for (const [name, row] of this.rows) {
+      const sigmas = decision.normalised[decision.satellites.indexOf(name)];
+      row.className = out.has(name) ? "sat out" : "sat";
+      row.children[1].firstChild.style.width = `${Math.min(100, Math.abs(sigmas ?? 0) / BAR_SIGMAS * 100)}%`;
+      row.children[2].textContent = out.has(name) ? "isolated" : sigmas == null ? "–" : `${sigmas.toFixed(1)} σ`;
+    }
+  }
+  lay(names) {
+    this.area.replaceChildren();
+    this.rows.clear();
+    for (const name of names) {
+      const row = document.createElement("div");
+      const [label, track, text] = ["span", "span", "span"].map((tag) => document.createElement(tag));
+      label.textContent = name;
+      track.append(document.createElement("i"));
+      row.append(label, track, text);
+      this.area.append(row);
+      this.rows.set(name, row);
+    }
+  }
+}

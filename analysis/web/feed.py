@@ -1,0 +1,110 @@
+"""What the bus says, gathered for the viewers: one batch each tick, encoded once for all of them.
+
+Streams are thinned to the newest few samples of each key and tick; what must not be lost (events,
+labels) is kept whole up to a bound. A viewer that does not keep up loses batches and is given
+the whole picture again; it never slows the bus or another viewer.
+"""
+
+import asyncio
+import threading
+from collections import deque
+
+import msgspec
+
+KEPT = 200  # events and labels remembered for late joiners
+WAITING = 50  # batches a viewer may be behind: one second
+LISTED = ("fdi/events", "proxy/labels")  # every sample counts
+BURST = 25  # samples of one key sent in one tick: a monitor's results come by the second
+PAST = 300  # samples of a curve that a late joiner is shown
+CURVES = ("fdi/main/", "att/")
+STATUS = "page/status"
+
+
+class Viewer:
+    """One open page: batches that wait to be sent to it."""
+
+    def __init__(self, first: str) -> None:
+        self.queue: asyncio.Queue[str] = asyncio.Queue(WAITING)
+        self.queue.put_nowait(first)
+
+
+class Feed:
+    """Samples in from any thread, batches out on the loop's."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._past: dict[str, deque[bytes]] = {}
+        self._fresh: dict[str, deque[bytes]] = {}
+        self._listed: deque[tuple[str, bytes]] = deque(maxlen=KEPT)
+        self._unsent: deque[tuple[str, bytes]] = deque(maxlen=KEPT)
+        self._viewers: set[Viewer] = set()
+
+    def take(self, key: str, payload: bytes) -> None:
+        """Note one sample; `key` is the one below the run's prefix."""
+        try:
+            msgspec.json.decode(payload)
+        except msgspec.DecodeError:
+            return  # it would spoil the whole batch
+        with self._lock:
+            if key in LISTED:
+                self._listed.append((key, payload))
+                self._unsent.append((key, payload))
+            else:
+                length = PAST if key.startswith(CURVES) else 1
+                self._past.setdefault(key, deque(maxlen=length)).append(payload)
+                self._fresh.setdefault(key, deque(maxlen=min(length, BURST))).append(payload)
+
+    def status(self, said: object) -> None:
+        """Tell the viewers how the page itself is doing."""
+        self.take(STATUS, msgspec.json.encode(said))
+
+    def forget(self) -> None:
+        """Drop what belongs to a run that is over; the status stays."""
+        with self._lock:
+            self._past = {key: data for key, data in self._past.items() if key == STATUS}
+            self._fresh.clear()
+            self._listed.clear()
+            self._unsent.clear()
+
+    def join(self) -> Viewer:
+        """A viewer more; it is told everything that is known first."""
+        viewer = Viewer(self._picture())
+        self._viewers.add(viewer)
+        return viewer
+
+    def leave(self, viewer: Viewer) -> None:
+        """A viewer less."""
+        self._viewers.discard(viewer)
+
+    def tick(self) -> None:
+        """Give every viewer what came since the last tick."""
+        with self._lock:
+            samples = [*self._unsent, *flat(self._fresh)]
+            self._unsent.clear()
+            self._fresh.clear()
+        if not samples:
+            return
+        batch = encoded(samples)
+        for viewer in self._viewers:
+            if viewer.queue.full():
+                while not viewer.queue.empty():
+                    viewer.queue.get_nowait()
+                batch_for = self._picture()
+            else:
+                batch_for = batch
+            viewer.queue.put_nowait(batch_for)
+
+    def _picture(self) -> str:
+        with self._lock:
+            return encoded([("page/picture", b"null"), *self._listed, *flat(self._past)])
+
+
+def flat(samples: dict[str, deque[bytes]]) -> list[tuple[str, bytes]]:
+    """Samples with their keys, in order of arrival within a key."""
+    return [(key, payload) for key, payloads in samples.items() for payload in payloads]
+
+
+def encoded(samples: list[tuple[str, bytes]]) -> str:
+    """Samples as JSON: a list of [key, value]."""
+    parts = [f"[{msgspec.json.encode(key).decode()},{data.decode()}]" for key, data in samples]
+    return f"[{','.join(parts)}]"

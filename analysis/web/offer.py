@@ -1,0 +1,81 @@
+"""What the page offers before anything is armed: the faults, the presets, and a drawn preview."""
+
+import math
+from functools import cache
+from typing import Any
+
+import msgspec
+
+from mavproxy_fault.catalogue import first_line, schema
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.faults.registry import ON_RANGES, known_faults
+from mavproxy_fault.plot import Curve, curves
+from mavproxy_fault.presets import preset_names, read_preset
+from mavproxy_fault.schedule import parse_entry
+from mavproxy_fault.wire.dialect import known
+
+# Messages whose fields are suggested as targets; any other of the dialect may be typed.
+SUGGESTED = (
+    "HIL_SENSOR", "HIL_GPS", "HIL_STATE_QUATERNION", "GLOBAL_POSITION_INT", "GPS_RAW_INT",
+    "ATTITUDE", "ATTITUDE_QUATERNION", "VFR_HUD", "RAW_IMU", "SCALED_PRESSURE", "ODOMETRY",
+    "DISTANCE_SENSOR", "HIL_ACTUATOR_CONTROLS", "BATTERY_STATUS",
+)  # fmt: skip
+MOST_POINTS = 600
+
+
+@cache
+def catalogue() -> bytes:
+    """Faults with their schema, presets with a line about each, and targets to suggest, as JSON."""
+    described = schema()
+    choices = described["properties"]["faults"]["items"]["anyOf"][:-1]
+    faults = {
+        name: {
+            "about": first_line(kind),
+            "acts_on": kind.acts_on,
+            "on_ranges": name in ON_RANGES,
+            "schema": choice,
+        }
+        for (name, kind), choice in zip(known_faults().items(), choices, strict=True)
+    }
+    presets = {name: read_preset(name)["about"] for name in preset_names()}
+    units = {
+        f"{name}.{field.name}": field.unit
+        for name in SUGGESTED
+        for field in known(name).fields.values()
+    }
+    return msgspec.json.encode(
+        {"faults": faults, "presets": presets, "units": units, "defs": described["$defs"]}
+    )
+
+
+def preview(body: bytes) -> dict[str, Any]:
+    """What an entry (JSON) does to made-up healthy data, through the engine.
+
+    Raises
+    ------
+    ConfigError
+        If the entry is wrong, with every error.
+    """
+    try:
+        entry = msgspec.json.decode(body, type=dict[str, Any])
+    except msgspec.DecodeError as error:
+        raise ConfigError(f"preview: {error}; send an entry as JSON") from None
+    parts = parse_entry(entry, "fault")
+    return {"curves": [drawn(curve) for part in parts for curve in curves(part, 0)[:3]]}
+
+
+def drawn(curve: Curve) -> dict[str, Any]:
+    """A curve thinned to what a small plot can show; None where there is no number."""
+    step = max(1, math.ceil(len(curve.t_s) / MOST_POINTS))
+    return {
+        "name": curve.name,
+        "t": curve.t_s[::step],
+        "healthy": [finite(y) for y in curve.healthy[::step]],
+        "faulty": [finite(y) for y in curve.faulty[::step]],
+        "lost": curve.lost[::step],
+    }
+
+
+def finite(y: float) -> float | None:
+    """A number as JSON can hold it."""
+    return y if math.isfinite(y) else None

@@ -1,0 +1,93 @@
+"""Where the page's data comes from: the run that is alive on the bus, followed over restarts."""
+
+import contextlib
+import threading
+
+from analysis.web.feed import Feed
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.links.bus import DEFAULT_URL, ROOT, Bus, open_bus
+
+LOOK_S = 0.5  # between two looks at who is there
+STREAMS = ("fdi/**", "att/**", "fusion/**", "schedule/**", "proxy/**")
+PROXY = "/alive/proxy"
+
+
+class Source:
+    """Feeds what the live run publishes, and carries requests to it."""
+
+    def __init__(self, feed: Feed, url: str | None) -> None:
+        self._feed = feed
+        self.url = url or DEFAULT_URL
+        self._over = threading.Event()
+        self._bus: Bus | None = None
+        self._watch: Bus | None = None
+        self._thread = threading.Thread(target=self._follow, name="bus of the page", daemon=True)
+
+    def start(self) -> None:
+        """Begin to look for a proxy or run."""
+        self._say(None)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._over.set()
+        self._thread.join()
+
+    def ask(self, what: str, payload: bytes) -> bytes:
+        """The answer of the proxy to a query below `@ctl/`.
+
+        Raises
+        ------
+        ConfigError
+            If it refuses, or there is none.
+        """
+        bus = self._bus
+        if bus is None:
+            raise ConfigError(f"{self.url}: no proxy and no run is there; start one first")
+        return bus.ask(f"@ctl/{what}", payload)[0]
+
+    def _follow(self) -> None:
+        with contextlib.ExitStack() as stack:
+            stack.callback(self._leave)
+            while not self._over.is_set():
+                self._look(stack)
+                self._over.wait(LOOK_S)
+
+    def _look(self, stack: contextlib.ExitStack) -> None:
+        """Join the run that is alive, leave the one that is not."""
+        try:
+            if self._watch is None:
+                self._watch = stack.enter_context(open_bus(self.url, run="*"))
+            runs = [run_of(key) for key in self._watch.who() if key.endswith(PROXY)]
+            joined = self._bus.run if self._bus is not None else None
+            if joined in runs or (joined is None and not runs):
+                return
+            self._leave()
+            if runs:
+                self._join(runs[-1])
+        except ConfigError:
+            self._leave()
+
+    def _join(self, run: str) -> None:
+        self._feed.forget()
+        bus = open_bus(self.url, run=run)
+        prefix = len(bus.key(""))
+        self._bus = bus
+        self._say(run)  # before its first sample: the page clears its plots
+        for stream in STREAMS:
+            bus.subscribe(stream, lambda key, payload: self._feed.take(key[prefix:], payload))
+
+    def _leave(self) -> None:
+        if self._bus is None:
+            return
+        bus, self._bus = self._bus, None
+        bus.close()
+        self._say(None)
+
+    def _say(self, run: str | None) -> None:
+        self._feed.status({"run": run, "url": self.url})
+
+
+def run_of(key: str) -> str:
+    """The run in the key of a component that is alive."""
+    return key.removeprefix(f"{ROOT}/").partition("/")[0]

@@ -1,0 +1,64 @@
+import queue
+from collections.abc import Iterator
+
+import msgspec
+import pytest
+
+from analysis.web.feed import STATUS, Feed
+from analysis.web.source import Source
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.links.bus import open_bus
+
+
+class Statuses(Feed):
+    """A feed that hands what the source says about the run to the test."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.heard: queue.Queue[tuple[str, object]] = queue.Queue()
+
+    def take(self, key: str, payload: bytes) -> None:
+        super().take(key, payload)
+        self.heard.put((key, msgspec.json.decode(payload)))
+
+    def next_run(self) -> object:
+        """The run of the next status."""
+        while True:
+            key, value = self.heard.get(timeout=20)
+            if key == STATUS:
+                assert isinstance(value, dict)
+                return value["run"]
+
+
+@pytest.fixture
+def feed() -> Statuses:
+    return Statuses()
+
+
+@pytest.fixture
+def source(feed: Statuses) -> Iterator[Source]:
+    with open_bus("tcp/127.0.0.1:0", router=True) as found:
+        url = found.url
+    running = Source(feed, url)
+    running.start()
+    yield running
+    running.close()
+
+
+def test_a_request_without_a_proxy_says_that_there_is_none(feed: Statuses, source: Source) -> None:
+    assert feed.next_run() is None
+    with pytest.raises(ConfigError, match="no proxy and no run is there"):
+        source.ask("schedule/stop", b"")
+
+
+def test_the_source_follows_a_proxy_that_goes_and_comes_back(
+    feed: Statuses, source: Source
+) -> None:
+    assert feed.next_run() is None
+    for run in ("first", "second"):
+        with open_bus(source.url, run=run, router=True) as proxy:
+            proxy.answer("@ctl/**", lambda key, payload, run=run: {"run": run})
+            proxy.alive("proxy")
+            assert feed.next_run() == run
+            assert msgspec.json.decode(source.ask("schedule/save", b"")) == {"run": run}
+        assert feed.next_run() is None
