@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -84,8 +85,12 @@ def test_mavsdk_injects_failures_and_the_labels_tell_of_them(tmp_path: Path) -> 
     with flown(tmp_path) as failure:
         failure.inject(FailureUnit.SENSOR_GYRO, FailureType.WRONG, 0)
         failure.inject(FailureUnit.SENSOR_MAG, FailureType.SLOW, 1)
-        with pytest.raises(FailureError, match=r"(?i)unsupported"):
-            failure.inject(FailureUnit.SYSTEM_BATTERY, FailureType.OFF, 0)
+        written = tmp_path / "labels.jsonl"
+        end_s = time.monotonic() + 30
+        while "mav-gyro.1" not in written.read_text():  # it must have met a frame first
+            assert time.monotonic() < end_s
+            with pytest.raises(FailureError, match=r"(?i)unsupported"):
+                failure.inject(FailureUnit.SYSTEM_BATTERY, FailureType.OFF, 0)
         failure.inject(FailureUnit.SENSOR_GYRO, FailureType.OK, 0)
     labels = [json.loads(line) for line in (tmp_path / "labels.jsonl").read_text().splitlines()]
     assert {label["id"] for label in labels} >= {"mav-gyro.1"}
