@@ -137,6 +137,7 @@ def main(args: argparse.Namespace) -> int:
     recorder = Recorder(Path(args.logdir), session) if args.logdir else None
     server = Server(links, core, tape=tape, recorder=recorder, busy_poll=args.busy_poll)
     try:
+        server.prepare()
         start_live(args, engine, server)
         with signals(server) as wake:
             others = ", ".join(link.name for link in links[1:])

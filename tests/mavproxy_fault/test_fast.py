@@ -9,9 +9,9 @@ import pytest
 
 from mavproxy_fault.core import Core
 from mavproxy_fault.engine import Engine
-from mavproxy_fault.fast import compile_now
 from mavproxy_fault.links.link import enlarge_buffers
 from mavproxy_fault.links.udp import UdpClient, UdpServer
+from mavproxy_fault.machine import load, make
 from mavproxy_fault.playback import split
 from mavproxy_fault.proxy import roles
 from mavproxy_fault.schedule import parse_schedule
@@ -118,7 +118,8 @@ def run(datagrams: list[bytes], *, fast: bool, spin: bool = False, tape: bool = 
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled() -> None:
-    compile_now()
+    make()
+    assert load() is not None
 
 
 @pytest.mark.parametrize("spin", [False, True])
