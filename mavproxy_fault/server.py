@@ -25,6 +25,7 @@ from mavproxy_fault.tape import Tape
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
+    from mavproxy_fault.edits import Edit
     from mavproxy_fault.fast import FastPath
     from mavproxy_fault.live import Live
 
@@ -60,6 +61,8 @@ class Server:
         self._compiler: subprocess.Popen[bytes] | None = None
         self._fast: FastPath | None = None
         self._wake: int | None = None
+        self._edits: list[Edit] = []
+        self._edit_us = 0
         self.live: Live | None = None
         self.coming: Future[Live] | None = None  # live control that is still being opened
 
@@ -132,22 +135,32 @@ class Server:
             )
 
     def join(self, live: "Live") -> None:
-        """Let live control take part; its engine takes over if there was none."""
+        """Let live control take part."""
+        from mavproxy_fault.edits import JOIN, join
+
         self.live = live
-        if self.core.engine is None:
-            first_us = self.core.clock.t0_us
-            if first_us is not None:
-                live.control.engine.start_at(first_us)
-            self.core.engine = live.control.engine
-        self.core.control = live.control
+        self.note_edit(JOIN, "", self.edit_time())
+        join(self.core, live.control)
         if self._fast is not None and not self._fast.pending:
             self._fast.count()
             self.use_fast()
 
-    def vehicle_us(self) -> int:
-        """The vehicle's time, or the wall clock while none is known."""
+    def edit_time(self) -> int:
+        """The vehicle's time (the wall clock before it is known), at which an edit may now be made.
+
+        What is due leaves before, as it does when the session is replayed.
+        """
+        self._edit_us = self.now_us()
+        self._carry_out(self.core.due(self._edit_us))
         clock = self.core.clock
-        return self.now_us() if clock.t0_us is None else clock.t_us
+        return self._edit_us if clock.t0_us is None else clock.t_us
+
+    def note_edit(self, what: str, payload: str, t_us: int) -> None:
+        """Record what was asked for."""
+        from mavproxy_fault.edits import Edit
+
+        if self.tape is not None:
+            self._edits.append(Edit(self.tape.count, self._edit_us, t_us, what, payload))
 
     def use_fast(self) -> None:
         """Let the compiled path take over."""
@@ -214,7 +227,8 @@ class Server:
             return
         labels = self.core.take_labels()
         if self.recorder is not None and self.tape is not None:
-            self.recorder.write(self.tape, labels)
+            self.recorder.write(self.tape, labels, self._edits)
+            self._edits = []
         if self.live is not None:
             self.live.publish(self.stats(), labels)
 
