@@ -80,6 +80,7 @@ from mavproxy_fault.tables import (
     TARGET_SYSTEM,
     USED,
     VALUE,
+    WAITS,
     WANTED_AT,
 )
 from mavproxy_fault.wire.frame import FLOAT_MAX
@@ -185,7 +186,7 @@ def check(start, length, bit, fast, from_vehicle, everywhere, turn, wire):
         if t_us == UNKNOWN or (entry[KIND] != PASS and t_us >= turn[EDGE]):
             return -1
         if entry[KIND] == PLANNED:
-            drawn = _draws(at + head, size, entry[PLAN], sender, from_vehicle, draws, wire)
+            drawn = _draws(at + head, size, entry[PLAN], sender, from_vehicle, t_us, draws, wire)
             if drawn < 0:
                 return -1
             draws += drawn
@@ -198,7 +199,7 @@ def check(start, length, bit, fast, from_vehicle, everywhere, turn, wire):
 
 
 @njit(error_model="numpy")
-def _draws(payload, size, first, sender, from_vehicle, before, wire):
+def _draws(payload, size, first, sender, from_vehicle, t_us, before, wire):
     """How many drawn numbers the faults of a message need, -1 if one of them is not plain here."""
     data, plans, hits = wire[0], wire[3], wire[8]
     needed = np.int64(0)
@@ -216,6 +217,8 @@ def _draws(payload, size, first, sender, from_vehicle, before, wire):
             for row in range(first, first + plan[ROWS]):
                 if plans[row, OFFSET] + _size(plans[row, CODE]) > size:
                     return -1
+            if plan[WAITS] > 0 and _would_act(payload, first, t_us, wire):
+                return -1
             if plan[SOURCE] == DRAWN:
                 needed += plan[ROWS]
                 if hits[first, USED] + before + needed > BLOCK:
@@ -241,11 +244,8 @@ def _meet(mode, old, value):
 
 
 @njit(error_model="numpy")
-def _patch_element(data, at, code, mode, value, result):
-    """Change one element; size of the step and whether it was saturated go to `result`."""
-    size = _size(code)
-    before = _little(data, at, size)
-    after = before
+def _changed(before, code, mode, value, result):
+    """The bits of one element after a fault; size of the step and saturation go to `result`."""
     result[1] = 0.0
     if code == 102:
         old = np.float64(np.uint32(before).view(np.float32))
@@ -254,33 +254,29 @@ def _patch_element(data, at, code, mode, value, result):
             result[1] = 1.0
             new = FLOAT_MAX if new > 0 else -FLOAT_MAX
         single = np.float32(new)
-        after = np.int64(single.view(np.uint32))
         result[0] = abs(np.float64(single) - old)
-    elif code == 100:
+        return np.int64(single.view(np.uint32))
+    if code == 100:
         double = np.uint64(before).view(np.float64)
         new = _meet(mode, double, value)
-        after = np.int64(np.float64(new).view(np.uint64))
         result[0] = abs(new - double)
+        return np.int64(np.float64(new).view(np.uint64))
+    bits = 8 * _size(code)
+    signed = code > 96  # lower case
+    integer = before
+    if signed and before >> (bits - 1):
+        integer = before - (np.int64(1) << bits)
+    low = -(np.int64(1) << (bits - 1)) if signed else np.int64(0)
+    high = (np.int64(1) << (bits - 1 if signed else bits)) - 1
+    new = _meet(mode, np.float64(integer), value)
+    stored = np.int64(0)
+    if np.isnan(new):
+        result[1] = 1.0
     else:
-        bits = 8 * size
-        signed = code > 96  # lower case
-        integer = before
-        if signed and before >> (bits - 1):
-            integer = before - (np.int64(1) << bits)
-        low = -(np.int64(1) << (bits - 1)) if signed else np.int64(0)
-        high = (np.int64(1) << (bits - 1 if signed else bits)) - 1
-        new = _meet(mode, np.float64(integer), value)
-        stored = np.int64(0)
-        if np.isnan(new):
-            result[1] = 1.0
-        else:
-            result[1] = 0.0 if low - 0.5 <= new <= high + 0.5 else 1.0
-            stored = low if new <= low else high if new >= high else np.int64(np.rint(new))
-        after = stored
-        result[0] = abs(np.float64(stored - integer))
-    for k in range(size):
-        data[at + k] = after >> (8 * k) & 0xFF
-    return _little(data, at, size) != before
+        result[1] = 0.0 if low - 0.5 <= new <= high + 0.5 else 1.0
+        stored = low if new <= low else high if new >= high else np.int64(np.rint(new))
+    result[0] = abs(np.float64(stored - integer))
+    return stored & ((np.int64(1) << bits) - 1)
 
 
 @njit(error_model="numpy")
@@ -300,37 +296,58 @@ def _piece(plan, otherwise, t_s, pieces):
 
 
 @njit(error_model="numpy")
+def _given(plan, row, t_s, wire):
+    """The number that meets a row's healthy value; NaN where a function of time is silent."""
+    numbers = wire[7]
+    value = numbers[row, VALUE]
+    if plan[SOURCE] == PIECES:
+        return _piece(plan, numbers[row, LIMIT], t_s, wire[12])
+    if plan[SOURCE] == GROWS:
+        return max(-numbers[row, LIMIT], min(numbers[row, LIMIT], value * t_s))
+    return value
+
+
+@njit(error_model="numpy")
+def _would_act(payload, first, t_us, wire):
+    """Whether a fault that has done nothing yet would change a frame: the plain path's to do."""
+    data, plans = wire[0], wire[3]
+    plan = plans[first]
+    if plan[SOURCE] == DRAWN:
+        return True
+    t_s = (t_us - plan[START]) / 1e6
+    for row in range(first, first + plan[ROWS]):
+        value = _given(plan, row, t_s, wire)
+        code = plans[row, CODE]
+        before = _little(data, payload + plans[row, OFFSET], _size(code))
+        silent = plan[SOURCE] == PIECES and np.isnan(value)
+        if not silent and _changed(before, code, plan[MODE], value, wire[11]) != before:
+            return True
+    return False
+
+
+@njit(error_model="numpy")
 def _act(payload, first, t_us, wire):
     """Apply one planned fault to a frame; whether a byte changed."""
-    data, plans, numbers, hits, steps, result = (
-        wire[0],
-        wire[3],
-        wire[7],
-        wire[8],
-        wire[9],
-        wire[11],
-    )
+    data, plans, hits, steps, result = wire[0], wire[3], wire[8], wire[9], wire[11]
     plan = plans[first]
     t_s = (t_us - plan[START]) / 1e6
-    given = 0.0
-    if plan[SOURCE] == PIECES:
-        given = _piece(plan, numbers[first, LIMIT], t_s, wire[12])
-        if np.isnan(given):
-            return False
     changed = False
     saturated = 0
     step = -1.0
     for row in range(first, first + plan[ROWS]):
-        value = numbers[row, VALUE]
-        if plan[SOURCE] == PIECES:
-            value = given
-        elif plan[SOURCE] == GROWS:
-            value = max(-numbers[row, LIMIT], min(numbers[row, LIMIT], value * t_s))
-        elif plan[SOURCE] == DRAWN:
+        value = _given(plan, row, t_s, wire)
+        if plan[SOURCE] == PIECES and np.isnan(value):
+            return False
+        if plan[SOURCE] == DRAWN:
             value *= wire[13][plan[DRAWS_FROM] + hits[first, USED]]
             hits[first, USED] += 1
-        at = payload + plans[row, OFFSET]
-        changed |= _patch_element(data, at, plans[row, CODE], plan[MODE], value, result)
+        at, code = payload + plans[row, OFFSET], plans[row, CODE]
+        size = _size(code)
+        before = _little(data, at, size)
+        after = _changed(before, code, plan[MODE], value, result)
+        for k in range(size):
+            data[at + k] = after >> (8 * k) & 0xFF
+        changed |= after != before
         saturated += int(result[1])
         if np.isfinite(result[0]):
             step = max(step, result[0])

@@ -1,11 +1,12 @@
 """Faults written down for the compiled path: bias, scale, constant, drift, noise and freeze.
 
-A fault's first frame, and with it the label and the drawn segments, are the plain path's; then its
-rows say what to do with the next ones. Noise is drawn ahead in blocks; before the plain path may
-draw again, its generator is set back to where the compiled path stopped, so that both give the same
-bytes.
+The first frame that a fault changes, and with it the label, is the plain path's, as are the drawing
+of segments and the value that is held; its rows say what to do with the next ones. Noise is drawn
+ahead in blocks; before the plain path may draw again, its generator is set back to where the
+compiled path stopped, so that both give the same bytes.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -29,12 +30,18 @@ Values = Sequence[float]
 
 
 class Planned(NamedTuple):
-    """A fault that the compiled path carries out: its first row, and the block it draws from."""
+    """A fault of the compiled path: its first row (-1: none yet), and the block it draws from."""
 
     first: int
     running: Running
     fault: Any
-    block: int | None
+    stage: tuple[bool, int]
+    block: int | None = None
+
+
+def stage(running: Running) -> tuple[bool, int]:
+    """How far a fault has come: whether it has changed a frame, and how many states it has."""
+    return running.first_us is not None, len(running.states)
 
 
 class Plans:
@@ -49,67 +56,73 @@ class Plans:
         self.draws = np.zeros(k.MOST_DRAWN * k.BLOCK)
         self._planned: list[Planned] = []
         self._states: list[Any] = []  # of the generators, where their blocks begin
-        self._rows_used = self._pieces_used = 0
+        self._rows_used = self._pieces_used = self._blocks_used = 0
 
     def clear(self) -> None:
         """Forget all rows."""
         self._planned = []
-        self._rows_used = self._pieces_used = 0
+        self._rows_used = self._pieces_used = self._blocks_used = 0
 
     @property
     def changed(self) -> bool:
-        """Whether a fault has got other parameters, or one that waited has met its first frame."""
+        """Whether a fault has got other parameters, or has come further."""
         return any(
-            one.running.fault is not one.fault
-            or (one.first < 0 and one.running.first_us is not None)
+            one.running.fault is not one.fault or stage(one.running) != one.stage
             for one in self._planned
         )
 
     def add(self, layout: Layout, acting: Sequence[Running]) -> int | None:
         """Rows for all faults that act on a message, in turn; the first one's, None if plain."""
-        before = len(self._planned), self._rows_used, self._pieces_used
-        previous = first = -1
+        used = self._rows_used, self._pieces_used, self._blocks_used
+        found: list[Planned] = []
         for running in acting:
-            row = self._one(layout, running)
-            if row is None:
-                waiting = [one for one in self._planned[before[0] :] if one.first < 0]
-                self._planned[before[0] :] = waiting
-                _, self._rows_used, self._pieces_used = before
+            if type(running.fault) not in KINDS or running.entry.where.id is not None:
                 return None
-            first = row if first < 0 else first
-            if previous >= 0:
-                self.rows[previous, k.NEXT] = row
-            previous = row
-        return first
+            found.append(self._one(layout, running))
+        rows = [one.first for one in found]
+        if min(rows) < 0 or self._entangled(rows):
+            self._rows_used, self._pieces_used, self._blocks_used = used
+            self._planned += [one._replace(first=-1, block=None) for one in found]
+            return None
+        for row, following in itertools.pairwise(rows):
+            self.rows[row, k.NEXT] = following
+        self._planned += found
+        return rows[0]
 
-    def _one(self, layout: Layout, running: Running) -> int | None:
-        """Write a fault's rows; the first, or None where it must stay with the plain path."""
+    def _entangled(self, rows: Sequence[int]) -> bool:
+        """Whether a fault that has changed nothing yet shares an element with another one."""
+        places = [{int(o) for o in self.rows[r : r + self.rows[r, k.ROWS], k.OFFSET]} for r in rows]
+        shared = len(set().union(*places)) < sum(len(one) for one in places)
+        return shared and any(self.rows[row, k.WAITS] > 0 for row in rows)
+
+    def _one(self, layout: Layout, running: Running) -> Planned:
+        """Write a fault's rows, where it can be carried out there."""
         fault, where = running.fault, running.entry.where
-        if type(fault) not in KINDS or running.entry.probability < 1 or where.id is not None:
-            return None
-        if running.first_us is None:
-            self._planned.append(Planned(-1, running, fault, None))
-            return None
         places = fault.elements.get(layout.id, ())
         fields = [layout.fields[name] for name, _ in places]
         first = self._rows_used
-        if first + len(places) > k.MOST_PLANS or any(f.code not in CODES for f in fields):
-            return None
+        none = Planned(-1, running, fault, stage(running))
+        if (
+            running.entry.probability < 1
+            or first + len(places) > k.MOST_PLANS
+            or any(field.code not in CODES for field in fields)
+        ):
+            return none
         plan = self.rows[first]
         plan[:] = -1
         plan[k.ROWS], plan[k.START] = len(places), running.start_us
+        plan[k.WAITS] = running.first_us is None
         plan[k.SYSTEM : k.DIRECTION + 1] = [
             -1 if one is None else one
             for one in (where.system, where.component, WAYS.get(where.direction or ""))
         ]
         block = self._source(layout, running, plan, places)
         if plan[k.SOURCE] < 0:
-            return None
+            return none
         self._elements(first, fields, places)
         self.hits[first], self.steps[first] = 0, -1.0
-        self._planned.append(Planned(first, running, fault, block))
         self._rows_used += len(places)
-        return first
+        return none._replace(first=first, block=block)
 
     def _elements(self, first: int, fields: list[Field], places: tuple[Element, ...]) -> None:
         for n, (field, (_, index)) in enumerate(zip(fields, places, strict=True)):
@@ -181,11 +194,12 @@ class Plans:
         numbers[:, k.VALUE] = values
 
     def _noise(self, fault: Noise, plan: Any, numbers: Any) -> int | None:
-        block = sum(one.block is not None for one in self._planned)
+        block = self._blocks_used
         if block == k.MOST_DRAWN or len(fault.elements) > 1:  # messages share one generator
             return None
         plan[k.SOURCE], plan[k.DRAWS_FROM] = k.DRAWN, block * k.BLOCK
         numbers[:, k.VALUE] = each(fault.value, len(numbers))
+        self._blocks_used += 1
         return block
 
     # Before and after a stretch of forwarding
@@ -193,7 +207,7 @@ class Plans:
     def draw_ahead(self) -> None:
         """Fill the blocks from where the generators are now."""
         self._states = []
-        for _, running, fault, block in self._planned:
+        for _, running, fault, _, block in self._planned:
             if block is None:
                 continue
             rng, start = running.rng, block * k.BLOCK
@@ -203,7 +217,7 @@ class Plans:
     def settle(self) -> None:
         """Credit the faults with what was done in their name; set back their generators."""
         states = iter(self._states)
-        for first, running, fault, block in self._planned:
+        for first, running, fault, _, block in self._planned:
             if first < 0:
                 continue
             frames, saturated, last_us, used = (int(n) for n in self.hits[first])
