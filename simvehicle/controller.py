@@ -141,7 +141,7 @@ class FixedWingController:
         return Controls(np.array([*clipped, max(0.0, min(1.0, throttle))]))
 
     def _now(self, truth: Truth, point: Trim) -> _Now:
-        roll, pitch, _ = euler_angles(truth.q_nb)
+        roll, pitch, _ = euler_angles(truth.q_nb.tolist())
         p, q, r = truth.omega_b_rps.tolist()
         u, v, w = truth.v_air_b_mps.tolist()
         airspeed = max(math.sqrt(u * u + v * v + w * w), 0.5 * point.airspeed_mps)

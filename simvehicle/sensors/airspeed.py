@@ -25,5 +25,5 @@ class Airspeed(SensorParameters, frozen=True, kw_only=True):
         error, state = self.noise.next(state, rng, self.rate_hz)
         u, v, w = truth.v_air_b_mps.tolist()
         pressure = 0.5 * truth.density_kgpm3 * (u * u + v * v + w * w)
-        pressure = (1.0 + self.noise.scale) * pressure + float(error[0])
+        pressure = (1.0 + self.noise.scale) * pressure + error[0]
         return AirspeedReading(truth.t_us, pressure), state

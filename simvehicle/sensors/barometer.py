@@ -26,7 +26,7 @@ class Barometer(SensorParameters, frozen=True, kw_only=True):
     ) -> tuple[PressureReading, NoiseState]:
         """One reading."""
         error, state = self.noise.next(state, rng, self.rate_hz)
-        pressure = (1.0 + self.noise.scale) * truth.pressure_pa + float(error[0])
+        pressure = (1.0 + self.noise.scale) * truth.pressure_pa + error[0]
         altitude = pressure_altitude(max(pressure, 1.0))
         celsius = truth.temperature_k - _ICE_K
         return PressureReading(truth.t_us, pressure, altitude, celsius, self.id), state

@@ -39,8 +39,8 @@ class BatteryMonitor(SensorParameters, frozen=True, kw_only=True):
         a, current = self.current.next(state.current, rng, self.rate_hz)
         reading = BatteryReading(
             truth.t_us,
-            (1.0 + self.voltage.scale) * truth.battery_v + float(v[0]),
-            (1.0 + self.current.scale) * truth.battery_a + float(a[0]),
+            (1.0 + self.voltage.scale) * truth.battery_v + v[0],
+            (1.0 + self.current.scale) * truth.battery_a + a[0],
             truth.battery_remaining,
         )
         return reading, BatteryState(voltage, current)

@@ -30,5 +30,8 @@ class Magnetometer(SensorParameters, frozen=True, kw_only=True):
         """One reading."""
         assert self.field_ned_gauss is not None
         error, state = self.noise.next(state, rng, self.rate_hz)
-        field = into_body(truth.q_nb, np.array(self.field_ned_gauss))
-        return MagReading(truth.t_us, (1.0 + self.noise.scale) * field + error, self.id), state
+        x, y, z = into_body(truth.q_nb.tolist(), self.field_ned_gauss)
+        a, b, c = error
+        gain = 1.0 + self.noise.scale
+        field = gain * x + a, gain * y + b, gain * z + c
+        return MagReading(truth.t_us, field, self.id), state

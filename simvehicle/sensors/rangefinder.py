@@ -32,6 +32,6 @@ class Rangefinder(SensorParameters, frozen=True, kw_only=True):
     ) -> tuple[RangeReading, NoiseState]:
         """One reading."""
         error, state = self.noise.next(state, rng, self.rate_hz)
-        distance = (1.0 + self.noise.scale) * slant_range(truth) + float(error[0])
+        distance = (1.0 + self.noise.scale) * slant_range(truth) + error[0]
         distance = min(self.max_m, max(self.min_m, distance))
         return RangeReading(truth.t_us, distance, self.min_m, self.max_m, self.id), state

@@ -1,10 +1,10 @@
 """Sensors: without noise they equal the truth; with noise they have the statistics asked for."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from simvehicle.air import pressure_altitude
 from simvehicle.body import Truth
