@@ -24,6 +24,7 @@ from simvehicle.onboard import fit
 from simvehicle.place import Home, locate
 from simvehicle.readings import Reading
 from simvehicle.rotation import quat_from_euler
+from simvehicle.rudderless import RudderlessController, has_rudder
 from simvehicle.scenario import Scenario
 from simvehicle.terrain import Grid, Level, read_grid
 from simvehicle.vehicles.fixedwing import FixedWing
@@ -291,7 +292,8 @@ def _controller(
     vehicle: Vehicle, truth: Truth, home_alt_m: float
 ) -> FixedWingController | MultirotorController:
     if isinstance(vehicle, FixedWing):
-        return FixedWingController(vehicle, truth.density_kgpm3, home_alt_m)
+        kind = FixedWingController if has_rudder(vehicle) else RudderlessController
+        return kind(vehicle, truth.density_kgpm3, home_alt_m)
     assert isinstance(vehicle, Multirotor)
     return MultirotorController(vehicle, home_alt_m)
 

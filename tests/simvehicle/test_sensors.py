@@ -145,6 +145,11 @@ def test_perfect_vision_reads_the_pose() -> None:
     assert np.allclose(reading.q_nb, TRUTH.q_nb)
 
 
+def test_vision_is_configured_to_one_of_two_messages() -> None:
+    assert read(Vision()).odometry
+    assert not read(Vision(message="VISION_POSITION_ESTIMATE")).odometry
+
+
 def test_a_perfect_battery_monitor_reads_the_pack() -> None:
     reading = read(BatteryMonitor())
     assert isinstance(reading, BatteryReading)
