@@ -19,11 +19,7 @@ class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     def __post_init__(self) -> None:
         for name in self.__struct_fields__:
             value = getattr(self, name)
-            if not isinstance(value, int | float):
-                continue
-            if not math.isfinite(value):
-                raise ValueError(f"{name} = {value} is not finite; a number is needed")
-            if value < 0 and not name.endswith("_offset_m"):
+            if isinstance(value, int | float) and value < 0 and not name.endswith("_offset_m"):
                 raise ValueError(f"{name} = {value} is negative; 0 or more is allowed")
 
 

@@ -66,10 +66,8 @@ def solve(
         Time of reception by the receiver's clock, in seconds of the week of `orbits`.
     pseudorange_m, doppler_mps : (n,) arrays
         Observations; the range rate is positive when the range grows.
-    atmosphere : Atmosphere
-        What to correct for.
-    last : Fix, optional
-        Where to start from.
+    atmosphere, last
+        What to correct for; where to start from, if anywhere.
     """
     letters = [name[0] for name in orbits.satellites]
     systems = sorted(set(letters), reverse=True)  # GPS before Galileo

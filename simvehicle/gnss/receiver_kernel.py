@@ -118,13 +118,7 @@ def navigate(
             if near:
                 weights[i] = (max(sin(seen[4, i]), SINE_MIN) / ZENITH_SIGMA_M) ** 2
         if rows > n:
-            lat, lon, height = geodetic(x[0], x[1], x[2])
-            design[n, 0], design[n, 1], design[n, 2] = (
-                cos(lat) * cos(lon),
-                cos(lat) * sin(lon),
-                sin(lat),
-            )
-            residual[n] = held[0] - height
+            _hold(held, x, design, residual)
             weights[n] = 1.0 / held[1] ** 2 if near else 1.0
         step, covariance = least_squares(design, residual, weights, m)
         if len(step) == 0:
@@ -145,6 +139,16 @@ def navigate(
     _add_motion(out, seen, rate_mps, design, weights)
     _add_local(out, covariance)
     return out
+
+
+@compiled
+def _hold(held: tuple[float, float], x: Vector, design: Vector, residual: Vector) -> None:
+    """Make the last row that of a height which is measured."""
+    lat, lon, height = geodetic(x[0], x[1], x[2])
+    design[-1, 0] = cos(lat) * cos(lon)
+    design[-1, 1] = cos(lat) * sin(lon)
+    design[-1, 2] = sin(lat)
+    residual[-1] = held[0] - height
 
 
 @compiled

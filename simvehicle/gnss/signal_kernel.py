@@ -52,10 +52,8 @@ def signals(
         The antenna's latitude, longitude [rad], height [m] and velocity NED [m/s] at `tow_s`.
     clock : 2 floats
         The receiver's offset [s] and drift.
-    coefficients, troposphere
-        As for `sights`.
-    levels : (7,) array
-        Sizes of the errors, by the names above.
+    coefficients, troposphere, levels
+        As for `sights`; sizes of the errors (7,), by the names above.
     galileo : (n,) array
         1 for Galileo's satellites.
     wander : (3, n) array

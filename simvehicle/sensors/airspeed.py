@@ -1,5 +1,7 @@
 """Pitot tube: differential pressure along the body's x axis."""
 
+from typing import ClassVar
+
 import numpy as np
 
 from simvehicle.body import Truth
@@ -10,6 +12,8 @@ from simvehicle.sensors.noise import Noise, NoiseState
 
 class Airspeed(SensorParameters, frozen=True, kw_only=True):
     """Measures rho/2 Va^2 [Pa], with Va the whole airspeed as in Beard and McLain, section 7.4."""
+
+    channels: ClassVar = {"noise": 1}
 
     rate_hz: float = 50.0
     noise: Noise = Noise()

@@ -1,5 +1,7 @@
 """Absolute pressure and air temperature."""
 
+from typing import ClassVar
+
 import numpy as np
 
 from simvehicle.air import pressure_altitude
@@ -13,6 +15,8 @@ _ICE_K = 273.15
 
 class Barometer(SensorParameters, frozen=True, kw_only=True):
     """Measures static pressure [Pa]; the altitude is that of the standard atmosphere."""
+
+    channels: ClassVar = {"noise": 1}
 
     rate_hz: float = 50.0
     noise: Noise = Noise()

@@ -1,6 +1,6 @@
 """Voltage and current of the pack, and the charge left as a perfect gauge shows it."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,8 @@ class BatteryState(NamedTuple):
 
 class BatteryMonitor(SensorParameters, frozen=True, kw_only=True):
     """Measures voltage [V] and current [A]."""
+
+    channels: ClassVar = {"voltage": 1, "current": 1}
 
     rate_hz: float = 2.0
     voltage: Noise = Noise()

@@ -5,7 +5,7 @@ about the body's x and y axes as a gyro would show it, so turning the camera wit
 flow equal to the gyro's share.
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from simvehicle.readings import FlowReading
 from simvehicle.rotation import into_body
 from simvehicle.sensors.base import SensorParameters
 from simvehicle.sensors.noise import Noise, NoiseState
-from simvehicle.sensors.rangefinder import slant_range
+from simvehicle.sensors.rangefinder import check_span, slant_range
 
 
 class FlowState(NamedTuple):
@@ -27,11 +27,17 @@ class FlowState(NamedTuple):
 class OpticalFlow(SensorParameters, frozen=True, kw_only=True):
     """Measures angular image motion [rad/s], integrated over one sample's time."""
 
+    channels: ClassVar = {"flow": 2, "gyro": 3}
+
     rate_hz: float = 20.0
     flow: Noise = Noise()
     gyro: Noise = Noise()
     min_m: float = 0.1
     max_m: float = 40.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_span(self.min_m, self.max_m)
 
     def new_state(self, rng: np.random.Generator) -> FlowState:
         """Draw the constant errors."""

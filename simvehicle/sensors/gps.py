@@ -4,7 +4,7 @@ Model: Beard and McLain, Small Unmanned Aircraft, 2012, section 7.5.
 """
 
 import math
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import msgspec
 import numpy as np
@@ -39,6 +39,8 @@ class GpsError(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 class Gps(SensorParameters, frozen=True, kw_only=True):
     """Position, velocity and quality as HIL_GPS carries them."""
+
+    channels: ClassVar = {"velocity": 3}
 
     rate_hz: float = 5.0
     horizontal: GpsError = GpsError(kick_m=0.0)

@@ -1,6 +1,6 @@
 """Gyros and accelerometers: three axes each, sampled together."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ class ImuState(NamedTuple):
 
 class Imu(SensorParameters, frozen=True, kw_only=True):
     """Measures body rates [rad/s] and specific force [m/s^2], cut off at the ranges."""
+
+    channels: ClassVar = {"gyro": 3, "accel": 3}
 
     rate_hz: float = 250.0
     gyro: Noise = Noise()

@@ -1,5 +1,7 @@
 """Three-axis magnetometer in a known field."""
 
+from typing import ClassVar
+
 import numpy as np
 
 from simvehicle.body import Truth
@@ -15,6 +17,8 @@ class Magnetometer(SensorParameters, frozen=True, kw_only=True):
     `field_ned_gauss` is the field at home; over a flight of some kilometres it changes by less
     than the noise. Without it the simulation fills in the world magnetic model's value.
     """
+
+    channels: ClassVar = {"noise": 3}
 
     rate_hz: float = 50.0
     noise: Noise = Noise()

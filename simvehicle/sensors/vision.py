@@ -1,6 +1,6 @@
 """Pose and velocity as visual odometry or motion capture gives them."""
 
-from typing import Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ class Vision(SensorParameters, frozen=True, kw_only=True):
     A random walk of the position is what visual odometry without loop closure does. `message` says
     how a reading travels; VISION_POSITION_ESTIMATE carries the pose alone.
     """
+
+    channels: ClassVar = {"position": 3, "velocity": 3, "attitude": 3}
 
     rate_hz: float = 30.0
     position: Noise = Noise()

@@ -67,6 +67,17 @@ def _clipped(value: float, low: float, high: float) -> float:
     return min(high, max(low, value))
 
 
+@inlined
+def _surfaces(controls: Array, packed: Array) -> tuple[float, float, float, float]:
+    """Deflections [rad] and throttle that are commanded, within their limits."""
+    return (
+        _clipped(controls[0], -1.0, 1.0) * packed[_END + 5],
+        _clipped(controls[1], -1.0, 1.0) * packed[_END + 6],
+        _clipped(controls[2], -1.0, 1.0) * packed[_END + 7],
+        _clipped(controls[3], 0.0, 1.0),
+    )
+
+
 @compiled
 def fly(
     x: Array,
@@ -109,13 +120,7 @@ def fly(
     aero = Aero(*to_fixed_tuple(packed[_BODY:_END], _AERO))
     rolling = packed[_END + 2] if controls[3] > 0.0 else _BRAKES
     wheels = Gear(points_m, packed[_END], packed[_END + 1], rolling, packed[_END + 3])
-    throttle = _clipped(controls[3], 0.0, 1.0)
-    surfaces = (
-        _clipped(controls[0], -1.0, 1.0) * packed[_END + 5],
-        _clipped(controls[1], -1.0, 1.0) * packed[_END + 6],
-        _clipped(controls[2], -1.0, 1.0) * packed[_END + 7],
-        throttle,
-    )
+    surfaces = _surfaces(controls, packed)
     w = (wind[0], wind[1], wind[2])
     g = (gravity[0], gravity[1], gravity[2])
     given = _Given(surfaces, w, density, ground_down_m, aero, wheels, packed[_END + 4])
@@ -125,7 +130,7 @@ def fly(
     fx, fy, fz, _mx, _my, _mz = _loads(s, 0, given)
     wx, wy, wz = to_body(s[6], s[7], s[8], s[9], w[0], w[1], w[2])
     airspeed = np.sqrt((s[3] - wx) ** 2 + (s[4] - wy) ** 2 + (s[5] - wz) ** 2)
-    current = propulsion(airspeed, throttle, density, aero)[2]
+    current = propulsion(airspeed, surfaces[3], density, aero)[2]
     for i in range(13):
         after[i] = s[i]
     after[13] = x[13] + current * steps * dt

@@ -106,6 +106,19 @@ def _commanded(control: float, sag: float, power: float, frame: Airframe) -> flo
     return speed * math.sqrt(max(0.0, power))
 
 
+@inlined
+def _spin(
+    speeds: Array, controls: Array, sag: float, rotors: Array, frame: Airframe, dt: float
+) -> None:
+    """Fill in the motors' speeds at the middle and the end of a step, exactly."""
+    for i in range(controls.shape[0]):
+        wanted = _commanded(controls[i], sag, rotors[i, 4], frame)
+        lag = frame.spin_up_s if wanted > speeds[0, i] else frame.spin_down_s
+        left = math.exp(-0.5 * dt / lag)  # of the difference after half a step
+        speeds[1, i] = wanted + (speeds[0, i] - wanted) * left
+        speeds[2, i] = wanted + (speeds[0, i] - wanted) * left * left
+
+
 @compiled
 def fly(
     x: Array,
@@ -125,29 +138,20 @@ def fly(
 ) -> None:
     """Advance the state by `steps` Runge-Kutta steps of `dt` seconds.
 
-    Arrays are handed in and filled, as numba takes a microsecond to hand one back.
+    Parameters are those of the fixed wing's `fly`, but for these, with n motors:
 
     Parameters
     ----------
-    x : array, shape (15 + n,)
-        For n motors.
+    x, after : arrays, shape (15 + n,)
+        The last two entries of the new state are those of the old one.
     controls : array, shape (n,)
         0 to 1 between idle and full speed, clipped; 0 stops the motor.
     sag : float
         Battery voltage over that of a full pack, which lowers the full speed.
     rotors : array, shape (n, 5)
         As in `_Given`.
-    wind, gravity : arrays, shape (3,)
-        NED [m/s], [m/s^2].
-    density, ground_down_m : float
-        Of the air [kg/m^3]; the ground's down coordinate [m].
-    packed, points_m : arrays
-        From `pack`, and the contact points (m, 3).
-    after : array, shape (15 + n,)
-        Becomes the new state, its last two entries those of `x`.
     load : array, shape (>= 5,)
-        Becomes the specific force in body axes at the new state [m/s^2], and [4] the mean cube of
-        the motors' speeds over full speed, as shaft power goes with the cube.
+        [4] becomes the mean cube of the motors' speeds over full speed, which power goes with.
     """
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
     frame = Airframe(*to_fixed_tuple(packed[_BODY:_END], _FRAME))
@@ -161,12 +165,7 @@ def fly(
     given = _Given(speeds, rotors, w, density, ground_down_m, frame, wheels)
     s = (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[9], x[10], x[11], x[12])
     for _ in range(steps):
-        for i in range(n):
-            wanted = _commanded(controls[i], sag, rotors[i, 4], frame)
-            lag = frame.spin_up_s if wanted > speeds[0, i] else frame.spin_down_s
-            left = np.exp(-0.5 * dt / lag)  # of the difference after half a step, exactly
-            speeds[1, i] = wanted + (speeds[0, i] - wanted) * left
-            speeds[2, i] = wanted + (speeds[0, i] - wanted) * left * left
+        _spin(speeds, controls, sag, rotors, frame, dt)
         s = integrated(s, _loads, given, g, body, dt)
         for i in range(n):
             speeds[0, i] = speeds[2, i]
