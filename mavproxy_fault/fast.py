@@ -191,8 +191,8 @@ class FastPath:
 
     @property
     def _unbegun(self) -> bool:
-        """Whether a fault that could be compiled has yet to write its first label."""
-        return any(running.first_us is None for _, running, _ in self._planned)
+        """Whether a fault that could be compiled has yet to write its first or next label."""
+        return any(running.first_us is None or running.untold for _, running, _ in self._planned)
 
     def _classify(self, number: int) -> None:
         """Say how a message goes."""
@@ -231,7 +231,7 @@ class FastPath:
             return False
         self._planned.append((first, running, fault))
         self._table[number, k.PLAN] = first
-        if running.first_us is None:
+        if running.first_us is None or running.untold:
             self._plans[first, k.ROWS] = 1
             return False  # its first frame, and with it the label, are the plain path's
         grows = type(fault) is Drift

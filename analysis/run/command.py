@@ -86,6 +86,7 @@ def fly(
                 if wait_s > 0.0:
                     time.sleep(wait_s)
                 live.serve()
+                live.show(time.monotonic())
                 sent = flight.advance([data for _, data in ground.read()] if ground else [])
                 take(monitor.feed(sent.monitor))
                 if ground is not None:
@@ -95,7 +96,7 @@ def fly(
                     recorded_us = flight.t_us
                     labels = flight.take_labels()
                     recorder.write(flight.tape, labels)
-                    live.publish({}, labels)
+                    live.publish(flight.stats(), labels)
                     if ground is not None:
                         take(monitor.feed(b"", now=True))
                     progress.show(flight.t_us * 1e-6, flight.engine.active)
