@@ -19,7 +19,7 @@ from mavproxy_fault.core import Core
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.ports import Send
 from mavproxy_fault.record import Recorder
-from mavproxy_fault.stats import Latencies
+from mavproxy_fault.stats import Latencies, figures
 from mavproxy_fault.tape import Tape
 
 if TYPE_CHECKING:
@@ -207,6 +207,8 @@ class Server:
         if now_s >= self._flush_s:
             self._flush_s = now_s + FLUSH_S
             self._record()
+        if self.live is not None:
+            self.live.show(now_s)
         if self.coming is not None and self.coming.done():
             self.join(self.coming.result())
             self.coming = None
@@ -250,25 +252,16 @@ class Server:
         """Counters and latency percentiles of every endpoint."""
         found = []
         for number, link in enumerate(self.links):
-            counters, state = link.counters, self.core.states[number]
-            parsed = self.core.parsed(number)
+            counters = link.counters
             found.append(
                 {
+                    **figures(self.core, number),
                     "name": link.name,
-                    "direction": self.core.links[number].direction,
                     "peers": link.peer_count,
-                    "frames_in": state.frames,
-                    "junk_in": state.junk,
-                    "crc_errors": parsed.crc_errors,
-                    "unknown": parsed.unknown,
-                    "gaps": state.gaps,
                     "bytes_in": counters.bytes_in,
                     "chunks_in": counters.chunks_in,
                     "bytes_out": counters.bytes_out,
                     "chunks_out": counters.chunks_out,
-                    "faulted": state.faulted,
-                    "loops": state.loops,
-                    "bad_signatures": state.bad_signatures,
                     "drops": counters.drops,
                     "errors": counters.errors,
                     **self.latencies[number].summary(),
