@@ -40,7 +40,7 @@ class Planned(NamedTuple):
 
 
 def stage(running: Running) -> tuple[bool, int, bool]:
-    """How far a fault has come: whether it has begun, how many states it has, whether all is told."""
+    """How far a fault has come: has it begun, how many states has it, is its news untold."""
     return running.first_us is not None, len(running.states), running.untold
 
 
