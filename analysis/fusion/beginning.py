@@ -63,8 +63,8 @@ class Beginning:
     clock_sigma: Clock
     aligned: bool
 
-    def priors(self) -> list[Any]:
-        """The first node's factors."""
+    def priors(self, biases: int) -> list[Any]:
+        """The first node's factors; `biases` is the key of its biases."""
         gaussian = gtsam.noiseModel.Gaussian.Covariance
         node, epoch = self.node, self.node.epoch
         return [
@@ -75,7 +75,7 @@ class Beginning:
                 key("v", epoch), node.velocity, gaussian(self.velocity_p + TINY * np.eye(3))
             ),
             gtsam.PriorFactorConstantBias(
-                key("b", epoch), node.bias, gaussian(self.bias_p + TINY * np.eye(6))
+                biases, node.bias, gaussian(self.bias_p + TINY * np.eye(6))
             ),
             gtsam.PriorFactorDouble(key("c", epoch), 0.0, sigma1(self.clock_sigma[0])),
             gtsam.PriorFactorVector(key("d", epoch), np.zeros(1), sigma1(self.clock_sigma[1])),

@@ -1,7 +1,5 @@
 """The smoother's newest epoch as the state of the detector's filter."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from analysis.fdi.core import Core
@@ -27,11 +25,12 @@ def fed_back(core: Core, graph: Graph | None) -> Core:
     if motion.t_us != node.t_us:
         return core
     x = navigation_state(graph.frame, node, motion.x[X_ISB])
-    names = [key(letter, node.epoch) for letter in "xvbcd"]
+    x_key, v_key, c_key, d_key = (key(letter, node.epoch) for letter in "xvcd")
+    names = [x_key, v_key, graph.bias_key(node.epoch), c_key, d_key]
     to_filter = _to_filter(graph.frame.axes.T, matrix(x[X_Q : X_Q + 4]))
     p = to_filter @ graph.window.covariance(names) @ to_filter.T
     p[ISB, ISB] = motion.p[ISB, ISB]
-    return replace(core, motion=replace(motion, x=x, p=0.5 * (p + p.T)))
+    return core._replace(motion=motion._replace(x=x, p=0.5 * (p + p.T)))
 
 
 def _to_filter(to_ecef: Vector, rot_eb: Vector) -> Vector:

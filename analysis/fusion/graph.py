@@ -24,9 +24,11 @@ Attitude = tuple[Any, Vector]  # rotation body to local, covariance (3, 3) in bo
 
 @dataclass(slots=True)
 class Epoch:
-    """What the graph remembers of an epoch in the window; `seen` is the pose by vision."""
+    """What the graph remembers of an epoch in the window: `bias` is the block whose biases it has,
+    `seen` the pose by vision."""
 
     t_us: int
+    bias: int
     origin: Any
     edge: Edge | None = None
     ranges: Ranges | None = None
@@ -55,9 +57,10 @@ class Graph:
         self._track: list[tuple[int, int]] = []  # times and numbers of epochs, in order of time
         self._count = 0
         self._late: dict[int, list[ImuSample]] = {}
+        self._biases: set[int] = set()
         self._params: tuple[Vector, Any] | None = None
         self._insert(self.node)
-        self.attach("prior", 0, *beginning.priors())
+        self.attach("prior", 0, *beginning.priors(self.bias_key(0)))
 
     def seconds(self, t_us: int) -> float:
         """Time since the graph began."""
@@ -190,9 +193,13 @@ class Graph:
         drift = float(smoother.calculateEstimateVector(key("d", epoch))[0])
         if not (np.isfinite(pose.matrix()).all() and np.isfinite([*velocity, clock, drift]).all()):
             raise RuntimeError("the estimate is not finite")
-        bias = smoother.calculateEstimateConstantBias(key("b", epoch))
+        bias = smoother.calculateEstimateConstantBias(self.bias_key(epoch))
         known = self.clock_at(t_us)
         return Node(epoch, t_us, pose, velocity, bias, (known[0] + clock, known[1] + drift))
+
+    def bias_key(self, epoch: int) -> int:
+        """The biases at an epoch."""
+        return key("b", self.epochs[epoch].bias)
 
     def commit(self) -> None:
         """Solve with what was attached and take over the estimate.
@@ -228,6 +235,7 @@ class Graph:
         while self._track and stamp(self.seconds(self._track[0][0])) < oldest_s:
             _, epoch = self._track.pop(0)
             del self.epochs[epoch]
+        self._biases = {block for block in self._biases if self.window.starts_s(block) >= oldest_s}
 
     def _new_node(self, start: Node, t_us: int, motion: Any) -> Node:
         guess = motion.predict(gtsam.NavState(start.pose, start.velocity), start.bias)
@@ -237,34 +245,43 @@ class Graph:
         return Node(self._count, t_us, guess.pose(), guess.velocity(), start.bias, clock)
 
     def _insert(self, node: Node) -> None:
-        origin = clock_origin(node.epoch)
+        origin, t_s = clock_origin(node.epoch), self.seconds(node.t_us)
         values = gtsam.Values(origin)
-        x, v, b = (key(letter, node.epoch) for letter in "xvb")
-        values.insert(x, node.pose)
-        values.insert(v, node.velocity)
-        values.insert(b, node.bias)
-        names = (x, v, b, key("c", node.epoch), key("d", node.epoch))
-        self.window.insert(values, names, self.seconds(node.t_us))
-        self.epochs[node.epoch] = Epoch(node.t_us, origin)
+        names = [key(letter, node.epoch) for letter in "xvcd"]
+        values.insert(names[0], node.pose)
+        values.insert(names[1], node.velocity)
+        block = self.window.block(t_s)
+        if block not in self._biases:
+            self._biases.add(block)
+            names.append(key("b", block))
+            values.insert(names[-1], node.bias)
+        self.window.insert(values, names, t_s)
+        self.epochs[node.epoch] = Epoch(node.t_us, block, origin)
         insort(self._track, (node.t_us, node.epoch))
 
     def _motion(self, edge: Edge, start: Node, t_us: int) -> Any:
         """The preintegrated IMU of an edge, or a model of motion in its place."""
         noise = self._detector.noise
+        walking = self.epochs[edge.before].bias != self.window.block(self.seconds(t_us))
         if edge.sound(self._detector.gap_s):
             r_m = start.pose.translation()
             if self._params is None or np.abs(r_m - self._params[0]).max() > SAME_PLACE_M:
                 self._params = r_m, imu_params(self.frame, r_m, noise)
-            return preintegrate(edge.part.samples, start.bias, self._params[1])
+            return preintegrate(edge.part.samples, start.bias, self._params[1], walking)
         dt_s = (t_us - start.t_us) * 1e-6
-        return imagine(dt_s, start.bias, self.frame, noise, edge.turn_rps)
+        return imagine(dt_s, start.bias, self.frame, noise, edge.turn_rps, walking)
 
     def _tie(self, edge: Edge, motion: Any, epoch: int) -> None:
         i, j = edge.before, epoch
         before, after = self.epochs[i], self.epochs[j]
         after.edge = edge
-        (x0, v0, b0), (x1, v1, b1) = ([key(letter, at) for letter in "xvb"] for at in (i, j))
-        self.attach("imu", j, gtsam.CombinedImuFactor(x0, v0, x1, v1, b0, b1, motion), since=i)
+        (x0, v0), (x1, v1) = ([key(letter, at) for letter in "xv"] for at in (i, j))
+        b0, b1 = key("b", before.bias), key("b", after.bias)
+        if b0 == b1:
+            moved: Any = gtsam.ImuFactor(x0, v0, x1, v1, b0, motion)
+        else:
+            moved = gtsam.CombinedImuFactor(x0, v0, x1, v1, b0, b1, motion)
+        self.attach("imu", j, moved, since=i)
         origin = gtsam.Values(before.origin)
         origin.insert(after.origin)
         dt_s = (after.t_us - before.t_us) * 1e-6

@@ -20,7 +20,7 @@ from analysis.fusion.frame import Frame
 from analysis.samples import Vector
 
 INTEGRATION_M = 1e-3  # m/sqrt(s), position noise of the integration itself
-STEP_S = 0.01  # faster samples are averaged: a turn between them costs less than their noise
+STEP_S = 0.02  # faster samples are averaged: a turn between them costs less than their noise
 FICTION_STEP_S = 0.05
 FREE_TURN_RPS = 30.0  # of a motion that says nothing of the attitude
 
@@ -30,9 +30,12 @@ def imu_params(frame: Frame, r_m: Vector, noise: Noise) -> Any:
     return _params(frame.gravity(r_m), frame, noise, noise.gyro_rps, noise.accel_mps2)
 
 
-def preintegrate(samples: Vector, bias: Any, params: Any) -> Any:
-    """The IMU's samples (k, 7) of `fdi.motion.segment`: step in s, rates, specific force."""
-    preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
+def preintegrate(samples: Vector, bias: Any, params: Any, walking: bool) -> Any:
+    """The IMU's samples (k, 7) of `fdi.motion.segment`: step in s, rates, specific force.
+
+    `walking` says whether the biases at both ends are two variables.
+    """
+    preintegrated = _kind(walking)(params, bias)
     table = averaged(samples, STEP_S)
     for row in table:
         preintegrated.integrateMeasurement(row[4:7], row[1:4], row[0])
@@ -52,10 +55,18 @@ def averaged(samples: Vector, step_s: float) -> Vector:
     return sums
 
 
-def imagine(dt_s: float, bias: Any, frame: Frame, noise: Noise, turn_rps: float) -> Any:
+def _kind(walking: bool) -> Any:
+    if walking:
+        return gtsam.PreintegratedCombinedMeasurements
+    return gtsam.PreintegratedImuMeasurements
+
+
+def imagine(
+    dt_s: float, bias: Any, frame: Frame, noise: Noise, turn_rps: float, walking: bool
+) -> Any:
     """The motion model over `dt_s`, with turns as fast as `turn_rps`."""
     params = _params(np.zeros(3), frame, noise, turn_rps, noise.motion_mps2)
-    preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
+    preintegrated = _kind(walking)(params, bias)
     steps = max(round(dt_s / FICTION_STEP_S), 2)
     for _ in range(steps):
         preintegrated.integrateMeasurement(bias.accelerometer(), bias.gyroscope(), dt_s / steps)

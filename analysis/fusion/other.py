@@ -33,7 +33,6 @@ WAITING: dict[type, str] = {
     GpsFix: "gps-position",
 }
 WIND_SIGMA_MPS = 6.0
-BEFORE = 1 << 20  # keeps the numbers of blocks positive
 OFFSET_SIGMA_M = 5.0  # of the first guess of a barometer's offset
 
 
@@ -78,10 +77,10 @@ class Others:
         """The key of a slow state at an epoch; `walk` is per square root of a second."""
         graph, window = self._graph, self._graph.window
         t_s = graph.seconds(graph.epochs[epoch].t_us)
-        block = round(window.stamp(t_s) / window.block_s) + BEFORE
+        block = window.block(t_s)
         name = key(letter, block)
-        gone = round(window.oldest_s / window.block_s) + BEFORE
-        blocks = [known for known in self._blocks[letter] if known >= gone]
+        gone_s = window.oldest_s
+        blocks = [known for known in self._blocks[letter] if window.starts_s(known) >= gone_s]
         if block not in blocks:
             before = max((known for known in blocks if known < block), default=None)
             value = first
@@ -91,7 +90,7 @@ class Others:
                 factor = prior(name, first, noise)
                 since_s = t_s
             else:
-                since_s = (before - BEFORE) * window.block_s
+                since_s = window.starts_s(before)
                 walked = walk * math.sqrt((block - before) * window.block_s)
                 factor, value = self._walk(letter, before, name, first, walked)
             values = gtsam.Values()

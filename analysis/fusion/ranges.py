@@ -41,9 +41,9 @@ class Ranges:
         modelled = model(observed, x, detector.sigma, ionosphere)
         self.satellites = observed.satellites
         self._states, self._galileo = observed.states, observed.galileo
-        self._los = modelled.los
+        self._los = -modelled.h[:, :3]
         self.corrected_m = modelled.v_m + x[X_CLOCK] + _geometry_m(observed.states, x[:3])
-        self.still_mps = modelled.v_mps + x[X_DRIFT] - modelled.los @ x[3:6]
+        self.still_mps = modelled.v_mps + x[X_DRIFT] - self._los @ x[3:6]
         self._white_m = np.sqrt(modelled.variance)
         self._sigma_m = config.correlation * self._white_m
         self._sigma_mps = np.sqrt(modelled.rate_variance)

@@ -1,9 +1,7 @@
 """The fusion step: samples and the detector's verdicts in, a fused state per GNSS epoch out."""
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -12,11 +10,10 @@ from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import Core
 from analysis.fdi.inertial import X_ISB
 from analysis.fdi.measure import choose, observe
-from analysis.fdi.motion import PENDING_MAX
+from analysis.fdi.motion import Segment
 from analysis.fdi.state import Motion
 from analysis.fusion.beginning import (
     Beginning,
-    Node,
     at_filter,
     at_node,
     attitude_in,
@@ -24,70 +21,22 @@ from analysis.fusion.beginning import (
 )
 from analysis.fusion.config import FusionConfig
 from analysis.fusion.edge import Edge, between
-from analysis.fusion.frame import Frame
 from analysis.fusion.gnc import outliers
 from analysis.fusion.graph import Attitude, Graph
 from analysis.fusion.other import WAITING, Others
 from analysis.fusion.ranges import Ranges
 from analysis.fusion.said import fused_state, gap
+from analysis.fusion.state import FusionState, Good, Now
 from analysis.fusion.weights import isolated_sensors, range_weights
 from analysis.results import Decision, FusedState, Result, SensorDecision
-from analysis.samples import Epoch, ImuSample, Sample, Vector
+from analysis.samples import Epoch, ImuSample, Sample
 
 LOOSE_M = 10.0  # a start less sure than this takes the epoch's own ranges in
 LOST_RAD = 0.1  # an attitude as sure as this needs no help from the detector
 SUSPECT = 0.5  # of the threshold: above it the IMU is suspicious, and taken back if it is isolated
+SKY_US = 2_000_000  # satellites move little meanwhile
 JUMP_S = 1.0  # how far a clock may leap where the detector says that it did
 FAILURES = (RuntimeError, ValueError, IndexError)  # what GTSAM and numpy raise
-
-
-@dataclass(frozen=True, slots=True)
-class Now:
-    """One epoch: the sample that made it, what the detector said, and its state after it."""
-
-    sample: Sample
-    decision: Decision
-    results: Sequence[Result]
-    core: Core
-
-    @property
-    def motion(self) -> Motion | None:
-        """The detector's filter if it is at this epoch."""
-        motion = self.core.motion
-        return motion if motion and motion.t_us == self.decision.t_us else None
-
-
-class Good(NamedTuple):
-    """What a graph was after its last commit."""
-
-    frame: Frame
-    node: Node
-    covariance: Vector
-    aligned: bool
-
-
-@dataclass(slots=True)
-class FusionState:
-    """What moves; changed in place, as the graph in it must be.
-
-    `imu` and `waiting` are samples for the next epoch and `run` the IMU up to the newest one.
-    `excluded` and `isolated` are what was left out there, `lost` says that the graph has missed the
-    IMU since it knew its attitude, `suspect_us` since when the IMU has been suspicious. `notes` are
-    for the next result's reason.
-    """
-
-    imu: deque[ImuSample] = field(default_factory=lambda: deque(maxlen=PENDING_MAX))
-    run: list[ImuSample] = field(default_factory=list)
-    waiting: dict[str, Sample] = field(default_factory=dict)
-    graph: Graph | None = None
-    others: Others | None = None
-    good: Good | None = None
-    excluded: frozenset[str] = frozenset()
-    isolated: frozenset[str] = frozenset()
-    lost: bool = False
-    suspect_us: int | None = None
-    notes: list[str] = field(default_factory=list)
-    last: FusedState | None = None
 
 
 @dataclass(frozen=True)
@@ -164,7 +113,7 @@ class Fusion:
         graph = self._new(at_filter(motion, self.config.correlation), state)
         used = {"imu": float(motion.inertial)}
         if np.sqrt(motion.p[0, 0]) > LOOSE_M:
-            used |= self._attach_ranges(graph, now)
+            used |= self._attach_ranges(graph, now, state)
         return self._done(graph, used, now, state)
 
     def _new(self, beginning: Beginning, state: FusionState) -> Graph:
@@ -181,12 +130,14 @@ class Fusion:
         isolated = frozenset(isolated_sensors(now.results, self.config))
         attitude = self._watch_imu(graph, now, isolated, state)
         t_us, node = now.decision.t_us, graph.node
-        trusted = "imu" not in isolated and not state.lost
+        part = self._heard(node.t_us, now, state)
+        silent = part.gap_s > self.detector.gap_s  # what is missing may still come
+        trusted = silent or not ("imu" in isolated or state.lost)
         jumped_s = JUMP_S if now.decision.hypothesis == "clock" else 0.0
-        edge = Edge(node.epoch, between(state.run, node.t_us, t_us), trusted, jumped_s)
+        edge = Edge(node.epoch, part, trusted, jumped_s)
         sound = graph.extend(t_us, edge, attitude)
         state.lost = state.lost or (graph.aligned and not sound and attitude is None)
-        used = {"imu": float(sound)} | self._attach_ranges(graph, now)
+        used = {"imu": float(sound)} | self._attach_ranges(graph, now, state)
         assert state.others is not None
         for source, sample in state.waiting.items():
             out = source in isolated
@@ -195,6 +146,15 @@ class Fusion:
                 used[source] = share
         state.isolated = isolated
         return self._done(graph, used, now, state)
+
+    @staticmethod
+    def _heard(since_us: int, now: Now, state: FusionState) -> Segment:
+        """The IMU since the last epoch: the detector has mostly put it together already."""
+        record = now.record
+        before = record.core.motion if record is not None else None
+        if record is not None and before is not None and before.t_us == since_us:
+            return record.part
+        return between(state.run, since_us, now.decision.t_us)
 
     def _done(
         self, graph: Graph, used: dict[str, float], now: Now, state: FusionState
@@ -254,20 +214,23 @@ class Fusion:
             return None
         return rotation, p
 
-    def _attach_ranges(self, graph: Graph, now: Now) -> dict[str, float]:
+    def _attach_ranges(self, graph: Graph, now: Now, state: FusionState) -> dict[str, float]:
         """The epoch's own ranges; the weights of those used."""
         if not isinstance(now.sample, Epoch) or now.motion is None or now.core.chosen is None:
             return {}
-        observed = observe(now.sample, now.core.chosen)
+        record = now.record
+        observed = record.observed if record else observe(now.sample, now.core.chosen)
         if observed is None:
             return {}
         core, config = now.core, self.config
         ranges = Ranges(observed, now.motion.x, core.ionosphere, config, self.detector)
         weights = range_weights(now.decision, config)
         names = graph.attach_ranges(graph.node.epoch, ranges, weights)
-        slow = ranges.slow_covariance(weights)
-        if slow is not None:
-            graph.slow_m2 = slow
+        sky = (*names, now.decision.t_us // SKY_US)
+        if sky != state.sky:
+            slow = ranges.slow_covariance(weights)
+            if slow is not None:
+                graph.slow_m2, state.sky = slow, sky
         return {name: weights[name] for name in names}
 
     def _hear(self, sample: ImuSample, state: FusionState) -> None:

@@ -7,6 +7,7 @@ they moved so far that it matters. QR, since clocks in seconds are scaled too ba
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 from analysis.samples import Vector
 
 BLOCKS = 5  # per lag
+BEFORE = 1 << 20  # keeps the numbers of blocks positive
 NEVER = 1e9
 # How far a variable moves before it is relinearised, in its own units (rad, m, m/s, m/s^2): ranges
 # and clocks are as good as linear, turns are not.
@@ -73,16 +75,24 @@ class Window:
         self._named: list[tuple[tuple[str, int], float, int]] = []
         self._back: list[int] = []
 
+    def block(self, t_s: float) -> int:
+        """The number, above zero, of the block a time is in."""
+        return math.floor(t_s / self.block_s + 1e-9) + BEFORE
+
+    def starts_s(self, block: int) -> float:
+        """When a block begins."""
+        return (block - BEFORE) * self.block_s
+
     def stamp(self, t_s: float) -> float:
         """The start of the block a time is in."""
-        return math.floor(t_s / self.block_s + 1e-9) * self.block_s
+        return self.starts_s(self.block(t_s))
 
     @property
     def oldest_s(self) -> float:
         """Variables with an older stamp are gone after the next commit."""
         return self._newest_s - self._lag_s
 
-    def insert(self, values: Any, names: tuple[int, ...], t_s: float) -> None:
+    def insert(self, values: Any, names: Iterable[int], t_s: float) -> None:
         """Variables at a time with their first guesses."""
         self._values.insert(values)
         stamp = self.stamp(t_s)
