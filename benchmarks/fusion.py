@@ -117,6 +117,11 @@ def spread(found: dict[int, Vector], skip_s: float = 10.0) -> float:
     return rmse({k: e for k, e in enumerate(late - late.mean(axis=0))}, 0.0)
 
 
+def mean(found: dict[int, Vector]) -> str:
+    """The mean error north, east, down."""
+    return ", ".join(f"{value:.1f}" for value in np.mean(list(found.values()), axis=0))
+
+
 def nees(states: list[FusedState], found: dict[int, Vector]) -> float:
     """Mean normalised squared position error; 3 where the sigmas are right."""
     each = [
@@ -209,8 +214,9 @@ def walk(folder: Path) -> None:
         for t_us, at in single.items()
         if t_us in near
     }
-    print("| walk | position RMSE m | about its mean m | NEES (3) |\n|---|---|---|---|")
-    print(f"| RTKLIB, single point | {rmse(found):.2f} | {spread(found):.2f} | |")
+    print("| walk | position RMSE m | about its mean m | mean north, east, down m | NEES (3) |")
+    print("|---|---|---|---|---|")
+    print(f"| RTKLIB, single point | {rmse(found):.2f} | {spread(found):.2f} | {mean(found)} | |")
     samples = read_rinex_samples(observations, navigation, folder / "imu_1730_sf.csv")
     epochs = [s for s in samples if isinstance(s, Epoch)]
     truths = nearest(truths, [s.t_us for s in epochs])
@@ -225,12 +231,14 @@ def walk(folder: Path) -> None:
         ),
     ):
         value = errors(decisions(these), truths)
-        print(f"| {title}: the detector's filter | {rmse(value):.2f} | {spread(value):.2f} | |")
+        print(
+            f"| {title}: the detector's filter | {rmse(value):.2f} | {spread(value):.2f} | {mean(value)} | |"
+        )
         for name, config in list(SETTINGS.items())[: 1 if title == "clean" else None]:
             states = fused(these, config)
             value = errors(states, truths)
             print(
-                f"| {title}: {name} | {rmse(value):.2f} | {spread(value):.2f} "
+                f"| {title}: {name} | {rmse(value):.2f} | {spread(value):.2f} | {mean(value)} "
                 f"| {nees(states, value):.1f} |"
             )
 

@@ -5,6 +5,8 @@ wants it) and d its drift (a vector of one, which GTSAM's bindings insert ten ti
 from where they were when the graph began; per block of time h the barometer's offset, w the wind.
 """
 
+import math
+from functools import lru_cache
 from typing import Any
 
 import gtsam
@@ -17,6 +19,7 @@ from analysis.fusion.window import key
 from analysis.gnss import LIGHT_MPS
 from analysis.samples import Vector
 
+EPOCHS = 1024  # numbers of epochs are used again after so many: at most that in a window
 ONE = np.ones((1, 1))
 NOTHING = np.zeros(1)
 
@@ -26,8 +29,12 @@ def sigma1(sigma: float) -> Any:
     return gtsam.noiseModel.Isotropic.Sigma(1, sigma)
 
 
+@lru_cache(maxsize=EPOCHS)
 def clock_origin(epoch: int) -> Any:
-    """An epoch's clock and drift as they were when the graph began: both are linear."""
+    """An epoch's clock and drift as they were when the graph began: both are linear.
+
+    Kept, since the bindings take 50 us to insert a number; not to be changed.
+    """
     values = gtsam.Values()
     values.insert(key("c", epoch), 0.0)
     values.insert(key("d", epoch), NOTHING)
@@ -41,9 +48,9 @@ def clock_factors(
 
     `origin` has the values of both epochs' `clock_origin`.
     """
-    noise, root = detector.noise, np.sqrt(dt_s)
-    walk_s = np.hypot(noise.clock_m * root, noise.drift_mps * dt_s * root) / LIGHT_MPS
-    sigmas = np.hypot(walk_s, jumped_s), noise.drift_mps * root / LIGHT_MPS
+    noise, root = detector.noise, math.sqrt(dt_s)
+    walk_s = math.hypot(noise.clock_m * root, noise.drift_mps * dt_s * root) / LIGHT_MPS
+    sigmas = math.hypot(walk_s, jumped_s), noise.drift_mps * root / LIGHT_MPS
     c0, c1, d0, d1 = key("c", before), key("c", epoch), key("d", before), key("d", epoch)
     rows = (
         gtsam.JacobianFactor(c1, ONE, c0, -ONE, d0, -dt_s * ONE, NOTHING, _diagonal(sigmas[0])),
@@ -61,6 +68,7 @@ def walk_factor(before: int, after: int, sigma: float) -> Any:
     return gtsam.LinearContainerFactor(row, origin)
 
 
+@lru_cache(maxsize=64)
 def _diagonal(sigma: float) -> Any:
     return gtsam.noiseModel.Diagonal.Sigmas(np.array([sigma]))
 

@@ -11,9 +11,9 @@ from analysis.fdi.config import DetectorConfig
 from analysis.fusion.beginning import Beginning, Clock, Node
 from analysis.fusion.config import FusionConfig
 from analysis.fusion.edge import Edge, mended, split
-from analysis.fusion.factors import clock_factors, clock_origin
+from analysis.fusion.factors import EPOCHS, clock_factors, clock_origin
 from analysis.fusion.inertia import FREE_TURN_RPS, imagine, imu_params, preintegrate
-from analysis.fusion.ranges import Ranges
+from analysis.fusion.ranges import Mask, Ranges
 from analysis.fusion.window import Window, key
 from analysis.samples import ImuSample, Vector
 
@@ -152,19 +152,20 @@ class Graph:
         at = self.epochs[epoch]
         at.ranges, at.weights = ranges, weights
         clock_s, _ = self.clock_at(at.t_us)
-        made = ranges.factors(epoch, self.frame, clock_s, weights)
+        used = ranges.used(weights)
+        made = ranges.factors(used, epoch, self.frame, clock_s, weights)
         for name, factor in made.items():
             self.attach(name, epoch, factor)
-        self._attach_rates(epoch, at)
+        self._attach_rates(used, epoch, at)
         return list(made)
 
-    def _attach_rates(self, epoch: int, at: Epoch) -> None:
+    def _attach_rates(self, used: Mask, epoch: int, at: Epoch) -> None:
         assert at.ranges is not None
         assert at.weights is not None
         origin = gtsam.Values(at.origin)
         origin.insert(key("v", epoch), np.zeros(3))
         _, drift = self._began.clock
-        rates = at.ranges.rates(epoch, self.frame, drift, origin, at.weights)
+        rates = at.ranges.rates(used, epoch, self.frame, drift, origin, at.weights)
         if rates is not None:
             self.attach("rates", epoch, rates)
 
@@ -176,7 +177,8 @@ class Graph:
                 continue
             at.weights = {**(at.weights or {}), name: 0.0}
             if self.window.take_back("rates", epoch):
-                self._attach_rates(epoch, at)
+                assert at.ranges is not None
+                self._attach_rates(at.ranges.used(at.weights), epoch, at)
 
     def estimate(self, epoch: int) -> Node:
         """What the smoother thinks of an epoch since the last commit.
@@ -239,7 +241,9 @@ class Graph:
 
     def _new_node(self, start: Node, t_us: int, motion: Any) -> Node:
         guess = motion.predict(gtsam.NavState(start.pose, start.velocity), start.bias)
-        self._count += 1
+        self._count = (self._count + 1) % EPOCHS
+        if self._count in self.epochs:
+            raise RuntimeError(f"more than {EPOCHS} epochs in the window")
         drift = start.clock[1]
         clock = start.clock[0] + drift * (t_us - start.t_us) * 1e-6, drift
         return Node(self._count, t_us, guess.pose(), guess.velocity(), start.bias, clock)

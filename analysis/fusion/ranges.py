@@ -8,6 +8,7 @@ from typing import Any
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.inertial import X_CLOCK, X_DRIFT
@@ -21,6 +22,7 @@ from analysis.gnss import EARTH_RATE_RPS, LIGHT_MPS
 from analysis.samples import Vector
 from analysis.solve import design_matrix
 
+Mask = NDArray[np.bool_]
 NO_ARM = np.zeros(3)
 LEAST_WEIGHT = 0.02  # less is left out
 HUBER = 1.345  # 95 % efficiency for normal noise (Huber 1964)
@@ -51,11 +53,10 @@ class Ranges:
         self._config, self._doppler = config, detector.doppler
         self.normalised = modelled.v_m / self._white_m
 
-    def used(self, weights: dict[str, float]) -> Vector:
+    def used(self, weights: dict[str, float]) -> Mask:
         """Which (n,) have a weight."""
         enough = [weights.get(name, 0.0) >= LEAST_WEIGHT for name in self.satellites]
-        result: Vector = self._above & np.array(enough, dtype=bool)
-        return result
+        return self._above & np.array(enough, dtype=bool)
 
     def own_weights(self, excluded: frozenset[str]) -> dict[str, float]:
         """Weights by the residuals at the filter's state, where nothing else judges them."""
@@ -68,14 +69,14 @@ class Ranges:
         }
 
     def factors(
-        self, epoch: int, frame: Frame, clock_s: float, weights: dict[str, float]
+        self, used: Mask, epoch: int, frame: Frame, clock_s: float, weights: dict[str, float]
     ) -> dict[str, Any]:
         """Pseudorange factors by satellite, of those with a weight; the graph's clock is counted
         from `clock_s`."""
         pose, clock, nav = key("x", epoch), key("c", epoch), frame.pose
         offset_m = clock_s * LIGHT_MPS
         made = {}
-        for i in np.flatnonzero(self.used(weights)):
+        for i in np.flatnonzero(used).tolist():
             name, state = self.satellites[i], self._states[i]
             made[name] = gtsam.PseudorangeFactorArm(
                 pose,
@@ -90,13 +91,19 @@ class Ranges:
         return made
 
     def rates(
-        self, epoch: int, frame: Frame, drift: float, origin: Any, weights: dict[str, float]
+        self,
+        used: Mask,
+        epoch: int,
+        frame: Frame,
+        drift: float,
+        origin: Any,
+        weights: dict[str, float],
     ) -> Any:
         """One linear factor of all Doppler rates on velocity and drift, None without any.
 
         Rates are linear in both, so the factor holds from `origin`, the values zero, on.
         """
-        used = self.used(weights) & np.isfinite(self.still_mps)
+        used = used & np.isfinite(self.still_mps)
         if not self._doppler or not used.any():
             return None
         share = np.array([weights[self.satellites[i]] for i in np.flatnonzero(used)])
