@@ -117,11 +117,6 @@ def spread(found: dict[int, Vector], skip_s: float = 10.0) -> float:
     return rmse({k: e for k, e in enumerate(late - late.mean(axis=0))}, 0.0)
 
 
-def mean(found: dict[int, Vector]) -> str:
-    """The mean error north, east, down."""
-    return ", ".join(f"{value:.1f}" for value in np.mean(list(found.values()), axis=0))
-
-
 def nees(states: list[FusedState], found: dict[int, Vector]) -> float:
     """Mean normalised squared position error; 3 where the sigmas are right."""
     each = [
@@ -216,7 +211,7 @@ def walk(folder: Path) -> None:
     }
     print("| walk | position RMSE m | about its mean m | mean north, east, down m | NEES (3) |")
     print("|---|---|---|---|---|")
-    print(f"| RTKLIB, single point | {rmse(found):.2f} | {spread(found):.2f} | {mean(found)} | |")
+    print(row("RTKLIB, single point", found))
     samples = read_rinex_samples(observations, navigation, folder / "imu_1730_sf.csv")
     epochs = [s for s in samples if isinstance(s, Epoch)]
     truths = nearest(truths, [s.t_us for s in epochs])
@@ -231,16 +226,17 @@ def walk(folder: Path) -> None:
         ),
     ):
         value = errors(decisions(these), truths)
-        print(
-            f"| {title}: the detector's filter | {rmse(value):.2f} | {spread(value):.2f} | {mean(value)} | |"
-        )
+        print(row(f"{title}: the detector's filter", value))
         for name, config in list(SETTINGS.items())[: 1 if title == "clean" else None]:
             states = fused(these, config)
             value = errors(states, truths)
-            print(
-                f"| {title}: {name} | {rmse(value):.2f} | {spread(value):.2f} | {mean(value)} "
-                f"| {nees(states, value):.1f} |"
-            )
+            print(row(f"{title}: {name}", value, f"{nees(states, value):.1f}"))
+
+
+def row(title: str, found: dict[int, Vector], squares: str = "") -> str:
+    """A row of the walk's table."""
+    mean = ", ".join(f"{value:.1f}" for value in np.mean(list(found.values()), axis=0))
+    return f"| {title} | {rmse(found):.2f} | {spread(found):.2f} | {mean} | {squares} |"
 
 
 def common(epochs: list[Epoch]) -> str:
