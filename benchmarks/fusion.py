@@ -209,8 +209,10 @@ def walk(folder: Path) -> None:
         for t_us, at in single.items()
         if t_us in near
     }
-    print("| walk | position RMSE m | about its mean m | mean north, east, down m | NEES (3) |")
-    print("|---|---|---|---|---|")
+    print(
+        "| walk | position RMSE m | about its mean m | mean north, east, down m | NEES (3) | about its mean |"
+    )
+    print("|---|---|---|---|---|---|")
     print(row("RTKLIB, single point", found))
     samples = read_rinex_samples(observations, navigation, folder / "imu_1730_sf.csv")
     epochs = [s for s in samples if isinstance(s, Epoch)]
@@ -230,10 +232,13 @@ def walk(folder: Path) -> None:
         for name, config in list(SETTINGS.items())[: 1 if title == "clean" else None]:
             states = fused(these, config)
             value = errors(states, truths)
-            print(row(f"{title}: {name}", value, f"{nees(states, value):.1f}"))
+            middle = np.mean(list(value.values()), axis=0)
+            about = {t_us: error - middle for t_us, error in value.items()}
+            squares = f"{nees(states, value):.1f} | {nees(states, about):.1f}"
+            print(row(f"{title}: {name}", value, squares), flush=True)
 
 
-def row(title: str, found: dict[int, Vector], squares: str = "") -> str:
+def row(title: str, found: dict[int, Vector], squares: str = " | ") -> str:
     """A row of the walk's table."""
     mean = ", ".join(f"{value:.1f}" for value in np.mean(list(found.values()), axis=0))
     return f"| {title} | {rmse(found):.2f} | {spread(found):.2f} | {mean} | {squares} |"

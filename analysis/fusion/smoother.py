@@ -165,7 +165,7 @@ class Fusion:
             if name in now.core.excluded:
                 graph.remove(name, now.core.excluded[name].onset_us)
         graph.commit()
-        if self.config.robust == "gnc":
+        if self.config.robust == "gnc" and graph.begins_block():
             self._drop_outliers(graph)
         state.excluded = excluded
         state.good = Good(graph.frame, graph.node, graph.covariance, graph.aligned)
