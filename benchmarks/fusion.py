@@ -210,7 +210,8 @@ def walk(folder: Path) -> None:
         if t_us in near
     }
     print(
-        "| walk | position RMSE m | about its mean m | mean north, east, down m | NEES (3) | about its mean |"
+        "| walk | position RMSE m | about its mean m | mean north, east, down m "
+        "| NEES (3) | about its mean |"
     )
     print("|---|---|---|---|---|---|")
     print(row("RTKLIB, single point", found))
