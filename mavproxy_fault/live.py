@@ -90,11 +90,11 @@ class Live:
         self,
         control: Control,
         now_us: Callable[[], int],
-        note: Callable[[str, str, int], None] | None = None,
+        note: Callable[[str, bytes, int], None] | None = None,
     ) -> None:
         self.control = control
         self._now_us = now_us
-        self._note = note
+        self.note = note
         self._requests = Requests()
         self._bus: Bus | None = None
         self._port: socket.socket | None = None
@@ -140,8 +140,8 @@ class Live:
     def _act(self, key: str, payload: bytes) -> Any:
         """Carry out one request in the loop's thread."""
         t_us = self._now_us()
-        if self._note is not None and not key.endswith(QUESTIONS):
-            self._note(key, payload.decode("utf-8", "replace"), t_us)
+        if self.note is not None and not key.endswith(QUESTIONS):
+            self.note(key, payload, t_us)
         return self.control.answer(key, payload, t_us)
 
     def filenos(self) -> list[int]:
@@ -158,8 +158,8 @@ class Live:
             while True:
                 data = self._port.recv(PACKED.size + 1)
                 t_us = self._now_us()
-                if self._note is not None:
-                    self._note(RFLYSIM, data.hex(), t_us)
+                if self.note is not None:
+                    self.note(RFLYSIM, data, t_us)
                 try:
                     self.control.packet(data, t_us)
                 except ConfigError as error:

@@ -19,13 +19,13 @@ from mavproxy_fault.core import Core
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.ports import Send
 from mavproxy_fault.record import Recorder
-from mavproxy_fault.stats import Latencies
+from mavproxy_fault.stats import Latencies, endpoints
 from mavproxy_fault.tape import Tape
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
-    from mavproxy_fault.edits import Edit
+    from mavproxy_fault.edits import Journal
     from mavproxy_fault.fast import FastPath
     from mavproxy_fault.live import Live
 
@@ -61,8 +61,7 @@ class Server:
         self._compiler: subprocess.Popen[bytes] | None = None
         self._fast: FastPath | None = None
         self._wake: int | None = None
-        self._edits: list[Edit] = []
-        self._edit_us = 0
+        self.journal: Journal | None = None
         self.live: Live | None = None
         self.coming: Future[Live] | None = None  # live control that is still being opened
 
@@ -139,28 +138,18 @@ class Server:
         from mavproxy_fault.edits import JOIN, join
 
         self.live = live
-        self.note_edit(JOIN, "", self.edit_time())
+        if live.note is not None:
+            live.note(JOIN, b"", self.edit_time())
         join(self.core, live.control)
         if self._fast is not None and not self._fast.pending:
             self._fast.count()
             self.use_fast()
 
     def edit_time(self) -> int:
-        """The vehicle's time (the wall clock before it is known), at which an edit may now be made.
-
-        What is due leaves before, as it does when the session is replayed.
-        """
-        self._edit_us = self.now_us()
-        self._carry_out(self.core.due(self._edit_us))
-        clock = self.core.clock
-        return self._edit_us if clock.t0_us is None else clock.t_us
-
-    def note_edit(self, what: str, payload: str, t_us: int) -> None:
-        """Record what was asked for."""
-        from mavproxy_fault.edits import Edit
-
-        if self.tape is not None:
-            self._edits.append(Edit(self.tape.count, self._edit_us, t_us, what, payload))
+        """The vehicle's time, at which an edit may now be made; what is due leaves before."""
+        now_us = self.now_us()
+        self._carry_out(self.core.due(now_us))
+        return now_us if self.journal is None else self.journal.begin(now_us)
 
     def use_fast(self) -> None:
         """Let the compiled path take over."""
@@ -227,8 +216,8 @@ class Server:
             return
         labels = self.core.take_labels()
         if self.recorder is not None and self.tape is not None:
-            self.recorder.write(self.tape, labels, self._edits)
-            self._edits = []
+            edits = [] if self.journal is None else self.journal.take()
+            self.recorder.write(self.tape, labels, edits)
         if self.live is not None:
             self.live.publish(self.stats(), labels)
 
@@ -248,32 +237,19 @@ class Server:
 
     def stats(self) -> list[dict[str, Any]]:
         """Counters and latency percentiles of every endpoint."""
-        found = []
-        for number, link in enumerate(self.links):
-            counters, state = link.counters, self.core.states[number]
-            parsed = self.core.parsed(number)
-            found.append(
-                {
-                    "name": link.name,
-                    "direction": self.core.links[number].direction,
-                    "peers": link.peer_count,
-                    "frames_in": state.frames,
-                    "junk_in": state.junk,
-                    "crc_errors": parsed.crc_errors,
-                    "unknown": parsed.unknown,
-                    "gaps": state.gaps,
-                    "bytes_in": counters.bytes_in,
-                    "chunks_in": counters.chunks_in,
-                    "bytes_out": counters.bytes_out,
-                    "chunks_out": counters.chunks_out,
-                    "faulted": state.faulted,
-                    "loops": state.loops,
-                    "bad_signatures": state.bad_signatures,
-                    "drops": counters.drops,
-                    "errors": counters.errors,
-                    **self.latencies[number].summary(),
-                }
-            )
+        found = endpoints(self.core)
+        for point, link, latencies in zip(found, self.links, self.latencies, strict=True):
+            counters = link.counters
+            point |= {
+                "peers": link.peer_count,
+                "bytes_in": counters.bytes_in,
+                "chunks_in": counters.chunks_in,
+                "bytes_out": counters.bytes_out,
+                "chunks_out": counters.chunks_out,
+                "drops": counters.drops,
+                "errors": counters.errors,
+                **latencies.summary(),
+            }
         return found
 
 

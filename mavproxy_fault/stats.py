@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
+from mavproxy_fault.core import Core
+
 PERCENTILES = (50, 99, 99.9)
 COLUMNS = (
     ("endpoint", "name"), ("peers", "peers"), ("in", "frames_in"), ("bytes in", "bytes_in"),
@@ -42,12 +44,34 @@ class Latencies:
         return {f"p{percent}_us": self.percentile_us(percent) for percent in PERCENTILES}
 
 
-def table(endpoints: Sequence[dict[str, Any]]) -> str:
+def endpoints(core: Core) -> list[dict[str, Any]]:
+    """What a core has counted of every link."""
+    found = []
+    for number, (role, state) in enumerate(zip(core.links, core.states, strict=True)):
+        parsed = core.parsed(number)
+        found.append(
+            {
+                "name": role.name,
+                "direction": role.direction,
+                "frames_in": state.frames,
+                "junk_in": state.junk,
+                "crc_errors": parsed.crc_errors,
+                "unknown": parsed.unknown,
+                "gaps": state.gaps,
+                "faulted": state.faulted,
+                "loops": state.loops,
+                "bad_signatures": state.bad_signatures,
+            }
+        )
+    return found
+
+
+def table(points: Sequence[dict[str, Any]]) -> str:
     """The endpoints' figures as aligned text, a line each."""
     rows = [[title for title, _ in COLUMNS]]
     rows += [
         ["-" if point.get(key) is None else str(point[key]) for _, key in COLUMNS]
-        for point in endpoints
+        for point in points
     ]
     widths = [max(len(row[column]) for row in rows) for column in range(len(COLUMNS))]
     return "\n".join(
