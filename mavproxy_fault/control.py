@@ -16,6 +16,7 @@ from mavproxy_fault.failure import MESSAGES, TYPES, UNITS, faults_for, name_of
 from mavproxy_fault.faults.target import near
 from mavproxy_fault.rflysim import IdMap, Packet
 from mavproxy_fault.schedule import parse_schedule
+from mavproxy_fault.view import View, Watched
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 
@@ -36,18 +37,24 @@ class Control:
         self.engine = engine
         self.allowed = allowed
         self.rflysim = rflysim
+        self.view = View()
         self._passed: set[str] = set()
         self._latched: set[str] = set()
         # Units are supported once one of their messages has passed; each is looked at only once.
-        self.wanted: frozenset[int] = COMMANDS | NAMES.keys()
+        self._unheard: frozenset[int] = frozenset(NAMES)
+        self.wanted: frozenset[int] = COMMANDS | self._unheard
 
     # -- MAVLink ---------------------------------------------------------------------------------
 
     def consume(self, frame: Frame, t_us: int) -> list[bytes] | None:
         """The answer to a command for the proxy; None for every other frame, which goes on."""
+        if frame.id in self.view.ids:
+            self.view.received(frame, t_us)
         if frame.id not in COMMANDS:
-            self._passed.add(frame.layout.name)
-            self.wanted = self.wanted - {frame.id}
+            if frame.id in self._unheard:
+                self._passed.add(frame.layout.name)
+                self._unheard -= {frame.id}
+                self._want()
             return None
         if frame.number("command") != INJECT_FAILURE:
             return None
@@ -100,6 +107,40 @@ class Control:
             self.engine.arm(entry)
             self._latched.add(entry["id"])
         return [entry["id"] for entry in wanted]
+
+    # -- viewers ---------------------------------------------------------------------------------
+
+    def sent(self, raw: bytes, t_us: int) -> None:
+        """Let viewers see what leaves."""
+        if self.view.ids:
+            self.view.sent(raw, t_us)
+
+    def watch(self, payload: bytes, now_s: float) -> Any:
+        """Watch the messages named in a JSON list, for some seconds from `now_s` on.
+
+        Raises
+        ------
+        ConfigError
+            If they are not such a list, do not exist or are too many.
+        """
+        try:
+            names = msgspec.json.decode(payload, type=list[str])
+        except msgspec.MsgspecError as error:
+            raise ConfigError(f"@ctl/watch: {error}; send a list of messages as JSON") from None
+        self.view.watch(names, now_s)
+        self._want()
+        return {"watched": len(self.view.ids)}
+
+    def watched(self, now_s: float) -> list[Watched]:
+        """What viewers have not been shown yet."""
+        if not self.view.ids:
+            return []
+        self.view.expire(now_s)
+        self._want()
+        return self.view.take()
+
+    def _want(self) -> None:
+        self.wanted = COMMANDS | self._unheard | self.view.ids
 
     # -- the bus ---------------------------------------------------------------------------------
 

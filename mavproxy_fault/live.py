@@ -8,6 +8,7 @@ import contextlib
 import logging
 import queue
 import socket
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any
@@ -22,6 +23,7 @@ from mavproxy_fault.rflysim import FIRST_PORT, PACKED
 from mavproxy_fault.wire.label import Label
 
 PATIENCE_S = 3.0
+SHOW_S = 0.02  # between two looks at what viewers watch
 LABELS_KEPT = 100
 LOG = logging.getLogger(__name__)
 
@@ -98,6 +100,8 @@ class Live:
         self._requests = Requests()
         self._bus: Bus | None = None
         self._port: socket.socket | None = None
+        self._show_s = 0.0
+        self._shown = (0, 0)  # revision and turns of the engine
 
     def open_bus(self, zenoh: str, run: str = "live") -> None:
         """Offer control on the bus: `auto` (the router here, or another's), `off`, or a URL.
@@ -139,6 +143,8 @@ class Live:
 
     def _act(self, key: str, payload: bytes) -> Any:
         """Carry out one request in the loop's thread."""
+        if key.endswith("@ctl/watch"):
+            return self.control.watch(payload, time.monotonic())
         t_us = self._now_us()
         if self.note is not None and not key.endswith(QUESTIONS):
             self.note(key, payload, t_us)
@@ -165,12 +171,29 @@ class Live:
                 except ConfigError as error:
                     LOG.warning("RflySim: %s", error)
 
+    def show(self, now_s: float) -> None:
+        """Tell the bus at once of faults that begin, end or change, and what viewers watch."""
+        if self._bus is None or now_s < self._show_s:
+            return
+        self._show_s = now_s + SHOW_S
+        engine = self.control.engine
+        if self._shown != (engine.revision, engine.turns):
+            self._show_faults(self._bus)
+        samples = self.control.watched(now_s)
+        if samples:
+            self._bus.put("proxy/watched", msgspec.json.encode(samples), "mavfault.v1.Watched")
+
+    def _show_faults(self, bus: Bus) -> None:
+        engine = self.control.engine
+        self._shown = (engine.revision, engine.turns)
+        bus.put("schedule/state", msgspec.json.encode(engine.state()), history=1)
+
     def publish(self, stats: object, labels: Sequence[Label]) -> None:
         """Tell the bus how the links and the faults are doing."""
         if self._bus is None:
             return
         self._bus.put("proxy/stats", msgspec.json.encode(stats))
-        self._bus.put("schedule/state", msgspec.json.encode(self.control.engine.state()), history=1)
+        self._show_faults(self._bus)
         for label in labels:
             self._bus.put(
                 "proxy/labels", msgspec.json.encode(label), "mavfault.v1.Label", LABELS_KEPT

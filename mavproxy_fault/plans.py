@@ -35,13 +35,13 @@ class Planned(NamedTuple):
     first: int
     running: Running
     fault: Any
-    stage: tuple[bool, int]
+    stage: tuple[bool, int, bool]
     block: int | None = None
 
 
-def stage(running: Running) -> tuple[bool, int]:
-    """How far a fault has come: whether it has changed a frame, and how many states it has."""
-    return running.first_us is not None, len(running.states)
+def stage(running: Running) -> tuple[bool, int, bool]:
+    """How far a fault has come: has it begun, how many states has it, is its news untold."""
+    return running.first_us is not None, len(running.states), running.untold
 
 
 class Plans:
@@ -111,7 +111,7 @@ class Plans:
         plan = self.rows[first]
         plan[:] = -1
         plan[k.ROWS], plan[k.START] = len(places), running.start_us
-        plan[k.WAITS] = running.first_us is None
+        plan[k.WAITS] = running.first_us is None or running.untold
         plan[k.SYSTEM : k.DIRECTION + 1] = [
             -1 if one is None else one
             for one in (where.system, where.component, WAYS.get(where.direction or ""))

@@ -19,7 +19,7 @@ from mavproxy_fault.core import Core
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.ports import Send
 from mavproxy_fault.record import Recorder
-from mavproxy_fault.stats import Latencies, endpoints
+from mavproxy_fault.stats import Latencies, figures
 from mavproxy_fault.tape import Tape
 
 if TYPE_CHECKING:
@@ -196,6 +196,8 @@ class Server:
         if now_s >= self._flush_s:
             self._flush_s = now_s + FLUSH_S
             self._record()
+        if self.live is not None:
+            self.live.show(now_s)
         if self.coming is not None and self.coming.done():
             self.join(self.coming.result())
             self.coming = None
@@ -237,19 +239,23 @@ class Server:
 
     def stats(self) -> list[dict[str, Any]]:
         """Counters and latency percentiles of every endpoint."""
-        found = endpoints(self.core)
-        for point, link, latencies in zip(found, self.links, self.latencies, strict=True):
+        found = []
+        for number, link in enumerate(self.links):
             counters = link.counters
-            point |= {
-                "peers": link.peer_count,
-                "bytes_in": counters.bytes_in,
-                "chunks_in": counters.chunks_in,
-                "bytes_out": counters.bytes_out,
-                "chunks_out": counters.chunks_out,
-                "drops": counters.drops,
-                "errors": counters.errors,
-                **latencies.summary(),
-            }
+            found.append(
+                {
+                    **figures(self.core, number),
+                    "name": link.name,
+                    "peers": link.peer_count,
+                    "bytes_in": counters.bytes_in,
+                    "chunks_in": counters.chunks_in,
+                    "bytes_out": counters.bytes_out,
+                    "chunks_out": counters.chunks_out,
+                    "drops": counters.drops,
+                    "errors": counters.errors,
+                    **self.latencies[number].summary(),
+                }
+            )
         return found
 
 

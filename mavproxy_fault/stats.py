@@ -1,9 +1,10 @@
 """Statistics of a running proxy: latency percentiles and a table per endpoint."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from mavproxy_fault.core import Core
+if TYPE_CHECKING:
+    from mavproxy_fault.core import Core
 
 PERCENTILES = (50, 99, 99.9)
 COLUMNS = (
@@ -44,34 +45,29 @@ class Latencies:
         return {f"p{percent}_us": self.percentile_us(percent) for percent in PERCENTILES}
 
 
-def endpoints(core: Core) -> list[dict[str, Any]]:
-    """What a core has counted of every link."""
-    found = []
-    for number, (role, state) in enumerate(zip(core.links, core.states, strict=True)):
-        parsed = core.parsed(number)
-        found.append(
-            {
-                "name": role.name,
-                "direction": role.direction,
-                "frames_in": state.frames,
-                "junk_in": state.junk,
-                "crc_errors": parsed.crc_errors,
-                "unknown": parsed.unknown,
-                "gaps": state.gaps,
-                "faulted": state.faulted,
-                "loops": state.loops,
-                "bad_signatures": state.bad_signatures,
-            }
-        )
-    return found
+def figures(core: "Core", number: int) -> dict[str, Any]:
+    """What the core has counted of what came in on one link."""
+    role, state, parsed = core.links[number], core.states[number], core.parsed(number)
+    return {
+        "name": role.name,
+        "direction": role.direction,
+        "frames_in": state.frames,
+        "junk_in": state.junk,
+        "crc_errors": parsed.crc_errors,
+        "unknown": parsed.unknown,
+        "gaps": state.gaps,
+        "faulted": state.faulted,
+        "loops": state.loops,
+        "bad_signatures": state.bad_signatures,
+    }
 
 
-def table(points: Sequence[dict[str, Any]]) -> str:
+def table(endpoints: Sequence[dict[str, Any]]) -> str:
     """The endpoints' figures as aligned text, a line each."""
     rows = [[title for title, _ in COLUMNS]]
     rows += [
         ["-" if point.get(key) is None else str(point[key]) for _, key in COLUMNS]
-        for point in points
+        for point in endpoints
     ]
     widths = [max(len(row[column]) for row in rows) for column in range(len(COLUMNS))]
     return "\n".join(
