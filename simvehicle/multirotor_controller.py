@@ -88,9 +88,9 @@ def _motors(
 class MultirotorController:
     """Flies a track; `track`, `landing` and `yaw_rad` may be changed at any time."""
 
-    rate_hz = 125.0
-    drifts = False  # it holds its speed over ground
-    lateral_mps2 = 3.0
+    rate_hz: float = 125.0
+    drifts: bool = False  # it holds its speed over ground
+    lateral_mps2: float = 3.0
 
     def __init__(self, vehicle: Multirotor, home_alt_m: float) -> None:
         self.vehicle = vehicle
