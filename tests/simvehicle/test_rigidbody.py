@@ -7,7 +7,8 @@ from simvehicle.compiled import compiled
 from simvehicle.rotation import matrix_from_quat
 from simvehicle.vehicles.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing_kernel import Aero, step
-from simvehicle.vehicles.fixedwing_parameters import aero_of, body_of, read_fixedwing
+from simvehicle.vehicles.fixedwing_parameters import aero_of, read_fixedwing
+from simvehicle.vehicles.parameter_file import body_of
 from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, inertia
 from simvehicle.vehicles.trim import trim
 
