@@ -59,9 +59,9 @@ class Start(_Section, frozen=True):
 
 
 class VehicleChoice(_Section, frozen=True):
-    """Kind of vehicle and its parameter set: a shipped name or the path of a YAML file."""
+    """Kind of vehicle (`kinds`) and its parameter set: a shipped name or a YAML file's path."""
 
-    kind: Literal["fixedwing", "multirotor"] = "fixedwing"
+    kind: str = "fixedwing"
     parameters: str = "aerosonde-2025"
 
 

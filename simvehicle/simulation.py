@@ -16,20 +16,15 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.errors import ConfigError
 from simvehicle.body import Controls, Truth
-from simvehicle.controller import FixedWingController
 from simvehicle.guidance import PathTrack
+from simvehicle.kinds import kind_of
 from simvehicle.mission import plan
-from simvehicle.multirotor_controller import MultirotorController
 from simvehicle.onboard import fit
 from simvehicle.place import Home, locate
 from simvehicle.readings import Reading
 from simvehicle.rotation import quat_from_euler
-from simvehicle.rudderless import RudderlessController, has_rudder
 from simvehicle.scenario import Scenario
 from simvehicle.terrain import Grid, Level, read_grid
-from simvehicle.vehicles.fixedwing import FixedWing
-from simvehicle.vehicles.multirotor import Multirotor
-from simvehicle.vehicles.vehicle import Vehicle, read_vehicle
 from simvehicle.weather import Weather
 
 Array = NDArray[np.float64]
@@ -47,9 +42,9 @@ class Simulation:
     terrain : Grid or Level
     home : Home
         Origin of the local frame, on the ground.
-    vehicle, controller
-        What flies, and what flies it when `step` gets no controls. The controller's `track` may be
-        replaced in flight.
+    kind, vehicle, controller
+        Its kind, what flies, and what flies it when `step` gets no controls. The controller's
+        `track` may be replaced in flight.
     truth : Truth
         The last one.
     """
@@ -61,7 +56,8 @@ class Simulation:
         self.seed = scenario.seed if seed is None else seed
         start = scenario.start
         self.home = Home.at(start.lat_deg, start.lon_deg, start.alt_m, start.geoid_m)
-        self.vehicle = read_vehicle(scenario.vehicle.kind, scenario.vehicle.parameters)
+        self.kind = kind_of(scenario.vehicle.kind)
+        self.vehicle = self.kind.read(scenario.vehicle.parameters)
         self._plant: dict[str, float] = {}
         self._weather = Weather(scenario.environment, self.seed)
         self._fitted = fit(scenario, self.seed)
@@ -74,7 +70,9 @@ class Simulation:
         self._place = self.home.packed
         self._x = self._begin()
         self.truth = self._observe(np.zeros(6), self._weather.steady_mps)
-        self.controller = _controller(self.vehicle, self.truth, scenario.start.alt_m)
+        self.controller = self.kind.controller(
+            self.vehicle, self.truth.density_kgpm3, scenario.start.alt_m
+        )
         self._next_control_us = 0.0
         if scenario.mission:
             self.controller.track = self._mission()
@@ -286,16 +284,6 @@ def simulate(
         if found[0] > end_us:
             return
         yield found
-
-
-def _controller(
-    vehicle: Vehicle, truth: Truth, home_alt_m: float
-) -> FixedWingController | MultirotorController:
-    if isinstance(vehicle, FixedWing):
-        kind = FixedWingController if has_rudder(vehicle) else RudderlessController
-        return kind(vehicle, truth.density_kgpm3, home_alt_m)
-    assert isinstance(vehicle, Multirotor)
-    return MultirotorController(vehicle, home_alt_m)
 
 
 def _terrain(scenario: Scenario) -> Grid | Level:
