@@ -4,15 +4,17 @@ import msgspec
 
 from mavproxy_fault.errors import ConfigError
 
-ROBUST = ("none", "huber", "geman-mcclure")
+ROBUST = ("none", "huber", "geman-mcclure", "gnc")
 
 
 class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
     """How the smoother weighs what it is given.
 
     `lag_s` is how far back it can change its mind. A normalised residual below `suspicious` has
-    weight 1, above `hopeless` weight 0. `decide` False takes every measurement as it comes, and
-    `robust` is a loss of GTSAM's on the pseudoranges: both for comparison. What is wrong with
+    weight 1, above `hopeless` weight 0. With `feedback` the detector goes on from the fused state;
+    with `compare` a second graph takes every measurement as it comes, to show what isolation did.
+    `decide` False takes every measurement as it comes, and `robust` is a loss of GTSAM's on the
+    pseudoranges (or its graduated non-convexity): both for comparison. What is wrong with
     a satellite's pseudorange stays wrong for seconds to minutes while the graph takes every
     measurement for independent: `correlation` multiplies their sigmas, and the reported covariance
     of position has a bias of `slow` sigmas per satellite added. The other sigmas are per
@@ -22,6 +24,8 @@ class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
     lag_s: float = 5.0
     suspicious: float = 3.0
     hopeless: float = 6.0
+    feedback: bool = False
+    compare: bool = False
     decide: bool = True
     robust: str = "none"
     correlation: float = 3.0
