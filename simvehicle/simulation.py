@@ -24,6 +24,7 @@ from simvehicle.guidance import PathTrack
 from simvehicle.mission import plan
 from simvehicle.multirotor_controller import MultirotorController
 from simvehicle.onboard import fit
+from simvehicle.open_loop import OpenLoopController
 from simvehicle.place import Home, locate
 from simvehicle.readings import Reading
 from simvehicle.rotation import quat_from_euler
@@ -79,7 +80,7 @@ class Simulation:
         self._controls = np.zeros(self.vehicle.controls_count)
         self._x = self._begin()
         self.truth = self._observe(np.zeros(6), self._wind)
-        self.controller = _controller(self.vehicle, self.truth, scenario.start.alt_m)
+        self.controller = _controller(self.vehicle, self.truth, scenario)
         self._next_control_us = 0.0
         if scenario.mission:
             self.controller.track = self._mission()
@@ -191,6 +192,12 @@ class Simulation:
                 np.array([0.0, 0.0, -height]), zero, quat_from_euler(0.0, 0.0, heading)
             )
         r = np.array([0.0, 0.0, -start.height_m])
+        if start.state is not None:
+            s = start.state
+            turn = quat_from_euler(math.radians(s.roll_deg), math.radians(s.pitch_deg), heading)
+            x = vehicle.start(r, np.array([s.u_mps, s.v_mps, s.w_mps]), turn)
+            x[10:13] = np.radians([s.p_dps, s.q_dps, s.r_dps])
+            return x
         level = vehicle.start(r, zero, quat_from_euler(0.0, 0.0, heading))
         h = self.home
         *_, density, vectors = locate(level, zero, h.r_ecef_m, h.rot_en, h.geoid_m)
@@ -316,9 +323,13 @@ def simulate(
 
 
 def _controller(
-    vehicle: Vehicle, truth: Truth, home_alt_m: float
+    vehicle: Vehicle, truth: Truth, scenario: Scenario
 ) -> FixedWingController | MultirotorController:
+    home_alt_m = scenario.start.alt_m
     if isinstance(vehicle, FixedWing):
+        if scenario.controls is not None:
+            density = truth.density_kgpm3
+            return OpenLoopController(vehicle, density, home_alt_m, scenario.controls)
         return FixedWingController(vehicle, truth.density_kgpm3, home_alt_m)
     assert isinstance(vehicle, Multirotor)
     return MultirotorController(vehicle, home_alt_m)
