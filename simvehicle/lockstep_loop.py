@@ -5,11 +5,10 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from mavproxy_fault.links.link import Link
 from mavproxy_fault.wire.frame import Frame
-from simvehicle.actuators import Mix, read_controls
+from simvehicle.actuators import CHANNELS, Mix, read_controls
 from simvehicle.body import Controls, Truth
-from simvehicle.hil import Hil
-from simvehicle.inbox import Inbox
 from simvehicle.lockstep import AutopilotSilentError, Lockstep
 from simvehicle.pace import Pace
 from simvehicle.plant_changes import Plant, PlantChanges
@@ -22,8 +21,26 @@ FIRST_WORD_S = 5.0  # after which a peer that only listens is served too
 class Simulated(Plant, Protocol):
     """What the loop needs of a simulation."""
 
-    def step(self, controls: Controls | None) -> tuple[int, Truth, Sequence[Reading]]:
+    def step(self, controls: Controls) -> tuple[int, Truth, Sequence[Reading]]:
         """One step: its instant, the truth and what was measured."""
+
+
+class Packer(Protocol):
+    """What the loop needs to tell of a step; `simvehicle.hil.Hil` is one."""
+
+    start_us: int
+
+    def frames(self, t_us: int, truth: Truth, readings: Sequence[Reading]) -> list[bytes]:
+        """The frames of a step."""
+
+
+class Incoming(Protocol):
+    """What the loop needs to hear an autopilot; `Inbox` is one."""
+
+    link: Link
+
+    def frames(self) -> list[Frame]:
+        """What has come since the last call."""
 
 
 class PeerGoneError(RuntimeError):
@@ -36,9 +53,9 @@ class LockstepLoop:
     Parameters
     ----------
     simulation : Simulated
-    hil : Hil
+    hil : Packer
         Packs the frames.
-    inbox : Inbox
+    inbox : Incoming
         The HIL link.
     mix : Mix
         Channels to actuators.
@@ -49,8 +66,8 @@ class LockstepLoop:
     def __init__(
         self,
         simulation: Simulated,
-        hil: Hil,
-        inbox: Inbox,
+        hil: Packer,
+        inbox: Incoming,
         mix: Mix,
         speed: float,
         progress: Progress,
@@ -65,7 +82,7 @@ class LockstepLoop:
         self._mix = mix
         self._progress = progress
         self._clock = clock
-        self._controls: Controls | None = None
+        self._controls = Controls(mix([0.0] * CHANNELS), armed=False)  # until PX4's first answer
         self._speed = speed
         self._locked = False
         self._pace = Pace(min(speed, 1.0))

@@ -88,9 +88,9 @@ def _motors(
 class MultirotorController:
     """Flies a track; `track`, `landing` and `yaw_rad` may be changed at any time."""
 
-    rate_hz = 125.0
-    drifts = False  # it holds its speed over ground
-    lateral_mps2 = 3.0
+    rate_hz: float = 125.0
+    drifts: bool = False  # it holds its speed over ground
+    lateral_mps2: float = 3.0
 
     def __init__(self, vehicle: Multirotor, home_alt_m: float) -> None:
         self.vehicle = vehicle
@@ -179,7 +179,7 @@ class MultirotorController:
     def _yaw(self, aim: Aim, truth: Truth) -> float:
         """Heading to hold: the one asked for, else along the track, turned at a limited rate."""
         if self._heading is None:
-            self._heading = euler_angles(truth.q_nb)[2]
+            self._heading = euler_angles(truth.q_nb.tolist())[2]
         wanted = self.yaw_rad
         if not math.isfinite(wanted):
             wanted = aim.course_rad if aim.distance_m > 2.0 else self._heading

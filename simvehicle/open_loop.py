@@ -46,7 +46,7 @@ class OpenLoopController(FixedWingController):
             return super().update(truth)
         now = self._told
         if self._aim is not None:
-            roll, pitch, _ = euler_angles(truth.q_nb)
+            roll, pitch, _ = euler_angles(truth.q_nb.tolist())
             p, q, _ = truth.omega_b_rps.tolist()
             airspeed = math.hypot(*truth.v_air_b_mps.tolist())
             motion = Motion(float(roll), float(pitch), p, q, airspeed)

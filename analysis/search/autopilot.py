@@ -8,7 +8,7 @@ import io
 import math
 import subprocess
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 
 from analysis.run.flight import MONITOR, SIMULATOR, VEHICLE, Flight
@@ -70,7 +70,7 @@ class _ToAutopilot:
         self.start_us = packer.start_us
         self._flight, self._packer, self._hear = flight, packer, hear
 
-    def frames(self, t_us: int, truth: Truth, readings: Iterable[Reading]) -> list[bytes]:
+    def frames(self, t_us: int, truth: Truth, readings: Sequence[Reading]) -> list[bytes]:
         """The frames of a step, with faults."""
         out = []
         for raw in self._packer.frames(t_us, truth, readings):

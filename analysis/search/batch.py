@@ -173,7 +173,8 @@ def gains_of(name: str) -> Gains:
     """What the kernels of an estimator take, from its default parameters."""
     estimator = make(name)
     if isinstance(estimator, Mahony):
-        return (estimator.tilt_gain, estimator.heading_gain, estimator.bias_gain, *[0.0] * 5)
+        tilt, heading, bias = estimator.tilt_gain, estimator.heading_gain, estimator.bias_gain
+        return (tilt, heading, bias, 0.0, 0.0, 0.0, 0.0, 0.0)
     if isinstance(estimator, Ekf):
         return (
             estimator.gyro_density,
@@ -185,7 +186,7 @@ def gains_of(name: str) -> Gains:
             estimator.gravity_period_s,
             estimator.gps_timeout_s,
         )
-    return (0.0,) * 8
+    return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def envelope_of(test: TestFile) -> Envelope:

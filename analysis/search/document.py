@@ -50,10 +50,12 @@ def document_of(test: TestFile, values: Mapping[str, float], seed: int) -> Docum
 
 
 def faults_of(test: TestFile, values: Mapping[str, float]) -> list[Document]:
-    """The drawn faults as entries of a schedule."""
+    """The drawn faults as entries of a schedule; one that lasts no time is left out."""
     entries = []
     for i, fault in enumerate(test.faults):
         name = f"faults[{i}]"
+        if values.get(f"{name}.for_s") == 0.0:
+            continue
         keys = [key for key in ("value", "at_s", "for_s") if f"{name}.{key}" in values]
         entries.append(
             {

@@ -173,15 +173,16 @@ def chosen(test: TestFile, summary: dict[str, Any]) -> dict[str, Any]:
     ConfigError
         If an autopilot said nothing of its attitude.
     """
+    found: dict[str, Any] = summary.get(test.estimator, {})
     if test.estimator != AUTOPILOT:
-        found: dict[str, Any] = summary.get(test.estimator, {})
         return found
     if not summary:
         raise ConfigError(
             "autopilot: nothing was heard of its attitude; it has to send ATTITUDE or "
             "ATTITUDE_QUATERNION on `link` or `telemetry`"
         )
-    return summary[max(summary)]  # ATTITUDE_QUATERNION, where there are both
+    found = summary[max(summary)]  # ATTITUDE_QUATERNION, where there are both
+    return found
 
 
 def broken(truth: Truth, limits: Limits) -> int:
@@ -189,7 +190,7 @@ def broken(truth: Truth, limits: Limits) -> int:
     u, v, w = truth.v_air_b_mps.tolist()
     plane, speed = float(np.hypot(u, w)), float(np.hypot(np.hypot(u, w), v))
     low, high = limits.airspeed_mps
-    _, pitch, _ = euler_angles(truth.q_nb)
+    _, pitch, _ = euler_angles(truth.q_nb.tolist())
     beyond = (
         abs(np.degrees(pitch)) > limits.pitch_deg,
         abs(np.degrees(np.arctan2(w, u))) > limits.alpha_deg,

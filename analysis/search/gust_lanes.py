@@ -11,7 +11,7 @@ from simvehicle.vehicles.rigidbody_kernel import to_body
 L = rows.LANES
 S, W, N = rows.STATE * L, rows.WIND * L, rows.NOISE * L
 G, T, ALIVE = rows.GUSTS * L, rows.STEADY * L, rows.ALIVE * L
-NO_SHEAR = (1.0, 1.0, 0.0)
+ANY_HEIGHT_M = 1.0  # there is no shear
 
 
 @compiled
@@ -26,24 +26,21 @@ def gather(buf: Buffer, first: int, count: int, lane: int) -> Buffer:
 @compiled
 def blow(buf: Buffer, sigma: Three, length: Three, dt: float) -> None:
     """WIND of the next step from the steady wind and noise numbers 0 to 4."""
+    weather = np.zeros(8)  # as `wind_step` wants it
+    for i in range(3):
+        weather[i], weather[3 + i] = sigma[i], length[i]
+    weather[6] = ANY_HEIGHT_M
     for lane in range(L):
         if buf[ALIVE + lane] > 0.5:
-            steady, q = gather(buf, T, 3, lane), gather(buf, S + 6 * L, 4, lane)
-            v, wind = gather(buf, S + 3 * L, 3, lane), gather(buf, W, 3, lane)
-            x, y, z = to_body(q[0], q[1], q[2], q[3], wind[0], wind[1], wind[2])
-            speed = np.sqrt((v[0] - x) ** 2 + (v[1] - y) ** 2 + (v[2] - z) ** 2)
-            filters, blown = wind_step(
-                gather(buf, G, 5, lane),
-                gather(buf, N, 5, lane),
-                steady,
-                NO_SHEAR,
-                q,
-                speed,
-                sigma,
-                length,
-                dt,
-            )
+            filters, noise = gather(buf, G, 5, lane), gather(buf, N, 5, lane)
+            steady, wind = gather(buf, T, 3, lane), gather(buf, W, 3, lane)
+            x = gather(buf, S, 13, lane)
+            past = to_body(x[6], x[7], x[8], x[9], wind[0], wind[1], wind[2])
+            v_air = np.empty(3)
+            for i in range(3):
+                v_air[i] = x[3 + i] - past[i]
+            wind_step(filters, noise, steady, weather, x, v_air, ANY_HEIGHT_M, dt, wind)
             for i in range(5):
                 buf[G + i * L + lane] = filters[i]
             for i in range(3):
-                buf[W + i * L + lane] = blown[i]
+                buf[W + i * L + lane] = wind[i]

@@ -15,11 +15,11 @@ STAND_IN = Path(__file__).with_name("stand_in.py")
 CHOICE = AutopilotChoice(
     link="tcpin:127.0.0.1:0", command=[sys.executable, str(STAND_IN), "{port}"]
 )
-FAULT = FaultRange(fault="bias", target="HIL_SENSOR.xgyro", value=(0.0, 0.1), at_s=2.0, for_s=4.0)
+FAULT = FaultRange(fault="bias", target="HIL_SENSOR.xgyro", value=(0.0, 0.1), at_s=1.0, for_s=2.0)
 TEST = TestFile(
     estimator="autopilot",
     autopilot=CHOICE,
-    duration_s=10.0,
+    duration_s=5.0,
     noise_draws=1,
     initial=Initial(height_m=1000.0),
     sensors=Sensors(gyro_sigma_dps=0.01),
@@ -33,9 +33,9 @@ def test_an_autopilot_is_searched_in_lockstep():
     outcome = flown.evaluate(np.array([[0.0], [1.0]]), 1, 0)
     assert (outcome.left == 0).all()
     assert outcome.fitness[0] < 0.2
-    # 0.1 rad/s for 4 s is 22.9 degrees, held for the last 4 s and rising before
-    held = np.degrees(0.4)
-    expected = held * np.sqrt((4.0 / 3.0 + 4.0) / 10.0)
+    # 0.1 rad/s for 2 s is 11.5 degrees, held for the last 2 s and rising before
+    held = np.degrees(0.2)
+    expected = held * np.sqrt((2.0 / 3.0 + 2.0) / 5.0)
     assert outcome.rmse_deg[1, 0] == pytest.approx(expected, rel=0.02)
 
 

@@ -145,3 +145,11 @@ def test_the_projects_own_fusion_is_searched():
     outcome = Flown(test).evaluate(np.zeros((1, 0)), 1, 0)
     assert outcome.left[0] == 0
     assert 0.0 < outcome.fitness[0] < 10.0
+
+
+def test_a_fault_that_lasts_no_time_is_left_out_of_the_scenario():
+    test = TestFile(duration_s=5.0, faults=[BIAS], initial=Initial(height_m=500.0))
+    values = dict(Batch(test).space.fixed)
+    assert len(document_of(test, values, 1)["schedule"]["faults"]) == 1
+    values["faults[0].for_s"] = 0.0
+    assert document_of(test, values, 1)["schedule"]["faults"] == []
