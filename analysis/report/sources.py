@@ -7,7 +7,8 @@ from typing import Any
 
 import msgspec
 
-from analysis.report.from_dataflash import is_dataflash, recording_of_dataflash
+from analysis.dataflash import is_dataflash, read_dataflash
+from analysis.report.from_dataflash import recording_of_dataflash
 from analysis.report.from_results import recording_of_results
 from analysis.report.from_tlog import merged, recording_of
 from analysis.report.from_ulog import recording_of_ulog
@@ -90,7 +91,7 @@ def read_flight(paths: Sequence[Path], labels: Sequence[Label]) -> Flight:
     if is_ulog(head):
         recording = recording_of_ulog(read_ulog(paths[0]), name, t0_us)
     elif is_dataflash(head):
-        recording = recording_of_dataflash(paths[0], name, t0_us)
+        recording = recording_of_dataflash(read_dataflash(paths[0]), name, t0_us)
     else:
         recording = _tlogs(paths, t0_us)
     return _with_labels(Flight(recording, tuple(paths), labels))
