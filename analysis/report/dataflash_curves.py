@@ -60,8 +60,8 @@ def _estimator(letter: str) -> tuple[Curve, ...]:
     )  # fmt: skip
     innovations = (
         ("IVN", "velocity north, m/s"), ("IVE", "velocity east, m/s"),
-        ("IVD", "velocity down, m/s"), ("IPN", "position north, m"), ("IPE", "position east, m"), ("IPD", "position down, m"),
-        ("IYAW", "heading, deg"),
+        ("IVD", "velocity down, m/s"), ("IPN", "position north, m"),
+        ("IPE", "position east, m"), ("IPD", "position down, m"), ("IYAW", "heading, deg"),
     )  # fmt: skip
     return (
         *((f"{letter}4", "variance", label, _field(name), False) for name, label in variances),
