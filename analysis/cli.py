@@ -13,7 +13,9 @@ def add_run(commands: Any) -> None:
     parser.add_argument(
         "--schedule", metavar="FILE", help="faults to use instead of the scenario's"
     )
-    parser.add_argument("--speed", default="max", metavar="1|N|max", help="times real time")
+    parser.add_argument(
+        "--speed", metavar="1|N|max", help="times real time (default: max, with --ui 1)"
+    )
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
     parser.add_argument("--out", metavar="DIR", help="run folder (default: runs/ and a number)")
     parser.add_argument(
@@ -115,7 +117,7 @@ def _report(args: argparse.Namespace) -> int:
 def add_ui(commands: Any) -> None:
     """`ui`: the page."""
     parser = commands.add_parser("ui", help="the page: control faults and watch a running proxy")
-    parser.add_argument("--port", type=int, default=8350)
+    parser.add_argument("--port", type=int, help="TCP port; 8350, or a free one if it is taken")
     parser.add_argument("--zenoh", metavar="URL", help="the proxy's router")
     parser.set_defaults(main=_ui)
 

@@ -190,6 +190,8 @@ class Engine:
                 sends = _through(running, sends, direction, t_us)
             if known is None and running.first_us is not None:
                 self._labels.append(running.label(None))
+            elif running.untold and (news := running.news(t_us)) is not None:
+                self._labels.append(news)
         if sends is None:
             sends = [Outgoing(t_us, frame)]
         if self._kept:

@@ -28,16 +28,20 @@ from mavproxy_fault.wire.tlog import Columns, read_columns
 from simvehicle.pace import Pace, parse_speed
 
 RECORD_US = 200_000  # simulated time between writes to the logs
+MOST_OWED = 10  # batches, two seconds of flight, that a watched monitor may be behind
+HOLD_S = 0.02
 EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 
 
 def main(args: argparse.Namespace) -> int:
     """Fly, report, and return the exit code of the verdict."""
     setup = read_setup(args.scenario, args.schedule, args.seed)
-    pace = Pace(parse_speed(args.speed))
+    pace = Pace(parse_speed(args.speed or ("1" if args.ui else "max")))
     folder = make_folder(args.out, setup.scenario.name)
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(open_run_bus(args.zenoh, folder.name))
+        if args.ui:
+            print(f"page: {stack.enter_context(page(bus))}", flush=True)
         monitor = stack.enter_context(MonitorProcess(setup.monitor))
         file = stack.enter_context(ResultFile(folder))
         publisher = Publisher(bus) if bus else None
@@ -53,11 +57,10 @@ def main(args: argparse.Namespace) -> int:
         )
         if bus is not None:
             live.offer(bus)
-        if args.ui:
-            print(f"page: {stack.enter_context(page(bus))}", flush=True)
         link = open_ground(args.gcs, pace)
         started_s = time.monotonic()
-        fly(flight, monitor, Recorder(folder, session(setup)), pace, take, link, live)
+        recorder = Recorder(folder, session(setup))
+        fly(flight, monitor, recorder, pace, take, link, live, together=args.ui)
         columns = read_columns(folder / "sent.tlog")  # while the monitor catches up
         take(monitor.results())
         wall_s = time.monotonic() - started_s
@@ -76,16 +79,26 @@ def fly(
     take: Callable[[list[Result]], None],
     ground: Link | None,
     live: Live,
+    *,
+    together: bool,
 ) -> None:
-    """Fly to the end of the scenario, or until Ctrl-C; the logs are closed then."""
+    """Fly to the end of the scenario, or until Ctrl-C; the logs are closed then.
+
+    With `together` the flight waits for a monitor that falls behind, because somebody watches.
+    """
     recorded_us = 0
     with RunProgress(flight.duration_s) as progress:
         with contextlib.suppress(KeyboardInterrupt):
             while not flight.over:
-                wait_s = pace.wait_s(flight.t_us, time.monotonic())
+                hold = together and monitor.owed > MOST_OWED
+                wait_s = HOLD_S if hold else pace.wait_s(flight.t_us, time.monotonic())
                 if wait_s > 0.0:
                     time.sleep(wait_s)
                 live.serve()
+                live.show(time.monotonic())
+                if hold:
+                    take(monitor.feed(b""))
+                    continue
                 sent = flight.advance([data for _, data in ground.read()] if ground else [])
                 take(monitor.feed(sent.monitor))
                 if ground is not None:
@@ -95,8 +108,8 @@ def fly(
                     recorded_us = flight.t_us
                     labels = flight.take_labels()
                     recorder.write(flight.tape, labels)
-                    live.publish({}, labels)
-                    if ground is not None:
+                    live.publish(flight.stats(), labels)
+                    if together or ground is not None:
                         take(monitor.feed(b"", now=True))
                     progress.show(flight.t_us * 1e-6, flight.engine.active)
         take(monitor.feed(flight.finish().monitor, now=True))

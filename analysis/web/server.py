@@ -27,12 +27,14 @@ from analysis.web.feed import Feed
 from analysis.web.source import Source
 from mavproxy_fault.errors import ConfigError
 
+USUAL_PORT = 8350
 TICK_S = 0.02
 LARGEST_BODY = 1_000_000
+LARGEST_WISH = 16_384
 HERE = Path(__file__).parent / "assets"
 PLOTS = Path(__file__).parents[1] / "report" / "assets"
 FILES = {
-    **{name: HERE / name for name in ("page.js", "form.js", "plots.js", "page.css")},
+    **{path.name: path for path in HERE.iterdir() if path.suffix in (".js", ".css")},
     **{name: PLOTS / name for name in ("uPlot.iife.min.js", "uPlot.min.css", "uPlot.LICENSE")},
 }
 CONTROL = re.compile(r"fault/[\w.-]+/(arm|disarm|value)|schedule/(load|save|stop)", re.ASCII)
@@ -57,6 +59,7 @@ class Page:
                 Route("/assets/{name}", self._asset),
                 Route("/api/catalogue", self._catalogue),
                 Route("/api/preview", self._preview, methods=["POST"]),
+                Route("/api/run", self._choose, methods=["POST"]),
                 Route("/api/ctl/{what:path}", self._control, methods=["POST"]),
                 WebSocketRoute("/api/live", self._live),
             ],
@@ -134,8 +137,18 @@ class Page:
         try:
             body = await self._body(request)
             return JSONResponse(await run_in_threadpool(previewed, body))
+        except ConfigError as error:  # a form half filled in is nothing wrong
+            return JSONResponse({"curves": [], "error": str(error)}, headers=HEADERS)
+
+    async def _choose(self, request: Request) -> Response:
+        refusal = self._refusal(request, changes=True)
+        if refusal:
+            return said(403, refusal)
+        try:
+            self._source.choose((await self._body(request)).decode("utf-8", "replace"))
         except ConfigError as error:
             return said(400, str(error))
+        return JSONResponse({})
 
     async def _control(self, request: Request) -> Response:
         refusal = self._refusal(request, changes=True)
@@ -156,11 +169,15 @@ class Page:
             await socket.close(1008)
             return
         await socket.accept()
-        viewer = self._feed.join()
+        try:
+            viewer = self._feed.join()
+        except ConfigError as error:
+            await socket.close(1013, str(error))
+            return
         sending = asyncio.create_task(send(socket, viewer.queue))
         try:
-            while True:  # a viewer says nothing; this sees it leave
-                await socket.receive_text()
+            while True:
+                viewer.wish(await socket.receive_text())
         except WebSocketDisconnect:
             pass
         finally:
@@ -200,14 +217,18 @@ def said(status: int, text: str) -> JSONResponse:
     return JSONResponse({"error": text}, status, headers=HEADERS)
 
 
-def listen(port: int) -> socket.socket:
-    """A socket on loopback; port 0 is any free one.
+def listen(port: int | None) -> socket.socket:
+    """A socket on loopback; port 0 is any free one, None the usual one where it is free.
 
     Raises
     ------
     ConfigError
         If the port is taken.
     """
+    if port is None:
+        with contextlib.suppress(ConfigError):
+            return listen(USUAL_PORT)
+        return listen(0)
     found = socket.socket()
     found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -219,7 +240,7 @@ def listen(port: int) -> socket.socket:
     return found
 
 
-def prepare(zenoh: str | None, port: int) -> tuple[uvicorn.Server, socket.socket, str]:
+def prepare(zenoh: str | None, port: int | None) -> tuple[uvicorn.Server, socket.socket, str]:
     """A server that is not started, its socket, and the address to open, with the token."""
     bound = listen(port)
     number = bound.getsockname()[1]
@@ -230,6 +251,8 @@ def prepare(zenoh: str | None, port: int) -> tuple[uvicorn.Server, socket.socket
     config = uvicorn.Config(
         page.app,
         ws="websockets-sansio",
+        ws_max_size=LARGEST_WISH,
+        ws_per_message_deflate=False,  # it would cost more than all the rest, and loopback is wide
         log_level="warning",
         access_log=False,
         timeout_graceful_shutdown=1,
@@ -238,7 +261,7 @@ def prepare(zenoh: str | None, port: int) -> tuple[uvicorn.Server, socket.socket
 
 
 @contextlib.contextmanager
-def serve(zenoh: str | None = None, port: int = 8350) -> Iterator[str]:
+def serve(zenoh: str | None = None, port: int | None = None) -> Iterator[str]:
     """Serve the page from a thread for the length of the block; the address to open.
 
     Raises

@@ -9,12 +9,26 @@ const colour = (name) => getComputedStyle(document.documentElement).getPropertyV
 function plotAxes() {
   const common = { stroke: () => colour("--faint"), grid: { stroke: () => colour("--grid"), width: 1 },
     ticks: { stroke: () => colour("--grid"), width: 1 }, font: "12px system-ui, sans-serif" };
-  return [{ ...common, values: (u, ticks) => ticks.map((t) => `${+t.toFixed(3)} s`) }, { ...common, size: 56 }];
+  return [{ ...common, size: 28, values: (u, ticks) => ticks.map((t) => `${+t.toFixed(3)} s`) }, { ...common, size: 56 }];
 }
 
 function logRange(u, min, max) {
   if (!(max > 0)) return [0.1, 10];
   return [10 ** Math.floor(Math.log10(Math.max(min, max * 1e-5))), 10 ** Math.ceil(Math.log10(max))];
+}
+
+// The stretches in which a fault acts, as [begin, end or null] in seconds, by the fault's id and begin.
+const stretches = new Map();
+
+function shadeFaults(u) {
+  const { left, top, width, height } = u.bbox, { ctx } = u;
+  ctx.save();
+  ctx.fillStyle = colour("--shade");
+  for (const [begin, end] of stretches.values()) {
+    const from = Math.max(left, u.valToPos(begin, "x", true)), to = end === null ? left + width : Math.min(left + width, u.valToPos(end, "x", true));
+    if (to > from) ctx.fillRect(from, top, Math.max(1, to - from), height);
+  }
+  ctx.restore();
 }
 
 class Sliding {
@@ -77,7 +91,7 @@ class Sliding {
       cursor: { drag: { x: false, y: false } },
       scales: { x: { time: false, range: (u, min, max) => [Math.max(this.t[0], max - SPAN_S), Math.max(max, min + 1)] },
         y: this.log ? { distr: 3, range: logRange } : {} },
-      axes: plotAxes(),
+      axes: plotAxes(), hooks: { drawClear: [shadeFaults] },
       series: [{ label: "t", value: (u, t) => t == null ? "–" : `${t.toFixed(2)} s` },
         ...this.names.map((name, i) => ({
           label: name, width: 1.4, spanGaps: true, points: { show: false },
@@ -132,6 +146,7 @@ class Satellites {
     this.area = area;
     this.rows = new Map();
   }
+  clear() { this.lay([]); }
   show(decision) {
     const out = new Set(decision.excluded);
     const names = [...new Set([...decision.satellites, ...out])].sort();

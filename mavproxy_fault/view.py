@@ -1,0 +1,160 @@
+"""What viewers watch: chosen messages as they came and as they left, at a bounded rate.
+
+On either side the first frame in each fiftieth of a second of the vehicle's time is taken, so
+that a frame which no fault touched is the same sample on both. A message is watched as long as
+somebody goes on asking for it; without a viewer nothing is looked at.
+"""
+
+import struct
+from collections.abc import Iterable
+
+import msgspec
+
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.wire.dialect import Layout, layout
+from mavproxy_fault.wire.frame import STX_V2, Frame, Number
+
+PERIOD_US = 20_000
+LEASE_S = 5.0  # how long a message stays watched after the last request for it
+MOST_MESSAGES = 32
+MOST_SOURCES = 256
+MOST_ROWS = 100  # kept for a viewer's next look: two seconds
+
+Row = tuple[Number, ...]
+
+
+class Watched(msgspec.Struct, frozen=True, kw_only=True):
+    """Samples of one message of one source since the last look.
+
+    `instance` tells sensors of one kind apart, or named values. A row is the stamp in microseconds
+    on the vehicle's clock, then the values by `fields`. `sent` is None where what left is what
+    came.
+    """
+
+    message: str
+    system: int
+    component: int
+    instance: Number | str
+    fields: tuple[str, ...]
+    received: list[Row]
+    sent: list[Row] | None
+
+
+class Source:
+    """One message of one sender: how its payload is read, and its samples not yet taken."""
+
+    def __init__(self, described: Layout) -> None:
+        fields = described.fields.values()
+        self.fields = tuple(
+            f"{field.name}[{n}]" if field.count else field.name
+            for field in fields
+            if field.type != "char"
+            for n in range(max(field.count, 1))
+        )
+        self._payload = struct.Struct(
+            "<"
+            + "".join(
+                f"{field.length}x" if field.type == "char" else field.code * max(field.count, 1)
+                for field in fields
+            )
+        )
+        self.received: list[Row] = []
+        self.sent: list[Row] = []
+        self._turns = [-1, -1]
+
+    def note(self, frame: Frame, t_us: int, *, sent: bool) -> None:
+        """Take a sample, unless its fiftieth of a second has one."""
+        turn = t_us // PERIOD_US
+        rows = self.sent if sent else self.received
+        if turn == self._turns[sent] or len(rows) >= MOST_ROWS:
+            return
+        self._turns[sent] = turn
+        size = self._payload.size
+        values = self._payload.unpack(frame.payload[:size].ljust(size, b"\0"))
+        rows.append((t_us, *values))
+
+
+class View:
+    """The messages that are watched and their samples; `ids` are those messages'."""
+
+    def __init__(self) -> None:
+        self.ids: frozenset[int] = frozenset()
+        self._until_s: dict[int, float] = {}
+        self._sources: dict[tuple[int, int, int, Number | bytes], Source] = {}
+
+    def watch(self, names: Iterable[str], now_s: float) -> None:
+        """Watch messages from now on, or go on doing so.
+
+        Raises
+        ------
+        ConfigError
+            If one does not exist, or they are too many.
+        """
+        from mavproxy_fault.faults.target import message  # who only shows need not load it
+
+        try:
+            wanted = {message(name).id for name in names}
+        except ValueError as error:
+            raise ConfigError(f"watch: {error}") from None
+        if len(wanted | self.ids) > MOST_MESSAGES:
+            raise ConfigError(
+                f"watch: {len(wanted | self.ids)} messages are too many; at most {MOST_MESSAGES}"
+            )
+        self._until_s |= dict.fromkeys(wanted, now_s + LEASE_S)
+        self.ids = frozenset(self._until_s)
+
+    def expire(self, now_s: float) -> None:
+        """Forget the messages that nobody asks for any more."""
+        if all(until_s > now_s for until_s in self._until_s.values()):
+            return
+        self._until_s = {id: until for id, until in self._until_s.items() if until > now_s}
+        self.ids = frozenset(self._until_s)
+        self._sources = {key: one for key, one in self._sources.items() if key[0] in self.ids}
+
+    def received(self, frame: Frame, t_us: int) -> None:
+        """Look at a frame of a watched message that came."""
+        self._note(frame, t_us, sent=False)
+
+    def sent(self, raw: bytes, t_us: int) -> None:
+        """Look at bytes that left."""
+        if len(raw) < 8:
+            return
+        number = int.from_bytes(raw[7:10], "little") if raw[0] == STX_V2 else raw[5]
+        if number in self.ids and (described := layout(number)) is not None:
+            self._note(Frame(raw, described), t_us, sent=True)
+
+    def _note(self, frame: Frame, t_us: int, *, sent: bool) -> None:
+        name = frame.layout.instance or "id"
+        instance = frame.read(name) if name in frame.layout.fields else 0
+        key = (frame.id, frame.system, frame.component, instance)
+        source = self._sources.get(key)
+        if source is None:
+            if len(self._sources) >= MOST_SOURCES:
+                return
+            source = self._sources[key] = Source(frame.layout)
+        source.note(frame, t_us, sent=sent)
+
+    def take(self) -> list[Watched]:
+        """The samples since the last call."""
+        found = []
+        for (number, system, component, instance), source in self._sources.items():
+            received, sent = source.received, source.sent
+            if not received and not sent:
+                continue
+            source.received, source.sent = [], []
+            described = layout(number)
+            assert described is not None
+            found.append(
+                Watched(
+                    message=described.name,
+                    system=system,
+                    component=component,
+                    instance=instance.decode("ascii", "replace")
+                    if isinstance(instance, bytes)
+                    else instance,
+                    fields=source.fields,
+                    received=received,
+                    sent=None if sent == received else sent,
+                )
+            )
+        return found
