@@ -26,6 +26,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from analysis.web.feed import Feed
 from analysis.web.source import Source
 from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.links.bus import with_port
 
 USUAL_PORT = 8350
 TICK_S = 0.02
@@ -278,6 +279,24 @@ def serve(zenoh: str | None = None, port: int | None = None) -> Iterator[str]:
         server.should_exit = True
         thread.join()
         bound.close()
+
+
+@contextlib.contextmanager
+def serve_beside(args: argparse.Namespace) -> Iterator[None]:
+    """Serve the page while a run gets ready and goes on.
+
+    Raises
+    ------
+    ConfigError
+        If there is no bus for it to listen to.
+    """
+    if args.zenoh == "off":
+        raise ConfigError("--ui: the page listens on Zenoh; leave out --zenoh off")
+    if args.zenoh != "auto":
+        args.zenoh = with_port(args.zenoh)
+    with serve(None if args.zenoh == "auto" else args.zenoh) as address:
+        print(f"page: {address}", flush=True)
+        yield
 
 
 def main(args: argparse.Namespace) -> int:

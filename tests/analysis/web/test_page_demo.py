@@ -30,11 +30,13 @@ def flight(tmp_path: Path) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
         "--out",
         str(tmp_path / "out"),
     ]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
     assert process.stdout is not None
     yield process.stdout.readline().removeprefix("page: ").strip(), process
-    process.kill()
-    process.communicate()
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=60)
 
 
 def test_faults_armed_by_clicking_are_found_in_flight(
