@@ -105,6 +105,11 @@ class Feed:
         """A viewer less."""
         self._viewers.discard(viewer)
 
+    @property
+    def viewers(self) -> int:
+        """How many pages are open."""
+        return len(self._viewers)
+
     def wishes(self) -> list[str]:
         """The messages that viewers want to see, as many as a proxy will show."""
         wanted: set[str] = set()

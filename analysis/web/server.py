@@ -30,6 +30,7 @@ from mavproxy_fault.links.bus import with_port
 
 USUAL_PORT = 8350
 TICK_S = 0.02
+CROWD = 10  # with so many viewers more, batches come a tick later and hold more
 LARGEST_BODY = 1_000_000
 LARGEST_WISH = 16_384
 HERE = Path(__file__).parent / "assets"
@@ -80,7 +81,7 @@ class Page:
     async def _tick(self) -> None:
         while True:
             self._feed.tick()
-            await asyncio.sleep(TICK_S)
+            await asyncio.sleep(TICK_S * (1 + self._feed.viewers // CROWD))
 
     # -- who may -----------------------------------------------------------------------------------
 

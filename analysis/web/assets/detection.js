@@ -8,6 +8,7 @@ const satellites = new Satellites($("satellites"));
 const others = new Sliding($("others"), { log: true, dashed: ["threshold"] });
 const sensors = new Map();
 let epoch = null;
+let crossed = ""; // when the statistic was last above its threshold: one epoch, if the culprit is found at once
 
 function clearDetection() {
   for (const plot of [statistic, attitude, others]) plot.clear();
@@ -16,12 +17,14 @@ function clearDetection() {
   sensors.clear();
   satellites.clear();
   $("verdict").hidden = true;
+  $("now").textContent = crossed = "";
 }
 
 function showDecision(decision) {
   epoch = decision;
   $("quiet").hidden = true;
   statistic.add(store.seconds(decision.t_us), { statistic: decision.statistic, threshold: decision.threshold });
+  if (decision.statistic > decision.threshold) crossed = `; was above at ${store.seconds(decision.t_us).toFixed(1)} s with ${decision.statistic.toFixed(0)}`;
   const { alarm, hypothesis, excluded } = decision;
   store.note("gnss", decision.t_us, { statistic: decision.statistic, threshold: decision.threshold, alarm, hypothesis, excluded: excluded.join(" ") });
 }
@@ -41,8 +44,12 @@ function spoken(decision) {
 function drawEpoch() {
   if (!epoch) return;
   satellites.show(epoch);
+  const { excluded } = epoch;
+  $("isolated").hidden = false;
+  $("isolated").className = excluded.length ? "bad" : "note";
+  $("isolated").textContent = excluded.length ? `isolated: ${excluded.join(", ")}` : "none is isolated";
   const { statistic: now, threshold } = epoch;
-  $("now").textContent = now == null ? "" : `${now.toFixed(1)} is ${now > threshold ? "above" : "below"} ${threshold.toFixed(1)}`;
+  $("now").textContent = now == null ? "" : `${now.toFixed(1)} is ${now > threshold ? "above" : "below"} ${threshold.toFixed(1)}${crossed}`;
   $("now").className = now > threshold ? "bad" : "note";
   showVerdict(epoch);
   epoch = null;
