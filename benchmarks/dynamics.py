@@ -19,6 +19,11 @@ from simvehicle.scenario import (
     VehicleChoice,
     read_scenario,
 )
+from simvehicle.sensors.battery import BatteryMonitor
+from simvehicle.sensors.flow import OpticalFlow
+from simvehicle.sensors.noise import Noise
+from simvehicle.sensors.rangefinder import Rangefinder
+from simvehicle.sensors.vision import Vision
 from simvehicle.simulation import Simulation
 from simvehicle.vehicles.fixedwing_kernel import Aero, step
 from simvehicle.vehicles.fixedwing_parameters import aero_of, body_of, read_fixedwing
@@ -100,6 +105,15 @@ def simulation(name: str, scenario: Scenario, frames: bool) -> None:
 def main() -> None:
     """Print the table."""
     demo = read_scenario(None)
+    white = Noise(sigma=0.01)
+    every = msgspec.structs.replace(
+        demo.sensors,
+        range=Rangefinder(noise=white, max_m=200.0),
+        flow=OpticalFlow(flow=white, gyro=white, max_m=200.0),
+        vision=Vision(position=white, velocity=white, attitude=white),
+        battery=BatteryMonitor(voltage=white, current=white),
+    )
+    demo = msgspec.structs.replace(demo, sensors=every)
     quad = msgspec.structs.replace(
         demo,
         vehicle=VehicleChoice(kind="multirotor", parameters="iris"),
@@ -108,8 +122,8 @@ def main() -> None:
     )
     print("| what | speed |\n|---|---|")
     kernels()
-    simulation("demo without GNSS", msgspec.structs.replace(demo, gnss=None), False)
-    for name, scenario in (("demo (fixed wing)", demo), ("quad in the demo's place", quad)):
+    simulation("demo with all sensors but GNSS", msgspec.structs.replace(demo, gnss=None), False)
+    for name, scenario in (("demo with all sensors", demo), ("quad in its place", quad)):
         simulation(name, scenario, False)
         simulation(name, scenario, True)
 

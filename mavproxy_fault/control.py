@@ -24,6 +24,7 @@ INJECT_FAILURE = 420  # MAV_CMD
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3  # MAV_RESULT
 COMMANDS = frozenset(known(name).id for name in ("COMMAND_LONG", "COMMAND_INT"))
 NAMES = {known(name).id: name for name in MESSAGES}
+QUESTIONS = ("state", "schedule/save")  # these change nothing
 AUTOPILOT = 1  # component that answers a command to all
 
 
@@ -94,10 +95,10 @@ class Control:
 
     def packet(self, data: bytes, t_us: int) -> list[str]:
         """Carry out one RflySim packet; the ids of the faults it set. Others are passed over."""
-        self.engine.tell_time(t_us)
         packet = Packet.read(data)
         if packet is None or self.rflysim is None or not self.allowed:
             return []
+        self.engine.tell_time(t_us)
         wanted = self.rflysim.entries(packet)
         for id in self._latched - {entry["id"] for entry in wanted} if packet.clears else ():
             self.engine.clear(id)
@@ -154,22 +155,23 @@ class Control:
         ConfigError
             If there is no such key, or the payload is wrong; nothing has changed then.
         """
-        self.engine.tell_time(t_us)
         _, _, what = key.partition("@ctl/")
         head, _, action = what.rpartition("/")
         if what == "state":
-            return self.engine.state()
+            return {**self.engine.state(), "now_us": max(self.engine.now_us, t_us)}
+        if what == "schedule/save":
+            return {"yaml": self.engine.save()}
         if not self.allowed:
             raise ConfigError(f"{what}: live control is switched off; start without --no-inject")
+        self.engine.tell_time(t_us)
         if head.startswith("fault/"):
             return self._fault(head.removeprefix("fault/"), action, payload)
         actions: dict[str, Callable[[bytes], Any]] = {
             "schedule/load": self._load,
-            "schedule/save": lambda _: {"yaml": self.engine.save()},
             "schedule/stop": lambda _: {"cleared": self.engine.clear("all")},
         }
         if what not in actions:
-            raise ConfigError(f"@ctl: {what} is unknown; {near(what, [*actions, 'state'])}")
+            raise ConfigError(f"@ctl: {what} is unknown; {near(what, [*actions, *QUESTIONS])}")
         return actions[what](payload)
 
     def _fault(self, id: str, action: str, payload: bytes) -> Any:

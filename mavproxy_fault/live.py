@@ -15,9 +15,10 @@ from typing import Any
 
 import msgspec
 
-from mavproxy_fault.control import Control
+from mavproxy_fault.control import QUESTIONS, Control
+from mavproxy_fault.edits import RFLYSIM
 from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.links.bus import Bus, open_bus
+from mavproxy_fault.links.bus import Bus, join_bus
 from mavproxy_fault.rflysim import FIRST_PORT, PACKED
 from mavproxy_fault.wire.label import Label
 
@@ -83,12 +84,19 @@ class Requests:
 class Live:
     """What a running proxy offers besides forwarding: control by the bus and by RflySim, and news.
 
-    `now_us` tells the vehicle's time.
+    `now_us` tells the vehicle's time; `note` takes every request that may change something: what,
+    with which payload, and at which time.
     """
 
-    def __init__(self, control: Control, now_us: Callable[[], int]) -> None:
+    def __init__(
+        self,
+        control: Control,
+        now_us: Callable[[], int],
+        note: Callable[[str, str, int], None] | None = None,
+    ) -> None:
         self.control = control
         self._now_us = now_us
+        self._note = note
         self._requests = Requests()
         self._bus: Bus | None = None
         self._port: socket.socket | None = None
@@ -105,18 +113,14 @@ class Live:
         """
         if zenoh == "off":
             return
-        url = None if zenoh == "auto" else zenoh
         try:
-            self._bus = open_bus(url, run=run, router=True)
+            bus = join_bus(zenoh, run)
         except ConfigError as error:
-            try:
-                self._bus = open_bus(url, run=run)  # somebody else is the router already
-            except ConfigError:
-                if url is not None:
-                    raise error from None
-                LOG.warning("no live control: %s", error)
-                return
-        self.offer(self._bus)
+            if zenoh != "auto":
+                raise
+            LOG.warning("no live control: %s", error)
+            return
+        self.offer(bus)
 
     def offer(self, bus: Bus) -> None:
         """Answer queries on a bus that is open."""
@@ -135,10 +139,16 @@ class Live:
         return int(self._port.getsockname()[1])
 
     def _answer(self, key: str, payload: bytes) -> Any:
-        control = self.control
+        return self._requests.ask(lambda: self._act(key, payload))
+
+    def _act(self, key: str, payload: bytes) -> Any:
+        """Carry out one request in the loop's thread."""
         if key.endswith("@ctl/watch"):
-            return self._requests.ask(lambda: control.watch(payload, time.monotonic()))
-        return self._requests.ask(lambda: control.answer(key, payload, self._now_us()))
+            return self.control.watch(payload, time.monotonic())
+        t_us = self._now_us()
+        if self._note is not None and not key.endswith(QUESTIONS):
+            self._note(key, payload.decode("utf-8", "replace"), t_us)
+        return self.control.answer(key, payload, t_us)
 
     def filenos(self) -> list[int]:
         """What the loop waits on besides its links."""
@@ -153,8 +163,11 @@ class Live:
         with contextlib.suppress(BlockingIOError):
             while True:
                 data = self._port.recv(PACKED.size + 1)
+                t_us = self._now_us()
+                if self._note is not None:
+                    self._note(RFLYSIM, data.hex(), t_us)
                 try:
-                    self.control.packet(data, self._now_us())
+                    self.control.packet(data, t_us)
                 except ConfigError as error:
                     LOG.warning("RflySim: %s", error)
 

@@ -1,8 +1,8 @@
 """The proxy as a process: links, clock and files around the core, whose sends it carries out.
 
 One thread waits on all links and for the next due time. Links are drained in batches; nothing ever
-blocks on a slow one. Recordings are flushed each second. When traffic is dense the compiled path
-(`fast`) is loaded in the background and takes over what is plain.
+blocks on a slow one. Recordings are flushed each second. What is plain goes the compiled way
+(`fast`), once its machine code is there.
 """
 
 import contextlib
@@ -11,10 +11,8 @@ import select
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.core import Core
@@ -27,14 +25,14 @@ from mavproxy_fault.tape import Tape
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
+    from mavproxy_fault.edits import Edit
     from mavproxy_fault.fast import FastPath
     from mavproxy_fault.live import Live
 
 TEND_S = 0.1  # how often links get a chance to reconnect
 FLUSH_S = 1.0
-DENSE_HZ = 1000  # chunks a second from which the compiled path pays
+EARLY_US = 250  # a sleep may end so late; before a due frame the loop stays awake
 SHORT_TURN_S = 2e-4
-_FAST = "mavproxy_fault.fast"
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>; the default of 50 us makes every wait that late
 
 
@@ -60,10 +58,11 @@ class Server:
         self._stopping = False
         self._by_fd = {link.fileno(): number for number, link in enumerate(links)}
         self._tend_s = self._flush_s = 0.0
-        self._loader: threading.Thread | None = None
+        self._compiler: subprocess.Popen[bytes] | None = None
         self._fast: FastPath | None = None
-        self._chunks = 0
         self._wake: int | None = None
+        self._edits: list[Edit] = []
+        self._edit_us = 0
         self.live: Live | None = None
         self.coming: Future[Live] | None = None  # live control that is still being opened
 
@@ -106,11 +105,9 @@ class Server:
 
     def _turn_fast(self, fast: "FastPath") -> None:
         """Let the compiled path forward until something is left to do here."""
-        due_us = self.core.next_due_us
-        deadline_ns = round(self._tend_s * 1e9)
-        if due_us is not None:
-            deadline_ns = min(deadline_ns, due_us * 1000 - self._base_ns)
-        fast.forward(deadline_ns, spin=self._busy_poll)
+        tend_ns, due_us = round(self._tend_s * 1e9), self.core.next_due_us
+        due_ns = tend_ns if due_us is None else due_us * 1000 - self._base_ns
+        fast.forward(min(tend_ns, due_ns), spin=self._busy_poll, precise=due_ns < tend_ns)
         if fast.pending:
             number, data = fast.take_datagram()
             if data:
@@ -123,35 +120,47 @@ class Server:
         if self.live is not None and fast.others_ready:
             self.live.serve()
 
-    def _consider_fast(self) -> None:
-        """Load the compiled path when traffic is dense, and switch to it once it is there."""
-        if self._loader is None:
-            chunks = sum(link.counters.chunks_in for link in self.links)
-            dense = chunks - self._chunks > DENSE_HZ * TEND_S
-            self._chunks = chunks
-            if dense or self._busy_poll:
-                self._loader = threading.Thread(target=_load_fast, daemon=True)
-                self._loader.start()
-        elif self._fast is None and not self._loader.is_alive() and _FAST in sys.modules:
+    def prepare(self) -> None:
+        """Take the compiled path, or have it made by another process if this is the first time."""
+        if not any(link.datagrams for link in self.links):
+            return
+        from mavproxy_fault import machine
+
+        if machine.load() is not None:
             self.use_fast()
+        elif self._compiler is None:
+            quiet = subprocess.DEVNULL  # it may outlive us: nobody must wait for its output to end
+            self._compiler = subprocess.Popen(
+                [sys.executable, "-m", machine.__name__], stdin=quiet, stdout=quiet, stderr=quiet
+            )
 
     def join(self, live: "Live") -> None:
-        """Let live control take part; its engine takes over if there was none."""
+        """Let live control take part."""
+        from mavproxy_fault.edits import JOIN, join
+
         self.live = live
-        if self.core.engine is None:
-            first_us = self.core.clock.t0_us
-            if first_us is not None:
-                live.control.engine.start_at(first_us)
-            self.core.engine = live.control.engine
-        self.core.control = live.control
+        self.note_edit(JOIN, "", self.edit_time())
+        join(self.core, live.control)
         if self._fast is not None and not self._fast.pending:
             self._fast.count()
             self.use_fast()
 
-    def vehicle_us(self) -> int:
-        """The vehicle's time, or the wall clock while none is known."""
+    def edit_time(self) -> int:
+        """The vehicle's time (the wall clock before it is known), at which an edit may now be made.
+
+        What is due leaves before, as it does when the session is replayed.
+        """
+        self._edit_us = self.now_us()
+        self._carry_out(self.core.due(self._edit_us))
         clock = self.core.clock
-        return self.now_us() if clock.t0_us is None else clock.t_us
+        return self._edit_us if clock.t0_us is None else clock.t_us
+
+    def note_edit(self, what: str, payload: str, t_us: int) -> None:
+        """Record what was asked for."""
+        from mavproxy_fault.edits import Edit
+
+        if self.tape is not None:
+            self._edits.append(Edit(self.tape.count, self._edit_us, t_us, what, payload))
 
     def use_fast(self) -> None:
         """Let the compiled path take over."""
@@ -168,7 +177,7 @@ class Server:
         due_us = self.core.next_due_us
         if due_us is None:
             return TEND_S
-        return min(max(due_us - self.now_us(), 0) * 1e-6, TEND_S)
+        return min(max(due_us - self.now_us() - EARLY_US, 0) * 1e-6, TEND_S)
 
     def _serve(self, number: int) -> None:
         """Pass on what one link has."""
@@ -211,15 +220,17 @@ class Server:
                 self._serve(number)
         if self._fast is not None:
             self._fast.count()
-        else:
-            self._consider_fast()
+        elif self._compiler is not None and self._compiler.poll() == 0:
+            self.prepare()
+            self._compiler = None
 
     def _record(self) -> None:
         if self.recorder is None and self.live is None:
             return
         labels = self.core.take_labels()
         if self.recorder is not None and self.tape is not None:
-            self.recorder.write(self.tape, labels)
+            self.recorder.write(self.tape, labels, self._edits)
+            self._edits = []
         if self.live is not None:
             self.live.publish(self.stats(), labels)
 
@@ -257,34 +268,6 @@ class Server:
                 }
             )
         return found
-
-
-def _load_fast() -> None:
-    """Bring in the compiled path without holding up the plain one.
-
-    Compiling, needed once after an installation, would keep the interpreter busy for seconds, so
-    another process does it; loading then takes turns with forwarding, and short ones.
-    """
-    if not _is_compiled():
-        code = f"import os; os.nice(10); from {_FAST} import compile_now; compile_now()"
-        quiet = subprocess.DEVNULL  # it may outlive us: nobody must wait for its output to end
-        made = subprocess.run(
-            [sys.executable, "-c", code], stdin=quiet, stdout=quiet, stderr=quiet, check=False
-        )
-        if made.returncode != 0:
-            return
-    with short_turns():
-        from mavproxy_fault.fast import compile_now
-
-        compile_now()
-
-
-def _is_compiled() -> bool:
-    """Whether the machine code beside the sources is younger than they are."""
-    here = Path(__file__).parent
-    changed = max((here / name).stat().st_mtime for name in ("kernel.py", "pump.py"))
-    made = here.glob(f"__pycache__/pump.forward-*.py3{sys.version_info.minor}.nbi")
-    return any(path.stat().st_mtime > changed for path in made)
 
 
 @contextlib.contextmanager

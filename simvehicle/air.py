@@ -91,52 +91,49 @@ def wind_step(
     filters: Array,
     noise: Array,
     steady: Array,
-    place: tuple[float, float, float],
-    q_nb: Array,
-    airspeed: float,
-    sigma: tuple[float, float, float],
-    length: tuple[float, float, float],
+    weather: Array,
+    x: Array,
+    v_air: Array,
+    height: float,
     dt: float,
-) -> tuple[Array, Array]:
-    """Wind of the next `dt` seconds, and the gust filters after them.
+    out: Array,
+) -> None:
+    """Wind of the next `dt` seconds; moves the gust filters on.
 
     Parameters
     ----------
     filters : array, shape (5,)
-        States; a standard-normal draw makes a good start of the first, zeros of the rest.
+        States, replaced by those after the step; a standard-normal draw makes a good start of the
+        first, zeros of the rest.
     noise : array, shape (5,)
         Standard-normal draws of this step.
     steady : array, shape (3,)
         Wind at the reference height, NED [m/s].
-    place : 3 floats
-        Height above ground [m], reference height [m] and exponent of the shear's power law.
-    q_nb : array, shape (4,)
-        Attitude, as the gusts act along the body's axes.
-    airspeed : float
-        Speed through the frozen turbulence [m/s].
-    sigma, length : 3 floats
-        Of the gusts [m/s], [m].
-
-    Returns
-    -------
-    filters : array, shape (5,)
-    wind_ned_mps : array, shape (3,)
+    weather : array, shape (8,)
+        Standard deviations (3) [m/s] and lengths (3) [m] of the gusts, reference height [m] and
+        exponent of the shear's power law.
+    x : array, shape (>= 10,)
+        The vehicle's state; the gusts act along the body's axes.
+    v_air : array, shape (3,)
+        Velocity through the frozen turbulence [m/s].
+    height : float
+        Above ground [m].
+    out : array, shape (3,)
+        Becomes the wind, NED [m/s].
     """
+    airspeed = math.sqrt(v_air[0] * v_air[0] + v_air[1] * v_air[1] + v_air[2] * v_air[2])
     speed = max(airspeed, _SLOWEST_MPS)
-    out = np.empty(5)
-    e = math.exp(-speed / length[0] * dt)
-    out[0] = e * filters[0] + math.sqrt(1.0 - e * e) * noise[0]
-    out[1], out[2], v = _second_order(
-        filters[1], filters[2], speed / length[1], sigma[1], dt, noise[1], noise[2]
+    e = math.exp(-speed / weather[3] * dt)
+    filters[0] = e * filters[0] + math.sqrt(1.0 - e * e) * noise[0]
+    filters[1], filters[2], v = _second_order(
+        filters[1], filters[2], speed / weather[4], weather[1], dt, noise[1], noise[2]
     )
-    out[3], out[4], w = _second_order(
-        filters[3], filters[4], speed / length[2], sigma[2], dt, noise[3], noise[4]
+    filters[3], filters[4], w = _second_order(
+        filters[3], filters[4], speed / weather[5], weather[2], dt, noise[3], noise[4]
     )
-    north, east, down = to_ned(q_nb[0], q_nb[1], q_nb[2], q_nb[3], sigma[0] * out[0], v, w)
-    height, reference, exponent = place
-    grown = (max(height, 0.01 * reference) / reference) ** exponent
-    wind = np.empty(3)
-    wind[0] = steady[0] * grown + north
-    wind[1] = steady[1] * grown + east
-    wind[2] = steady[2] * grown + down
-    return out, wind
+    north, east, down = to_ned(x[6], x[7], x[8], x[9], weather[0] * filters[0], v, w)
+    reference = weather[6]
+    grown = (max(height, 0.01 * reference) / reference) ** weather[7]
+    out[0] = steady[0] * grown + north
+    out[1] = steady[1] * grown + east
+    out[2] = steady[2] * grown + down

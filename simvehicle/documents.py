@@ -1,6 +1,8 @@
 """YAML files that people write, decoded into msgspec structs; errors name file and line."""
 
+import math
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -44,10 +46,27 @@ def decode(document: Any, kind: type[T], lines: "Lines", at: str = "$") -> T:
     ConfigError
         If a key or value is wrong; the text names file, line and what is allowed.
     """
+    for path, value in _numbers(document, at):
+        if not math.isfinite(value):
+            raise ConfigError(
+                f"{lines.where(path)}: {path[2:]} = {value} is not finite; a number is needed"
+            )
     try:
         return msgspec.convert(document, kind)
     except msgspec.ValidationError as error:
         raise lines.error(str(error), kind, at) from None
+
+
+def _numbers(document: Any, at: str) -> Iterator[tuple[str, float]]:
+    """The floats in a document, each with its JSON path."""
+    if isinstance(document, dict):
+        for key, value in document.items():
+            yield from _numbers(value, f"{at}.{key}")
+    elif isinstance(document, list):
+        for index, value in enumerate(document):
+            yield from _numbers(value, f"{at}[{index}]")
+    elif isinstance(document, float):
+        yield at, document
 
 
 class Lines:

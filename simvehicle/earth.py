@@ -35,10 +35,16 @@ def ecef_from_geodetic(lat_rad: ArrayLike, lon_rad: ArrayLike, height_m: ArrayLi
         np.asarray(lon_rad, dtype=float),
         np.asarray(height_m, dtype=float),
     )
-    _, prime = radii(lat)
-    across = (prime + height) * np.cos(lat)
-    z = (prime * (1.0 - ECCENTRICITY2) + height) * np.sin(lat)
-    return np.stack([across * np.cos(lon), across * np.sin(lon), z], axis=-1)
+    return np.stack(ecef_of(lat, lon, height), axis=-1)
+
+
+def ecef_of(lat_rad: Array, lon_rad: Array, height_m: Array) -> tuple[Array, Array, Array]:
+    """Earth-fixed x, y, z [m] of geodetic coordinates; scalars and arrays alike, and compiled."""
+    s = np.sin(lat_rad)
+    prime = SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY2 * s * s)
+    across = (prime + height_m) * np.cos(lat_rad)
+    z = (prime * (1.0 - ECCENTRICITY2) + height_m) * s
+    return across * np.cos(lon_rad), across * np.sin(lon_rad), z
 
 
 def geodetic_of(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:

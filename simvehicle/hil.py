@@ -14,10 +14,8 @@ import math
 import struct
 from collections.abc import Iterable, Mapping
 
-from fastcrc.crc16 import mcrf4xx
-
 from mavproxy_fault.wire.dialect import Layout, known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.frame import build, framed
 from mavproxy_fault.wire.msm7 import encode_epoch
 from mavproxy_fault.wire.rtcm import tunnel_frames
 from simvehicle import hil_messages
@@ -59,8 +57,6 @@ PA_PER_HPA = 100.0
 
 _SENSOR = struct.Struct("<Q13fIB")
 _TRUTH = struct.Struct("<Q7f3i3h2H3h")
-_HEAD = struct.Struct("<9B")
-_TRAILER = struct.Struct("<H")
 
 
 class Hil:
@@ -166,11 +162,11 @@ class Hil:
         """Take a reading into the fields of its HIL_SENSOR and mark them as new."""
         if isinstance(reading, ImuReading):
             held = self._held[reading.id]
-            held[0:3] = reading.accel_b_mps2.tolist()
-            held[3:6] = reading.gyro_b_rps.tolist()
+            held[0:3] = reading.accel_b_mps2
+            held[3:6] = reading.gyro_b_rps
             updated[reading.id] |= ACCEL | GYRO
         elif isinstance(reading, MagReading):
-            self._held[reading.id][6:9] = reading.field_b_gauss.tolist()
+            self._held[reading.id][6:9] = reading.field_b_gauss
             updated[reading.id] |= MAG
         elif isinstance(reading, PressureReading):
             held = self._held[reading.id]
@@ -194,7 +190,7 @@ class Hil:
         if isinstance(reading, FlowReading):
             return hil_messages.flow(reading, stamp)
         if isinstance(reading, VisionReading):
-            return hil_messages.odometry(reading, stamp)
+            return hil_messages.vision(reading, stamp)
         return hil_messages.battery(reading, self._consume(reading))
 
     def _tunnel(self, message: bytes) -> list[bytes]:
@@ -225,17 +221,9 @@ class Hil:
         return self._frame(HIL_SENSOR, _SENSOR.pack(stamp_us, *self._held[number], updated, number))
 
     def _frame(self, layout: Layout, payload: bytes) -> bytes:
-        """A MAVLink 2 frame around a packed payload, its trailing zeros cut."""
-        payload = payload.rstrip(b"\0")
-        number = layout.id
-        body = (
-            _HEAD.pack(
-                len(payload), 0, 0, self._next(), self._system, self._component,
-                number & 0xFF, number >> 8, 0,
-            )
-            + payload
-        )  # fmt: skip
-        return b"\xfd" + body + _TRAILER.pack(mcrf4xx(body + bytes((layout.crc_extra,))))
+        return framed(
+            layout, payload, seq=self._next(), system=self._system, component=self._component
+        )
 
     def _build(self, layout: Layout, values: Mapping[str, object]) -> bytes:
         return build(

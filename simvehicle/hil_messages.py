@@ -5,6 +5,7 @@ MAVLink definitions, except HIL_GPS.eph and .epv, which PX4 reads as centimetres
 """
 
 import math
+from functools import lru_cache
 
 from mavproxy_fault.wire.dialect import known
 from simvehicle.readings import (
@@ -14,6 +15,7 @@ from simvehicle.readings import (
     RangeReading,
     VisionReading,
 )
+from simvehicle.rotation import euler_angles, into_body
 from simvehicle.services.messages import Message
 
 COURSE_UNKNOWN = 0xFFFF  # HIL_GPS.cog
@@ -30,6 +32,7 @@ HIL_GPS = known("HIL_GPS")
 DISTANCE_SENSOR = known("DISTANCE_SENSOR")
 HIL_OPTICAL_FLOW = known("HIL_OPTICAL_FLOW")
 ODOMETRY = known("ODOMETRY")
+VISION_POSITION_ESTIMATE = known("VISION_POSITION_ESTIMATE")
 BATTERY_STATUS = known("BATTERY_STATUS")
 
 
@@ -40,7 +43,7 @@ def limited(value: float, low: int, high: int) -> int:
 
 def gps(reading: GpsReading, t_us: int) -> Message:
     """HIL_GPS: a receiver's solution."""
-    north, east, down = (float(v) for v in reading.v_ned_mps)
+    north, east, down = reading.v_ned_mps
     speed = math.hypot(north, east)
     moving = speed >= COURSE_SPEED_MPS
     course = math.degrees(math.atan2(east, north)) % 360.0
@@ -78,8 +81,8 @@ def distance(reading: RangeReading, t_us: int) -> Message:
 
 def flow(reading: FlowReading, t_us: int) -> Message:
     """HIL_OPTICAL_FLOW: what a downward camera integrated since its last message."""
-    flow_x, flow_y = (float(v) for v in reading.flow_xy_rad)
-    gyro_x, gyro_y, gyro_z = (float(v) for v in reading.gyro_xyz_rad)
+    flow_x, flow_y = reading.flow_xy_rad
+    gyro_x, gyro_y, gyro_z = reading.gyro_xyz_rad
     return HIL_OPTICAL_FLOW, {
         "time_usec": t_us,
         "integration_time_us": round(reading.integration_s * 1e6),
@@ -94,14 +97,18 @@ def flow(reading: FlowReading, t_us: int) -> Message:
     }
 
 
+def vision(reading: VisionReading, t_us: int) -> Message:
+    """ODOMETRY or VISION_POSITION_ESTIMATE, as the sensor is configured."""
+    return odometry(reading, t_us) if reading.odometry else vision_position(reading, t_us)
+
+
 def odometry(reading: VisionReading, t_us: int) -> Message:
     """ODOMETRY from vision: pose in local NED, velocity in body axes.
 
     The covariances are upper triangles of 6x6 matrices, row by row; attitude's is unknown (NaN).
     """
-    q = [float(v) for v in reading.q_nb]
-    x, y, z = (float(v) for v in reading.r_ned_m)
-    vx, vy, vz = _into_body(q, [float(v) for v in reading.v_ned_mps])
+    x, y, z = reading.r_ned_m
+    vx, vy, vz = into_body(reading.q_nb, reading.v_ned_mps)
     return ODOMETRY, {
         "time_usec": t_us,
         "frame_id": LOCAL_NED,
@@ -109,7 +116,7 @@ def odometry(reading: VisionReading, t_us: int) -> Message:
         "x": x,
         "y": y,
         "z": z,
-        "q": q,
+        "q": reading.q_nb,
         "vx": vx,
         "vy": vy,
         "vz": vz,
@@ -120,6 +127,22 @@ def odometry(reading: VisionReading, t_us: int) -> Message:
         "velocity_covariance": _triangle(reading.sigma_v_mps**2, math.nan),
         "estimator_type": VISION,
         "quality": 100,
+    }
+
+
+def vision_position(reading: VisionReading, t_us: int) -> Message:
+    """VISION_POSITION_ESTIMATE: the pose alone, with Euler angles."""
+    x, y, z = reading.r_ned_m
+    roll, pitch, yaw = euler_angles(reading.q_nb)
+    return VISION_POSITION_ESTIMATE, {
+        "usec": t_us,
+        "x": x,
+        "y": y,
+        "z": z,
+        "roll": roll,
+        "pitch": pitch,
+        "yaw": yaw,
+        "covariance": _triangle(reading.sigma_r_m**2, math.nan),
     }
 
 
@@ -135,22 +158,11 @@ def battery(reading: BatteryReading, consumed_mah: float) -> Message:
     }
 
 
-def _into_body(q_nb: list[float], v: list[float]) -> tuple[float, float, float]:
-    """The NED vector `v` in body axes: q* v q."""
-    w, x, y, z = q_nb
-    a, b, c = v
-    tx, ty, tz = 2 * (b * z - c * y), 2 * (c * x - a * z), 2 * (a * y - b * x)
-    return (
-        a + w * tx + ty * z - tz * y,
-        b + w * ty + tz * x - tx * z,
-        c + w * tz + tx * y - ty * x,
-    )
-
-
-def _triangle(first: float, second: float) -> list[float]:
+@lru_cache(maxsize=8)
+def _triangle(first: float, second: float) -> tuple[float, ...]:
     """Upper triangle of diag(first, first, first, second, second, second)."""
-    return [
+    return tuple(
         (first if row < 3 else second) if row == column else 0.0
         for row in range(6)
         for column in range(row, 6)
-    ]
+    )

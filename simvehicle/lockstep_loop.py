@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from mavproxy_fault.wire.frame import Frame
-from simvehicle.actuators import Mix, read_controls
+from simvehicle.actuators import CHANNELS, Mix, read_controls
 from simvehicle.body import Controls, Truth
 from simvehicle.hil import Hil
 from simvehicle.inbox import Inbox
@@ -22,7 +22,7 @@ FIRST_WORD_S = 5.0  # after which a peer that only listens is served too
 class Simulated(Plant, Protocol):
     """What the loop needs of a simulation."""
 
-    def step(self, controls: Controls | None) -> tuple[int, Truth, Sequence[Reading]]:
+    def step(self, controls: Controls) -> tuple[int, Truth, Sequence[Reading]]:
         """One step: its instant, the truth and what was measured."""
 
 
@@ -65,7 +65,7 @@ class LockstepLoop:
         self._mix = mix
         self._progress = progress
         self._clock = clock
-        self._controls: Controls | None = None
+        self._controls = Controls(mix([0.0] * CHANNELS), armed=False)  # until PX4's first answer
         self._speed = speed
         self._locked = False
         self._pace = Pace(min(speed, 1.0))

@@ -179,7 +179,7 @@ class MultirotorController:
     def _yaw(self, aim: Aim, truth: Truth) -> float:
         """Heading to hold: the one asked for, else along the track, turned at a limited rate."""
         if self._heading is None:
-            self._heading = euler_angles(truth.q_nb)[2]
+            self._heading = euler_angles(truth.q_nb.tolist())[2]
         wanted = self.yaw_rad
         if not math.isfinite(wanted):
             wanted = aim.course_rad if aim.distance_m > 2.0 else self._heading

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from simvehicle.air import standard_air
 from simvehicle.compiled import compiled, inlined
 from simvehicle.earth import ecef_from_geodetic, geodetic_of, gravity, rot_en
+from simvehicle.vehicles.rigidbody_kernel import to_body, to_ned
 
 Array = NDArray[np.float64]
 _geodetic = cast(Callable[[float, float, float], tuple[float, float, float]], inlined(geodetic_of))
@@ -29,6 +30,11 @@ class Home:
     r_ecef_m: Array
     rot_en: Array
     geoid_m: float
+
+    @property
+    def packed(self) -> Array:
+        """Position, axes row by row and geoid (13,), as `locate` reads them."""
+        return np.array([*self.r_ecef_m, *self.rot_en.ravel(), self.geoid_m])
 
     @classmethod
     def at(cls, lat_deg: float, lon_deg: float, alt_msl_m: float, geoid_m: float) -> "Home":
@@ -44,9 +50,7 @@ class Home:
 
 
 @compiled
-def locate(
-    x: Array, wind: Array, r_ecef: Array, rot: Array, geoid_m: float
-) -> tuple[float, float, float, float, float, float, Array]:
+def locate(x: Array, wind: Array, home: Array, out: Array) -> None:
     """Everything about a place that the truth needs.
 
     Parameters
@@ -55,43 +59,43 @@ def locate(
         State in the frame of home.
     wind : array, shape (3,)
         NED [m/s].
-    r_ecef, rot : arrays, shapes (3,) and (3, 3)
-        Of home.
-    geoid_m : float
-
-    Returns
-    -------
-    lat_rad, lon_rad, height_m, pressure_pa, temperature_k, density_kgpm3 : float
-    vectors : array, shape (13,)
-        Velocity in local NED (3), attitude to local NED (4), velocity relative to the air in body
-        axes (3), gravity in the frame of home (3).
+    home : array, shape (13,)
+        `Home.packed`.
+    out : array, shape (19,)
+        Becomes latitude, longitude [rad], height above the ellipsoid [m], pressure [Pa],
+        temperature [K] and density [kg/m^3]; velocity in local NED (3), attitude to local NED (4),
+        velocity relative to the air in body axes (3), gravity in the frame of home (3).
     """
-    ecef = r_ecef + rot @ x[:3]
-    lat, lon, height = _geodetic(ecef[0], ecef[1], ecef[2])
-    pressure, temperature, density = standard_air(height - geoid_m)
-    sp, cp, sl, cl = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
-    local = np.array([[-sp * cl, -sp * sl, cp], [-sl, cl, 0.0], [-cp * cl, -cp * sl, -sp]])
-    c = local @ rot
-    w, a, b, d = x[6], x[7], x[8], x[9]
-    body = np.array(
-        [
-            [1.0 - 2.0 * (b * b + d * d), 2.0 * (a * b - w * d), 2.0 * (a * d + w * b)],
-            [2.0 * (a * b + w * d), 1.0 - 2.0 * (a * a + d * d), 2.0 * (b * d - w * a)],
-            [2.0 * (a * d - w * b), 2.0 * (b * d + w * a), 1.0 - 2.0 * (a * a + b * b)],
-        ]
+    n, e, d = x[0], x[1], x[2]
+    lat, lon, height = _geodetic(
+        home[0] + home[3] * n + home[4] * e + home[5] * d,
+        home[1] + home[6] * n + home[7] * e + home[8] * d,
+        home[2] + home[9] * n + home[10] * e + home[11] * d,
     )
-    out = np.empty(13)
-    out[:3] = c @ (body @ x[3:6])
+    out[0], out[1], out[2] = lat, lon, height
+    out[3], out[4], out[5] = standard_air(height - home[12])
+    sp, cp, sl, cl = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
+    local = ((-sp * cl, -sp * sl, cp), (-sl, cl, 0.0), (-cp * cl, -cp * sl, -sp))
+    c = np.empty((3, 3))  # from the frame of home to local NED
+    for i in range(3):
+        for j in range(3):
+            c[i, j] = (
+                local[i][0] * home[3 + j] + local[i][1] * home[6 + j] + local[i][2] * home[9 + j]
+            )
+    w, a, b, g = x[6], x[7], x[8], x[9]
+    vn, ve, vd = to_ned(w, a, b, g, x[3], x[4], x[5])
+    wx, wy, wz = to_body(w, a, b, g, wind[0], wind[1], wind[2])
     # The turn between the verticals is small, so its quaternion's scalar part is the large one.
     tw = 0.5 * math.sqrt(1.0 + c[0, 0] + c[1, 1] + c[2, 2])
     ta = (c[2, 1] - c[1, 2]) / (4.0 * tw)
     tb = (c[0, 2] - c[2, 0]) / (4.0 * tw)
-    td = (c[1, 0] - c[0, 1]) / (4.0 * tw)
-    out[3] = tw * w - ta * a - tb * b - td * d
-    out[4] = tw * a + ta * w + tb * d - td * b
-    out[5] = tw * b - ta * d + tb * w + td * a
-    out[6] = tw * d + ta * b - tb * a + td * w
-    out[7:10] = x[3:6] - body.T @ wind
+    tg = (c[1, 0] - c[0, 1]) / (4.0 * tw)
+    out[9] = tw * w - ta * a - tb * b - tg * g
+    out[10] = tw * a + ta * w + tb * g - tg * b
+    out[11] = tw * b - ta * g + tb * w + tg * a
+    out[12] = tw * g + ta * b - tb * a + tg * w
+    out[13], out[14], out[15] = x[3] - wx, x[4] - wy, x[5] - wz
     pull = _gravity(lat, height)
-    out[10:] = c[2] * pull
-    return lat, lon, height, pressure, temperature, density, out
+    for i in range(3):
+        out[6 + i] = c[i, 0] * vn + c[i, 1] * ve + c[i, 2] * vd
+        out[16 + i] = c[2, i] * pull

@@ -88,12 +88,22 @@ class GustChoice(_Section, frozen=True):
     sigma_mps: tuple[float, float, float]
     length_m: tuple[float, float, float]
 
+    def __post_init__(self) -> None:
+        if min(self.sigma_mps) < 0.0:
+            raise ValueError(f"sigma_mps = {list(self.sigma_mps)} is negative; 0 or more")
+        if min(self.length_m) <= 0.0:
+            raise ValueError(f"length_m = {list(self.length_m)} is not positive; metres above 0")
+
 
 class ShearChoice(_Section, frozen=True):
     """Power law of the wind over height; `wind_ned_mps` is that at `reference_m`."""
 
     reference_m: float = 10.0
     exponent: float = 1.0 / 7.0
+
+    def __post_init__(self) -> None:
+        if self.reference_m <= 0.0:
+            raise ValueError(f"reference_m = {self.reference_m} is not positive; metres above 0")
 
 
 class Environment(_Section, frozen=True):
@@ -160,8 +170,10 @@ def read_scenario(path: str | Path | None) -> Scenario:
     if not isinstance(document, dict):
         raise ConfigError(f"{lines.where('$')}: is no scenario; a mapping with keys is expected")
     sensors = document.get("sensors")
-    if isinstance(sensors, dict):
-        document = {**document, "sensors": _with_presets(sensors, lines)}
+    if isinstance(sensors, str):
+        document = {**document, "sensors": _sensor_file(Path(path).parent / sensors)}
+    elif isinstance(sensors, dict):
+        document = {**document, "sensors": _with_presets(sensors, lines, "$.sensors")}
     return _beside(decode(document, Scenario, lines), Path(path).parent)
 
 
@@ -178,8 +190,21 @@ def _beside(scenario: Scenario, folder: Path) -> Scenario:
     return msgspec.structs.replace(scenario, vehicle=vehicle, gnss=gnss, environment=weather)
 
 
-def _with_presets(sensors: dict[str, Any], lines: Lines) -> dict[str, Any]:
-    """Replace each `preset: name` by the preset's values, under those given beside it."""
+def _sensor_file(path: Path) -> dict[str, Any]:
+    """The `sensors` of a scenario from a file of their own, checked there."""
+    document, lines = read_document(path)
+    if not isinstance(document, dict):
+        raise ConfigError(f"{lines.where('$')}: holds no sensors; a mapping like imu: {{...}}")
+    sensors = _with_presets(document, lines, "$")
+    decode(sensors, Sensors, lines)
+    return sensors
+
+
+def _with_presets(sensors: dict[str, Any], lines: Lines, at: str) -> dict[str, Any]:
+    """Replace each `preset: name` by the preset's values, under those given beside it.
+
+    `at` is where the sensors stand in their document.
+    """
     text = resources.files("simvehicle.sensors").joinpath("presets.yaml").read_text("utf-8")
     presets: dict[str, dict[str, dict[str, Any]]] = yaml.safe_load(text)
     out: dict[str, Any] = {}
@@ -191,9 +216,9 @@ def _with_presets(sensors: dict[str, Any], lines: Lines) -> dict[str, Any]:
                 name = entry["preset"]
                 known = presets.get(kind, {})
                 if name not in known:
-                    at = f"$.sensors.{kind}" + (f"[{index}]" if isinstance(value, list) else "")
+                    place = f"{at}.{kind}" + (f"[{index}]" if isinstance(value, list) else "")
                     raise ConfigError(
-                        f"{lines.where(at + '.preset')}: sensors.{kind}.preset = {name} is "
+                        f"{lines.where(place + '.preset')}: {place[2:]}.preset = {name} is "
                         f"unknown; known: {', '.join(known) or 'none'}"
                     )
                 entry = {**known[name], **{k: v for k, v in entry.items() if k != "preset"}}

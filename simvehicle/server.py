@@ -85,14 +85,20 @@ def check_sensors(scenario: Scenario) -> None:
     Raises
     ------
     ConfigError
-        If a list of sensors is too long.
+        If a list of sensors is too long, or an id too high.
     """
     for kind, most in (("imu", IMU_IDS), ("mag", MAG_IDS), ("baro", BARO_IDS)):
-        fitted = getattr(scenario.sensors, kind)
-        if isinstance(fitted, list) and len(fitted) > most:
+        fitted = getattr(scenario.sensors, kind) or []
+        every = fitted if isinstance(fitted, list) else [fitted]
+        if len(every) > most:
             raise ConfigError(
-                f"sensors.{kind}: {len(fitted)} are too many for a HIL link; at most {most}"
+                f"sensors.{kind}: {len(every)} are too many for a HIL link; at most {most}"
             )
+        for sensor in every:
+            if sensor.id >= most:
+                raise ConfigError(
+                    f"sensors.{kind}.id = {sensor.id} is not read from a HIL link; 0 to {most - 1}"
+                )
 
 
 def _lockstep(simulation: Simulation, link: Link, speed: float, progress: Progress) -> int:

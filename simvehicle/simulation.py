@@ -8,16 +8,13 @@ import heapq
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
-from zlib import crc32
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.errors import ConfigError
-from simvehicle.air import GUSTS, Gusts, wind_step
 from simvehicle.body import Controls, Truth
 from simvehicle.controller import FixedWingController
 from simvehicle.guidance import PathTrack
@@ -27,16 +24,17 @@ from simvehicle.onboard import fit
 from simvehicle.place import Home, locate
 from simvehicle.readings import Reading
 from simvehicle.rotation import quat_from_euler
-from simvehicle.scenario import GustChoice, Scenario
+from simvehicle.rudderless import RudderlessController, has_rudder
+from simvehicle.scenario import Scenario
 from simvehicle.terrain import Grid, Level, read_grid
 from simvehicle.vehicles.fixedwing import FixedWing
 from simvehicle.vehicles.multirotor import Multirotor
 from simvehicle.vehicles.vehicle import Vehicle, read_vehicle
+from simvehicle.weather import Weather
 
 Array = NDArray[np.float64]
 _LONGEST_STEP_S = 0.005  # a ground contact is stiff
-_BLOCK = 512
-_NO_SHEAR = (1.0, 1.0, 0.0)
+_PLACE = 19  # entries of what `locate` fills in
 _WINDS = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
 
 
@@ -65,11 +63,7 @@ class Simulation:
         self.home = Home.at(start.lat_deg, start.lon_deg, start.alt_m, start.geoid_m)
         self.vehicle = read_vehicle(scenario.vehicle.kind, scenario.vehicle.parameters)
         self._plant: dict[str, float] = {}
-        self._wind = np.array(scenario.environment.wind_ned_mps)
-        self._gusts = _gusts(scenario)
-        self._gust_rng = np.random.default_rng([self.seed, crc32(b"gusts")])
-        self._filters = np.concatenate([self._gust_rng.standard_normal(1), np.zeros(4)])
-        self._draws = self._gust_rng.standard_normal((_BLOCK, 5))
+        self._weather = Weather(scenario.environment, self.seed)
         self._fitted = fit(scenario, self.seed)
         self._rate_hz = self._fitted[0].sensor.rate_hz
         self._count = 0
@@ -77,8 +71,9 @@ class Simulation:
         self._late: list[tuple[int, int, Reading]] = []
         self._order = itertools.count()
         self._controls = np.zeros(self.vehicle.controls_count)
+        self._place = self.home.packed
         self._x = self._begin()
-        self.truth = self._observe(np.zeros(6), self._wind)
+        self.truth = self._observe(np.zeros(6), self._weather.steady_mps)
         self.controller = _controller(self.vehicle, self.truth, scenario.start.alt_m)
         self._next_control_us = 0.0
         if scenario.mission:
@@ -117,7 +112,7 @@ class Simulation:
         self._t_us = t_us
         truth = self.truth
         steps = max(1, math.ceil(dt / _LONGEST_STEP_S - 1e-9))
-        wind = self._wind_now(dt)
+        wind = self._weather.wind(self._x, truth, dt)
         self._x, load = self.vehicle.advance(
             self._x,
             self._controls,
@@ -155,8 +150,9 @@ class Simulation:
         if name in _WINDS:
             axis = _WINDS.index(name)
             healthy = self.scenario.environment.wind_ned_mps[axis]
-            self._wind = self._wind.copy()
-            self._wind[axis] = healthy if value is None else value
+            steady = self._weather.steady_mps.copy()
+            steady[axis] = healthy if value is None else value
+            self._weather.steady_mps = steady
         elif name in self.vehicle.plant_names:
             changed = {k: v for k, v in self._plant.items() if k != name}
             if value is not None:
@@ -192,15 +188,15 @@ class Simulation:
             )
         r = np.array([0.0, 0.0, -start.height_m])
         level = vehicle.start(r, zero, quat_from_euler(0.0, 0.0, heading))
-        h = self.home
-        *_, density, vectors = locate(level, zero, h.r_ecef_m, h.rot_en, h.geoid_m)
-        self._gravity = vectors[10:]
+        place = np.empty(_PLACE)
+        locate(level, zero, self._place, place)
+        density, self._gravity = float(place[5]), place[16:]
         pull = float(np.linalg.norm(self._gravity))
         speeds = [leg.speed_mps or vehicle.parameters.cruise_mps for leg in scenario.mission]
-        states = []
+        states, wind = [], self._weather.steady_mps
         for number, speed in enumerate(speeds or [vehicle.parameters.cruise_mps]):
             try:
-                states.append(vehicle.cruise(r, heading, self._wind, speed, density, pull))
+                states.append(vehicle.cruise(r, heading, wind, speed, density, pull))
             except ValueError as error:
                 raise ConfigError(
                     f"mission[{number}].speed_mps = {speed:g} cannot be flown; {error}"
@@ -209,52 +205,29 @@ class Simulation:
 
     def _mission(self) -> PathTrack:
         scenario, controller = self.scenario, self.controller
+        north_mps, east_mps, _ = self._weather.steady_mps.tolist()
         path = plan(
             scenario.mission,
             (float(self._x[0]), float(self._x[1]), math.radians(scenario.start.heading_deg)),
             self.vehicle.parameters.cruise_mps,
-            float(np.hypot(self._wind[0], self._wind[1])) if controller.drifts else 0.0,
+            math.hypot(north_mps, east_mps) if controller.drifts else 0.0,
             controller.lateral_mps2,
         )
         return PathTrack(path)
 
-    def _wind_now(self, dt: float) -> Array:
-        """Steady wind at this height and the gusts of this step, NED."""
-        row = self._count % _BLOCK
-        if row == 0:
-            self._draws = self._gust_rng.standard_normal((_BLOCK, 5))
-        truth, gusts, shear = self.truth, self._gusts, self.scenario.environment.shear
-        place = (truth.height_agl_m, shear.reference_m, shear.exponent) if shear else _NO_SHEAR
-        u, v, w = truth.v_air_b_mps.tolist()
-        airspeed = math.sqrt(u * u + v * v + w * w)
-        self._filters, wind = wind_step(
-            self._filters,
-            self._draws[row],
-            self._wind,
-            place,
-            self._x[6:10],
-            airspeed,
-            gusts.sigma_mps,
-            gusts.length_m,
-            dt,
-        )
-        return wind
-
     def _observe(self, load: Array, wind: Array) -> Truth:
         """The truth of the state now."""
-        home, x = self.home, self._x
-        lat, lon, height, pressure, temperature, density, v = locate(
-            x, wind, home.r_ecef_m, home.rot_en, home.geoid_m
-        )
+        x, place = self._x, np.empty(_PLACE)
+        locate(x, wind, self._place, place)
+        lat, lon, height, pressure, temperature, density = place[:6].tolist()
         if not math.isfinite(height):
             raise ConfigError(
                 f"the simulation left the numbers at {self._t_us * 1e-6:.3f} s; the vehicle's "
                 "parameters, controls or faults let it diverge"
             )
-        self._gravity = v[10:]
-        alt = height - home.geoid_m
+        self._gravity = place[16:]
+        alt = height - self.home.geoid_m
         agl = alt - self.terrain.ground(lat, lon)
-        standing = agl < self.vehicle.standing_height_m + 0.02
         volts, amperes, left = load[3:].tolist()
         return Truth(
             self._t_us,
@@ -264,11 +237,11 @@ class Simulation:
             alt,
             agl,
             x[:3],
-            v[:3],
-            v[3:7],
+            place[6:9],
+            place[9:13],
             x[10:13],
             load[:3],
-            v[7:10],
+            place[13:16],
             wind,
             pressure,
             temperature,
@@ -276,7 +249,7 @@ class Simulation:
             volts,
             amperes,
             left,
-            standing,
+            agl < self.vehicle.standing_height_m + 0.02,
         )
 
     def _read(self) -> list[Reading]:
@@ -292,7 +265,7 @@ class Simulation:
             for reading in fitted.sample(truth):
                 heapq.heappush(self._late, (t_us + fitted.latency_us, next(self._order), reading))
         while self._late and self._late[0][0] <= t_us:
-            out.append(replace(heapq.heappop(self._late)[2], t_us=t_us))
+            out.append(msgspec.structs.replace(heapq.heappop(self._late)[2], t_us=t_us))
         return out
 
 
@@ -319,7 +292,8 @@ def _controller(
     vehicle: Vehicle, truth: Truth, home_alt_m: float
 ) -> FixedWingController | MultirotorController:
     if isinstance(vehicle, FixedWing):
-        return FixedWingController(vehicle, truth.density_kgpm3, home_alt_m)
+        kind = FixedWingController if has_rudder(vehicle) else RudderlessController
+        return kind(vehicle, truth.density_kgpm3, home_alt_m)
     assert isinstance(vehicle, Multirotor)
     return MultirotorController(vehicle, home_alt_m)
 
@@ -334,10 +308,3 @@ def _grounded(scenario: Scenario, terrain: Grid | Level) -> Scenario:
     start = scenario.start
     alt = terrain.ground(math.radians(start.lat_deg), math.radians(start.lon_deg))
     return msgspec.structs.replace(scenario, start=msgspec.structs.replace(start, alt_m=alt))
-
-
-def _gusts(scenario: Scenario) -> Gusts:
-    choice = scenario.environment.gusts
-    if isinstance(choice, GustChoice):
-        return Gusts(choice.sigma_mps, choice.length_m)
-    return GUSTS[choice]

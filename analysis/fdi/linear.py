@@ -22,6 +22,16 @@ def multiply(a: Vector, b: Vector) -> Vector:
 
 
 @compiled
+def add_product(out: Vector, scale: float, a: Vector, b: Vector) -> None:
+    """Add scale a b to `out`, in place."""
+    for i in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            factor = scale * a[i, k]
+            for j in range(b.shape[1]):
+                out[i, j] += factor * b[k, j]
+
+
+@compiled
 def transposed(a: Vector) -> Vector:
     """a' as an array of its own."""
     out = np.empty((a.shape[1], a.shape[0]))

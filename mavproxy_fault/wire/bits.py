@@ -1,6 +1,6 @@
 """Bit fields as RTCM packs them: most significant bit first, signed fields in two's complement."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 
 class BitReader:
@@ -49,11 +49,29 @@ def pack_bits(fields: Iterable[tuple[int, int]]) -> bytes:
     ValueError
         If a value does not fit its width.
     """
+    return pack_columns(((value,), width) for value, width in fields)
+
+
+def pack_columns(columns: Iterable[tuple[Sequence[int], int]]) -> bytes:
+    """As `pack_bits`, of runs of fields that share a width.
+
+    Raises
+    ------
+    ValueError
+        If a value does not fit its width.
+    """
     packed = length = 0
-    for value, width in fields:
-        if not -(1 << (width - 1)) <= value < 1 << width:
-            raise ValueError(f"{value} does not fit {width} bits")
-        packed = packed << width | value & ((1 << width) - 1)
-        length += width
+    for values, width in columns:
+        if not values:
+            continue
+        if not (-(1 << (width - 1)) <= min(values) and max(values) < 1 << width):
+            wrong = next(v for v in values if not -(1 << (width - 1)) <= v < 1 << width)
+            raise ValueError(f"{wrong} does not fit {width} bits")
+        mask = (1 << width) - 1
+        run = 0
+        for value in values:
+            run = run << width | value & mask
+        packed = packed << width * len(values) | run
+        length += width * len(values)
     padding = -length % 8
     return (packed << padding).to_bytes((length + padding) // 8, "big")

@@ -14,7 +14,6 @@ References
 import math
 import struct
 from collections.abc import Mapping
-from functools import lru_cache
 
 from fastcrc.crc16 import mcrf4xx
 
@@ -37,9 +36,14 @@ INTEGER_LIMITS = {
     "Q": (0, 0xFFFFFFFFFFFFFFFF),
     "q": (-0x8000000000000000, 0x7FFFFFFFFFFFFFFF),
 }
+_STX = bytes((STX_V2,))
+_HEAD = struct.Struct("<6BHB")  # length, flags, sequence, sender and message id of MAVLink 2
 FLOAT_MAX = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]
 
 Number = int | float
+Packing = tuple[struct.Struct, tuple[tuple[str, object], ...]]
+
+_packings: dict[int, Packing] = {}  # by message id
 
 
 class Frame:
@@ -168,37 +172,39 @@ def build(
     struct.error
         If a value does not fit its field.
     """
-    packer, names = _packer(layout.id, layout.name)
+    packer, blanks = _packings.get(layout.id) or _packing(layout)
     flat: list[object] = []
-    fields = layout.fields
-    for name in names:
-        field = fields[name]
-        value = values.get(name, 0)
-        if field.type == "char":
-            flat.append(value or b"")
-        elif field.count:
-            items = list(value) if value else []  # type: ignore[call-overload]
-            flat.extend(items + [0] * (field.count - len(items)))
+    for name, blank in blanks:
+        value = values.get(name, blank)
+        if isinstance(blank, tuple):
+            items: tuple[object, ...] = tuple(value)  # type: ignore[arg-type]
+            flat += items + blank[len(items) :]
         else:
-            flat.append(value)
-    unknown = values.keys() - fields.keys()
-    if unknown:
-        raise KeyError(f"{layout.name} has no field {', '.join(sorted(unknown))}")
-    payload = packer.pack(*flat).rstrip(b"\0") or b"\0"
-    head = bytes((STX_V2, len(payload), 0, 0, seq, system, component)) + layout.id.to_bytes(
-        3, "little"
-    )
-    crc = mcrf4xx(head[1:] + payload + bytes((layout.crc_extra,)))
-    return head + payload + crc.to_bytes(2, "little")
+            flat.append(bytes(value) if isinstance(blank, bytes) else value)  # type: ignore[call-overload]
+    if not values.keys() <= layout.fields.keys():
+        unknown = sorted(values.keys() - layout.fields.keys())
+        raise KeyError(f"{layout.name} has no field {', '.join(unknown)}")
+    return framed(layout, packer.pack(*flat), seq=seq, system=system, component=component)
 
 
-@lru_cache(maxsize=512)
-def _packer(number: int, name: str) -> tuple[struct.Struct, tuple[str, ...]]:
-    from mavproxy_fault.wire.dialect import known
+def framed(layout: Layout, payload: bytes, *, seq: int, system: int, component: int) -> bytes:
+    """The bytes of a MAVLink 2 frame around a payload, whose trailing zeros are cut."""
+    payload = payload.rstrip(b"\0") or b"\0"
+    number = layout.id
+    body = _HEAD.pack(len(payload), 0, 0, seq, system, component, number & 0xFFFF, number >> 16)
+    body += payload
+    return _STX + body + mcrf4xx(body + bytes((layout.crc_extra,))).to_bytes(2, "little")
 
-    layout = known(name)
-    code = "".join(
-        f"{field.length}s" if field.type == "char" else field.code * max(field.count, 1)
-        for field in layout.fields.values()
-    )
-    return struct.Struct("<" + code), tuple(layout.fields)
+
+def _packing(layout: Layout) -> Packing:
+    """How a payload is packed, and what stands for each field that is not given.
+
+    Text and arrays of bytes are packed as bytes, in one piece.
+    """
+    code, blanks = "<", []
+    for field in layout.fields.values():
+        whole = field.type == "char" or (field.code == "B" and field.count > 0)
+        code += f"{field.length}s" if whole else field.code * max(field.count, 1)
+        blanks.append((field.name, b"" if whole else (0,) * field.count if field.count else 0))
+    _packings[layout.id] = struct.Struct(code), tuple(blanks)
+    return _packings[layout.id]

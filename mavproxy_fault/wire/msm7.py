@@ -14,8 +14,9 @@ References
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
-from mavproxy_fault.wire.bits import BitReader, pack_bits
+from mavproxy_fault.wire.bits import BitReader, pack_columns
 from mavproxy_fault.wire.rtcm import unwrap, wrap
 
 NUMBERS = {"G": 1077, "E": 1097}
@@ -35,6 +36,7 @@ FINE_INVALID = -(1 << 19)
 PHASE_INVALID = -(1 << 23)
 FINE_RATE_INVALID = -(1 << 14)
 CN0_STEP_DBHZ = 0.0625
+CELL_WIDTHS = (20, 24, 10, 1, 10, 15)  # bits of fine range, phase, lock, half cycle, C/N0, rate
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +60,7 @@ class Msm7:
     more: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class _Satellite:
+class _Satellite(NamedTuple):
     """The integers of one satellite as they are sent; `cells` holds [fine, phase, lock, half-cycle
     flag, C/N0, fine rate] by signal."""
 
@@ -260,7 +261,7 @@ def _moved(satellite: _Satellite, change_m: float) -> _Satellite:
         steps = round(sum(fines) / len(fines) / FINE_PER_ROUGH)
     rough = satellite.rough_ms * ROUGH + satellite.rough + steps
     if not 0 <= rough < ROUGH_INVALID * ROUGH:
-        return replace(satellite, rough_ms=ROUGH_INVALID)
+        return satellite._replace(rough_ms=ROUGH_INVALID)
     cells = {}
     for signal, (fine, phase, *rest) in satellite.cells.items():
         if fine != FINE_INVALID:
@@ -268,7 +269,7 @@ def _moved(satellite: _Satellite, change_m: float) -> _Satellite:
         if phase != PHASE_INVALID:
             phase = _within(phase - steps * PHASE_PER_ROUGH, PHASE_INVALID)
         cells[signal] = (fine, phase, *rest)
-    return replace(satellite, rough_ms=rough // ROUGH, rough=rough % ROUGH, cells=cells)
+    return satellite._replace(rough_ms=rough // ROUGH, rough=rough % ROUGH, cells=cells)
 
 
 def _within(value: int, invalid: int) -> int:
@@ -301,18 +302,22 @@ def _encode(raw: _Message) -> bytes:
     cells = [
         satellite.cells[s] for satellite in satellites.values() for s in sorted(satellite.cells)
     ]
-    fields = [(raw.number, 12), (raw.station, 12), (raw.epoch_ms, 30), (raw.more, 1)]
-    fields += [(raw.flags, 18)]
-    fields += [(sum(1 << (64 - number) for number in satellites), 64)]
-    fields += [(sum(1 << (32 - signal) for signal in signals), 32)]
-    fields += [(int(s in satellite.cells), 1) for satellite in satellites.values() for s in signals]
-    fields += [(satellite.rough_ms, 8) for satellite in satellites.values()]
-    fields += [(satellite.info, 4) for satellite in satellites.values()]
-    fields += [(satellite.rough, 10) for satellite in satellites.values()]
-    fields += [(satellite.rate, 14) for satellite in satellites.values()]
-    for column, width in enumerate((20, 24, 10, 1, 10, 15)):
-        fields += [(cell[column], width) for cell in cells]
-    return wrap(pack_bits(fields))
+    rows = list(satellites.values())
+    columns: list[tuple[Sequence[int], int]] = [
+        ([raw.number, raw.station], 12),
+        ([raw.epoch_ms], 30),
+        ([raw.more], 1),
+        ([raw.flags], 18),
+        ([sum(1 << (64 - number) for number in satellites)], 64),
+        ([sum(1 << (32 - signal) for signal in signals)], 32),
+        ([int(s in satellite.cells) for satellite in rows for s in signals], 1),
+        ([satellite.rough_ms for satellite in rows], 8),
+        ([satellite.info for satellite in rows], 4),
+        ([satellite.rough for satellite in rows], 10),
+        ([satellite.rate for satellite in rows], 14),
+    ]
+    columns += zip(zip(*cells, strict=True), CELL_WIDTHS, strict=False)
+    return wrap(pack_columns(columns))
 
 
 def _decode(message: bytes) -> _Message:

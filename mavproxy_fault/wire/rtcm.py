@@ -14,6 +14,7 @@ References
 .. [2] MAVLink common message set, TUNNEL and GPS_RTCM_DATA.
 """
 
+import struct
 from collections.abc import Iterator
 
 from mavproxy_fault.wire.dialect import known
@@ -34,24 +35,30 @@ PENDING_MAX = 4  # incomplete messages kept at a time; far fewer than sequence n
 CRC24Q_POLYNOMIAL = 0x1864CFB
 
 
-def _crc_table() -> tuple[int, ...]:
-    table = []
+def _crc_tables() -> tuple[tuple[int, ...], ...]:
+    """CRC of each byte, and of each byte with one, two and three zero bytes after it."""
+    first = []
     for byte in range(256):
         crc = byte << 16
         for _ in range(8):
             crc = crc << 1 ^ (CRC24Q_POLYNOMIAL if crc & 0x800000 else 0)
-        table.append(crc & 0xFFFFFF)
-    return tuple(table)
+        first.append(crc & 0xFFFFFF)
+    tables = [tuple(first)]
+    for _ in range(3):
+        tables.append(tuple((crc << 8 & 0xFFFFFF) ^ first[crc >> 16] for crc in tables[-1]))
+    return tuple(tables)
 
 
-_TABLE = _crc_table()
+_TABLES = _crc_tables()
 
 
 def crc24q(data: bytes) -> int:
-    """CRC-24Q, start value zero."""
+    """CRC-24Q, start value zero, by four bytes at a time; zeros in front change nothing."""
+    last, third, second, first = _TABLES
     crc = 0
-    for byte in data:
-        crc = (crc << 8 & 0xFFFFFF) ^ _TABLE[crc >> 16 ^ byte]
+    for word in struct.unpack(f">{len(data) + 3 >> 2}I", bytes(-len(data) % 4) + data):
+        x = crc << 8 ^ word
+        crc = first[x >> 24] ^ second[x >> 16 & 255] ^ third[x >> 8 & 255] ^ last[x & 255]
     return crc
 
 

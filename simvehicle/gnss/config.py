@@ -4,14 +4,17 @@ Every error can be switched off; with all of them off pseudoranges are geometry 
 broadcast clocks, nothing else.
 """
 
+import math
 from datetime import datetime
 from typing import Literal
 
 import msgspec
 
+FASTEST_HZ = 100.0  # epochs per second
+
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """No number of a section is negative, except where its name ends in `_dbhz` or `_offset_m`."""
+    """No number of a section is negative, except where its name ends in `_offset_m`."""
 
     def __post_init__(self) -> None:
         for name in self.__struct_fields__:
@@ -52,6 +55,15 @@ class ReceiverConfig(_Section, frozen=True, kw_only=True):
     message_s: tuple[float, float] = (18.0, 36.0)
     lock_dbhz: float = 25.0
     reacquire_s: float = 2.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        first, last = self.message_s
+        if not 0.0 <= first <= last < math.inf:
+            raise ValueError(
+                f"message_s = {list(self.message_s)} is no span of time; two numbers of seconds, "
+                "0 or more, the first not above the second"
+            )
 
 
 class GnssConfig(_Section, frozen=True, kw_only=True):
@@ -95,3 +107,14 @@ class GnssConfig(_Section, frozen=True, kw_only=True):
     orbit_s: float = 1800.0
     clock: ClockConfig = ClockConfig()
     receiver: ReceiverConfig = ReceiverConfig()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.0 < self.rate_hz <= FASTEST_HZ:
+            raise ValueError(
+                f"rate_hz = {self.rate_hz} is out of range; above 0, at most {FASTEST_HZ:g}"
+            )
+        if self.mask_deg > 90.0:
+            raise ValueError(f"mask_deg = {self.mask_deg} is above the zenith; 0 to 90 is allowed")
+        if not self.systems:
+            raise ValueError("systems is empty; GPS, Galileo or both are needed")

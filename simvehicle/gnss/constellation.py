@@ -104,7 +104,7 @@ def constellation_of(
     )
     if not any(k is not None for k in constellation.choose(start_s, [None] * len(ephemerides))):
         raise ConfigError(
-            f"{path}: no satellite of {' and '.join(config.systems) or 'no system'} is valid at "
+            f"{path}: no satellite of {' and '.join(config.systems)} is valid at "
             f"GPS week {week}, {start_s:.0f} s; a `time` within 2 h (GPS) or 4 h (Galileo) of its "
             "ephemerides"
         )

@@ -5,9 +5,9 @@ differ in one constant; velocities are its derivatives.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import atan2, cos, sin, sqrt
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,8 +24,7 @@ WEEK_S = 604_800.0
 KEPLER_STEPS = 4  # Newton from E = M leaves under 1e-14 rad at the eccentricity 0.16 of E14, E18
 
 
-@dataclass(frozen=True, slots=True)
-class Orbits:
+class Orbits(msgspec.Struct, frozen=True):
     """The ephemerides of n satellites as one table.
 
     `table` (n, 20) holds what `satellite_state` reads, times in seconds of the GPS week `week`.

@@ -10,8 +10,8 @@ References
 """
 
 import math
-from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,11 +27,11 @@ CODE_LOOP_HZ = 0.25  # aided by the carrier
 FREQUENCY_LOOP_HZ = 2.0
 INTEGRATION_S = 0.02
 CN0_S = 20.0  # correlation time
+TINY_S = 1e-9  # a process without a correlation time is white
 JUMP_S = 1e-3  # the clock is set back by a millisecond when it is half of one out
 
 
-@dataclass(frozen=True, slots=True)
-class Clock:
+class Clock(msgspec.Struct, frozen=True):
     """Receiver clock minus GPS time, and its rate."""
 
     offset_s: float
@@ -51,25 +51,28 @@ def next_clock(clock: Clock, config: ClockConfig, step_s: float, draws: Vector) 
     )
 
 
-def next_wander(value: Vector, time_s: float, step_s: float, draws: Vector) -> Vector:
-    """Gauss-Markov processes (n,) of unit variance and one correlation time, `step_s` later."""
-    phi = math.exp(-step_s / time_s) if time_s > 0.0 else 0.0
-    return np.asarray(phi * value + math.sqrt(1.0 - phi * phi) * draws)
+def next_wander(value: Vector, time_s: float | Vector, step_s: float, draws: Vector) -> Vector:
+    """Gauss-Markov processes of unit variance and correlation time `time_s`, `step_s` later."""
+    phi = np.exp(-step_s / np.maximum(time_s, TINY_S))
+    return np.asarray(phi * value + np.sqrt(1.0 - phi * phi) * draws)
 
 
 def multipath_sigma_m(elevation_rad: Vector) -> Vector:
-    """Standard deviation of multipath [3]_."""
-    return np.asarray(0.13 + 0.53 * np.exp(-np.degrees(elevation_rad) / 10.0))
+    """Standard deviation of multipath [3]_; scalars and arrays alike, here and below."""
+    sigma: Vector = 0.13 + 0.53 * np.exp(-np.degrees(elevation_rad) / 10.0)
+    return sigma
 
 
 def code_sigma_m(cn0_dbhz: Vector) -> Vector:
     """Thermal noise of the pseudorange [2]_."""
     ratio = 10.0 ** (cn0_dbhz / 10.0)
-    return np.asarray(CHIP_M * np.sqrt(CORRELATOR_CHIPS * CODE_LOOP_HZ / (2.0 * ratio)))
+    sigma: Vector = CHIP_M * np.sqrt(CORRELATOR_CHIPS * CODE_LOOP_HZ / (2.0 * ratio))
+    return sigma
 
 
 def rate_sigma_mps(cn0_dbhz: Vector) -> Vector:
     """Thermal noise of the range rate [2]_."""
     ratio = 10.0 ** (cn0_dbhz / 10.0)
     scale = L1_WAVE_M / (2.0 * math.pi * INTEGRATION_S)
-    return np.asarray(scale * np.sqrt(4.0 * FREQUENCY_LOOP_HZ / ratio))
+    sigma: Vector = scale * np.sqrt(4.0 * FREQUENCY_LOOP_HZ / ratio)
+    return sigma

@@ -6,8 +6,8 @@ tests nothing: a faulty satellite moves the solution, as in a receiver without i
 """
 
 import math
-from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,15 +19,18 @@ Vector = NDArray[np.float64]
 
 SURFACE_M = 6.37e6
 EPH_MAX_M = 100.0  # worse is no fix
+FLAT_EPH_MAX_M = 1000.0  # a two-dimensional fix stands and falls with the height it holds
+LAST_HEIGHT_SIGMA_M, SEA_HEIGHT_SIGMA_M = 50.0, 500.0
+FREE = (math.nan, 1.0)  # no height is held
 REASONS = {kernel.SINGULAR: "satellites in one plane", kernel.DIVERGED: "no convergence"}
 
 
-@dataclass(frozen=True, slots=True)
-class Fix:
+class Fix(msgspec.Struct, frozen=True):
     """A solution; `clock_m` (m,) are the offsets by system, the first GPS's if there is one.
 
-    `fix_type` is MAVLink's: 0 no satellites, 1 no fix, 3 three-dimensional. Without a fix the place
-    is the last one (all zero if there was none), nothing moves, and `reason` says why.
+    `fix_type` is MAVLink's: 0 no satellites, 1 no fix, 2 two-dimensional (one satellite too few, so
+    the height is held at the last one, or at the ellipsoid's), 3 three-dimensional. Without a fix
+    the place is the last one (all zero if there was none), nothing moves, and `reason` says why.
     `sigma_ned_m` (3,) is what the receiver believes.
     """
 
@@ -63,17 +66,16 @@ def solve(
         Time of reception by the receiver's clock, in seconds of the week of `orbits`.
     pseudorange_m, doppler_mps : (n,) arrays
         Observations; the range rate is positive when the range grows.
-    atmosphere : Atmosphere
-        What to correct for.
-    last : Fix, optional
-        Where to start from.
+    atmosphere, last
+        What to correct for; where to start from, if anywhere.
     """
     letters = [name[0] for name in orbits.satellites]
     systems = sorted(set(letters), reverse=True)  # GPS before Galileo
     count = len(letters)
-    if count < 3 + max(len(systems), 1):
+    lacking = 3 + max(len(systems), 1) - count
+    if lacking > 1:
         return _none(count, f"{count} satellites of {len(systems)} systems", last)
-    near = last is not None and last.fix_type == 3 and len(last.clock_m) == len(systems)
+    near = last is not None and last.fix_type >= 2 and len(last.clock_m) == len(systems)
     start = (last.r_ecef_m, last.clock_m) if last is not None and near else None
     system = np.array([systems.index(letter) for letter in letters])
     out = kernel.navigate(
@@ -86,14 +88,15 @@ def solve(
         atmosphere.troposphere,
         np.concatenate(start or (_somewhere_below(orbits, tow_s), np.zeros(len(systems)))),
         near,
+        _held(last) if lacking == 1 else FREE,
     )
     if out[kernel.STATUS] != kernel.SOLVED:
         return _none(count, REASONS[float(out[kernel.STATUS])], last)
     sigma = out[kernel.SIGMA : kernel.SIGMA + 3]
-    if math.hypot(sigma[0], sigma[1]) > EPH_MAX_M:
+    if math.hypot(sigma[0], sigma[1]) > (FLAT_EPH_MAX_M if lacking == 1 else EPH_MAX_M):
         return _none(count, "geometry too poor", last)
     return Fix(
-        3,
+        2 if lacking == 1 else 3,
         count,
         out[kernel.PLACE : kernel.PLACE + 3],
         float(out[kernel.GEODETIC]),
@@ -105,6 +108,13 @@ def solve(
         float(out[kernel.DRIFT]),
         sigma,
     )
+
+
+def _held(last: Fix | None) -> tuple[float, float]:
+    """Height to hold [m] and how wrong it may be: the last one, or the ellipsoid's."""
+    if last is not None and last.r_ecef_m.any():
+        return last.height_m, LAST_HEIGHT_SIGMA_M
+    return 0.0, SEA_HEIGHT_SIGMA_M
 
 
 def _somewhere_below(orbits: Orbits, tow_s: float) -> Vector:

@@ -89,21 +89,24 @@ def navigate(
     troposphere: bool,
     start: Vector,
     near: bool,
+    held: tuple[float, float],
 ) -> Vector:
     """Position, velocity and clocks of one epoch.
 
     `table` (n, 20) are the orbits, `system` (n,) the index of each satellite's clock among those of
     `start` (3 + m,), which holds position and clock offsets [m] to begin with; `near` says that it
-    is within some kilometres, so that elevations are right. The answer (19,) has the rows named
-    above; the rest is as in `receiver.solve`.
+    is within some kilometres, so that elevations are right. `held` is a height taken as known [m]
+    and its standard deviation, for one satellite too few, or NaN. The answer (19,) has the rows
+    named above; the rest is as in `receiver.solve`.
     """
     n, m = len(table), len(start)
+    rows = n if np.isnan(held[0]) else n + 1
     out = np.zeros(SIZE)
     x = np.zeros(m)
     for a in range(m):
         x[a] = start[a]
-    weights, residual = np.ones(n), np.zeros(n)
-    design, still = np.zeros((n, m)), np.zeros(3)
+    weights, residual = np.ones(rows), np.zeros(rows)
+    design, still = np.zeros((rows, m)), np.zeros(3)
     for _ in range(ROUNDS_MAX):
         seen = sights(table, tow_s - x[3] / SPEED_OF_LIGHT_MPS, x, still, coefficients, troposphere)
         for i in range(n):
@@ -114,6 +117,9 @@ def navigate(
             residual[i] = code_m[i] - model
             if near:
                 weights[i] = (max(sin(seen[4, i]), SINE_MIN) / ZENITH_SIGMA_M) ** 2
+        if rows > n:
+            _hold(held, x, design, residual)
+            weights[n] = 1.0 / held[1] ** 2 if near else 1.0
         step, covariance = least_squares(design, residual, weights, m)
         if len(step) == 0:
             out[STATUS] = SINGULAR
@@ -136,11 +142,24 @@ def navigate(
 
 
 @compiled
+def _hold(held: tuple[float, float], x: Vector, design: Vector, residual: Vector) -> None:
+    """Make the last row that of a height which is measured."""
+    lat, lon, height = geodetic(x[0], x[1], x[2])
+    design[-1, 0] = cos(lat) * cos(lon)
+    design[-1, 1] = cos(lat) * sin(lon)
+    design[-1, 2] = sin(lat)
+    residual[-1] = held[0] - height
+
+
+@compiled
 def _add_motion(
     out: Vector, seen: Vector, rate_mps: Vector, design: Vector, weights: Vector
 ) -> None:
-    """Velocity and drift from range rates; `design` becomes that of one clock."""
-    residual = np.zeros(len(rate_mps))
+    """Velocity and drift from range rates; `design` becomes that of one clock.
+
+    Where the height is held, so is the vertical velocity, at zero.
+    """
+    residual = np.zeros(len(design))
     for i in range(len(rate_mps)):
         residual[i] = rate_mps[i] - seen[1, i] + SPEED_OF_LIGHT_MPS * seen[3, i]
         design[i, 3] = 1.0

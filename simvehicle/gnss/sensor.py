@@ -3,33 +3,25 @@
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.wire.ephemeris import encode_ephemeris
 from simvehicle.body import Truth
-from simvehicle.earth import ecef_from_geodetic
 from simvehicle.gnss.config import GnssConfig
 from simvehicle.gnss.constellation import Constellation, constellation_of
-from simvehicle.gnss.ephemeris import SPEED_OF_LIGHT_MPS, orbits_at, orbits_of
-from simvehicle.gnss.errors import (
-    CN0_S,
-    Clock,
-    code_sigma_m,
-    multipath_sigma_m,
-    next_clock,
-    next_wander,
-    rate_sigma_mps,
-)
+from simvehicle.gnss.ephemeris import orbits_at, orbits_of
+from simvehicle.gnss.errors import CN0_S, Clock, next_clock, next_wander
 from simvehicle.gnss.navigation import WEEK_S
-from simvehicle.gnss.pseudorange import Atmosphere, Sight, sight
+from simvehicle.gnss.pseudorange import Atmosphere
 from simvehicle.gnss.receiver import Fix, solve
-from simvehicle.gnss.receiver_kernel import axes_en
+from simvehicle.gnss.signal_kernel import signals
 from simvehicle.gnss.state import Broadcast, Faults, GnssState
 from simvehicle.gnss.tracking import LONG_AGO_US, Stamps, Tracking, next_tracking, power_off
 from simvehicle.readings import EphemerisReading, GpsReading, PseudorangeReading, Reading
@@ -38,7 +30,8 @@ Vector = NDArray[np.float64]
 
 US = 1e-6
 BROADCAST_US = 30_000_000  # every ephemeris goes out again this often
-PLANT = ("pseudorange_m", "cn0_drop_db", "satellite_lost")
+PLANT = ("pseudorange_m", "cn0_drop_db", "satellite_lost")  # the rows of `Faults.signals`
+LOST = 2
 PLANT_NAME = re.compile(rf"({'|'.join(PLANT)})\[([GE]\d\d|all)\]")
 
 
@@ -78,6 +71,19 @@ class GnssSensor:
         return Atmosphere(klobuchar, self.config.troposphere)
 
     @cached_property
+    def _levels(self) -> Vector:
+        """Sizes of the errors as `signals` wants them."""
+        c = self.config
+        rise = c.cn0_zenith_dbhz - c.cn0_horizon_dbhz
+        sizes = (c.thermal, c.multipath, c.orbit_m, c.clock.galileo_offset_m)
+        return np.array([c.cn0_horizon_dbhz, rise, c.cn0_sigma_db, *sizes])
+
+    @cached_property
+    def _wander_s(self) -> Vector:
+        """Correlation times (3, 1) of multipath, orbit and C/N0."""
+        return np.array([[self.config.multipath_s], [self.config.orbit_s], [CN0_S]])
+
+    @cached_property
     def _unsent(self) -> Stamps:
         return np.full(len(self.constellation.satellites), LONG_AGO_US)
 
@@ -96,15 +102,13 @@ class GnssSensor:
                 clock.offset_s * float(rng.standard_normal()),
                 clock.drift * float(rng.standard_normal()),
             ),
-            multipath=drawn[0],
-            orbit=drawn[1],
-            cn0=drawn[2],
+            wander=drawn,
             search_s=receiver.search_s * rng.standard_exponential(n),
             message_s=rng.uniform(*receiver.message_s, n),
             broadcast=self._broadcast(self.constellation.start_s, [None] * n),
             tracking=power_off(n, cold=receiver.start == "cold"),
             sent_us=self._unsent,
-            faults=Faults(np.zeros(n), np.zeros(n), np.zeros(n)),
+            faults=Faults(np.zeros((3, n))),
         )
 
     def sample(
@@ -117,16 +121,14 @@ class GnssSensor:
         """
         t_us = truth.t_us
         state = self._advanced(state, t_us, rng)
-        noise = rng.standard_normal((2, len(state.cn0)))
+        count = len(self.constellation.satellites)
+        noise = rng.standard_normal((2, count))
         if state.faults.off:
-            return [], replace(
-                state, tracking=power_off(len(state.cn0), cold=True), fix=None, sent_us=self._unsent
-            )
+            off = power_off(count, cold=True)
+            return [], replace(state, tracking=off, fix=None, sent_us=self._unsent)
         tow_s = self.constellation.start_s + t_us * US
-        seen = self._seen(truth, tow_s, state)
-        cn0 = self._cn0_dbhz(seen, state)
-        tracking = self._tracking(seen, cn0, state, t_us)
-        code, rate = self._observables(seen, cn0, state, noise)
+        elevation, cn0, code, rate = self._signals(truth, tow_s, state, noise)
+        tracking = self._tracking(elevation, cn0, state, t_us)
         usable = np.flatnonzero(tracking.usable(t_us))
         orbits = orbits_at(state.broadcast.orbits, usable)
         fix = solve(orbits, tow_s, code[usable], rate[usable], self._atmosphere, state.fix)
@@ -165,22 +167,25 @@ class GnssSensor:
                 f"[all] or one of [{'], ['.join(names)}]"
             )
         at = np.array([match[2] in ("all", satellite) for satellite in names])
-        if match[1] == "pseudorange_m":
-            faults = replace(faults, offset_m=np.where(at, number, faults.offset_m))
-        elif match[1] == "cn0_drop_db":
-            faults = replace(faults, cn0_drop_db=np.where(at, number, faults.cn0_drop_db))
-        else:
-            faults = replace(faults, lost=np.where(at, number, faults.lost))
-        return replace(state, faults=faults)
+        changed = faults.signals.copy()
+        changed[PLANT.index(match[1]), at] = number
+        return replace(state, faults=replace(faults, signals=changed))
 
-    def _seen(self, truth: Truth, tow_s: float, state: GnssState) -> Sight:
-        """The satellites from where the antenna is when its clock shows `tow_s`."""
-        offset_s = state.clock.offset_s
-        v_ecef_mps = axes_en(truth.lat_rad, truth.lon_rad) @ truth.v_ned_mps
-        r_ecef_m = ecef_from_geodetic(truth.lat_rad, truth.lon_rad, truth.height_m)
-        r_ecef_m = r_ecef_m - v_ecef_mps * offset_s
-        return sight(
-            state.broadcast.orbits, tow_s - offset_s, r_ecef_m, v_ecef_mps, self._atmosphere
+    def _signals(self, truth: Truth, tow_s: float, state: GnssState, noise: Vector) -> Vector:
+        """What the antenna receives when the receiver's clock shows `tow_s`; rows of `signals`."""
+        place = (truth.lat_rad, truth.lon_rad, truth.height_m)
+        return signals(
+            state.broadcast.orbits.table,
+            tow_s,
+            np.array([*place, *truth.v_ned_mps.tolist()]),
+            (state.clock.offset_s, state.clock.drift),
+            self._atmosphere.coefficients,
+            self._atmosphere.troposphere,
+            self._levels,
+            self._galileo,
+            state.wander,
+            state.faults.signals,
+            noise,
         )
 
     def _broadcast(self, tow_s: float, present: Sequence[int | None]) -> Broadcast:
@@ -198,7 +203,7 @@ class GnssSensor:
     def _advanced(self, state: GnssState, t_us: int, rng: np.random.Generator) -> GnssState:
         """Clock, processes and the choice of ephemerides at `t_us`."""
         config = self.config
-        n = len(state.cn0)
+        n = len(self.constellation.satellites)
         draws = rng.standard_normal(3 * n + 2)
         tow_s = self.constellation.start_s + t_us * US
         if tow_s > state.broadcast.until_s:
@@ -214,43 +219,23 @@ class GnssSensor:
             state,
             t_us=t_us,
             clock=next_clock(state.clock, config.clock, step_s, draws[:2]),
-            multipath=next_wander(state.multipath, config.multipath_s, step_s, draws[2 : n + 2]),
-            orbit=next_wander(state.orbit, config.orbit_s, step_s, draws[n + 2 : 2 * n + 2]),
-            cn0=next_wander(state.cn0, CN0_S, step_s, draws[2 * n + 2 :]),
+            wander=next_wander(state.wander, self._wander_s, step_s, draws[2:].reshape(3, n)),
         )
 
-    def _cn0_dbhz(self, seen: Sight, state: GnssState) -> Vector:
-        config = self.config
-        rise = (config.cn0_zenith_dbhz - config.cn0_horizon_dbhz) * np.sin(seen.elevation_rad)
-        wander = config.cn0_sigma_db * state.cn0 - state.faults.cn0_drop_db
-        return np.asarray(config.cn0_horizon_dbhz + rise + wander)
-
-    def _tracking(self, seen: Sight, cn0: Vector, state: GnssState, t_us: int) -> Tracking:
+    def _tracking(
+        self, elevation_rad: Vector, cn0_dbhz: Vector, state: GnssState, t_us: int
+    ) -> Tracking:
         """The receiver's search among signals above the mask and the threshold."""
         receiver = self.config.receiver
         signal = (
-            (seen.elevation_rad >= math.radians(self.config.mask_deg))
-            & (cn0 >= receiver.lock_dbhz)
-            & (state.faults.lost == 0.0)
+            (elevation_rad >= math.radians(self.config.mask_deg))
+            & (cn0_dbhz >= receiver.lock_dbhz)
+            & (state.faults.signals[LOST] == 0.0)
             & state.broadcast.valid
         )
         return next_tracking(
             state.tracking, signal, t_us, receiver, state.search_s, state.message_s
         )
-
-    def _observables(
-        self, seen: Sight, cn0: Vector, state: GnssState, noise: Vector
-    ) -> tuple[Vector, Vector]:
-        """Pseudorange [m] and range rate [m/s] of every satellite."""
-        config, clock = self.config, state.clock
-        code = seen.range_m + SPEED_OF_LIGHT_MPS * (clock.offset_s - seen.clock_s) + seen.delay_m
-        code += config.clock.galileo_offset_m * self._galileo + state.faults.offset_m
-        code += config.orbit_m * state.orbit
-        code += config.multipath * multipath_sigma_m(seen.elevation_rad) * state.multipath
-        code += config.thermal * code_sigma_m(cn0) * noise[0]
-        rate = seen.rate_mps + SPEED_OF_LIGHT_MPS * (clock.drift - seen.clock_rate)
-        rate += config.thermal * rate_sigma_mps(cn0) * noise[1]
-        return code, rate
 
     def _due(self, usable: NDArray[np.intp], sent_us: Stamps, t_us: int) -> list[int]:
         """Satellites whose ephemeris is news, or else the one that has waited longest, if due."""
@@ -296,7 +281,7 @@ class GnssSensor:
             math.degrees(fix.lat_rad),
             math.degrees(fix.lon_rad),
             fix.height_m - undulation_m if known else 0.0,
-            fix.v_ned_mps,
+            tuple(fix.v_ned_mps.tolist()),
             fix.fix_type,
             fix.satellites,
             math.hypot(north, east),

@@ -1,7 +1,6 @@
 """What moves in the GNSS sensor from one epoch to the next."""
 
-from dataclasses import dataclass
-
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,21 +12,18 @@ from simvehicle.gnss.tracking import Stamps, Tracking
 Vector = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Faults:
-    """What a scenario does to the signals before the receiver; arrays are (n,).
+class Faults(msgspec.Struct, frozen=True):
+    """What a scenario does to the signals before the receiver.
 
-    `lost` and `off` are not 0 where so.
+    The rows of `signals` (3, n) are metres added to the range, decibels taken from the signal, and
+    whether it is lost (not 0); `off` is not 0 where the receiver is.
     """
 
-    offset_m: Vector
-    cn0_drop_db: Vector
-    lost: Vector
+    signals: Vector
     off: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Broadcast:
+class Broadcast(msgspec.Struct, frozen=True):
     """Which ephemerides are in use: their indices, which satellites have one, and their orbits.
 
     It is the right choice up to and including `until_s` (seconds of the constellation's week).
@@ -39,19 +35,17 @@ class Broadcast:
     until_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class GnssState:
+class GnssState(msgspec.Struct, frozen=True):
     """State of `GnssSensor`; arrays (n,) run along its constellation's satellites.
 
-    `multipath`, `orbit`, `cn0` are unit-variance processes. `search_s`, `message_s` are what a cold
+    The rows of `wander` (3, n) are the unit-variance processes of multipath, orbit and C/N0.
+    `search_s`, `message_s` are what a cold
     start takes for each satellite. `sent_us` is when the ephemerides last went out.
     """
 
     t_us: int | None
     clock: Clock
-    multipath: Vector
-    orbit: Vector
-    cn0: Vector
+    wander: Vector
     search_s: Vector
     message_s: Vector
     broadcast: Broadcast

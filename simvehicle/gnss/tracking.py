@@ -1,7 +1,6 @@
 """When the receiver has a satellite's signal, and when it has read its ephemeris."""
 
-from dataclasses import dataclass
-
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,17 +15,17 @@ LONG_AGO_US = -NEVER_US
 US_PER_S = 1e6
 
 
-@dataclass(frozen=True, slots=True)
-class Tracking:
+class Tracking(msgspec.Struct, frozen=True):
     """The receiver's search; the arrays are (n,) stamps.
 
     `from_us` is when it finds (found) the signal, `message_us` when it has read (will have read)
     the ephemeris, which it then keeps. `running` says that it has power, `cold` that it starts
-    (started) without knowing anything.
+    (started) without knowing anything; `signal` (n,) is what was there at the last epoch.
     """
 
     running: bool
     cold: bool
+    signal: Mask
     from_us: Stamps
     message_us: Stamps
 
@@ -42,7 +41,7 @@ class Tracking:
 def power_off(count: int, cold: bool) -> Tracking:
     """A receiver without power, which will start cold or hot."""
     never = np.full(count, NEVER_US)
-    return Tracking(False, cold, never, never)
+    return Tracking(False, cold, np.zeros(count, dtype=bool), never, never)
 
 
 def next_tracking(
@@ -68,6 +67,8 @@ def next_tracking(
     search_s, message_s : (n,) arrays
         What a cold start takes to find a signal, and to read an ephemeris from then on.
     """
+    if old.running and np.array_equal(signal, old.signal):
+        return old
     wait_s = np.full(len(signal), receiver.reacquire_s)
     message_us = old.message_us
     if not old.running:
@@ -78,4 +79,4 @@ def next_tracking(
     from_us = np.where(signal, from_us, NEVER_US)
     read_us = from_us + np.where(signal, message_s * US_PER_S, 0.0).astype(np.int64)
     message_us = np.where(message_us <= t_us, message_us, read_us)
-    return Tracking(True, old.cold, from_us, message_us)
+    return Tracking(True, old.cold, signal, from_us, message_us)

@@ -1,5 +1,7 @@
 """Pitot tube: differential pressure along the body's x axis."""
 
+from typing import ClassVar
+
 import numpy as np
 
 from simvehicle.body import Truth
@@ -10,6 +12,8 @@ from simvehicle.sensors.noise import Noise, NoiseState
 
 class Airspeed(SensorParameters, frozen=True, kw_only=True):
     """Measures rho/2 Va^2 [Pa], with Va the whole airspeed as in Beard and McLain, section 7.4."""
+
+    channels: ClassVar = {"noise": 1}
 
     rate_hz: float = 50.0
     noise: Noise = Noise()
@@ -25,5 +29,5 @@ class Airspeed(SensorParameters, frozen=True, kw_only=True):
         error, state = self.noise.next(state, rng, self.rate_hz)
         u, v, w = truth.v_air_b_mps.tolist()
         pressure = 0.5 * truth.density_kgpm3 * (u * u + v * v + w * w)
-        pressure = (1.0 + self.noise.scale) * pressure + float(error[0])
+        pressure = (1.0 + self.noise.scale) * pressure + error[0]
         return AirspeedReading(truth.t_us, pressure), state

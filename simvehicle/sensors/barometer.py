@@ -1,5 +1,7 @@
 """Absolute pressure and air temperature."""
 
+from typing import ClassVar
+
 import numpy as np
 
 from simvehicle.air import pressure_altitude
@@ -14,6 +16,8 @@ _ICE_K = 273.15
 class Barometer(SensorParameters, frozen=True, kw_only=True):
     """Measures static pressure [Pa]; the altitude is that of the standard atmosphere."""
 
+    channels: ClassVar = {"noise": 1}
+
     rate_hz: float = 50.0
     noise: Noise = Noise()
 
@@ -26,7 +30,7 @@ class Barometer(SensorParameters, frozen=True, kw_only=True):
     ) -> tuple[PressureReading, NoiseState]:
         """One reading."""
         error, state = self.noise.next(state, rng, self.rate_hz)
-        pressure = (1.0 + self.noise.scale) * truth.pressure_pa + float(error[0])
+        pressure = (1.0 + self.noise.scale) * truth.pressure_pa + error[0]
         altitude = pressure_altitude(max(pressure, 1.0))
         celsius = truth.temperature_k - _ICE_K
         return PressureReading(truth.t_us, pressure, altitude, celsius, self.id), state

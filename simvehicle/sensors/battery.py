@@ -1,6 +1,6 @@
 """Voltage and current of the pack, and the charge left as a perfect gauge shows it."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,8 @@ class BatteryState(NamedTuple):
 
 class BatteryMonitor(SensorParameters, frozen=True, kw_only=True):
     """Measures voltage [V] and current [A]."""
+
+    channels: ClassVar = {"voltage": 1, "current": 1}
 
     rate_hz: float = 2.0
     voltage: Noise = Noise()
@@ -39,8 +41,8 @@ class BatteryMonitor(SensorParameters, frozen=True, kw_only=True):
         a, current = self.current.next(state.current, rng, self.rate_hz)
         reading = BatteryReading(
             truth.t_us,
-            (1.0 + self.voltage.scale) * truth.battery_v + float(v[0]),
-            (1.0 + self.current.scale) * truth.battery_a + float(a[0]),
+            (1.0 + self.voltage.scale) * truth.battery_v + v[0],
+            (1.0 + self.current.scale) * truth.battery_a + a[0],
             truth.battery_remaining,
         )
         return reading, BatteryState(voltage, current)

@@ -5,17 +5,16 @@ about the body's x and y axes as a gyro would show it, so turning the camera wit
 flow equal to the gyro's share.
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simvehicle.body import Truth
 from simvehicle.readings import FlowReading
 from simvehicle.rotation import into_body
 from simvehicle.sensors.base import SensorParameters
 from simvehicle.sensors.noise import Noise, NoiseState
-from simvehicle.sensors.rangefinder import slant_range
+from simvehicle.sensors.rangefinder import check_span, slant_range
 
 
 class FlowState(NamedTuple):
@@ -28,11 +27,17 @@ class FlowState(NamedTuple):
 class OpticalFlow(SensorParameters, frozen=True, kw_only=True):
     """Measures angular image motion [rad/s], integrated over one sample's time."""
 
+    channels: ClassVar = {"flow": 2, "gyro": 3}
+
     rate_hz: float = 20.0
     flow: Noise = Noise()
     gyro: Noise = Noise()
     min_m: float = 0.1
     max_m: float = 40.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_span(self.min_m, self.max_m)
 
     def new_state(self, rng: np.random.Generator) -> FlowState:
         """Draw the constant errors."""
@@ -43,19 +48,18 @@ class OpticalFlow(SensorParameters, frozen=True, kw_only=True):
         self, truth: Truth, state: FlowState, rng: np.random.Generator
     ) -> tuple[FlowReading, FlowState]:
         """One reading; quality is 0 where the ground is out of range."""
-        flow_error, flow_state = self.flow.next(state.flow, rng, self.rate_hz)
-        gyro_error, gyro_state = self.gyro.next(state.gyro, rng, self.rate_hz)
+        (flow_x, flow_y), flow_state = self.flow.next(state.flow, rng, self.rate_hz)
+        (gyro_x, gyro_y, gyro_z), gyro_state = self.gyro.next(state.gyro, rng, self.rate_hz)
         dt = 1.0 / self.rate_hz
         distance = slant_range(truth)
-        seen = self.min_m <= distance <= self.max_m
-        flow: NDArray[np.float64] = np.zeros(2)
-        if seen:
-            vx, vy, _ = into_body(truth.q_nb, truth.v_ned_mps).tolist()
-            p, q, _ = truth.omega_b_rps.tolist()
-            flow = np.array([p - vy / distance, q + vx / distance])
-            flow = ((1.0 + self.flow.scale) * flow + flow_error) * dt
-        gyro = (truth.omega_b_rps + gyro_error) * dt
-        shown = distance if seen else -1.0
-        quality = 255 if seen else 0
+        p, q, r = truth.omega_b_rps.tolist()
+        turn = 1.0 + self.gyro.scale
+        gyro = (turn * p + gyro_x) * dt, (turn * q + gyro_y) * dt, (turn * r + gyro_z) * dt
+        flow, shown, quality = (0.0, 0.0), -1.0, 0
+        if self.min_m <= distance <= self.max_m:
+            vx, vy, _ = into_body(truth.q_nb.tolist(), truth.v_ned_mps.tolist())
+            gain = 1.0 + self.flow.scale
+            x, y = gain * (p - vy / distance), gain * (q + vx / distance)
+            flow, shown, quality = ((x + flow_x) * dt, (y + flow_y) * dt), distance, 255
         reading = FlowReading(truth.t_us, dt, flow, gyro, shown, quality)
         return reading, FlowState(flow_state, gyro_state)

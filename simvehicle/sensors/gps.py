@@ -4,11 +4,10 @@ Model: Beard and McLain, Small Unmanned Aircraft, 2012, section 7.5.
 """
 
 import math
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from simvehicle.body import Truth
 from simvehicle.earth import radii
@@ -41,6 +40,8 @@ class GpsError(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 class Gps(SensorParameters, frozen=True, kw_only=True):
     """Position, velocity and quality as HIL_GPS carries them."""
 
+    channels: ClassVar = {"velocity": 3}
+
     rate_hz: float = 5.0
     horizontal: GpsError = GpsError(kick_m=0.0)
     vertical: GpsError = GpsError(kick_m=0.0)
@@ -67,16 +68,17 @@ class Gps(SensorParameters, frozen=True, kw_only=True):
         height, vertical = self.vertical.noise(rate).next(state.vertical, rng, rate)
         speed, velocity = self.velocity.next(state.velocity, rng, rate)
         meridian, prime = radii(truth.lat_rad)
-        north, east = plane.tolist()
+        north, east = plane
+        vn, ve, vd = truth.v_ned_mps.tolist()
+        gain = 1.0 + self.velocity.scale
         lat = truth.lat_rad + north / (float(meridian) + truth.height_m)
         lon = truth.lon_rad + east / ((float(prime) + truth.height_m) * math.cos(truth.lat_rad))
-        v: NDArray[np.float64] = truth.v_ned_mps + speed
         reading = GpsReading(
             truth.t_us,
             math.degrees(lat),
             math.degrees(lon),
-            truth.alt_msl_m + float(height[0]),
-            v,
+            truth.alt_msl_m + height[0],
+            (gain * vn + speed[0], gain * ve + speed[1], gain * vd + speed[2]),
             3,
             self.satellites,
             self.eph_m,

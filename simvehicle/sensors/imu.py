@@ -1,35 +1,14 @@
 """Gyros and accelerometers: three axes each, sampled together."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simvehicle.body import Truth
-from simvehicle.compiled import compiled
-from simvehicle.readings import ImuReading
+from simvehicle.readings import ImuReading, Triple
 from simvehicle.sensors.base import SensorParameters
 from simvehicle.sensors.noise import Noise, NoiseState
-
-Array = NDArray[np.float64]
-
-
-@compiled
-def _measured(
-    rates: Array,
-    force: Array,
-    errors: tuple[Array, Array],
-    scales: tuple[float, float],
-    limits: tuple[float, float],
-) -> tuple[Array, Array]:
-    """Both triads with scale and error, cut off; one compiled call costs less than ten of numpy."""
-    gyro, accel = np.empty(3), np.empty(3)
-    for i in range(3):
-        g = (1.0 + scales[0]) * rates[i] + errors[0][i]
-        a = (1.0 + scales[1]) * force[i] + errors[1][i]
-        gyro[i] = min(limits[0], max(-limits[0], g))
-        accel[i] = min(limits[1], max(-limits[1], a))
-    return gyro, accel
 
 
 class ImuState(NamedTuple):
@@ -41,6 +20,8 @@ class ImuState(NamedTuple):
 
 class Imu(SensorParameters, frozen=True, kw_only=True):
     """Measures body rates [rad/s] and specific force [m/s^2], cut off at the ranges."""
+
+    channels: ClassVar = {"gyro": 3, "accel": 3}
 
     rate_hz: float = 250.0
     gyro: Noise = Noise()
@@ -60,12 +41,29 @@ class Imu(SensorParameters, frozen=True, kw_only=True):
         """One reading."""
         gyro_error, gyro_state = self.gyro.next(state.gyro, rng, self.rate_hz)
         accel_error, accel_state = self.accel.next(state.accel, rng, self.rate_hz)
-        gyro, accel = _measured(
-            truth.omega_b_rps,
-            truth.specific_force_b_mps2,
-            (gyro_error, accel_error),
-            (self.gyro.scale, self.accel.scale),
-            (self.gyro_range_rps, self.accel_range_mps2),
+        reading = ImuReading(
+            truth.t_us,
+            _measured(truth.omega_b_rps, self.gyro.scale, gyro_error, self.gyro_range_rps),
+            _measured(
+                truth.specific_force_b_mps2, self.accel.scale, accel_error, self.accel_range_mps2
+            ),
+            self.id,
         )
-        reading = ImuReading(truth.t_us, gyro, accel, self.id)
-        return reading, ImuState(gyro_state, accel_state)
+        if gyro_state is not state.gyro or accel_state is not state.accel:
+            state = ImuState(gyro_state, accel_state)
+        return reading, state
+
+
+def _measured(true: NDArray[np.float64], scale: float, error: list[float], limit: float) -> Triple:
+    """A triad's values with scale and error, cut off at its range."""
+    x, y, z = true.tolist()
+    a, b, c = error
+    gain = 1.0 + scale
+    x, y, z = gain * x + a, gain * y + b, gain * z + c
+    if -limit <= min(x, y, z) and max(x, y, z) <= limit:
+        return x, y, z
+    return _cut(x, limit), _cut(y, limit), _cut(z, limit)
+
+
+def _cut(value: float, limit: float) -> float:
+    return min(limit, max(-limit, value))

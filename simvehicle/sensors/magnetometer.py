@@ -1,5 +1,7 @@
 """Three-axis magnetometer in a known field."""
 
+from typing import ClassVar
+
 import numpy as np
 
 from simvehicle.body import Truth
@@ -16,6 +18,8 @@ class Magnetometer(SensorParameters, frozen=True, kw_only=True):
     than the noise. Without it the simulation fills in the world magnetic model's value.
     """
 
+    channels: ClassVar = {"noise": 3}
+
     rate_hz: float = 50.0
     noise: Noise = Noise()
     field_ned_gauss: tuple[float, float, float] | None = None
@@ -30,5 +34,8 @@ class Magnetometer(SensorParameters, frozen=True, kw_only=True):
         """One reading."""
         assert self.field_ned_gauss is not None
         error, state = self.noise.next(state, rng, self.rate_hz)
-        field = into_body(truth.q_nb, np.array(self.field_ned_gauss))
-        return MagReading(truth.t_us, (1.0 + self.noise.scale) * field + error, self.id), state
+        x, y, z = into_body(truth.q_nb.tolist(), self.field_ned_gauss)
+        a, b, c = error
+        gain = 1.0 + self.noise.scale
+        field = gain * x + a, gain * y + b, gain * z + c
+        return MagReading(truth.t_us, field, self.id), state

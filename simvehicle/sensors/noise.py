@@ -5,6 +5,7 @@ Gauss-Markov process. Errors are made in blocks, as drawing them one by one cost
 """
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import msgspec
@@ -30,10 +31,13 @@ def _gauss_markov(start: Array, phi: float, draws: Array) -> Array:
 
 
 class NoiseState(NamedTuple):
-    """A block of errors (n, m), the next row of it, and where drift and walk stand (m,)."""
+    """Errors to come, m at a time, and where bias, drift and walk stand after them (m,).
 
-    block: Array
-    row: int
+    Taking from `rows` moves it on, as drawing does a generator; a tuple made anew for each sample
+    would cost more than the sample.
+    """
+
+    rows: Iterator[list[float]]
     bias: Array
     drift: Array
     walk: Array
@@ -90,13 +94,12 @@ class Noise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     def next(
         self, state: NoiseState, rng: np.random.Generator, rate_hz: float
-    ) -> tuple[Array, NoiseState]:
-        """Additive error (m,) of the next sample."""
-        block, row, bias, drift, walk = state
-        if row == len(block):
-            state = self._refill(bias, drift, walk, rng, rate_hz)
-            block, row, bias, drift, walk = state
-        return block[row], NoiseState(block, row + 1, bias, drift, walk)
+    ) -> tuple[list[float], NoiseState]:
+        """Additive errors, one for each of the m channels, of the next sample."""
+        for row in state.rows:
+            return row, state
+        state = self._refill(state.bias, state.drift, state.walk, rng, rate_hz)
+        return next(state.rows), state
 
     def _refill(
         self, bias: Array, drift: Array, walk: Array, rng: np.random.Generator, rate_hz: float
@@ -116,4 +119,4 @@ class Noise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             path = walk + np.cumsum(self.walk / math.sqrt(rate_hz) * rng.standard_normal(shape), 0)
             block += path
             walk = path[-1]
-        return NoiseState(block, 0, bias, drift, walk)
+        return NoiseState(iter(block.tolist()), bias, drift, walk)

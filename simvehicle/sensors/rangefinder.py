@@ -1,5 +1,7 @@
 """Range finder that looks down along the body's z axis."""
 
+from typing import ClassVar
+
 import numpy as np
 
 from simvehicle.body import Truth
@@ -15,13 +17,25 @@ def slant_range(truth: Truth) -> float:
     return max(truth.height_agl_m, 0.0) / down if down > 0.01 else float("inf")
 
 
+def check_span(min_m: float, max_m: float) -> None:
+    """Refuse limits that leave nothing between them."""
+    if not 0.0 <= min_m < max_m:
+        raise ValueError(f"min_m = {min_m} and max_m = {max_m} are no span; 0 <= min_m < max_m")
+
+
 class Rangefinder(SensorParameters, frozen=True, kw_only=True):
     """Measures the slant range [m]; outside its limits it reports the farther one."""
+
+    channels: ClassVar = {"noise": 1}
 
     rate_hz: float = 20.0
     noise: Noise = Noise()
     min_m: float = 0.1
     max_m: float = 40.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_span(self.min_m, self.max_m)
 
     def new_state(self, rng: np.random.Generator) -> NoiseState:
         """Draw the constant error."""
@@ -32,6 +46,6 @@ class Rangefinder(SensorParameters, frozen=True, kw_only=True):
     ) -> tuple[RangeReading, NoiseState]:
         """One reading."""
         error, state = self.noise.next(state, rng, self.rate_hz)
-        distance = (1.0 + self.noise.scale) * slant_range(truth) + float(error[0])
+        distance = (1.0 + self.noise.scale) * slant_range(truth) + error[0]
         distance = min(self.max_m, max(self.min_m, distance))
         return RangeReading(truth.t_us, distance, self.min_m, self.max_m, self.id), state

@@ -1,12 +1,13 @@
 """Pose and velocity as visual odometry or motion capture gives them."""
 
-from typing import NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simvehicle.body import Truth
-from simvehicle.readings import VisionReading
-from simvehicle.rotation import quat_from_rotvec, quat_multiply
+from simvehicle.readings import Triple, VisionReading
+from simvehicle.rotation import turned
 from simvehicle.sensors.base import SensorParameters
 from simvehicle.sensors.noise import Noise, NoiseState
 
@@ -22,13 +23,17 @@ class VisionState(NamedTuple):
 class Vision(SensorParameters, frozen=True, kw_only=True):
     """Measures position [m] and velocity [m/s] in local NED and attitude (errors in rad).
 
-    A random walk of the position is what visual odometry without loop closure does.
+    A random walk of the position is what visual odometry without loop closure does. `message` says
+    how a reading travels; VISION_POSITION_ESTIMATE carries the pose alone.
     """
+
+    channels: ClassVar = {"position": 3, "velocity": 3, "attitude": 3}
 
     rate_hz: float = 30.0
     position: Noise = Noise()
     velocity: Noise = Noise()
     attitude: Noise = Noise()
+    message: Literal["ODOMETRY", "VISION_POSITION_ESTIMATE"] = "ODOMETRY"
 
     def new_state(self, rng: np.random.Generator) -> VisionState:
         """Draw the constant errors."""
@@ -49,10 +54,17 @@ class Vision(SensorParameters, frozen=True, kw_only=True):
         tilt, attitude = self.attitude.next(state.attitude, rng, rate)
         reading = VisionReading(
             truth.t_us,
-            (1.0 + self.position.scale) * truth.r_ned_m + place,
-            (1.0 + self.velocity.scale) * truth.v_ned_mps + speed,
-            quat_multiply(truth.q_nb, quat_from_rotvec(tilt)),
+            _measured(truth.r_ned_m, self.position.scale, place),
+            _measured(truth.v_ned_mps, self.velocity.scale, speed),
+            turned(truth.q_nb.tolist(), tilt),
             max(self.position.sigma, 0.01),
             max(self.velocity.sigma, 0.01),
+            self.message == "ODOMETRY",
         )
         return reading, VisionState(position, velocity, attitude)
+
+
+def _measured(true: NDArray[np.float64], scale: float, error: list[float]) -> Triple:
+    x, y, z = true.tolist()
+    gain = 1.0 + scale
+    return gain * x + error[0], gain * y + error[1], gain * z + error[2]

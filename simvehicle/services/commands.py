@@ -8,17 +8,20 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame as WireFrame
 from simvehicle.services.enums import BaseMode, Command, Frame, Mode, Result
 from simvehicle.services.flight import Flight
-from simvehicle.services.messages import Message, message
+from simvehicle.services.messages import PROTOCOL_VERSION, Message, message
+from simvehicle.services.modes import available_modes
 from simvehicle.services.parameters import Parameters
 from simvehicle.services.streams import Streams
-from simvehicle.services.telemetry import Snapshot
+from simvehicle.services.telemetry import Snapshot, protocol_version
 
 FORCE = 21196  # MAV_CMD_COMPONENT_ARM_DISARM.param2: arm or disarm whatever the state
 FAILURE_MOTOR = 101  # FAILURE_UNIT_SYSTEM_MOTOR
 FAILURE_OK, FAILURE_OFF = 0, 1  # FAILURE_TYPE
+AVAILABLE_MODES = known("AVAILABLE_MODES").id
 PLACE_UNKNOWN = 0x7FFFFFFF  # COMMAND_INT.x, .y: keep the present place
 
 
@@ -66,6 +69,10 @@ class Commands:
             Command.GET_MESSAGE_INTERVAL: self._get_interval,
             Command.SET_MESSAGE_INTERVAL: self._set_interval,
             Command.REQUEST_MESSAGE: self._request_message,
+            Command.REQUEST_PROTOCOL_VERSION: lambda request, now: (
+                Result.ACCEPTED,
+                [protocol_version()],
+            ),
             Command.REQUEST_AUTOPILOT_CAPABILITIES: lambda request, now: self._send(
                 "AUTOPILOT_VERSION", now
             ),
@@ -160,8 +167,14 @@ class Commands:
         return (Result.ACCEPTED if known else Result.UNSUPPORTED), []
 
     def _request_message(self, request: Request, now: Snapshot) -> Answer:
-        found = self._streams.request(whole(request.params[0]), now)
-        return (Result.ACCEPTED, [found]) if found else (Result.UNSUPPORTED, [])
+        number, index = whole(request.params[0]), whole(request.params[1])
+        if number == PROTOCOL_VERSION.id:
+            found = [protocol_version()]
+        elif number == AVAILABLE_MODES:
+            found = available_modes(max(index, 0))
+        else:
+            found = self._streams.request(number, now)
+        return (Result.ACCEPTED if found else Result.UNSUPPORTED), found
 
     def _send(self, name: str, now: Snapshot) -> Answer:
         return Result.ACCEPTED, [self._streams.make(name, now)]

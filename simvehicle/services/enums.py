@@ -32,6 +32,7 @@ class Command(IntEnum):
     GET_MESSAGE_INTERVAL = 510
     SET_MESSAGE_INTERVAL = 511
     REQUEST_MESSAGE = 512
+    REQUEST_PROTOCOL_VERSION = 519
     REQUEST_AUTOPILOT_CAPABILITIES = 520
 
 
@@ -78,6 +79,16 @@ class Frame(IntEnum):
     GLOBAL_RELATIVE = 3
     GLOBAL_INT = 5
     GLOBAL_RELATIVE_INT = 6
+
+
+class StandardMode(IntEnum):
+    """MAV_STANDARD_MODE."""
+
+    NON_STANDARD = 0
+    SAFE_RECOVERY = 5
+    MISSION = 6
+    LAND = 7
+    TAKEOFF = 8
 
 
 class LandedState(IntEnum):

@@ -2,9 +2,29 @@
 
 from collections.abc import Mapping
 
-from mavproxy_fault.wire.dialect import Layout, known
+from mavproxy_fault.wire.dialect import Field, Layout, known
 
 Message = tuple[Layout, Mapping[str, object]]
+
+# Not among pymavlink's messages; MAVLink's standard.xml, CRC extra 217
+PROTOCOL_VERSION = Layout(
+    name="PROTOCOL_VERSION",
+    id=300,
+    crc_extra=217,
+    instance="",
+    fields={
+        name: Field(name, kind, count, "", False, offset)
+        for name, kind, count, offset in (
+            ("version", "uint16_t", 0, 0),
+            ("min_version", "uint16_t", 0, 2),
+            ("max_version", "uint16_t", 0, 4),
+            ("spec_version_hash", "uint8_t", 8, 6),
+            ("library_version_hash", "uint8_t", 8, 14),
+        )
+    },
+    length=22,
+    base_length=22,
+)
 
 
 def message(name: str, **values: object) -> Message:

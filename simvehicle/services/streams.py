@@ -25,6 +25,7 @@ SOURCES: dict[str, tuple[Callable[[Snapshot], Message], int]] = {
     "SYSTEM_TIME": (telemetry.system_time, S),
     "MISSION_CURRENT": (telemetry.mission_current, S),
     "AUTOPILOT_VERSION": (telemetry.autopilot_version, 0),
+    "CURRENT_MODE": (telemetry.current_mode, 0),
 }
 # MAV_DATA_STREAM of REQUEST_DATA_STREAM -> the messages it stands for
 DATA_STREAMS = {
@@ -77,11 +78,11 @@ class Streams:
             self._due_us.pop(name, None)
         return True
 
-    def request(self, number: int, now: Snapshot) -> Message | None:
-        """A message once, None where it is not one of ours."""
+    def request(self, number: int, now: Snapshot) -> list[Message]:
+        """A message once; nothing where it is not one of ours."""
         found = layout(number)
         source = SOURCES.get(found.name) if found else None
-        return source[0](now) if source else None
+        return [source[0](now)] if source else []
 
     def make(self, name: str, now: Snapshot) -> Message:
         """A message of ours by name."""

@@ -15,7 +15,8 @@ from simvehicle.services.enums import (
     Sensor,
     SystemState,
 )
-from simvehicle.services.messages import Message, message
+from simvehicle.services.messages import PROTOCOL_VERSION, Message, message
+from simvehicle.services.modes import LISTED
 
 DENSITY_SEA_LEVEL_KGPM3 = 1.225  # ISA
 NO_GPS_FIX = 1  # GPS_FIX_TYPE_NO_FIX
@@ -252,6 +253,21 @@ def autopilot_version(now: Snapshot) -> Message:
         flight_sw_version=FIRMWARE,
         uid=1,
     )
+
+
+def current_mode(now: Snapshot) -> Message:
+    """The mode flown, by its standard and by PX4's number."""
+    return message(
+        "CURRENT_MODE",
+        standard_mode=LISTED[now.mode][1],
+        custom_mode=now.mode,
+        intended_custom_mode=now.mode,
+    )
+
+
+def protocol_version() -> Message:
+    """MAVLink 1 and 2 are understood, 2 is spoken."""
+    return PROTOCOL_VERSION, {"version": 200, "min_version": 100, "max_version": 200}
 
 
 def _heading_cdeg(now: Snapshot) -> int:

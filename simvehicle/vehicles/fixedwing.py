@@ -59,13 +59,14 @@ class FixedWing:
         # Height of the centre of mass above ground when the ground carries it.
         self.standing_height_m = max(point[2] for point in parameters.gear_m)
         self.gear: Gear = gear_of(parameters)
-        self._packed = pack(self.body, self.aero, self.gear, plant.get("load_shift_x_m", 0.0))
         throw = parameters.throw_deg
         self.throw_rad = (
             math.radians(throw.elevator),
             math.radians(throw.aileron),
             math.radians(throw.rudder),
         )
+        shift_m = plant.get("load_shift_x_m", 0.0)
+        self._packed = pack(self.body, self.aero, self.gear, shift_m, self.throw_rad)
         self._volts = plant.get("battery_voltage_scale", 1.0)
 
     @classmethod
@@ -120,23 +121,25 @@ class FixedWing:
         load : array, shape (6,)
             Specific force in body axes [m/s^2]; battery voltage [V], current [A], rest (0 to 1).
         """
-        x, load = fly(
+        after, load = np.empty(14), np.empty(6)
+        fly(
             x,
             controls,
-            self.throw_rad,
             wind_ned_mps,
             gravity_ned_mps2,
-            (density, ground_down_m),
+            density,
+            ground_down_m,
             steps,
             dt,
             self._packed,
             self.gear.points_m,
+            after,
+            load,
         )
-        current = float(load[3])
+        battery = self.parameters.battery
         if self.parameters.motor is None:
-            throttle = min(1.0, max(0.0, float(controls[3])))
-            current = throttle * self.parameters.battery.full_throttle_a
-            x[13] += current * steps * dt
-        volts, left = self.parameters.battery.state(float(x[13]), current)
-        fx, fy, fz, _ = load.tolist()
-        return x, np.array([fx, fy, fz, volts * self._volts, current, left])
+            load[4] = battery.full_throttle_a * min(1.0, max(0.0, float(controls[3])))
+            after[13] += load[4] * steps * dt
+        volts, load[5] = battery.state(float(after[13]), float(load[4]))
+        load[3] = volts * self._volts
+        return after, load

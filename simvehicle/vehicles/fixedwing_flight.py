@@ -3,21 +3,16 @@
 The state array has 14 entries: the 13 of `rigidbody_kernel` and the charge drawn [A s].
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
 from simvehicle.compiled import compiled, inlined
 from simvehicle.vehicles.contact_kernel import Gear, contact
-from simvehicle.vehicles.fixedwing_kernel import Aero, forces_moments, propulsion, step
-from simvehicle.vehicles.rigidbody_kernel import (
-    Inertia,
-    State13,
-    moved,
-    rigid_body,
-    runge_kutta,
-    to_body,
-)
+from simvehicle.vehicles.fixedwing_kernel import Aero, forces_moments, propulsion
+from simvehicle.vehicles.rigidbody_kernel import Inertia, Loads, State13, integrated, to_body
 
 Array = NDArray[np.float64]
 _CLEAR_M = 5.0  # above this height nothing can touch the ground
@@ -27,67 +22,44 @@ _AERO = len(Aero._fields)
 _END = _BODY + _AERO
 
 
-def pack(body: Inertia, aero: Aero, wheels: Gear, shift_x_m: float) -> Array:
+class _Given(NamedTuple):
+    """What the loads depend on besides the state; constant over a step."""
+
+    surfaces: tuple[float, float, float, float]
+    wind: tuple[float, float, float]
+    density: float
+    ground: float
+    aero: Aero
+    wheels: Gear
+    shift: float
+
+
+def pack(
+    body: Inertia, aero: Aero, wheels: Gear, shift_x_m: float, throw_rad: tuple[float, float, float]
+) -> Array:
     """All parameters of `fly` but the contact points, in one array.
 
-    `shift_x_m` is how far the centre of mass lies ahead of where the coefficients hold.
+    `shift_x_m` is how far the centre of mass lies ahead of where the coefficients hold, `throw_rad`
+    the largest deflections of elevator, aileron and rudder.
     """
-    return np.array([*body, *aero, *wheels[1:], shift_x_m])
+    return np.array([*body, *aero, *wheels[1:], shift_x_m, *throw_rad])
 
 
 @inlined
-def _loads(
-    state: State13,
-    controls: tuple[float, float, float, float],
-    wind: tuple[float, float, float],
-    density: float,
-    ground_down_m: float,
-    aero: Aero,
-    wheels: Gear,
-    shift: float,
-) -> tuple[float, float, float, float, float, float]:
+def _loads(state: State13, stage: int, given: _Given) -> Loads:
+    """Air, propeller and ground; the same at every stage of a step."""
+    wind = given.wind
     wx, wy, wz = to_body(state[6], state[7], state[8], state[9], wind[0], wind[1], wind[2])
     air = (state[3] - wx, state[4] - wy, state[5] - wz)
     rates = (state[10], state[11], state[12])
-    a = forces_moments(air, rates, controls, density, aero)
-    g = contact(state, ground_down_m, wheels)
-    return (
-        a[0] + g[0],
-        a[1] + g[1],
-        a[2] + g[2],
-        a[3] + g[3],
-        a[4] + g[4] + shift * a[2],
-        a[5] + g[5] - shift * a[1],
-    )
-
-
-@inlined
-def _loaded_step(
-    s: State13,
-    u: tuple[float, float, float, float],
-    wind: tuple[float, float, float],
-    gravity: tuple[float, float, float],
-    rho: float,
-    ground: float,
-    body: Inertia,
-    aero: Aero,
-    wheels: Gear,
-    shift: float,
-    dt: float,
-) -> State13:
-    """One Runge-Kutta step with ground contact and a shifted centre of mass."""
-    f = _loads(s, u, wind, rho, ground, aero, wheels, shift)
-    k1 = rigid_body(s, (f[0], f[1], f[2]), (f[3], f[4], f[5]), gravity, body)
-    s2 = moved(s, k1, 0.5 * dt)
-    f = _loads(s2, u, wind, rho, ground, aero, wheels, shift)
-    k2 = rigid_body(s2, (f[0], f[1], f[2]), (f[3], f[4], f[5]), gravity, body)
-    s3 = moved(s, k2, 0.5 * dt)
-    f = _loads(s3, u, wind, rho, ground, aero, wheels, shift)
-    k3 = rigid_body(s3, (f[0], f[1], f[2]), (f[3], f[4], f[5]), gravity, body)
-    s4 = moved(s, k3, dt)
-    f = _loads(s4, u, wind, rho, ground, aero, wheels, shift)
-    k4 = rigid_body(s4, (f[0], f[1], f[2]), (f[3], f[4], f[5]), gravity, body)
-    return runge_kutta(s, k1, k2, k3, k4, dt)
+    fx, fy, fz, mx, my, mz = forces_moments(air, rates, given.surfaces, given.density, given.aero)
+    my += given.shift * fz
+    mz -= given.shift * fy
+    if state[2] > given.ground - _CLEAR_M:
+        g = contact(state, given.ground, given.wheels)
+        fx, fy, fz = fx + g[0], fy + g[1], fz + g[2]
+        mx, my, mz = mx + g[3], my + g[4], mz + g[5]
+    return fx, fy, fz, mx, my, mz
 
 
 @inlined
@@ -95,72 +67,74 @@ def _clipped(value: float, low: float, high: float) -> float:
     return min(high, max(low, value))
 
 
+@inlined
+def _surfaces(controls: Array, packed: Array) -> tuple[float, float, float, float]:
+    """Deflections [rad] and throttle that are commanded, within their limits."""
+    return (
+        _clipped(controls[0], -1.0, 1.0) * packed[_END + 5],
+        _clipped(controls[1], -1.0, 1.0) * packed[_END + 6],
+        _clipped(controls[2], -1.0, 1.0) * packed[_END + 7],
+        _clipped(controls[3], 0.0, 1.0),
+    )
+
+
 @compiled
 def fly(
     x: Array,
     controls: Array,
-    throw: tuple[float, float, float],
     wind: Array,
     gravity: Array,
-    air_ground: tuple[float, float],
+    density: float,
+    ground_down_m: float,
     steps: int,
     dt: float,
     packed: Array,
     points_m: Array,
-) -> tuple[Array, Array]:
+    after: Array,
+    load: Array,
+) -> None:
     """Advance the state by `steps` steps of `dt` seconds.
+
+    Arrays are handed in and filled, as numba takes a microsecond to hand one back.
 
     Parameters
     ----------
     x : array, shape (14,)
     controls : array, shape (4,)
-        Elevator, aileron, rudder (-1 to 1 of `throw` [rad]), throttle (0 to 1); clipped.
+        Elevator, aileron, rudder (-1 to 1 of full throw), throttle (0 to 1); clipped.
     wind, gravity : arrays, shape (3,)
         NED [m/s], [m/s^2].
-    air_ground : 2 floats
-        Air density [kg/m^3] and the ground's down coordinate [m].
+    density, ground_down_m : float
+        Of the air [kg/m^3]; the ground's down coordinate [m].
     packed : array
         From `pack`; handing numba the named tuples themselves costs some microseconds each.
     points_m : array, shape (n, 3)
         Contact points.
-
-    Returns
-    -------
-    x : array, shape (14,)
-    load : array, shape (4,)
-        Specific force in body axes [m/s^2] at the new state, and motor current [A].
+    after : array, shape (14,)
+        Becomes the new state.
+    load : array, shape (>= 5,)
+        Becomes the specific force in body axes [m/s^2] at the new state, and [4] the motor
+        current [A].
     """
-    rho, ground = air_ground
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
     aero = Aero(*to_fixed_tuple(packed[_BODY:_END], _AERO))
     rolling = packed[_END + 2] if controls[3] > 0.0 else _BRAKES
     wheels = Gear(points_m, packed[_END], packed[_END + 1], rolling, packed[_END + 3])
-    shift = packed[_END + 4]
-    surfaces = (
-        _clipped(controls[0], -1.0, 1.0) * throw[0],
-        _clipped(controls[1], -1.0, 1.0) * throw[1],
-        _clipped(controls[2], -1.0, 1.0) * throw[2],
-        _clipped(controls[3], 0.0, 1.0),
-    )
+    surfaces = _surfaces(controls, packed)
     w = (wind[0], wind[1], wind[2])
     g = (gravity[0], gravity[1], gravity[2])
+    given = _Given(surfaces, w, density, ground_down_m, aero, wheels, packed[_END + 4])
     s = (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[9], x[10], x[11], x[12])
     for _ in range(steps):
-        if s[2] < ground - _CLEAR_M and shift == 0.0:
-            s = step(s, surfaces, w, g, rho, body, aero, dt)
-        else:
-            s = _loaded_step(s, surfaces, w, g, rho, ground, body, aero, wheels, shift, dt)
-    f = _loads(s, surfaces, w, rho, ground, aero, wheels, shift)
+        s = integrated(s, _loads, given, g, body, dt)
+    fx, fy, fz, _mx, _my, _mz = _loads(s, 0, given)
     wx, wy, wz = to_body(s[6], s[7], s[8], s[9], w[0], w[1], w[2])
     airspeed = np.sqrt((s[3] - wx) ** 2 + (s[4] - wy) ** 2 + (s[5] - wz) ** 2)
-    current = propulsion(airspeed, surfaces[3], rho, aero)[2]
-    out = np.empty(14)
+    current = propulsion(airspeed, surfaces[3], density, aero)[2]
     for i in range(13):
-        out[i] = s[i]
-    out[13] = x[13] + current * steps * dt
-    load = np.empty(4)
-    load[0] = f[0] / body.mass_kg
-    load[1] = f[1] / body.mass_kg
-    load[2] = f[2] / body.mass_kg
-    load[3] = current
-    return out, load
+        after[i] = s[i]
+    after[13] = x[13] + current * steps * dt
+    load[0] = fx / body.mass_kg
+    load[1] = fy / body.mass_kg
+    load[2] = fz / body.mass_kg
+    load[4] = current

@@ -143,10 +143,8 @@ def forces_moments(
     plane = ur * ur + wr * wr
     va = np.sqrt(plane + vr * vr)
     in_plane = np.sqrt(plane) + _STILL
-    alpha = atan2(wr, ur)
-    beta = atan2(vr, in_plane)
-    sa = wr / in_plane
-    ca = ur / in_plane
+    alpha, beta = atan2(wr, ur), atan2(vr, in_plane)
+    sa, ca = wr / in_plane, ur / in_plane
     qd = 0.5 * density * va * va * aero.s
     qr = 0.25 * density * va * aero.s  # dynamic pressure times area over 2 Va, finite at rest
 
@@ -163,8 +161,7 @@ def forces_moments(
         + qr * aero.cdq * aero.c * q
     )
     thrust, torque, _ = propulsion(va, dt, density, aero)
-    pb = aero.b * p
-    rb = aero.b * r
+    pb, rb = aero.b * p, aero.b * r
     return (
         lift * sa - drag * ca + thrust,
         qd * (aero.cy0 + aero.cyb * beta + aero.cyda * da + aero.cydr * dr)

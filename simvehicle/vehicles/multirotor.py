@@ -175,21 +175,25 @@ class Multirotor:
         current = float(x[-2])
         volts, left = battery.state(float(x[-1]), current * self._resistance)
         volts *= self._volts
-        x, load = fly(
+        after, load = np.empty(len(x)), np.empty(6)
+        fly(
             x,
             controls,
             min(1.0, volts / (battery.cells * 4.2)),
             self.rotors,
             wind_ned_mps,
             gravity_ned_mps2,
-            (density, ground_down_m),
+            density,
+            ground_down_m,
             steps,
             dt,
             self._packed,
             self.gear.points_m,
+            after,
+            load,
         )
-        fx, fy, fz, power = load.tolist()
-        current = battery.full_throttle_a * power
-        x[-2] = current
-        x[-1] += current * steps * dt
-        return x, np.array([fx, fy, fz, volts, current, left])
+        current = battery.full_throttle_a * float(load[4])
+        after[-2] = current
+        after[-1] += current * steps * dt
+        load[3], load[4], load[5] = volts, current, left
+        return after, load

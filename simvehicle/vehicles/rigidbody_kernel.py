@@ -6,7 +6,8 @@ u, v, w [m/s]; unit quaternion body to NED e0, e1, e2, e3 (scalar first); body r
 appendix B). Everything is branch-free, so a caller's loop over vehicles can be vectorised.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from simvehicle.compiled import inlined
 State13 = tuple[
     float, float, float, float, float, float, float, float, float, float, float, float, float
 ]
+Loads = tuple[float, float, float, float, float, float]
+"""Force [N] and moment about the centre of mass [N m], without gravity, body axes."""
 
 
 class Inertia(NamedTuple):
@@ -156,14 +159,8 @@ def moved(state: State13, rate: State13, dt: float) -> State13:
 
 
 @inlined
-def runge_kutta(
-    state: State13, k1: State13, k2: State13, k3: State13, k4: State13, dt: float
-) -> State13:
-    """Weighted end of a classical Runge-Kutta step, with the quaternion back at length one."""
-    s = moved(state, k1, dt / 6.0)
-    s = moved(s, k2, dt / 3.0)
-    s = moved(s, k3, dt / 3.0)
-    s = moved(s, k4, dt / 6.0)
+def normalised(s: State13) -> State13:
+    """The state with its quaternion back at length one."""
     e0, e1, e2, e3 = s[6], s[7], s[8], s[9]
     inv = 1.0 / np.sqrt(e0 * e0 + e1 * e1 + e2 * e2 + e3 * e3)
     return (
@@ -181,3 +178,46 @@ def runge_kutta(
         s[11],
         s[12],
     )
+
+
+@inlined
+def runge_kutta(
+    state: State13, k1: State13, k2: State13, k3: State13, k4: State13, dt: float
+) -> State13:
+    """Weighted end of a classical Runge-Kutta step."""
+    s = moved(state, k1, dt / 6.0)
+    s = moved(s, k2, dt / 3.0)
+    s = moved(s, k3, dt / 3.0)
+    return normalised(moved(s, k4, dt / 6.0))
+
+
+@inlined
+def integrated(
+    state: State13,
+    loads: Callable[..., Loads],
+    given: Any,
+    gravity: tuple[float, float, float],
+    body: Inertia,
+    dt: float,
+) -> State13:
+    """One classical Runge-Kutta step of a single vehicle.
+
+    The stages are a loop, as four copies of a vehicle's loads take four times as long to compile;
+    a loop over many vehicles needs the copies to become SIMD code, and `runge_kutta`.
+
+    Parameters
+    ----------
+    loads : inlined function of (state, stage, given)
+        Force [N] and moment [N m] without gravity, body axes, at one of the stages 0 to 3.
+    given
+        What else `loads` needs.
+    gravity : 3 floats
+        Acceleration, NED [m/s^2].
+    """
+    total = at = state
+    for stage in range(4):
+        fx, fy, fz, mx, my, mz = loads(at, stage, given)
+        rate = rigid_body(at, (fx, fy, fz), (mx, my, mz), gravity, body)
+        total = moved(total, rate, dt / (6.0 if stage == 0 or stage == 3 else 3.0))
+        at = moved(state, rate, dt if stage == 2 else 0.5 * dt)
+    return normalised(total)

@@ -18,7 +18,7 @@ from simvehicle.vehicles.rigidbody_kernel import Inertia, State13
 
 Array = NDArray[np.float64]
 _LONGITUDINAL = [3, 5, 7, 10]
-_LATERAL = [4, 6, 9, 11]
+LATERAL = [4, 6, 9, 11]
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,5 +145,5 @@ def linearise(
 def modes(a: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Eigenvalues [1/s] of the longitudinal (u, w, pitch, q) and lateral (v, roll, p, r) blocks."""
     longitudinal = np.linalg.eigvals(a[np.ix_(_LONGITUDINAL, _LONGITUDINAL)])
-    lateral = np.linalg.eigvals(a[np.ix_(_LATERAL, _LATERAL)])
+    lateral = np.linalg.eigvals(a[np.ix_(LATERAL, LATERAL)])
     return np.sort(longitudinal.astype(complex)), np.sort(lateral.astype(complex))

@@ -13,7 +13,7 @@ from simvehicle.geomagnetism import field_ned_gauss
 from simvehicle.place import Home, locate
 from simvehicle.terrain import read_grid
 
-LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+LEVEL = np.array([0.0] * 6 + [1.0, 0.0, 0.0, 0.0])  # a state of which the attitude counts
 
 
 @compiled
@@ -49,18 +49,10 @@ def gusts(level: str, airspeed: float, dt: float, count: int) -> np.ndarray:
     out = np.empty((count, 3))
     spectrum = GUSTS[level]
     draws = rng.standard_normal((count, 5))
+    weather = np.array([*spectrum.sigma_mps, *spectrum.length_m, 1.0, 0.0])
+    ahead = np.array([airspeed, 0.0, 0.0])
     for k in range(count):
-        filters, out[k] = wind_step(
-            filters,
-            draws[k],
-            np.zeros(3),
-            (1.0, 1.0, 0.0),
-            LEVEL,
-            airspeed,
-            spectrum.sigma_mps,
-            spectrum.length_m,
-            dt,
-        )
+        wind_step(filters, draws[k], np.zeros(3), weather, LEVEL, ahead, 1.0, dt, out[k])
     return out
 
 
@@ -84,17 +76,10 @@ def test_gusts_forget_with_length_over_speed() -> None:
 
 def test_shear_is_a_power_law_above_the_ground() -> None:
     def wind(height: float) -> float:
-        _, out = wind_step(
-            np.zeros(5),
-            np.zeros(5),
-            np.array([10.0, 0.0, 0.0]),
-            (height, 10.0, 0.2),
-            LEVEL,
-            20.0,
-            (0.0, 0.0, 0.0),
-            (200.0, 200.0, 50.0),
-            0.01,
-        )
+        still, out = np.zeros(5), np.empty(3)
+        weather = np.array([0.0, 0.0, 0.0, 200.0, 200.0, 50.0, 10.0, 0.2])
+        steady, ahead = np.array([10.0, 0.0, 0.0]), np.array([20.0, 0.0, 0.0])
+        wind_step(np.zeros(5), still, steady, weather, LEVEL, ahead, height, 0.01, out)
         return float(out[0])
 
     assert wind(10.0) == pytest.approx(10.0)
@@ -107,15 +92,15 @@ def test_a_place_far_from_home_has_its_own_vertical() -> None:
     x = np.zeros(13)
     x[6] = 1.0
     x[:3] = home.ned(47.1, 8.2, 1400.0)
-    still = np.zeros(3)
-    lat, lon, height, *_, vectors = locate(x, still, home.r_ecef_m, home.rot_en, 48.0)
-    assert np.degrees([lat, lon]) == pytest.approx([47.1, 8.2], abs=1e-12)
-    assert height == pytest.approx(1448.0, abs=1e-7)
+    place = np.empty(19)
+    locate(x, np.zeros(3), home.packed, place)
+    assert np.degrees(place[:2]) == pytest.approx([47.1, 8.2], abs=1e-12)
+    assert place[2] == pytest.approx(1448.0, abs=1e-7)
     # The vertical turns by 0.1 degrees of latitude and 0.2 of longitude (times the cosine).
-    down = vectors[10:] / np.linalg.norm(vectors[10:])
+    down = place[16:] / np.linalg.norm(place[16:])
     turned = np.degrees(np.arccos(down[2]))
     assert turned == pytest.approx(np.hypot(0.1, 0.2 * np.cos(np.radians(47.0))), rel=0.01)
-    assert np.linalg.norm(vectors[3:7]) == pytest.approx(1.0, abs=1e-12)
+    assert np.linalg.norm(place[9:13]) == pytest.approx(1.0, abs=1e-12)
 
 
 # NOAA, WMM2025_TEST_VALUES.txt (table 6 of the WMM2025 technical report): height [m], latitude,

@@ -182,6 +182,20 @@ def test_range_flow_vision_and_battery_have_their_messages() -> None:
     assert (battery.current_battery, battery.battery_remaining) == (1234, 88)
 
 
+def test_vision_may_travel_as_a_pose_alone() -> None:
+    half = math.radians(30.0) / 2
+    leaning = np.array([math.cos(half), math.sin(half), 0, 0])
+    reading = VisionReading(
+        40_000, np.array([1.0, 2, -3]), np.array([0.0, 5, 0]), leaning, 0.1, 0.2, odometry=False
+    )
+    frames = Hil().frames(40_000, make_truth(), [reading])
+    pose = one(frames, "VISION_POSITION_ESTIMATE")
+    assert (pose.usec, pose.x, pose.y, pose.z) == (1_040_000, 1.0, 2.0, -3.0)
+    assert [pose.roll, pose.pitch, pose.yaw] == pytest.approx([math.radians(30.0), 0.0, 0.0])
+    assert [pose.covariance[i] for i in (0, 6, 11)] == pytest.approx([0.01] * 3)
+    assert not [m for m in decode(frames) if m.get_type() == "ODOMETRY"]
+
+
 def test_raw_observations_travel_as_rtcm_in_tunnel_under_one_run_of_sequence_numbers() -> None:
     epoch = PseudorangeReading(
         0, 2200, 345600.0, ("G05", "G12", "E07"), np.array([2.1e7, 2.2e7, 2.5e7]),

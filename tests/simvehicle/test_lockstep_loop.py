@@ -30,13 +30,13 @@ class Lift:
     def __init__(self) -> None:
         self.t_us = -4000
         self.height_m = self.climb_mps = 0.0
-        self.controls: list[Controls | None] = []
+        self.controls: list[Controls] = []
         self.changes: list[tuple[str, float | None]] = []
 
-    def step(self, controls: Controls | None) -> tuple[int, Truth, Sequence[Reading]]:
+    def step(self, controls: Controls) -> tuple[int, Truth, Sequence[Reading]]:
         self.t_us += 4000
         self.controls.append(controls)
-        thrust = 7.5 * float(controls.values.sum()) / 1.5 if controls else 0.0
+        thrust = 7.5 * float(controls.values.sum()) / 1.5
         self.climb_mps += (thrust - 9.81) * 0.004
         self.height_m += self.climb_mps * 0.004
         grounded = self.height_m <= 0.0
@@ -134,7 +134,7 @@ def test_each_step_is_taken_on_the_answer_to_the_step_before() -> None:
                     break
     assert codes == [0]
     assert np.diff(answered).tolist() == [4000] * (len(answered) - 1)
-    sent = [0 if c is None else round(float(c.values[0]) * 100) for c in vehicle.controls]
+    sent = [round(float(c.values[0]) * 100) for c in vehicle.controls]
     first = next(i for i, value in enumerate(sent) if value)
     after = sent[first + 30 :]  # the free running at the start leaves a few steps under way
     assert {(b - a) % 100 for a, b in pairwise(after)} == {1}
@@ -149,6 +149,7 @@ def test_before_the_first_answer_steps_leave_freely_and_in_real_time() -> None:
             if seen == 25:
                 break
         assert not loop.lockstep.answered
+    assert not any(controls.armed or controls.values.any() for controls in vehicle.controls)
 
 
 def test_a_missing_answer_is_told_and_passed_over() -> None:

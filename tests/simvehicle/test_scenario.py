@@ -36,6 +36,27 @@ def test_a_preset_fills_in_what_is_not_given(tmp_path: Path) -> None:
     assert imu.accel.sigma == pytest.approx(0.0025 * 9.80665)
 
 
+def test_sensors_may_stand_in_a_file_of_their_own(tmp_path: Path) -> None:
+    (tmp_path / "board.yaml").write_text("imu: {preset: icm20602}\nbaro: {rate_hz: 20}\n")
+    apart = read(tmp_path, "sensors: board.yaml\n")
+    whole = read(tmp_path, "sensors: {imu: {preset: icm20602}, baro: {rate_hz: 20}}\n")
+    assert apart.sensors == whole.sensors
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("imu:\n  rate: 3\n", r"board.yaml:2: imu.rate is unknown; known: rate_hz"),
+        ("mag:\n  preset: x\n", r"board.yaml:2: mag.preset = x is unknown"),
+        ("- imu\n", r"board.yaml:1: holds no sensors"),
+    ],
+)
+def test_an_error_in_a_sensor_file_names_that_file(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "board.yaml").write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        read(tmp_path, "sensors: board.yaml\n")
+
+
 def test_a_list_of_sensors_numbers_them(tmp_path: Path) -> None:
     imus = read(tmp_path, "sensors:\n  imu: [{rate_hz: 250}, {rate_hz: 100}]\n").sensors.imu
     assert isinstance(imus, list)
@@ -56,6 +77,21 @@ WRONG = [
     ("sensors:\n  imu: {rate: 3}\n", r"flight.yaml:2: sensors.imu.rate is unknown; known: rate_hz"),
     ("sensors:\n  mag:\n    preset: x\n", r"flight.yaml:3: sensors.mag.preset = x is unknown"),
     ("sensors:\n  baro: {noise: {sigma: -1}}\n", r"sigma = -1.0 is negative"),
+    (
+        "sensors:\n  imu: {gyro: {bias: [0.1, 0.2]}}\n",
+        r"gyro.bias has 2 numbers; one, or a list of 3",
+    ),
+    ("sensors:\n  imu: {id: 300}\n", r"id = 300 is out of range; 0 to 255"),
+    ("sensors:\n  range: {min_m: 5, max_m: 1}\n", r"min_m = 5.0 and max_m = 1.0 are no span"),
+    (
+        "sensors:\n  mag:\n    latency_s: .nan\n",
+        r"flight.yaml:3: sensors.mag.latency_s = nan is not",
+    ),
+    ("mission:\n- shape: s\n  size_m: .inf\n", r"flight.yaml:3: mission\[0\].size_m = inf is not"),
+    ("sensors: nowhere.yaml\n", r"nowhere.yaml: cannot be read"),
+    ("environment: {gusts: {sigma_mps: [1, 1, 1], length_m: [0, 1, 1]}}\n", r"is not positive"),
+    ("environment: {shear: {reference_m: 0}}\n", r"reference_m = 0.0 is not positive"),
+    ("gnss: {rate_hz: 0}\n", r"flight.yaml:1: gnss is wrong; rate_hz = 0.0 is out of range"),
     ("environment: {gusts: strong}\n", r"flight.yaml:1: environment.gusts"),
     ("- a\n", r"flight.yaml:1: is no scenario"),
     ("a: [\n", r"flight.yaml:2: .*valid YAML is expected"),

@@ -1,10 +1,10 @@
 """Sensors: without noise they equal the truth; with noise they have the statistics asked for."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from simvehicle.air import pressure_altitude
 from simvehicle.body import Truth
@@ -143,6 +143,11 @@ def test_perfect_vision_reads_the_pose() -> None:
     assert np.array_equal(reading.r_ned_m, TRUTH.r_ned_m)
     assert np.array_equal(reading.v_ned_mps, TRUTH.v_ned_mps)
     assert np.allclose(reading.q_nb, TRUTH.q_nb)
+
+
+def test_vision_is_configured_to_one_of_two_messages() -> None:
+    assert read(Vision()).odometry
+    assert not read(Vision(message="VISION_POSITION_ESTIMATE")).odometry
 
 
 def test_a_perfect_battery_monitor_reads_the_pack() -> None:

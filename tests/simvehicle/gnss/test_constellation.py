@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.wire.ephemeris import decode_ephemeris, encode_ephemeris
 from simvehicle.earth import ecef_from_geodetic
-from simvehicle.gnss.config import GnssConfig
+from simvehicle.gnss.config import GnssConfig, ReceiverConfig
 from simvehicle.gnss.constellation import Constellation, constellation_of
 from simvehicle.gnss.ephemeris import orbits_of
 from simvehicle.gnss.navigation import SHIPPED, read_navigation
@@ -115,8 +116,27 @@ def test_another_file_starts_where_most_of_its_satellites_are_valid(tmp_path: Pa
 def test_a_start_at_which_nothing_is_valid_is_refused() -> None:
     with pytest.raises(ConfigError, match="no satellite of GPS and Galileo is valid at GPS week"):
         constellation_of(GnssConfig(time=datetime(2021, 3, 19, 23)), 0.6, 2.4)
-    with pytest.raises(ConfigError, match="no system"):
-        constellation_of(GnssConfig(systems=()), 0.6, 2.4)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"systems": ()}, "systems is empty"),
+        ({"rate_hz": 0.0}, "rate_hz = 0.0 is out of range; above 0"),
+        ({"rate_hz": 1e9}, "at most 100"),
+        ({"mask_deg": 91.0}, "mask_deg = 91.0 is above the zenith"),
+        ({"latency_s": -1.0}, "latency_s = -1.0 is negative"),
+    ],
+)
+def test_numbers_that_make_no_receiver_are_refused(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        GnssConfig(**wrong)
+
+
+@pytest.mark.parametrize("span", [(36.0, 18.0), (-1.0, 5.0), (0.0, math.inf)])
+def test_a_time_to_read_messages_that_is_no_span_is_refused(span: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="is no span of time"):
+        ReceiverConfig(message_s=span)
 
 
 def test_times_of_another_week_are_weeks_away() -> None:

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -254,6 +253,34 @@ def test_a_cold_start_has_no_fix_at_first_and_a_good_one_within_a_minute(
     assert not any(isinstance(r, EphemerisReading) for r in epochs[0][0])
 
 
+def test_a_cold_start_goes_through_all_fix_types_with_a_falling_error(
+    perfect: GnssConfig, truth_at: TruthAt, home: Home
+) -> None:
+    config = msgspec.structs.replace(perfect, receiver=ReceiverConfig(start="cold"))
+    epochs = fly(gnss_sensor(config, *home), truth_at, 300)
+    fixes = [one(r, GpsReading) for r, _ in epochs]
+    types = [fix.fix_type for fix in fixes]
+    assert types == sorted(types)
+    assert set(types) == {0, 1, 2, 3}
+    flat, full = fixes[types.index(2)], fixes[types.index(3)]
+    assert flat.eph_m > 3.0 * full.eph_m > 3.0 * fixes[-1].eph_m
+    assert abs(flat.alt_m - truth_at().alt_msl_m) > 100.0  # it holds a height it does not know
+    assert full.alt_m == pytest.approx(truth_at().alt_msl_m, abs=1e-3)
+
+
+def test_after_a_total_loss_of_lock_the_fix_comes_back_without_a_new_start(
+    perfect: GnssConfig, truth_at: TruthAt, home: Home
+) -> None:
+    plant: dict[int, list[tuple[str, float | None]]] = {
+        5: [("cn0_drop_db[all]", 40.0)],
+        10: [("cn0_drop_db[all]", None)],
+    }
+    epochs = fly(gnss_sensor(perfect, *home), truth_at, 25, plant)
+    types = [one(readings, GpsReading).fix_type for readings, _ in epochs]
+    back = 10 + round(perfect.receiver.reacquire_s / 0.2)
+    assert types == [3] * 5 + [0] * (back - 5) + [3] * (25 - back)
+
+
 def test_a_receiver_switched_off_says_nothing_and_starts_cold(
     perfect: GnssConfig, truth_at: TruthAt, home: Home
 ) -> None:
@@ -334,7 +361,7 @@ def test_negative_parameters_are_refused() -> None:
 def test_a_moved_home_height_and_speed_are_seen(
     perfect: GnssConfig, truth_at: TruthAt, home: Home
 ) -> None:
-    high = replace(truth_at(height_m=4000.0), v_ned_mps=np.array([0.0, 0.0, -9.0]))
+    high = msgspec.structs.replace(truth_at(height_m=4000.0), v_ned_mps=np.array([0.0, 0.0, -9.0]))
     sensor = gnss_sensor(perfect, *home)
     rng = np.random.default_rng(1)
     readings, _ = sensor.sample(high, sensor.new_state(rng), rng)

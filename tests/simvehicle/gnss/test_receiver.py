@@ -68,7 +68,7 @@ def test_a_faulty_satellite_moves_the_position() -> None:
     assert np.linalg.norm(fix.r_ecef_m - PLACE_M) > 5.0
 
 
-@pytest.mark.parametrize(("letters", "count"), [("G", 3), ("E", 3), ("GE", 4), ("G", 1), ("GE", 0)])
+@pytest.mark.parametrize(("letters", "count"), [("G", 2), ("E", 2), ("GE", 3), ("G", 1), ("GE", 0)])
 def test_too_few_satellites_give_no_fix_and_say_so(letters: str, count: int) -> None:
     every = in_view(letters)
     names = every.satellites
@@ -79,6 +79,27 @@ def test_too_few_satellites_give_no_fix_and_say_so(letters: str, count: int) -> 
     assert fix.fix_type == (1 if count else 0)
     assert fix.reason == f"{count} satellites of {systems} systems"
     assert np.isinf(fix.sigma_ned_m).all()
+
+
+def test_one_satellite_too_few_gives_a_flat_fix_at_the_last_height() -> None:
+    every = in_view()
+    last = solve(every, TOW_S, *observed(every), AIR)
+    few = orbits_at(every, np.array([0, 2, -1, -5]))
+    fix = solve(few, TOW_S, *observed(few), AIR, last)
+    assert (fix.fix_type, fix.satellites) == (2, 4)
+    assert fix.r_ecef_m == pytest.approx(PLACE_M, abs=1e-3)  # the height held is the right one
+    assert fix.sigma_ned_m[2] == pytest.approx(50.0, rel=0.01)
+
+
+@pytest.mark.parametrize("letters", ["G", "E"])
+def test_a_flat_fix_without_a_height_is_as_wrong_as_it_says(letters: str) -> None:
+    every = in_view(letters)
+    few = orbits_at(every, np.arange(3))
+    fix = solve(few, TOW_S, *observed(few), AIR)
+    assert fix.fix_type == 2
+    assert fix.height_m == pytest.approx(0.0, abs=0.01)
+    error_m = np.linalg.norm(fix.r_ecef_m - PLACE_M)
+    assert 10.0 < error_m < 3.0 * np.linalg.norm(fix.sigma_ned_m)
 
 
 def test_five_satellites_of_two_systems_are_enough() -> None:

@@ -37,7 +37,7 @@ def test_disarming_in_the_air_takes_force(station: Any) -> None:
 
 
 def test_what_qgroundcontrol_asks_for_and_is_not_there_is_refused_at_once(station: Any) -> None:
-    for number in (395, 397, 300, 280, 259):
+    for number in (395, 397, 280, 259):
         assert station.command(512, number)[0].result == UNSUPPORTED
     assert station.command(521, 1)[0].result == UNSUPPORTED
 

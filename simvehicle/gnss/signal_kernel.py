@@ -1,0 +1,88 @@
+"""What an antenna receives in one epoch, with all errors: one compiled pass over the satellites."""
+
+from collections.abc import Callable
+from math import sin
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simvehicle.compiled import compiled, inlined
+from simvehicle.earth import ecef_of
+from simvehicle.gnss.ephemeris import SPEED_OF_LIGHT_MPS
+from simvehicle.gnss.errors import code_sigma_m, multipath_sigma_m, rate_sigma_mps
+from simvehicle.gnss.pseudorange import sights
+from simvehicle.gnss.receiver_kernel import axes_en
+
+Vector = NDArray[np.float64]
+_Scalar = Callable[[float], float]
+_ecef = cast(Callable[[float, float, float], tuple[float, float, float]], inlined(ecef_of))
+_code_sigma = cast(_Scalar, inlined(code_sigma_m))
+_rate_sigma = cast(_Scalar, inlined(rate_sigma_mps))
+_multipath_sigma = cast(_Scalar, inlined(multipath_sigma_m))
+
+# entries of `levels`
+CN0_HORIZON, CN0_RISE, CN0_SIGMA, THERMAL, MULTIPATH, ORBIT, GALILEO = range(7)
+ELEVATION, CN0, CODE, RATE = range(4)  # rows of the answer
+
+
+@compiled
+def signals(
+    table: Vector,
+    tow_s: float,
+    where: Vector,
+    clock: tuple[float, float],
+    coefficients: Vector,
+    troposphere: bool,
+    levels: Vector,
+    galileo: Vector,
+    wander: Vector,
+    faults: Vector,
+    noise: Vector,
+) -> Vector:
+    """Elevation [rad], C/N0 [dBHz], pseudorange [m] and range rate [m/s] of n satellites (4, n).
+
+    Parameters
+    ----------
+    table : (n, 20) array
+        Orbits.
+    tow_s : float
+        What the receiver's clock shows, in seconds of the orbits' week.
+    where : (6,) array
+        The antenna's latitude, longitude [rad], height [m] and velocity NED [m/s] at `tow_s`.
+    clock : 2 floats
+        The receiver's offset [s] and drift.
+    coefficients, troposphere, levels
+        As for `sights`; sizes of the errors (7,), by the names above.
+    galileo : (n,) array
+        1 for Galileo's satellites.
+    wander : (3, n) array
+        Unit-variance processes of multipath, orbit and C/N0.
+    faults : (2, n) array
+        Metres added to the range, and decibels taken from the signal.
+    noise : (2, n) array
+        Standard-normal draws of range and rate.
+    """
+    offset_s, drift = clock
+    axes = axes_en(where[0], where[1])
+    place, motion = np.empty(3), np.empty(3)
+    x, y, z = _ecef(where[0], where[1], where[2])
+    place[0], place[1], place[2] = x, y, z
+    for i in range(3):
+        motion[i] = axes[i, 0] * where[3] + axes[i, 1] * where[4] + axes[i, 2] * where[5]
+        place[i] -= motion[i] * offset_s
+    seen = sights(table, tow_s - offset_s, place, motion, coefficients, troposphere)
+    out = np.empty((4, len(table)))
+    for k in range(len(table)):
+        elevation = seen[4, k]
+        cn0 = levels[CN0_HORIZON] + levels[CN0_RISE] * sin(elevation)
+        cn0 += levels[CN0_SIGMA] * wander[2, k] - faults[1, k]
+        code = seen[0, k] + SPEED_OF_LIGHT_MPS * (offset_s - seen[2, k]) + seen[6, k]
+        code += levels[GALILEO] * galileo[k] + faults[0, k]
+        code += levels[ORBIT] * wander[1, k]
+        code += levels[MULTIPATH] * _multipath_sigma(elevation) * wander[0, k]
+        code += levels[THERMAL] * _code_sigma(cn0) * noise[0, k]
+        rate = seen[1, k] + SPEED_OF_LIGHT_MPS * (drift - seen[3, k])
+        rate += levels[THERMAL] * _rate_sigma(cn0) * noise[1, k]
+        out[ELEVATION, k], out[CN0, k], out[CODE, k], out[RATE, k] = elevation, cn0, code, rate
+    return out
