@@ -95,7 +95,7 @@ function showFused(state) {
 
 // -- links ------------------------------------------------------------------------------------
 
-const FIGURES = { name: "link", frames_in: "in", chunks_out: "out", faulted: "faulted", gaps: "missing", crc_errors: "CRC errors",
+const FIGURES = { name: "link", frames_in: "in", chunks_out: "out", faulted: "faulted", gaps: "missing", crc_errors: "bad CRC",
   drops: "drops", p50_us: "median µs", p99_us: "99 % µs" };
 
 function showLinks(points) {

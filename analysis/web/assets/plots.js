@@ -14,7 +14,7 @@ function plotAxes() {
 
 function logRange(u, min, max) {
   if (!(max > 0)) return [0.1, 10];
-  return [10 ** Math.floor(Math.log10(Math.max(min, max * 1e-5))), 10 ** Math.ceil(Math.log10(max))];
+  return [10 ** Math.floor(Math.log10(Math.max(min, max * 1e-3))), 10 ** Math.ceil(Math.log10(max * 1.5))];
 }
 
 // The stretches in which a fault acts, as [begin, end or null] in seconds, by the fault's id and begin.
