@@ -93,7 +93,7 @@ class View:
         self.ids: frozenset[int] = frozenset()
         self._until_s: dict[str, float] = {}
         self._names: dict[int, list[str]] = {}
-        self._sources: dict[tuple[str, int, int, Number | bytes], Source | RangeSource] = {}
+        self._sources: dict[tuple[str, int, int, Number | str], Source | RangeSource] = {}
 
     def watch(self, names: Iterable[str], now_s: float) -> None:
         """Watch messages (or PSEUDORANGE, what is in TUNNEL) from now on, or go on doing so.
@@ -144,7 +144,8 @@ class View:
 
     def _note(self, frame: Frame, t_us: int, *, sent: bool) -> None:
         field = frame.layout.instance or "id"
-        instance = frame.read(field) if field in frame.layout.fields else 0
+        found = frame.read(field) if field in frame.layout.fields else 0
+        instance = found.decode("ascii", "replace") if isinstance(found, bytes) else found
         for name in self._names[frame.id]:
             key = (name, frame.system, frame.component, instance)
             source = self._sources.get(key)
@@ -160,13 +161,12 @@ class View:
         for (name, system, component, instance), source in self._sources.items():
             fields, received, sent = source.take()
             if received or sent:
-                text = instance.decode("ascii", "replace") if isinstance(instance, bytes) else None
                 found.append(
                     Watched(
                         message=name,
                         system=system,
                         component=component,
-                        instance=instance if text is None else text,
+                        instance=instance,
                         fields=fields,
                         received=received,
                         sent=None if sent == received else sent,

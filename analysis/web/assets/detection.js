@@ -2,10 +2,10 @@
 // What the monitor says: statistics, satellites, other sensors, attitude errors, and the list of events.
 
 const EVENTS_SHOWN = 200;
-const statistic = new Sliding($("statistic"), { log: true, dashed: ["threshold"] });
+const statistic = new Sliding($("statistic"), { decades: 4, dashed: ["threshold"] });
 const attitude = new Sliding($("attitude"));
 const satellites = new Satellites($("satellites"));
-const others = new Sliding($("others"), { log: true, dashed: ["threshold"] });
+const others = new Sliding($("others"), { decades: 3, dashed: ["threshold"] });
 const sensors = new Map();
 let epoch = null;
 let crossed = ""; // when the statistic was last above its threshold: one epoch, if the culprit is found at once

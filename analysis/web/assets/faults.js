@@ -175,7 +175,7 @@ async function showPreview() {
   try {
     const { curves, error } = await ask("preview", JSON.stringify(entry()));
     if (number !== previewNumber) return;
-    preview.show(curves.slice(0, 4));
+    preview.show(curves.slice(0, 2));
     $("hint").textContent = touched ? error || "" : "";
   } catch (error) {
     if (number === previewNumber) say("form-said", error.message);

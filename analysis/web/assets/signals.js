@@ -93,7 +93,7 @@ class Signal {
       column(truthOf(this.name, store.newest_us, span_us), 1e9),
     ], [[1, 1], [1, 1], [1, 1]]);
     this.said.hidden = true;
-    const digits = (value) => value == null ? "–" : String(+value.toPrecision(5));
+    const digits = (value) => value == null ? "–" : String(+value.toPrecision(Math.abs(value) > 1e5 ? 10 : 5));
     this.now.textContent = this.range ? `sent on minus received ${digits(sent.at(-1)?.[1])}`
       : `received ${digits(table.newest(this.field, "received"))}, sent on ${digits(table.newest(this.field))}`;
     if (this.plot) this.plot.setData(data);
@@ -101,7 +101,7 @@ class Signal {
   }
   make(data) {
     const line = (label, stroke, more) => ({ label, stroke: () => colour(stroke), points: { show: false },
-      value: (u, value) => value == null ? "–" : String(+value.toPrecision(6)), ...more });
+      value: (u, value) => value == null ? "–" : String(+value.toPrecision(10)), ...more });
     const [x, y] = plotAxes();
     this.plot = new uPlot({
       ...this.size(), pxAlign: 0, cursor: { drag: { x: false, y: false } },
