@@ -95,8 +95,7 @@ def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server)
 
     rflysim = read_map(args.rflysim_map or SHIPPED) if args.rflysim is not None else None
     control = Control(engine or Engine(Schedule(0, ())), allowed=args.inject, rflysim=rflysim)
-    server.journal = Journal(server.core, server.tape)
-    live = Live(control, server.edit_time, server.journal.note)
+    live = Live(control, server.edit_time, Journal(server.core, server.tape))
     if args.rflysim is not None:
         live.open_rflysim(args.rflysim)
     live.open_bus(args.zenoh, args.run)

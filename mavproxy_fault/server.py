@@ -25,7 +25,6 @@ from mavproxy_fault.tape import Tape
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
-    from mavproxy_fault.edits import Journal
     from mavproxy_fault.fast import FastPath
     from mavproxy_fault.live import Live
 
@@ -61,7 +60,6 @@ class Server:
         self._compiler: subprocess.Popen[bytes] | None = None
         self._fast: FastPath | None = None
         self._wake: int | None = None
-        self.journal: Journal | None = None
         self.live: Live | None = None
         self.coming: Future[Live] | None = None  # live control that is still being opened
 
@@ -138,8 +136,8 @@ class Server:
         from mavproxy_fault.edits import JOIN, join
 
         self.live = live
-        if live.note is not None:
-            live.note(JOIN, b"", self.edit_time())
+        if live.journal is not None:
+            live.journal.note(JOIN, b"", self.edit_time())
         join(self.core, live.control)
         if self._fast is not None and not self._fast.pending:
             self._fast.count()
@@ -149,7 +147,8 @@ class Server:
         """The vehicle's time, at which an edit may now be made; what is due leaves before."""
         now_us = self.now_us()
         self._carry_out(self.core.due(now_us))
-        return now_us if self.journal is None else self.journal.begin(now_us)
+        journal = None if self.live is None else self.live.journal
+        return now_us if journal is None else journal.begin(now_us)
 
     def use_fast(self) -> None:
         """Let the compiled path take over."""
@@ -218,7 +217,7 @@ class Server:
             return
         labels = self.core.take_labels()
         if self.recorder is not None and self.tape is not None:
-            edits = [] if self.journal is None else self.journal.take()
+            edits = [] if self.live is None else self.live.edits()
             self.recorder.write(self.tape, labels, edits)
         if self.live is not None:
             self.live.publish(self.stats(), labels)
