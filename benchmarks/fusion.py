@@ -53,6 +53,7 @@ Row = tuple[Sample, list[Result], Core]
 Truths = dict[int, tuple[float, float, float]]
 SETTINGS = {
     "isolated (default)": FusionConfig(),
+    "isolated, ionosphere: 0.5": FusionConfig(ionosphere=0.5),
     "no decisions": FusionConfig(decide=False),
     "no decisions, Huber": FusionConfig(decide=False, robust="huber"),
     "no decisions, Geman-McClure": FusionConfig(decide=False, robust="geman-mcclure"),
@@ -227,7 +228,7 @@ def walk(folder: Path) -> None:
     ):
         value = errors(decisions(these), truths)
         print(row(f"{title}: the detector's filter", value))
-        for name, config in list(SETTINGS.items())[: 1 if title == "clean" else None]:
+        for name, config in list(SETTINGS.items())[: 2 if title == "clean" else None]:
             states = fused(these, config)
             value = errors(states, truths)
             print(row(f"{title}: {name}", value, f"{nees(states, value):.1f}"))

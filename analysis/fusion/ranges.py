@@ -4,6 +4,7 @@ Galileo's offset from the receiver's clock is taken from the detector's filter, 
 for longer than the graph remembers.
 """
 
+import math
 from typing import Any
 
 import gtsam
@@ -18,7 +19,7 @@ from analysis.fusion.factors import sigma1
 from analysis.fusion.frame import Frame
 from analysis.fusion.weights import weight
 from analysis.fusion.window import key
-from analysis.gnss import EARTH_RATE_RPS, LIGHT_MPS
+from analysis.gnss import EARTH_RATE_RPS, LIGHT_MPS, geodetic, klobuchar_m, ned_axes
 from analysis.samples import Vector
 from analysis.solve import design_matrix
 
@@ -51,6 +52,7 @@ class Ranges:
         self._sigma_mps = np.sqrt(modelled.rate_variance)
         self._above = modelled.elevation_rad >= np.radians(detector.mask_deg)
         self._config, self._doppler = config, detector.doppler
+        self._r_m, self._when = x[:3], (observed.tow_s, ionosphere)
         self.normalised = modelled.v_m / self._white_m
 
     def used(self, weights: dict[str, float]) -> Mask:
@@ -121,8 +123,9 @@ class Ranges:
     def slow_covariance(self, weights: dict[str, float]) -> Vector | None:
         """Covariance (3, 3) in ECEF of what averaging cannot take away; None if undetermined.
 
-        Multipath, ephemeris and atmosphere stay the same for minutes: a bias of `slow` sigmas per
-        satellite, which the position follows as the snapshot solution does.
+        Multipath and ephemerides stay the same for minutes: a bias of `slow` sigmas per satellite,
+        which the position follows as the snapshot solution does. So it does an ionosphere that is
+        wrong by a share of its model, all satellites together.
         """
         used = self.used(weights)
         galileo = self._galileo[used]
@@ -131,10 +134,26 @@ class Ranges:
         sigma = self._config.slow * self._white_m[used]
         design = design_matrix(self._los[used], galileo) / sigma[:, None]
         try:
-            result: Vector = np.linalg.inv(design.T @ design)[:3, :3]
+            cofactor = np.linalg.inv(design.T @ design)
         except np.linalg.LinAlgError:
             return None
+        result: Vector = cofactor[:3, :3]
+        if self._config.ionosphere > 0.0:
+            wrong = self._config.ionosphere * self._ionosphere_m(used) / sigma
+            moved = (cofactor @ design.T @ wrong)[:3]
+            result = result + np.outer(moved, moved)
         return result
+
+    def _ionosphere_m(self, used: Mask) -> Vector:
+        """Delay (k,) of the satellites used, by the model."""
+        lat, lon, _ = geodetic(self._r_m)
+        ned = self._los[used] @ ned_axes(lat, lon).T
+        return np.array(
+            [
+                klobuchar_m(lat, lon, math.atan2(east, north), math.asin(-down), *self._when)
+                for north, east, down in ned.tolist()
+            ]
+        )
 
     def _loss(self, noise: Any) -> Any:
         robust, estimator = self._config.robust, gtsam.noiseModel.mEstimator
