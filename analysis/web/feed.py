@@ -18,7 +18,7 @@ from mavproxy_fault.view import MOST_MESSAGES, RANGES
 from mavproxy_fault.wire.dialect import layout
 
 KEPT = 200  # events and labels remembered for late joiners
-WAITING = 50  # batches a viewer may be behind: one second
+WAITING = 25  # batches a viewer may be behind: one second
 LISTED = ("fdi/events", "proxy/labels")  # every sample counts
 BURST = 25  # samples of one key sent in one tick: a monitor's results come by the second
 PAST = 300  # samples of a curve that a late joiner is shown

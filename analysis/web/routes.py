@@ -23,8 +23,8 @@ from analysis.web.feed import Feed
 from analysis.web.source import Source
 from mavproxy_fault.errors import ConfigError
 
-TICK_S = 0.02
-CROWD = 10  # with so many viewers more, batches come a tick later and hold more
+TICK_S = 0.04  # a batch holds all that came in it; a screen shows no more
+CROWD = 20  # with so many viewers more, batches come a tick later and hold more
 LARGEST_BODY = 1_000_000
 HERE = Path(__file__).parent / "assets"
 PLOTS = Path(__file__).parents[1] / "report" / "assets"

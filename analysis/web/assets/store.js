@@ -91,9 +91,9 @@ class Store {
     const table = this.table(label, Object.keys(values));
     if (t_us <= table.received.at(-1)?.[0]) return;
     table.add([[t_us, ...Object.values(values)]], null);
-    this.seen(t_us);
   }
-  seen(t_us) { if (t_us != null && !(t_us < this.newest_us && t_us > this.newest_us - 1e6)) this.newest_us = t_us; }
+  // The newest time of any message; a jump back is a clock begun anew.
+  seen(t_us) { if (t_us > this.newest_us || t_us < this.newest_us - 1e6) this.newest_us = t_us; }
   seconds(t_us) { return (t_us - (this.t0_us ?? 0)) / 1e6; }
 
   // One line for each instant; cells stay empty where nothing came then.
