@@ -73,6 +73,7 @@ PANELS = (
     Panel("load", POWER, "Processor load", "%"),
     Panel("link-lost", LINK, "Frames lost, by sequence numbers", "%"),
     Panel("radio", LINK, "Radio signal strength and noise", ""),
+    Panel("control-error", ACTUATORS, "Attitude: actual minus desired", "deg"),
     Panel("throttle", ACTUATORS, "Throttle", "%"),
     Panel("actuators", ACTUATORS, "Actuator outputs", ""),
 )

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from analysis.estimators.base import Prior
-from analysis.fusion.estimator import FusedAttitude
+from analysis.estimators.fusion import FusedAttitude
 from analysis.samples import Epoch, TruthSample
 
 

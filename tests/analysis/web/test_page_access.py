@@ -22,7 +22,9 @@ def test_a_second_viewer_without_the_token_sees_the_same_and_can_change_nothing(
     second.goto(address.partition("#")[0])
     second.wait_for_selector("#faults li.active")
     assert second.is_visible("#viewing")
-    assert all(one.is_disabled() for one in second.query_selector_all("section:first-of-type button"))
+    assert all(
+        one.is_disabled() for one in second.query_selector_all("section:first-of-type button")
+    )
     second.close()
 
 

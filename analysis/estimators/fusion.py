@@ -1,5 +1,4 @@
-"""The factor graph as an attitude estimator: readings in, an attitude out, for the scores and the
-search that other estimators go through (`analysis.estimators.base`).
+"""The factor graph as an attitude estimator, for the scores and the search.
 
 It contains the detector and the tests of the other sensors. Between GNSS epochs the gyro turns the
 newest attitude of the graph, less the graph's bias.
