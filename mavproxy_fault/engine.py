@@ -189,7 +189,7 @@ class Engine:
             else:
                 sends = _through(running, sends, direction, t_us)
             if known is None and running.first_us is not None:
-                self._labels.append(running.label(None))
+                self._labels.append(running.opened(t_us))
             elif running.untold and (news := running.news(t_us)) is not None:
                 self._labels.append(news)
         if sends is None:

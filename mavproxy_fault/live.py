@@ -23,7 +23,7 @@ from mavproxy_fault.rflysim import FIRST_PORT, PACKED
 from mavproxy_fault.wire.label import Label
 
 PATIENCE_S = 3.0
-SHOW_S = 0.02  # between two looks at what viewers watch
+SHOW_S = 0.04  # between two looks at what viewers watch
 LABELS_KEPT = 100
 LOG = logging.getLogger(__name__)
 

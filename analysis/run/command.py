@@ -5,7 +5,6 @@ import contextlib
 import math
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +17,7 @@ from analysis.run.setup import Setup, read_setup
 from analysis.run.worker import MonitorProcess
 from analysis.terminal import print_summary
 from mavproxy_fault.edits import JOIN, Journal
-from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.links.bus import Bus, open_run_bus
+from mavproxy_fault.links.bus import open_run_bus
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.live import Live
@@ -41,8 +39,6 @@ def main(args: argparse.Namespace) -> int:
     folder = make_folder(args.out, setup.scenario.name)
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(open_run_bus(args.zenoh, folder.name))
-        if args.ui:
-            print(f"page: {stack.enter_context(page(bus))}", flush=True)
         monitor = stack.enter_context(MonitorProcess(setup.monitor))
         file = stack.enter_context(ResultFile(folder))
         publisher = Publisher(bus) if bus else None
@@ -118,21 +114,6 @@ def fly(
         take(monitor.feed(flight.finish().monitor, now=True))
         recorder.write(flight.tape, flight.take_labels())
         recorder.close(flight.core.clock.t0_us, flight.now_us)
-
-
-def page(bus: Bus | None) -> AbstractContextManager[str]:
-    """The page for control and live view, served while the run goes on; gives its address.
-
-    Raises
-    ------
-    ConfigError
-        If there is no bus for it to listen to.
-    """
-    if bus is None:
-        raise ConfigError("--ui: the page listens on Zenoh; leave out --zenoh off")
-    from analysis.web.server import serve
-
-    return serve(bus.url)
 
 
 def open_ground(spec: str, pace: Pace) -> Link | None:
