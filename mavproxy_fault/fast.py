@@ -153,8 +153,11 @@ class FastPath:
         """Whether received datagrams still wait in the rows."""
         return bool(self.turn[k.AT] < self.turn[k.COUNT])
 
-    def take_datagram(self) -> tuple[int, bytes]:
-        """The datagram that was not plain, and its link; its sender becomes a peer."""
+    def take_datagram(self) -> tuple[int, bytes, int]:
+        """The datagram that was not plain: link, bytes, and when it came by the monotonic clock.
+
+        Its sender becomes a peer.
+        """
         number, at = int(self.turn[k.LINK]), int(self.turn[k.AT])
         self.turn[k.AT] += 1
         row = number * k.BATCH + at
@@ -164,7 +167,7 @@ class FastPath:
         if isinstance(link, UdpServer):
             link.hear(bytes(self._names[row * k.NAME : row * k.NAME + k.SOCKADDR_IN]))
         self._learn(data)
-        return number, data
+        return number, data, self.turn[k.CAME]
 
     @property
     def others_ready(self) -> bool:

@@ -18,6 +18,7 @@ from mavproxy_fault.tables import (
     BLOCK,
     BYTES,
     BYTES_SENT,
+    CAME,
     COUNT,
     DATAGRAMS,
     DEADLINE,
@@ -201,7 +202,7 @@ def _run(link, fast, now_us, turn, net, wire):
 def _drain(link, histogram, turn, net, wire):
     """Pass on one batch of a link; False if it stopped at a datagram that is not plain."""
     ports = net[0]
-    started = _now_ns(turn)
+    started = turn[CAME] = _now_ns(turn)
     if turn[AT] >= turn[COUNT] and not _receive(link, turn, net):
         return True
     fast = np.int64(0)

@@ -46,9 +46,9 @@ PORT_SIZE = 15
 # Entries of `turn`
 DEADLINE, BASE, SPIN, LINK, AT, COUNT, EDGE, WANTED_AT, POLLS, KEEP = range(10)
 RECEIVED_AT, SENT_AT, INDEX_AT, SECONDS, NANOSECONDS, LINK_COUNT, PRECISE = range(10, 17)
-DRY = 17  # whether a block of drawn numbers ran out
+DRY, CAME = 17, 23  # whether a block of drawn numbers ran out; when the newest batch came
 TIME_AT, POLLS_AT, HEADS_AT, HEADERS_AT, PEERS_AT = range(18, 23)  # addresses, for system calls
-TURN_SIZE = 23
+TURN_SIZE = 24
 TIME_IS_UP, NOT_PLAIN, OTHER_READY, LOG_FULL = range(4)  # why it returns
 
 LOG_SIZE = 1 << 24
