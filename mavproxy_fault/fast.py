@@ -16,6 +16,7 @@ from mavproxy_fault.core import Core
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.udp import UdpClient, UdpServer
 from mavproxy_fault.machine import ARRAYS, load
+from mavproxy_fault.ports import Send
 from mavproxy_fault.routing import target_places
 from mavproxy_fault.stats import Latencies
 from mavproxy_fault.tape import Tape
@@ -49,12 +50,12 @@ class FastPath:
         count = len(links)
         descriptors = [*(link.fileno() for link in links), *others]
         self.ports = k.table("q", count, k.PORT_SIZE)
-        self._data = k.table("B", count * k.BATCH * k.ROW)
-        self._heads = k.table("q", count, k.BATCH, 8)
-        self._headers = k.table("q", count, k.BATCH, 8)
-        self._parts = k.table("q", count, k.BATCH, 2)
-        self._read_parts = k.table("q", count, k.BATCH, 2)
-        self._names = k.table("B", count * k.BATCH * k.NAME)
+        self._data = k.table("B", (count + 1) * k.BATCH * k.ROW)
+        self._heads = k.table("q", count + 1, k.BATCH, 8)
+        self._headers = k.table("q", count + 1, k.BATCH, 8)
+        self._parts = k.table("q", count + 1, k.BATCH, 2)
+        self._read_parts = k.table("q", count + 1, k.BATCH, 2)
+        self._names = k.table("B", (count + 1) * k.BATCH * k.NAME)
         self._peers = k.table("B", count * k.PEERS * k.NAME)
         self._heard = k.table("B", count, k.PEERS)
         self._known_peers: list[list[Any]] = [[] for _ in links]
@@ -101,7 +102,7 @@ class FastPath:
         turn[k.POLLS_AT], turn[k.PEERS_AT] = k.address(self.polls), k.address(self._peers)
         turn[k.HEADS_AT], turn[k.HEADERS_AT] = k.address(self._heads), k.address(self._headers)
         rows, names = k.address(self._data), k.address(self._names)
-        for number, link in enumerate(self._links):
+        for number in range(len(self._links) + 1):
             for at in range(k.BATCH):
                 row = number * k.BATCH + at
                 for parts, headers in (
@@ -113,6 +114,7 @@ class FastPath:
                     headers[number, at, 3] = 1
                 self._heads[number, at, 0] = names + k.NAME * row
                 self._heads[number, at, 1] = k.NAME
+        for number, link in enumerate(self._links):
             self._describe_port(number, link)
 
     def _describe_port(self, number: int, link: Link) -> None:
@@ -143,6 +145,20 @@ class FastPath:
             self._settle()
             if not turn[k.DRY]:
                 return reason
+
+    def send_at(self, due_ns: int, sends: Sequence[Send]) -> bool:
+        """Wait for a time of the monotonic clock, and send at once; False if not all can go so."""
+        rows = len(self._links)
+        if len(sends) > k.BATCH or not all(self.takes(send.link) for send in sends):
+            return False
+        for at, send in enumerate(sends):
+            start = (rows * k.BATCH + at) * k.ROW
+            self._data[start : start + len(send.data)] = send.data
+            self._parts[rows, at, 1], self._heads[rows, at, 7] = len(send.data), send.link
+        self._refresh()
+        self.turn[k.DUE_COUNT], self.turn[k.DUE_AT] = len(sends), due_ns
+        self._forward(*self._addresses)
+        return True
 
     def takes(self, number: int) -> bool:
         """Whether a link goes the compiled way."""

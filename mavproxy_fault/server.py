@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 TEND_S = 0.1  # how often links get a chance to reconnect
 FLUSH_S = 1.0
-AHEAD_US = 200  # so long before a frame is due the loop does nothing but prepare to send it
+AHEAD_US = 300  # so long before a frame is due the loop does nothing but prepare to send it
 EARLY_US = 250  # a sleep may end so late; the loop stays awake so long before that
 SHORT_TURN_S = 2e-4
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>; the default of 50 us makes every wait that late
@@ -189,9 +189,11 @@ class Server:
         if due_us is not None and due_us <= (now_us := self.now_us()) + AHEAD_US:
             # What is sent does not depend on when it is asked for, so only the writing waits.
             sends = self.core.due(max(due_us, now_us))
-            while now_us < due_us:
-                now_us = self.now_us()
-            self._carry_out(sends)
+            due_ns = due_us * 1000 - self._base_ns
+            if self._fast is None or not sends or not self._fast.send_at(due_ns, sends):
+                while time.monotonic_ns() < due_ns:
+                    pass
+                self._carry_out(sends)
         now_s = time.monotonic()
         if now_s >= self._tend_s:
             self._tend_s = now_s + TEND_S

@@ -48,8 +48,9 @@ DEADLINE, BASE, SPIN, LINK, AT, COUNT, EDGE, WANTED_AT, POLLS, KEEP = range(10)
 RECEIVED_AT, SENT_AT, INDEX_AT, SECONDS, NANOSECONDS, LINK_COUNT, PRECISE = range(10, 17)
 DRY, CAME = 17, 23  # whether a block of drawn numbers ran out; when the newest batch came
 TIME_AT, POLLS_AT, HEADS_AT, HEADERS_AT, PEERS_AT = range(18, 23)  # addresses, for system calls
-TURN_SIZE = 24
-TIME_IS_UP, NOT_PLAIN, OTHER_READY, LOG_FULL = range(4)  # why it returns
+DUE_COUNT, DUE_AT = 24, 25  # datagrams to send at one time, kept in the rows after the links'
+TURN_SIZE = 26
+TIME_IS_UP, NOT_PLAIN, OTHER_READY, LOG_FULL, DUE_SENT = range(5)  # why it returns
 
 LOG_SIZE = 1 << 24
 LOG_MARGIN = 1 << 23  # more than a batch of the smallest frames in the largest datagrams
