@@ -61,6 +61,7 @@ faults:
   - {id: ten, fault: drift, target: HIGHRES_IMU.xgyro, value: 0.1}
 """
 DELAY = "faults: [{id: late, fault: delay, target: HIL_SENSOR, value: 0.0072}]\n"
+SETTLE_S = 2.0  # ours loads its live control in the first second
 CASES = (
     ("64 in flight", "window", 64, 100_000),
     ("lockstep", "window", 1, 20_000),
@@ -134,6 +135,7 @@ class Bench:
                     break
             else:
                 raise SystemExit(f"nothing comes through: {text}")
+            time.sleep(SETTLE_S)
             if self.realtime:
                 os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(10))
                 self.prefix = ("chrt", "-f", "10")
@@ -241,7 +243,7 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--router", help="a mavlink-routerd to compare with")
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument(
         "--realtime", action="store_true", help="measure as SCHED_FIFO, on a machine that is busy"
     )
