@@ -62,7 +62,7 @@ class FastPath:
         self._table = k.table("q", k.IDS, 8)
         self._learned: dict[int, Layout] = {}
         self._plans: Plans | None = None
-        self._histogram = k.table("q", count, k.LATENCY_STEPS)
+        self._histogram = k.table("q", count * k.LATENCY_STEPS)
         self._logs = [k.table("B", k.LOG_SIZE if tape is not None else 1) for _ in range(3)]
         self.turn = k.table("q", k.TURN_SIZE)
         self.polls = k.table("q", len(descriptors))
@@ -290,8 +290,10 @@ class FastPath:
 
     def count(self) -> None:
         """Add the kernel's counts to the links', the core's and the latencies."""
-        ports, histogram, heard = self.ports, self._histogram, self._heard
+        ports, heard = self.ports, self._heard
         for number, link in enumerate(self._links):
+            if not ports[number, k.DATAGRAMS] and not ports[number, k.SENT]:
+                continue
             counters, state = link.counters, self._core.states[number]
             counters.chunks_in += ports[number, k.DATAGRAMS]
             counters.bytes_in += ports[number, k.BYTES]
@@ -304,10 +306,11 @@ class FastPath:
             state.faulted += ports[number, k.FAULTED]
             for column in range(k.DATAGRAMS, k.LONE):
                 ports[number, column] = 0
-            for step in range(k.LATENCY_STEPS):
-                if histogram[number, step]:
-                    self._latencies[number].add_step(step, histogram[number, step])
-                    histogram[number, step] = 0
+            start = number * k.LATENCY_STEPS
+            for step, count in enumerate(self._histogram[start : start + k.LATENCY_STEPS].tolist()):
+                if count:
+                    self._latencies[number].add_step(step, count)
+                    self._histogram[start + step] = 0
             for row, name in enumerate(self._known_peers[number]):
                 if heard[number, row] and isinstance(link, UdpServer):
                     link.hear(name)

@@ -7,6 +7,7 @@ blocks on a slow one. Recordings are flushed each second. What is plain goes the
 
 import contextlib
 import ctypes
+import gc
 import select
 import socket
 import subprocess
@@ -139,6 +140,7 @@ class Server:
         if live.journal is not None:
             live.journal.note(JOIN, b"", self.edit_time())
         join(self.core, live.control)
+        gc.freeze()  # all that is loaded by now stays; to look it through would hold frames up
         if self._fast is not None and not self._fast.pending:
             self._fast.count()
             self.use_fast()
