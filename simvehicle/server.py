@@ -191,7 +191,7 @@ def services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:
         Home(start.lat_deg, start.lon_deg, start.alt_m),
         simulation.home.ned,
         airborne=start.height_m > 0.0,
-        own_mission=bool(simulation.scenario.mission),
+        own_mission=bool(simulation.scenario.mission) or simulation.scenario.controls is not None,
         acceptance_m=_acceptance_m(simulation, float(parameters["NAV_ACC_RAD"])),
     )
     count = kind.motors(simulation.vehicle)

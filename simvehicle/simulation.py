@@ -17,14 +17,16 @@ from numpy.typing import NDArray
 from mavproxy_fault.errors import ConfigError
 from simvehicle.body import Controls, Truth
 from simvehicle.guidance import PathTrack
-from simvehicle.kinds import kind_of
+from simvehicle.kinds import Controller, kind_of
 from simvehicle.mission import plan
 from simvehicle.onboard import fit
+from simvehicle.open_loop import OpenLoopController
 from simvehicle.place import Home, locate
 from simvehicle.readings import Reading
 from simvehicle.rotation import quat_from_euler
 from simvehicle.scenario import Scenario
 from simvehicle.terrain import Grid, Level, read_grid
+from simvehicle.vehicles.fixedwing import FixedWing
 from simvehicle.weather import Weather
 
 Array = NDArray[np.float64]
@@ -70,9 +72,7 @@ class Simulation:
         self._place = self.home.packed
         self._x = self._begin()
         self.truth = self._observe(np.zeros(6), self._weather.steady_mps)
-        self.controller = self.kind.controller(
-            self.vehicle, self.truth.density_kgpm3, scenario.start.alt_m
-        )
+        self.controller = self._controller()
         self._next_control_us = 0.0
         if scenario.mission:
             self.controller.track = self._mission()
@@ -185,6 +185,12 @@ class Simulation:
                 np.array([0.0, 0.0, -height]), zero, quat_from_euler(0.0, 0.0, heading)
             )
         r = np.array([0.0, 0.0, -start.height_m])
+        if start.state is not None:
+            s = start.state
+            turn = quat_from_euler(math.radians(s.roll_deg), math.radians(s.pitch_deg), heading)
+            x = vehicle.start(r, np.array([s.u_mps, s.v_mps, s.w_mps]), turn)
+            x[10:13] = np.radians([s.p_dps, s.q_dps, s.r_dps])
+            return x
         level = vehicle.start(r, zero, quat_from_euler(0.0, 0.0, heading))
         place = np.empty(_PLACE)
         locate(level, zero, self._place, place)
@@ -200,6 +206,13 @@ class Simulation:
                     f"mission[{number}].speed_mps = {speed:g} cannot be flown; {error}"
                 ) from None
         return states[0]
+
+    def _controller(self) -> Controller:
+        scenario, density = self.scenario, self.truth.density_kgpm3
+        if scenario.controls is None:
+            return self.kind.controller(self.vehicle, density, scenario.start.alt_m)
+        assert isinstance(self.vehicle, FixedWing)  # as `Scenario` checks
+        return OpenLoopController(self.vehicle, density, scenario.start.alt_m, scenario.controls)
 
     def _mission(self) -> PathTrack:
         scenario, controller = self.scenario, self.controller
