@@ -17,12 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.epochs import Decoder, read_rinex_samples
+from analysis.epochs import Decoder
 from analysis.fdi import DetectorConfig
 from analysis.fdi.core import Core
 from analysis.fusion.config import FusionConfig
 from analysis.fusion.smoother import Fusion
 from analysis.gnss import ned_axes
+from analysis.recordings import read_rinex_samples
 from analysis.reference import References
 from analysis.results import Decision, FusedState, Result
 from analysis.samples import Epoch, ImuSample, Sample, TruthSample, Vector
