@@ -69,6 +69,7 @@ def judge_epoch(
     needed = 3 if motion.inertial else 5 + int(mixed)
     if len(names) < needed:
         reason = f"{len(names)} healthy satellites above the mask; {needed} are needed"
+        core = hold(core, t_us, config)
         return Outcome(core._replace(motion=motion, memory=None), reason)
     assessed = assess(motion.p, used, seen.galileo)
     rates = check_rates(motion, used, assessed, config)
