@@ -86,85 +86,65 @@ def broken(state: State13, air: Three, force: Three, limits: Envelope) -> float:
     return left if abs(sine) <= limits.sin_pitch else 1.0
 
 
-@inlined
-def move_lane(
-    buf: Buffer,
-    lane: int,
-    dt: float,
-    world: World,
-    body: Inertia,
-    aero: Aero,
-    limits: Envelope,
-    motor: bool,
-) -> None:
-    """One lane's share of `move`."""
-    gravity, density = world
-    state = state_at(buf, lane)
-    controls = (buf[C + lane], buf[C + L + lane], buf[C + 2 * L + lane], buf[C + 3 * L + lane])
-    wind = (buf[W + lane], buf[W + L + lane], buf[W + 2 * L + lane])
-    down = (0.0, 0.0, gravity)
-    k1 = derivative(state, controls, wind, down, density, body, aero, motor)
-    u, v, w, p, q, r = state[3], state[4], state[5], state[10], state[11], state[12]
-    gx, gy, gz = to_body(state[6], state[7], state[8], state[9], 0.0, 0.0, gravity)
-    force = (
-        k1[3] - (r * v - q * w) - gx,
-        k1[4] - (p * w - r * u) - gy,
-        k1[5] - (q * u - p * v) - gz,
-    )
-    buf[F + lane], buf[F + L + lane], buf[F + 2 * L + lane] = force
-    buf[NOW + lane] = state[0]
-    buf[NOW + L + lane] = state[1]
-    buf[NOW + 2 * L + lane] = state[2]
-    buf[NOW + 3 * L + lane] = state[3]
-    buf[NOW + 4 * L + lane] = state[4]
-    buf[NOW + 5 * L + lane] = state[5]
-    buf[NOW + 6 * L + lane] = state[6]
-    buf[NOW + 7 * L + lane] = state[7]
-    buf[NOW + 8 * L + lane] = state[8]
-    buf[NOW + 9 * L + lane] = state[9]
-    buf[NOW + 10 * L + lane] = state[10]
-    buf[NOW + 11 * L + lane] = state[11]
-    buf[NOW + 12 * L + lane] = state[12]
-    wx, wy, wz = to_body(state[6], state[7], state[8], state[9], wind[0], wind[1], wind[2])
-    left = broken(state, (u - wx, v - wy, w - wz), force, limits)
-    was_alive = buf[ALIVE + lane] > 0.5
-    alive = was_alive & (left < 0.5)
-    buf[LEFT + lane] = left if was_alive else buf[LEFT + lane]
-    buf[ALIVE + lane] = 1.0 if alive else 0.0
-    k2 = derivative(moved(state, k1, 0.5 * dt), controls, wind, down, density, body, aero, motor)
-    k3 = derivative(moved(state, k2, 0.5 * dt), controls, wind, down, density, body, aero, motor)
-    k4 = derivative(moved(state, k3, dt), controls, wind, down, density, body, aero, motor)
-    after = runge_kutta(state, k1, k2, k3, k4, dt)
-    buf[S + lane] = after[0] if alive else state[0]
-    buf[S + L + lane] = after[1] if alive else state[1]
-    buf[S + 2 * L + lane] = after[2] if alive else state[2]
-    buf[S + 3 * L + lane] = after[3] if alive else state[3]
-    buf[S + 4 * L + lane] = after[4] if alive else state[4]
-    buf[S + 5 * L + lane] = after[5] if alive else state[5]
-    buf[S + 6 * L + lane] = after[6] if alive else state[6]
-    buf[S + 7 * L + lane] = after[7] if alive else state[7]
-    buf[S + 8 * L + lane] = after[8] if alive else state[8]
-    buf[S + 9 * L + lane] = after[9] if alive else state[9]
-    buf[S + 10 * L + lane] = after[10] if alive else state[10]
-    buf[S + 11 * L + lane] = after[11] if alive else state[11]
-    buf[S + 12 * L + lane] = after[12] if alive else state[12]
-
-
 @compiled
 def move(buf: Buffer, dt: float, world: World, body: Inertia, aero: Aero, limits: Envelope) -> None:
     """One Runge-Kutta step; FORCE and NOW take what the sensors see at its start.
 
     The same stages as `fixedwing_kernel.step`, which does not show its first slope. A lane that is
-    out of the envelope at the start stays where it is, dead. An airframe without a motor model has
-    a loop of its own, without that model's roots and divisions.
+    out of the envelope at the start stays where it is, dead.
     """
     wide()
-    if aero.direct_current > 0.0:
-        for lane in range(L):
-            move_lane(buf, lane, dt, world, body, aero, limits, True)
-    else:
-        for lane in range(L):
-            move_lane(buf, lane, dt, world, body, aero, limits, False)
+    gravity, density = world
+    for lane in range(L):
+        state = state_at(buf, lane)
+        controls = (buf[C + lane], buf[C + L + lane], buf[C + 2 * L + lane], buf[C + 3 * L + lane])
+        wind = (buf[W + lane], buf[W + L + lane], buf[W + 2 * L + lane])
+        down = (0.0, 0.0, gravity)
+        k1 = derivative(state, controls, wind, down, density, body, aero)
+        u, v, w, p, q, r = state[3], state[4], state[5], state[10], state[11], state[12]
+        gx, gy, gz = to_body(state[6], state[7], state[8], state[9], 0.0, 0.0, gravity)
+        force = (
+            k1[3] - (r * v - q * w) - gx,
+            k1[4] - (p * w - r * u) - gy,
+            k1[5] - (q * u - p * v) - gz,
+        )
+        buf[F + lane], buf[F + L + lane], buf[F + 2 * L + lane] = force
+        buf[NOW + lane] = state[0]
+        buf[NOW + L + lane] = state[1]
+        buf[NOW + 2 * L + lane] = state[2]
+        buf[NOW + 3 * L + lane] = state[3]
+        buf[NOW + 4 * L + lane] = state[4]
+        buf[NOW + 5 * L + lane] = state[5]
+        buf[NOW + 6 * L + lane] = state[6]
+        buf[NOW + 7 * L + lane] = state[7]
+        buf[NOW + 8 * L + lane] = state[8]
+        buf[NOW + 9 * L + lane] = state[9]
+        buf[NOW + 10 * L + lane] = state[10]
+        buf[NOW + 11 * L + lane] = state[11]
+        buf[NOW + 12 * L + lane] = state[12]
+        wx, wy, wz = to_body(state[6], state[7], state[8], state[9], wind[0], wind[1], wind[2])
+        left = broken(state, (u - wx, v - wy, w - wz), force, limits)
+        was_alive = buf[ALIVE + lane] > 0.5
+        alive = was_alive & (left < 0.5)
+        buf[LEFT + lane] = left if was_alive else buf[LEFT + lane]
+        buf[ALIVE + lane] = 1.0 if alive else 0.0
+        k2 = derivative(moved(state, k1, 0.5 * dt), controls, wind, down, density, body, aero)
+        k3 = derivative(moved(state, k2, 0.5 * dt), controls, wind, down, density, body, aero)
+        k4 = derivative(moved(state, k3, dt), controls, wind, down, density, body, aero)
+        after = runge_kutta(state, k1, k2, k3, k4, dt)
+        buf[S + lane] = after[0] if alive else state[0]
+        buf[S + L + lane] = after[1] if alive else state[1]
+        buf[S + 2 * L + lane] = after[2] if alive else state[2]
+        buf[S + 3 * L + lane] = after[3] if alive else state[3]
+        buf[S + 4 * L + lane] = after[4] if alive else state[4]
+        buf[S + 5 * L + lane] = after[5] if alive else state[5]
+        buf[S + 6 * L + lane] = after[6] if alive else state[6]
+        buf[S + 7 * L + lane] = after[7] if alive else state[7]
+        buf[S + 8 * L + lane] = after[8] if alive else state[8]
+        buf[S + 9 * L + lane] = after[9] if alive else state[9]
+        buf[S + 10 * L + lane] = after[10] if alive else state[10]
+        buf[S + 11 * L + lane] = after[11] if alive else state[11]
+        buf[S + 12 * L + lane] = after[12] if alive else state[12]
 
 
 @compiled

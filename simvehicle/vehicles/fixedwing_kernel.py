@@ -86,18 +86,12 @@ class Aero(NamedTuple):
 
 @inlined
 def propulsion(
-    airspeed: float, throttle: float, density: float, aero: Aero, motor: bool = True
+    airspeed: float, throttle: float, density: float, aero: Aero
 ) -> tuple[float, float, float]:
-    """Thrust [N], torque on the airframe [N m] and motor current [A] (0 without a motor model).
-
-    `motor` False leaves the motor model out where the caller knows that there is none; as a
-    constant it takes the model's roots and divisions out of the compiled code.
-    """
+    """Thrust [N], torque on the airframe [N m] and motor current [A] (0 without a motor model)."""
     square = aero.k_motor * throttle
     simple = 0.5 * density * aero.disc * (square * square - airspeed * airspeed)
     simple_torque = -aero.torque * throttle * throttle
-    if not motor:
-        return simple, simple_torque, 0.0
     # Supplement to the book, "propeller thrust and torque": the speed at which the motor's torque
     # equals the propeller's is the positive root of a quadratic.
     d = aero.diameter
@@ -128,7 +122,6 @@ def forces_moments(
     controls: tuple[float, float, float, float],
     density: float,
     aero: Aero,
-    motor: bool = True,
 ) -> tuple[float, float, float, float, float, float]:
     """Aerodynamic and propulsive force [N] and moment [N m] in body axes, without gravity.
 
@@ -143,8 +136,6 @@ def forces_moments(
     density : float
         Of the air [kg/m^3].
     aero : Aero
-    motor : bool
-        As for `propulsion`.
     """
     ur, vr, wr = air
     p, q, r = rates
@@ -169,7 +160,7 @@ def forces_moments(
         qd * (aero.cdp + aero.induced * linear * linear + aero.cdde * de)
         + qr * aero.cdq * aero.c * q
     )
-    thrust, torque, _ = propulsion(va, dt, density, aero, motor)
+    thrust, torque, _ = propulsion(va, dt, density, aero)
     pb, rb = aero.b * p, aero.b * r
     return (
         lift * sa - drag * ca + thrust,
@@ -195,7 +186,6 @@ def derivative(
     density: float,
     body: Inertia,
     aero: Aero,
-    motor: bool = True,
 ) -> State13:
     """Time derivative of the 13 states.
 
@@ -210,13 +200,11 @@ def derivative(
     density : float
         Of the air [kg/m^3].
     body, aero : Inertia, Aero
-    motor : bool
-        As for `propulsion`.
     """
     wx, wy, wz = to_body(state[6], state[7], state[8], state[9], wind[0], wind[1], wind[2])
     air = (state[3] - wx, state[4] - wy, state[5] - wz)
     rates = (state[10], state[11], state[12])
-    fx, fy, fz, mx, my, mz = forces_moments(air, rates, controls, density, aero, motor)
+    fx, fy, fz, mx, my, mz = forces_moments(air, rates, controls, density, aero)
     return rigid_body(state, (fx, fy, fz), (mx, my, mz), gravity, body)
 
 

@@ -162,8 +162,7 @@ def moved(state: State13, rate: State13, dt: float) -> State13:
 def normalised(s: State13) -> State13:
     """The state with its quaternion back at length one."""
     e0, e1, e2, e3 = s[6], s[7], s[8], s[9]
-    # one Newton step towards 1 / sqrt: a step leaves the square of the length within 1e-9 of one
-    inv = 1.5 - 0.5 * (e0 * e0 + e1 * e1 + e2 * e2 + e3 * e3)
+    inv = 1.0 / np.sqrt(e0 * e0 + e1 * e1 + e2 * e2 + e3 * e3)
     return (
         s[0],
         s[1],
