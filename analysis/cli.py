@@ -1,6 +1,7 @@
 """The analysis' subcommands; what they need is imported when they run."""
 
 import argparse
+import contextlib
 from typing import Any
 
 
@@ -13,7 +14,9 @@ def add_run(commands: Any) -> None:
     parser.add_argument(
         "--schedule", metavar="FILE", help="faults to use instead of the scenario's"
     )
-    parser.add_argument("--speed", default="max", metavar="1|N|max", help="times real time")
+    parser.add_argument(
+        "--speed", metavar="1|N|max", help="times real time (default: max, with --ui 1)"
+    )
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
     parser.add_argument("--out", metavar="DIR", help="run folder (default: runs/ and a number)")
     parser.add_argument(
@@ -32,9 +35,14 @@ def add_run(commands: Any) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from analysis.run.command import main
+    with contextlib.ExitStack() as stack:
+        if args.ui:
+            from analysis.web.server import serve_beside
 
-    return main(args)
+            stack.enter_context(serve_beside(args))
+        from analysis.run.command import main
+
+        return main(args)
 
 
 def add_monitor(commands: Any) -> None:
@@ -115,7 +123,7 @@ def _report(args: argparse.Namespace) -> int:
 def add_ui(commands: Any) -> None:
     """`ui`: the page."""
     parser = commands.add_parser("ui", help="the page: control faults and watch a running proxy")
-    parser.add_argument("--port", type=int, default=8350)
+    parser.add_argument("--port", type=int, help="TCP port; 8350, or a free one if it is taken")
     parser.add_argument("--zenoh", metavar="URL", help="the proxy's router")
     parser.set_defaults(main=_ui)
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 
-from simvehicle.compiled import compiled
+from mavproxy_fault.wire.compiled import compiled
 from simvehicle.hil import Hil
 from simvehicle.scenario import (
     Environment,
@@ -26,7 +26,8 @@ from simvehicle.sensors.rangefinder import Rangefinder
 from simvehicle.sensors.vision import Vision
 from simvehicle.simulation import Simulation
 from simvehicle.vehicles.fixedwing_kernel import Aero, step
-from simvehicle.vehicles.fixedwing_parameters import aero_of, body_of, read_fixedwing
+from simvehicle.vehicles.fixedwing_parameters import aero_of, read_fixedwing
+from simvehicle.vehicles.parameter_file import body_of
 from simvehicle.vehicles.rigidbody_kernel import Inertia
 
 LANES = 32

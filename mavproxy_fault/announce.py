@@ -17,6 +17,8 @@ def text(label: "Label") -> str:
     """One line about a label, such as `FAULT gyro-step on: bias HIL_SENSOR.xgyro`."""
     if label.end_us is not None:
         return f"FAULT {label.id} off: {label.frames} frames"
+    if label.changed_us is not None:
+        return f"FAULT {label.id} value: {label.value:g}"
     return f"FAULT {label.id} on: {label.preset or label.fault} {' '.join(label.targets)}".rstrip()
 
 

@@ -27,11 +27,15 @@ def add_proxy(commands: Any) -> None:
         "--rflysim", type=int, metavar="PORT", help="take RflySim's fault packets on this UDP port"
     )
     parser.add_argument("--rflysim-map", metavar="FILE", help="its fault ids (YAML)")
+    _add_signing(parser)
+    parser.set_defaults(main=_proxy)
+
+
+def _add_signing(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--signing-key", metavar="FILE", help="passphrase to verify and sign changed frames with"
     )
     parser.add_argument("--strip-signatures", action="store_true", help="send frames unsigned")
-    parser.set_defaults(main=_proxy)
 
 
 def _proxy(args: argparse.Namespace) -> int:
@@ -44,12 +48,15 @@ def add_replay(commands: Any) -> None:
     """`replay`: a log through the proxy."""
     parser = commands.add_parser("replay", help="send a tlog through the proxy, to a log or a link")
     parser.add_argument("log", metavar="LOG", help="a tlog")
-    parser.add_argument("--schedule", required=True, metavar="FILE", help="faults to apply (YAML)")
+    parser.add_argument(
+        "--schedule", metavar="FILE", help="faults to apply (default: those of the recording)"
+    )
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument(
         "--out", metavar="LOG", help="write the tlog that was sent, labels beside it"
     )
     where.add_argument("--link", metavar="EP", help=f"send in real time: {ENDPOINT}")
+    _add_signing(parser)
     parser.set_defaults(main=_replay)
 
 

@@ -16,6 +16,7 @@ from mavproxy_fault.failure import MESSAGES, TYPES, UNITS, faults_for, name_of
 from mavproxy_fault.faults.target import near
 from mavproxy_fault.rflysim import IdMap, Packet
 from mavproxy_fault.schedule import parse_schedule
+from mavproxy_fault.view import View, Watched
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 
@@ -23,6 +24,7 @@ INJECT_FAILURE = 420  # MAV_CMD
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3  # MAV_RESULT
 COMMANDS = frozenset(known(name).id for name in ("COMMAND_LONG", "COMMAND_INT"))
 NAMES = {known(name).id: name for name in MESSAGES}
+QUESTIONS = ("state", "schedule/save")  # these change nothing
 AUTOPILOT = 1  # component that answers a command to all
 
 
@@ -35,18 +37,24 @@ class Control:
         self.engine = engine
         self.allowed = allowed
         self.rflysim = rflysim
+        self.view = View()
         self._passed: set[str] = set()
         self._latched: set[str] = set()
         # Units are supported once one of their messages has passed; each is looked at only once.
-        self.wanted: frozenset[int] = COMMANDS | NAMES.keys()
+        self._unheard: frozenset[int] = frozenset(NAMES)
+        self.wanted: frozenset[int] = COMMANDS | self._unheard
 
     # -- MAVLink ---------------------------------------------------------------------------------
 
     def consume(self, frame: Frame, t_us: int) -> list[bytes] | None:
         """The answer to a command for the proxy; None for every other frame, which goes on."""
+        if frame.id in self.view.ids:
+            self.view.received(frame, t_us)
         if frame.id not in COMMANDS:
-            self._passed.add(frame.layout.name)
-            self.wanted = self.wanted - {frame.id}
+            if frame.id in self._unheard:
+                self._passed.add(frame.layout.name)
+                self._unheard -= {frame.id}
+                self._want()
             return None
         if frame.number("command") != INJECT_FAILURE:
             return None
@@ -87,10 +95,10 @@ class Control:
 
     def packet(self, data: bytes, t_us: int) -> list[str]:
         """Carry out one RflySim packet; the ids of the faults it set. Others are passed over."""
-        self.engine.tell_time(t_us)
         packet = Packet.read(data)
         if packet is None or self.rflysim is None or not self.allowed:
             return []
+        self.engine.tell_time(t_us)
         wanted = self.rflysim.entries(packet)
         for id in self._latched - {entry["id"] for entry in wanted} if packet.clears else ():
             self.engine.clear(id)
@@ -99,6 +107,40 @@ class Control:
             self.engine.arm(entry)
             self._latched.add(entry["id"])
         return [entry["id"] for entry in wanted]
+
+    # -- viewers ---------------------------------------------------------------------------------
+
+    def sent(self, raw: bytes, t_us: int) -> None:
+        """Let viewers see what leaves."""
+        if self.view.ids:
+            self.view.sent(raw, t_us)
+
+    def watch(self, payload: bytes, now_s: float) -> Any:
+        """Watch the messages named in a JSON list, for some seconds from `now_s` on.
+
+        Raises
+        ------
+        ConfigError
+            If they are not such a list, do not exist or are too many.
+        """
+        try:
+            names = msgspec.json.decode(payload, type=list[str])
+        except msgspec.MsgspecError as error:
+            raise ConfigError(f"@ctl/watch: {error}; send a list of messages as JSON") from None
+        self.view.watch(names, now_s)
+        self._want()
+        return {"watched": len(self.view.ids)}
+
+    def watched(self, now_s: float) -> list[Watched]:
+        """What viewers have not been shown yet."""
+        if not self.view.ids:
+            return []
+        self.view.expire(now_s)
+        self._want()
+        return self.view.take()
+
+    def _want(self) -> None:
+        self.wanted = COMMANDS | self._unheard | self.view.ids
 
     # -- the bus ---------------------------------------------------------------------------------
 
@@ -113,22 +155,23 @@ class Control:
         ConfigError
             If there is no such key, or the payload is wrong; nothing has changed then.
         """
-        self.engine.tell_time(t_us)
         _, _, what = key.partition("@ctl/")
         head, _, action = what.rpartition("/")
         if what == "state":
-            return self.engine.state()
+            return {**self.engine.state(), "now_us": max(self.engine.now_us, t_us)}
+        if what == "schedule/save":
+            return {"yaml": self.engine.save()}
         if not self.allowed:
             raise ConfigError(f"{what}: live control is switched off; start without --no-inject")
+        self.engine.tell_time(t_us)
         if head.startswith("fault/"):
             return self._fault(head.removeprefix("fault/"), action, payload)
         actions: dict[str, Callable[[bytes], Any]] = {
             "schedule/load": self._load,
-            "schedule/save": lambda _: {"yaml": self.engine.save()},
             "schedule/stop": lambda _: {"cleared": self.engine.clear("all")},
         }
         if what not in actions:
-            raise ConfigError(f"@ctl: {what} is unknown; {near(what, [*actions, 'state'])}")
+            raise ConfigError(f"@ctl: {what} is unknown; {near(what, [*actions, *QUESTIONS])}")
         return actions[what](payload)
 
     def _fault(self, id: str, action: str, payload: bytes) -> Any:

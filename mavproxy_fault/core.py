@@ -316,6 +316,8 @@ class Core:
     def _record(self, raw: bytes, when_us: int) -> None:
         if self._tape is not None:
             self._tape.send(when_us, raw)
+        if self.control is not None:
+            self.control.sent(raw, when_us - self.memory[LEAD])
 
     def _announce(self, labels: "list[Label]", now_us: int, pieces: Pieces) -> None:
         for label in labels:

@@ -1,36 +1,36 @@
-"""The compiled path's owner: gives `kernel` its tables, and takes over what it counted.
+"""The compiled path's owner: gives it its tables, and takes over what it counted.
 
 What may go the compiled way is decided here, message by message: nothing that the control path
-wants, and of the faults only constant and linearly growing ones on numbers. Everything else stays
-with the plain path, frame by frame, in order.
+wants, and only faults that can be written down as `plans`. Everything else stays with the plain
+path, frame by frame, in order.
 """
 
 import socket
 from collections.abc import Sequence
-from typing import Any, cast
+from ctypes import c_void_p
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from mavproxy_fault import kernel as k
+from mavproxy_fault import tables as k
 from mavproxy_fault.clock import stamp_place
 from mavproxy_fault.core import Core
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.udp import UdpClient, UdpServer
-from mavproxy_fault.pump import forward as pump_forward
+from mavproxy_fault.machine import ARRAYS, load
 from mavproxy_fault.routing import target_places
 from mavproxy_fault.stats import Latencies
 from mavproxy_fault.tape import Tape
 from mavproxy_fault.wire.dialect import Layout, layout
 
-IDS = 1 << 16
-MOST_PLANS = 256
-MODES = {"add": k.ADD, "scale": k.SCALE, "replace": k.REPLACE}
+if TYPE_CHECKING:
+    from mavproxy_fault.plans import Plans
+
 POLLIN = 1
-SOCKADDR_IN = 16  # bytes of an IPv4 socket address
 
 
 class FastPath:
-    """Arrays that the kernel works on; `core.memory` is shared with the plain path."""
+    """Arrays that the machine code works on; `core.memory` is shared with the plain path."""
 
     def __init__(
         self,
@@ -41,12 +41,15 @@ class FastPath:
         base_ns: int,
         others: Sequence[int],
     ) -> None:
+        forward = load()
+        assert forward is not None
+        self._forward = forward
         self._links = links
         self._core = core
         self._tape = tape
         self._latencies = latencies
         count = len(links)
-        self.ports = np.zeros((count, 14), np.int64)
+        self.ports = np.zeros((count, k.PORT_SIZE), np.int64)
         self._data = np.empty(count * k.BATCH * k.ROW, np.uint8)
         self._heads = np.zeros((count, k.BATCH, 8), np.int64)
         self._headers = np.zeros((count, k.BATCH, 8), np.int64)
@@ -56,30 +59,42 @@ class FastPath:
         self._peers = np.zeros((count, k.PEERS, k.NAME), np.uint8)
         self._heard = np.zeros((count, k.PEERS), np.uint8)
         self._known_peers: list[list[Any]] = [[] for _ in links]
-        self._table = np.zeros((IDS, 8), np.int64)
+        self._table = np.zeros((k.IDS, 8), np.int64)
         self._learned: dict[int, Layout] = {}
-        self._plans = np.zeros((MOST_PLANS, 8), np.int64)
-        self._numbers = np.zeros((MOST_PLANS, 2))
-        self._hits = np.zeros((MOST_PLANS, 3), np.int64)
-        self._steps = np.full(MOST_PLANS, -1.0)
-        self._planned: list[tuple[int, Any, Any]] = []  # first row, running entry, its fault
-        self._histogram = np.zeros((count, 64 * 8), np.int64)
-        self.turn = np.zeros(16, np.int64)
+        self._plans: Plans | None = None
+        self._histogram = np.zeros((count, k.LATENCY_STEPS), np.int64)
+        self._logs = [np.empty(k.LOG_SIZE if tape is not None else 1, np.uint8) for _ in range(3)]
+        self.turn = np.zeros(k.TURN_SIZE, np.int64)
+        self.polls = np.array(
+            [fd | POLLIN << 32 for fd in (*(link.fileno() for link in links), *others)], np.int64
+        )
         self.turn[k.BASE], self.turn[k.KEEP] = base_ns, tape is not None
-        size = k.LOG_SIZE if tape is not None else 1
-        self._logs = tuple(np.empty(n, np.uint8) for n in (size, size, max(size // 2, 1)))
+        self.turn[k.LINK_COUNT], self.turn[k.POLLS] = count, len(self.polls)
         self._seen: tuple[Any, ...] = ()
         self._point()
-        self._watch([*(link.fileno() for link in links), *others])
-        net = (
-            self.ports, self._heads, self._headers, self._parts, self._names, self._peers,
-            np.full(count, SOCKADDR_IN, np.int64), self._heard,
-        )  # fmt: skip
-        wire = (
-            self._data, np.frombuffer(cast(Any, core.memory), np.int64), self._table, self._plans,
-            *self._logs, self._numbers, self._hits, self._steps, k.crc_tables(), np.zeros(2),
-        )  # fmt: skip
-        self._arguments = (self._histogram, self.polls, self.turn, net, wire)
+        self._tie()
+
+    def _tie(self) -> None:
+        """Give the machine code the addresses of all arrays."""
+        plans = self._plans
+        arrays = {
+            "histogram": self._histogram, "polls": self.polls, "turn": self.turn,
+            "ports": self.ports, "heads": self._heads, "headers": self._headers,
+            "parts": self._parts, "names": self._names, "peers": self._peers,
+            "heard": self._heard, "data": self._data,
+            "memory": np.frombuffer(cast(Any, self._core.memory), np.int64),
+            "table": self._table, "received": self._logs[0], "sent": self._logs[1],
+            "index": self._logs[2], "crc": k.crc_tables(), "result": np.zeros(2),
+        }  # fmt: skip
+        if plans is not None:
+            arrays |= {
+                "plans": plans.rows, "numbers": plans.numbers, "hits": plans.hits,
+                "steps": plans.steps, "pieces": plans.pieces, "draws": plans.draws,
+            }  # fmt: skip
+        self._arrays = arrays  # keeps them alive
+        self._addresses = [
+            arrays[name].ctypes.data_as(c_void_p) if name in arrays else None for name in ARRAYS
+        ]
 
     def _point(self) -> None:
         """Let the headers of both kinds of system call point to the rows of data."""
@@ -98,20 +113,29 @@ class FastPath:
                 isinstance(link, UdpServer | UdpClient) and link.sock.family == socket.AF_INET
             )
             port[k.FROM_VEHICLE] = self._core.links[number].direction == "from-vehicle"
-
-    def _watch(self, descriptors: Sequence[int]) -> None:
-        self.polls = np.array([fd | POLLIN << 32 for fd in descriptors], np.int64)
-        self.turn[k.POLLS] = len(descriptors)
+        turn = self.turn
+        turn[k.TIME_AT] = turn.ctypes.data + 8 * k.SECONDS
+        turn[k.POLLS_AT], turn[k.PEERS_AT] = self.polls.ctypes.data, self._peers.ctypes.data
+        turn[k.HEADS_AT], turn[k.HEADERS_AT] = self._heads.ctypes.data, self._headers.ctypes.data
 
     # A stretch of forwarding
 
-    def forward(self, deadline_ns: int, *, spin: bool) -> int:
-        """Forward until `deadline_ns` of the monotonic clock or until the plain path is needed."""
+    def forward(self, deadline_ns: int, *, spin: bool, precise: bool = False) -> int:
+        """Forward until `deadline_ns` of the monotonic clock or until the plain path is needed.
+
+        With `precise` the deadline is met to some microseconds, at the cost of processor time.
+        """
         self._refresh()
-        self.turn[k.DEADLINE], self.turn[k.SPIN] = deadline_ns, spin
-        reason: int = pump_forward(*self._arguments)
-        self._settle()
-        return reason
+        turn = self.turn
+        turn[k.DEADLINE], turn[k.SPIN], turn[k.PRECISE] = deadline_ns, spin, precise
+        while True:
+            turn[k.DRY] = 0
+            if self._plans is not None:
+                self._plans.draw_ahead()
+            reason = self._forward(*self._addresses)
+            self._settle()
+            if not turn[k.DRY]:
+                return reason
 
     def takes(self, number: int) -> bool:
         """Whether a link goes the compiled way."""
@@ -130,7 +154,7 @@ class FastPath:
         data = self._data[start : start + (int(self._heads[number, at, 7]) & 0xFFFFFFFF)].tobytes()
         link = self._links[number]
         if isinstance(link, UdpServer):
-            link.hear(self._names[number, at, :SOCKADDR_IN].tobytes())
+            link.hear(self._names[number, at, : k.SOCKADDR_IN].tobytes())
         self._learn(data)
         return number, data
 
@@ -151,7 +175,7 @@ class FastPath:
         if len(data) < 8:
             return
         number = int.from_bytes(data[7:10], "little") if data[0] == 0xFD else data[5]
-        if number in self._learned or number >= IDS:
+        if number in self._learned or number >= k.IDS:
             return
         described = layout(number)
         if described is not None:
@@ -175,10 +199,11 @@ class FastPath:
         if engine is not None:
             self.turn[k.EDGE] = engine.edge_us
             seen += (engine.turns, engine.revision, engine.t0_us)
-        faults_changed = any(running.fault is not fault for _, running, fault in self._planned)
-        if seen != self._seen or faults_changed or self._unbegun:
+        plans = self._plans
+        if seen != self._seen or (plans is not None and plans.changed):
             self._seen = seen
-            self._planned = []
+            if plans is not None:
+                plans.clear()
             for number in self._learned:
                 self._classify(number)
         for number, link in enumerate(self._links):
@@ -188,11 +213,6 @@ class FastPath:
                 self.ports[number, k.PEER_COUNT] = len(link.peers)
                 for row, name in enumerate(link.peers):
                     self._peers[number, row, : len(name)] = np.frombuffer(name, np.uint8)
-
-    @property
-    def _unbegun(self) -> bool:
-        """Whether a fault that could be compiled has yet to write its first label."""
-        return any(running.first_us is None for _, running, _ in self._planned)
 
     def _classify(self, number: int) -> None:
         """Say how a message goes."""
@@ -208,46 +228,18 @@ class FastPath:
         elif not acting:
             entry[k.KIND] = k.PASS_UNTIL_EDGE
         else:
-            planned = len(acting) == 1 and self._plan(number, acting[0])
-            entry[k.KIND] = k.PLANNED if planned else k.PLAIN
+            first = self._planned().add(self._learned[number], acting)
+            entry[k.KIND] = k.PLAIN if first is None else k.PLANNED
+            entry[k.PLAN] = -1 if first is None else first
 
-    def _plan(self, number: int, running: Any) -> bool:
-        """Write a fault's rows; False where it must stay with the plain path."""
-        from mavproxy_fault.faults.driven import Bias, Constant, Drift, Scale
-        from mavproxy_fault.faults.value import each
+    def _planned(self) -> "Plans":
+        """The rows of faults, which a proxy without faults does without."""
+        if self._plans is None:
+            from mavproxy_fault.plans import Plans
 
-        fault, where = running.fault, running.entry.where
-        if type(fault) not in (Bias, Constant, Drift, Scale) or getattr(fault, "profile", None):
-            return False
-        places = fault.elements.get(number, ())
-        first = max((row + int(self._plans[row, k.ROWS]) for row, _, _ in self._planned), default=0)
-        fields = [self._learned[number].fields[name] for name, _ in places]
-        if (
-            running.entry.probability < 1
-            or where.id is not None
-            or first + len(places) > MOST_PLANS
-            or not all(field.code in "bBhHiIfd" for field in fields)
-        ):
-            return False
-        self._planned.append((first, running, fault))
-        self._table[number, k.PLAN] = first
-        if running.first_us is None:
-            self._plans[first, k.ROWS] = 1
-            return False  # its first frame, and with it the label, are the plain path's
-        grows = type(fault) is Drift
-        mode = k.GROW if grows else MODES[fault.mode]
-        limit = fault.limit if grows and fault.limit is not None else np.inf
-        way = {None: -1, "to-vehicle": 0, "from-vehicle": 1}[where.direction]
-        whom = [-1 if one is None else one for one in (where.system, where.component)]
-        values = each(fault.value, len(places))
-        for n, (field, (_, index), value) in enumerate(zip(fields, places, values, strict=True)):
-            offset = field.offset + index * field.size
-            row = (offset, ord(field.code), mode, len(places), *whom, way, running.start_us)
-            self._plans[first + n] = row
-            self._numbers[first + n] = value, limit
-        self._hits[first] = 0
-        self._steps[first] = -1.0
-        return True
+            self._plans = Plans()
+            self._tie()
+        return self._plans
 
     # What it counted
 
@@ -258,14 +250,8 @@ class FastPath:
         if engine is not None and turn[k.WANTED_AT]:
             engine.now_us = max(engine.now_us, int(turn[k.WANTED_AT]))
             turn[k.WANTED_AT] = 0
-        if turn[k.HITS]:
-            turn[k.HITS] = 0
-            for first, running, _ in self._planned:
-                frames, saturated, last_us = (int(n) for n in self._hits[first])
-                if frames:
-                    running.credit(frames, saturated, last_us, float(self._steps[first]))
-                    self._hits[first] = 0
-                    self._steps[first] = -1.0
+        if self._plans is not None:
+            self._plans.settle()
         if self._tape is not None and turn[k.RECEIVED_AT]:
             received, sent, index = self._logs
             self._tape.received += received[: turn[k.RECEIVED_AT]].tobytes()
@@ -287,7 +273,7 @@ class FastPath:
             state.frames += int(port[k.FRAMES])
             state.gaps += int(port[k.MISSING])
             state.faulted += int(port[k.FAULTED])
-            port[k.DATAGRAMS :] = 0
+            port[k.DATAGRAMS : k.LONE] = 0
             for step in np.flatnonzero(self._histogram[number]):
                 self._latencies[number].add_step(int(step), int(self._histogram[number, step]))
             self._histogram[number] = 0
@@ -295,10 +281,3 @@ class FastPath:
                 for row in np.flatnonzero(self._heard[number]):
                     link.hear(self._known_peers[number][row])
                 self._heard[number] = 0
-
-
-def compile_now() -> None:
-    """Load the kernel's machine code, or make it, by letting it look at nothing."""
-    core = Core(())
-    path = FastPath((), core, None, (), 0, ())
-    path.forward(0, spin=True)

@@ -8,19 +8,22 @@ import contextlib
 import logging
 import queue
 import socket
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any
 
 import msgspec
 
-from mavproxy_fault.control import Control
+from mavproxy_fault.control import QUESTIONS, Control
+from mavproxy_fault.edits import RFLYSIM, Edit, Journal
 from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.links.bus import Bus, open_bus
+from mavproxy_fault.links.bus import Bus, join_bus
 from mavproxy_fault.rflysim import FIRST_PORT, PACKED
 from mavproxy_fault.wire.label import Label
 
 PATIENCE_S = 3.0
+SHOW_S = 0.04  # between two looks at what viewers watch
 LABELS_KEPT = 100
 LOG = logging.getLogger(__name__)
 
@@ -81,15 +84,23 @@ class Requests:
 class Live:
     """What a running proxy offers besides forwarding: control by the bus and by RflySim, and news.
 
-    `now_us` tells the vehicle's time.
+    `now_us` tells the vehicle's time; `journal` takes every request that may change something.
     """
 
-    def __init__(self, control: Control, now_us: Callable[[], int]) -> None:
+    def __init__(
+        self,
+        control: Control,
+        now_us: Callable[[], int],
+        journal: Journal | None = None,
+    ) -> None:
         self.control = control
         self._now_us = now_us
+        self.journal = journal
         self._requests = Requests()
         self._bus: Bus | None = None
         self._port: socket.socket | None = None
+        self._show_s = 0.0
+        self._shown = (0, 0)  # revision and turns of the engine
 
     def open_bus(self, zenoh: str, run: str = "live") -> None:
         """Offer control on the bus: `auto` (the router here, or another's), `off`, or a URL.
@@ -101,18 +112,14 @@ class Live:
         """
         if zenoh == "off":
             return
-        url = None if zenoh == "auto" else zenoh
         try:
-            self._bus = open_bus(url, run=run, router=True)
+            bus = join_bus(zenoh, run)
         except ConfigError as error:
-            try:
-                self._bus = open_bus(url, run=run)  # somebody else is the router already
-            except ConfigError:
-                if url is not None:
-                    raise error from None
-                LOG.warning("no live control: %s", error)
-                return
-        self.offer(self._bus)
+            if zenoh != "auto":
+                raise
+            LOG.warning("no live control: %s", error)
+            return
+        self.offer(bus)
 
     def offer(self, bus: Bus) -> None:
         """Answer queries on a bus that is open."""
@@ -131,8 +138,16 @@ class Live:
         return int(self._port.getsockname()[1])
 
     def _answer(self, key: str, payload: bytes) -> Any:
-        act = self.control.answer
-        return self._requests.ask(lambda: act(key, payload, self._now_us()))
+        return self._requests.ask(lambda: self._act(key, payload))
+
+    def _act(self, key: str, payload: bytes) -> Any:
+        """Carry out one request in the loop's thread."""
+        if key.endswith("@ctl/watch"):
+            return self.control.watch(payload, time.monotonic())
+        t_us = self._now_us()
+        if self.journal is not None and not key.endswith(QUESTIONS):
+            self.journal.note(key, payload, t_us)
+        return self.control.answer(key, payload, t_us)
 
     def filenos(self) -> list[int]:
         """What the loop waits on besides its links."""
@@ -147,17 +162,41 @@ class Live:
         with contextlib.suppress(BlockingIOError):
             while True:
                 data = self._port.recv(PACKED.size + 1)
+                t_us = self._now_us()
+                if self.journal is not None:
+                    self.journal.note(RFLYSIM, data, t_us)
                 try:
-                    self.control.packet(data, self._now_us())
+                    self.control.packet(data, t_us)
                 except ConfigError as error:
                     LOG.warning("RflySim: %s", error)
+
+    def edits(self) -> list[Edit]:
+        """What was asked for since the last call, for a recorder."""
+        return [] if self.journal is None else self.journal.take()
+
+    def show(self, now_s: float) -> None:
+        """Tell the bus at once of faults that begin, end or change, and what viewers watch."""
+        if self._bus is None or now_s < self._show_s:
+            return
+        self._show_s = now_s + SHOW_S
+        engine = self.control.engine
+        if self._shown != (engine.revision, engine.turns):
+            self._show_faults(self._bus)
+        samples = self.control.watched(now_s)
+        if samples:
+            self._bus.put("proxy/watched", msgspec.json.encode(samples), "mavfault.v1.Watched")
+
+    def _show_faults(self, bus: Bus) -> None:
+        engine = self.control.engine
+        self._shown = (engine.revision, engine.turns)
+        bus.put("schedule/state", msgspec.json.encode(engine.state()), history=1)
 
     def publish(self, stats: object, labels: Sequence[Label]) -> None:
         """Tell the bus how the links and the faults are doing."""
         if self._bus is None:
             return
         self._bus.put("proxy/stats", msgspec.json.encode(stats))
-        self._bus.put("schedule/state", msgspec.json.encode(self.control.engine.state()), history=1)
+        self._show_faults(self._bus)
         for label in labels:
             self._bus.put(
                 "proxy/labels", msgspec.json.encode(label), "mavfault.v1.Label", LABELS_KEPT

@@ -12,9 +12,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from mavproxy_fault.edits import Edit, read_edits
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.ports import LinkRole
-from mavproxy_fault.record import INDEX, RECEIVED, RECEIVED_OTHER, SESSION
+from mavproxy_fault.record import EDITS, INDEX, RECEIVED, RECEIVED_OTHER, SESSION
 from mavproxy_fault.tape import INDEX as INDEX_RECORD
 from mavproxy_fault.tape import LENGTH, STAMP
 from mavproxy_fault.wire.dialect import layout
@@ -39,11 +40,17 @@ class Record(NamedTuple):
 
 
 class Source(NamedTuple):
-    """A log to play; `end_us` is when the session ended, if that was recorded."""
+    """A log to play; `session` is what was recorded about it, `edits` what was asked live."""
 
     roles: tuple[LinkRole, ...]
     records: Iterator[Record]
-    end_us: int | None
+    session: dict[str, Any]
+    edits: tuple[Edit, ...] = ()
+
+    @property
+    def end_us(self) -> int | None:
+        """When the session ended, if that was recorded."""
+        return self.session.get("end_us")
 
 
 def open_log(path: Path) -> Source:
@@ -60,11 +67,12 @@ def open_log(path: Path) -> Source:
     if path.name == RECEIVED and session.is_file() and index.is_file():
         said: dict[str, Any] = json.loads(session.read_text())
         roles = tuple(LinkRole(link["name"], link["direction"]) for link in said["links"])
-        return Source(roles, _indexed(path, index), said.get("end_us"))
+        edits = read_edits(path.with_name(EDITS))
+        return Source(roles, _indexed(path, index), said, tuple(edits))
     data = path.read_bytes()
     if _find(data, 0, None) is None:
         raise ConfigError(f"{path}: holds no MAVLink record; allowed: a tlog")
-    return Source(ROLES, _foreign(data), None)
+    return Source(ROLES, _foreign(data), {})
 
 
 def _indexed(path: Path, index: Path) -> Iterator[Record]:

@@ -71,3 +71,6 @@ class Control(Protocol):
 
     def consume(self, frame: Frame, t_us: int) -> list[bytes] | None:
         """Replies for the link the frame came on if it was for the proxy, else None."""
+
+    def sent(self, raw: bytes, t_us: int) -> None:
+        """Look at what leaves, at the vehicle's time."""

@@ -87,14 +87,15 @@ def signing(args: argparse.Namespace) -> Signing | None:
 def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server) -> "Live":
     """Live control over the bus and RflySim's port; loads all that faults need."""
     from mavproxy_fault.control import Control
+    from mavproxy_fault.edits import Journal
     from mavproxy_fault.engine import Engine
     from mavproxy_fault.live import Live
     from mavproxy_fault.rflysim import SHIPPED, read_map
     from mavproxy_fault.schedule import Schedule
 
     rflysim = read_map(args.rflysim_map or SHIPPED) if args.rflysim is not None else None
-    engine = engine or Engine(Schedule(0, ()))
-    live = Live(Control(engine, allowed=args.inject, rflysim=rflysim), server.vehicle_us)
+    control = Control(engine or Engine(Schedule(0, ())), allowed=args.inject, rflysim=rflysim)
+    live = Live(control, server.edit_time, Journal(server.core, server.tape))
     if args.rflysim is not None:
         live.open_rflysim(args.rflysim)
     live.open_bus(args.zenoh, args.run)
@@ -122,21 +123,24 @@ def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server
 def main(args: argparse.Namespace) -> int:
     """`mavproxy-fault proxy`."""
     engine = None
-    session: dict[str, Any] = {"seed": None, "schedule": None}
+    session: dict[str, Any] = {"seed": None, "schedule": None, "inject": args.inject}
     if args.schedule:
         from mavproxy_fault.engine import Engine
         from mavproxy_fault.schedule import read_schedule
 
         engine = Engine(read_schedule(args.schedule))
-        session = {"seed": engine.seed, "schedule": Path(args.schedule).read_text()}
+        session |= {"seed": engine.seed, "schedule": Path(args.schedule).read_text()}
     signed = signing(args)
     links = open_links(args.master, args.out)
     tape = Tape() if args.logdir else None
     core = Core(roles(links), engine, signing=signed, tape=tape)
+    if args.rflysim is not None and args.rflysim_map:
+        session["rflysim_map"] = str(Path(args.rflysim_map).resolve())
     session["links"] = [{"name": role.name, "direction": role.direction} for role in core.links]
     recorder = Recorder(Path(args.logdir), session) if args.logdir else None
     server = Server(links, core, tape=tape, recorder=recorder, busy_poll=args.busy_poll)
     try:
+        server.prepare()
         start_live(args, engine, server)
         with signals(server) as wake:
             others = ", ".join(link.name for link in links[1:])

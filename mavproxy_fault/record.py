@@ -5,6 +5,7 @@
     labels.jsonl     what the faults really did
     received.other, sent.other    bytes that are no frame (see `tape`)
     received.index   link and length of everything received
+    edits.jsonl      what was asked of the proxy while it ran
     session.json     links, seed, schedule and time base
 
 Files are written whole and in order, so that a process killed at any time leaves them readable up
@@ -19,12 +20,13 @@ from typing import TYPE_CHECKING, Any
 from mavproxy_fault.tape import Tape
 
 if TYPE_CHECKING:
+    from mavproxy_fault.edits import Edit
     from mavproxy_fault.wire.label import Label
 
 RECEIVED, SENT, LABELS = "received.tlog", "sent.tlog", "labels.jsonl"
 RECEIVED_OTHER, SENT_OTHER = "received.other", "sent.other"
-INDEX, SESSION = "received.index", "session.json"
-APPENDED = (RECEIVED, RECEIVED_OTHER, INDEX, SENT, SENT_OTHER, LABELS)
+INDEX, EDITS, SESSION = "received.index", "edits.jsonl", "session.json"
+APPENDED = (RECEIVED, RECEIVED_OTHER, INDEX, SENT, SENT_OTHER, LABELS, EDITS)
 
 
 class Recorder:
@@ -38,8 +40,10 @@ class Recorder:
         self._files = {name: (folder / name).open("wb", buffering=0) for name in APPENDED}
         self._write_session()
 
-    def write(self, tape: Tape, labels: "Sequence[Label]" = ()) -> None:
-        """Append and empty a tape, and append labels."""
+    def write(
+        self, tape: Tape, labels: "Sequence[Label]" = (), edits: "Sequence[Edit]" = ()
+    ) -> None:
+        """Append and empty a tape, and append labels and edits."""
         taken = tape.take()
         for name, data in (
             (RECEIVED, taken.received),
@@ -52,6 +56,8 @@ class Recorder:
                 self._files[name].write(data)
         if labels:
             self._files[LABELS].write(encoded(labels))
+        if edits:
+            self._files[EDITS].write(encoded(edits))
 
     def close(self, t0_us: int | None, end_us: int) -> None:
         """Close the files; note the first vehicle stamp and the wall time of the end."""
@@ -66,11 +72,11 @@ class Recorder:
         fresh.replace(self.folder / SESSION)
 
 
-def encoded(labels: "Sequence[Label]") -> bytes:
-    """Labels as JSON lines."""
+def encoded(lines: "Sequence[Label | Edit]") -> bytes:
+    """Labels or edits as JSON lines."""
     from msgspec.json import encode  # 0.1 s that a proxy without faults need not pay
 
-    return b"".join(encode(label) + b"\n" for label in labels)
+    return b"".join(encode(line) + b"\n" for line in lines)
 
 
 def _set_aside(folder: Path) -> None:

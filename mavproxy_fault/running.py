@@ -15,6 +15,7 @@ from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import Label
 
 NEVER_US = 1 << 62
+TELL_US = 200_000  # between two labels about new values of one fault
 
 
 def after_s(t_us: int, seconds: float) -> int:
@@ -51,6 +52,10 @@ class Running:
         self.states: dict[str, Any] = {}
         self.live: tuple[float, int] | None = None  # newest streamed value and when it came
         self.latency_us: int | None = None
+        self.value: float | None = None  # given live, constant or streamed
+        self.changed_us: int | None = None
+        self.untold = False  # no label has told the newest value
+        self._told_us = 0
         where = entry.where
         self._where = (where.system, where.component, where.direction, where.id)
         self._anything = self._where == (None, None, None, None)
@@ -228,13 +233,29 @@ class Running:
             where=where,
             parameters=entry.parameters,
             seed=self.seed,
+            value=self.value,
+            changed_us=self.changed_us,
         )
+
+    def opened(self, t_us: int) -> Label:
+        """The label of a stretch that has just touched its first frame."""
+        self.changed_us, self.untold = None, False
+        self._told_us = t_us
+        return self.label(None)
+
+    def news(self, t_us: int) -> Label | None:
+        """A label about a value that was changed; None without one, or so soon after another."""
+        if not self.untold or self.first_us is None or t_us - self._told_us < TELL_US:
+            return None
+        self.untold = False
+        self._told_us = t_us
+        return self.label(None)
 
     def close(self, t_us: int) -> Label | None:
         """The complete label of a stretch that ended, and a clean count; None if it did nothing."""
         label = self.label(t_us) if self.first_us is not None else None
         self.frames = self.saturated = 0
-        self.magnitude = self.first_us = None
+        self.magnitude = self.first_us = self.changed_us = None
         return label
 
     def feed(self, value: float, t_us: int, sent_us: int | None) -> None:
@@ -249,7 +270,13 @@ class Running:
         profile = getattr(inner, "profile", None)
         if profile is not None and profile.live is not None:
             self._stream(value, t_us, sent_us, profile.live.timeout_s)
-            return
+        else:
+            self._change(inner, value)
+        if value != self.value:
+            self.value, self.changed_us, self.untold = value, t_us, True
+
+    def _change(self, inner: Any, value: float) -> None:
+        """Take another constant value."""
         if getattr(inner, "value", None) is None:
             raise ConfigError(
                 f"update: {self.entry.id} ({self.entry.name}) has no value to change; "
@@ -293,5 +320,6 @@ class Running:
             "saturated": self.saturated,
             "signed_skipped": self.sealed,
             "latency_us": self.latency_us,
+            "value": self.value,
             "parameters": self.entry.parameters,
         }

@@ -1,8 +1,8 @@
 """The proxy as a process: links, clock and files around the core, whose sends it carries out.
 
 One thread waits on all links and for the next due time. Links are drained in batches; nothing ever
-blocks on a slow one. Recordings are flushed each second. When traffic is dense the compiled path
-(`fast`) is loaded in the background and takes over what is plain.
+blocks on a slow one. Recordings are flushed each second. What is plain goes the compiled way
+(`fast`), once its machine code is there.
 """
 
 import contextlib
@@ -11,17 +11,15 @@ import select
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.core import Core
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.ports import Send
 from mavproxy_fault.record import Recorder
-from mavproxy_fault.stats import Latencies
+from mavproxy_fault.stats import Latencies, figures
 from mavproxy_fault.tape import Tape
 
 if TYPE_CHECKING:
@@ -32,9 +30,8 @@ if TYPE_CHECKING:
 
 TEND_S = 0.1  # how often links get a chance to reconnect
 FLUSH_S = 1.0
-DENSE_HZ = 1000  # chunks a second from which the compiled path pays
+EARLY_US = 250  # a sleep may end so late; before a due frame the loop stays awake
 SHORT_TURN_S = 2e-4
-_FAST = "mavproxy_fault.fast"
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>; the default of 50 us makes every wait that late
 
 
@@ -60,9 +57,8 @@ class Server:
         self._stopping = False
         self._by_fd = {link.fileno(): number for number, link in enumerate(links)}
         self._tend_s = self._flush_s = 0.0
-        self._loader: threading.Thread | None = None
+        self._compiler: subprocess.Popen[bytes] | None = None
         self._fast: FastPath | None = None
-        self._chunks = 0
         self._wake: int | None = None
         self.live: Live | None = None
         self.coming: Future[Live] | None = None  # live control that is still being opened
@@ -106,11 +102,9 @@ class Server:
 
     def _turn_fast(self, fast: "FastPath") -> None:
         """Let the compiled path forward until something is left to do here."""
-        due_us = self.core.next_due_us
-        deadline_ns = round(self._tend_s * 1e9)
-        if due_us is not None:
-            deadline_ns = min(deadline_ns, due_us * 1000 - self._base_ns)
-        fast.forward(deadline_ns, spin=self._busy_poll)
+        tend_ns, due_us = round(self._tend_s * 1e9), self.core.next_due_us
+        due_ns = tend_ns if due_us is None else due_us * 1000 - self._base_ns
+        fast.forward(min(tend_ns, due_ns), spin=self._busy_poll, precise=due_ns < tend_ns)
         if fast.pending:
             number, data = fast.take_datagram()
             if data:
@@ -123,35 +117,38 @@ class Server:
         if self.live is not None and fast.others_ready:
             self.live.serve()
 
-    def _consider_fast(self) -> None:
-        """Load the compiled path when traffic is dense, and switch to it once it is there."""
-        if self._loader is None:
-            chunks = sum(link.counters.chunks_in for link in self.links)
-            dense = chunks - self._chunks > DENSE_HZ * TEND_S
-            self._chunks = chunks
-            if dense or self._busy_poll:
-                self._loader = threading.Thread(target=_load_fast, daemon=True)
-                self._loader.start()
-        elif self._fast is None and not self._loader.is_alive() and _FAST in sys.modules:
+    def prepare(self) -> None:
+        """Take the compiled path, or have it made by another process if this is the first time."""
+        if not any(link.datagrams for link in self.links):
+            return
+        from mavproxy_fault import machine
+
+        if machine.load() is not None:
             self.use_fast()
+        elif self._compiler is None:
+            quiet = subprocess.DEVNULL  # it may outlive us: nobody must wait for its output to end
+            self._compiler = subprocess.Popen(
+                [sys.executable, "-m", machine.__name__], stdin=quiet, stdout=quiet, stderr=quiet
+            )
 
     def join(self, live: "Live") -> None:
-        """Let live control take part; its engine takes over if there was none."""
+        """Let live control take part."""
+        from mavproxy_fault.edits import JOIN, join
+
         self.live = live
-        if self.core.engine is None:
-            first_us = self.core.clock.t0_us
-            if first_us is not None:
-                live.control.engine.start_at(first_us)
-            self.core.engine = live.control.engine
-        self.core.control = live.control
+        if live.journal is not None:
+            live.journal.note(JOIN, b"", self.edit_time())
+        join(self.core, live.control)
         if self._fast is not None and not self._fast.pending:
             self._fast.count()
             self.use_fast()
 
-    def vehicle_us(self) -> int:
-        """The vehicle's time, or the wall clock while none is known."""
-        clock = self.core.clock
-        return self.now_us() if clock.t0_us is None else clock.t_us
+    def edit_time(self) -> int:
+        """The vehicle's time, at which an edit may now be made; what is due leaves before."""
+        now_us = self.now_us()
+        self._carry_out(self.core.due(now_us))
+        journal = None if self.live is None else self.live.journal
+        return now_us if journal is None else journal.begin(now_us)
 
     def use_fast(self) -> None:
         """Let the compiled path take over."""
@@ -168,7 +165,7 @@ class Server:
         due_us = self.core.next_due_us
         if due_us is None:
             return TEND_S
-        return min(max(due_us - self.now_us(), 0) * 1e-6, TEND_S)
+        return min(max(due_us - self.now_us() - EARLY_US, 0) * 1e-6, TEND_S)
 
     def _serve(self, number: int) -> None:
         """Pass on what one link has."""
@@ -198,6 +195,8 @@ class Server:
         if now_s >= self._flush_s:
             self._flush_s = now_s + FLUSH_S
             self._record()
+        if self.live is not None:
+            self.live.show(now_s)
         if self.coming is not None and self.coming.done():
             self.join(self.coming.result())
             self.coming = None
@@ -209,15 +208,17 @@ class Server:
                 self._serve(number)
         if self._fast is not None:
             self._fast.count()
-        else:
-            self._consider_fast()
+        elif self._compiler is not None and self._compiler.poll() == 0:
+            self.prepare()
+            self._compiler = None
 
     def _record(self) -> None:
         if self.recorder is None and self.live is None:
             return
         labels = self.core.take_labels()
         if self.recorder is not None and self.tape is not None:
-            self.recorder.write(self.tape, labels)
+            edits = [] if self.live is None else self.live.edits()
+            self.recorder.write(self.tape, labels, edits)
         if self.live is not None:
             self.live.publish(self.stats(), labels)
 
@@ -239,59 +240,22 @@ class Server:
         """Counters and latency percentiles of every endpoint."""
         found = []
         for number, link in enumerate(self.links):
-            counters, state = link.counters, self.core.states[number]
-            parsed = self.core.parsed(number)
+            counters = link.counters
             found.append(
                 {
+                    **figures(self.core, number),
                     "name": link.name,
-                    "direction": self.core.links[number].direction,
                     "peers": link.peer_count,
-                    "frames_in": state.frames,
-                    "junk_in": state.junk,
-                    "crc_errors": parsed.crc_errors,
-                    "unknown": parsed.unknown,
-                    "gaps": state.gaps,
                     "bytes_in": counters.bytes_in,
                     "chunks_in": counters.chunks_in,
                     "bytes_out": counters.bytes_out,
                     "chunks_out": counters.chunks_out,
-                    "faulted": state.faulted,
-                    "loops": state.loops,
-                    "bad_signatures": state.bad_signatures,
                     "drops": counters.drops,
                     "errors": counters.errors,
                     **self.latencies[number].summary(),
                 }
             )
         return found
-
-
-def _load_fast() -> None:
-    """Bring in the compiled path without holding up the plain one.
-
-    Compiling, needed once after an installation, would keep the interpreter busy for seconds, so
-    another process does it; loading then takes turns with forwarding, and short ones.
-    """
-    if not _is_compiled():
-        code = f"import os; os.nice(10); from {_FAST} import compile_now; compile_now()"
-        quiet = subprocess.DEVNULL  # it may outlive us: nobody must wait for its output to end
-        made = subprocess.run(
-            [sys.executable, "-c", code], stdin=quiet, stdout=quiet, stderr=quiet, check=False
-        )
-        if made.returncode != 0:
-            return
-    with short_turns():
-        from mavproxy_fault.fast import compile_now
-
-        compile_now()
-
-
-def _is_compiled() -> bool:
-    """Whether the machine code beside the sources is younger than they are."""
-    here = Path(__file__).parent
-    changed = max((here / name).stat().st_mtime for name in ("kernel.py", "pump.py"))
-    made = here.glob(f"__pycache__/pump.forward-*.py3{sys.version_info.minor}.nbi")
-    return any(path.stat().st_mtime > changed for path in made)
 
 
 @contextlib.contextmanager

@@ -1,7 +1,10 @@
 """Statistics of a running proxy: latency percentiles and a table per endpoint."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mavproxy_fault.core import Core
 
 PERCENTILES = (50, 99, 99.9)
 COLUMNS = (
@@ -40,6 +43,23 @@ class Latencies:
     def summary(self) -> dict[str, float | None]:
         """The percentiles by name."""
         return {f"p{percent}_us": self.percentile_us(percent) for percent in PERCENTILES}
+
+
+def figures(core: "Core", number: int) -> dict[str, Any]:
+    """What the core has counted of what came in on one link."""
+    role, state, parsed = core.links[number], core.states[number], core.parsed(number)
+    return {
+        "name": role.name,
+        "direction": role.direction,
+        "frames_in": state.frames,
+        "junk_in": state.junk,
+        "crc_errors": parsed.crc_errors,
+        "unknown": parsed.unknown,
+        "gaps": state.gaps,
+        "faulted": state.faulted,
+        "loops": state.loops,
+        "bad_signatures": state.bad_signatures,
+    }
 
 
 def table(endpoints: Sequence[dict[str, Any]]) -> str:

@@ -38,6 +38,12 @@ class Tape:
     index: bytearray = field(default_factory=bytearray)
     sent: bytearray = field(default_factory=bytearray)
     sent_other: bytearray = field(default_factory=bytearray)
+    taken: int = 0  # records received that were handed over
+
+    @property
+    def count(self) -> int:
+        """How many records were received since the start."""
+        return self.taken + len(self.index) // INDEX.size
 
     def receive(self, now_us: int, link: int, raw: bytes) -> None:
         """Note what came."""
@@ -57,6 +63,7 @@ class Tape:
 
     def take(self) -> Taken:
         """What came together since the last call."""
+        self.taken = self.count
         parts = (self.received, self.received_other, self.index, self.sent, self.sent_other)
         taken = Taken(*(bytes(part) for part in parts))
         for part in parts:

@@ -11,11 +11,8 @@ References
 .. [2] F. L. Markley, J. Astronautical Sciences 36(3), 1988.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
-from analysis.compiled import compiled
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import Core
 from analysis.fdi.inertial import BA, BG, ERRORS, PSI, gravity_ecef, matrix, turned
@@ -24,6 +21,7 @@ from analysis.fdi.start import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.fdi.state import Alignment, Motion
 from analysis.gnss import EARTH_RATE_RPS, geodetic, ned_axes
 from analysis.samples import Vector
+from mavproxy_fault.wire.compiled import compiled
 from simvehicle.rotation import quat_from_matrix
 
 LONGEST_S = 20.0
@@ -43,12 +41,12 @@ def _integrate(q: Vector, alpha: Vector, samples: Vector) -> tuple[Vector, Vecto
         turn = np.empty(3)
         for i in range(3):
             turn[i] = 0.5 * dt * samples[k, 1 + i]
-        mid = matrix(turned(q, turn, False))
+        mid = matrix(turned(q, turn, -1.0))
         for i in range(3):
             for j in range(3):
                 alpha[i] += mid[i, j] * samples[k, 4 + j] * dt
             turn[i] *= 2.0
-        q = turned(q, turn, False)
+        q = turned(q, turn, -1.0)
     return q, alpha
 
 
@@ -123,7 +121,7 @@ def find_attitude(
         return motion
     alignment = motion.alignment
     if alignment is None or (motion.t_us - alignment.start_us) * 1e-6 > LONGEST_S:
-        return replace(motion, alignment=new_alignment(motion))
+        return motion._replace(alignment=new_alignment(motion))
     alignment = extend(alignment, motion, part.samples, dt_s)
     found = aligned(alignment, motion, core.mag_b)
-    return found if found is not None else replace(motion, alignment=alignment)
+    return found if found is not None else motion._replace(alignment=alignment)

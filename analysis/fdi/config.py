@@ -2,15 +2,16 @@
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from analysis.compiled import compiled
 from analysis.fdi.verdict import RULES
 from analysis.gnss import TYPICAL_ALPHA, TYPICAL_BETA
 from analysis.samples import Vector
 from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.wire.compiled import compiled
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,8 +21,8 @@ class SigmaModel:
     sigma^2 = scale^2 (floor^2 + (zenith / sin(elevation))^2 + thermal^2 10^((45 - C/N0) / 10))
 
     What stays the same for minutes (multipath, ephemeris and atmosphere left over) the tests with
-    memory may not take for a fault: a bias of `slow` times sigma, and a slope of `slow_mps`.
-    `rate_mps` is one sigma of a Doppler rate in the zenith.
+    memory may not take for a fault: an offset of `slow` times sigma that is another one after
+    `slow_s`, and a slope of `slow_mps`. `rate_mps` is one sigma of a Doppler rate in the zenith.
     """
 
     scale: float = 1.0
@@ -29,6 +30,7 @@ class SigmaModel:
     zenith_m: float = 0.4
     thermal_m: float = 0.3
     slow: float = 1.0
+    slow_s: float = 300.0
     slow_mps: float = 0.02
     rate_mps: float = 0.15
 
@@ -39,9 +41,13 @@ class SigmaModel:
 
     def numbers(self) -> Vector:
         """The numbers (5,) that the kernels take."""
-        return np.array(
-            [self.scale, self.floor_m, self.zenith_m, self.thermal_m, self.rate_mps], dtype=float
-        )
+        return _sigma_numbers(self)
+
+
+@lru_cache(maxsize=64)
+def _sigma_numbers(model: SigmaModel) -> Vector:
+    values = [model.scale, model.floor_m, model.zenith_m, model.thermal_m, model.rate_mps]
+    return np.array(values, dtype=float)
 
 
 @compiled
@@ -75,8 +81,13 @@ class Noise:
 
     def densities(self) -> Vector:
         """Squares (8,) in the order of the fields, as the kernels take them."""
-        values = [getattr(self, name) for name in self.__dataclass_fields__]
-        return np.array(values) ** 2
+        return _densities(self)
+
+
+@lru_cache(maxsize=64)
+def _densities(noise: Noise) -> Vector:
+    values = [getattr(noise, name) for name in noise.__dataclass_fields__]
+    return np.array(values, dtype=float) ** 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,6 +1,5 @@
 """The detector's state; every step hands back a new one."""
 
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from analysis.fdi.measure import Chosen, Observed
@@ -9,20 +8,34 @@ from analysis.fdi.slow import Memory
 from analysis.fdi.state import Exclusion, Motion, Pending, Stored
 from analysis.samples import Vector
 
+RECEIVER = "GPS"  # the receiver's name among what is excluded
+NOTHING_EXCLUDED: dict[str, Exclusion] = {}
 
-@dataclass(frozen=True, slots=True)
-class Core:
+
+class Held(NamedTuple):
+    """Offsets in m of satellites' ranges at `t_us`, held while others are left out."""
+
+    t_us: int
+    offsets_m: dict[str, float]
+
+
+NOTHING_HELD = Held(0, {})
+
+
+class Core(NamedTuple):
     """Everything but the pending IMU samples.
 
     `imu_bad_until_us` is when a faulty IMU is tried again (None: it is trusted), `unknown_since_us`
     since when every epoch had the verdict "multiple-unknown". `ranges_us` is when raw ranges were
-    last usable; `gps_source` and `last_fix` (time and ECEF position) serve when there are none.
+    last usable, `held` what is taken off them; `gps_source` and `last_fix` (time and ECEF
+    position) serve when there are none.
     """
 
     motion: Motion | None
     ephemerides: dict[str, tuple[Stored, ...]]
     ionosphere: Vector
-    excluded: dict[str, Exclusion] = field(default_factory=dict)
+    excluded: dict[str, Exclusion] = NOTHING_EXCLUDED
+    held: Held = NOTHING_HELD
     imu_id: int | None = None
     imu_bad_until_us: int | None = None
     mag_b: Vector | None = None
@@ -35,8 +48,7 @@ class Core:
     last_fix: tuple[int, Vector] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Record:
+class Record(NamedTuple):
     """One epoch of the past, to be judged again: the core before it and what was observed."""
 
     t_us: int

@@ -1,17 +1,17 @@
 """The detector: samples in, a decision for each GNSS epoch out."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
-from analysis.fdi.core import Core, Record, State
+from analysis.fdi.core import NOTHING_HELD, Core, Record, State
 from analysis.fdi.epoch import Outcome, judge_epoch
 from analysis.fdi.exclusion import exclude
 from analysis.fdi.measure import Observed, choose, observe, why_none
 from analysis.fdi.motion import Segment, keep_pending, segment, split_pending
-from analysis.fdi.position import step_position
+from analysis.fdi.receiver import step_position
 from analysis.fdi.said import decision, imu_results, started, untestable
 from analysis.fdi.slow import onset_of
 from analysis.fdi.start import start
@@ -48,7 +48,7 @@ class Detector:
             return self._epoch(sample, state)
         core, pending = state
         if isinstance(sample, MagSample):
-            return [], State(replace(core, mag_b=sample.field_b_gauss), pending)
+            return [], State(core._replace(mag_b=sample.field_b_gauss), pending)
         if isinstance(sample, GpsFix):
             if core.ranges_us is not None and (
                 sample.t_us - core.ranges_us < self.config.reset_s * 1e6
@@ -59,7 +59,7 @@ class Detector:
             return [], State(_learn(core, sample), pending)
         if isinstance(sample, IonosphereSample):
             known = np.array(sample.alpha + sample.beta)
-            return [], State(replace(core, ionosphere=known), pending)
+            return [], State(core._replace(ionosphere=known), pending)
         return [], state
 
     def _epoch(self, epoch: Epoch, state: State) -> tuple[list[Result], State]:
@@ -67,7 +67,7 @@ class Detector:
         chosen = core.chosen
         if chosen is None or not chosen.serves(epoch):
             chosen = choose(epoch, core.ephemerides)
-            core = replace(core, chosen=chosen)
+            core = core._replace(chosen=chosen)
         observed = observe(epoch, chosen)
         if observed is None:
             return [untestable(epoch, why_none(epoch, core.ephemerides), core)], state
@@ -92,8 +92,7 @@ class Detector:
         begun = start(epoch.t_us, observed, self.config, core.ionosphere)
         if begun.motion is None:
             return [untestable(epoch, begun.reason, core)], core
-        core = replace(
-            core,
+        core = core._replace(
             motion=begun.motion,
             ranges_us=epoch.t_us,
             excluded=exclude(core.excluded, begun.left_out, epoch.t_us, epoch.t_us),
@@ -107,7 +106,7 @@ class Detector:
         self, epoch: Epoch, observed: Observed, part: Segment, core: Core
     ) -> tuple[list[Result], Core]:
         config = self.config
-        record = Record(epoch.t_us, replace(core, history=()), observed, part)
+        record = Record(epoch.t_us, core._replace(history=()), observed, part)
         outcome = judge_epoch(epoch.t_us, observed, part, core, config)
         oldest_us = epoch.t_us - round(config.history_s * 1e6)
         history = core.history
@@ -118,10 +117,10 @@ class Detector:
         if late:
             outcome = self._repaired(outcome, late, history)
             history = outcome.core.history
-        core = replace(outcome.core, history=history if outcome.core.motion else ())
+        core = outcome.core._replace(history=history if outcome.core.motion else ())
         if outcome.tested is None:
             return [untestable(epoch, outcome.reason, core)], core
-        said = decision(epoch, outcome, core, bool(late))
+        said = decision(epoch, outcome, core, bool(late), config)
         return [said, *imu_results(epoch, outcome, part, config)], core
 
     def _late(self, outcome: Outcome, core: Core, t_us: int) -> dict[str, int]:
@@ -146,11 +145,12 @@ class Detector:
         since_us = min(late.values())
         kept = tuple(record for record in history if record.t_us <= since_us)
         again = history[len(kept) :]
-        core = replace(again[0].core, history=())
+        core = again[0].core
         found_us = history[-1].t_us
+        excluded = core.excluded
         for name, onset_us in late.items():
-            excluded = exclude(core.excluded, (name,), onset_us, found_us)
-            core = replace(core, excluded=excluded)
+            excluded = exclude(excluded, (name,), onset_us, found_us)
+        core = core._replace(excluded=excluded)
         replayed = list(kept)
         for record in again:
             if core.motion is None:
@@ -158,8 +158,8 @@ class Detector:
             replayed.append(Record(record.t_us, core, record.observed, record.part))
             core = judge_epoch(record.t_us, record.observed, record.part, core, self.config).core
         excluded = {**outcome.core.excluded, **core.excluded}
-        core = replace(core, excluded=excluded, history=tuple(replayed), chosen=outcome.core.chosen)
-        return replace(outcome, core=core)
+        core = core._replace(excluded=excluded, history=tuple(replayed), chosen=outcome.core.chosen)
+        return outcome._replace(core=core)
 
 
 def run(detector: Detector, samples: Iterable[Sample]) -> list[Result]:
@@ -174,7 +174,7 @@ def run(detector: Detector, samples: Iterable[Sample]) -> list[Result]:
 
 def _forgotten(core: Core) -> Core:
     """The core without its filter."""
-    return replace(core, motion=None, excluded={}, memory=None, history=())
+    return core._replace(motion=None, excluded={}, held=NOTHING_HELD, memory=None, history=())
 
 
 def _with_imu(sample: ImuSample, state: State) -> State:
@@ -182,7 +182,7 @@ def _with_imu(sample: ImuSample, state: State) -> State:
     if core.imu_id != sample.id:
         if core.imu_id is not None:
             return state  # a second IMU
-        core = replace(core, imu_id=sample.id)
+        core = core._replace(imu_id=sample.id)
     if pending is not None and sample.t_us <= pending.sample.t_us:
         return state
     return State(core, keep_pending(sample, pending))
@@ -195,4 +195,4 @@ def _learn(core: Core, sample: EphemerisSample) -> Core:
     if any(known == ephemeris for known, _ in stored):
         return core
     kept = (*stored[-EPHEMERIDES_KEPT + 1 :], (ephemeris, pack_ephemeris(ephemeris)))
-    return replace(core, ephemerides={**core.ephemerides, ephemeris.satellite: kept}, chosen=None)
+    return core._replace(ephemerides={**core.ephemerides, ephemeris.satellite: kept}, chosen=None)

@@ -22,9 +22,9 @@ import math
 
 import numpy as np
 
-from analysis.compiled import compiled
-from analysis.fdi.linear import apply, inverse, multiply, transposed
+from analysis.fdi.linear import add_product, apply, inverse, multiply, transposed
 from analysis.samples import Vector
+from mavproxy_fault.wire.compiled import compiled
 
 X_SIZE = 19
 ERRORS = 18
@@ -68,12 +68,11 @@ def matrix(q: Vector) -> Vector:
 
 
 @compiled
-def turned(q: Vector, rotvec: Vector, left: bool) -> Vector:
-    """q followed (left) or preceded by the turn of a rotation vector (3,), normalised."""
+def turned(q: Vector, rotvec: Vector, sign: float) -> Vector:
+    """q followed (sign 1) or preceded (-1) by the turn of a rotation vector (3,), normalised."""
     angle = math.sqrt(rotvec[0] * rotvec[0] + rotvec[1] * rotvec[1] + rotvec[2] * rotvec[2])
     scale = 0.5 if angle < 1e-8 else math.sin(0.5 * angle) / angle
     w, x, y, z = math.cos(0.5 * angle), scale * rotvec[0], scale * rotvec[1], scale * rotvec[2]
-    sign = 1.0 if left else -1.0
     out = np.empty(4)
     out[0] = w * q[0] - x * q[1] - y * q[2] - z * q[3]
     out[1] = w * q[1] + x * q[0] + sign * (y * q[3] - z * q[2])
@@ -96,7 +95,7 @@ def _mechanise(x: Vector, gyro: Vector, accel: Vector, dt: float) -> tuple[Vecto
     half = np.empty(3)
     for i in range(3):
         half[i] = 0.5 * rate[i]
-    mid = matrix(turned(x[6:10], half, False))
+    mid = matrix(turned(x[6:10], half, -1.0))
     f = np.empty(3)
     for i in range(3):
         f[i] = 0.0
@@ -111,7 +110,7 @@ def _mechanise(x: Vector, gyro: Vector, accel: Vector, dt: float) -> tuple[Vecto
     for i in range(3):
         x[i] += (x[3 + i] + 0.5 * step[i]) * dt
         x[3 + i] += step[i]
-    q = turned(x[6:10], rate, False)
+    q = turned(x[6:10], rate, -1.0)
     for i in range(4):
         x[6 + i] = q[i]
     return mid, f
@@ -237,14 +236,14 @@ def correct(
     """State, covariance and the gain K = P H' M (18, n) after what `innovate` gave.
 
     The covariance in Joseph's form, (I - K H) P (I - K H)' + K R K', stays positive definite when a
-    part of the state was forgotten.
+    part of the state was forgotten. With T = (I - K H) P it is T - (T H' - K R) K'.
     """
     d = apply(ph, u)
     x = x.copy()
     turn = np.empty(3)
     for i in range(3):
         turn[i] = d[6 + i]
-    q = turned(x[6:10], turn, True)
+    q = turned(x[6:10], turn, 1.0)
     for i in range(6):
         x[i] += d[i]
     for i in range(4):
@@ -252,18 +251,17 @@ def correct(
     for i in range(9):
         x[10 + i] += d[9 + i]
     gain = multiply(ph, m)
-    left = multiply(gain, h)
-    noisy = gain.copy()
-    for i in range(left.shape[0]):
-        for j in range(left.shape[0]):
-            left[i, j] = -left[i, j]
-        left[i, i] += 1.0
-        for j in range(noisy.shape[1]):
-            noisy[i, j] *= variance[j]
-    kept = multiply(multiply(left, p), transposed(left))
-    added = multiply(noisy, transposed(gain))
+    hp = transposed(ph)
+    left = p.copy()
+    add_product(left, -1.0, gain, hp)
+    rest = multiply(h, transposed(left))  # (T H')'
+    for i in range(rest.shape[0]):
+        for j in range(rest.shape[1]):
+            rest[i, j] -= gain[j, i] * variance[i]
+    back = transposed(left)  # T is not symmetric: T' - K (T H' - K R)'
+    add_product(back, -1.0, gain, rest)
     after = np.empty_like(p)
     for i in range(p.shape[0]):
         for j in range(p.shape[0]):
-            after[i, j] = 0.5 * (kept[i, j] + kept[j, i] + added[i, j] + added[j, i])
+            after[i, j] = 0.5 * (back[i, j] + back[j, i])
     return x, after, gain

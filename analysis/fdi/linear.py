@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from analysis.compiled import compiled
 from analysis.samples import Vector
+from mavproxy_fault.wire.compiled import compiled
 
 
 @compiled
@@ -19,6 +19,16 @@ def multiply(a: Vector, b: Vector) -> Vector:
                 for j in range(b.shape[1]):
                     out[i, j] += factor * b[k, j]
     return out
+
+
+@compiled
+def add_product(out: Vector, scale: float, a: Vector, b: Vector) -> None:
+    """Add scale a b to `out`, in place."""
+    for i in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            factor = scale * a[i, k]
+            for j in range(b.shape[1]):
+                out[i, j] += factor * b[k, j]
 
 
 @compiled

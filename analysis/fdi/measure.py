@@ -2,23 +2,24 @@
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.compiled import compiled
 from analysis.fdi.config import SigmaModel, range_variance
 from analysis.fdi.state import Stored
 from analysis.gnss import PACKED, WEEK_S, predict_ranges, satellite_states
 from analysis.samples import Epoch, Vector
+from mavproxy_fault.wire.compiled import compiled
 
 Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 CHOSEN_US = 30_000_000  # the choice is looked at again
 RANGE_LIMITS_M = (1.5e7, 6.0e7)  # medium orbits as seen from near the earth
 
 
-@dataclass(frozen=True, slots=True)
-class Observed:
+class Observed(NamedTuple):
     """Usable satellites of one epoch: parallel arrays (n,), states (n, 8) of `gnss`."""
 
     satellites: tuple[str, ...]
@@ -26,13 +27,16 @@ class Observed:
     doppler_mps: Vector
     cn0_dbhz: Vector
     states: Vector
-    galileo: Vector
+    galileo: Mask
     tow_s: float
 
-    def select(self, keep: Vector) -> "Observed":
+    def select(self, keep: Mask) -> "Observed":
         """Those that `keep` (n,), a mask, lets pass."""
+        names = tuple(
+            name for name, kept in zip(self.satellites, keep.tolist(), strict=True) if kept
+        )
         return Observed(
-            tuple(name for name, kept in zip(self.satellites, keep, strict=True) if kept),
+            names,
             self.pseudorange_m[keep],
             self.doppler_mps[keep],
             self.cn0_dbhz[keep],
@@ -42,35 +46,24 @@ class Observed:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Modelled:
+class Modelled(NamedTuple):
     """Innovations at a state: ranges and rates with geometry.
 
-    `v_m` and `v_mps` (n,), `los` (n, 3), `variance` and `rate_variance` (n,) of both,
-    `elevation_rad` (n,), `h` (n, 18) of the ranges and `h_rate` (n, 18) of the rates.
+    `v_m` and `v_mps` (n,), `variance` and `rate_variance` (n,) of both, `elevation_rad` (n,),
+    `h` (n, 18) of the ranges and `h_rate` (n, 18) of the rates.
     """
 
     v_m: Vector
     v_mps: Vector
-    los: Vector
     variance: Vector
     rate_variance: Vector
     elevation_rad: Vector
     h: Vector
     h_rate: Vector
 
-    def select(self, keep: Vector) -> "Modelled":
+    def select(self, keep: Mask) -> "Modelled":
         """Those that `keep` (n,), a mask, lets pass."""
-        return Modelled(
-            self.v_m[keep],
-            self.v_mps[keep],
-            self.los[keep],
-            self.variance[keep],
-            self.rate_variance[keep],
-            self.elevation_rad[keep],
-            self.h[keep],
-            self.h_rate[keep],
-        )
+        return Modelled(*(column[keep] for column in self))
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +77,7 @@ class Chosen:
     keep: Indices
     names: tuple[str, ...]
     packed: Vector
-    galileo: Vector
+    galileo: Mask
 
     def serves(self, epoch: Epoch) -> bool:
         """Whether the choice still holds for an epoch."""
@@ -188,25 +181,23 @@ def _model(
     tow_s: float,
     ionosphere: Vector,
     sigma: Vector,
-) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector]:
+) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector, Vector]:
     predicted = predict_ranges(states, x[0:3], x[3:6], tow_s, ionosphere)
     count = states.shape[0]
     v, v_rate = np.empty(count), np.empty(count)
     h, h_rate = np.zeros((count, 18)), np.zeros((count, 18))
-    los = np.empty((count, 3))
-    rate_variance = np.empty(count)
-    elevation = predicted[:, 5].copy()
+    rate_variance, elevation = np.empty(count), np.empty(count)
     for i in range(count):
         isb = x[18] if galileo[i] else 0.0
         v[i] = pseudorange_m[i] - predicted[i, 0] - x[16] - isb
         v_rate[i] = doppler_mps[i] - predicted[i, 1] - x[17]
+        elevation[i] = predicted[i, 5]
         for k in range(3):
-            los[i, k] = predicted[i, 2 + k]
-            h[i, k] = -los[i, k]
-            h_rate[i, 3 + k] = -los[i, k]
+            h[i, k] = -predicted[i, 2 + k]
+            h_rate[i, 3 + k] = -predicted[i, 2 + k]
         h[i, 15] = 1.0
         h[i, 17] = 1.0 if galileo[i] else 0.0
         h_rate[i, 16] = 1.0
         rate_variance[i] = sigma[4] ** 2 / math.sin(max(elevation[i], 0.1))
     variance = range_variance(elevation, cn0_dbhz, sigma)
-    return v, v_rate, los, variance, rate_variance, elevation, h, h_rate
+    return v, v_rate, variance, rate_variance, elevation, h, h_rate

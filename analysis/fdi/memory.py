@@ -1,17 +1,21 @@
 """Tests with memory: ramps that the filter follows, and so hides, epoch by epoch.
 
-A fault of one satellite since t_0 adds b + r (t - t_0) to its range. What that does to the filter
-is linear: with D the response of the estimated state, of every innovation g = e s - H D, and
+A fault of one satellite that grows since t_0 adds r (t - t_0) to its range. What that does to the
+filter is linear: with D the response of the estimated state, of every innovation g = e s - H D, and
 
     D <- Phi D,  then  D <- D + K g,
 
 so c = sum g' M v and J = sum g' M g over the epochs since t_0 (M the inverse innovation covariance)
-give the fault's likeliest size c / J and the likelihood ratio c^2 / J, chi-square(1) without a
+give the fault's likeliest slope c / J and the likelihood ratio c^2 / J, chi-square(1) without a
 fault [1]_. This equals a bank of sub-filters of their own memory, each with one satellite's fault
-set free since t_0, without running them. Several windows start `STRIDE_S` apart. The slow part of
-a healthy satellite's error enters as priors: a bias of variance B is marginalised,
+set free since t_0, without running them. Several windows start `STRIDE_S` apart.
 
-    J = J_rr - J_rb^2 / (J_bb + 1/B),   c = c_r - J_rb c_b / (J_bb + 1/B),
+The innovations of a healthy satellite have an offset that stays for minutes (multipath, ephemeris,
+atmosphere). Each satellite's is learnt as a first-order Gauss-Markov process, mean o and variance
+B, and what was known of it when a window started is taken off: with v - o in place of v and what is
+left of the offset marginalised,
+
+    J = J_rr - J_ro^2 / (J_oo + 1/B),   c = c_r - J_ro c_o / (J_oo + 1/B),
 
 and a natural slope of variance k makes the test c^2 / (J + k J^2). A faulty accelerometer or a
 wrong attitude shows as a constant acceleration: three more responses, the rival explanation.
@@ -22,14 +26,12 @@ References
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from analysis.compiled import compiled
 from analysis.fdi.bank import reduction
-from analysis.fdi.linear import apply, multiply
+from analysis.fdi.linear import add_product, apply, multiply
 from analysis.samples import Vector
+from mavproxy_fault.wire.compiled import compiled
 
-Slots = NDArray[np.int64]
 WINDOWS = 4
 STRIDE_S = 5.0
 
@@ -38,39 +40,38 @@ STRIDE_S = 5.0
 def respond(
     d: Vector,
     sums: Vector,
+    offsets: Vector,
     ages: Vector,
     phi: Vector,
     gain: Vector,
     m: Vector,
     h: Vector,
     v: Vector,
-    slots: Slots,
     dt: float,
 ) -> tuple[Vector, Vector]:
     """One epoch of ranges more in every window.
 
     Parameters
     ----------
-    d : (k, w s), responses of the state (k) in each of w windows to s = 2 n + 3 signatures: ramps,
-        then biases of n satellites, then accelerations along x, y, z
-    sums : (w, 5 n + 12): c_r, c_b, J_rr, J_rb, J_bb, then c and J (3, 3) of the accelerations
+    d : (k, w s), responses of the state (k) in each of w windows to s = n + 3 signatures: ramps of
+        n satellites, then accelerations along x, y, z
+    sums : (w, 5 n + 12): c_r, c_o, J_rr, J_ro, J_oo, then c and J (3, 3) of the accelerations
+    offsets : (w, n), what was known of each satellite's offset when the window started
     ages : (w,), seconds since each window's start
-    phi, gain, m, h, v : transition since the last epoch (k, k), gain (k, m), inverse innovation
-        covariance (m, m), geometry (m, k) and innovations (m,)
-    slots : (m,), which satellite each innovation is of
+    phi, gain, m, h, v : transition since the last epoch (k, k), gain (k, n), inverse innovation
+        covariance (n, n), geometry (n, k) and innovations (n,)
     dt : seconds since the last epoch
 
     Returns
     -------
     d and sums after the epoch; the arguments stay as they were.
     """
-    windows = sums.shape[0]
-    count = (sums.shape[1] - 12) // 5
-    each = 2 * count + 3
+    windows, count = offsets.shape
+    each = count + 3
     response = multiply(phi, d)
     for w in range(windows):
         for axis in range(3):
-            at = w * each + 2 * count + axis
+            at = w * each + count + axis
             response[axis, at] += 0.5 * dt * dt
             if d.shape[0] > 6:
                 response[3 + axis, at] += dt
@@ -79,20 +80,37 @@ def respond(
         for j in range(g.shape[1]):
             g[i, j] = -g[i, j]
         for w in range(windows):
-            at = w * each + slots[i]
-            g[i, at] += ages[w]
-            g[i, at + count] += 1.0
-    sums = _summed(sums, g, multiply(m, g), apply(m, v), False)
-    return _plus(response, multiply(gain, g)), sums
+            g[i, w * each + i] += ages[w]
+    mg = multiply(m, g)
+    sums = sums.copy()
+    left = np.empty(count)
+    for w in range(windows):
+        for i in range(count):
+            left[i] = v[i] - offsets[w, i]
+        mv = apply(m, left)
+        for i in range(count):
+            sums[w, count + i] += mv[i]
+            sums[w, 3 * count + i] += mg[i, w * each + i]
+            sums[w, 4 * count + i] += m[i, i]
+            for j in range(count):
+                ramp = g[i, w * each + j]
+                sums[w, j] += ramp * mv[i]
+                sums[w, 2 * count + j] += ramp * mg[i, w * each + j]
+        _add_accelerations(sums[w], 5 * count, g, mg, mv, w * each + count)
+    add_product(response, 1.0, gain, g)
+    return response, sums
 
 
 @compiled
-def _plus(a: Vector, b: Vector) -> Vector:
-    out = np.empty_like(a)
-    for i in range(a.shape[0]):
-        for j in range(a.shape[1]):
-            out[i, j] = a[i, j] + b[i, j]
-    return out
+def _add_accelerations(
+    row: Vector, first: int, g: Vector, mg: Vector, mv: Vector, column: int
+) -> None:
+    """Add to c and J of the accelerations, in place: `row` from `first`, `g` from `column`."""
+    for i in range(g.shape[0]):
+        for a in range(3):
+            row[first + a] += g[i, column + a] * mv[i]
+            for b in range(3):
+                row[first + 3 + 3 * a + b] += g[i, column + a] * mg[i, column + b]
 
 
 @compiled
@@ -102,56 +120,63 @@ def respond_to_rates(
     """The same for Doppler rates, which no fault of a range touches: accelerations alone gain."""
     count = (sums.shape[1] - 12) // 5
     g = multiply(h, d)
-    each = 2 * count + 3
-    few = np.empty((g.shape[0], 3 * sums.shape[0]))
     for i in range(g.shape[0]):
         for j in range(g.shape[1]):
             g[i, j] = -g[i, j]
-        for w in range(sums.shape[0]):
-            for a in range(3):
-                few[i, 3 * w + a] = g[i, w * each + 2 * count + a]
-    sums = _summed(sums, few, multiply(m, few), apply(m, v), True)
-    return _plus(d, multiply(gain, g)), sums
+    sums, d = sums.copy(), d.copy()
+    mv, mg = apply(m, v), multiply(m, g)
+    for w in range(sums.shape[0]):
+        _add_accelerations(sums[w], 5 * count, g, mg, mv, w * (count + 3) + count)
+    add_product(d, 1.0, gain, g)
+    return d, sums
 
 
 @compiled
-def _summed(sums: Vector, g: Vector, mg: Vector, mv: Vector, only_accelerations: bool) -> Vector:
-    sums = sums.copy()
-    count = (sums.shape[1] - 12) // 5
-    each = 3 if only_accelerations else 2 * count + 3
-    for i in range(g.shape[0]):
-        for w in range(sums.shape[0]):
-            at = w * each
-            if not only_accelerations:
-                for j in range(count):
-                    ramp, bias = g[i, at + j], g[i, at + count + j]
-                    sums[w, j] += ramp * mv[i]
-                    sums[w, count + j] += bias * mv[i]
-                    sums[w, 2 * count + j] += ramp * mg[i, at + j]
-                    sums[w, 3 * count + j] += ramp * mg[i, at + count + j]
-                    sums[w, 4 * count + j] += bias * mg[i, at + count + j]
-                at += 2 * count
-            for a in range(3):
-                sums[w, 5 * count + a] += g[i, at + a] * mv[i]
-                for b in range(3):
-                    sums[w, 5 * count + 3 + 3 * a + b] += g[i, at + a] * mg[i, at + b]
-    return sums
+def learn_offsets(
+    offset: Vector,
+    spread: Vector,
+    most: Vector,
+    p: Vector,
+    h: Vector,
+    variance: Vector,
+    v: Vector,
+    stays: float,
+    news: float,
+) -> tuple[Vector, Vector]:
+    """Mean and variance (n,) of each satellite's offset after the innovations v of one epoch.
+
+    `most` (n,) is the variance of an offset of which nothing is known, `stays` the share of one
+    that is left since the last epoch; an epoch tells `news` of what an independent one would.
+    """
+    mean, wide = offset.copy(), spread.copy()
+    for i in range(mean.shape[0]):
+        mean[i] *= stays
+        wide[i] = stays * stays * wide[i] + (1.0 - stays * stays) * most[i]
+        s = variance[i]
+        for j in range(h.shape[1]):
+            if h[i, j] != 0.0:
+                for k in range(h.shape[1]):
+                    s += h[i, j] * p[j, k] * h[i, k]
+        share = wide[i] / (wide[i] + s / news)
+        mean[i] += share * (v[i] - mean[i])
+        wide[i] *= 1.0 - share
+    return mean, wide
 
 
 @compiled
-def ramp_statistics(sums: Vector, bias: Vector, slope: float) -> Vector:
+def ramp_statistics(sums: Vector, spread: Vector, slope: float) -> Vector:
     """Likelihood ratios (w, n) of a ramp on each satellite.
 
-    `bias` (n,) is the variance of what stays the same on a healthy satellite, `slope` that of its
-    natural rate of change.
+    `spread` (w, n) is the variance of what a window does not know of a healthy satellite's offset,
+    `slope` that of its natural rate of change.
     """
-    count = bias.shape[0]
-    out = np.zeros((sums.shape[0], count))
-    for w in range(sums.shape[0]):
+    windows, count = spread.shape
+    out = np.zeros((windows, count))
+    for w in range(windows):
         for j in range(count):
             c, info = sums[w, j], sums[w, 2 * count + j]
-            if bias[j] > 0.0:
-                shared = sums[w, 3 * count + j] / (sums[w, 4 * count + j] + 1.0 / bias[j])
+            if spread[w, j] > 0.0:
+                shared = sums[w, 3 * count + j] / (sums[w, 4 * count + j] + 1.0 / spread[w, j])
                 c -= shared * sums[w, count + j]
                 info -= shared * sums[w, 3 * count + j]
             if info > 1e-9:

@@ -1,6 +1,6 @@
 """From one epoch to the next: by the IMU where it is there and sound, freely otherwise."""
 
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,8 +14,7 @@ TURN_SIGMA_RPS = 0.5  # how fast a body may turn while its IMU is silent
 SHORT_GAP_S = 1.0  # after a longer one the attitude is found anew
 
 
-@dataclass(frozen=True, slots=True)
-class Segment:
+class Segment(NamedTuple):
     """The IMU between two instants: samples (k, 7) with the length of each step; `gap_s` is the
     longest silence in it and `heard` whether there was any sample."""
 
@@ -53,7 +52,7 @@ def segment(run: list[ImuSample], motion: Motion, until_us: int) -> Segment:
     run = [sample for sample in run if sample.t_us > motion.t_us]
     if not run:
         return Segment(np.empty((0, 7)), (until_us - motion.t_us) * 1e-6, False)
-    stamps = np.array([motion.t_us, *(sample.t_us for sample in run), until_us])
+    stamps = np.array([motion.t_us, *[sample.t_us for sample in run], until_us])
     table = np.empty((len(run) + 1, 7))
     table[:-1, 1:4] = [sample.gyro_b_rps for sample in run]
     table[:-1, 4:7] = [sample.accel_b_mps2 for sample in run]
@@ -80,4 +79,4 @@ def advance(
     if inertial:
         p[range(PSI, PSI + 3), range(PSI, PSI + 3)] += (TURN_SIGMA_RPS * part.gap_s) ** 2
     alignment = motion.alignment if whole and not motion.inertial else None
-    return replace(motion, t_us=until_us, x=x, p=p, inertial=inertial, alignment=alignment), phi
+    return Motion(until_us, x, p, inertial, alignment), phi

@@ -1,20 +1,18 @@
-"""The main test F00 on all trusted pseudoranges, the bank when it trips, and the update."""
+"""The main test F00 on all trusted pseudoranges, and the bank when it trips."""
 
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from analysis.fdi.bank import normalised, projected_weights
 from analysis.fdi.config import DetectorConfig
-from analysis.fdi.inertial import CLOCK, DRIFT, ISB, PSI, correct, innovate
+from analysis.fdi.inertial import CLOCK, DRIFT, PSI
 from analysis.fdi.measure import Modelled
 from analysis.fdi.state import Motion
 from analysis.fdi.thresholds import chi_square
+from analysis.fdi.update import Innovated, innovated
 from analysis.fdi.verdict import Verdict, judge
 from analysis.samples import Vector
 
-Indices = NDArray[np.int64]
 FREE_POSITION_M = 300.0
 FREE_SPEED_MPS = 30.0
 FREE_TILT_RAD = 0.3
@@ -23,25 +21,12 @@ FREE_DRIFT_MPS = 100.0
 ROUNDS = 3  # a clock jump and a wrong prediction may come together
 
 
-@dataclass(frozen=True, slots=True)
-class Update:
-    """What an update of the filter used: gain (18, m), inverse covariance (m, m), geometry
-    (m, 18), innovations (m,), and which satellites of the test they are of (m,)."""
+class Tested(NamedTuple):
+    """What the tests said, and what of the epoch the filter may take.
 
-    gain: Vector
-    m: Vector
-    h: Vector
-    v: Vector
-    which: Indices
-
-
-@dataclass(frozen=True, slots=True)
-class Tested:
-    """The outcome: the filter updated with what is trusted, and what the tests said.
-
-    `left_out` are indices of satellites found faulty; `normalised` (n,) and the statistic are
-    those of the first round, before anything was freed. `update` is None where nothing was used,
-    `freed` says whether the clock or the position was forgotten.
+    `motion` is the prediction, with what was found wrong of it forgotten (`freed`);
+    `part` and `taken` are the innovations of those that are trusted, none where nothing is.
+    `left_out` are indices of satellites found faulty; the statistic is that of the first round.
     """
 
     motion: Motion
@@ -50,21 +35,10 @@ class Tested:
     left_out: tuple[int, ...]
     statistic: float
     threshold: float
-    normalised: Vector
     probabilities: dict[str, float]
-    update: Update | None
+    part: Modelled
+    taken: Innovated
     freed: bool
-
-
-def parity(modelled: Modelled, galileo: Vector, p_false_alarm: float) -> tuple[float, float, int]:
-    """The test that asks the satellites only: statistic, threshold, degrees of freedom."""
-    mixed = 0 < int(galileo.sum()) < len(galileo)
-    design = modelled.h[:, [0, 1, 2, CLOCK, ISB] if mixed else [0, 1, 2, CLOCK]]
-    dof = len(design) - design.shape[1]
-    if dof < 1:
-        return 0.0, 0.0, 0
-    m = projected_weights(np.ascontiguousarray(design), 1.0 / modelled.variance)
-    return float(modelled.v_m @ m @ modelled.v_m), chi_square(dof, p_false_alarm), dof
 
 
 def largest_set(count: int, wanted: int) -> int:
@@ -72,29 +46,41 @@ def largest_set(count: int, wanted: int) -> int:
     return max(min(wanted, (count - 4) // 2), 1 if count >= 4 else 0)
 
 
-def check_ranges(motion: Motion, modelled: Modelled, config: DetectorConfig) -> Tested:
-    """F00, verdict and update with the ranges of `modelled` (n satellites)."""
-    count = len(modelled.v_m)
-    threshold = chi_square(count, config.p_false_alarm)
-    everyone = np.arange(count)
-    ph, m, u, q = innovate(motion.p, modelled.h, modelled.variance, modelled.v_m)
-    statistic, each = q, normalised(m, u)
-    if q <= threshold:
-        motion, update = _updated(motion, modelled, everyone, (ph, m, u))
-        return Tested(motion, "none", False, (), q, threshold, each, {}, update, False)
+def check_ranges(
+    motion: Motion,
+    modelled: Modelled,
+    first: Innovated,
+    standing_m: Vector,
+    config: DetectorConfig,
+) -> Tested:
+    """F00 and verdict on the ranges of `modelled` (n satellites), innovated as `first`.
+
+    `standing_m` (n,) is each satellite's learnt offset: when some are left out it is taken off the
+    others', so that the position does not jump with the geometry.
+    """
+    threshold = chi_square(len(modelled.v_m), config.p_false_alarm)
+    if first.q <= threshold:
+        return Tested(motion, "none", False, (), first.q, threshold, {}, modelled, first, False)
     hypothesis, verdict, motion = _freed(motion, modelled, threshold, config)
-    used: Update | None = None
-    if verdict.hypothesis in ("none", "satellites"):
-        keep = np.ones(count, dtype=bool)
-        keep[list(verdict.subset)] = False
-        part = modelled.select(keep)
-        ph, m, u, q = innovate(motion.p, part.h, part.variance, part.v_m)
-        motion, used = _updated(motion, part, everyone[keep], (ph, m, u))
+    part = modelled
+    if verdict.hypothesis == "satellites":
+        part = without(modelled, verdict.subset, standing_m)
+    elif verdict.hypothesis != "none":
+        part = modelled.select(np.zeros(len(modelled.v_m), dtype=bool))
     blamed = verdict.hypothesis if hypothesis in ("none", "clock") else hypothesis
     shown = hypothesis if verdict.hypothesis == "none" else blamed
     alarm = shown not in ("none", "clock")
     subset, chances = verdict.subset, verdict.probabilities
-    return Tested(motion, shown, alarm, subset, statistic, threshold, each, chances, used, True)
+    taken = innovated(motion.p, part)
+    return Tested(motion, shown, alarm, subset, first.q, threshold, chances, part, taken, True)
+
+
+def without(modelled: Modelled, subset: tuple[int, ...], standing_m: Vector) -> Modelled:
+    """The innovations of the satellites that are not in `subset`, their offsets taken off."""
+    keep = np.ones(len(modelled.v_m), dtype=bool)
+    keep[list(subset)] = False
+    part = modelled.select(keep)
+    return part._replace(v_m=part.v_m - standing_m[keep])
 
 
 def _freed(
@@ -111,7 +97,7 @@ def _freed(
     position = np.ascontiguousarray(modelled.h[:, 0:3])
     clock = np.ascontiguousarray(modelled.h[:, CLOCK : CLOCK + 1])
     for _ in range(ROUNDS):
-        _, m, _, q = innovate(motion.p, modelled.h, modelled.variance, modelled.v_m)
+        _, m, _, q = innovated(motion.p, modelled)
         if q <= threshold:
             return hypothesis, Verdict("none", (), chances), motion
         verdict = judge(
@@ -125,16 +111,8 @@ def _freed(
             hypothesis = "imu" if motion.inertial else hypothesis
             motion = free_position(motion)
         else:
-            return hypothesis, replace(verdict, probabilities=chances), motion
+            return hypothesis, verdict._replace(probabilities=chances), motion
     return hypothesis, Verdict("multiple-unknown", (), chances), motion
-
-
-def _updated(
-    motion: Motion, part: Modelled, which: Indices, innovated: tuple[Vector, Vector, Vector]
-) -> tuple[Motion, Update]:
-    ph, m, u = innovated
-    x, p, gain = correct(motion.x, motion.p, part.h, part.variance, ph, m, u)
-    return replace(motion, x=x, p=p), Update(gain, m, part.h, part.v_m, which)
 
 
 def free_clock(motion: Motion) -> Motion:
@@ -142,7 +120,7 @@ def free_clock(motion: Motion) -> Motion:
     p = motion.p.copy()
     p[CLOCK, CLOCK] += FREE_CLOCK_M**2
     p[DRIFT, DRIFT] += FREE_DRIFT_MPS**2
-    return replace(motion, p=p)
+    return motion._replace(p=p)
 
 
 def free_position(motion: Motion) -> Motion:
@@ -150,4 +128,4 @@ def free_position(motion: Motion) -> Motion:
     p = motion.p.copy()
     for at, sigma in ((0, FREE_POSITION_M), (3, FREE_SPEED_MPS), (PSI, FREE_TILT_RAD)):
         p[range(at, at + 3), range(at, at + 3)] += sigma**2
-    return replace(motion, p=p, inertial=False, alignment=None)
+    return motion._replace(p=p, inertial=False, alignment=None)

@@ -1,50 +1,48 @@
 """The same tests on the Doppler rates: they see a wrong attitude or force seconds earlier."""
 
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
-from analysis.fdi.inertial import DRIFT, correct, innovate
-from analysis.fdi.measure import Modelled
-from analysis.fdi.ranges import FREE_DRIFT_MPS, Update, free_position, largest_set
+from analysis.fdi.inertial import DRIFT, innovate
+from analysis.fdi.measure import Mask, Modelled
+from analysis.fdi.ranges import FREE_DRIFT_MPS, free_position, largest_set
 from analysis.fdi.state import Motion
 from analysis.fdi.thresholds import chi_square
+from analysis.fdi.update import Assessed
 from analysis.fdi.verdict import judge
-from analysis.samples import Vector
 
 MIN_RATES = 5
 
 
-@dataclass(frozen=True, slots=True)
-class RatesTested:
+class RatesTested(NamedTuple):
     """What the rates said of the prediction, and which of them fit (mask over the satellites)."""
 
     statistic: float | None
     threshold: float | None
     dof: int
     hypothesis: str
-    fit: Vector
+    fit: Mask
 
 
-def check_rates(motion: Motion, modelled: Modelled, config: DetectorConfig) -> RatesTested:
+def check_rates(
+    motion: Motion, modelled: Modelled, assessed: Assessed, config: DetectorConfig
+) -> RatesTested:
     """Test the predicted velocity against the rates."""
-    fit = np.isfinite(modelled.v_mps)
-    count = int(fit.sum())
+    fit, count = np.isfinite(modelled.v_mps), assessed.rates
     if not config.doppler or count < MIN_RATES:
         return RatesTested(None, None, 0, "none", np.zeros(len(fit), dtype=bool))
-    h, v, variance = modelled.h_rate, modelled.v_mps, modelled.rate_variance
-    if count < len(fit):
-        h, v, variance = h[fit], v[fit], variance[fit]
-    _, m, _, q = innovate(motion.p, h, variance, v)
     threshold = chi_square(count, config.p_other)
-    if q <= threshold:
-        return RatesTested(q, threshold, count, "none", fit)
+    if assessed.q_rate <= threshold:
+        return RatesTested(assessed.q_rate, threshold, count, "none", fit)
+    known = modelled.select(fit)
+    h, v = known.h_rate, known.v_mps
+    _, m, _, q = innovate(motion.p, h, known.rate_variance, v)
     velocity = np.ascontiguousarray(h[:, 3:6])
     drift = np.ascontiguousarray(h[:, DRIFT : DRIFT + 1])
     verdict = judge(m, v, velocity, drift, config.p_other, largest_set(count, config.left_out))
     if verdict.hypothesis == "satellites":
-        fit = fit.copy()
         fit[np.flatnonzero(fit)[list(verdict.subset)]] = False
     elif verdict.hypothesis == "multiple-unknown":
         fit = np.zeros(len(fit), dtype=bool)
@@ -58,18 +56,5 @@ def freed_by(motion: Motion, hypothesis: str) -> Motion:
     if hypothesis == "clock":
         p = motion.p.copy()
         p[DRIFT, DRIFT] += FREE_DRIFT_MPS**2
-        return replace(motion, p=p)
+        return motion._replace(p=p)
     return motion
-
-
-def use_rates(motion: Motion, modelled: Modelled, fit: Vector) -> tuple[Motion, Update | None]:
-    """Update with the rates that fit."""
-    which = np.flatnonzero(fit)
-    if not len(which):
-        return motion, None
-    h, v, variance = modelled.h_rate, modelled.v_mps, modelled.rate_variance
-    if len(which) < len(fit):
-        h, v, variance = h[fit], v[fit], variance[fit]
-    ph, m, u, _ = innovate(motion.p, h, variance, v)
-    x, p, gain = correct(motion.x, motion.p, h, variance, ph, m, u)
-    return replace(motion, x=x, p=p), Update(gain, m, h, v, np.full(len(which), -1))

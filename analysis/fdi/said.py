@@ -1,6 +1,6 @@
 """The detector's outcome in the words of `analysis.results`."""
 
-import numpy as np
+import math
 
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import Core
@@ -8,19 +8,24 @@ from analysis.fdi.epoch import Outcome
 from analysis.fdi.measure import Observed
 from analysis.fdi.motion import Segment
 from analysis.fdi.start import Start
-from analysis.fdi.thresholds import p_value
+from analysis.fdi.state import Motion
+from analysis.fdi.thresholds import chi_square, p_value
 from analysis.results import Decision, Result, SensorDecision
-from analysis.samples import Epoch, Vector
+from analysis.samples import Epoch
 
 
-def decision(epoch: Epoch, outcome: Outcome, core: Core, late: bool) -> Decision:
+def decision(
+    epoch: Epoch, outcome: Outcome, core: Core, late: bool, config: DetectorConfig
+) -> Decision:
     """The decision on a tested epoch; `late` says that a fault was found by its past."""
-    tested, used, motion = outcome.tested, outcome.used, core.motion
+    tested, assessed, used, motion = outcome.tested, outcome.assessed, outcome.used, core.motion
     assert tested is not None
+    assert assessed is not None
     assert used is not None
     onsets = [entry.onset_us for entry in core.excluded.values()]
-    slow = outcome.slow
+    slow, left = outcome.slow, outcome.left
     hypothesis = "satellites" if late and outcome.hypothesis == "none" else outcome.hypothesis
+    dof = assessed.parity_dof
     return Decision(
         t_s=epoch.t_us * 1e-6,
         t_us=epoch.t_us,
@@ -31,17 +36,17 @@ def decision(epoch: Epoch, outcome: Outcome, core: Core, late: bool) -> Decision
         alarm=outcome.alarm or late,
         hypothesis=hypothesis,
         excluded=tuple(sorted(core.excluded)),
-        satellites=outcome.names,
-        residual_m=tuple(used.v_m.tolist()),
-        normalised=tuple(tested.normalised.tolist()),
+        satellites=(*outcome.names, *left.names),
+        residual_m=(*used.v_m.tolist(), *left.v_m.tolist()),
+        normalised=(*assessed.normalised.tolist(), *left.normalised.tolist()),
         onset_s=max(onsets) * 1e-6 if onsets else None,
         probabilities=tested.probabilities,
-        position_ecef_m=_triple(motion.x) if motion is not None else None,
-        position_sigma_m=_triple(np.sqrt(np.diag(motion.p))) if motion is not None else None,
+        position_ecef_m=_position(motion) if motion is not None else None,
+        position_sigma_m=_sigma(motion) if motion is not None else None,
         mode="inertial" if motion is not None and motion.inertial else "free",
-        parity_statistic=outcome.parity[0],
-        parity_threshold=outcome.parity[1],
-        parity_dof=outcome.parity[2],
+        parity_statistic=assessed.parity if dof else 0.0,
+        parity_threshold=chi_square(dof, config.p_false_alarm) if dof else 0.0,
+        parity_dof=dof,
         slow_statistic=slow.statistic if slow is not None else None,
         slow_threshold=slow.threshold if slow is not None else None,
     )
@@ -62,8 +67,8 @@ def started(epoch: Epoch, observed: Observed, begun: Start, core: Core) -> Decis
         hypothesis="satellites" if core.excluded else "none",
         excluded=tuple(sorted(core.excluded)),
         satellites=observed.satellites,
-        position_ecef_m=_triple(motion.x),
-        position_sigma_m=_triple(np.sqrt(np.diag(motion.p))),
+        position_ecef_m=_position(motion),
+        position_sigma_m=_sigma(motion),
         mode="start",
     )
 
@@ -110,5 +115,11 @@ def imu_results(
     ]
 
 
-def _triple(values: Vector) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])
+def _position(motion: Motion) -> tuple[float, float, float]:
+    x, y, z = motion.x[:3].tolist()
+    return x, y, z
+
+
+def _sigma(motion: Motion) -> tuple[float, float, float]:
+    p = motion.p
+    return math.sqrt(p[0, 0]), math.sqrt(p[1, 1]), math.sqrt(p[2, 2])

@@ -1,6 +1,7 @@
 """The windows of `memory` kept over a flight, and what they say."""
 
-from dataclasses import dataclass
+import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,34 +11,43 @@ from analysis.fdi.memory import (
     STRIDE_S,
     WINDOWS,
     acceleration_statistics,
+    learn_offsets,
     ramp_statistics,
     respond,
     respond_to_rates,
 )
-from analysis.fdi.ranges import Update
 from analysis.fdi.thresholds import chi_square
+from analysis.fdi.update import Update
 from analysis.fdi.verdict import PENALTY
 from analysis.samples import Vector
 
 YOUNGEST_S = 0.5  # a younger window says nothing that the main test does not
 EPISODES = 1.2  # alarms per epoch over single-test probability, over windows and time: measured
 LATE = 9.0  # a ramp's likelihood ratio that dates the fault of a satellite found otherwise
+NEWS_S = 1.0  # epochs closer than this tell little new of an offset
 
 
-@dataclass(frozen=True, slots=True)
-class Memory:
-    """Windows over `names` (n satellites) since `starts_us`; arrays as in `memory`; `variance`
-    (n,) of each satellite's range when last used."""
+class Memory(NamedTuple):
+    """Windows over `names` (n satellites) since `starts_us` (None: not begun yet), kept since
+    `since_us`; d and sums as in `memory`.
 
+    `most` (n,) is the variance of an offset of which nothing is known, `offset` and `spread` (n,)
+    mean and variance of each now, `offsets` and `spreads` (w, n) the same when a window started.
+    """
+
+    since_us: int
     names: tuple[str, ...]
-    starts_us: tuple[int, ...]
+    starts_us: tuple[int | None, ...]
     d: Vector
     sums: Vector
-    variance: Vector
+    most: Vector
+    offset: Vector
+    spread: Vector
+    offsets: Vector
+    spreads: Vector
 
 
-@dataclass(frozen=True, slots=True)
-class SlowVerdict:
+class SlowVerdict(NamedTuple):
     """The largest ramp statistic and its threshold; whose fault it is (none, satellites, imu)."""
 
     statistic: float
@@ -48,9 +58,10 @@ class SlowVerdict:
 
 
 def new_memory(t_us: int) -> Memory:
-    """Empty windows that start at `t_us`."""
-    empty = np.zeros((ERRORS, 3 * WINDOWS))
-    return Memory((), (t_us,) * WINDOWS, empty, np.zeros((WINDOWS, 12)), np.empty(0))
+    """Windows that begin one after the other, the first when the filter has settled."""
+    none, table = np.empty(0), np.empty((WINDOWS, 0))
+    d, sums = np.zeros((ERRORS, 3 * WINDOWS)), np.zeros((WINDOWS, 12))
+    return Memory(t_us, (), (None,) * WINDOWS, d, sums, none, none, none, table, table)
 
 
 def remember(
@@ -59,89 +70,107 @@ def remember(
     dt_s: float,
     phi: Vector,
     names: tuple[str, ...],
-    variance: Vector,
+    p: Vector,
     update: Update,
-    rates: Update | None,
+    config: DetectorConfig,
 ) -> Memory:
-    """One epoch more: the ranges of `names` (m satellites, with their variance) and the rates."""
-    memory = _turned_over(_renamed(memory, names), t_us)
-    place = {name: i for i, name in enumerate(memory.names)}
-    slots = np.array([place[names[i]] for i in update.which], dtype=np.int64)
-    known = memory.variance.copy()
-    known[slots] = variance[update.which]
-    ages = (t_us - np.array(memory.starts_us)) * 1e-6
-    d, sums = respond(
-        memory.d, memory.sums, ages, phi, update.gain, update.m, update.h, update.v, slots, dt_s
+    """One epoch more, as the filter took it: the ranges of `names` (n satellites) and the rates.
+
+    `p` (18, 18) is the covariance before the update.
+    """
+    most = config.sigma.slow**2 * update.variance
+    memory = _turned_over(_renamed(memory, names, most), t_us)
+    ages = np.array([(t_us - start) * 1e-6 if start else 0.0 for start in memory.starts_us])
+    gain, m, h, v = update.gain, update.m, update.h, update.v
+    d, sums = respond(memory.d, memory.sums, memory.offsets, ages, phi, gain, m, h, v, dt_s)
+    if len(update.v_rate):
+        d, sums = respond_to_rates(
+            d, sums, update.gain_rate, update.m_rate, update.h_rate, update.v_rate
+        )
+    stays = math.exp(-dt_s / config.sigma.slow_s)
+    offset, spread = learn_offsets(
+        memory.offset, memory.spread, most, p, h, update.variance, v, stays, min(dt_s / NEWS_S, 1.0)
     )
-    if rates is not None:
-        d, sums = respond_to_rates(d, sums, rates.gain, rates.m, rates.h, rates.v)
-    return Memory(memory.names, memory.starts_us, d, sums, known)
+    return memory._replace(d=d, sums=sums, most=most, offset=offset, spread=spread)
 
 
-def _renamed(memory: Memory, names: tuple[str, ...]) -> Memory:
+def _renamed(memory: Memory, names: tuple[str, ...], most: Vector) -> Memory:
     """The windows over `names`, the same object if they are; new satellites start from nothing."""
     if memory.names == names:
         return memory
     old, new = len(memory.names), len(names)
-    d = np.zeros((ERRORS, WINDOWS, 2 * new + 3))
+    d = np.zeros((ERRORS, WINDOWS, new + 3))
     sums = np.zeros((WINDOWS, 5 * new + 12))
-    variance = np.ones(new)
-    before = memory.d.reshape(ERRORS, WINDOWS, 2 * old + 3)
-    d[:, :, 2 * new :] = before[:, :, 2 * old :]
+    offset, spread = np.zeros(new), most.copy()
+    offsets, spreads = np.zeros((WINDOWS, new)), np.tile(most, (WINDOWS, 1))
+    before = memory.d.reshape(ERRORS, WINDOWS, old + 3)
+    d[:, :, new:] = before[:, :, old:]
     sums[:, 5 * new :] = memory.sums[:, 5 * old :]
     place = {name: i for i, name in enumerate(memory.names)}
     for i, name in enumerate(names):
         at = place.get(name)
         if at is not None:
-            for block in range(2):
-                d[:, :, block * new + i] = before[:, :, block * old + at]
-            for block in range(5):
-                sums[:, block * new + i] = memory.sums[:, block * old + at]
-            variance[i] = memory.variance[at]
-    return Memory(names, memory.starts_us, d.reshape(ERRORS, -1), sums, variance)
+            d[:, :, i] = before[:, :, at]
+            sums[:, i : 5 * new : new] = memory.sums[:, at : 5 * old : old]
+            offset[i], spread[i] = memory.offset[at], memory.spread[at]
+            offsets[:, i], spreads[:, i] = memory.offsets[:, at], memory.spreads[:, at]
+    flat = d.reshape(ERRORS, -1)
+    return Memory(
+        memory.since_us, names, memory.starts_us, flat, sums, most, offset, spread, offsets, spreads
+    )
 
 
 def _turned_over(memory: Memory, t_us: int) -> Memory:
     """The oldest window started anew when the youngest is a stride old."""
-    starts = list(memory.starts_us)
-    if (t_us - max(starts)) * 1e-6 < STRIDE_S:
+    starts = [start or 0 for start in memory.starts_us]
+    if (t_us - max(memory.since_us, *starts)) * 1e-6 < STRIDE_S:
         return memory
     oldest = starts.index(min(starts))
     starts[oldest] = t_us
-    each = 2 * len(memory.names) + 3
+    each = len(memory.names) + 3
     d, sums = memory.d.copy(), memory.sums.copy()
+    offsets, spreads = memory.offsets.copy(), memory.spreads.copy()
     d[:, oldest * each : (oldest + 1) * each] = 0.0
     sums[oldest] = 0.0
-    return Memory(memory.names, tuple(starts), d, sums, memory.variance)
+    offsets[oldest], spreads[oldest] = memory.offset, memory.spread
+    return memory._replace(
+        starts_us=tuple(start or None for start in starts),
+        d=d,
+        sums=sums,
+        offsets=offsets,
+        spreads=spreads,
+    )
 
 
 def ramp_table(memory: Memory, config: DetectorConfig) -> Vector:
     """Likelihood ratios (w, n) of a ramp on each satellite."""
-    bias = config.sigma.slow**2 * memory.variance
-    return ramp_statistics(memory.sums, bias, config.sigma.slow_mps**2)
+    return ramp_statistics(memory.sums, memory.spreads, config.sigma.slow_mps**2)
 
 
 def judge_slow(memory: Memory, t_us: int, inertial: bool, config: DetectorConfig) -> SlowVerdict:
     """Whether a window has seen a ramp, and whose; the rival is a wrong acceleration."""
     count = len(memory.names)
     threshold = chi_square(1, config.p_slow / (EPISODES * max(count, 1)))
-    old_enough = (t_us - np.array(memory.starts_us)) * 1e-6 >= YOUNGEST_S
-    if not old_enough.any() or not count:
+    starts = [start or t_us for start in memory.starts_us]
+    old_enough = [w for w in range(WINDOWS) if (t_us - starts[w]) * 1e-6 >= YOUNGEST_S]
+    if not old_enough or not count:
         return SlowVerdict(0.0, threshold)
-    ramps = np.where(old_enough[:, None], ramp_table(memory, config), 0.0)
-    window, worst = np.unravel_index(int(ramps.argmax()), ramps.shape)
+    ramps = ramp_table(memory, config)
+    if len(old_enough) < WINDOWS:
+        ramps = ramps[old_enough]
+    window, worst = divmod(int(ramps.argmax()), count)
     statistic = float(ramps[window, worst])
     wrong = 0.0
     if inertial:
         rivals = acceleration_statistics(memory.sums, config.slow_accel_mps2**2)
-        wrong = float(np.where(old_enough, rivals, 0.0).max())
+        wrong = max(float(rivals[w]) for w in old_enough)
     imu_cost = wrong - 3.0 * PENALTY
     if wrong > chi_square(3, config.p_slow / EPISODES) and imu_cost > statistic - 2.0 * PENALTY:
         return SlowVerdict(statistic, threshold, "imu")
     if statistic <= threshold:
         return SlowVerdict(statistic, threshold)
-    onset_us = memory.starts_us[int(window)]
-    return SlowVerdict(statistic, threshold, "satellites", memory.names[int(worst)], onset_us)
+    onset_us = starts[old_enough[window]]
+    return SlowVerdict(statistic, threshold, "satellites", memory.names[worst], onset_us)
 
 
 def onset_of(memory: Memory | None, name: str, t_us: int, config: DetectorConfig) -> int:
@@ -150,4 +179,5 @@ def onset_of(memory: Memory | None, name: str, t_us: int, config: DetectorConfig
         return t_us
     ratios = ramp_table(memory, config)[:, memory.names.index(name)]
     window = int(ratios.argmax())
-    return memory.starts_us[window] if ratios[window] >= LATE else t_us
+    start_us = memory.starts_us[window]
+    return start_us if start_us is not None and ratios[window] >= LATE else t_us

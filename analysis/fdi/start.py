@@ -47,7 +47,7 @@ def start(t_us: int, observed: Observed, config: DetectorConfig, ionosphere: Vec
     if x is None:
         return Start(None, _too_few(observed))
     modelled = model(observed, x, config.sigma, ionosphere)
-    design = design_matrix(modelled.los, observed.galileo)
+    design = design_matrix(-modelled.h[:, 0:3], observed.galileo)
     dof = len(design) - design.shape[1]
     if dof < 1:
         return Start(None, f"{len(design)} satellites; {design.shape[1] + 1} are needed to test")
@@ -86,7 +86,7 @@ def _repaired(
     if solved is None:
         return Start(None, _too_few(observed))
     modelled = model(observed, solved, config.sigma, ionosphere)
-    design = design_matrix(modelled.los, observed.galileo)
+    design = design_matrix(-modelled.h[:, 0:3], observed.galileo)
     motion = _motion(t_us, solved, observed, modelled, design, config)
     dof = len(u) - unknowns
     return Start(motion, "", left_out, q, dof, chi_square(dof, config.p_false_alarm))
@@ -109,7 +109,7 @@ def _solve(
         near = float(x[:3] @ x[:3]) > FAR_FROM_EARTH_M**2
         modelled = model(observed, x if near else x + 1e-3, config.sigma, ionosphere)
         weight = modelled.variance**-0.5 if near else np.ones(len(modelled.v_m))
-        design = design_matrix(modelled.los, observed.galileo) * weight[:, None]
+        design = design_matrix(-modelled.h[:, 0:3], observed.galileo) * weight[:, None]
         step, _, rank, _ = np.linalg.lstsq(design, modelled.v_m * weight, rcond=1e-10)
         if rank < design.shape[1] or not np.isfinite(step).all():
             return None
@@ -142,7 +142,7 @@ def _motion(
     x[6] = 1.0
     known = np.isfinite(observed.doppler_mps)
     if known.sum() >= 5:
-        h = np.hstack([-modelled.los[known], np.ones((known.sum(), 1))])
+        h = np.hstack([modelled.h[known, 0:3], np.ones((known.sum(), 1))])
         solution, *_ = np.linalg.lstsq(h, modelled.v_mps[known], rcond=None)
         x[3:6] += solution[:3]
         x[17] += solution[3]

@@ -42,8 +42,7 @@ class Exclusion:
     healthy_since_us: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Motion:
+class Motion(NamedTuple):
     """The filter: time, state x (19,) and covariance p (18, 18) of `inertial`.
 
     `inertial` says whether the IMU moves it, `alignment` is how far its attitude has been found.

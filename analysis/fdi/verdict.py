@@ -12,6 +12,7 @@ older literature, "no leave-out set passes, so it is the IMU", can be chosen for
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,8 +41,7 @@ class Explanation:
         return self.statistic <= self.threshold
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
+class Verdict(NamedTuple):
     """The explanation taken, and all that were weighed with their relative likelihoods."""
 
     hypothesis: str

@@ -5,7 +5,6 @@ import contextlib
 import math
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +16,8 @@ from analysis.run.flight import Flight
 from analysis.run.setup import Setup, read_setup
 from analysis.run.worker import MonitorProcess
 from analysis.terminal import print_summary
-from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.links.bus import Bus, open_run_bus
+from mavproxy_fault.edits import JOIN, Journal
+from mavproxy_fault.links.bus import open_run_bus
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.live import Live
@@ -28,13 +27,15 @@ from mavproxy_fault.wire.tlog import Columns, read_columns
 from simvehicle.pace import Pace, parse_speed
 
 RECORD_US = 200_000  # simulated time between writes to the logs
+MOST_OWED = 10  # batches, two seconds of flight, that a watched monitor may be behind
+HOLD_S = 0.02
 EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 
 
 def main(args: argparse.Namespace) -> int:
     """Fly, report, and return the exit code of the verdict."""
     setup = read_setup(args.scenario, args.schedule, args.seed)
-    pace = Pace(parse_speed(args.speed))
+    pace = Pace(parse_speed(args.speed or ("1" if args.ui else "max")))
     folder = make_folder(args.out, setup.scenario.name)
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(open_run_bus(args.zenoh, folder.name))
@@ -48,16 +49,17 @@ def main(args: argparse.Namespace) -> int:
                 publisher.publish(results)
 
         flight = Flight(setup.scenario, setup.schedule)
+        journal = Journal(flight.core, flight.tape)
+        journal.note(JOIN, b"", journal.begin(flight.now_us))
         live = stack.enter_context(
-            contextlib.closing(Live(flight.control, lambda: flight.vehicle_us))
+            contextlib.closing(Live(flight.control, lambda: journal.begin(flight.now_us), journal))
         )
         if bus is not None:
             live.offer(bus)
-        if args.ui:
-            print(f"page: {stack.enter_context(page(bus))}", flush=True)
         link = open_ground(args.gcs, pace)
         started_s = time.monotonic()
-        fly(flight, monitor, Recorder(folder, session(setup)), pace, take, link, live)
+        recorder = Recorder(folder, session(setup, flight))
+        fly(flight, monitor, recorder, pace, take, link, live, together=args.ui)
         columns = read_columns(folder / "sent.tlog")  # while the monitor catches up
         take(monitor.results())
         wall_s = time.monotonic() - started_s
@@ -76,16 +78,26 @@ def fly(
     take: Callable[[list[Result]], None],
     ground: Link | None,
     live: Live,
+    *,
+    together: bool,
 ) -> None:
-    """Fly to the end of the scenario, or until Ctrl-C; the logs are closed then."""
+    """Fly to the end of the scenario, or until Ctrl-C; the logs are closed then.
+
+    With `together` the flight waits for a monitor that falls behind, because somebody watches.
+    """
     recorded_us = 0
     with RunProgress(flight.duration_s) as progress:
         with contextlib.suppress(KeyboardInterrupt):
             while not flight.over:
-                wait_s = pace.wait_s(flight.t_us, time.monotonic())
+                hold = together and monitor.owed > MOST_OWED
+                wait_s = HOLD_S if hold else pace.wait_s(flight.t_us, time.monotonic())
                 if wait_s > 0.0:
                     time.sleep(wait_s)
                 live.serve()
+                live.show(time.monotonic())
+                if hold:
+                    take(monitor.feed(b""))
+                    continue
                 sent = flight.advance([data for _, data in ground.read()] if ground else [])
                 take(monitor.feed(sent.monitor))
                 if ground is not None:
@@ -94,29 +106,14 @@ def fly(
                 if flight.t_us - recorded_us >= RECORD_US:
                     recorded_us = flight.t_us
                     labels = flight.take_labels()
-                    recorder.write(flight.tape, labels)
-                    live.publish({}, labels)
-                    if ground is not None:
+                    recorder.write(flight.tape, labels, live.edits())
+                    live.publish(flight.stats(), labels)
+                    if together or ground is not None:
                         take(monitor.feed(b"", now=True))
                     progress.show(flight.t_us * 1e-6, flight.engine.active)
         take(monitor.feed(flight.finish().monitor, now=True))
         recorder.write(flight.tape, flight.take_labels())
         recorder.close(flight.core.clock.t0_us, flight.now_us)
-
-
-def page(bus: Bus | None) -> AbstractContextManager[str]:
-    """The page for control and live view, served while the run goes on; gives its address.
-
-    Raises
-    ------
-    ConfigError
-        If there is no bus for it to listen to.
-    """
-    if bus is None:
-        raise ConfigError("--ui: the page listens on Zenoh; leave out --zenoh off")
-    from analysis.web.server import serve
-
-    return serve(bus.url)
 
 
 def open_ground(spec: str, pace: Pace) -> Link | None:
@@ -126,9 +123,15 @@ def open_ground(spec: str, pace: Pace) -> Link | None:
     return open_link(spec, plain_udp="udpout")
 
 
-def session(setup: Setup) -> dict[str, Any]:
+def session(setup: Setup, flight: Flight) -> dict[str, Any]:
     """What a replay of the run needs to know."""
-    return {"scenario": setup.scenario.name, "seed": setup.schedule.seed}
+    links = [{"name": role.name, "direction": role.direction} for role in flight.core.links]
+    return {
+        "scenario": setup.scenario.name,
+        "seed": setup.schedule.seed,
+        "schedule": flight.engine.save(),
+        "links": links,
+    }
 
 
 def report(folder: Path, summary: dict[str, Any], columns: Columns) -> None:

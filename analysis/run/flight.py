@@ -5,13 +5,14 @@ sends on and publishes what comes of it.
 """
 
 import logging
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mavproxy_fault.control import Control
 from mavproxy_fault.core import Core
 from mavproxy_fault.engine import Engine
 from mavproxy_fault.ports import LinkRole, Send
 from mavproxy_fault.schedule import Schedule
+from mavproxy_fault.stats import figures
 from mavproxy_fault.tape import Tape
 from mavproxy_fault.wire.frame import STX_V2, Frame
 from mavproxy_fault.wire.label import Label, newest
@@ -55,6 +56,7 @@ class Flight:
         self.control = Control(self.engine)
         self.core = Core(LINKS, self.engine, tape=self.tape, control=self.control)
         self._labels: list[Label] = []
+        self._out = [0] * len(LINKS)  # datagrams that left on each link
         self._hil = Hil(mav_type=airframe(self.simulation)[0])
         self._services, self._pilot = services(self.simulation)
         self._plant = PlantChanges(self.simulation, LOG.warning)
@@ -108,11 +110,19 @@ class Flight:
         """What every fault really did, for the scores; after `take_labels`."""
         return newest(self._labels)
 
+    def stats(self) -> list[dict[str, Any]]:
+        """What passed on every link."""
+        return [
+            {**figures(self.core, number), "chunks_out": out}
+            for number, out in enumerate(self._out)
+        ]
+
     def _sort(self, sends: list[Send]) -> Sent:
         """Hand commands to the vehicle; the HIL stream is the monitor's, the rest the ground's."""
         sent = Sent(b"".join(s.data for s in sends if s.link == MONITOR and _is_hil(s.data)), [])
         answers: list[Send] = []
         for link, data, _ in sends:
+            self._out[link] += 1
             if link == GROUND and not _is_hil(data):
                 sent.ground.append(data)
             elif link in (VEHICLE, SIMULATOR):

@@ -49,7 +49,7 @@ class MonitorProcess:
         self._process.start()
         theirs.close()
         self._batch = bytearray()
-        self._owed = 0  # batches without their results yet
+        self.owed = 0  # batches without their results yet
 
     def __enter__(self) -> "MonitorProcess":
         return self
@@ -78,15 +78,15 @@ class MonitorProcess:
             self._batch.clear()
             while not self._handed_on(batch):
                 results += self._receive()
-            self._owed += 1
-        while self._owed and self._answers.poll():
+            self.owed += 1
+        while self.owed and self._answers.poll():
             results += self._receive()
         return results
 
     def results(self) -> list[Result]:
         """The results of all that was fed; waits for them."""
         results = self.feed(b"", now=True)
-        while self._owed:
+        while self.owed:
             results += self._receive()
         return results
 
@@ -106,5 +106,5 @@ class MonitorProcess:
     def _receive(self) -> list[Result]:
         """The oldest results owed; EOFError if the monitor died."""
         results: list[Result] = self._answers.recv()
-        self._owed -= 1
+        self.owed -= 1
         return results

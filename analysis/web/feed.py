@@ -2,21 +2,30 @@
 
 Streams are thinned to the newest few samples of each key and tick; what must not be lost (events,
 labels) is kept whole up to a bound. A viewer that does not keep up loses batches and is given
-the whole picture again; it never slows the bus or another viewer.
+the whole picture again; it never slows the bus or another viewer. Viewers say which messages they
+want to see the values of.
 """
 
 import asyncio
 import threading
 from collections import deque
+from collections.abc import Iterable
 
 import msgspec
 
+from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.view import MOST_MESSAGES, RANGES
+from mavproxy_fault.wire.dialect import layout
+
 KEPT = 200  # events and labels remembered for late joiners
-WAITING = 50  # batches a viewer may be behind: one second
+WAITING = 25  # batches a viewer may be behind: one second
 LISTED = ("fdi/events", "proxy/labels")  # every sample counts
 BURST = 25  # samples of one key sent in one tick: a monitor's results come by the second
 PAST = 300  # samples of a curve that a late joiner is shown
 CURVES = ("fdi/main/", "att/")
+STATES = ("schedule/state", "proxy/stats", "page/status")  # only the newest counts
+MOST_KEYS = 500
+MOST_VIEWERS = 100
 STATUS = "page/status"
 
 
@@ -26,6 +35,17 @@ class Viewer:
     def __init__(self, first: str) -> None:
         self.queue: asyncio.Queue[str] = asyncio.Queue(WAITING)
         self.queue.put_nowait(first)
+        self.messages: frozenset[str] = frozenset()
+
+    def wish(self, said: str) -> None:
+        """Take the messages it wants to see, a JSON list; what does not exist is left out."""
+        try:
+            names = msgspec.json.decode(said, type=list[str])
+        except msgspec.MsgspecError:
+            return
+        self.messages = frozenset(
+            name for name in names[:MOST_MESSAGES] if name == RANGES or layout(name)
+        )
 
 
 class Feed:
@@ -49,10 +69,11 @@ class Feed:
             if key in LISTED:
                 self._listed.append((key, payload))
                 self._unsent.append((key, payload))
-            else:
-                length = PAST if key.startswith(CURVES) else 1
-                self._past.setdefault(key, deque(maxlen=length)).append(payload)
-                self._fresh.setdefault(key, deque(maxlen=min(length, BURST))).append(payload)
+            elif key in self._past or len(self._past) < MOST_KEYS:
+                past = PAST if key.startswith(CURVES) else 1
+                burst = 1 if key in STATES else BURST
+                self._past.setdefault(key, deque(maxlen=past)).append(payload)
+                self._fresh.setdefault(key, deque(maxlen=burst)).append(payload)
 
     def status(self, said: object) -> None:
         """Tell the viewers how the page itself is doing."""
@@ -67,7 +88,15 @@ class Feed:
             self._unsent.clear()
 
     def join(self) -> Viewer:
-        """A viewer more; it is told everything that is known first."""
+        """A viewer more; it is told everything that is known first.
+
+        Raises
+        ------
+        ConfigError
+            If there are too many.
+        """
+        if len(self._viewers) >= MOST_VIEWERS:
+            raise ConfigError(f"the page has {MOST_VIEWERS} viewers already; close one")
         viewer = Viewer(self._picture())
         self._viewers.add(viewer)
         return viewer
@@ -76,10 +105,22 @@ class Feed:
         """A viewer less."""
         self._viewers.discard(viewer)
 
+    @property
+    def viewers(self) -> int:
+        """How many pages are open."""
+        return len(self._viewers)
+
+    def wishes(self) -> list[str]:
+        """The messages that viewers want to see, as many as a proxy will show."""
+        wanted: set[str] = set()
+        for viewer in tuple(self._viewers):
+            wanted |= viewer.messages
+        return sorted(wanted)[:MOST_MESSAGES]
+
     def tick(self) -> None:
         """Give every viewer what came since the last tick."""
         with self._lock:
-            samples = [*self._unsent, *flat(self._fresh)]
+            samples = ordered(self._unsent, self._fresh)
             self._unsent.clear()
             self._fresh.clear()
         if not samples:
@@ -96,12 +137,16 @@ class Feed:
 
     def _picture(self) -> str:
         with self._lock:
-            return encoded([("page/picture", b"null"), *self._listed, *flat(self._past)])
+            return encoded([("page/picture", b"null"), *ordered(self._listed, self._past)])
 
 
-def flat(samples: dict[str, deque[bytes]]) -> list[tuple[str, bytes]]:
-    """Samples with their keys, in order of arrival within a key."""
-    return [(key, payload) for key, payloads in samples.items() for payload in payloads]
+def ordered(
+    listed: Iterable[tuple[str, bytes]], samples: dict[str, deque[bytes]]
+) -> list[tuple[str, bytes]]:
+    """States first, because they say which run and time the rest belongs to."""
+    flat = [(key, payload) for key, payloads in samples.items() for payload in payloads]
+    states = [sample for sample in flat if sample[0] in STATES]
+    return [*states, *listed, *(sample for sample in flat if sample[0] not in STATES)]
 
 
 def encoded(samples: list[tuple[str, bytes]]) -> str:

@@ -32,6 +32,7 @@ def catalogue() -> bytes:
         name: {
             "about": first_line(kind),
             "acts_on": kind.acts_on,
+            "messages": list(getattr(kind, "messages", ())),
             "on_ranges": name in ON_RANGES,
             "schema": choice,
         }
@@ -44,8 +45,26 @@ def catalogue() -> bytes:
         for field in known(name).fields.values()
     }
     return msgspec.json.encode(
-        {"faults": faults, "presets": presets, "units": units, "defs": described["$defs"]}
+        {
+            "faults": faults,
+            "presets": presets,
+            "units": units,
+            "defs": described["$defs"],
+            "modes": modes(),
+        }
     )
+
+
+def modes() -> dict[str, Any]:
+    """Names of flight modes: PX4's by `main.sub`, ArduPilot's by MAV_TYPE and number."""
+    from pymavlink import mavutil  # takes its time to load
+
+    px4 = {f"{main}.{sub}": name.lower() for name, (_, main, sub) in mavutil.px4_map.items()}
+    ardupilot = {
+        kind: {number: name.lower() for number, name in names.items()}
+        for kind, names in mavutil.AP_MAV_TYPE_MODE_MAP.items()
+    }
+    return {"px4": px4, "ardupilot": ardupilot}
 
 
 def preview(body: bytes) -> dict[str, Any]:

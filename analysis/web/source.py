@@ -1,7 +1,9 @@
-"""Where the page's data comes from: the run that is alive on the bus, followed over restarts."""
+"""Where the page's data comes from: a run that is alive on the bus, followed over restarts."""
 
 import contextlib
 import threading
+
+import msgspec
 
 from analysis.web.feed import Feed
 from mavproxy_fault.errors import ConfigError
@@ -9,7 +11,7 @@ from mavproxy_fault.links.bus import DEFAULT_URL, ROOT, Bus, open_bus
 
 LOOK_S = 0.5  # between two looks at who is there
 STREAMS = ("fdi/**", "att/**", "fusion/**", "schedule/**", "proxy/**")
-PROXY = "/alive/proxy"
+PROXY, RUN = "/alive/proxy", "/alive/run"
 
 
 class Source:
@@ -21,17 +23,33 @@ class Source:
         self._over = threading.Event()
         self._bus: Bus | None = None
         self._watch: Bus | None = None
+        self._runs: list[str] = []
+        self._coming: list[str] = []  # runs, of which some are still getting ready
+        self._chosen: str | None = None
         self._thread = threading.Thread(target=self._follow, name="bus of the page", daemon=True)
 
     def start(self) -> None:
         """Begin to look for a proxy or run."""
-        self._say(None)
+        self._say()
         self._thread.start()
 
     def close(self) -> None:
         """Leave the bus."""
         self._over.set()
         self._thread.join()
+
+    def choose(self, run: str) -> None:
+        """Follow another of the runs that are there.
+
+        Raises
+        ------
+        ConfigError
+            If there is none of that name.
+        """
+        if run not in self._runs:
+            there = ", ".join(self._runs) or "none"
+            raise ConfigError(f"run {run!r} is not there; there are: {there}")
+        self._chosen = run
 
     def ask(self, what: str, payload: bytes) -> bytes:
         """The answer of the proxy to a query below `@ctl/`.
@@ -51,20 +69,34 @@ class Source:
             stack.callback(self._leave)
             while not self._over.is_set():
                 self._look(stack)
+                self._wish()
                 self._over.wait(LOOK_S)
+
+    def _wish(self) -> None:
+        """Have the proxy show what the viewers want to see; it forgets in some seconds."""
+        wishes = self._feed.wishes()
+        if wishes and self._bus is not None:
+            with contextlib.suppress(ConfigError):  # a proxy that is just going
+                self._bus.ask("@ctl/watch", msgspec.json.encode(wishes))
 
     def _look(self, stack: contextlib.ExitStack) -> None:
         """Join the run that is alive, leave the one that is not."""
         try:
             if self._watch is None:
                 self._watch = stack.enter_context(open_bus(self.url, run="*"))
-            runs = [run_of(key) for key in self._watch.who() if key.endswith(PROXY)]
+            there = self._watch.who()
+            runs = [run_of(key) for key in there if key.endswith(PROXY)]
+            coming = [run_of(key) for key in there if key.endswith(RUN)]
             joined = self._bus.run if self._bus is not None else None
-            if joined in runs or (joined is None and not runs):
-                return
-            self._leave()
-            if runs:
-                self._join(runs[-1])
+            wanted = next((run for run in (self._chosen, joined, *runs[-1:]) if run in runs), None)
+            changed = (runs, coming) != (self._runs, self._coming)
+            self._runs, self._coming = runs, coming
+            if wanted != joined:
+                self._leave()
+                if wanted is not None:
+                    self._join(wanted)
+            elif changed:
+                self._say()
         except ConfigError:
             self._leave()
 
@@ -73,7 +105,7 @@ class Source:
         bus = open_bus(self.url, run=run)
         prefix = len(bus.key(""))
         self._bus = bus
-        self._say(run)  # before its first sample: the page clears its plots
+        self._say()  # before its first sample: the page clears its plots
         for stream in STREAMS:
             bus.subscribe(stream, lambda key, payload: self._feed.take(key[prefix:], payload))
 
@@ -82,10 +114,12 @@ class Source:
             return
         bus, self._bus = self._bus, None
         bus.close()
-        self._say(None)
+        self._say()
 
-    def _say(self, run: str | None) -> None:
-        self._feed.status({"run": run, "url": self.url})
+    def _say(self) -> None:
+        run = None if self._bus is None else self._bus.run
+        coming = [name for name in self._coming if name not in self._runs]
+        self._feed.status({"run": run, "runs": self._runs, "coming": coming, "url": self.url})
 
 
 def run_of(key: str) -> str:

@@ -174,7 +174,7 @@ def open_bus(url: str | None = None, *, run: str = "live", router: bool = False)
     """
     import zenoh
 
-    address = _free_port(url or DEFAULT_URL)
+    address = with_port(url or DEFAULT_URL)
     config = zenoh.Config()
     settings: dict[str, object] = {
         "mode": "router" if router else "client",
@@ -204,6 +204,24 @@ def open_bus(url: str | None = None, *, run: str = "live", router: bool = False)
         ) from error
 
 
+def join_bus(choice: str, run: str) -> Bus:
+    """The bus at `auto` (the default address) or at an address: as its router, else as a client.
+
+    Raises
+    ------
+    ConfigError
+        If neither can be had.
+    """
+    url = None if choice == "auto" else choice
+    try:
+        return open_bus(url, run=run, router=True)
+    except ConfigError as error:
+        try:
+            return open_bus(url, run=run)  # somebody else is the router already
+        except ConfigError:
+            raise error from None
+
+
 @contextlib.contextmanager
 def open_run_bus(choice: str, run: str, component: str = "run") -> Iterator[Bus | None]:
     """The bus of a run: the router, or a client of the one that is there already.
@@ -218,17 +236,12 @@ def open_run_bus(choice: str, run: str, component: str = "run") -> Iterator[Bus 
     if choice == "off":
         yield None
         return
-    url = None if choice == "auto" else choice
-    try:
-        bus = open_bus(url, run=run, router=True)
-    except ConfigError:
-        bus = open_bus(url, run=run)
-    with bus:
+    with join_bus(choice, run) as bus:
         bus.alive(component)
         yield bus
 
 
-def _free_port(url: str) -> str:
+def with_port(url: str) -> str:
     """`url` with port 0 replaced by a port that is free now."""
     if not url.endswith(":0"):
         return url

@@ -12,7 +12,8 @@ class Label(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
     A label is written when the fault first touches a frame (`end_us` is None) and again, complete,
     when it ends; the last line with the same `id` and `start_us` holds.
     Stamps are microseconds on the vehicle's clock, like the frames' own; `t0_us` is the stamp from
-    which the schedule's `at_s` counts.
+    which the schedule's `at_s` counts. Where the fault's value is changed while it acts, another
+    line tells the new value and when it came.
     """
 
     id: str
@@ -29,6 +30,8 @@ class Label(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
     where: dict[str, int | str] = {}
     parameters: dict[str, object] = {}
     seed: int = 0
+    value: float | None = None  # given live
+    changed_us: int | None = None
 
 
 def read_labels(path: Path) -> list[Label]:

@@ -23,19 +23,19 @@ from mavproxy_fault.wire.dialect import Layout, known, message_names
 from mavproxy_fault.wire.frame import HEADER_V1, HEADER_V2, SIGNATURE_LENGTH, SIGNED, Frame
 
 Columns = dict[str, NDArray[np.void]]
+_Frames = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int16]]  # start, stamp, slot
 
 BLOCK_FRAMES = 1 << 17
+CACHED_FRAMES = 1 << 14  # whose places and stamps stay in the processor's cache
 END_BYTES = 1 << 16  # as much of a log's beginning or end as shows its first or last frame
 
 
 @dataclass(frozen=True, slots=True)
-class _Index:
-    """Where the frames of a block are; arrays of shape (n,)."""
+class _Block:
+    """Frames of a stretch of a log: a row per run of them (`walk.walk`), frames of each message."""
 
-    at: NDArray[np.int64]
-    t_us: NDArray[np.int64]
-    slot: NDArray[np.int16]  # place of its message in `message_names`, -1 if unknown
-    counts: NDArray[np.int64]  # frames of each slot
+    runs: NDArray[np.int64]
+    counts: NDArray[np.int64]
     junk_bytes: int
 
 
@@ -121,92 +121,80 @@ def map_bytes(path: Path) -> NDArray[np.uint8]:
     return np.memmap(path, np.uint8, mode="r")
 
 
-def _index(data: NDArray[np.uint8]) -> Iterator[_Index]:
+def _blocks(data: NDArray[np.uint8]) -> Iterator[_Block]:
     """The frames of a log, block by block."""
     from mavproxy_fault.wire.walk import crc_tables, walk
 
     slots, extras, lengths = _tables()
     tables = crc_tables()
+    runs = np.empty((BLOCK_FRAMES, 2), np.int64)
     start = 0
     while start < len(data):
-        at = np.empty(BLOCK_FRAMES, np.int64)
-        t_us = np.empty(BLOCK_FRAMES, np.int64)
-        slot = np.empty(BLOCK_FRAMES, np.int16)
         counts = np.zeros(len(lengths), np.int64)
-        found, start, junk, slips = walk(data, start, slots, extras, tables, at, t_us, slot, counts)
-        stamps = t_us[:found]
-        yield _Index(at[:found], _mended(stamps) if slips else stamps, slot[:found], counts, junk)
+        found, start, junk = walk(data, start, slots, extras, tables, runs, counts)
+        yield _Block(runs[:found].copy(), counts, junk)
 
 
-def _whole(data: NDArray[np.uint8]) -> _Index:
-    """The frames of a whole log."""
-    blocks = list(_index(data))
-    if len(blocks) == 1:
-        return blocks[0]
-    return _Index(
-        np.concatenate([block.at for block in blocks]),
-        np.concatenate([block.t_us for block in blocks]),
-        np.concatenate([block.slot for block in blocks]),
+def _whole(data: NDArray[np.uint8]) -> _Block:
+    """A log as one block."""
+    blocks = list(_blocks(data))
+    return _Block(
+        np.concatenate([block.runs for block in blocks]),
         np.sum([block.counts for block in blocks], axis=0),
         sum(block.junk_bytes for block in blocks),
     )
 
 
-def _mended(t_us: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Stamps with damaged ones (-1, or alone far off) replaced by the one before.
+def _unrolled(data: NDArray[np.uint8], block: _Block) -> Iterator[_Frames]:
+    """Start, stamp and slot of every frame, some at a time in arrays that are used again."""
+    from mavproxy_fault.wire.walk import first_stamp, unroll
 
-    A clock that jumps and stays there is no damage.
-    """
-    from mavproxy_fault.wire.walk import SLIP_US
-
-    if len(t_us) < 3:
-        return t_us
-    before = np.concatenate((t_us[:1], t_us[:-1]))
-    after = np.concatenate((t_us[1:], t_us[-1:]))
-    lone = (np.abs(t_us - before) > SLIP_US) & (np.abs(t_us - after) > SLIP_US)
-    lone &= np.abs(after - before) < SLIP_US
-    lone |= t_us < 0
-    lone[0] |= abs(int(t_us[0]) - int(t_us[1])) > SLIP_US > abs(int(t_us[1]) - int(t_us[2]))
-    if not lone.any():
-        return t_us
-    whole = np.flatnonzero(~lone)
-    if len(whole) == 0:
-        return np.zeros_like(t_us)
-    nearest = np.maximum(np.searchsorted(whole, np.arange(len(t_us)), side="right") - 1, 0)
-    return t_us[whole[nearest]]
+    slots = _tables()[0]
+    at = np.empty(CACHED_FRAMES, np.int64)
+    t_us = np.empty(CACHED_FRAMES, np.int64)
+    slot = np.empty(CACHED_FRAMES, np.int16)
+    state = (0, 0, 0, first_stamp(data, block.runs))
+    filled = CACHED_FRAMES
+    while filled == CACHED_FRAMES:
+        filled, state = unroll(data, block.runs, slots, state, at, t_us, slot)
+        yield at[:filled], t_us[:filled], slot[:filled]
 
 
-def _columns(data: NDArray[np.uint8], index: _Index, only: Collection[str] | None) -> Columns:
+def _columns(data: NDArray[np.uint8], block: _Block, only: Collection[str] | None) -> Columns:
     from mavproxy_fault.wire.walk import HEAD, SLACK, scatter
 
     names = message_names()
     lengths = _tables()[2]
-    wanted = index.counts > 0
+    wanted = block.counts > 0
     if only is not None:
         wanted &= np.isin(names, list(only))
-    sizes = np.where(wanted, index.counts * (lengths + HEAD) + SLACK, 0)
+    sizes = np.where(wanted, block.counts * (lengths + HEAD) + SLACK, 0)
     begins = np.concatenate(([0], np.cumsum(sizes + -sizes % 64)))
     rows = np.zeros(int(begins[-1]), np.uint8)
     wanted_lengths = np.where(wanted, lengths, -1)
-    scatter(data, index.at, index.t_us, index.slot, wanted_lengths, begins[:-1].copy(), rows)
+    nexts = begins[:-1].copy()
+    for at, t_us, slot in _unrolled(data, block):
+        scatter(data, at, t_us, slot, wanted_lengths, nexts, rows)
     columns = {}
-    for slot in np.flatnonzero(wanted):
-        dtype = row_dtype(names[slot])
-        begin = int(begins[slot])
-        columns[names[slot]] = rows[begin : begin + index.counts[slot] * dtype.itemsize].view(dtype)
+    for slot_ in np.flatnonzero(wanted):
+        dtype = row_dtype(names[slot_])
+        begin = int(begins[slot_])
+        columns[names[slot_]] = rows[begin : begin + block.counts[slot_] * dtype.itemsize].view(
+            dtype
+        )
     return columns
 
 
-def _frames(data: NDArray[np.uint8], index: _Index) -> NDArray[np.void]:
-    at = index.at
+def _frames(data: NDArray[np.uint8], some: _Frames) -> NDArray[np.void]:
+    at, t_us, slot = some
     second = data[at] == 0xFD
     frames = np.empty(len(at), FRAMES)
-    frames["t_us"] = index.t_us
+    frames["t_us"] = t_us
     source = at + np.where(second, 5, 3)
     frames["system"] = data[source]
     frames["component"] = data[source + 1]
     frames["seq"] = data[source - 1]
-    frames["known"] = index.slot >= 0
+    frames["known"] = slot >= 0
     number = data[at + np.where(second, 7, 5)].astype(np.uint32)
     high = np.where(second, at, 0)
     number += np.where(second, data[high + 8].astype(np.uint32) << 8, 0)
@@ -218,8 +206,19 @@ def _frames(data: NDArray[np.uint8], index: _Index) -> NDArray[np.void]:
 def read_log(path: str | Path, only: Collection[str] | None = None) -> Log:
     """Read a whole log; with `only`, columns of these messages alone."""
     data = map_bytes(Path(path))
-    index = _whole(data)
-    return Log(_columns(data, index, only), _frames(data, index), index.junk_bytes, len(data))
+    return _log(data, _whole(data), only)
+
+
+def read_parts(path: str | Path) -> Iterator[Log]:
+    """The same block by block, for logs larger than memory; `size` is the whole file's."""
+    data = map_bytes(Path(path))
+    for block in _blocks(data):
+        yield _log(data, block, None)
+
+
+def _log(data: NDArray[np.uint8], block: _Block, only: Collection[str] | None) -> Log:
+    frames = np.concatenate([_frames(data, some) for some in _unrolled(data, block)])
+    return Log(_columns(data, block, only), frames, block.junk_bytes, len(data))
 
 
 def read_columns(path: str | Path, only: Collection[str] | None = None) -> Columns:
@@ -240,8 +239,8 @@ def read_columns(path: str | Path, only: Collection[str] | None = None) -> Colum
 def read_blocks(path: str | Path, only: Collection[str] | None = None) -> Iterator[Columns]:
     """The same block by block (131,072 frames each), for logs larger than memory."""
     data = map_bytes(Path(path))
-    for index in _index(data):
-        yield _columns(data, index, only)
+    for block in _blocks(data):
+        yield _columns(data, block, only)
 
 
 def extent_us(path: str | Path) -> tuple[int, int] | None:
@@ -249,8 +248,8 @@ def extent_us(path: str | Path) -> tuple[int, int] | None:
     data = map_bytes(Path(path))
     ends: list[int] = []
     for part in (data[:END_BYTES], data[-END_BYTES:]):
-        for index in _index(part):
-            ends.extend(index.t_us[[0, -1]].tolist() if len(index.t_us) else [])
+        for _, t_us, _ in _unrolled(part, _whole(part)):
+            ends.extend(t_us[[0, -1]].tolist() if len(t_us) else [])
     return (ends[0], ends[-1]) if ends else None
 
 
@@ -258,14 +257,16 @@ def read_records(path: str | Path) -> Iterator[tuple[int, bytes, Layout | None]]
     """Stamp, bytes and layout of every frame in order; None where the message is unknown."""
     data = map_bytes(Path(path))
     layouts = [known(name) for name in message_names()]
-    for index in _index(data):
-        second = data[index.at] == 0xFD
-        signed = second & (data[index.at + 2] & SIGNED == SIGNED)
-        ends = index.at + data[index.at + 1] + np.where(second, HEADER_V2 + 2, HEADER_V1 + 2)
-        ends += np.where(signed, SIGNATURE_LENGTH, 0)
-        rows = (index.at.tolist(), ends.tolist(), index.t_us.tolist(), index.slot.tolist())
-        for at, end, t_us, slot in zip(*rows, strict=True):
-            yield t_us, data[at:end].tobytes(), layouts[slot] if slot >= 0 else None
+    for block in _blocks(data):
+        for at, t_us, slot in _unrolled(data, block):
+            second = data[at] == 0xFD
+            signed = second & (data[at + 2] & SIGNED == SIGNED)
+            ends = at + data[at + 1] + np.where(second, HEADER_V2 + 2, HEADER_V1 + 2)
+            ends += np.where(signed, SIGNATURE_LENGTH, 0)
+            rows = (at.tolist(), ends.tolist(), t_us.tolist(), slot.tolist())
+            for start, end, stamp, which in zip(*rows, strict=True):
+                found = layouts[which] if which >= 0 else None
+                yield stamp, data[start:end].tobytes(), found
 
 
 def read_frames(path: str | Path) -> Iterator[tuple[int, Frame]]:

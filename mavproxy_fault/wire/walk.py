@@ -27,17 +27,16 @@ NEAR_US = 1 << 36  # two neighbouring stamps further apart than this (19 h) do n
 SLIP_US = 60_000_000  # a stamp this far from its neighbours may be damaged
 
 
-def crc_tables() -> NDArray[np.uint64]:
+def crc_tables() -> NDArray[np.uint16]:
     """Slicing tables, shape (8, 256): entry [k, b] is the CRC of byte b followed by k zeros."""
-    tables = np.zeros((8, 256), np.uint64)
+    tables = np.zeros((8, 256), np.uint16)
     for byte in range(256):
         crc = byte
         for _ in range(8):
             crc = (crc >> 1) ^ (0x8408 if crc & 1 else 0)
         tables[0, byte] = crc
-    low = np.uint64(0xFF)
     for k in range(1, 8):
-        tables[k] = (tables[k - 1] >> np.uint64(8)) ^ tables[0, tables[k - 1] & low]
+        tables[k] = (tables[k - 1] >> 8) ^ tables[0, tables[k - 1] & 0xFF]
     return tables
 
 
@@ -92,34 +91,47 @@ def _stamp(address):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _crc(start, stop, extra, tables):
-    """CRC of the bytes at addresses [start, stop) and of `extra`."""
+def _crc_step(word, tables):
+    """CRC of eight bytes that a CRC was put into."""
     low = np.uint64(0xFF)
+    return np.uint64(
+        tables[7, word & low]
+        ^ tables[6, word >> np.uint64(8) & low]
+        ^ tables[5, word >> np.uint64(16) & low]
+        ^ tables[4, word >> np.uint64(24) & low]
+        ^ tables[3, word >> np.uint64(32) & low]
+        ^ tables[2, word >> np.uint64(40) & low]
+        ^ tables[1, word >> np.uint64(48) & low]
+        ^ tables[0, word >> np.uint64(56)]
+    )
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _crc(start, stop, extra, tables):
+    """CRC of the two or more bytes at addresses [start, stop) and of `extra`.
+
+    The start value 0xFFFF is put into the first two bytes; then zeros before them change nothing,
+    and the odd bytes go first, as the end of a word of zeros. Eight bytes from `start` on are read.
+    """
+    odd = (stop - start) & 7
     crc = np.uint64(0xFFFF)
-    at = start
-    while at + 8 <= stop:
-        word = _load64(np.uint64(at)) ^ crc
-        crc = (
-            tables[7, word & low]
-            ^ tables[6, word >> np.uint64(8) & low]
-            ^ tables[5, word >> np.uint64(16) & low]
-            ^ tables[4, word >> np.uint64(24) & low]
-            ^ tables[3, word >> np.uint64(32) & low]
-            ^ tables[2, word >> np.uint64(40) & low]
-            ^ tables[1, word >> np.uint64(48) & low]
-            ^ tables[0, word >> np.uint64(56)]
-        )
-        at += 8
+    if odd:
+        word = (_load64(np.uint64(start)) ^ crc) << np.uint64(64 - 8 * odd)
+        crc = _crc_step(word, tables) ^ np.uint64(0xFF * (odd == 1))
+    at = start + odd
     while at < stop:
-        crc = (crc >> np.uint64(8)) ^ tables[0, (crc ^ _byte(at)) & low]
-        at += 1
-    return (crc >> np.uint64(8)) ^ tables[0, (crc ^ extra) & low]
+        crc = _crc_step(_load64(np.uint64(at)) ^ crc, tables)
+        at += 8
+    return (crc >> np.uint64(8)) ^ np.uint64(tables[0, (crc ^ extra) & np.uint64(0xFF)])
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _header(base, size, at):
-    """Bytes before the payload, message id and end of a frame at `at`; zeros if none is whole."""
-    if at + 12 > size and (at + 8 > size or _byte(base + at) != 0xFE):
+    """Bytes before the payload, message id and end of a frame at `at`; zeros if none is whole.
+
+    No message is without payload: nine bytes of a frame can be read (of version 2: twelve).
+    """
+    if at + 12 > size and (at + 9 > size or _byte(base + at) != 0xFE):
         return 0, 0, 0
     first = _byte(base + at)
     if first == 0xFE:
@@ -148,8 +160,8 @@ def _follows(base, size, at, end):
 
 
 @njit(cache=True, nogil=True)
-def walk(data, start, slots, extras, tables, at, t_us, slot, counts):
-    """Find frames from byte `start` on until the arrays are full or the data ends.
+def walk(data, start, slots, extras, tables, runs, counts):
+    """Find frames from byte `start` on until `runs` could overflow or the data ends.
 
     Where a record does not verify, every later byte is tried as the start of a frame, so that one
     broken record costs no intact one. A message that the dialect does not know has no checksum to
@@ -165,27 +177,27 @@ def walk(data, start, slots, extras, tables, at, t_us, slot, counts):
         Slot of each message id, -1 where it is unknown; ids beyond are unknown too.
     extras : uint64 array
         CRC extra of each slot.
-    tables : uint64 array (8, 256)
+    tables : uint16 array (8, 256)
         From `crc_tables`.
-    at, t_us, slot : int64, int64, int16 arrays (m,)
-        Filled: start of the frame, stamp (-1 if its bytes are not all there), slot.
+    runs : int64 array (m, 2)
+        Filled: where a frame starts that is followed by others record upon record, and how many
+        they are with it. At most m frames are looked for.
     counts : int64 array
         Frames of each slot, counted up.
 
     Returns
     -------
     tuple
-        Frames found, where to go on (the data's length at its end), bytes belonging to no record,
-        stamps that are missing or far from the one before.
+        Runs found, where to go on (the data's length at its end), bytes belonging to no record.
     """
     size = data.shape[0]
     base = data.ctypes.data
-    found = junk = slips = 0
+    found = junk = 0
+    used = -1
     previous = start  # the end of the last record
-    last_us = np.int64(-1)
     probe = start + 8
     in_line = True  # the next frame is where the last record says it is
-    while found < at.shape[0] and (in_line or probe + 8 <= size):
+    while found < runs.shape[0] and (in_line or probe + 8 <= size):
         head, number, end = _header(base, size, probe)
         which = np.int16(UNKNOWN)
         if head and number < slots.shape[0]:
@@ -202,23 +214,112 @@ def walk(data, start, slots, extras, tables, at, t_us, slot, counts):
             probe = previous if in_line else probe + 1
             in_line = False
             continue
-        whole = probe - 8 >= previous
-        stamp = _stamp(base + probe - 8) if whole else np.int64(-1)
-        slips += abs(stamp - last_us) > SLIP_US
-        last_us = stamp
-        at[found] = probe
-        slot[found] = which
-        t_us[found] = stamp
+        if not in_line or used < 0:
+            used += 1
+            runs[used, 0] = probe
+            runs[used, 1] = 0
+            junk += probe - 8 - previous if probe - 8 >= previous else probe - previous
+        runs[used, 1] += 1
         if which >= 0:
             counts[which] += 1
-        junk += probe - 8 - previous if whole else probe - previous
         found += 1
         previous = end
         probe = end + 8
         in_line = True
-    if found < at.shape[0]:
-        return found, size, junk + size - previous, slips
-    return found, previous, junk, slips
+    if found < runs.shape[0]:
+        return used + 1, size, junk + size - previous
+    return used + 1, previous, junk
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _next(base, runs, run, place, end):
+    """The frame after the one at `place` of a run that ends at `end`.
+
+    Its run, place, address (-1: there is none) and stamp (-1: its bytes are not all there).
+    """
+    if place + 1 < runs[run, 1]:
+        return run, place + 1, end + 8, _stamp(base + end)
+    if run + 1 == runs.shape[0]:
+        return run + 1, 0, np.int64(-1), np.int64(-1)
+    at = runs[run + 1, 0]
+    return run + 1, 0, at, _stamp(base + at - 8) if at - 8 >= end else np.int64(-1)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _lone(stamp, before, after):
+    """Whether a stamp is missing or far from both its neighbours, which are near each other.
+
+    A clock that jumps and stays there is no damage.
+    """
+    return stamp < 0 or (
+        abs(stamp - before) > SLIP_US
+        and after >= 0
+        and abs(stamp - after) > SLIP_US
+        and abs(after - before) < SLIP_US
+    )
+
+
+@njit(cache=True, nogil=True)
+def first_stamp(data, runs):
+    """The first stamp that its successor confirms, else the first there is, else 0."""
+    base = data.ctypes.data
+    size = data.shape[0]
+    run = place = 0
+    first = stamp = np.int64(-1)
+    at = np.int64(-1)
+    if runs.shape[0]:
+        at = runs[0, 0]
+        stamp = _stamp(base + at - 8) if at >= 8 else stamp
+    while at >= 0:
+        _, _, end = _header(base, size, at)
+        before = stamp
+        run, place, at, stamp = _next(base, runs, run, place, end)
+        if before >= 0 and stamp >= 0 and abs(stamp - before) <= SLIP_US:
+            return before
+        first = max(first, before) if first < 0 else first
+    return max(first, np.int64(0))
+
+
+@njit(cache=True, nogil=True)
+def unroll(data, runs, slots, from_, at, t_us, slot):
+    """One entry per frame, until the arrays are full or the runs at an end.
+
+    Parameters
+    ----------
+    data, slots
+        As for `walk`.
+    runs : int64 array (m, 2)
+        As `walk` filled it.
+    from_ : tuple of int
+        Run and place in it to begin with, where the frame before ended, and its stamp; in the
+        beginning (0, 0, 0, `first_stamp`).
+    at, t_us, slot : int64, int64, int16 arrays
+        Filled: start of the frame, stamp, slot. A damaged stamp is replaced by the one before.
+
+    Returns
+    -------
+    tuple
+        Entries filled, and what `from_` is to be for the rest.
+    """
+    base = data.ctypes.data
+    size = data.shape[0]
+    run, place, end, good = from_
+    filled = 0
+    probe = stamp = np.int64(-1)
+    if run < runs.shape[0]:
+        probe = runs[run, 0] if place == 0 else end + 8
+        stamp = _stamp(base + probe - 8) if probe - 8 >= end else stamp
+    while filled < at.shape[0] and probe >= 0:
+        _, number, end = _header(base, size, probe)
+        at[filled] = probe
+        slot[filled] = slots[number] if number < slots.shape[0] else np.int16(UNKNOWN)
+        run, place, probe, after = _next(base, runs, run, place, end)
+        if not _lone(stamp, good, after):
+            good = stamp
+        t_us[filled] = good
+        stamp = after
+        filled += 1
+    return filled, (run, place, end, good)
 
 
 @njit(cache=True, nogil=True)
@@ -228,7 +329,7 @@ def scatter(data, at, t_us, slot, lengths, nexts, rows):
     Parameters
     ----------
     data, at, t_us, slot
-        As `walk` filled them.
+        As `unroll` filled them.
     lengths : int64 array
         Full payload length of each slot, -1 for one that is not wanted.
     nexts : int64 array

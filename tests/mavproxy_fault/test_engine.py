@@ -247,3 +247,16 @@ def test_plant_parameters_and_satellites_take_streamed_and_changed_values():
         "wind_n_mps": 3,
         "pseudorange_m[G12]": 8,
     }
+
+
+def test_a_value_changed_while_the_fault_acts_is_told_by_a_label() -> None:
+    it = engine("  - {id: b, fault: bias, target: HIL_SENSOR.xgyro, value: 1}\n")
+    said = []
+    for number in range(100):  # a second of frames, a new value at each
+        t_us = 1_000_000 + number * 10_000
+        it.apply(sensor(t_us), "to-vehicle", t_us)
+        it.update("b", number + 1.5)
+        said += it.take_labels()
+    (done,) = it.finish(2_000_000)
+    assert [label.value for label in said] == [None, 20.5, 40.5, 60.5, 80.5]
+    assert (done.value, done.start_us, done.frames) == (100.5, said[0].start_us, 100)

@@ -9,9 +9,9 @@ import pytest
 
 from mavproxy_fault.core import Core
 from mavproxy_fault.engine import Engine
-from mavproxy_fault.fast import compile_now
 from mavproxy_fault.links.link import enlarge_buffers
 from mavproxy_fault.links.udp import UdpClient, UdpServer
+from mavproxy_fault.machine import load, make
 from mavproxy_fault.playback import split
 from mavproxy_fault.proxy import roles
 from mavproxy_fault.schedule import parse_schedule
@@ -30,6 +30,24 @@ faults:
   - {id: fixed, fault: constant, target: VFR_HUD.throttle, value: -7, at_s: 1, for_s: 1.5}
   - {id: noisy, fault: noise, target: HIL_GPS.lat, value: 10}
   - {id: gone, fault: drop, target: SYS_STATUS, probability: 0.5}
+  - {id: hiss, fault: noise, target: [ATTITUDE.roll, ATTITUDE.yawspeed], value: [0.1, 0.2],
+     distribution: uniform, where: {system: 1}}
+  - id: pieces
+    fault: scale
+    target: ATTITUDE.yawspeed
+    at_s: 0.5
+    profile:
+      segments:
+        - {at_s: 0.5, for_s: 0.7, start: {uniform: [2, 3]}, rate: -1}
+        - {at_s: 2, for_s: 1, start: 0}
+  - {id: stuck, fault: freeze, target: [SCALED_IMU.xacc, SCALED_IMU.yacc], at_s: 0.5}
+  - id: generated
+    fault: constant
+    target: SCALED_IMU.ymag
+    profile:
+      compat: param_gen
+      otherwise: 7
+      segments: [{at_s: 0.4, for_s: 0.5, start: 9, rate: 4}, {at_s: 1, for_s: 2, start: -5}]
   - {id: never, fault: bias, target: HIGHRES_IMU.xgyro, value: 1, at_s: 1000}
 """
 
@@ -59,6 +77,7 @@ def traffic(count: int = 400, seed: int = 1) -> list[bytes]:
             frame("ATTITUDE", n, 1, time_boot_ms=ms, roll=a, yawspeed=1),
             frame("ATTITUDE", n, 2, time_boot_ms=900_000 + ms, roll=a, yawspeed=1),
             frame("GLOBAL_POSITION_INT", n, 1, n & 1, time_boot_ms=ms, vx=int(a * 30), hdg=9),
+            frame("SCALED_IMU", n, 1, time_boot_ms=ms, xacc=int(a * 99), ymag=n, zmag=3),
             frame("VFR_HUD", n, 1, throttle=40, airspeed=a, climb=1),
             frame("HIL_GPS", n, 1, 51, time_usec=ms * 1000, lat=5, satellites_visible=9),
             frame("SYS_STATUS", n, 2, load=n),
@@ -76,7 +95,14 @@ def traffic(count: int = 400, seed: int = 1) -> list[bytes]:
     return datagrams
 
 
-def run(datagrams: list[bytes], *, fast: bool, spin: bool = False, tape: bool = False) -> Run:
+def run(
+    datagrams: list[bytes],
+    *,
+    fast: bool,
+    spin: bool = False,
+    tape: bool = False,
+    schedule: str = SCHEDULE,
+) -> Run:
     """Push datagrams through a server on loopback, in both directions in turn."""
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station,
@@ -89,7 +115,7 @@ def run(datagrams: list[bytes], *, fast: bool, spin: bool = False, tape: bool = 
         master = UdpServer("127.0.0.1", 0)
         links = [master, UdpClient(*station.getsockname())]
         kept = Tape() if tape else None
-        core = Core(roles(links), Engine(parse_schedule(SCHEDULE)), tape=kept)
+        core = Core(roles(links), Engine(parse_schedule(schedule)), tape=kept)
         server = Server(links, core, tape=kept, busy_poll=spin)
         if fast:
             server.use_fast()
@@ -118,7 +144,8 @@ def run(datagrams: list[bytes], *, fast: bool, spin: bool = False, tape: bool = 
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled() -> None:
-    compile_now()
+    make()
+    assert load() is not None
 
 
 @pytest.mark.parametrize("spin", [False, True])
@@ -129,7 +156,7 @@ def test_the_compiled_path_equals_the_plain_one(spin: bool) -> None:
     assert fast.labels == plain.labels
     assert fast.figures == plain.figures
     assert {label.id for label in plain.labels} == {
-        "bias", "grows", "full", "fixed", "noisy", "gone",
+        "bias", "grows", "full", "fixed", "noisy", "gone", "hiss", "pieces", "stuck", "generated",
     }  # fmt: skip
     assert any(label.saturated for label in plain.labels)
 
@@ -149,7 +176,21 @@ def test_the_compiled_path_records_the_same() -> None:
         assert stamps == sorted(stamps)
 
 
-def test_most_plain_traffic_never_reaches_the_plain_path(monkeypatch: pytest.MonkeyPatch) -> None:
+FIVE_ON_EACH = """
+faults:
+  - {id: bias, fault: bias, target: HIL_SENSOR.xgyro, profile: {segments: [
+      {at_s: 0.0002, for_s: 9, start: {uniform: [0.1, 0.2]}, rate: 0.1}]}}
+  - {id: noise, fault: noise, target: [HIL_SENSOR.xacc, HIL_SENSOR.yacc], value: 1}
+  - {id: stuck, fault: stuck, target: HIL_SENSOR.abs_pressure}
+  - {id: scale, fault: scale, target: HIL_SENSOR.xmag, value: 1.3}
+  - {id: drift, fault: drift, target: HIL_SENSOR.zgyro, value: 0.1}
+"""
+
+
+@pytest.mark.parametrize(("schedule", "announced"), [(SCHEDULE, 1), (FIVE_ON_EACH, 3)])
+def test_most_traffic_never_reaches_the_plain_path(
+    schedule: str, announced: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     seen = []
     received = Core.received
 
@@ -158,7 +199,10 @@ def test_most_plain_traffic_never_reaches_the_plain_path(monkeypatch: pytest.Mon
         return received(self, *args, **options)
 
     monkeypatch.setattr(Core, "received", counted)
-    sensors = [frame("HIL_SENSOR", n, 1, 51, time_usec=10**6 + n, xgyro=1) for n in range(500)]
-    outcome = run(sensors, fast=True)
-    assert len(outcome.got) == 501  # and the announcement
+    sensors = [
+        frame("HIL_SENSOR", n, 1, 51, time_usec=10**6 + n, xgyro=1, xmag=1, fields_updated=63)
+        for n in range(500)
+    ]
+    outcome = run(sensors, fast=True, schedule=schedule)
+    assert len(outcome.got) == 500 + announced
     assert len(seen) < 80  # the marks, and what is new at first

@@ -33,9 +33,8 @@ QUIET = "faults: [{id: never, fault: bias, target: HIL_SENSOR.xgyro, value: 1, a
 def arguments(log: Path, schedule: str, tmp_path: Path, **chosen: str | None) -> argparse.Namespace:
     path = tmp_path / "schedule.yaml"
     path.write_text(schedule)
-    return argparse.Namespace(
-        log=str(log), schedule=str(path), **{"out": None, "link": None, **chosen}
-    )
+    rest = {"out": None, "link": None, "signing_key": None, "strip_signatures": False, **chosen}
+    return argparse.Namespace(log=str(log), schedule=str(path), **rest)
 
 
 def sensor(step: int, component: int = 51) -> bytes:

@@ -77,6 +77,33 @@ function objectPart(key, schema, defs) {
   return { element: box, value: inner.value };
 }
 
+// A value that stays, or one of the functions of time: one choice, and only the fields it needs.
+const SHAPES = { segments: "straight segments", sine: "sine", impulses: "impulses", table: "series from a file", live: "live, by slider" };
+
+function shapePart(value, profile, defs) {
+  const { properties } = resolved(profile, defs);
+  const select = make("select", {}, make("option", { value: "", textContent: "stays the same" }),
+    ...Object.entries(SHAPES).map(([kind, words]) => make("option", { value: kind, textContent: words })));
+  select.dataset.key = "shape";
+  const constant = partOf("value", value, defs);
+  const area = make("div", { className: "shape" });
+  let inner = null, kind = "";
+  const lay = () => {
+    kind = select.value;
+    inner = kind ? fieldsOf({ mode: properties.mode, [kind]: properties[kind] }, defs) : null;
+    area.replaceChildren(...inner ? inner.elements : [constant.element]);
+    for (const fold of area.querySelectorAll(":scope > details")) fold.open = true;
+    area.querySelector("button.more")?.click();
+  };
+  select.addEventListener("change", lay);
+  lay();
+  const profiled = () => ({ [kind]: kind === "segments" ? [] : {}, ...inner.value() });
+  return {
+    element: make("div", {}, labelled("changes over time", select), area),
+    value: () => inner ? { profile: profiled() } : constant.value() === undefined ? {} : { value: constant.value() },
+  };
+}
+
 function rowsPart(key, items, defs) {
   const rows = new Set();
   const list = make("div");
@@ -89,7 +116,7 @@ function rowsPart(key, items, defs) {
     list.append(row);
     row.querySelector("input")?.focus();
   };
-  const more = make("button", { type: "button", textContent: `Add to ${spelled(key)}`, onclick: add });
+  const more = make("button", { type: "button", className: "more", textContent: `Add to ${spelled(key)}`, onclick: add });
   const box = make("details", {}, make("summary", { textContent: spelled(key) }), make("div", {}, list, more));
   return { element: box, value: () => rows.size ? [...rows].map((row) => row.value() || {}) : undefined };
 }
@@ -121,15 +148,17 @@ function fieldsOf(properties, defs) {
 // The form of one fault or preset: what it is about first, the rarer keys folded away.
 function faultForm(area, schema, defs) {
   const { fault, preset, ...keys } = schema.properties;
-  const first = ["target", ...Object.keys(keys).filter((key) => !LATER.includes(key) && !["target", "at_s", "for_s"].includes(key)), "at_s", "for_s"];
-  const main = fieldsOf(Object.fromEntries(first.filter((key) => key in keys).map((key) => [key, keys[key]])), defs);
+  const shaped = keys.value && keys.profile ? shapePart(keys.value, keys.profile, defs) : null;
+  const own = Object.keys(keys).filter((key) => ![...LATER, "target", "at_s", "for_s"].includes(key) && !(shaped && ["value", "profile"].includes(key)));
+  const some = (names) => fieldsOf(Object.fromEntries(names.filter((key) => key in keys).map((key) => [key, keys[key]])), defs);
+  const target = some(["target"]), main = some([...own, "at_s", "for_s"]);
   const later = fieldsOf(Object.fromEntries(LATER.filter((key) => key in keys).map((key) => [key, keys[key]])), defs);
   const fold = make("details", {}, make("summary", { textContent: "more: name, condition, repetition, which frames" }), make("div", {}, ...later.elements));
-  area.replaceChildren(...main.elements, fold);
+  area.replaceChildren(...target.elements, ...shaped ? [shaped.element] : [], ...main.elements, fold);
   for (const [key, words] of Object.entries(SAID)) {
     const own = area.querySelector(`:scope > .field > [data-key=${key}], :scope > details:last-child > div > .field > [data-key=${key}]`);
     if (own) own.previousSibling.textContent = words;
   }
   area.querySelector("[data-key=target]")?.setAttribute("list", "targets");
-  return () => ({ ...main.value(), ...later.value() });
+  return () => ({ ...target.value(), ...shaped?.value(), ...main.value(), ...later.value() });
 }

@@ -1,6 +1,9 @@
 import json
 
-from analysis.web.feed import BURST, WAITING, Feed, Viewer
+import pytest
+
+from analysis.web.feed import BURST, MOST_VIEWERS, WAITING, Feed, Viewer
+from mavproxy_fault.errors import ConfigError
 
 
 def said(viewer: Viewer) -> list[list[object]]:
@@ -20,7 +23,7 @@ def test_a_tick_carries_the_newest_state_and_every_event() -> None:
         feed.take("fdi/events", b"%d" % number)
     feed.tick()
     feed.tick()
-    assert said(viewer) == [*(["fdi/events", n] for n in range(5)), ["schedule/state", 4]]
+    assert said(viewer) == [["schedule/state", 4], *(["fdi/events", n] for n in range(5))]
 
 
 def test_a_frozen_viewer_holds_a_bounded_queue_and_no_other_viewer() -> None:
@@ -43,8 +46,8 @@ def test_a_viewer_that_fell_behind_is_given_the_whole_picture_again() -> None:
         feed.tick()
     assert said(viewer) == [
         ["page/picture", None],
-        ["fdi/events", "early"],
         ["schedule/state", WAITING - 1],
+        ["fdi/events", "early"],
     ]
 
 
@@ -53,7 +56,7 @@ def test_who_joins_late_is_told_the_events_and_the_newest_samples() -> None:
     feed.take("proxy/labels", b"1")
     feed.take("schedule/state", b"2")
     feed.tick()
-    assert said(feed.join()) == [["page/picture", None], ["proxy/labels", 1], ["schedule/state", 2]]
+    assert said(feed.join()) == [["page/picture", None], ["schedule/state", 2], ["proxy/labels", 1]]
 
 
 def test_a_sample_that_is_no_json_does_not_spoil_the_batch() -> None:
@@ -82,3 +85,22 @@ def test_a_late_joiner_is_shown_the_past_of_a_curve() -> None:
         feed.take("fdi/main/stat", b"%d" % number)
         feed.tick()
     assert said(feed.join())[1:] == [["fdi/main/stat", number] for number in range(3)]
+
+
+def test_the_proxy_is_asked_for_what_any_viewer_wants_and_exists() -> None:
+    feed = Feed()
+    one, other = feed.join(), feed.join()
+    one.wish('["HIL_GPS", "NO_SUCH_MESSAGE"]')
+    other.wish('["ATTITUDE", "HIL_GPS"]')
+    other.wish("{")
+    assert feed.wishes() == ["ATTITUDE", "HIL_GPS"]
+    feed.leave(other)
+    assert feed.wishes() == ["HIL_GPS"]
+
+
+def test_more_viewers_than_a_page_is_for_are_turned_away() -> None:
+    feed = Feed()
+    for _ in range(MOST_VIEWERS):
+        feed.join()
+    with pytest.raises(ConfigError, match="viewers already"):
+        feed.join()

@@ -1,0 +1,39 @@
+"use strict";
+// Elements by id, what is asked of the server, and where its answers are said.
+
+const $ = (id) => document.getElementById(id);
+
+const printed = new URLSearchParams(location.hash.slice(1)).get("token");
+if (printed) {
+  sessionStorage.setItem("token", printed);
+  history.replaceState(null, "", location.pathname);
+}
+const token = sessionStorage.getItem("token") || "";
+
+async function ask(path, body = "") {
+  let reply;
+  try {
+    reply = await fetch(`/api/${path}`, { method: "POST", headers: { "X-Token": token }, body });
+  } catch {
+    throw new Error("the page's server does not answer");
+  }
+  const value = await reply.json();
+  if (!reply.ok) throw new Error(value.error);
+  return value;
+}
+
+function say(id, text, fine = false) {
+  $(id).textContent = text;
+  $(id).hidden = !text;
+  $(id).classList.toggle("fine", fine);
+}
+
+async function attempt(id, act) {
+  try { say(id, await act() || "", true); } catch (error) { say(id, error.message); }
+}
+
+function download(name, text, type) {
+  const link = make("a", { download: name, href: URL.createObjectURL(new Blob([text], { type })) });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+}

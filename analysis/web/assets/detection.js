@@ -1,0 +1,130 @@
+"use strict";
+// What the monitor says: statistics, satellites, other sensors, attitude errors, and the list of events.
+
+const EVENTS_SHOWN = 200;
+const statistic = new Sliding($("statistic"), { decades: 4, dashed: ["threshold"] });
+const attitude = new Sliding($("attitude"));
+const satellites = new Satellites($("satellites"));
+const others = new Sliding($("others"), { decades: 3, dashed: ["threshold"] });
+const sensors = new Map();
+let epoch = null;
+let crossed = ""; // when the statistic was last above its threshold: one epoch, if the culprit is found at once
+
+function clearDetection() {
+  for (const plot of [statistic, attitude, others]) plot.clear();
+  stretches.clear();
+  for (const chip of sensors.values()) chip.remove();
+  sensors.clear();
+  satellites.clear();
+  $("verdict").hidden = true;
+  $("now").textContent = crossed = "";
+}
+
+function showDecision(decision) {
+  epoch = decision;
+  $("quiet").hidden = true;
+  statistic.add(store.seconds(decision.t_us), { statistic: decision.statistic, threshold: decision.threshold });
+  if (decision.statistic > decision.threshold) crossed = `; was above at ${store.seconds(decision.t_us).toFixed(1)} s with ${decision.statistic.toFixed(0)}`;
+  const { alarm, hypothesis, excluded } = decision;
+  store.note("gnss", decision.t_us, { statistic: decision.statistic, threshold: decision.threshold, alarm, hypothesis, excluded: excluded.join(" ") });
+}
+
+const NAMES = { imu: "IMU", baro: "barometer", airspeed: "airspeed", mag: "magnetometer", vision: "vision", range: "rangefinder",
+  "gps-position": "GPS position", "gps-velocity": "GPS velocity" };
+const BLAMED = { satellites: "satellites", imu: "IMU", clock: "receiver clock", gps: "GPS position", "multiple-unknown": "several satellites, not told apart" };
+
+// In words, with the satellites that are left out.
+function spoken(decision) {
+  if (decision.hypothesis === "none") return "no fault found";
+  if (decision.hypothesis === "untestable") return `cannot be tested: ${decision.reason || "too little data"}`;
+  const out = decision.excluded.length ? ` ${decision.excluded.join(", ")}` : "";
+  return `fault in ${BLAMED[decision.hypothesis] || decision.hypothesis}${out}`;
+}
+
+function drawEpoch() {
+  if (!epoch) return;
+  satellites.show(epoch);
+  const { excluded } = epoch;
+  $("isolated").hidden = false;
+  $("isolated").className = excluded.length ? "bad" : "note";
+  $("isolated").textContent = excluded.length ? `isolated: ${excluded.join(", ")}` : "none is isolated";
+  const { statistic: now, threshold } = epoch;
+  $("now").textContent = now == null ? "" : `${now.toFixed(1)} is ${now > threshold ? "above" : "below"} ${threshold.toFixed(1)}${crossed}`;
+  $("now").className = now > threshold ? "bad" : "note";
+  showVerdict(epoch);
+  epoch = null;
+}
+
+// One line that says what is found just now, by any detector.
+function showVerdict(decision) {
+  const blamed = [...sensors].filter(([, chip]) => chip.className === "bad").map(([name]) => NAMES[name] || name);
+  const bad = decision.alarm || decision.excluded.length > 0 || blamed.length > 0;
+  const words = decision.hypothesis === "none" && blamed.length ? `fault in ${blamed.join(", ")}` : spoken(decision);
+  $("verdict").hidden = false;
+  $("verdict").className = `badge ${bad ? "alarm" : "calm"}`;
+  const text = `${bad ? "⚠" : "✓"} ${words}`;
+  if ($("verdict").textContent !== text) $("verdict").textContent = text; // a screen reader says what changes
+  $("clock").textContent = `${store.seconds(decision.t_us).toFixed(1)} s`;
+}
+
+function saidOf(decision) {
+  return decision.isolated ? "isolated" : decision.alarm ? "alarm" : "agrees";
+}
+
+function showSensor(decision) {
+  const chip = sensors.get(decision.sensor) || $("sensors").appendChild(make("li"));
+  sensors.set(decision.sensor, chip);
+  chip.className = decision.alarm || decision.isolated ? "bad" : "";
+  chip.textContent = `${NAMES[decision.sensor] || decision.sensor}: ${saidOf(decision)}`;
+  if (decision.threshold > 0) {
+    others.add(store.seconds(decision.t_us), { threshold: 1, [NAMES[decision.sensor] || decision.sensor]: decision.statistic / decision.threshold });
+  }
+  const { alarm, isolated } = decision;
+  store.note(decision.sensor, decision.t_us, { statistic: decision.statistic, threshold: decision.threshold, alarm, isolated });
+}
+
+function showError(error) {
+  attitude.add(store.seconds(error.t_us), { [error.estimator]: error.angle });
+  store.note(`attitude error ${error.estimator}`, error.t_us, { roll_deg: error.roll, pitch_deg: error.pitch, yaw_deg: error.yaw, angle_deg: error.angle });
+}
+
+function showFused(state) {
+  const [x_m, y_m, z_m] = state.position_ecef_m, [vn_mps, ve_mps, vd_mps] = state.velocity_ned_mps, [qw, qx, qy, qz] = state.q_nb;
+  store.note("fusion", state.t_us, { x_m, y_m, z_m, vn_mps, ve_mps, vd_mps, qw, qx, qy, qz, sigma_m: Math.max(...state.position_sigma_m), reason: state.reason || "" });
+}
+
+// -- links ------------------------------------------------------------------------------------
+
+const FIGURES = { name: "link", frames_in: "in", chunks_out: "out", faulted: "faulted", gaps: "missing", crc_errors: "bad CRC",
+  drops: "drops", p50_us: "median µs", p99_us: "99 % µs" };
+
+function showLinks(points) {
+  const list = Array.isArray(points) ? points : [];
+  $("links-title").hidden = !list.length;
+  const used = Object.keys(FIGURES).filter((key) => list.some((one) => one[key] != null));
+  fillTable($("links"), used.map((key) => FIGURES[key]), list.map((one) => used.map((key) => one[key])));
+}
+
+// -- events -----------------------------------------------------------------------------------
+
+function addEvent(t_us, text, kind) {
+  const item = make("li", { className: kind }, make("time", { textContent: `${store.seconds(t_us).toFixed(1)} s` }), text);
+  $("events").prepend(item);
+  while ($("events").children.length > EVENTS_SHOWN) $("events").lastChild.remove();
+  $("no-events").hidden = true;
+}
+
+function showEvent(one) {
+  const text = one.type === "SensorDecision" ? `${NAMES[one.sensor] || one.sensor}: ${saidOf(one)}`
+    : one.hypothesis === "none" ? "satellites: agree" : spoken(one);
+  addEvent(one.t_us, text, one.alarm ? "bad" : "");
+}
+
+function showLabel(label) {
+  const at_us = label.end_us ?? label.changed_us ?? label.start_us;
+  const what = label.end_us != null ? `fault ended after ${label.frames || 0} frames`
+    : label.changed_us != null ? `value set to ${+label.value.toPrecision(6)}` : `fault begins on ${briefly(targetsOf(label))}`;
+  const begin = store.seconds(label.start_us);
+  stretches.set(`${label.id} ${label.start_us}`, [begin, label.end_us == null ? null : store.seconds(label.end_us)]);
+  addEvent(at_us, `${label.id}: ${what}`, "done");
+}

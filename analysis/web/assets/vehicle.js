@@ -1,0 +1,135 @@
+"use strict";
+// What the vehicle says of itself: attitude from every source, the autopilot's and the estimator's state.
+
+const NO_AUTOPILOT = 8; // MAV_AUTOPILOT_INVALID: the simulator, a ground station
+const ARMED = 128; // MAV_MODE_FLAG_SAFETY_ARMED
+const STATES = ["uninitialised", "booting", "calibrating", "standby", "active", "critical", "emergency", "powering off", "terminating"];
+const FIXES = ["no GPS", "no fix", "2D fix", "3D fix", "DGPS", "RTK float", "RTK fixed"];
+const ESTIMATES = ["attitude", "horizontal velocity", "vertical velocity", "horizontal position (relative)", "horizontal position",
+  "height", "height above ground", "constant position", "predicted position (relative)", "predicted position", "GPS glitch", "accelerometer error"];
+const WARNINGS = new Set(["constant position", "GPS glitch", "accelerometer error", "uninitialised"]);
+const RATIOS = { vel_ratio: "velocity", pos_horiz_ratio: "horizontal position", pos_vert_ratio: "height", mag_ratio: "magnetometer", hagl_ratio: "height above ground", tas_ratio: "airspeed" };
+const VARIANCES = { velocity_variance: "velocity", pos_horiz_variance: "horizontal position", pos_vert_variance: "height", compass_variance: "magnetometer", terrain_alt_variance: "terrain" };
+const UNSEEN_US = 3e6;
+
+function quaternionOf(table, field, side = "sent") {
+  const row = table?.[side].at(-1), first = table?.place(field);
+  return row && [0, 1, 2, 3].map((n) => row[first + n]);
+}
+
+// Quaternions by source, as far as they come.
+function attitudes() {
+  const found = new Map();
+  const truth = quaternionOf(store.tables.get("HIL_STATE_QUATERNION"), "attitude_quaternion");
+  if (truth) found.set("truth", truth);
+  const own = quaternionOf(store.tables.get("ATTITUDE_QUATERNION"), "q1") || fromAngles(store.tables.get("ATTITUDE"));
+  if (own) found.set("autopilot", own);
+  const fused = quaternionOf(store.tables.get("fusion"), "qw");
+  if (fused) found.set("fusion", fused);
+  return found;
+}
+
+function fromAngles(table) {
+  if (!table?.sent.length) return undefined;
+  const [r, p, y] = ["roll", "pitch", "yaw"].map((field) => table.newest(field) / 2);
+  const [sr, cr, sp, cp, sy, cy] = [Math.sin(r), Math.cos(r), Math.sin(p), Math.cos(p), Math.sin(y), Math.cos(y)];
+  return [cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy];
+}
+
+const scene = new Scene($("scene"));
+let vehicleType = null, vehicleDrawn = { ms: 0, us: null }, legend = "";
+
+function drawVehicle(now_ms) {
+  if (store.newest_us === vehicleDrawn.us && !scene.dirty) return;
+  if (now_ms - vehicleDrawn.ms < 33) return;
+  const slow = now_ms - vehicleDrawn.slow > 250 || vehicleDrawn.slow === undefined;
+  vehicleDrawn = { ms: now_ms, us: store.newest_us, slow: slow ? now_ms : vehicleDrawn.slow };
+  scene.dirty = false;
+  const found = attitudes(), sources = [...found];
+  drawHorizon($("horizon"), sources[0] && angles(sources[0][1]), sources[1] && angles(sources[1][1]));
+  scene.draw(sources[0]?.[1], vehicleType);
+  if (!slow) return;
+  $("no-vehicle").hidden = store.tables.size > 0;
+  showLegend();
+  showAngles(sources);
+  showVehicleStatus();
+}
+
+function showLegend() {
+  const tracks = scene.legend();
+  if (tracks.map((one) => one.name).join() === legend) return;
+  legend = tracks.map((one) => one.name).join();
+  $("tracks").replaceChildren(...tracks.map((track) => {
+    const mark = make("i");
+    mark.style.background = `var(${track.stroke})`;
+    return make("li", {}, mark, track.name);
+  }));
+}
+
+function showAngles(sources) {
+  const head = ["attitude, degrees", "roll", "pitch", "yaw"];
+  const lines = sources.map(([name, q], number) => [name + (number === 1 ? " (dashed)" : ""), ...angles(q).map((one) => (one * DEGREES).toFixed(1))]);
+  fillTable($("angles"), head, lines);
+}
+
+function fillTable(table, head, lines) {
+  table.hidden = !lines.length;
+  const row = (tag, cells) => make("tr", {}, ...cells.map((cell) => make(tag, { textContent: cell ?? "–" })));
+  table.replaceChildren(make("thead", {}, row("th", head)), make("tbody", {}, ...lines.map((cells) => row("td", cells))));
+}
+
+// -- autopilot and estimator -------------------------------------------------------------------
+
+function heartbeat() {
+  for (const table of store.sources.values()) {
+    if (table.has("base_mode") && table.has("autopilot") && table.newest("autopilot") !== NO_AUTOPILOT) return table;
+  }
+  return undefined;
+}
+
+function modeOf(autopilot, type, base, custom) {
+  if (!(base & 1)) return `base mode ${base}`; // MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+  if (autopilot === 12) {
+    const name = catalogue?.modes.px4[`${(custom >>> 16) & 255}.${custom >>> 24}`];
+    return name || `custom mode ${custom}`;
+  }
+  return catalogue?.modes.ardupilot[type]?.[custom] || `custom mode ${custom}`;
+}
+
+function statusItems() {
+  const items = [];
+  const beat = heartbeat();
+  if (beat) {
+    const [type, autopilot, base, custom, system] = ["type", "autopilot", "base_mode", "custom_mode", "system_status"].map((field) => beat.newest(field));
+    vehicleType = type;
+    const lost = store.newest_us - beat.received.at(-1)[0] > UNSEEN_US;
+    items.push(["", base & ARMED ? "armed" : "disarmed", false], ["mode", modeOf(autopilot, type, base, custom), false],
+      ["state", lost ? "no heartbeat" : STATES[system] || `state ${system}`, lost || system >= 5]);
+  }
+  const gps = ["HIL_GPS", "GPS_RAW_INT"].map((name) => store.tables.get(name)).find((table) => table?.sent.length);
+  if (gps) {
+    const fix = gps.newest("fix_type"), lost = store.newest_us - gps.sent.at(-1)[0] > UNSEEN_US;
+    items.push(["GPS", lost ? "lost" : `${FIXES[fix] ?? `fix ${fix}`}, ${gps.newest("satellites_visible")} satellites`, lost || fix < 3]);
+  }
+  const fused = store.tables.get("fusion");
+  if (fused?.sent.length) items.push(["fusion", `position ±${fused.newest("sigma_m").toFixed(2)} m${fused.newest("reason") ? `, ${fused.newest("reason")}` : ""}`, false]);
+  return [...items, ...estimatorItems()];
+}
+
+function estimatorItems() {
+  const px4 = store.tables.get("ESTIMATOR_STATUS"), ardupilot = store.tables.get("EKF_STATUS_REPORT");
+  const table = px4?.sent.length ? px4 : ardupilot?.sent.length ? ardupilot : null;
+  if (!table) return [];
+  const flags = table.newest("flags"), names = table === px4 ? ESTIMATES : [...ESTIMATES.slice(0, 10), "uninitialised"];
+  const warnings = names.filter((name, bit) => flags >> bit & 1 && WARNINGS.has(name));
+  const missing = names.slice(0, 6).filter((name, bit) => name !== "horizontal position (relative)" && !(flags >> bit & 1));
+  const said = [...warnings, ...missing.map((name) => `no ${name}`)];
+  const tests = Object.entries(table === px4 ? RATIOS : VARIANCES).map(([field, name]) => [name, table.newest(field)]).filter(([, value]) => value != null && value > 0);
+  return [["estimator", said.join(", ") || "all estimates good", said.length > 0],
+    ...tests.map(([name, value]) => [`${name} test`, `${value.toFixed(2)}${value > 1 ? " fails" : ""}`, value > 1])];
+}
+
+function showVehicleStatus() {
+  const items = statusItems();
+  $("status").replaceChildren(...items.map(([name, value, bad]) => make("li", { className: bad ? "bad" : "" }, make("span", { textContent: name && `${name}: ` }), value)));
+}

@@ -1,0 +1,164 @@
+"""A small proxy that runs, the page over it, and Debian's Chromium to look at it with."""
+
+import select
+import shutil
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from analysis.publish import Publisher
+from analysis.results import AttitudeError, Decision
+from analysis.web.server import serve
+from mavproxy_fault.control import Control
+from mavproxy_fault.core import Core
+from mavproxy_fault.engine import Engine
+from mavproxy_fault.links.bus import Bus, open_bus
+from mavproxy_fault.live import Live
+from mavproxy_fault.ports import LinkRole
+from mavproxy_fault.schedule import Schedule
+from mavproxy_fault.stats import figures
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.label import Label
+
+CHROMIUM = shutil.which("chromium")
+LINKS = (LinkRole("simulator", "to-vehicle"), LinkRole("vehicle", "from-vehicle"))
+STEP_US = 20_000
+TRUE = {"attitude_quaternion": (1.0, 0.0, 0.0, 0.0), "rollspeed": 0.5, "lat": 474_000_000}
+ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
+SATELLITES = ("E05", "E09", "G07", "G12", "G25", "G31")
+
+
+class Loop:
+    """A proxy between a simulator at 50 Hz and a vehicle, without links: only live control."""
+
+    def __init__(self, url: str = "tcp/127.0.0.1:0") -> None:
+        self.bus: Bus = open_bus(url, run="flight-1", router=True)
+        control = Control(Engine(Schedule(1)))
+        self.core = Core(LINKS, control.engine, control=control)
+        self.engine = control.engine
+        self.live = Live(control, lambda: self.core.clock.t_us)
+        self.live.offer(self.bus)
+        self.publisher = Publisher(self.bus)
+        self.labels: list[Label] = []
+        self.xgyro = 0.0  # as the vehicle was sent it last
+        self._t_us = 1_000_000
+        self._seq = 0
+        self._stop, self._stopped = socket.socketpair()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while True:
+            waited = [self._stopped, *self.live.filenos()]
+            ready, _, _ = select.select(waited, (), (), STEP_US * 1e-6)
+            if self._stopped in ready:
+                return
+            if not ready:
+                self._step()
+            self.live.serve()
+            labels = self.core.take_labels()
+            self.labels += labels
+            figures_now = [figures(self.core, number) for number in range(len(LINKS))]
+            self.live.publish(figures_now, labels)
+            self.live.show(time.monotonic())
+
+    def _step(self) -> None:
+        self._t_us += STEP_US
+        stamp = {"time_usec": self._t_us}
+        frames = [
+            ("HIL_SENSOR", {**stamp, "xgyro": 0.5}),
+            ("HIL_STATE_QUATERNION", {**stamp, **TRUE}),
+            ("HEARTBEAT", {"autopilot": 12, "base_mode": 129, "system_status": 4}),
+        ]
+        for name, values in frames:
+            self._seq = (self._seq + 1) & 0xFF
+            raw = build(known(name), values, seq=self._seq)
+            for _, sent, _ in self.core.received(0, raw, self._t_us):
+                frame = Frame(sent, known(int.from_bytes(sent[7:10], "little")))
+                if frame.layout.name == "HIL_SENSOR":
+                    self.xgyro = round(float(frame.number("xgyro")), 6)
+
+    def epoch(self, t_s: float, excluded: tuple[str, ...] = ()) -> None:
+        """Publish what a monitor says of one epoch."""
+        large = 60.0 if excluded else 0.0
+        t_us = round(t_s * 1e6)
+        decision = Decision(
+            t_s=t_s, t_us=t_us, statistic=4.0 + t_s % 2 + large, threshold=16.8, dof=6, p_value=0.5,
+            alarm=bool(excluded), hypothesis="satellites" if excluded else "none",
+            excluded=excluded, satellites=SATELLITES, residual_m=(1.0,) * 6,
+            normalised=tuple(7.4 if name in excluded else 0.8 for name in SATELLITES),
+        )  # fmt: skip
+        error = AttitudeError(
+            t_s=t_s, t_us=t_us, estimator="ekf", roll=0.1, pitch=0.1, yaw=0.3, angle=0.3 + t_s % 1
+        )
+        self.publisher.publish([decision, error])
+
+    def close(self) -> None:
+        """End the loop and the bus, as a proxy that is stopped does."""
+        self._stop.send(b"!")
+        self._thread.join()
+        self.live.close()
+        self._stop.close()
+        self._stopped.close()
+
+
+@pytest.fixture
+def new_loop() -> Callable[..., Loop]:
+    return Loop
+
+
+@pytest.fixture
+def loop() -> Iterator[Loop]:
+    running = Loop()
+    yield running
+    running.close()
+
+
+@pytest.fixture
+def address(loop: Loop) -> Iterator[str]:
+    with serve(loop.bus.url, port=0) as found:
+        yield found
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    if CHROMIUM is None:
+        pytest.skip("Debian's chromium is not installed")
+    api = pytest.importorskip("playwright.sync_api")
+    with api.sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def open_page(browser: Any) -> Iterator[Callable[[str], Any]]:
+    """Opens an address in a page that notes in `complaints` what the browser finds wrong."""
+    opened: list[Any] = []
+
+    def show(address: str) -> Any:
+        found = browser.new_page(viewport={"width": 1360, "height": 900})
+        opened.append(found)
+        found.set_default_timeout(100_000)  # kernels may have to be compiled first
+        complaints: list[str] = []
+        found.on("console", lambda said: said.type == "error" and complaints.append(said.text))
+        found.on("pageerror", lambda error: complaints.append(str(error)))
+        found.complaints = complaints
+        found.goto(address)
+        found.wait_for_selector("#connection.there")
+        found.wait_for_selector("#kind option", state="attached")
+        return found
+
+    yield show
+    for found in opened:
+        found.close()
+
+
+@pytest.fixture
+def page(open_page: Callable[[str], Any], address: str) -> Any:
+    return open_page(address)

@@ -1,0 +1,81 @@
+"""Who may look at the page, and who may change something by it."""
+
+import urllib.error
+import urllib.request
+from typing import Any
+
+import pytest
+from websockets import Origin
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from analysis.web.server import listen
+
+
+@pytest.mark.browser
+def test_a_second_viewer_without_the_token_sees_the_same_and_can_change_nothing(
+    browser: Any, page: Any, address: str
+) -> None:
+    page.select_option("#kind", "preset:gyro-bias")
+    page.click("#arm")
+    second = browser.new_page()
+    second.goto(address.partition("#")[0])
+    second.wait_for_selector("#faults li.active")
+    assert second.is_visible("#viewing")
+    assert all(
+        one.is_disabled() for one in second.query_selector_all("section:first-of-type button")
+    )
+    second.close()
+
+
+def status_of(address: str, headers: dict[str, str], what: str = "ctl/schedule/stop") -> int:
+    origin = address.partition("/#")[0]
+    url = f"{origin}/api/{what}"
+    request = urllib.request.Request(url, data=b"", headers=headers)
+    try:
+        with urllib.request.urlopen(request, timeout=10) as reply:
+            return int(reply.status)
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {},
+        {"X-Token": "guessed"},
+        {"X-Token": "TOKEN", "Origin": "http://elsewhere.example"},
+        {"X-Token": "TOKEN", "Host": "rebound.example:8350"},
+    ],
+)
+def test_what_comes_without_the_token_or_from_elsewhere_is_refused(
+    address: str, headers: dict[str, str]
+) -> None:
+    token = address.partition("token=")[2]
+    given = {key: value.replace("TOKEN", token) for key, value in headers.items()}
+    assert status_of(address, given) == 403
+
+
+def test_another_site_can_neither_read_nor_listen(address: str) -> None:
+    origin = address.partition("/#")[0]
+    elsewhere = {"Origin": "http://elsewhere.example"}
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(urllib.request.Request(origin, headers=elsewhere), timeout=10)
+    with (
+        pytest.raises(InvalidStatus),
+        connect(
+            f"{origin.replace('http', 'ws')}/api/live", origin=Origin("http://elsewhere.example")
+        ),
+    ):
+        pass
+
+
+def test_the_page_is_reached_on_loopback_only() -> None:
+    bound = listen(0)
+    assert bound.getsockname()[0] == "127.0.0.1"
+    bound.close()
+
+
+def test_another_run_is_chosen_with_the_token_only(address: str) -> None:
+    assert status_of(address, {}, "run") == 403

@@ -1,0 +1,77 @@
+"""What a proxy and a monitor tell is seen on the page, in a real browser."""
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from analysis.web.server import serve
+from mavproxy_fault.links.bus import open_bus
+
+pytestmark = pytest.mark.browser
+
+
+def test_an_isolated_satellite_is_marked_and_listed(page: Any, loop: Any) -> None:
+    for step in range(10):
+        loop.epoch(10 + step / 5)
+    loop.epoch(12.0, excluded=("G12",))
+    page.wait_for_selector(".sat.out")
+    assert page.text_content(".sat.out").startswith("G12")
+    assert "fault in satellites G12" in page.text_content("#events")
+    page.wait_for_selector("#statistic canvas")
+    assert page.complaints == []
+
+
+def test_what_was_received_is_saved_by_time(page: Any, loop: Any) -> None:
+    loop.epoch(2.0)
+    page.wait_for_selector("#now:has-text('4.0 is below 16.8')")
+    page.wait_for_selector(".signal .now:has-text('received 0.5')")
+    with page.expect_download() as saved:
+        page.click("#csv")
+    with Path(saved.value.path()).open() as file:
+        rows = list(csv.DictReader(file))
+    times = [float(row["t_s"]) for row in rows]
+    assert times == sorted(times)
+    values = [row for row in rows if row["HIL_SENSOR.xgyro"]]
+    assert len(values) > 1
+    assert {(row["HIL_SENSOR.xgyro"], row["HIL_STATE_QUATERNION.rollspeed"]) for row in values} == {
+        ("0.5", "0.5")
+    }
+    (epoch,) = [row for row in rows if row["gnss.statistic"]]
+    assert (epoch["t_us"], epoch["gnss.statistic"]) == ("2000000", "4")
+    assert float(epoch["attitude error ekf.angle_deg"]) == 0.3
+
+
+def test_a_proxy_that_goes_and_comes_back_is_told_and_followed(
+    open_page: Callable[[str], Any], new_loop: Callable[..., Any]
+) -> None:
+    first = new_loop()
+    with serve(first.bus.url, port=0) as address:
+        page = open_page(address)
+        first.close()
+        page.wait_for_selector("#connection:has-text('The proxy is gone')")
+        second = new_loop(first.bus.url)
+        try:
+            page.wait_for_selector("#connection.there")
+            page.wait_for_selector(".signal .now:has-text('received 0.5')")
+        finally:
+            second.close()
+
+
+def test_of_several_runs_the_viewer_chooses_one(page: Any, loop: Any) -> None:
+    assert not page.is_visible("#run")
+    with open_bus(loop.bus.url, run="other") as other:
+        other.alive("proxy")
+        page.select_option("#run", "other")
+        page.wait_for_selector("#connection:has-text('connected to other')")
+        page.select_option("#run", "flight-1")
+        page.wait_for_selector("#connection:has-text('connected to flight-1')")
+
+
+def test_a_narrow_screen_shows_all_without_scrolling_sideways(page: Any, loop: Any) -> None:
+    page.set_viewport_size({"width": 380, "height": 800})
+    loop.epoch(2.0)
+    page.wait_for_selector(".signal canvas")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 380
