@@ -173,7 +173,7 @@ class Mixed:
 
     DESIGN = 64  # a power of two keeps the sequence balanced
     RUNS, LAPS = 4, 8  # of the race, and its generations
-    SIGMA, SMALL = 0.15, 0.1
+    SIGMA, SMALL = 0.2, 0.1
     APART = 0.15  # root-mean-square distance of the starts
 
     def __init__(self, dimension: int, seed: int, budget: int) -> None:
