@@ -1,6 +1,7 @@
 """The analysis' subcommands; what they need is imported when they run."""
 
 import argparse
+import contextlib
 from typing import Any
 
 
@@ -34,9 +35,14 @@ def add_run(commands: Any) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from analysis.run.command import main
+    with contextlib.ExitStack() as stack:
+        if args.ui:
+            from analysis.web.server import serve_beside
 
-    return main(args)
+            stack.enter_context(serve_beside(args))
+        from analysis.run.command import main
+
+        return main(args)
 
 
 def add_monitor(commands: Any) -> None:

@@ -103,7 +103,6 @@ class Running:
         self.active = True
         self.starts += 1
         self.states = {}
-        self.changed_us, self.untold = None, False  # the first label tells the value as it is
 
     def rest(self, now_us: int) -> None:
         """End a stretch; set the next start if the entry repeats, leaving out what is long past."""
@@ -237,6 +236,12 @@ class Running:
             value=self.value,
             changed_us=self.changed_us,
         )
+
+    def opened(self, t_us: int) -> Label:
+        """The label of a stretch that has just touched its first frame."""
+        self.changed_us, self.untold = None, False
+        self._told_us = t_us
+        return self.label(None)
 
     def news(self, t_us: int) -> Label | None:
         """A label about a value that was changed; None without one, or so soon after another."""

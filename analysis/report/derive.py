@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from analysis.report.fusion import fused_errors
 from analysis.report.recording import Event, Recording, Signal, Track, Vector
 
 EARTH_RADIUS_M = 6_371_000.0
@@ -35,6 +36,7 @@ def derived(recording: Recording) -> tuple[list[Signal], list[Event]]:
         if not is_gps:
             events.extend(_resets(track, step))
     signals.extend(_position_errors(recording))
+    signals.extend(fused_errors(recording))
     signals.extend(_attitude_errors(recording))
     return signals, events
 

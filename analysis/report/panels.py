@@ -17,6 +17,7 @@ class Panel:
 TIMELINE = "Timeline"
 CHECKS = "Checks"
 DETECTION = "Fault detection"
+FUSION = "Fused solution"
 ATTITUDE = "Attitude"
 POSITION = "Position and speed"
 ESTIMATOR = "The autopilot's estimator"
@@ -32,7 +33,11 @@ PANELS = (
     Panel("fdi-normalised", DETECTION, "Residuals per satellite over their sigma", ""),
     Panel("fdi-sensor", DETECTION, "Sensor statistics over their thresholds", "", True),
     Panel("fdi-probability", DETECTION, "Probability of each hypothesis", ""),
-    Panel("fused-sigma", DETECTION, "Fused solution: position sigma", "m"),
+    Panel("fused-north", FUSION, "Position error north with three sigmas of the fused", "m"),
+    Panel("fused-east", FUSION, "Position error east with three sigmas of the fused", "m"),
+    Panel("fused-down", FUSION, "Position error down with three sigmas of the fused", "m"),
+    Panel("fused-sigma", FUSION, "Position sigma", "m"),
+    Panel("fused-weight", FUSION, "Weights of the sources in use", ""),
     Panel("error-angle", ATTITUDE, "Attitude error: total angle", "deg"),
     Panel("error-roll", ATTITUDE, "Attitude error: roll", "deg"),
     Panel("error-pitch", ATTITUDE, "Attitude error: pitch", "deg"),

@@ -5,7 +5,6 @@ import contextlib
 import math
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +16,8 @@ from analysis.run.flight import Flight
 from analysis.run.setup import Setup, read_setup
 from analysis.run.worker import MonitorProcess
 from analysis.terminal import print_summary
-from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.links.bus import Bus, open_run_bus
+from mavproxy_fault.edits import JOIN, Journal
+from mavproxy_fault.links.bus import open_run_bus
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.live import Live
@@ -40,8 +39,6 @@ def main(args: argparse.Namespace) -> int:
     folder = make_folder(args.out, setup.scenario.name)
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(open_run_bus(args.zenoh, folder.name))
-        if args.ui:
-            print(f"page: {stack.enter_context(page(bus))}", flush=True)
         monitor = stack.enter_context(MonitorProcess(setup.monitor))
         file = stack.enter_context(ResultFile(folder))
         publisher = Publisher(bus) if bus else None
@@ -52,14 +49,16 @@ def main(args: argparse.Namespace) -> int:
                 publisher.publish(results)
 
         flight = Flight(setup.scenario, setup.schedule)
+        journal = Journal(flight.core, flight.tape)
+        journal.note(JOIN, b"", journal.begin(flight.now_us))
         live = stack.enter_context(
-            contextlib.closing(Live(flight.control, lambda: flight.vehicle_us))
+            contextlib.closing(Live(flight.control, lambda: journal.begin(flight.now_us), journal))
         )
         if bus is not None:
             live.offer(bus)
         link = open_ground(args.gcs, pace)
         started_s = time.monotonic()
-        recorder = Recorder(folder, session(setup))
+        recorder = Recorder(folder, session(setup, flight))
         fly(flight, monitor, recorder, pace, take, link, live, together=args.ui)
         columns = read_columns(folder / "sent.tlog")  # while the monitor catches up
         take(monitor.results())
@@ -107,7 +106,7 @@ def fly(
                 if flight.t_us - recorded_us >= RECORD_US:
                     recorded_us = flight.t_us
                     labels = flight.take_labels()
-                    recorder.write(flight.tape, labels)
+                    recorder.write(flight.tape, labels, live.edits())
                     live.publish(flight.stats(), labels)
                     if together or ground is not None:
                         take(monitor.feed(b"", now=True))
@@ -117,21 +116,6 @@ def fly(
         recorder.close(flight.core.clock.t0_us, flight.now_us)
 
 
-def page(bus: Bus | None) -> AbstractContextManager[str]:
-    """The page for control and live view, served while the run goes on; gives its address.
-
-    Raises
-    ------
-    ConfigError
-        If there is no bus for it to listen to.
-    """
-    if bus is None:
-        raise ConfigError("--ui: the page listens on Zenoh; leave out --zenoh off")
-    from analysis.web.server import serve
-
-    return serve(bus.url)
-
-
 def open_ground(spec: str, pace: Pace) -> Link | None:
     """The ground station's link; at full speed there is none, nobody could watch."""
     if math.isinf(pace.speed) or spec == "off":
@@ -139,9 +123,15 @@ def open_ground(spec: str, pace: Pace) -> Link | None:
     return open_link(spec, plain_udp="udpout")
 
 
-def session(setup: Setup) -> dict[str, Any]:
+def session(setup: Setup, flight: Flight) -> dict[str, Any]:
     """What a replay of the run needs to know."""
-    return {"scenario": setup.scenario.name, "seed": setup.schedule.seed}
+    links = [{"name": role.name, "direction": role.direction} for role in flight.core.links]
+    return {
+        "scenario": setup.scenario.name,
+        "seed": setup.schedule.seed,
+        "schedule": flight.engine.save(),
+        "links": links,
+    }
 
 
 def report(folder: Path, summary: dict[str, Any], columns: Columns) -> None:

@@ -14,11 +14,11 @@ from collections.abc import Iterable
 import msgspec
 
 from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.view import MOST_MESSAGES
+from mavproxy_fault.view import MOST_MESSAGES, RANGES
 from mavproxy_fault.wire.dialect import layout
 
 KEPT = 200  # events and labels remembered for late joiners
-WAITING = 50  # batches a viewer may be behind: one second
+WAITING = 25  # batches a viewer may be behind: one second
 LISTED = ("fdi/events", "proxy/labels")  # every sample counts
 BURST = 25  # samples of one key sent in one tick: a monitor's results come by the second
 PAST = 300  # samples of a curve that a late joiner is shown
@@ -43,7 +43,9 @@ class Viewer:
             names = msgspec.json.decode(said, type=list[str])
         except msgspec.MsgspecError:
             return
-        self.messages = frozenset(name for name in names[:MOST_MESSAGES] if layout(name))
+        self.messages = frozenset(
+            name for name in names[:MOST_MESSAGES] if name == RANGES or layout(name)
+        )
 
 
 class Feed:
@@ -102,6 +104,11 @@ class Feed:
     def leave(self, viewer: Viewer) -> None:
         """A viewer less."""
         self._viewers.discard(viewer)
+
+    @property
+    def viewers(self) -> int:
+        """How many pages are open."""
+        return len(self._viewers)
 
     def wishes(self) -> list[str]:
         """The messages that viewers want to see, as many as a proxy will show."""

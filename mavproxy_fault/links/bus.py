@@ -174,7 +174,7 @@ def open_bus(url: str | None = None, *, run: str = "live", router: bool = False)
     """
     import zenoh
 
-    address = _free_port(url or DEFAULT_URL)
+    address = with_port(url or DEFAULT_URL)
     config = zenoh.Config()
     settings: dict[str, object] = {
         "mode": "router" if router else "client",
@@ -241,7 +241,7 @@ def open_run_bus(choice: str, run: str, component: str = "run") -> Iterator[Bus 
         yield bus
 
 
-def _free_port(url: str) -> str:
+def with_port(url: str) -> str:
     """`url` with port 0 replaced by a port that is free now."""
     if not url.endswith(":0"):
         return url

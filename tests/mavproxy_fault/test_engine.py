@@ -258,5 +258,5 @@ def test_a_value_changed_while_the_fault_acts_is_told_by_a_label() -> None:
         it.update("b", number + 1.5)
         said += it.take_labels()
     (done,) = it.finish(2_000_000)
-    assert [label.value for label in said] == [None, 1.5, 21.5, 41.5, 61.5, 81.5]
+    assert [label.value for label in said] == [None, 20.5, 40.5, 60.5, 80.5]
     assert (done.value, done.start_us, done.frames) == (100.5, said[0].start_us, 100)

@@ -9,6 +9,8 @@ from mavproxy_fault.schedule import parse_schedule
 from mavproxy_fault.view import LEASE_S, MOST_ROWS, Watched
 from mavproxy_fault.wire.dialect import known, message_names
 from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.msm7 import encode_epoch
+from mavproxy_fault.wire.rtcm import tunnel_frames
 
 LINKS = (LinkRole("simulator", "to-vehicle"), LinkRole("vehicle", "from-vehicle"))
 
@@ -102,3 +104,18 @@ def test_more_messages_than_a_viewer_needs_are_refused() -> None:
     control = proxy()[1]
     with pytest.raises(ConfigError, match="are too many"):
         control.view.watch(message_names()[:40], 0.0)
+
+
+def test_a_satellite_is_shown_with_its_range_before_and_after() -> None:
+    core, control = proxy("{fault: bias, target: PSEUDORANGE.G07, value: 50}")
+    control.watch(b'["PSEUDORANGE"]', 0.0)
+    names, ranges_m = ("E05", "G07", "G12"), [2.3e7, 2.1e7, 2.2e7]
+    zeros = [0.0, 0.0, 0.0]
+    for sequence, message in enumerate(encode_epoch(1000.0, names, ranges_m, zeros, zeros)):
+        for raw in tunnel_frames(message, sequence):
+            core.received(0, raw, 9_000_000)
+    (samples,) = control.watched(0.0)
+    assert samples.fields == names
+    (came,), (left,) = samples.received, samples.sent or []
+    added_m = [round(after - before, 1) for before, after in zip(came[1:], left[1:], strict=True)]
+    assert added_m == [0.0, 50.0, 0.0]

@@ -2,12 +2,13 @@
 // What the monitor says: statistics, satellites, other sensors, attitude errors, and the list of events.
 
 const EVENTS_SHOWN = 200;
-const statistic = new Sliding($("statistic"), { log: true, dashed: ["threshold"] });
+const statistic = new Sliding($("statistic"), { decades: 4, dashed: ["threshold"] });
 const attitude = new Sliding($("attitude"));
 const satellites = new Satellites($("satellites"));
-const others = new Sliding($("others"), { log: true, dashed: ["threshold"] });
+const others = new Sliding($("others"), { decades: 3, dashed: ["threshold"] });
 const sensors = new Map();
 let epoch = null;
+let crossed = ""; // when the statistic was last above its threshold: one epoch, if the culprit is found at once
 
 function clearDetection() {
   for (const plot of [statistic, attitude, others]) plot.clear();
@@ -16,12 +17,14 @@ function clearDetection() {
   sensors.clear();
   satellites.clear();
   $("verdict").hidden = true;
+  $("now").textContent = crossed = "";
 }
 
 function showDecision(decision) {
   epoch = decision;
   $("quiet").hidden = true;
   statistic.add(store.seconds(decision.t_us), { statistic: decision.statistic, threshold: decision.threshold });
+  if (decision.statistic > decision.threshold) crossed = `; was above at ${store.seconds(decision.t_us).toFixed(1)} s with ${decision.statistic.toFixed(0)}`;
   const { alarm, hypothesis, excluded } = decision;
   store.note("gnss", decision.t_us, { statistic: decision.statistic, threshold: decision.threshold, alarm, hypothesis, excluded: excluded.join(" ") });
 }
@@ -41,8 +44,12 @@ function spoken(decision) {
 function drawEpoch() {
   if (!epoch) return;
   satellites.show(epoch);
+  const { excluded } = epoch;
+  $("isolated").hidden = false;
+  $("isolated").className = excluded.length ? "bad" : "note";
+  $("isolated").textContent = excluded.length ? `isolated: ${excluded.join(", ")}` : "none is isolated";
   const { statistic: now, threshold } = epoch;
-  $("now").textContent = now == null ? "" : `${now.toFixed(1)} is ${now > threshold ? "above" : "below"} ${threshold.toFixed(1)}`;
+  $("now").textContent = now == null ? "" : `${now.toFixed(1)} is ${now > threshold ? "above" : "below"} ${threshold.toFixed(1)}${crossed}`;
   $("now").className = now > threshold ? "bad" : "note";
   showVerdict(epoch);
   epoch = null;
@@ -88,7 +95,7 @@ function showFused(state) {
 
 // -- links ------------------------------------------------------------------------------------
 
-const FIGURES = { name: "link", frames_in: "in", chunks_out: "out", faulted: "faulted", gaps: "missing", crc_errors: "CRC errors",
+const FIGURES = { name: "link", frames_in: "in", chunks_out: "out", faulted: "faulted", gaps: "missing", crc_errors: "bad CRC",
   drops: "drops", p50_us: "median µs", p99_us: "99 % µs" };
 
 function showLinks(points) {

@@ -15,10 +15,17 @@ function showFaults(news) {
   const seen = new Set(news.faults.map((one) => one.id));
   for (const [id, row] of rows) if (!seen.has(id)) { row.close(); rows.delete(id); }
   for (const one of news.faults) {
-    if (!rows.has(one.id)) rows.set(one.id, faultRow(one));
+    if (rows.get(one.id)?.kind !== kindOf(one)) { // new, or armed anew as something else
+      rows.get(one.id)?.close();
+      rows.set(one.id, faultRow(one));
+    }
     rows.get(one.id).show(one);
   }
   signals.follow(news.faults);
+}
+
+function kindOf({ fault, preset, targets, parameters }) {
+  return JSON.stringify([fault, preset, targets, Object.keys(parameters || {}), parameters?.profile]);
 }
 
 function faultRow(fault) {
@@ -33,7 +40,7 @@ function faultRow(fault) {
   if (live) element.append(live.element);
   $("faults").append(element);
   return {
-    element,
+    kind: kindOf(fault),
     show(now) {
       element.className = now.state;
       stateText.textContent = phaseOf(now);
@@ -123,6 +130,8 @@ function choose() {
   if (target) target.placeholder = kind === "preset" || fault.messages.length ? "as it is made" : fault.acts_on === "frames" ? "every message" : "MESSAGE.field";
   say("form-said", "");
   touched = kind === "preset";
+  $("hint").textContent = "";
+  preview.show([]);
   soonPreview();
 }
 
@@ -166,11 +175,18 @@ async function showPreview() {
   try {
     const { curves, error } = await ask("preview", JSON.stringify(entry()));
     if (number !== previewNumber) return;
-    preview.show(curves.slice(0, 4));
+    preview.show(curves.slice(0, 2));
     $("hint").textContent = touched ? error || "" : "";
   } catch (error) {
     if (number === previewNumber) say("form-said", error.message);
   }
+}
+
+// A name of its own for a second fault of a kind: the same name would replace the first.
+function unused(name) {
+  let number = 1;
+  while (rows.has(number > 1 ? `${name}-${number}` : name)) number++;
+  return number > 1 ? `${name}-${number}` : name;
 }
 
 $("kind").onchange = choose;
@@ -178,7 +194,7 @@ $("fields").addEventListener("input", () => { touched = true; say("form-said", "
 $("form").onsubmit = (event) => {
   event.preventDefault();
   const data = entry();
-  const id = data.id || data.preset || data.fault;
+  const id = data.id || unused(data.preset || data.fault);
   attempt("form-said", async () => {
     const reply = await ask(`ctl/fault/${encodeURIComponent(id)}/arm`, JSON.stringify(data));
     return `armed: ${reply.armed.join(", ")}`;

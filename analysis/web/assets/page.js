@@ -14,7 +14,7 @@ function wish(messages) {
 
 function showStatus(news) {
   const coming = news.coming?.join(", ");
-  $("connection").className = news.run ? "there" : coming ? "" : "gone";
+  $("connection").className = news.run ? "there" : run && !coming ? "gone" : "";
   $("connection").textContent = news.run ? `connected to ${news.run}` : coming ? `${coming} is getting ready…`
     : `${run ? "The proxy is gone; waiting for it to come back" : "No proxy or run yet; waiting"} on ${news.url}`;
   $("connection").title = news.url;

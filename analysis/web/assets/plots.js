@@ -12,10 +12,11 @@ function plotAxes() {
   return [{ ...common, size: 28, values: (u, ticks) => ticks.map((t) => `${+t.toFixed(3)} s`) }, { ...common, size: 56 }];
 }
 
-function logRange(u, min, max) {
+const logRange = (decades) => (u, min, max) => {
   if (!(max > 0)) return [0.1, 10];
-  return [10 ** Math.floor(Math.log10(Math.max(min, max * 1e-5))), 10 ** Math.ceil(Math.log10(max))];
-}
+  const top = 10 ** Math.ceil(Math.log10(max * 1.5));
+  return [Math.max(10 ** Math.floor(Math.log10(min)), top / 10 ** decades), top];
+};
 
 // The stretches in which a fault acts, as [begin, end or null] in seconds, by the fault's id and begin.
 const stretches = new Map();
@@ -32,10 +33,11 @@ function shadeFaults(u) {
 }
 
 class Sliding {
-  // Curves by name over the newest SPAN_S seconds; a name that is new adds a curve.
-  constructor(area, { log = false, dashed = [] } = {}) {
+  // Curves by name over the newest SPAN_S seconds; a name that is new adds a curve. With `decades` the
+  // axis is logarithmic and so many of them high at most.
+  constructor(area, { decades = 0, dashed = [] } = {}) {
     this.area = area;
-    this.log = log;
+    this.decades = decades;
     this.dashed = dashed;
     this.clear();
     new ResizeObserver(() => this.resize()).observe(area);
@@ -61,7 +63,7 @@ class Sliding {
       for (const row of this.rows.values()) row.push(null);
     }
     for (const [name, value] of Object.entries(values)) {
-      const fits = Number.isFinite(value) && (!this.log || value > 0);
+      const fits = Number.isFinite(value) && (!this.decades || value > 0);
       this.rows.get(name)[this.t.length - 1] = fits ? value : null;
     }
     this.trim();
@@ -90,7 +92,7 @@ class Sliding {
       width: Math.max(240, this.area.clientWidth), height: 190, pxAlign: 0,
       cursor: { drag: { x: false, y: false } },
       scales: { x: { time: false, range: (u, min, max) => [Math.max(this.t[0], max - SPAN_S), Math.max(max, min + 1)] },
-        y: this.log ? { distr: 3, range: logRange } : {} },
+        y: this.decades ? { distr: 3, range: logRange(this.decades) } : {} },
       axes: plotAxes(), hooks: { drawClear: [shadeFaults] },
       series: [{ label: "t", value: (u, t) => t == null ? "–" : `${t.toFixed(2)} s` },
         ...this.names.map((name, i) => ({
@@ -115,7 +117,7 @@ function drawCurve(area, curve) {
   if (!curve.t.length) return;
   const line = (label, stroke) => ({ label, stroke: () => colour(stroke), width: 1.3, points: { show: false } });
   new uPlot({
-    width: Math.max(240, area.clientWidth), height: 150, pxAlign: 0, legend: { show: false },
+    width: Math.max(240, area.clientWidth), height: 115, pxAlign: 0, legend: { show: false },
     cursor: { drag: { x: false, y: false } }, scales: { x: { time: false } }, axes: plotAxes(),
     series: [{}, line("healthy", "--faint"), line("faulty", "--s1")],
   }, [curve.t, curve.healthy, curve.faulty], area);

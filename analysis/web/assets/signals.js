@@ -58,11 +58,11 @@ class Signal {
   constructor(name, area, remove) {
     this.name = name;
     const [message, field] = name.split(".");
-    Object.assign(this, { message, field, plot: null, drawn_us: null });
+    Object.assign(this, { message, field, range: message === "PSEUDORANGE", plot: null, drawn_us: null });
     this.said = make("p", { className: "note", textContent: "nothing of it has come yet" });
     const close = make("button", { type: "button", className: "small", textContent: "Remove", onclick: remove });
     close.setAttribute("aria-label", `Remove ${name}`);
-    const unit = catalogue?.units[name.split("[")[0]];
+    const unit = this.range ? "m" : catalogue?.units[name.split("[")[0]];
     this.area = make("div", { className: "plot" });
     this.now = make("span", { className: "now" });
     this.element = make("div", { className: "signal" },
@@ -72,6 +72,11 @@ class Signal {
     this.observer.observe(this.area);
   }
   size() { return { width: Math.max(240, this.area.clientWidth), height: 150 }; }
+  // A range is 20,000 km and changes by the second: only what a fault adds to it can be seen.
+  changes(table, place, span_us) {
+    const came = new Map(table.window("received", store.newest_us, span_us).map((row) => [row[0], row[place]]));
+    return table.window("sent", store.newest_us, span_us).map((row) => [row[0], row[place] == null ? null : row[place] - came.get(row[0])]);
+  }
   draw() {
     const table = store.tables.get(this.message);
     if (!table?.has(this.field) || store.newest_us === this.drawn_us) return;
@@ -81,20 +86,22 @@ class Signal {
     if (!received.length) return;
     const usual_us = (received.at(-1)[0] - received[0][0]) / Math.max(1, received.length - 1) || 1e6;
     const pick = (row) => [row[0], row[place]];
+    const sent = this.range ? this.changes(table, place, span_us) : table.window("sent", store.newest_us, span_us).map(pick);
     const data = uPlot.join([
-      column(received.map(pick), usual_us),
-      column(table.window("sent", store.newest_us, span_us).map(pick), usual_us),
+      column(this.range ? received.map((row) => [row[0], 0]) : received.map(pick), usual_us),
+      column(sent, usual_us),
       column(truthOf(this.name, store.newest_us, span_us), 1e9),
     ], [[1, 1], [1, 1], [1, 1]]);
     this.said.hidden = true;
-    const digits = (value) => value == null ? "–" : String(+value.toPrecision(5));
-    this.now.textContent = `received ${digits(table.newest(this.field, "received"))}, sent on ${digits(table.newest(this.field))}`;
+    const digits = (value) => value == null ? "–" : String(+value.toPrecision(Math.abs(value) > 1e5 ? 10 : 5));
+    this.now.textContent = this.range ? `sent on minus received ${digits(sent.at(-1)?.[1])}`
+      : `received ${digits(table.newest(this.field, "received"))}, sent on ${digits(table.newest(this.field))}`;
     if (this.plot) this.plot.setData(data);
     else this.make(data);
   }
   make(data) {
     const line = (label, stroke, more) => ({ label, stroke: () => colour(stroke), points: { show: false },
-      value: (u, value) => value == null ? "–" : String(+value.toPrecision(6)), ...more });
+      value: (u, value) => value == null ? "–" : String(+value.toPrecision(10)), ...more });
     const [x, y] = plotAxes();
     this.plot = new uPlot({
       ...this.size(), pxAlign: 0, cursor: { drag: { x: false, y: false } },
@@ -172,10 +179,10 @@ class Signals {
   }
 }
 
-// The field to plot for a fault's target; undefined for satellites and the simulated plant.
+// The field to plot for a fault's target; undefined for the simulated plant.
 function fieldOf(target) {
   const [message, field] = target.split(".");
-  if (["PSEUDORANGE", "PLANT"].includes(message)) return undefined;
+  if (message === "PLANT") return undefined;
   const some = field || STANDS_FOR[message] || Object.keys(catalogue?.units || {}).find((name) => name.startsWith(`${message}.`))?.split(".")[1];
   return some && `${message}.${some}`;
 }

@@ -40,6 +40,23 @@ class Table {
   }
 }
 
+// Satellites rise and set: give the table room for new ones, and the rows its order.
+function widen(table, one) {
+  for (const name of one.fields) {
+    if (table.places.has(name)) continue;
+    table.fields.push(name);
+    table.places.set(name, table.fields.length);
+  }
+  const order = (row) => {
+    const found = new Array(table.fields.length + 1).fill(null);
+    found[0] = row[0];
+    one.fields.forEach((name, n) => { found[table.places.get(name)] = row[n + 1]; });
+    return found;
+  };
+  one.received = one.received.map(order);
+  one.sent &&= one.sent.map(order);
+}
+
 class Store {
   constructor() { this.clear(); }
   clear() {
@@ -52,7 +69,9 @@ class Store {
     for (const one of batch) {
       const key = `${one.message}/${one.system}/${one.component}/${one.instance}`;
       if (!this.sources.has(key)) this.sources.set(key, this.table(this.label(one), one.fields));
-      this.sources.get(key).add(one.received, one.sent);
+      const table = this.sources.get(key);
+      if (one.fields.length !== table.fields.length || one.fields.some((name, n) => name !== table.fields[n])) widen(table, one);
+      table.add(one.received, one.sent);
       this.seen(one.received.at(-1)?.[0]);
     }
   }
@@ -72,9 +91,9 @@ class Store {
     const table = this.table(label, Object.keys(values));
     if (t_us <= table.received.at(-1)?.[0]) return;
     table.add([[t_us, ...Object.values(values)]], null);
-    this.seen(t_us);
   }
-  seen(t_us) { if (t_us != null && !(t_us < this.newest_us && t_us > this.newest_us - 1e6)) this.newest_us = t_us; }
+  // The newest time of any message; a jump back is a clock begun anew.
+  seen(t_us) { if (t_us > this.newest_us || t_us < this.newest_us - 1e6) this.newest_us = t_us; }
   seconds(t_us) { return (t_us - (this.t0_us ?? 0)) / 1e6; }
 
   // One line for each instant; cells stay empty where nothing came then.

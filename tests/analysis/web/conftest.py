@@ -47,6 +47,7 @@ class Loop:
         self.labels: list[Label] = []
         self.xgyro = 0.0  # as the vehicle was sent it last
         self._t_us = 1_000_000
+        self._seq = 0
         self._stop, self._stopped = socket.socketpair()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
@@ -70,11 +71,13 @@ class Loop:
         self._t_us += STEP_US
         stamp = {"time_usec": self._t_us}
         frames = [
-            build(known("HIL_SENSOR"), {**stamp, "xgyro": 0.5}),
-            build(known("HIL_STATE_QUATERNION"), {**stamp, **TRUE}),
-            build(known("HEARTBEAT"), {"autopilot": 12, "base_mode": 129, "system_status": 4}),
+            ("HIL_SENSOR", {**stamp, "xgyro": 0.5}),
+            ("HIL_STATE_QUATERNION", {**stamp, **TRUE}),
+            ("HEARTBEAT", {"autopilot": 12, "base_mode": 129, "system_status": 4}),
         ]
-        for raw in frames:
+        for name, values in frames:
+            self._seq = (self._seq + 1) & 0xFF
+            raw = build(known(name), values, seq=self._seq)
             for _, sent, _ in self.core.received(0, raw, self._t_us):
                 frame = Frame(sent, known(int.from_bytes(sent[7:10], "little")))
                 if frame.layout.name == "HIL_SENSOR":
@@ -141,6 +144,7 @@ def open_page(browser: Any) -> Iterator[Callable[[str], Any]]:
     def show(address: str) -> Any:
         found = browser.new_page(viewport={"width": 1360, "height": 900})
         opened.append(found)
+        found.set_default_timeout(100_000)  # kernels may have to be compiled first
         complaints: list[str] = []
         found.on("console", lambda said: said.type == "error" and complaints.append(said.text))
         found.on("pageerror", lambda error: complaints.append(str(error)))

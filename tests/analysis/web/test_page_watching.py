@@ -19,7 +19,7 @@ def test_an_isolated_satellite_is_marked_and_listed(page: Any, loop: Any) -> Non
     loop.epoch(12.0, excluded=("G12",))
     page.wait_for_selector(".sat.out")
     assert page.text_content(".sat.out").startswith("G12")
-    assert "satellites, isolated: G12" in page.text_content("#events")
+    assert "fault in satellites G12" in page.text_content("#events")
     page.wait_for_selector("#statistic canvas")
     assert page.complaints == []
 

@@ -62,3 +62,8 @@ def test_the_source_follows_a_proxy_that_goes_and_comes_back(
             assert feed.next_run() == run
             assert msgspec.json.decode(source.ask("schedule/save", b"")) == {"run": run}
         assert feed.next_run() is None
+
+
+def test_a_run_that_is_not_there_cannot_be_chosen(source: Source) -> None:
+    with pytest.raises(ConfigError, match="'nobody' is not there; there are: none"):
+        source.choose("nobody")
