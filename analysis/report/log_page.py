@@ -29,7 +29,7 @@ def log_page(outcome: Outcome, tables: Sequence[tuple[str, Table]]) -> Page:
     """The page of a log: its checks, the reactions to what was injected, links and parameters."""
     flight, recording = outcome.flight, outcome.flight.recording
     summary = outcome.summary
-    every = run_tables({"faults": summary["faults"]})
+    every = run_tables({"faults": summary["faults"], "attitude": flight.summary.get("attitude")})
     every += [(CHECKS, table) for table in checks_tables(outcome.checks)]
     reaction = reaction_table(summary["faults"])
     if reaction is not None:

@@ -73,8 +73,9 @@ def broken(t_s: Vector, value: Vector) -> tuple[Vector, Vector]:
 
 def unwrapped(t_s: Vector, angle_deg: Vector) -> tuple[Vector, Vector]:
     """The angle with NaN where it wraps around, so that no line crosses the plot there."""
-    wraps = np.flatnonzero(np.abs(np.diff(angle_deg)) > HALF_TURN_DEG) + 1
-    return np.insert(t_s, wraps, t_s[wraps]), np.insert(angle_deg, wraps, np.nan)
+    wraps = np.flatnonzero(np.abs(np.diff(angle_deg)) > HALF_TURN_DEG)
+    middle = (t_s[wraps] + t_s[wraps + 1]) / 2
+    return np.insert(t_s, wraps + 1, middle), np.insert(angle_deg, wraps + 1, np.nan)
 
 
 def thinned(t_s: Vector, value: Vector, longest: int = LONGEST) -> tuple[Vector, Vector]:

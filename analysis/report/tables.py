@@ -7,7 +7,7 @@ from typing import Any
 from analysis.report.checks import FAIL, NONE, PASS, RANK, WARN, Check
 from analysis.report.from_results import isolation_matrix
 from analysis.report.page import Table
-from analysis.report.panels import CHECKS, TIMELINE
+from analysis.report.panels import ATTITUDE, CHECKS, TIMELINE
 from analysis.report.recording import Recording
 from analysis.results import Result
 from mavproxy_fault.wire.label import Label
@@ -77,7 +77,44 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
         ]
         head_ = ("criterion", "found", "limit", "verdict")
         tables.append((CHECKS, Table("Criteria", head_, cells_)))
-    return tables
+    return tables + attitude_tables(summary)
+
+
+def attitude_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
+    """Scores of each attitude estimator: the whole, by phase of flight and by fault."""
+    return [
+        (ATTITUDE, _attitude_table(name, scores))
+        for name, scores in (summary.get("attitude") or {}).items()
+    ]
+
+
+def _attitude_table(name: str, scores: Mapping[str, Any]) -> Table:
+    parts = [("whole flight", scores), ("without faults", scores.get("nominal", {}))]
+    parts += [(f"phase: {phase}", part) for phase, part in scores.get("phases", {}).items()]
+    parts += [(f"fault: {fault}", part) for fault, part in scores.get("faults", {}).items()]
+    rows = [
+        (
+            label,
+            str(part["samples"]),
+            *(f"{part['rmse_deg'][axis]:.2f}" for axis in ("roll", "pitch", "yaw", "angle")),
+            f"{part['angle_percentiles_deg']['95']:.2f}",
+            f"{part['max_deg']['angle']:.2f}",
+        )
+        for label, part in parts
+        if part.get("samples")
+    ]
+    head = ("", "samples", "roll", "pitch", "yaw", "turn", "turn, 95th percentile", "turn, most")
+    note = "Root mean squares in degrees; the turn is the angle between estimate and truth."
+    return Table(f"Attitude errors of {name}", head, rows, note)
+
+
+def criteria_reasons(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The criteria of a run that were not met."""
+    return [
+        (FAIL, f"{row['name']}: {_plain(row['value'])}, limit {_plain(row['limit'])}")
+        for row in summary.get("criteria") or ()
+        if row["passed"] is False
+    ]
 
 
 def _plain(value: object) -> str:
