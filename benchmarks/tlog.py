@@ -138,7 +138,7 @@ def beyond_memory(folder: Path) -> None:
     found = json.loads(done.stdout.splitlines()[-1])
     size = path.stat().st_size
     print(
-        f"\nA log of {size / 1e6:.0f} MB in blocks, the process held to {LEAST_MEMORY / 1e6:.0f} MB "
+        f"\nA log of {size / 1e6:.0f} MB in blocks, in a process of {LEAST_MEMORY / 1e6:.0f} MB "
         f"of data: {found['frames']:,} frames, {size / 1e6 / found['cpu_s']:.0f} MB/s."
     )
 

@@ -119,6 +119,7 @@ def test_damaged_bytes_in_a_dataflash_log_are_passed_over(tmp_path: Path) -> Non
     path.write_bytes(bytes(data[:-7]))
     found = read_dataflash(path)
     assert found.damaged
+    assert found.cut
     assert len(found.topics["ATT", 0]["Roll"]) >= 98
 
 
@@ -144,6 +145,7 @@ def test_a_cut_ulog_gives_what_it_still_holds(tmp_path: Path, shared_data: Path)
     whole = (shared_data / "ulog" / "gps_interference.ulg").read_bytes()
     path = tmp_path / "cut.ulg"
     path.write_bytes(whole[: len(whole) // 2])
+    assert read_ulog(path).cut
     assert 0 < len(read_ulog(path).topics["vehicle_attitude", 0]["timestamp"]) < 1247
 
 

@@ -18,10 +18,10 @@ Flight = Callable[..., Path]
 
 @pytest.fixture
 def small_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Logs count as large beyond 4 kB and are read 300 frames at a time."""
+    """Logs count as large beyond 4 kB and are read 3,000 frames at a time."""
     monkeypatch.setattr(thin, "WHOLE_BYTES", 4_000)
     monkeypatch.setattr(thin, "ROWS", 100)
-    monkeypatch.setattr(tlog, "BLOCK_FRAMES", 300)
+    monkeypatch.setattr(tlog, "BLOCK_FRAMES", 3_000)
 
 
 def outcome(path: Path) -> Outcome:
