@@ -56,9 +56,9 @@ def recording_of_results(
             _fused(result, t_s, points)
             fused[result.name].append((t_s, result.position_ecef_m))
             found.events.extend(_restarted(result, t_s))
-    for (panel, name), rows in points.items():
+    for (panel, name), values in points.items():
         every = epochs if panel in PER_SATELLITE else ()
-        found.signals.append(_signal(panel, name, rows, every))
+        found.signals.append(_signal(panel, name, values, every))
     for lane, rows in alarms.items():
         found.spans.extend(_alarm_spans(lane, rows))
     found.spans.extend(_excluded_spans(excluded, epochs))
