@@ -160,5 +160,5 @@ def open_page(browser: Any) -> Iterator[Callable[[str], Any]]:
 
 
 @pytest.fixture
-def page(open_page: Callable[[str], Any], address: str) -> Any:
+def page(address: str, open_page: Callable[[str], Any]) -> Any:
     return open_page(address)
