@@ -1,12 +1,15 @@
 """Scores of attitude estimators against the truth that travels beside the sensor frames.
 
 Estimates wait for the truth samples on both sides of them and are compared with the truth between
-those. Errors are gathered in cells of `1 / rate_hz`: sums at the full rate of the estimates for
-the scores, the first error of each cell as a result.
+those; one that comes up to a second late, as from an autopilot on a link, still counts. Errors are
+gathered in cells of `1 / rate_hz`: sums at the full rate of the estimates for the scores, the first
+error of each cell as a result.
 """
 
+from bisect import bisect_left
+from collections import deque
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import msgspec
 import numpy as np
@@ -17,11 +20,11 @@ from analysis.epochs import AttitudeSample, ImuSample, Sample, TruthSample
 from analysis.estimators import Estimator, Prior, make
 from analysis.estimators.rotations import between, errors
 from analysis.results import AttitudeError
-from mavproxy_fault.wire.label import Label
 
 Vector = NDArray[np.float64]
 AXES = ("roll", "pitch", "yaw", "angle")
 MAX_TRUTH_GAP_S = 1.0  # truth is not interpolated over a longer pause
+LATEST_US = 1_000_000  # how long the truth is kept for estimates that come late
 GROUND_SPEED_MPS = 1.0
 TURN_RAD = np.radians(15.0)
 CLIMB_MPS = 1.0
@@ -38,6 +41,22 @@ class AttitudeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     imu: int = 0
     settle_s: float = 0.0
     declination_deg: float | None = None
+
+
+class Window(Protocol):
+    """When a fault acted; a label of the proxy's is one."""
+
+    @property
+    def id(self) -> str:
+        """Its name."""
+
+    @property
+    def start_us(self) -> int:
+        """When it began."""
+
+    @property
+    def end_us(self) -> int | None:
+        """When it ended; None if it did not."""
 
 
 class Cell(NamedTuple):
@@ -73,7 +92,7 @@ class ScorerState:
     def __init__(self) -> None:
         self.t0_us: int | None = None
         self.estimators: dict[str, Any] = {}
-        self.truth: TruthSample | None = None
+        self.truths: deque[TruthSample] = deque()
         self.waiting: list[tuple[int, str, Vector]] = []
         self.cells: dict[str, list[Cell]] = {}
 
@@ -119,7 +138,9 @@ class AttitudeScorer:
                 declination_rad=self._declination_rad(sample),
             )
             state.estimators = {name: e.start(prior) for name, e in self._estimators.items()}
-        state.truth = sample
+        state.truths.append(sample)
+        while state.truths[0].t_us < sample.t_us - LATEST_US and len(state.truths) > 2:
+            state.truths.popleft()
 
     def _declination_rad(self, sample: TruthSample) -> float:
         if self.config.declination_deg is not None:
@@ -127,20 +148,21 @@ class AttitudeScorer:
         return declination_rad(sample.lat_deg, sample.lon_deg, sample.alt_m)
 
     def _score(self, after: TruthSample, state: ScorerState) -> list[AttitudeError]:
-        """Compare what waited with the truth between the last sample and this one."""
+        """Compare what waited with the truth up to this sample."""
         results: list[AttitudeError] = []
-        before = state.truth
-        if before is None or state.t0_us is None or after.t_us <= before.t_us:
+        if not state.truths or state.t0_us is None or after.t_us <= state.truths[-1].t_us:
             return results
         later = []
-        span_us = after.t_us - before.t_us
         for t_us, name, q_nb in state.waiting:
             if t_us > after.t_us:
                 later.append((t_us, name, q_nb))
-            elif t_us >= before.t_us and span_us <= MAX_TRUTH_GAP_S * 1e6:
-                truth = between(before.q_nb, after.q_nb, (t_us - before.t_us) / span_us)
-                error = errors(q_nb, truth)
-                if self._gather(state, name, t_us, error, after):
+                continue
+            pair = _around(t_us, state.truths, after)
+            if pair is not None:
+                first, second = pair
+                share = (t_us - first.t_us) / (second.t_us - first.t_us)
+                error = errors(q_nb, between(first.q_nb, second.q_nb, share))
+                if self._gather(state, name, t_us, error, second):
                     results.append(_result(name, t_us, state.t0_us, error))
         state.waiting = later
         return results
@@ -161,29 +183,45 @@ class AttitudeScorer:
         cells.append(Cell(start_us, flight_phase(truth), add_error(np.zeros(9), error), error))
         return True
 
-    def summary(self, state: ScorerState, labels: Sequence[Label] = ()) -> dict[str, Any]:
-        """Scores by estimator: the whole, without faults, by phase of flight and by fault.
+    def summary(self, state: ScorerState, labels: Sequence[Window] = ()) -> dict[str, Any]:
+        """Scores by estimator, as `parted` gives them."""
+        return {
+            name: parted(cells, labels, self._cell_us)
+            for name, cells in sorted(state.cells.items())
+        }
 
-        RMSE (`max` is the largest of roll, pitch and yaw) and maxima in degrees; percentiles are
-        those of the turn between estimate and truth, at `rate_hz`.
-        """
-        scores = {}
-        for name, cells in sorted(state.cells.items()):
-            faulty = [
-                any(_within(cell, label, self._cell_us) for label in labels) for cell in cells
-            ]
-            scores[name] = scored(cells) | {
-                "nominal": scored([c for c, bad in zip(cells, faulty, strict=True) if not bad]),
-                "phases": {
-                    phase: scored([c for c in cells if c.phase == phase])
-                    for phase in sorted({c.phase for c in cells})
-                },
-                "faults": {
-                    label.id: scored([c for c in cells if _within(c, label, self._cell_us)])
-                    for label in labels
-                },
-            }
-        return scores
+
+def _around(
+    t_us: int, truths: deque[TruthSample], after: TruthSample
+) -> tuple[TruthSample, TruthSample] | None:
+    """The truth just before and just after an instant, if it is known close enough."""
+    first, second = truths[-1], after
+    if t_us < first.t_us:
+        k = bisect_left(truths, t_us, key=lambda truth: truth.t_us)
+        if k == 0 and t_us < truths[0].t_us:
+            return None
+        first, second = truths[max(k - 1, 0)], truths[max(k, 1)]
+    return (first, second) if second.t_us - first.t_us <= MAX_TRUTH_GAP_S * 1e6 else None
+
+
+def parted(cells: Sequence[Cell], windows: Sequence[Window], cell_us: int) -> dict[str, Any]:
+    """Scores of the whole, without faults, by phase of flight and by fault.
+
+    RMSE (`max` is the largest of roll, pitch and yaw) and maxima in degrees; percentiles are
+    those of the turn between estimate and truth, of the first error in each cell.
+    """
+    faulty = [any(_within(cell, window, cell_us) for window in windows) for cell in cells]
+    return scored(cells) | {
+        "nominal": scored([c for c, bad in zip(cells, faulty, strict=True) if not bad]),
+        "phases": {
+            phase: scored([c for c in cells if c.phase == phase])
+            for phase in sorted({c.phase for c in cells})
+        },
+        "faults": {
+            window.id: scored([c for c in cells if _within(c, window, cell_us)])
+            for window in windows
+        },
+    }
 
 
 def scored(cells: Sequence[Cell]) -> dict[str, Any]:
@@ -208,10 +246,15 @@ def scored(cells: Sequence[Cell]) -> dict[str, Any]:
 
 
 def flight_phase(truth: TruthSample) -> str:
+    """The phase of flight of a truth sample."""
+    return phase_of(truth.q_nb, truth.v_ned_mps)
+
+
+def phase_of(q_nb: Vector, v_ned_mps: Vector) -> str:
     """ground, turn, climb, descent or level, by speed, bank and climb rate of the truth."""
-    w, x, y, z = truth.q_nb
+    w, x, y, z = q_nb
     bank = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    north, east, down = truth.v_ned_mps
+    north, east, down = v_ned_mps
     if np.sqrt(north * north + east * east + down * down) < GROUND_SPEED_MPS:
         return "ground"
     if abs(bank) > TURN_RAD:
@@ -231,9 +274,9 @@ def declination_rad(lat_deg: float, lon_deg: float, alt_m: float) -> float:
     return float(np.radians(field.d))
 
 
-def _within(cell: Cell, label: Label, cell_us: int) -> bool:
-    return cell.t_us + cell_us > label.start_us and (
-        label.end_us is None or cell.t_us < label.end_us
+def _within(cell: Cell, window: Window, cell_us: int) -> bool:
+    return cell.t_us + cell_us > window.start_us and (
+        window.end_us is None or cell.t_us < window.end_us
     )
 
 

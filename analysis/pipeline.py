@@ -5,6 +5,7 @@ results and the next state.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -17,6 +18,8 @@ from analysis.results import Result
 from analysis.samples import EphemerisSample, IonosphereSample, Sample
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.wire.label import Label
+
+WITHOUT_ISOLATION = "fused without isolation"
 
 
 class MonitorConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -66,12 +69,18 @@ class Pipeline:
         self._attitude_state = self._attitude.new_state()
         self._detector = References(config.detector)
         self._detector_state = self._detector.new_state()
-        self._fusion = None
+        self._fusions: list[Any] = []
+        self._feed_back: Any = None
         if config.fusion is not None:
-            from analysis.fusion.smoother import Fusion  # GTSAM takes its time to load
+            from analysis.fusion.feedback import fed_back  # GTSAM takes its time to load
+            from analysis.fusion.smoother import Fusion
 
-            self._fusion = Fusion(config.fusion, config.detector)
-            self._fusion_state = self._fusion.new_state()
+            self._fusions.append(Fusion(config.fusion, config.detector))
+            if config.fusion.compare:
+                believing = msgspec.structs.replace(config.fusion, decide=False)
+                self._fusions.append(Fusion(believing, config.detector, WITHOUT_ISOLATION))
+            self._feed_back = fed_back if config.fusion.feedback else None
+        self._fusion_states = [fusion.new_state() for fusion in self._fusions]
         self._t0_us: int | None = None
 
     def push(self, sample: Sample) -> list[Result]:
@@ -79,16 +88,28 @@ class Pipeline:
         if self._t0_us is None and not isinstance(sample, (EphemerisSample, IonosphereSample)):
             self._t0_us = sample.t_us
         results, self._detector_state = self._detector.step(sample, self._detector_state)
-        if self._fusion is not None:
-            core = self._detector_state.detector.core
-            fused, self._fusion_state = self._fusion.step(sample, results, core, self._fusion_state)
-            results = [*results, *fused]
+        if self._fusions:
+            results = [*results, *self._fuse(sample, results)]
         scores, self._attitude_state = self._attitude.step(sample, self._attitude_state)
         base_us = self._t0_us or 0
         return [
             msgspec.structs.replace(result, t_s=round((result.t_us - base_us) * 1e-6, 6))
             for result in (*results, *scores)
         ]
+
+    def _fuse(self, sample: Sample, results: Sequence[Result]) -> list[Result]:
+        """The fused states where there are any; with feedback the detector goes on from them."""
+        detector = self._detector_state.detector
+        said: list[Result] = []
+        for i, fusion in enumerate(self._fusions):
+            fused, state = fusion.step(sample, results, detector.core, self._fusion_states[i])
+            self._fusion_states[i] = state
+            said += fused
+        if said and self._feed_back is not None:
+            core = self._feed_back(detector.core, self._fusion_states[0].graph)
+            detector = detector._replace(core=core)
+            self._detector_state = replace(self._detector_state, detector=detector)
+        return said
 
     def attitude(self, labels: Sequence[Label] = ()) -> dict[str, Any]:
         """Scores by estimator."""

@@ -26,7 +26,7 @@ def suffix(result: Result) -> str:
         case AttitudeError():
             return f"att/{result.estimator}/score"
         case FusedState():
-            return "fusion/state"
+            return "fusion/state" if result.name == "fused" else "fusion/without-isolation"
 
 
 class Publisher:

@@ -75,7 +75,10 @@ class AttitudeError(msgspec.Struct, frozen=True, kw_only=True, tag_field="type",
 
 
 class FusedState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True):
-    """The fused navigation solution of one epoch with one-sigma values and the factors in use."""
+    """The fused navigation solution of one epoch with one-sigma values and the factors in use.
+
+    `name` tells the solution ("fused") from the one without isolation computed beside it.
+    """
 
     t_s: float
     t_us: int
@@ -87,6 +90,7 @@ class FusedState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     attitude_sigma_deg: tuple[float, float, float]
     weights: dict[str, float] = {}
     reason: str = ""
+    name: str = "fused"
 
 
 Result = Decision | SensorDecision | AttitudeError | FusedState

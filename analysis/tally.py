@@ -28,8 +28,7 @@ class Tally:
         self._truth: TruthSample | None = None
         self._errors = 0
         self._square_m2 = 0.0
-        self._fused = 0
-        self._fused_square_m2 = 0.0
+        self._fused: dict[str, tuple[int, float]] = {}  # how many, sum of squared errors in m^2
 
     def truth(self, sample: TruthSample) -> None:
         """Note where the vehicle really is."""
@@ -53,8 +52,9 @@ class Tally:
         if alarm is not None:
             self.alarms.append(alarm)
         if isinstance(result, FusedState) and self._truth is not None:
-            self._fused_square_m2 += self._square_error(result.position_ecef_m, self._truth)
-            self._fused += 1
+            count, total_m2 = self._fused.get(result.name, (0, 0.0))
+            error_m2 = self._square_error(result.position_ecef_m, self._truth)
+            self._fused[result.name] = count + 1, total_m2 + error_m2
         if not isinstance(result, Decision):
             return
         self.epochs += 1
@@ -72,9 +72,10 @@ class Tally:
 
     def _fused_summary(self) -> dict[str, float]:
         """The error of the fused position, where it was fused and the truth is known."""
-        if not self._fused:
-            return {}
-        return {"fused_position_rmse_m": round(math.sqrt(self._fused_square_m2 / self._fused), 3)}
+        return {
+            f"{name.replace(' ', '_')}_position_rmse_m": round(math.sqrt(total_m2 / count), 3)
+            for name, (count, total_m2) in self._fused.items()
+        }
 
     def summary(
         self,

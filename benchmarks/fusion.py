@@ -2,7 +2,8 @@
 
 Run by hand: `python benchmarks/fusion.py flight DIR` on the folder of a `mavproxy-fault run` (its
 received.tlog is the flight without faults, its sent.tlog the one with them), `... walk DATA` on the
-folder gnss_imu_walk (needs RTKLIB's rnx2rtkp), or `... time`.
+folder gnss_imu_walk (needs RTKLIB's rnx2rtkp), or `... time`, `... nees [FLIGHTS]`,
+`... memory [SECONDS]` on simulated flights of its own.
 """
 
 import math
@@ -16,30 +17,54 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import chi2
 
 from analysis.epochs import Decoder, read_rinex_samples
 from analysis.fdi import DetectorConfig
 from analysis.fdi.core import Core
 from analysis.fusion.config import FusionConfig
+from analysis.fusion.frame import frame_at
 from analysis.fusion.smoother import Fusion
 from analysis.gnss import ned_axes
+from analysis.pipeline import Pipeline, monitor_config
 from analysis.reference import References
+from analysis.reference_models import density_kgpm3
 from analysis.results import Decision, FusedState, Result
-from analysis.samples import Epoch, ImuSample, Sample, TruthSample, Vector
+from analysis.samples import (
+    AirspeedSample,
+    BaroSample,
+    Epoch,
+    ImuSample,
+    MagSample,
+    Sample,
+    TruthSample,
+    Vector,
+)
 from mavproxy_fault.wire.tlog import read_frames
 from simvehicle.earth import ecef_from_geodetic
+from simvehicle.gnss.config import GnssConfig
+from simvehicle.gnss.sensor import gnss_sensor
+from simvehicle.rotation import matrix_from_quat
+
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "analysis"))
+import conftest  # the tests' flight
 
 Row = tuple[Sample, list[Result], Core]
 Truths = dict[int, tuple[float, float, float]]
 SETTINGS = {
     "isolated (default)": FusionConfig(),
+    "isolated, ionosphere: 0.5": FusionConfig(ionosphere=0.5),
     "no decisions": FusionConfig(decide=False),
     "no decisions, Huber": FusionConfig(decide=False, robust="huber"),
     "no decisions, Geman-McClure": FusionConfig(decide=False, robust="geman-mcclure"),
+    "no decisions, GNC": FusionConfig(decide=False, robust="gnc"),
 }
 WALK_GEOID_M = 21.387  # of the folder's README: heights of the reference are above sea level
 STEP_M, STEP_FROM_S, STEP_FOR_S = 50.0, 60.0, 30.0
-TIMED_S = 20
+TIMED_S = 60.0
+NEES_S = 30.0
+FIRST_SEED = 1000  # flights that nothing was set on
+PERIOD_S = 40.0  # of the tests' flight
 GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
 
 
@@ -185,8 +210,9 @@ def walk(folder: Path) -> None:
         for t_us, at in single.items()
         if t_us in near
     }
-    print("| walk | position RMSE m | about its mean m | NEES (3) |\n|---|---|---|---|")
-    print(f"| RTKLIB, single point | {rmse(found):.2f} | {spread(found):.2f} | |")
+    print("| walk | position RMSE m | about its mean m | mean north, east, down m | NEES (3) |")
+    print("|---|---|---|---|---|")
+    print(row("RTKLIB, single point", found))
     samples = read_rinex_samples(observations, navigation, folder / "imu_1730_sf.csv")
     epochs = [s for s in samples if isinstance(s, Epoch)]
     truths = nearest(truths, [s.t_us for s in epochs])
@@ -201,14 +227,17 @@ def walk(folder: Path) -> None:
         ),
     ):
         value = errors(decisions(these), truths)
-        print(f"| {title}: the detector's filter | {rmse(value):.2f} | {spread(value):.2f} | |")
-        for name, config in list(SETTINGS.items())[: 1 if title == "clean" else None]:
+        print(row(f"{title}: the detector's filter", value))
+        for name, config in list(SETTINGS.items())[: 2 if title == "clean" else None]:
             states = fused(these, config)
             value = errors(states, truths)
-            print(
-                f"| {title}: {name} | {rmse(value):.2f} | {spread(value):.2f} "
-                f"| {nees(states, value):.1f} |"
-            )
+            print(row(f"{title}: {name}", value, f"{nees(states, value):.1f}"))
+
+
+def row(title: str, found: dict[int, Vector], squares: str = "") -> str:
+    """A row of the walk's table."""
+    mean = ", ".join(f"{value:.1f}" for value in np.mean(list(found.values()), axis=0))
+    return f"| {title} | {rmse(found):.2f} | {spread(found):.2f} | {mean} | {squares} |"
 
 
 def common(epochs: list[Epoch]) -> str:
@@ -236,47 +265,185 @@ def stepped(samples: list[Sample], name: str, start_us: int) -> list[Sample]:
     ]
 
 
-def timing(folder: Path, satellites: int = 10) -> None:
-    """Milliseconds of processor time per GNSS epoch with all samples since the last one.
+def flight_of(seconds: float, seed: int = 1, satellites: int | None = None) -> list[Sample]:
+    """A clean simulated flight of the tests (200 Hz IMU, 5 Hz), with that many satellites."""
+    samples = conftest.make_flight(seconds, seed)
+    return samples if satellites is None else [fewer(s, satellites) for s in samples]
 
-    Of a recorded flight with fewer satellites.
-    """
-    samples: list[Sample] = []
-    recorded = tlog_samples(folder / "received.tlog")
-    until_us = recorded[0].t_us + TIMED_S * 1_000_000
-    for sample in recorded:
-        if sample.t_us > until_us:
-            break
-        if isinstance(sample, Epoch):
-            keep = slice(0, satellites)
-            sample = replace(
-                sample,
-                satellites=sample.satellites[keep],
-                pseudorange_m=sample.pseudorange_m[keep],
-                doppler_mps=sample.doppler_mps[keep],
-                cn0_dbhz=sample.cn0_dbhz[keep],
-            )
-        samples.append(sample)
-    rows = detected(samples)
-    fusion = Fusion()
-    state = fusion.new_state()
-    spent: list[float] = []
-    since = 0.0
-    for sample, results, core in rows:
-        before = time.process_time()
-        said, state = fusion.step(sample, results, core, state)
-        since += time.process_time() - before
-        if said:
-            spent.append(since)
-            since = 0.0
-    rest = np.array(spent[len(spent) // 4 :]) * 1e3
-    rate = sum(isinstance(s, ImuSample) for s, _, _ in rows) / max(len(spent), 1)
-    print(
-        f"{satellites} satellites, {rate:.0f} IMU samples per epoch, 5 s lag: median "
-        f"{np.median(rest):.2f} ms, 95 % {np.percentile(rest, 95):.2f} ms per GNSS epoch "
-        f"({platform.processor() or platform.machine()}, Python {platform.python_version()})"
+
+def fewer(sample: Sample, satellites: int) -> Sample:
+    """An epoch with the first few of its satellites."""
+    if not isinstance(sample, Epoch):
+        return sample
+    keep = slice(0, satellites)
+    return replace(
+        sample,
+        satellites=sample.satellites[keep],
+        pseudorange_m=sample.pseudorange_m[keep],
+        doppler_mps=sample.doppler_mps[keep],
+        cn0_dbhz=sample.cn0_dbhz[keep],
     )
 
 
+def timing() -> None:
+    """Milliseconds of processor time per GNSS epoch with all samples since the last one."""
+    samples = flight_of(TIMED_S, satellites=10)
+    print("| 10 satellites, 5 Hz, 200 Hz IMU, 5 s lag | median ms | mean ms | 95 % ms |")
+    print("|---|---|---|---|")
+    for title, these in (
+        ("IMU, pseudoranges, Doppler", samples),
+        ("and barometer, magnetometer, airspeed at 10 Hz", with_others(samples)),
+    ):
+        timed(these)  # compiles
+        detector, fusion = timed(these)
+        for what, spent in (
+            ("fusion", fusion),
+            ("the detector before it", detector),
+            ("both", detector + fusion),
+        ):
+            print(
+                f"| {title}: {what} | {np.median(spent):.2f} | {spent.mean():.2f} "
+                f"| {np.percentile(spent, 95):.2f} |"
+            )
+    print(f"\n{platform.processor() or platform.machine()}, Python {platform.python_version()}")
+
+
+def timed(samples: list[Sample]) -> tuple[Vector, Vector]:
+    """Milliseconds (n,) per epoch of the detector and of the fusion, without the first quarter."""
+    references, fusion = References(DetectorConfig()), Fusion()
+    detector_state, state = references.new_state(), fusion.new_state()
+    spent: list[tuple[float, float]] = []
+    detecting = fusing = 0.0
+    for sample in samples:
+        start = time.process_time()
+        results, detector_state = references.step(sample, detector_state)
+        middle = time.process_time()
+        said, state = fusion.step(sample, results, detector_state.detector.core, state)
+        fusing += time.process_time() - middle
+        detecting += middle - start
+        if said:
+            spent.append((detecting, fusing))
+            detecting = fusing = 0.0
+    rest = np.array(spent[len(spent) // 4 :]) * 1e3
+    return rest[:, 0], rest[:, 1]
+
+
+def with_others(samples: list[Sample]) -> list[Sample]:
+    """The flight with sound barometer, magnetometer and airspeed at 10 Hz, where truth is near."""
+    rng = np.random.default_rng(5)
+    first = next(s for s in samples if isinstance(s, TruthSample))
+    lat, lon = math.radians(first.lat_deg), math.radians(first.lon_deg)
+    field_ned = (
+        np.array([1.0, 1.0, -1.0])
+        * (frame_at(np.asarray(ecef_from_geodetic(lat, lon, first.alt_m))).field_gauss[[1, 0, 2]])
+    )
+    found: list[Sample] = []
+    truth = first
+    for sample in samples:
+        found.append(sample)
+        if isinstance(sample, TruthSample):
+            truth = sample
+        if not isinstance(sample, ImuSample) or sample.t_us % 100_000 or not sample.t_us:
+            continue
+        t_us, late_s = sample.t_us, (sample.t_us - truth.t_us) * 1e-6
+        height = truth.alt_m - truth.v_ned_mps[2] * late_s
+        pressure = pressure_pa(height) + rng.normal(0.0, 3.0)
+        body = matrix_from_quat(truth.q_nb).T @ field_ned
+        speed = float(np.linalg.norm(truth.v_ned_mps))
+        found.append(BaroSample(t_us, pressure, height))
+        found.append(MagSample(t_us, body + rng.normal(0.0, 0.01, 3)))
+        found.append(AirspeedSample(t_us, 0.5 * density_kgpm3(height) * speed**2))
+    return found
+
+
+def pressure_pa(height_m: float) -> float:
+    """Of the standard atmosphere (ISO 2533)."""
+    return float(101_325.0 * (1.0 - 2.25577e-5 * height_m) ** 5.25588)
+
+
+def honesty(flights: int = 40) -> None:
+    """Normalised squared errors at the end of independent clean flights, one epoch of each."""
+    rows = []
+    for seed in range(FIRST_SEED, FIRST_SEED + flights):
+        samples = flight_of(NEES_S, seed)
+        truth = [s for s in samples if isinstance(s, TruthSample)][-1]
+        state = fused(detected(samples), FusionConfig())[-1]
+        rows.append(normalised_squares(state, truth))
+    band = chi2.ppf([0.025, 0.975], 3 * flights) / flights
+    print(f"| {flights} flights of {NEES_S:.0f} s | mean NEES (3) | 95 % band |\n|---|---|---|")
+    for what, value in zip(
+        ("position", "velocity", "attitude"), np.mean(rows, axis=0), strict=True
+    ):
+        print(f"| {what} | {value:.2f} | {band[0]:.2f} to {band[1]:.2f} |")
+
+
+def normalised_squares(state: FusedState, truth: TruthSample) -> tuple[float, float, float]:
+    """Squared errors of position, velocity and attitude over their reported variances."""
+    lat, lon = math.radians(truth.lat_deg), math.radians(truth.lon_deg)
+    true_m = np.asarray(ecef_from_geodetic(lat, lon, truth.alt_m))
+    off_m = ned_axes(lat, lon) @ (np.array(state.position_ecef_m) - true_m)
+    off_mps = np.array(state.velocity_ned_mps) - truth.v_ned_mps
+    turn = matrix_from_quat(truth.q_nb).T @ matrix_from_quat(np.array(state.q_nb))
+    off_rad = 0.5 * np.array(
+        [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
+    )
+    parts = (
+        (off_m, state.position_sigma_m),
+        (off_mps, state.velocity_sigma_mps),
+        (np.degrees(off_rad), state.attitude_sigma_deg),
+    )
+    found = [float(((off / np.array(sigma)) ** 2).sum()) for off, sigma in parts]
+    return found[0], found[1], found[2]
+
+
+def hour(seconds: float) -> Iterable[Sample]:
+    """A flight of any length without keeping it: the figure of eight takes 40 s."""
+    once = [s for s in conftest.make_flight(PERIOD_S) if s.t_us < PERIOD_S * 1e6]
+    rng = np.random.default_rng(3)
+    gnss = gnss_sensor(GnssConfig(), conftest.LAT, conftest.LON)
+    state = gnss.new_state(rng)
+    for turn in range(round(seconds / PERIOD_S)):
+        shift_us = round(turn * PERIOD_S * 1e6)
+        for sample in once:
+            if isinstance(sample, TruthSample):
+                here = math.radians(sample.lat_deg), math.radians(sample.lon_deg), sample.alt_m
+                t_us = sample.t_us + shift_us
+                rot = matrix_from_quat(sample.q_nb)
+                truth = conftest._truth(t_us, *here, sample.v_ned_mps, rot)
+                readings, state = gnss.sample(truth, state, rng)
+                for reading in readings:
+                    yield from conftest._samples(reading, False)
+            if isinstance(sample, ImuSample | TruthSample):
+                yield replace(sample, t_us=sample.t_us + shift_us)
+
+
+def memory(seconds: float = 3600.0) -> None:
+    """Resident memory over a long flight through the pipeline, faster than real time."""
+    pipeline = Pipeline(monitor_config({"fusion": {}, "attitude": {"estimators": []}}, "memory"))
+    mark_s, epochs, start = 0.0, 0, time.perf_counter()
+    errors_m: list[float] = []
+    last: FusedState | None = None
+    print("| flown, min | resident MB | epochs | position RMSE m |\n|---|---|---|---|")
+    for sample in hour(seconds):
+        said = [r for r in pipeline.push(sample) if isinstance(r, FusedState)]
+        epochs += len(said)
+        if isinstance(sample, TruthSample):
+            lat, lon = math.radians(sample.lat_deg), math.radians(sample.lon_deg)
+            true_m = ecef_from_geodetic(lat, lon, sample.alt_m)
+            if last is not None and last.t_us == sample.t_us:
+                errors_m.append(math.dist(true_m, last.position_ecef_m))
+        last = said[-1] if said else last
+        if sample.t_us * 1e-6 >= mark_s + 300.0:
+            mark_s += 300.0
+            resident_mb = int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
+            value = math.sqrt(float(np.mean(np.square(errors_m))))
+            print(f"| {mark_s / 60:.0f} | {resident_mb:.1f} | {epochs} | {value:.2f} |", flush=True)
+    print(f"\n{seconds / (time.perf_counter() - start):.1f} times real time")
+
+
 if __name__ == "__main__":
-    {"flight": flight, "walk": walk, "time": timing}[sys.argv[1]](Path(sys.argv[2]))
+    section, given = sys.argv[1], sys.argv[2:]
+    if section in ("flight", "walk"):
+        {"flight": flight, "walk": walk}[section](Path(given[0]))
+    else:
+        {"time": timing, "nees": honesty, "memory": memory}[section](*(int(n) for n in given))

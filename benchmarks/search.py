@@ -1,8 +1,11 @@
 """Speed and quality of the worst-case search; prints tables for search.md.
 
 python benchmarks/search.py speed
+python benchmarks/search.py workers
 python benchmarks/search.py start
-python benchmarks/search.py quality [SEEDS]
+python benchmarks/search.py loop
+python benchmarks/search.py quality [SEEDS [ESTIMATOR ...]]
+python benchmarks/search.py harder [SEEDS]
 """
 
 import re
@@ -51,6 +54,22 @@ SPACE = {
         "throttle": [0, 1],
     },
     "faults": FAULTS,
+}
+
+
+HARDER = {
+    **SPACE,
+    "duration_s": 15.0,
+    "faults": [
+        {**FAULTS[0], "at_s": [1, 12]},
+        {
+            "fault": "bias",
+            "any_of": ["HIL_SENSOR.xacc", "HIL_SENSOR.yacc", "HIL_SENSOR.zacc"],
+            "value": [-1, 1],
+            "at_s": [1, 12],
+            "for_s": [0.5, 4],
+        },
+    ],
 }
 
 
@@ -145,6 +164,43 @@ def speed():
         print(f"| {name} | {rate / 1e6:.4g} | {rate / 100:.0f} | {ratio} |")
 
 
+def workers():
+    """Tests of 60 s a minute of wall time on two processes, noise drawn for each flight."""
+    from analysis.search.pool import Processes
+    from analysis.search.testfile import TestFile
+
+    test = msgspec.convert({**STEADY, "noise_draws": 1}, TestFile)
+    points = np.random.default_rng(1).random((4096, 4))
+    pool = Processes(2)
+    pool.evaluate(test, points[:64], 1, 0, 1)
+    for _ in range(3):
+        started = time.perf_counter()
+        pool.evaluate(test, points, 1, 0, 1)
+        seconds = time.perf_counter() - started
+        print(f"{len(points) / seconds * 60:.0f} tests a minute on two processes")
+    pool.close()
+
+
+def loop():
+    """Seconds of flight per second of wall time with a stand-in for an autopilot on the link."""
+    from analysis.search.flown import Flown
+    from analysis.search.testfile import AutopilotChoice, TestFile
+
+    stand_in = HERE.parent / "tests/analysis/search/stand_in.py"
+    link = "tcpin:127.0.0.1:0"
+    command = [sys.executable, str(stand_in), "{port}"]
+    choice = AutopilotChoice(link=link, command=command)
+    for estimator, autopilot in (("autopilot", choice), ("fusion", None)):
+        test = TestFile(estimator=estimator, autopilot=autopilot, duration_s=60.0, noise_draws=1)
+        flown = Flown(test)
+        point = np.zeros((1, flown.space.dimension))
+        flown.evaluate(point, 1, 0)
+        started = time.perf_counter()
+        flown.evaluate(point, 1, 0)
+        speed = test.duration_s / (time.perf_counter() - started)
+        print(f"{estimator}: {speed:.1f} times real time, starting the autopilot included")
+
+
 def start():
     """Seconds until the first 32 flights are done, in a new process; run twice."""
     code = (
@@ -179,15 +235,15 @@ def one_search(batch, method, seed):
     return np.maximum.accumulate(np.concatenate(best)), max(fresh)
 
 
-def quality(seeds, estimators):
+def quality(seeds, estimators, space=SPACE, methods=("random", "mixed")):
     print(
         "| estimator | method | median worst, seen | on 100 fresh seeds | x random | "
         "evaluations to random's median |\n|---|---|---|---|---|---|"
     )
     for estimator in estimators:
-        batch = batch_of(**SPACE, estimator=estimator)
+        batch = batch_of(**space, estimator=estimator)
         goal = base = None
-        for method in ("random", "mixed"):
+        for method in methods:
             runs = [one_search(batch, method, seed) for seed in range(seeds)]
             curves = np.array([run[0] for run in runs])
             fresh = float(np.median([run[1] for run in runs]))
@@ -206,8 +262,11 @@ def quality(seeds, estimators):
 
 if __name__ == "__main__":
     what = sys.argv[1] if len(sys.argv) > 1 else "speed"
-    if what == "quality":
+    if what in ("quality", "harder"):
         seeds = int(sys.argv[2]) if len(sys.argv) > 2 else 10
-        quality(seeds, sys.argv[3:] or ["inverse-model", "mahony"])
+        if what == "harder":
+            quality(seeds, ["mahony"], HARDER, ("random", "matyas", "cmaes", "mixed"))
+        else:
+            quality(seeds, sys.argv[3:] or ["inverse-model", "mahony"])
     else:
-        {"speed": speed, "start": start}[what]()
+        {"speed": speed, "start": start, "workers": workers, "loop": loop}[what]()

@@ -11,6 +11,7 @@ import yaml
 
 from mavproxy_fault.binding import GIVEN
 from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.faults.examples import EXAMPLES
 from mavproxy_fault.faults.registry import ALIASES, ON_RANGES, fault_class, known_faults
 from mavproxy_fault.faults.target import near
 from mavproxy_fault.presets import preset_names, read_preset
@@ -82,6 +83,11 @@ def description(name: str) -> str:
     for field in msgspec.structs.fields(kind):
         if field.name not in GIVEN:
             lines.append(f"{field.name}: {spelled_type(field.type)}{_default(field)}")
+    example = EXAMPLES.get(ALIASES.get(name, name))
+    if example is not None:
+        entry = {"fault": name, "at_s": 20, **example}
+        text = yaml.safe_dump(entry, sort_keys=False, default_flow_style=True, width=1000)
+        lines += ["", f"use: - {text.rstrip()}"]
     return "\n".join(lines)
 
 

@@ -48,7 +48,9 @@ def add_replay(commands: Any) -> None:
     """`replay`: a log through the proxy."""
     parser = commands.add_parser("replay", help="send a tlog through the proxy, to a log or a link")
     parser.add_argument("log", metavar="LOG", help="a tlog")
-    parser.add_argument("--schedule", required=True, metavar="FILE", help="faults to apply (YAML)")
+    parser.add_argument(
+        "--schedule", metavar="FILE", help="faults to apply (default: those of the recording)"
+    )
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument(
         "--out", metavar="LOG", help="write the tlog that was sent, labels beside it"

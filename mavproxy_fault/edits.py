@@ -12,6 +12,7 @@ import msgspec
 from mavproxy_fault.control import Control
 from mavproxy_fault.core import Core
 from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.tape import Tape
 
 JOIN, RFLYSIM = "join", "rflysim"
 
@@ -27,6 +28,36 @@ class Edit(msgspec.Struct, frozen=True):
     t_us: int
     what: str
     payload: str = ""
+
+
+class Journal:
+    """Notes the edits of a session, for its recorder; without a tape there is nothing to note."""
+
+    def __init__(self, core: Core, tape: Tape | None) -> None:
+        self._core = core
+        self._tape = tape
+        self._edits: list[Edit] = []
+        self._now_us = 0
+
+    def begin(self, now_us: int) -> int:
+        """The vehicle's time (the wall clock before it is known), at which an edit may be made.
+
+        What was due by `now_us` must have left, as it has when the session is replayed.
+        """
+        self._now_us = now_us
+        clock = self._core.clock
+        return now_us if clock.t0_us is None else clock.t_us
+
+    def note(self, what: str, payload: bytes, t_us: int) -> None:
+        """Keep one edit, made at the vehicle's time `t_us`."""
+        if self._tape is not None:
+            text = payload.hex() if what == RFLYSIM else payload.decode("utf-8", "replace")
+            self._edits.append(Edit(self._tape.count, self._now_us, t_us, what, text))
+
+    def take(self) -> list[Edit]:
+        """The edits since the last call."""
+        taken, self._edits = self._edits, []
+        return taken
 
 
 def read_edits(path: Path) -> list[Edit]:

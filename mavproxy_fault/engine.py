@@ -335,16 +335,15 @@ class Engine:
 
     def save(self) -> str:
         """The schedule as it stands, live edits included, as YAML that `read_schedule` takes."""
+        bases = {id(running.entry): running.base_us for running in self._all}
         written: dict[str, dict[str, Any]] = {}
-        for running in self._all:
-            base_s = (running.base_us - (self.t0_us or 0)) * 1e-6
-            data = dict(running.entry.written)
-            data.setdefault("id", running.entry.id.removesuffix(".1"))
+        for entry in self._entries():
+            whole = entry.id.rpartition(".")[0] if entry.preset else ""  # one part of several
+            data = {"id": whole or entry.id, **entry.written}
+            base_s = (bases.get(id(entry), 0) - (self.t0_us or 0)) * 1e-6 if self._all else 0.0
             if base_s:
-                data["at_s"] = round(base_s + running.entry.at_s, 6)
+                data["at_s"] = round(base_s + entry.at_s, 6)
             written.setdefault(data["id"], data)
-        if self.t0_us is None:
-            written = {one.id: dict(one.written) for one in self._schedule.faults}
         data = {"seed": self.seed, "faults": msgspec.to_builtins(list(written.values()))}
         return yaml.safe_dump(data, sort_keys=False)
 

@@ -128,11 +128,14 @@ class FastPath:
         self._refresh()
         turn = self.turn
         turn[k.DEADLINE], turn[k.SPIN], turn[k.PRECISE] = deadline_ns, spin, precise
-        if self._plans is not None:
-            self._plans.draw_ahead()
-        reason = self._forward(*self._addresses)
-        self._settle()
-        return reason
+        while True:
+            turn[k.DRY] = 0
+            if self._plans is not None:
+                self._plans.draw_ahead()
+            reason = self._forward(*self._addresses)
+            self._settle()
+            if not turn[k.DRY]:
+                return reason
 
     def takes(self, number: int) -> bool:
         """Whether a link goes the compiled way."""
@@ -270,7 +273,7 @@ class FastPath:
             state.frames += int(port[k.FRAMES])
             state.gaps += int(port[k.MISSING])
             state.faulted += int(port[k.FAULTED])
-            port[k.DATAGRAMS :] = 0
+            port[k.DATAGRAMS : k.LONE] = 0
             for step in np.flatnonzero(self._histogram[number]):
                 self._latencies[number].add_step(int(step), int(self._histogram[number, step]))
             self._histogram[number] = 0

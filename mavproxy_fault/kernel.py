@@ -36,6 +36,7 @@ from mavproxy_fault.tables import (
     DIRECTION,
     DRAWN,
     DRAWS_FROM,
+    DRY,
     EDGE,
     EXTRA,
     FAULTED,
@@ -94,7 +95,7 @@ def _little(data, at, size):
     return value
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _crc(data, start, stop, extra, tables):
     """CRC of some bytes and the CRC extra, eight bytes a step by slicing tables."""
     crc = np.int64(0xFFFF)
@@ -118,7 +119,7 @@ def _crc(data, start, stop, extra, tables):
     return crc >> 8 ^ tables[0, (crc ^ extra) & 0xFF]
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _stamp(data, payload, length, entry):
     """The stamp of a frame in microseconds, 0 without one; cut zeros read as 0."""
     if entry[STAMP_AT] < 0:
@@ -127,7 +128,7 @@ def _stamp(data, payload, length, entry):
     return _little(data, payload + entry[STAMP_AT], size) * entry[STAMP_SCALE]
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _time(stamp, sender, memory):
     """Vehicle time of a frame; UNKNOWN where its clock is new or was set back."""
     if stamp == 0:
@@ -140,7 +141,7 @@ def _time(stamp, sender, memory):
     return stamp + shift
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _links(data, payload, length, entry, memory, everywhere, bit):
     """Where a frame goes, as `routing.Routes.find`."""
     others = everywhere & ~bit
@@ -157,7 +158,7 @@ def _links(data, payload, length, entry, memory, everywhere, bit):
     return found if found else others
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def check(start, length, bit, fast, from_vehicle, everywhere, turn, wire):
     """The links a datagram goes to, -1 if it is not plain."""
     data, memory, table, tables = wire[0], wire[1], wire[2], wire[10]
@@ -186,7 +187,9 @@ def check(start, length, bit, fast, from_vehicle, everywhere, turn, wire):
         if t_us == UNKNOWN or (entry[KIND] != PASS and t_us >= turn[EDGE]):
             return -1
         if entry[KIND] == PLANNED:
-            drawn = _draws(at + head, size, entry[PLAN], sender, from_vehicle, t_us, draws, wire)
+            drawn = _draws(
+                at + head, size, entry[PLAN], sender, from_vehicle, t_us, draws, turn, wire
+            )
             if drawn < 0:
                 return -1
             draws += drawn
@@ -198,8 +201,8 @@ def check(start, length, bit, fast, from_vehicle, everywhere, turn, wire):
     return mask
 
 
-@njit(error_model="numpy")
-def _draws(payload, size, first, sender, from_vehicle, t_us, before, wire):
+@njit(error_model="numpy", forceinline=True)
+def _draws(payload, size, first, sender, from_vehicle, t_us, before, turn, wire):
     """How many drawn numbers the faults of a message need, -1 if one of them is not plain here."""
     data, plans, hits = wire[0], wire[3], wire[8]
     needed = np.int64(0)
@@ -222,6 +225,7 @@ def _draws(payload, size, first, sender, from_vehicle, t_us, before, wire):
             if plan[SOURCE] == DRAWN:
                 needed += plan[ROWS]
                 if hits[first, USED] + before + needed > BLOCK:
+                    turn[DRY] = hits[first, USED]
                     return -1
         first = plan[NEXT]
     return needed
@@ -243,7 +247,7 @@ def _meet(mode, old, value):
     return old * value if mode == SCALE else value
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _changed(before, code, mode, value, result):
     """The bits of one element after a fault; size of the step and saturation go to `result`."""
     result[1] = 0.0
@@ -279,7 +283,7 @@ def _changed(before, code, mode, value, result):
     return stored & ((np.int64(1) << bits) - 1)
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _piece(plan, otherwise, t_s, pieces):
     """The piecewise-linear function of a plan as in `faults.profile.at`; NaN where it is silent."""
     found = plan[PIECES_FROM] - 1
@@ -295,7 +299,7 @@ def _piece(plan, otherwise, t_s, pieces):
     return pieces[found, 2] + (t_s - pieces[found, 0]) * pieces[found, 3]
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _given(plan, row, t_s, wire):
     """The number that meets a row's healthy value; NaN where a function of time is silent."""
     numbers = wire[7]
@@ -307,7 +311,7 @@ def _given(plan, row, t_s, wire):
     return value
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _would_act(payload, first, t_us, wire):
     """Whether a fault that has done nothing yet would change a frame: the plain path's to do."""
     data, plans = wire[0], wire[3]
@@ -325,7 +329,7 @@ def _would_act(payload, first, t_us, wire):
     return False
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _act(payload, first, t_us, wire):
     """Apply one planned fault to a frame; whether a byte changed."""
     data, plans, hits, steps, result = wire[0], wire[3], wire[8], wire[9], wire[11]
@@ -359,7 +363,7 @@ def _act(payload, first, t_us, wire):
     return changed
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _patch(at, head, size, entry, sender, from_vehicle, t_us, wire):
     """Apply the planned faults of a frame's message, one after the other; whether it changed."""
     data, plans, tables = wire[0], wire[3], wire[10]
@@ -377,7 +381,7 @@ def _patch(at, head, size, entry, sender, from_vehicle, t_us, wire):
     return changed
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _is_for(plan, sender, from_vehicle):
     """Whether a planned fault's `where` lets the sender through."""
     return (
@@ -387,7 +391,7 @@ def _is_for(plan, sender, from_vehicle):
     )
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _log(log, place, turn, now_us, data, at, length):
     """Append one record to a log; `place` is the entry of `turn` that counts its bytes."""
     start = turn[place]
@@ -398,7 +402,7 @@ def _log(log, place, turn, now_us, data, at, length):
     turn[place] = start + 8 + length
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def take(start, length, link, mask, now_us, ports, turn, wire):
     """Count, patch and record the frames of one plain datagram."""
     data, memory, table = wire[0], wire[1], wire[2]

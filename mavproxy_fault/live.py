@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 
 from mavproxy_fault.control import QUESTIONS, Control
-from mavproxy_fault.edits import RFLYSIM
+from mavproxy_fault.edits import RFLYSIM, Edit, Journal
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.links.bus import Bus, join_bus
 from mavproxy_fault.rflysim import FIRST_PORT, PACKED
@@ -84,19 +84,18 @@ class Requests:
 class Live:
     """What a running proxy offers besides forwarding: control by the bus and by RflySim, and news.
 
-    `now_us` tells the vehicle's time; `note` takes every request that may change something: what,
-    with which payload, and at which time.
+    `now_us` tells the vehicle's time; `journal` takes every request that may change something.
     """
 
     def __init__(
         self,
         control: Control,
         now_us: Callable[[], int],
-        note: Callable[[str, str, int], None] | None = None,
+        journal: Journal | None = None,
     ) -> None:
         self.control = control
         self._now_us = now_us
-        self._note = note
+        self.journal = journal
         self._requests = Requests()
         self._bus: Bus | None = None
         self._port: socket.socket | None = None
@@ -146,8 +145,8 @@ class Live:
         if key.endswith("@ctl/watch"):
             return self.control.watch(payload, time.monotonic())
         t_us = self._now_us()
-        if self._note is not None and not key.endswith(QUESTIONS):
-            self._note(key, payload.decode("utf-8", "replace"), t_us)
+        if self.journal is not None and not key.endswith(QUESTIONS):
+            self.journal.note(key, payload, t_us)
         return self.control.answer(key, payload, t_us)
 
     def filenos(self) -> list[int]:
@@ -164,12 +163,16 @@ class Live:
             while True:
                 data = self._port.recv(PACKED.size + 1)
                 t_us = self._now_us()
-                if self._note is not None:
-                    self._note(RFLYSIM, data.hex(), t_us)
+                if self.journal is not None:
+                    self.journal.note(RFLYSIM, data, t_us)
                 try:
                     self.control.packet(data, t_us)
                 except ConfigError as error:
                     LOG.warning("RflySim: %s", error)
+
+    def edits(self) -> list[Edit]:
+        """What was asked for since the last call, for a recorder."""
+        return [] if self.journal is None else self.journal.take()
 
     def show(self, now_s: float) -> None:
         """Tell the bus at once of faults that begin, end or change, and what viewers watch."""

@@ -28,7 +28,7 @@ ARRAYS = {
     "table": "q", "plans": "q", "received": "B", "sent": "B", "index": "B", "numbers": "d",
     "hits": "q", "steps": "d", "crc": "q", "result": "d", "pieces": "d", "draws": "d",
 }  # fmt: skip
-CALLS = frozenset({"recvmmsg", "sendmmsg", "ppoll", "clock_gettime", "abort"})
+CALLS = frozenset({"recvfrom", "recvmmsg", "sendmmsg", "ppoll", "clock_gettime", "abort"})
 
 Forward = Callable[..., int]
 
@@ -68,6 +68,9 @@ def make() -> None:
             fresh = path.with_suffix(".new")
             fresh.write_bytes(_compiled())
             fresh.replace(path)
+            for old in path.parent.glob("forward-*.[o]"):
+                if old != path:
+                    old.unlink(missing_ok=True)
 
 
 def _compiled() -> bytes:

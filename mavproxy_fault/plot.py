@@ -134,6 +134,8 @@ def sample(name: str, t_s: float) -> Frame:
         value = mean + size * math.sin(2 * math.pi * hertz * t_s)
         if field.name in ("time_usec", "usec"):
             value = t_s * 1e6
+        if field.name == "time_boot_ms":
+            value = t_s * 1e3
         if field.type == "char":
             continue
         if field.code not in "fd":

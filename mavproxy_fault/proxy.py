@@ -87,6 +87,7 @@ def signing(args: argparse.Namespace) -> Signing | None:
 def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server) -> "Live":
     """Live control over the bus and RflySim's port; loads all that faults need."""
     from mavproxy_fault.control import Control
+    from mavproxy_fault.edits import Journal
     from mavproxy_fault.engine import Engine
     from mavproxy_fault.live import Live
     from mavproxy_fault.rflysim import SHIPPED, read_map
@@ -94,7 +95,7 @@ def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server)
 
     rflysim = read_map(args.rflysim_map or SHIPPED) if args.rflysim is not None else None
     control = Control(engine or Engine(Schedule(0, ())), allowed=args.inject, rflysim=rflysim)
-    live = Live(control, server.edit_time, server.note_edit)
+    live = Live(control, server.edit_time, Journal(server.core, server.tape))
     if args.rflysim is not None:
         live.open_rflysim(args.rflysim)
     live.open_bus(args.zenoh, args.run)

@@ -37,6 +37,7 @@ from mavproxy_fault.tables import (
     LOG_FULL,
     LOG_MARGIN,
     LOG_SIZE,
+    LONE,
     MOST_DRAWN,
     MOST_PIECES,
     MOST_PLANS,
@@ -69,6 +70,10 @@ MONOTONIC = 1  # clock
 EARLY_NS = 250_000  # a sleep may end so late
 LOOK_EVERY = 63  # turns of a spinning loop between looks at what is no UDP link
 
+_recvfrom = types.ExternalFunction(
+    "recvfrom",
+    types.intp(types.intc, types.intp, types.uintp, types.intc, types.intp, types.intp),
+)
 _recvmmsg = types.ExternalFunction(
     "recvmmsg", types.intc(types.intc, types.intp, types.uintc, types.intc, types.intp)
 )
@@ -81,13 +86,13 @@ _ppoll = types.ExternalFunction(
 _clock_gettime = types.ExternalFunction("clock_gettime", types.intc(types.intc, types.intp))
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _now_ns(turn):
     _clock_gettime(MONOTONIC, turn[TIME_AT])
     return turn[SECONDS] * 1_000_000_000 + turn[NANOSECONDS]
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _peer(names, peers, count):
     """Which known peer a datagram came from, -1 if from none."""
     for peer in range(count):
@@ -101,7 +106,7 @@ def _peer(names, peers, count):
     return -1
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _send(first, last, source, link, turn, net):
     """Send rows of `source` to all peers of a link."""
     ports, headers, parts = net[0], net[2], net[3]
@@ -135,13 +140,28 @@ def _send(first, last, source, link, turn, net):
         ports[link, BYTES_SENT] += length
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _receive(link, turn, net):
-    """Fill a link's rows; whether anything came."""
-    ports, heads = net[0], net[1]
-    count = _recvmmsg(ports[link, FD], turn[HEADS_AT] + 64 * BATCH * link, BATCH, DONTWAIT, 0)
-    if count <= 0:
-        return False
+    """Fill a link's rows; whether anything came.
+
+    After a lone datagram the next is likely to be alone too, and is had sooner without an attempt
+    at a second one; the call after that looks whether there is a batch.
+    """
+    ports, heads, parts = net[0], net[1], net[3]
+    heads_at = turn[HEADS_AT] + 64 * BATCH * link
+    count = np.int64(1)
+    if ports[link, LONE]:
+        name, name_size = heads[link, 0, 0], heads_at + 8
+        length = _recvfrom(ports[link, FD], parts[link, 0, 0], ROW, DONTWAIT, name, name_size)
+        if length < 0:
+            return False
+        heads[link, 0, 7] = length
+        ports[link, LONE] = 0
+    else:
+        count = np.int64(_recvmmsg(ports[link, FD], heads_at, BATCH, DONTWAIT, 0))
+        ports[link, LONE] = count <= 1
+        if count <= 0:
+            return False
     turn[LINK], turn[AT], turn[COUNT] = link, 0, count
     ports[link, DATAGRAMS] += count
     for k in range(count):
@@ -150,7 +170,7 @@ def _receive(link, turn, net):
     return True
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _run(link, fast, now_us, turn, net, wire):
     """Take rows as long as they go to the same links; those, and whether the next row is plain."""
     ports, heads, parts, names, peers, heard = net[0], net[1], net[3], net[4], net[5], net[6]
@@ -177,7 +197,7 @@ def _run(link, fast, now_us, turn, net, wire):
     return found, True
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _drain(link, histogram, turn, net, wire):
     """Pass on one batch of a link; False if it stopped at a datagram that is not plain."""
     ports = net[0]
@@ -204,14 +224,14 @@ def _drain(link, histogram, turn, net, wire):
     return plain
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _wait(left, turn):
     """Look at all descriptors, and sleep until one has something; False if a signal came."""
     turn[SECONDS], turn[NANOSECONDS] = left // 1_000_000_000, left % 1_000_000_000
     return _ppoll(turn[POLLS_AT], turn[POLLS], turn[TIME_AT], 0) >= 0
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _forward(histogram, polls, turn, net, wire):
     """Forward until the deadline, or until something is left to the plain path; says which."""
     ports = net[0]
@@ -238,9 +258,12 @@ def _forward(histogram, polls, turn, net, wire):
                     other_ready |= polls[k] >> 48 != 0
         while link < count:
             if ports[link, FAST]:
-                ready = turn[AT] < turn[COUNT] or turn[SPIN] or polls[link] >> 48 != 0
-                if ready and not _drain(link, histogram, turn, net, wire):
-                    return NOT_PLAIN
+                ready = turn[AT] < turn[COUNT] or turn[SPIN] != 0 or polls[link] >> 48 != 0
+                while ready:
+                    ready = ports[link, LONE] != 0
+                    if not _drain(link, histogram, turn, net, wire):
+                        return NOT_PLAIN
+                    ready &= ports[link, LONE] == 0  # it was a lone one: look for more
             elif look and polls[link] >> 48 != 0:
                 other_ready = True
             link += 1

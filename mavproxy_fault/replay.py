@@ -1,7 +1,8 @@
 """Replay: a tlog through the proxy's core, to another tlog or in real time to a link.
 
 A `received.tlog` of the proxy, with its index, session and live edits beside it, gives `sent.tlog`
-again byte for byte if the schedule is the session's. With another schedule the edits are left out.
+again byte for byte if the schedule is the session's, as it is by default. With another schedule the
+edits are left out.
 """
 
 import argparse
@@ -10,6 +11,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
+
+import msgspec
 
 from mavproxy_fault.control import Control
 from mavproxy_fault.core import Core
@@ -81,9 +84,26 @@ class Playing:
 
 
 def _ran_with(source: Source, schedule: Schedule) -> bool:
-    """Whether a recorded session ran with this schedule."""
-    text = source.session.get("schedule")
-    return bool(source.edits) and parse_schedule(text or {}, "session.json") == schedule
+    """Whether a recorded session ran with this schedule, however it was written."""
+    return bool(source.edits) and _bare(own_schedule(source)) == _bare(schedule)
+
+
+def _bare(schedule: Schedule) -> Schedule:
+    entries = tuple(msgspec.structs.replace(entry, written={}) for entry in schedule.faults)
+    return msgspec.structs.replace(schedule, faults=entries)
+
+
+def own_schedule(source: Source) -> Schedule:
+    """The schedule that a session was recorded with.
+
+    Raises
+    ------
+    ConfigError
+        If the log is not a session's.
+    """
+    if "schedule" not in source.session:
+        raise ConfigError("replay: no session.json lies beside the log; give --schedule FILE")
+    return parse_schedule(source.session["schedule"] or {}, "session.json")
 
 
 def to_log(playing: Playing, tape: Tape, out: Path) -> Path:
@@ -140,9 +160,9 @@ def _pause(link: Link, wait_s: float) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """`mavproxy-fault replay`."""
-    schedule = read_schedule(args.schedule)
     path = Path(args.log)
     source = open_log(path)
+    schedule = read_schedule(args.schedule) if args.schedule else own_schedule(source)
     tape = Tape() if args.out else None
     playing = Playing(source, schedule, tape, signing(args))
     if tape is not None:

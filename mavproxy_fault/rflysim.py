@@ -58,7 +58,7 @@ class Meaning(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     A motor's parameters are factors on its commands; a sensor's are a mode (3: noise and bias per
     axis, 4: scale factor) and numbers per axis, `sigma` its noise at gain 1; a plant fault's are
-    the values of the parameters named, times `scale`.
+    the values of the parameters named, times `scale`, or always `value`.
     """
 
     kind: Literal["motor", "sensor", "plant"]
@@ -66,6 +66,7 @@ class Meaning(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sigma: float = 0.0
     floor: Annotated[float, Meta(ge=0, le=1)] = 0.2
     scale: float = 1.0
+    value: float | None = None
 
     @property
     def targets(self) -> list[str]:
@@ -145,7 +146,10 @@ def _sensor(meaning: Meaning, parameters: tuple[float, ...]) -> list[dict[str, A
 
 
 def _plant(meaning: Meaning, parameters: tuple[float, ...]) -> list[dict[str, Any]]:
+    values = [value * meaning.scale for value in parameters]
+    if meaning.value is not None:
+        values = [meaning.value] * len(meaning.targets)
     return [
-        {"fault": "plant", "target": target, "value": value * meaning.scale}
-        for target, value in zip(meaning.targets, parameters, strict=False)
+        {"fault": "plant", "target": target, "value": value}
+        for target, value in zip(meaning.targets, values, strict=False)
     ]

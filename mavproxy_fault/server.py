@@ -25,7 +25,6 @@ from mavproxy_fault.tape import Tape
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
-    from mavproxy_fault.edits import Edit
     from mavproxy_fault.fast import FastPath
     from mavproxy_fault.live import Live
 
@@ -61,8 +60,6 @@ class Server:
         self._compiler: subprocess.Popen[bytes] | None = None
         self._fast: FastPath | None = None
         self._wake: int | None = None
-        self._edits: list[Edit] = []
-        self._edit_us = 0
         self.live: Live | None = None
         self.coming: Future[Live] | None = None  # live control that is still being opened
 
@@ -139,28 +136,19 @@ class Server:
         from mavproxy_fault.edits import JOIN, join
 
         self.live = live
-        self.note_edit(JOIN, "", self.edit_time())
+        if live.journal is not None:
+            live.journal.note(JOIN, b"", self.edit_time())
         join(self.core, live.control)
         if self._fast is not None and not self._fast.pending:
             self._fast.count()
             self.use_fast()
 
     def edit_time(self) -> int:
-        """The vehicle's time (the wall clock before it is known), at which an edit may now be made.
-
-        What is due leaves before, as it does when the session is replayed.
-        """
-        self._edit_us = self.now_us()
-        self._carry_out(self.core.due(self._edit_us))
-        clock = self.core.clock
-        return self._edit_us if clock.t0_us is None else clock.t_us
-
-    def note_edit(self, what: str, payload: str, t_us: int) -> None:
-        """Record what was asked for."""
-        from mavproxy_fault.edits import Edit
-
-        if self.tape is not None:
-            self._edits.append(Edit(self.tape.count, self._edit_us, t_us, what, payload))
+        """The vehicle's time, at which an edit may now be made; what is due leaves before."""
+        now_us = self.now_us()
+        self._carry_out(self.core.due(now_us))
+        journal = None if self.live is None else self.live.journal
+        return now_us if journal is None else journal.begin(now_us)
 
     def use_fast(self) -> None:
         """Let the compiled path take over."""
@@ -229,8 +217,8 @@ class Server:
             return
         labels = self.core.take_labels()
         if self.recorder is not None and self.tape is not None:
-            self.recorder.write(self.tape, labels, self._edits)
-            self._edits = []
+            edits = [] if self.live is None else self.live.edits()
+            self.recorder.write(self.tape, labels, edits)
         if self.live is not None:
             self.live.publish(self.stats(), labels)
 

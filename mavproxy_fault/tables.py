@@ -16,7 +16,7 @@ IDS = 1 << 16
 MOST_PLANS = 256
 MOST_PIECES = 1024
 MOST_DRAWN = 16  # faults that draw from a block of their own
-BLOCK = 512  # numbers drawn ahead for each
+BLOCK = 2048  # numbers drawn ahead for each
 
 # Columns of `table`, by message id
 KIND, EXTRA, STAMP_AT, STAMP_SIZE, STAMP_SCALE, TARGET_SYSTEM, TARGET_COMPONENT, PLAN = range(8)
@@ -36,12 +36,14 @@ FRAMES_HIT, SATURATED, LAST, USED = range(4)  # columns of `hits`; USED counts d
 # Columns of `ports`, a row per link
 FD, FAST, LISTENS, PEER_COUNT, FROM_VEHICLE = range(5)
 DATAGRAMS, BYTES, FRAMES, MISSING, FAULTED, SENT, BYTES_SENT, DROPS, ERRORS = range(5, 14)
-PORT_SIZE = 14
+LONE = 14  # whether one datagram at a time is asked for
+PORT_SIZE = 15
 # Entries of `turn`
 DEADLINE, BASE, SPIN, LINK, AT, COUNT, EDGE, WANTED_AT, POLLS, KEEP = range(10)
 RECEIVED_AT, SENT_AT, INDEX_AT, SECONDS, NANOSECONDS, LINK_COUNT, PRECISE = range(10, 17)
-TIME_AT, POLLS_AT, HEADS_AT, HEADERS_AT, PEERS_AT = range(17, 22)  # addresses, for system calls
-TURN_SIZE = 22
+DRY = 17  # whether a block of drawn numbers ran out
+TIME_AT, POLLS_AT, HEADS_AT, HEADERS_AT, PEERS_AT = range(18, 23)  # addresses, for system calls
+TURN_SIZE = 23
 TIME_IS_UP, NOT_PLAIN, OTHER_READY, LOG_FULL = range(4)  # why it returns
 
 LOG_SIZE = 1 << 24

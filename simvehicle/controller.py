@@ -57,9 +57,9 @@ class FixedWingController:
     near the ground, flares and rolls out.
     """
 
-    rate_hz = 50.0
-    drifts = True  # it holds its airspeed, so wind carries it through turns
-    lateral_mps2 = GRAVITY_MPS2 * math.tan(math.radians(35.0))
+    rate_hz: float = 50.0
+    drifts: bool = True  # it holds its airspeed, so wind carries it through turns
+    lateral_mps2: float = GRAVITY_MPS2 * math.tan(math.radians(35.0))
     course_gain = 1.2  # 1/s, course error to turn rate
     track_gain = 0.35  # 1/s, cross-track error to closing speed
     bank_limit = math.radians(50.0)

@@ -10,7 +10,6 @@ HIL_SENSOR and HIL_STATE_QUATERNION are packed here and not by `wire.frame.build
 make up nearly all of the traffic.
 """
 
-import math
 import struct
 from collections.abc import Iterable, Mapping
 
@@ -20,7 +19,7 @@ from mavproxy_fault.wire.msm7 import encode_epoch
 from mavproxy_fault.wire.rtcm import tunnel_frames
 from simvehicle import hil_messages
 from simvehicle.body import Truth
-from simvehicle.hil_messages import limited
+from simvehicle.hil_kernel import TruthPayload, fill
 from simvehicle.readings import (
     AirspeedReading,
     BatteryReading,
@@ -50,13 +49,9 @@ HEARTBEAT_US = 1_000_000
 AUTOPILOT_INVALID = 8  # MAV_AUTOPILOT_INVALID: the simulator flies nothing itself
 TYPE_QUADROTOR = 2  # MAV_TYPE_QUADROTOR
 
-MPS2_TO_MILLI_G = 1000.0 / 9.80665
-RAD_TO_DEGE7 = 1e7 * 180.0 / math.pi
-DENSITY_SEA_LEVEL_KGPM3 = 1.225  # ISA
 PA_PER_HPA = 100.0
 
 _SENSOR = struct.Struct("<Q13fIB")
-_TRUTH = struct.Struct("<Q7f3i3h2H3h")
 
 
 class Hil:
@@ -87,6 +82,7 @@ class Hil:
         self._rtcm = 0  # RTCM messages sent
         self._heartbeat_us = 0
         self._held = [[0.0] * 13 for _ in range(IMU_IDS)]  # HIL_SENSOR's floats, by id
+        self._truth = TruthPayload()
         self._consumed_mah = 0.0
         self._battery_us: int | None = None
 
@@ -124,35 +120,21 @@ class Hil:
         return out
 
     def truth(self, stamp_us: int, truth: Truth) -> bytes:
-        """HIL_STATE_QUATERNION: attitude, position and velocity as they really are.
-
-        Accelerations are the specific force in mG, as other simulators do (-1000 at rest).
-        """
-        vn, ve, vd = truth.v_ned_mps.tolist()
-        fx, fy, fz = truth.specific_force_b_mps2.tolist()
-        ax, ay, az = truth.v_air_b_mps.tolist()
-        airspeed = math.sqrt(ax * ax + ay * ay + az * az) * 100.0
-        indicated = airspeed * math.sqrt(truth.density_kgpm3 / DENSITY_SEA_LEVEL_KGPM3)
-        places = (
-            round(truth.lat_rad * RAD_TO_DEGE7),
-            round(truth.lon_rad * RAD_TO_DEGE7),
-            round(truth.alt_msl_m * 1e3),
+        """HIL_STATE_QUATERNION: attitude, position and velocity as they really are."""
+        payload = self._truth
+        payload.stamp[0] = stamp_us
+        fill(
+            truth.q_nb,
+            truth.omega_b_rps,
+            truth.v_ned_mps,
+            truth.specific_force_b_mps2,
+            truth.v_air_b_mps,
+            (truth.lat_rad, truth.lon_rad, truth.alt_msl_m, truth.density_kgpm3),
+            payload.floats,
+            payload.places,
+            payload.shorts,
         )
-        scaled = (
-            round(vn * 100.0), round(ve * 100.0), round(vd * 100.0),
-            round(indicated), round(airspeed),
-            round(fx * MPS2_TO_MILLI_G), round(fy * MPS2_TO_MILLI_G), round(fz * MPS2_TO_MILLI_G),
-        )  # fmt: skip
-        turning = (*truth.q_nb.tolist(), *truth.omega_b_rps.tolist())
-        try:
-            payload = _TRUTH.pack(stamp_us, *turning, *places, *scaled)
-        except struct.error:  # beyond 327 m/s or 32 g
-            shorts = [
-                limited(value, *((0, 0xFFFF) if number in (3, 4) else (-0x8000, 0x7FFF)))
-                for number, value in enumerate(scaled)
-            ]
-            payload = _TRUTH.pack(stamp_us, *turning, *places, *shorts)
-        return self._frame(HIL_STATE_QUATERNION, payload)
+        return self._frame(HIL_STATE_QUATERNION, payload.bytes.tobytes())
 
     def _hold(
         self,

@@ -5,11 +5,10 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from mavproxy_fault.links.link import Link
 from mavproxy_fault.wire.frame import Frame
 from simvehicle.actuators import CHANNELS, Mix, read_controls
 from simvehicle.body import Controls, Truth
-from simvehicle.hil import Hil
-from simvehicle.inbox import Inbox
 from simvehicle.lockstep import AutopilotSilentError, Lockstep
 from simvehicle.pace import Pace
 from simvehicle.plant_changes import Plant, PlantChanges
@@ -26,6 +25,24 @@ class Simulated(Plant, Protocol):
         """One step: its instant, the truth and what was measured."""
 
 
+class Packer(Protocol):
+    """What the loop needs to tell of a step; `simvehicle.hil.Hil` is one."""
+
+    start_us: int
+
+    def frames(self, t_us: int, truth: Truth, readings: Sequence[Reading]) -> list[bytes]:
+        """The frames of a step."""
+
+
+class Incoming(Protocol):
+    """What the loop needs to hear an autopilot; `Inbox` is one."""
+
+    link: Link
+
+    def frames(self) -> list[Frame]:
+        """What has come since the last call."""
+
+
 class PeerGoneError(RuntimeError):
     """The autopilot closed the link."""
 
@@ -36,9 +53,9 @@ class LockstepLoop:
     Parameters
     ----------
     simulation : Simulated
-    hil : Hil
+    hil : Packer
         Packs the frames.
-    inbox : Inbox
+    inbox : Incoming
         The HIL link.
     mix : Mix
         Channels to actuators.
@@ -49,8 +66,8 @@ class LockstepLoop:
     def __init__(
         self,
         simulation: Simulated,
-        hil: Hil,
-        inbox: Inbox,
+        hil: Packer,
+        inbox: Incoming,
         mix: Mix,
         speed: float,
         progress: Progress,

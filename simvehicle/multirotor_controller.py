@@ -11,21 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simvehicle.body import Controls, Truth
-from simvehicle.compiled import compiled
+from simvehicle.compiled import compiled, inlined
+from simvehicle.controller import GRAVITY_MPS2
 from simvehicle.guidance import Aim, HoldTrack, PathTrack, Track
+from simvehicle.readings import Triple
 from simvehicle.rotation import euler_angles
 from simvehicle.vehicles.multirotor import Multirotor
 from simvehicle.vehicles.multirotor_flight import SEA_LEVEL_KGPM3
+from simvehicle.vehicles.rigidbody_kernel import to_body, to_ned
 
 Array = NDArray[np.float64]
-_G = 9.80665
 _TRACK_GAIN = 1.0  # 1/s, cross-track error to closing speed
 _SPEED_GAIN = 2.5  # 1/s, velocity error to acceleration
 _INTEGRAL_GAIN = 0.8  # 1/s^2
 _HEIGHT_GAIN = 1.2  # 1/s
 _CLIMB_MPS, _SINK_MPS = 3.0, 2.0
 _LANDING_MPS = 0.7
-_TILT_MPS2 = 0.7 * _G  # largest horizontal acceleration, 35 degrees of tilt
+_TILT_MPS2 = 0.7 * GRAVITY_MPS2  # largest horizontal acceleration, 35 degrees of tilt
 _YAW_RATE_RPS = 1.0
 _ATTITUDE_GAIN = 8.0  # 1/s
 _RATE_GAIN = 22.0  # 1/s
@@ -34,63 +36,63 @@ _CLOSE_M = 1.0  # from the place to land on
 _TURN_LEAD_S = 0.15
 
 
+@inlined
+def _cross(a: Triple, b: Triple) -> Triple:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inlined
+def _unit(v: Triple) -> Triple:
+    size = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    return v[0] / size, v[1] / size, v[2] / size
+
+
 @compiled
 def _motors(
-    q: Array, rates: Array, accel: Array, yaw: float, body: Array, allocation: Array, limits: Array
-) -> Array:
-    """Commands (n,) for a wanted acceleration (NED, without gravity) [m/s^2] and heading [rad].
+    q: Array,
+    rates: Array,
+    accel: Triple,
+    yaw: float,
+    body: Array,
+    allocation: Array,
+    limits: Triple,
+    out: Array,
+) -> None:
+    """Fill in commands (n,) for a wanted acceleration (NED, without gravity) and heading.
 
     `body` is mass and jx, jy, jz; `allocation` (n, 4) gives rotor thrusts for thrust and moments;
     `limits` is the thrust coefficient at this density, idle and full speed [rad/s].
     """
-    push = np.array([-accel[0], -accel[1], _G - accel[2]])  # down axis of the wanted attitude
+    push = (-accel[0], -accel[1], GRAVITY_MPS2 - accel[2])  # down axis of the wanted attitude
     size = math.sqrt(push[0] ** 2 + push[1] ** 2 + push[2] ** 2)
-    z = push / size
-    y = np.array([-math.sin(yaw), math.cos(yaw), 0.0])
-    x = np.array([y[1] * z[2], -y[0] * z[2], y[0] * z[1] - y[1] * z[0]])
-    x /= math.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
-    y = np.array([z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0]])
-    w, a, b, d = q
-    now = np.array(
-        [
-            [1.0 - 2.0 * (b * b + d * d), 2.0 * (a * b - w * d), 2.0 * (a * d + w * b)],
-            [2.0 * (a * b + w * d), 1.0 - 2.0 * (a * a + d * d), 2.0 * (b * d - w * a)],
-            [2.0 * (a * d - w * b), 2.0 * (b * d + w * a), 1.0 - 2.0 * (a * a + b * b)],
-        ]
-    )
-    # Half the antisymmetric part of now^T wanted: the attitude error in body axes.
-    error = np.zeros(3)
-    for column, wanted in enumerate((x, y, z)):
-        have = now[:, column]
-        error[0] += 0.5 * (have[1] * wanted[2] - have[2] * wanted[1])
-        error[1] += 0.5 * (have[2] * wanted[0] - have[0] * wanted[2])
-        error[2] += 0.5 * (have[0] * wanted[1] - have[1] * wanted[0])
-    turn = np.zeros(3)
-    for axis in range(3):
-        turn[axis] = now[0, axis] * error[0] + now[1, axis] * error[1] + now[2, axis] * error[2]
-    along = max(0.3, now[0, 2] * z[0] + now[1, 2] * z[1] + now[2, 2] * z[2])
-    want = np.empty(4)
-    want[0] = body[0] * size * along
-    for axis in range(3):
-        gain = 1.0 if axis < 2 else 0.3  # the heading is the least urgent
-        rate = gain * _ATTITUDE_GAIN * turn[axis]
-        want[1 + axis] = body[1 + axis] * gain * _RATE_GAIN * (rate - rates[axis])
-    out = np.empty(allocation.shape[0])
+    z = _unit(push)
+    x = _unit(_cross((-math.sin(yaw), math.cos(yaw), 0.0), z))
+    y = _cross(z, x)
+    # Half the antisymmetric part of now^T wanted: the attitude error, turned into body axes.
+    now_z = to_ned(q[0], q[1], q[2], q[3], 0.0, 0.0, 1.0)
+    a = _cross(to_ned(q[0], q[1], q[2], q[3], 1.0, 0.0, 0.0), x)
+    b = _cross(to_ned(q[0], q[1], q[2], q[3], 0.0, 1.0, 0.0), y)
+    c = _cross(now_z, z)
+    error = (0.5 * (a[0] + b[0] + c[0]), 0.5 * (a[1] + b[1] + c[1]), 0.5 * (a[2] + b[2] + c[2]))
+    turn = to_body(q[0], q[1], q[2], q[3], error[0], error[1], error[2])
+    along = max(0.3, now_z[0] * z[0] + now_z[1] * z[1] + now_z[2] * z[2])
     for i in range(allocation.shape[0]):
-        thrust = 0.0
-        for k in range(4):
-            thrust += allocation[i, k] * want[k]
+        thrust = allocation[i, 0] * body[0] * size * along
+        for axis in range(3):
+            gain = 1.0 if axis < 2 else 0.3  # the heading is the least urgent
+            rate = gain * _ATTITUDE_GAIN * turn[axis]
+            moment = body[1 + axis] * gain * _RATE_GAIN * (rate - rates[axis])
+            thrust += allocation[i, 1 + axis] * moment
         speed = math.sqrt(max(thrust, 0.0) / limits[0])
         out[i] = min(1.0, max(0.01, (speed - limits[1]) / (limits[2] - limits[1])))
-    return out
 
 
 class MultirotorController:
     """Flies a track; `track`, `landing` and `yaw_rad` may be changed at any time."""
 
-    rate_hz = 125.0
-    drifts = False  # it holds its speed over ground
-    lateral_mps2 = 3.0
+    rate_hz: float = 125.0
+    drifts: bool = False  # it holds its speed over ground
+    lateral_mps2: float = 3.0
 
     def __init__(self, vehicle: Multirotor, home_alt_m: float) -> None:
         self.vehicle = vehicle
@@ -138,16 +140,23 @@ class MultirotorController:
         yaw = self._yaw(aim, truth)
         motor = self.vehicle.parameters.motor
         thrust = motor.thrust_n_per_rps2 * truth.density_kgpm3 / SEA_LEVEL_KGPM3
-        limits = np.array([thrust, motor.idle_rps, motor.full_rps])
-        values = _motors(
-            truth.q_nb, truth.omega_b_rps, accel, yaw, self._body, self._allocation, limits
+        values = np.empty(self.vehicle.controls_count)
+        _motors(
+            truth.q_nb,
+            truth.omega_b_rps,
+            accel,
+            yaw,
+            self._body,
+            self._allocation,
+            (thrust, motor.idle_rps, motor.full_rps),
+            values,
         )
         return Controls(values)
 
     def _acceleration(
         self, aim: Aim, height: float, velocity: tuple[float, float, float], room: float
-    ) -> Array:
-        """Wanted acceleration without gravity, NED (3,) [m/s^2]; `room` scales the speed ahead."""
+    ) -> Triple:
+        """Wanted acceleration without gravity, NED [m/s^2]; `room` scales the speed ahead."""
         c, s = math.cos(aim.course_rad), math.sin(aim.course_rad)
         closing = max(
             -aim.speed_mps - 1.0, min(aim.speed_mps + 1.0, _TRACK_GAIN * aim.cross_track_m)
@@ -174,7 +183,7 @@ class MultirotorController:
             out.append(_SPEED_GAIN * error + self._integral[axis] + forward[axis])
         size = math.hypot(out[0], out[1])
         scale = min(1.0, _TILT_MPS2 / max(size, 1e-9))
-        return np.array([out[0] * scale, out[1] * scale, max(-6.0, min(6.0, out[2]))])
+        return out[0] * scale, out[1] * scale, max(-6.0, min(6.0, out[2]))
 
     def _yaw(self, aim: Aim, truth: Truth) -> float:
         """Heading to hold: the one asked for, else along the track, turned at a limited rate."""

@@ -15,7 +15,6 @@ from simvehicle.scenario import Scenario
 from simvehicle.simulation import Simulation
 
 Array = NDArray[np.float64]
-_SURFACES = ("elevator", "aileron", "rudder", "throttle")
 _PICTURES = (".png", ".svg", ".pdf")
 
 
@@ -24,7 +23,7 @@ class Flight:
     """What was flown, at about 10 Hz; arrays have n rows.
 
     Time [s], position NED and height above ground [m], velocity NED and airspeed [m/s], roll,
-    pitch, yaw [deg], body rates [deg/s], controls; and the planned path (m, 2) [m].
+    pitch, yaw [deg], body rates [deg/s], controls and their names; and the planned path (m, 2) [m].
     """
 
     t_s: Array
@@ -36,6 +35,7 @@ class Flight:
     rates_dps: Array
     controls: Array
     plan_m: Array
+    actuators: list[str]
 
 
 def fly(scenario: Scenario, seed: int | None = None) -> Flight:
@@ -65,14 +65,15 @@ def fly(scenario: Scenario, seed: int | None = None) -> Flight:
             )
         )
     t, r, height, v, airspeed, euler, rates, controls = map(np.array, zip(*rows, strict=True))
-    return Flight(t, r, height, v, airspeed, euler, rates, controls, plan)
+    names = simulation.kind.actuators(simulation.vehicle)
+    return Flight(t, r, height, v, airspeed, euler, rates, controls, plan, names)
 
 
 def plot_scenario(scenario: Scenario, seed: int | None, path: str | Path) -> int:
     """Fly a scenario and draw it; the exit code."""
     if Path(path).suffix.lower() not in _PICTURES:
         raise ConfigError(f"--plot: {path} is no picture; {', '.join(_PICTURES)} are known")
-    figure = draw(fly(scenario, seed), scenario.name, scenario.vehicle.kind == "fixedwing")
+    figure = draw(fly(scenario, seed), scenario.name)
     try:
         figure.savefig(path, dpi=110)
     except OSError as error:
@@ -81,7 +82,7 @@ def plot_scenario(scenario: Scenario, seed: int | None, path: str | Path) -> int
     return 0
 
 
-def draw(flight: Flight, title: str, wing: bool) -> Any:
+def draw(flight: Flight, title: str) -> Any:
     """Path on the left, states over time on the right."""
     from matplotlib.figure import Figure
 
@@ -90,13 +91,12 @@ def draw(flight: Flight, title: str, wing: bool) -> Any:
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.0, 1.1))
     left, right = halves
     path(left.subplots(), flight)
-    names = list(_SURFACES) if wing else [f"motor {i + 1}" for i in range(flight.controls.shape[1])]
     panels = [
         ("height above ground [m]", flight.height_agl_m[:, None], [""]),
         ("speed [m/s]", _speeds(flight), ["airspeed", "over ground"]),
         ("attitude [deg]", _unbroken(flight.euler_deg), ["roll", "pitch", "yaw"]),
         ("body rates [deg/s]", flight.rates_dps, ["p", "q", "r"]),
-        ("controls", flight.controls, names),
+        ("controls", flight.controls, flight.actuators),
     ]
     for axes, (label, values, legend) in zip(
         right.subplots(len(panels), 1, sharex=True), panels, strict=True

@@ -32,11 +32,25 @@ class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Base of the sections: unknown keys are errors."""
 
 
+class StartState(_Section, frozen=True):
+    """Motion at the start of a flight in the air, along and about the body's axes."""
+
+    u_mps: float
+    v_mps: float = 0.0
+    w_mps: float = 0.0
+    roll_deg: float = 0.0
+    pitch_deg: float = 0.0
+    p_dps: float = 0.0
+    q_dps: float = 0.0
+    r_dps: float = 0.0
+
+
 class Start(_Section, frozen=True):
     """Home and the beginning of the flight.
 
     `alt_m` is the ground's height above mean sea level at home, `geoid_m` the geoid's above the
-    ellipsoid there; `height_m` above ground is where the vehicle starts, 0 means standing.
+    ellipsoid there; `height_m` above ground is where the vehicle starts, 0 means standing. In the
+    air it starts in trimmed flight, or with `state`.
     """
 
     lat_deg: float = 47.397742
@@ -45,6 +59,7 @@ class Start(_Section, frozen=True):
     geoid_m: float = 0.0
     height_m: float = 0.0
     heading_deg: float = 0.0
+    state: StartState | None = None
     time: datetime = datetime(2024, 3, 7, 12, 0, tzinfo=UTC)
 
     def __post_init__(self) -> None:
@@ -54,14 +69,16 @@ class Start(_Section, frozen=True):
             raise ValueError(f"lon_deg = {self.lon_deg} is out of range; -180 to 180 is allowed")
         if self.height_m < 0.0:
             raise ValueError(f"height_m = {self.height_m} is below ground; 0 or more is allowed")
+        if self.state is not None and self.height_m == 0.0:
+            raise ValueError("state needs a start in the air; height_m above 0")
         if self.time.tzinfo is None:
             raise ValueError("time has no time zone; write it like 2024-03-07T12:00:00Z")
 
 
 class VehicleChoice(_Section, frozen=True):
-    """Kind of vehicle and its parameter set: a shipped name or the path of a YAML file."""
+    """Kind of vehicle (`kinds`) and its parameter set: a shipped name or a YAML file's path."""
 
-    kind: Literal["fixedwing", "multirotor"] = "fixedwing"
+    kind: str = "fixedwing"
     parameters: str = "aerosonde-2025"
 
 
@@ -80,6 +97,29 @@ class Leg(_Section, frozen=True):
                 raise ValueError(f"{name} = {getattr(self, name)} is not positive; above 0")
         if self.speed_mps is not None and self.speed_mps <= 0.0:
             raise ValueError(f"speed_mps = {self.speed_mps} is not positive; above 0")
+
+
+class WeaveChoice(_Section, frozen=True):
+    """Rolling from side to side by `roll_deg` while holding pitch and airspeed."""
+
+    roll_deg: float
+    period_s: float
+    pitch_deg: float
+    airspeed_mps: float
+
+    def __post_init__(self) -> None:
+        if self.period_s <= 0.0:
+            raise ValueError(f"period_s = {self.period_s} is not positive; seconds above 0")
+
+
+class OpenLoop(_Section, frozen=True):
+    """Constant controls of a fixed wing in the place of a mission; `weave` adds feedback."""
+
+    elevator_deg: float = 0.0
+    aileron_deg: float = 0.0
+    rudder_deg: float = 0.0
+    throttle: float = 0.0
+    weave: WeaveChoice | None = None
 
 
 class GustChoice(_Section, frozen=True):
@@ -142,6 +182,7 @@ class Scenario(_Section, frozen=True):
     start: Start = Start()
     vehicle: VehicleChoice = VehicleChoice()
     mission: list[Leg] = []
+    controls: OpenLoop | None = None
     environment: Environment = Environment()
     sensors: Sensors = Sensors()
     gnss: GnssConfig | None = None
@@ -154,6 +195,8 @@ class Scenario(_Section, frozen=True):
             raise ValueError(f"duration_s = {self.duration_s} is not positive; seconds above 0")
         if self.seed < 0:
             raise ValueError(f"seed = {self.seed} is negative; 0 or more is allowed")
+        if self.controls is not None and (self.mission or self.vehicle.kind != "fixedwing"):
+            raise ValueError("controls are those of a fixed wing without a mission; leave one out")
 
 
 def read_scenario(path: str | Path | None) -> Scenario:

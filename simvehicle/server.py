@@ -15,8 +15,9 @@ from typing import Any
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link, parse_spec
-from simvehicle.actuators import Mix, motors, plane
+from simvehicle.actuators import Mix
 from simvehicle.autopilot_link import AutopilotLink
+from simvehicle.guidance import CircleTrack
 from simvehicle.hil import BARO_IDS, IMU_IDS, MAG_IDS, Hil
 from simvehicle.inbox import Inbox
 from simvehicle.lockstep_loop import LockstepLoop, serve_autopilot
@@ -32,13 +33,6 @@ from simvehicle.services.parameters import Parameters
 from simvehicle.services.telemetry import Home
 from simvehicle.simulation import Simulation
 
-# What differs from the common parameters; SYS_AUTOSTART is PX4's airframe that flies the same way
-MULTIROTOR: dict[str, int | float] = {"SYS_AUTOSTART": 10016}
-WING: dict[str, int | float] = {
-    "SYS_AUTOSTART": 1030,
-    "MIS_TAKEOFF_ALT": 50.0,
-    "RTL_RETURN_ALT": 100.0,
-}
 DATAGRAM = 1400  # bytes that cross an Ethernet in one piece
 
 
@@ -110,10 +104,8 @@ def _lockstep(simulation: Simulation, link: Link, speed: float, progress: Progre
 
 def airframe(simulation: Any) -> tuple[MavType, Mix]:
     """What the vehicle calls itself, and how PX4's channels drive it."""
-    if simulation.scenario.vehicle.kind == "fixedwing":
-        return MavType.FIXED_WING, plane
-    count = simulation.vehicle.controls_count
-    return (MavType.HEXAROTOR if count == 6 else MavType.QUADROTOR), motors(count)
+    kind, vehicle = simulation.kind, simulation.vehicle
+    return kind.mav_type(vehicle), kind.mix(vehicle)
 
 
 class FreeLoop:
@@ -186,26 +178,23 @@ class FreeLoop:
 
 def throttle(simulation: Any) -> float:
     """The motors' command, 0 to 1."""
-    values = simulation.controls
-    wing = simulation.scenario.vehicle.kind == "fixedwing"
-    return float(values[3] if wing else values.mean())
+    return float(simulation.kind.throttle(simulation.controls))
 
 
 def services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:
     """The ground station's view of a simulation, and who flies what it commands."""
-    start = simulation.scenario.start
-    wing = simulation.scenario.vehicle.kind == "fixedwing"
-    parameters, missions = Parameters(WING if wing else MULTIROTOR), Missions()
+    start, kind = simulation.scenario.start, simulation.kind
+    parameters, missions = Parameters(kind.parameters), Missions()
     flight = Flight(
         parameters,
         missions,
         Home(start.lat_deg, start.lon_deg, start.alt_m),
         simulation.home.ned,
         airborne=start.height_m > 0.0,
-        own_mission=bool(simulation.scenario.mission),
-        acceptance_m=_acceptance_m(simulation) if wing else float(parameters["NAV_ACC_RAD"]),
+        own_mission=bool(simulation.scenario.mission) or simulation.scenario.controls is not None,
+        acceptance_m=_acceptance_m(simulation, float(parameters["NAV_ACC_RAD"])),
     )
-    count = 1 if wing else simulation.vehicle.controls_count
+    count = kind.motors(simulation.vehicle)
 
     def fail_motor(number: int, off: bool) -> bool:
         if not 0 <= number <= count:
@@ -218,11 +207,11 @@ def services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:
     return link, Pilot(simulation, flight)
 
 
-def _acceptance_m(simulation: Simulation) -> float:
-    """A wing circles a waypoint: it is there once on the circle."""
+def _acceptance_m(simulation: Simulation, radius_m: float) -> float:
+    """What circles a waypoint is there once on the circle, whatever radius was asked for."""
     cruise = simulation.vehicle.parameters.cruise_mps
-    circle: Any = simulation.controller.circle(0.0, 0.0, 0.0, cruise)
-    return 1.3 * float(circle.radius_m)
+    wait = simulation.controller.circle(0.0, 0.0, 0.0, cruise)
+    return 1.3 * wait.radius_m if isinstance(wait, CircleTrack) else radius_m
 
 
 def datagrams(frames: list[bytes]) -> list[bytes]:

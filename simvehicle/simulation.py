@@ -16,20 +16,17 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.errors import ConfigError
 from simvehicle.body import Controls, Truth
-from simvehicle.controller import FixedWingController
 from simvehicle.guidance import PathTrack
+from simvehicle.kinds import Controller, kind_of
 from simvehicle.mission import plan
-from simvehicle.multirotor_controller import MultirotorController
 from simvehicle.onboard import fit
+from simvehicle.open_loop import OpenLoopController
 from simvehicle.place import Home, locate
 from simvehicle.readings import Reading
 from simvehicle.rotation import quat_from_euler
-from simvehicle.rudderless import RudderlessController, has_rudder
 from simvehicle.scenario import Scenario
 from simvehicle.terrain import Grid, Level, read_grid
 from simvehicle.vehicles.fixedwing import FixedWing
-from simvehicle.vehicles.multirotor import Multirotor
-from simvehicle.vehicles.vehicle import Vehicle, read_vehicle
 from simvehicle.weather import Weather
 
 Array = NDArray[np.float64]
@@ -47,9 +44,9 @@ class Simulation:
     terrain : Grid or Level
     home : Home
         Origin of the local frame, on the ground.
-    vehicle, controller
-        What flies, and what flies it when `step` gets no controls. The controller's `track` may be
-        replaced in flight.
+    kind, vehicle, controller
+        Its kind, what flies, and what flies it when `step` gets no controls. The controller's
+        `track` may be replaced in flight.
     truth : Truth
         The last one.
     """
@@ -61,7 +58,8 @@ class Simulation:
         self.seed = scenario.seed if seed is None else seed
         start = scenario.start
         self.home = Home.at(start.lat_deg, start.lon_deg, start.alt_m, start.geoid_m)
-        self.vehicle = read_vehicle(scenario.vehicle.kind, scenario.vehicle.parameters)
+        self.kind = kind_of(scenario.vehicle.kind)
+        self.vehicle = self.kind.read(scenario.vehicle.parameters)
         self._plant: dict[str, float] = {}
         self._weather = Weather(scenario.environment, self.seed)
         self._fitted = fit(scenario, self.seed)
@@ -74,7 +72,7 @@ class Simulation:
         self._place = self.home.packed
         self._x = self._begin()
         self.truth = self._observe(np.zeros(6), self._weather.steady_mps)
-        self.controller = _controller(self.vehicle, self.truth, scenario.start.alt_m)
+        self.controller = self._controller()
         self._next_control_us = 0.0
         if scenario.mission:
             self.controller.track = self._mission()
@@ -187,6 +185,12 @@ class Simulation:
                 np.array([0.0, 0.0, -height]), zero, quat_from_euler(0.0, 0.0, heading)
             )
         r = np.array([0.0, 0.0, -start.height_m])
+        if start.state is not None:
+            s = start.state
+            turn = quat_from_euler(math.radians(s.roll_deg), math.radians(s.pitch_deg), heading)
+            x = vehicle.start(r, np.array([s.u_mps, s.v_mps, s.w_mps]), turn)
+            x[10:13] = np.radians([s.p_dps, s.q_dps, s.r_dps])
+            return x
         level = vehicle.start(r, zero, quat_from_euler(0.0, 0.0, heading))
         place = np.empty(_PLACE)
         locate(level, zero, self._place, place)
@@ -202,6 +206,13 @@ class Simulation:
                     f"mission[{number}].speed_mps = {speed:g} cannot be flown; {error}"
                 ) from None
         return states[0]
+
+    def _controller(self) -> Controller:
+        scenario, density = self.scenario, self.truth.density_kgpm3
+        if scenario.controls is None:
+            return self.kind.controller(self.vehicle, density, scenario.start.alt_m)
+        assert isinstance(self.vehicle, FixedWing)  # as `Scenario` checks
+        return OpenLoopController(self.vehicle, density, scenario.start.alt_m, scenario.controls)
 
     def _mission(self) -> PathTrack:
         scenario, controller = self.scenario, self.controller
@@ -286,16 +297,6 @@ def simulate(
         if found[0] > end_us:
             return
         yield found
-
-
-def _controller(
-    vehicle: Vehicle, truth: Truth, home_alt_m: float
-) -> FixedWingController | MultirotorController:
-    if isinstance(vehicle, FixedWing):
-        kind = FixedWingController if has_rudder(vehicle) else RudderlessController
-        return kind(vehicle, truth.density_kgpm3, home_alt_m)
-    assert isinstance(vehicle, Multirotor)
-    return MultirotorController(vehicle, home_alt_m)
 
 
 def _terrain(scenario: Scenario) -> Grid | Level:

@@ -17,6 +17,7 @@ GROUP = "mavproxy_fault.estimators"
 BUILT_IN = {
     "complementary": "analysis.estimators.complementary:complementary",
     "ekf": "analysis.estimators.ekf:Ekf",
+    "fusion": "analysis.estimators.fusion:FusedAttitude",
     "inverse-model": "analysis.estimators.inverse_model:InverseModel",
     "madgwick": "analysis.estimators.madgwick:Madgwick",
     "mahony": "analysis.estimators.complementary:Mahony",

@@ -8,7 +8,7 @@ import numpy as np
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import NOTHING_HELD, Core, Record, State
 from analysis.fdi.epoch import Outcome, judge_epoch
-from analysis.fdi.exclusion import exclude, holding
+from analysis.fdi.exclusion import exclude
 from analysis.fdi.measure import Observed, choose, observe, why_none
 from analysis.fdi.motion import Segment, keep_pending, segment, split_pending
 from analysis.fdi.receiver import step_position
@@ -150,7 +150,7 @@ class Detector:
         excluded = core.excluded
         for name, onset_us in late.items():
             excluded = exclude(excluded, (name,), onset_us, found_us)
-        core = holding(core, excluded, again[0].t_us, self.config)
+        core = core._replace(excluded=excluded)
         replayed = list(kept)
         for record in again:
             if core.motion is None:

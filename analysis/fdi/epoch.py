@@ -8,24 +8,15 @@ import numpy as np
 from analysis.fdi.align import find_attitude
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import Core
-from analysis.fdi.exclusion import (
-    NOBODY,
-    Outside,
-    exclude,
-    held,
-    holding,
-    outside,
-    readmit,
-    standing,
-)
+from analysis.fdi.exclusion import NOBODY, Outside, exclude, outside, readmit
 from analysis.fdi.inertial import X_CLOCK
 from analysis.fdi.measure import Mask, Modelled, Observed, model
 from analysis.fdi.motion import Segment, advance
+from analysis.fdi.offsets import held, hold, learnt
 from analysis.fdi.ranges import Tested, check_ranges, free_clock, free_position
 from analysis.fdi.rates import RatesTested, check_rates, freed_by
 from analysis.fdi.slow import SlowVerdict, judge_slow, new_memory, remember
 from analysis.fdi.state import Motion
-from analysis.fdi.thresholds import chi_square
 from analysis.fdi.update import Assessed, absorb, assess, innovated
 
 CLOCK_LEAP_M = 1000.0  # the receiver set its clock: no fault has this on most satellites
@@ -50,16 +41,18 @@ class Outcome(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """An epoch before the filter: who is trusted and who left out, and whether the clock was set.
+    """An epoch before the filter, and whether the clock was set.
 
-    `used` are the innovations of `names` (n satellites), `galileo` (n,) a mask of them.
+    `used` are the innovations of `names` (n satellites), which are trusted, `galileo` (n,) a mask
+    of them; `left` those of `others`, which are left out.
     """
 
     names: tuple[str, ...]
     galileo: Mask
     used: Modelled
-    left: Outside
     leapt: bool
+    others: tuple[str, ...] = ()
+    left: Modelled | None = None
 
 
 def judge_epoch(
@@ -69,7 +62,7 @@ def judge_epoch(
     before = core.motion
     assert before is not None
     motion, phi = advance(before, part, t_us, config)
-    seen, motion = _seen(t_us, observed, motion, core, config)
+    seen, motion, core = _seen(t_us, observed, motion, core, config)
     names, used = seen.names, seen.used
     mixed = 0 < int(seen.galileo.sum()) < len(names)
     needed = 3 if motion.inertial else 5 + int(mixed)
@@ -91,12 +84,13 @@ def judge_epoch(
     blamed = before.inertial and "imu" in (rates.hypothesis, tested.hypothesis, wrong)
     if blamed and moved.inertial:
         moved = free_position(moved)
-    excluded = readmit(core.excluded, seen.left, t_us, config)
+    left = outside(seen.others, seen.left, motion, moved) if seen.left is not None else NOBODY
+    excluded = readmit(core.excluded, left, t_us, config)
     excluded = exclude(excluded, tuple(names[i] for i in tested.left_out), t_us, t_us)
-    if excluded is not core.excluded:
-        core = holding(core, excluded, t_us, config)
-        memory = memory if core.memory is not None else None
-    core = _imu_verdict(core._replace(ranges_us=t_us, memory=memory), blamed, t_us, config)
+    if memory is None:
+        core = hold(core, t_us, config)
+    core = core._replace(ranges_us=t_us, memory=memory, excluded=excluded)
+    core = _imu_verdict(core, blamed, t_us, config)
     moved = find_attitude(core, moved, part, (t_us - before.t_us) * 1e-6, config)
     core = _unknown(core._replace(motion=moved), tested.hypothesis, t_us, config)
     silent = before.inertial and part.gap_s > config.gap_s
@@ -104,7 +98,7 @@ def judge_epoch(
         core,
         names=names,
         used=used,
-        left=seen.left,
+        left=left,
         assessed=assessed,
         tested=tested,
         rates=rates,
@@ -128,10 +122,7 @@ def _tested(
     """The ranges' test after what the rates have said of the prediction."""
     freed = freed_by(motion, by_rates)
     first = assessed.ranges if freed is motion else innovated(freed.p, seen.used)
-    fresh = np.zeros(len(seen.names))
-    if first.q > chi_square(len(seen.names), config.p_false_alarm):
-        fresh = standing(core, seen.names, t_us, config) - held(core, seen.names, t_us, config)
-    return check_ranges(freed, seen.used, first, fresh, config)
+    return check_ranges(freed, seen.used, first, learnt(core, seen.names), config)
 
 
 def _shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:
@@ -149,13 +140,16 @@ def _shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:
 
 def _seen(
     t_us: int, observed: Observed, motion: Motion, core: Core, config: DetectorConfig
-) -> tuple[Seen, Motion]:
-    """Satellites above the mask with their innovations; the clock set where it leapt."""
+) -> tuple[Seen, Motion, Core]:
+    """Satellites above the mask with their innovations; the clock set where it leapt.
+
+    Where others are trusted than at the last epoch, what was learnt of them is held.
+    """
     modelled = model(observed, motion.x, config.sigma, core.ionosphere)
     above = modelled.elevation_rad >= math.radians(config.mask_deg)
     if not above.all():
         observed, modelled = observed.select(above), modelled.select(above)
-    names, galileo, left = observed.satellites, observed.galileo, NOBODY
+    names, galileo = observed.satellites, observed.galileo
     leap = sorted(modelled.v_m.tolist())[len(names) // 2] if names else 0.0
     leapt = abs(leap) > CLOCK_LEAP_M
     if leapt:
@@ -163,17 +157,17 @@ def _seen(
         x[X_CLOCK] += leap
         motion = free_clock(motion._replace(x=x))
         modelled = modelled._replace(v_m=modelled.v_m - leap)
-    if not core.excluded.keys().isdisjoint(names):
-        keep = np.array([name not in core.excluded for name in names], dtype=bool)
-        left = outside(observed.select(~keep).satellites, modelled.select(~keep), motion.p)
-        names, galileo, modelled = (
-            observed.select(keep).satellites,
-            galileo[keep],
-            modelled.select(keep),
-        )
+    trusted = tuple(name for name in names if name not in core.excluded)
+    if core.memory is not None and core.memory.names != trusted:
+        core = hold(core, t_us, config)
     if core.held.offsets_m:
         modelled = modelled._replace(v_m=modelled.v_m - held(core, names, t_us, config))
-    return Seen(names, galileo, modelled, left, leapt), motion
+    if len(trusted) == len(names):
+        return Seen(names, galileo, modelled, leapt), motion, core
+    keep = np.array([name not in core.excluded for name in names], dtype=bool)
+    others = tuple(name for name in names if name in core.excluded)
+    used, left = modelled.select(keep), modelled.select(~keep)
+    return Seen(trusted, galileo[keep], used, leapt, others, left), motion, core
 
 
 def _imu_verdict(core: Core, blamed: bool, t_us: int, config: DetectorConfig) -> Core:

@@ -1,20 +1,14 @@
-"""Which satellites stay left out, when one comes back, and what is held meanwhile.
+"""Which satellites stay left out, and when one comes back."""
 
-The healthy satellites have offsets of their own, whose weighted mean is the position's error. With
-a satellite left out the mean is another one, and the position would jump. So what was learnt of the
-offsets is taken off while satellites are left out; it fades as offsets do, in `slow_s`.
-"""
-
-import math
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
-from analysis.fdi.core import Core, Held
+from analysis.fdi.inertial import CLOCK, ERRORS, ISB, X_CLOCK, X_ISB
 from analysis.fdi.measure import Modelled
-from analysis.fdi.state import Exclusion
+from analysis.fdi.state import Exclusion, Motion
 from analysis.fdi.thresholds import two_sided
 from analysis.samples import Vector
 
@@ -29,13 +23,24 @@ class Outside(NamedTuple):
     normalised: Vector
 
 
-def outside(names: tuple[str, ...], modelled: Modelled, p: Vector) -> Outside:
-    """Those left out against the filter with covariance p (18, 18), which does not use them."""
-    variance = np.einsum("ij,jk,ik->i", modelled.h, p, modelled.h) + modelled.variance
-    return Outside(names, modelled.v_m, modelled.v_m / np.sqrt(variance))
-
-
 NOBODY = Outside((), np.empty(0), np.empty(0))
+
+
+def outside(names: tuple[str, ...], modelled: Modelled, before: Motion, after: Motion) -> Outside:
+    """Those left out against the filter after the epoch, which does not use them.
+
+    Their innovations in `modelled` are against the filter before; the update is taken off.
+    """
+    moved = np.zeros(ERRORS)
+    moved[0:3] = after.x[0:3] - before.x[0:3]
+    moved[CLOCK], moved[ISB] = (
+        after.x[X_CLOCK] - before.x[X_CLOCK],
+        after.x[X_ISB] - before.x[X_ISB],
+    )
+    h = modelled.h
+    v_m = modelled.v_m - h @ moved
+    variance = np.einsum("ij,jk,ik->i", h, after.p, h) + modelled.variance
+    return Outside(names, v_m, v_m / np.sqrt(variance))
 
 
 def exclude(
@@ -68,33 +73,3 @@ def readmit(
         else:
             out[name] = replace(entry, healthy_since_us=since)
     return out
-
-
-def standing(core: Core, names: tuple[str, ...], t_us: int, config: DetectorConfig) -> Vector:
-    """What is known at `t_us` of the offsets (n,) in m: held before, and learnt since."""
-    known = held(core, names, t_us, config)
-    if core.memory is not None:
-        place = {name: i for i, name in enumerate(core.memory.names)}
-        for i, name in enumerate(names):
-            if name in place:
-                known[i] += core.memory.offset[place[name]]
-    return known
-
-
-def held(core: Core, names: tuple[str, ...], t_us: int, config: DetectorConfig) -> Vector:
-    """The offsets (n,) in m that are taken off the ranges at `t_us`."""
-    fading = math.exp(-(t_us - core.held.t_us) * 1e-6 / config.sigma.slow_s)
-    return np.array([fading * core.held.offsets_m.get(name, 0.0) for name in names])
-
-
-def holding(core: Core, excluded: dict[str, Exclusion], t_us: int, config: DetectorConfig) -> Core:
-    """The core with other satellites left out from now on: what is known of the others is held.
-
-    The windows with memory start anew: the innovations' means are other ones.
-    """
-    if excluded.keys() == core.excluded.keys():
-        return core._replace(excluded=excluded)
-    known = core.memory.names if core.memory is not None else ()
-    names = tuple({*known, *core.held.offsets_m} - excluded.keys())
-    offsets_m = dict(zip(names, standing(core, names, t_us, config).tolist(), strict=True))
-    return core._replace(excluded=excluded, held=Held(t_us, offsets_m), memory=None)

@@ -28,14 +28,16 @@ NEWS_S = 1.0  # epochs closer than this tell little new of an offset
 
 
 class Memory(NamedTuple):
-    """Windows over `names` (n satellites) since `starts_us`; d and sums as in `memory`.
+    """Windows over `names` (n satellites) since `starts_us` (None: not begun yet), kept since
+    `since_us`; d and sums as in `memory`.
 
     `most` (n,) is the variance of an offset of which nothing is known, `offset` and `spread` (n,)
     mean and variance of each now, `offsets` and `spreads` (w, n) the same when a window started.
     """
 
+    since_us: int
     names: tuple[str, ...]
-    starts_us: tuple[int, ...]
+    starts_us: tuple[int | None, ...]
     d: Vector
     sums: Vector
     most: Vector
@@ -56,10 +58,10 @@ class SlowVerdict(NamedTuple):
 
 
 def new_memory(t_us: int) -> Memory:
-    """Empty windows that start at `t_us`."""
+    """Windows that begin one after the other, the first when the filter has settled."""
     none, table = np.empty(0), np.empty((WINDOWS, 0))
     d, sums = np.zeros((ERRORS, 3 * WINDOWS)), np.zeros((WINDOWS, 12))
-    return Memory((), (t_us,) * WINDOWS, d, sums, none, none, none, table, table)
+    return Memory(t_us, (), (None,) * WINDOWS, d, sums, none, none, none, table, table)
 
 
 def remember(
@@ -78,7 +80,7 @@ def remember(
     """
     most = config.sigma.slow**2 * update.variance
     memory = _turned_over(_renamed(memory, names, most), t_us)
-    ages = (t_us - np.array(memory.starts_us)) * 1e-6
+    ages = np.array([(t_us - start) * 1e-6 if start else 0.0 for start in memory.starts_us])
     gain, m, h, v = update.gain, update.m, update.h, update.v
     d, sums = respond(memory.d, memory.sums, memory.offsets, ages, phi, gain, m, h, v, dt_s)
     if len(update.v_rate):
@@ -113,13 +115,15 @@ def _renamed(memory: Memory, names: tuple[str, ...], most: Vector) -> Memory:
             offset[i], spread[i] = memory.offset[at], memory.spread[at]
             offsets[:, i], spreads[:, i] = memory.offsets[:, at], memory.spreads[:, at]
     flat = d.reshape(ERRORS, -1)
-    return Memory(names, memory.starts_us, flat, sums, most, offset, spread, offsets, spreads)
+    return Memory(
+        memory.since_us, names, memory.starts_us, flat, sums, most, offset, spread, offsets, spreads
+    )
 
 
 def _turned_over(memory: Memory, t_us: int) -> Memory:
     """The oldest window started anew when the youngest is a stride old."""
-    starts = list(memory.starts_us)
-    if (t_us - max(starts)) * 1e-6 < STRIDE_S:
+    starts = [start or 0 for start in memory.starts_us]
+    if (t_us - max(memory.since_us, *starts)) * 1e-6 < STRIDE_S:
         return memory
     oldest = starts.index(min(starts))
     starts[oldest] = t_us
@@ -130,7 +134,11 @@ def _turned_over(memory: Memory, t_us: int) -> Memory:
     sums[oldest] = 0.0
     offsets[oldest], spreads[oldest] = memory.offset, memory.spread
     return memory._replace(
-        starts_us=tuple(starts), d=d, sums=sums, offsets=offsets, spreads=spreads
+        starts_us=tuple(start or None for start in starts),
+        d=d,
+        sums=sums,
+        offsets=offsets,
+        spreads=spreads,
     )
 
 
@@ -143,7 +151,7 @@ def judge_slow(memory: Memory, t_us: int, inertial: bool, config: DetectorConfig
     """Whether a window has seen a ramp, and whose; the rival is a wrong acceleration."""
     count = len(memory.names)
     threshold = chi_square(1, config.p_slow / (EPISODES * max(count, 1)))
-    starts = memory.starts_us
+    starts = [start or t_us for start in memory.starts_us]
     old_enough = [w for w in range(WINDOWS) if (t_us - starts[w]) * 1e-6 >= YOUNGEST_S]
     if not old_enough or not count:
         return SlowVerdict(0.0, threshold)
@@ -171,4 +179,5 @@ def onset_of(memory: Memory | None, name: str, t_us: int, config: DetectorConfig
         return t_us
     ratios = ramp_table(memory, config)[:, memory.names.index(name)]
     window = int(ratios.argmax())
-    return memory.starts_us[window] if ratios[window] >= LATE else t_us
+    start_us = memory.starts_us[window]
+    return start_us if start_us is not None and ratios[window] >= LATE else t_us

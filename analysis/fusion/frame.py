@@ -1,8 +1,10 @@
 """The local frame of the graph: east, north, up at an anchor, in metres."""
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from typing import Any
 
+import gtsam
 import numpy as np
 
 from analysis.fdi.inertial import gravity_ecef
@@ -12,12 +14,17 @@ from analysis.samples import Vector
 NANOTESLA_PER_GAUSS = 1e5
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Frame:
     """An anchor (3,) in ECEF and rows (3, 3) east, north, up there."""
 
     anchor_m: Vector
     axes: Vector
+
+    @cached_property
+    def pose(self) -> Any:
+        """This frame in ECEF as GTSAM takes it."""
+        return gtsam.Pose3(gtsam.Rot3(self.axes.T), self.anchor_m)
 
     def local(self, r_ecef_m: Vector) -> Vector:
         """A position (3,) in this frame."""
@@ -45,11 +52,18 @@ class Frame:
         result: Vector = ned_axes(lat, lon) @ self.axes.T
         return result
 
+    @cached_property
     def field_gauss(self) -> Vector:
         """The magnetic field (3,) at the anchor."""
         lat, lon, height = geodetic(self.anchor_m)
         north, east, down = _field_ned_gauss(float(np.degrees(lat)), float(np.degrees(lon)), height)
         return np.array([east, north, -down])
+
+
+def quaternion(rot: Vector) -> tuple[float, float, float, float]:
+    """A rotation matrix as a unit quaternion (w, x, y, z)."""
+    q: Any = gtsam.Rot3(rot).toQuaternion()
+    return q.w(), q.x(), q.y(), q.z()
 
 
 def frame_at(r_ecef_m: Vector) -> Frame:

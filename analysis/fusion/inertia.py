@@ -16,28 +16,57 @@ import gtsam
 import numpy as np
 
 from analysis.fdi.config import Noise
-from analysis.fdi.motion import TURN_SIGMA_RPS
 from analysis.fusion.frame import Frame
 from analysis.samples import Vector
 
 INTEGRATION_M = 1e-3  # m/sqrt(s), position noise of the integration itself
+STEP_S = 0.02  # faster samples are averaged: a turn between them costs less than their noise
 FICTION_STEP_S = 0.05
+FREE_TURN_RPS = 30.0  # of a motion that says nothing of the attitude
 
 
-def preintegrate(samples: Vector, bias: Any, frame: Frame, r_m: Vector, noise: Noise) -> Any:
-    """The IMU's samples (k, 7) of `fdi.motion.segment`: step in s, rates, specific force."""
-    params = _params(frame.gravity(r_m), frame, noise, noise.gyro_rps, noise.accel_mps2)
-    preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
-    for row in samples:
-        if row[0] > 0.0:
-            preintegrated.integrateMeasurement(row[4:7], row[1:4], row[0])
+def imu_params(frame: Frame, r_m: Vector, noise: Noise) -> Any:
+    """What preintegration takes for granted at a position of the frame."""
+    return _params(frame.gravity(r_m), frame, noise, noise.gyro_rps, noise.accel_mps2)
+
+
+def preintegrate(samples: Vector, bias: Any, params: Any, walking: bool) -> Any:
+    """The IMU's samples (k, 7) of `fdi.motion.segment`: step in s, rates, specific force.
+
+    `walking` says whether the biases at both ends are two variables.
+    """
+    preintegrated = _kind(walking)(params, bias)
+    table = averaged(samples, STEP_S)
+    for row in table:
+        preintegrated.integrateMeasurement(row[4:7], row[1:4], row[0])
     return preintegrated
 
 
-def imagine(dt_s: float, bias: Any, frame: Frame, noise: Noise) -> Any:
-    """The motion model over `dt_s`."""
-    params = _params(np.zeros(3), frame, noise, TURN_SIGMA_RPS, noise.motion_mps2)
-    preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
+def averaged(samples: Vector, step_s: float) -> Vector:
+    """Samples (k, 7) in runs of equal number that last up to `step_s`; empty steps left out."""
+    samples = samples[samples[:, 0] > 0.0]
+    size = int(step_s * len(samples) / samples[:, 0].sum() + 0.1) if len(samples) else 1
+    if size < 2:
+        return samples
+    weighted = samples * samples[:, :1]
+    weighted[:, 0] = samples[:, 0]
+    sums: Vector = np.add.reduceat(weighted, np.arange(0, len(samples), size))
+    sums[:, 1:] /= sums[:, :1]
+    return sums
+
+
+def _kind(walking: bool) -> Any:
+    if walking:
+        return gtsam.PreintegratedCombinedMeasurements
+    return gtsam.PreintegratedImuMeasurements
+
+
+def imagine(
+    dt_s: float, bias: Any, frame: Frame, noise: Noise, turn_rps: float, walking: bool
+) -> Any:
+    """The motion model over `dt_s`, with turns as fast as `turn_rps`."""
+    params = _params(np.zeros(3), frame, noise, turn_rps, noise.motion_mps2)
+    preintegrated = _kind(walking)(params, bias)
     steps = max(round(dt_s / FICTION_STEP_S), 2)
     for _ in range(steps):
         preintegrated.integrateMeasurement(bias.accelerometer(), bias.gyroscope(), dt_s / steps)

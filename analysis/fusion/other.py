@@ -8,8 +8,9 @@ import numpy as np
 
 from analysis.fdi.position import measure
 from analysis.fusion.config import FusionConfig
-from analysis.fusion.factors import airspeed_factor, baro_factor, key, mag_factor
+from analysis.fusion.factors import airspeed_factor, baro_factor, mag_factor, walk_factor
 from analysis.fusion.graph import Graph
+from analysis.fusion.window import key
 from analysis.gnss import geodetic
 from analysis.reference import STALE_S
 from analysis.reference_models import SLOW_AIR_MPS, density_kgpm3, pressure_altitude_m
@@ -35,119 +36,170 @@ WIND_SIGMA_MPS = 6.0
 OFFSET_SIGMA_M = 5.0  # of the first guess of a barometer's offset
 
 
-def attach_others(
-    graph: Graph,
-    decision: Decision,
-    waiting: dict[str, Sample],
-    vision: Any,
-    isolated: set[str],
-    config: FusionConfig,
-) -> tuple[Any, dict[str, float]]:
-    """The newest sample of each source onto the newest epoch.
+class Others:
+    """Attaches samples to the epoch nearest to each, and keeps the slow states they need.
 
-    Returns the pose by vision at this epoch (None without), and the weights of the sources.
+    A barometer's offset and the wind are one variable per block of the window, each walking from
+    the block before; after a silence longer than the window they begin anew.
     """
-    used: dict[str, float] = {}
-    seen: Any = None
-    for source, sample in waiting.items():
-        if abs(sample.t_us - decision.t_us) * 1e-6 > STALE_S:
-            continue
-        if source in isolated:
-            used[source] = 0.0
-            continue
+
+    def __init__(self, graph: Graph, config: FusionConfig) -> None:
+        self._graph, self._config = graph, config
+        self._blocks: dict[str, list[int]] = {"h": [], "w": []}
+
+    def attach(self, sample: Sample, decision: Decision | None) -> float | None:
+        """One sample onto the epoch it belongs to; the weight it got, None if it was not used.
+
+        A receiver's own position is for epochs decided by it alone.
+        """
+        epoch = self._graph.nearest(sample.t_us, round(STALE_S * 1e6))
+        if epoch is None:
+            return None
         if isinstance(sample, BaroSample):
-            done = _baro(graph, sample, config)
+            done = self._baro(sample, epoch)
         elif isinstance(sample, MagSample):
-            done = _mag(graph, sample, config)
+            done = self._mag(sample, epoch)
         elif isinstance(sample, AirspeedSample):
-            done = _airspeed(graph, sample, config)
+            done = self._airspeed(sample, epoch)
         elif isinstance(sample, VisionSample):
-            seen = _seen(graph, sample)
-            done = _vision(graph, vision, seen, config)
-        elif isinstance(sample, GpsFix) and decision.mode.startswith("position"):
-            if config.decide and (decision.excluded or decision.hypothesis not in ("none", "imu")):
-                used[source] = 0.0
-                continue
-            done = _fix(graph, sample, config)
+            done = self._vision(sample, epoch)
+        elif isinstance(sample, GpsFix) and decision and decision.mode.startswith("position"):
+            if self._config.decide and (
+                decision.excluded or decision.hypothesis not in ("none", "imu")
+            ):
+                return 0.0
+            done = self._fix(sample, epoch)
         else:
-            continue
-        if done:
-            used[source] = 1.0
-    return seen, used
+            done = False
+        return 1.0 if done else None
+
+    def _slow(self, letter: str, epoch: int, first: Any, sigma: float, walk: float) -> int:
+        """The key of a slow state at an epoch; `walk` is per square root of a second."""
+        graph, window = self._graph, self._graph.window
+        t_s = graph.seconds(graph.epochs[epoch].t_us)
+        block = window.block(t_s)
+        name = key(letter, block)
+        gone_s = window.oldest_s
+        blocks = [known for known in self._blocks[letter] if window.starts_s(known) >= gone_s]
+        if block not in blocks:
+            before = max((known for known in blocks if known < block), default=None)
+            value = first
+            if before is None:
+                noise = gtsam.noiseModel.Isotropic.Sigma(np.size(first), sigma)
+                prior = gtsam.PriorFactorDouble if letter == "h" else gtsam.PriorFactorPoint3
+                factor = prior(name, first, noise)
+                since_s = t_s
+            else:
+                since_s = window.starts_s(before)
+                walked = walk * math.sqrt((block - before) * window.block_s)
+                factor, value = self._walk(letter, before, name, first, walked)
+            values = gtsam.Values()
+            values.insert(name, value)
+            window.insert(values, (name,), t_s)
+            window.attach(letter, block, since_s, factor)
+            blocks.append(block)
+        self._blocks[letter] = blocks
+        return name
+
+    def _walk(
+        self, letter: str, before: int, name: int, first: Any, sigma: float
+    ) -> tuple[Any, Any]:
+        """A factor from one slow state to another, and a first guess of that."""
+        window, old = self._graph.window, key(letter, before)
+        if letter == "h":
+            return walk_factor(old, name, sigma), first
+        noise = gtsam.noiseModel.Isotropic.Sigma(3, sigma)
+        if window.slots(letter, before):
+            first = np.asarray(window.smoother.calculateEstimateVector(old))
+        return gtsam.BetweenFactorPoint3(old, name, np.zeros(3), noise), first
+
+    def _up_m(self, epoch: int) -> tuple[float, float]:
+        """Height above the frame's tangent plane, and above the ellipsoid, of about the epoch."""
+        r_m = self._graph.node.pose.translation()
+        _, _, height = geodetic(self._graph.frame.ecef(r_m))
+        return float(r_m[2]), height
+
+    def _baro(self, sample: BaroSample, epoch: int) -> bool:
+        if not sample.pressure_pa > 0.0 or self._graph.window.holds("baro", epoch):
+            return False
+        up_m, height = self._up_m(epoch)
+        # The graph's z is the height above the anchor's tangent plane, not above the ellipsoid.
+        altitude = pressure_altitude_m(sample.pressure_pa) - (height - up_m)
+        offset = self._slow("h", epoch, altitude - up_m, OFFSET_SIGMA_M, self._config.baro_walk_m)
+        self._graph.attach("baro", epoch, baro_factor(epoch, offset, altitude, self._config))
+        return True
+
+    def _mag(self, sample: MagSample, epoch: int) -> bool:
+        graph = self._graph
+        if not graph.aligned or not np.isfinite(sample.field_b_gauss).all():
+            return False
+        if graph.window.holds("mag", epoch):
+            return False
+        factor = mag_factor(epoch, sample.field_b_gauss, graph.frame, self._config)
+        graph.attach("mag", epoch, factor)
+        return True
+
+    def _airspeed(self, sample: AirspeedSample, epoch: int) -> bool:
+        if not math.isfinite(sample.diff_pressure_pa):
+            return False
+        if self._graph.window.holds("airspeed", epoch):
+            return False
+        _, height = self._up_m(epoch)
+        speed = math.sqrt(2.0 * max(sample.diff_pressure_pa, 0.0) / density_kgpm3(height))
+        if speed < SLOW_AIR_MPS:
+            return False
+        wind = self._slow("w", epoch, np.zeros(3), WIND_SIGMA_MPS, self._config.wind_walk_mps)
+        self._graph.attach("airspeed", epoch, airspeed_factor(epoch, wind, speed, self._config))
+        return True
+
+    def _vision(self, sample: VisionSample, epoch: int) -> bool:
+        """Vision as odometry: its own origin and north drop out between two epochs."""
+        graph = self._graph
+        at = graph.epochs[epoch]
+        seen = _seen(sample, at.t_us)
+        if seen is None or at.seen is not None or not graph.aligned:
+            return False
+        at.seen = seen
+        sigmas = np.array([self._config.vision_rad] * 3 + [self._config.vision_m] * 3)
+        noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+        done = False
+        before, after = graph.neighbours(epoch)
+        for i, j in ((before, epoch), (epoch, after)):
+            if i is None or j is None:
+                continue
+            first, second = graph.epochs[i].seen, graph.epochs[j].seen
+            if first is not None and second is not None:
+                moved = first.between(second)
+                factor = gtsam.BetweenFactorPose3(key("x", i), key("x", j), moved, noise)
+                graph.attach("vision", j, factor, since=i)
+                done = True
+        return done
+
+    def _fix(self, sample: GpsFix, epoch: int) -> bool:
+        """A receiver's own solution, where there are no raw ranges."""
+        graph, config = self._graph, self._config
+        measured, _ = measure(sample)
+        if measured is None or graph.window.holds("gps-position", epoch):
+            return False
+        to_local = graph.frame.axes @ measured.axes.T
+        spread = config.correlation**2 * to_local @ np.diag(measured.variance_m2) @ to_local.T
+        gaussian = gtsam.noiseModel.Gaussian.Covariance
+        r_m = graph.frame.local(measured.r_ecef_m)
+        position = gtsam.GPSFactor(key("x", epoch), r_m, gaussian(spread))
+        graph.attach("gps-position", epoch, position)
+        if measured.v_ned_mps is not None and np.isfinite(measured.v_ned_mps).all():
+            noise = gtsam.noiseModel.Isotropic.Sigma(3, config.gps_mps)
+            velocity = to_local @ measured.v_ned_mps
+            factor = gtsam.PriorFactorPoint3(key("v", epoch), velocity, noise)
+            graph.attach("gps-velocity", epoch, factor)
+        return True
 
 
-def _baro(graph: Graph, sample: BaroSample, config: FusionConfig) -> bool:
-    if not sample.pressure_pa > 0.0:
-        return False
-    r_m = graph.node.pose.translation()
-    _, _, height = geodetic(graph.frame.ecef(r_m))
-    # The graph's z is the height above the anchor's tangent plane, not above the ellipsoid.
-    altitude = pressure_altitude_m(sample.pressure_pa) - (height - float(r_m[2]))
-    walk = config.baro_walk_m * math.sqrt(graph.dt_s)
-    graph.slow("h", altitude - float(r_m[2]), OFFSET_SIGMA_M, walk)
-    graph.attach("baro", baro_factor(graph.node.epoch, altitude, config))
-    return True
-
-
-def _mag(graph: Graph, sample: MagSample, config: FusionConfig) -> bool:
-    if not graph.inertial or not np.isfinite(sample.field_b_gauss).all():
-        return False
-    factor = mag_factor(graph.node.epoch, sample.field_b_gauss, graph.frame, config)
-    graph.attach("mag", factor)
-    return True
-
-
-def _airspeed(graph: Graph, sample: AirspeedSample, config: FusionConfig) -> bool:
-    if not math.isfinite(sample.diff_pressure_pa):
-        return False
-    _, _, height = geodetic(graph.frame.ecef(graph.node.pose.translation()))
-    speed = math.sqrt(2.0 * max(sample.diff_pressure_pa, 0.0) / density_kgpm3(height))
-    if speed < SLOW_AIR_MPS:
-        return False
-    walk = config.wind_walk_mps * math.sqrt(graph.dt_s)
-    graph.slow("w", np.zeros(3), WIND_SIGMA_MPS, walk)
-    graph.attach("airspeed", airspeed_factor(graph.node.epoch, speed, config))
-    return True
-
-
-def _seen(graph: Graph, sample: VisionSample) -> Any:
-    """The pose by vision, moved to the epoch's time."""
+def _seen(sample: VisionSample, t_us: int) -> Any:
+    """The pose by vision, moved to an epoch's time."""
     if not np.isfinite(sample.r_ned_m).all():
         return None
-    late_s = (graph.node.t_us - sample.t_us) * 1e-6
     r_m = sample.r_ned_m
     if sample.v_ned_mps is not None:
-        r_m = r_m + sample.v_ned_mps * late_s
+        r_m = r_m + sample.v_ned_mps * (t_us - sample.t_us) * 1e-6
     return gtsam.Pose3(gtsam.Rot3(matrix_from_quat(sample.q_nb)), r_m)
-
-
-def _vision(graph: Graph, before: Any, now: Any, config: FusionConfig) -> bool:
-    """Vision as odometry: its own origin and north drop out between two epochs."""
-    if before is None or now is None or not graph.inertial:
-        return False
-    epoch = graph.node.epoch
-    sigmas = np.array([config.vision_rad] * 3 + [config.vision_m] * 3)
-    noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-    moved = before.between(now)
-    graph.attach(
-        "vision", gtsam.BetweenFactorPose3(key("x", epoch - 1), key("x", epoch), moved, noise)
-    )
-    return True
-
-
-def _fix(graph: Graph, sample: GpsFix, config: FusionConfig) -> bool:
-    """A receiver's own solution, where there are no raw ranges."""
-    measured, _ = measure(sample)
-    if measured is None:
-        return False
-    epoch, axes = graph.node.epoch, measured.axes
-    to_local = graph.frame.axes @ axes.T
-    spread = config.correlation**2 * to_local @ np.diag(measured.variance_m2) @ to_local.T
-    gaussian = gtsam.noiseModel.Gaussian.Covariance
-    r_m = graph.frame.local(measured.r_ecef_m)
-    graph.attach("gps-position", gtsam.GPSFactor(key("x", epoch), r_m, gaussian(spread)))
-    if measured.v_ned_mps is not None and np.isfinite(measured.v_ned_mps).all():
-        noise = gtsam.noiseModel.Isotropic.Sigma(3, config.gps_mps)
-        velocity = to_local @ measured.v_ned_mps
-        graph.attach("gps-velocity", gtsam.PriorFactorPoint3(key("v", epoch), velocity, noise))
-    return True

@@ -1,43 +1,42 @@
 """The fusion step: samples and the detector's verdicts in, a fused state per GNSS epoch out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
 
+import msgspec
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import Core
-from analysis.fdi.measure import observe
-from analysis.fdi.motion import Segment, keep_pending, segment, split_pending
-from analysis.fdi.ranges import FREE_CLOCK_M
-from analysis.fdi.state import Motion, Pending
+from analysis.fdi.inertial import X_ISB
+from analysis.fdi.measure import choose, observe
+from analysis.fdi.motion import Segment
+from analysis.fdi.state import Motion
+from analysis.fusion.beginning import (
+    Beginning,
+    at_filter,
+    at_node,
+    attitude_in,
+    navigation_state,
+)
 from analysis.fusion.config import FusionConfig
-from analysis.fusion.factors import Ranges
-from analysis.fusion.graph import Graph, clock_of
-from analysis.fusion.inertia import imagine, preintegrate
-from analysis.fusion.other import WAITING, attach_others
+from analysis.fusion.edge import Edge, between
+from analysis.fusion.gnc import outliers
+from analysis.fusion.graph import Attitude, Graph
+from analysis.fusion.other import WAITING, Others
+from analysis.fusion.ranges import Ranges
+from analysis.fusion.said import fused_state, gap
+from analysis.fusion.state import FusionState, Good, Now
 from analysis.fusion.weights import isolated_sensors, range_weights
-from analysis.gnss import LIGHT_MPS
-from analysis.results import Decision, FusedState, Result
-from analysis.samples import Epoch, ImuSample, Sample, Vector
-from simvehicle.rotation import quat_from_matrix
+from analysis.results import Decision, FusedState, Result, SensorDecision
+from analysis.samples import Epoch, ImuSample, Sample
 
 LOOSE_M = 10.0  # a start less sure than this takes the epoch's own ranges in
-NOTHING: Vector = np.empty(0)
-
-
-@dataclass(frozen=True, slots=True)
-class FusionState:
-    """IMU samples and others that wait for the next epoch, the graph (which changes in place),
-    satellites left out at the last epoch, the last result and how often the graph began."""
-
-    pending: Pending | None = None
-    waiting: dict[str, Sample] = field(default_factory=dict)
-    graph: Graph | None = None
-    excluded: frozenset[str] = frozenset()
-    last: FusedState | None = None
-    vision: Any = None
+LOST_RAD = 0.1  # an attitude as sure as this needs no help from the detector
+SUSPECT = 0.5  # of the threshold: above it the IMU is suspicious, and taken back if it is isolated
+SKY_US = 2_000_000  # satellites move little meanwhile
+JUMP_S = 1.0  # how far a clock may leap where the detector says that it did
+FAILURES = (RuntimeError, ValueError, IndexError)  # what GTSAM and numpy raise
 
 
 @dataclass(frozen=True)
@@ -46,6 +45,7 @@ class Fusion:
 
     config: FusionConfig = field(default_factory=FusionConfig)
     detector: DetectorConfig = field(default_factory=DetectorConfig)
+    name: str = "fused"
 
     def new_state(self) -> FusionState:
         """Nothing known."""
@@ -64,185 +64,249 @@ class Fusion:
         core : Core
             The detector's state after it: where the graph begins, and the orbits in use.
         state : FusionState
+            Changed in place.
         """
         if type(sample) is ImuSample:
-            return [], self._with_imu(sample, core, state)
-        kind = WAITING.get(type(sample))
-        if kind is not None:
-            state = replace(state, waiting={**state.waiting, kind: sample})
+            if core.imu_id is None or core.imu_id == sample.id:
+                self._hear(sample, state)
+            return [], state
         decision = next((result for result in results if isinstance(result, Decision)), None)
-        if decision is None or (state.graph and decision.t_us <= state.graph.node.t_us):
+        graph, source = state.graph, WAITING.get(type(sample))
+        if graph is not None and sample.t_us < graph.node.t_us:
+            self._take_late(graph, sample, source, core, state)
             return [], state
+        if source is not None:
+            state.waiting[source] = sample
+        if decision is None or (graph is not None and decision.t_us <= graph.node.t_us):
+            return [], state
+        now = Now(sample, decision, results, core)
         try:
-            return self._epoch(sample, decision, results, core, state)
-        except (RuntimeError, ValueError, IndexError) as error:
-            return self._failed(str(error).strip().splitlines()[0], decision, core, state)
-
-    def _with_imu(self, sample: ImuSample, core: Core, state: FusionState) -> FusionState:
-        pending = state.pending
-        if core.imu_id not in (None, sample.id):
-            return state
-        if pending is not None and sample.t_us <= pending.sample.t_us:
-            return state
-        return replace(state, pending=keep_pending(sample, pending))
-
-    def _epoch(
-        self,
-        sample: Sample,
-        decision: Decision,
-        results: Sequence[Result],
-        core: Core,
-        state: FusionState,
-    ) -> tuple[list[Result], FusionState]:
-        motion = core.motion if core.motion and core.motion.t_us == decision.t_us else None
-        weights = range_weights(decision, self.config)
-        ranges = self._ranges(sample, motion, core)
-        run, pending = split_pending(state.pending, decision.t_us)
-        state = replace(state, pending=pending)
-        graph, used = state.graph, {}
-        if graph is not None and self._must_restart(graph, decision, motion):
-            graph = None
-        isolated = isolated_sensors(results, self.config)
-        if graph is None:
-            if motion is None:
-                return [], state
-            graph = Graph(motion, self.config, self.detector)
-            used["imu"] = float(motion.inertial)
-            if state.graph is not None:
-                graph.slow_m2 = state.graph.slow_m2
-            if ranges and np.sqrt(motion.p[0, 0]) > LOOSE_M:
-                used |= self._attach(graph, ranges, weights)
-            state = replace(state, graph=graph, vision=None)
-        else:
-            used["imu"] = self._extend(graph, decision, motion, run, isolated)
-            if ranges:
-                used |= self._attach(graph, ranges, weights)
-            vision, others = attach_others(
-                graph, decision, state.waiting, state.vision, isolated, self.config
-            )
-            used |= others
-            state = replace(state, vision=vision)
-        graph.commit()
-        excluded = frozenset(decision.excluded) if self.config.decide else frozenset()
-        onsets = {
-            name: core.excluded[name].onset_us
-            for name in excluded - state.excluded
-            if name in core.excluded
-        }
-        graph.remove(onsets)
-        used |= dict.fromkeys(excluded, 0.0)
-        said = fused_state(graph, used, "the graph began" if graph.node.epoch == 0 else "")
-        return [said], replace(state, waiting={}, excluded=excluded, last=said)
-
-    def _must_restart(self, graph: Graph, decision: Decision, motion: Motion | None) -> bool:
-        """Where the detector began anew, or found or lost its attitude; after a long silence."""
-        silent_s = (decision.t_us - graph.node.t_us) * 1e-6
-        if decision.mode == "start" or silent_s > self.detector.reset_s:
-            return True
-        return motion is not None and motion.inertial != graph.inertial
-
-    def _ranges(self, sample: Sample, motion: Motion | None, core: Core) -> Ranges | None:
-        if not isinstance(sample, Epoch) or motion is None or core.chosen is None:
-            return None
-        observed = observe(sample, core.chosen)
-        if observed is None:
-            return None
-        return Ranges(observed, motion.x, core.ionosphere, self.config, self.detector)
-
-    def _attach(self, graph: Graph, ranges: Ranges, weights: dict[str, float]) -> dict[str, float]:
-        made = ranges.factors(graph.node.epoch, graph.frame, weights)
-        for name, factors in made.items():
-            graph.attach(name, *factors)
-        slow = ranges.slow_covariance(weights)
-        if slow is not None:
-            graph.slow_m2 = slow
-        return {name: weights[name] for name in made}
-
-    def _extend(
-        self,
-        graph: Graph,
-        decision: Decision,
-        motion: Motion | None,
-        run: list[ImuSample],
-        isolated: set[str],
-    ) -> float:
-        """The next epoch, by the IMU if it is there and sound; its weight."""
-        node = graph.node
-        part: Segment = segment(run, Motion(node.t_us, NOTHING, NOTHING), decision.t_us)
-        sound = graph.inertial and part.heard and part.gap_s <= self.detector.gap_s
-        noise = self.detector.noise
-        if sound and "imu" not in isolated:
-            r_m = node.pose.translation()
-            moved = preintegrate(part.samples, node.bias, graph.frame, r_m, noise)
-        else:
-            sound = False
-            dt_s = (decision.t_us - node.t_us) * 1e-6
-            moved = imagine(dt_s, node.bias, graph.frame, noise)
-        clock = clock_of(motion) if motion is not None else None
-        jumped = FREE_CLOCK_M / LIGHT_MPS if decision.hypothesis == "clock" else 0.0
-        graph.extend(decision.t_us, moved, clock, jumped)
-        return float(sound)
-
-    def _failed(
-        self, why: str, decision: Decision, core: Core, state: FusionState
-    ) -> tuple[list[Result], FusionState]:
-        """Report it and begin anew where the detector is; else stay silent until it knows."""
-        reason = f"the graph failed ({why}) and began anew"
-        state = replace(state, graph=None, waiting={}, vision=None, excluded=frozenset())
-        motion = core.motion
-        if motion is not None and motion.t_us == decision.t_us:
-            try:
-                graph = Graph(motion, self.config, self.detector)
-                graph.commit()
-                said = fused_state(graph, {}, reason)
-            except (RuntimeError, ValueError, IndexError):
-                pass  # the next epoch tries again
-            else:
-                return [said], replace(state, graph=graph, last=said)
-        if state.last is None:
+            said = self._epoch(now, state)
+        except FAILURES as error:
+            said = self._again(now, state, _first_line(error))
+        if said is None:
             return [], state
-        last = state.last
-        return [
-            FusedState(
-                t_s=decision.t_us * 1e-6,
-                t_us=decision.t_us,
-                position_ecef_m=last.position_ecef_m,
-                velocity_ned_mps=last.velocity_ned_mps,
-                q_nb=last.q_nb,
-                position_sigma_m=last.position_sigma_m,
-                velocity_sigma_mps=last.velocity_sigma_mps,
-                attitude_sigma_deg=last.attitude_sigma_deg,
-                reason=f"the graph failed ({why}); this is the last good state",
-            )
-        ], state
+        state.last = said = msgspec.structs.replace(said, name=self.name)
+        return [said], state
+
+    def _epoch(self, now: Now, state: FusionState) -> FusedState | None:
+        """The next epoch of the graph, or the first of a new one."""
+        graph, t_us = state.graph, now.decision.t_us
+        state.run = []
+        while state.imu and state.imu[0].t_us <= t_us:
+            state.run.append(state.imu.popleft())
+        if graph is not None and not self._must_restart(graph, now.decision):
+            return self._go_on(graph, now, state)
+        motion = now.motion
+        if motion is None:
+            return None
+        state.notes.append("the graph began")
+        return self._begin(motion, now, state)
+
+    def _must_restart(self, graph: Graph, decision: Decision) -> bool:
+        """Where the detector began anew, and after a long silence."""
+        silent_s = (decision.t_us - graph.node.t_us) * 1e-6
+        return decision.mode == "start" or silent_s > self.detector.reset_s
+
+    def _begin(self, motion: Motion, now: Now, state: FusionState) -> FusedState:
+        """A new graph where the detector is."""
+        graph = self._new(at_filter(motion, self.config.correlation), state)
+        used = {"imu": float(motion.inertial)}
+        if np.sqrt(motion.p[0, 0]) > LOOSE_M:
+            used |= self._attach_ranges(graph, now, state)
+        return self._done(graph, used, now, state)
+
+    def _new(self, beginning: Beginning, state: FusionState) -> Graph:
+        before = state.graph
+        graph = state.graph = Graph(beginning, self.config, self.detector)
+        state.others = Others(graph, self.config)
+        state.lost = False
+        if before is not None:
+            graph.slow_m2 = before.slow_m2
+        return graph
+
+    def _go_on(self, graph: Graph, now: Now, state: FusionState) -> FusedState:
+        """One epoch more on a graph."""
+        isolated = frozenset(isolated_sensors(now.results, self.config))
+        attitude = self._watch_imu(graph, now, isolated, state)
+        t_us, node = now.decision.t_us, graph.node
+        part = self._heard(node.t_us, now, state)
+        silent = part.gap_s > self.detector.gap_s  # what is missing may still come
+        trusted = silent or not ("imu" in isolated or state.lost)
+        jumped_s = JUMP_S if now.decision.hypothesis == "clock" else 0.0
+        edge = Edge(node.epoch, part, trusted, jumped_s)
+        sound = graph.extend(t_us, edge, attitude)
+        state.lost = state.lost or (graph.aligned and not sound and attitude is None)
+        used = {"imu": float(sound)} | self._attach_ranges(graph, now, state)
+        assert state.others is not None
+        for source, sample in state.waiting.items():
+            out = source in isolated
+            share = 0.0 if out else state.others.attach(sample, now.decision)
+            if share is not None:
+                used[source] = share
+        state.isolated = isolated
+        return self._done(graph, used, now, state)
+
+    @staticmethod
+    def _heard(since_us: int, now: Now, state: FusionState) -> Segment:
+        """The IMU since the last epoch: the detector has mostly put it together already."""
+        record = now.record
+        before = record.core.motion if record is not None else None
+        if record is not None and before is not None and before.t_us == since_us:
+            return record.part
+        return between(state.run, since_us, now.decision.t_us)
+
+    def _done(
+        self, graph: Graph, used: dict[str, float], now: Now, state: FusionState
+    ) -> FusedState:
+        """Take back what was found faulty since the last epoch, solve, and say it."""
+        excluded = frozenset(now.decision.excluded) if self.config.decide else frozenset()
+        for name in excluded - state.excluded:
+            if name in now.core.excluded:
+                graph.remove(name, now.core.excluded[name].onset_us)
+        graph.commit()
+        if self.config.robust == "gnc":
+            self._drop_outliers(graph)
+        state.excluded = excluded
+        state.good = Good(graph.frame, graph.node, graph.covariance, graph.aligned)
+        said = fused_state(graph, used | dict.fromkeys(excluded, 0.0), "; ".join(state.notes))
+        state.waiting, state.notes = {}, []
+        return said
+
+    @staticmethod
+    def _drop_outliers(graph: Graph) -> None:
+        known = [at.ranges.satellites for at in graph.epochs.values() if at.ranges]
+        found = outliers(graph.window, frozenset(name for names in known for name in names))
+        for name, epoch in found:
+            graph.window.take_back(name, epoch)
+        if found:
+            graph.commit()
+
+    def _watch_imu(
+        self, graph: Graph, now: Now, isolated: frozenset[str], state: FusionState
+    ) -> Attitude | None:
+        """Take the IMU back to where it became suspicious when it is isolated.
+
+        After it was missed the graph goes on without it until its own attitude or the detector's
+        is good enough again; the latter is given back where it is better.
+        """
+        node = graph.node
+        tests = [r for r in now.results if isinstance(r, SensorDecision) and r.sensor == "imu"]
+        for said in tests:
+            limit = SUSPECT * (said.threshold or 0.0)
+            calm = said.statistic is None or said.statistic <= limit
+            since_us = node.t_us if state.suspect_us is None else state.suspect_us
+            state.suspect_us = None if calm else since_us
+        if "imu" in isolated:
+            if "imu" not in state.isolated and state.suspect_us is not None:
+                graph.distrust(state.suspect_us)
+            return None
+        motion = now.motion
+        if motion is None or not motion.inertial:
+            if state.lost and np.trace(graph.covariance[:3, :3]) < 3.0 * LOST_RAD**2:
+                state.lost = False
+            return None
+        if graph.aligned and not state.lost:
+            return None
+        state.lost = False
+        rotation, p = attitude_in(graph.frame, motion)
+        if graph.aligned and np.trace(p) >= np.trace(graph.covariance[:3, :3]):
+            return None
+        return rotation, p
+
+    def _attach_ranges(self, graph: Graph, now: Now, state: FusionState) -> dict[str, float]:
+        """The epoch's own ranges; the weights of those used."""
+        if not isinstance(now.sample, Epoch) or now.motion is None or now.core.chosen is None:
+            return {}
+        record = now.record
+        observed = record.observed if record else observe(now.sample, now.core.chosen)
+        if observed is None:
+            return {}
+        core, config = now.core, self.config
+        ranges = Ranges(observed, now.motion.x, core.ionosphere, config, self.detector)
+        weights = range_weights(now.decision, config)
+        names = graph.attach_ranges(graph.node.epoch, ranges, weights)
+        sky = (*names, now.decision.t_us // SKY_US)
+        if sky != state.sky:
+            slow = ranges.slow_covariance(weights)
+            if slow is not None:
+                graph.slow_m2, state.sky = slow, sky
+        return {name: weights[name] for name in names}
+
+    def _hear(self, sample: ImuSample, state: FusionState) -> None:
+        if state.graph is not None and sample.t_us <= state.graph.node.t_us:
+            state.graph.hear_late(sample)
+        elif not state.imu or sample.t_us > state.imu[-1].t_us:
+            state.imu.append(sample)
+        else:
+            known = {other.t_us: other for other in (sample, *state.imu)}
+            state.imu.clear()
+            state.imu.extend(known[t_us] for t_us in sorted(known))
+
+    def _take_late(
+        self, graph: Graph, sample: Sample, source: str | None, core: Core, state: FusionState
+    ) -> None:
+        """Put a sample from before the newest epoch where it belongs."""
+        try:
+            if isinstance(sample, Epoch):
+                self._late_epoch(graph, sample, core, state)
+            elif source is not None and source not in state.isolated and state.others is not None:
+                state.others.attach(sample, None)
+        except FAILURES as error:
+            self._from_good(state)
+            state.notes.append(f"the graph failed ({_first_line(error)}) and began anew")
+
+    def _late_epoch(self, graph: Graph, sample: Epoch, core: Core, state: FusionState) -> None:
+        """Ranges that came late: the detector cannot test them, so their own residuals weigh."""
+        chosen = choose(sample, core.ephemerides)
+        observed = observe(sample, chosen)
+        if observed is None or core.motion is None:
+            return
+        node = graph.insert_late(sample.t_us)
+        if node is None:
+            return
+        x = navigation_state(graph.frame, node, core.motion.x[X_ISB])
+        ranges = Ranges(observed, x, core.ionosphere, self.config, self.detector)
+        weights = ranges.own_weights(state.excluded)
+        graph.attach_ranges(node.epoch, ranges, weights)
+        graph.commit()
+        late_s = (graph.node.t_us - sample.t_us) * 1e-6
+        state.notes.append(f"an epoch came {late_s:.2f} s late and was put in")
+
+    def _from_good(self, state: FusionState) -> Graph | None:
+        """A new graph at the last good state, None without any."""
+        good = state.good
+        if good is None:
+            state.graph = None
+            return None
+        where = at_node(good.frame, good.node, good.covariance, good.aligned)
+        return self._new(where, state)
+
+    def _again(self, now: Now, state: FusionState, why: str) -> FusedState | None:
+        """After a failure: on from the last good state; if that fails too, from the detector's;
+        else the gap is told and the next epoch tries again."""
+        for begin in (self._again_from_good, self._again_from_detector):
+            state.notes = [f"the graph failed ({why}) and began anew"]
+            try:
+                said = begin(now, state)
+            except FAILURES:
+                continue
+            if said is not None:
+                return said
+        state.graph, state.notes = None, []
+        return gap(state.last, now.decision.t_us, why) if state.last is not None else None
+
+    def _again_from_good(self, now: Now, state: FusionState) -> FusedState | None:
+        good = state.good
+        if good is None or (now.decision.t_us - good.node.t_us) * 1e-6 > self.detector.reset_s:
+            return None
+        graph = self._from_good(state)
+        return self._go_on(graph, now, state) if graph is not None else None
+
+    def _again_from_detector(self, now: Now, state: FusionState) -> FusedState | None:
+        motion = now.motion
+        return self._begin(motion, now, state) if motion is not None else None
 
 
-def fused_state(graph: Graph, weights: dict[str, float], reason: str) -> FusedState:
-    """The newest epoch in words; sigmas of position and velocity north, east, down, those of
-    attitude about the body's axes."""
-    node = graph.node
-    r_m = node.pose.translation()
-    rot = node.pose.rotation().matrix()
-    to_ned = graph.frame.ned_from_local(r_m)
-    pose, velocity = graph.covariances()
-    body = to_ned @ rot
-    to_ned_ecef = to_ned @ graph.frame.axes
-    position = body @ pose[3:, 3:] @ body.T + to_ned_ecef @ graph.slow_m2 @ to_ned_ecef.T
-    speed = to_ned @ velocity @ to_ned.T
-    turn = np.degrees(np.sqrt(np.diag(pose)[:3]))
-    return FusedState(
-        t_s=node.t_us * 1e-6,
-        t_us=node.t_us,
-        position_ecef_m=_triple(graph.frame.ecef(r_m)),
-        velocity_ned_mps=_triple(to_ned @ node.velocity),
-        q_nb=tuple(quat_from_matrix(body).tolist()),
-        position_sigma_m=_triple(np.sqrt(np.diag(position))),
-        velocity_sigma_mps=_triple(np.sqrt(np.diag(speed))),
-        attitude_sigma_deg=_triple(turn),
-        weights=weights,
-        reason=reason,
-    )
-
-
-def _triple(values: Vector) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])
+def _first_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0]

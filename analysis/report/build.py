@@ -7,8 +7,9 @@ from typing import Any
 from analysis.report.derive import with_derived
 from analysis.report.from_results import recording_of_results
 from analysis.report.from_tlog import recording_of
+from analysis.report.fused_table import fused_table
 from analysis.report.page import SENSOR_LIMIT, Page, html
-from analysis.report.panels import DETECTION
+from analysis.report.panels import DETECTION, FUSION
 from analysis.report.recording import Recording, joined
 from analysis.report.tables import facts, matrix_table, run_tables
 from analysis.results import Result
@@ -54,6 +55,9 @@ def write(
     matrix = matrix_table(labels, results)
     if matrix is not None:
         tables.append((DETECTION, matrix))
+    fused = fused_table(together)
+    if fused is not None:
+        tables.append((FUSION, fused))
     page = Page(title, str(summary.get("verdict", "")), facts(summary), tables, SENSOR_LIMIT)
     path = out / "report.html"
     path.write_text(html(page, together), encoding="utf-8")

@@ -18,6 +18,10 @@ PASS, WARN, FAIL, NONE = "PASS", "WARN", "FAIL", "not judged"
 RANK = {NONE: 0, PASS: 1, WARN: 2, FAIL: 3}
 FEWEST = 5  # samples below which a curve bears no verdict
 LONG_GAP_S = 5.0
+FORMAL = {  # checks that may pass without a flight
+    "log is whole", "messages of the autopilot", "system status of the autopilot",
+    "GPS jamming indicator",
+}  # fmt: skip
 
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
@@ -55,9 +59,18 @@ class Limits:
 
 
 def verdict_of(checks: Sequence[Check]) -> str:
-    """The worst of all; NO VERDICT if none of them could judge."""
+    """The worst of all; NO VERDICT if nothing measured in flight could be judged.
+
+    A log that is whole, or a link without losses, says nothing about the flight.
+    """
     worst = max((check.verdict for check in checks), key=RANK.__getitem__, default=NONE)
+    if worst == PASS and all(_formal(check) for check in checks if check.verdict == PASS):
+        worst = NONE
     return "NO VERDICT" if worst == NONE else worst
+
+
+def _formal(check: Check) -> bool:
+    return check.name in FORMAL or check.name.startswith("link from")
 
 
 def held(t_s: Vector, beyond: NDArray[np.bool_], hold_s: float) -> list[tuple[float, float]]:

@@ -46,11 +46,10 @@ def euler(part: int) -> Callable[[Rows], Values]:
     """Roll (0), pitch (1) or yaw (2) in degrees of a quaternion message."""
 
     def values(rows: Rows) -> Values:
-        q = (
-            rows["attitude_quaternion"].T
-            if "attitude_quaternion" in (rows.dtype.names or ())
-            else np.stack([rows[name] for name in ("q1", "q2", "q3", "q4")])
+        vector = next(
+            (n for n in ("attitude_quaternion", "q") if n in (rows.dtype.names or ())), ""
         )
+        q = rows[vector].T if vector else np.stack([rows[n] for n in ("q1", "q2", "q3", "q4")])
         return euler_deg(q.astype(float))[part]
 
     return values
@@ -94,6 +93,12 @@ CURVES: tuple[Curve, ...] = (
     ("ATTITUDE", "roll", "ATTITUDE", degrees("roll")),
     ("ATTITUDE", "pitch", "ATTITUDE", degrees("pitch")),
     ("ATTITUDE", "yaw", "ATTITUDE", heading("yaw")),
+    ("ATTITUDE_QUATERNION", "roll", "ATTITUDE_QUATERNION", euler(0)),
+    ("ATTITUDE_QUATERNION", "pitch", "ATTITUDE_QUATERNION", euler(1)),
+    ("ATTITUDE_QUATERNION", "yaw", "ATTITUDE_QUATERNION", euler(2)),
+    ("ATTITUDE_TARGET", "roll", "desired", euler(0)),
+    ("ATTITUDE_TARGET", "pitch", "desired", euler(1)),
+    ("ATTITUDE_TARGET", "yaw", "desired", euler(2)),
     ("AHRS2", "roll", "AHRS2", degrees("roll")),
     ("AHRS2", "pitch", "AHRS2", degrees("pitch")),
     ("AHRS2", "yaw", "AHRS2", heading("yaw")),

@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from analysis.report.fusion import fused_errors
 from analysis.report.recording import Event, Recording, Signal, Track, Vector
 
 EARTH_RADIUS_M = 6_371_000.0
+OWN_ATTITUDE = ("ATTITUDE", "ATTITUDE_QUATERNION")
 LONG_STEP_S = 3.0  # fixes further apart than this say nothing about a jump
 ACCEPTED_M = 5.0  # an estimate that moves so far between two samples was reset
 
@@ -34,6 +36,7 @@ def derived(recording: Recording) -> tuple[list[Signal], list[Event]]:
         if not is_gps:
             events.extend(_resets(track, step))
     signals.extend(_position_errors(recording))
+    signals.extend(fused_errors(recording))
     signals.extend(_attitude_errors(recording))
     return signals, events
 
@@ -95,17 +98,23 @@ def _position_errors(recording: Recording) -> list[Signal]:
 
 
 def _attitude_errors(recording: Recording) -> list[Signal]:
-    """The autopilot's estimate minus the truth, wrapped to (-180, 180]."""
+    """The autopilot's estimate minus the truth, and minus what its controller asked for."""
     found = []
     for part in ("roll", "pitch", "yaw"):
         curves = {signal.name: signal for signal in recording.of(part)}
-        if "truth" not in curves or "ATTITUDE" not in curves:
+        own = next((curves[name] for name in OWN_ATTITUDE if name in curves), None)
+        if own is None:
             continue
-        truth, own = curves["truth"], curves["ATTITUDE"]
-        inside = (own.t_s >= truth.t_s[0]) & (own.t_s <= truth.t_s[-1])
-        t_s = own.t_s[inside]
-        true = np.interp(t_s, truth.t_s, np.unwrap(truth.value, period=360))
-        error = 180 - (180 - (own.value[inside] - true)) % 360
-        if len(t_s) > 1:
-            found.append(Signal(f"error-{part}", "autopilot", t_s, error))
-    return found
+        if "truth" in curves:
+            found.append(_difference(f"error-{part}", "autopilot", own, curves["truth"]))
+        if "desired" in curves and part != "yaw":
+            found.append(_difference("control-error", part, own, curves["desired"]))
+    return [signal for signal in found if len(signal.t_s) > 1]
+
+
+def _difference(panel: str, name: str, own: Signal, other: Signal) -> Signal:
+    """One angle minus another where both are known, degrees wrapped to (-180, 180]."""
+    inside = (own.t_s >= other.t_s[0]) & (own.t_s <= other.t_s[-1])
+    t_s = own.t_s[inside]
+    there = np.interp(t_s, other.t_s, np.unwrap(other.value, period=360))
+    return Signal(panel, name, t_s, 180 - (180 - (own.value[inside] - there)) % 360)

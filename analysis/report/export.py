@@ -14,14 +14,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.from_dataflash import is_dataflash
+from analysis.dataflash import is_dataflash, read_dataflash
 from analysis.results import encode, read_results
 from analysis.ulog import is_ulog, read_ulog
-from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.wire import tlog
 
 Table = dict[str, NDArray[Any]]
-TIMES = ("t_us", "timestamp")
+TIMES = ("t_us", "timestamp", "TimeUS")
 
 
 def export(paths: Sequence[Path], folder: Path, form: str) -> None:
@@ -59,7 +58,9 @@ def tables_of(path: Path, *, with_results: bool = True) -> Iterator[tuple[str, T
     with path.open("rb") as file:
         head = file.read(16)
     if is_dataflash(head):
-        raise ConfigError(f"{path}: dataflash logs are not exported; export takes tlogs and ULogs")
+        for (name, instance), topic in read_dataflash(path).topics.items():
+            yield f"{name}_{instance}", topic
+        return
     if is_ulog(head):
         for (name, instance), topic in read_ulog(path).topics.items():
             yield f"{name}_{instance}", dict(topic)

@@ -19,7 +19,7 @@ from analysis.report.checks import (
     armed_windows,
     level,
 )
-from analysis.report.recording import Recording, Signal
+from analysis.report.recording import Event, Recording, Signal
 from analysis.report.thresholds import Thresholds
 
 ALARMING = re.compile(
@@ -29,6 +29,8 @@ ALARMING = re.compile(
     re.IGNORECASE,
 )
 FIX_2D = 2
+NOTICE = 5  # severity of what is no error
+MOST_LOST = 0.9  # beyond, the sequence numbers of several links stand in one log
 FEWEST_FRAMES = 500  # of a sender, for its losses to be judged
 GRAVE = re.compile(r"crash|emergency|parachute|terminat|failsafe", re.IGNORECASE)
 
@@ -52,9 +54,10 @@ def flight_checks(recording: Recording, thresholds: Thresholds) -> list[Check]:
 
 
 def _body(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
-    """Vibration, compass and power."""
+    """Vibration, control, compass and power."""
     of, hold = recording.of, th.hold_s
     shaking = th.vibration_px4_mps2 if recording.autopilot == "px4" else th.vibration_ardupilot_mps2
+    control = Limits(*th.attitude_control_deg, "deg", hold_s=hold)
     compass = Limits(*th.compass_change_percent, "% off its median", hold_s=hold)
     remaining = Limits(*th.battery_remaining_percent, "%", below=True, hold_s=hold)
     powered = [s for s in of("board-voltage") if s.value.max(initial=0) > 0]
@@ -62,6 +65,7 @@ def _body(recording: Recording, th: Thresholds, armed: Windows | None) -> list[C
     return [
         level("vibration", of("vibration"), Limits(*shaking, "m/s²", hold_s=hold), armed),
         _clipping(recording, th, armed),
+        level("attitude control", _sizes(of("control-error")), control, armed),
         level("compass field strength", _compass(recording), compass, armed),
         level("battery remaining", of("battery-remaining"), remaining, armed),
         level("board voltage", powered, voltage, armed),
@@ -119,15 +123,19 @@ def _links(recording: Recording, th: Thresholds) -> list[Check]:
     for link in recording.links:
         if link.frames < FEWEST_FRAMES or link.system not in vehicles:
             continue
-        percent = 100 * link.lost / (link.frames + link.lost)
+        share = link.lost / (link.frames + link.lost)
+        percent = 100 * share
         bad = percent > lost.fail or link.longest_gap_s > silent.fail
         doubtful = percent > lost.warn or link.longest_gap_s > silent.warn
+        mixed = share > MOST_LOST
         name = f"link from {link.system}/{link.component}"
         checks.append(
             Check(
                 name=f"{name} in {link.log}" if link.log else name,
-                verdict=FAIL if bad else WARN if doubtful else PASS,
-                evidence=f"{link.lost} of {link.frames + link.lost} frames lost ({percent:.2g} %), "
+                verdict=NONE if mixed else FAIL if bad else WARN if doubtful else PASS,
+                evidence="sequence numbers of several links in one log, losses cannot be counted"
+                if mixed
+                else f"{link.lost} of {link.frames + link.lost} frames lost ({percent:.2g} %), "
                 f"longest silence {link.longest_gap_s:.1f} s",
                 limit=f"{lost.text()}; silence: {silent.text()}",
                 panel="link-lost",
@@ -187,16 +195,26 @@ def _tilt_errors(recording: Recording) -> list[Signal]:
         for signal in recording.of(panel):
             if signal.name == "autopilot":
                 name = panel.removeprefix("error-")
-                found.append(Signal(panel, name, signal.t_s, np.abs(signal.value)))
+                found += _sizes([Signal(panel, name, signal.t_s, signal.value)])
     return found
 
 
+def _sizes(signals: Sequence[Signal]) -> list[Signal]:
+    return [Signal(s.panel, s.name, s.t_s, np.abs(s.value)) for s in signals]
+
+
+def _alarming(event: Event) -> bool:
+    if event.kind == "error":
+        return event.severity < NOTICE
+    return bool(ALARMING.search(event.text))
+
+
 def _texts(recording: Recording, armed: Windows | None) -> Check:
-    texts = [event for event in recording.events if event.kind == "text"]
+    texts = [event for event in recording.events if event.kind in ("text", "error")]
     name = "messages of the autopilot"
     if not texts:
         return Check(name=name, verdict=NONE, evidence="no messages in the log")
-    loud = [event for event in texts if ALARMING.search(event.text)]
+    loud = [event for event in texts if _alarming(event)]
     if not loud:
         return Check(name=name, verdict=PASS, evidence=f"{len(texts)} messages, none alarming")
     grave = any(GRAVE.search(event.text) and _within(event.t_s, armed) for event in loud)
@@ -214,6 +232,8 @@ def _texts(recording: Recording, armed: Windows | None) -> Check:
 def _flags(recording: Recording, armed: Windows | None) -> Check:
     """Flags by which the autopilot itself says that something is wrong."""
     name = "flags of the autopilot"
+    if armed == []:
+        return Check(name=name, verdict=NONE, evidence="never armed")
     spans = [s for s in recording.spans if s.kind == "flag"]
     spans = [s for s in spans if _within(s.start_s, armed) or _within(s.end_s, armed)]
     if not spans:
@@ -235,6 +255,8 @@ def _status(recording: Recording, armed: Windows | None) -> Check:
     name = "system status of the autopilot"
     if not any(span.lane.startswith("mode") for span in recording.spans):
         return Check(name=name, verdict=NONE, evidence="no heartbeats in the log")
+    if armed == []:
+        return Check(name=name, verdict=NONE, evidence="never armed")
     spans = [s for s in recording.spans if s.lane.startswith("system status")]
     spans = [s for s in spans if _within(s.start_s, armed) or _within(s.end_s, armed)]
     limit = "warn: CRITICAL while armed; fail: EMERGENCY"

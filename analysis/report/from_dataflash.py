@@ -1,160 +1,139 @@
-"""An ArduPilot dataflash log (.bin) to a `Recording`, read by pymavlink.
+"""An ArduPilot dataflash log to a `Recording`.
 
-Messages and fields as ArduPilot's log reference names them; times from `TimeUS`.
+Messages and fields as ArduPilot's log reference names them (old logs: as they were named then).
 """
 
-from collections import defaultdict
-from pathlib import Path
-from typing import Any
-
 import numpy as np
+from numpy.typing import NDArray
 
-from analysis.report.modes import ARDUPILOT, mode_name
-from analysis.report.recording import Event, Recording, Signal, Span, Track
-from mavproxy_fault.errors import ConfigError
+from analysis.dataflash import DataflashFile, Topic
+from analysis.report.dataflash_curves import CURVES
+from analysis.report.modes import ARDUPILOT, ERRORS, EVENTS, FIXED_WING, ROVERS, mode_name
+from analysis.report.recording import Event, Recording, Signal, Span, Track, Vector, runs
 
-MAGIC = b"\xa3\x95"
 ARMED, DISARMED = 10, 11  # EV.Id
-
-# message, field, panel, name, scale
-CURVES: tuple[tuple[str, str, str, str, float], ...] = (
-    ("ATT", "Roll", "roll", "ATTITUDE", 1.0),
-    ("ATT", "DesRoll", "roll", "desired", 1.0),
-    ("ATT", "Pitch", "pitch", "ATTITUDE", 1.0),
-    ("ATT", "DesPitch", "pitch", "desired", 1.0),
-    ("ATT", "Yaw", "yaw", "ATTITUDE", 1.0),
-    ("GPS", "Alt", "altitude", "GPS", 1.0),
-    ("GPS", "Spd", "speed", "GPS", 1.0),
-    ("GPS", "NSats", "gps-satellites", "GPS", 1.0),
-    ("GPS", "Status", "gps-fix", "GPS", 1.0),
-    ("GPS", "HDop", "gps-dilution", "hdop", 1.0),
-    ("POS", "Alt", "altitude", "estimate", 1.0),
-    ("POS", "RelHomeAlt", "height", "estimate", 1.0),
-    ("VIBE", "VibeX", "vibration", "x", 1.0),
-    ("VIBE", "VibeY", "vibration", "y", 1.0),
-    ("VIBE", "VibeZ", "vibration", "z", 1.0),
-    ("VIBE", "Clip", "clipping", "accelerometer", 1.0),
-    ("VIBE", "Clip0", "clipping", "accelerometer 1", 1.0),
-    ("IMU", "AccX", "accel", "x", 1.0),
-    ("IMU", "AccY", "accel", "y", 1.0),
-    ("IMU", "AccZ", "accel", "z", 1.0),
-    ("IMU", "GyrX", "gyro", "x", 1.0),
-    ("IMU", "GyrY", "gyro", "y", 1.0),
-    ("IMU", "GyrZ", "gyro", "z", 1.0),
-    ("BARO", "Press", "baro", "barometer", 0.01),
-    ("BAT", "Volt", "battery-voltage", "battery", 1.0),
-    ("BAT", "Curr", "battery-current", "battery", 1.0),
-    ("BAT", "RemPct", "battery-remaining", "battery", 1.0),
-    ("POWR", "Vcc", "board-voltage", "Vcc", 1.0),
-    ("XKF4", "SV", "variance", "velocity", 1.0),
-    ("XKF4", "SP", "variance", "horizontal position", 1.0),
-    ("XKF4", "SH", "variance", "vertical position", 1.0),
-    ("XKF4", "SM", "variance", "compass", 1.0),
-    ("NKF4", "SV", "variance", "velocity", 1.0),
-    ("NKF4", "SP", "variance", "horizontal position", 1.0),
-    ("XKF3", "IVN", "innovation", "velocity north, m/s", 1.0),
-    ("XKF3", "IPN", "innovation", "position north, m", 1.0),
-    ("CTUN", "ThO", "throttle", "throttle", 100.0),
-)
-WANTED = {row[0] for row in CURVES} | {"MAG", "MODE", "MSG", "EV", "PARM", "ERR"}
+COPTER = 2  # MAV_TYPE of a quadrotor
+NOT_YET = 3  # severity of an error
+TIMEOUTS = {0: "position timeout", 1: "velocity timeout", 2: "height timeout", 3: "compass timeout"}
+ESTIMATORS = ("XKF4", "NKF4", "EKF4")
 
 
-def is_dataflash(head: bytes) -> bool:
-    """Whether a file that begins with these bytes is a dataflash log."""
-    return head.startswith(MAGIC)
-
-
-def recording_of_dataflash(path: Path, name: str, t0_us: int | None = None) -> Recording:
-    """Everything of a dataflash log that a report shows.
-
-    Raises
-    ------
-    ConfigError
-        If nothing in the file can be read.
-    """
-    rows = _rows(path)
-    stamped = [row["TimeUS"] for some in rows.values() for row in some if "TimeUS" in row]
-    if not stamped:
-        raise ConfigError(f"{path}: the dataflash log holds no message a report can show")
-    start_us = min(stamped) if t0_us is None else t0_us
-    return _recording(name, rows, start_us, (max(stamped) - start_us) * 1e-6)
-
-
-def _rows(path: Path) -> dict[str, list[dict[str, Any]]]:
-    """Every message wanted, by kind."""
-    from pymavlink.DFReader import DFReader_binary
-
-    rows: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    reader = DFReader_binary.__new__(DFReader_binary)  # apart, to close its file if it fails
-    try:
-        reader.__init__(str(path), zero_time_base=True)
-        while (message := reader.recv_match(type=WANTED)) is not None:
-            rows[message.get_type()].append(message.to_dict())
-    except Exception as error:  # pymavlink raises whatever its struct and index code does
-        if not rows:
-            raise ConfigError(f"{path}: not a readable dataflash log ({error})") from error
-    finally:
-        reader.filehandle.close()
-    return rows
-
-
-def _recording(
-    name: str, rows: dict[str, list[dict[str, Any]]], start_us: int, duration_s: float
-) -> Recording:
-    found = Recording(name, "ardupilot", start_us, duration_s)
-    for kind, field, panel, label, scale in CURVES:
-        some = [row for row in rows.get(kind, ()) if row.get("I", row.get("C", 0)) == 0]
-        if some and field in some[0]:
-            t_s = np.array([(row["TimeUS"] - start_us) * 1e-6 for row in some])
-            value = np.array([float(row[field]) * scale for row in some])
-            found.signals.append(Signal(panel, label, t_s, value))
-    _add_compass(found, rows.get("MAG", []), start_us)
-    for kind, label in (("GPS", "GPS"), ("POS", "estimate")):
-        some = [r for r in rows.get(kind, ()) if r["Lat"] != 0 and r.get("I", 0) == 0]
-        if len(some) > 1:
-            t_s = np.array([(row["TimeUS"] - start_us) * 1e-6 for row in some])
-            columns = [np.array([float(row[key]) for row in some]) for key in ("Lat", "Lng", "Alt")]
-            found.tracks.append(Track(label, t_s, *columns))
-    _add_events(found, rows, start_us)
+def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = None) -> Recording:
+    """Everything of a dataflash log that a report shows; `t0_us` or its beginning is zero."""
+    start_us = log.start_us if t0_us is None else t0_us
+    found = Recording(name, "ardupilot", start_us, (log.end_us - start_us) * 1e-6)
+    for (kind, instance), topic in sorted(log.topics.items()):
+        t_s = _seconds(topic, start_us)
+        suffix = f" {instance + 1}" if instance else ""
+        for message, panel, label, values, every in CURVES:
+            if message == kind and (every or instance == 0):
+                y = values(topic)
+                if y is not None and np.isfinite(y).any():
+                    found.signals.append(Signal(panel, label + suffix, t_s, y))
+        found.tracks.extend(_tracks(kind, suffix, topic, t_s))
+    _add_modes(found, log, start_us)
+    _add_armed(found, log, start_us)
+    _add_timeouts(found, log, start_us)
+    _add_said(found, log, start_us)
+    _add_parameters(found, log, start_us)
+    found.events.sort(key=lambda event: event.t_s)
+    if log.damaged:
+        found.notes.append("parts of the file are damaged and were passed over")
+    if log.left_out:
+        found.notes.append(
+            f"the file is large: its last {log.left_out / 1e6:.0f} MB were not read, the report "
+            "covers the beginning"
+        )
     return found
 
 
-def _add_compass(found: Recording, rows: list[dict[str, Any]], start_us: int) -> None:
-    for instance in sorted({row.get("I", 0) for row in rows}):
-        some = [row for row in rows if row.get("I", 0) == instance]
-        t_s = np.array([(row["TimeUS"] - start_us) * 1e-6 for row in some])
-        field = np.array([[row["MagX"], row["MagY"], row["MagZ"]] for row in some], float)
-        strength = np.linalg.norm(field, axis=1) * 1e-3
-        found.signals.append(Signal("mag", f"compass {instance + 1}", t_s, strength))
+def _seconds(topic: Topic, start_us: int) -> Vector:
+    return np.asarray((topic["TimeUS"] - start_us) * 1e-6, float)
 
 
-def _add_events(found: Recording, rows: dict[str, list[dict[str, Any]]], start_us: int) -> None:
-    def seconds(row: dict[str, Any]) -> float:
-        return float(row["TimeUS"] - start_us) * 1e-6
+def _text(value: object) -> str:
+    return value.decode("utf-8", "replace").strip() if isinstance(value, bytes) else str(value)
 
-    vehicle = 1 if any("ArduPlane" in str(row["Message"]) for row in rows.get("MSG", ())) else 2
-    modes = rows.get("MODE", [])
-    for row, after in zip(modes, [*modes[1:], None], strict=True):
-        text = mode_name(ARDUPILOT, vehicle, int(row.get("ModeNum", 0)))
-        end = found.duration_s if after is None else seconds(after)
-        found.spans.append(Span("mode", seconds(row), end, text, "mode"))
-        found.events.append(Event(seconds(row), "mode", f"mode {text}"))
-    armed_s: float | None = None
-    for row in rows.get("EV", []):
-        if row["Id"] == ARMED:
-            armed_s = seconds(row)
-        if row["Id"] == DISARMED and armed_s is not None:
-            found.spans.append(Span("armed", armed_s, seconds(row), "armed", "mode"))
-            armed_s = None
-    if armed_s is not None:
-        found.spans.append(Span("armed", armed_s, found.duration_s, "armed", "mode"))
-    for row in rows.get("MSG", []):
-        found.events.append(Event(seconds(row), "text", str(row["Message"])))
-    for row in rows.get("ERR", []):
-        text = f"error of subsystem {row['Subsys']}, code {row['ECode']}"
-        found.events.append(Event(seconds(row), "error", text, 3))
-    for row in rows.get("PARM", []):
-        history = found.parameters.setdefault(str(row["Name"]), [])
-        if not history or history[-1][1] != float(row["Value"]):
-            history.append((seconds(row), float(row["Value"])))
-    found.events.sort(key=lambda event: event.t_s)
+
+def _tracks(kind: str, suffix: str, topic: Topic, t_s: Vector) -> list[Track]:
+    label = {"GPS": "GPS", "POS": "estimate"}.get(kind)
+    if label is None or not {"Lat", "Lng", "Alt"} <= topic.keys():
+        return []
+    keep = topic["Lat"] != 0
+    if keep.sum() < 2:
+        return []
+    columns = [topic[key][keep].astype(float) for key in ("Lat", "Lng", "Alt")]
+    return [Track(label + suffix, t_s[keep], *columns)]
+
+
+def _add_modes(found: Recording, log: DataflashFile, start_us: int) -> None:
+    topic = log.topics.get(("MODE", 0))
+    if topic is None:
+        return
+    said = " ".join(_text(text) for text in log.topics.get(("MSG", 0), {}).get("Message", [])[:20])
+    vehicle = FIXED_WING if "Plane" in said else ROVERS[0] if "Rover" in said else COPTER
+    t_s = [*_seconds(topic, start_us).tolist(), found.duration_s]
+    numbers = topic.get("ModeNum", topic.get("Mode", np.empty(0)))
+    for i, number in enumerate(numbers.tolist()):
+        text = mode_name(ARDUPILOT, vehicle, int(number))
+        found.spans.append(Span("mode", t_s[i], t_s[i + 1], text, "mode"))
+        found.events.append(Event(t_s[i], "mode", f"mode {text}"))
+
+
+def _add_armed(found: Recording, log: DataflashFile, start_us: int) -> None:
+    """Stretches between arming and disarming; a log may begin or end in flight."""
+    topic = log.topics.get(("EV", 0))
+    if topic is None:
+        return
+    since: float | None = None
+    first = True
+    for t_s, number in zip(_seconds(topic, start_us).tolist(), topic["Id"].tolist(), strict=True):
+        if number in EVENTS:
+            found.events.append(Event(t_s, "mode", EVENTS[number]))
+        if number == ARMED and since is None:
+            since = t_s
+        if number == DISARMED and (since is not None or first):
+            found.spans.append(Span("armed", since or 0.0, t_s, "armed", "mode"))
+            since = None
+        first &= number not in (ARMED, DISARMED)
+    if since is not None:
+        found.spans.append(Span("armed", since, found.duration_s, "armed", "mode"))
+
+
+def _add_timeouts(found: Recording, log: DataflashFile, start_us: int) -> None:
+    """Sensors that the estimator says it has not used for too long."""
+    topic = next((t for k in ESTIMATORS if (t := log.topics.get((k, 0))) and "TS" in t), None)
+    if topic is None:
+        return
+    t_s = _seconds(topic, start_us)
+    flags: NDArray[np.int64] = topic["TS"].astype(np.int64)
+    for bit, text in TIMEOUTS.items():
+        for begin, end in runs(flags >> bit & 1 == 1):
+            lane = f"estimator: {text}"
+            stop = float(t_s[min(end, len(t_s) - 1)])
+            found.spans.append(Span(lane, float(t_s[begin]), stop, text, "flag"))
+            found.events.append(Event(float(t_s[begin]), "flag", f"{lane} raised", 4))
+
+
+def _add_said(found: Recording, log: DataflashFile, start_us: int) -> None:
+    """Texts and errors."""
+    if (topic := log.topics.get(("MSG", 0))) is not None:
+        for t_s, text in zip(_seconds(topic, start_us).tolist(), topic["Message"], strict=True):
+            found.events.append(Event(t_s, "text", _text(text)))
+    if (topic := log.topics.get(("ERR", 0))) is not None:
+        rows = zip(_seconds(topic, start_us).tolist(), topic["Subsys"], topic["ECode"], strict=True)
+        for t_s, subsystem, code in rows:
+            name = ERRORS.get(int(subsystem), f"subsystem {subsystem}")
+            text = f"{name}: error {code}" if code else f"{name}: resolved"
+            found.events.append(Event(t_s, "error", text, NOT_YET if code else 6))
+
+
+def _add_parameters(found: Recording, log: DataflashFile, start_us: int) -> None:
+    topic = log.topics.get(("PARM", 0))
+    if topic is None:
+        return
+    rows = zip(_seconds(topic, start_us).tolist(), topic["Name"], topic["Value"], strict=True)
+    for t_s, name, value in rows:
+        history = found.parameters.setdefault(_text(name), [])
+        if not history or history[-1][1] != float(value):
+            history.append((t_s, float(value)))

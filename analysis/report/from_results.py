@@ -28,7 +28,7 @@ def recording_of_results(
         )
     points: Points = defaultdict(list)
     alarms: dict[str, list[tuple[float, bool, str]]] = defaultdict(list)
-    fused: list[tuple[float, tuple[float, float, float]]] = []
+    fused: dict[str, list[tuple[float, tuple[float, float, float]]]] = defaultdict(list)
     solved: list[tuple[float, tuple[float, float, float]]] = []
     excluded: dict[str, list[float]] = defaultdict(list)
     epochs: list[float] = []
@@ -53,12 +53,13 @@ def recording_of_results(
                 points[f"error-{part}", result.estimator].append((t_s, getattr(result, part)))
         else:
             _fused(result, t_s, points)
-            fused.append((t_s, result.position_ecef_m))
+            fused[result.name].append((t_s, result.position_ecef_m))
+            found.events.extend(_restarted(result, t_s))
     found.signals.extend(_signal(panel, name, rows) for (panel, name), rows in points.items())
     for lane, rows in alarms.items():
         found.spans.extend(_alarm_spans(lane, rows))
     found.spans.extend(_excluded_spans(excluded, epochs))
-    for name, track in (("GNSS solution", solved), ("fused", fused)):
+    for name, track in (("GNSS solution", solved), *fused.items()):
         if len(track) > 1:
             found.tracks.append(_track(name, track))
     return found
@@ -100,8 +101,17 @@ def _decision(decision: Decision, t_s: float, points: Points) -> None:
 
 
 def _fused(state: FusedState, t_s: float, points: Points) -> None:
+    if state.name != "fused":
+        return
     for axis, sigma in zip(("north", "east", "down"), state.position_sigma_m, strict=True):
         points["fused-sigma", axis].append((t_s, sigma))
+    for source, weight in state.weights.items():
+        points["fused-weight", source].append((t_s, weight))
+
+
+def _restarted(state: FusedState, t_s: float) -> list[Event]:
+    """What the fused solution says of itself: that it began, failed, or took late data."""
+    return [Event(t_s, "fusion", f"{state.name}: {state.reason}", 4)] if state.reason else []
 
 
 def _signal(panel: str, name: str, rows: list[tuple[float, float]]) -> Signal:

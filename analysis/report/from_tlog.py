@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from analysis.report.clock import Clock, clock_of
 from analysis.report.curves import CURVES
+from analysis.report.link import link_quality
 from analysis.report.modes import (
     ARDUPILOT,
     EKF_ARDUPILOT_GLITCH,
@@ -16,7 +17,7 @@ from analysis.report.modes import (
     STATES,
     mode_name,
 )
-from analysis.report.recording import Event, LinkQuality, Recording, Signal, Span, Track, runs
+from analysis.report.recording import Event, Recording, Signal, Span, Track, runs
 from mavproxy_fault.wire.tlog import Columns
 
 GROUND_STATION = 6  # MAV_TYPE_GCS
@@ -58,7 +59,7 @@ def recording_of(
     *,
     name: str = "",
     t0_us: int | None = None,
-    frames: Mapping[str, NDArray[np.void]] | None = None,
+    links: Mapping[str, NDArray[np.void]] | None = None,
 ) -> Recording:
     """Everything of the vehicles in a log that a report shows.
 
@@ -68,8 +69,8 @@ def recording_of(
         As `mavproxy_fault.wire.tlog.read_columns` gives them (several logs: `merged`).
     t0_us : int, optional
         The vehicle's time that is zero on the axis (a label's `t0_us`); the start by default.
-    frames : dict of structured arrays, optional
-        By log name all its frames (`Log.frames`), for the link quality.
+    links : dict of structured arrays, optional
+        By log name how its frames came (`link.stretches`).
     """
     systems = vehicle_systems(columns)
     found = Recording(name)
@@ -83,7 +84,9 @@ def recording_of(
         vehicles.append(_Vehicle(system, own, clock, suffix, *_kind(own)))
     for vehicle in vehicles:
         _add_vehicle(found, vehicle)
-    _add_links(found, frames or {}, vehicles[0].clock)
+    quality, losses = link_quality(links or {}, vehicles[0].clock)
+    found.links.extend(quality)
+    found.signals.extend(losses)
     autopilot = {PX4: "px4", ARDUPILOT: "ardupilot"}.get(vehicles[0].autopilot, "")
     ends = [signal.t_s[-1] for signal in found.signals if len(signal.t_s)]
     found.events.sort(key=lambda event: event.t_s)
@@ -237,33 +240,3 @@ def _add_parameters(found: Recording, vehicle: _Vehicle) -> None:
         history = found.parameters.setdefault(name + vehicle.suffix, [])
         if not history or history[-1][1] != value:
             history.append((float(t_s[i]), value))
-
-
-def _add_links(found: Recording, logs: Mapping[str, NDArray[np.void]], clock: Clock) -> None:
-    """Losses of each sender by the sequence numbers of its frames (modulo 256)."""
-    for log, frames in logs.items():
-        sender = frames["system"].astype(np.int32) << 8 | frames["component"]
-        for key in np.unique(sender).tolist():
-            rows = frames[sender == key]
-            if len(rows) < 2:
-                continue
-            steps = np.diff(rows["seq"].astype(np.int16)) % 256
-            lost = np.where(steps == 0, 0, steps - 1)
-            gaps = np.diff(rows["t_us"]) * 1e-6
-            quality = LinkQuality(
-                log, key >> 8, key & 255, len(rows), int(lost.sum()), float(gaps.max())
-            )
-            found.links.append(quality)
-            if len(rows) >= 100 and lost.any():
-                t_s = clock.at(rows["t_us"][1:])
-                found.signals.append(_loss(f"{key >> 8}/{key & 255} {log}".strip(), t_s, lost))
-
-
-def _loss(name: str, t_s: NDArray[np.float64], lost: NDArray[np.int16]) -> Signal:
-    """Percentage of frames lost in each of up to 500 equal stretches."""
-    edges = np.linspace(t_s.min(), t_s.max() + 1e-6, min(500, max(2, len(t_s) // 20)) + 1)
-    came = np.histogram(t_s, edges)[0].astype(float)
-    gone = np.histogram(t_s, edges, weights=lost)[0]
-    with np.errstate(invalid="ignore"):
-        share = 100 * gone / (came + gone)
-    return Signal("link-lost", name, (edges[:-1] + edges[1:]) / 2, share)

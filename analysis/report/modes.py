@@ -28,6 +28,20 @@ ROVER = {
     0: "MANUAL", 1: "ACRO", 3: "STEERING", 4: "HOLD", 5: "LOITER", 6: "FOLLOW", 7: "SIMPLE",
     10: "AUTO", 11: "RTL", 12: "SMART_RTL", 15: "GUIDED",
 }  # fmt: skip
+# ArduPilot's LogErrorSubsystem and some of its LogEvent.
+ERRORS = {
+    1: "main", 2: "radio", 3: "compass", 5: "radio failsafe", 6: "battery failsafe",
+    7: "GPS failsafe", 8: "ground station failsafe", 9: "fence failsafe", 10: "flight mode",
+    11: "GPS", 12: "crash check", 13: "flip", 15: "parachute", 16: "EKF check",
+    17: "EKF failsafe", 18: "barometer", 19: "processor", 20: "ADS-B failsafe", 21: "terrain",
+    22: "navigation", 23: "terrain failsafe", 24: "EKF primary", 25: "thrust loss check",
+    26: "sensor failsafe", 27: "leak failsafe", 29: "vibration failsafe", 30: "internal error",
+    31: "dead reckoning failsafe",
+}  # fmt: skip
+EVENTS = {
+    10: "armed", 11: "disarmed", 18: "landed", 19: "lost GPS", 28: "took off",
+    54: "motors emergency stopped",
+}  # fmt: skip
 ARDUPILOT, PX4 = 3, 12
 FIXED_WING, ROVERS = 1, (10, 11)
 VTOLS = range(19, 26)

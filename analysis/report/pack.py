@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.report.recording import Vector
+from analysis.report.thin import extremes
 
 LONGEST = 100_000  # samples of one curve; beyond, each bucket keeps its extremes
 GAP_STEPS, LEAST_GAP_S = 10.0, 0.5  # a pause longer than both is a gap in a curve
@@ -74,14 +75,5 @@ def thinned(t_s: Vector, value: Vector, longest: int = LONGEST) -> tuple[Vector,
     n = len(t_s)
     if n <= longest:
         return t_s, value
-    buckets = longest // 2
-    size = -(-n // buckets)
-    whole = np.full(buckets * size, np.nan)
-    whole[:n] = value
-    table = whole.reshape(buckets, size)
-    some = np.isfinite(table).any(axis=1)
-    low = np.where(np.isfinite(table), table, np.inf).argmin(axis=1)
-    high = np.where(np.isfinite(table), table, -np.inf).argmax(axis=1)
-    starts = np.arange(buckets) * size
-    picked = np.unique(np.concatenate(((starts + low)[some], (starts + high)[some], [0, n - 1])))
+    picked = np.union1d(extremes(value, longest // 2), [0, n - 1])
     return t_s[picked], value[picked]

@@ -15,6 +15,7 @@ class Panel:
 
 
 DETECTION = "Fault detection"
+FUSION = "Fused solution"
 ATTITUDE = "Attitude"
 POSITION = "Position and speed"
 ESTIMATOR = "The autopilot's estimator"
@@ -30,7 +31,11 @@ PANELS = (
     Panel("fdi-normalised", DETECTION, "Residuals per satellite over their sigma", ""),
     Panel("fdi-sensor", DETECTION, "Sensor statistics over their thresholds", "", True),
     Panel("fdi-probability", DETECTION, "Probability of each hypothesis", ""),
-    Panel("fused-sigma", DETECTION, "Fused solution: position sigma", "m"),
+    Panel("fused-north", FUSION, "Position error north with three sigmas of the fused", "m"),
+    Panel("fused-east", FUSION, "Position error east with three sigmas of the fused", "m"),
+    Panel("fused-down", FUSION, "Position error down with three sigmas of the fused", "m"),
+    Panel("fused-sigma", FUSION, "Position sigma", "m"),
+    Panel("fused-weight", FUSION, "Weights of the sources in use", ""),
     Panel("error-angle", ATTITUDE, "Attitude error: total angle", "deg"),
     Panel("error-roll", ATTITUDE, "Attitude error: roll", "deg"),
     Panel("error-pitch", ATTITUDE, "Attitude error: pitch", "deg"),
@@ -68,6 +73,7 @@ PANELS = (
     Panel("load", POWER, "Processor load", "%"),
     Panel("link-lost", LINK, "Frames lost, by sequence numbers", "%"),
     Panel("radio", LINK, "Radio signal strength and noise", ""),
+    Panel("control-error", ACTUATORS, "Attitude: actual minus desired", "deg"),
     Panel("throttle", ACTUATORS, "Throttle", "%"),
     Panel("actuators", ACTUATORS, "Actuator outputs", ""),
 )

@@ -7,11 +7,13 @@ from typing import Any
 
 import msgspec
 
-from analysis.report.from_dataflash import is_dataflash, recording_of_dataflash
+from analysis.dataflash import is_dataflash, read_dataflash
+from analysis.report.from_dataflash import recording_of_dataflash
 from analysis.report.from_results import recording_of_results
 from analysis.report.from_tlog import merged, recording_of
 from analysis.report.from_ulog import recording_of_ulog
 from analysis.report.recording import Recording, joined
+from analysis.report.thin import contents
 from analysis.results import Result, decode, read_results
 from analysis.ulog import is_ulog, read_ulog
 from mavproxy_fault.errors import ConfigError
@@ -20,6 +22,10 @@ from mavproxy_fault.wire.label import Label, read_labels
 
 HEAD = 16
 MCAP_MAGIC = b"\x89MCAP0\r\n"
+THINNED = (
+    "{} is large ({:.0f} MB): of messages that come often, some rows are left out, none of them a "
+    "peak; percentiles lean to the extremes"
+)
 LEAST_SHARE = 0.01  # of a file that must be frames for it to count as a log
 
 
@@ -85,28 +91,29 @@ def read_flight(paths: Sequence[Path], labels: Sequence[Label]) -> Flight:
     if is_ulog(head):
         recording = recording_of_ulog(read_ulog(paths[0]), name, t0_us)
     elif is_dataflash(head):
-        recording = recording_of_dataflash(paths[0], name, t0_us)
+        recording = recording_of_dataflash(read_dataflash(paths[0]), name, t0_us)
     else:
         recording = _tlogs(paths, t0_us)
     return _with_labels(Flight(recording, tuple(paths), labels))
 
 
 def _tlogs(paths: Sequence[Path], t0_us: int | None) -> Recording:
-    logs = {path.name: tlog.read_log(path) for path in paths}
+    logs = {path.name: contents(path) for path in paths}
     for path in paths:
         log = logs[path.name]
-        if len(log.frames) == 0 or log.junk_bytes > (1 - LEAST_SHARE) * log.size:
+        if log.frames == 0 or log.junk_bytes > (1 - LEAST_SHARE) * log.size:
             raise ConfigError(
                 f"{path}: {log.size} bytes without MAVLink frames; give a tlog, a ULog or an "
                 "ArduPilot dataflash log"
             )
-    frames = {name if len(logs) > 1 else "": log.frames for name, log in logs.items()}
+    links = {name if len(logs) > 1 else "": log.links for name, log in logs.items()}
     columns = merged([log.columns for log in logs.values()])
     found = recording_of(
-        columns, name=" + ".join(Path(n).stem for n in logs), t0_us=t0_us, frames=frames
+        columns, name=" + ".join(Path(n).stem for n in logs), t0_us=t0_us, links=links
     )
-    unknown = sum(int((~log.frames["known"]).sum()) for log in logs.values())
+    unknown = sum(log.unknown for log in logs.values())
     notes = [f"{unknown} frames of messages the dialect does not know"] if unknown else []
+    notes += [THINNED.format(name, log.size / 1e6) for name, log in logs.items() if log.thinned]
     return replace(
         found,
         notes=found.notes + notes,

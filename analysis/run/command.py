@@ -16,6 +16,7 @@ from analysis.run.flight import Flight
 from analysis.run.setup import Setup, read_setup
 from analysis.run.worker import MonitorProcess
 from analysis.terminal import print_summary
+from mavproxy_fault.edits import JOIN, Journal
 from mavproxy_fault.links.bus import open_run_bus
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
@@ -48,14 +49,16 @@ def main(args: argparse.Namespace) -> int:
                 publisher.publish(results)
 
         flight = Flight(setup.scenario, setup.schedule)
+        journal = Journal(flight.core, flight.tape)
+        journal.note(JOIN, b"", journal.begin(flight.now_us))
         live = stack.enter_context(
-            contextlib.closing(Live(flight.control, lambda: flight.vehicle_us))
+            contextlib.closing(Live(flight.control, lambda: journal.begin(flight.now_us), journal))
         )
         if bus is not None:
             live.offer(bus)
         link = open_ground(args.gcs, pace)
         started_s = time.monotonic()
-        recorder = Recorder(folder, session(setup))
+        recorder = Recorder(folder, session(setup, flight))
         fly(flight, monitor, recorder, pace, take, link, live, together=args.ui)
         columns = read_columns(folder / "sent.tlog")  # while the monitor catches up
         take(monitor.results())
@@ -103,7 +106,7 @@ def fly(
                 if flight.t_us - recorded_us >= RECORD_US:
                     recorded_us = flight.t_us
                     labels = flight.take_labels()
-                    recorder.write(flight.tape, labels)
+                    recorder.write(flight.tape, labels, live.edits())
                     live.publish(flight.stats(), labels)
                     if together or ground is not None:
                         take(monitor.feed(b"", now=True))
@@ -120,9 +123,15 @@ def open_ground(spec: str, pace: Pace) -> Link | None:
     return open_link(spec, plain_udp="udpout")
 
 
-def session(setup: Setup) -> dict[str, Any]:
+def session(setup: Setup, flight: Flight) -> dict[str, Any]:
     """What a replay of the run needs to know."""
-    return {"scenario": setup.scenario.name, "seed": setup.schedule.seed}
+    links = [{"name": role.name, "direction": role.direction} for role in flight.core.links]
+    return {
+        "scenario": setup.scenario.name,
+        "seed": setup.schedule.seed,
+        "schedule": flight.engine.save(),
+        "links": links,
+    }
 
 
 def report(folder: Path, summary: dict[str, Any], columns: Columns) -> None:

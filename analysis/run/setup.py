@@ -7,6 +7,7 @@ import msgspec
 
 from analysis.criteria import Criteria
 from analysis.pipeline import MonitorConfig, monitor_config
+from mavproxy_fault.checked import Lines, read_yaml
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.schedule import Schedule, parse_schedule, read_schedule
 from simvehicle.scenario import Scenario, read_scenario
@@ -53,4 +54,14 @@ def _schedule(scenario: Scenario, path: str | None, other: str | None) -> Schedu
     if isinstance(section, str):
         return read_schedule(Path(path or ".").parent / section)
     data = section if isinstance(section, dict) else {"faults": section or []}
-    return parse_schedule({"seed": scenario.seed, **data}, path or "the demo scenario")
+    where = path or "the demo scenario"
+    return parse_schedule({"seed": scenario.seed, **data}, where, _lines(path, section))
+
+
+def _lines(path: str | None, section: object) -> Lines | None:
+    """The lines of the scenario's file on which the parts of its schedule stand."""
+    if path is None:
+        return None
+    _, lines = read_yaml(Path(path).read_text(encoding="utf-8"), path)
+    head = () if isinstance(section, dict) else ("faults",)
+    return {(*head, *at[1:]): line for at, line in lines.items() if at[:1] == ("schedule",)}

@@ -1,5 +1,6 @@
 """Evaluate points of a test's space: fly them all, draw their noise, score the estimator."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -12,19 +13,19 @@ from analysis.estimators.base import GRAVITY_MPS2, SEA_LEVEL_DENSITY_KGPM3
 from analysis.estimators.complementary import Mahony
 from analysis.estimators.ekf import Ekf
 from analysis.search import rows
-from analysis.search.filter_lanes import EKF, MAHONY, Gains
+from analysis.search.filter_lanes import EKF, HEARD, LEVELLED, MAHONY, MEMORY, Gains
 from analysis.search.kernel import Plan, fly
 from analysis.search.lanes import Envelope
-from analysis.search.noise_kernel import generator_states
-from analysis.search.space import Space, flights_of, space_of
-from analysis.search.testfile import TestFile
+from analysis.search.noise_kernel import GENERATORS, streams
+from analysis.search.space import Space, fault_entries, flight_entries, flights_of, space_of
+from analysis.search.testfile import StateScales, TestFile
 from analysis.search.traced import Trace, estimated, traced, with_all_sensors
+from simvehicle.air import GUSTS
 from simvehicle.rotation import matrix_from_quat
 from simvehicle.vehicles.fixedwing import FixedWing
 
 Array = NDArray[np.float64]
 FIELD_HZ, VELOCITY_HZ, PRESSURE_HZ = 25.0, 5.0, 10.0
-MEMORY = 91  # length of the longest estimator state, the EKF's
 HEUN = 0
 COMPILED = {"inverse-model": HEUN, "complementary": MAHONY, "mahony": MAHONY, "ekf": EKF}
 
@@ -32,11 +33,12 @@ COMPILED = {"inverse-model": HEUN, "complementary": MAHONY, "mahony": MAHONY, "e
 class Outcome(NamedTuple):
     """What became of n evaluations.
 
-    `fitness` (n,) is the criterion in degrees, or, where the flight left the envelope, minus the
-    share of the time that was left (-1 to 0); `spread_deg` (n,) is its standard deviation over the
-    noise draws. `rmse_deg` and `largest_deg` (n, 4): roll, pitch, yaw, angle (0 unless the
-    criterion is the angle), means over the noise draws. `lasted_s` (n,); `left` (n,) numbers of
-    `rows.LIMITS`; `steps` that were flown and scored, all in all.
+    `fitness` (n,) is the criterion in degrees (without a unit by that of twelve states), or, where
+    the flight left the envelope, minus the share of the time that was left (-1 to 0); `spread_deg`
+    (n,) is its standard deviation over the noise draws. `rmse_deg` and `largest_deg` (n, 4): roll,
+    pitch, yaw, angle (in the kernels 0 unless the criterion is the angle), means over the noise
+    draws. `lasted_s` (n,); `left` (n,) numbers of `rows.LIMITS`; `steps` that were flown and
+    scored, all in all.
     """
 
     fitness: Array
@@ -63,7 +65,8 @@ class Batch:
     def space(self) -> Space:
         """What is searched."""
         speed = self.vehicle.parameters.cruise_mps
-        return space_of(self.test, self.vehicle.trim(speed, self.test.density_kgpm3, GRAVITY_MPS2))
+        trim = self.vehicle.trim(speed, self.test.density_kgpm3, GRAVITY_MPS2)
+        return space_of(flight_entries(self.test, trim) | fault_entries(self.test))
 
     @cached_property
     def plan(self) -> Plan:
@@ -76,24 +79,30 @@ class Batch:
         `first` is the number of the first evaluation: noise belongs to seed and number.
         """
         draws = self.test.noise_draws if draws is None else draws
-        return self.fly(flights_of(self.test, self.space.values(points)), seed, first, draws)
+        return self.of_values(self.space.values(points), seed, first, draws)
 
-    def fly(
-        self, flights: Array, seed: int, first: int, draws: int, alike: bool = False
+    def of_values(
+        self,
+        values: Mapping[str, Array],
+        seed: int,
+        first: int,
+        draws: int,
+        alike: bool = False,
     ) -> Outcome:
-        """Fly columns (ROWS, n), `draws` times each; with the same noise for all if `alike`.
+        """Fly values (n,) by name, `draws` times each; with the same noise for all if `alike`.
 
-        The noise does not move the aircraft: of many flights, those that leave the envelope are
-        flown only once.
+        Without gusts chance does not move the aircraft: of many flights, those that leave the
+        envelope are flown only once.
         """
+        flights = flights_of(self.test, values)
         count = flights.shape[1]
         numbers = first * draws + np.arange(count * draws).reshape(count, draws)
         if alike:
             numbers = np.broadcast_to(numbers[0], numbers.shape)
-        if count < 2 * rows.LANES or draws == 1:
+        if count < 2 * rows.LANES or draws == 1 or self.plan.gusts:
             columns = self._flown(np.repeat(flights, draws, axis=1), seed, numbers.ravel())
             columns = columns.reshape(rows.ROWS, count, draws)
-            return outcome_of(columns, self.plan)
+            return outcome_of(columns, self.test)
         once = self._flown(flights, seed, numbers[:, 0])
         columns = np.repeat(once[:, :, None], draws, axis=2)
         stays = once[rows.LEFT] == 0.0
@@ -101,15 +110,13 @@ class Batch:
             rest = np.repeat(flights[:, stays], draws - 1, axis=1)
             again = self._flown(rest, seed, numbers[stays, 1:].ravel())
             columns[:, stays, 1:] = again.reshape(rows.ROWS, -1, draws - 1)
-        return outcome_of(columns, self.plan)
+        return outcome_of(columns, self.test)
 
     def _flown(self, flights: Array, seed: int, numbers: NDArray[np.int64]) -> Array:
         """The columns as the kernel leaves them; `numbers` (n,) choose the noise."""
         columns = padded(flights)
-        unsigned = numbers.astype(np.uint64)
-        noise = np.ones((2, columns.shape[1]), dtype=np.uint64)
-        noise[0, : len(numbers)] = generator_states(seed, np.uint64(2) * unsigned)
-        noise[1, : len(numbers)] = generator_states(seed, np.uint64(2) * unsigned + np.uint64(1))
+        noise = np.ones((GENERATORS, columns.shape[1]), dtype=np.uint64)
+        noise[:, : len(numbers)] = streams(seed, numbers)
         memory = start_memory(self.test.estimator, columns)
         fly(columns, memory, noise, self.plan)
         if self.test.estimator not in COMPILED:
@@ -146,8 +153,13 @@ def plan_of(test: TestFile, vehicle: FixedWing) -> Plan:
         velocity_every=max(1, round(1.0 / VELOCITY_HZ / test.dt_s)),
         pressure_every=max(1, round(1.0 / PRESSURE_HZ / test.dt_s)),
         mission=test.mission is not None,
+        gusts=test.gusts != "none",
+        gust_sigma_mps=GUSTS[test.gusts].sigma_mps,
+        gust_length_m=GUSTS[test.gusts].length_m,
         slots=len(test.faults),
+        noisy=any(fault.fault == "noise" for fault in test.faults),
         angle=test.criterion == "angle",
+        state=test.criterion == "state",
         estimator=COMPILED.get(test.estimator, HEUN),
         gains=gains_of(test.estimator),
         sea_density_kgpm3=SEA_LEVEL_DENSITY_KGPM3,
@@ -161,7 +173,8 @@ def gains_of(name: str) -> Gains:
     """What the kernels of an estimator take, from its default parameters."""
     estimator = make(name)
     if isinstance(estimator, Mahony):
-        return (estimator.tilt_gain, estimator.heading_gain, estimator.bias_gain, 0.0, 0.0)
+        tilt, heading, bias = estimator.tilt_gain, estimator.heading_gain, estimator.bias_gain
+        return (tilt, heading, bias, 0.0, 0.0, 0.0, 0.0, 0.0)
     if isinstance(estimator, Ekf):
         return (
             estimator.gyro_density,
@@ -169,8 +182,11 @@ def gains_of(name: str) -> Gains:
             estimator.accel_density,
             estimator.velocity_sigma_mps**2,
             estimator.heading_sigma_rad**2,
+            estimator.gravity_sigma_mps2**2,
+            estimator.gravity_period_s,
+            estimator.gps_timeout_s,
         )
-    return (0.0, 0.0, 0.0, 0.0, 0.0)
+    return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def envelope_of(test: TestFile) -> Envelope:
@@ -202,8 +218,11 @@ def start_memory(name: str, columns: Array) -> Array:
     if COMPILED.get(name, HEUN) == HEUN:
         memory[:, 0] = 1.0
         return memory
-    x = make(name).start(Prior(0, np.array([1.0, 0.0, 0.0, 0.0]))).x
+    estimator = make(name)
+    x = estimator.start(Prior(0, np.array([1.0, 0.0, 0.0, 0.0]))).x
     memory[:, : len(x)] = x
+    if isinstance(estimator, Ekf):
+        memory[:, HEARD], memory[:, LEVELLED] = -estimator.gps_timeout_s, 0.0
     q = columns[rows.STATE + 6 : rows.STATE + 10]
     memory[:, :4] = q.T
     if COMPILED[name] == EKF:
@@ -217,22 +236,34 @@ def ned_velocity(q: Array, v_b_mps: Array) -> Array:
     return turned
 
 
-def outcome_of(columns: Array, plan: Plan) -> Outcome:
+def outcome_of(columns: Array, test: TestFile) -> Outcome:
     """Scores from the rows (ROWS, n, draws) that the kernel left."""
     count = columns[rows.COUNT]
-    squares = columns[rows.SQUARES : rows.SQUARES + 4]
-    rmse = np.degrees(np.sqrt(squares / np.maximum(count, 1.0)))
+    safe = np.maximum(count, 1.0)
+    rmse = np.degrees(np.sqrt(columns[rows.SQUARES : rows.SQUARES + 4] / safe))
     largest = np.degrees(columns[rows.LARGEST : rows.LARGEST + 4])
     left = columns[rows.LEFT].max(axis=1).astype(np.int64)
-    lasted = np.minimum(count.min(axis=1) / (plan.steps + 1), 1.0)
-    worst = rmse[3] if plan.angle else rmse[:3].max(axis=0)
+    lasted = np.minimum(count.min(axis=1) * test.dt_s / (test.duration_s + test.dt_s), 1.0)
+    state = columns[rows.STATE_SQUARES : rows.STATE_SQUARES + 12] / safe
+    worst = {
+        "euler": lambda: rmse[:3].max(axis=0),
+        "angle": lambda: rmse[3],
+        "state": lambda: np.sqrt((state / squares_of(test.state_scales)).mean(axis=0)),
+    }[test.criterion]()
     fitness = np.where(left > 0, lasted - 1.0, worst.mean(axis=1))
     return Outcome(
         np.nan_to_num(fitness, nan=-1.0),
         worst.std(axis=1),
         rmse.mean(axis=2).T,
         largest.mean(axis=2).T,
-        lasted * plan.steps * plan.dt_s,
+        lasted * test.duration_s,
         left,
         int(np.where(left > 0, count.max(axis=1), count.sum(axis=1)).sum()),
     )
+
+
+def squares_of(scales: StateScales) -> Array:
+    """The squares of the scales of twelve states (12, 1, 1) in SI units."""
+    angle, rate = np.radians([scales.angle_deg, scales.rate_dps])
+    each = [scales.position_m, scales.velocity_mps, float(angle), float(rate)]
+    return np.repeat(np.square(each), 3)[:, None, None]

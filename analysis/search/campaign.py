@@ -12,20 +12,24 @@ import numpy as np
 
 from analysis.search import rows
 from analysis.search.archive import Archive, Case
-from analysis.search.batch import Batch, Outcome
+from analysis.search.batch import Outcome
+from analysis.search.breakdown import breakdown
 from analysis.search.cases import (
     Totals,
     WorstCase,
     log_text,
-    quiet_outcome,
+    quiet_error,
     write_cases,
 )
+from analysis.search.evaluator import evaluator
 from analysis.search.history import RECORD, History
+from analysis.search.noise_kernel import seed_of
 from analysis.search.pool import Pool, pool_of
 from analysis.search.searchers import searcher
 from analysis.search.shrink import Errors, shrunk
 from analysis.search.testfile import TestFile, read_test
 from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.links.spec import parse_spec
 
 DEFAULT_BUDGET = 2000
 FRESH = 1_000_003  # added to the seed for noise that the search has not seen
@@ -66,6 +70,13 @@ def chosen(test: TestFile, args: argparse.Namespace) -> TestFile:
     }
     if changes.get("budget", 1) <= 0:
         raise ConfigError(f"--budget: {changes['budget']} is not positive; evaluations, 1 or more")
+    choice = test.autopilot
+    several = (getattr(args, "workers", None) or 1) > 1 or getattr(args, "ray", None) is not None
+    if choice is not None and several and parse_spec(choice.link).port != 0:
+        raise ConfigError(
+            f"autopilot.link: {choice.link} cannot be shared by several workers; port 0, with"
+            " {port} in autopilot.command"
+        )
     return msgspec.structs.replace(test, **changes)
 
 
@@ -105,7 +116,7 @@ def searched(
     progress: Progress | None,
 ) -> tuple[int, int]:
     """Ask, fly and tell until the budget or the time is used up; tests and steps made."""
-    dimension = Batch(test).space.dimension
+    dimension = evaluator(test).space.dimension
     budget = test.budget or (DEFAULT_BUDGET if test.time_s is None else 10**9)
     if dimension == 0:
         budget = 1
@@ -160,16 +171,19 @@ def rescored(test: TestFile, pool: Pool, cases: list[Case]) -> list[tuple[Case, 
 
 def finished(test: TestFile, case: Case, outcome: Outcome) -> WorstCase:
     """Values by name, the error without noise, and the smallest fault that still breaks."""
-    values = {k: float(v[0]) for k, v in Batch(test).space.values(case.point[None, :]).items()}
+    values = {k: float(v[0]) for k, v in evaluator(test).space.values(case.point[None, :]).items()}
     error = float(outcome.fitness[0])
+    number = case.number * test.rescore_draws
     worst = WorstCase(
         case.number,
         values,
         case.fitness,
         error,
         float(outcome.spread_deg[0] / np.sqrt(test.rescore_draws)),
-        float(quiet_outcome(test, values).fitness[0]),
+        quiet_error(test, values),
         tuple(outcome.rmse_deg[0].tolist()),
+        seed_of(test.seed + FRESH, number),
+        breakdown(test, values, test.seed + FRESH, number),
     )
     limit = test.breaks_at_deg if test.breaks_at_deg is not None else 0.5 * error
     if not test.faults or error < limit:

@@ -1,16 +1,18 @@
-"""The worst cases of a search as files: a log for people, and tests that fly each case again."""
+"""The worst cases of a search as files: a log for people, and scenarios that fly them again."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 import yaml
 
-from analysis.search.batch import Batch, Outcome, ned_velocity
+from analysis.search.batch import Batch, ned_velocity
+from analysis.search.document import document_of, faults_of
 from analysis.search.shrink import pinned
-from analysis.search.testfile import TestFile
+from analysis.search.testfile import AUTOPILOT, TestFile
+from simvehicle.rotation import quat_from_euler
 
 
 class WorstCase(NamedTuple):
@@ -18,7 +20,9 @@ class WorstCase(NamedTuple):
 
     `searched_deg` is what the search saw, `error_deg` the mean over fresh noise with its standard
     error `sigma_deg`, `quiet_deg` the error without any noise: the share of the estimator's own
-    integration and of the faults. `shrunk` are the values of the smallest fault, if there are any.
+    integration and of the faults (None where the simulator flies). `parts` are the scores of one
+    flight with the simulator's seed `run_seed`, as `breakdown` gives them. `shrunk` are the values
+    of the smallest fault, if there are any.
     """
 
     number: int
@@ -26,8 +30,10 @@ class WorstCase(NamedTuple):
     searched_deg: float
     error_deg: float
     sigma_deg: float
-    quiet_deg: float
+    quiet_deg: float | None
     rmse_deg: tuple[float, float, float, float]
+    run_seed: int
+    parts: dict[str, Any]
     shrunk: dict[str, float] | None = None
     shrunk_deg: float | None = None
 
@@ -43,22 +49,49 @@ class Totals(NamedTuple):
 
 
 def write_cases(folder: Path, test: TestFile, cases: Sequence[WorstCase]) -> list[Path]:
-    """`worst-01.yaml` and so on, and `worst-01-shrunk.yaml` where a smaller fault does it too."""
+    """Each case as a scenario for `run` and as a test for `search`, shrunk ones beside them.
+
+    `worst-01.yaml`, `worst-01-test.yaml`, `worst-01-shrunk.yaml`, `worst-01-shrunk-test.yaml`.
+    """
     paths = []
     for rank, case in enumerate(cases, 1):
         for suffix, values in (("", case.values), ("-shrunk", case.shrunk)):
-            if values is not None:
-                path = folder / f"worst-{rank:02}{suffix}.yaml"
-                path.write_text(yaml_of(pinned(test, values)))
+            if values is None:
+                continue
+            name = f"worst-{rank:02}{suffix}"
+            scenario = {**document_of(test, values, case.run_seed), "name": name}
+            for path, text in (
+                (folder / f"{name}.yaml", scenario_yaml(test, scenario)),
+                (folder / f"{name}-test.yaml", yaml_of(pinned(test, values))),
+            ):
+                path.write_text(text)
                 paths.append(path)
     return paths
 
 
+def scenario_yaml(test: TestFile, scenario: Mapping[str, Any]) -> str:
+    """A scenario file; what is left out (None) has its default."""
+    text = yaml.safe_dump(_given(scenario), sort_keys=False)
+    if test.estimator == AUTOPILOT:
+        return (
+            "# The autopilot is not in here; `search` flies the test beside it with one.\n" + text
+        )
+    return text
+
+
+def _given(node: Any) -> Any:
+    """A document without the entries that are None."""
+    if isinstance(node, Mapping):
+        return {key: _given(value) for key, value in node.items() if value is not None}
+    return [_given(item) for item in node] if isinstance(node, (list, tuple)) else node
+
+
 def yaml_of(test: TestFile) -> str:
     """A test file that reads back as `test`."""
-    plain = msgspec.to_builtins(test)
+    plain = _given(msgspec.to_builtins(test))
     for fault in plain["faults"]:
-        del fault["any_of"]
+        if "target" in fault:
+            del fault["any_of"]
     return yaml.safe_dump(plain, sort_keys=False)
 
 
@@ -79,30 +112,51 @@ def log_text(test: TestFile, cases: Sequence[WorstCase], totals: Totals) -> str:
     worst = cases[0]
     names = ("roll", "pitch", "yaw")
     rmse = ", ".join(f"{n} {v:.4g}" for n, v in zip(names, worst.rmse_deg[:3], strict=True))
+    unit = "" if test.criterion == "state" else " deg"
     lines += [
-        f"Greatest error            {worst.error_deg:.4g} deg (RMSE, mean of "
+        f"Greatest error            {worst.error_deg:.4g}{unit} (RMSE, mean of "
         f"{test.rescore_draws} fresh noise draws, standard error {worst.sigma_deg:.2g})",
         f"  by axis                 {rmse} deg",
-        f"  seen by the search      {worst.searched_deg:.4g} deg",
-        f"  without noise           {worst.quiet_deg:.4g} deg",
-        "",
-        *state_lines(test, worst.values),
+        f"  seen by the search      {worst.searched_deg:.4g}{unit}",
     ]
+    if worst.quiet_deg is not None:
+        lines.append(f"  without noise           {worst.quiet_deg:.4g}{unit}")
+    lines += [*part_lines(worst.parts), "", *state_lines(test, worst.values)]
     if worst.shrunk is not None and worst.shrunk_deg is not None:
-        lines += ["", f"Smallest fault found that still gives {worst.shrunk_deg:.4g} deg"]
+        lines += ["", f"Smallest fault found that still gives {worst.shrunk_deg:.4g}{unit}"]
         lines += fault_lines(test, worst.shrunk)
-    lines += ["", "Worst cases, each in a file of its own", "  rank    test  error/deg"]
+    lines += ["", "Worst cases, each in a file of its own", "  rank    test  error" + unit]
     lines += [f"  {i:4} {c.number:7}  {c.error_deg:9.4g}" for i, c in enumerate(cases, 1)]
     return "\n".join([*lines, ""])
 
 
+def part_lines(parts: Mapping[str, Any]) -> list[str]:
+    """One flight of the worst case: percentiles, errors by phase and by fault, twelve states."""
+    lines = []
+    if "angle_percentiles_deg" in parts:
+        shares = ", ".join(f"{p} % {v:.4g}" for p, v in parts["angle_percentiles_deg"].items())
+        lines.append(f"  angle, percentiles      {shares} deg")
+    for label, found in (("phase", parts.get("phases", {})), ("fault", parts.get("faults", {}))):
+        lines += [
+            f"  {label} {name:17} {scores['rmse_deg']['max']:.4g} deg, angle "
+            f"{scores['rmse_deg']['angle']:.4g} deg"
+            for name, scores in found.items()
+            if scores["samples"]
+        ]
+    if "state_rmse" in parts:
+        states = ", ".join(f"{name} {value:.3g}" for name, value in parts["state_rmse"].items())
+        lines.append(f"  all twelve states       {states}")
+    return lines
+
+
 def state_lines(test: TestFile, values: dict[str, float]) -> list[str]:
     """Initial position and velocities, controls, mission, wind, sensors and faults of a case."""
+    if test.scenario is not None:
+        varied = [f"{k.removeprefix('vary.'):40} {v:.6g}" for k, v in values.items() if "vary" in k]
+        return [*varied, *fault_lines(test, values)]
     height, rates = values["initial.height_m"], [values[f"initial.{n}_dps"] for n in "pqr"]
     body = [values[f"initial.{n}_mps"] for n in "uvw"]
     angles = [values[f"initial.{n}_deg"] for n in ("roll", "pitch", "yaw")]
-    from simvehicle.rotation import quat_from_euler
-
     q = quat_from_euler(*np.radians(angles))
     ned = ned_velocity(q[:, None], np.array(body)[:, None])[:, 0]
 
@@ -123,12 +177,13 @@ def state_lines(test: TestFile, values: dict[str, float]) -> list[str]:
     return lines + fault_lines(test, values)
 
 
-def fault_lines(test: TestFile, values: dict[str, float]) -> list[str]:
+def fault_lines(test: TestFile, values: Mapping[str, float]) -> list[str]:
     """One line a fault."""
     return [
-        f"Fault {i}: {f.fault} on {f.target}, value {f.value:.5g}, "
-        f"at {f.at_s:.3f} s for {min(f.for_s, test.duration_s):.3f} s"
-        for i, f in enumerate(pinned(test, values).faults)
+        f"Fault {i}: {f['fault']} on {f['target']}, "
+        + (f"value {f['value']:.5g}, " if "value" in f else "")
+        + f"at {f['at_s']:.3f} s for {min(f.get('for_s', np.inf), test.duration_s):.3f} s"
+        for i, f in enumerate(faults_of(test, values))
     ]
 
 
@@ -139,7 +194,9 @@ def quiet(test: TestFile) -> TestFile:
     return msgspec.structs.replace(test, sensors=sensors)
 
 
-def quiet_outcome(test: TestFile, values: dict[str, float]) -> Outcome:
-    """One case without noise."""
+def quiet_error(test: TestFile, values: Mapping[str, float]) -> float | None:
+    """The error of one case without noise; None where the simulator flies."""
+    if test.flown:
+        return None
     batch = Batch(quiet(pinned(test, values)))
-    return batch.evaluate(np.zeros((1, batch.space.dimension)), 0, 0, 1)
+    return float(batch.evaluate(np.zeros((1, batch.space.dimension)), 0, 0, 1).fitness[0])

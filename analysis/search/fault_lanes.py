@@ -5,12 +5,15 @@ from analysis.search.lanes import Buffer
 from simvehicle.compiled import compiled
 
 L = rows.LANES
-M = rows.MEASURED * L
+M, N = rows.MEASURED * L, rows.NOISE * L
 
 
 @compiled
 def break_signals(buf: Buffer, slot: int, first: int, last: int, t_s: float) -> None:
-    """Apply one fault slot to the channels `first` to `last` - 1, which have just been measured."""
+    """Apply one fault slot to the channels `first` to `last` - 1, which have just been measured.
+
+    The slot's number in NOISE is its own; a sample that never came is NaN.
+    """
     base = (rows.FAULTS + slot * rows.FAULT_ROWS) * L
     for channel in range(first, last):
         for lane in range(L):
@@ -23,7 +26,9 @@ def break_signals(buf: Buffer, slot: int, first: int, last: int, t_s: float) -> 
             held = healthy if mine & active & (held != held) else held  # NaN before the first
             buf[base + rows.HELD * L + lane] = held
             wrong = buf[base + rows.FACTOR * L + lane] * healthy + (
-                buf[base + rows.OFFSET * L + lane] + buf[base + rows.RATE * L + lane] * since
+                buf[base + rows.OFFSET * L + lane]
+                + buf[base + rows.RATE * L + lane] * since
+                + buf[base + rows.SPREAD * L + lane] * buf[N + slot * L + lane]
             )
             wrong = held if buf[base + rows.HOLD * L + lane] > 0.5 else wrong
             buf[at] = wrong if mine & active else healthy

@@ -15,8 +15,11 @@ L = rows.LANES
 M, Q = rows.MEASURED * L, rows.QUATERNION * L
 ALIVE = rows.ALIVE * L
 MAHONY, EKF = 1, 2  # kinds; 0 is the inverse sensor model
-Memory = NDArray[np.float64]  # (LANES, 91): the estimators' states x
-Gains = tuple[float, float, float, float, float]
+STATES = 91  # length of the longest estimator state x, the EKF's
+HEARD, LEVELLED, MEMORY = 91, 92, 93  # when GPS was last heard, and gravity used
+ROUNDING_S = 1e-9
+Memory = NDArray[np.float64]  # (LANES, MEMORY)
+Gains = tuple[float, float, float, float, float, float, float, float]
 
 
 @compiled
@@ -42,8 +45,8 @@ def predict(
                     x, gyro, accel, airspeed[lane], dt, gains[0], gains[2]
                 )
             else:
-                memory[lane] = ekf_kernel.predict(
-                    memory[lane], gyro, accel, dt, gains[0], gains[1], gains[2]
+                memory[lane, :STATES] = ekf_kernel.predict(
+                    memory[lane, :STATES], gyro, accel, dt, gains[0], gains[1], gains[2]
                 )
 
 
@@ -61,19 +64,40 @@ def head(
                     x, field, declination_rad, dt, gains[1], gains[2]
                 )
             else:
-                memory[lane] = ekf_kernel.head(memory[lane], field, declination_rad, gains[4])
+                memory[lane, :STATES] = ekf_kernel.head(
+                    memory[lane, :STATES], field, declination_rad, gains[4]
+                )
 
 
 @compiled
-def velocity(buf: Buffer, memory: Memory, gains: Gains, restart: bool) -> None:
-    """Every living lane's EKF after its GPS velocity."""
+def velocity(buf: Buffer, memory: Memory, gains: Gains, t_s: float) -> None:
+    """Every living lane's EKF after its GPS velocity; one that is NaN never came."""
     for lane in range(L):
-        if buf[ALIVE + lane] > 0.5:
-            seen = three(buf, M + 9 * L, lane)
-            if restart:
-                memory[lane] = ekf_kernel.restart_velocity(memory[lane], seen, gains[3])
+        seen = three(buf, M + 9 * L, lane)
+        if buf[ALIVE + lane] > 0.5 and seen[0] == seen[0]:
+            if t_s - memory[lane, HEARD] >= gains[7]:
+                memory[lane, :STATES] = ekf_kernel.restart_velocity(
+                    memory[lane, :STATES], seen, gains[3]
+                )
             else:
-                memory[lane] = ekf_kernel.correct_velocity(memory[lane], seen, gains[3])
+                memory[lane, :STATES] = ekf_kernel.correct_velocity(
+                    memory[lane, :STATES], seen, gains[3]
+                )
+            memory[lane, HEARD] = t_s
+
+
+@compiled
+def level(buf: Buffer, memory: Memory, airspeed: Buffer, gains: Gains, t_s: float) -> None:
+    """Gravity for every living lane's EKF that has been without GPS for long."""
+    for lane in range(L):
+        blind = t_s - memory[lane, HEARD] >= gains[7] - ROUNDING_S
+        due = t_s - memory[lane, LEVELLED] >= gains[6] - ROUNDING_S
+        if buf[ALIVE + lane] > 0.5 and blind and due:
+            gyro, accel = three(buf, M, lane), three(buf, M + 3 * L, lane)
+            memory[lane, :STATES] = ekf_kernel.level(
+                memory[lane, :STATES], gyro, accel, airspeed[lane], gains[5]
+            )
+            memory[lane, LEVELLED] = t_s
 
 
 @compiled

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.search.batch import Batch, start_memory
+from analysis.search.batch import Batch
+from analysis.search.breakdown import flight_of
 from analysis.search.cases import yaml_of
 from analysis.search.searchers import searcher
 from analysis.search.shrink import pinned
-from analysis.search.space import flights_of
 from analysis.search.testfile import TestFile
-from analysis.search.traced import Trace, traced
+from analysis.search.traced import Trace
+from mavproxy_fault.errors import ConfigError
 from simvehicle.rotation import euler_from_quat
 
 Array = NDArray[np.float64]
@@ -59,9 +60,7 @@ class Session:
         self.number += 1
         values = self._batch.space.values(point[None, :])
         self.values = {name: float(value[0]) for name, value in values.items()}
-        column = flights_of(self.test, values)
-        memory = start_memory(self.test.estimator, column)[0]
-        self.trace = traced(self._batch.plan, column[:, 0], memory, self.test.seed, self.number)
+        self.trace = flight_of(self.test, self.values, self.test.seed, self.number)
         outcome = self._batch.evaluate(point[None, :], self.test.seed, self.number, 1)
         self.error_deg = float(outcome.fitness[0])
         self.worst_deg = max(self.worst_deg, self.error_deg)
@@ -108,7 +107,18 @@ def table_of(trace: Trace) -> Array:
 
 
 def show(test: TestFile, folder: Path) -> int:
-    """Open the window, or write figures where there is no display."""
+    """Open the window, or write figures where there is no display.
+
+    Raises
+    ------
+    ConfigError
+        If the simulator flies the test, which leaves no trace to draw.
+    """
+    if test.flown:
+        raise ConfigError(
+            "--interactive: shows flights of the compiled kernels; leave out scenario, and choose"
+            " another estimator than autopilot or fusion"
+        )
     import matplotlib.pyplot as plt
 
     from analysis.search.picture import Picture
@@ -125,6 +135,7 @@ def show(test: TestFile, folder: Path) -> int:
             image = folder / f"test-{session.number:04}.png"
             figure.savefig(image)
             print(*saved, image, sep="\n")
+        print("There is no display; MPLBACKEND=webagg shows the flights in a browser.")
         plt.close(figure)
         return 0
     window = Window(session, picture)

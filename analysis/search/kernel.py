@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from analysis.search import rows
 from analysis.search.aid_lanes import airspeeds, sense_field, sense_pressure, sense_velocity
 from analysis.search.fault_lanes import break_signals
-from analysis.search.filter_lanes import EKF, Gains, head, predict, publish, velocity
+from analysis.search.filter_lanes import EKF, Gains, head, level, predict, publish, velocity
+from analysis.search.gust_lanes import blow
 from analysis.search.heun_lanes import attitudes, heun, keep
 from analysis.search.lanes import Buffer, Envelope, draw, living, move, sense_imu
-from analysis.search.score_lanes import euler_of_quaternions, score_angle, score_euler
+from analysis.search.score_lanes import euler_of_quaternions, score_angle, score_euler, score_state
 from analysis.search.steer_lanes import steer
 from simvehicle.compiled import compiled
 from simvehicle.vehicles.fixedwing_kernel import Aero
@@ -27,6 +28,7 @@ FIELD = rows.FIELD - rows.MEASURED
 VELOCITY = rows.VELOCITY - rows.MEASURED
 PRESSURE = rows.DIFF_PRESSURE - rows.MEASURED
 Columns = NDArray[np.float64]
+Three = tuple[float, float, float]
 Generators = NDArray[np.uint64]
 
 
@@ -41,14 +43,19 @@ class Plan(NamedTuple):
     dt_s: float
     gravity_mps2: float
     density_kgpm3: float
-    field_ned_gauss: tuple[float, float, float]
+    field_ned_gauss: Three
     declination_rad: float
     field_every: int
     velocity_every: int
     pressure_every: int
     mission: bool
+    gusts: bool
+    gust_sigma_mps: Three
+    gust_length_m: Three
     slots: int
+    noisy: bool
     angle: bool
+    state: bool
     estimator: int
     gains: Gains
     sea_density_kgpm3: float
@@ -66,39 +73,49 @@ def break_all(buf: Buffer, first: int, last: int, k: int, plan: Plan) -> None:
 
 @compiled
 def measure(buf: Buffer, generators: Generators, k: int, plan: Plan) -> None:
-    """The sensors' samples number `k`, with faults; generators (2, LANES): IMU, the rest."""
+    """The sensors' samples number `k`, with faults; the slow ones' first is due after a period.
+
+    Generators (4, LANES): IMU, slow sensors, noise faults, gusts.
+    """
+    slow = plan.estimator > 0 and k > 0
+    pressure = slow and k % plan.pressure_every == 0
+    field = slow and k % plan.field_every == 0
+    velocity = slow and k % plan.velocity_every == 0
     draw(buf, generators[0])
     sense_imu(buf)
+    if pressure:
+        draw(buf, generators[1])
+        sense_pressure(buf, plan.density_kgpm3)
+    if field or velocity:
+        draw(buf, generators[1])
+    if field:
+        sense_field(buf, plan.field_ned_gauss)
+    if velocity:
+        sense_velocity(buf)
+    if plan.noisy:
+        draw(buf, generators[2])
     break_all(buf, IMU, IMU + 6, k, plan)
-    if plan.estimator > 0:
-        if k % plan.pressure_every == 0:
-            draw(buf, generators[1])
-            sense_pressure(buf, plan.density_kgpm3)
-            break_all(buf, PRESSURE, PRESSURE + 1, k, plan)
-        if k % plan.field_every == 0 or k % plan.velocity_every == 0:
-            draw(buf, generators[1])
-        if k % plan.field_every == 0:
-            sense_field(buf, plan.field_ned_gauss)
-            break_all(buf, FIELD, FIELD + 3, k, plan)
-        if k % plan.velocity_every == 0:
-            sense_velocity(buf)
-            break_all(buf, VELOCITY, VELOCITY + 3, k, plan)
+    if pressure:
+        break_all(buf, PRESSURE, PRESSURE + 1, k, plan)
+    if field:
+        break_all(buf, FIELD, FIELD + 3, k, plan)
+    if velocity:
+        break_all(buf, VELOCITY, VELOCITY + 3, k, plan)
 
 
 @compiled
 def filter_step(buf: Buffer, memory: Columns, airspeed: Buffer, k: int, plan: Plan) -> None:
-    """The filters' share of sample `k`: IMU, field, airspeed, velocity, in this order."""
+    """The filters' share of sample `k` > 0: IMU, field, airspeed, velocity, in this order."""
     kind, gains = plan.estimator, plan.gains
-    if k > 0:
-        predict(buf, memory, airspeed, kind, gains, plan.dt_s)
-    if k % plan.field_every == 0 and (k > 0 or kind == EKF):
+    predict(buf, memory, airspeed, kind, gains, plan.dt_s)
+    if kind == EKF:
+        level(buf, memory, airspeed, gains, k * plan.dt_s)
+    if k % plan.field_every == 0:
         head(buf, memory, kind, gains, plan.declination_rad, plan.field_every * plan.dt_s)
     if k % plan.pressure_every == 0:
         airspeeds(buf, airspeed, plan.sea_density_kgpm3)
     if k % plan.velocity_every == 0 and kind == EKF:
-        velocity(buf, memory, gains, k == 0)
-    publish(buf, memory)
-    euler_of_quaternions(buf)
+        velocity(buf, memory, gains, k * plan.dt_s)
 
 
 @compiled
@@ -121,18 +138,26 @@ def tick(
         keep(buf)
         if plan.angle:
             attitudes(buf)
+        if plan.state:
+            score_state(buf)
     else:
-        filter_step(buf, memory, airspeed, k, plan)
+        if k > 0:
+            filter_step(buf, memory, airspeed, k, plan)
+        publish(buf, memory)
+        euler_of_quaternions(buf)
     score_euler(buf)
     if plan.angle:
         score_angle(buf)
+    if plan.gusts:
+        draw(buf, generators[3])
+        blow(buf, plan.gust_sigma_mps, plan.gust_length_m, plan.dt_s)
 
 
 @compiled
 def fly(flights: Columns, memory: Columns, generators: Generators, plan: Plan) -> None:
     """Fly all columns of `flights` (ROWS, n), n a multiple of LANES.
 
-    `memory` (n, 91) holds the filters' start states, `generators` (2, n) the noise.
+    `memory` (n, MEMORY) holds the filters' start states, `generators` (4, n) the noise.
     """
     buf = np.empty(rows.ROWS * L)
     for first in range(0, flights.shape[1], L):

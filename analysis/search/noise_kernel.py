@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from simvehicle.compiled import inlined
 from simvehicle.vehicles.polynomial import sin_cos
 
+GENERATORS = 4  # streams of noise of each flight
 _intrinsic: Callable[[Any], Callable[[Any], Any]] = intrinsic
 
 
@@ -48,7 +49,10 @@ def float_of(_context: Any, _i: Any) -> Any:
 
 @inlined
 def log(x: float) -> float:
-    """Natural logarithm of a positive normal number; coefficients of Cephes' log.c."""
+    """Natural logarithm of a positive normal number to 3e-10, which does for noise.
+
+    A minimax polynomial about 1, without the division that ones for all digits need.
+    """
     bits = bits_of(x)
     mantissa = float_of((bits & np.uint64(0xFFFFFFFFFFFFF)) | np.uint64(0x3FE0000000000000))
     # the exponent as a float, by placing its bits under 2^52
@@ -57,15 +61,13 @@ def log(x: float) -> float:
     low = mantissa < 0.70710678118654752440
     exponent = exponent - 1.0 if low else exponent
     z = 2.0 * mantissa - 1.0 if low else mantissa - 1.0
-    p = (1.01875663804580931796e-4 * z + 4.97494994976747001425e-1) * z + 4.70579119878881725854
-    p = (p * z + 1.44989225341610930846e1) * z + 1.79368678507819816313e1
-    p = p * z + 7.70838733755885391666
-    q = (z + 1.12873587189167450590e1) * z + 4.52279145837532221105e1
-    q = (q * z + 8.29875266912776603211e1) * z + 7.11544750618563894466e1
-    q = q * z + 2.31251620126765340583e1
-    square = z * z
-    y = z * square * p / q - 2.121944400546905827679e-4 * exponent - 0.5 * square
-    result: float = z + y + 0.693359375 * exponent
+    y = z * z
+    even = (1.0703173868773347194e-1 * y + 1.1005971106776227843e-1) * y + 1.4288390892955720858e-1
+    even = (even * y + 1.9999974485378308111e-1) * y + 3.3333333387667396773e-1
+    odd = (-6.5185159937650039792e-2 * y - 1.0598790046870771327e-1) * y - 1.2452770668107651628e-1
+    odd = (odd * y - 1.6667978351387716496e-1) * y - 2.499999030373073921e-1
+    small = z - 0.5 * y + y * z * (even + z * odd)
+    result: float = small + 0.69314718055994530942 * exponent
     return result
 
 
@@ -96,6 +98,17 @@ def generator_states(seed: int, numbers: NDArray[np.uint64]) -> NDArray[np.uint6
     """
     start = _mixed(np.array([seed], dtype=np.uint64))
     return np.maximum(_mixed(start ^ numbers), np.uint64(1))
+
+
+def streams(seed: int, numbers: NDArray[np.int64]) -> NDArray[np.uint64]:
+    """The generators (GENERATORS, n) of flights with these numbers (n,)."""
+    first = np.uint64(GENERATORS) * numbers.astype(np.uint64)
+    return np.stack([generator_states(seed, first + np.uint64(i)) for i in range(GENERATORS)])
+
+
+def seed_of(seed: int, number: int) -> int:
+    """The simulator's seed of a flight."""
+    return int(generator_states(seed, np.array([number], dtype=np.uint64))[0] >> np.uint64(33))
 
 
 def _mixed(z: NDArray[np.uint64]) -> NDArray[np.uint64]:

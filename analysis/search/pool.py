@@ -14,7 +14,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.search.batch import Batch, Outcome
+from analysis.search.batch import Outcome
+from analysis.search.evaluator import Evaluator, evaluator
 from analysis.search.testfile import TestFile
 from mavproxy_fault.errors import ConfigError
 
@@ -33,15 +34,15 @@ class Pool(Protocol):
 
 
 @lru_cache(maxsize=8)
-def batch_of(encoded: bytes) -> Batch:
-    """The batch of a test in JSON; kept, since reading the airframe takes a moment."""
-    return Batch(msgspec.json.decode(encoded, type=TestFile))
+def evaluator_of(encoded: bytes) -> Evaluator:
+    """The evaluator of a test in JSON; kept, since reading the airframe takes a moment."""
+    return evaluator(msgspec.json.decode(encoded, type=TestFile))
 
 
 def work(job: Job) -> Outcome:
     """One share of a batch, in whatever process."""
     encoded, points, seed, first, draws = job
-    return batch_of(encoded).evaluate(points, seed, first, draws)
+    return evaluator_of(encoded).evaluate(points, seed, first, draws)
 
 
 def shares(

@@ -9,7 +9,7 @@ LANES = 32
 STATE = 0  # 13: position, velocity, quaternion, rates
 CONTROL = 13  # 4: elevator, aileron, rudder, throttle
 MISSION = 17  # 5: 1 or 0 (open loop), roll, its period, pitch, airspeed (see `steer_lanes`)
-WIND = 22  # 3: NED
+WIND = 22  # 3: NED, with gusts
 FORCE = 25  # 3: specific force
 
 # what the sensors say; faults act on these
@@ -52,10 +52,14 @@ RATE = 4  # added per second since the start
 FACTOR = 5  # times the healthy value
 HOLD = 6  # 1: the first value within the fault stays
 HELD = 7  # that value, NaN before
-FAULT_ROWS = 8
+SPREAD = 8  # sigma of noise that is added
+FAULT_ROWS = 9
 SLOTS = 4
 
 NOW = FAULTS + SLOTS * FAULT_ROWS  # 13: the state when the sensors sampled
 OPEN_LOOP = NOW + 13  # 4: the controls that a mission's feedback adds to
-ROWS = OPEN_LOOP + 4
+GUSTS = OPEN_LOOP + 4  # 5: states of the Dryden filters
+STEADY = GUSTS + 5  # 3: the wind without gusts, NED
+STATE_SQUARES = STEADY + 3  # 12: sums of squared errors of position, velocity, angles, rates
+ROWS = STATE_SQUARES + 12
 LIMITS = ("", "pitch", "alpha", "beta", "airspeed", "rate", "load", "ground")

@@ -15,6 +15,7 @@ NOW = rows.NOW * L
 E, Q = rows.ESTIMATE * L, rows.QUATERNION * L
 SQ, LG = rows.SQUARES * L, rows.LARGEST * L
 ALIVE, COUNT = rows.ALIVE * L, rows.COUNT * L
+M, T = rows.MEASURED * L, rows.STATE_SQUARES * L
 _ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to the nearest integer
 
 
@@ -97,3 +98,24 @@ def score_angle(buf: Buffer) -> None:
         angle = angle if alive else 0.0
         buf[SQ + 3 * L + lane] += angle * angle
         buf[LG + 3 * L + lane] = max(angle, buf[LG + 3 * L + lane])
+
+
+@compiled
+def score_state(buf: Buffer) -> None:
+    """Add the errors of all twelve states to the scores of living lanes; the rates are the gyro's.
+
+    Position (NED), velocity (body), angles and rates, in the order of STATE_SQUARES.
+    """
+    for lane in range(L):
+        roll, pitch, yaw = euler(*true_attitude(buf, lane))
+        alive = buf[ALIVE + lane] > 0.5
+        for i in range(3):
+            place = buf[E + (6 + i) * L + lane] - buf[NOW + i * L + lane]
+            speed = buf[E + (3 + i) * L + lane] - buf[NOW + (3 + i) * L + lane]
+            true = roll if i == 0 else pitch if i == 1 else yaw
+            angle = wrapped(buf[E + i * L + lane] - true)
+            rate = buf[M + i * L + lane] - buf[NOW + (10 + i) * L + lane]
+            buf[T + i * L + lane] += place * place if alive else 0.0
+            buf[T + (3 + i) * L + lane] += speed * speed if alive else 0.0
+            buf[T + (6 + i) * L + lane] += angle * angle if alive else 0.0
+            buf[T + (9 + i) * L + lane] += rate * rate if alive else 0.0

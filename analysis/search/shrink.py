@@ -11,12 +11,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.search.batch import Batch
-from analysis.search.space import flights_of, target_of
+from analysis.search.evaluator import evaluator
+from analysis.search.space import target_of
 from analysis.search.testfile import Initial, Mission, OpenLoop, Sensors, TestFile, Wind
 
 Array = NDArray[np.float64]
-GRID = 12
+GRID, COARSE = 12, 4  # of flights in the kernels, and of those in the simulator
 ROUNDS = 2
 
 
@@ -39,6 +39,7 @@ def pinned(test: TestFile, values: Mapping[str, float]) -> TestFile:
         mission=Mission(**part("mission")) if test.mission is not None else None,
         wind=Wind(**part("wind")),
         sensors=Sensors(**part("sensors")),
+        vary={name: (value, value) for name, value in part("vary").items()},
         faults=faults,
     )
 
@@ -48,7 +49,8 @@ def fault_names(test: TestFile) -> list[str]:
     return [
         f"faults[{i}].{key}"
         for i, fault in enumerate(test.faults)
-        for key in (("for_s",) if fault.fault == "freeze" else ("value", "for_s"))
+        for key in fault.ranges()
+        if key != "at_s"
     ]
 
 
@@ -70,10 +72,11 @@ def shrunk(
 ) -> dict[str, float]:
     """The values of the smallest fault found; `errors_deg` gives the mean error of many."""
     found = dict(values)
+    grid = COARSE if test.flown else GRID
     for name in fault_names(test):
         low, high = 0.0, 1.0
         for _ in range(ROUNDS):
-            share = np.linspace(low, high, GRID + 1)[:-1]
+            share = np.linspace(low, high, grid + 1)[:-1]
             tried = [found | {name: float(v)} for v in smaller(test, name, found[name], share)]
             broken = errors_deg(tried) >= limit_deg
             if not broken.any():
@@ -96,6 +99,6 @@ class Errors:
 
     def __call__(self, cases: list[dict[str, float]]) -> Array:
         columns = {name: np.array([case[name] for case in cases]) for name in cases[0]}
-        batch = Batch(self._test)
-        outcome = batch.fly(flights_of(self._test, columns), self._seed, 0, self._draws, True)
+        flown = evaluator(self._test)
+        outcome = flown.of_values(columns, self._seed, 0, self._draws, True)
         return np.where(outcome.left > 0, -np.inf, outcome.fitness)

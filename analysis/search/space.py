@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.search import rows
-from analysis.search.testfile import CHANNELS, TestFile
+from analysis.search.faultrange import CHANNELS, LOST
+from analysis.search.section import Range
+from analysis.search.testfile import TestFile
 from simvehicle.rotation import quat_from_euler
 from simvehicle.vehicles.trim import Trim
 
@@ -43,11 +45,11 @@ class Space:
         return fixed | {name: span[:, i] for i, name in enumerate(self.names)}
 
 
-def space_of(test: TestFile, trim: Trim) -> Space:
-    """The space of a test file; what it leaves open is that of the trim."""
+def space_of(entries: Mapping[str, Range]) -> Space:
+    """The space of numbers and ranges by name."""
     names, low, high = [], [], []
     fixed: dict[str, float] = {}
-    for name, value in _entries(test, trim).items():
+    for name, value in entries.items():
         if isinstance(value, tuple) and value[0] < value[1]:
             names.append(name)
             low.append(value[0])
@@ -57,7 +59,8 @@ def space_of(test: TestFile, trim: Trim) -> Space:
     return Space(tuple(names), np.array(low), np.array(high), fixed)
 
 
-def _entries(test: TestFile, trim: Trim) -> dict[str, float | tuple[float, float]]:
+def flight_entries(test: TestFile, trim: Trim) -> dict[str, Range]:
+    """Start, controls, wind and sensors; what the test leaves open is that of the trim."""
     state, controls = trim.state12(), trim.controls()
     trimmed = {
         "initial.u_mps": state[3],
@@ -73,13 +76,17 @@ def _entries(test: TestFile, trim: Trim) -> dict[str, float | tuple[float, float
         part = getattr(test, section)
         for key, value in msgspec.structs.asdict(part).items() if part is not None else ():
             name = f"{section}.{key}"
-            found[name] = trimmed[name] if value is None else value
+            found[name] = float(trimmed[name]) if value is None else value
+    return found
+
+
+def fault_entries(test: TestFile) -> dict[str, Range]:
+    """Magnitude, onset and duration of each fault, and the number that chooses its target."""
+    found: dict[str, Range] = {}
     for i, fault in enumerate(test.faults):
-        for key in ("value", "at_s", "for_s"):
-            found[f"faults[{i}].{key}"] = getattr(fault, key)
-        found[f"faults[{i}].target"] = (0.0, float(len(fault.targets)))
-        if len(fault.targets) == 1:
-            found[f"faults[{i}].target"] = 0.0
+        found |= {f"faults[{i}].{key}": value for key, value in fault.ranges().items()}
+        count = len(fault.targets)
+        found[f"faults[{i}].target"] = (0.0, float(count)) if count > 1 else 0.0
     return found
 
 
@@ -109,6 +116,7 @@ def flights_of(test: TestFile, values: Mapping[str, Array]) -> Array:
     columns[rows.WIND : rows.WIND + 3] = [
         values[f"wind.{a}_mps"] for a in ("north", "east", "down")
     ]
+    columns[rows.STEADY : rows.STEADY + 3] = columns[rows.WIND : rows.WIND + 3]
     _sensors(columns, values)
     for slot in range(rows.SLOTS):
         columns[rows.FAULTS + slot * rows.FAULT_ROWS + rows.CHANNEL] = -1.0
@@ -152,15 +160,21 @@ def _fault(columns: Array, test: TestFile, slot: int, values: Mapping[str, Array
     """One slot: the proxy's fault of the same name on one channel."""
     base = rows.FAULTS + slot * rows.FAULT_ROWS
     name = f"faults[{slot}]"
-    places = [CHANNELS[target_of(test, slot, value)] for value in values[f"{name}.target"]]
-    channel, unit = np.array(places).T
     kind = test.faults[slot].fault
-    value = values[f"{name}.value"]
+    known = LOST if kind == "drop" else CHANNELS
+    places = [known[target_of(test, slot, value)] for value in values[f"{name}.target"]]
+    channel, unit = np.array(places).T
+    at_s = values[f"{name}.at_s"]
+    zero = np.zeros_like(at_s)
+    value = values.get(f"{name}.value", zero)
     columns[base + rows.CHANNEL] = channel
-    columns[base + rows.START] = values[f"{name}.at_s"]
-    columns[base + rows.END] = values[f"{name}.at_s"] + values[f"{name}.for_s"]
+    columns[base + rows.START] = at_s
+    columns[base + rows.END] = at_s + values.get(f"{name}.for_s", zero + np.inf)
     columns[base + rows.FACTOR] = 0.0 if kind == "constant" else value if kind == "scale" else 1.0
     columns[base + rows.OFFSET] = value * unit if kind in ("bias", "constant") else 0.0
+    if kind == "drop":
+        columns[base + rows.OFFSET] = np.nan  # a sample that never came
     columns[base + rows.RATE] = value * unit if kind == "drift" else 0.0
+    columns[base + rows.SPREAD] = value * unit if kind == "noise" else 0.0
     columns[base + rows.HOLD] = 1.0 if kind == "freeze" else 0.0
     columns[base + rows.HELD] = np.nan

@@ -1,47 +1,33 @@
 """Test files: what a search varies, how far, and what counts (YAML).
 
-Wherever a `Range` stands, a number is fixed and a list `[low, high]` is searched.
+Wherever a `Range` stands, a number is fixed and a list `[low, high]` is searched. A test flies
+either the search's own fixed wing, compiled and many at once, or a scenario in the simulator.
 """
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
+from analysis.search.faultrange import FaultRange
+from analysis.search.section import Range, Section
 from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.links.spec import parse_spec
 from simvehicle.documents import decode, read_document
+from simvehicle.scenario import read_scenario
 
-Range = float | tuple[float, float]
-
-# message field -> measured channel (see `rows`) and SI units per unit of the field
-CHANNELS: dict[str, tuple[int, float]] = {
-    "HIL_SENSOR.xgyro": (0, 1.0),
-    "HIL_SENSOR.ygyro": (1, 1.0),
-    "HIL_SENSOR.zgyro": (2, 1.0),
-    "HIL_SENSOR.xacc": (3, 1.0),
-    "HIL_SENSOR.yacc": (4, 1.0),
-    "HIL_SENSOR.zacc": (5, 1.0),
-    "HIL_SENSOR.xmag": (6, 1.0),
-    "HIL_SENSOR.ymag": (7, 1.0),
-    "HIL_SENSOR.zmag": (8, 1.0),
-    "HIL_GPS.vn": (9, 0.01),
-    "HIL_GPS.ve": (10, 0.01),
-    "HIL_GPS.vd": (11, 0.01),
-    "HIL_SENSOR.diff_pressure": (12, 100.0),
-}
+AUTOPILOT = "autopilot"
+SIMULATED = (AUTOPILOT, "fusion")  # estimators that need the simulator's frames
+SLOTS = 4  # faults at once in the compiled kernels
+# A flight in the simulator takes a second or so, where the kernels fly thousands
+FLOWN_DEFAULTS = {"budget": 200, "keep": 3, "noise_draws": 1, "rescore_draws": 5}
+ANYWHERE = {
+    "pitch_deg": 90.0, "alpha_deg": 180.0, "beta_deg": 90.0, "airspeed_mps": [0.0, 1000.0],
+    "rate_dps": 1e5, "load_g": 1e3, "height_m": -1e4,
+}  # fmt: skip
 
 
-class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of the sections: unknown keys are errors; ranges must have an order."""
-
-    def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
-            value = getattr(self, name)
-            if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
-                raise ValueError(f"{name} = {list(value)} has its ends reversed; [low, high]")
-
-
-class Initial(_Section, frozen=True):
+class Initial(Section, frozen=True):
     """State at the start; None is that of trimmed flight at the vehicle's cruising speed."""
 
     height_m: Range = 500.0
@@ -56,7 +42,7 @@ class Initial(_Section, frozen=True):
     r_dps: Range = 0.0
 
 
-class OpenLoop(_Section, frozen=True):
+class OpenLoop(Section, frozen=True):
     """Constant controls; None is that of the trim."""
 
     elevator_deg: Range | None = None
@@ -65,7 +51,7 @@ class OpenLoop(_Section, frozen=True):
     throttle: Range | None = None
 
 
-class Mission(_Section, frozen=True):
+class Mission(Section, frozen=True):
     """Rolling from side to side while holding pitch and airspeed (None: the trim's)."""
 
     roll_deg: Range = 30.0
@@ -80,7 +66,7 @@ class Mission(_Section, frozen=True):
             raise ValueError(f"period_s = {shortest} is not positive; seconds above 0")
 
 
-class Wind(_Section, frozen=True):
+class Wind(Section, frozen=True):
     """Where the steady wind blows to."""
 
     north_mps: Range = 0.0
@@ -88,7 +74,7 @@ class Wind(_Section, frozen=True):
     down_mps: Range = 0.0
 
 
-class Sensors(_Section, frozen=True):
+class Sensors(Section, frozen=True):
     """Noise of each sample, one sigma, and constant biases.
 
     Defaults: ADXRS450 and ADXL325 (Beard and McLain, Small Unmanned Aircraft, appendix H), GPS
@@ -108,31 +94,7 @@ class Sensors(_Section, frozen=True):
     accel_bias_z_mps2: Range = 0.0
 
 
-class FaultRange(_Section, frozen=True):
-    """One fault as in a schedule; `any_of` searches over targets too. Units are the field's."""
-
-    fault: Literal["bias", "drift", "scale", "constant", "freeze"]
-    target: str | None = None
-    any_of: list[str] = []
-    value: Range = 0.0
-    at_s: Range = 0.0
-    for_s: Range = 1e9
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if (self.target is None) == (not self.any_of):
-            raise ValueError("exactly one of target and any_of is needed")
-        for target in self.targets:
-            if target not in CHANNELS:
-                raise ValueError(f"target {target!r} is unknown; known: {', '.join(CHANNELS)}")
-
-    @property
-    def targets(self) -> list[str]:
-        """The targets there are to choose from."""
-        return [self.target] if self.target is not None else self.any_of
-
-
-class Limits(_Section, frozen=True):
+class Limits(Section, frozen=True):
     """The flight envelope: a flight that leaves it does not count."""
 
     pitch_deg: float = 80.0
@@ -144,22 +106,62 @@ class Limits(_Section, frozen=True):
     height_m: float = 0.0
 
 
-class TestFile(_Section, frozen=True):
+class StateScales(Section, frozen=True):
+    """Errors that count alike when all twelve states are compared."""
+
+    position_m: float = 10.0
+    velocity_mps: float = 1.0
+    angle_deg: float = 1.0
+    rate_dps: float = 1.0
+
+
+class AutopilotChoice(Section, frozen=True):
+    """An autopilot behind a MAVLink link, flown in lockstep.
+
+    It connects to `link`, is fed HIL frames and answers each HIL_SENSOR by HIL_ACTUATOR_CONTROLS.
+    Its ATTITUDE or ATTITUDE_QUATERNION may come on that link or on `telemetry`. `command` starts it
+    anew for each flight, `{port}` standing for the port of the link; without it the autopilot has
+    to come back by itself. With `flies` its actuators fly the vehicle, else the scenario does.
+    """
+
+    link: str = "tcpin:127.0.0.1:4560"
+    telemetry: str | None = None
+    command: list[str] = msgspec.field(default_factory=list)
+    folder: str | None = None
+    flies: bool = False
+    start_s: float = 60.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if parse_spec(self.link).kind not in ("tcpin", "tcp"):
+            raise ValueError(f"link = {self.link} cannot be held in lockstep; tcpin: or tcp:")
+
+
+class TestFile(Section, frozen=True):
     """A whole test file.
 
-    `criterion` is what is to become large: the greatest of the RMSE of roll, pitch and yaw, or
-    the RMSE of the angle between estimate and truth. `breaks_at_deg` is the size from which an
-    estimator counts as broken; the worst cases are shrunk to the smallest fault that reaches it
-    (None: half their own error). `noise_draws` flights with their own noise make an evaluation.
+    `criterion` is what is to become large: the greatest of the RMSE of roll, pitch and yaw, the
+    RMSE of the angle between estimate and truth, or that of all twelve states in `state_scales`.
+    `breaks_at_deg` is the size from which an estimator counts as broken; the worst cases are shrunk
+    to the smallest fault that reaches it (None: half their own error). `noise_draws` flights with
+    their own noise make an evaluation. `settle_s` at the start of a flight is not scored.
+
+    With `scenario`, `vary` gives the intervals of its keys, and `initial`, `controls`, `mission`,
+    `wind` and `sensors` have no meaning.
     """
 
     __test__ = False  # not for pytest to collect
 
+    scenario: str | dict[str, Any] | None = None
+    vary: dict[str, tuple[float, float]] = msgspec.field(default_factory=dict)
     vehicle: str = "aerosonde-2012"
     estimator: str = "inverse-model"
-    criterion: Literal["euler", "angle"] = "euler"
+    autopilot: AutopilotChoice | None = None
+    criterion: Literal["euler", "angle", "state"] = "euler"
+    state_scales: StateScales = StateScales()
     breaks_at_deg: float | None = None
     duration_s: float = 60.0
+    settle_s: float = 0.0
     dt_s: float = 0.01
     seed: int = 1
     method: str = "mixed"
@@ -172,8 +174,9 @@ class TestFile(_Section, frozen=True):
     controls: OpenLoop = OpenLoop()
     mission: Mission | None = None
     wind: Wind = Wind()
+    gusts: Literal["none", "light", "moderate", "light-600m", "moderate-600m"] = "none"
     sensors: Sensors = Sensors()
-    faults: list[FaultRange] = []
+    faults: list[FaultRange] = msgspec.field(default_factory=list)
     envelope: Limits = Limits()
     density_kgpm3: float = 1.225
     inclination_deg: float = 64.0
@@ -185,12 +188,38 @@ class TestFile(_Section, frozen=True):
         for name in ("duration_s", "dt_s", "keep", "noise_draws", "rescore_draws"):
             if getattr(self, name) <= 0:
                 raise ValueError(f"{name} = {getattr(self, name)} is not positive; above 0")
-        if len(self.faults) > 4:
-            raise ValueError(f"faults has {len(self.faults)} entries; at most 4 are possible")
+        if (self.estimator == AUTOPILOT) != (self.autopilot is not None):
+            raise ValueError("estimator: autopilot and the section autopilot need each other")
+        if self.vary and self.scenario is None:
+            raise ValueError("vary is for the keys of a scenario; give scenario too")
+        for name, (low, high) in self.vary.items():
+            if low > high:
+                raise ValueError(f"vary.{name} = {[low, high]} has its ends reversed; [low, high]")
+        if not self.flown:
+            self._check_compiled()
+        elif self.criterion == "state":
+            raise ValueError("criterion: state is compiled for the inverse-model only")
+
+    def _check_compiled(self) -> None:
+        if len(self.faults) > SLOTS:
+            raise ValueError(f"faults has {len(self.faults)} entries; at most {SLOTS} are possible")
+        for fault in self.faults:
+            fault.check_compiled()
+        if self.settle_s > 0.0:
+            raise ValueError("settle_s is for flights in the simulator; leave it out")
+        if self.criterion == "state" and self.estimator != "inverse-model":
+            raise ValueError(
+                f"criterion: state needs all twelve states; {self.estimator} estimates fewer"
+            )
+
+    @property
+    def flown(self) -> bool:
+        """Whether the simulator and the proxy fly it, one flight after the other."""
+        return self.scenario is not None or self.estimator in SIMULATED
 
 
 def read_test(path: Path | str) -> TestFile:
-    """Read a test file.
+    """Read a test file, with the scenario it names in its place.
 
     Raises
     ------
@@ -200,4 +229,13 @@ def read_test(path: Path | str) -> TestFile:
     document, lines = read_document(Path(path))
     if not isinstance(document, dict):
         raise ConfigError(f"{path}: holds no keys; a test file is a YAML mapping")
+    named = document.get("scenario")
+    if named is not None or document.get("estimator") in SIMULATED:
+        document = {**FLOWN_DEFAULTS, **document}
+    if isinstance(named, str):
+        scenario = read_scenario(Path(path).parent / named)
+        document["scenario"] = msgspec.to_builtins(scenario)
+    if named is not None:
+        duration_s = document["scenario"].get("duration_s", 120.0)
+        document = {"duration_s": duration_s, "envelope": ANYWHERE, **document}
     return decode(document, TestFile, lines)

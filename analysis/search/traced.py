@@ -12,7 +12,7 @@ from analysis.estimators.rotations import errors
 from analysis.search import rows
 from analysis.search.filter_lanes import MAHONY
 from analysis.search.kernel import Plan, trace
-from analysis.search.noise_kernel import generator_states
+from analysis.search.noise_kernel import streams
 from simvehicle.rotation import matrix_from_quat
 
 Array = NDArray[np.float64]
@@ -49,8 +49,7 @@ def traced(plan: Plan, flight: Array, memory: Array, seed: int, number: int) -> 
     """Fly one column (ROWS,) with noise `number` of `seed`; `memory` (MEMORY,) as the filters'."""
     plan = plan._replace(angle=True)
     lanes = np.ascontiguousarray(np.repeat(flight[:, None], rows.LANES, axis=1))
-    numbers = np.array([2 * number, 2 * number + 1], dtype=np.uint64)
-    noise = np.repeat(generator_states(seed, numbers)[:, None], rows.LANES, axis=1)
+    noise = np.repeat(streams(seed, np.array([number])), rows.LANES, axis=1)
     out = trace(lanes, np.repeat(memory[None, :], rows.LANES, axis=0), noise, plan)
     state, measured, estimate, q, alive = np.split(
         out, np.cumsum([13, rows.CHANNELS, 9, 4]), axis=1
@@ -64,11 +63,11 @@ def readings(flight: Trace) -> Iterator[list[Sample]]:
     for k, measured in enumerate(flight.measured):
         t_us = round(k * plan.dt_s * 1e6)
         found: list[Sample] = [ImuSample(t_us, measured[0:3], measured[3:6])]
-        if k % plan.field_every == 0:
+        if k > 0 and k % plan.field_every == 0:
             found.append(MagSample(t_us, measured[6:9]))
-        if k % plan.pressure_every == 0:
+        if k > 0 and k % plan.pressure_every == 0:
             found.append(AirspeedSample(t_us, float(measured[12])))
-        if k % plan.velocity_every == 0:
+        if k > 0 and k % plan.velocity_every == 0 and not np.isnan(measured[9]):
             found.append(GpsFix(t_us, 0.0, 0.0, 0.0, measured[9:12], 3, 10, 1.0, 1.0, "HIL_GPS"))
         yield found
 

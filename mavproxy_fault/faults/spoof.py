@@ -53,6 +53,7 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
     def shift(self, t_s: float) -> Shift:
         """The offset and its rate, `t_s` after the spoof began."""
         aim = self.offset_m if self.value is None else (self.value, 0.0, 0.0)
+        t_s = max(t_s, 0.0)  # a sender whose clock is behind the one that started the fault
         if t_s < self.ramp_s:
             share, rate = t_s / self.ramp_s, 1.0 / self.ramp_s
             return Shift(_scaled(aim, share), _scaled(aim, rate))

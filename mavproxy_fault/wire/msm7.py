@@ -36,6 +36,7 @@ FINE_INVALID = -(1 << 19)
 PHASE_INVALID = -(1 << 23)
 FINE_RATE_INVALID = -(1 << 14)
 CN0_STEP_DBHZ = 0.0625
+SATELLITE_WIDTHS = {"rough_ms": 8, "info": 4, "rough": 10, "rate": 14}  # bits
 CELL_WIDTHS = (20, 24, 10, 1, 10, 15)  # bits of fine range, phase, lock, half cycle, C/N0, rate
 
 
@@ -122,23 +123,20 @@ def encode_epoch(
     found = [s for s in NUMBERS if any(name[0] == s for name in satellites)]
     messages = []
     for system in found:
-        pick = [i for i, name in enumerate(satellites) if name[0] == system]
-        nothing = (math.nan,) * len(pick)
-        messages.append(
-            encode_msm7(
-                Msm7(
-                    system,
-                    tow_s,
-                    tuple(satellites[i] for i in pick),
-                    tuple(float(pseudorange_m[i]) for i in pick),
-                    nothing,
-                    tuple(float(doppler_mps[i]) for i in pick),
-                    tuple(float(cn0_dbhz[i]) for i in pick),
-                    nothing,
-                    more=system != found[-1],
-                )
+        rows = sorted(
+            (int(name[1:]), *_range_counts(range_m), *_rate_counts(rate), _cn0_count(cn0))
+            for name, range_m, rate, cn0 in zip(
+                satellites, pseudorange_m, doppler_mps, cn0_dbhz, strict=True
             )
+            if name[0] == system and 0.0 <= range_m < ROUGH_INVALID * MS_M
         )
+        columns = list(zip(*rows, strict=True)) or [()] * 6
+        numbers, rough, fine, rate, fine_rate, cn0 = columns
+        nothing = (0,) * len(rows)
+        head = (NUMBERS[system], 0, round(tow_s * 1000.0) % WEEK_MS, int(system != found[-1]), 0)
+        ranges = ([r // ROUGH for r in rough], nothing, [r % ROUGH for r in rough], rate)
+        signal = (fine, (PHASE_INVALID,) * len(rows), nothing, nothing, cn0, fine_rate)
+        messages.append(_packed(head, numbers, (SIGNAL,), (1,) * len(rows), ranges, signal))
     return messages
 
 
@@ -204,26 +202,34 @@ def patch_msm7(message: bytes, changes_m: Mapping[str, float], lost: Collection[
     return _encode(replace(raw, satellites=satellites))
 
 
-def _satellite(range_m: float, phase_m: float, rate: float, cn0: float, lock: float) -> _Satellite:
+def _range_counts(range_m: float) -> tuple[int, int]:
+    """Rough steps of 1/1024 ms, and the counts of 2^-29 ms beyond them."""
     counts = round(range_m / MS_M * ROUGH * FINE_PER_ROUGH)
     rough = (counts + FINE_PER_ROUGH // 2) // FINE_PER_ROUGH
+    return rough, counts - rough * FINE_PER_ROUGH
+
+
+def _rate_counts(rate: float) -> tuple[int, int]:
+    """Whole metres per second, and tenths of millimetres per second beyond them."""
+    if not abs(rate) < -RATE_INVALID:
+        return RATE_INVALID, FINE_RATE_INVALID
+    whole = round(rate)
+    return whole, round((rate - whole) * 10_000)
+
+
+def _cn0_count(cn0: float) -> int:
+    return min(max(round(cn0 / CN0_STEP_DBHZ), 0), 1023) if math.isfinite(cn0) else 0
+
+
+def _satellite(range_m: float, phase_m: float, rate: float, cn0: float, lock: float) -> _Satellite:
+    rough, fine = _range_counts(range_m)
     phase = PHASE_INVALID
     if math.isfinite(phase_m):
         phase = _within(
             round(phase_m / MS_M * ROUGH * PHASE_PER_ROUGH) - rough * PHASE_PER_ROUGH, PHASE_INVALID
         )
-    whole_rate, fine_rate = RATE_INVALID, FINE_RATE_INVALID
-    if abs(rate) < -RATE_INVALID:
-        whole_rate = round(rate)
-        fine_rate = round((rate - whole_rate) * 10_000)
-    cell = (
-        counts - rough * FINE_PER_ROUGH,
-        phase,
-        _lock_indicator(lock),
-        0,
-        min(max(round(cn0 / CN0_STEP_DBHZ), 0), 1023) if math.isfinite(cn0) else 0,
-        fine_rate,
-    )
+    whole_rate, fine_rate = _rate_counts(rate)
+    cell = (fine, phase, _lock_indicator(lock), 0, _cn0_count(cn0), fine_rate)
     return _Satellite(rough // ROUGH, 0, rough % ROUGH, whole_rate, {SIGNAL: cell})
 
 
@@ -297,27 +303,40 @@ def _lock_time(indicator: int) -> float:
 
 
 def _encode(raw: _Message) -> bytes:
-    satellites = raw.satellites
-    signals = sorted({signal for satellite in satellites.values() for signal in satellite.cells})
-    cells = [
-        satellite.cells[s] for satellite in satellites.values() for s in sorted(satellite.cells)
-    ]
-    rows = list(satellites.values())
-    columns: list[tuple[Sequence[int], int]] = [
-        ([raw.number, raw.station], 12),
-        ([raw.epoch_ms], 30),
-        ([raw.more], 1),
-        ([raw.flags], 18),
-        ([sum(1 << (64 - number) for number in satellites)], 64),
-        ([sum(1 << (32 - signal) for signal in signals)], 32),
-        ([int(s in satellite.cells) for satellite in rows for s in signals], 1),
-        ([satellite.rough_ms for satellite in rows], 8),
-        ([satellite.info for satellite in rows], 4),
-        ([satellite.rough for satellite in rows], 10),
-        ([satellite.rate for satellite in rows], 14),
-    ]
-    columns += zip(zip(*cells, strict=True), CELL_WIDTHS, strict=False)
-    return wrap(pack_columns(columns))
+    rows = list(raw.satellites.values())
+    signals = sorted({signal for satellite in rows for signal in satellite.cells})
+    cells = [satellite.cells[s] for satellite in rows for s in sorted(satellite.cells)]
+    return _packed(
+        (raw.number, raw.station, raw.epoch_ms, raw.more, raw.flags),
+        list(raw.satellites),
+        signals,
+        [int(s in satellite.cells) for satellite in rows for s in signals],
+        [[getattr(satellite, name) for satellite in rows] for name in SATELLITE_WIDTHS],
+        list(zip(*cells, strict=True)),
+    )
+
+
+def _packed(
+    head: tuple[int, int, int, int, int],
+    numbers: Sequence[int],
+    signals: Sequence[int],
+    present: Sequence[int],
+    satellites: Sequence[Sequence[int]],
+    cells: Sequence[Sequence[int]],
+) -> bytes:
+    """The whole message: masks, then columns of satellites, then columns of signals."""
+    return wrap(
+        pack_columns(
+            [
+                *zip(((value,) for value in head), (12, 12, 30, 1, 18), strict=True),
+                ((sum(1 << (64 - number) for number in numbers),), 64),
+                ((sum(1 << (32 - signal) for signal in signals),), 32),
+                (present, 1),
+                *zip(satellites, SATELLITE_WIDTHS.values(), strict=True),
+                *zip(cells, CELL_WIDTHS, strict=False),
+            ]
+        )
+    )
 
 
 def _decode(message: bytes) -> _Message:

@@ -206,9 +206,19 @@ def _frames(data: NDArray[np.uint8], some: _Frames) -> NDArray[np.void]:
 def read_log(path: str | Path, only: Collection[str] | None = None) -> Log:
     """Read a whole log; with `only`, columns of these messages alone."""
     data = map_bytes(Path(path))
-    whole = _whole(data)
-    frames = np.concatenate([_frames(data, some) for some in _unrolled(data, whole)])
-    return Log(_columns(data, whole, only), frames, whole.junk_bytes, len(data))
+    return _log(data, _whole(data), only)
+
+
+def read_parts(path: str | Path) -> Iterator[Log]:
+    """The same block by block, for logs larger than memory; `size` is the whole file's."""
+    data = map_bytes(Path(path))
+    for block in _blocks(data):
+        yield _log(data, block, None)
+
+
+def _log(data: NDArray[np.uint8], block: _Block, only: Collection[str] | None) -> Log:
+    frames = np.concatenate([_frames(data, some) for some in _unrolled(data, block)])
+    return Log(_columns(data, block, only), frames, block.junk_bytes, len(data))
 
 
 def read_columns(path: str | Path, only: Collection[str] | None = None) -> Columns:

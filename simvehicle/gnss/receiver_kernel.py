@@ -163,7 +163,8 @@ def _add_motion(
     for i in range(len(rate_mps)):
         residual[i] = rate_mps[i] - seen[1, i] + SPEED_OF_LIGHT_MPS * seen[3, i]
         design[i, 3] = 1.0
-    motion, _ = least_squares(design, residual, weights, 4)
+    # A literal 4 would have `least_squares` compiled once more, for that literal.
+    motion, _ = least_squares(design, residual, weights, 1 + DRIFT - MOTION)
     for a in range(len(motion)):
         out[MOTION + a] = motion[a]  # and the drift after it
 

@@ -10,6 +10,7 @@ References
 
 import math
 import struct
+from collections.abc import Mapping
 
 from mavproxy_fault.wire.frame import Frame
 from simvehicle.services.enums import PARAM_INT32, PARAM_REAL32
@@ -35,8 +36,8 @@ COMMON: dict[str, int | float] = {
 class Parameters:
     """The vehicle's parameters by name; integers stay integers."""
 
-    def __init__(self, more: dict[str, int | float] | None = None) -> None:
-        self._values = dict(sorted((COMMON | (more or {})).items()))
+    def __init__(self, more: Mapping[str, int | float] = {}) -> None:
+        self._values = dict(sorted({**COMMON, **more}.items()))
         self._names = list(self._values)
 
     def __getitem__(self, name: str) -> int | float:

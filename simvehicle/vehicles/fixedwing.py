@@ -18,10 +18,10 @@ from simvehicle.vehicles.fixedwing_kernel import Aero
 from simvehicle.vehicles.fixedwing_parameters import (
     FixedWingParameters,
     aero_of,
-    body_of,
     gear_of,
     read_fixedwing,
 )
+from simvehicle.vehicles.parameter_file import body_of
 from simvehicle.vehicles.rigidbody_kernel import Inertia
 from simvehicle.vehicles.trim import Trim, trim
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from simvehicle.vehicles.contact_kernel import Gear, gear
 from simvehicle.vehicles.fixedwing_kernel import Aero
-from simvehicle.vehicles.parameter_file import Battery, Moments, read_parameters
-from simvehicle.vehicles.rigidbody_kernel import Inertia, inertia
+from simvehicle.vehicles.parameter_file import Battery, Moments, body_of, read_parameters
 
 
 class _Struct(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -128,14 +127,6 @@ class FixedWingParameters(_Struct, frozen=True):
 def read_fixedwing(name: str | Path) -> FixedWingParameters:
     """Read a shipped set by name (`aerosonde-2012`) or a file by path."""
     return read_parameters(name, FixedWingParameters)
-
-
-def body_of(parameters: FixedWingParameters, plant: Mapping[str, float]) -> Inertia:
-    """Mass and inertia, with the plant faults `mass_kg_add` and `inertia_scale`."""
-    j = parameters.inertia_kgm2
-    scale = plant.get("inertia_scale", 1.0)
-    mass = parameters.mass_kg + plant.get("mass_kg_add", 0.0)
-    return inertia(mass, j.jx * scale, j.jy * scale, j.jz * scale, j.jxz * scale)
 
 
 def gear_of(parameters: FixedWingParameters) -> Gear:

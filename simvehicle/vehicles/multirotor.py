@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from simvehicle.vehicles.contact_kernel import Gear, gear
 from simvehicle.vehicles.multirotor_flight import SEA_LEVEL_KGPM3, Airframe, fly, pack
-from simvehicle.vehicles.parameter_file import Battery, Moments, read_parameters
-from simvehicle.vehicles.rigidbody_kernel import Inertia, inertia
+from simvehicle.vehicles.parameter_file import Battery, Moments, body_of, read_parameters
 
 Array = NDArray[np.float64]
 
@@ -62,13 +61,6 @@ class MultirotorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unk
         if not 0.0 <= self.motor.idle_rps < self.motor.full_rps:
             raise ValueError("motor.idle_rps must lie between 0 and motor.full_rps")
         body_of(self, {})  # refuses what is no body
-
-
-def body_of(parameters: MultirotorParameters, plant: Mapping[str, float]) -> Inertia:
-    """Mass and inertia, with the plant faults `mass_kg_add` and `inertia_scale`."""
-    j, scale = parameters.inertia_kgm2, plant.get("inertia_scale", 1.0)
-    mass = parameters.mass_kg + plant.get("mass_kg_add", 0.0)
-    return inertia(mass, scale * j.jx, scale * j.jy, scale * j.jz, scale * j.jxz)
 
 
 class Multirotor:

@@ -1,13 +1,15 @@
 """What all vehicles' parameter files share: finding them, moments of inertia, the battery."""
 
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import msgspec
 
 from mavproxy_fault.errors import ConfigError
 from simvehicle.documents import decode, read_document
+from simvehicle.vehicles.rigidbody_kernel import Inertia, inertia
 
 T = TypeVar("T")
 
@@ -19,6 +21,25 @@ class Moments(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     jy: float
     jz: float
     jxz: float = 0.0
+
+
+class Weighed(Protocol):
+    """Parameters of something with a mass."""
+
+    @property
+    def mass_kg(self) -> float:
+        """Of the whole vehicle."""
+
+    @property
+    def inertia_kgm2(self) -> Moments:
+        """About its centre of mass."""
+
+
+def body_of(parameters: Weighed, plant: Mapping[str, float]) -> Inertia:
+    """Mass and inertia, with the plant faults `mass_kg_add` and `inertia_scale`."""
+    j, scale = parameters.inertia_kgm2, plant.get("inertia_scale", 1.0)
+    mass = parameters.mass_kg + plant.get("mass_kg_add", 0.0)
+    return inertia(mass, scale * j.jx, scale * j.jy, scale * j.jz, scale * j.jxz)
 
 
 class Battery(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

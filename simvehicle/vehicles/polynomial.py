@@ -2,8 +2,10 @@
 
 Numba ships no vector mathematics library: a call of `math.sin` inside a loop keeps LLVM from
 turning the loop into SIMD code. These forms use arithmetic, comparisons that become selects, and
-bit patterns only. The coefficients are those of the Cephes library (S. Moshier, Methods and
-Programs for Mathematical Functions, 1989: sin.c, exp.c, atan.c); errors stay below 1e-15.
+bit patterns only. The sine's and cosine's coefficients are those of the Cephes library (S. Moshier,
+Methods and Programs for Mathematical Functions, 1989: sin.c). Cephes' exp.c and atan.c divide two
+polynomials, which costs a SIMD unit more than a longer polynomial does: those here are minimax fits
+(Lawson's reweighting in 40 digits). Errors stay below 1e-15.
 """
 
 import math
@@ -74,12 +76,13 @@ def exp(x: float) -> float:
     k = shifted - _ROUND
     r = x - k * 6.93145751953125e-1 - k * 1.42860682030941723212e-6
     z = r * r
-    p = (1.26177193074810590878e-4 * z + 3.02994407707441961300e-2) * z + 9.99999999999999999910e-1
-    p = r * p
-    q = (3.00198505138664455042e-6 * z + 2.52448340349684104192e-3) * z + 2.27265548208155028766e-1
-    q = q * z + 2.00000000000000000009
+    # two chains, even and odd powers, so that they run side by side
+    even = (2.7620062488319502291e-7 * z + 2.4801521354428684041e-5) * z + 1.3888888917172766157e-3
+    even = (even * z + 4.1666666666624219037e-2) * z + 5.000000000000001019e-1
+    odd = (2.5108784815228029737e-8 * z + 2.7557245762879120345e-6) * z + 1.9841269883495880177e-4
+    odd = (odd * z + 8.3333333333232438988e-3) * z + 1.6666666666666673591e-1
     power: float = _float((_bits(shifted) + 1023) << 52)
-    return (1.0 + 2.0 * p / (q - p)) * power
+    return (1.0 + (r + z * (even + r * odd))) * power
 
 
 @inlined
@@ -95,13 +98,14 @@ def atan2(y: float, x: float) -> float:
     denominator = small + large if middle else large
     t = numerator / denominator
     z = t * t
-    p = -8.750608600031904122785e-1 * z - 1.615753718733365076637e1
-    p = (p * z - 7.500855792314704667340e1) * z - 1.228866684490136173410e2
-    p = p * z - 6.485021904942025371773e1
-    q = (z + 2.485846490142306297962e1) * z + 1.650270098316988542046e2
-    q = (q * z + 4.328810604912902668951e2) * z + 4.853903996359136964868e2
-    q = q * z + 1.945506571482613964425e2
-    angle = t + t * z * p / q
+    y2 = z * z  # two chains here too
+    even = (-1.9224032802665330409e-2 * y2 - 5.0869019974783451099e-2) * y2
+    even = ((even - 6.6645465124563498738e-2) * y2 - 9.0909046966065577224e-2) * y2
+    even = (even - 1.4285714284706852364e-1) * y2 - 3.3333333333333330327e-1
+    odd = (3.9271812881001827514e-2 * y2 + 5.858439394783655776e-2) * y2
+    odd = ((odd + 7.6921858061281478793e-2) * y2 + 1.1111111018329931596e-1) * y2
+    odd = odd + 1.9999999999995724314e-1
+    angle = t + t * z * (even + z * odd)
     angle = angle + 0.25 * math.pi if middle else angle
     angle = 0.5 * math.pi - angle if steep else angle
     angle = math.pi - angle if x < 0.0 else angle

@@ -1,4 +1,4 @@
-"""What the simulation needs of a vehicle; a new kind of vehicle is one module with these."""
+"""What the simulation needs of a vehicle; what else there is to a kind, see `kinds`."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
@@ -45,11 +45,3 @@ class Vehicle(Protocol):
         density: float, ground_down_m: float, steps: int, dt: float,
     ) -> tuple[Array, Array]:  # fmt: skip
         """State later, and specific force (3), battery voltage, current and rest then."""
-
-
-def read_vehicle(kind: str, parameters: str) -> Vehicle:
-    """Read a vehicle of a kind by its parameter set's name or path."""
-    from simvehicle.vehicles.fixedwing import FixedWing
-    from simvehicle.vehicles.multirotor import Multirotor
-
-    return FixedWing.read(parameters) if kind == "fixedwing" else Multirotor.read(parameters)

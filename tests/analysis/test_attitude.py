@@ -89,6 +89,20 @@ def test_an_estimator_starts_at_the_first_truth_and_runs_on_its_imu_only():
     assert scorer.summary(state)["inverse-model"]["max_deg"]["angle"] < 1e-6
 
 
+def test_an_estimate_that_comes_late_is_compared_with_the_truth_of_its_own_time():
+    samples = [truth(k * 100_000, roll=0.02 * k) for k in range(5)]
+    samples += [autopilot(150_000, roll=0.05), truth(500_000, roll=0.1)]
+    _, _, results = score(samples, estimators=())
+    assert results[0].roll == pytest.approx(np.degrees(0.02), abs=1e-3)
+
+
+def test_an_estimate_from_before_the_truth_that_is_kept_does_not_count():
+    samples = [truth(k * 100_000) for k in range(30)]
+    samples += [autopilot(150_000, roll=0.05), truth(3_000_000)]
+    _, _, results = score(samples, estimators=())
+    assert results == []
+
+
 def test_a_pause_of_the_truth_is_not_interpolated_over():
     _, _, results = score([truth(0), autopilot(500_000), truth(5_000_000)], estimators=())
     assert results == []

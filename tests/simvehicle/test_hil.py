@@ -11,6 +11,7 @@ from mavproxy_fault.wire.rtcm import Reassembler, message_number, tunnel_payload
 from simvehicle import hil
 from simvehicle.body import Truth
 from simvehicle.hil import Hil
+from simvehicle.hil_kernel import TruthPayload
 from simvehicle.readings import (
     AirspeedReading,
     BatteryReading,
@@ -244,10 +245,15 @@ def test_sequence_numbers_run_through_all_messages() -> None:
 
 def test_the_packed_layouts_are_those_of_the_dialect() -> None:
     assert hil._SENSOR.size == hil.HIL_SENSOR.length
-    assert hil._TRUTH.size == hil.HIL_STATE_QUATERNION.length
+    assert len(TruthPayload().bytes) == hil.HIL_STATE_QUATERNION.length
 
 
 def test_velocities_beyond_the_wire_saturate() -> None:
-    truth = make_truth(v_ned_mps=np.array([400.0, -400.0, 0.0]))
+    truth = make_truth(
+        v_ned_mps=np.array([400.0, -400.0, 0.0]), v_air_b_mps=np.array([500.0, 0.0, 0.0])
+    )
     state = one(Hil().frames(0, truth, []), "HIL_STATE_QUATERNION")
     assert (state.vx, state.vy) == (32767, -32768)
+    assert (state.true_airspeed, state.ind_airspeed) == (50_000, 50_000)
+    truth = make_truth(v_air_b_mps=np.array([900.0, 0.0, 0.0]))
+    assert one(Hil().frames(0, truth, []), "HIL_STATE_QUATERNION").true_airspeed == 65_535

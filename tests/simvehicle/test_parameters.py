@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from mavproxy_fault.errors import ConfigError
+from simvehicle.kinds import kind_of
 from simvehicle.scenario import Scenario, VehicleChoice, read_scenario
 from simvehicle.simulation import Simulation
 from simvehicle.vehicles.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing_parameters import read_fixedwing
 from simvehicle.vehicles.multirotor import Multirotor
-from simvehicle.vehicles.vehicle import read_vehicle
 
 SHIPPED = Path(str(resources.files("simvehicle.vehicles")))
 WINGS = ["aerosonde-2012", "aerosonde-2025", "aerosonde-2025-matlab", "zagi-2012"]
@@ -38,12 +38,12 @@ def test_every_shipped_multirotor_can_hover_and_turn_both_ways(name: str, motors
 
 def test_an_unknown_set_names_the_known_ones() -> None:
     with pytest.raises(ConfigError, match=r"vehicle.parameters: cessna is unknown; known: aeros"):
-        read_vehicle("fixedwing", "cessna")
+        kind_of("fixedwing").read("cessna")
 
 
 def test_a_set_of_another_kind_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"aerosonde-2025.yaml:.* is unknown; known: name"):
-        read_vehicle("multirotor", "aerosonde-2025")
+        kind_of("multirotor").read("aerosonde-2025")
 
 
 def edited(tmp_path: Path, name: str, old: str, new: str) -> Path:
@@ -74,7 +74,7 @@ def test_a_wrong_file_is_refused(
 ) -> None:
     kind = "multirotor" if name == "iris" else "fixedwing"
     with pytest.raises(ConfigError, match=message):
-        read_vehicle(kind, str(edited(tmp_path, name, old, new)))
+        kind_of(kind).read(str(edited(tmp_path, name, old, new)))
 
 
 def test_a_scenario_finds_a_vehicle_beside_it(tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def test_a_scenario_finds_a_vehicle_beside_it(tmp_path: Path) -> None:
 def test_a_multirotor_needs_four_rotors(tmp_path: Path) -> None:
     path = edited(tmp_path, "iris", "  - {x_m: -0.13, y_m: 0.20, turns: cw}\n", "")
     with pytest.raises(ConfigError, match="3 rotors are not supported; 4 to 8 are"):
-        read_vehicle("multirotor", str(path))
+        kind_of("multirotor").read(str(path))
 
 
 @pytest.mark.parametrize("kind", ["fixedwing", "multirotor"])

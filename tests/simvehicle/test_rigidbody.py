@@ -5,8 +5,10 @@ import pytest
 
 from simvehicle.compiled import compiled
 from simvehicle.rotation import matrix_from_quat
+from simvehicle.vehicles.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing_kernel import Aero, step
-from simvehicle.vehicles.fixedwing_parameters import aero_of, body_of, read_fixedwing
+from simvehicle.vehicles.fixedwing_parameters import aero_of, read_fixedwing
+from simvehicle.vehicles.parameter_file import body_of
 from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, inertia
 from simvehicle.vehicles.trim import trim
 
@@ -109,6 +111,16 @@ def test_halving_the_step_divides_the_error_by_sixteen() -> None:
     exact = end(0.00125)
     coarse, fine = (np.linalg.norm(end(dt) - exact) for dt in (0.02, 0.01))
     assert 3.6 < np.log2(coarse / fine) < 4.4
+
+
+def test_one_vehicle_is_flown_by_the_same_equations_as_many() -> None:
+    vehicle = FixedWing.read("aerosonde-2025")
+    throw = np.array([*vehicle.throw_rad, 1.0])
+    end, _ = vehicle.advance(
+        np.append(START, 0.0), np.array(CONTROLS) / throw, np.array([1.0, -2.0, 0.0]),
+        np.array([0.0, 0.0, 9.81]), 1.2, 0.0, 200, 0.005,
+    )  # fmt: skip
+    assert end[:13] == pytest.approx(flown(START, 1.0, 0.005, density=1.2), rel=1e-11, abs=1e-11)
 
 
 def test_the_quaternion_keeps_its_length() -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from analysis.dataflash import read_dataflash
 from analysis.report.from_dataflash import recording_of_dataflash
 from analysis.report.outcome import judged
 from analysis.report.sources import read_flight
@@ -52,7 +53,7 @@ def dataflash(path: Path) -> Path:
 
 
 def test_a_dataflash_log_has_curves_modes_texts_and_parameters(tmp_path: Path) -> None:
-    found = recording_of_dataflash(dataflash(tmp_path / "a.bin"), "a")
+    found = recording_of_dataflash(read_dataflash(dataflash(tmp_path / "a.bin")), "a")
     assert found.of("yaw")[0].value[:2].tolist() == [90.0, 90.0]
     assert found.of("mag")[0].value[0] == pytest.approx(0.5)
     assert found.tracks[0].lat_deg[0] == pytest.approx(47.0)

@@ -8,6 +8,7 @@ import pytest
 from analysis.estimators import make
 from analysis.search import rows
 from analysis.search.batch import Batch, start_memory
+from analysis.search.breakdown import breakdown
 from analysis.search.space import flights_of
 from analysis.search.testfile import FaultRange, Initial, Mission, OpenLoop, Sensors, TestFile, Wind
 from analysis.search.traced import estimated, traced
@@ -77,9 +78,21 @@ def test_specific_force_without_noise_integrates_to_the_velocity():
     assert flight.estimate[-1, 6:9] == pytest.approx(flight.state[-1, 0:3], abs=0.1)
 
 
-@pytest.mark.parametrize("name", ["inverse-model", "mahony", "complementary", "ekf"])
-def test_an_estimator_in_the_kernel_is_the_one_in_python(name):
-    flight = flown(test_of(estimator=name, mission=WEAVE))
+NO_GPS = FaultRange(fault="drop", target="HIL_GPS", at_s=2.0, for_s=5.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "faults"),
+    [
+        ("inverse-model", []),
+        ("mahony", []),
+        ("complementary", []),
+        ("ekf", []),
+        ("ekf", [NO_GPS]),  # gravity takes over after two seconds
+    ],
+)
+def test_an_estimator_in_the_kernel_is_the_one_in_python(name, faults):
+    flight = flown(test_of(estimator=name, mission=WEAVE, faults=faults))
     again = estimated(flight, make(name))
     assert np.abs(flight.q_estimate - again).max() < 1e-9
 
@@ -137,7 +150,7 @@ def test_a_fault_acts_in_its_time_only(fault, value, expected):
 def test_a_fault_on_a_slow_sensor_is_not_applied_twice_to_one_sample():
     broken = FaultRange(fault="scale", target="HIL_GPS.vn", value=2.0)
     test = test_of(estimator="ekf", sensors=QUIET, faults=[broken])
-    measured = flown(test).measured[:, 9]
+    measured = flown(test).measured[20:, 9]  # from the first sample on
     assert measured == pytest.approx(np.full(len(measured), measured[0]), rel=1e-3)
 
 
@@ -171,3 +184,44 @@ def test_an_estimator_that_is_not_compiled_is_searched_too():
 def test_an_unknown_estimator_is_the_users_error():
     with pytest.raises(ConfigError, match="known: complementary"):
         Batch(test_of(estimator="guess")).evaluate(np.zeros((1, 0)), 1, 0)
+
+
+def test_a_noise_fault_adds_noise_of_its_sigma_to_its_channel_only():
+    broken = FaultRange(fault="noise", target="HIL_SENSOR.zgyro", value=0.2, at_s=2.0, for_s=30.0)
+    healthy = flown(test_of(mission=WEAVE, duration_s=40.0)).measured
+    faulty = flown(test_of(mission=WEAVE, duration_s=40.0, faults=[broken])).measured
+    added = (faulty - healthy)[200:3200, 2]
+    assert abs(added.var() / 0.2**2 - 1.0) < 4.0 * math.sqrt(2.0 / len(added))
+    assert abs(np.corrcoef(added, healthy[200:3200, 2])[0, 1]) < 4.0 / math.sqrt(len(added))
+    assert (faulty[:, [0, 1, 3, 4, 5]] == healthy[:, [0, 1, 3, 4, 5]]).all()
+
+
+def test_gusts_shake_the_aircraft_by_chance_of_their_own():
+    test = test_of(mission=WEAVE, gusts="moderate")
+    first, again, other = flown(test), flown(test), flown(test, number=1)
+    calm = flown(test_of(mission=WEAVE))
+    assert (first.state == again.state).all()
+    assert np.abs(first.state[-1, :3] - other.state[-1, :3]).max() > 0.5
+    assert first.state[1] == pytest.approx(calm.state[1])  # gusts begin after the first step
+    noise = first.measured[:, 0:3] - first.state[:, 10:13]
+    assert noise == pytest.approx(calm.measured[:, 0:3] - calm.state[:, 10:13])
+
+
+def test_twelve_states_are_scored_in_their_scales():
+    test = test_of(mission=WEAVE, criterion="state")
+    fitness = Batch(test).evaluate(np.zeros((1, 0)), seed=1, first=0).fitness[0]
+    parts = breakdown(test, Batch(test).space.fixed, 1, 0)
+    scales = np.repeat([10.0, 1.0, 1.0, 1.0], 3)
+    rmse = np.array(list(parts["state_rmse"].values()))
+    assert fitness == pytest.approx(np.sqrt(((rmse / scales) ** 2).mean()), rel=1e-6)
+
+
+def test_a_case_is_broken_down_by_phase_and_by_fault():
+    broken = FaultRange(fault="bias", target="HIL_SENSOR.xgyro", value=0.1, at_s=4.0, for_s=2.0)
+    test = test_of(mission=WEAVE, faults=[broken])
+    parts = breakdown(test, Batch(test).space.fixed, 1, 0)
+    assert set(parts["phases"]) >= {"turn"}
+    assert sum(p["samples"] for p in parts["phases"].values()) == parts["samples"] == 1001
+    assert parts["faults"]["drawn-0"]["samples"] == 200
+    assert parts["faults"]["drawn-0"]["max_deg"]["roll"] == pytest.approx(11.4, abs=1.0)
+    assert parts["angle_percentiles_deg"]["50"] <= parts["angle_percentiles_deg"]["99"]

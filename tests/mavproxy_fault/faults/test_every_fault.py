@@ -5,7 +5,6 @@ The frames run through an engine and are judged by pymavlink's decoder.
 
 import math
 from importlib.metadata import EntryPoint
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,57 +15,13 @@ from pymavlink.dialects.v20 import all as pymavlink
 from mavproxy_fault.engine import Engine
 from mavproxy_fault.faults import registry
 from mavproxy_fault.faults.base import Outgoing
+from mavproxy_fault.faults.examples import EXAMPLES
 from mavproxy_fault.faults.registry import known_faults
 from mavproxy_fault.schedule import parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.plant import plant_change
 
-GYRO = "HIL_SENSOR.xgyro"
-GYROS = ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"]
-EXAMPLES: dict[str, dict[str, Any]] = {
-    "axis-swap": {"target": GYROS},
-    "bias": {"target": GYRO, "value": 1.0},
-    "bit-flip": {"target": GYRO},
-    "burst-loss": {"value": 0.2, "frames": 3},
-    "clear-bits": {"target": "HIL_SENSOR.fields_updated", "groups": ["baro"]},
-    "constant": {"target": GYRO, "value": 3.0},
-    "corrupt": {"crc": "redone", "target": "HIL_SENSOR"},
-    "cycle": {"target": GYROS, "value": 1.0, "period_s": 0.1},
-    "dead-band": {"target": GYRO, "value": 0.05},
-    "delay": {"value": 0.02},
-    "drift": {"target": GYRO, "value": 10.0},
-    "drop": {"value": 0.5},
-    "duplicate": {"copies": 2, "by_s": 0.01},
-    "float": {"target": GYRO, "settle_s": 0.05},
-    "freeze": {"target": GYRO},
-    "gilbert-elliott": {"to_bad": 0.2, "to_good": 0.2},
-    "gps-spoof": {"offset_m": [100, 0, 0]},
-    "impulse": {"target": GYRO, "value": 5.0, "period_s": 0.1, "width_s": 0.02},
-    "iron": {"target": GYROS, "hard": [0.1, 0, 0]},
-    "jitter": {"value": 0.02},
-    "lag": {"target": GYRO, "value": 0.05},
-    "noise": {"target": GYRO, "value": 0.1},
-    "not-a-number": {"target": GYRO},
-    "outage": {},
-    "plant": {"target": "PLANT.mass_kg_add", "value": 0.5},
-    "quantise": {"target": GYRO, "value": 0.25},
-    "random-walk": {"target": GYRO, "value": 0.1},
-    "rate-limit": {"value": 50},
-    "reorder": {"value": 0.2, "by_s": 0.02},
-    "replay": {"target": GYRO, "value": 0.1},
-    "rotation": {"target": GYROS, "angles_deg": [0, 0, 90]},
-    "sample-hold": {"target": GYRO, "value": 0.1},
-    "saturate": {"target": GYRO, "value": 0.05},
-    "scale": {"target": GYRO, "value": 2.0},
-    "sequence-gap": {"value": 0.2},
-    "sine": {"target": GYRO, "value": 0.1, "frequency_hz": 10},
-    "slew-limit": {"target": GYRO, "value": 0.01},
-    "time-backwards": {},
-    "time-drift": {"value": 0.5},
-    "time-jump": {"value": 5.0},
-    "truncate": {},
-}
 START_US = 1_000_000
 STEP_US = 4_000
 FRAMES = 200  # 0.8 s; the fault acts from 0.2 s to 0.6 s
@@ -210,7 +165,7 @@ def test_another_package_adds_a_fault_by_entry_point(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(registry, "entry_points", lambda group: [point])
     registry.known_faults.cache_clear()
     try:
-        entry = {"fault": "double", "target": GYRO, "value": 2}
+        entry = {"fault": "double", "target": "HIL_SENSOR.xgyro", "value": 2}
         assert parse_schedule({"faults": [entry]}).faults[0].name == "double"
     finally:
         registry.known_faults.cache_clear()

@@ -1,0 +1,146 @@
+"""Where a graph begins: at the detector's filter, or where the last one was good."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from analysis.fdi.inertial import (
+    BA,
+    BG,
+    CLOCK,
+    DRIFT,
+    PSI,
+    X_BA,
+    X_BG,
+    X_CLOCK,
+    X_DRIFT,
+    X_ISB,
+    X_Q,
+    X_SIZE,
+    R,
+    V,
+    matrix,
+)
+from analysis.fdi.start import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
+from analysis.fdi.state import Motion
+from analysis.fusion.factors import sigma1
+from analysis.fusion.frame import Frame, frame_at, quaternion
+from analysis.fusion.window import key
+from analysis.gnss import LIGHT_MPS
+from analysis.samples import Vector
+
+Clock = tuple[float, float]  # clock in s, drift in s/s
+TINY = 1e-12  # keeps a covariance positive definite
+UNKNOWN_CLOCK = (1.0, 1e-6)
+STILL_RAD = 0.1
+DOUBT = 2.0  # the sigmas of the last good state times this
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """An epoch and its estimate in the graph's frame."""
+
+    epoch: int
+    t_us: int
+    pose: Any
+    velocity: Vector
+    bias: Any
+    clock: Clock
+
+
+@dataclass(frozen=True, slots=True)
+class Beginning:
+    """A first node with its covariances: pose (6, 6) turn then shift in body axes, velocity (3, 3)
+    in the frame's, bias (6, 6), and sigmas of clock and drift; `aligned`: its attitude is known."""
+
+    frame: Frame
+    node: Node
+    pose_p: Vector
+    velocity_p: Vector
+    bias_p: Vector
+    clock_sigma: Clock
+    aligned: bool
+
+    def priors(self, biases: int) -> list[Any]:
+        """The first node's factors; `biases` is the key of its biases."""
+        gaussian = gtsam.noiseModel.Gaussian.Covariance
+        node, epoch = self.node, self.node.epoch
+        return [
+            gtsam.PriorFactorPose3(
+                key("x", epoch), node.pose, gaussian(self.pose_p + TINY * np.eye(6))
+            ),
+            gtsam.PriorFactorPoint3(
+                key("v", epoch), node.velocity, gaussian(self.velocity_p + TINY * np.eye(3))
+            ),
+            gtsam.PriorFactorConstantBias(
+                biases, node.bias, gaussian(self.bias_p + TINY * np.eye(6))
+            ),
+            gtsam.PriorFactorDouble(key("c", epoch), 0.0, sigma1(self.clock_sigma[0])),
+            gtsam.PriorFactorVector(key("d", epoch), np.zeros(1), sigma1(self.clock_sigma[1])),
+        ]
+
+
+def at_filter(motion: Motion, correlation: float) -> Beginning:
+    """The detector's filter, its position and clock `correlation` times less sure."""
+    x, p = motion.x, motion.p
+    frame = frame_at(x[R : R + 3])
+    rot = frame.axes @ matrix(x[X_Q : X_Q + 4])
+    to_body = rot.T @ frame.axes
+    both = np.zeros((6, 6))
+    both[:3, :3] = both[3:, 3:] = to_body
+    spots = [*range(PSI, PSI + 3), *range(R, R + 3)]
+    widen = np.diag([1.0] * 3 + [correlation] * 3)
+    pose_p = widen @ both @ p[np.ix_(spots, spots)] @ both.T @ widen
+    if not motion.inertial:  # it tells nothing, and must not wander while nothing else does
+        pose_p[:3, :] = pose_p[:, :3] = 0.0
+        pose_p[:3, :3] = STILL_RAD**2 * np.eye(3)
+    biases = [*range(BA, BA + 3), *range(BG, BG + 3)]
+    sigma = correlation * np.sqrt(p[[CLOCK, DRIFT], [CLOCK, DRIFT]] + 1e-4) / LIGHT_MPS
+    node = Node(
+        0,
+        motion.t_us,
+        gtsam.Pose3(gtsam.Rot3(rot), np.zeros(3)),
+        frame.axes @ x[V : V + 3],
+        gtsam.imuBias.ConstantBias(x[X_BA : X_BA + 3], x[X_BG : X_BG + 3]),
+        (x[X_CLOCK] / LIGHT_MPS, x[X_DRIFT] / LIGHT_MPS),
+    )
+    return Beginning(
+        frame,
+        node,
+        pose_p,
+        frame.axes @ p[V : V + 3, V : V + 3] @ frame.axes.T,
+        p[np.ix_(biases, biases)],
+        (float(sigma[0]), float(sigma[1])),
+        motion.inertial,
+    )
+
+
+def at_node(frame: Frame, node: Node, covariance: Vector, aligned: bool) -> Beginning:
+    """The last good node of a graph with the covariance (9, 9) of its pose and velocity."""
+    wide = DOUBT**2 * covariance
+    bias = np.diag([ACCEL_BIAS_SIGMA_MPS2**2] * 3 + [GYRO_BIAS_SIGMA_RPS**2] * 3)
+    first = Node(0, node.t_us, node.pose, node.velocity, node.bias, node.clock)
+    return Beginning(frame, first, wide[:6, :6], wide[6:, 6:], bias, UNKNOWN_CLOCK, aligned)
+
+
+def attitude_in(frame: Frame, motion: Motion) -> tuple[Any, Vector]:
+    """The filter's attitude in a frame, with its covariance (3, 3) in body axes."""
+    rot = frame.axes @ matrix(motion.x[X_Q : X_Q + 4])
+    to_body = rot.T @ frame.axes
+    p = to_body @ motion.p[PSI : PSI + 3, PSI : PSI + 3] @ to_body.T
+    return gtsam.Rot3(rot), p + TINY * np.eye(3)
+
+
+def navigation_state(frame: Frame, node: Node, isb_m: float) -> Vector:
+    """A node as the state x (19,) of the detector's filter."""
+    x = np.zeros(X_SIZE)
+    x[R : R + 3] = frame.ecef(node.pose.translation())
+    x[V : V + 3] = frame.axes.T @ node.velocity
+    x[X_Q : X_Q + 4] = quaternion(frame.axes.T @ node.pose.rotation().matrix())
+    x[X_BG : X_BG + 3] = node.bias.gyroscope()
+    x[X_BA : X_BA + 3] = node.bias.accelerometer()
+    x[X_CLOCK], x[X_DRIFT] = (part * LIGHT_MPS for part in node.clock)
+    x[X_ISB] = isb_m
+    return x

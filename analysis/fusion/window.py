@@ -1,0 +1,164 @@
+"""GTSAM's fixed-lag smoother with names for its factors, so that they can be taken back.
+
+`IncrementalFixedLagSmoother` as set up here costs a fraction of its defaults: time stamps are cut
+to blocks, so that the oldest variables are marginalised together once per block, and in the updates
+between the newest variables stay at the root of its tree; and variables are relinearised only when
+they moved so far that it matters. QR, since clocks in seconds are scaled too badly for Cholesky.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from analysis.samples import Vector
+
+BLOCKS = 5  # per lag
+BEFORE = 1 << 20  # keeps the numbers of blocks positive
+NEVER = 1e9
+# How far a variable moves before it is relinearised, in its own units (rad, m, m/s, m/s^2): ranges
+# and clocks are as good as linear, turns are not.
+RELINEARISE = {
+    "x": [0.04] * 3 + [3.0] * 3,
+    "v": [5.0] * 3,
+    "b": [0.5] * 3 + [0.05] * 3,
+    "c": [NEVER],
+    "d": [NEVER],
+    "h": [NEVER],
+    "w": [2.0] * 3,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """The slots of some factors and the stamp of the oldest variable they touch."""
+
+    stamp_s: float
+    slots: tuple[int, ...]
+
+
+def key(letter: str, epoch: int) -> int:
+    """The key of a variable."""
+    return int(gtsam.symbol(letter, epoch))
+
+
+class Window:
+    """The variables and factors of the last `lag_s` seconds; changes in place, as GTSAM's does.
+
+    Factors are named by their source and epoch. What is inserted, attached and taken back counts
+    from the next `commit` on.
+    """
+
+    def __init__(self, lag_s: float) -> None:
+        params = gtsam.ISAM2Params()
+        params.setFactorization("QR")
+        params.findUnusedFactorSlots = True
+        params.relinearizeSkip = 1
+        thresholds = gtsam.ISAM2ThresholdMap()
+        for letter, values in RELINEARISE.items():
+            thresholds.insert((letter, np.array(values)))
+        params.setRelinearizeThreshold(thresholds)
+        self.block_s = lag_s / BLOCKS
+        self._lag_s = lag_s
+        self.smoother = gtsam.IncrementalFixedLagSmoother(lag_s, params)
+        self._entries: dict[tuple[str, int], Entry] = {}
+        self._newest_s = self._forgotten_s = -NEVER
+        self._clear()
+
+    def _clear(self) -> None:
+        self._batch = gtsam.NonlinearFactorGraph()
+        self._values = gtsam.Values()
+        self._stamps: dict[Any, Any] = {}
+        self._named: list[tuple[tuple[str, int], float, int]] = []
+        self._back: list[int] = []
+
+    def block(self, t_s: float) -> int:
+        """The number, above zero, of the block a time is in."""
+        return math.floor(t_s / self.block_s + 1e-9) + BEFORE
+
+    def starts_s(self, block: int) -> float:
+        """When a block begins."""
+        return (block - BEFORE) * self.block_s
+
+    def stamp(self, t_s: float) -> float:
+        """The start of the block a time is in."""
+        return self.starts_s(self.block(t_s))
+
+    @property
+    def oldest_s(self) -> float:
+        """Variables with an older stamp are gone after the next commit."""
+        return self._newest_s - self._lag_s
+
+    def insert(self, values: Any, names: Iterable[int], t_s: float) -> None:
+        """Variables at a time with their first guesses."""
+        self._values.insert(values)
+        stamp = self.stamp(t_s)
+        self._newest_s = max(self._newest_s, stamp)
+        self._stamps.update(dict.fromkeys(names, stamp))
+
+    def attach(self, source: str, epoch: int, t_s: float, *factors: Any) -> None:
+        """Factors of a source at an epoch; `t_s` is the time of the oldest variable they touch."""
+        for factor in factors:
+            self._batch.add(factor)
+        self._named.append(((source, epoch), self.stamp(t_s), len(factors)))
+
+    def take_back(self, source: str, epoch: int) -> bool:
+        """Remove the factors of a source at an epoch; whether there were any."""
+        entry = self._entries.pop((source, epoch), None)
+        if entry is None:
+            return False
+        self._back += entry.slots
+        return True
+
+    def holds(self, source: str, epoch: int) -> bool:
+        """Whether there are factors of a source at an epoch, committed or not."""
+        name = (source, epoch)
+        return name in self._entries or any(staged == name for staged, _, _ in self._named)
+
+    def named(self) -> list[tuple[str, int]]:
+        """Source and epoch of what is in the window."""
+        return list(self._entries)
+
+    def slots(self, source: str, epoch: int) -> tuple[int, ...]:
+        """Where GTSAM keeps the factors of a source at an epoch."""
+        entry = self._entries.get((source, epoch))
+        return entry.slots if entry is not None else ()
+
+    def commit(self) -> None:
+        """Solve with everything since the last commit.
+
+        Raises
+        ------
+        RuntimeError
+            By GTSAM, when the system cannot be solved.
+        """
+        # Slots of marginalised factors are used again: forget them before that happens.
+        if self.oldest_s > self._forgotten_s:
+            self._forgotten_s = self.oldest_s
+            self._entries = {
+                name: entry
+                for name, entry in self._entries.items()
+                if entry.stamp_s >= self.oldest_s
+            }
+        smoother = self.smoother
+        smoother.update(self._batch, self._values, self._stamps, self._back)
+        slots = list(smoother.getISAM2Result().getNewFactorsIndices())
+        start = 0
+        for name, stamp_s, count in self._named:
+            known = self._entries.get(name)
+            before = known.slots if known is not None else ()
+            taken = tuple(slots[start : start + count])
+            self._entries[name] = Entry(stamp_s, before + taken)
+            start += count
+        again = bool(self._back)
+        self._clear()
+        if again:
+            smoother.update()  # the first only takes them out
+
+    def covariance(self, names: list[int]) -> Vector:
+        """Joint marginal covariance of variables."""
+        result: Vector = self.smoother.getISAM2().jointMarginalCovariance(names).fullMatrix()
+        return result

@@ -1,0 +1,98 @@
+"""One case in detail: errors by phase of flight and by fault, percentiles, all twelve states."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.attitude import Cell, parted, phase_of
+from analysis.estimators import make
+from analysis.search.batch import COMPILED, Batch, ned_velocity, start_memory
+from analysis.search.shrink import pinned
+from analysis.search.space import flights_of
+from analysis.search.testfile import TestFile
+from analysis.search.traced import Trace, estimated, traced, with_all_sensors
+from simvehicle.rotation import euler_from_quat
+
+Array = NDArray[np.float64]
+CELL_US = 100_000
+STATES = (
+    "north_m", "east_m", "down_m", "u_mps", "v_mps", "w_mps", "roll_deg", "pitch_deg", "yaw_deg",
+    "p_dps", "q_dps", "r_dps",
+)  # fmt: skip
+
+
+class Acting(NamedTuple):
+    """When a fault acted."""
+
+    id: str
+    start_us: int
+    end_us: int | None
+
+
+def breakdown(
+    test: TestFile, values: Mapping[str, float], seed: int, number: int
+) -> dict[str, Any]:
+    """Scores as `parted` gives them, and `state_rmse` for an estimator of twelve states.
+
+    `seed` and `number` choose the noise.
+    """
+    if test.flown:
+        from analysis.search.flown import Flown
+
+        return Flown(test).scores(values, seed, number).parts
+    flight = flight_of(test, values, seed, number)
+    error = flight.errors_rad()
+    windows = [
+        Acting(f"drawn-{i}", round(f.at_s * 1e6), _end_us(f.at_s, f.for_s))
+        for i, f in enumerate(pinned(test, values).faults)
+        if isinstance(f.at_s, float) and not isinstance(f.for_s, tuple)
+    ]
+    parts = parted(cells_of(flight, error), windows, CELL_US)
+    if test.estimator == "inverse-model":
+        parts["state_rmse"] = dict(zip(STATES, state_rmse(flight).tolist(), strict=True))
+    return parts
+
+
+def flight_of(test: TestFile, values: Mapping[str, float], seed: int, number: int) -> Trace:
+    """The flight in full, with the attitude that the estimator under test made of it."""
+    batch = Batch(test)
+    column = flights_of(test, {name: np.array([value]) for name, value in values.items()})
+    memory = start_memory(test.estimator, column)[0]
+    if test.estimator in COMPILED:
+        return traced(batch.plan, column[:, 0], memory, seed, number)
+    flight = traced(with_all_sensors(batch.plan), column[:, 0], memory, seed, number)
+    return replace(flight, q_estimate=estimated(flight, make(test.estimator)))
+
+
+def _end_us(at_s: float, for_s: float | None) -> int | None:
+    return None if for_s is None else round((at_s + for_s) * 1e6)
+
+
+def cells_of(flight: Trace, error: Array) -> list[Cell]:
+    """Errors (n, 4) of a flight in cells of CELL_US."""
+    length = max(1, round(CELL_US * 1e-6 / flight.plan.dt_s))
+    velocity = ned_velocity(flight.state[:, 6:10].T, flight.state[:, 3:6].T).T
+    cells = []
+    for first in range(0, len(error), length):
+        part = error[first : first + length]
+        sums = np.concatenate([[len(part)], (part**2).sum(axis=0), np.abs(part).max(axis=0)])
+        phase = phase_of(flight.state[first, 6:10], velocity[first])
+        cells.append(Cell(round(first * flight.plan.dt_s * 1e6), phase, sums, part[0]))
+    return cells
+
+
+def state_rmse(flight: Trace) -> Array:
+    """RMSE (12,) in the units of STATES; the estimated rates are the gyro's."""
+    angle = flight.estimate[:, 0:3] - euler_from_quat(flight.state[:, 6:10])
+    error = np.column_stack(
+        [
+            flight.estimate[:, 6:9] - flight.state[:, 0:3],
+            flight.estimate[:, 3:6] - flight.state[:, 3:6],
+            np.degrees((angle + np.pi) % (2.0 * np.pi) - np.pi),
+            np.degrees(flight.measured[:, 0:3] - flight.state[:, 10:13]),
+        ]
+    )
+    return np.asarray(np.sqrt((error**2).mean(axis=0)))

@@ -1,0 +1,50 @@
+"""An example of every fault, as `faults show` prints it; each of them is run by the tests."""
+
+from typing import Any
+
+GYRO = "HIL_SENSOR.xgyro"
+GYROS = ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"]
+# What stands beside `fault: NAME`
+EXAMPLES: dict[str, dict[str, Any]] = {
+    "axis-swap": {"target": GYROS},
+    "bias": {"target": GYRO, "value": 1.0},
+    "bit-flip": {"target": GYRO},
+    "burst-loss": {"value": 0.2, "frames": 3},
+    "clear-bits": {"target": "HIL_SENSOR.fields_updated", "groups": ["baro"]},
+    "constant": {"target": GYRO, "value": 3.0},
+    "corrupt": {"crc": "redone", "target": "HIL_SENSOR"},
+    "cycle": {"target": GYROS, "value": 1.0, "period_s": 0.1},
+    "dead-band": {"target": GYRO, "value": 0.05},
+    "delay": {"value": 0.02},
+    "drift": {"target": GYRO, "value": 10.0},
+    "drop": {"value": 0.5},
+    "duplicate": {"copies": 2, "by_s": 0.01},
+    "float": {"target": GYRO, "settle_s": 0.05},
+    "freeze": {"target": GYRO},
+    "gilbert-elliott": {"to_bad": 0.2, "to_good": 0.2},
+    "gps-spoof": {"offset_m": [100, 0, 0]},
+    "impulse": {"target": GYRO, "value": 5.0, "period_s": 0.1, "width_s": 0.02},
+    "iron": {"target": GYROS, "hard": [0.1, 0, 0]},
+    "jitter": {"value": 0.02},
+    "lag": {"target": GYRO, "value": 0.05},
+    "noise": {"target": GYRO, "value": 0.1},
+    "not-a-number": {"target": GYRO},
+    "outage": {},
+    "plant": {"target": "PLANT.mass_kg_add", "value": 0.5},
+    "quantise": {"target": GYRO, "value": 0.25},
+    "random-walk": {"target": GYRO, "value": 0.1},
+    "rate-limit": {"value": 20},
+    "reorder": {"value": 0.2, "by_s": 0.02},
+    "replay": {"target": GYRO, "value": 0.1},
+    "rotation": {"target": GYROS, "angles_deg": [0, 0, 90]},
+    "sample-hold": {"target": GYRO, "value": 0.1},
+    "saturate": {"target": GYRO, "value": 0.05},
+    "scale": {"target": GYRO, "value": 2.0},
+    "sequence-gap": {"value": 0.2},
+    "sine": {"target": GYRO, "value": 0.1, "frequency_hz": 10},
+    "slew-limit": {"target": GYRO, "value": 0.01},
+    "time-backwards": {},
+    "time-drift": {"value": 0.5},
+    "time-jump": {"value": 5.0},
+    "truncate": {},
+}

@@ -1,0 +1,54 @@
+"""Rolling from side to side while holding pitch and airspeed, as a scalar compiled function.
+
+Proportional feedback of the true attitude on top of open-loop controls, so that long flights stay
+within the envelope. The simulator calls it for one vehicle, the worst-case search for many.
+"""
+
+from math import pi
+from typing import NamedTuple
+
+from simvehicle.compiled import inlined
+from simvehicle.vehicles.polynomial import sin_cos
+
+# Elevator and aileron per rad and per rad/s, throttle per m/s: the loops of pitch and roll lie
+# near 6 rad/s for the Aerosonde at 35 m/s.
+PITCH, PITCH_RATE, ROLL, ROLL_RATE, SPEED = 1.0, 0.1, 0.3, 0.05, 0.05
+THROW_RAD = 0.4
+
+Four = tuple[float, float, float, float]
+
+
+class Motion(NamedTuple):
+    """What is fed back: roll, pitch [rad], their rates about the body's axes [rad/s], airspeed."""
+
+    roll: float
+    pitch: float
+    p: float
+    q: float
+    airspeed_mps: float
+
+
+@inlined
+def weave(motion: Motion, aim: Four, open_loop: Four, t_s: float) -> Four:
+    """Elevator, aileron, rudder [rad] and throttle.
+
+    Parameters
+    ----------
+    motion : Motion
+    aim : 4 floats
+        Greatest roll [rad], its period [s], pitch [rad], airspeed [m/s].
+    open_loop : 4 floats
+        Controls without feedback.
+    t_s : float
+        Since the start.
+    """
+    sine, _ = sin_cos(2.0 * pi * t_s / aim[1])
+    elevator = PITCH_RATE * motion.q - PITCH * (aim[2] - motion.pitch)
+    aileron = ROLL * (aim[0] * sine - motion.roll) - ROLL_RATE * motion.p
+    throttle = open_loop[3] + SPEED * (aim[3] - motion.airspeed_mps)
+    return (
+        open_loop[0] + min(THROW_RAD, max(-THROW_RAD, elevator)),
+        open_loop[1] + min(THROW_RAD, max(-THROW_RAD, aileron)),
+        open_loop[2],
+        min(1.0, max(0.0, throttle)),
+    )

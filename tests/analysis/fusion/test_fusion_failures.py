@@ -1,0 +1,75 @@
+"""GTSAM fails for real, and the monitor goes on."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from analysis.fusion.config import FusionConfig
+from analysis.fusion.factors import sigma1
+from analysis.fusion.graph import Graph
+from analysis.fusion.window import Window, key
+from analysis.pipeline import Pipeline, monitor_config
+from analysis.results import Decision, FusedState
+
+FAILS_US = 5_000_000
+
+
+def lost_variable(graph):
+    """A factor on a variable that the smoother does not know (any more)."""
+    noise = sigma1(1.0)
+    graph.attach("lost", graph.node.epoch, gtsam.PriorFactorDouble(key("c", 99_999), 0.0, noise))
+
+
+def indeterminate(graph):
+    """Two variables of which only the difference is measured."""
+    values, keys = gtsam.Values(), (key("h", 1), key("h", 2))
+    for name in keys:
+        values.insert(name, 0.0)
+    graph.window.insert(values, keys, graph.seconds(graph.node.t_us))
+    noise = gtsam.noiseModel.Isotropic.Sigma(1, 1.0)
+    graph.attach("loose", graph.node.epoch, gtsam.BetweenFactorDouble(*keys, 0.0, noise))
+
+
+def results_of(samples):
+    """All results of a fused flight."""
+    pipeline = Pipeline(monitor_config({"fusion": {}, "attitude": {"estimators": []}}, "x"))
+    return [result for sample in samples for result in pipeline.push(sample)]
+
+
+@pytest.fixture(scope="module")
+def short(flights):
+    """A clean flight."""
+    return flights(7.0)
+
+
+@pytest.mark.parametrize("broken", [lost_variable, indeterminate])
+def test_a_failing_graph_is_reported_and_goes_on_from_the_last_good_state(
+    broken, monkeypatch, short
+):
+    commit, seen = Graph.commit, []
+
+    def breaking(graph):
+        if graph.node.t_us == FAILS_US and not seen:
+            seen.append(graph)
+            broken(graph)
+        commit(graph)
+
+    before = [r for r in results_of(short) if isinstance(r, FusedState)]
+    monkeypatch.setattr(Graph, "commit", breaking)
+    results = results_of(short)
+    states = [r for r in results if isinstance(r, FusedState)]
+    told = [state for state in states if "failed" in state.reason]
+    assert [state.t_us for state in told] == [FAILS_US]
+    assert len(states) == len([r for r in results if isinstance(r, Decision)])
+    apart = [
+        np.linalg.norm(np.subtract(a.position_ecef_m, b.position_ecef_m))
+        for a, b in zip(states, before, strict=True)
+    ]
+    assert max(apart) < 2.0
+
+
+def test_the_smoother_raises_what_the_step_catches():
+    window = Window(FusionConfig().lag_s)
+    window.attach("lost", 0, 0.0, gtsam.PriorFactorDouble(key("c", 7), 0.0, sigma1(1.0)))
+    with pytest.raises((RuntimeError, ValueError, IndexError)):
+        window.commit()

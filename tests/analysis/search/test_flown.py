@@ -1,0 +1,155 @@
+"""Flights in the simulator: the kernels' own, scenarios of any kind, and cases as files."""
+
+import msgspec
+import numpy as np
+import pytest
+import yaml
+
+from analysis.attitude import AttitudeConfig
+from analysis.run.flight import Flight
+from analysis.run.setup import read_setup
+from analysis.search.batch import Batch
+from analysis.search.campaign import campaign
+from analysis.search.cases import write_cases
+from analysis.search.document import document_of
+from analysis.search.flown import Flown, Watch, fly
+from analysis.search.pool import Here
+from analysis.search.testfile import (
+    FaultRange,
+    Initial,
+    Mission,
+    OpenLoop,
+    Sensors,
+    TestFile,
+    read_test,
+)
+from mavproxy_fault.errors import ConfigError
+
+QUIET = Sensors(
+    gyro_sigma_dps=0.0,
+    accel_sigma_mps2=0.0,
+    field_sigma_gauss=0.0,
+    velocity_sigma_mps=0.0,
+    pressure_sigma_pa=0.0,
+)
+BIAS = FaultRange(fault="bias", target="HIL_SENSOR.xgyro", value=0.02, at_s=3.0, for_s=3.0)
+SCENARIO = """
+name: quad
+duration_s: 4
+start: {height_m: 30}
+vehicle: {kind: multirotor, parameters: iris}
+mission: [{shape: line, size_m: 100, height_m: 30, speed_mps: 3}]
+sensors: {imu: {preset: consumer-mems, rate_hz: 100}, mag: {rate_hz: 25}, gps: {rate_hz: 5}}
+"""
+SEARCH = """
+scenario: quad.yaml
+vary: {"environment.wind_ned_mps[0]": [-4, 4], start.heading_deg: [0, 90]}
+estimator: mahony
+budget: 3
+rescore_draws: 1
+keep: 1
+faults:
+  - {fault: saturate, target: HIL_SENSOR.xgyro, also: {low: -0.1, high: 0.1}, at_s: [0, 2]}
+"""
+
+
+@pytest.mark.parametrize("name", ["inverse-model", "mahony", "ekf"])
+def test_the_simulator_and_the_proxy_give_the_kernels_error(name):
+    test = TestFile(
+        estimator=name,
+        duration_s=10.0,
+        noise_draws=1,
+        initial=Initial(height_m=2000.0),
+        mission=Mission(roll_deg=35.0, period_s=12.0),
+        sensors=QUIET,
+        faults=[BIAS],
+    )
+    kernel = Batch(test).evaluate(np.zeros((1, 0)), 1, 0).rmse_deg[0, :3]
+    flown = fly(test, document_of(test, Batch(test).space.fixed, 1)).rmse_deg[:3]
+    assert flown == pytest.approx(kernel, rel=0.07, abs=0.03)
+
+
+def test_a_worst_case_is_a_scenario_that_run_flies_to_the_same_error(tmp_path):
+    test = TestFile(
+        duration_s=5.0,
+        noise_draws=2,
+        rescore_draws=16,
+        keep=1,
+        budget=64,
+        initial=Initial(height_m=1000.0, roll_deg=(-40.0, 40.0)),
+        controls=OpenLoop(aileron_deg=(-1.0, 1.0)),
+        faults=[msgspec.structs.replace(BIAS, value=(-0.02, 0.02), at_s=(0.5, 2.0))],
+    )
+    cases, _ = campaign(test, Here(), tmp_path)
+    paths = write_cases(tmp_path, test, cases)
+    assert [path.name for path in paths] == [
+        "worst-01.yaml",
+        "worst-01-test.yaml",
+        "worst-01-shrunk.yaml",
+        "worst-01-shrunk-test.yaml",
+    ]
+    for path, error in ((paths[0], cases[0].error_deg), (paths[2], cases[0].shrunk_deg)):
+        setup = read_setup(str(path))
+        flight, watch = Flight(setup.scenario, setup.schedule), Watch(setup.monitor.attitude)
+        while not flight.over:
+            watch.hear(flight.advance([]).monitor)
+        again = watch.summary([])["inverse-model"]["rmse_deg"]["max"]
+        assert again == pytest.approx(error, rel=0.05, abs=5.0 * 0.02)
+
+
+def test_a_scenario_of_any_kind_is_searched_with_any_fault(tmp_path):
+    (tmp_path / "quad.yaml").write_text(SCENARIO)
+    (tmp_path / "search.yaml").write_text(SEARCH)
+    test = read_test(tmp_path / "search.yaml")
+    assert Flown(test).space.names == (
+        "vary.environment.wind_ned_mps[0]",
+        "vary.start.heading_deg",
+        "faults[0].at_s",
+    )
+    cases, totals = campaign(test, Here(), tmp_path / "out")
+    assert totals.tests == 3
+    assert cases[0].error_deg > 0.0
+    path = write_cases(tmp_path, test, cases)[0]
+    written = yaml.safe_load(path.read_text())
+    heading = cases[0].values["vary.start.heading_deg"]
+    assert written["start"]["heading_deg"] == heading
+    setup = read_setup(str(path))
+    assert setup.scenario.vehicle.kind == "multirotor"
+    assert setup.monitor.attitude == AttitudeConfig(estimators=("mahony",))
+    flight, watch = Flight(setup.scenario, setup.schedule), Watch(setup.monitor.attitude)
+    while not flight.over:
+        watch.hear(flight.advance([]).monitor)
+    rmse = watch.summary([])["mahony"]["rmse_deg"]
+    assert rmse["max"] == pytest.approx(cases[0].parts["rmse_deg"]["max"], rel=1e-9)
+
+
+def test_a_key_that_the_scenario_does_not_have_is_the_users_error(tmp_path):
+    (tmp_path / "quad.yaml").write_text(SCENARIO)
+    (tmp_path / "search.yaml").write_text("scenario: quad.yaml\nvary: {start.heigt_m: [1, 2]}\n")
+    with pytest.raises(
+        ConfigError, match=r"vary.start.heigt_m: heigt_m is unknown; known: lat_deg"
+    ):
+        Flown(read_test(tmp_path / "search.yaml")).evaluate(np.zeros((1, 1)), 1, 0)
+
+
+def test_the_projects_own_fusion_is_searched():
+    test = TestFile(
+        estimator="fusion",
+        criterion="angle",
+        duration_s=4.0,
+        noise_draws=1,
+        initial=Initial(height_m=1000.0),
+        mission=Mission(),
+        faults=[BIAS],
+    )
+    outcome = Flown(test).evaluate(np.zeros((1, 0)), 1, 0)
+    assert outcome.left[0] == 0
+    assert 0.0 < outcome.fitness[0] < 10.0
+
+
+def test_a_fault_that_lasts_no_time_is_left_out_of_the_scenario():
+    test = TestFile(duration_s=5.0, faults=[BIAS], initial=Initial(height_m=500.0))
+    values = dict(Batch(test).space.fixed)
+    assert len(document_of(test, values, 1)["schedule"]["faults"]) == 1
+    values["faults[0].for_s"] = 0.0
+    assert document_of(test, values, 1)["schedule"]["faults"] == []

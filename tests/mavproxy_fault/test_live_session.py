@@ -1,0 +1,167 @@
+"""A proxy process with all kinds of live control at once, and its recording replayed."""
+
+import contextlib
+import json
+import queue
+import signal
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import all as pymavlink
+
+from mavproxy_fault.cli import main
+from mavproxy_fault.links.bus import open_bus
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.label import read_labels
+from mavproxy_fault.wire.signing import key_of, signed
+
+PHRASE = "open sesame"
+KEY = key_of(PHRASE)
+SCHEDULE = """
+seed: 3
+faults:
+  - {id: noisy, fault: noise, target: ATTITUDE.roll, value: 0.1}
+  - {id: late, fault: delay, target: ATTITUDE, value: 0.004}
+"""
+
+
+def free_port(kind: int) -> int:
+    with socket.socket(socket.AF_INET, kind) as place:
+        place.bind(("127.0.0.1", 0))
+        return int(place.getsockname()[1])
+
+
+@contextlib.contextmanager
+def proxy(*options: str) -> Iterator[tuple[int, int]]:
+    """A running proxy; the ports of its master and of its output."""
+    command = [sys.executable, "-m", "mavproxy_fault.cli", "proxy", *options]
+    command += ["--master", "udpin:127.0.0.1:0", "--out", "udpin:127.0.0.1:0"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        words = process.stdout.readline().split()
+        yield int(words[1].rsplit(":", 1)[1]), int(words[3].rsplit(":", 1)[1])
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.stdout.read()
+        process.stdout.close()
+        assert process.wait(30) == 0
+
+
+class Vehicle:
+    """Sends signed frames of growing stamps, and hears nothing."""
+
+    def __init__(self, port: int) -> None:
+        self.sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.sock.connect(("127.0.0.1", port))
+        self.steps = 0
+
+    def send(self, name: str, **values: object) -> None:
+        self.steps += 1
+        layout = known(name)
+        stamp = {"time_boot_ms" if "time_boot_ms" in layout.fields else "time_usec": 1000}
+        stamp = {key: value + self.steps for key, value in stamp.items()}
+        raw = build(layout, {**stamp, **values}, seq=self.steps & 255)
+        self.sock.send(signed(Frame(raw, layout), KEY, 1, 10**12 + self.steps).raw)
+
+
+class Station:
+    """Hears what the proxy lets through, and checks every signature with pymavlink."""
+
+    def __init__(self, port: int) -> None:
+        self.sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.sock.settimeout(20)
+        self.sock.connect(("127.0.0.1", port))
+        self._decoder = pymavlink.MAVLink(None)
+        self._decoder.signing.secret_key = KEY
+        self._decoder.signing.allow_unsigned_callback = lambda _, __: True
+
+    def next(self, kind: str) -> Any:
+        while True:
+            for message in self._decoder.parse_buffer(self.sock.recv(65_535)) or ():
+                if message.get_type() == kind:
+                    return message
+
+    def command(self, *parameters: float) -> int:
+        values = {f"param{n}": one for n, one in enumerate(parameters, 1)}
+        values |= {"command": 420, "target_system": 1, "target_component": 1}
+        self.sock.send(build(known("COMMAND_LONG"), values, system=255, component=190))
+        return int(self.next("COMMAND_ACK").result)
+
+
+@pytest.fixture
+def schedule(tmp_path: Path) -> Path:
+    path = tmp_path / "faults.yaml"
+    path.write_text(SCHEDULE)
+    (tmp_path / "key").write_text(PHRASE)
+    return path
+
+
+def test_a_session_with_live_faults_replays_byte_for_byte(tmp_path: Path, schedule: Path) -> None:
+    url, rflysim = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}", free_port(socket.SOCK_DGRAM)
+    options = ["--schedule", str(schedule), "--logdir", str(tmp_path / "log"), "--zenoh", url]
+    options += ["--rflysim", str(rflysim), "--signing-key", str(tmp_path / "key")]
+    stats: queue.SimpleQueue[list[dict[str, Any]]] = queue.SimpleQueue()
+    with proxy(*options) as (master, out), open_bus(url, run="*") as bus:
+        bus.subscribe("proxy/stats", lambda _, data: stats.put(json.loads(data)))
+        vehicle, station = Vehicle(master), Station(out)
+        station.sock.send(build(known("HEARTBEAT"), {"type": 6}, system=255, component=190))
+        for _ in range(20):
+            vehicle.send("ATTITUDE", roll=0.5)
+        assert abs(station.next("ATTITUDE").roll - 0.5) < 1.0
+
+        vehicle.send("GLOBAL_POSITION_INT", vx=7)
+        assert station.next("GLOBAL_POSITION_INT").vx == 7
+        inject = ["inject", "bias", "--target", "GLOBAL_POSITION_INT.vx", "--value", "30"]
+        assert main([*inject, "--zenoh", url]) == 0
+        vehicle.send("GLOBAL_POSITION_INT", vx=7)
+        assert station.next("GLOBAL_POSITION_INT").vx == 37
+        assert main(["inject", "--clear", "bias", "--zenoh", url]) == 0
+
+        packet = struct.pack("<10i20f", 1234567897, 1, 123450, *[123549] * 7, 0.5, *[1.0] * 19)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as simulator:
+            simulator.sendto(packet, ("127.0.0.1", rflysim))
+        assert station.command(8, 4, 0) == 3  # no battery's message has passed: UNSUPPORTED
+        vehicle.send("HIL_ACTUATOR_CONTROLS", controls=[0.8] * 16)
+        assert station.next("HIL_ACTUATOR_CONTROLS").controls[0] == pytest.approx(0.4)
+
+        vehicle.send("SCALED_IMU", xgyro=100)
+        assert station.next("SCALED_IMU").xgyro == 100
+        assert station.command(0, 4, 0) == 0  # the gyro is wrong
+        vehicle.send("SCALED_IMU", xgyro=100)
+        assert station.next("SCALED_IMU").xgyro == 600
+        found = stats.get(timeout=20)
+        while not found[0]["faulted"]:
+            found = stats.get(timeout=20)
+    assert [point["direction"] for point in found] == ["from-vehicle", "to-vehicle"]
+    assert found[0]["frames_in"] >= 20
+    assert found[1]["chunks_out"] >= 20
+    assert found[0]["p99_us"] > 0
+
+    again = tmp_path / "again.tlog"
+    words = ["replay", str(tmp_path / "log" / "received.tlog"), "--schedule", str(schedule)]
+    assert main([*words, "--out", str(again), "--signing-key", str(tmp_path / "key")]) == 0
+    assert again.read_bytes() == (tmp_path / "log" / "sent.tlog").read_bytes()
+    labels = tmp_path / "log" / "labels.jsonl"
+    assert again.with_suffix(".labels.jsonl").read_bytes() == labels.read_bytes()
+    ids = {label.id for label in read_labels(labels)}
+    assert {"noisy", "late", "bias", "rflysim-1-123450.1"} <= ids
+    assert any(id.startswith("mav-gyro") for id in ids)
+
+
+def test_signatures_are_stripped_when_asked_for() -> None:
+    with proxy("--zenoh", "off", "--strip-signatures") as (master, out):
+        vehicle, station = Vehicle(master), Station(out)
+        station.sock.send(build(known("HEARTBEAT"), {"type": 6}, system=255, component=190))
+        vehicle.send("SYS_STATUS", load=5)
+        while (data := station.sock.recv(300))[7] != known("SYS_STATUS").id:
+            vehicle.send("SYS_STATUS", load=5)
+        assert data[2] == 0
+        assert pymavlink.MAVLink(None).decode(bytearray(data)).load == 5
