@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.compiled import compiled
 from analysis.fdi.config import SigmaModel, range_variance
 from analysis.fdi.state import Stored
 from analysis.gnss import PACKED, WEEK_S, predict_ranges, satellite_states
 from analysis.samples import Epoch, Vector
+from mavproxy_fault.wire.compiled import compiled
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]

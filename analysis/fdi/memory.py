@@ -27,10 +27,10 @@ References
 
 import numpy as np
 
-from analysis.compiled import compiled
 from analysis.fdi.bank import reduction
 from analysis.fdi.linear import add_product, apply, multiply
 from analysis.samples import Vector
+from mavproxy_fault.wire.compiled import compiled
 
 WINDOWS = 4
 STRIDE_S = 5.0

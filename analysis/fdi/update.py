@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.compiled import compiled
 from analysis.fdi.bank import normalised, projected_weights
 from analysis.fdi.inertial import correct, innovate
 from analysis.fdi.linear import apply
 from analysis.fdi.measure import Mask, Modelled
 from analysis.fdi.state import Motion
 from analysis.samples import Vector
+from mavproxy_fault.wire.compiled import compiled
 
 Indices = NDArray[np.int64]
 

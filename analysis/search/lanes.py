@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from analysis.search import rows
 from analysis.search.noise_kernel import gauss_pair, next_bits
 from analysis.search.wide import wide
-from simvehicle.compiled import compiled, inlined
+from mavproxy_fault.wire.compiled import compiled, inlined
 from simvehicle.vehicles.fixedwing_kernel import Aero, derivative
 from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, moved, runge_kutta, to_body
 
