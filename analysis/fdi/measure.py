@@ -27,7 +27,7 @@ class Observed(NamedTuple):
     doppler_mps: Vector
     cn0_dbhz: Vector
     states: Vector
-    galileo: Mask
+    galileo: Vector
     tow_s: float
 
     def select(self, keep: Mask) -> "Observed":
@@ -77,7 +77,7 @@ class Chosen:
     keep: Indices
     names: tuple[str, ...]
     packed: Vector
-    galileo: Mask
+    galileo: Vector
 
     def serves(self, epoch: Epoch) -> bool:
         """Whether the choice still holds for an epoch."""
