@@ -15,11 +15,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.compiled import compiled
 from analysis.epochs import AttitudeSample, ImuSample, Sample, TruthSample
 from analysis.estimators import Estimator, Prior, make
 from analysis.estimators.rotations import between, errors
 from analysis.results import AttitudeError
+from mavproxy_fault.wire.compiled import compiled
 
 Vector = NDArray[np.float64]
 AXES = ("roll", "pitch", "yaw", "angle")

@@ -16,8 +16,8 @@ import math
 
 import numpy as np
 
-from analysis.compiled import compiled
 from analysis.samples import Vector
+from mavproxy_fault.wire.compiled import compiled
 from mavproxy_fault.wire.ephemeris import Ephemeris
 
 LIGHT_MPS = 299_792_458.0

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 
-from simvehicle.compiled import compiled
+from mavproxy_fault.wire.compiled import compiled
 from simvehicle.hil import Hil
 from simvehicle.scenario import (
     Environment,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simvehicle.compiled import compiled, inlined
+from mavproxy_fault.wire.compiled import compiled, inlined
 from simvehicle.vehicles.rigidbody_kernel import to_ned
 
 Array = NDArray[np.float64]

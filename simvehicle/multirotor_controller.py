@@ -10,8 +10,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mavproxy_fault.wire.compiled import compiled, inlined
 from simvehicle.body import Controls, Truth
-from simvehicle.compiled import compiled, inlined
 from simvehicle.controller import GRAVITY_MPS2
 from simvehicle.guidance import Aim, HoldTrack, PathTrack, Track
 from simvehicle.readings import Triple

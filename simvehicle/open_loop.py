@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mavproxy_fault.wire.compiled import compiled
 from simvehicle.body import Controls, Truth
-from simvehicle.compiled import compiled
 from simvehicle.controller import FixedWingController
 from simvehicle.rotation import euler_angles
 from simvehicle.vehicles.fixedwing import FixedWing

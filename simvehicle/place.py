@@ -13,8 +13,8 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from mavproxy_fault.wire.compiled import compiled, inlined
 from simvehicle.air import standard_air
-from simvehicle.compiled import compiled, inlined
 from simvehicle.earth import ecef_from_geodetic, geodetic_of, gravity, rot_en
 from simvehicle.vehicles.rigidbody_kernel import to_body, to_ned
 

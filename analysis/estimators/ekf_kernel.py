@@ -6,9 +6,9 @@ Plain loops, no slices: assignments of slices cost seconds of compilation.
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.compiled import compiled
 from analysis.estimators.base import GRAVITY_MPS2
 from analysis.estimators.rotations import heading_error, matrix, turned
+from mavproxy_fault.wire.compiled import compiled
 
 Vector = NDArray[np.float64]
 N = 9  # error states: turn, bias, velocity

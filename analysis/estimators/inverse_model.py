@@ -23,10 +23,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.compiled import compiled
 from analysis.epochs import ImuSample, Sample
 from analysis.estimators.base import GRAVITY_MPS2, MAX_GAP_S, AttitudeEstimate, Prior
 from analysis.estimators.rotations import euler, matrix, quaternion_of_euler
+from mavproxy_fault.wire.compiled import compiled
 
 Vector = NDArray[np.float64]
 MIN_COS_PITCH = 1e-6  # keeps the Euler rates finite at the pole

@@ -5,7 +5,7 @@ from math import asin, atan2, cos, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.compiled import compiled
+from mavproxy_fault.wire.compiled import compiled
 
 Vector = NDArray[np.float64]
 

@@ -13,7 +13,6 @@ References
 
 import numpy as np
 
-from analysis.compiled import compiled
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import Core
 from analysis.fdi.inertial import BA, BG, ERRORS, PSI, gravity_ecef, matrix, turned
@@ -22,6 +21,7 @@ from analysis.fdi.start import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.fdi.state import Alignment, Motion
 from analysis.gnss import EARTH_RATE_RPS, geodetic, ned_axes
 from analysis.samples import Vector
+from mavproxy_fault.wire.compiled import compiled
 from simvehicle.rotation import quat_from_matrix
 
 LONGEST_S = 20.0

@@ -18,9 +18,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.compiled import compiled
 from analysis.fdi.linear import inverse, multiply, transposed
 from analysis.samples import Vector
+from mavproxy_fault.wire.compiled import compiled
 
 Indices = NDArray[np.int64]
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from analysis.compiled import compiled
 from analysis.fdi.verdict import RULES
 from analysis.gnss import TYPICAL_ALPHA, TYPICAL_BETA
 from analysis.samples import Vector
 from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.wire.compiled import compiled
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -22,9 +22,9 @@ import math
 
 import numpy as np
 
-from analysis.compiled import compiled
 from analysis.fdi.linear import add_product, apply, inverse, multiply, transposed
 from analysis.samples import Vector
+from mavproxy_fault.wire.compiled import compiled
 
 X_SIZE = 19
 ERRORS = 18

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from analysis.compiled import compiled
 from analysis.samples import Vector
+from mavproxy_fault.wire.compiled import compiled
 
 
 @compiled

@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.compiled import compiled
 from analysis.fdi.config import SigmaModel, range_variance
 from analysis.fdi.state import Stored
 from analysis.gnss import PACKED, WEEK_S, predict_ranges, satellite_states
 from analysis.samples import Epoch, Vector
+from mavproxy_fault.wire.compiled import compiled
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -27,7 +27,7 @@ class Observed(NamedTuple):
     doppler_mps: Vector
     cn0_dbhz: Vector
     states: Vector
-    galileo: Mask
+    galileo: Vector
     tow_s: float
 
     def select(self, keep: Mask) -> "Observed":
@@ -77,7 +77,7 @@ class Chosen:
     keep: Indices
     names: tuple[str, ...]
     packed: Vector
-    galileo: Mask
+    galileo: Vector
 
     def serves(self, epoch: Epoch) -> bool:
         """Whether the choice still holds for an epoch."""

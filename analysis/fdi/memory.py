@@ -27,10 +27,10 @@ References
 
 import numpy as np
 
-from analysis.compiled import compiled
 from analysis.fdi.bank import reduction
 from analysis.fdi.linear import add_product, apply, multiply
 from analysis.samples import Vector
+from mavproxy_fault.wire.compiled import compiled
 
 WINDOWS = 4
 STRIDE_S = 5.0
@@ -49,7 +49,7 @@ def respond(
     v: Vector,
     dt: float,
 ) -> tuple[Vector, Vector]:
-    """One epoch of ranges more in every window.
+    """One epoch of ranges more in every window: d and sums after it, as new arrays.
 
     Parameters
     ----------
@@ -61,10 +61,6 @@ def respond(
     phi, gain, m, h, v : transition since the last epoch (k, k), gain (k, n), inverse innovation
         covariance (n, n), geometry (n, k) and innovations (n,)
     dt : seconds since the last epoch
-
-    Returns
-    -------
-    d and sums after the epoch; the arguments stay as they were.
     """
     windows, count = offsets.shape
     each = count + 3

@@ -4,7 +4,7 @@ import numpy as np
 
 from analysis.search import rows
 from analysis.search.lanes import Buffer
-from simvehicle.compiled import compiled
+from mavproxy_fault.wire.compiled import compiled
 from simvehicle.vehicles.rigidbody_kernel import to_body, to_ned
 
 L = rows.LANES

@@ -2,7 +2,7 @@
 
 from analysis.search import rows
 from analysis.search.lanes import Buffer
-from simvehicle.compiled import compiled
+from mavproxy_fault.wire.compiled import compiled
 
 L = rows.LANES
 M, N = rows.MEASURED * L, rows.NOISE * L

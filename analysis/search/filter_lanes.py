@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from analysis.estimators import complementary, ekf_kernel
 from analysis.search import rows
 from analysis.search.lanes import Buffer
-from simvehicle.compiled import compiled
+from mavproxy_fault.wire.compiled import compiled
 
 L = rows.LANES
 M, Q = rows.MEASURED * L, rows.QUATERNION * L

@@ -4,8 +4,8 @@ import numpy as np
 
 from analysis.search import rows
 from analysis.search.lanes import Buffer, Three
+from mavproxy_fault.wire.compiled import compiled
 from simvehicle.air import wind_step
-from simvehicle.compiled import compiled
 from simvehicle.vehicles.rigidbody_kernel import to_body
 
 L = rows.LANES

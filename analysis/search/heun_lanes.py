@@ -3,7 +3,7 @@
 from analysis.search import rows
 from analysis.search.lanes import Buffer
 from analysis.search.wide import wide
-from simvehicle.compiled import compiled, inlined
+from mavproxy_fault.wire.compiled import compiled, inlined
 from simvehicle.vehicles.polynomial import sin_cos
 
 L = rows.LANES

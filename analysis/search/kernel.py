@@ -18,7 +18,7 @@ from analysis.search.heun_lanes import attitudes, heun, keep
 from analysis.search.lanes import Buffer, Envelope, draw, living, move, sense_imu
 from analysis.search.score_lanes import euler_of_quaternions, score_angle, score_euler, score_state
 from analysis.search.steer_lanes import steer
-from simvehicle.compiled import compiled
+from mavproxy_fault.wire.compiled import compiled
 from simvehicle.vehicles.fixedwing_kernel import Aero
 from simvehicle.vehicles.rigidbody_kernel import Inertia
 

@@ -20,7 +20,7 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from simvehicle.compiled import inlined
+from mavproxy_fault.wire.compiled import inlined
 from simvehicle.vehicles.polynomial import sin_cos
 
 GENERATORS = 4  # streams of noise of each flight

@@ -7,7 +7,7 @@ import numpy as np
 from analysis.search import rows
 from analysis.search.lanes import Buffer
 from analysis.search.wide import wide
-from simvehicle.compiled import compiled, inlined
+from mavproxy_fault.wire.compiled import compiled, inlined
 from simvehicle.vehicles.polynomial import atan2
 
 L = rows.LANES

@@ -6,7 +6,7 @@ from analysis.search import rows
 from analysis.search.lanes import Buffer, state_at
 from analysis.search.score_lanes import euler
 from analysis.search.wide import wide
-from simvehicle.compiled import compiled
+from mavproxy_fault.wire.compiled import compiled
 from simvehicle.vehicles.rigidbody_kernel import to_body
 from simvehicle.vehicles.weave_kernel import Motion, weave
 

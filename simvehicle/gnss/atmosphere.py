@@ -13,7 +13,7 @@ from math import cos, pi, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from simvehicle.compiled import inlined
+from mavproxy_fault.wire.compiled import inlined
 
 Vector = NDArray[np.float64]
 

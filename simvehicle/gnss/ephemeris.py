@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from mavproxy_fault.wire.compiled import compiled, inlined
 from mavproxy_fault.wire.ephemeris import Ephemeris
-from simvehicle.compiled import compiled, inlined
 
 Vector = NDArray[np.float64]
 State8 = tuple[float, float, float, float, float, float, float, float]

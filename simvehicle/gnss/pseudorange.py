@@ -17,7 +17,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from simvehicle.compiled import compiled, inlined
+from mavproxy_fault.wire.compiled import compiled, inlined
 from simvehicle.earth import geodetic_of
 from simvehicle.gnss.atmosphere import ionosphere_m, troposphere_m
 from simvehicle.gnss.ephemeris import EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS, Orbits, satellite_state

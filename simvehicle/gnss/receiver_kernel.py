@@ -5,7 +5,7 @@ from math import cos, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from simvehicle.compiled import compiled
+from mavproxy_fault.wire.compiled import compiled
 from simvehicle.gnss.ephemeris import SPEED_OF_LIGHT_MPS
 from simvehicle.gnss.pseudorange import geodetic, sights
 

@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from simvehicle.compiled import compiled, inlined
+from mavproxy_fault.wire.compiled import compiled, inlined
 from simvehicle.earth import ecef_of
 from simvehicle.gnss.ephemeris import SPEED_OF_LIGHT_MPS
 from simvehicle.gnss.errors import code_sigma_m, multipath_sigma_m, rate_sigma_mps

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from simvehicle.compiled import compiled
+from mavproxy_fault.wire.compiled import compiled
 
 Array = NDArray[np.float64]
 _BLOCK = 512

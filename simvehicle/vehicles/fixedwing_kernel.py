@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simvehicle.compiled import inlined
+from mavproxy_fault.wire.compiled import inlined
 from simvehicle.vehicles.polynomial import atan2, exp
 from simvehicle.vehicles.rigidbody_kernel import (
     Inertia,

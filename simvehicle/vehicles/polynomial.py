@@ -15,7 +15,7 @@ from typing import Any
 from numba import types
 from numba.extending import intrinsic
 
-from simvehicle.compiled import inlined
+from mavproxy_fault.wire.compiled import inlined
 
 _ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it leaves the nearest integer in the low bits
 _HALF_PI_HEAD = 2.0 * 7.85398125648498535156e-1

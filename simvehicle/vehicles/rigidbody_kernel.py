@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from simvehicle.compiled import inlined
+from mavproxy_fault.wire.compiled import inlined
 
 State13 = tuple[
     float, float, float, float, float, float, float, float, float, float, float, float, float

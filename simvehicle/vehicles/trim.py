@@ -11,7 +11,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from simvehicle.compiled import compiled
+from mavproxy_fault.wire.compiled import compiled
 from simvehicle.rotation import quat_from_euler
 from simvehicle.vehicles.fixedwing_kernel import Aero, derivative
 from simvehicle.vehicles.rigidbody_kernel import Inertia, State13

@@ -7,7 +7,7 @@ within the envelope. The simulator calls it for one vehicle, the worst-case sear
 from math import pi
 from typing import NamedTuple
 
-from simvehicle.compiled import inlined
+from mavproxy_fault.wire.compiled import inlined
 from simvehicle.vehicles.polynomial import sin_cos
 
 # Elevator and aileron per rad and per rad/s, throttle per m/s: the loops of pitch and roll lie

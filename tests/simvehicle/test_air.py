@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.wire.compiled import compiled
 from simvehicle.air import GUSTS, pressure_altitude, standard_air, wind_step
-from simvehicle.compiled import compiled
 from simvehicle.geomagnetism import field_ned_gauss
 from simvehicle.place import Home, locate
 from simvehicle.terrain import read_grid

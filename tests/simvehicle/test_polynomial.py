@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from simvehicle.compiled import compiled
+from mavproxy_fault.wire.compiled import compiled
 from simvehicle.vehicles import polynomial
 
 RNG = np.random.default_rng(3)

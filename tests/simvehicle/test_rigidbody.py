@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simvehicle.compiled import compiled
+from mavproxy_fault.wire.compiled import compiled
 from simvehicle.rotation import matrix_from_quat
 from simvehicle.vehicles.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing_kernel import Aero, step

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from analysis.search.noise_kernel import gauss_pair, generator_states, log, next_bits
-from simvehicle.compiled import compiled
+from mavproxy_fault.wire.compiled import compiled
 
 
 @compiled

@@ -1,9 +1,13 @@
-"""The two ways this package compiles numerical functions with numba, with their types kept."""
+"""The two ways this project compiles numerical functions with numba, with their types kept."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
-from numba import njit
+from numba import config, njit
+
+from mavproxy_fault.wire.kernels import folder
+
+config.CACHE_DIR = str(folder())
 
 # Fused multiply-add, one reciprocal for several divisions by one number, signless zeros: a quarter
 # faster, differences in the last bit only. Not allowed: reordering, or ignoring NaN and infinity.
@@ -13,7 +17,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def compiled(function: Function) -> Function:
-    """Compile a function that Python calls; the machine code is cached beside its file."""
+    """Compile a function that Python calls; the machine code is kept on disk."""
     return cast(Function, njit(cache=True, error_model="numpy", fastmath=_FAST)(function))
 
 
