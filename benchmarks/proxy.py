@@ -62,7 +62,7 @@ faults:
 """
 DELAY = "faults: [{id: late, fault: delay, target: HIL_SENSOR, value: 0.005}]\n"
 CASES = (
-    ("64 in flight", "window", 64, 200_000),
+    ("64 in flight", "window", 64, 100_000),
     ("lockstep", "window", 1, 20_000),
     ("10,000/s", "rate", 10_000, 10_000),
     ("100,000/s", "rate", 100_000, 100_000),

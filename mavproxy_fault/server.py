@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 TEND_S = 0.1  # how often links get a chance to reconnect
 FLUSH_S = 1.0
 EARLY_US = 250  # a sleep may end so late; before a due frame the loop stays awake
+AHEAD_US = 50  # from when on it does nothing else
 SHORT_TURN_S = 2e-4
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>; the default of 50 us makes every wait that late
 
@@ -103,7 +104,7 @@ class Server:
     def _turn_fast(self, fast: "FastPath") -> None:
         """Let the compiled path forward until something is left to do here."""
         tend_ns, due_us = round(self._tend_s * 1e9), self.core.next_due_us
-        due_ns = tend_ns if due_us is None else due_us * 1000 - self._base_ns
+        due_ns = tend_ns if due_us is None else (due_us - AHEAD_US) * 1000 - self._base_ns
         fast.forward(min(tend_ns, due_ns), spin=self._busy_poll, precise=due_ns < tend_ns)
         if fast.pending:
             number, data = fast.take_datagram()
@@ -186,7 +187,9 @@ class Server:
 
     def _keep_time(self) -> None:
         due_us = self.core.next_due_us
-        if due_us is not None and due_us <= (now_us := self.now_us()):
+        if due_us is not None and due_us <= (now_us := self.now_us()) + AHEAD_US:
+            while now_us < due_us:
+                now_us = self.now_us()
             self._carry_out(self.core.due(now_us))
         now_s = time.monotonic()
         if now_s >= self._tend_s:

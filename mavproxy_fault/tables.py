@@ -1,11 +1,16 @@
 """The compiled path's tables: what the columns of its arrays mean, for both of its sides.
 
-`fast` fills the arrays, `kernel` and `pump` work on them. Nothing here imports numba.
+`fast` fills the arrays, `kernel` and `pump` work on them. Nothing here imports numba, or numpy,
+which a proxy without faults need not wait for.
 """
 
-import numpy as np
+import ctypes
+import math
+import mmap
+import struct
+from typing import Any
+
 from fastcrc.crc16 import mcrf4xx
-from numpy.typing import NDArray
 
 BATCH = 64  # datagrams per system call
 ROW = 65_536  # bytes kept for each
@@ -51,10 +56,24 @@ LOG_MARGIN = 1 << 23  # more than a batch of the smallest frames in the largest 
 LATENCY_STEPS = 64 * 8
 
 
-def crc_tables() -> NDArray[np.int64]:
+def table(kind: str, *shape: int) -> Any:
+    """Zeroed memory as a view of numbers of one kind; pages cost nothing before they are used."""
+    size = struct.calcsize(kind) * math.prod(shape)
+    return memoryview(mmap.mmap(-1, max(size, 1)))[:size].cast(kind, shape)
+
+
+def address(memory: Any) -> int:
+    """Where a writable buffer lies."""
+    return ctypes.addressof(ctypes.c_char.from_buffer(memory))
+
+
+def crc_tables() -> Any:
     """Slicing tables, shape (8, 256): entry [n, b] is the CRC of byte b followed by n zeros."""
-    tables = np.zeros((8, 256), np.int64)
-    tables[0] = [mcrf4xx(bytes((byte,)), 0) for byte in range(256)]
+    tables = table("H", 8, 256)
+    for byte in range(256):
+        tables[0, byte] = mcrf4xx(bytes((byte,)), 0)
     for n in range(1, 8):
-        tables[n] = tables[n - 1] >> 8 ^ tables[0, tables[n - 1] & 0xFF]
+        for byte in range(256):
+            crc = tables[n - 1, byte]
+            tables[n, byte] = crc >> 8 ^ tables[0, crc & 0xFF]
     return tables

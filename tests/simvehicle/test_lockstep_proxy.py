@@ -71,7 +71,11 @@ def flown(folder: Path, autopilot: Any, schedule: str) -> list[Frame]:
         sim.join(20)
         link.close()
     items = Parser().push(autopilot.heard)
-    return [f for f in items if isinstance(f, Frame) and f.component == SIMULATOR]
+    frames = [f for f in items if isinstance(f, Frame) and f.component == SIMULATOR]
+    truths = [i for i, f in enumerate(frames) if f.layout.name == "HIL_STATE_QUATERNION"]
+    # How much of the next step was under way at the end is chance.
+    last = next(i for i in truths if frames[i].number("time_usec") >= UNTIL_US)
+    return frames[: last + 1]
 
 
 def zgyro(frames: list[Frame]) -> np.ndarray:
