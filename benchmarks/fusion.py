@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-from analysis.epochs import Decoder, read_rinex_samples
+from analysis.epochs import Decoder
 from analysis.fdi import DetectorConfig
 from analysis.fdi.config import Noise, SigmaModel
 from analysis.fdi.core import Core
@@ -28,6 +28,7 @@ from analysis.fusion.frame import frame_at
 from analysis.fusion.smoother import Fusion
 from analysis.gnss import ned_axes
 from analysis.pipeline import Pipeline, monitor_config
+from analysis.recordings import read_rinex_samples
 from analysis.reference import References
 from analysis.reference_models import density_kgpm3
 from analysis.results import Decision, FusedState, Result

@@ -73,6 +73,7 @@ class Loop:
         frames = [
             ("HIL_SENSOR", {**stamp, "xgyro": 0.5}),
             ("HIL_STATE_QUATERNION", {**stamp, **TRUE}),
+            ("ESTIMATOR_STATUS", {**stamp, "flags": 0x2F, "vel_ratio": 0.2, "mag_ratio": 1.5}),
             ("HEARTBEAT", {"autopilot": 12, "base_mode": 129, "system_status": 4}),
         ]
         for name, values in frames:
@@ -160,5 +161,5 @@ def open_page(browser: Any) -> Iterator[Callable[[str], Any]]:
 
 
 @pytest.fixture
-def page(open_page: Callable[[str], Any], address: str) -> Any:
+def page(address: str, open_page: Callable[[str], Any]) -> Any:
     return open_page(address)
