@@ -189,7 +189,7 @@ def build(
 
 def _whole(name: str, value: object, blank: bytes) -> bytes:
     """Text, which is cut where it is too long, or an array of bytes, which must not be."""
-    data = bytes(value)  # type: ignore[call-overload]
+    data: bytes = bytes(value)  # type: ignore[call-overload]
     if blank and len(data) > len(blank):
         raise struct.error(f"{name} holds {len(blank)} bytes, not {len(data)}")
     return data
