@@ -141,7 +141,7 @@ function drawPanel(area, panel, page, numbers, axis) {
       ...panel.series.map((s, i) => ({
         label: s.name, stroke: () => seriesColour(i), width: 1.3, spanGaps: false,
         dash: s.name === "threshold" ? [6, 4] : undefined, value: (u, value) => digits(value),
-        points: { show: tables[i][0].length < 60 },
+        points: { show: tables[i][1].filter((y) => y != null).length < 60 },
       })),
     ],
     hooks: { drawClear: [(u) => shade(u, injected)], draw: [(u) => limitLines(u, panel.limits || [])] },
