@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import llvmlite.binding as llvm  # type: ignore[import-untyped]
-from llvmlite import __version__ as llvmlite_version  # type: ignore[import-untyped]
+from llvmlite import __version__ as llvmlite_version
 
 HERE = Path(__file__).parent
 SOURCES = ("kernel.py", "pump.py", "tables.py", "memory.py", "clock.py", "machine.py")
