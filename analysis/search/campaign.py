@@ -9,6 +9,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.search import rows
 from analysis.search.archive import Archive, Case
@@ -33,6 +34,8 @@ from mavproxy_fault.links.spec import parse_spec
 
 DEFAULT_BUDGET = 2000
 FRESH = 1_000_003  # added to the seed for noise that the search has not seen
+PORTION = 8  # flights in the simulator between two checkpoints
+Array = NDArray[np.float64]
 Progress = Callable[[int, float, int], None]
 
 
@@ -129,11 +132,8 @@ def searched(
             points = method.ask()
             asked = len(points)
             points = points[: budget - tests]
-            records = history.recall(len(points))
-            if records is None:
-                outcome = pool.evaluate(test, points, test.seed, tests, test.noise_draws)
-                records = records_of(outcome)
-                history.append(records)
+            records = evaluated(test, pool, history, points, tests, deadline)
+            points = points[: len(records)]
             archive.add(tests, points, records["fitness"])
             rejected.update(rows.LIMITS[left] for left in records["left"] if left > 0)
             tests += len(points)
@@ -145,6 +145,28 @@ def searched(
     finally:
         history.close()
     return tests, steps
+
+
+def evaluated(
+    test: TestFile, pool: Pool, history: History, points: Array, first: int, deadline: float
+) -> np.ndarray[tuple[int], np.dtype[np.void]]:
+    """What became of points (n, d), from the history as far as it goes, else flown and written.
+
+    Flights in the simulator go in portions; none begins after the deadline but the first.
+    """
+    length = PORTION if test.flown else len(points)
+    parts: list[np.ndarray[tuple[int], np.dtype[np.void]]] = []
+    for start in range(0, len(points), length):
+        if parts and time.monotonic() > deadline:
+            break
+        part, number = points[start : start + length], first + start
+        records = history.recall(len(part))
+        if records is None:
+            outcome = pool.evaluate(test, part, test.seed, number, test.noise_draws)
+            records = records_of(outcome)
+            history.append(records)
+        parts.append(records)
+    return np.concatenate(parts)
 
 
 def records_of(outcome: Outcome) -> np.ndarray[tuple[int], np.dtype[np.void]]:

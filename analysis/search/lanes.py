@@ -31,7 +31,6 @@ ALIVE, LEFT = rows.ALIVE * L, rows.LEFT * L
 Buffer = NDArray[np.float64]
 Three = tuple[float, float, float]
 World = tuple[float, float]  # gravity in m/s^2, density of the air in kg/m^3
-_STILL = 1e-9  # m/s; keeps the flow angles defined in still air
 
 
 @inlined
@@ -71,17 +70,17 @@ class Envelope(NamedTuple):
 def broken(state: State13, air: Three, force: Three, limits: Envelope) -> float:
     """The number of the limit that a state breaks (see `rows.LIMITS`), 0 within the envelope."""
     u, v, w = air
-    plane = np.sqrt(u * u + w * w) + _STILL
-    speed = np.sqrt(u * u + v * v + w * w)
+    plane = u * u + w * w
+    speed = plane + v * v  # squares, which saves two roots
+    low, high = limits.min_airspeed_mps, limits.max_airspeed_mps
     p, q, r = state[10], state[11], state[12]
     fx, fy, fz = force
     load = fx * fx + fy * fy + fz * fz
     left = 7.0 if -state[2] <= limits.min_height_m else 0.0
     left = left if load <= limits.load_mps2 * limits.load_mps2 else 6.0
     left = left if p * p + q * q + r * r <= limits.rate_rps * limits.rate_rps else 5.0
-    inside = (speed >= limits.min_airspeed_mps) & (speed <= limits.max_airspeed_mps)
-    left = left if inside else 4.0
-    left = left if abs(v) <= limits.tan_beta * plane else 3.0
+    left = left if (speed >= low * low) & (speed <= high * high) else 4.0
+    left = left if v * v <= limits.tan_beta * limits.tan_beta * plane else 3.0
     left = left if abs(w) <= limits.tan_alpha * u else 2.0
     sine = 2.0 * (state[6] * state[8] - state[9] * state[7])
     return left if abs(sine) <= limits.sin_pitch else 1.0

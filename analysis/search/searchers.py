@@ -164,58 +164,72 @@ class DifferentialEvolution:
 
 
 class Mixed:
-    """The default: a Sobol design, then CMA-ES from its best points, then from new ones.
+    """The default: a Sobol design, then a race of CMA-ES runs from its best points.
 
-    An eighth of the runs that follow a stop begin at the best point of all with small steps, the
-    others at the best of a few points that lie far from where runs have ended.
+    The runs start at points that lie apart and go on together for some generations; those that
+    have found the most go on alone, one for each 10,000 evaluations of the budget. A run that has
+    stopped is followed by one from the best point of all with small steps.
     """
 
     DESIGN = 64  # a power of two keeps the sequence balanced
-    SIGMA = 0.15
+    RUNS, LAPS = 4, 8  # of the race, and its generations
+    SIGMA, SMALL = 0.2, 0.1
+    APART = 0.15  # root-mean-square distance of the starts
 
     def __init__(self, dimension: int, seed: int, budget: int) -> None:
-        self._dimension = dimension
-        self._rng = np.random.default_rng([seed, 6])
         from scipy.stats.qmc import Sobol as Sequence
 
+        self._size = 4 + int(3 * np.log(dimension))
+        self._rng = np.random.default_rng([seed, 6])
         self._sequence = Sequence(dimension, rng=np.random.default_rng([seed, 7]))
-        self._islands = int(np.clip(budget // 10_000, 1, 16))
+        self._winners = int(np.clip(budget // 10_000, 1, 16))
+        self._lap = 0
         self._runs: list[Any] = []
-        self._points: list[Array] = []
-        self._fitness: list[Array] = []
-        self._sizes: list[int] = []
+        self._found: list[float] = []  # the best of each run
+        self._best: tuple[float, Array] = (-np.inf, np.full(dimension, 0.5))
+        self._starts: list[Array] = []
 
     def ask(self) -> Array:
-        """The design, then a generation of every island."""
-        if not self._points:
+        """The design, then a generation of every run."""
+        if not self._starts:
             points: Array = self._sequence.random(self.DESIGN)
             return points
-        self._runs = [run for run in self._runs if not run.stop()]
-        while len(self._runs) < self._islands:
-            self._runs.append(self._begun(len(self._runs)))
-        generations = [np.array(run.ask()) for run in self._runs]
-        self._sizes = [len(g) for g in generations]
-        return np.concatenate(generations)
-
-    def _begun(self, rank: int) -> Any:
-        """A run from the best point of those told that no run holds yet."""
-        points, fitness = np.concatenate(self._points), np.concatenate(self._fitness)
-        size = 4 + int(3 * np.log(self._dimension))
-        order = np.argsort(-fitness)
-        start = points[order[min(rank, len(order) - 1)]]
-        return evolution(start, self.SIGMA, size, self._rng)
+        if self._lap == self.LAPS:
+            order = np.argsort(self._found)[::-1][: self._winners]
+            self._runs = [self._runs[k] for k in order]
+            self._found = [self._found[k] for k in order]
+        self._lap += 1
+        for k, run in enumerate(self._runs):
+            if run.stop():
+                self._runs[k] = evolution(self._best[1], self.SMALL, self._size, self._rng)
+        return np.concatenate([np.array(run.ask()) for run in self._runs])
 
     def tell(self, points: Array, fitness: Array) -> None:
-        """Every island learns from its own generation."""
-        self._points.append(points)
-        self._fitness.append(fitness)
-        if not self._runs:
+        """Every run learns from its own generation."""
+        k = int(np.argmax(fitness))
+        if fitness[k] > self._best[0]:
+            self._best = float(fitness[k]), points[k]
+        if not self._starts:
+            self._begin(points[np.argsort(-fitness)])
             return
-        ends = np.cumsum(self._sizes)[:-1]
-        for run, x, f in zip(
-            self._runs, np.split(points, ends), np.split(fitness, ends), strict=True
+        count = len(self._runs)
+        for k, (x, f) in enumerate(
+            zip(np.split(points, count), np.split(fitness, count), strict=True)
         ):
-            run.tell(list(x), list(-f))
+            self._runs[k].tell(list(x), list(-f))
+            self._found[k] = max(self._found[k], float(f.max()))
+
+    def _begin(self, points: Array) -> None:
+        """Runs from the first of some points (n, d) that lie apart."""
+        for point in points:
+            gaps = [np.sqrt(np.mean((point - start) ** 2)) for start in self._starts]
+            if (
+                len(self._starts) < max(self.RUNS, self._winners)
+                and min(gaps, default=1.0) > self.APART
+            ):
+                self._starts.append(point)
+        self._runs = [evolution(x, self.SIGMA, self._size, self._rng) for x in self._starts]
+        self._found = [-np.inf] * len(self._runs)
 
 
 METHODS: dict[str, type[Searcher]] = {

@@ -109,7 +109,8 @@ function limitLines(u, limits) {
     ctx.beginPath(); ctx.moveTo(bbox.left, y); ctx.lineTo(bbox.left + bbox.width, y); ctx.stroke();
     ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
     ctx.textAlign = "left";
-    ctx.fillText(limit.text, bbox.left + 6, y - 4);
+    ctx.textBaseline = "bottom";
+    ctx.fillText(limit.text, bbox.left + 6, y - 2);
   }
   ctx.restore();
 }

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from analysis.search.archive import APART, Archive, distance
+from analysis.search.batch import Outcome
 from analysis.search.campaign import campaign, main
 from analysis.search.cases import yaml_of
+from analysis.search.history import RECORD
 from analysis.search.pool import Here, Processes
 from analysis.search.testfile import (
     FaultRange,
@@ -91,6 +93,24 @@ def test_a_killed_search_goes_on_where_it_was(tmp_path):
     resumed = campaign(TEST, Counting(), tmp_path / "killed")[0]
     assert resumed == whole
     assert min(flown) >= found // 16 - 20  # one batch again at most
+
+
+def test_flights_in_the_simulator_are_kept_in_small_portions(tmp_path):
+    test = TestFile(
+        estimator="fusion", method="random", budget=40, initial=Initial(roll_deg=(-9.0, 9.0))
+    )
+
+    class Dying(Here):
+        def evaluate(self, test, points, seed, first, draws):
+            if first == 16:
+                raise Killed
+            nothing = np.zeros(len(points))
+            axes = np.zeros((len(points), 4))
+            return Outcome(nothing, nothing, axes, axes, nothing, nothing.astype(np.int64), 0)
+
+    with pytest.raises(Killed):
+        campaign(test, Dying(), tmp_path)
+    assert len((tmp_path / "history.bin").read_bytes()) == 16 * RECORD.itemsize
 
 
 def test_another_test_does_not_go_on_in_the_same_folder(tmp_path):
