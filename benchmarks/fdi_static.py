@@ -93,7 +93,7 @@ def whole(data: Path) -> None:
     for p in (1e-3, 1e-4):
         config = DetectorConfig(p_false_alarm=p, p_slow=p)
         epochs = alarms = 0
-        for seed in range(12):
+        for seed in range(8):
             drawn = with_noise(samples, config, np.random.default_rng(seed))
             found = [r for r in run(Detector(config), drawn) if isinstance(r, Decision)]
             epochs += len(found)

@@ -116,14 +116,14 @@ def walk(data: Path) -> None:
     errors = range_errors(samples, where)
     print("\n## Walk, real IMU, nothing injected: every alarm\n")
     print(
-        "| at, s | satellite | its range error by RTK in the 3 s around, sigmas: least, largest |"
+        "| at, s | satellite | its range error by RTK in the 5 s around, sigmas: least, largest |"
     )
     print("|---|---|---|")
     usual = decisions(samples)
     out: set[str] = set()
     for d in usual:
         for name in sorted(set(d.excluded) - out):
-            near = [e for t, e in errors[name].items() if abs(t - d.t_us) <= 3_000_000]
+            near = [e for t, e in errors[name].items() if abs(t - d.t_us) <= 5_000_000]
             print(f"| {(d.t_us - first) * 1e-6:.1f} | {name} | {min(near):.1f}, {max(near):.1f} |")
         out = set(d.excluded)
     off = np.array([d.position_ecef_m - where[k] for d in usual if (k := key(d)) in where])

@@ -60,7 +60,8 @@ LATENCY_STEPS = 64 * 8
 def table(kind: str, *shape: int) -> Any:
     """Zeroed memory as a view of numbers of one kind; pages cost nothing before they are used."""
     size = struct.calcsize(kind) * math.prod(shape)
-    return memoryview(mmap.mmap(-1, max(size, 1)))[:size].cast(kind, shape)
+    plain: Any = memoryview(mmap.mmap(-1, max(size, 1)))
+    return plain[:size].cast(kind, shape)
 
 
 def address(memory: Any) -> int:

@@ -65,8 +65,9 @@ def judge_epoch(
     motion, phi = advance(before, part, t_us, config)
     seen, motion, core = _seen(t_us, observed, motion, core, config)
     names, used = seen.names, seen.used
-    mixed = 0 < int(seen.galileo.sum()) < len(names)
-    needed = 3 if motion.inertial else 5 + int(mixed)
+    needed = 3 if motion.inertial else 5
+    if len(names) == needed == 5:
+        needed += int(0 < seen.galileo.sum() < 5)
     if len(names) < needed:
         reason = f"{len(names)} healthy satellites above the mask; {needed} are needed"
         core = hold(core, t_us, config)
@@ -74,8 +75,7 @@ def judge_epoch(
     assessed = assess(motion.p, used, seen.galileo)
     rates = check_rates(motion, used, assessed, config)
     tested = _tested(t_us, core, motion, seen, assessed, rates.hypothesis, config)
-    fit = used if rates.fit.all() else used.select(rates.fit)
-    moved, update = absorb(tested.motion, tested.part, tested.taken, fit)
+    moved, update = absorb(tested.motion, tested.part, tested.taken, rates.fit)
     memory, slow = None, None
     undisturbed = not seen.leapt and not tested.freed and rates.hypothesis in ("none", "satellites")
     if undisturbed and before.inertial == moved.inertial:
