@@ -5,6 +5,7 @@ results and the next state.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -107,7 +108,7 @@ class Pipeline:
         if said and self._feed_back is not None:
             core = self._feed_back(detector.core, self._fusion_states[0].graph)
             detector = detector._replace(core=core)
-            self._detector_state = self._detector_state._replace(detector=detector)
+            self._detector_state = replace(self._detector_state, detector=detector)
         return said
 
     def attitude(self, labels: Sequence[Label] = ()) -> dict[str, Any]:

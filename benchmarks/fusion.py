@@ -3,7 +3,7 @@
 Run by hand: `python benchmarks/fusion.py flight DIR` on the folder of a `mavproxy-fault run` (its
 received.tlog is the flight without faults, its sent.tlog the one with them), `... walk DATA` on the
 folder gnss_imu_walk (needs RTKLIB's rnx2rtkp), or `... time`, `... nees [FLIGHTS]`,
-`... memory [SECONDS]` on simulated flights of its own.
+`... memory [SECONDS [EVERY]]` on simulated flights of its own.
 """
 
 import math
@@ -414,9 +414,16 @@ def normalised_squares(state: FusedState, truth: TruthSample) -> tuple[float, fl
     return found[0], found[1], found[2]
 
 
-def hour(seconds: float) -> Iterable[Sample]:
-    """A flight of any length without keeping it: the figure of eight takes 40 s."""
-    once = [s for s in conftest.make_flight(PERIOD_S) if s.t_us < PERIOD_S * 1e6]
+def hour(seconds: float, every: int) -> Iterable[Sample]:
+    """A flight of any length without keeping it: the figure of eight takes 40 s.
+
+    Of the IMU's samples (200 Hz) and the epochs (5 Hz) one of so many.
+    """
+    period = [s for s in conftest.make_flight(PERIOD_S) if s.t_us < PERIOD_S * 1e6]
+    imu = [s for s in period if isinstance(s, ImuSample)][::every]
+    once = sorted(
+        [*imu, *[s for s in period if isinstance(s, TruthSample)][::every]], key=lambda s: s.t_us
+    )
     rng = np.random.default_rng(3)
     gnss = gnss_sensor(GnssConfig(), conftest.LAT, conftest.LON)
     state = gnss.new_state(rng)
@@ -431,18 +438,17 @@ def hour(seconds: float) -> Iterable[Sample]:
                 readings, state = gnss.sample(truth, state, rng)
                 for reading in readings:
                     yield from conftest._samples(reading, False)
-            if isinstance(sample, ImuSample | TruthSample):
-                yield replace(sample, t_us=sample.t_us + shift_us)
+            yield replace(sample, t_us=sample.t_us + shift_us)
 
 
-def memory(seconds: float = 3600.0) -> None:
+def memory(seconds: int = 3600, every: int = 1) -> None:
     """Resident memory over a long flight through the pipeline, faster than real time."""
     pipeline = Pipeline(monitor_config({"fusion": {}, "attitude": {"estimators": []}}, "memory"))
     mark_s, epochs, start = 0.0, 0, time.perf_counter()
     errors_m: list[float] = []
     last: FusedState | None = None
     print("| flown, min | resident MB | epochs | position RMSE m |\n|---|---|---|---|")
-    for sample in hour(seconds):
+    for sample in hour(seconds, every):
         said = [r for r in pipeline.push(sample) if isinstance(r, FusedState)]
         epochs += len(said)
         if isinstance(sample, TruthSample):

@@ -16,6 +16,7 @@ from mavproxy_fault.core import Core
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.udp import UdpClient, UdpServer
 from mavproxy_fault.machine import ARRAYS, load
+from mavproxy_fault.ports import Send
 from mavproxy_fault.routing import target_places
 from mavproxy_fault.stats import Latencies
 from mavproxy_fault.tape import Tape
@@ -49,19 +50,19 @@ class FastPath:
         count = len(links)
         descriptors = [*(link.fileno() for link in links), *others]
         self.ports = k.table("q", count, k.PORT_SIZE)
-        self._data = k.table("B", count * k.BATCH * k.ROW)
-        self._heads = k.table("q", count, k.BATCH, 8)
-        self._headers = k.table("q", count, k.BATCH, 8)
-        self._parts = k.table("q", count, k.BATCH, 2)
-        self._read_parts = k.table("q", count, k.BATCH, 2)
-        self._names = k.table("B", count * k.BATCH * k.NAME)
+        self._data = k.table("B", (count + 1) * k.BATCH * k.ROW)
+        self._heads = k.table("q", count + 1, k.BATCH, 8)
+        self._headers = k.table("q", count + 1, k.BATCH, 8)
+        self._parts = k.table("q", count + 1, k.BATCH, 2)
+        self._read_parts = k.table("q", count + 1, k.BATCH, 2)
+        self._names = k.table("B", (count + 1) * k.BATCH * k.NAME)
         self._peers = k.table("B", count * k.PEERS * k.NAME)
         self._heard = k.table("B", count, k.PEERS)
         self._known_peers: list[list[Any]] = [[] for _ in links]
         self._table = k.table("q", k.IDS, 8)
         self._learned: dict[int, Layout] = {}
         self._plans: Plans | None = None
-        self._histogram = k.table("q", count, k.LATENCY_STEPS)
+        self._histogram = k.table("q", count * k.LATENCY_STEPS)
         self._logs = [k.table("B", k.LOG_SIZE if tape is not None else 1) for _ in range(3)]
         self.turn = k.table("q", k.TURN_SIZE)
         self.polls = k.table("q", len(descriptors))
@@ -101,7 +102,7 @@ class FastPath:
         turn[k.POLLS_AT], turn[k.PEERS_AT] = k.address(self.polls), k.address(self._peers)
         turn[k.HEADS_AT], turn[k.HEADERS_AT] = k.address(self._heads), k.address(self._headers)
         rows, names = k.address(self._data), k.address(self._names)
-        for number, link in enumerate(self._links):
+        for number in range(len(self._links) + 1):
             for at in range(k.BATCH):
                 row = number * k.BATCH + at
                 for parts, headers in (
@@ -113,6 +114,7 @@ class FastPath:
                     headers[number, at, 3] = 1
                 self._heads[number, at, 0] = names + k.NAME * row
                 self._heads[number, at, 1] = k.NAME
+        for number, link in enumerate(self._links):
             self._describe_port(number, link)
 
     def _describe_port(self, number: int, link: Link) -> None:
@@ -144,6 +146,20 @@ class FastPath:
             if not turn[k.DRY]:
                 return reason
 
+    def send_at(self, due_ns: int, sends: Sequence[Send]) -> bool:
+        """Wait for a time of the monotonic clock, and send at once; False if not all can go so."""
+        rows = len(self._links)
+        if len(sends) > k.BATCH or not all(self.takes(send.link) for send in sends):
+            return False
+        for at, send in enumerate(sends):
+            start = (rows * k.BATCH + at) * k.ROW
+            self._data[start : start + len(send.data)] = send.data
+            self._parts[rows, at, 1], self._heads[rows, at, 7] = len(send.data), send.link
+        self._refresh()
+        self.turn[k.DUE_COUNT], self.turn[k.DUE_AT] = len(sends), due_ns
+        self._forward(*self._addresses)
+        return True
+
     def takes(self, number: int) -> bool:
         """Whether a link goes the compiled way."""
         return bool(self.ports[number, k.FAST])
@@ -153,8 +169,11 @@ class FastPath:
         """Whether received datagrams still wait in the rows."""
         return bool(self.turn[k.AT] < self.turn[k.COUNT])
 
-    def take_datagram(self) -> tuple[int, bytes]:
-        """The datagram that was not plain, and its link; its sender becomes a peer."""
+    def take_datagram(self) -> tuple[int, bytes, int]:
+        """The datagram that was not plain: link, bytes, and when it came by the monotonic clock.
+
+        Its sender becomes a peer.
+        """
         number, at = int(self.turn[k.LINK]), int(self.turn[k.AT])
         self.turn[k.AT] += 1
         row = number * k.BATCH + at
@@ -164,7 +183,7 @@ class FastPath:
         if isinstance(link, UdpServer):
             link.hear(bytes(self._names[row * k.NAME : row * k.NAME + k.SOCKADDR_IN]))
         self._learn(data)
-        return number, data
+        return number, data, self.turn[k.CAME]
 
     @property
     def others_ready(self) -> bool:
@@ -271,8 +290,10 @@ class FastPath:
 
     def count(self) -> None:
         """Add the kernel's counts to the links', the core's and the latencies."""
-        ports, histogram, heard = self.ports, self._histogram, self._heard
+        ports, heard = self.ports, self._heard
         for number, link in enumerate(self._links):
+            if not ports[number, k.DATAGRAMS] and not ports[number, k.SENT]:
+                continue
             counters, state = link.counters, self._core.states[number]
             counters.chunks_in += ports[number, k.DATAGRAMS]
             counters.bytes_in += ports[number, k.BYTES]
@@ -285,10 +306,11 @@ class FastPath:
             state.faulted += ports[number, k.FAULTED]
             for column in range(k.DATAGRAMS, k.LONE):
                 ports[number, column] = 0
-            for step in range(k.LATENCY_STEPS):
-                if histogram[number, step]:
-                    self._latencies[number].add_step(step, histogram[number, step])
-                    histogram[number, step] = 0
+            start = number * k.LATENCY_STEPS
+            for step, count in enumerate(self._histogram[start : start + k.LATENCY_STEPS].tolist()):
+                if count:
+                    self._latencies[number].add_step(step, count)
+                    self._histogram[start + step] = 0
             for row, name in enumerate(self._known_peers[number]):
                 if heard[number, row] and isinstance(link, UdpServer):
                     link.hear(name)

@@ -46,10 +46,11 @@ PORT_SIZE = 15
 # Entries of `turn`
 DEADLINE, BASE, SPIN, LINK, AT, COUNT, EDGE, WANTED_AT, POLLS, KEEP = range(10)
 RECEIVED_AT, SENT_AT, INDEX_AT, SECONDS, NANOSECONDS, LINK_COUNT, PRECISE = range(10, 17)
-DRY = 17  # whether a block of drawn numbers ran out
+DRY, CAME = 17, 23  # whether a block of drawn numbers ran out; when the newest batch came
 TIME_AT, POLLS_AT, HEADS_AT, HEADERS_AT, PEERS_AT = range(18, 23)  # addresses, for system calls
-TURN_SIZE = 23
-TIME_IS_UP, NOT_PLAIN, OTHER_READY, LOG_FULL = range(4)  # why it returns
+DUE_COUNT, DUE_AT = 24, 25  # datagrams to send at one time, kept in the rows after the links'
+TURN_SIZE = 26
+TIME_IS_UP, NOT_PLAIN, OTHER_READY, LOG_FULL, DUE_SENT = range(5)  # why it returns
 
 LOG_SIZE = 1 << 24
 LOG_MARGIN = 1 << 23  # more than a batch of the smallest frames in the largest datagrams
@@ -59,7 +60,8 @@ LATENCY_STEPS = 64 * 8
 def table(kind: str, *shape: int) -> Any:
     """Zeroed memory as a view of numbers of one kind; pages cost nothing before they are used."""
     size = struct.calcsize(kind) * math.prod(shape)
-    return memoryview(mmap.mmap(-1, max(size, 1)))[:size].cast(kind, shape)
+    plain: Any = memoryview(mmap.mmap(-1, max(size, 1)))
+    return plain[:size].cast(kind, shape)
 
 
 def address(memory: Any) -> int:

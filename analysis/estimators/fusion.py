@@ -5,7 +5,7 @@ newest attitude of the graph, less the graph's bias.
 """
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -89,7 +89,7 @@ class FusedAttitude:
         p[PSI : PSI + 3, PSI : PSI + 3] = PRIOR_RAD**2 * np.eye(3)
         inner = state.detector.detector
         core = inner.core._replace(motion=motion._replace(x=x, p=p, inertial=True))
-        state.detector = state.detector._replace(detector=inner._replace(core=core))
+        state.detector = replace(state.detector, detector=inner._replace(core=core))
 
     @staticmethod
     def _take(said: FusedState, state: FusedAttitudeState) -> None:

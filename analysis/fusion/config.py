@@ -29,7 +29,7 @@ class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
     decide: bool = True
     robust: str = "none"
     correlation: float = 3.0
-    slow: float = 0.5
+    slow: float = 0.4
     baro_m: float = 1.0
     baro_walk_m: float = 0.3
     mag_gauss: float = 0.1

@@ -56,7 +56,8 @@ class Ranges:
     def used(self, weights: dict[str, float]) -> Mask:
         """Which (n,) have a weight."""
         enough = [weights.get(name, 0.0) >= LEAST_WEIGHT for name in self.satellites]
-        return self._above & np.array(enough, dtype=bool)
+        result: Mask = self._above & np.array(enough, dtype=bool)
+        return result
 
     def own_weights(self, excluded: frozenset[str]) -> dict[str, float]:
         """Weights by the residuals at the filter's state, where nothing else judges them."""
@@ -129,12 +130,12 @@ class Ranges:
         if used.sum() < 4 + int(0 < galileo.sum() < len(galileo)):
             return None
         sigma = self._config.slow * self._white_m[used]
-        design = design_matrix(self._los[used], galileo) / sigma[:, None]
+        design = design_matrix(self._los[used], galileo.astype(float)) / sigma[:, None]
         try:
-            result: Vector = np.linalg.inv(design.T @ design)[:3, :3]
+            cofactor = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
         except np.linalg.LinAlgError:
             return None
-        return result
+        return cofactor[:3, :3]
 
     def _loss(self, noise: Any) -> Any:
         robust, estimator = self._config.robust, gtsam.noiseModel.mEstimator

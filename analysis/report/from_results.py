@@ -12,7 +12,7 @@ from mavproxy_fault.wire.label import Label
 from simvehicle import earth
 
 AFTER = f"{RECOVERY_S:g} s after one"
-PER_SATELLITE = {"fdi-residual", "fdi-normalised"}
+EVERY_EPOCH = {"fdi-residual", "fdi-normalised", "fdi-probability"}
 Points = dict[tuple[str, str], list[tuple[float, float]]]
 
 
@@ -57,7 +57,7 @@ def recording_of_results(
             fused[result.name].append((t_s, result.position_ecef_m))
             found.events.extend(_restarted(result, t_s))
     for (panel, name), values in points.items():
-        every = epochs if panel in PER_SATELLITE else ()
+        every = epochs if panel in EVERY_EPOCH else ()
         found.signals.append(_signal(panel, name, values, every))
     for lane, rows in alarms.items():
         found.spans.extend(_alarm_spans(lane, rows))

@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 
 from analysis.report.checks import FAIL, PASS, WARN, Check
+from analysis.report.fused_table import fused_table
 from analysis.report.outcome import Outcome
 from analysis.report.page import SENSOR_LIMIT, Limit, Page, Table
-from analysis.report.panels import CHECKS, DETECTION, LINK, TIMELINE
+from analysis.report.panels import CHECKS, DETECTION, FUSION, LINK, TIMELINE
 from analysis.report.tables import (
     checks_tables,
     facts,
@@ -37,6 +38,9 @@ def log_page(outcome: Outcome, tables: Sequence[tuple[str, Table]]) -> Page:
     matrix = matrix_table(flight.labels, flight.results)
     if matrix is not None:
         every.append((DETECTION, matrix))
+    fused = fused_table(recording)
+    if fused is not None:
+        every.append((FUSION, fused))
     every += tables
     if recording.links:
         every.append((LINK, links_table(recording)))

@@ -24,6 +24,7 @@ from mavproxy_fault.wire.parser import Parser
 from simvehicle.actuators import motors
 from simvehicle.hil import Hil
 from simvehicle.inbox import Inbox
+from simvehicle.lockstep import Lockstep
 from simvehicle.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.progress import Progress
 from simvehicle.scenario import read_scenario
@@ -53,6 +54,7 @@ def flown(folder: Path, autopilot: Any, schedule: str) -> list[Frame]:
     loop = LockstepLoop(
         Simulation(read_scenario(path)), Hil(), Inbox(link), motors(4), math.inf, progress
     )
+    loop.lockstep = Lockstep(timeout_s=60.0, silence_s=60.0)  # a busy machine changes no byte
     sim = threading.Thread(target=lambda: serve_autopilot(loop, progress, None))
     sim.start()
     master = open_link("tcpin:127.0.0.1:0")

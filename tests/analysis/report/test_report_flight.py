@@ -178,7 +178,11 @@ def test_the_sequence_numbers_of_two_links_in_one_log_are_not_judged(flight: Fli
 def test_an_attitude_that_does_not_follow_what_is_asked_for_fails() -> None:
     t_s = np.arange(100) * 0.1
     roll = np.where(t_s > 5, 100.0, 0.0)
-    curves = [Signal("roll", "ATTITUDE", t_s, roll), Signal("roll", "desired", t_s, 0 * roll)]
+    curves = [
+        Signal(part, name, t_s, value)
+        for part, value in (("roll", roll), ("pitch", 0 * roll))
+        for name, value in (("ATTITUDE", value), ("desired", 0 * roll))
+    ]
     found = judged(Source(Recording("x", signals=curves), (Path("x"),)), Thresholds())
     check = next(check for check in found.checks if check.name == "attitude control")
     assert check.verdict == "FAIL"

@@ -145,7 +145,7 @@ def open_page(browser: Any) -> Iterator[Callable[[str], Any]]:
     def show(address: str) -> Any:
         found = browser.new_page(viewport={"width": 1360, "height": 900})
         opened.append(found)
-        found.set_default_timeout(100_000)  # kernels may have to be compiled first
+        found.set_default_timeout(200_000)  # kernels may have to be compiled first
         complaints: list[str] = []
         found.on("console", lambda said: said.type == "error" and complaints.append(said.text))
         found.on("pageerror", lambda error: complaints.append(str(error)))
