@@ -18,7 +18,6 @@ pipeline holds either a `Detector` or a `References`.
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -64,7 +63,8 @@ class Watch:
     healthy_since_us: int | None = None
 
 
-class ReferenceState(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class ReferenceState:
     """The detector's state, each sensor's newest sample and its watch, the newest decision."""
 
     detector: State
@@ -102,7 +102,7 @@ class References:
         if decision is None and isinstance(sample, GpsFix):
             decision = _of_same_instant(state.decision, sample)
         if decision is None or decision.mode == "":
-            return results, state._replace(detector=detector, newest=newest)
+            return results, replace(state, detector=detector, newest=newest)
         watches = dict(state.watches)
         for sensor, waiting in newest.items():
             if sensor.startswith("gps") and decision.mode.startswith("position"):
