@@ -3,7 +3,8 @@
 The shape over elevation and C/N0 is fitted to the leave-one-out residuals first: their variance is
 regressed on the model's three terms with coefficients of 0 or more. Then `scale` is set so that the
 parity test, which asks satellites alone, has a mean of 1 per degree of freedom, and the rates'
-sigma so that the median of their test has that of chi-square.
+sigma so that the median of their test has that of chi-square. Offsets are neither learnt nor taken
+off meanwhile: the noise is that of the raw ranges.
 """
 
 from collections.abc import Iterable
@@ -24,6 +25,7 @@ from mavproxy_fault.errors import ConfigError
 
 EPOCHS_MIN = 60
 FLOOR_M = 0.05
+NEVER = 1e-100  # a false-alarm probability
 OUTLIER = 5.0  # residuals beyond this many sigma are no noise
 
 
@@ -45,6 +47,7 @@ def calibrate(samples: Iterable[Sample], config: DetectorConfig) -> Calibration:
         If there are fewer than 60 epochs that can be tested.
     """
     kept = list(samples)
+    wanted, config = config, _plain(config)
     rows, decisions, rates = _pass(kept, config)
     if len(decisions) < EPOCHS_MIN:
         raise ConfigError(
@@ -61,7 +64,12 @@ def calibrate(samples: Iterable[Sample], config: DetectorConfig) -> Calibration:
         factor = float(np.sqrt(measured / expected))
         scaled = replace(scaled, rate_mps=max(config.sigma.rate_mps * factor, 0.02))
     _, decisions, _ = _pass(kept, replace(config, sigma=scaled))
-    return Calibration(scaled, len(decisions), _per_dof(decisions))
+    return Calibration(replace(scaled, slow=wanted.sigma.slow), len(decisions), _per_dof(decisions))
+
+
+def _plain(config: DetectorConfig) -> DetectorConfig:
+    """The configuration without tests that have a memory, which is what they would remember."""
+    return replace(config, p_slow=NEVER, sigma=replace(config.sigma, slow=0.0))
 
 
 def _per_dof(decisions: list[Decision]) -> float:

@@ -44,6 +44,8 @@ class DataflashFile:
         Bytes at the end of a very large file that were not read.
     damaged : bool
         Whether bytes had to be passed over.
+    cut : bool
+        Whether it ends in the middle of a message.
     """
 
     topics: Mapping[tuple[str, int], Topic]
@@ -51,6 +53,7 @@ class DataflashFile:
     end_us: int
     left_out: int
     damaged: bool
+    cut: bool
 
 
 def is_dataflash(head: bytes) -> bool:
@@ -69,7 +72,7 @@ def read_dataflash(path: str | Path) -> DataflashFile:
     with _beginning(Path(path)) as readable, tempfile.TemporaryFile() as complaints:
         try:
             with _printing_to(complaints):
-                raw = _messages(readable)
+                raw, cut = _messages(readable)
             damaged = os.fstat(complaints.fileno()).st_size > 0
         except Exception as error:  # pymavlink raises whatever its struct and index code does
             raise ConfigError(f"{path}: not a readable dataflash log ({error})") from error
@@ -83,7 +86,7 @@ def read_dataflash(path: str | Path) -> DataflashFile:
             topics[key] = {column: values[rows] for column, values in columns.items()}
     left_out = max(Path(path).stat().st_size - MOST_BYTES, 0)
     stamps = times[1]
-    return DataflashFile(topics, int(stamps.min()), int(stamps.max()), left_out, damaged)
+    return DataflashFile(topics, int(stamps.min()), int(stamps.max()), left_out, damaged, cut)
 
 
 @contextlib.contextmanager
@@ -119,8 +122,8 @@ def _beginning(path: Path) -> Iterator[Path]:
         yield Path(copy.name)
 
 
-def _messages(path: Path) -> dict[str, tuple[NDArray[np.int64], Topic]]:
-    """By message name where its messages are and their columns."""
+def _messages(path: Path) -> tuple[dict[str, tuple[NDArray[np.int64], Topic]], bool]:
+    """By message name where its messages are and their columns; whether the last one is cut."""
     from pymavlink.DFReader import DFReader_binary
 
     reader = DFReader_binary.__new__(DFReader_binary)  # apart, to close its file if it fails
@@ -128,12 +131,15 @@ def _messages(path: Path) -> dict[str, tuple[NDArray[np.int64], Topic]]:
         reader.__init__(str(path), zero_time_base=True)
         data = np.fromfile(path, np.uint8)
         found = {}
+        end = 0
         for form in reader.formats.values():
             at = np.array(reader.offsets[form.type], np.int64)
-            at = at[at + max(form.len, HEAD + struct.calcsize(form.msg_struct)) <= len(data)]
+            whole = at + max(form.len, HEAD + struct.calcsize(form.msg_struct)) <= len(data)
+            at = at[whole]
+            end = max(end, int(at.max(initial=0)) + form.len)
             if len(at) and form.type != FORMATS:
                 found[form.name] = (at, _columns(data, at, form))
-        return found
+        return found, data[end : end + len(MAGIC)].tobytes() == MAGIC
     finally:
         reader.filehandle.close()
 

@@ -12,14 +12,13 @@ from types import FrameType
 
 import msgspec
 
-from analysis.calibrate import calibrate, read_sigma, write_sigma
 from analysis.criteria import Criteria
-from analysis.epochs import Decoder, read_rinex_samples
 from analysis.folder import ResultFile, make_folder, write_summary
 from analysis.intake import Intake
 from analysis.monitor import Monitor
 from analysis.pipeline import MonitorConfig
 from analysis.publish import Publisher
+from analysis.recordings import read_log_samples, read_rinex_samples
 from analysis.results import Result
 from analysis.samples import Sample
 from analysis.terminal import print_summary
@@ -80,6 +79,8 @@ def settings(scenario: str | None, sigma: str | None) -> tuple[MonitorConfig, Cr
         setup = read_setup(scenario)
         config, criteria = setup.monitor, setup.criteria
     if sigma is not None:
+        from analysis.calibrate import read_sigma
+
         detector = replace(config.detector, sigma=read_sigma(Path(sigma)))
         config = msgspec.structs.replace(config, detector=detector)
     return config, criteria
@@ -89,6 +90,8 @@ def calibrate_to(path: Path, args: argparse.Namespace, config: MonitorConfig) ->
     """Fit the noise model of pseudoranges to a clean recording and write it."""
     if args.link is not None:
         raise ConfigError("--calibrate: a link cannot be read twice; give --log or --rinex")
+    from analysis.calibrate import calibrate, write_sigma  # loads scipy's optimisers
+
     found = calibrate(list(samples_of(args)), config.detector)
     write_sigma(path, found)
     print(
@@ -125,11 +128,7 @@ def _feed(args: argparse.Namespace, monitor: Monitor, take: Take) -> None:
 def samples_of(args: argparse.Namespace) -> Iterator[Sample]:
     """The samples of the recording that was given."""
     if args.log is not None:
-        from mavproxy_fault.wire.tlog import read_frames
-
-        decoder = Decoder()
-        for _, frame in read_frames(args.log):
-            yield from decoder.decode(frame)
+        yield from read_log_samples(args.log)
     else:
         obs, nav = (Path(path) for path in args.rinex)
         yield from read_rinex_samples(obs, nav, Path(args.imu) if args.imu else None)

@@ -17,6 +17,7 @@ pipeline holds either a `Detector` or a `References`.
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -79,19 +80,24 @@ class References:
     config: DetectorConfig = field(default_factory=DetectorConfig)
     sensors: SensorNoise = field(default_factory=SensorNoise)
 
+    @cached_property
+    def detector(self) -> Detector:
+        """The detector whose filter is the reference."""
+        return Detector(self.config)
+
     def new_state(self) -> ReferenceState:
         """Nothing known."""
-        return ReferenceState(Detector(self.config).new_state(), {}, {})
+        return ReferenceState(self.detector.new_state(), {}, {})
 
     def step(self, sample: Sample, state: ReferenceState) -> tuple[list[Result], ReferenceState]:
         """Decisions that one sample allows, and the next state."""
         if type(sample) is ImuSample:
-            _, detector = Detector(self.config).step(sample, state.detector)
-            return [], replace(state, detector=detector)
+            _, detector = self.detector.step(sample, state.detector)
+            return [], ReferenceState(detector, state.newest, state.watches, state.decision)
         newest = state.newest
         for sensor in KINDS.get(type(sample), ()):
             newest = {**newest, sensor: sample}
-        results, detector = Detector(self.config).step(sample, state.detector)
+        results, detector = self.detector.step(sample, state.detector)
         decision = next((r for r in results if isinstance(r, Decision)), None)
         if decision is None and isinstance(sample, GpsFix):
             decision = _of_same_instant(state.decision, sample)

@@ -1,7 +1,7 @@
 """RINEX 2, 3 and 4 navigation files: ephemerides of GPS and Galileo, Klobuchar's coefficients.
 
 Galileo's I/NAV records are preferred; F/NAV, whose clock belongs to E1 and E5a, serves satellites
-that have no other [1]_.
+that have no other [1]_. Of RINEX 4's many kinds of records those are read that RINEX 3 has too.
 
 References
 ----------
@@ -16,6 +16,7 @@ from analysis.samples import EphemerisSample, IonosphereSample
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.wire.ephemeris import Ephemeris
 
+MESSAGES = ("LNAV", "INAV", "FNAV")  # RINEX 4 names the message of each record
 FNAV_ONLY = 0b010  # bit 1 of Galileo's data source word: F/NAV on E5a
 ACCURACY_INDEX_M = (2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24.0, 48.0, 96.0, 192.0)  # IS-GPS-200N
 
@@ -36,6 +37,7 @@ def read_navigation(path: Path) -> list[EphemerisSample | IonosphereSample]:
     if start is None:
         raise ConfigError(f"{path}: has no END OF HEADER; the header is cut short")
     samples: list[EphemerisSample | IonosphereSample] = list(_ionosphere(lines[:start]))
+    samples += _ionosphere_4(lines[start + 1 :])
     records = list(_records(lines[start + 1 :], version))
     with_inav = {e.satellite for e, fnav in records if not fnav}
     for ephemeris, fnav in records:
@@ -56,6 +58,15 @@ def _ionosphere(header: list[str]) -> Iterator[IonosphereSample]:
         yield IonosphereSample(0, found["A"], found["B"])
 
 
+def _ionosphere_4(lines: list[str]) -> Iterator[IonosphereSample]:
+    """Klobuchar's coefficients from the records of RINEX 4: three, four and one of the eight."""
+    for i, line in enumerate(lines):
+        if line.startswith("> ION G") and line[10:].split() == ["LNAV"] and i + 3 < len(lines):
+            rows = ((lines[i + 1], 1, 4), (lines[i + 2], 0, 4), (lines[i + 3], 0, 1))
+            v = [_float(t[4 + 19 * k : 23 + 19 * k]) for t, a, b in rows for k in range(a, b)]
+            yield IonosphereSample(0, (v[0], v[1], v[2], v[3]), (v[4], v[5], v[6], v[7]))
+
+
 def _four(line: str, first: int) -> tuple[float, float, float, float]:
     a, b, c, d = (_float(line[first + 12 * i : first + 12 * i + 12]) for i in range(4))
     return a, b, c, d
@@ -69,17 +80,20 @@ def _float(text: str) -> float:
 def _records(lines: list[str], version: float) -> Iterator[tuple[Ephemeris, bool]]:
     """Each ephemeris of GPS and Galileo, and whether it is an F/NAV one."""
     indent = 3 if version < 3.0 else 4
-    at = 0
+    at, readable = 0, True
     while at < len(lines):
         line = lines[at]
         at += 1
+        if line.startswith(">"):
+            readable = line.startswith("> EPH") and line[10:].strip() in MESSAGES
+            continue
         if version < 3.0:
             name = "G" + line[:2].replace(" ", "0")
             known = line[:2].strip().isdigit()
         else:
             name = line[:1] + line[1:3].replace(" ", "0")
             known = line[:1] in ("G", "E") and name[1:].isdigit() and line[4:8].isdigit()
-        if not known or at + 7 > len(lines):
+        if not (known and readable) or at + 7 > len(lines):
             continue
         try:
             yield _ephemeris(name, line, lines[at : at + 7], indent)

@@ -42,6 +42,8 @@ class ULogFile:
     dropouts : list of (t_us, duration_s)
     damaged : bool
         Whether parts of the file could not be read.
+    cut : bool
+        Whether it ends in the middle of a message.
     """
 
     topics: Mapping[tuple[str, int], Topic]
@@ -52,6 +54,7 @@ class ULogFile:
     start_us: int
     dropouts: list[tuple[int, float]]
     damaged: bool
+    cut: bool
 
 
 class _Patient(io.FileIO):
@@ -59,11 +62,13 @@ class _Patient(io.FileIO):
 
     def __init__(self, path: str | Path) -> None:
         super().__init__(path, "rb")
+        self.cut = False  # whether it ended in the middle of what a reader asked for
         self._left = MOST_READS * Path(path).stat().st_size + 10_000_000
 
     def read(self, size: int | None = -1, /) -> bytes:
         """As in any file, until too much was read."""
         data = super().read(-1 if size is None else size) or b""
+        self.cut |= size is not None and 0 < len(data) < size
         self._left -= len(data) + 1
         if self._left < 0:
             raise RuntimeError("damaged beyond reading")
@@ -113,6 +118,7 @@ def read_ulog(path: str | Path) -> ULogFile:
         int(log.start_timestamp),
         [(drop.timestamp, drop.duration * 1e-3) for drop in log.dropouts],
         bool(log.file_corruption or complaints.getvalue()),
+        file.cut,
     )
 
 

@@ -3,7 +3,7 @@
 Run by hand: `python benchmarks/fusion.py flight DIR` on the folder of a `mavproxy-fault run` (its
 received.tlog is the flight without faults, its sent.tlog the one with them), `... walk DATA` on the
 folder gnss_imu_walk (needs RTKLIB's rnx2rtkp), or `... time`, `... nees [FLIGHTS]`,
-`... memory [SECONDS]` on simulated flights of its own.
+`... memory [SECONDS [EVERY]]` on simulated flights of its own.
 """
 
 import math
@@ -19,14 +19,16 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-from analysis.epochs import Decoder, read_rinex_samples
+from analysis.epochs import Decoder
 from analysis.fdi import DetectorConfig
+from analysis.fdi.config import Noise, SigmaModel
 from analysis.fdi.core import Core
 from analysis.fusion.config import FusionConfig
 from analysis.fusion.frame import frame_at
 from analysis.fusion.smoother import Fusion
 from analysis.gnss import ned_axes
 from analysis.pipeline import Pipeline, monitor_config
+from analysis.recordings import read_rinex_samples
 from analysis.reference import References
 from analysis.reference_models import density_kgpm3
 from analysis.results import Decision, FusedState, Result
@@ -53,24 +55,28 @@ Row = tuple[Sample, list[Result], Core]
 Truths = dict[int, tuple[float, float, float]]
 SETTINGS = {
     "isolated (default)": FusionConfig(),
-    "isolated, ionosphere: 0.5": FusionConfig(ionosphere=0.5),
     "no decisions": FusionConfig(decide=False),
     "no decisions, Huber": FusionConfig(decide=False, robust="huber"),
     "no decisions, Geman-McClure": FusionConfig(decide=False, robust="geman-mcclure"),
     "no decisions, GNC": FusionConfig(decide=False, robust="gnc"),
 }
+DEFAULT = DetectorConfig()
+# The tests' flight: 0.01 rad/s and 0.05 m/s^2 per sample at 200 Hz, Doppler by its C/N0.
+FITTING = DetectorConfig(
+    noise=Noise(gyro_rps=7e-4, accel_mps2=3.5e-3), sigma=SigmaModel(rate_mps=0.05)
+)
 WALK_GEOID_M = 21.387  # of the folder's README: heights of the reference are above sea level
 STEP_M, STEP_FROM_S, STEP_FOR_S = 50.0, 60.0, 30.0
-TIMED_S = 60.0
-NEES_S = 30.0
+TIMED_S, TIMED_RUNS = 40.0, 4
+NEES_S = 24.0
 FIRST_SEED = 1000  # flights that nothing was set on
 PERIOD_S = 40.0  # of the tests' flight
 GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
 
 
-def detected(samples: Iterable[Sample]) -> list[Row]:
+def detected(samples: Iterable[Sample], detector: DetectorConfig = DEFAULT) -> list[Row]:
     """Every sample with what the detector said, so that settings share its work."""
-    references = References(DetectorConfig())
+    references = References(detector)
     state = references.new_state()
     rows = []
     for sample in samples:
@@ -79,9 +85,11 @@ def detected(samples: Iterable[Sample]) -> list[Row]:
     return rows
 
 
-def fused(rows: list[Row], config: FusionConfig) -> list[FusedState]:
+def fused(
+    rows: list[Row], config: FusionConfig, detector: DetectorConfig = DEFAULT
+) -> list[FusedState]:
     """The fused states under one setting."""
-    fusion = Fusion(config)
+    fusion = Fusion(config, detector)
     state = fusion.new_state()
     found: list[FusedState] = []
     for sample, results, core in rows:
@@ -210,8 +218,11 @@ def walk(folder: Path) -> None:
         for t_us, at in single.items()
         if t_us in near
     }
-    print("| walk | position RMSE m | about its mean m | mean north, east, down m | NEES (3) |")
-    print("|---|---|---|---|---|")
+    print(
+        "| walk | position RMSE m | about its mean m | mean north, east, down m "
+        "| NEES (3) | about its mean |"
+    )
+    print("|---|---|---|---|---|---|")
     print(row("RTKLIB, single point", found))
     samples = read_rinex_samples(observations, navigation, folder / "imu_1730_sf.csv")
     epochs = [s for s in samples if isinstance(s, Epoch)]
@@ -228,13 +239,16 @@ def walk(folder: Path) -> None:
     ):
         value = errors(decisions(these), truths)
         print(row(f"{title}: the detector's filter", value))
-        for name, config in list(SETTINGS.items())[: 2 if title == "clean" else None]:
+        for name, config in list(SETTINGS.items())[: 1 if title == "clean" else None]:
             states = fused(these, config)
             value = errors(states, truths)
-            print(row(f"{title}: {name}", value, f"{nees(states, value):.1f}"))
+            middle = np.mean(list(value.values()), axis=0)
+            about = {t_us: error - middle for t_us, error in value.items()}
+            squares = f"{nees(states, value):.1f} | {nees(states, about):.1f}"
+            print(row(f"{title}: {name}", value, squares), flush=True)
 
 
-def row(title: str, found: dict[int, Vector], squares: str = "") -> str:
+def row(title: str, found: dict[int, Vector], squares: str = " | ") -> str:
     """A row of the walk's table."""
     mean = ", ".join(f"{value:.1f}" for value in np.mean(list(found.values()), axis=0))
     return f"| {title} | {rmse(found):.2f} | {spread(found):.2f} | {mean} | {squares} |"
@@ -286,7 +300,10 @@ def fewer(sample: Sample, satellites: int) -> Sample:
 
 
 def timing() -> None:
-    """Milliseconds of processor time per GNSS epoch with all samples since the last one."""
+    """Milliseconds of processor time per GNSS epoch with all samples since the last one.
+
+    Of the fastest of several runs: what else the machine does only makes them slower.
+    """
     samples = flight_of(TIMED_S, satellites=10)
     print("| 10 satellites, 5 Hz, 200 Hz IMU, 5 s lag | median ms | mean ms | 95 % ms |")
     print("|---|---|---|---|")
@@ -294,8 +311,8 @@ def timing() -> None:
         ("IMU, pseudoranges, Doppler", samples),
         ("and barometer, magnetometer, airspeed at 10 Hz", with_others(samples)),
     ):
-        timed(these)  # compiles
-        detector, fusion = timed(these)
+        runs = [timed(these) for _ in range(TIMED_RUNS)]
+        detector, fusion = min(runs, key=lambda spent: float(spent[1].mean()))
         for what, spent in (
             ("fusion", fusion),
             ("the detector before it", detector),
@@ -361,20 +378,21 @@ def pressure_pa(height_m: float) -> float:
     return float(101_325.0 * (1.0 - 2.25577e-5 * height_m) ** 5.25588)
 
 
-def honesty(flights: int = 40) -> None:
+def honesty(flights: int = 16) -> None:
     """Normalised squared errors at the end of independent clean flights, one epoch of each."""
-    rows = []
+    band = chi2.ppf([0.025, 0.975], 3 * flights) / flights
+    print(f"{flights} flights of {NEES_S:.0f} s, 95 % band {band[0]:.2f} to {band[1]:.2f}\n")
+    print("| noise model | position (3) | velocity (3) | attitude (3) |\n|---|---|---|---|")
+    found: dict[str, list[tuple[float, float, float]]] = {}
     for seed in range(FIRST_SEED, FIRST_SEED + flights):
         samples = flight_of(NEES_S, seed)
         truth = [s for s in samples if isinstance(s, TruthSample)][-1]
-        state = fused(detected(samples), FusionConfig())[-1]
-        rows.append(normalised_squares(state, truth))
-    band = chi2.ppf([0.025, 0.975], 3 * flights) / flights
-    print(f"| {flights} flights of {NEES_S:.0f} s | mean NEES (3) | 95 % band |\n|---|---|---|")
-    for what, value in zip(
-        ("position", "velocity", "attitude"), np.mean(rows, axis=0), strict=True
-    ):
-        print(f"| {what} | {value:.2f} | {band[0]:.2f} to {band[1]:.2f} |")
+        for title, detector in (("default", DEFAULT), ("the flight's", FITTING)):
+            state = fused(detected(samples, detector), FusionConfig(), detector)[-1]
+            found.setdefault(title, []).append(normalised_squares(state, truth))
+    for title, rows in found.items():
+        cells = " | ".join(f"{value:.2f}" for value in np.mean(rows, axis=0))
+        print(f"| {title} | {cells} |")
 
 
 def normalised_squares(state: FusedState, truth: TruthSample) -> tuple[float, float, float]:
@@ -396,9 +414,16 @@ def normalised_squares(state: FusedState, truth: TruthSample) -> tuple[float, fl
     return found[0], found[1], found[2]
 
 
-def hour(seconds: float) -> Iterable[Sample]:
-    """A flight of any length without keeping it: the figure of eight takes 40 s."""
-    once = [s for s in conftest.make_flight(PERIOD_S) if s.t_us < PERIOD_S * 1e6]
+def hour(seconds: float, every: int) -> Iterable[Sample]:
+    """A flight of any length without keeping it: the figure of eight takes 40 s.
+
+    Of the IMU's samples (200 Hz) and the epochs (5 Hz) one of so many.
+    """
+    period = [s for s in conftest.make_flight(PERIOD_S) if s.t_us < PERIOD_S * 1e6]
+    imu = [s for s in period if isinstance(s, ImuSample)][::every]
+    once = sorted(
+        [*imu, *[s for s in period if isinstance(s, TruthSample)][::every]], key=lambda s: s.t_us
+    )
     rng = np.random.default_rng(3)
     gnss = gnss_sensor(GnssConfig(), conftest.LAT, conftest.LON)
     state = gnss.new_state(rng)
@@ -413,18 +438,17 @@ def hour(seconds: float) -> Iterable[Sample]:
                 readings, state = gnss.sample(truth, state, rng)
                 for reading in readings:
                     yield from conftest._samples(reading, False)
-            if isinstance(sample, ImuSample | TruthSample):
-                yield replace(sample, t_us=sample.t_us + shift_us)
+            yield replace(sample, t_us=sample.t_us + shift_us)
 
 
-def memory(seconds: float = 3600.0) -> None:
+def memory(seconds: int = 3600, every: int = 1) -> None:
     """Resident memory over a long flight through the pipeline, faster than real time."""
     pipeline = Pipeline(monitor_config({"fusion": {}, "attitude": {"estimators": []}}, "memory"))
     mark_s, epochs, start = 0.0, 0, time.perf_counter()
     errors_m: list[float] = []
     last: FusedState | None = None
     print("| flown, min | resident MB | epochs | position RMSE m |\n|---|---|---|---|")
-    for sample in hour(seconds):
+    for sample in hour(seconds, every):
         said = [r for r in pipeline.push(sample) if isinstance(r, FusedState)]
         epochs += len(said)
         if isinstance(sample, TruthSample):

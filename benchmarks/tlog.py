@@ -12,6 +12,7 @@ index: `python -m pip install --no-build-isolation fasttlogparser` builds it.
 import json
 import os
 import random
+import resource
 import subprocess
 import sys
 import tempfile
@@ -24,6 +25,7 @@ LOGS = (
     "px4_hil/hover_gps_jump_hil.tlog",
     "px4_hil/hover_gps_jump_gcs.tlog",
 )
+LEAST_MEMORY = 400_000_000  # bytes of data that the process reading block by block may hold
 PYMAVLINK_MB = 8  # it would take minutes for more
 READERS = ("ours", "fasttlogparser", "pymavlink")
 
@@ -126,6 +128,31 @@ def show(name: str, reader: str, found: dict[str, float], size: int) -> None:
     print(f"| {name} | {reader} | {found['frames']:,} | {rate:.1f} | {memory:.1f} |", flush=True)
 
 
+def beyond_memory(folder: Path) -> None:
+    """Read a log in blocks in a process that may not hold as much as the log is long."""
+    path = folder / "log.tlog"
+    data = (DATA / LOGS[1]).read_bytes()
+    path.write_bytes(data * (1_000_000_000 // len(data)))
+    command = [sys.executable, __file__, "--blocks", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout.splitlines()[-1])
+    size = path.stat().st_size
+    print(
+        f"\nA log of {size / 1e6:.0f} MB in blocks, in a process of {LEAST_MEMORY / 1e6:.0f} MB "
+        f"of data: {found['frames']:,} frames, {size / 1e6 / found['cpu_s']:.0f} MB/s."
+    )
+
+
+def read_blocks(path: str) -> dict[str, float]:
+    from mavproxy_fault.wire import tlog
+
+    tlog.read_columns(DATA / LOGS[2])  # loads the compiled code
+    resource.setrlimit(resource.RLIMIT_DATA, (LEAST_MEMORY, LEAST_MEMORY))
+    start_s = time.process_time()
+    frames = sum(len(rows) for block in tlog.read_blocks(path) for rows in block.values())
+    return {"frames": frames, "cpu_s": time.process_time() - start_s}
+
+
 def recovery(folder: Path) -> None:
     print("\n| damage | reader | frames | of the whole log |")
     print("|---|---|---:|---:|")
@@ -146,9 +173,13 @@ def main() -> None:
     if sys.argv[1:2] == ["--read"]:
         print(json.dumps(read(sys.argv[2], sys.argv[3])))
         return
+    if sys.argv[1:2] == ["--blocks"]:
+        print(json.dumps(read_blocks(sys.argv[2])))
+        return
     with tempfile.TemporaryDirectory() as folder:
         speed(Path(folder), int(sys.argv[1]) if sys.argv[1:] else 100)
         recovery(Path(folder))
+        beyond_memory(Path(folder))
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from mavproxy_fault.announce import COMPONENT, Announcer
+from mavproxy_fault.announce import Announcer
 from mavproxy_fault.clock import VehicleClock
 from mavproxy_fault.memory import (
     GAPS,
@@ -26,10 +26,11 @@ from mavproxy_fault.memory import (
     UNKNOWN,
     new_memory,
 )
+from mavproxy_fault.pieces import Pieces, source_of, together
 from mavproxy_fault.ports import Control, Direction, Engine, LinkRole, Send
 from mavproxy_fault.routing import LoopGuard, Routes
 from mavproxy_fault.tape import Tape
-from mavproxy_fault.wire.frame import STX_V1, STX_V2, Frame
+from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Junk, Parser, ParserCounters
 from mavproxy_fault.wire.signing import Signing
 
@@ -37,13 +38,10 @@ if TYPE_CHECKING:
     from mavproxy_fault.faults.base import Outgoing
     from mavproxy_fault.wire.label import Label
 
-LARGEST_DATAGRAM = 65_507  # bytes of payload of an IPv4 datagram
 HOLD_US = (
     500_000  # how long a stream may owe the rest of a frame; 280 bytes at 9600 baud take 0.3 s
 )
 NEVER_US = 1 << 62
-
-Pieces = list[tuple[int, bytes]]  # what leaves now: the links as a bit mask, and the bytes
 
 
 @dataclass(slots=True)
@@ -206,7 +204,7 @@ class Core:
             else:
                 self._junk(item, arrival, pieces)
         if self.links[arrival.link].datagrams and len(pieces) > 1:
-            pieces = _together(pieces)
+            pieces = together(pieces)
         return self._sends(pieces, arrival.now_us)
 
     def _frame(self, frame: Frame, arrival: Arrival, pieces: Pieces) -> None:
@@ -298,7 +296,7 @@ class Core:
         """Send or keep what the engine gave back for `origin`, which may be an earlier frame."""
         frame = outgoing.frame
         raw = frame if isinstance(frame, bytes) else frame.raw
-        if origin is not None and frame is not origin and _source(raw) != _source(origin.raw):
+        if origin is not None and frame is not origin and source_of(raw) != source_of(origin.raw):
             mask = self._links_of_held(frame)
         if isinstance(frame, Frame) and frame.signed and frame is not origin and self._signing:
             raw = self._signing.leave(frame).raw
@@ -351,36 +349,9 @@ class Core:
 
     def _links_of_held(self, frame: Frame | bytes) -> int:
         """Where a frame goes that came at some earlier time, by its sender's home link."""
-        home = self._routes.home.get(_source(frame if isinstance(frame, bytes) else frame.raw))
+        home = self._routes.home.get(source_of(frame if isinstance(frame, bytes) else frame.raw))
         if home is None:
             return self._routes.everywhere
         if isinstance(frame, Frame):
             return self._routes.find(frame, home)
         return self._routes.everywhere & ~(1 << home)
-
-
-def _source(raw: bytes) -> tuple[int, int]:
-    """System and component by the header, (0, 0) where there is none."""
-    if len(raw) > 6 and raw[0] == STX_V2:
-        return raw[5], raw[6]
-    if len(raw) > 4 and raw[0] == STX_V1:
-        return raw[3], raw[4]
-    return 0, 0
-
-
-def _together(pieces: Pieces) -> Pieces:
-    """Neighbours for the same links as one datagram, but for the proxy's own announcements."""
-    joined: Pieces = []
-
-    def kind(piece: tuple[int, bytes]) -> tuple[int, bool]:
-        return piece[0], _source(piece[1])[1] == COMPONENT
-
-    for (mask, _), group in itertools.groupby(pieces, key=kind):
-        data = b""
-        for _, raw in group:
-            if len(data) + len(raw) > LARGEST_DATAGRAM:
-                joined.append((mask, data))
-                data = b""
-            data += raw
-        joined.append((mask, data))
-    return joined

@@ -9,12 +9,12 @@ from collections.abc import Iterable
 from typing import Any
 
 import msgspec
-import yaml
 
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.faults.base import Outgoing
 from mavproxy_fault.faults.target import near
 from mavproxy_fault.running import NEVER_US, Running, after_s
+from mavproxy_fault.saved import as_yaml
 from mavproxy_fault.schedule import Entry, Schedule, parse_entry
 from mavproxy_fault.triggers import Telemetry
 from mavproxy_fault.wire.frame import Frame
@@ -335,17 +335,11 @@ class Engine:
 
     def save(self) -> str:
         """The schedule as it stands, live edits included, as YAML that `read_schedule` takes."""
-        bases = {id(running.entry): running.base_us for running in self._all}
-        written: dict[str, dict[str, Any]] = {}
-        for entry in self._entries():
-            whole = entry.id.rpartition(".")[0] if entry.preset else ""  # one part of several
-            data = {"id": whole or entry.id, **entry.written}
-            base_s = (bases.get(id(entry), 0) - (self.t0_us or 0)) * 1e-6 if self._all else 0.0
-            if base_s:
-                data["at_s"] = round(base_s + entry.at_s, 6)
-            written.setdefault(data["id"], data)
-        data = {"seed": self.seed, "faults": msgspec.to_builtins(list(written.values()))}
-        return yaml.safe_dump(data, sort_keys=False)
+        first_us = self.t0_us
+        if first_us is None:
+            return as_yaml(self.seed, [(entry, 0.0) for entry in self._schedule.faults])
+        late = [(one.entry, (one.base_us - first_us) * 1e-6) for one in self._all]
+        return as_yaml(self.seed, late)
 
 
 def _next(running: Running) -> int:

@@ -8,9 +8,7 @@ path, frame by frame, in order.
 import socket
 from collections.abc import Sequence
 from ctypes import c_void_p
-from typing import TYPE_CHECKING, Any, cast
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault import tables as k
 from mavproxy_fault.clock import stamp_place
@@ -18,6 +16,7 @@ from mavproxy_fault.core import Core
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.udp import UdpClient, UdpServer
 from mavproxy_fault.machine import ARRAYS, load
+from mavproxy_fault.ports import Send
 from mavproxy_fault.routing import target_places
 from mavproxy_fault.stats import Latencies
 from mavproxy_fault.tape import Tape
@@ -49,27 +48,28 @@ class FastPath:
         self._tape = tape
         self._latencies = latencies
         count = len(links)
-        self.ports = np.zeros((count, k.PORT_SIZE), np.int64)
-        self._data = np.empty(count * k.BATCH * k.ROW, np.uint8)
-        self._heads = np.zeros((count, k.BATCH, 8), np.int64)
-        self._headers = np.zeros((count, k.BATCH, 8), np.int64)
-        self._parts = np.zeros((count, k.BATCH, 2), np.int64)
-        self._read_parts = np.zeros((count, k.BATCH, 2), np.int64)
-        self._names = np.zeros((count, k.BATCH, k.NAME), np.uint8)
-        self._peers = np.zeros((count, k.PEERS, k.NAME), np.uint8)
-        self._heard = np.zeros((count, k.PEERS), np.uint8)
+        descriptors = [*(link.fileno() for link in links), *others]
+        self.ports = k.table("q", count, k.PORT_SIZE)
+        self._data = k.table("B", (count + 1) * k.BATCH * k.ROW)
+        self._heads = k.table("q", count + 1, k.BATCH, 8)
+        self._headers = k.table("q", count + 1, k.BATCH, 8)
+        self._parts = k.table("q", count + 1, k.BATCH, 2)
+        self._read_parts = k.table("q", count + 1, k.BATCH, 2)
+        self._names = k.table("B", (count + 1) * k.BATCH * k.NAME)
+        self._peers = k.table("B", count * k.PEERS * k.NAME)
+        self._heard = k.table("B", count, k.PEERS)
         self._known_peers: list[list[Any]] = [[] for _ in links]
-        self._table = np.zeros((k.IDS, 8), np.int64)
+        self._table = k.table("q", k.IDS, 8)
         self._learned: dict[int, Layout] = {}
         self._plans: Plans | None = None
-        self._histogram = np.zeros((count, k.LATENCY_STEPS), np.int64)
-        self._logs = [np.empty(k.LOG_SIZE if tape is not None else 1, np.uint8) for _ in range(3)]
-        self.turn = np.zeros(k.TURN_SIZE, np.int64)
-        self.polls = np.array(
-            [fd | POLLIN << 32 for fd in (*(link.fileno() for link in links), *others)], np.int64
-        )
+        self._histogram = k.table("q", count * k.LATENCY_STEPS)
+        self._logs = [k.table("B", k.LOG_SIZE if tape is not None else 1) for _ in range(3)]
+        self.turn = k.table("q", k.TURN_SIZE)
+        self.polls = k.table("q", len(descriptors))
+        for n, descriptor in enumerate(descriptors):
+            self.polls[n] = descriptor | POLLIN << 32
         self.turn[k.BASE], self.turn[k.KEEP] = base_ns, tape is not None
-        self.turn[k.LINK_COUNT], self.turn[k.POLLS] = count, len(self.polls)
+        self.turn[k.LINK_COUNT], self.turn[k.POLLS] = count, len(descriptors)
         self._seen: tuple[Any, ...] = ()
         self._point()
         self._tie()
@@ -81,10 +81,9 @@ class FastPath:
             "histogram": self._histogram, "polls": self.polls, "turn": self.turn,
             "ports": self.ports, "heads": self._heads, "headers": self._headers,
             "parts": self._parts, "names": self._names, "peers": self._peers,
-            "heard": self._heard, "data": self._data,
-            "memory": np.frombuffer(cast(Any, self._core.memory), np.int64),
+            "heard": self._heard, "data": self._data, "memory": self._core.memory,
             "table": self._table, "received": self._logs[0], "sent": self._logs[1],
-            "index": self._logs[2], "crc": k.crc_tables(), "result": np.zeros(2),
+            "index": self._logs[2], "crc": k.crc_tables(), "result": k.table("d", 2),
         }  # fmt: skip
         if plans is not None:
             arrays |= {
@@ -93,30 +92,40 @@ class FastPath:
             }  # fmt: skip
         self._arrays = arrays  # keeps them alive
         self._addresses = [
-            arrays[name].ctypes.data_as(c_void_p) if name in arrays else None for name in ARRAYS
+            c_void_p(k.address(arrays[name])) if name in arrays else None for name in ARRAYS
         ]
 
     def _point(self) -> None:
         """Let the headers of both kinds of system call point to the rows of data."""
-        step = np.arange(len(self._links) * k.BATCH).reshape(len(self._links), k.BATCH)
-        rows = self._data.ctypes.data + k.ROW * step
-        for parts, headers in ((self._read_parts, self._heads), (self._parts, self._headers)):
-            parts[:, :, 0], parts[:, :, 1] = rows, k.ROW
-            headers[:, :, 2] = parts.ctypes.data + 16 * step
-            headers[:, :, 3] = 1
-        self._heads[:, :, 0], self._heads[:, :, 1] = self._names.ctypes.data + k.NAME * step, k.NAME
-        for number, link in enumerate(self._links):
-            port = self.ports[number]
-            port[k.FD] = link.fileno()
-            port[k.LISTENS] = isinstance(link, UdpServer)
-            port[k.FAST] = (
-                isinstance(link, UdpServer | UdpClient) and link.sock.family == socket.AF_INET
-            )
-            port[k.FROM_VEHICLE] = self._core.links[number].direction == "from-vehicle"
         turn = self.turn
-        turn[k.TIME_AT] = turn.ctypes.data + 8 * k.SECONDS
-        turn[k.POLLS_AT], turn[k.PEERS_AT] = self.polls.ctypes.data, self._peers.ctypes.data
-        turn[k.HEADS_AT], turn[k.HEADERS_AT] = self._heads.ctypes.data, self._headers.ctypes.data
+        turn[k.TIME_AT] = k.address(turn) + 8 * k.SECONDS
+        turn[k.POLLS_AT], turn[k.PEERS_AT] = k.address(self.polls), k.address(self._peers)
+        turn[k.HEADS_AT], turn[k.HEADERS_AT] = k.address(self._heads), k.address(self._headers)
+        rows, names = k.address(self._data), k.address(self._names)
+        for number in range(len(self._links) + 1):
+            for at in range(k.BATCH):
+                row = number * k.BATCH + at
+                for parts, headers in (
+                    (self._read_parts, self._heads),
+                    (self._parts, self._headers),
+                ):
+                    parts[number, at, 0], parts[number, at, 1] = rows + k.ROW * row, k.ROW
+                    headers[number, at, 2] = k.address(parts) + 16 * row
+                    headers[number, at, 3] = 1
+                self._heads[number, at, 0] = names + k.NAME * row
+                self._heads[number, at, 1] = k.NAME
+        for number, link in enumerate(self._links):
+            self._describe_port(number, link)
+
+    def _describe_port(self, number: int, link: Link) -> None:
+        ports = self.ports
+        ports[number, k.FD] = link.fileno()
+        ports[number, k.LISTENS] = isinstance(link, UdpServer)
+        ports[number, k.FAST] = (
+            isinstance(link, UdpServer | UdpClient) and link.sock.family == socket.AF_INET
+        )
+        from_vehicle = self._core.links[number].direction == "from-vehicle"
+        ports[number, k.FROM_VEHICLE] = from_vehicle
 
     # A stretch of forwarding
 
@@ -137,6 +146,20 @@ class FastPath:
             if not turn[k.DRY]:
                 return reason
 
+    def send_at(self, due_ns: int, sends: Sequence[Send]) -> bool:
+        """Wait for a time of the monotonic clock, and send at once; False if not all can go so."""
+        rows = len(self._links)
+        if len(sends) > k.BATCH or not all(self.takes(send.link) for send in sends):
+            return False
+        for at, send in enumerate(sends):
+            start = (rows * k.BATCH + at) * k.ROW
+            self._data[start : start + len(send.data)] = send.data
+            self._parts[rows, at, 1], self._heads[rows, at, 7] = len(send.data), send.link
+        self._refresh()
+        self.turn[k.DUE_COUNT], self.turn[k.DUE_AT] = len(sends), due_ns
+        self._forward(*self._addresses)
+        return True
+
     def takes(self, number: int) -> bool:
         """Whether a link goes the compiled way."""
         return bool(self.ports[number, k.FAST])
@@ -146,27 +169,31 @@ class FastPath:
         """Whether received datagrams still wait in the rows."""
         return bool(self.turn[k.AT] < self.turn[k.COUNT])
 
-    def take_datagram(self) -> tuple[int, bytes]:
-        """The datagram that was not plain, and its link; its sender becomes a peer."""
+    def take_datagram(self) -> tuple[int, bytes, int]:
+        """The datagram that was not plain: link, bytes, and when it came by the monotonic clock.
+
+        Its sender becomes a peer.
+        """
         number, at = int(self.turn[k.LINK]), int(self.turn[k.AT])
         self.turn[k.AT] += 1
-        start = (number * k.BATCH + at) * k.ROW
-        data = self._data[start : start + (int(self._heads[number, at, 7]) & 0xFFFFFFFF)].tobytes()
+        row = number * k.BATCH + at
+        length = self._heads[number, at, 7] & 0xFFFFFFFF
+        data = bytes(self._data[row * k.ROW : row * k.ROW + length])
         link = self._links[number]
         if isinstance(link, UdpServer):
-            link.hear(self._names[number, at, : k.SOCKADDR_IN].tobytes())
+            link.hear(bytes(self._names[row * k.NAME : row * k.NAME + k.SOCKADDR_IN]))
         self._learn(data)
-        return number, data
+        return number, data, self.turn[k.CAME]
 
     @property
     def others_ready(self) -> bool:
         """Whether something that is no link wants service."""
-        return bool((self.polls[len(self._links) :] >> 48 != 0).any())
+        return any(word >> 48 for word in self.polls[len(self._links) :])
 
     def ready(self) -> list[int]:
         """Links outside the compiled path that have something."""
-        waiting = (self.polls[: len(self._links)] >> 48 != 0) & (self.ports[:, k.FAST] == 0)
-        return [int(number) for number in np.flatnonzero(waiting)]
+        count = range(len(self._links))
+        return [n for n in count if self.polls[n] >> 48 and not self.ports[n, k.FAST]]
 
     # Tables
 
@@ -184,12 +211,10 @@ class FastPath:
             self._classify(number)
 
     def _describe(self, number: int, described: Layout) -> None:
-        entry = self._table[number]
-        entry[k.EXTRA] = described.crc_extra
-        entry[k.STAMP_AT], entry[k.STAMP_SIZE], entry[k.STAMP_SCALE] = stamp_place(
-            described.name
-        ) or (-1, 0, 0)
-        entry[k.TARGET_SYSTEM], entry[k.TARGET_COMPONENT] = target_places(described.name)
+        places = stamp_place(described.name) or (-1, 0, 0)
+        values = (described.crc_extra, *places, *target_places(described.name))
+        for column, value in zip(range(k.EXTRA, k.PLAN), values, strict=True):
+            self._table[number, column] = value
 
     def _refresh(self) -> None:
         """Follow the engine, the control path and the peers."""
@@ -209,28 +234,32 @@ class FastPath:
         for number, link in enumerate(self._links):
             if isinstance(link, UdpServer) and [*link.peers] != self._known_peers[number]:
                 self._known_peers[number] = [*link.peers]
-                self._heard[number] = 0
                 self.ports[number, k.PEER_COUNT] = len(link.peers)
                 for row, name in enumerate(link.peers):
-                    self._peers[number, row, : len(name)] = np.frombuffer(name, np.uint8)
+                    start = (number * k.PEERS + row) * k.NAME
+                    self._peers[start : start + len(name)] = name
+                    self._heard[number, row] = 0
 
     def _classify(self, number: int) -> None:
         """Say how a message goes."""
-        entry = self._table[number]
+        kind, first = self._way(number)
+        self._table[number, k.KIND], self._table[number, k.PLAN] = kind, first
+
+    def _way(self, number: int) -> tuple[int, int]:
+        """The kind of a message, and the first row of its faults."""
         engine: Any = self._core.engine
         control = self._core.control
         if control is not None and number in control.wanted:
-            entry[k.KIND] = k.PLAIN
-        elif engine is None or (engine.wanted is not None and number not in engine.wanted):
-            entry[k.KIND] = k.PASS
-        elif engine.t0_us is None or (acting := engine.acting(number)) is None:
-            entry[k.KIND] = k.PLAIN
-        elif not acting:
-            entry[k.KIND] = k.PASS_UNTIL_EDGE
-        else:
-            first = self._planned().add(self._learned[number], acting)
-            entry[k.KIND] = k.PLAIN if first is None else k.PLANNED
-            entry[k.PLAN] = -1 if first is None else first
+            return k.PLAIN, -1
+        if engine is None or (engine.wanted is not None and number not in engine.wanted):
+            return k.PASS, -1
+        acting = None if engine.t0_us is None else engine.acting(number)
+        if acting is None:
+            return k.PLAIN, -1
+        if not acting:
+            return k.PASS_UNTIL_EDGE, -1
+        first = self._planned().add(self._learned[number], acting)
+        return (k.PLAIN, -1) if first is None else (k.PLANNED, first)
 
     def _planned(self) -> "Plans":
         """The rows of faults, which a proxy without faults does without."""
@@ -254,30 +283,35 @@ class FastPath:
             self._plans.settle()
         if self._tape is not None and turn[k.RECEIVED_AT]:
             received, sent, index = self._logs
-            self._tape.received += received[: turn[k.RECEIVED_AT]].tobytes()
-            self._tape.sent += sent[: turn[k.SENT_AT]].tobytes()
-            self._tape.index += index[: turn[k.INDEX_AT]].tobytes()
+            self._tape.received += received[: turn[k.RECEIVED_AT]]
+            self._tape.sent += sent[: turn[k.SENT_AT]]
+            self._tape.index += index[: turn[k.INDEX_AT]]
             turn[k.RECEIVED_AT] = turn[k.SENT_AT] = turn[k.INDEX_AT] = 0
 
     def count(self) -> None:
         """Add the kernel's counts to the links', the core's and the latencies."""
+        ports, heard = self.ports, self._heard
         for number, link in enumerate(self._links):
-            port = self.ports[number]
+            if not ports[number, k.DATAGRAMS] and not ports[number, k.SENT]:
+                continue
             counters, state = link.counters, self._core.states[number]
-            counters.chunks_in += int(port[k.DATAGRAMS])
-            counters.bytes_in += int(port[k.BYTES])
-            counters.chunks_out += int(port[k.SENT])
-            counters.bytes_out += int(port[k.BYTES_SENT])
-            counters.drops += int(port[k.DROPS])
-            counters.errors += int(port[k.ERRORS])
-            state.frames += int(port[k.FRAMES])
-            state.gaps += int(port[k.MISSING])
-            state.faulted += int(port[k.FAULTED])
-            port[k.DATAGRAMS : k.LONE] = 0
-            for step in np.flatnonzero(self._histogram[number]):
-                self._latencies[number].add_step(int(step), int(self._histogram[number, step]))
-            self._histogram[number] = 0
-            if isinstance(link, UdpServer):
-                for row in np.flatnonzero(self._heard[number]):
-                    link.hear(self._known_peers[number][row])
-                self._heard[number] = 0
+            counters.chunks_in += ports[number, k.DATAGRAMS]
+            counters.bytes_in += ports[number, k.BYTES]
+            counters.chunks_out += ports[number, k.SENT]
+            counters.bytes_out += ports[number, k.BYTES_SENT]
+            counters.drops += ports[number, k.DROPS]
+            counters.errors += ports[number, k.ERRORS]
+            state.frames += ports[number, k.FRAMES]
+            state.gaps += ports[number, k.MISSING]
+            state.faulted += ports[number, k.FAULTED]
+            for column in range(k.DATAGRAMS, k.LONE):
+                ports[number, column] = 0
+            start = number * k.LATENCY_STEPS
+            for step, count in enumerate(self._histogram[start : start + k.LATENCY_STEPS].tolist()):
+                if count:
+                    self._latencies[number].add_step(step, count)
+                    self._histogram[start + step] = 0
+            for row, name in enumerate(self._known_peers[number]):
+                if heard[number, row] and isinstance(link, UdpServer):
+                    link.hear(name)
+                heard[number, row] = 0

@@ -102,7 +102,7 @@ def _crc(data, start, stop, extra, tables):
     at = start
     while at + 8 <= stop:
         crc ^= np.int64(data[at]) | np.int64(data[at + 1]) << 8
-        crc = (
+        crc = np.int64(
             tables[7, crc & 0xFF]
             ^ tables[6, crc >> 8]
             ^ tables[5, data[at + 2]]
@@ -114,9 +114,9 @@ def _crc(data, start, stop, extra, tables):
         )
         at += 8
     while at < stop:
-        crc = crc >> 8 ^ tables[0, (crc ^ data[at]) & 0xFF]
+        crc = crc >> 8 ^ np.int64(tables[0, (crc ^ data[at]) & 0xFF])
         at += 1
-    return crc >> 8 ^ tables[0, (crc ^ extra) & 0xFF]
+    return crc >> 8 ^ np.int64(tables[0, (crc ^ extra) & 0xFF])
 
 
 @njit(error_model="numpy", forceinline=True)

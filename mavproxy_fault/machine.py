@@ -14,19 +14,19 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import llvmlite.binding as llvm
+import llvmlite.binding as llvm  # type: ignore[import-untyped]
 from llvmlite import __version__ as llvmlite_version
 
 HERE = Path(__file__).parent
 SOURCES = ("kernel.py", "pump.py", "tables.py", "memory.py", "clock.py", "machine.py")
 NAME = "mavproxy_fault_forward"
-KINDS = {"q": "int64", "B": "uint8", "d": "float64"}
+KINDS = {"q": "int64", "H": "uint16", "B": "uint8", "d": "float64"}
 # Order and element types of what `pump.forward` takes: 64-bit integers, bytes, doubles
 ARRAYS = {
     "histogram": "q", "polls": "q", "turn": "q", "ports": "q", "heads": "q", "headers": "q",
     "parts": "q", "names": "B", "peers": "B", "heard": "B", "data": "B", "memory": "q",
     "table": "q", "plans": "q", "received": "B", "sent": "B", "index": "B", "numbers": "d",
-    "hits": "q", "steps": "d", "crc": "q", "result": "d", "pieces": "d", "draws": "d",
+    "hits": "q", "steps": "d", "crc": "H", "result": "d", "pieces": "d", "draws": "d",
 }  # fmt: skip
 CALLS = frozenset({"recvfrom", "recvmmsg", "sendmmsg", "ppoll", "clock_gettime", "abort"})
 

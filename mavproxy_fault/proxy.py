@@ -103,10 +103,7 @@ def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server)
 
 
 def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server) -> None:
-    """Open live control: at once where something was asked for by name, else in the background."""
-    if args.zenoh not in ("auto", "off") or args.rflysim is not None:
-        server.join(open_live(args, engine, server))
-        return
+    """Open live control in the background."""
     coming: Future[Live] = Future()
 
     def work() -> None:
@@ -141,10 +138,14 @@ def main(args: argparse.Namespace) -> int:
     server = Server(links, core, tape=tape, recorder=recorder, busy_poll=args.busy_poll)
     try:
         server.prepare()
-        start_live(args, engine, server)
+        by_name = args.zenoh not in ("auto", "off") or args.rflysim is not None
+        if by_name:  # what was asked for by name is there when the proxy is ready
+            server.join(open_live(args, engine, server))
         with signals(server) as wake:
             others = ", ".join(link.name for link in links[1:])
             print(f"ready: {links[0].name} <-> {others}", flush=True)
+            if not by_name:
+                start_live(args, engine, server)
             server.run(wake)
     finally:
         for link in links:

@@ -18,10 +18,14 @@ from mavproxy_fault.tables import (
     BLOCK,
     BYTES,
     BYTES_SENT,
+    CAME,
     COUNT,
     DATAGRAMS,
     DEADLINE,
     DROPS,
+    DUE_AT,
+    DUE_COUNT,
+    DUE_SENT,
     ERRORS,
     FAST,
     FD,
@@ -201,7 +205,7 @@ def _run(link, fast, now_us, turn, net, wire):
 def _drain(link, histogram, turn, net, wire):
     """Pass on one batch of a link; False if it stopped at a datagram that is not plain."""
     ports = net[0]
-    started = _now_ns(turn)
+    started = turn[CAME] = _now_ns(turn)
     if turn[AT] >= turn[COUNT] and not _receive(link, turn, net):
         return True
     fast = np.int64(0)
@@ -234,9 +238,16 @@ def _wait(left, turn):
 @njit(error_model="numpy", forceinline=True)
 def _forward(histogram, polls, turn, net, wire):
     """Forward until the deadline, or until something is left to the plain path; says which."""
-    ports = net[0]
+    ports, heads = net[0], net[1]
     count = ports.shape[0]
     turns = np.int64(0)
+    if turn[DUE_COUNT]:
+        while _now_ns(turn) < turn[DUE_AT]:
+            pass
+        for at in range(turn[DUE_COUNT]):
+            _send(at, at + 1, count, heads[count, at, 7], turn, net)
+        turn[DUE_COUNT] = 0
+        return DUE_SENT
     while True:
         if turn[KEEP] and max(turn[RECEIVED_AT], turn[SENT_AT]) > LOG_SIZE - LOG_MARGIN:
             return LOG_FULL
@@ -279,9 +290,9 @@ def forward(
     links = carray(turn, (TURN_SIZE,))[LINK_COUNT]
     net = (
         carray(ports, (links, PORT_SIZE)),
-        carray(heads, (links, BATCH, 8)),
-        carray(headers, (links, BATCH, 8)),
-        carray(parts, (links, BATCH, 2)),
+        carray(heads, (links + 1, BATCH, 8)),
+        carray(headers, (links + 1, BATCH, 8)),
+        carray(parts, (links + 1, BATCH, 2)),
         carray(names, (links, BATCH, NAME)),
         carray(peers, (links, PEERS, NAME)),
         carray(heard, (links, PEERS)),

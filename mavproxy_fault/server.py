@@ -7,6 +7,7 @@ blocks on a slow one. Recordings are flushed each second. What is plain goes the
 
 import contextlib
 import ctypes
+import gc
 import select
 import socket
 import subprocess
@@ -30,7 +31,8 @@ if TYPE_CHECKING:
 
 TEND_S = 0.1  # how often links get a chance to reconnect
 FLUSH_S = 1.0
-EARLY_US = 250  # a sleep may end so late; before a due frame the loop stays awake
+AHEAD_US = 300  # so long before a frame is due the loop does nothing but prepare to send it
+EARLY_US = 250  # a sleep may end so late; the loop stays awake so long before that
 SHORT_TURN_S = 2e-4
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>; the default of 50 us makes every wait that late
 
@@ -103,15 +105,14 @@ class Server:
     def _turn_fast(self, fast: "FastPath") -> None:
         """Let the compiled path forward until something is left to do here."""
         tend_ns, due_us = round(self._tend_s * 1e9), self.core.next_due_us
-        due_ns = tend_ns if due_us is None else due_us * 1000 - self._base_ns
+        due_ns = tend_ns if due_us is None else (due_us - AHEAD_US) * 1000 - self._base_ns
         fast.forward(min(tend_ns, due_ns), spin=self._busy_poll, precise=due_ns < tend_ns)
         if fast.pending:
-            number, data = fast.take_datagram()
+            number, data, came_ns = fast.take_datagram()
             if data:
-                started_ns = time.monotonic_ns()
-                now_us = (self._base_ns + started_ns) // 1000
+                now_us = (self._base_ns + came_ns) // 1000
                 self._carry_out(self.core.received(number, data, now_us))
-                self.latencies[number].add(time.monotonic_ns() - started_ns)
+                self.latencies[number].add(time.monotonic_ns() - came_ns)
         for number in fast.ready():
             self._serve(number)
         if self.live is not None and fast.others_ready:
@@ -139,6 +140,7 @@ class Server:
         if live.journal is not None:
             live.journal.note(JOIN, b"", self.edit_time())
         join(self.core, live.control)
+        gc.freeze()  # all that is loaded by now stays; to look it through would hold frames up
         if self._fast is not None and not self._fast.pending:
             self._fast.count()
             self.use_fast()
@@ -165,7 +167,7 @@ class Server:
         due_us = self.core.next_due_us
         if due_us is None:
             return TEND_S
-        return min(max(due_us - self.now_us() - EARLY_US, 0) * 1e-6, TEND_S)
+        return min(max(due_us - self.now_us() - AHEAD_US - EARLY_US, 0) * 1e-6, TEND_S)
 
     def _serve(self, number: int) -> None:
         """Pass on what one link has."""
@@ -186,8 +188,14 @@ class Server:
 
     def _keep_time(self) -> None:
         due_us = self.core.next_due_us
-        if due_us is not None and due_us <= (now_us := self.now_us()):
-            self._carry_out(self.core.due(now_us))
+        if due_us is not None and due_us <= (now_us := self.now_us()) + AHEAD_US:
+            # What is sent does not depend on when it is asked for, so only the writing waits.
+            sends = self.core.due(max(due_us, now_us))
+            due_ns = due_us * 1000 - self._base_ns
+            if self._fast is None or not sends or not self._fast.send_at(due_ns, sends):
+                while time.monotonic_ns() < due_ns:
+                    pass
+                self._carry_out(sends)
         now_s = time.monotonic()
         if now_s >= self._tend_s:
             self._tend_s = now_s + TEND_S

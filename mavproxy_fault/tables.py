@@ -1,11 +1,16 @@
 """The compiled path's tables: what the columns of its arrays mean, for both of its sides.
 
-`fast` fills the arrays, `kernel` and `pump` work on them. Nothing here imports numba.
+`fast` fills the arrays, `kernel` and `pump` work on them. Nothing here imports numba, or numpy,
+which a proxy without faults need not wait for.
 """
 
-import numpy as np
+import ctypes
+import math
+import mmap
+import struct
+from typing import Any
+
 from fastcrc.crc16 import mcrf4xx
-from numpy.typing import NDArray
 
 BATCH = 64  # datagrams per system call
 ROW = 65_536  # bytes kept for each
@@ -41,20 +46,36 @@ PORT_SIZE = 15
 # Entries of `turn`
 DEADLINE, BASE, SPIN, LINK, AT, COUNT, EDGE, WANTED_AT, POLLS, KEEP = range(10)
 RECEIVED_AT, SENT_AT, INDEX_AT, SECONDS, NANOSECONDS, LINK_COUNT, PRECISE = range(10, 17)
-DRY = 17  # whether a block of drawn numbers ran out
+DRY, CAME = 17, 23  # whether a block of drawn numbers ran out; when the newest batch came
 TIME_AT, POLLS_AT, HEADS_AT, HEADERS_AT, PEERS_AT = range(18, 23)  # addresses, for system calls
-TURN_SIZE = 23
-TIME_IS_UP, NOT_PLAIN, OTHER_READY, LOG_FULL = range(4)  # why it returns
+DUE_COUNT, DUE_AT = 24, 25  # datagrams to send at one time, kept in the rows after the links'
+TURN_SIZE = 26
+TIME_IS_UP, NOT_PLAIN, OTHER_READY, LOG_FULL, DUE_SENT = range(5)  # why it returns
 
 LOG_SIZE = 1 << 24
 LOG_MARGIN = 1 << 23  # more than a batch of the smallest frames in the largest datagrams
 LATENCY_STEPS = 64 * 8
 
 
-def crc_tables() -> NDArray[np.int64]:
+def table(kind: str, *shape: int) -> Any:
+    """Zeroed memory as a view of numbers of one kind; pages cost nothing before they are used."""
+    size = struct.calcsize(kind) * math.prod(shape)
+    plain: Any = memoryview(mmap.mmap(-1, max(size, 1)))
+    return plain[:size].cast(kind, shape)
+
+
+def address(memory: Any) -> int:
+    """Where a writable buffer lies."""
+    return ctypes.addressof(ctypes.c_char.from_buffer(memory))
+
+
+def crc_tables() -> Any:
     """Slicing tables, shape (8, 256): entry [n, b] is the CRC of byte b followed by n zeros."""
-    tables = np.zeros((8, 256), np.int64)
-    tables[0] = [mcrf4xx(bytes((byte,)), 0) for byte in range(256)]
+    tables = table("H", 8, 256)
+    for byte in range(256):
+        tables[0, byte] = mcrf4xx(bytes((byte,)), 0)
     for n in range(1, 8):
-        tables[n] = tables[n - 1] >> 8 ^ tables[0, tables[n - 1] & 0xFF]
+        for byte in range(256):
+            crc = tables[n - 1, byte]
+            tables[n, byte] = crc >> 8 ^ tables[0, crc & 0xFF]
     return tables

@@ -110,8 +110,8 @@ class Ekf:
         )
 
     def _with_velocity(self, fix: GpsFix, state: EkfState) -> EkfState:
-        if fix.v_ned_mps is None or fix.fix_type < MIN_FIX:
-            return state
+        if fix.v_ned_mps is None or fix.fix_type < MIN_FIX or not np.isfinite(fix.v_ned_mps).all():
+            return state  # GPS_RAW_INT does not tell the climb
         variance = self.velocity_sigma_mps**2
         if fix.t_us - state.gps_t_us >= self.gps_timeout_s * 1e6:
             x = ekf_kernel.restart_velocity(state.x, fix.v_ned_mps, variance)

@@ -60,9 +60,10 @@ class FusedAttitude:
     ) -> tuple[AttitudeEstimate, FusedAttitudeState]:
         """The attitude after one reading; the state is changed in place."""
         if isinstance(reading, ImuSample) and reading.t_us > state.t_us:
-            dt_s = min((reading.t_us - state.t_us) * 1e-6, MAX_GAP_S)
-            state.turns.append((reading.t_us, reading.gyro_b_rps, dt_s))
-            state.q_nb = _after(state.q_nb, reading.gyro_b_rps - state.bias_rps, dt_s)
+            dt_s = (reading.t_us - state.t_us) * 1e-6
+            if dt_s <= MAX_GAP_S:
+                state.turns.append((reading.t_us, reading.gyro_b_rps, dt_s))
+                state.q_nb = _after(state.q_nb, reading.gyro_b_rps - state.bias_rps, dt_s)
             state.t_us = reading.t_us
         results, state.detector = References(self.detector).step(reading, state.detector)
         decision = next((result for result in results if isinstance(result, Decision)), None)

@@ -10,7 +10,7 @@ from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import Core
 from analysis.fdi.exclusion import NOBODY, Outside, exclude, outside, readmit
 from analysis.fdi.inertial import X_CLOCK
-from analysis.fdi.measure import Mask, Modelled, Observed, model
+from analysis.fdi.measure import Modelled, Observed, model
 from analysis.fdi.motion import Segment, advance
 from analysis.fdi.offsets import held, hold, learnt
 from analysis.fdi.ranges import Tested, check_ranges, free_clock, free_position
@@ -18,6 +18,7 @@ from analysis.fdi.rates import RatesTested, check_rates, freed_by
 from analysis.fdi.slow import SlowVerdict, judge_slow, new_memory, remember
 from analysis.fdi.state import Motion
 from analysis.fdi.update import Assessed, absorb, assess, innovated
+from analysis.samples import Vector
 
 CLOCK_LEAP_M = 1000.0  # the receiver set its clock: no fault has this on most satellites
 
@@ -48,7 +49,7 @@ class Seen(NamedTuple):
     """
 
     names: tuple[str, ...]
-    galileo: Mask
+    galileo: Vector
     used: Modelled
     leapt: bool
     others: tuple[str, ...] = ()
@@ -64,16 +65,17 @@ def judge_epoch(
     motion, phi = advance(before, part, t_us, config)
     seen, motion, core = _seen(t_us, observed, motion, core, config)
     names, used = seen.names, seen.used
-    mixed = 0 < int(seen.galileo.sum()) < len(names)
-    needed = 3 if motion.inertial else 5 + int(mixed)
+    needed = 3 if motion.inertial else 5
+    if len(names) == needed == 5:
+        needed += int(0 < seen.galileo.sum() < 5)
     if len(names) < needed:
         reason = f"{len(names)} healthy satellites above the mask; {needed} are needed"
+        core = hold(core, t_us, config)
         return Outcome(core._replace(motion=motion, memory=None), reason)
     assessed = assess(motion.p, used, seen.galileo)
     rates = check_rates(motion, used, assessed, config)
     tested = _tested(t_us, core, motion, seen, assessed, rates.hypothesis, config)
-    fit = used if rates.fit.all() else used.select(rates.fit)
-    moved, update = absorb(tested.motion, tested.part, tested.taken, fit)
+    moved, update = absorb(tested.motion, tested.part, tested.taken, rates.fit)
     memory, slow = None, None
     undisturbed = not seen.leapt and not tested.freed and rates.hypothesis in ("none", "satellites")
     if undisturbed and before.inertial == moved.inertial:

@@ -27,7 +27,7 @@ class Observed(NamedTuple):
     doppler_mps: Vector
     cn0_dbhz: Vector
     states: Vector
-    galileo: Mask
+    galileo: Vector
     tow_s: float
 
     def select(self, keep: Mask) -> "Observed":
@@ -66,6 +66,10 @@ class Modelled(NamedTuple):
         return Modelled(*(column[keep] for column in self))
 
 
+_NONE, _NO_ROW = np.empty(0), np.empty((0, 18))
+NO_ROWS = Modelled(_NONE, _NONE, _NONE, _NONE, _NONE, _NO_ROW, _NO_ROW)
+
+
 @dataclass(frozen=True, slots=True)
 class Chosen:
     """The ephemerides of a set of satellites, chosen until `until_us`: indices of those that have
@@ -77,7 +81,7 @@ class Chosen:
     keep: Indices
     names: tuple[str, ...]
     packed: Vector
-    galileo: Mask
+    galileo: Vector
 
     def serves(self, epoch: Epoch) -> bool:
         """Whether the choice still holds for an epoch."""
@@ -112,8 +116,8 @@ def observe(epoch: Epoch, chosen: Chosen) -> Observed | None:
         return None
     keep, names, packed, galileo = chosen.keep, chosen.names, chosen.packed, chosen.galileo
     ranges = epoch.pseudorange_m[keep]
-    plausible = (ranges > RANGE_LIMITS_M[0]) & (ranges < RANGE_LIMITS_M[1])
-    if not plausible.all():
+    if not RANGE_LIMITS_M[0] < ranges.min() <= ranges.max() < RANGE_LIMITS_M[1]:  # or not finite
+        plausible = (ranges > RANGE_LIMITS_M[0]) & (ranges < RANGE_LIMITS_M[1])
         if not plausible.any():
             return None
         names = tuple(name for name, ok in zip(names, plausible, strict=True) if ok)

@@ -49,7 +49,7 @@ def respond(
     v: Vector,
     dt: float,
 ) -> tuple[Vector, Vector]:
-    """One epoch of ranges more in every window.
+    """One epoch of ranges more in every window: d and sums after it, as new arrays.
 
     Parameters
     ----------
@@ -61,10 +61,6 @@ def respond(
     phi, gain, m, h, v : transition since the last epoch (k, k), gain (k, n), inverse innovation
         covariance (n, n), geometry (n, k) and innovations (n,)
     dt : seconds since the last epoch
-
-    Returns
-    -------
-    d and sums after the epoch; the arguments stay as they were.
     """
     windows, count = offsets.shape
     each = count + 3
@@ -135,23 +131,23 @@ def respond_to_rates(
 def learn_offsets(
     offset: Vector,
     spread: Vector,
-    most: Vector,
     p: Vector,
     h: Vector,
     variance: Vector,
     v: Vector,
+    slow: float,
     stays: float,
     news: float,
 ) -> tuple[Vector, Vector]:
     """Mean and variance (n,) of each satellite's offset after the innovations v of one epoch.
 
-    `most` (n,) is the variance of an offset of which nothing is known, `stays` the share of one
+    `slow` is an unknown offset's variance over that of the range, `stays` the share of an offset
     that is left since the last epoch; an epoch tells `news` of what an independent one would.
     """
     mean, wide = offset.copy(), spread.copy()
     for i in range(mean.shape[0]):
         mean[i] *= stays
-        wide[i] = stays * stays * wide[i] + (1.0 - stays * stays) * most[i]
+        wide[i] = stays * stays * wide[i] + (1.0 - stays * stays) * slow * variance[i]
         s = variance[i]
         for j in range(h.shape[1]):
             if h[i, j] != 0.0:

@@ -6,7 +6,7 @@ import numpy as np
 
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.inertial import CLOCK, DRIFT, PSI
-from analysis.fdi.measure import Modelled
+from analysis.fdi.measure import NO_ROWS, Modelled
 from analysis.fdi.state import Motion
 from analysis.fdi.thresholds import chi_square
 from analysis.fdi.update import Innovated, innovated
@@ -66,7 +66,7 @@ def check_ranges(
     if verdict.hypothesis == "satellites":
         part = without(modelled, verdict.subset, standing_m)
     elif verdict.hypothesis != "none":
-        part = modelled.select(np.zeros(len(modelled.v_m), dtype=bool))
+        part = NO_ROWS
     blamed = verdict.hypothesis if hypothesis in ("none", "clock") else hypothesis
     shown = hypothesis if verdict.hypothesis == "none" else blamed
     alarm = shown not in ("none", "clock")

@@ -31,8 +31,8 @@ class Memory(NamedTuple):
     """Windows over `names` (n satellites) since `starts_us` (None: not begun yet), kept since
     `since_us`; d and sums as in `memory`.
 
-    `most` (n,) is the variance of an offset of which nothing is known, `offset` and `spread` (n,)
-    mean and variance of each now, `offsets` and `spreads` (w, n) the same when a window started.
+    `offset` and `spread` (n,) are mean and variance of each satellite's offset now, `offsets` and
+    `spreads` (w, n) the same when a window started.
     """
 
     since_us: int
@@ -40,7 +40,6 @@ class Memory(NamedTuple):
     starts_us: tuple[int | None, ...]
     d: Vector
     sums: Vector
-    most: Vector
     offset: Vector
     spread: Vector
     offsets: Vector
@@ -61,7 +60,7 @@ def new_memory(t_us: int) -> Memory:
     """Windows that begin one after the other, the first when the filter has settled."""
     none, table = np.empty(0), np.empty((WINDOWS, 0))
     d, sums = np.zeros((ERRORS, 3 * WINDOWS)), np.zeros((WINDOWS, 12))
-    return Memory(t_us, (), (None,) * WINDOWS, d, sums, none, none, none, table, table)
+    return Memory(t_us, (), (None,) * WINDOWS, d, sums, none, none, table, table)
 
 
 def remember(
@@ -78,8 +77,10 @@ def remember(
 
     `p` (18, 18) is the covariance before the update.
     """
-    most = config.sigma.slow**2 * update.variance
-    memory = _turned_over(_renamed(memory, names, most), t_us)
+    slow = config.sigma.slow**2
+    if memory.names != names:
+        memory = _renamed(memory, names, slow * update.variance)
+    memory = _turned_over(memory, t_us)
     ages = np.array([(t_us - start) * 1e-6 if start else 0.0 for start in memory.starts_us])
     gain, m, h, v = update.gain, update.m, update.h, update.v
     d, sums = respond(memory.d, memory.sums, memory.offsets, ages, phi, gain, m, h, v, dt_s)
@@ -89,15 +90,13 @@ def remember(
         )
     stays = math.exp(-dt_s / config.sigma.slow_s)
     offset, spread = learn_offsets(
-        memory.offset, memory.spread, most, p, h, update.variance, v, stays, min(dt_s / NEWS_S, 1.0)
+        memory.offset, memory.spread, p, h, update.variance, v, slow, stays, min(dt_s / NEWS_S, 1.0)
     )
-    return memory._replace(d=d, sums=sums, most=most, offset=offset, spread=spread)
+    return memory._replace(d=d, sums=sums, offset=offset, spread=spread)
 
 
 def _renamed(memory: Memory, names: tuple[str, ...], most: Vector) -> Memory:
-    """The windows over `names`, the same object if they are; new satellites start from nothing."""
-    if memory.names == names:
-        return memory
+    """The windows over `names`; new satellites start from nothing, with the variances `most`."""
     old, new = len(memory.names), len(names)
     d = np.zeros((ERRORS, WINDOWS, new + 3))
     sums = np.zeros((WINDOWS, 5 * new + 12))
@@ -116,7 +115,7 @@ def _renamed(memory: Memory, names: tuple[str, ...], most: Vector) -> Memory:
             offsets[:, i], spreads[:, i] = memory.offsets[:, at], memory.spreads[:, at]
     flat = d.reshape(ERRORS, -1)
     return Memory(
-        memory.since_us, names, memory.starts_us, flat, sums, most, offset, spread, offsets, spreads
+        memory.since_us, names, memory.starts_us, flat, sums, offset, spread, offsets, spreads
     )
 
 

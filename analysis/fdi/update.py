@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from analysis.fdi.bank import normalised, projected_weights
 from analysis.fdi.inertial import correct, innovate
 from analysis.fdi.linear import apply
-from analysis.fdi.measure import Mask, Modelled
+from analysis.fdi.measure import Modelled
 from analysis.fdi.state import Motion
 from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
@@ -60,7 +60,7 @@ def innovated(p: Vector, modelled: Modelled) -> Innovated:
     return Innovated(*innovate(p, modelled.h, modelled.variance, modelled.v_m))
 
 
-def assess(p: Vector, modelled: Modelled, galileo: Mask) -> Assessed:
+def assess(p: Vector, modelled: Modelled, galileo: Vector) -> Assessed:
     """Every test of an epoch's ranges and rates against the prediction with covariance p."""
     ph, m, u, each, numbers, counts = _assess(
         p,

@@ -17,9 +17,8 @@ class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
     pseudoranges (or its graduated non-convexity): both for comparison. What is wrong with
     a satellite's pseudorange stays wrong for seconds to minutes while the graph takes every
     measurement for independent: `correlation` multiplies their sigmas, and the reported covariance
-    of position has a bias of `slow` sigmas per satellite added, and an ionosphere that is wrong by
-    the share `ionosphere` of its model (half of it is usual for Klobuchar's). The other sigmas are
-    per GNSS epoch, walks per square root of a second.
+    of position has a bias of `slow` sigmas per satellite added. The other sigmas are per
+    GNSS epoch, walks per square root of a second.
     """
 
     lag_s: float = 5.0
@@ -30,8 +29,7 @@ class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
     decide: bool = True
     robust: str = "none"
     correlation: float = 3.0
-    slow: float = 0.5
-    ionosphere: float = 0.0
+    slow: float = 0.4
     baro_m: float = 1.0
     baro_walk_m: float = 0.3
     mag_gauss: float = 0.1
@@ -51,12 +49,8 @@ class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
         """
         for name in self.__struct_fields__:
             value = getattr(self, name)
-            if name != "ionosphere" and isinstance(value, float) and not value > 0.0:
+            if isinstance(value, float) and not value > 0.0:
                 raise ConfigError(f"monitor.fusion.{name} = {value} is not positive; it must be")
-        if not self.ionosphere >= 0.0:
-            raise ConfigError(
-                f"monitor.fusion.ionosphere = {self.ionosphere} is negative; 0 or more is allowed"
-            )
         if not self.suspicious < self.hopeless:
             raise ConfigError(
                 f"monitor.fusion.hopeless = {self.hopeless} is not above suspicious = "

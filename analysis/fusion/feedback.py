@@ -17,6 +17,7 @@ def fed_back(core: Core, graph: Graph | None) -> Core:
     """The detector's state with its filter taken from the graph.
 
     Both must be at the same epoch and know the attitude; Galileo's offset stays the filter's own.
+    The joint covariance is good to some percent: clocks in seconds beside metres cost digits.
     """
     motion = core.motion
     if motion is None or graph is None or not (motion.inertial and graph.aligned):

@@ -90,6 +90,11 @@ class Graph:
         after = self._track[at + 1][1] if at + 1 < len(self._track) else None
         return before, after
 
+    def begins_block(self) -> bool:
+        """Whether the newest epoch is the first of its block."""
+        before, _ = self.neighbours(self.node.epoch)
+        return before is not None and self.epochs[before].bias != self.epochs[self.node.epoch].bias
+
     def extend(self, t_us: int, edge: Edge, attitude: Attitude | None = None) -> bool:
         """One epoch more after the newest, with its attitude where that becomes known.
 

@@ -4,7 +4,6 @@ Galileo's offset from the receiver's clock is taken from the detector's filter, 
 for longer than the graph remembers.
 """
 
-import math
 from typing import Any
 
 import gtsam
@@ -19,7 +18,7 @@ from analysis.fusion.factors import sigma1
 from analysis.fusion.frame import Frame
 from analysis.fusion.weights import weight
 from analysis.fusion.window import key
-from analysis.gnss import EARTH_RATE_RPS, LIGHT_MPS, geodetic, klobuchar_m, ned_axes
+from analysis.gnss import EARTH_RATE_RPS, LIGHT_MPS
 from analysis.samples import Vector
 from analysis.solve import design_matrix
 
@@ -52,13 +51,13 @@ class Ranges:
         self._sigma_mps = np.sqrt(modelled.rate_variance)
         self._above = modelled.elevation_rad >= np.radians(detector.mask_deg)
         self._config, self._doppler = config, detector.doppler
-        self._r_m, self._when = x[:3], (observed.tow_s, ionosphere)
         self.normalised = modelled.v_m / self._white_m
 
     def used(self, weights: dict[str, float]) -> Mask:
         """Which (n,) have a weight."""
         enough = [weights.get(name, 0.0) >= LEAST_WEIGHT for name in self.satellites]
-        return self._above & np.array(enough, dtype=bool)
+        result: Mask = self._above & np.array(enough, dtype=bool)
+        return result
 
     def own_weights(self, excluded: frozenset[str]) -> dict[str, float]:
         """Weights by the residuals at the filter's state, where nothing else judges them."""
@@ -123,37 +122,20 @@ class Ranges:
     def slow_covariance(self, weights: dict[str, float]) -> Vector | None:
         """Covariance (3, 3) in ECEF of what averaging cannot take away; None if undetermined.
 
-        Multipath and ephemerides stay the same for minutes: a bias of `slow` sigmas per satellite,
-        which the position follows as the snapshot solution does. So it does an ionosphere that is
-        wrong by a share of its model, all satellites together.
+        Multipath, ephemeris and atmosphere stay the same for minutes: a bias of `slow` sigmas per
+        satellite, which the position follows as the snapshot solution does.
         """
         used = self.used(weights)
         galileo = self._galileo[used]
         if used.sum() < 4 + int(0 < galileo.sum() < len(galileo)):
             return None
         sigma = self._config.slow * self._white_m[used]
-        design = design_matrix(self._los[used], galileo) / sigma[:, None]
+        design = design_matrix(self._los[used], galileo.astype(float)) / sigma[:, None]
         try:
-            cofactor = np.linalg.inv(design.T @ design)
+            cofactor = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
         except np.linalg.LinAlgError:
             return None
-        result: Vector = cofactor[:3, :3]
-        if self._config.ionosphere > 0.0:
-            wrong = self._config.ionosphere * self._ionosphere_m(used) / sigma
-            moved = (cofactor @ design.T @ wrong)[:3]
-            result = result + np.outer(moved, moved)
-        return result
-
-    def _ionosphere_m(self, used: Mask) -> Vector:
-        """Delay (k,) of the satellites used, by the model."""
-        lat, lon, _ = geodetic(self._r_m)
-        ned = self._los[used] @ ned_axes(lat, lon).T
-        return np.array(
-            [
-                klobuchar_m(lat, lon, math.atan2(east, north), math.asin(-down), *self._when)
-                for north, east, down in ned.tolist()
-            ]
-        )
+        return cofactor[:3, :3]
 
     def _loss(self, noise: Any) -> Any:
         robust, estimator = self._config.robust, gtsam.noiseModel.mEstimator

@@ -165,7 +165,7 @@ class Fusion:
             if name in now.core.excluded:
                 graph.remove(name, now.core.excluded[name].onset_us)
         graph.commit()
-        if self.config.robust == "gnc":
+        if self.config.robust == "gnc" and graph.begins_block():
             self._drop_outliers(graph)
         state.excluded = excluded
         state.good = Good(graph.frame, graph.node, graph.covariance, graph.aligned)
@@ -203,7 +203,8 @@ class Fusion:
             return None
         motion = now.motion
         if motion is None or not motion.inertial:
-            if state.lost and np.trace(graph.covariance[:3, :3]) < 3.0 * LOST_RAD**2:
+            held = self.config.decide and now.core.imu_bad_until_us is not None
+            if not held and np.trace(graph.covariance[:3, :3]) < 3.0 * LOST_RAD**2:
                 state.lost = False
             return None
         if graph.aligned and not state.lost:

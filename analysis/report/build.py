@@ -11,7 +11,7 @@ from analysis.report.fused_table import fused_table
 from analysis.report.page import SENSOR_LIMIT, Page, html
 from analysis.report.panels import DETECTION, FUSION
 from analysis.report.recording import Recording, joined
-from analysis.report.tables import facts, matrix_table, run_tables
+from analysis.report.tables import criteria_reasons, facts, matrix_table, run_tables
 from analysis.results import Result
 from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.tlog import Columns
@@ -58,7 +58,10 @@ def write(
     fused = fused_table(together)
     if fused is not None:
         tables.append((FUSION, fused))
-    page = Page(title, str(summary.get("verdict", "")), facts(summary), tables, SENSOR_LIMIT)
+    reasons = criteria_reasons(summary)
+    page = Page(
+        title, str(summary.get("verdict", "")), facts(summary), tables, SENSOR_LIMIT, reasons
+    )
     path = out / "report.html"
     path.write_text(html(page, together), encoding="utf-8")
     return path

@@ -6,6 +6,7 @@ from dataclasses import replace
 from analysis.report.checks import NONE, Check
 from analysis.report.outcome import Outcome
 from analysis.report.page import Table
+from analysis.report.panels import CHECKS
 from analysis.report.recording import Recording, Signal
 
 ROWS_SHOWN = 300
@@ -55,7 +56,7 @@ def comparison_tables(outcome: Outcome, others: Sequence[Outcome]) -> list[tuple
     """Verdicts of every check and the parameters that differ."""
     every = [outcome, *others]
     names = [one.flight.recording.name for one in every]
-    tables = [("", _checks(every, names))]
+    tables = [(CHECKS, _checks(every, names))]
     histories = [one.flight.recording.parameters for one in every]
     if all(histories):
         keys = sorted(set().union(*histories))

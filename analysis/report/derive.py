@@ -109,7 +109,13 @@ def _attitude_errors(recording: Recording) -> list[Signal]:
             found.append(_difference(f"error-{part}", "autopilot", own, curves["truth"]))
         if "desired" in curves and part != "yaw":
             found.append(_difference("control-error", part, own, curves["desired"]))
-    return [signal for signal in found if len(signal.t_s) > 1]
+    found = [signal for signal in found if len(signal.t_s) > 1]
+    control = [signal for signal in found if signal.panel == "control-error"]
+    if len(control) == 2:
+        roll, pitch = control
+        there = np.interp(roll.t_s, pitch.t_s, pitch.value)
+        found.append(Signal("control-error", "tilt", roll.t_s, np.hypot(roll.value, there)))
+    return found
 
 
 def _difference(panel: str, name: str, own: Signal, other: Signal) -> Signal:

@@ -30,6 +30,7 @@ ALARMING = re.compile(
 )
 FIX_2D = 2
 NOTICE = 5  # severity of what is no error
+CONTROL_HOLD_S = 0.3  # out of control, a vehicle swings: no error stays large for long
 MOST_LOST = 0.9  # beyond, the sequence numbers of several links stand in one log
 FEWEST_FRAMES = 500  # of a sender, for its losses to be judged
 GRAVE = re.compile(r"crash|emergency|parachute|terminat|failsafe", re.IGNORECASE)
@@ -57,7 +58,8 @@ def _body(recording: Recording, th: Thresholds, armed: Windows | None) -> list[C
     """Vibration, control, compass and power."""
     of, hold = recording.of, th.hold_s
     shaking = th.vibration_px4_mps2 if recording.autopilot == "px4" else th.vibration_ardupilot_mps2
-    control = Limits(*th.attitude_control_deg, "deg", hold_s=hold)
+    control = Limits(*th.attitude_control_deg, "deg", hold_s=CONTROL_HOLD_S)
+    tilt = [signal for signal in of("control-error") if signal.name == "tilt"]
     compass = Limits(*th.compass_change_percent, "% off its median", hold_s=hold)
     remaining = Limits(*th.battery_remaining_percent, "%", below=True, hold_s=hold)
     powered = [s for s in of("board-voltage") if s.value.max(initial=0) > 0]
@@ -65,7 +67,7 @@ def _body(recording: Recording, th: Thresholds, armed: Windows | None) -> list[C
     return [
         level("vibration", of("vibration"), Limits(*shaking, "m/s²", hold_s=hold), armed),
         _clipping(recording, th, armed),
-        level("attitude control", _sizes(of("control-error")), control, armed),
+        level("attitude control", tilt, control, armed),
         level("compass field strength", _compass(recording), compass, armed),
         level("battery remaining", of("battery-remaining"), remaining, armed),
         level("board voltage", powered, voltage, armed),
@@ -195,12 +197,8 @@ def _tilt_errors(recording: Recording) -> list[Signal]:
         for signal in recording.of(panel):
             if signal.name == "autopilot":
                 name = panel.removeprefix("error-")
-                found += _sizes([Signal(panel, name, signal.t_s, signal.value)])
+                found.append(Signal(panel, name, signal.t_s, np.abs(signal.value)))
     return found
-
-
-def _sizes(signals: Sequence[Signal]) -> list[Signal]:
-    return [Signal(s.panel, s.name, s.t_s, np.abs(s.value)) for s in signals]
 
 
 def _alarming(event: Event) -> bool:

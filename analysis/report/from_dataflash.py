@@ -37,6 +37,8 @@ def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = No
     _add_said(found, log, start_us)
     _add_parameters(found, log, start_us)
     found.events.sort(key=lambda event: event.t_s)
+    if log.cut:
+        found.notes.append("the file ends in the middle of a message: it was cut short")
     if log.damaged:
         found.notes.append("parts of the file are damaged and were passed over")
     if log.left_out:

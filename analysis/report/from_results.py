@@ -12,6 +12,7 @@ from mavproxy_fault.wire.label import Label
 from simvehicle import earth
 
 AFTER = f"{RECOVERY_S:g} s after one"
+EVERY_EPOCH = {"fdi-residual", "fdi-normalised", "fdi-probability"}
 Points = dict[tuple[str, str], list[tuple[float, float]]]
 
 
@@ -55,7 +56,9 @@ def recording_of_results(
             _fused(result, t_s, points)
             fused[result.name].append((t_s, result.position_ecef_m))
             found.events.extend(_restarted(result, t_s))
-    found.signals.extend(_signal(panel, name, rows) for (panel, name), rows in points.items())
+    for (panel, name), values in points.items():
+        every = epochs if panel in EVERY_EPOCH else ()
+        found.signals.append(_signal(panel, name, values, every))
     for lane, rows in alarms.items():
         found.spans.extend(_alarm_spans(lane, rows))
     found.spans.extend(_excluded_spans(excluded, epochs))
@@ -114,9 +117,17 @@ def _restarted(state: FusedState, t_s: float) -> list[Event]:
     return [Event(t_s, "fusion", f"{state.name}: {state.reason}", 4)] if state.reason else []
 
 
-def _signal(panel: str, name: str, rows: list[tuple[float, float]]) -> Signal:
+def _signal(
+    panel: str, name: str, rows: list[tuple[float, float]], every: Sequence[float]
+) -> Signal:
+    """A curve; with `every`, on all these times, with NaN at those for which there is no row."""
     t_s, value = np.array(sorted(rows, key=lambda row: row[0]), float).T
-    return Signal(panel, name, t_s, value)
+    if not every:
+        return Signal(panel, name, t_s, value)
+    times = np.unique(every)
+    values = np.full(len(times), np.nan)
+    values[np.searchsorted(times, t_s)] = value
+    return Signal(panel, name, times, values)
 
 
 def _track(name: str, rows: list[tuple[float, tuple[float, float, float]]]) -> Track:

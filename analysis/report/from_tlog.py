@@ -22,6 +22,8 @@ from mavproxy_fault.wire.tlog import Columns
 
 GROUND_STATION = 6  # MAV_TYPE_GCS
 ARMED = 0x80
+TRUTH = "HIL_STATE_QUATERNION"
+TURNING_RPS = 0.05  # a gyroscope that spans more than this has turned
 TRACKS = (
     ("HIL_STATE_QUATERNION", "truth", 1e-3),
     ("HIL_GPS", "HIL_GPS", 1e-3),
@@ -78,7 +80,9 @@ def recording_of(
     for system in systems or [0]:
         own = {key: rows[rows["system"] == system] for key, rows in columns.items()}
         own = {key: rows for key, rows in own.items() if len(rows)} if systems else columns
+        own, said = _without_placeholder(own)
         clock, notes = clock_of(own, system, t0_us)
+        notes += said
         found.notes.extend(notes)
         suffix = f" (system {system})" if len(systems) > 1 else ""
         vehicles.append(_Vehicle(system, own, clock, suffix, *_kind(own)))
@@ -95,6 +99,21 @@ def recording_of(
         found.signals, found.spans, found.events, found.tracks, found.links, found.parameters,
         found.notes, tuple(systems),
     )  # fmt: skip
+
+
+def _without_placeholder(columns: Columns) -> tuple[Columns, list[str]]:
+    """The columns without a truth that never changes, as a simulator sends that has none."""
+    rows = columns.get(TRUTH)
+    if rows is None or len(rows) < 2 or "HIL_SENSOR" not in columns:
+        return columns, []
+    same = all(
+        np.all(rows[name] == rows[name][0]) for name in ("attitude_quaternion", "lat", "alt")
+    )
+    turning = np.ptp(columns["HIL_SENSOR"]["xgyro"]) > TURNING_RPS
+    if not (same and turning):
+        return columns, []
+    kept = {name: rows for name, rows in columns.items() if name != TRUTH}
+    return kept, [f"{TRUTH} never changes while the gyroscopes turn: it is not taken as the truth"]
 
 
 def vehicle_systems(columns: Columns) -> list[int]:

@@ -252,6 +252,8 @@ def _notes(log: ULogFile, lacking: Sequence[str]) -> list[str]:
         notes.append(f"{len(log.dropouts)} dropouts in the log, {total:.2f} s in all")
     if lacking:
         notes.append(f"fields missing in {', '.join(lacking)}: no spans or track from there")
+    if log.cut:
+        notes.append("the file ends in the middle of a message: it was cut short")
     if log.damaged:
         notes.append("parts of the file are damaged and were passed over")
     return notes

@@ -3,16 +3,18 @@
 from collections.abc import Sequence
 
 from analysis.report.checks import FAIL, PASS, WARN, Check
+from analysis.report.fused_table import fused_table
 from analysis.report.outcome import Outcome
 from analysis.report.page import SENSOR_LIMIT, Limit, Page, Table
-from analysis.report.panels import DETECTION, LINK
+from analysis.report.panels import CHECKS, DETECTION, FUSION, LINK, TIMELINE
 from analysis.report.tables import (
-    checks_table,
+    checks_tables,
     facts,
     links_table,
     matrix_table,
     parameters_table,
     reaction_table,
+    reasons,
     run_tables,
 )
 
@@ -28,14 +30,17 @@ def log_page(outcome: Outcome, tables: Sequence[tuple[str, Table]]) -> Page:
     """The page of a log: its checks, the reactions to what was injected, links and parameters."""
     flight, recording = outcome.flight, outcome.flight.recording
     summary = outcome.summary
-    every = [("", checks_table(outcome.checks))]
-    every += run_tables({"faults": summary["faults"]})
+    every = run_tables({"faults": summary["faults"], "attitude": flight.summary.get("attitude")})
+    every += [(CHECKS, table) for table in checks_tables(outcome.checks)]
     reaction = reaction_table(summary["faults"])
     if reaction is not None:
-        every.append(("", reaction))
+        every.append((TIMELINE, reaction))
     matrix = matrix_table(flight.labels, flight.results)
     if matrix is not None:
         every.append((DETECTION, matrix))
+    fused = fused_table(recording)
+    if fused is not None:
+        every.append((FUSION, fused))
     every += tables
     if recording.links:
         every.append((LINK, links_table(recording)))
@@ -51,6 +56,7 @@ def log_page(outcome: Outcome, tables: Sequence[tuple[str, Table]]) -> Page:
         shown,
         every,
         {**SENSOR_LIMIT, **panel_limits(outcome.checks)},
+        reasons(outcome.checks),
     )
 
 

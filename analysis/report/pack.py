@@ -16,6 +16,7 @@ from analysis.report.thin import extremes
 
 LONGEST = 100_000  # samples of one curve; beyond, each bucket keeps its extremes
 GAP_STEPS, LEAST_GAP_S = 10.0, 0.5  # a pause longer than both is a gap in a curve
+HALF_TURN_DEG = 180.0
 EVEN_S = 1e-5  # samples this near the line lie on it
 
 Place = dict[str, float | int]
@@ -68,6 +69,13 @@ def broken(t_s: Vector, value: Vector) -> tuple[Vector, Vector]:
     gaps = np.flatnonzero(steps > max(GAP_STEPS * float(np.median(steps)), LEAST_GAP_S))
     middle = (t_s[gaps] + t_s[gaps + 1]) / 2
     return np.insert(t_s, gaps + 1, middle), np.insert(value, gaps + 1, np.nan)
+
+
+def unwrapped(t_s: Vector, angle_deg: Vector) -> tuple[Vector, Vector]:
+    """The angle with NaN where it wraps around, so that no line crosses the plot there."""
+    wraps = np.flatnonzero(np.abs(np.diff(angle_deg)) > HALF_TURN_DEG)
+    middle = (t_s[wraps] + t_s[wraps + 1]) / 2
+    return np.insert(t_s, wraps + 1, middle), np.insert(angle_deg, wraps + 1, np.nan)
 
 
 def thinned(t_s: Vector, value: Vector, longest: int = LONGEST) -> tuple[Vector, Vector]:

@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 
 from analysis.report.checks import armed_windows
-from analysis.report.pack import Block, broken, thinned
-from analysis.report.panels import BY_KEY, PANELS
+from analysis.report.pack import Block, broken, thinned, unwrapped
+from analysis.report.panels import BY_KEY, CHECKS, PANELS, TIMELINE
 from analysis.report.recording import Recording, Track, Vector
 
 EARTH_RADIUS_M = 6_371_000.0  # for a picture of the track; nothing is measured on it
 VERDICT_CLASS = {"PASS": "PASS", "WARN": "WARN", "FAIL": "FAIL"}
 EVENTS_SHOWN = 400
+HEADINGS = {"yaw", "error-yaw"}
 MARGIN_S = 2.0  # of a track, before arming and after
 
 
@@ -53,7 +54,7 @@ class Page:
     """What stands on the page besides the recording's own plots.
 
     `limits` are keyed by panel; `tables` by the section they stand at the end of ("" is the
-    overview).
+    overview); `reasons` say in a line each what the verdict rests on: (kind, text).
     """
 
     title: str
@@ -61,6 +62,7 @@ class Page:
     facts: Sequence[tuple[str, str]]
     tables: Sequence[tuple[str, Table]]
     limits: Mapping[str, Sequence[Limit]] = field(default_factory=dict)
+    reasons: Sequence[tuple[str, str]] = ()
 
 
 def html(page: Page, recording: Recording) -> str:
@@ -115,6 +117,8 @@ def _model(page: Page, recording: Recording, block: Block) -> tuple[dict[str, An
         series = []
         for signal in recording.of(panel.key):
             t_s, value = thinned(*broken(signal.t_s, signal.value))
+            if panel.key in HEADINGS:
+                t_s, value = unwrapped(t_s, value)
             series.append({"name": signal.name, "t": block.times(t_s), "y": block.values(value)})
         if series:
             limits = [
@@ -147,10 +151,14 @@ def _model(page: Page, recording: Recording, block: Block) -> tuple[dict[str, An
     with_tables = {section for section, _ in page.tables if section}
     sections = list(dict.fromkeys(panel.section for panel in PANELS))
     sections = [name for name in sections if name in with_plots | with_tables]
-    if recording.spans or recording.events:
-        sections.insert(0, "Timeline")
+    first = []
+    if recording.spans or recording.events or TIMELINE in with_tables:
+        first.append(TIMELINE)
+    if CHECKS in with_tables:
+        first.append(CHECKS)
     if recording.tracks:
-        sections.insert(sections.index("Timeline") + 1 if "Timeline" in sections else 0, "Map")
+        first.append("Map")
+    sections = first + [name for name in sections if name not in first]
     return model, sections + sorted(with_tables - set(sections))
 
 
@@ -200,22 +208,28 @@ def _overview(page: Page, recording: Recording) -> str:
         f"<div><b>{escape(value)}</b><span>{escape(name)}</span></div>"
         for name, value in page.facts
     )
+    reasons = "".join(
+        f'<li><b class="{_css(kind)}">{escape(kind)}</b> {escape(text)}</li>'
+        for kind, text in page.reasons
+    )
+    reasons = f'<ul class="reasons">{reasons}</ul>' if reasons else ""
     notes = "".join(f'<p class="note">{escape(note)}</p>' for note in recording.notes)
     tables = "".join(_table(table) for section, table in page.tables if section == "")
-    return f'<section id="to-overview"><div class="facts">{facts}</div>{notes}{tables}</section>'
+    return (
+        f'<section id="to-overview">{reasons}<div class="facts">{facts}</div>{notes}{tables}'
+        "</section>"
+    )
 
 
 def _section(section: str, page: Page, recording: Recording, model: Mapping[str, Any]) -> list[str]:
     parts = []
-    if section == "Timeline":
-        if recording.spans:
-            parts.append(
-                '<div class="plot"><div class="readout" id="timeline-readout"></div>'
-                '<div class="area" id="timeline"></div></div>'
-                '<p class="note hint">Drag over any plot to zoom all of them; double click for the '
-                "whole flight; click a legend entry to hide its curve.</p>"
-            )
-        parts.append(_events(recording))
+    if section == TIMELINE and recording.spans:
+        parts.append(
+            '<div class="plot"><div class="readout" id="timeline-readout"></div>'
+            '<div class="area" id="timeline"></div></div>'
+            '<p class="note hint">Drag over any plot to zoom all of them; double click for the '
+            "whole flight; click a legend entry to hide its curve.</p>"
+        )
     if section == "Map":
         parts.append(
             '<div class="key" id="track-key"></div><div class="tracks">'
@@ -231,6 +245,8 @@ def _section(section: str, page: Page, recording: Recording, model: Mapping[str,
                 f'<div class="area" id="plot-{panel.key}"></div></div>'
             )
     parts.extend(_table(table) for name, table in page.tables if name == section)
+    if section == TIMELINE:
+        parts.append(_events(recording))
     return parts
 
 

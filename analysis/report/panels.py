@@ -14,6 +14,8 @@ class Panel:
     log: bool = False
 
 
+TIMELINE = "Timeline"
+CHECKS = "Checks"
 DETECTION = "Fault detection"
 FUSION = "Fused solution"
 ATTITUDE = "Attitude"

@@ -1,5 +1,6 @@
 """From the paths a user gives to flights: which logs belong together, and what they hold."""
 
+import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -94,6 +95,10 @@ def read_flight(paths: Sequence[Path], labels: Sequence[Label]) -> Flight:
         recording = recording_of_dataflash(read_dataflash(paths[0]), name, t0_us)
     else:
         recording = _tlogs(paths, t0_us)
+    if not (recording.signals or recording.spans or recording.events or recording.links):
+        raise ConfigError(
+            f"{paths[0]}: the log holds nothing that a report shows; give a whole log"
+        )
     return _with_labels(Flight(recording, tuple(paths), labels))
 
 
@@ -168,7 +173,7 @@ def _mcap_results(path: Path) -> list[Result]:
                 for _, channel, message in make_reader(file).iter_messages()
                 if channel.topic.startswith("/results/")
             ]
-    except (McapError, msgspec.DecodeError) as error:
+    except (McapError, msgspec.DecodeError, OSError, ValueError, EOFError, struct.error) as error:
         raise ConfigError(f"{path}: {error}; give a whole MCAP file of results") from error
 
 

@@ -4,12 +4,15 @@ import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from analysis.report.checks import RANK, Check
+from analysis.report.checks import FAIL, NONE, PASS, RANK, WARN, Check
 from analysis.report.from_results import isolation_matrix
 from analysis.report.page import Table
+from analysis.report.panels import ATTITUDE, CHECKS, TIMELINE
 from analysis.report.recording import Recording
 from analysis.results import Result
 from mavproxy_fault.wire.label import Label
+
+REASONS = 6  # shown under the verdict
 
 
 def facts(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -59,7 +62,7 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
             )
             for row in rows
         ]
-        tables.append(("", Table("Injected against detected", head, cells)))
+        tables.append((TIMELINE, Table("Injected against detected", head, cells)))
     checks = summary.get("criteria") or []
     if checks:
         words = {True: "PASS", False: "FAIL", None: "not judged"}
@@ -72,8 +75,46 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
             )
             for check in checks
         ]
-        tables.append(("", Table("Criteria", ("criterion", "found", "limit", "verdict"), cells_)))
-    return tables
+        head_ = ("criterion", "found", "limit", "verdict")
+        tables.append((CHECKS, Table("Criteria", head_, cells_)))
+    return tables + attitude_tables(summary)
+
+
+def attitude_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
+    """Scores of each attitude estimator: the whole, by phase of flight and by fault."""
+    return [
+        (ATTITUDE, _attitude_table(name, scores))
+        for name, scores in (summary.get("attitude") or {}).items()
+    ]
+
+
+def _attitude_table(name: str, scores: Mapping[str, Any]) -> Table:
+    parts = [("whole flight", scores), ("without faults", scores.get("nominal", {}))]
+    parts += [(f"phase: {phase}", part) for phase, part in scores.get("phases", {}).items()]
+    parts += [(f"fault: {fault}", part) for fault, part in scores.get("faults", {}).items()]
+    rows = [
+        (
+            label,
+            str(part["samples"]),
+            *(f"{part['rmse_deg'][axis]:.2f}" for axis in ("roll", "pitch", "yaw", "angle")),
+            f"{part['angle_percentiles_deg']['95']:.2f}",
+            f"{part['max_deg']['angle']:.2f}",
+        )
+        for label, part in parts
+        if part.get("samples")
+    ]
+    head = ("", "samples", "roll", "pitch", "yaw", "turn", "turn, 95th percentile", "turn, most")
+    note = "Root mean squares in degrees; the turn is the angle between estimate and truth."
+    return Table(f"Attitude errors of {name}", head, rows, note)
+
+
+def criteria_reasons(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The criteria of a run that were not met."""
+    return [
+        (FAIL, f"{row['name']}: {_plain(row['value'])}, limit {_plain(row['limit'])}")
+        for row in summary.get("criteria") or ()
+        if row["passed"] is False
+    ]
 
 
 def _plain(value: object) -> str:
@@ -96,13 +137,29 @@ def matrix_table(labels: Sequence[Label], results: Sequence[Result]) -> Table | 
     return Table("Isolation matrix", ("acted", *heads), rows, note, style="matrix")
 
 
-def checks_table(checks: Sequence[Check]) -> Table:
-    """Every check, the worst first."""
-    rows = [
-        ((check.verdict, check.verdict), check.name, check.evidence, check.limit, _when(check))
-        for check in sorted(checks, key=lambda check: -RANK[check.verdict])
+def checks_tables(checks: Sequence[Check]) -> list[Table]:
+    """What did not pass, then what did and what had no data, folded."""
+    head = ("verdict", "check", "found", "limit", "when")
+    rows: dict[str, list[Sequence[str | tuple[str, str]]]] = {}
+    for check in sorted(checks, key=lambda check: -RANK[check.verdict]):
+        group = check.verdict if check.verdict in (PASS, NONE) else ""
+        cells = ((check.verdict, check.verdict), check.name, check.evidence, check.limit)
+        rows.setdefault(group, []).append((*cells, _when(check)))
+    titles = {"": "Did not pass", PASS: "Passed ({})", NONE: "Not judged ({})"}
+    return [
+        Table(titles[group].format(len(some)), head, some, folded=group != "")
+        for group, some in rows.items()
     ]
-    return Table("Checks", ("verdict", "check", "found", "limit", "when"), rows)
+
+
+def reasons(checks: Sequence[Check]) -> list[tuple[str, str]]:
+    """The checks that led to a verdict other than PASS, the worst first."""
+    bad = [check for check in checks if check.verdict in (WARN, FAIL)]
+    bad.sort(key=lambda check: -RANK[check.verdict])
+    lines = [(check.verdict, f"{check.name}: {check.evidence}") for check in bad[:REASONS]]
+    if len(bad) > REASONS:
+        lines.append((bad[REASONS].verdict, f"and {len(bad) - REASONS} more, see Checks"))
+    return lines
 
 
 def _when(check: Check) -> str:

@@ -3,7 +3,7 @@
 Sources: vibration, compass interference and board voltage from ArduPilot's log-analysis pages
 ("Diagnosing problems using Logs", "Measuring Vibration", "Compass interference"); EKF variance from
 its FS_EKF_THRESH default; PX4's vibration metric and the jamming indicator from PX4's pages on
-Flight Review (jamming: about 40 is good, 80 too much); attitude control: 30 deg is where
+Flight Review (jamming: about 40 is good, 80 too much); attitude control lies around 30 deg, where
 ArduPilot's crash check begins to count; innovation ratios from MAVLink's ESTIMATOR_STATUS (1 is
 where a measurement is refused). The others are judgement, set so that an uneventful flight passes.
 """
@@ -38,7 +38,7 @@ class Thresholds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     compass_change_percent: tuple[float, float] = (35.0, 60.0)
     battery_remaining_percent: tuple[float, float] = (20.0, 10.0)
     board_voltage_v: tuple[float, float] = (4.5, 4.3)
-    attitude_control_deg: tuple[float, float] = (20.0, 30.0)
+    attitude_control_deg: tuple[float, float] = (25.0, 45.0)
     attitude_error_deg: tuple[float, float] = (5.0, 15.0)
     position_error_m: tuple[float, float] = (10.0, 30.0)
     estimate_step_m: tuple[float, float] = (10.0, 30.0)

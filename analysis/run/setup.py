@@ -10,6 +10,7 @@ from analysis.pipeline import MonitorConfig, monitor_config
 from mavproxy_fault.checked import Lines, read_yaml
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.schedule import Schedule, parse_schedule, read_schedule
+from simvehicle.kinds import kind_of
 from simvehicle.scenario import Scenario, read_scenario
 
 
@@ -37,6 +38,7 @@ def read_setup(path: str | None, schedule: str | None = None, seed: int | None =
         if seed < 0:
             raise ConfigError(f"--seed: {seed} is negative; 0 or more is allowed")
         scenario = msgspec.structs.replace(scenario, seed=seed)
+    kind_of(scenario.vehicle.kind).read(scenario.vehicle.parameters)
     faults = _schedule(scenario, path, schedule)
     try:
         criteria = msgspec.convert(scenario.criteria or {}, Criteria)

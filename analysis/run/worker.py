@@ -4,10 +4,12 @@ Bytes go to it by a bounded queue, results come back by a pipe. The flight runs 
 monitor compiles its kernels, and the monitor catches up.
 """
 
+import contextlib
 import multiprocessing
+import os
 import queue
 import signal
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from multiprocessing.connection import Connection
 from multiprocessing.queues import Queue
 from types import TracebackType
@@ -18,6 +20,7 @@ from analysis.pipeline import MonitorConfig
 from analysis.results import Result
 from mavproxy_fault.wire.label import Label
 
+OPTIMISATION = "NUMBA_OPT"
 BATCH_BYTES = 32_768
 MOST_BATCHES = 1000  # 32 MB that the flight may be ahead
 Order = bytes | tuple[list[Label], Criteria, float]
@@ -36,6 +39,22 @@ def _work(orders: "Queue[Order | None]", answers: Connection, config: MonitorCon
             answers.send(monitor.summary(*order))
 
 
+@contextlib.contextmanager
+def _light_compilation() -> Iterator[None]:
+    """A process begun meanwhile compiles with little optimisation.
+
+    numba takes half the time for it, and the monitor's kernels, short plain loops, run as fast. It
+    reads the setting when it is loaded, so this process is as before.
+    """
+    before = os.environ.get(OPTIMISATION)
+    os.environ[OPTIMISATION] = before or "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[OPTIMISATION]
+
+
 class MonitorProcess:
     """A monitor to feed; it works on what it was given while the caller makes more."""
 
@@ -46,7 +65,8 @@ class MonitorProcess:
         self._process = context.Process(
             target=_work, args=(self._orders, theirs, config), daemon=True
         )
-        self._process.start()
+        with _light_compilation():
+            self._process.start()
         theirs.close()
         self._batch = bytearray()
         self.owed = 0  # batches without their results yet

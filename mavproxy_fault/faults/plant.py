@@ -126,6 +126,11 @@ class InReceiver(InSimulator, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         check_count(self.fault, self.names)
+        if isinstance(self.fault, Drop) and self.fault.value < 1.0:
+            raise ValueError(
+                f"value = {self.fault.value} cannot be had in the receiver, which loses a satellite"
+                " wholly; leave value out, or give `via: proxy`"
+            )
 
     def values(self, t_s: float, memory: Any, rng: np.random.Generator) -> tuple[Values, Any]:
         """Metres per satellite, or 1 for lost."""

@@ -180,11 +180,19 @@ def build(
             items: tuple[object, ...] = tuple(value)  # type: ignore[arg-type]
             flat += items + blank[len(items) :]
         else:
-            flat.append(bytes(value) if isinstance(blank, bytes) else value)  # type: ignore[call-overload]
+            flat.append(_whole(name, value, blank) if isinstance(blank, bytes) else value)
     if not values.keys() <= layout.fields.keys():
         unknown = sorted(values.keys() - layout.fields.keys())
         raise KeyError(f"{layout.name} has no field {', '.join(unknown)}")
     return framed(layout, packer.pack(*flat), seq=seq, system=system, component=component)
+
+
+def _whole(name: str, value: object, blank: bytes) -> bytes:
+    """Text, which is cut where it is too long, or an array of bytes, which must not be."""
+    data: bytes = bytes(value)  # type: ignore[call-overload]
+    if blank and len(data) > len(blank):
+        raise struct.error(f"{name} holds {len(blank)} bytes, not {len(data)}")
+    return data
 
 
 def framed(layout: Layout, payload: bytes, *, seq: int, system: int, component: int) -> bytes:
@@ -205,6 +213,7 @@ def _packing(layout: Layout) -> Packing:
     for field in layout.fields.values():
         whole = field.type == "char" or (field.code == "B" and field.count > 0)
         code += f"{field.length}s" if whole else field.code * max(field.count, 1)
-        blanks.append((field.name, b"" if whole else (0,) * field.count if field.count else 0))
+        array = bytes(field.count) if whole else (0,) * field.count
+        blanks.append((field.name, b"" if field.type == "char" else array if field.count else 0))
     _packings[layout.id] = struct.Struct(code), tuple(blanks)
     return _packings[layout.id]

@@ -114,6 +114,8 @@ def map_bytes(path: Path) -> NDArray[np.uint8]:
     ConfigError
         If the file is missing, not a file, or empty.
     """
+    if path.exists() and not path.is_file():
+        raise ConfigError(f"{path}: not a file; give the path of a log")
     if not path.is_file():
         raise ConfigError(f"{path}: there is no such file; give the path of a log")
     if path.stat().st_size == 0:

@@ -1,12 +1,14 @@
-"""RINEX 2 and 3 observations and navigation, and the snapshot solution on real data."""
+"""RINEX 2, 3 and 4, plain and packed, and the snapshot solution on real data."""
 
+import gzip
 from pathlib import Path
 
+import hatanaka
 import numpy as np
 import pytest
 
-from analysis.epochs import read_rinex_samples
 from analysis.gnss import pack_ephemeris
+from analysis.recordings import read_rinex_samples
 from analysis.rinex import gps_time, read_observations
 from analysis.rinex_navigation import read_navigation
 from analysis.samples import EphemerisSample, Epoch, ImuSample, IonosphereSample
@@ -42,6 +44,89 @@ def test_rinex_2_with_short_lines_and_blank_digits(tmp_path: Path):
     assert epoch.doppler_mps[0] == pytest.approx(1200.5 * 0.190293673)
     assert epoch.cn0_dbhz[0] == 45.0
     assert np.isnan(epoch.cn0_dbhz[1])
+
+
+@pytest.mark.parametrize("suffix", ["05d", "05d.gz"])
+def test_hatanaka_s_compression_of_rinex_2_is_undone(tmp_path: Path, suffix: str):
+    plain = tmp_path / "a.05o"
+    plain.write_text(RINEX_2)
+    packed = hatanaka.rnx2crx(RINEX_2.encode())
+    path = tmp_path / f"b.{suffix}"
+    path.write_bytes(gzip.compress(packed) if suffix.endswith("gz") else packed)
+    (one,), (other,) = read_observations(plain), read_observations(path)
+    assert other.satellites == one.satellites
+    assert other.pseudorange_m.tolist() == one.pseudorange_m.tolist()
+
+
+def first_epochs(data: Path, count: int) -> str:
+    """The beginning of a real RINEX 3 file."""
+    text = (data / "gnss_imu_walk/walk_ex.obs").read_text().splitlines(keepends=True)
+    start = [i for i, line in enumerate(text) if line.startswith(">")]
+    return "".join(text[: start[count]])
+
+
+def test_hatanaka_s_compression_of_rinex_3_is_undone(tmp_path: Path, shared_data: Path):
+    text = first_epochs(shared_data, 20)
+    plain, packed = tmp_path / "a.rnx", tmp_path / "a.crx"
+    plain.write_text(text)
+    packed.write_bytes(hatanaka.rnx2crx(text.encode()))
+    for one, other in zip(read_observations(plain), read_observations(packed), strict=True):
+        assert (one.t_us, one.satellites) == (other.t_us, other.satellites)
+        assert np.array_equal(one.pseudorange_m, other.pseudorange_m)
+        assert np.array_equal(one.doppler_mps, other.doppler_mps, equal_nan=True)
+
+
+def test_observations_of_rinex_4_are_read_like_those_of_3(tmp_path: Path, shared_data: Path):
+    text = first_epochs(shared_data, 5)
+    three, four = tmp_path / "a.rnx", tmp_path / "b.rnx"
+    three.write_text(text)
+    four.write_text(text.replace("     3.04 ", "     4.01 ", 1))
+    found = [[(e.t_us, e.satellites) for e in read_observations(path)] for path in (three, four)]
+    assert found[0] == found[1]
+
+
+def rinex_4(text: str) -> str:
+    """A RINEX 3.04 navigation file as RINEX 4 has it: a line before each record, the ionosphere's
+    coefficients in a record of their own, and records of messages that RINEX 3 does not know."""
+    head, body = text.split("END OF HEADER       \n")
+    lines = [line for line in head.splitlines() if "IONOSPHERIC CORR" not in line]
+    lines[0] = lines[0].replace("3.04", "4.01", 1)
+    lines += [
+        " " * 60 + "END OF HEADER",
+        "> ION G01 LNAV",
+        "    2021 03 19 12 00 00 1.118000000000E-08 7.451000000000E-09-5.960000000000E-08",
+        "    -5.960000000000E-08 9.011000000000E+04 0.000000000000E+00-1.966000000000E+05",
+        "    -6.554000000000E+04 0.000000000000E+00",
+        "> ION E01 IFNV",
+        "    2021 03 19 12 00 00 4.550000000000E+01 5.859000000000E-02 2.228000000000E-03",
+        "     0.000000000000E+00",
+    ]
+    record: list[str] = []
+    for line in [*body.splitlines(), "X"]:
+        if line[:1] != " " and record:
+            kind = {"G": "LNAV", "E": "INAV"}.get(record[0][0], "FDMA")
+            lines += [f"> EPH {record[0][:3]} {kind}", *record]
+            if kind == "LNAV":  # CNAV's record begins like LNAV's and goes on otherwise
+                lines += [f"> EPH {record[0][:3]} CNAV", *record, record[-1]]
+            record = []
+        record.append(line)
+    return "\n".join(lines) + "\n"
+
+
+def test_navigation_of_rinex_4_gives_what_the_same_of_rinex_3_gives(
+    tmp_path: Path, shared_data: Path
+):
+    three = shared_data / "gnss_static/SEPT078M.21P"
+    four = tmp_path / "a.rnx"
+    four.write_text(rinex_4(three.read_text()))
+    one, other = read_navigation(three), read_navigation(four)
+    assert len(other) > 50
+    assert [s for s in other if isinstance(s, EphemerisSample)] == [
+        s for s in one if isinstance(s, EphemerisSample)
+    ]
+    assert [s for s in other if isinstance(s, IonosphereSample)] == [
+        s for s in one if isinstance(s, IonosphereSample)
+    ]
 
 
 def test_a_file_cut_inside_an_epoch_ends_with_the_last_whole_one(tmp_path: Path, shared_data: Path):

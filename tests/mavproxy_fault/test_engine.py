@@ -206,6 +206,14 @@ def test_a_saved_schedule_reads_back_and_does_the_same():
     ]
 
 
+@pytest.mark.parametrize("seconds", [0.0, 0.2])
+def test_a_preset_of_several_parts_is_saved_once(seconds: float) -> None:
+    it = engine("  - {id: blow, preset: imu-impulse, at_s: 0.1, for_s: 3}")
+    run(it, seconds)
+    again = parse_schedule(it.save())
+    assert [e.id for e in again.faults] == ["blow.1", "blow.2"]
+
+
 def test_streamed_values_act_until_they_are_stale():
     it = engine("""
   - {id: s, fault: bias, target: HIL_SENSOR.xgyro, profile: {live: {timeout_s: 0.02}}}

@@ -16,6 +16,7 @@ import pytest
 from pymavlink.dialects.v20 import all as pymavlink
 
 from mavproxy_fault.cli import main
+from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
@@ -29,6 +30,7 @@ seed: 3
 faults:
   - {id: noisy, fault: noise, target: ATTITUDE.roll, value: 0.1}
   - {id: late, fault: delay, target: ATTITUDE, value: 0.004}
+  - {id: streamed, fault: bias, target: SCALED_PRESSURE.press_abs, profile: {live: {timeout_s: 2}}}
 """
 
 
@@ -63,6 +65,9 @@ class Vehicle:
         self.sock.connect(("127.0.0.1", port))
         self.steps = 0
 
+    def close(self) -> None:
+        self.sock.close()
+
     def send(self, name: str, **values: object) -> None:
         self.steps += 1
         layout = known(name)
@@ -82,6 +87,21 @@ class Station:
         self._decoder = pymavlink.MAVLink(None)
         self._decoder.signing.secret_key = KEY
         self._decoder.signing.allow_unsigned_callback = lambda _, __: True
+
+    def close(self) -> None:
+        self.sock.close()
+
+    def meet(self, vehicle: Vehicle) -> bytes:
+        """The first frame that passes: only once the proxy has heard of this end."""
+        self.sock.send(build(known("HEARTBEAT"), {"type": 6}, system=255, component=190))
+        self.sock.settimeout(0.5)
+        for _ in range(40):
+            vehicle.send("SCALED_IMU", xgyro=100)
+            with contextlib.suppress(TimeoutError):
+                data = self.sock.recv(300)
+                self.sock.settimeout(20)
+                return data
+        raise AssertionError("nothing passes")
 
     def next(self, kind: str) -> Any:
         while True:
@@ -109,10 +129,14 @@ def test_a_session_with_live_faults_replays_byte_for_byte(tmp_path: Path, schedu
     options = ["--schedule", str(schedule), "--logdir", str(tmp_path / "log"), "--zenoh", url]
     options += ["--rflysim", str(rflysim), "--signing-key", str(tmp_path / "key")]
     stats: queue.SimpleQueue[list[dict[str, Any]]] = queue.SimpleQueue()
-    with proxy(*options) as (master, out), open_bus(url, run="*") as bus:
+    with (
+        proxy(*options) as (master, out),
+        open_bus(url, run="*") as bus,
+        contextlib.closing(Vehicle(master)) as vehicle,
+        contextlib.closing(Station(out)) as station,
+    ):
         bus.subscribe("proxy/stats", lambda _, data: stats.put(json.loads(data)))
-        vehicle, station = Vehicle(master), Station(out)
-        station.sock.send(build(known("HEARTBEAT"), {"type": 6}, system=255, component=190))
+        station.meet(vehicle)
         for _ in range(20):
             vehicle.send("ATTITUDE", roll=0.5)
         assert abs(station.next("ATTITUDE").roll - 0.5) < 1.0
@@ -132,17 +156,26 @@ def test_a_session_with_live_faults_replays_byte_for_byte(tmp_path: Path, schedu
         vehicle.send("HIL_ACTUATOR_CONTROLS", controls=[0.8] * 16)
         assert station.next("HIL_ACTUATOR_CONTROLS").controls[0] == pytest.approx(0.4)
 
-        vehicle.send("SCALED_IMU", xgyro=100)
-        assert station.next("SCALED_IMU").xgyro == 100
         assert station.command(0, 4, 0) == 0  # the gyro is wrong
         vehicle.send("SCALED_IMU", xgyro=100)
         assert station.next("SCALED_IMU").xgyro == 600
+        now_us = json.loads(bus.ask("@ctl/state")[0])["now_us"]
+        value = {"value": 12.5, "sent_us": now_us - 1500}
+        bus.ask("@ctl/fault/streamed/value", json.dumps(value).encode())
+        vehicle.send("SCALED_PRESSURE", press_abs=900.0)
+        assert station.next("SCALED_PRESSURE").press_abs == 912.5
+        faults = json.loads(bus.ask("@ctl/state")[0])["faults"]
+        assert [f["latency_us"] for f in faults if f["id"] == "streamed"] == [1500]
+        stale = json.dumps({"value": 99, "sent_us": now_us - 2_500_000}).encode()
+        with pytest.raises(ConfigError, match=r"values older than 2.0 s are refused"):
+            bus.ask("@ctl/fault/streamed/value", stale)
+
         found = stats.get(timeout=20)
-        while not found[0]["faulted"]:
+        while found[1]["chunks_out"] < 20:
             found = stats.get(timeout=20)
     assert [point["direction"] for point in found] == ["from-vehicle", "to-vehicle"]
     assert found[0]["frames_in"] >= 20
-    assert found[1]["chunks_out"] >= 20
+    assert found[0]["faulted"] >= 20
     assert found[0]["p99_us"] > 0
 
     again = tmp_path / "again.tlog"
@@ -152,16 +185,16 @@ def test_a_session_with_live_faults_replays_byte_for_byte(tmp_path: Path, schedu
     labels = tmp_path / "log" / "labels.jsonl"
     assert again.with_suffix(".labels.jsonl").read_bytes() == labels.read_bytes()
     ids = {label.id for label in read_labels(labels)}
-    assert {"noisy", "late", "bias", "rflysim-1-123450.1"} <= ids
+    assert {"noisy", "late", "bias", "streamed", "rflysim-1-123450.1"} <= ids
     assert any(id.startswith("mav-gyro") for id in ids)
 
 
 def test_signatures_are_stripped_when_asked_for() -> None:
-    with proxy("--zenoh", "off", "--strip-signatures") as (master, out):
-        vehicle, station = Vehicle(master), Station(out)
-        station.sock.send(build(known("HEARTBEAT"), {"type": 6}, system=255, component=190))
-        vehicle.send("SYS_STATUS", load=5)
-        while (data := station.sock.recv(300))[7] != known("SYS_STATUS").id:
-            vehicle.send("SYS_STATUS", load=5)
+    with (
+        proxy("--zenoh", "off", "--strip-signatures") as (master, out),
+        contextlib.closing(Vehicle(master)) as vehicle,
+        contextlib.closing(Station(out)) as station,
+    ):
+        data = station.meet(vehicle)
         assert data[2] == 0
-        assert pymavlink.MAVLink(None).decode(bytearray(data)).load == 5
+        assert pymavlink.MAVLink(None).decode(bytearray(data)).xgyro == 100

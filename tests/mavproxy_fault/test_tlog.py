@@ -116,6 +116,19 @@ def test_a_clock_that_jumps_and_stays_is_left_alone(tmp_path: Path) -> None:
     assert columns["HIL_SENSOR"]["t_us"].tolist() == [t_us for t_us, _ in records]
 
 
+def test_stamps_minutes_apart_are_left_alone(tmp_path: Path) -> None:
+    records = [(NOON_US + i * 120_000_000, hil_sensor(i)) for i in range(5)]
+    columns = tlog.read_columns(written(tmp_path / "a.tlog", records))
+    assert columns["HIL_SENSOR"]["t_us"].tolist() == [t_us for t_us, _ in records]
+
+
+def test_a_damaged_first_stamp_is_the_next_ones(tmp_path: Path) -> None:
+    records = stamped([hil_sensor(i) for i in range(4)])
+    records[0] = (records[0][0] ^ 1 << 58, records[0][1])
+    columns = tlog.read_columns(written(tmp_path / "a.tlog", records))
+    assert columns["HIL_SENSOR"]["t_us"].tolist()[0] == records[1][0]
+
+
 def test_joined_logs_of_two_vehicles_are_read_whole(tmp_path: Path) -> None:
     first = joined(stamped([hil_sensor(i) for i in range(5)]))
     second = joined(stamped([hil_sensor(i, system=2) for i in range(5)], NOON_US * 2))

@@ -8,6 +8,7 @@ from simvehicle.rotation import matrix_from_quat
 from simvehicle.vehicles.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing_kernel import Aero, step
 from simvehicle.vehicles.fixedwing_parameters import aero_of, read_fixedwing
+from simvehicle.vehicles.multirotor import Multirotor
 from simvehicle.vehicles.parameter_file import body_of
 from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, inertia
 from simvehicle.vehicles.trim import trim
@@ -16,6 +17,7 @@ PARAMETERS = read_fixedwing("aerosonde-2025")
 BODY, AERO = body_of(PARAMETERS, {}), aero_of(PARAMETERS, {})
 JX, JY, JZ, JXZ = 0.8244, 1.135, 1.759, 0.1204
 J = np.array([[JX, 0.0, -JXZ], [0.0, JY, 0.0], [-JXZ, 0.0, JZ]])
+UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 CONTROLS = (-0.12, 0.02, 0.0, 0.6)
 START: State13 = (0.0, 0.0, -100.0, 20.0, 3.0, -4.0, 1.0, 0.0, 0.0, 0.0, 1.2, -0.7, 0.9)
 
@@ -87,6 +89,16 @@ def test_without_air_and_gravity_the_velocity_over_ground_stays() -> None:
 def test_a_body_without_air_falls_by_half_g_t_squared() -> None:
     end = flown((0.0, 0.0, -100.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 3.0, 0.01)
     assert end[2] == pytest.approx(-100.0 + 0.5 * 9.81 * 9.0, abs=1e-9)
+
+
+def test_a_multirotor_without_air_and_motors_falls_and_keeps_what_it_has() -> None:
+    iris = Multirotor.read("iris")
+    start = iris.start(np.array([0.0, 0.0, -100.0]), np.array([3.0, 1.0, 0.0]), UPRIGHT)
+    still, gravity = np.zeros(3), np.array([0.0, 0.0, 9.81])
+    end, load = iris.advance(start, np.zeros(4), still, gravity, 0.0, 0.0, 600, 0.005)
+    assert end[:3] == pytest.approx([9.0, 3.0, -100.0 + 0.5 * 9.81 * 9.0], abs=1e-9)
+    assert end[3:6] == pytest.approx([3.0, 1.0, 9.81 * 3.0], abs=1e-9)
+    assert load[:3] == pytest.approx([0.0, 0.0, 0.0])  # weightless
 
 
 def test_rotation_about_the_middle_axis_is_unstable_and_about_the_largest_is_not() -> None:

@@ -19,10 +19,10 @@ from simvehicle.vehicles.fixedwing import FixedWing
 WIND = Environment(wind_ned_mps=(3.0, 3.0, 0.0), gusts="light")
 
 
-def zagi(leg: Leg, weather: Environment) -> Simulation:
+def zagi(leg: Leg, weather: Environment, height_m: float = 80.0) -> Simulation:
     return Simulation(
         Scenario(
-            start=Start(height_m=80.0),
+            start=Start(height_m=height_m),
             vehicle=VehicleChoice(kind="fixedwing", parameters="zagi-2012"),
             environment=weather,
             mission=[leg],
@@ -53,6 +53,15 @@ def test_the_zagi_flies_shapes_within_its_limits(
     assert np.abs(across).max() < 30.0
     assert np.abs(height).max() < 5.0
     assert np.degrees(np.abs(slip)).max() < 20.0
+
+
+def test_the_zagi_takes_off_and_climbs_to_its_circle() -> None:
+    leg = Leg(shape="circle", size_m=600.0, height_m=40.0, speed_mps=17.0)
+    simulation = zagi(leg, WIND, height_m=0.0)
+    for _ in range(40 * 50):
+        _, truth, _ = simulation.step()
+    assert truth.height_agl_m == pytest.approx(40.0, abs=5.0)
+    assert np.linalg.norm(truth.v_air_b_mps) == pytest.approx(17.0, abs=3.0)
 
 
 def test_a_steady_turn_of_its_linear_model_stands_still() -> None:

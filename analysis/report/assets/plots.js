@@ -109,7 +109,8 @@ function limitLines(u, limits) {
     ctx.beginPath(); ctx.moveTo(bbox.left, y); ctx.lineTo(bbox.left + bbox.width, y); ctx.stroke();
     ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
     ctx.textAlign = "left";
-    ctx.fillText(limit.text, bbox.left + 6, y - 4);
+    ctx.textBaseline = "bottom";
+    ctx.fillText(limit.text, bbox.left + 6, y - 2);
   }
   ctx.restore();
 }
@@ -140,7 +141,7 @@ function drawPanel(area, panel, page, numbers, axis) {
       ...panel.series.map((s, i) => ({
         label: s.name, stroke: () => seriesColour(i), width: 1.3, spanGaps: false,
         dash: s.name === "threshold" ? [6, 4] : undefined, value: (u, value) => digits(value),
-        points: { show: tables[i][0].length < 60 },
+        points: { show: tables[i][1].filter((y) => y != null).length < 60 },
       })),
     ],
     hooks: { drawClear: [(u) => shade(u, injected)], draw: [(u) => limitLines(u, panel.limits || [])] },
@@ -156,6 +157,12 @@ function drawLanes(area, page, axis, readout) {
   const pen = document.createElement("canvas").getContext("2d");
   pen.font = "12px system-ui, sans-serif";
   const widest = Math.max(...lanes.map((lane) => pen.measureText(lane).width));
+  const room = Math.min(widest + 16, area.clientWidth * 0.4);
+  const fitted = (lane) => {
+    let text = lane;
+    while (pen.measureText(text).width > room - 14 && text.length > 4) text = `${text.slice(0, -2)}…`;
+    return text;
+  };
   const pick = (u) => {
     const t = u.posToVal(u.cursor.left, "x");
     const lane = lanes[lanes.length - 1 - Math.floor(u.posToVal(u.cursor.top, "y"))];
@@ -193,8 +200,8 @@ function drawLanes(area, page, axis, readout) {
   const setup = options(area, axis, height, {
     legend: { show: false },
     scales: { y: { range: () => [0, lanes.length] } },
-    axes: axes("", { label: undefined, labelSize: 0, size: Math.min(widest + 16, area.clientWidth * 0.4), splits: () => lanes.map((_, i) => i + 0.5),
-      values: () => lanes.slice().reverse(), grid: { show: false } }),
+    axes: axes("", { label: undefined, labelSize: 0, size: room, splits: () => lanes.map((_, i) => i + 0.5),
+      values: () => lanes.map(fitted).reverse(), grid: { show: false } }),
     series: [{}, { label: "", stroke: "transparent" }],
     hooks: { draw: [paint], setCursor: [pick] },
   });

@@ -108,19 +108,24 @@ class Sliding {
   }
 }
 
+// A made-up healthy signal, what the fault makes of it, and the fault function itself: the change, on the right.
 function drawCurve(area, curve) {
   const lost = curve.lost.length ? `, ${curve.lost.length} frames lost` : "";
+  const alone = curve.name.startsWith("change of"); // of a large number only the change is drawn
   const title = document.createElement("p");
   title.className = "note";
-  title.textContent = `${curve.name}${lost} (grey: healthy, made up)`;
+  title.textContent = `${curve.name}${lost} (${alone ? "" : "grey: healthy, made up; "}orange: with the fault${alone ? "" : "; blue, right: the change"})`;
   area.append(title);
   if (!curve.t.length) return;
-  const line = (label, stroke) => ({ label, stroke: () => colour(stroke), width: 1.3, points: { show: false } });
+  const change = curve.faulty.map((y, n) => alone || y === null || curve.healthy[n] === null ? null : y - curve.healthy[n]);
+  const line = (label, stroke, more) => ({ label, stroke: () => colour(stroke), width: 1.3, points: { show: false }, ...more });
+  const [x, y] = plotAxes();
+  const right = { ...y, scale: "change", side: 1, size: 48, stroke: () => colour("--s0"), grid: { show: false }, show: !alone };
   new uPlot({
-    width: Math.max(240, area.clientWidth), height: 115, pxAlign: 0, legend: { show: false },
-    cursor: { drag: { x: false, y: false } }, scales: { x: { time: false } }, axes: plotAxes(),
-    series: [{}, line("healthy", "--faint"), line("faulty", "--s1")],
-  }, [curve.t, curve.healthy, curve.faulty], area);
+    width: Math.max(240, area.clientWidth), height: 125, pxAlign: 0, legend: { show: false },
+    cursor: { drag: { x: false, y: false } }, scales: { x: { time: false } }, axes: [x, y, right],
+    series: [{}, line("healthy", "--faint"), line("faulty", "--s1"), line("change", "--s0", { scale: "change", dash: [4, 3] })],
+  }, [curve.t, curve.healthy, curve.faulty, change], area);
 }
 
 class Preview {

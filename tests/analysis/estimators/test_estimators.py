@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.epochs import ImuSample, MagSample
+from analysis.epochs import GpsFix, ImuSample, MagSample
 from analysis.estimators import Prior, make, names
 from analysis.estimators.rotations import errors, quaternion_of_euler
 from mavproxy_fault.errors import ConfigError
@@ -35,6 +35,14 @@ def track(name, flight, after_s=0.0, turn_rad=0.0):
 def test_an_estimator_follows_turns_without_noise(flights, name, limit_deg):
     error = track(name, flights["clean"])
     assert np.sqrt((error[:, 3] ** 2).mean()) < limit_deg
+
+
+def test_a_fix_that_does_not_tell_the_climb_leaves_the_ekf_as_it_is():
+    ekf = make("ekf")
+    state = ekf.start(Prior(0, quaternion_of_euler(0.0, 0.0, 0.0)))
+    v_ned_mps = np.array([20.0, 0.0, np.nan])
+    fix = GpsFix(0, 47.0, 8.0, 500.0, v_ned_mps, 3, 10, 1.0, 1.5, "GPS_RAW_INT")
+    assert ekf.update(fix, state)[1] is state
 
 
 def test_the_ekf_learns_a_gyro_bias_in_turning_flight(flights):

@@ -9,7 +9,7 @@ import pytest
 from analysis.fdi import Detector, DetectorConfig
 from analysis.fdi.detector import run
 from analysis.results import Decision, SensorDecision
-from analysis.samples import Epoch, ImuSample, Sample, TruthSample
+from analysis.samples import EphemerisSample, Epoch, ImuSample, Sample, TruthSample
 from simvehicle.earth import ecef_from_geodetic
 
 FROM_S, UNTIL_S = 30.0, 45.0
@@ -202,6 +202,37 @@ def test_bad_input_is_untestable_with_its_reason_and_the_next_epoch_is_tested(fl
         assert last[0].hypothesis == "untestable"
         assert reason in last[0].reason
         assert last[1].hypothesis != "untestable"
+
+
+def test_after_a_gap_of_epochs_the_filter_starts_anew_and_tests_on(flight):
+    epochs = [s.t_us for s in flight if isinstance(s, Epoch)]
+    silent = [s for s in flight if not (isinstance(s, Epoch) and 20e6 < s.t_us < 35e6)]
+    found = decisions(silent)
+    again = next(d for d in found if d.t_us >= 35e6)
+    assert again.mode == "start"
+    assert again.hypothesis == "none"
+    assert [d.hypothesis for d in found if d.t_us > again.t_us] == ["none"] * sum(
+        t > again.t_us for t in epochs
+    )
+
+
+def test_a_satellite_without_an_ephemeris_is_passed_over(flight):
+    name = satellites(flight)[0]
+    without = [
+        s for s in flight if not (isinstance(s, EphemerisSample) and s.ephemeris.satellite == name)
+    ]
+    found = decisions(without[:4000])
+    assert {d.hypothesis for d in found} == {"none"}
+    assert all(name not in d.satellites for d in found)
+
+
+def test_residuals_of_an_excluded_satellite_are_in_every_decision(flight):
+    name = satellites(flight)[3]
+    found = decisions(with_ranges(flight, {name: lambda t: 50.0}))
+    for decision in found:
+        if decision.excluded and decision.t_s < UNTIL_S:
+            residual = decision.residual_m[decision.satellites.index(name)]
+            assert residual == pytest.approx(50.0, abs=8.0)
 
 
 def test_without_ephemerides_nothing_is_tested(flight):

@@ -60,9 +60,9 @@ def test_the_filter_takes_the_place_of_the_newest_node_with_its_covariance(fed):
     to_body = graph.node.pose.rotation().matrix().T @ graph.frame.axes
     for at, block in ((PSI, slice(0, 3)), (R, slice(3, 6))):
         own = to_body @ core.motion.p[at : at + 3, at : at + 3] @ to_body.T
-        assert np.allclose(own, graph.covariance[block, block], rtol=1e-3, atol=1e-9)
+        assert np.allclose(own, graph.covariance[block, block], rtol=0.05, atol=1e-4)
     speed = graph.frame.axes @ core.motion.p[V : V + 3, V : V + 3] @ graph.frame.axes.T
-    assert np.allclose(speed, graph.covariance[6:, 6:], rtol=1e-3)
+    assert np.allclose(speed, graph.covariance[6:, 6:], rtol=0.05, atol=1e-4)
     assert core.motion.p[ISB, CLOCK] == 0.0 < core.motion.p[ISB, ISB]
 
 

@@ -123,14 +123,6 @@ def test_the_squared_position_error_is_inside_its_95_percent_band(smooth, short)
     assert chi2.ppf(0.025, 3) < nees.mean() < chi2.ppf(0.975, 3)
 
 
-def test_an_ionosphere_that_may_be_wrong_widens_the_height_most(clean, smooth):
-    less_sure = fused(clean, FusionConfig(ionosphere=0.5))
-    north, east, down = np.subtract(less_sure[-1].position_sigma_m, smooth[-1].position_sigma_m)
-    assert down > 1.0
-    assert down > 2.0 * max(north, east) >= 0.0
-    assert less_sure[-1].position_ecef_m == smooth[-1].position_ecef_m
-
-
 def test_velocity_and_attitude_fit_the_truth(smooth, short):
     truths = {s.t_us: s for s in short if isinstance(s, TruthSample)}
     for state in smooth[-20:]:

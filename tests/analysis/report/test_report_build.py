@@ -4,8 +4,12 @@ import json
 import re
 from pathlib import Path
 
+import msgspec
+import numpy as np
+
 from analysis.report.build import write
-from analysis.report.from_results import isolation_matrix
+from analysis.report.from_results import isolation_matrix, recording_of_results
+from analysis.report.tables import attitude_tables
 from analysis.results import AttitudeError, Decision, Result
 from mavproxy_fault.wire.label import Label
 
@@ -111,6 +115,40 @@ def test_the_statistic_its_threshold_and_residuals_have_plots(tmp_path: Path) ->
     assert [s["name"] for s in panels["fdi-statistic"]["series"]] == ["statistic", "threshold"]
     assert [s["name"] for s in panels["fdi-residual"]["series"]] == ["G01", "G05"]
     assert "error-yaw" in panels
+
+
+def test_a_satellite_left_out_has_a_gap_in_its_residuals() -> None:
+    kept = [
+        msgspec.structs.replace(d, satellites=("G01",), residual_m=(0.5,))
+        if 10 <= d.t_s < 12
+        else msgspec.structs.replace(d, residual_m=(0.5, 1.0))
+        for d in decisions()
+        if isinstance(d, Decision)
+    ]
+    found = recording_of_results([], kept, T0_US)
+    curve = next(s for s in found.of("fdi-residual") if s.name == "G01")
+    other = next(s for s in found.of("fdi-residual") if s.name == "G05")
+    assert len(curve.t_s) == len(other.t_s) == 30
+    assert np.flatnonzero(np.isnan(other.value)).tolist() == [10, 11]
+
+
+def test_attitude_scores_stand_by_phase_and_fault() -> None:
+    part = {
+        "samples": 5, "rmse_deg": dict.fromkeys(("roll", "pitch", "yaw", "angle"), 1.25),
+        "angle_percentiles_deg": {"95": 2.0}, "max_deg": {"angle": 3.0},
+    }  # fmt: skip
+    scores = {**part, "nominal": part, "phases": {"climb": part}, "faults": {"jump": part}}
+    ((section, table),) = attitude_tables({"attitude": {"ekf": scores}})
+    assert section == "Attitude"
+    labels = [row[0] for row in table.rows]
+    assert labels == ["whole flight", "without faults", "phase: climb", "fault: jump"]
+
+
+def test_a_criterion_that_is_not_met_is_the_reason_for_the_verdict(tmp_path: Path) -> None:
+    failed = {"name": "false alarms", "limit": 0, "value": 3, "passed": False}
+    summary = {**SUMMARY, "verdict": "FAIL", "criteria": [failed]}
+    path = write(tmp_path, summary=summary, labels=[JUMP], results=decisions(), columns={})
+    assert "false alarms: 3, limit 0" in path.read_text()
 
 
 def test_the_isolation_matrix_counts_epochs_by_what_acted() -> None:

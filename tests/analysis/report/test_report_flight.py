@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.report.checks import Limits, held, level
+from analysis.report.checks import Check, Limits, held, level, verdict_of
 from analysis.report.outcome import Outcome, judged
 from analysis.report.recording import Recording, Signal
+from analysis.report.sources import Flight as Source
 from analysis.report.sources import group, read_flight
 from analysis.report.thresholds import Thresholds, read_thresholds
 from mavproxy_fault.errors import ConfigError
@@ -158,10 +159,41 @@ def test_a_foreign_or_empty_file_is_the_users_error(tmp_path: Path, content: byt
 
 
 def test_a_recording_without_anything_has_no_verdict() -> None:
-    from analysis.report.sources import Flight as Source
-
     found = judged(Source(Recording("nothing"), (Path("x"),)), Thresholds())
     assert found.verdict == "NO VERDICT"
+
+
+def test_a_link_without_losses_says_nothing_about_a_flight() -> None:
+    whole = Check(name="log is whole", verdict="PASS", evidence="")
+    link = Check(name="link from 1/1", verdict="PASS", evidence="")
+    assert verdict_of([whole, link]) == "NO VERDICT"
+    assert verdict_of([whole, link, Check(name="vibration", verdict="PASS", evidence="")]) == "PASS"
+
+
+def test_the_sequence_numbers_of_two_links_in_one_log_are_not_judged(flight: Flight) -> None:
+    found = outcome(flight(lost=100))
+    assert verdicts(found)["link from 1/1"] == "not judged"
+
+
+def test_an_attitude_that_does_not_follow_what_is_asked_for_fails() -> None:
+    t_s = np.arange(100) * 0.1
+    roll = np.where(t_s > 5, 100.0, 0.0)
+    curves = [
+        Signal(part, name, t_s, value)
+        for part, value in (("roll", roll), ("pitch", 0 * roll))
+        for name, value in (("ATTITUDE", value), ("desired", 0 * roll))
+    ]
+    found = judged(Source(Recording("x", signals=curves), (Path("x"),)), Thresholds())
+    check = next(check for check in found.checks if check.name == "attitude control")
+    assert check.verdict == "FAIL"
+    assert check.windows[0][0] == pytest.approx(5.1)
+
+
+def test_a_truth_that_never_changes_is_no_truth(shared_data: Path) -> None:
+    log = shared_data / "px4_hil" / "hover_gps_jump_hil.tlog"
+    found = judged(read_flight([log], []), Thresholds())
+    assert verdicts(found)["position against the truth"] == "not judged"
+    assert any("never changes" in note for note in found.summary["notes"])
 
 
 def test_px4s_glitch_flag_and_the_accepted_jump_show_in_the_real_log(shared_data: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from analysis.dataflash import read_dataflash
+from analysis.report.export import tables_of
 from analysis.report.from_dataflash import recording_of_dataflash
 from analysis.report.outcome import judged
 from analysis.report.sources import read_flight
@@ -52,6 +53,32 @@ def dataflash(path: Path) -> Path:
     return path
 
 
+def old_dataflash(path: Path) -> Path:
+    """Five seconds of a log of 2014: milliseconds, centivolts, events without a time, in flight."""
+    forms = {
+        "FMT": FORMATS["FMT"],
+        "ATT": (10, "Ihh", "Icc", "TimeMS,Roll,Pitch"),
+        "CURR": (11, "Ihh", "Ihh", "TimeMS,Volt,Curr"),
+        "EV": (12, "B", "B", "Id"),
+        "ERR": (13, "BB", "BB", "Subsys,ECode"),
+    }
+
+    def line(name: str, *values: object) -> bytes:
+        return HEAD + bytes((forms[name][0],)) + struct.pack("<" + forms[name][1], *values)
+
+    data = b"".join(
+        line("FMT", n, 3 + struct.calcsize("<" + code), name.encode(), form.encode(), cols.encode())
+        for name, (n, code, form, cols) in forms.items()
+    )
+    for tick in range(50):
+        data += line("ATT", 1000 + tick * 100, 150, -250)
+        if tick == 20:
+            data += line("EV", 11) + line("ERR", 12, 1)
+        data += line("CURR", 1000 + tick * 100, 1640, 300)
+    path.write_bytes(data)
+    return path
+
+
 def test_a_dataflash_log_has_curves_modes_texts_and_parameters(tmp_path: Path) -> None:
     found = recording_of_dataflash(read_dataflash(dataflash(tmp_path / "a.bin")), "a")
     assert found.of("yaw")[0].value[:2].tolist() == [90.0, 90.0]
@@ -68,6 +95,32 @@ def test_a_dataflash_log_is_judged_like_any_other(tmp_path: Path) -> None:
     checks = {check.name: check.verdict for check in judged(flight, Thresholds()).checks}
     assert checks["vibration"] == "FAIL"
     assert checks["GPS satellites"] == "PASS"
+
+
+def test_an_old_dataflash_log_in_milliseconds_is_read(tmp_path: Path) -> None:
+    path = old_dataflash(tmp_path / "old.bin")
+    found = recording_of_dataflash(read_dataflash(path), "old")
+    assert found.duration_s == pytest.approx(4.9)
+    assert found.of("battery-voltage")[0].value[0] == pytest.approx(16.4)
+    assert [(s.text, s.end_s) for s in found.spans if s.lane == "armed"] == [("armed", 2.0)]
+    assert ("crash check: error 1", 3) in [(e.text, e.severity) for e in found.events]
+
+
+def test_a_dataflash_log_is_exported(tmp_path: Path) -> None:
+    tables = dict(tables_of(dataflash(tmp_path / "a.bin")))
+    assert tables["ATT_0"]["Yaw"].tolist() == [90.0] * 100
+    assert tables["GPS_0"]["Lat"][0] == pytest.approx(47.0)
+
+
+def test_damaged_bytes_in_a_dataflash_log_are_passed_over(tmp_path: Path) -> None:
+    path = dataflash(tmp_path / "a.bin")
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2 : len(data) // 2] = b"\x00\x01\x02\x03\x04"
+    path.write_bytes(bytes(data[:-7]))
+    found = read_dataflash(path)
+    assert found.damaged
+    assert found.cut
+    assert len(found.topics["ATT", 0]["Roll"]) >= 98
 
 
 def test_a_dataflash_log_without_messages_is_the_users_error(tmp_path: Path) -> None:
@@ -92,6 +145,7 @@ def test_a_cut_ulog_gives_what_it_still_holds(tmp_path: Path, shared_data: Path)
     whole = (shared_data / "ulog" / "gps_interference.ulg").read_bytes()
     path = tmp_path / "cut.ulg"
     path.write_bytes(whole[: len(whole) // 2])
+    assert read_ulog(path).cut
     assert 0 < len(read_ulog(path).topics["vehicle_attitude", 0]["timestamp"]) < 1247
 
 

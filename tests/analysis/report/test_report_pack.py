@@ -5,7 +5,7 @@ import zlib
 
 import numpy as np
 
-from analysis.report.pack import Block, broken, thinned
+from analysis.report.pack import Block, broken, thinned, unwrapped
 
 
 def unpacked(block: Block) -> np.typing.NDArray[np.float32]:
@@ -54,3 +54,10 @@ def test_a_pause_breaks_the_curve_and_jitter_does_not() -> None:
     broken_t_s, value = broken(t_s, np.ones(7))
     assert broken_t_s.tolist() == [0.0, 0.1, 0.2, 0.25, 0.4, 4.7, 9.0, 9.1]
     assert np.flatnonzero(np.isnan(value)).tolist() == [5]
+
+
+def test_a_heading_that_wraps_has_a_gap_and_no_line_across() -> None:
+    t_s, angle = unwrapped(np.array([0.0, 1, 2]), np.array([170.0, 179, -179]))
+    assert t_s.tolist() == [0, 1, 1.5, 2]
+    assert np.isnan(angle[2])
+    assert angle[3] == -179

@@ -73,6 +73,7 @@ class Loop:
         frames = [
             ("HIL_SENSOR", {**stamp, "xgyro": 0.5}),
             ("HIL_STATE_QUATERNION", {**stamp, **TRUE}),
+            ("ESTIMATOR_STATUS", {**stamp, "flags": 0x2F, "vel_ratio": 0.2, "mag_ratio": 1.5}),
             ("HEARTBEAT", {"autopilot": 12, "base_mode": 129, "system_status": 4}),
         ]
         for name, values in frames:
@@ -144,7 +145,7 @@ def open_page(browser: Any) -> Iterator[Callable[[str], Any]]:
     def show(address: str) -> Any:
         found = browser.new_page(viewport={"width": 1360, "height": 900})
         opened.append(found)
-        found.set_default_timeout(100_000)  # kernels may have to be compiled first
+        found.set_default_timeout(200_000)  # kernels may have to be compiled first
         complaints: list[str] = []
         found.on("console", lambda said: said.type == "error" and complaints.append(said.text))
         found.on("pageerror", lambda error: complaints.append(str(error)))
@@ -160,5 +161,5 @@ def open_page(browser: Any) -> Iterator[Callable[[str], Any]]:
 
 
 @pytest.fixture
-def page(open_page: Callable[[str], Any], address: str) -> Any:
+def page(address: str, open_page: Callable[[str], Any]) -> Any:
     return open_page(address)

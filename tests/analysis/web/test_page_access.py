@@ -2,6 +2,7 @@
 
 import urllib.error
 import urllib.request
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -26,6 +27,17 @@ def test_a_second_viewer_without_the_token_sees_the_same_and_can_change_nothing(
         one.is_disabled() for one in second.query_selector_all("section:first-of-type button")
     )
     second.close()
+
+
+@pytest.mark.browser
+def test_a_wrong_token_is_explained_where_it_was_used(
+    address: str, loop: Any, open_page: Callable[[str], Any]
+) -> None:
+    page = open_page(address.replace("token=", "token=not-"))
+    page.select_option("#kind", "preset:gyro-bias")
+    page.click("#arm")
+    page.wait_for_selector("#form-said:has-text('the token is wrong')")
+    assert loop.engine.ids() == []
 
 
 def status_of(address: str, headers: dict[str, str], what: str = "ctl/schedule/stop") -> int:

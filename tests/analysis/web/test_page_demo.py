@@ -13,7 +13,7 @@ import pytest
 from mavproxy_fault.wire.label import read_labels
 
 SHORT = Path(__file__).parents[1] / "run" / "short.yaml"
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
 
 
 @pytest.fixture

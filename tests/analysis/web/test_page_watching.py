@@ -24,6 +24,15 @@ def test_an_isolated_satellite_is_marked_and_listed(page: Any, loop: Any) -> Non
     assert page.complaints == []
 
 
+def test_autopilot_and_estimator_say_how_they_are(page: Any) -> None:
+    page.wait_for_selector("#status li.bad:has-text('magnetometer test: 1.50 fails')")
+    said = [item.text_content() for item in page.query_selector_all("#status li")]
+    assert said == [
+        "armed", "mode: custom mode 0", "state: active", "estimator: no horizontal position",
+        "velocity test: 0.20", "magnetometer test: 1.50 fails",
+    ]  # fmt: skip
+
+
 def test_what_was_received_is_saved_by_time(page: Any, loop: Any) -> None:
     loop.epoch(2.0)
     page.wait_for_selector("#now:has-text('4.0 is below 16.8')")

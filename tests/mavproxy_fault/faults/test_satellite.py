@@ -1,6 +1,7 @@
 import pytest
 
 from mavproxy_fault.engine import Engine
+from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.faults.base import Outgoing
 from mavproxy_fault.faults.satellite import HOLD_US
 from mavproxy_fault.schedule import parse_schedule
@@ -167,3 +168,8 @@ def test_by_the_control_path_the_simulated_receiver_carries_it_out() -> None:
     assert {change.name for change in told if change is not None} == {"pseudorange_m[G12]"}
     assert values[:-1] == pytest.approx([0.2 * i for i in range(10)])
     assert values[-1] is None
+
+
+def test_the_receiver_loses_a_satellite_wholly_or_not_at_all() -> None:
+    with pytest.raises(ConfigError, match=r"value = 0.5 cannot be had in the receiver"):
+        engine({"fault": "drop", "target": "PSEUDORANGE.G12", "value": 0.5, "via": "simulator"})

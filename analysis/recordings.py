@@ -1,0 +1,72 @@
+"""Recordings -> samples in the order of their stamps: tlogs, and RINEX files with an IMU's CSV."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from analysis.epochs import Decoder
+from analysis.readers import STANDARD_GRAVITY
+from analysis.samples import ImuSample, Sample
+from mavproxy_fault.wire.tlog import read_frames
+
+UNIX_TO_GPS_S = 315_964_800  # 1980-01-06 on Unix's count
+
+
+def read_log_samples(path: Path | str) -> Iterator[Sample]:
+    """What `Decoder` makes of the frames of a tlog.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such log.
+    """
+    decoder = Decoder()
+    for _, frame in read_frames(path):
+        yield from decoder.decode(frame)
+
+
+def read_rinex_samples(
+    observations: Path, navigation: Path, imu: Path | None = None
+) -> list[Sample]:
+    """A RINEX observation and navigation file, and IMU samples where there are any, by time.
+
+    The IMU file has one sample a line: GPS time on Unix's count of seconds, specific force (3) in g
+    and rates (3) in rad/s, axes forward-left-up; further columns are passed over. `t_us` counts
+    from the start of GPS time; what the navigation file holds comes first, stamped as the first.
+
+    Raises
+    ------
+    ConfigError
+        If a file cannot be read as what it should be.
+    """
+    from analysis.rinex import read_observations
+    from analysis.rinex_navigation import read_navigation
+
+    epochs = read_observations(observations)
+    samples: list[Sample] = list(epochs)
+    if imu is not None:
+        samples += _read_imu(imu)
+    samples.sort(key=lambda sample: sample.t_us)
+    first_us = samples[0].t_us if samples else 0
+    broadcast = [replace(sample, t_us=first_us) for sample in read_navigation(navigation)]
+    return [*broadcast, *samples]
+
+
+def _read_imu(path: Path) -> list[ImuSample]:
+    from mavproxy_fault.errors import ConfigError
+
+    try:
+        table = np.loadtxt(path, delimiter=",", ndmin=2)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: is no table of IMU samples ({error})") from error
+    if table.shape[1] < 7:
+        raise ConfigError(
+            f"{path}: has {table.shape[1]} columns; time, force (3) and rates (3) are needed"
+        )
+    to_frd = np.array([1.0, -1.0, -1.0])
+    stamps = np.rint((table[:, 0] - UNIX_TO_GPS_S) * 1e6).astype(np.int64)
+    force = table[:, 1:4] * to_frd * STANDARD_GRAVITY
+    rates = table[:, 4:7] * to_frd
+    return [ImuSample(int(t), g, a) for t, g, a in zip(stamps, rates, force, strict=True)]

@@ -1,0 +1,111 @@
+"""Offsets of healthy satellites: learnt, held when others are trusted, faded."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from analysis.fdi import DetectorConfig, SigmaModel
+from analysis.fdi.core import Core
+from analysis.fdi.detector import Detector, run
+from analysis.fdi.memory import WINDOWS, learn_offsets
+from analysis.fdi.offsets import held, hold, learnt
+from analysis.fdi.slow import new_memory
+from analysis.results import Decision
+from analysis.samples import Epoch, ImuSample, Sample
+
+CONFIG = DetectorConfig()
+NAMES = ("E05", "G12")
+
+
+def core_that_knows(offsets_m: list[float]) -> Core:
+    memory = new_memory(0)._replace(
+        names=NAMES,
+        offset=np.array(offsets_m),
+        spread=np.ones(2),
+        offsets=np.full((WINDOWS, 2), 0.5),
+        spreads=np.ones((WINDOWS, 2)),
+    )
+    return Core(None, {}, np.zeros(8), memory=memory)
+
+
+def test_what_was_learnt_is_held_and_learnt_anew_from_nothing():
+    core = hold(core_that_knows([1.0, -2.0]), 1_000_000, CONFIG)
+    assert held(core, NAMES, 1_000_000, CONFIG).tolist() == [1.0, -2.0]
+    assert learnt(core, NAMES).tolist() == [0.0, 0.0]
+    assert core.memory is not None
+    assert core.memory.offsets.tolist() == [[-0.5, 2.5]] * WINDOWS
+
+
+def test_holding_again_adds_to_what_is_held():
+    core = hold(core_that_knows([1.0, -2.0]), 0, CONFIG)
+    assert core.memory is not None
+    core = core._replace(memory=core.memory._replace(offset=np.array([0.25, 0.0])))
+    assert held(hold(core, 0, CONFIG), NAMES, 0, CONFIG).tolist() == [1.25, -2.0]
+
+
+def test_held_offsets_fade_with_their_correlation_time():
+    core = hold(core_that_knows([1.0, -2.0]), 0, CONFIG)
+    later_us = round(CONFIG.sigma.slow_s * 1e6)
+    assert held(core, ("G12", "G30"), later_us, CONFIG) == pytest.approx([-2.0 / math.e, 0.0])
+
+
+def test_an_offset_is_learnt_as_kalman_s_filter_does():
+    rng = np.random.default_rng(2)
+    mean, wide = np.zeros(1), np.ones(1)
+    h, p = np.zeros((1, 18)), np.zeros((18, 18))
+    for _ in range(50):
+        v = 0.7 + rng.standard_normal(1)
+        mean, wide = learn_offsets(mean, wide, p, h, np.ones(1), v, 1.0, 1.0, 1.0)
+    assert wide[0] == pytest.approx(1.0 / 51.0)
+    assert abs(mean[0] - 0.7) < 4.0 * math.sqrt(wide[0])
+
+
+def without(samples: list[Sample], names: tuple[str, ...], from_us: int) -> list[Sample]:
+    """The samples with some satellites gone from a moment on."""
+    out: list[Sample] = []
+    for s in samples:
+        if isinstance(s, Epoch) and s.t_us >= from_us:
+            keep = [i for i, name in enumerate(s.satellites) if name not in names]
+            s = replace(
+                s,
+                satellites=tuple(s.satellites[i] for i in keep),
+                pseudorange_m=s.pseudorange_m[keep],
+                doppler_mps=s.doppler_mps[keep],
+                cn0_dbhz=s.cn0_dbhz[keep],
+            )
+        out.append(s)
+    return out
+
+
+def with_offsets(samples: list[Sample]) -> list[Sample]:
+    """The samples with each satellite off by its own metres."""
+    rng = np.random.default_rng(4)
+    names = next(s.satellites for s in samples if isinstance(s, Epoch))
+    off = dict(zip(names, rng.normal(0.0, 0.8, len(names)), strict=True))
+    return [
+        replace(
+            s, pseudorange_m=s.pseudorange_m + np.array([off.get(n, 0.0) for n in s.satellites])
+        )
+        if isinstance(s, Epoch)
+        else s
+        for s in samples
+    ]
+
+
+def moved_m(samples: list[Sample], config: DetectorConfig) -> float:
+    """How far two satellites' setting moves the position on the average of the last ten seconds."""
+    names = next(s.satellites for s in samples if isinstance(s, Epoch))[1:4:2]
+    ends = []
+    for part in (samples, without(samples, names, 40_000_000)):
+        found = [r for r in run(Detector(config), part) if isinstance(r, Decision)]
+        last = [d.position_ecef_m for d in found if d.t_us >= 50_000_000]
+        ends.append(np.mean([r for r in last if r is not None], axis=0))
+    return float(np.linalg.norm(ends[1] - ends[0]))
+
+
+def test_the_position_hardly_moves_when_satellites_set(flight):
+    part = with_offsets([s for s in flight if not isinstance(s, ImuSample)])
+    forgetful = DetectorConfig(sigma=SigmaModel(slow=0.0), p_slow=1e-100)
+    assert moved_m(part, CONFIG) < 0.5 * moved_m(part, forgetful)

@@ -1,0 +1,68 @@
+"""A log too large for memory gives a report that keeps its peaks and says what was left out."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.report import thin
+from analysis.report.link import stretches
+from analysis.report.outcome import Outcome, judged
+from analysis.report.sources import read_flight
+from analysis.report.thresholds import Thresholds
+from mavproxy_fault.wire import tlog
+
+Flight = Callable[..., Path]
+
+
+@pytest.fixture
+def small_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Logs count as large beyond 4 kB and are read 3,000 frames at a time."""
+    monkeypatch.setattr(thin, "WHOLE_BYTES", 4_000)
+    monkeypatch.setattr(thin, "ROWS", 100)
+    monkeypatch.setattr(tlog, "BLOCK_FRAMES", 3_000)
+
+
+def outcome(path: Path) -> Outcome:
+    return judged(read_flight([path], ()), Thresholds())
+
+
+@pytest.mark.usefixtures("small_memory")
+def test_a_large_log_is_thinned_and_says_so(flight: Flight) -> None:
+    path = flight(seconds=200)
+    found = thin.contents(path)
+    assert found.thinned
+    assert len(found.columns["ATTITUDE"]) < 0.8 * len(tlog.read_columns(path)["ATTITUDE"])
+    assert any("is large" in note for note in outcome(path).summary["notes"])
+
+
+@pytest.mark.usefixtures("small_memory")
+def test_what_is_said_seldom_is_kept_where_it_changes(flight: Flight) -> None:
+    found = outcome(flight(seconds=200, texts=((150, 2, b"Radio failsafe"),))).flight.recording
+    assert "Radio failsafe" in [event.text for event in found.events]
+    assert [span.text for span in found.spans if span.lane == "mode"] == ["LOITER", "AUTO"]
+    assert [value for _, value in found.parameters["WPNAV_SPEED"]] == [500.0, 300.0]
+
+
+def test_a_single_peak_survives_thinning(flight: Flight) -> None:
+    rows = tlog.read_columns(flight(seconds=200))["VIBRATION"].copy()
+    rows["vibration_y"][777] = 99.0
+    rows["vibration_x"][5] = -1.0
+    kept = thin.kept_rows(rows, 100)
+    assert len(kept) < 200
+    assert (kept["vibration_y"].max(), kept["vibration_x"].min()) == (99.0, -1.0)
+    assert np.all(np.diff(kept["t_us"]) >= 0)
+
+
+def test_losses_counted_block_by_block_are_those_of_the_whole_log(
+    flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = flight(seconds=60, lost=3)
+    whole = stretches(tlog.read_log(path).frames, {})
+    monkeypatch.setattr(tlog, "BLOCK_FRAMES", 100)
+    last: dict[int, thin.Sender] = {}
+    parts = np.concatenate([stretches(part.frames, last) for part in tlog.read_parts(path)])
+    for column in ("frames", "lost"):
+        assert parts[column].sum() == whole[column].sum() > 0
+    assert parts["gap_us"].max() == whole["gap_us"].max()
