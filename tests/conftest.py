@@ -1,7 +1,10 @@
-"""What the tests share: the folder of real logs and GNSS data, and Hypothesis profiles."""
+"""What the tests share: real logs and GNSS data, a browser, and Hypothesis profiles."""
 
 import os
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -21,3 +24,20 @@ def shared_data() -> Path:
     if not DATA.is_dir():
         pytest.skip(f"no real logs at {DATA}; set MAVPROXY_FAULT_DATA")
     return DATA
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """Debian's Chromium without a window; one for all, Playwright runs only once in a process."""
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("Debian's chromium is not installed")
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    arguments = [
+        "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
+        "--disable-background-networking", "--disable-component-update", "--no-first-run",
+    ]  # fmt: skip
+    with api.sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=chromium, args=arguments)
+        yield found
+        found.close()

@@ -1,7 +1,6 @@
 """A small proxy that runs, the page over it, and Debian's Chromium to look at it with."""
 
 import select
-import shutil
 import socket
 import threading
 import time
@@ -25,11 +24,9 @@ from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.label import Label
 
-CHROMIUM = shutil.which("chromium")
 LINKS = (LinkRole("simulator", "to-vehicle"), LinkRole("vehicle", "from-vehicle"))
 STEP_US = 20_000
 TRUE = {"attitude_quaternion": (1.0, 0.0, 0.0, 0.0), "rollspeed": 0.5, "lat": 474_000_000}
-ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
 SATELLITES = ("E05", "E09", "G07", "G12", "G25", "G31")
 
 
@@ -124,17 +121,6 @@ def loop() -> Iterator[Loop]:
 def address(loop: Loop) -> Iterator[str]:
     with serve(loop.bus.url, port=0) as found:
         yield found
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Any]:
-    if CHROMIUM is None:
-        pytest.skip("Debian's chromium is not installed")
-    api = pytest.importorskip("playwright.sync_api")
-    with api.sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
-        yield chromium
-        chromium.close()
 
 
 @pytest.fixture
