@@ -2,9 +2,11 @@
 
    load IN_PORT OUT_PORT window WINDOW COUNT     closed loop, so many in flight
    load IN_PORT OUT_PORT rate PER_SECOND COUNT   open loop at a steady rate
+   load IN_PORT OUT_PORT stamped PER_SECOND COUNT    the same, arrivals as the kernel stamps them
 
-   It never sleeps, so that its own waking is not measured. Prints one line: sent received lost
-   seconds p50_us p99_us p999_us (latency, send to receive). */
+   It never sleeps, so that its own waking is not measured; `stamped` is also blind to being held
+   off by the machine. Prints one line: sent received lost seconds p50_us p99_us p999_us (latency,
+   send to receive). */
 #define _GNU_SOURCE
 #include <arpa/inet.h>
 #include <stdint.h>
@@ -16,11 +18,16 @@
 
 enum { PAYLOAD = 64, FRAME = 12 + PAYLOAD, BATCH = 64, ID = 107, CRC_EXTRA = 108 };
 
-static uint64_t now_ns(void)
+static uint64_t read_ns(clockid_t clock)
 {
     struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
+    clock_gettime(clock, &t);
     return t.tv_sec * 1000000000ull + t.tv_nsec;
+}
+
+static uint64_t now_ns(void)
+{
+    return read_ns(CLOCK_MONOTONIC);
 }
 
 static uint16_t crc(const uint8_t *data, size_t length)
@@ -62,7 +69,8 @@ static int compare(const void *a, const void *b)
 static uint8_t outgoing[BATCH][FRAME], incoming[BATCH][2048];
 static struct mmsghdr to_send[BATCH], to_receive[BATCH];
 static struct iovec send_parts[BATCH], receive_parts[BATCH];
-static uint64_t *sent_at, total, received, sent;
+static char stamps[BATCH][CMSG_SPACE(sizeof(struct timespec))];
+static uint64_t *sent_at, total, received, sent, wall_ahead;
 static uint32_t *latencies;
 static int in, out;
 
@@ -78,8 +86,21 @@ static void send_some(uint64_t count)
     sent += done > 0 ? done : 0;
 }
 
+/* When the kernel had a datagram, on the monotonic clock; `now` where it does not say. */
+static uint64_t arrival(struct msghdr *head, uint64_t now)
+{
+    struct timespec t;
+    struct cmsghdr *note = CMSG_FIRSTHDR(head);
+    if (!note || note->cmsg_type != SCM_TIMESTAMPNS)
+        return now;
+    memcpy(&t, CMSG_DATA(note), sizeof t);
+    return t.tv_sec * 1000000000ull + t.tv_nsec - wall_ahead;
+}
+
 static int receive_some(void)
 {
+    for (int i = 0; i < BATCH; i++)
+        to_receive[i].msg_hdr.msg_controllen = sizeof stamps[i];
     int count = recvmmsg(out, to_receive, BATCH, MSG_DONTWAIT, NULL);
     uint64_t now = now_ns();
     for (int i = 0; i < count; i++) {
@@ -89,7 +110,7 @@ static int receive_some(void)
         memcpy(&t_us, incoming[i] + 10, 8);
         n = (t_us - 1000000) / 100;
         if (n < total)
-            latencies[received++] = now - sent_at[n];
+            latencies[received++] = arrival(&to_receive[i].msg_hdr, now) - sent_at[n];
     }
     return count;
 }
@@ -104,7 +125,7 @@ int main(int count, char **words)
     if (count != 6)
         return 2;
     struct sockaddr_in address = {.sin_family = AF_INET};
-    int size = 8 << 20, closed = !strcmp(words[3], "window");
+    int size = 8 << 20, closed = !strcmp(words[3], "window"), on = !strcmp(words[3], "stamped");
     uint64_t pace = strtoull(words[4], 0, 10), lost = 0;
     total = strtoull(words[5], 0, 10);
     sent_at = calloc(total + BATCH, 8);
@@ -112,6 +133,8 @@ int main(int count, char **words)
     address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
     in = socket(AF_INET, SOCK_DGRAM, 0);
     out = socket(AF_INET, SOCK_DGRAM, 0);
+    wall_ahead = read_ns(CLOCK_REALTIME) - now_ns();
+    setsockopt(out, SOL_SOCKET, SO_TIMESTAMPNS, &on, sizeof on);
     setsockopt(out, SOL_SOCKET, 33, &size, sizeof size);
     setsockopt(in, SOL_SOCKET, 32, &size, sizeof size);
     address.sin_port = htons(atoi(words[2]));
@@ -123,7 +146,8 @@ int main(int count, char **words)
         send_parts[i] = (struct iovec){outgoing[i], FRAME};
         receive_parts[i] = (struct iovec){incoming[i], sizeof incoming[i]};
         to_send[i].msg_hdr = (struct msghdr){.msg_iov = &send_parts[i], .msg_iovlen = 1};
-        to_receive[i].msg_hdr = (struct msghdr){.msg_iov = &receive_parts[i], .msg_iovlen = 1};
+        to_receive[i].msg_hdr = (struct msghdr){
+            .msg_iov = &receive_parts[i], .msg_iovlen = 1, .msg_control = stamps[i]};
     }
     uint64_t start = now_ns(), end = start, last = start;
     while (received + lost < total) {

@@ -215,8 +215,8 @@ def delay_row(bench: Bench) -> str:
     found = []
     for command in (OURS, f"{OURS} --schedule {schedule}"):
         with bench.running(command) as (process, in_port, out_port):
-            bench.measure(process, in_port, out_port, "rate", 200, 100)
-            found.append(bench.measure(process, in_port, out_port, "rate", 200, 1000))
+            bench.measure(process, in_port, out_port, "stamped", 200, 100)
+            found.append(bench.measure(process, in_port, out_port, "stamped", 200, 1000))
     healthy, late = found
     return (
         f"at 200/s, not delayed: p50 {healthy.p50_us:.0f} us, p99 {healthy.p99_us:.0f} us; "
