@@ -45,7 +45,19 @@ def read_setup(path: str | None, schedule: str | None = None, seed: int | None =
     except msgspec.ValidationError as error:
         known = ", ".join(field.name for field in msgspec.structs.fields(Criteria))
         raise ConfigError(f"{where}: criteria: {error}; known: {known}") from error
+    if schedule is not None:
+        criteria = _about(criteria, faults)
     return Setup(scenario, faults, monitor_config(scenario.monitor, where), criteria)
+
+
+def _about(criteria: Criteria, faults: Schedule) -> Criteria:
+    """What is asked of the scenario's own faults means nothing for those of another schedule."""
+    ids = {entry.id for entry in faults.faults}
+    asked = {
+        name: tuple(id for id in getattr(criteria, name) if id in ids)
+        for name in ("must_detect", "must_isolate")
+    }
+    return msgspec.structs.replace(criteria, **asked)
 
 
 def _schedule(scenario: Scenario, path: str | None, other: str | None) -> Schedule:
