@@ -40,6 +40,9 @@ CHANNEL_OF_MESSAGE = {
     "VISION_POSITION_ESTIMATE": "vision",
 }
 
+# What a fault falsifies that finds its fields itself, in every message about the same thing
+TARGETS_OF_FAULT = {"gps-spoof": ("HIL_GPS.lat",)}
+
 
 class FaultScore(msgspec.Struct, frozen=True, kw_only=True):
     """One fault as it was done and as it was seen; times in seconds from the start of the run.
@@ -119,7 +122,7 @@ def _covers(label: Label, t_us: int, grace_s: float) -> bool:
 
 
 def _score(label: Label, labels: Sequence[Label], raised: Sequence[Alarm]) -> FaultScore:
-    watched = sorted({channel(target) for target in label.targets} - {""})
+    watched = sorted({channel(target) for target in _targets(label)} - {""})
     inside = [alarm for alarm in raised if _covers(label, alarm.t_us, GRACE_S)]
     hits = [alarm for alarm in inside if alarm.channel in watched]
     isolated = _blamed(hits)
@@ -155,8 +158,12 @@ def _culprits(label: Label) -> set[str]:
     """Who ought to be blamed for a fault."""
     return {
         target.partition(".")[2] if channel(target) == "satellites" else channel(target)
-        for target in label.targets
+        for target in _targets(label)
     }
+
+
+def _targets(label: Label) -> tuple[str, ...]:
+    return tuple(label.targets) or TARGETS_OF_FAULT.get(label.fault, ())
 
 
 def _verdict(

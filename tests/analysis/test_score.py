@@ -100,3 +100,16 @@ def test_false_alarms_are_rises_outside_the_faults_and_their_echo() -> None:
 def test_channels_follow_from_targets() -> None:
     targets = ("HIL_SENSOR.xgyro", "HIL_SENSOR.xmag", "HIL_GPS.lat", "HIL_GPS.vn", "HIL_SENSOR")
     assert [channel(t) for t in targets] == ["imu", "mag", "gps-position", "gps-velocity", "imu"]
+
+
+def test_a_spoofed_receiver_is_isolated_as_the_gps_position() -> None:
+    spoof = Label(
+        id="spoof",
+        fault="gps-spoof",
+        t0_us=1_000_000,
+        start_us=11_000_000,
+        end_us=21_000_000,
+        frames=50,
+    )
+    (row,) = score_faults([spoof], [alarm_of(sensor(12.0, "gps-position"))])
+    assert (row.verdict, row.isolated) == ("isolated", ("gps-position",))
