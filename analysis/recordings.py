@@ -69,4 +69,4 @@ def _read_imu(path: Path) -> list[ImuSample]:
     stamps = np.rint((table[:, 0] - UNIX_TO_GPS_S) * 1e6).astype(np.int64)
     force = table[:, 1:4] * to_frd * STANDARD_GRAVITY
     rates = table[:, 4:7] * to_frd
-    return [ImuSample(int(t), g, a) for t, g, a in zip(stamps, rates, force, strict=True)]
+    return list(map(ImuSample, stamps.tolist(), rates, force))

@@ -114,20 +114,21 @@ def _types_2(header: list[str]) -> tuple[int, _Columns]:
     return len(names), _Columns(code, *places)
 
 
-def _number(text: str) -> float:
-    text = text.strip()
-    return float(text) if text else math.nan
+def _number(line: str, first: int, place: int) -> float:
+    """A field of a line of fields that starts at `first`; NaN where it is blank."""
+    if place < 0:
+        return math.nan
+    at = first + FIELD_WIDTH * place
+    text = line[at : at + 14]
+    return math.nan if not text or text.isspace() else float(text)
 
 
 def _values(line: str, first: int, columns: _Columns) -> tuple[float, float, float] | None:
     """Code, Doppler and C/N0 from one line of fields that starts at `first`."""
-    values = []
-    for place in (columns.code, columns.doppler, columns.cn0):
-        at = first + FIELD_WIDTH * place
-        values.append(_number(line[at : at + 14]) if place >= 0 else math.nan)
-    if not values[0] > 0.0:
+    code = _number(line, first, columns.code)
+    if not code > 0.0:
         return None
-    return values[0], values[1], values[2]
+    return code, _number(line, first, columns.doppler), _number(line, first, columns.cn0)
 
 
 def _epoch(
