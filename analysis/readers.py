@@ -87,9 +87,10 @@ def _accuracy(value: float) -> float:
     return value * 1e-2 if value != UNKNOWN_16 else math.nan
 
 
-def _hil_gps(v: Vector, system: int) -> list[Sample]:
-    read = _named("HIL_GPS", v)
-    v_ned = np.array([read("vn"), read("ve"), read("vd")]) * 1e-2
+def _fix(
+    read: Callable[[str], float], source: str, v_ned: Vector | None, eph_m: float, epv_m: float
+) -> list[Sample]:
+    """A receiver's solution, from the fields that HIL_GPS and GPS_RAW_INT have in common."""
     return [
         GpsFix(
             t_us=int(read("time_usec")),
@@ -99,11 +100,17 @@ def _hil_gps(v: Vector, system: int) -> list[Sample]:
             v_ned_mps=v_ned,
             fix_type=int(read("fix_type")),
             satellites=int(read("satellites_visible")),
-            eph_m=_accuracy(read("eph")),
-            epv_m=_accuracy(read("epv")),
-            source="HIL_GPS",
+            eph_m=eph_m,
+            epv_m=epv_m,
+            source=source,
         )
     ]
+
+
+def _hil_gps(v: Vector, system: int) -> list[Sample]:
+    read = _named("HIL_GPS", v)
+    v_ned = np.array([read("vn"), read("ve"), read("vd")]) * 1e-2
+    return _fix(read, "HIL_GPS", v_ned, _accuracy(read("eph")), _accuracy(read("epv")))
 
 
 def _gps_raw_int(v: Vector, system: int) -> list[Sample]:
@@ -112,21 +119,8 @@ def _gps_raw_int(v: Vector, system: int) -> list[Sample]:
     if read("vel") != UNKNOWN_16 and read("cog") != UNKNOWN_16:
         course, speed = math.radians(read("cog") * 1e-2), read("vel") * 1e-2
         v_ned = np.array([speed * math.cos(course), speed * math.sin(course), math.nan])
-    h_acc, v_acc = read("h_acc"), read("v_acc")
-    return [
-        GpsFix(
-            t_us=int(read("time_usec")),
-            lat_deg=read("lat") * 1e-7,
-            lon_deg=read("lon") * 1e-7,
-            alt_m=read("alt") * 1e-3,
-            v_ned_mps=v_ned,
-            fix_type=int(read("fix_type")),
-            satellites=int(read("satellites_visible")),
-            eph_m=h_acc * 1e-3 if h_acc else math.nan,
-            epv_m=v_acc * 1e-3 if v_acc else math.nan,
-            source="GPS_RAW_INT",
-        )
-    ]
+    sigmas = [read(name) * 1e-3 or math.nan for name in ("h_acc", "v_acc")]  # 0 is unknown
+    return _fix(read, "GPS_RAW_INT", v_ned, *sigmas)
 
 
 def _hil_state(v: Vector, system: int) -> list[Sample]:

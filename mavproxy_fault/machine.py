@@ -17,6 +17,8 @@ from typing import Any
 import llvmlite.binding as llvm  # type: ignore[import-untyped]
 from llvmlite import __version__ as llvmlite_version
 
+from mavproxy_fault.wire.kernels import place
+
 HERE = Path(__file__).parent
 SOURCES = ("kernel.py", "pump.py", "tables.py", "memory.py", "clock.py", "machine.py")
 NAME = "mavproxy_fault_forward"
@@ -51,11 +53,7 @@ def object_path() -> Path:
     mark = hashlib.sha256(f"{llvmlite_version} {cpu} {features}".encode())
     for name in SOURCES:
         mark.update((HERE / name).read_bytes())
-    folder = HERE / "__pycache__"
-    if not os.access(folder if folder.exists() else HERE, os.W_OK):
-        home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        folder = Path(home) / "mavproxy-fault"
-    return folder / f"forward-{mark.hexdigest()[:16]}.o"
+    return place() / f"forward-{mark.hexdigest()[:16]}.o"
 
 
 def make() -> None:

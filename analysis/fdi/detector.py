@@ -70,14 +70,16 @@ class Detector:
             core = core._replace(chosen=chosen)
         observed = observe(epoch, chosen)
         if observed is None:
-            return [untestable(epoch, why_none(epoch, core.ephemerides), core)], state
+            return [untestable(epoch.t_us, why_none(epoch, core.ephemerides), core.excluded)], state
         if core.ranges_us is None or epoch.t_us - core.ranges_us > self.config.reset_s * 1e6:
             core = _forgotten(core)  # what there is came from the receiver's own position
         motion = core.motion
         if motion is not None:
             since_s = (epoch.t_us - motion.t_us) * 1e-6
             if -self.config.reset_s < since_s <= 0.0:
-                return [untestable(epoch, f"time went back by {-since_s:.3f} s", core)], state
+                return [
+                    untestable(epoch.t_us, f"time went back by {-since_s:.3f} s", core.excluded)
+                ], state
             if not 0.0 < since_s <= self.config.reset_s:
                 core = _forgotten(core)
                 motion = None
@@ -91,7 +93,7 @@ class Detector:
     def _start(self, epoch: Epoch, observed: Observed, core: Core) -> tuple[list[Result], Core]:
         begun = start(epoch.t_us, observed, self.config, core.ionosphere)
         if begun.motion is None:
-            return [untestable(epoch, begun.reason, core)], core
+            return [untestable(epoch.t_us, begun.reason, core.excluded)], core
         core = core._replace(
             motion=begun.motion,
             ranges_us=epoch.t_us,
@@ -119,7 +121,7 @@ class Detector:
             history = outcome.core.history
         core = outcome.core._replace(history=history if outcome.core.motion else ())
         if outcome.tested is None:
-            return [untestable(epoch, outcome.reason, core)], core
+            return [untestable(epoch.t_us, outcome.reason, core.excluded)], core
         said = decision(epoch, outcome, core, bool(late), config)
         return [said, *imu_results(epoch, outcome, part, config)], core
 

@@ -25,7 +25,8 @@ from analysis.fdi.position import (
     updated,
 )
 from analysis.fdi.ranges import free_position
-from analysis.fdi.said_fix import fix_decision, fix_sensors, fix_untestable
+from analysis.fdi.said import untestable
+from analysis.fdi.said_fix import fix_decision, fix_sensors
 from analysis.fdi.state import Motion
 from analysis.fdi.thresholds import chi_square
 from analysis.results import Result
@@ -43,11 +44,11 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     measured, reason = measure(fix)
     motion = core.motion
     if measured is None:
-        return [fix_untestable(fix, reason)], State(core, pending)
+        return [untestable(fix.t_us, reason)], State(core, pending)
     if motion is not None:
         since_s = (fix.t_us - motion.t_us) * 1e-6
         if -config.reset_s < since_s <= 0.0:
-            return [fix_untestable(fix, f"time went back by {-since_s:.3f} s")], State(
+            return [untestable(fix.t_us, f"time went back by {-since_s:.3f} s")], State(
                 core, pending
             )
         if not 0.0 < since_s <= config.reset_s or np.sqrt(motion.p[0, 0]) > LOST_M:

@@ -1,6 +1,7 @@
 """The detector's outcome in the words of `analysis.results`."""
 
 import math
+from collections.abc import Iterable
 
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import Core
@@ -73,18 +74,18 @@ def started(epoch: Epoch, observed: Observed, begun: Start, core: Core) -> Decis
     )
 
 
-def untestable(epoch: Epoch, reason: str, core: Core) -> Decision:
+def untestable(t_us: int, reason: str, excluded: Iterable[str] = ()) -> Decision:
     """No decision, and why."""
     return Decision(
-        t_s=epoch.t_us * 1e-6,
-        t_us=epoch.t_us,
+        t_s=t_us * 1e-6,
+        t_us=t_us,
         statistic=None,
         threshold=None,
         dof=0,
         p_value=None,
         alarm=False,
         hypothesis="untestable",
-        excluded=tuple(sorted(core.excluded)),
+        excluded=tuple(sorted(excluded)),
         reason=reason,
     )
 

@@ -82,18 +82,3 @@ def fix_sensors(
             )
         )
     return results
-
-
-def fix_untestable(fix: GpsFix, reason: str) -> Decision:
-    """No decision, and why."""
-    return Decision(
-        t_s=fix.t_us * 1e-6,
-        t_us=fix.t_us,
-        statistic=None,
-        threshold=None,
-        dof=0,
-        p_value=None,
-        alarm=False,
-        hypothesis="untestable",
-        reason=reason,
-    )

@@ -34,17 +34,21 @@ def mark() -> str:
     return digest.hexdigest()[:16]
 
 
-@cache
-def folder() -> Path:
-    """The folder for now, beside the sources or in the user's cache; those of days ago go."""
+def place() -> Path:
+    """Where machine code is kept: beside the sources, or in the user's cache if not writable."""
     beside = ROOT / PACKAGES[0] / "__pycache__"
     if os.access(beside if beside.exists() else beside.parent, os.W_OK):
-        for old in beside.glob("kernels-*"):
-            if old.stat().st_mtime < time.time() - STALE_S and old.name != f"kernels-{mark()}":
-                shutil.rmtree(old, ignore_errors=True)
-    else:
-        home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        beside = Path(home) / "mavproxy-fault"
-    path = beside / f"kernels-{mark()}"
+        return beside
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(home) / "mavproxy-fault"
+
+
+@cache
+def folder() -> Path:
+    """The folder for the sources as they are now; those of other days go."""
+    path = place() / f"kernels-{mark()}"
+    for old in path.parent.glob("kernels-*"):
+        if old != path and old.stat().st_mtime < time.time() - STALE_S:
+            shutil.rmtree(old, ignore_errors=True)
     path.mkdir(parents=True, exist_ok=True)
     return path
