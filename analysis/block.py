@@ -207,8 +207,8 @@ class Piece(NamedTuple):
     """Samples up to an event, as detectors take them.
 
     `first` to `last` are the rows of `block`. `imu` are those of the IMU with the numbers `ids` of
-    their sensors (k,); `newest` holds by kind the last sample of every other sensor; `event` is
-    the last row's sample if it is one that may lead to a decision.
+    their sensors (k,); `newest` holds by kind the row of the last sample of every other sensor;
+    `kind` and `t_us` are the last row's.
     """
 
     block: Block
@@ -216,8 +216,14 @@ class Piece(NamedTuple):
     last: int
     imu: ImuRun
     ids: Vector
-    newest: dict[int, Sample]
-    event: Sample | None
+    newest: dict[int, int]
+    kind: int
+    t_us: int
+
+    @property
+    def event(self) -> Sample:
+        """The last sample, the only one that may lead to a decision."""
+        return self.block.sample(self.last)
 
     def samples(self) -> Iterator[Sample]:
         """All of them, one after the other."""
@@ -237,16 +243,18 @@ def pieces(samples: Sample | Block) -> Iterator[Piece]:
     run = ImuRun(block.t_us[imu], block.values[imu, :6])
     ids = block.values[imu, 6]
     cuts = np.searchsorted(imu, np.append(begins, count)).tolist()
-    lists = begins.tolist(), ends.tolist(), newest.tolist(), cuts[:-1], cuts[1:]
-    for first, last, rows, a, b in zip(*lists, strict=True):
+    events = block.kind[ends].tolist(), block.t_us[ends].tolist()
+    lists = begins.tolist(), ends.tolist(), newest.tolist(), cuts[:-1], cuts[1:], *events
+    for first, last, rows, a, b, kind, t_us in zip(*lists, strict=True):
         yield Piece(
             block,
             first,
             last,
             ImuRun(run.t_us[a:b], run.values[a:b]),
             ids[a:b],
-            {kind: block.sample(row) for kind, row in zip(NEWEST, rows, strict=True) if row >= 0},
-            block.sample(last) if block.kind[last] >= FIX else None,
+            {sensor: row for sensor, row in zip(NEWEST, rows, strict=True) if row >= 0},
+            kind,
+            t_us,
         )
 
 

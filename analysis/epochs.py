@@ -14,7 +14,7 @@ from analysis.readers import READERS
 from analysis.samples import EphemerisSample, Epoch, Sample
 from mavproxy_fault.wire.ephemeris import decode_ephemeris
 from mavproxy_fault.wire.frame import Frame
-from mavproxy_fault.wire.ranges import Ranges, read_ranges
+from mavproxy_fault.wire.ranges import Ranges, quick_crc24q, read_ranges
 from mavproxy_fault.wire.rtcm import PAYLOAD_TYPE, Reassembler, message_number
 from mavproxy_fault.wire.tlog import Columns, row_dtype
 
@@ -91,13 +91,18 @@ class Decoder:
         payloads = np.ascontiguousarray(rows["payload"])
         for row, system, component, length in senders:
             sender, place = (system, component), int(order[row])
-            reassembler = self._reassemblers.setdefault(sender, Reassembler())
+            reassembler = self._reassembler(sender)
             if length > payloads.shape[1]:
                 continue
             for message in reassembler.add(payloads[row, :length].tobytes()):
                 stamp_us = stamps.before(sender, place)
                 found += [(place, sample) for sample in self._rtcm(message, stamp_us)]
         return found
+
+    def _reassembler(self, sender: Sender) -> Reassembler:
+        if sender not in self._reassemblers:
+            self._reassemblers[sender] = Reassembler(quick_crc24q)
+        return self._reassemblers[sender]
 
     def _rtcm(self, message: bytes, stamp_us: int | None) -> list[Sample]:
         number = message_number(message)

@@ -44,7 +44,12 @@ class Tally:
             if self.first_us is None:
                 self.first_us = int(stamps[0])
             self.last_us = max(self.last_us, int(stamps.max()))
-        for (_, result), true_m in zip(found, self._true_positions(block, found), strict=True):
+        for _, result in found:
+            alarm = alarm_of(result)
+            if alarm is not None:
+                self.alarms.append(alarm)
+        placed = [pair for pair in found if isinstance(pair[1], Decision | FusedState)]
+        for (_, result), true_m in zip(placed, self._true_positions(block, placed), strict=True):
             self._add(result, true_m)
 
     def _true_positions(self, block: Block, found: Sequence[tuple[int, Result]]) -> list[Any]:
@@ -62,9 +67,6 @@ class Tally:
         return [r if known >= 0 else None for r, known in zip(true_m.tolist(), at, strict=True)]
 
     def _add(self, result: Result, true_m: Sequence[float] | None) -> None:
-        alarm = alarm_of(result)
-        if alarm is not None:
-            self.alarms.append(alarm)
         if isinstance(result, FusedState) and true_m is not None:
             count, total_m2 = self._fused.get(result.name, (0, 0.0))
             error_m2 = math.dist(true_m, result.position_ecef_m) ** 2

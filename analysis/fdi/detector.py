@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from analysis.block import MAG, Block, ImuRun, Piece, block_of, pieces
+from analysis.block import EPOCH, FIX, MAG, Block, ImuRun, Piece, block_of, pieces
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import NOTHING_HELD, Core, Record, State
 from analysis.fdi.epoch import Outcome, judge_epoch
@@ -23,7 +23,6 @@ from analysis.samples import (
     Epoch,
     GpsFix,
     IonosphereSample,
-    MagSample,
     Sample,
 )
 
@@ -53,24 +52,29 @@ class Detector:
         if len(piece.ids):
             state = _with_imu(piece, state)
         core, pending = state
-        mag, event = piece.newest.get(MAG), piece.event
-        if isinstance(mag, MagSample):
-            core = core._replace(mag_b=mag.field_b_gauss)
+        mag = piece.newest.get(MAG)
+        if mag is not None:
+            core = core._replace(mag_b=piece.block.values[mag, :3].copy())
             state = State(core, pending)
+        if piece.kind == FIX and not self._has_ranges(core, piece.t_us):
+            fix = piece.event
+            assert isinstance(fix, GpsFix)
+            return step_position(fix, state, self.config)
+        if piece.kind < EPOCH:
+            return [], state
+        event = piece.event
         if isinstance(event, Epoch):
             return self._epoch(event, state)
-        if isinstance(event, GpsFix):
-            if core.ranges_us is not None and (
-                event.t_us - core.ranges_us < self.config.reset_s * 1e6
-            ):
-                return [], state
-            return step_position(event, state, self.config)
         if isinstance(event, EphemerisSample):
             return [], State(_learn(core, event), pending)
         if isinstance(event, IonosphereSample):
             known = np.array(event.alpha + event.beta)
             return [], State(core._replace(ionosphere=known), pending)
         return [], state
+
+    def _has_ranges(self, core: Core, t_us: int) -> bool:
+        """Whether there are raw ranges, so that a receiver's own position is not needed."""
+        return core.ranges_us is not None and t_us - core.ranges_us < self.config.reset_s * 1e6
 
     def _epoch(self, epoch: Epoch, state: State) -> tuple[list[Result], State]:
         core, pending = state

@@ -5,11 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.block import ImuRun
+from analysis.block import ImuRun, Stamps
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.inertial import PSI, propagate_freely, propagate_inertial
 from analysis.fdi.state import Motion, Pending
 from analysis.samples import ImuSample, Vector
+from mavproxy_fault.wire.compiled import compiled
 
 PENDING_MAX = 40_000  # samples without an epoch between; older ones are forgotten
 NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
@@ -39,9 +40,8 @@ def keep_pending(run: ImuRun, pending: Pending | None) -> Pending | None:
     if not len(run.t_us):
         return pending
     newest_us = pending.run.t_us[-1] if pending is not None else run.t_us[0] - 1
-    before = np.maximum.accumulate(np.concatenate([[newest_us], run.t_us[:-1]]))
-    later = run.t_us > before
-    if not later.all():
+    if not _rising(run.t_us, newest_us):
+        later = run.t_us > np.maximum.accumulate(np.append(newest_us, run.t_us[:-1]))
         if not later.any():
             return pending
         run = ImuRun(run.t_us[later], run.values[later])
@@ -76,21 +76,45 @@ def _whole(pending: Pending) -> ImuRun:
     return ImuRun(*columns)
 
 
+@compiled
+def _rising(t_us: Stamps, newest_us: int) -> bool:
+    """Whether every stamp is later than the one before."""
+    for stamp_us in t_us:
+        if stamp_us <= newest_us:
+            return False
+        newest_us = stamp_us
+    return True
+
+
 def segment(run: ImuRun, motion: Motion, until_us: int) -> Segment:
     """Steps from the filter's time to `until_us`; the last sample is held to the end."""
-    at = int(np.searchsorted(run.t_us, motion.t_us, side="right"))
-    t_us, values = run.t_us[at:], run.values[at:]
-    if not len(t_us):
-        return Segment(np.empty((0, 7)), (until_us - motion.t_us) * 1e-6, False)
-    table = np.empty((len(t_us) + 1, 7))
-    table[:-1, 1:] = values
-    table[-1, 1:] = values[-1]
-    table[1:-1, 0] = np.diff(t_us) * 1e-6
-    table[0, 0] = (t_us[0] - motion.t_us) * 1e-6
-    table[-1, 0] = (until_us - t_us[-1]) * 1e-6
-    if not np.isfinite(table).all():
-        return Segment(np.empty((0, 7)), float(table[:, 0].sum()), True)
-    return Segment(table, float(table[:, 0].max()), True)
+    return Segment(*_steps(run.t_us, run.values, motion.t_us, until_us))
+
+
+@compiled
+def _steps(t_us: Stamps, values: Vector, from_us: int, until_us: int) -> tuple[Vector, float, bool]:
+    """The fields of a `Segment`; without samples if one of them is not finite."""
+    at = 0
+    while at < len(t_us) and t_us[at] <= from_us:
+        at += 1
+    count = len(t_us) - at
+    if count == 0:
+        return np.empty((0, 7)), (until_us - from_us) * 1e-6, False
+    table = np.empty((count + 1, 7))
+    before_us, gap_s, total_s, amount = from_us, -np.inf, 0.0, 0.0
+    for k in range(count + 1):
+        row = min(at + k, len(t_us) - 1)
+        now_us = t_us[at + k] if k < count else until_us
+        table[k, 0] = (now_us - before_us) * 1e-6
+        gap_s = max(gap_s, table[k, 0])
+        total_s += table[k, 0]
+        before_us = now_us
+        for i in range(6):
+            table[k, 1 + i] = values[row, i]
+            amount += values[row, i]
+    if not np.isfinite(amount):
+        return np.empty((0, 7)), total_s, True
+    return table, gap_s, True
 
 
 def advance(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.wire.compiled import compiled
+from mavproxy_fault.wire.compiled import exact
 from mavproxy_fault.wire.msm7 import (
     CN0_STEP_DBHZ,
     FINE_INVALID,
@@ -20,7 +20,7 @@ from mavproxy_fault.wire.msm7 import (
     ROUGH_INVALID,
     SYSTEMS,
 )
-from mavproxy_fault.wire.rtcm import HEADER, TRAILER
+from mavproxy_fault.wire.rtcm import CRC24Q_TABLE, HEADER, TRAILER
 
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -29,6 +29,9 @@ _HEAD_BITS = 73 + 64 + 32  # up to the mask of cells
 _SATELLITE_BITS = 8 + 4 + 10 + 14
 _CELL_BITS = 20 + 24 + 10 + 1 + 10 + 15
 _NAMES = {letter: tuple(f"{letter}{n:02d}" for n in range(65)) for letter in SYSTEMS.values()}
+
+
+_CRC_TABLE = np.array(CRC24Q_TABLE)
 
 
 class Ranges(NamedTuple):
@@ -54,25 +57,30 @@ def read_ranges(message: bytes) -> Ranges:
         If it is no MSM7 message of GPS or Galileo, or ends early. Its CRC is not looked at: the
         messages of a `Reassembler` have been checked.
     """
-    number, epoch_ms, more, cells = _cells(np.frombuffer(message, np.uint8)[HEADER:-TRAILER])
+    body = np.frombuffer(message, np.uint8, offset=HEADER)[:-TRAILER]
+    number, epoch_ms, more, cells = _cells(body)
     system = SYSTEMS.get(number)
     if system is None or epoch_ms < 0:
         raise ValueError(f"RTCM {number} is not a whole MSM7 of GPS or Galileo (1077, 1097)")
     names = _NAMES[system]
-    rough, fine, rate, fine_rate, cn0 = cells[:, 1:].T
-    pseudorange_m = (rough * FINE_PER_ROUGH + fine) / (ROUGH * FINE_PER_ROUGH) * MS_M
-    known = (rate != RATE_INVALID) & (fine_rate != FINE_RATE_INVALID)
-    return Ranges(
-        epoch_ms / 1000.0,
-        tuple([names[n] for n in cells[:, 0].tolist()]),
-        pseudorange_m,
-        np.where(known, rate + fine_rate / 10_000, np.nan),
-        np.where(cn0 != 0, cn0 * CN0_STEP_DBHZ, np.nan),
-        bool(more),
-    )
+    satellites = tuple([names[int(n)] for n in cells[0].tolist()])
+    return Ranges(epoch_ms / 1000.0, satellites, cells[1], cells[2], cells[3], bool(more))
 
 
-@compiled
+def quick_crc24q(data: bytes) -> int:
+    """As `rtcm.crc24q`, for messages by the thousand."""
+    return _crc24q(np.frombuffer(data, np.uint8), _CRC_TABLE)
+
+
+@exact
+def _crc24q(data: NDArray[np.uint8], table: Integers) -> int:
+    crc = 0
+    for byte in data:
+        crc = (crc << 8 & 0xFFFFFF) ^ table[crc >> 16 ^ byte]
+    return crc
+
+
+@exact
 def _unsigned(data: NDArray[np.uint8], at: int, width: int) -> int:
     value = 0
     for bit in range(at, at + width):
@@ -80,17 +88,17 @@ def _unsigned(data: NDArray[np.uint8], at: int, width: int) -> int:
     return value
 
 
-@compiled
+@exact
 def _signed(data: NDArray[np.uint8], at: int, width: int) -> int:
     value = _unsigned(data, at, width)
     return value - (1 << width) if value >> (width - 1) else value
 
 
-@compiled
-def _cells(data: NDArray[np.uint8]) -> tuple[int, int, int, Integers]:
-    """Number, epoch in ms (-1 if the message ends early), whether more follows, and for each
-    satellite with a pseudorange its number, rough range, fine range, rate, fine rate and C/N0."""
-    nothing = np.empty((0, 6), np.int64)
+@exact
+def _cells(data: NDArray[np.uint8]) -> tuple[int, int, int, Floats]:
+    """Number, epoch in ms (-1 if the message ends early), whether more follows, and of the
+    satellites with a pseudorange (4, n): number, range, rate and C/N0."""
+    nothing = np.empty((4, 0))
     if 8 * len(data) < _HEAD_BITS:
         return 0, -1, 0, nothing
     number = _unsigned(data, 0, 12)
@@ -111,25 +119,42 @@ def _cells(data: NDArray[np.uint8]) -> tuple[int, int, int, Integers]:
     fine = begin + _SATELLITE_BITS * count  # of what is said of signals
     if 8 * len(data) < fine + _CELL_BITS * total:
         return number, -1, 0, nothing
-    cells = np.empty((count, 6), np.int64)
-    found = cell = 0
+    found = np.empty((4, count))
+    usable = cell = 0
     for n in range(count):
-        rough_ms = _unsigned(data, begin + 8 * n, 8)
-        taken = rough_ms == ROUGH_INVALID
+        taken = _unsigned(data, begin + 8 * n, 8) == ROUGH_INVALID
         for s in range(signals):
             if not _unsigned(data, _HEAD_BITS + n * signals + s, 1):
                 continue
-            value = _signed(data, fine + 20 * cell, 20)
-            if not taken and value != FINE_INVALID:
+            if not taken and _signed(data, fine + 20 * cell, 20) != FINE_INVALID:
                 taken = True
-                cells[found, 0] = satellites[n]
-                cells[found, 1] = rough_ms * ROUGH + _unsigned(
-                    data, begin + 12 * count + 10 * n, 10
-                )
-                cells[found, 2] = value
-                cells[found, 3] = _signed(data, begin + 22 * count + 14 * n, 14)
-                cells[found, 4] = _signed(data, fine + 65 * total + 15 * cell, 15)
-                cells[found, 5] = _unsigned(data, fine + 55 * total + 10 * cell, 10)
-                found += 1
+                found[0, usable] = satellites[n]
+                _read(data, begin, count, n, fine, total, cell, found[1:, usable])
+                usable += 1
             cell += 1
-    return number, _unsigned(data, 24, 30), _unsigned(data, 54, 1), cells[:found]
+    return number, _unsigned(data, 24, 30), _unsigned(data, 54, 1), found[:, :usable]
+
+
+@exact
+def _read(
+    data: NDArray[np.uint8],
+    begin: int,
+    count: int,
+    satellite: int,
+    fine: int,
+    total: int,
+    cell: int,
+    out: Floats,
+) -> None:
+    """Range, rate and C/N0 (3,) of a cell; `count` satellites begin at a bit, `total` cells at
+    another."""
+    rough = _unsigned(data, begin + 8 * satellite, 8) * ROUGH
+    rough += _unsigned(data, begin + 12 * count + 10 * satellite, 10)
+    counts = rough * FINE_PER_ROUGH + _signed(data, fine + 20 * cell, 20)
+    out[0] = counts / (ROUGH * FINE_PER_ROUGH) * MS_M
+    rate = _signed(data, begin + 22 * count + 14 * satellite, 14)
+    fine_rate = _signed(data, fine + 65 * total + 15 * cell, 15)
+    known = rate != RATE_INVALID and fine_rate != FINE_RATE_INVALID
+    out[1] = rate + fine_rate / 10_000 if known else np.nan
+    cn0 = _unsigned(data, fine + 55 * total + 10 * cell, 10)
+    out[2] = cn0 * CN0_STEP_DBHZ if cn0 else np.nan
