@@ -33,6 +33,7 @@ from analysis.reference_kernel import (
     ISOLATED,
     NEVER_US,
     SLOW_US,
+    STALE_US,
     Counts,
     judge,
 )
@@ -49,6 +50,7 @@ from analysis.results import Decision, Result, SensorDecision
 from analysis.samples import Sample, Vector
 
 FIX_OF_EPOCH_S = 0.01
+STALE_S = STALE_US * 1e-6  # older samples are not tested
 GPS = (GPS_POSITION, GPS_VELOCITY)
 NO_SAMPLES = np.full(len(SENSORS), NEVER_US)
 SOUND = ("none", "satellites", "clock", "gps")

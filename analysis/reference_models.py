@@ -8,7 +8,8 @@ TESTED or the number of a reason why it cannot be tested, and m or k.
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -43,7 +44,7 @@ REASONS = {
     NO_FIX: "fix type {fix_type:.0f}",
     NO_VELOCITY: "no velocity",
 }
-_ecef_of = compiled(ecef_of)
+_ecef_of = cast(Callable[[float, float, float], tuple[float, float, float]], compiled(ecef_of))
 
 
 class SensorNoise(NamedTuple):
