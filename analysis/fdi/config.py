@@ -143,6 +143,17 @@ class DetectorConfig:
         if len(self.ionosphere) != 8:
             raise ConfigError("monitor.ionosphere must hold Klobuchar's four alpha and four beta")
 
+    @property
+    def mask_rad(self) -> float:
+        """The lowest elevation used."""
+        return math.radians(self.mask_deg)
+
+    def memory_numbers(self) -> Vector:
+        """The numbers (4,) of the tests with memory, as the kernels take them: an unknown offset's
+        variance over that of the range, its correlation time in s, the variance of a natural slope
+        and that of what a sound IMU's acceleration may be wrong by."""
+        return _memory_numbers(self.sigma, self.slow_accel_mps2)
+
     @classmethod
     def from_mapping(cls, values: dict[str, Any]) -> "DetectorConfig":
         """A configuration from the names of a scenario or a calibration file.
@@ -160,6 +171,11 @@ class DetectorConfig:
             parts["ionosphere"] = tuple(float(x) for x in parts["ionosphere"])
         built: DetectorConfig = _build("monitor", cls, parts)
         return built
+
+
+@lru_cache(maxsize=64)
+def _memory_numbers(sigma: SigmaModel, slow_accel_mps2: float) -> Vector:
+    return np.array([sigma.slow**2, sigma.slow_s, sigma.slow_mps**2, slow_accel_mps2**2])
 
 
 def _build(where: str, kind: Any, values: dict[str, Any]) -> Any:

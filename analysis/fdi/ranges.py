@@ -7,9 +7,10 @@ import numpy as np
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.inertial import CLOCK, DRIFT, PSI
 from analysis.fdi.measure import NO_ROWS, Modelled
+from analysis.fdi.sight import Innovated
 from analysis.fdi.state import Motion
 from analysis.fdi.thresholds import chi_square
-from analysis.fdi.update import Innovated, innovated
+from analysis.fdi.update import innovated
 from analysis.fdi.verdict import Verdict, judge
 from analysis.samples import Vector
 
