@@ -32,7 +32,7 @@ def speed(data: Path) -> None:
     x, p = np.zeros(19), np.eye(18)
     x[:3], x[6] = STATIC_TRUTH_M, 1.0
     block = np.tile(np.r_[0.005, 0.1, 0.0, 0.0, 0.0, 0.0, -9.8], (2000, 1))
-    noise = DetectorConfig().noise.densities()
+    noise = DetectorConfig().noise.densities
     propagate_inertial(x, p, block, noise)
     began = time.process_time()
     propagate_inertial(x, p, block, noise)

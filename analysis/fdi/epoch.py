@@ -1,7 +1,5 @@
 """One GNSS epoch against the filter: everything the detector decides there."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from analysis.fdi.align import find_attitude
@@ -12,15 +10,17 @@ from analysis.fdi.inertial import X_CLOCK
 from analysis.fdi.measure import Modelled, Observed
 from analysis.fdi.motion import Segment, advance
 from analysis.fdi.offsets import held, hold, learnt
-from analysis.fdi.ranges import Tested, check_ranges, free_clock, free_position
+from analysis.fdi.ranges import Tested, blamed, free_clock, free_position, passed
 from analysis.fdi.rates import RatesTested, check_rates, freed_by
 from analysis.fdi.sight import CLOCK_LEAP_M, Assessed, Sight, see
 from analysis.fdi.slow import SlowVerdict, judge_slow, new_memory, ready
 from analysis.fdi.state import Motion
+from analysis.fdi.thresholds import chi_square
 from analysis.fdi.update import absorb, innovated, remember
+from analysis.fdi.value import Value
 
 
-class Outcome(NamedTuple):
+class Outcome(Value, frozen=True):
     """What an epoch said; None for `tested` where it could not be tested (`reason` says why)."""
 
     core: Core
@@ -73,8 +73,8 @@ def judge_epoch(
         moved = absorb(tested.motion, tested.part, tested.taken, rates.fit)
         core = hold(core, t_us, config)
     wrong = slow.hypothesis if slow is not None else "none"
-    blamed = before.inertial and "imu" in (rates.hypothesis, tested.hypothesis, wrong)
-    if blamed and moved.inertial:
+    imu_blamed = before.inertial and "imu" in (rates.hypothesis, tested.hypothesis, wrong)
+    if imu_blamed and moved.inertial:
         moved = free_position(moved)
     left = outside(seen.others, seen.left, motion, moved)
     excluded = readmit(core.excluded, left, t_us, config)
@@ -83,7 +83,7 @@ def judge_epoch(
         ranges_us=t_us,
         memory=memory,
         excluded=excluded,
-        imu_bad_until_us=_imu_bad_until_us(core, blamed, t_us, config),
+        imu_bad_until_us=_imu_bad_until_us(core, imu_blamed, t_us, config),
     )
     moved = find_attitude(core, moved, part, (t_us - before.t_us) * 1e-6, config)
     core = _unknown(core._replace(motion=moved), tested.hypothesis, t_us, config)
@@ -97,9 +97,9 @@ def judge_epoch(
         tested=tested,
         rates=rates,
         slow=slow,
-        hypothesis=_shown(core, tested.hypothesis, blamed or silent, leapt),
-        alarm=tested.alarm or blamed or silent,
-        imu_blamed=blamed,
+        hypothesis=_shown(core, tested.hypothesis, imu_blamed or silent, leapt),
+        alarm=tested.alarm or imu_blamed or silent,
+        imu_blamed=imu_blamed,
         was_inertial=before.inertial,
     )
 
@@ -110,7 +110,11 @@ def _tested(
     """The ranges' test after what the rates have said of the prediction."""
     freed = freed_by(motion, by_rates)
     first = seen.assessed.ranges if freed is motion else innovated(freed.p, seen.used)
-    return check_ranges(freed, seen.used, first, learnt(core, seen.names), config)
+    threshold = chi_square(len(seen.names), config.p_false_alarm)
+    if first.q <= threshold:
+        return passed(freed, seen.used, first, threshold)
+    standing_m = learnt(core, seen.names)
+    return blamed(freed, seen.used, first.q, threshold, standing_m, config)
 
 
 def _shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -11,13 +10,14 @@ from analysis.fdi.inertial import CLOCK
 from analysis.fdi.measure import Modelled
 from analysis.fdi.state import Exclusion, Motion
 from analysis.fdi.thresholds import two_sided
+from analysis.fdi.value import Value
 from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
 HEALTHY_P = 1e-3  # a satellite looks healthy within the bounds of this probability
 
 
-class Outside(NamedTuple):
+class Outside(Value, frozen=True):
     """Satellites left out, with their innovations (n,) in m and over their own sigma."""
 
     names: tuple[str, ...]

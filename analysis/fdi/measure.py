@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 from analysis.fdi.config import SigmaModel, range_variance
 from analysis.fdi.inertial import ERRORS
 from analysis.fdi.state import Stored
+from analysis.fdi.value import Value
 from analysis.gnss import PACKED, SYSTEMS, WEEK_S, predict_ranges, satellite_states
 from analysis.samples import Epoch, Vector
 from mavproxy_fault.wire.compiled import compiled
@@ -20,7 +20,7 @@ CHOSEN_US = 30_000_000  # the choice is looked at again
 RANGE_LIMITS_M = (1.5e7, 6.0e7)  # medium orbits as seen from near the earth
 
 
-class Observed(NamedTuple):
+class Observed(Value, frozen=True):
     """Usable satellites of one epoch: parallel arrays (n,), their ephemerides packed (n, 23).
 
     `system` (n,) is each one's place in `gnss.SYSTEMS`; `week` and `tow_s` are the receiver's time.
@@ -57,7 +57,7 @@ class Observed(NamedTuple):
         )
 
 
-class Modelled(NamedTuple):
+class Modelled(Value, frozen=True):
     """Innovations at a state: ranges and rates with geometry.
 
     `v_m` and `v_mps` (n,), `variance` and `rate_variance` (n,) of both, `elevation_rad` (n,) and
@@ -73,7 +73,14 @@ class Modelled(NamedTuple):
 
     def select(self, keep: Mask) -> "Modelled":
         """Those that `keep` (n,), a mask, lets pass."""
-        return Modelled(*(column[keep] for column in self))
+        return Modelled(
+            self.v_m[keep],
+            self.v_mps[keep],
+            self.variance[keep],
+            self.rate_variance[keep],
+            self.elevation_rad[keep],
+            self.h[keep],
+        )
 
 
 _NONE = np.empty(0)
@@ -181,7 +188,7 @@ def model(observed: Observed, x: Vector, sigma: SigmaModel, ionosphere: Vector) 
         x,
         observed.tow_s,
         ionosphere,
-        sigma.numbers(),
+        sigma.numbers,
     )
     v, v_rate, variance, rate_variance, elevation = table
     return Modelled(v, v_rate, variance, rate_variance, elevation, h)

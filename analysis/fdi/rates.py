@@ -1,7 +1,5 @@
 """The same tests on the Doppler rates: they see a wrong attitude or force seconds earlier."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
@@ -12,13 +10,14 @@ from analysis.fdi.sight import Assessed
 from analysis.fdi.state import Motion
 from analysis.fdi.thresholds import chi_square
 from analysis.fdi.update import Rates
+from analysis.fdi.value import Value
 from analysis.fdi.verdict import judge
 
 MIN_RATES = 5
 NO_RATES = Rates(NO_ROWS.v_mps, NO_ROWS.rate_variance, NO_ROWS.h)
 
 
-class RatesTested(NamedTuple):
+class RatesTested(Value, frozen=True):
     """What the rates said of the prediction, and those that fit."""
 
     statistic: float | None

@@ -4,8 +4,6 @@ An epoch without a fault needs nothing else before its update; the verdicts of o
 start from what is told here.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from analysis.fdi.bank import normalised, projected_weights
@@ -22,6 +20,7 @@ from analysis.fdi.measure import (
     rate_rows,
 )
 from analysis.fdi.state import Motion
+from analysis.fdi.value import Value
 from analysis.gnss import SYSTEMS, satellite_states
 from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
@@ -30,7 +29,7 @@ CLOCK_LEAP_M = 1000.0  # the receiver set its clock: no fault has this on most s
 _CONSTELLATIONS = len(SYSTEMS)
 
 
-class Innovated(NamedTuple):
+class Innovated(Value, frozen=True):
     """P H' (18, n), the inverse innovation covariance M (n, n), u = M v (n,) and q = v' M v."""
 
     ph: Vector
@@ -39,7 +38,7 @@ class Innovated(NamedTuple):
     q: float
 
 
-class Assessed(NamedTuple):
+class Assessed(Value, frozen=True):
     """All tests of an epoch: the ranges' with `normalised` (n,), the rates' statistic over `rates`
     of them, and the parity statistic with its degrees of freedom (0 where it cannot be had)."""
 
@@ -51,7 +50,7 @@ class Assessed(NamedTuple):
     parity_dof: int
 
 
-class Sight(NamedTuple):
+class Sight(Value, frozen=True):
     """What an epoch measured above the mask, against the prediction.
 
     `used` are the innovations of `names`, which are trusted, with their tests; `left` those of
@@ -89,7 +88,7 @@ def see(
         motion.x,
         motion.p,
         ionosphere,
-        config.sigma.numbers(),
+        config.sigma.numbers,
         config.mask_rad,
     )
     count, seen, systems, rates, dof, far = counts
@@ -99,19 +98,24 @@ def see(
         sorted_names = [names[i] for i in order.tolist()]
         names, others = tuple(sorted_names[:count]), tuple(sorted_names[count:seen])
     q, q_rate, parity = numbers
-    v, v_rate, variance, rate_variance, elevation, u, each = table[:, :count]
     left = NO_ROWS
     if others:
-        left = Modelled._make((*table[:5, count:seen], h[count:seen]))
+        left = _modelled(table[:, count:seen], h[count:seen])
     return Sight(
         names,
-        Modelled(v, v_rate, variance, rate_variance, elevation, h[:count]),
-        Assessed(Innovated(ph, m, u, q), each, q_rate, rates, parity, dof),
+        _modelled(table[:, :count], h[:count]),
+        Assessed(
+            Innovated(ph, m, table[5, :count], q), table[6, :count], q_rate, rates, parity, dof
+        ),
         others,
         left,
         systems,
         2 * far >= seen > 0,
     )
+
+
+def _modelled(table: Vector, h: Vector) -> Modelled:
+    return Modelled(table[0], table[1], table[2], table[3], table[4], h)
 
 
 @compiled

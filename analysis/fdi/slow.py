@@ -1,7 +1,5 @@
 """The windows of `memory` kept over a flight, and what they say."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
@@ -9,6 +7,7 @@ from analysis.fdi.inertial import ERRORS
 from analysis.fdi.measure import Indices
 from analysis.fdi.memory import STRIDE_S, WINDOWS, ramp_statistics
 from analysis.fdi.thresholds import chi_square
+from analysis.fdi.value import Value
 from analysis.fdi.verdict import PENALTY
 from analysis.samples import Vector
 
@@ -17,7 +16,7 @@ EPISODES = 1.2  # alarms per epoch over single-test probability, over windows an
 LATE = 9.0  # a ramp's likelihood ratio that dates the fault of a satellite found otherwise
 
 
-class Memory(NamedTuple):
+class Memory(Value, frozen=True):
     """Windows over `names` (n satellites), each since `starts_us` (w,) (0: not begun yet), the next
     to begin at `due_us`; d and sums as in `memory`.
 
@@ -36,7 +35,7 @@ class Memory(NamedTuple):
     spreads: Vector
 
 
-class Strongest(NamedTuple):
+class Strongest(Value, frozen=True):
     """What stands out most: the ratio of a ramp, in which window and of which satellite (-1: no
     window is old enough), and that of the rival, a wrong acceleration."""
 
@@ -46,7 +45,7 @@ class Strongest(NamedTuple):
     rival: float
 
 
-class SlowVerdict(NamedTuple):
+class SlowVerdict(Value, frozen=True):
     """The largest ramp statistic and its threshold; whose fault it is (none, satellites, imu)."""
 
     statistic: float

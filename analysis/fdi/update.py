@@ -3,8 +3,6 @@
 The ranges are used first, then the Doppler rates against what the ranges have told.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
@@ -15,11 +13,12 @@ from analysis.fdi.memory import learn_offsets, respond, respond_to_rates, strong
 from analysis.fdi.sight import Innovated, finite
 from analysis.fdi.slow import Memory, Strongest
 from analysis.fdi.state import Motion
+from analysis.fdi.value import Value
 from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
 
-class Rates(NamedTuple):
+class Rates(Value, frozen=True):
     """Doppler rates that fit, NaN where one does not: v and variance (n,), geometry of the ranges
     of the same satellites (n, 18)."""
 
@@ -87,7 +86,7 @@ def remember(
         memory.offsets,
         memory.spreads,
         motion.inertial,
-        config.memory_numbers(),
+        config.memory_numbers,
     )
     memory = memory._replace(d=d, sums=sums, offset=offset, spread=spread)
     return motion._replace(x=x, p=p), memory, Strongest(*found)

@@ -16,7 +16,7 @@ from analysis.results import Decision
 from analysis.samples import Epoch, ImuSample, Sample
 
 CONFIG = DetectorConfig()
-FOR_EVER = DetectorConfig(sigma=SigmaModel(slow_s=1e12)).memory_numbers()
+FOR_EVER = DetectorConfig(sigma=SigmaModel(slow_s=1e12)).memory_numbers
 NAMES = ("E05", "G12")
 
 
