@@ -138,7 +138,9 @@ def _seen(
     Where others are trusted than at the last epoch, what was learnt of them is held.
     """
     names = observed.satellites
-    trusted = np.array([name not in core.excluded for name in names], dtype=bool)
+    trusted = np.ones(len(names), dtype=bool)
+    if core.excluded:
+        trusted = np.array([name not in core.excluded for name in names], dtype=bool)
     held_m, ionosphere = held(core, names, t_us, config), core.ionosphere
     seen = see(observed, trusted, held_m, motion, ionosphere, config)
     leap = _leap_m(seen) if seen.far else 0.0
