@@ -124,9 +124,14 @@ def respond_to_rates(
         for j in range(g.shape[1]):
             g[i, j] = -g[i, j]
     sums, d = sums.copy(), d.copy()
-    mv, mg = apply(m, v), multiply(m, g)
+    own = np.empty((g.shape[0], 3 * sums.shape[0]))
+    for i in range(g.shape[0]):
+        for w in range(sums.shape[0]):
+            for a in range(3):
+                own[i, 3 * w + a] = g[i, w * (count + 3) + count + a]
+    mv, mg = apply(m, v), multiply(m, own)
     for w in range(sums.shape[0]):
-        _add_accelerations(sums[w], 5 * count, g, mg, mv, w * (count + 3) + count)
+        _add_accelerations(sums[w], 5 * count, own, mg, mv, 3 * w)
     add_product(d, 1.0, gain, g)
     return d, sums
 
