@@ -16,22 +16,22 @@ is predicted is in `reference_models`.
 pipeline holds either a `Detector` or a `References`.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-import numpy as np
-
+from analysis.block import Block, Piece, pieces
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import State
 from analysis.fdi.detector import Detector
 from analysis.fdi.thresholds import chi_square
-from analysis.reference_models import MODELS, Seen, SensorNoise, Slow, view
+from analysis.reference_kernel import test
+from analysis.reference_models import MODELS, Seen, SensorNoise, Slow, View, view
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples import (
     AirspeedSample,
     BaroSample,
     GpsFix,
-    ImuSample,
     MagSample,
     RangeSample,
     Sample,
@@ -41,13 +41,14 @@ from analysis.samples import (
 FIX_OF_EPOCH_S = 0.01
 
 KINDS: dict[type, tuple[str, ...]] = {
+    MagSample: ("mag",),
     BaroSample: ("baro",),
     AirspeedSample: ("airspeed",),
-    MagSample: ("mag",),
     RangeSample: ("range",),
     VisionSample: ("vision",),
     GpsFix: ("gps-position", "gps-velocity"),
 }
+SENSORS = tuple(sensor for sensors in KINDS.values() for sensor in sensors)
 SOUND = ("none", "satellites", "clock", "gps")
 STALE_S = 0.5
 FAILS_TO_ISOLATE = 3
@@ -89,25 +90,40 @@ class References:
         """Nothing known."""
         return ReferenceState(self.detector.new_state(), {}, {})
 
-    def step(self, sample: Sample, state: ReferenceState) -> tuple[list[Result], ReferenceState]:
-        """Decisions that one sample allows, and the next state."""
-        if type(sample) is ImuSample:
-            _, detector = self.detector.step(sample, state.detector)
-            return [], ReferenceState(detector, state.newest, state.watches, state.decision)
-        newest = state.newest
-        for sensor in KINDS.get(type(sample), ()):
-            newest = {**newest, sensor: sample}
-        results, detector = self.detector.step(sample, state.detector)
+    def step(
+        self, samples: Sample | Block, state: ReferenceState
+    ) -> tuple[list[Result], ReferenceState]:
+        """Decisions that a block of samples, or a single one, allows, and the next state."""
+        results: list[Result] = []
+        for piece in pieces(samples):
+            said, state = self.take(piece, state)
+            results += said
+        return results, state
+
+    def take(self, piece: Piece, state: ReferenceState) -> tuple[list[Result], ReferenceState]:
+        """The same for samples up to an event."""
+        newest, event = state.newest, piece.event
+        known = (
+            [*piece.newest.values(), event] if isinstance(event, GpsFix) else piece.newest.values()
+        )
+        for sample in known:
+            newest = newest | dict.fromkeys(KINDS[type(sample)], sample)
+        results, detector = self.detector.take(piece, state.detector)
         decision = next((r for r in results if isinstance(r, Decision)), None)
-        if decision is None and isinstance(sample, GpsFix):
-            decision = _of_same_instant(state.decision, sample)
+        if decision is None and isinstance(event, GpsFix):
+            decision = _of_same_instant(state.decision, event)
         if decision is None or decision.mode == "":
-            return results, replace(state, detector=detector, newest=newest)
+            return results, ReferenceState(detector, newest, state.watches, state.decision)
         watches = dict(state.watches)
-        for sensor, waiting in newest.items():
+        motion = detector.core.motion
+        at = view(motion) if motion is not None and decision.hypothesis in SOUND else None
+        for sensor in SENSORS:
+            waiting = newest.get(sensor)
+            if waiting is None:
+                continue
             if sensor.startswith("gps") and decision.mode.startswith("position"):
                 continue  # the fix is the filter's own input
-            judged, watch = self._judge(sensor, waiting, decision, detector, watches.get(sensor))
+            judged, watch = self._judge(sensor, waiting, decision, at, watches.get(sensor))
             watches[sensor] = watch
             results = [*results, *judged]
         return results, ReferenceState(detector, {}, watches, decision)
@@ -117,17 +133,16 @@ class References:
         sensor: str,
         sample: Sample,
         decision: Decision,
-        detector: State,
+        at: View | None,
         watch: Watch | None,
     ) -> tuple[list[Result], Watch]:
-        """One sensor's test at one epoch."""
+        """One sensor's test at one epoch, where the filter is sound."""
         watch = watch or Watch()
-        motion = detector.core.motion
-        if motion is None or decision.hypothesis not in SOUND:
+        if at is None:
             return [_untested(sensor, decision, "no sound reference", watch)], watch
         if abs(sample.t_us - decision.t_us) * 1e-6 > STALE_S:
             return [], watch
-        seen = MODELS[sensor](sample, view(motion), watch.slow, self.sensors)
+        seen = MODELS[sensor](sample, at, watch.slow, self.sensors)
         if isinstance(seen, str):
             return [_untested(sensor, decision, seen, watch)], watch
         if isinstance(seen, Slow):
@@ -139,23 +154,18 @@ class References:
     ) -> tuple[list[Result], Watch]:
         slow = seen.slow
         dt_s = (decision.t_us - slow.t_us) * 1e-6
-        p = slow.p + np.diag(slow.walk) * max(dt_s, 0.0)
-        s = seen.h @ p @ seen.h.T + seen.r
-        inverse = np.linalg.inv(s)
-        q = float(seen.v @ inverse @ seen.v)
+        q, b, p = test(seen.v, seen.h, seen.r, slow.b, slow.p, slow.walk, dt_s)
         threshold = chi_square(len(seen.v), self.config.p_other)
         failed = not q <= threshold
         watch = self._hysteresis(watch, failed, decision.t_us)
         if failed or watch.isolated:
-            slow = Slow(decision.t_us, slow.b, slow.p, slow.walk)  # the offset keeps still
-        else:
-            gain = p @ seen.h.T @ inverse
-            slow = Slow(decision.t_us, slow.b + gain @ seen.v, p - gain @ seen.h @ p, slow.walk)
+            b, p = slow.b, slow.p  # the offset keeps still
+        slow = Slow(decision.t_us, b, p, slow.walk)
         result = SensorDecision(
             t_s=decision.t_s,
             t_us=decision.t_us,
             sensor=sensor,
-            statistic=q if np.isfinite(q) else None,
+            statistic=q if math.isfinite(q) else None,
             threshold=threshold,
             dof=len(seen.v),
             alarm=failed,

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from analysis.fdi.inertial import PSI, matrix
 from analysis.fdi.state import Motion
-from analysis.gnss import geodetic, ned_axes
+from analysis.reference_kernel import local
 from analysis.samples import (
     AirspeedSample,
     BaroSample,
@@ -96,21 +95,16 @@ Outcome = Seen | Slow | str
 
 def view(motion: Motion) -> View:
     """The filter as the sensors see it; no attitude while the IMU does not move it."""
-    lat, lon, height = geodetic(motion.x[0:3])
-    axes = ned_axes(lat, lon)
-    p = [axes @ motion.p[at : at + 3, at : at + 3] @ axes.T for at in (0, 3, PSI)]
-    rot_nb = axes @ matrix(motion.x[6:10]) if motion.inertial else None
+    lat, height, axes, v_ned, rot_nb, covariances = local(motion.x, motion.p)
     return View(
         motion.t_us,
         motion.x[0:3],
         lat,
         height,
         axes,
-        axes @ motion.x[3:6],
-        rot_nb,
-        p[0],
-        p[1],
-        p[2],
+        v_ned,
+        rot_nb if motion.inertial else None,
+        *covariances,
     )
 
 
@@ -222,8 +216,8 @@ def _gps_velocity(sample: GpsFix, at: View, slow: Slow | None, noise: SensorNois
         return Slow(at.t_us, np.zeros(0), np.zeros((0, 0)), np.zeros(0))
     known = np.isfinite(sample.v_ned_mps)
     v = (sample.v_ned_mps - at.v_ned_mps)[known]
-    r = (at.p_velocity + noise.gps_mps**2 * np.eye(3))[np.ix_(known, known)]
-    return Seen(v, np.zeros((len(v), 0)), r, slow)
+    r = (at.p_velocity + noise.gps_mps**2 * np.eye(3))[known][:, known]
+    return Seen(v, np.zeros((len(v), 0)), np.ascontiguousarray(r), slow)
 
 
 MODELS: dict[str, Callable[[Any, View, Slow | None, SensorNoise], Outcome]] = {

@@ -1,15 +1,18 @@
 """From one epoch to the next: by the IMU where it is there and sound, freely otherwise."""
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
+from analysis.block import ImuRun
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.inertial import PSI, propagate_freely, propagate_inertial
 from analysis.fdi.state import Motion, Pending
 from analysis.samples import ImuSample, Vector
 
 PENDING_MAX = 40_000  # samples without an epoch between; older ones are forgotten
+NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
 TURN_SIGMA_RPS = 0.5  # how fast a body may turn while its IMU is silent
 SHORT_GAP_S = 1.0  # after a longer one the attitude is found anew
 
@@ -23,43 +26,69 @@ class Segment(NamedTuple):
     heard: bool
 
 
-def keep_pending(sample: ImuSample, pending: Pending | None) -> Pending:
-    """One more sample for the next epoch."""
-    if pending is None or pending.depth >= PENDING_MAX:
-        return Pending(sample, None, 1)
-    return Pending(sample, pending, pending.depth + 1)
+def run_of(samples: Iterable[ImuSample]) -> ImuRun:
+    """IMU samples in order as a run."""
+    listed = list(samples)
+    values = [(*sample.gyro_b_rps, *sample.accel_b_mps2) for sample in listed]
+    stamps = np.array([sample.t_us for sample in listed], np.int64)
+    return ImuRun(stamps, np.array(values, dtype=float).reshape(-1, 6))
 
 
-def split_pending(pending: Pending | None, until_us: int) -> tuple[list[ImuSample], Pending | None]:
-    """Samples up to `until_us`, oldest first, and those that stay pending."""
-    newer: list[ImuSample] = []
-    while pending is not None and pending.sample.t_us > until_us:
-        newer.append(pending.sample)
-        pending = pending.older
-    older: list[ImuSample] = []
-    while pending is not None:
-        older.append(pending.sample)
-        pending = pending.older
-    rest: Pending | None = None
-    for sample in reversed(newer):
-        rest = keep_pending(sample, rest)
-    older.reverse()
-    return older, rest
+def keep_pending(run: ImuRun, pending: Pending | None) -> Pending | None:
+    """A further run for the next epoch; samples that are not later than the newest are left out."""
+    if not len(run.t_us):
+        return pending
+    newest_us = pending.run.t_us[-1] if pending is not None else run.t_us[0] - 1
+    before = np.maximum.accumulate(np.concatenate([[newest_us], run.t_us[:-1]]))
+    later = run.t_us > before
+    if not later.all():
+        if not later.any():
+            return pending
+        run = ImuRun(run.t_us[later], run.values[later])
+    depth = len(run.t_us) + (pending.depth if pending is not None else 0)
+    if depth <= 2 * PENDING_MAX:
+        return Pending(run, pending, depth)
+    whole = _whole(Pending(run, pending, depth))
+    return Pending(whole, None, len(whole.t_us))
 
 
-def segment(run: list[ImuSample], motion: Motion, until_us: int) -> Segment:
+def split_pending(pending: Pending | None, until_us: int) -> tuple[ImuRun, Pending | None]:
+    """Samples up to `until_us`, and those that stay pending."""
+    if pending is None:
+        return NO_RUN, None
+    run = _whole(pending)
+    at = int(np.searchsorted(run.t_us, until_us, side="right"))
+    rest = ImuRun(run.t_us[at:], run.values[at:])
+    return ImuRun(run.t_us[:at], run.values[:at]), keep_pending(rest, None)
+
+
+def _whole(pending: Pending) -> ImuRun:
+    """Everything that is pending as one run, but no more than `PENDING_MAX` samples."""
+    runs: list[ImuRun] = []
+    at: Pending | None = pending
+    while at is not None:
+        runs.append(at.run)
+        at = at.older
+    runs.reverse()
+    if len(runs) == 1 and pending.depth <= PENDING_MAX:
+        return pending.run
+    columns = (np.concatenate(column)[-PENDING_MAX:] for column in zip(*runs, strict=True))
+    return ImuRun(*columns)
+
+
+def segment(run: ImuRun, motion: Motion, until_us: int) -> Segment:
     """Steps from the filter's time to `until_us`; the last sample is held to the end."""
-    run = [sample for sample in run if sample.t_us > motion.t_us]
-    if not run:
+    at = int(np.searchsorted(run.t_us, motion.t_us, side="right"))
+    t_us, values = run.t_us[at:], run.values[at:]
+    if not len(t_us):
         return Segment(np.empty((0, 7)), (until_us - motion.t_us) * 1e-6, False)
-    stamps = np.array([motion.t_us, *[sample.t_us for sample in run], until_us])
-    table = np.empty((len(run) + 1, 7))
-    table[:-1, 1:4] = [sample.gyro_b_rps for sample in run]
-    table[:-1, 4:7] = [sample.accel_b_mps2 for sample in run]
-    table[-1, 1:7] = table[-2, 1:7]
-    table[:, 0] = np.diff(stamps) * 1e-6
-    finite = np.isfinite(table).all(axis=1)
-    if not finite.all():
+    table = np.empty((len(t_us) + 1, 7))
+    table[:-1, 1:] = values
+    table[-1, 1:] = values[-1]
+    table[1:-1, 0] = np.diff(t_us) * 1e-6
+    table[0, 0] = (t_us[0] - motion.t_us) * 1e-6
+    table[-1, 0] = (until_us - t_us[-1]) * 1e-6
+    if not np.isfinite(table).all():
         return Segment(np.empty((0, 7)), float(table[:, 0].sum()), True)
     return Segment(table, float(table[:, 0].max()), True)
 
