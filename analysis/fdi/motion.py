@@ -122,7 +122,7 @@ def advance(
 ) -> tuple[Motion, Vector]:
     """The filter at `until_us`, before the epoch there is used, and the transition (18, 18)."""
     dt_s = (until_us - motion.t_us) * 1e-6
-    noise = config.noise.densities()
+    noise = config.noise.densities
     whole = part.gap_s <= config.gap_s and len(part.samples) > 0
     if motion.inertial and whole:
         x, p, phi = propagate_inertial(motion.x, motion.p, part.samples, noise)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from analysis.block import ImuRun
+from analysis.fdi.value import Value
 from analysis.samples import Vector
 from mavproxy_fault.wire.ephemeris import Ephemeris
 
@@ -43,7 +44,7 @@ class Exclusion:
     healthy_since_us: int | None = None
 
 
-class Motion(NamedTuple):
+class Motion(Value, frozen=True):
     """The filter: time, state x (19,) and covariance p (18, 18) of `inertial`.
 
     `inertial` says whether the IMU moves it, `alignment` is how far its attitude has been found.

@@ -20,7 +20,7 @@ from analysis.fusion.weights import weight
 from analysis.fusion.window import key
 from analysis.gnss import EARTH_RATE_RPS, LIGHT_MPS
 from analysis.samples import Vector
-from analysis.solve import design_matrix
+from analysis.solve import design_matrix, systems_of
 
 Mask = NDArray[np.bool_]
 NO_ARM = np.zeros(3)
@@ -42,9 +42,9 @@ class Ranges:
     ) -> None:
         modelled = model(observed, x, detector.sigma, ionosphere)
         self.satellites = observed.satellites
-        self._states, self._galileo = observed.states, observed.galileo
+        self._states, self._system = observed.states, observed.system
         self._los = -modelled.h[:, :3]
-        self.corrected_m = modelled.v_m + x[X_CLOCK] + _geometry_m(observed.states, x[:3])
+        self.corrected_m = modelled.v_m + x[X_CLOCK] + _geometry_m(self._states, x[:3])
         self.still_mps = modelled.v_mps + x[X_DRIFT] - self._los @ x[3:6]
         self._white_m = np.sqrt(modelled.variance)
         self._sigma_m = config.correlation * self._white_m
@@ -126,11 +126,11 @@ class Ranges:
         satellite, which the position follows as the snapshot solution does.
         """
         used = self.used(weights)
-        galileo = self._galileo[used]
-        if used.sum() < 4 + int(0 < galileo.sum() < len(galileo)):
+        system = self._system[used]
+        if used.sum() < 3 + max(len(systems_of(system)), 1):
             return None
         sigma = self._config.slow * self._white_m[used]
-        design = design_matrix(self._los[used], galileo.astype(float)) / sigma[:, None]
+        design = design_matrix(self._los[used], system) / sigma[:, None]
         try:
             cofactor = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
         except np.linalg.LinAlgError:
