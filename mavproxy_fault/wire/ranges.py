@@ -69,8 +69,8 @@ def read_ranges(message: bytes) -> Ranges:
     fine = begin + 36 * count  # of what is said of signals
     if system is None or len(bits) < max(HEAD_BITS, fine + 80 * total):
         raise ValueError(f"RTCM {number} is not a whole MSM7 of GPS or Galileo (1077, 1097)")
-    begins = (begin, begin + 12 * count, begin + 22 * count)
-    begins += (fine, fine + 65 * total, fine + 55 * total)
+    satellite_bits = (begin, begin + 12 * count, begin + 22 * count)
+    begins = (*satellite_bits, fine, fine + 65 * total, fine + 55 * total)
     columns = np.zeros((6, max(count, total)), np.int64)
     _fields(bits, np.array(begins), WIDTHS, np.array([count] * 3 + [total] * 3), columns)
     values, which = np.empty((3, count)), np.empty(count, np.int64)
