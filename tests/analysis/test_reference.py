@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.block import block_of
 from analysis.fdi import Detector, DetectorConfig
 from analysis.fdi.detector import run
 from analysis.recordings import read_log
@@ -83,11 +84,8 @@ def with_sensors(flight: list[Sample], fault: str) -> list[Sample]:
 
 def judged(samples: list[Sample]) -> list[SensorDecision]:
     references = References(DetectorConfig())
-    state, out = references.new_state(), []
-    for sample in samples:
-        results, state = references.step(sample, state)
-        out += [r for r in results if isinstance(r, SensorDecision)]
-    return out
+    results, _ = references.step(block_of(samples), references.new_state())
+    return [r for r in results if isinstance(r, SensorDecision)]
 
 
 def test_sound_sensors_raise_no_alarm(flight):
