@@ -15,12 +15,12 @@ NOTHING: Vector = np.empty(0)
 @dataclass(frozen=True, slots=True)
 class Edge:
     """From the epoch `before`: the IMU between and whether it is trusted, how far the clock may
-    have leapt in s, how fast the body may have turned where there is no IMU in rad/s."""
+    have leapt in m, how fast the body may have turned where there is no IMU in rad/s."""
 
     before: int
     part: Segment
     trusted: bool
-    jumped_s: float
+    jumped_m: float
     turn_rps: float = TURN_SIGMA_RPS
 
     def sound(self, gap_s: float) -> bool:

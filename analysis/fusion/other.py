@@ -8,7 +8,13 @@ import numpy as np
 
 from analysis.fdi.position import measure
 from analysis.fusion.config import FusionConfig
-from analysis.fusion.factors import airspeed_factor, baro_factor, mag_factor, walk_factor
+from analysis.fusion.factors import (
+    OFFSET_UNIT_M,
+    airspeed_factor,
+    baro_factor,
+    mag_factor,
+    walk_factor,
+)
 from analysis.fusion.graph import Graph
 from analysis.fusion.window import key
 from analysis.gnss import geodetic
@@ -21,6 +27,7 @@ from analysis.samples import (
     GpsFix,
     MagSample,
     Sample,
+    Vector,
     VisionSample,
 )
 from simvehicle.rotation import matrix_from_quat
@@ -73,7 +80,7 @@ class Others:
             done = False
         return 1.0 if done else None
 
-    def _slow(self, letter: str, epoch: int, first: Any, sigma: float, walk: float) -> int:
+    def _slow(self, letter: str, epoch: int, first: Vector, sigma: float, walk: float) -> int:
         """The key of a slow state at an epoch; `walk` is per square root of a second."""
         graph, window = self._graph, self._graph.window
         t_s = graph.seconds(graph.epochs[epoch].t_us)
@@ -83,35 +90,23 @@ class Others:
         blocks = [known for known in self._blocks[letter] if window.starts_s(known) >= gone_s]
         if block not in blocks:
             before = max((known for known in blocks if known < block), default=None)
-            value = first
             if before is None:
-                noise = gtsam.noiseModel.Isotropic.Sigma(np.size(first), sigma)
-                prior = gtsam.PriorFactorDouble if letter == "h" else gtsam.PriorFactorPoint3
-                factor = prior(name, first, noise)
+                noise = gtsam.noiseModel.Isotropic.Sigma(len(first), sigma)
+                factor = gtsam.PriorFactorVector(name, first, noise)
                 since_s = t_s
             else:
-                since_s = window.starts_s(before)
+                old, since_s = key(letter, before), window.starts_s(before)
                 walked = walk * math.sqrt((block - before) * window.block_s)
-                factor, value = self._walk(letter, before, name, first, walked)
+                factor = walk_factor(old, name, walked, len(first))
+                if window.slots(letter, before):
+                    first = np.asarray(window.smoother.calculateEstimateVector(old))
             values = gtsam.Values()
-            values.insert(name, value)
+            values.insert(name, first)
             window.insert(values, (name,), t_s)
             window.attach(letter, block, since_s, factor)
             blocks.append(block)
         self._blocks[letter] = blocks
         return name
-
-    def _walk(
-        self, letter: str, before: int, name: int, first: Any, sigma: float
-    ) -> tuple[Any, Any]:
-        """A factor from one slow state to another, and a first guess of that."""
-        window, old = self._graph.window, key(letter, before)
-        if letter == "h":
-            return walk_factor(old, name, sigma), first
-        noise = gtsam.noiseModel.Isotropic.Sigma(3, sigma)
-        if window.slots(letter, before):
-            first = np.asarray(window.smoother.calculateEstimateVector(old))
-        return gtsam.BetweenFactorPoint3(old, name, np.zeros(3), noise), first
 
     def _up_m(self, epoch: int) -> tuple[float, float]:
         """Height above the frame's tangent plane, and above the ellipsoid, of about the epoch."""
@@ -125,8 +120,12 @@ class Others:
         up_m, height = self._up_m(epoch)
         # The graph's z is the height above the anchor's tangent plane, not above the ellipsoid.
         altitude = pressure_altitude_m(sample.pressure_pa) - (height - up_m)
-        offset = self._slow("h", epoch, altitude - up_m, OFFSET_SIGMA_M, self._config.baro_walk_m)
-        self._graph.attach("baro", epoch, baro_factor(epoch, offset, altitude, self._config))
+        graph, config, unit_m = self._graph, self._config, OFFSET_UNIT_M
+        first = np.array([altitude - up_m]) / unit_m
+        sigma, walk = OFFSET_SIGMA_M / unit_m, config.baro_walk_m / unit_m
+        offset = self._slow("h", epoch, first, sigma, walk)
+        pose = graph.pose(epoch)
+        graph.attach("baro", epoch, baro_factor(epoch, pose, offset, altitude, config))
         return True
 
     def _mag(self, sample: MagSample, epoch: int) -> bool:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import msgspec
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
@@ -35,7 +34,7 @@ LOOSE_M = 10.0  # a start less sure than this takes the epoch's own ranges in
 LOST_RAD = 0.1  # an attitude as sure as this needs no help from the detector
 SUSPECT = 0.5  # of the threshold: above it the IMU is suspicious, and taken back if it is isolated
 SKY_US = 2_000_000  # satellites move little meanwhile
-JUMP_S = 1.0  # how far a clock may leap where the detector says that it did
+JUMP_M = 1e5  # how far a clock may leap where the detector says that it did, as the ranges allow
 FAILURES = (RuntimeError, ValueError, IndexError)  # what GTSAM and numpy raise
 
 
@@ -86,7 +85,7 @@ class Fusion:
             said = self._again(now, state, _first_line(error))
         if said is None:
             return [], state
-        state.last = said = msgspec.structs.replace(said, name=self.name)
+        state.last = said
         return [said], state
 
     def _epoch(self, now: Now, state: FusionState) -> FusedState | None:
@@ -133,8 +132,8 @@ class Fusion:
         part = self._heard(node.t_us, now, state)
         silent = part.gap_s > self.detector.gap_s  # what is missing may still come
         trusted = silent or not ("imu" in isolated or state.lost)
-        jumped_s = JUMP_S if now.decision.hypothesis == "clock" else 0.0
-        edge = Edge(node.epoch, part, trusted, jumped_s)
+        jumped_m = JUMP_M if now.decision.hypothesis == "clock" else 0.0
+        edge = Edge(node.epoch, part, trusted, jumped_m)
         sound = graph.extend(t_us, edge, attitude)
         state.lost = state.lost or (graph.aligned and not sound and attitude is None)
         used = {"imu": float(sound)} | self._attach_ranges(graph, now, state)
@@ -169,7 +168,8 @@ class Fusion:
             self._drop_outliers(graph)
         state.excluded = excluded
         state.good = Good(graph.frame, graph.node, graph.covariance, graph.aligned)
-        said = fused_state(graph, used | dict.fromkeys(excluded, 0.0), "; ".join(state.notes))
+        weights = used | dict.fromkeys(excluded, 0.0)
+        said = fused_state(graph, self.name, weights, "; ".join(state.notes))
         state.waiting, state.notes = {}, []
         return said
 
