@@ -27,12 +27,14 @@ NUMBER = gtsam.symbol("a", 0)  # of `linear_rows` alone; its letter comes before
 # GTSAM's Cholesky takes a last pivot 2^12 times smaller than the one before it for a zero. In
 # metres an offset would be that beside the gyro's biases.
 OFFSET_UNIT_M = 1000.0
-NO_CLOCK, NO_OFFSET = np.zeros(2), np.zeros(1)
+NO_CLOCK, NO_OFFSET, NO_MAGNET = np.zeros(2), np.zeros(1), np.zeros(3)
+STANDARD_AIR = gtsam.BarometricFactor()
 
 
-def sigma1(sigma: float) -> Any:
-    """The noise of a scalar."""
-    return gtsam.noiseModel.Isotropic.Sigma(1, sigma)
+@lru_cache(maxsize=EPOCHS)
+def alike(size: int, sigma: float) -> Any:
+    """The noise of a vector whose parts have the same sigma."""
+    return gtsam.noiseModel.Isotropic.Sigma(size, sigma)
 
 
 @lru_cache(maxsize=EPOCHS)
@@ -100,9 +102,9 @@ def _linear_at_zero(row: Any, zero: Vector, *keys: int) -> Any:
 def baro_factor(epoch: int, pose: Any, offset: int, altitude_m: float, config: FusionConfig) -> Any:
     """A pressure altitude with the offset of a key, linearised at a pose; GTSAM wants the pressure
     of its own standard atmosphere for it."""
-    pressure = gtsam.BarometricFactor().baroOut(altitude_m)
+    pressure = STANDARD_AIR.baroOut(altitude_m)
     x = key("x", epoch)
-    factor = gtsam.BarometricFactor(x, NUMBER, pressure, sigma1(config.baro_m))
+    factor = gtsam.BarometricFactor(x, NUMBER, pressure, alike(1, config.baro_m))
     origin = gtsam.Values(at_rest(epoch))
     origin.insert(x, pose)
     origin.insert(offset, NO_OFFSET)
@@ -114,14 +116,11 @@ def baro_factor(epoch: int, pose: Any, offset: int, altitude_m: float, config: F
 
 def mag_factor(epoch: int, field_b_gauss: Vector, frame: Frame, config: FusionConfig) -> Any:
     """The field in body axes against the world's magnetic model."""
-    field = frame.field_gauss
-    size = float(np.linalg.norm(field))
-    noise = gtsam.noiseModel.Isotropic.Sigma(3, config.mag_gauss)
-    return gtsam.MagPoseFactorPose3(
-        key("x", epoch), field_b_gauss, size, field / size, np.zeros(3), noise
-    )
+    field, noise = frame.field_gauss, alike(3, config.mag_gauss)
+    size = float(np.linalg.norm(field))  # GTSAM takes the direction alone of its third argument
+    return gtsam.MagPoseFactorPose3(key("x", epoch), field_b_gauss, size, field, NO_MAGNET, noise)
 
 
 def airspeed_factor(epoch: int, wind: int, speed_mps: float, config: FusionConfig) -> Any:
     """The speed through the air: how far the velocity is from the wind of a key."""
-    return gtsam.RangeFactor3(key("v", epoch), wind, speed_mps, sigma1(config.airspeed_mps))
+    return gtsam.RangeFactor3(key("v", epoch), wind, speed_mps, alike(1, config.airspeed_mps))

@@ -167,7 +167,7 @@ class Graph:
         at = self.epochs[epoch]
         at.ranges, at.weights = ranges, weights
         used, clock = ranges.used(weights), self.clock_at(at.t_us)
-        if not used.any():
+        if not used:
             return []
         if self._robust == "none":
             made = ranges.factor(used, epoch, at.turn, self.frame, clock, weights)
@@ -180,7 +180,7 @@ class Graph:
             guess, tie = clock_in_seconds(epoch)
             self.window.insert(guess, (key("r", epoch),), self.seconds(at.t_us))
             self.attach(RANGES, epoch, tie, *([] if rates is None else [rates]))
-        return [ranges.satellites[i] for i in np.flatnonzero(used)]
+        return [ranges.satellites[i] for i in used]
 
     def remove(self, name: str, since_us: int) -> None:
         """Take back a satellite from a time on: the epoch's other ranges are attached anew."""

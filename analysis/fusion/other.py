@@ -11,6 +11,7 @@ from analysis.fusion.config import FusionConfig
 from analysis.fusion.factors import (
     OFFSET_UNIT_M,
     airspeed_factor,
+    alike,
     baro_factor,
     mag_factor,
     walk_factor,
@@ -91,8 +92,7 @@ class Others:
         if block not in blocks:
             before = max((known for known in blocks if known < block), default=None)
             if before is None:
-                noise = gtsam.noiseModel.Isotropic.Sigma(len(first), sigma)
-                factor = gtsam.PriorFactorVector(name, first, noise)
+                factor = gtsam.PriorFactorVector(name, first, alike(len(first), sigma))
                 since_s = t_s
             else:
                 old, since_s = key(letter, before), window.starts_s(before)
@@ -187,7 +187,7 @@ class Others:
         position = gtsam.GPSFactor(key("x", epoch), r_m, gaussian(spread))
         graph.attach("gps-position", epoch, position)
         if measured.v_ned_mps is not None and np.isfinite(measured.v_ned_mps).all():
-            noise = gtsam.noiseModel.Isotropic.Sigma(3, config.gps_mps)
+            noise = alike(3, config.gps_mps)
             velocity = to_local @ measured.v_ned_mps
             factor = gtsam.PriorFactorPoint3(key("v", epoch), velocity, noise)
             graph.attach("gps-velocity", epoch, factor)

@@ -11,7 +11,7 @@ import gtsam
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
-from analysis.fdi.measure import Indices, Mask, Observed, model
+from analysis.fdi.measure import Observed, model
 from analysis.fusion.beginning import Clock
 from analysis.fusion.config import FusionConfig
 from analysis.fusion.factors import NUMBER, at_rest, linear_rows, unit
@@ -45,7 +45,7 @@ class Ranges:
         self._states, self._galileo = observed.states, observed.galileo
         self._r_m = x[:3]
         self._table = _corrected(observed.states, x, config.correlation, *modelled[:4], modelled.h)
-        self._above = modelled.elevation_rad >= np.radians(detector.mask_deg)
+        self._above = (modelled.elevation_rad >= math.radians(detector.mask_deg)).tolist()
         self._config, self._doppler = config, detector.doppler
 
     @property
@@ -54,11 +54,14 @@ class Ranges:
         result: Vector = self._table[:, SIGMA]
         return result
 
-    def used(self, weights: Weights) -> Mask:
-        """Which (n,) have a weight."""
-        enough = [weights.get(name, 0.0) >= LEAST_WEIGHT for name in self.satellites]
-        result: Mask = self._above & np.array(enough, dtype=bool)
-        return result
+    def used(self, weights: Weights) -> list[int]:
+        """Indices of those with a weight."""
+        pairs = zip(self.satellites, self._above, strict=True)
+        return [
+            i
+            for i, (name, above) in enumerate(pairs)
+            if above and weights.get(name, 0.0) >= LEAST_WEIGHT
+        ]
 
     def own_weights(self, excluded: frozenset[str]) -> Weights:
         """Weights by the residuals at the filter's state, where nothing else judges them."""
@@ -71,7 +74,7 @@ class Ranges:
         }
 
     def factor(
-        self, used: Mask, epoch: int, turn: Any, frame: Frame, clock: Clock, weights: Weights
+        self, at: list[int], epoch: int, turn: Any, frame: Frame, clock: Clock, weights: Weights
     ) -> Any:
         """All pseudoranges and rates of an epoch in one factor on pose, velocity and clock.
 
@@ -79,10 +82,10 @@ class Ranges:
         `clock` is what the graph's is counted from. Ranges bend by d^2/2R over a distance d: by
         2 micrometres over 10 m.
         """
-        at, noise, x = np.flatnonzero(used), unit(1), key("x", epoch)
+        noise, x = unit(1), key("x", epoch)
         origin = gtsam.Values(at_rest(epoch))
         origin.insert(x, gtsam.Pose3(turn, frame.local(self._r_m)))
-        made = [self.pseudorange(i, x, NUMBER, frame, clock, noise) for i in at.tolist()]
+        made = [self.pseudorange(i, x, NUMBER, frame, clock, noise) for i in at]
         by_pose, _, wanted = linear_rows(made, origin)
         roots = self._roots(at, weights)
         rows = _whitened(
@@ -91,10 +94,9 @@ class Ranges:
         return _container(rows, epoch, origin)
 
     def rates(
-        self, used: Mask, epoch: int, frame: Frame, clock: Clock, weights: Weights
+        self, at: list[int], epoch: int, frame: Frame, clock: Clock, weights: Weights
     ) -> Any | None:
         """The rates alone, None without any."""
-        at = np.flatnonzero(used)
         table, none = self._table[at], np.empty((0, 6))
         roots = self._roots(at, weights)
         rows = _whitened(table, roots, frame.axes, clock[1], none, np.empty(0), self._doppler)
@@ -118,7 +120,7 @@ class Ranges:
             noise,
         )
 
-    def _roots(self, at: Indices, weights: Weights) -> Vector:
+    def _roots(self, at: list[int], weights: Weights) -> Vector:
         """Roots of weights: what a sigma is divided by."""
         return np.sqrt([weights[self.satellites[i]] for i in at])
 
@@ -130,7 +132,7 @@ class Ranges:
         """
         used = self.used(weights)
         galileo = self._galileo[used]
-        if used.sum() < 4 + int(0 < galileo.sum() < len(galileo)):
+        if len(used) < 4 + int(0 < galileo.sum() < len(galileo)):
             return None
         sigma = self._config.slow * self.sigma_m[used] / self._config.correlation
         design = design_matrix(self._table[used, LOS], galileo.astype(float)) / sigma[:, None]

@@ -8,9 +8,8 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from analysis.fdi.measure import Mask
 from analysis.fusion.beginning import Clock
-from analysis.fusion.factors import NO_CLOCK, sigma1, unit
+from analysis.fusion.factors import NO_CLOCK, unit
 from analysis.fusion.frame import Frame
 from analysis.fusion.ranges import Ranges
 from analysis.fusion.window import key
@@ -22,15 +21,15 @@ TIED_M = 0.05  # far below a range's sigma
 
 
 def pseudoranges(
-    ranges: Ranges, used: Mask, epoch: int, frame: Frame, clock: Clock, robust: str
+    ranges: Ranges, at: list[int], epoch: int, frame: Frame, clock: Clock, robust: str
 ) -> dict[str, Any]:
     """Factors by satellite, on the pose and the clock in seconds of an epoch."""
     x, r = key("x", epoch), key("r", epoch)
     return {
         ranges.satellites[i]: ranges.pseudorange(
-            i, x, r, frame, clock, _loss(robust, sigma1(ranges.sigma_m[i]))
+            i, x, r, frame, clock, _loss(robust, ranges.sigma_m[i])
         )
-        for i in np.flatnonzero(used).tolist()
+        for i in at
     }
 
 
@@ -52,7 +51,8 @@ def clock_in_seconds(epoch: int) -> tuple[Any, Any]:
     return guess, gtsam.LinearContainerFactor(row, origin)
 
 
-def _loss(robust: str, noise: Any) -> Any:
+def _loss(robust: str, sigma_m: float) -> Any:
+    noise = gtsam.noiseModel.Isotropic.Sigma(1, sigma_m)
     estimator = gtsam.noiseModel.mEstimator
     if robust == "huber":
         return gtsam.noiseModel.Robust.Create(estimator.Huber.Create(HUBER), noise)

@@ -33,7 +33,8 @@ def range_weights(decision: Decision, config: FusionConfig) -> dict[str, float]:
     if not decision.alarm and decision.hypothesis in ("none", "satellites"):
         for name, value in zip(decision.satellites, decision.normalised, strict=False):
             residual = float("inf") if value is None else value
-            weights[name] = weight(residual, config.suspicious, config.hopeless)
+            if not abs(residual) <= config.suspicious:
+                weights[name] = weight(residual, config.suspicious, config.hopeless)
     weights.update(dict.fromkeys(decision.excluded, 0.0))
     return weights
 
