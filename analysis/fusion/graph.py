@@ -8,7 +8,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from analysis.fdi.config import DetectorConfig
+from analysis.fdi.config import DetectorConfig, Noise
 from analysis.fusion.beginning import Beginning, Clock, Node
 from analysis.fusion.config import FusionConfig
 from analysis.fusion.edge import Edge, mended, split
@@ -60,7 +60,8 @@ class Graph:
         self._track: list[tuple[int, int]] = []  # times and numbers of epochs, in order of time
         self._late: dict[int, list[ImuSample]] = {}
         self._robust = config.robust
-        self._params: tuple[Vector, Any] | None = None
+        self._place_m: Vector = np.zeros(3)
+        self._params: dict[Noise, Any] = {}
         self._guess_bias(self.node.bias)
         self._insert(self.node)
         self.attach("prior", 0, *beginning.priors())
@@ -283,14 +284,15 @@ class Graph:
 
     def _motion(self, edge: Edge, start: Node, t_us: int) -> Any:
         """The preintegrated IMU of an edge, or a model of motion in its place."""
-        noise = self._detector.noise
         if edge.sound(self._detector.gap_s):
             r_m = start.pose.translation()
-            if self._params is None or np.abs(r_m - self._params[0]).max() > SAME_PLACE_M:
-                self._params = r_m, imu_params(self.frame, r_m, noise)
-            return preintegrate(edge.part.samples, start.bias, self._params[1])
+            if np.abs(r_m - self._place_m).max() > SAME_PLACE_M:
+                self._place_m, self._params = r_m, {}
+            if edge.noise not in self._params:
+                self._params[edge.noise] = imu_params(self.frame, r_m, edge.noise)
+            return preintegrate(edge.part.samples, start.bias, self._params[edge.noise])
         dt_s = (t_us - start.t_us) * 1e-6
-        return imagine(dt_s, start.bias, self.frame, noise, edge.turn_rps)
+        return imagine(dt_s, start.bias, self.frame, edge.noise, edge.turn_rps)
 
     def _tie(self, edge: Edge, motion: Any, epoch: int) -> None:
         before, after = self.epochs[edge.before], self.epochs[epoch]

@@ -21,7 +21,7 @@ from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
 INTEGRATION_M = 1e-3  # m/sqrt(s), position noise of the integration itself
-STEP_S = 0.02  # faster samples are averaged: a turn between them costs less than their noise
+STEP_S = 0.05  # faster samples are put together first
 FICTION_STEP_S = 0.05
 FREE_TURN_RPS = 30.0  # of a motion that says nothing of the attitude
 
@@ -34,32 +34,56 @@ def imu_params(frame: Frame, r_m: Vector, noise: Noise) -> Any:
 def preintegrate(samples: Vector, bias: Any, params: Any) -> Any:
     """The IMU's samples (k, 7) of `fdi.motion.segment`: step in s, rates, specific force."""
     preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
-    for row in averaged(samples, STEP_S):
+    for row in condensed(samples, STEP_S):
         preintegrated.integrateMeasurement(row[4:7], row[1:4], row[0])
     return preintegrated
 
 
 @compiled
-def averaged(samples: Vector, step_s: float) -> Vector:
-    """Samples (k, 7) in runs of equal number that last up to `step_s`; empty steps left out."""
+def condensed(samples: Vector, step_s: float) -> Vector:
+    """Samples (k, 7) in runs of equal number that last up to `step_s`; empty steps left out.
+
+    A run's rate is its turn over its time and its force that in the axes at its begin: GTSAM takes
+    both as constant from there on. Turns within are added to second order (coning, sculling).
+    """
     count, whole_s = 0, 0.0
     for k in range(samples.shape[0]):
         if samples[k, 0] > 0.0:
             count, whole_s = count + 1, whole_s + samples[k, 0]
     size = max(int(step_s * count / whole_s + 0.1), 1) if count else 1
     out = np.zeros(((count + size - 1) // size, 7))
+    turn, half, push = np.zeros(3), np.zeros(3), np.zeros(3)
     at = 0
     for k in range(samples.shape[0]):
         dt = samples[k, 0]
-        if dt > 0.0:
-            row = out[at // size]
-            row[0] += dt
-            for i in range(1, 7):
-                row[i] += dt * samples[k, i]
-            at += 1
+        if not dt > 0.0:
+            continue
+        row = out[at // size]
+        if at % size == 0:
+            turn[:] = 0.0
+        for i in range(3):
+            half[i] = turn[i] + 0.5 * dt * samples[k, 1 + i]
+            push[i] = samples[k, 4 + i]
+        once = _cross(half, push)
+        twice, bent = _cross(half, once), _cross(turn, samples[k, 1:4])
+        row[0] += dt
+        for i in range(3):
+            row[4 + i] += dt * (push[i] + once[i] + 0.5 * twice[i])
+            turn[i] += dt * (samples[k, 1 + i] + 0.5 * bent[i])
+            row[1 + i] = turn[i]
+        at += 1
     for k in range(out.shape[0]):
         for i in range(1, 7):
             out[k, i] /= out[k, 0]
+    return out
+
+
+@compiled
+def _cross(a: Vector, b: Vector) -> Vector:
+    out = np.empty(3)
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
     return out
 
 

@@ -16,6 +16,7 @@ from analysis.fusion.beginning import Clock
 from analysis.fusion.config import FusionConfig
 from analysis.fusion.factors import NUMBER, at_rest, linear_rows, unit
 from analysis.fusion.frame import Frame
+from analysis.fusion.learnt import Learnt
 from analysis.fusion.weights import weight
 from analysis.fusion.window import key
 from analysis.gnss import EARTH_RATE_RPS, LIGHT_MPS
@@ -26,7 +27,8 @@ from mavproxy_fault.wire.compiled import compiled
 Weights = dict[str, float]
 NO_ARM = np.zeros(3)
 LEAST_WEIGHT = 0.02  # less is left out
-CORRECTED, SIGMA, LOS, NORMALISED = 0, 2, slice(4, 7), 7  # columns of the table of a satellite
+# columns of the table of a satellite
+CORRECTED, SIGMA, RATE_SIGMA, LOS, NORMALISED = 0, 2, 3, slice(4, 7), 7
 
 
 class Ranges:
@@ -46,13 +48,26 @@ class Ranges:
         self._r_m = x[:3]
         self._table = _corrected(observed.states, x, config.correlation, *modelled[:4], modelled.h)
         self._above = (modelled.elevation_rad >= math.radians(detector.mask_deg)).tolist()
-        self._config, self._doppler = config, detector.doppler
+        self._config, self._slow, self._doppler = config, config.slow, detector.doppler
 
     @property
     def sigma_m(self) -> Vector:
         """Sigmas (n,) of the pseudoranges as the graph takes them."""
         result: Vector = self._table[:, SIGMA]
         return result
+
+    def normalised(self, weights: Weights) -> Vector:
+        """Residuals (n, 2) of ranges and rates over their sigmas; NaN where unused."""
+        found = np.full((len(self.satellites), 2), np.nan)
+        at = self.used(weights)
+        found[at] = self._table[at, NORMALISED:]
+        return found
+
+    def learn(self, learnt: Learnt) -> None:
+        """Take over what is known of sigmas."""
+        self._table[:, RATE_SIGMA] *= learnt.rate_factors(self.satellites)
+        both = 0 < self._galileo.sum() < len(self._galileo)
+        self._slow = learnt.slow(self._config.slow, 4 + int(both))
 
     def used(self, weights: Weights) -> list[int]:
         """Indices of those with a weight."""
@@ -134,7 +149,7 @@ class Ranges:
         galileo = self._galileo[used]
         if len(used) < 4 + int(0 < galileo.sum() < len(galileo)):
             return None
-        sigma = self._config.slow * self.sigma_m[used] / self._config.correlation
+        sigma = self._slow * self.sigma_m[used] / self._config.correlation
         design = design_matrix(self._table[used, LOS], galileo.astype(float)) / sigma[:, None]
         try:
             cofactor = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
@@ -163,9 +178,9 @@ def _corrected(
     rate_variance: Vector,
     h: Vector,
 ) -> Vector:
-    """Table (n, 8) of innovations at the state x: range without delays and rate without the
-    receiver's motion, their sigmas, line of sight, normalised innovation."""
-    out = np.empty((states.shape[0], 8))
+    """Table (n, 9) of innovations at the state x: range without delays and rate without the
+    receiver's motion, their sigmas, line of sight, both innovations normalised."""
+    out = np.empty((states.shape[0], 9))
     for i in range(out.shape[0]):
         square, along = 0.0, 0.0
         for k in range(3):
@@ -177,7 +192,7 @@ def _corrected(
         out[i, 0] = v_m[i] + x[16] + math.sqrt(square) + turned - states[i, 6]
         out[i, 1] = v_mps[i] + x[17] - along
         out[i, 2], out[i, 3] = correlation * white, math.sqrt(rate_variance[i])
-        out[i, 7] = v_m[i] / white
+        out[i, 7], out[i, 8] = v_m[i] / white, v_mps[i] / out[i, 3]
     return out
 
 
