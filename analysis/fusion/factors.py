@@ -17,7 +17,6 @@ import gtsam
 import numpy as np
 
 from analysis.fdi.config import Noise
-from analysis.fusion.config import FusionConfig
 from analysis.fusion.frame import Frame
 from analysis.fusion.window import key
 from analysis.samples import Vector
@@ -99,12 +98,12 @@ def _linear_at_zero(row: Any, zero: Vector, *keys: int) -> Any:
     return gtsam.LinearContainerFactor(row, origin)
 
 
-def baro_factor(epoch: int, pose: Any, offset: int, altitude_m: float, config: FusionConfig) -> Any:
+def baro_factor(epoch: int, pose: Any, offset: int, altitude_m: float, sigma_m: float) -> Any:
     """A pressure altitude with the offset of a key, linearised at a pose; GTSAM wants the pressure
     of its own standard atmosphere for it."""
     pressure = STANDARD_AIR.baroOut(altitude_m)
     x = key("x", epoch)
-    factor = gtsam.BarometricFactor(x, NUMBER, pressure, alike(1, config.baro_m))
+    factor = gtsam.BarometricFactor(x, NUMBER, pressure, alike(1, sigma_m))
     origin = gtsam.Values(at_rest(epoch))
     origin.insert(x, pose)
     origin.insert(offset, NO_OFFSET)
@@ -114,13 +113,13 @@ def baro_factor(epoch: int, pose: Any, offset: int, altitude_m: float, config: F
     return gtsam.LinearContainerFactor(row, origin)
 
 
-def mag_factor(epoch: int, field_b_gauss: Vector, frame: Frame, config: FusionConfig) -> Any:
+def mag_factor(epoch: int, field_b_gauss: Vector, frame: Frame, sigma_gauss: float) -> Any:
     """The field in body axes against the world's magnetic model."""
-    field, noise = frame.field_gauss, alike(3, config.mag_gauss)
+    field, noise = frame.field_gauss, alike(3, sigma_gauss)
     size = float(np.linalg.norm(field))  # GTSAM takes the direction alone of its third argument
     return gtsam.MagPoseFactorPose3(key("x", epoch), field_b_gauss, size, field, NO_MAGNET, noise)
 
 
-def airspeed_factor(epoch: int, wind: int, speed_mps: float, config: FusionConfig) -> Any:
+def airspeed_factor(epoch: int, wind: int, speed_mps: float, sigma_mps: float) -> Any:
     """The speed through the air: how far the velocity is from the wind of a key."""
-    return gtsam.RangeFactor3(key("v", epoch), wind, speed_mps, alike(1, config.airspeed_mps))
+    return gtsam.RangeFactor3(key("v", epoch), wind, speed_mps, alike(1, sigma_mps))

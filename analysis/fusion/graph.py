@@ -98,6 +98,14 @@ class Graph:
         after = self._track[at + 1][1] if at + 1 < len(self._track) else None
         return before, after
 
+    def seen_around(self, epoch: int, within_us: int) -> tuple[int | None, int | None]:
+        """The nearest epochs before and after one that vision has seen."""
+        t_us = self.epochs[epoch].t_us
+        seen = [(at, i) for at, i in self._track if self.epochs[i].seen is not None]
+        before = [i for at, i in seen if 0 < t_us - at <= within_us]
+        after = [i for at, i in seen if 0 < at - t_us <= within_us]
+        return (before[-1] if before else None), (after[0] if after else None)
+
     def begins_block(self) -> bool:
         """Whether the newest epoch is the first of its block."""
         before, _ = self.neighbours(self.node.epoch)
@@ -129,6 +137,10 @@ class Graph:
             x = key("x", self.node.epoch)
             prior = gtsam.PoseRotationPrior3D(x, attitude[0], noise)
             self.attach("aligned", self.node.epoch, prior)
+        return self.sound(edge)
+
+    def sound(self, edge: Edge) -> bool:
+        """Whether the IMU ties the ends of an edge."""
         return edge.sound(self._detector.gap_s)
 
     def insert_late(self, t_us: int) -> Node | None:
@@ -284,7 +296,7 @@ class Graph:
 
     def _motion(self, edge: Edge, start: Node, t_us: int) -> Any:
         """The preintegrated IMU of an edge, or a model of motion in its place."""
-        if edge.sound(self._detector.gap_s):
+        if self.sound(edge):
             r_m = start.pose.translation()
             if np.abs(r_m - self._place_m).max() > SAME_PLACE_M:
                 self._place_m, self._params = r_m, {}

@@ -17,6 +17,8 @@ from analysis.fusion.factors import (
     walk_factor,
 )
 from analysis.fusion.graph import Graph
+from analysis.fusion.ranges import LEAST_WEIGHT
+from analysis.fusion.weights import weight
 from analysis.fusion.window import key
 from analysis.gnss import geodetic
 from analysis.reference import STALE_S
@@ -54,32 +56,37 @@ class Others:
     def __init__(self, graph: Graph, config: FusionConfig) -> None:
         self._graph, self._config = graph, config
         self._blocks: dict[str, list[int]] = {"h": [], "w": []}
+        self._vision_sigmas = np.array([config.vision_rad] * 3 + [config.vision_m] * 3)
 
-    def attach(self, sample: Sample, decision: Decision | None) -> float | None:
+    def attach(self, sample: Sample, decision: Decision | None, share: float = 1.0) -> float | None:
         """One sample onto the epoch it belongs to; the weight it got, None if it was not used.
 
-        A receiver's own position is for epochs decided by it alone.
+        `share` is the weight it is to have. A receiver's own position is for epochs decided by it
+        alone.
         """
+        if share < LEAST_WEIGHT:
+            return 0.0
+        root = math.sqrt(share)
         epoch = self._graph.nearest(sample.t_us, round(STALE_S * 1e6))
         if epoch is None:
             return None
         if isinstance(sample, BaroSample):
-            done = self._baro(sample, epoch)
+            done = self._baro(sample, epoch, root)
         elif isinstance(sample, MagSample):
-            done = self._mag(sample, epoch)
+            done = self._mag(sample, epoch, root)
         elif isinstance(sample, AirspeedSample):
-            done = self._airspeed(sample, epoch)
+            done = self._airspeed(sample, epoch, root)
         elif isinstance(sample, VisionSample):
-            done = self._vision(sample, epoch)
+            return self._vision(sample, epoch, share)
         elif isinstance(sample, GpsFix) and decision and decision.mode.startswith("position"):
             if self._config.decide and (
                 decision.excluded or decision.hypothesis not in ("none", "imu")
             ):
                 return 0.0
-            done = self._fix(sample, epoch)
+            done = self._fix(sample, epoch, share)
         else:
             done = False
-        return 1.0 if done else None
+        return share if done else None
 
     def _slow(self, letter: str, epoch: int, first: Vector, sigma: float, walk: float) -> int:
         """The key of a slow state at an epoch; `walk` is per square root of a second."""
@@ -114,7 +121,7 @@ class Others:
         _, _, height = geodetic(self._graph.frame.ecef(r_m))
         return float(r_m[2]), height
 
-    def _baro(self, sample: BaroSample, epoch: int) -> bool:
+    def _baro(self, sample: BaroSample, epoch: int, root: float) -> bool:
         if not sample.pressure_pa > 0.0 or self._graph.window.holds("baro", epoch):
             return False
         up_m, height = self._up_m(epoch)
@@ -125,20 +132,22 @@ class Others:
         sigma, walk = OFFSET_SIGMA_M / unit_m, config.baro_walk_m / unit_m
         offset = self._slow("h", epoch, first, sigma, walk)
         pose = graph.pose(epoch)
-        graph.attach("baro", epoch, baro_factor(epoch, pose, offset, altitude, config))
+        graph.attach(
+            "baro", epoch, baro_factor(epoch, pose, offset, altitude, config.baro_m / root)
+        )
         return True
 
-    def _mag(self, sample: MagSample, epoch: int) -> bool:
+    def _mag(self, sample: MagSample, epoch: int, root: float) -> bool:
         graph = self._graph
         if not graph.aligned or not np.isfinite(sample.field_b_gauss).all():
             return False
         if graph.window.holds("mag", epoch):
             return False
-        factor = mag_factor(epoch, sample.field_b_gauss, graph.frame, self._config)
+        factor = mag_factor(epoch, sample.field_b_gauss, graph.frame, self._config.mag_gauss / root)
         graph.attach("mag", epoch, factor)
         return True
 
-    def _airspeed(self, sample: AirspeedSample, epoch: int) -> bool:
+    def _airspeed(self, sample: AirspeedSample, epoch: int, root: float) -> bool:
         if not math.isfinite(sample.diff_pressure_pa):
             return False
         if self._graph.window.holds("airspeed", epoch):
@@ -148,33 +157,45 @@ class Others:
         if speed < SLOW_AIR_MPS:
             return False
         wind = self._slow("w", epoch, np.zeros(3), WIND_SIGMA_MPS, self._config.wind_walk_mps)
-        self._graph.attach("airspeed", epoch, airspeed_factor(epoch, wind, speed, self._config))
+        self._graph.attach(
+            "airspeed", epoch, airspeed_factor(epoch, wind, speed, self._config.airspeed_mps / root)
+        )
         return True
 
-    def _vision(self, sample: VisionSample, epoch: int) -> bool:
+    def _vision(self, sample: VisionSample, epoch: int, share: float) -> float | None:
         """Vision as odometry: its own origin and north drop out between two epochs."""
         graph = self._graph
         at = graph.epochs[epoch]
         seen = _seen(sample, at.t_us)
         if seen is None or at.seen is not None or not graph.aligned:
-            return False
+            return None
         at.seen = seen
-        sigmas = np.array([self._config.vision_rad] * 3 + [self._config.vision_m] * 3)
-        noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-        done = False
-        before, after = graph.neighbours(epoch)
+        given = None
+        before, after = graph.seen_around(epoch, round(STALE_S * 1e6))
         for i, j in ((before, epoch), (epoch, after)):
             if i is None or j is None:
                 continue
-            first, second = graph.epochs[i].seen, graph.epochs[j].seen
-            if first is not None and second is not None:
-                moved = first.between(second)
+            moved = graph.epochs[i].seen.between(graph.epochs[j].seen)
+            given = min(share, self._plausible(i, j, moved))
+            if given >= LEAST_WEIGHT:
+                noise = gtsam.noiseModel.Diagonal.Sigmas(self._vision_sigmas / math.sqrt(given))
                 factor = gtsam.BetweenFactorPose3(key("x", i), key("x", j), moved, noise)
                 graph.attach("vision", j, factor, since=i)
-                done = True
-        return done
+        return given
 
-    def _fix(self, sample: GpsFix, epoch: int) -> bool:
+    def _plausible(self, i: int, j: int, moved: Any) -> float:
+        """The weight of a motion that was seen, by what the IMU says of it: a jump weighs nothing
+        although the test of vision's position, which allows for a drift, does not see it."""
+        graph, config = self._graph, self._config
+        edge = graph.epochs[j].edge
+        if not config.decide or edge is None or not graph.sound(edge):  # nothing to go by
+            return 1.0
+        off = gtsam.Pose3.Logmap(graph.pose(i).between(graph.pose(j)).between(moved))
+        return weight(
+            float(np.abs(off / self._vision_sigmas).max()), config.suspicious, config.hopeless
+        )
+
+    def _fix(self, sample: GpsFix, epoch: int, share: float) -> bool:
         """A receiver's own solution, where there are no raw ranges."""
         graph, config = self._graph, self._config
         measured, _ = measure(sample)
@@ -184,7 +205,7 @@ class Others:
         spread = config.correlation**2 * to_local @ np.diag(measured.variance_m2) @ to_local.T
         gaussian = gtsam.noiseModel.Gaussian.Covariance
         r_m = graph.frame.local(measured.r_ecef_m)
-        position = gtsam.GPSFactor(key("x", epoch), r_m, gaussian(spread))
+        position = gtsam.GPSFactor(key("x", epoch), r_m, gaussian(spread / share))
         graph.attach("gps-position", epoch, position)
         if measured.v_ned_mps is not None and np.isfinite(measured.v_ned_mps).all():
             noise = alike(3, config.gps_mps)

@@ -26,7 +26,7 @@ from analysis.fusion.other import WAITING, Others
 from analysis.fusion.ranges import Ranges
 from analysis.fusion.said import fused_state, gap
 from analysis.fusion.state import FusionState, Good, Now
-from analysis.fusion.weights import isolated_sensors, range_weights
+from analysis.fusion.weights import isolated_sensors, range_weights, sensor_weights
 from analysis.results import Decision, FusedState, Result, SensorDecision
 from analysis.samples import Epoch, ImuSample, Sample
 
@@ -139,9 +139,9 @@ class Fusion:
         state.lost = state.lost or (graph.aligned and not sound and attitude is None)
         used = {"imu": float(sound)} | self._attach_ranges(graph, now, state)
         assert state.others is not None
+        tested = sensor_weights(now.results, self.config)
         for source, sample in state.waiting.items():
-            out = source in isolated
-            share = 0.0 if out else state.others.attach(sample, now.decision)
+            share = state.others.attach(sample, now.decision, tested.get(source, 1.0))
             if share is not None:
                 used[source] = share
         state.isolated = isolated
