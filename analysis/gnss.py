@@ -20,6 +20,7 @@ from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 from mavproxy_fault.wire.ephemeris import Ephemeris
 
+SYSTEMS = "GE"  # a satellite's first letter; each but the first has a clock offset of its own
 LIGHT_MPS = 299_792_458.0
 MU_GPS = 3.986005e14  # m^3/s^2, IS-GPS-200N
 MU_GALILEO = 3.986004418e14  # m^3/s^2, Galileo OS SIS ICD

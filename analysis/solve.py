@@ -1,12 +1,14 @@
-"""Snapshot solution of one epoch: weighted least squares over position, clock and system offset."""
+"""Snapshot solution of one epoch: least squares over position, clock and system offsets."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from analysis.gnss import predict_ranges, satellite_states
+from analysis.gnss import SYSTEMS, predict_ranges, satellite_states
 from analysis.samples import Epoch, Vector
 
+Indices = NDArray[np.int64]
 ITERATIONS = 12
 CONVERGED_M = 1e-4
 TROPOSPHERE_FROM_M = 5.0e6  # below this radius the first guess is still near the earth's centre
@@ -16,16 +18,17 @@ TROPOSPHERE_FROM_M = 5.0e6  # below this radius the first guess is still near th
 class Fix:
     """A snapshot solution.
 
-    `r_ecef_m` (3,), `clock_m` the receiver clock, `isb_m` Galileo's offset against GPS (0 with one
-    system), `residual_m` and `sigma_m` (n,), `design` (n, 4 or 5) the geometry, `cofactor` its
-    inverse normal matrix (weights included), `dof` = n - 4 or n - 5, `statistic` the weighted sum
-    of squared residuals; `elevation_rad` and `azimuth_rad` (n,).
+    `r_ecef_m` (3,), `clock_m` the receiver clock, `isb_m` the other systems' offsets against the
+    first of `gnss.SYSTEMS` that is there, `residual_m` and `sigma_m` (n,), `design` (n, k) the
+    geometry with k = 3 + systems, `cofactor` its inverse normal matrix (weights included),
+    `dof` = n - k, `statistic` the weighted sum of squared residuals; `elevation_rad` and
+    `azimuth_rad` (n,).
     """
 
     satellites: tuple[str, ...]
     r_ecef_m: Vector
     clock_m: float
-    isb_m: float
+    isb_m: Vector
     residual_m: Vector
     sigma_m: Vector
     design: Vector
@@ -45,11 +48,15 @@ class Fix:
             return float("inf")
 
 
-def design_matrix(los: Vector, galileo: Vector) -> Vector:
-    """Geometry (n, 4 or 5): minus the unit vectors, the clock, Galileo's offset if mixed."""
+def systems_of(system: Indices) -> list[int]:
+    """The systems among `system` (n,), places in `gnss.SYSTEMS`; the first has no offset."""
+    return sorted(set(system.tolist()))
+
+
+def design_matrix(los: Vector, system: Indices) -> Vector:
+    """Geometry (n, 3 + systems): minus the unit vectors, the clock, the other systems' offsets."""
     columns = [-los, np.ones((len(los), 1))]
-    if galileo.any() and not galileo.all():
-        columns.append(galileo[:, None].astype(float))
+    columns += [(system == kind)[:, None].astype(float) for kind in systems_of(system)[1:]]
     return np.hstack(columns)
 
 
@@ -73,19 +80,19 @@ def solve(
         None where there are too few satellites or their geometry fails.
     """
     states = satellite_states(packed, float(epoch.week), epoch.tow_s, epoch.pseudorange_m)
-    galileo = np.array([name[0] == "E" for name in epoch.satellites])
+    system = np.array([SYSTEMS.index(name[0]) for name in epoch.satellites], dtype=np.int64)
     r = np.zeros(3) if guess is None else guess.copy()
-    clock = np.zeros(2)
+    clock = np.zeros(len(systems_of(system)))
     for _ in range(ITERATIONS):
         near = float(r @ r) > TROPOSPHERE_FROM_M**2
         predicted = predict_ranges(
             states, r if near else r + 1e-3, np.zeros(3), epoch.tow_s, ionosphere
         )
-        design = design_matrix(predicted[:, 2:5], galileo)
+        design = design_matrix(predicted[:, 2:5], system)
         unknowns = design.shape[1]
         if len(design) < unknowns:
             return None
-        residual = epoch.pseudorange_m - predicted[:, 0] - design[:, 3:] @ clock[: unknowns - 3]
+        residual = epoch.pseudorange_m - predicted[:, 0] - design[:, 3:] @ clock
         weighted = design / sigma_m[:, None]
         try:
             cofactor = np.asarray(np.linalg.inv(weighted.T @ weighted), dtype=np.float64)
@@ -93,7 +100,7 @@ def solve(
             return None
         step = cofactor @ (weighted.T @ (residual / sigma_m))
         r = r + step[:3]
-        clock[: unknowns - 3] += step[3:]
+        clock += step[3:]
         if near and float(np.abs(step[:3]).max()) < CONVERGED_M:
             break
     if not np.isfinite(r).all():
@@ -103,7 +110,7 @@ def solve(
         satellites=epoch.satellites,
         r_ecef_m=r,
         clock_m=float(clock[0]),
-        isb_m=float(clock[1]),
+        isb_m=clock[1:],
         residual_m=residual,
         sigma_m=sigma_m,
         design=design,

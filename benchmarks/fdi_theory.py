@@ -6,8 +6,8 @@ import numpy as np
 from scipy.stats import binom
 
 from analysis.fdi.bank import normalised, projected_weights
-from analysis.fdi.memory import STRIDE_S, WINDOWS, ramp_statistics, respond
-from analysis.fdi.slow import EPISODES, YOUNGEST_S
+from analysis.fdi.memory import STRIDE_S, WINDOWS, YOUNGEST_S, ramp_statistics, respond
+from analysis.fdi.slow import EPISODES
 from analysis.fdi.thresholds import chi_square, two_sided
 from analysis.fdi.verdict import judge
 

@@ -18,7 +18,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fdi.linear import inverse, multiply, transposed
+from analysis.fdi.linear import apply, inverse, multiply, transposed
 from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
@@ -90,9 +90,11 @@ def best_subset(m: Vector, u: Vector, q: float, size: int) -> tuple[float, Indic
             pick[j] = pick[j - 1] + 1
 
 
+@compiled
 def freed(m: Vector, u: Vector, q: float, g: Vector) -> float:
     """The statistic with the parameters along the columns of g (n, k) freed; q if not separable."""
-    lowered = reduction(np.ascontiguousarray(g.T @ (m @ g)), g.T @ u)
+    turned = transposed(g)
+    lowered = reduction(multiply(turned, multiply(m, g)), apply(turned, u))
     return q - lowered if lowered >= 0.0 else q
 
 

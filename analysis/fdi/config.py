@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.wire.compiled import compiled
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class SigmaModel:
     """One sigma of a pseudorange from elevation and C/N0.
 
@@ -36,18 +36,14 @@ class SigmaModel:
 
     def sigma_m(self, elevation_rad: Vector, cn0_dbhz: Vector) -> Vector:
         """One sigma (n,) of each pseudorange; 45 dBHz where C/N0 is not given."""
-        result: Vector = np.sqrt(range_variance(elevation_rad, cn0_dbhz, self.numbers()))
+        result: Vector = np.sqrt(range_variance(elevation_rad, cn0_dbhz, self.numbers))
         return result
 
+    @cached_property
     def numbers(self) -> Vector:
         """The numbers (5,) that the kernels take."""
-        return _sigma_numbers(self)
-
-
-@lru_cache(maxsize=64)
-def _sigma_numbers(model: SigmaModel) -> Vector:
-    values = [model.scale, model.floor_m, model.zenith_m, model.thermal_m, model.rate_mps]
-    return np.array(values, dtype=float)
+        values = [self.scale, self.floor_m, self.zenith_m, self.thermal_m, self.rate_mps]
+        return np.array(values, dtype=float)
 
 
 @compiled
@@ -63,7 +59,7 @@ def range_variance(elevation_rad: Vector, cn0_dbhz: Vector, sigma: Vector) -> Ve
     return out
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Noise:
     """Process noise: densities of the IMU, the receiver's clock, and motion without an IMU.
 
@@ -79,18 +75,14 @@ class Noise:
     isb_m: float = 0.005  # m/sqrt(s)
     motion_mps2: float = 3.0  # m/s^2/sqrt(Hz), where no IMU tells of the motion
 
+    @cached_property
     def densities(self) -> Vector:
         """Squares (8,) in the order of the fields, as the kernels take them."""
-        return _densities(self)
+        values = [getattr(self, name) for name in self.__dataclass_fields__]
+        return np.array(values, dtype=float) ** 2
 
 
-@lru_cache(maxsize=64)
-def _densities(noise: Noise) -> Vector:
-    values = [getattr(noise, name) for name in noise.__dataclass_fields__]
-    return np.array(values, dtype=float) ** 2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class DetectorConfig:
     """What the detector may assume and how often it may cry wolf.
 
@@ -142,6 +134,20 @@ class DetectorConfig:
                 raise ConfigError(f"monitor.{name} = {value} is negative; it must be 0 or more")
         if len(self.ionosphere) != 8:
             raise ConfigError("monitor.ionosphere must hold Klobuchar's four alpha and four beta")
+
+    @cached_property
+    def mask_rad(self) -> float:
+        """The lowest elevation used."""
+        return math.radians(self.mask_deg)
+
+    @cached_property
+    def memory_numbers(self) -> Vector:
+        """The numbers (4,) of the tests with memory, as the kernels take them: an unknown offset's
+        variance over that of the range, its correlation time in s, the variance of a natural slope
+        and that of what a sound IMU's acceleration may be wrong by."""
+        sigma = self.sigma
+        spread = sigma.slow**2, sigma.slow_s, sigma.slow_mps**2, self.slow_accel_mps2**2
+        return np.array(spread, dtype=float)
 
     @classmethod
     def from_mapping(cls, values: dict[str, Any]) -> "DetectorConfig":

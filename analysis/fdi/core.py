@@ -6,13 +6,14 @@ from analysis.fdi.measure import Chosen, Observed
 from analysis.fdi.motion import Segment
 from analysis.fdi.slow import Memory
 from analysis.fdi.state import Exclusion, Motion, Pending, Stored
+from analysis.fdi.value import Value
 from analysis.samples import Vector
 
 RECEIVER = "GPS"  # the receiver's name among what is excluded
 NOTHING_EXCLUDED: dict[str, Exclusion] = {}
 
 
-class Held(NamedTuple):
+class Held(Value, frozen=True):
     """Offsets in m of satellites' ranges at `t_us`, held while others are left out."""
 
     t_us: int
@@ -22,7 +23,7 @@ class Held(NamedTuple):
 NOTHING_HELD = Held(0, {})
 
 
-class Core(NamedTuple):
+class Core(Value, frozen=True):
     """Everything but the pending IMU samples.
 
     `imu_bad_until_us` is when a faulty IMU is tried again (None: it is trusted), `unknown_since_us`
@@ -48,7 +49,7 @@ class Core(NamedTuple):
     last_fix: tuple[int, Vector] | None = None
 
 
-class Record(NamedTuple):
+class Record(Value, frozen=True):
     """One epoch of the past, to be judged again: the core before it and what was observed."""
 
     t_us: int

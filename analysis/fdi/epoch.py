@@ -1,8 +1,5 @@
 """One GNSS epoch against the filter: everything the detector decides there."""
 
-import math
-from typing import NamedTuple
-
 import numpy as np
 
 from analysis.fdi.align import find_attitude
@@ -10,20 +7,20 @@ from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import Core
 from analysis.fdi.exclusion import NOBODY, Outside, exclude, outside, readmit
 from analysis.fdi.inertial import X_CLOCK
-from analysis.fdi.measure import Modelled, Observed, model
+from analysis.fdi.measure import Modelled, Observed
 from analysis.fdi.motion import Segment, advance
 from analysis.fdi.offsets import held, hold, learnt
-from analysis.fdi.ranges import Tested, check_ranges, free_clock, free_position
+from analysis.fdi.ranges import Tested, blamed, free_clock, free_position, passed
 from analysis.fdi.rates import RatesTested, check_rates, freed_by
-from analysis.fdi.slow import SlowVerdict, judge_slow, new_memory, remember
+from analysis.fdi.sight import CLOCK_LEAP_M, Assessed, Sight, see
+from analysis.fdi.slow import SlowVerdict, judge_slow, new_memory, ready
 from analysis.fdi.state import Motion
-from analysis.fdi.update import Assessed, absorb, assess, innovated
-from analysis.samples import Vector
+from analysis.fdi.thresholds import chi_square
+from analysis.fdi.update import absorb, innovated, remember
+from analysis.fdi.value import Value
 
-CLOCK_LEAP_M = 1000.0  # the receiver set its clock: no fault has this on most satellites
 
-
-class Outcome(NamedTuple):
+class Outcome(Value, frozen=True):
     """What an epoch said; None for `tested` where it could not be tested (`reason` says why)."""
 
     core: Core
@@ -41,21 +38,6 @@ class Outcome(NamedTuple):
     was_inertial: bool = False
 
 
-class Seen(NamedTuple):
-    """An epoch before the filter, and whether the clock was set.
-
-    `used` are the innovations of `names` (n satellites), which are trusted, `galileo` (n,) a mask
-    of them; `left` those of `others`, which are left out.
-    """
-
-    names: tuple[str, ...]
-    galileo: Vector
-    used: Modelled
-    leapt: bool
-    others: tuple[str, ...] = ()
-    left: Modelled | None = None
-
-
 def judge_epoch(
     t_us: int, observed: Observed, part: Segment, core: Core, config: DetectorConfig
 ) -> Outcome:
@@ -63,68 +45,76 @@ def judge_epoch(
     before = core.motion
     assert before is not None
     motion, phi = advance(before, part, t_us, config)
-    seen, motion, core = _seen(t_us, observed, motion, core, config)
-    names, used = seen.names, seen.used
-    needed = 3 if motion.inertial else 5
-    if len(names) == needed == 5:
-        needed += int(0 < seen.galileo.sum() < 5)
-    if len(names) < needed:
-        reason = f"{len(names)} healthy satellites above the mask; {needed} are needed"
+    seen, leapt, motion, core = _seen(t_us, observed, motion, core, config)
+    needed = 3 if motion.inertial else 4 + max(seen.systems, 1)
+    if len(seen.names) < needed:
+        reason = f"{len(seen.names)} healthy satellites above the mask; {needed} are needed"
         core = hold(core, t_us, config)
         return Outcome(core._replace(motion=motion, memory=None), reason)
-    assessed = assess(motion.p, used, seen.galileo)
-    rates = check_rates(motion, used, assessed, config)
-    tested = _tested(t_us, core, motion, seen, assessed, rates.hypothesis, config)
-    moved, update = absorb(tested.motion, tested.part, tested.taken, rates.fit)
+    rates = check_rates(motion, seen.used, seen.assessed, config)
+    tested = _tested(core, motion, seen, rates.hypothesis, config)
+    undisturbed = not leapt and not tested.freed and rates.hypothesis in ("none", "satellites")
     memory, slow = None, None
-    undisturbed = not seen.leapt and not tested.freed and rates.hypothesis in ("none", "satellites")
-    if undisturbed and before.inertial == moved.inertial:
-        memory, dt_s = core.memory or new_memory(before.t_us), (t_us - before.t_us) * 1e-6
-        memory = remember(memory, t_us, dt_s, phi, names, motion.p, update, config)
-        slow = judge_slow(memory, t_us, moved.inertial, config)
-    wrong = slow.hypothesis if slow is not None else "none"
-    blamed = before.inertial and "imu" in (rates.hypothesis, tested.hypothesis, wrong)
-    if blamed and moved.inertial:
-        moved = free_position(moved)
-    left = outside(seen.others, seen.left, motion, moved) if seen.left is not None else NOBODY
-    excluded = readmit(core.excluded, left, t_us, config)
-    excluded = exclude(excluded, tuple(names[i] for i in tested.left_out), t_us, t_us)
-    if memory is None:
+    if undisturbed and before.inertial == tested.motion.inertial:
+        memory = core.memory or new_memory(before.t_us)
+        memory = ready(memory, t_us, seen.names, tested.part.variance, config)
+        moved, memory, found = remember(
+            tested.motion,
+            tested.part,
+            tested.taken,
+            rates.fit,
+            memory,
+            phi,
+            (t_us - before.t_us) * 1e-6,
+            config,
+        )
+        slow = judge_slow(memory, found, config)
+    else:
+        moved = absorb(tested.motion, tested.part, tested.taken, rates.fit)
         core = hold(core, t_us, config)
-    core = core._replace(ranges_us=t_us, memory=memory, excluded=excluded)
-    core = _imu_verdict(core, blamed, t_us, config)
+    wrong = slow.hypothesis if slow is not None else "none"
+    imu_blamed = before.inertial and "imu" in (rates.hypothesis, tested.hypothesis, wrong)
+    if imu_blamed and moved.inertial:
+        moved = free_position(moved)
+    left = outside(seen.others, seen.left, motion, moved)
+    excluded = readmit(core.excluded, left, t_us, config)
+    excluded = exclude(excluded, tuple(seen.names[i] for i in tested.left_out), t_us, t_us)
+    core = core._replace(
+        ranges_us=t_us,
+        memory=memory,
+        excluded=excluded,
+        imu_bad_until_us=_imu_bad_until_us(core, imu_blamed, t_us, config),
+    )
     moved = find_attitude(core, moved, part, (t_us - before.t_us) * 1e-6, config)
     core = _unknown(core._replace(motion=moved), tested.hypothesis, t_us, config)
     silent = before.inertial and part.gap_s > config.gap_s
     return Outcome(
         core,
-        names=names,
-        used=used,
+        names=seen.names,
+        used=seen.used,
         left=left,
-        assessed=assessed,
+        assessed=seen.assessed,
         tested=tested,
         rates=rates,
         slow=slow,
-        hypothesis=_shown(core, tested.hypothesis, blamed or silent, seen.leapt),
-        alarm=tested.alarm or blamed or silent,
-        imu_blamed=blamed,
+        hypothesis=_shown(core, tested.hypothesis, imu_blamed or silent, leapt),
+        alarm=tested.alarm or imu_blamed or silent,
+        imu_blamed=imu_blamed,
         was_inertial=before.inertial,
     )
 
 
 def _tested(
-    t_us: int,
-    core: Core,
-    motion: Motion,
-    seen: Seen,
-    assessed: Assessed,
-    by_rates: str,
-    config: DetectorConfig,
+    core: Core, motion: Motion, seen: Sight, by_rates: str, config: DetectorConfig
 ) -> Tested:
     """The ranges' test after what the rates have said of the prediction."""
     freed = freed_by(motion, by_rates)
-    first = assessed.ranges if freed is motion else innovated(freed.p, seen.used)
-    return check_ranges(freed, seen.used, first, learnt(core, seen.names), config)
+    first = seen.assessed.ranges if freed is motion else innovated(freed.p, seen.used)
+    threshold = chi_square(len(seen.names), config.p_false_alarm)
+    if first.q <= threshold:
+        return passed(freed, seen.used, first, threshold)
+    standing_m = learnt(core, seen.names)
+    return blamed(freed, seen.used, first.q, threshold, standing_m, config)
 
 
 def _shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:
@@ -142,43 +132,43 @@ def _shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:
 
 def _seen(
     t_us: int, observed: Observed, motion: Motion, core: Core, config: DetectorConfig
-) -> tuple[Seen, Motion, Core]:
-    """Satellites above the mask with their innovations; the clock set where it leapt.
+) -> tuple[Sight, bool, Motion, Core]:
+    """The epoch against the prediction, and whether the clock leapt; it is set where it did.
 
     Where others are trusted than at the last epoch, what was learnt of them is held.
     """
-    modelled = model(observed, motion.x, config.sigma, core.ionosphere)
-    above = modelled.elevation_rad >= math.radians(config.mask_deg)
-    if not above.all():
-        observed, modelled = observed.select(above), modelled.select(above)
-    names, galileo = observed.satellites, observed.galileo
-    leap = sorted(modelled.v_m.tolist())[len(names) // 2] if names else 0.0
-    leapt = abs(leap) > CLOCK_LEAP_M
-    if leapt:
+    names = observed.satellites
+    trusted = np.ones(len(names), dtype=bool)
+    if core.excluded:
+        trusted = np.array([name not in core.excluded for name in names], dtype=bool)
+    held_m, ionosphere = held(core, names, t_us, config), core.ionosphere
+    seen = see(observed, trusted, held_m, motion, ionosphere, config)
+    leap = _leap_m(seen) if seen.far else 0.0
+    if leap:
         x = motion.x.copy()
         x[X_CLOCK] += leap
         motion = free_clock(motion._replace(x=x))
-        modelled = modelled._replace(v_m=modelled.v_m - leap)
-    trusted = tuple(name for name in names if name not in core.excluded)
-    if core.memory is not None and core.memory.names != trusted:
+        seen = see(observed, trusted, held_m, motion, ionosphere, config)
+    if core.memory is not None and core.memory.names != seen.names:
         core = hold(core, t_us, config)
-    if core.held.offsets_m:
-        modelled = modelled._replace(v_m=modelled.v_m - held(core, names, t_us, config))
-    if len(trusted) == len(names):
-        return Seen(names, galileo, modelled, leapt), motion, core
-    keep = np.array([name not in core.excluded for name in names], dtype=bool)
-    others = tuple(name for name in names if name in core.excluded)
-    used, left = modelled.select(keep), modelled.select(~keep)
-    return Seen(trusted, galileo[keep], used, leapt, others, left), motion, core
+        held_m = held(core, names, t_us, config)
+        seen = see(observed, trusted, held_m, motion, ionosphere, config)
+    return seen, leap != 0.0, motion, core
 
 
-def _imu_verdict(core: Core, blamed: bool, t_us: int, config: DetectorConfig) -> Core:
-    """The IMU held out for a while once it was blamed."""
+def _leap_m(seen: Sight) -> float:
+    """How far the receiver set its clock; 0 if it did not."""
+    innovations = sorted((*seen.used.v_m.tolist(), *seen.left.v_m.tolist()))
+    middle: float = innovations[len(innovations) // 2]
+    return middle if abs(middle) > CLOCK_LEAP_M else 0.0
+
+
+def _imu_bad_until_us(core: Core, blamed: bool, t_us: int, config: DetectorConfig) -> int | None:
+    """Until when the IMU is held out: for a while once it was blamed."""
     if blamed:
-        return core._replace(imu_bad_until_us=t_us + round(config.imu_hold_s * 1e6))
-    if core.imu_bad_until_us is not None and t_us >= core.imu_bad_until_us:
-        return core._replace(imu_bad_until_us=None)
-    return core
+        return t_us + round(config.imu_hold_s * 1e6)
+    until_us = core.imu_bad_until_us
+    return None if until_us is not None and t_us >= until_us else until_us
 
 
 def _unknown(core: Core, hypothesis: str, t_us: int, config: DetectorConfig) -> Core:

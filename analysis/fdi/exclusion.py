@@ -1,21 +1,23 @@
 """Which satellites stay left out, and when one comes back."""
 
+import math
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
-from analysis.fdi.inertial import CLOCK, ERRORS, ISB, X_CLOCK, X_ISB
+from analysis.fdi.inertial import CLOCK
 from analysis.fdi.measure import Modelled
 from analysis.fdi.state import Exclusion, Motion
 from analysis.fdi.thresholds import two_sided
+from analysis.fdi.value import Value
 from analysis.samples import Vector
+from mavproxy_fault.wire.compiled import compiled
 
 HEALTHY_P = 1e-3  # a satellite looks healthy within the bounds of this probability
 
 
-class Outside(NamedTuple):
+class Outside(Value, frozen=True):
     """Satellites left out, with their innovations (n,) in m and over their own sigma."""
 
     names: tuple[str, ...]
@@ -27,20 +29,35 @@ NOBODY = Outside((), np.empty(0), np.empty(0))
 
 
 def outside(names: tuple[str, ...], modelled: Modelled, before: Motion, after: Motion) -> Outside:
-    """Those left out against the filter after the epoch, which does not use them.
+    """Those left out against the filter after the epoch, which does not use them."""
+    if not names:
+        return NOBODY
+    table = _outside(modelled.v_m, modelled.variance, modelled.h, before.x, after.x, after.p)
+    return Outside(names, table[0], table[1])
 
-    Their innovations in `modelled` are against the filter before; the update is taken off.
+
+@compiled
+def _outside(
+    v: Vector, variance: Vector, h: Vector, before: Vector, after: Vector, p: Vector
+) -> Vector:
+    """Innovations (2, n), in m and over their sigma, at the state `after` with covariance p.
+
+    `v` are those at the state `before`; what moved in between is taken off.
     """
-    moved = np.zeros(ERRORS)
-    moved[0:3] = after.x[0:3] - before.x[0:3]
-    moved[CLOCK], moved[ISB] = (
-        after.x[X_CLOCK] - before.x[X_CLOCK],
-        after.x[X_ISB] - before.x[X_ISB],
-    )
-    h = modelled.h
-    v_m = modelled.v_m - h @ moved
-    variance = np.einsum("ij,jk,ik->i", h, after.p, h) + modelled.variance
-    return Outside(names, v_m, v_m / np.sqrt(variance))
+    moved = np.zeros(h.shape[1])
+    for i in range(3):
+        moved[i] = after[i] - before[i]
+    for i in range(CLOCK, h.shape[1]):
+        moved[i] = after[i + 1] - before[i + 1]
+    out = np.empty((2, v.shape[0]))
+    for i in range(v.shape[0]):
+        left, wide = v[i], variance[i]
+        for j in range(h.shape[1]):
+            left -= h[i, j] * moved[j]
+            for k in range(h.shape[1]):
+                wide += h[i, j] * p[j, k] * h[i, k]
+        out[0, i], out[1, i] = left, left / math.sqrt(wide)
+    return out
 
 
 def exclude(

@@ -2,14 +2,15 @@
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.fdi.config import SigmaModel, range_variance
+from analysis.fdi.inertial import ERRORS
 from analysis.fdi.state import Stored
-from analysis.gnss import PACKED, WEEK_S, predict_ranges, satellite_states
+from analysis.fdi.value import Value
+from analysis.gnss import PACKED, SYSTEMS, WEEK_S, predict_ranges, satellite_states
 from analysis.samples import Epoch, Vector
 from mavproxy_fault.wire.compiled import compiled
 
@@ -19,16 +20,25 @@ CHOSEN_US = 30_000_000  # the choice is looked at again
 RANGE_LIMITS_M = (1.5e7, 6.0e7)  # medium orbits as seen from near the earth
 
 
-class Observed(NamedTuple):
-    """Usable satellites of one epoch: parallel arrays (n,), states (n, 8) of `gnss`."""
+class Observed(Value, frozen=True):
+    """Usable satellites of one epoch: parallel arrays (n,), their ephemerides packed (n, 23).
+
+    `system` (n,) is each one's place in `gnss.SYSTEMS`; `week` and `tow_s` are the receiver's time.
+    """
 
     satellites: tuple[str, ...]
     pseudorange_m: Vector
     doppler_mps: Vector
     cn0_dbhz: Vector
-    states: Vector
-    galileo: Vector
+    packed: Vector
+    system: Indices
+    week: float
     tow_s: float
+
+    @property
+    def states(self) -> Vector:
+        """Satellites (n, 8) when they sent what was received, as `gnss.satellite_states`."""
+        return satellite_states(self.packed, self.week, self.tow_s, self.pseudorange_m)
 
     def select(self, keep: Mask) -> "Observed":
         """Those that `keep` (n,), a mask, lets pass."""
@@ -40,17 +50,18 @@ class Observed(NamedTuple):
             self.pseudorange_m[keep],
             self.doppler_mps[keep],
             self.cn0_dbhz[keep],
-            self.states[keep],
-            self.galileo[keep],
+            self.packed[keep],
+            self.system[keep],
+            self.week,
             self.tow_s,
         )
 
 
-class Modelled(NamedTuple):
+class Modelled(Value, frozen=True):
     """Innovations at a state: ranges and rates with geometry.
 
-    `v_m` and `v_mps` (n,), `variance` and `rate_variance` (n,) of both, `elevation_rad` (n,),
-    `h` (n, 18) of the ranges and `h_rate` (n, 18) of the rates.
+    `v_m` and `v_mps` (n,), `variance` and `rate_variance` (n,) of both, `elevation_rad` (n,) and
+    `h` (n, 18) of the ranges.
     """
 
     v_m: Vector
@@ -59,29 +70,35 @@ class Modelled(NamedTuple):
     rate_variance: Vector
     elevation_rad: Vector
     h: Vector
-    h_rate: Vector
 
     def select(self, keep: Mask) -> "Modelled":
         """Those that `keep` (n,), a mask, lets pass."""
-        return Modelled(*(column[keep] for column in self))
+        return Modelled(
+            self.v_m[keep],
+            self.v_mps[keep],
+            self.variance[keep],
+            self.rate_variance[keep],
+            self.elevation_rad[keep],
+            self.h[keep],
+        )
 
 
-_NONE, _NO_ROW = np.empty(0), np.empty((0, 18))
-NO_ROWS = Modelled(_NONE, _NONE, _NONE, _NONE, _NONE, _NO_ROW, _NO_ROW)
+_NONE = np.empty(0)
+NO_ROWS = Modelled(_NONE, _NONE, _NONE, _NONE, _NONE, np.empty((0, ERRORS)))
 
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
     """The ephemerides of a set of satellites, chosen until `until_us`: indices of those that have
-    one, and their packed rows (n, 23)."""
+    one (None: all have), and their packed rows (n, 23)."""
 
     satellites: tuple[str, ...]
     week: int
     until_us: int
-    keep: Indices
+    keep: Indices | None
     names: tuple[str, ...]
     packed: Vector
-    galileo: Vector
+    system: Indices
 
     def serves(self, epoch: Epoch) -> bool:
         """Whether the choice still holds for an epoch."""
@@ -103,35 +120,37 @@ def choose(epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]]) -> Chosen:
         epoch.satellites,
         epoch.week,
         epoch.t_us + CHOSEN_US,
-        np.array(keep, dtype=np.int64),
+        np.array(keep, dtype=np.int64) if len(keep) < len(epoch.satellites) else None,
         names,
         np.array(rows).reshape(len(rows), PACKED),
-        np.array([name[0] == "E" for name in names], dtype=bool),
+        np.array([SYSTEMS.index(name[0]) for name in names], dtype=np.int64),
     )
 
 
 def observe(epoch: Epoch, chosen: Chosen) -> Observed | None:
     """The satellites that can be used; None where there are none."""
-    if not len(chosen.keep) or not 0.0 <= epoch.tow_s <= WEEK_S:
+    if not chosen.names or not 0.0 <= epoch.tow_s <= WEEK_S:
         return None
-    keep, names, packed, galileo = chosen.keep, chosen.names, chosen.packed, chosen.galileo
-    ranges = epoch.pseudorange_m[keep]
-    if not RANGE_LIMITS_M[0] < ranges.min() <= ranges.max() < RANGE_LIMITS_M[1]:  # or not finite
-        plausible = (ranges > RANGE_LIMITS_M[0]) & (ranges < RANGE_LIMITS_M[1])
-        if not plausible.any():
-            return None
-        names = tuple(name for name, ok in zip(names, plausible, strict=True) if ok)
-        keep, packed, galileo = keep[plausible], packed[plausible], galileo[plausible]
-        ranges = ranges[plausible]
-    return Observed(
-        names,
-        ranges,
-        epoch.doppler_mps[keep],
-        epoch.cn0_dbhz[keep],
-        satellite_states(packed, float(epoch.week), epoch.tow_s, ranges),
-        galileo,
-        epoch.tow_s,
+    columns = epoch.pseudorange_m, epoch.doppler_mps, epoch.cn0_dbhz
+    if chosen.keep is not None:
+        columns = columns[0][chosen.keep], columns[1][chosen.keep], columns[2][chosen.keep]
+    observed = Observed(
+        chosen.names, *columns, chosen.packed, chosen.system, float(epoch.week), epoch.tow_s
     )
+    if _all_plausible(columns[0]):
+        return observed
+    ranges = columns[0]
+    plausible = (ranges > RANGE_LIMITS_M[0]) & (ranges < RANGE_LIMITS_M[1])
+    return observed.select(plausible) if plausible.any() else None
+
+
+@compiled
+def _all_plausible(ranges: Vector) -> bool:
+    """Whether all ranges lie within `RANGE_LIMITS_M`; one that is not finite does not."""
+    plausible = True
+    for i in range(ranges.shape[0]):
+        plausible &= RANGE_LIMITS_M[0] < ranges[i] < RANGE_LIMITS_M[1]
+    return plausible
 
 
 def _nearest(stored: tuple[Stored, ...], epoch: Epoch) -> Vector | None:
@@ -160,48 +179,60 @@ def why_none(epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]]) -> str:
 
 def model(observed: Observed, x: Vector, sigma: SigmaModel, ionosphere: Vector) -> Modelled:
     """Innovations, their geometry and variance at the state x (19,)."""
-    parts = _model(
+    table, h = modelled_at(
         observed.states,
         observed.pseudorange_m,
         observed.doppler_mps,
         observed.cn0_dbhz,
-        observed.galileo,
+        observed.system,
         x,
         observed.tow_s,
         ionosphere,
-        sigma.numbers(),
+        sigma.numbers,
     )
-    return Modelled(*parts)
+    v, v_rate, variance, rate_variance, elevation = table
+    return Modelled(v, v_rate, variance, rate_variance, elevation, h)
 
 
 @compiled
-def _model(
+def modelled_at(
     states: Vector,
     pseudorange_m: Vector,
     doppler_mps: Vector,
     cn0_dbhz: Vector,
-    galileo: Vector,
+    system: Indices,
     x: Vector,
     tow_s: float,
     ionosphere: Vector,
     sigma: Vector,
-) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector, Vector]:
+) -> tuple[Vector, Vector]:
+    """The columns of `Modelled` as rows (5, n), and the geometry h (n, 18)."""
     predicted = predict_ranges(states, x[0:3], x[3:6], tow_s, ionosphere)
     count = states.shape[0]
-    v, v_rate = np.empty(count), np.empty(count)
-    h, h_rate = np.zeros((count, 18)), np.zeros((count, 18))
-    rate_variance, elevation = np.empty(count), np.empty(count)
+    out, h = np.empty((5, count)), np.zeros((count, 18))
     for i in range(count):
-        isb = x[18] if galileo[i] else 0.0
-        v[i] = pseudorange_m[i] - predicted[i, 0] - x[16] - isb
-        v_rate[i] = doppler_mps[i] - predicted[i, 1] - x[17]
-        elevation[i] = predicted[i, 5]
+        out[4, i] = predicted[i, 5]
+    variance = range_variance(out[4], cn0_dbhz, sigma)
+    for i in range(count):
+        isb = x[17 + system[i]] if system[i] > 0 else 0.0
+        out[0, i] = pseudorange_m[i] - predicted[i, 0] - x[16] - isb
+        out[1, i] = doppler_mps[i] - predicted[i, 1] - x[17]
+        out[2, i] = variance[i]
+        out[3, i] = sigma[4] ** 2 / math.sin(max(predicted[i, 5], 0.1))
         for k in range(3):
             h[i, k] = -predicted[i, 2 + k]
-            h_rate[i, 3 + k] = -predicted[i, 2 + k]
         h[i, 15] = 1.0
-        h[i, 17] = 1.0 if galileo[i] else 0.0
-        h_rate[i, 16] = 1.0
-        rate_variance[i] = sigma[4] ** 2 / math.sin(max(elevation[i], 0.1))
-    variance = range_variance(elevation, cn0_dbhz, sigma)
-    return v, v_rate, variance, rate_variance, elevation, h, h_rate
+        if system[i] > 0:
+            h[i, 16 + system[i]] = 1.0
+    return out, h
+
+
+@compiled
+def rate_rows(h: Vector, known: Indices) -> Vector:
+    """The Doppler rates' geometry (k, 18) of the satellites `known` (k,) among those of h."""
+    out = np.zeros((known.shape[0], h.shape[1]))
+    for i in range(known.shape[0]):
+        for k in range(3):
+            out[i, 3 + k] = h[known[i], k]
+        out[i, 16] = 1.0
+    return out

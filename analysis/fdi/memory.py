@@ -25,6 +25,8 @@ References
 .. [1] A. S. Willsky and H. L. Jones, IEEE Trans. Automatic Control 21(1), 1976.
 """
 
+import math
+
 import numpy as np
 
 from analysis.fdi.bank import reduction
@@ -34,6 +36,8 @@ from mavproxy_fault.wire.compiled import compiled
 
 WINDOWS = 4
 STRIDE_S = 5.0
+YOUNGEST_S = 0.5  # a younger window says nothing that the main test does not
+NEWS_S = 1.0  # epochs closer than this tell little new of an offset
 
 
 @compiled
@@ -120,9 +124,14 @@ def respond_to_rates(
         for j in range(g.shape[1]):
             g[i, j] = -g[i, j]
     sums, d = sums.copy(), d.copy()
-    mv, mg = apply(m, v), multiply(m, g)
+    own = np.empty((g.shape[0], 3 * sums.shape[0]))
+    for i in range(g.shape[0]):
+        for w in range(sums.shape[0]):
+            for a in range(3):
+                own[i, 3 * w + a] = g[i, w * (count + 3) + count + a]
+    mv, mg = apply(m, v), multiply(m, own)
     for w in range(sums.shape[0]):
-        _add_accelerations(sums[w], 5 * count, g, mg, mv, w * (count + 3) + count)
+        _add_accelerations(sums[w], 5 * count, own, mg, mv, 3 * w)
     add_product(d, 1.0, gain, g)
     return d, sums
 
@@ -135,15 +144,15 @@ def learn_offsets(
     h: Vector,
     variance: Vector,
     v: Vector,
-    slow: float,
-    stays: float,
-    news: float,
+    dt_s: float,
+    numbers: Vector,
 ) -> tuple[Vector, Vector]:
     """Mean and variance (n,) of each satellite's offset after the innovations v of one epoch.
 
-    `slow` is an unknown offset's variance over that of the range, `stays` the share of an offset
-    that is left since the last epoch; an epoch tells `news` of what an independent one would.
+    `numbers` are those of `DetectorConfig.memory_numbers`; an epoch `dt_s` after the last tells
+    min(dt_s, 1 s) of what an independent one would.
     """
+    slow, stays, news = numbers[0], math.exp(-dt_s / numbers[1]), min(dt_s / NEWS_S, 1.0)
     mean, wide = offset.copy(), spread.copy()
     for i in range(mean.shape[0]):
         mean[i] *= stays
@@ -157,6 +166,24 @@ def learn_offsets(
         mean[i] += share * (v[i] - mean[i])
         wide[i] *= 1.0 - share
     return mean, wide
+
+
+@compiled
+def strongest(
+    sums: Vector, spreads: Vector, ages: Vector, inertial: bool, numbers: Vector
+) -> tuple[float, int, int, float]:
+    """The largest ratio of a ramp with its window and satellite (-1: none is old enough), and the
+    largest of the rival, an acceleration error, where an IMU is used."""
+    best, window, worst, rival = 0.0, -1, -1, 0.0
+    ramps = ramp_statistics(sums, spreads, numbers[2])
+    wrong = acceleration_statistics(sums, numbers[3]) if inertial else np.zeros(ages.shape[0])
+    for w in range(ages.shape[0]):
+        if ages[w] >= YOUNGEST_S:
+            rival = max(rival, wrong[w])
+            for j in range(ramps.shape[1]):
+                if ramps[w, j] > best or worst < 0:
+                    best, window, worst = ramps[w, j], w, j
+    return best, window, worst, rival
 
 
 @compiled

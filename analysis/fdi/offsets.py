@@ -16,8 +16,12 @@ from analysis.samples import Vector
 
 def held(core: Core, names: tuple[str, ...], t_us: int, config: DetectorConfig) -> Vector:
     """The offsets (n,) in m that are taken off the ranges at `t_us`."""
+    known = core.held.offsets_m
+    if not known:
+        return np.zeros(len(names))
     fading = math.exp(-(t_us - core.held.t_us) * 1e-6 / config.sigma.slow_s)
-    return np.array([fading * core.held.offsets_m.get(name, 0.0) for name in names])
+    result: Vector = fading * np.array([known.get(name, 0.0) for name in names])
+    return result
 
 
 def learnt(core: Core, names: tuple[str, ...]) -> Vector:

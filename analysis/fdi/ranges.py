@@ -1,15 +1,14 @@
 """The main test F00 on all trusted pseudoranges, and the bank when it trips."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.inertial import CLOCK, DRIFT, PSI
 from analysis.fdi.measure import NO_ROWS, Modelled
+from analysis.fdi.sight import Innovated
 from analysis.fdi.state import Motion
-from analysis.fdi.thresholds import chi_square
-from analysis.fdi.update import Innovated, innovated
+from analysis.fdi.update import innovated
+from analysis.fdi.value import Value
 from analysis.fdi.verdict import Verdict, judge
 from analysis.samples import Vector
 
@@ -21,7 +20,7 @@ FREE_DRIFT_MPS = 100.0
 ROUNDS = 3  # a clock jump and a wrong prediction may come together
 
 
-class Tested(NamedTuple):
+class Tested(Value, frozen=True):
     """What the tests said, and what of the epoch the filter may take.
 
     `motion` is the prediction, with what was found wrong of it forgotten (`freed`);
@@ -46,33 +45,37 @@ def largest_set(count: int, wanted: int) -> int:
     return max(min(wanted, (count - 4) // 2), 1 if count >= 4 else 0)
 
 
-def check_ranges(
+def passed(motion: Motion, modelled: Modelled, first: Innovated, threshold: float) -> Tested:
+    """F00 passed: all ranges may be taken."""
+    return Tested(motion, "none", False, (), first.q, threshold, {}, modelled, first, False)
+
+
+def blamed(
     motion: Motion,
     modelled: Modelled,
-    first: Innovated,
+    statistic: float,
+    threshold: float,
     standing_m: Vector,
     config: DetectorConfig,
 ) -> Tested:
-    """F00 and verdict on the ranges of `modelled` (n satellites), innovated as `first`.
+    """The verdict on ranges of `modelled` (n satellites) whose `statistic` failed F00.
 
     `standing_m` (n,) is each satellite's learnt offset: when some are left out it is taken off the
     others', so that the position does not jump with the geometry.
     """
-    threshold = chi_square(len(modelled.v_m), config.p_false_alarm)
-    if first.q <= threshold:
-        return Tested(motion, "none", False, (), first.q, threshold, {}, modelled, first, False)
     hypothesis, verdict, motion = _freed(motion, modelled, threshold, config)
     part = modelled
     if verdict.hypothesis == "satellites":
         part = without(modelled, verdict.subset, standing_m)
     elif verdict.hypothesis != "none":
         part = NO_ROWS
-    blamed = verdict.hypothesis if hypothesis in ("none", "clock") else hypothesis
-    shown = hypothesis if verdict.hypothesis == "none" else blamed
+    shown = hypothesis
+    if verdict.hypothesis != "none" and hypothesis in ("none", "clock"):
+        shown = verdict.hypothesis
     alarm = shown not in ("none", "clock")
     subset, chances = verdict.subset, verdict.probabilities
     taken = innovated(motion.p, part)
-    return Tested(motion, shown, alarm, subset, first.q, threshold, chances, part, taken, True)
+    return Tested(motion, shown, alarm, subset, statistic, threshold, chances, part, taken, True)
 
 
 def without(modelled: Modelled, subset: tuple[int, ...], standing_m: Vector) -> Modelled:
@@ -97,11 +100,11 @@ def _freed(
     position = np.ascontiguousarray(modelled.h[:, 0:3])
     clock = np.ascontiguousarray(modelled.h[:, CLOCK : CLOCK + 1])
     for _ in range(ROUNDS):
-        _, m, _, q = innovated(motion.p, modelled)
-        if q <= threshold:
+        tried = innovated(motion.p, modelled)
+        if tried.q <= threshold:
             return hypothesis, Verdict("none", (), chances), motion
         verdict = judge(
-            m, modelled.v_m, position, clock, config.p_false_alarm, largest, config.rule
+            tried.m, modelled.v_m, position, clock, config.p_false_alarm, largest, config.rule
         )
         chances = chances or verdict.probabilities
         if verdict.hypothesis == "clock":

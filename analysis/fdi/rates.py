@@ -1,29 +1,30 @@
 """The same tests on the Doppler rates: they see a wrong attitude or force seconds earlier."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.inertial import DRIFT, innovate
-from analysis.fdi.measure import NO_ROWS, Modelled
+from analysis.fdi.measure import NO_ROWS, Modelled, rate_rows
 from analysis.fdi.ranges import FREE_DRIFT_MPS, free_position, largest_set
+from analysis.fdi.sight import Assessed
 from analysis.fdi.state import Motion
 from analysis.fdi.thresholds import chi_square
-from analysis.fdi.update import Assessed
+from analysis.fdi.update import Rates
+from analysis.fdi.value import Value
 from analysis.fdi.verdict import judge
 
 MIN_RATES = 5
+NO_RATES = Rates(NO_ROWS.v_mps, NO_ROWS.rate_variance, NO_ROWS.h)
 
 
-class RatesTested(NamedTuple):
+class RatesTested(Value, frozen=True):
     """What the rates said of the prediction, and those that fit."""
 
     statistic: float | None
     threshold: float | None
     dof: int
     hypothesis: str
-    fit: Modelled
+    fit: Rates
 
 
 def check_rates(
@@ -32,25 +33,24 @@ def check_rates(
     """Test the predicted velocity against the rates."""
     count = assessed.rates
     if not config.doppler or count < MIN_RATES:
-        return RatesTested(None, None, 0, "none", NO_ROWS)
-    known = modelled
-    if count < len(modelled.v_mps):
-        known = modelled.select(np.isfinite(modelled.v_mps))
+        return RatesTested(None, None, 0, "none", NO_RATES)
+    fit = Rates(modelled.v_mps, modelled.rate_variance, modelled.h)
     threshold = chi_square(count, config.p_other)
     if assessed.q_rate <= threshold:
-        return RatesTested(assessed.q_rate, threshold, count, "none", known)
-    h, v = known.h_rate, known.v_mps
-    _, m, _, q = innovate(motion.p, h, known.rate_variance, v)
+        return RatesTested(assessed.q_rate, threshold, count, "none", fit)
+    known = np.flatnonzero(np.isfinite(fit.v))
+    h, v = rate_rows(fit.h, known), fit.v[known]
+    _, m, _, q = innovate(motion.p, h, fit.variance[known], v)
     velocity = np.ascontiguousarray(h[:, 3:6])
     drift = np.ascontiguousarray(h[:, DRIFT : DRIFT + 1])
     verdict = judge(m, v, velocity, drift, config.p_other, largest_set(count, config.left_out))
     if verdict.hypothesis == "satellites":
-        keep = np.ones(count, dtype=bool)
-        keep[list(verdict.subset)] = False
-        known = known.select(keep)
+        kept = fit.v.copy()
+        kept[known[list(verdict.subset)]] = np.nan
+        fit = fit._replace(v=kept)
     elif verdict.hypothesis == "multiple-unknown":
-        known = NO_ROWS
-    return RatesTested(q, threshold, count, verdict.hypothesis, known)
+        fit = NO_RATES
+    return RatesTested(q, threshold, count, verdict.hypothesis, fit)
 
 
 def freed_by(motion: Motion, hypothesis: str) -> Motion:

@@ -1,43 +1,32 @@
 """The windows of `memory` kept over a flight, and what they say."""
 
-import math
-from typing import NamedTuple
-
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.inertial import ERRORS
-from analysis.fdi.memory import (
-    STRIDE_S,
-    WINDOWS,
-    acceleration_statistics,
-    learn_offsets,
-    ramp_statistics,
-    respond,
-    respond_to_rates,
-)
+from analysis.fdi.measure import Indices
+from analysis.fdi.memory import STRIDE_S, WINDOWS, ramp_statistics
 from analysis.fdi.thresholds import chi_square
-from analysis.fdi.update import Update
+from analysis.fdi.value import Value
 from analysis.fdi.verdict import PENALTY
 from analysis.samples import Vector
 
-YOUNGEST_S = 0.5  # a younger window says nothing that the main test does not
+STRIDE_US = round(STRIDE_S * 1e6)
 EPISODES = 1.2  # alarms per epoch over single-test probability, over windows and time: measured
 LATE = 9.0  # a ramp's likelihood ratio that dates the fault of a satellite found otherwise
-NEWS_S = 1.0  # epochs closer than this tell little new of an offset
 
 
-class Memory(NamedTuple):
-    """Windows over `names` (n satellites) since `starts_us` (None: not begun yet), kept since
-    `since_us`; d and sums as in `memory`.
+class Memory(Value, frozen=True):
+    """Windows over `names` (n satellites), each since `starts_us` (w,) (0: not begun yet), the next
+    to begin at `due_us`; d and sums as in `memory`.
 
     `offset` and `spread` (n,) are mean and variance of each satellite's offset now, `offsets` and
     `spreads` (w, n) the same when a window started.
     """
 
-    since_us: int
+    due_us: int
     names: tuple[str, ...]
-    starts_us: tuple[int | None, ...]
+    starts_us: Indices
     d: Vector
     sums: Vector
     offset: Vector
@@ -46,7 +35,17 @@ class Memory(NamedTuple):
     spreads: Vector
 
 
-class SlowVerdict(NamedTuple):
+class Strongest(Value, frozen=True):
+    """What stands out most: the ratio of a ramp, in which window and of which satellite (-1: no
+    window is old enough), and that of the rival, a wrong acceleration."""
+
+    ramp: float
+    window: int
+    satellite: int
+    rival: float
+
+
+class SlowVerdict(Value, frozen=True):
     """The largest ramp statistic and its threshold; whose fault it is (none, satellites, imu)."""
 
     statistic: float
@@ -60,39 +59,17 @@ def new_memory(t_us: int) -> Memory:
     """Windows that begin one after the other, the first when the filter has settled."""
     none, table = np.empty(0), np.empty((WINDOWS, 0))
     d, sums = np.zeros((ERRORS, 3 * WINDOWS)), np.zeros((WINDOWS, 12))
-    return Memory(t_us, (), (None,) * WINDOWS, d, sums, none, none, table, table)
+    starts_us = np.zeros(WINDOWS, dtype=np.int64)
+    return Memory(t_us + STRIDE_US, (), starts_us, d, sums, none, none, table, table)
 
 
-def remember(
-    memory: Memory,
-    t_us: int,
-    dt_s: float,
-    phi: Vector,
-    names: tuple[str, ...],
-    p: Vector,
-    update: Update,
-    config: DetectorConfig,
+def ready(
+    memory: Memory, t_us: int, names: tuple[str, ...], variance: Vector, config: DetectorConfig
 ) -> Memory:
-    """One epoch more, as the filter took it: the ranges of `names` (n satellites) and the rates.
-
-    `p` (18, 18) is the covariance before the update.
-    """
-    slow = config.sigma.slow**2
+    """The memory before an epoch of `names` (n satellites) at `t_us`; `variance` (n,) of ranges."""
     if memory.names != names:
-        memory = _renamed(memory, names, slow * update.variance)
-    memory = _turned_over(memory, t_us)
-    ages = np.array([(t_us - start) * 1e-6 if start else 0.0 for start in memory.starts_us])
-    gain, m, h, v = update.gain, update.m, update.h, update.v
-    d, sums = respond(memory.d, memory.sums, memory.offsets, ages, phi, gain, m, h, v, dt_s)
-    if len(update.v_rate):
-        d, sums = respond_to_rates(
-            d, sums, update.gain_rate, update.m_rate, update.h_rate, update.v_rate
-        )
-    stays = math.exp(-dt_s / config.sigma.slow_s)
-    offset, spread = learn_offsets(
-        memory.offset, memory.spread, p, h, update.variance, v, slow, stays, min(dt_s / NEWS_S, 1.0)
-    )
-    return memory._replace(d=d, sums=sums, offset=offset, spread=spread)
+        memory = _renamed(memory, names, config.sigma.slow**2 * variance)
+    return memory if t_us < memory.due_us else _turned_over(memory, t_us)
 
 
 def _renamed(memory: Memory, names: tuple[str, ...], most: Vector) -> Memory:
@@ -115,25 +92,23 @@ def _renamed(memory: Memory, names: tuple[str, ...], most: Vector) -> Memory:
             offsets[:, i], spreads[:, i] = memory.offsets[:, at], memory.spreads[:, at]
     flat = d.reshape(ERRORS, -1)
     return Memory(
-        memory.since_us, names, memory.starts_us, flat, sums, offset, spread, offsets, spreads
+        memory.due_us, names, memory.starts_us, flat, sums, offset, spread, offsets, spreads
     )
 
 
 def _turned_over(memory: Memory, t_us: int) -> Memory:
-    """The oldest window started anew when the youngest is a stride old."""
-    starts = [start or 0 for start in memory.starts_us]
-    if (t_us - max(memory.since_us, *starts)) * 1e-6 < STRIDE_S:
-        return memory
-    oldest = starts.index(min(starts))
-    starts[oldest] = t_us
+    """The oldest window started anew."""
+    oldest = int(memory.starts_us.argmin())
     each = len(memory.names) + 3
-    d, sums = memory.d.copy(), memory.sums.copy()
+    starts_us, d, sums = memory.starts_us.copy(), memory.d.copy(), memory.sums.copy()
     offsets, spreads = memory.offsets.copy(), memory.spreads.copy()
+    starts_us[oldest] = t_us
     d[:, oldest * each : (oldest + 1) * each] = 0.0
     sums[oldest] = 0.0
     offsets[oldest], spreads[oldest] = memory.offset, memory.spread
     return memory._replace(
-        starts_us=tuple(start or None for start in starts),
+        due_us=t_us + STRIDE_US,
+        starts_us=starts_us,
         d=d,
         sums=sums,
         offsets=offsets,
@@ -141,42 +116,26 @@ def _turned_over(memory: Memory, t_us: int) -> Memory:
     )
 
 
-def ramp_table(memory: Memory, config: DetectorConfig) -> Vector:
-    """Likelihood ratios (w, n) of a ramp on each satellite."""
-    return ramp_statistics(memory.sums, memory.spreads, config.sigma.slow_mps**2)
-
-
-def judge_slow(memory: Memory, t_us: int, inertial: bool, config: DetectorConfig) -> SlowVerdict:
+def judge_slow(memory: Memory, found: Strongest, config: DetectorConfig) -> SlowVerdict:
     """Whether a window has seen a ramp, and whose; the rival is a wrong acceleration."""
     count = len(memory.names)
     threshold = chi_square(1, config.p_slow / (EPISODES * max(count, 1)))
-    starts = [start or t_us for start in memory.starts_us]
-    old_enough = [w for w in range(WINDOWS) if (t_us - starts[w]) * 1e-6 >= YOUNGEST_S]
-    if not old_enough or not count:
-        return SlowVerdict(0.0, threshold)
-    ramps = ramp_table(memory, config)
-    if len(old_enough) < WINDOWS:
-        ramps = ramps[old_enough]
-    window, worst = divmod(int(ramps.argmax()), count)
-    statistic = float(ramps[window, worst])
-    wrong = 0.0
-    if inertial:
-        rivals = acceleration_statistics(memory.sums, config.slow_accel_mps2**2)
-        wrong = max(float(rivals[w]) for w in old_enough)
-    imu_cost = wrong - 3.0 * PENALTY
-    if wrong > chi_square(3, config.p_slow / EPISODES) and imu_cost > statistic - 2.0 * PENALTY:
+    statistic, imu_cost = found.ramp, found.rival - 3.0 * PENALTY
+    wrong = found.rival > chi_square(3, config.p_slow / EPISODES)
+    if wrong and imu_cost > statistic - 2.0 * PENALTY:
         return SlowVerdict(statistic, threshold, "imu")
     if statistic <= threshold:
         return SlowVerdict(statistic, threshold)
-    onset_us = starts[old_enough[window]]
-    return SlowVerdict(statistic, threshold, "satellites", memory.names[worst], onset_us)
+    onset_us = int(memory.starts_us[found.window])
+    return SlowVerdict(statistic, threshold, "satellites", memory.names[found.satellite], onset_us)
 
 
 def onset_of(memory: Memory | None, name: str, t_us: int, config: DetectorConfig) -> int:
     """Since when a satellite found faulty at `t_us` has been so, by the windows."""
     if memory is None or name not in memory.names:
         return t_us
-    ratios = ramp_table(memory, config)[:, memory.names.index(name)]
+    table = ramp_statistics(memory.sums, memory.spreads, config.sigma.slow_mps**2)
+    ratios = table[:, memory.names.index(name)]
     window = int(ratios.argmax())
-    start_us = memory.starts_us[window]
-    return start_us if start_us is not None and ratios[window] >= LATE else t_us
+    start_us = int(memory.starts_us[window])
+    return start_us if start_us and ratios[window] >= LATE else t_us

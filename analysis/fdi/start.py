@@ -6,13 +6,13 @@ import numpy as np
 
 from analysis.fdi.bank import projected_weights
 from analysis.fdi.config import DetectorConfig
-from analysis.fdi.inertial import BA, BG, CLOCK, DRIFT, ERRORS, ISB, PSI, X_SIZE
+from analysis.fdi.inertial import BA, BG, CLOCK, DRIFT, ERRORS, ISB, PSI, X_CLOCK, X_ISB, X_SIZE
 from analysis.fdi.measure import Modelled, Observed, model
 from analysis.fdi.state import Motion
 from analysis.fdi.thresholds import chi_square
 from analysis.fdi.verdict import explain_by_satellites
 from analysis.samples import Vector
-from analysis.solve import design_matrix
+from analysis.solve import design_matrix, systems_of
 
 ITERATIONS = 12
 CONVERGED_M = 1e-3
@@ -47,7 +47,7 @@ def start(t_us: int, observed: Observed, config: DetectorConfig, ionosphere: Vec
     if x is None:
         return Start(None, _too_few(observed))
     modelled = model(observed, x, config.sigma, ionosphere)
-    design = design_matrix(-modelled.h[:, 0:3], observed.galileo)
+    design = design_matrix(-modelled.h[:, 0:3], observed.system)
     dof = len(design) - design.shape[1]
     if dof < 1:
         return Start(None, f"{len(design)} satellites; {design.shape[1] + 1} are needed to test")
@@ -73,7 +73,7 @@ def _repaired(
     """The start without the satellites that make it fail."""
     modelled = model(observed, x, config.sigma, ionosphere)
     u = m @ modelled.v_m
-    unknowns = 4 + int(observed.galileo.any() and not observed.galileo.all())
+    unknowns = 3 + len(systems_of(observed.system))
     largest = min(config.left_out, (len(u) - unknowns) // 2)
     found = explain_by_satellites(m, u, q, config.p_false_alarm, largest, unknowns)
     if found is None:
@@ -86,7 +86,7 @@ def _repaired(
     if solved is None:
         return Start(None, _too_few(observed))
     modelled = model(observed, solved, config.sigma, ionosphere)
-    design = design_matrix(-modelled.h[:, 0:3], observed.galileo)
+    design = design_matrix(-modelled.h[:, 0:3], observed.system)
     motion = _motion(t_us, solved, observed, modelled, design, config)
     dof = len(u) - unknowns
     return Start(motion, "", left_out, q, dof, chi_square(dof, config.p_false_alarm))
@@ -99,24 +99,22 @@ def _too_few(observed: Observed) -> str:
 def _solve(
     observed: Observed, x: Vector, config: DetectorConfig, ionosphere: Vector
 ) -> Vector | None:
-    """Position, clock and system offset by Gauss-Newton from x; None where it fails."""
+    """Position, clock and system offsets by Gauss-Newton from x; None where it fails."""
     x = x.copy()
-    if not observed.galileo.any() or observed.galileo.all():
-        x[-1] = 0.0
-    if len(observed.satellites) < 4 + int(0 < observed.galileo.sum() < len(observed.galileo)):
+    offset = [X_ISB + kind - 1 for kind in systems_of(observed.system)[1:]]
+    x[[i for i in range(X_ISB, X_SIZE) if i not in offset]] = 0.0
+    if len(observed.satellites) < 4 + len(offset):
         return None
     for _ in range(ITERATIONS):
         near = float(x[:3] @ x[:3]) > FAR_FROM_EARTH_M**2
         modelled = model(observed, x if near else x + 1e-3, config.sigma, ionosphere)
         weight = modelled.variance**-0.5 if near else np.ones(len(modelled.v_m))
-        design = design_matrix(-modelled.h[:, 0:3], observed.galileo) * weight[:, None]
+        design = design_matrix(-modelled.h[:, 0:3], observed.system) * weight[:, None]
         step, _, rank, _ = np.linalg.lstsq(design, modelled.v_m * weight, rcond=1e-10)
         if rank < design.shape[1] or not np.isfinite(step).all():
             return None
         x[0:3] += step[:3]
-        x[16] += step[3]
-        if len(step) > 4:
-            x[18] += step[4]
+        x[[X_CLOCK, *offset]] += step[3:]
         if near and float(np.abs(step[:3]).max()) < CONVERGED_M:
             return x
     return None
@@ -134,10 +132,9 @@ def _motion(
     p = np.zeros((ERRORS, ERRORS))
     weighted = design / np.sqrt(modelled.variance)[:, None]
     cofactor = np.linalg.inv(weighted.T @ weighted)
-    spots = [0, 1, 2, CLOCK, ISB][: design.shape[1]]
+    p[range(ISB, ERRORS), range(ISB, ERRORS)] = ISB_SIGMA_M**2
+    spots = [0, 1, 2, CLOCK, *(ISB + kind - 1 for kind in systems_of(observed.system)[1:])]
     p[np.ix_(spots, spots)] = cofactor
-    if len(spots) < 5:
-        p[ISB, ISB] = ISB_SIGMA_M**2
     x = x.copy()
     x[6] = 1.0
     known = np.isfinite(observed.doppler_mps)

@@ -3,16 +3,18 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from analysis.samples import ImuSample, Vector
+from analysis.block import ImuRun
+from analysis.fdi.value import Value
+from analysis.samples import Vector
 from mavproxy_fault.wire.ephemeris import Ephemeris
 
 Stored = tuple[Ephemeris, Vector]  # an ephemeris and its packed numbers
 
 
 class Pending(NamedTuple):
-    """IMU samples not yet used, newest first; `depth` of them, so that memory stays bounded."""
+    """IMU samples not yet used, the newest run first; `depth` of them, as memory is bounded."""
 
-    sample: ImuSample
+    run: ImuRun
     older: "Pending | None"
     depth: int
 
@@ -42,7 +44,7 @@ class Exclusion:
     healthy_since_us: int | None = None
 
 
-class Motion(NamedTuple):
+class Motion(Value, frozen=True):
     """The filter: time, state x (19,) and covariance p (18, 18) of `inertial`.
 
     `inertial` says whether the IMU moves it, `alignment` is how far its attitude has been found.

@@ -1,58 +1,30 @@
-"""What one epoch asks of the filter, each in one call: every test at once, and every update.
+"""What an epoch does to the filter and to its memory, in one call, once it is known what to trust.
 
-An epoch without a fault needs nothing else; the verdicts of one with a fault come between the two.
+The ranges are used first, then the Doppler rates against what the ranges have told.
 """
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
-from analysis.fdi.bank import normalised, projected_weights
+from analysis.fdi.config import DetectorConfig
 from analysis.fdi.inertial import correct, innovate
 from analysis.fdi.linear import apply
-from analysis.fdi.measure import Modelled
+from analysis.fdi.measure import Indices, Modelled, rate_rows
+from analysis.fdi.memory import learn_offsets, respond, respond_to_rates, strongest
+from analysis.fdi.sight import Innovated, finite
+from analysis.fdi.slow import Memory, Strongest
 from analysis.fdi.state import Motion
+from analysis.fdi.value import Value
 from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
-Indices = NDArray[np.int64]
 
+class Rates(Value, frozen=True):
+    """Doppler rates that fit, NaN where one does not: v and variance (n,), geometry of the ranges
+    of the same satellites (n, 18)."""
 
-class Innovated(NamedTuple):
-    """P H' (18, n), the inverse innovation covariance M (n, n), u = M v (n,) and q = v' M v."""
-
-    ph: Vector
-    m: Vector
-    u: Vector
-    q: float
-
-
-class Assessed(NamedTuple):
-    """All tests of an epoch: the ranges' with `normalised` (n,), the rates' statistic over `rates`
-    of them, and the parity statistic with its degrees of freedom (0 where it cannot be had)."""
-
-    ranges: Innovated
-    normalised: Vector
-    q_rate: float
-    rates: int
-    parity: float
-    parity_dof: int
-
-
-class Update(NamedTuple):
-    """What an update of the filter used: gain (18, m), inverse covariance (m, m), geometry
-    (m, 18), variance and innovations (m,), of the ranges and of the rates."""
-
-    gain: Vector
-    m: Vector
-    h: Vector
-    variance: Vector
     v: Vector
-    gain_rate: Vector
-    m_rate: Vector
-    h_rate: Vector
-    v_rate: Vector
+    variance: Vector
+    h: Vector
 
 
 def innovated(p: Vector, modelled: Modelled) -> Innovated:
@@ -60,71 +32,9 @@ def innovated(p: Vector, modelled: Modelled) -> Innovated:
     return Innovated(*innovate(p, modelled.h, modelled.variance, modelled.v_m))
 
 
-def assess(p: Vector, modelled: Modelled, galileo: Vector) -> Assessed:
-    """Every test of an epoch's ranges and rates against the prediction with covariance p."""
-    ph, m, u, each, numbers, counts = _assess(
-        p,
-        modelled.h,
-        modelled.variance,
-        modelled.v_m,
-        modelled.h_rate,
-        modelled.rate_variance,
-        modelled.v_mps,
-        galileo,
-    )
-    ranges = Innovated(ph, m, u, numbers[0])
-    return Assessed(ranges, each, numbers[1], counts[0], numbers[2], counts[1])
-
-
-@compiled
-def _assess(
-    p: Vector,
-    h: Vector,
-    variance: Vector,
-    v: Vector,
-    h_rate: Vector,
-    rate_variance: Vector,
-    v_rate: Vector,
-    galileo: Vector,
-) -> tuple[Vector, Vector, Vector, Vector, tuple[float, float, float], tuple[int, int]]:
-    ph, m, u, q = innovate(p, h, variance, v)
-    known, others = 0, 0
-    for i in range(v.shape[0]):
-        known += np.isfinite(v_rate[i])
-        others += galileo[i]
-    q_rate = 0.0
-    if known > 0:
-        rows, some, wide = np.empty((known, h.shape[1])), np.empty(known), np.empty(known)
-        at = 0
-        for i in range(v.shape[0]):
-            if np.isfinite(v_rate[i]):
-                some[at], wide[at] = v_rate[i], rate_variance[i]
-                for j in range(h.shape[1]):
-                    rows[at, j] = h_rate[i, j]
-                at += 1
-        q_rate = innovate(p, rows, wide, some)[3]
-    columns = 5 if 0 < others < v.shape[0] else 4
-    parity, dof = 0.0, max(v.shape[0] - columns, 0)
-    if dof > 0:
-        design, weight = np.empty((v.shape[0], columns)), np.empty(v.shape[0])
-        for i in range(v.shape[0]):
-            weight[i] = 1.0 / variance[i]
-            for j in range(3):
-                design[i, j] = h[i, j]
-            design[i, 3] = 1.0
-            if columns == 5:
-                design[i, 4] = h[i, 17]
-        left = apply(projected_weights(design, weight), v)
-        for i in range(v.shape[0]):
-            parity += v[i] * left[i]
-    return ph, m, u, normalised(m, u), (q, q_rate, parity), (known, dof)
-
-
-def absorb(
-    motion: Motion, ranges: Modelled, taken: Innovated, rates: Modelled
-) -> tuple[Motion, Update]:
+def absorb(motion: Motion, ranges: Modelled, taken: Innovated, rates: Rates) -> Motion:
     """The filter after the ranges of `ranges`, innovated as `taken`, and the rates of `rates`."""
-    x, p, gain, gain_rate, m_rate, v_rate = _absorb(
+    x, p, *_ = _absorb(
         motion.x,
         motion.p,
         ranges.h,
@@ -132,22 +42,54 @@ def absorb(
         taken.ph,
         taken.m,
         taken.u,
-        rates.h_rate,
-        rates.rate_variance,
-        rates.v_mps,
+        rates.h,
+        rates.variance,
+        rates.v,
     )
-    update = Update(
-        gain,
-        taken.m,
+    return motion._replace(x=x, p=p)
+
+
+def remember(
+    motion: Motion,
+    ranges: Modelled,
+    taken: Innovated,
+    rates: Rates,
+    memory: Memory,
+    phi: Vector,
+    dt_s: float,
+    config: DetectorConfig,
+) -> tuple[Motion, Memory, Strongest]:
+    """The same, the memory of the epochs before with it, and what its windows say now.
+
+    `memory` is over the satellites of `ranges`; phi (18, 18) the transition since the last epoch.
+    """
+    x, p, d, sums, offset, spread, found = _remember(
+        motion.x,
+        motion.p,
         ranges.h,
         ranges.variance,
         ranges.v_m,
-        gain_rate,
-        m_rate,
-        rates.h_rate,
-        v_rate,
+        taken.ph,
+        taken.m,
+        taken.u,
+        rates.h,
+        rates.variance,
+        rates.v,
+        phi,
+        dt_s,
+        motion.t_us,
+        memory.starts_us,
+        memory.d,
+        memory.sums,
+        memory.offset,
+        memory.spread,
+        memory.offsets,
+        memory.spreads,
+        motion.inertial,
+        config.memory_numbers,
     )
-    return motion._replace(x=x, p=p), update
+    memory = memory._replace(d=d, sums=sums, offset=offset, spread=spread)
+    return motion._replace(x=x, p=p), memory, Strongest(*found)
 
 
 @compiled
@@ -159,16 +101,61 @@ def _absorb(
     ph: Vector,
     m: Vector,
     u: Vector,
-    h_rate: Vector,
+    rates_h: Vector,
     rate_variance: Vector,
     v_rate: Vector,
-) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector]:
+) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector, Vector]:
+    """State, covariance and gain; gain, M, geometry and innovations of the rates."""
     moved = apply(ph, u)
     x, p, gain = correct(x, p, h, variance, ph, m, u)
-    left = v_rate.copy()  # what the ranges' update has told is no news for the rates
+    known = finite(v_rate)
+    rows = rate_rows(rates_h, known)
+    left, wide = np.empty(known.shape[0]), np.empty(known.shape[0])
     for i in range(left.shape[0]):
-        for j in range(moved.shape[0]):
-            left[i] -= h_rate[i, j] * moved[j]
-    ph_rate, m_rate, u_rate, _ = innovate(p, h_rate, rate_variance, left)
-    x, p, gain_rate = correct(x, p, h_rate, rate_variance, ph_rate, m_rate, u_rate)
-    return x, p, gain, gain_rate, m_rate, left
+        left[i], wide[i] = v_rate[known[i]], rate_variance[known[i]]
+        for j in range(moved.shape[0]):  # what the ranges' update has told is no news
+            left[i] -= rows[i, j] * moved[j]
+    ph_rate, m_rate, u_rate, _ = innovate(p, rows, wide, left)
+    x, p, gain_rate = correct(x, p, rows, wide, ph_rate, m_rate, u_rate)
+    return x, p, gain, gain_rate, m_rate, rows, left
+
+
+@compiled
+def _remember(
+    x: Vector,
+    p: Vector,
+    h: Vector,
+    variance: Vector,
+    v: Vector,
+    ph: Vector,
+    m: Vector,
+    u: Vector,
+    rates_h: Vector,
+    rate_variance: Vector,
+    v_rate: Vector,
+    phi: Vector,
+    dt_s: float,
+    t_us: int,
+    starts_us: Indices,
+    d: Vector,
+    sums: Vector,
+    offset: Vector,
+    spread: Vector,
+    offsets: Vector,
+    spreads: Vector,
+    inertial: bool,
+    numbers: Vector,
+) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector, tuple[float, int, int, float]]:
+    after, wide, gain, gain_rate, m_rate, rows, left = _absorb(
+        x, p, h, variance, ph, m, u, rates_h, rate_variance, v_rate
+    )
+    ages = np.zeros(starts_us.shape[0])
+    for w in range(ages.shape[0]):
+        if starts_us[w] != 0:
+            ages[w] = (t_us - starts_us[w]) * 1e-6
+    d, sums = respond(d, sums, offsets, ages, phi, gain, m, h, v, dt_s)
+    if left.shape[0] > 0:
+        d, sums = respond_to_rates(d, sums, gain_rate, m_rate, rows, left)
+    offset, spread = learn_offsets(offset, spread, p, h, variance, v, dt_s, numbers)
+    found = strongest(sums, spreads, ages, inertial, numbers)
+    return after, wide, d, sums, offset, spread, found

@@ -11,13 +11,11 @@ older literature, "no leave-out set passes, so it is the IMU", can be chosen for
 """
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
-
-import numpy as np
 
 from analysis.fdi.bank import best_subset, freed
+from analysis.fdi.linear import apply
 from analysis.fdi.thresholds import chi_square, subset_threshold
+from analysis.fdi.value import Value
 from analysis.samples import Vector
 
 PENALTY = 2.0  # per freed parameter, as in Akaike's criterion
@@ -25,8 +23,7 @@ RULES = ("explicit", "plain")
 DOF_LEFT = 2  # degrees of freedom kept after leaving out
 
 
-@dataclass(frozen=True, slots=True)
-class Explanation:
+class Explanation(Value, frozen=True):
     """One hypothesis: what it frees, the statistic left, and whether that passes its test."""
 
     hypothesis: str
@@ -41,7 +38,7 @@ class Explanation:
         return self.statistic <= self.threshold
 
 
-class Verdict(NamedTuple):
+class Verdict(Value, frozen=True):
     """The explanation taken, and all that were weighed with their relative likelihoods."""
 
     hypothesis: str
@@ -68,7 +65,7 @@ def explain_by_satellites(
         if found is not None and found.statistic - statistic <= telling:
             return found
         if statistic <= threshold:
-            subset = tuple(int(i) for i in pick)
+            subset = tuple(pick.tolist())
             cost = statistic + PENALTY * size
             found = Explanation("satellites", subset, statistic, threshold, cost)
     return found
@@ -79,7 +76,7 @@ def explain_by(
 ) -> Explanation:
     """The explanation that frees parameters along the columns of g (n, k)."""
     size = g.shape[1]
-    statistic = freed(m, u, q, np.ascontiguousarray(g))
+    statistic = freed(m, u, q, g)
     threshold = chi_square(max(len(u) - size, 1), p_false_alarm)
     return Explanation(hypothesis, (), statistic, threshold, statistic + PENALTY * size)
 
@@ -107,7 +104,7 @@ def judge(
         Most satellites to leave out.
     rule : {"explicit", "plain"}
     """
-    u = m @ v
+    u = apply(m, v)
     q = float(v @ u)
     satellites = explain_by_satellites(m, u, q, p_false_alarm, largest)
     if rule == "plain":

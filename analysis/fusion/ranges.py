@@ -21,7 +21,7 @@ from analysis.fusion.weights import weight
 from analysis.fusion.window import key
 from analysis.gnss import EARTH_RATE_RPS, LIGHT_MPS
 from analysis.samples import Vector
-from analysis.solve import design_matrix
+from analysis.solve import design_matrix, systems_of
 from mavproxy_fault.wire.compiled import compiled
 
 Weights = dict[str, float]
@@ -44,9 +44,18 @@ class Ranges:
     ) -> None:
         modelled = model(observed, x, detector.sigma, ionosphere)
         self.satellites = observed.satellites
-        self._states, self._galileo = observed.states, observed.galileo
+        self._states, self._system = observed.states, observed.system
         self._r_m = x[:3]
-        self._table = _corrected(observed.states, x, config.correlation, *modelled[:4], modelled.h)
+        self._table = _corrected(
+            observed.states,
+            x,
+            config.correlation,
+            modelled.v_m,
+            modelled.v_mps,
+            modelled.variance,
+            modelled.rate_variance,
+            modelled.h,
+        )
         self._above = (modelled.elevation_rad >= math.radians(detector.mask_deg)).tolist()
         self._config, self._slow, self._doppler = config, config.slow, detector.doppler
 
@@ -66,8 +75,8 @@ class Ranges:
     def learn(self, learnt: Learnt) -> None:
         """Take over what is known of sigmas."""
         self._table[:, RATE_SIGMA] *= learnt.rate_factors(self.satellites)
-        both = 0 < self._galileo.sum() < len(self._galileo)
-        self._slow = learnt.slow(self._config.slow, 4 + int(both))
+        unknowns = 3 + len(systems_of(self._system))
+        self._slow = learnt.slow(self._config.slow, unknowns)
 
     def used(self, weights: Weights) -> list[int]:
         """Indices of those with a weight."""
@@ -146,11 +155,11 @@ class Ranges:
         satellite, which the position follows as the snapshot solution does.
         """
         used = self.used(weights)
-        galileo = self._galileo[used]
-        if len(used) < 4 + int(0 < galileo.sum() < len(galileo)):
+        system = self._system[used]
+        if len(used) < 3 + max(len(systems_of(system)), 1):
             return None
         sigma = self._slow * self.sigma_m[used] / self._config.correlation
-        design = design_matrix(self._table[used, LOS], galileo.astype(float)) / sigma[:, None]
+        design = design_matrix(self._table[used, LOS], system) / sigma[:, None]
         try:
             cofactor = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
         except np.linalg.LinAlgError:

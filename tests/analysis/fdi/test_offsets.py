@@ -16,6 +16,7 @@ from analysis.results import Decision
 from analysis.samples import Epoch, ImuSample, Sample
 
 CONFIG = DetectorConfig()
+FOR_EVER = DetectorConfig(sigma=SigmaModel(slow_s=1e12)).memory_numbers
 NAMES = ("E05", "G12")
 
 
@@ -57,7 +58,7 @@ def test_an_offset_is_learnt_as_kalman_s_filter_does():
     h, p = np.zeros((1, 18)), np.zeros((18, 18))
     for _ in range(50):
         v = 0.7 + rng.standard_normal(1)
-        mean, wide = learn_offsets(mean, wide, p, h, np.ones(1), v, 1.0, 1.0, 1.0)
+        mean, wide = learn_offsets(mean, wide, p, h, np.ones(1), v, 1.0, FOR_EVER)
     assert wide[0] == pytest.approx(1.0 / 51.0)
     assert abs(mean[0] - 0.7) < 4.0 * math.sqrt(wide[0])
 
