@@ -1,8 +1,8 @@
 """RINEX 2, 3 and 4 observation files, one code range, Doppler and C/N0 per satellite.
 
-Only what the detector needs is read: GPS L1 and Galileo E1. Of the code signals of a system the
-first in `PREFERRED` that the file has is taken [1]_ [2]_. Lines that are no observation are passed
-over; a file cut short ends with its last whole epoch.
+Only what the detector needs is read: GPS L1, Galileo E1, GLONASS G1, and B1I or B3I of BeiDou. Of
+the code signals of a system the first in `PREFERRED` that the file has is taken [1]_ [2]_. Lines
+that are no observation are passed over; a file cut short ends with its last whole epoch.
 
 References
 ----------
@@ -18,24 +18,34 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.gnss import L1_HZ, LIGHT_MPS
-from analysis.samples import Epoch
+from analysis.glonass import CENTRE_HZ, CHANNEL_HZ
+from analysis.gnss import B1I_HZ, B3I_HZ, L1_HZ, LIGHT_MPS
+from analysis.samples import Epoch, Vector
 from mavproxy_fault.errors import ConfigError
 
-PREFERRED = {"G": ("1C", "1X", "1L", "1S", "1W", "1P"), "E": ("1C", "1X", "1B", "1A")}
+PREFERRED = {
+    "G": ("1C", "1X", "1L", "1S", "1W", "1P"),
+    "E": ("1C", "1X", "1B", "1A"),
+    "R": ("1C", "1P"),
+    "C": ("2I", "1I", "2X", "6I", "6X"),  # 1I is what RINEX 3.02 calls B1I
+}
+BEIDOU_HZ = {"1": B1I_HZ, "2": B1I_HZ, "6": B3I_HZ}  # by the band
 GPS_DAY_ZERO = date(1980, 1, 6).toordinal()
 WEEK_DAYS = 7
 FIELD_WIDTH = 16  # F14.3, loss of lock, signal strength
+_Row = tuple[str, tuple[float, float, float], float]  # satellite, its values, carrier
 _COMPRESSED = (".gz", ".z", ".bz2", ".zip", ".crx", ".crx.gz")
 
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Where code, Doppler and C/N0 of one system lie among its observations (-1: nowhere)."""
+    """Where code, Doppler and C/N0 of one system lie among its observations (-1: nowhere), and the
+    carrier; GLONASS's is that of channel 0."""
 
     code: int
     doppler: int
     cn0: int
+    carrier_hz: float = L1_HZ
 
 
 def read_text(path: Path) -> list[str]:
@@ -81,17 +91,34 @@ def read_observations(path: Path) -> list[Epoch]:
     start = next((i for i, line in enumerate(lines) if line[60:].startswith("END OF HEADER")), None)
     if start is None:
         raise ConfigError(f"{path}: has no END OF HEADER; the header is cut short")
+    channels = _channels(lines[:start])
     if version < 3.0:
-        return list(_epochs_2(lines, start + 1, _types_2(lines[:start])))
-    return list(_epochs_3(lines, start + 1, _types_3(lines[:start])))
+        return list(_epochs_2(lines, start + 1, _types_2(lines[:start]), channels))
+    return list(_epochs_3(lines, start + 1, _types_3(lines[:start]), channels))
 
 
 def _columns(system: str, types: list[str]) -> _Columns:
     for signal in PREFERRED[system]:
         if "C" + signal in types:
             found = [types.index(k + signal) if k + signal in types else -1 for k in "CDS"]
-            return _Columns(*found)
+            return _Columns(found[0], found[1], found[2], _carrier_hz(system, signal))
     return _Columns(-1, -1, -1)
+
+
+def _carrier_hz(system: str, signal: str) -> float:
+    if system == "R":
+        return CENTRE_HZ
+    return BEIDOU_HZ[signal[0]] if system == "C" else L1_HZ
+
+
+def _channels(header: list[str]) -> dict[str, int]:
+    """The channels of GLONASS satellites."""
+    found: dict[str, int] = {}
+    for line in header:
+        if line[60:].startswith("GLONASS SLOT / FRQ #"):
+            words = line[4:60].split()
+            found |= {words[i]: int(words[i + 1]) for i in range(0, len(words) - 1, 2)}
+    return found
 
 
 def _types_3(header: list[str]) -> dict[str, _Columns]:
@@ -131,24 +158,31 @@ def _values(line: str, first: int, columns: _Columns) -> tuple[float, float, flo
     return code, _number(line, first, columns.doppler), _number(line, first, columns.cn0)
 
 
-def _epoch(
-    week: int, tow_s: float, rows: list[tuple[str, tuple[float, float, float]]]
-) -> Epoch | None:
+def _epoch(week: int, tow_s: float, rows: list[_Row], channels: dict[str, int]) -> Epoch | None:
     if not rows:
         return None
-    table = np.array([values for _, values in rows])
+    table = np.array([row[1] for row in rows])
+    carriers: Vector | None = None
+    rates = table[:, 1] * (-LIGHT_MPS / L1_HZ)
+    if any(row[2] != L1_HZ for row in rows):
+        carriers = np.array([hz + CHANNEL_HZ * channels.get(name, 0) for name, _, hz in rows])
+        unknown = [name[0] == "R" and name not in channels for name, _, _ in rows]
+        rates = np.where(unknown, np.nan, table[:, 1] * (-LIGHT_MPS / carriers))
     return Epoch(
         t_us=round((week * 604_800 + tow_s) * 1e6),
         week=week,
         tow_s=tow_s,
-        satellites=tuple(name for name, _ in rows),
+        satellites=tuple(row[0] for row in rows),
         pseudorange_m=table[:, 0].copy(),
-        doppler_mps=table[:, 1] * (-LIGHT_MPS / L1_HZ),
+        doppler_mps=rates,
         cn0_dbhz=table[:, 2].copy(),
+        carrier_hz=carriers,
     )
 
 
-def _epochs_3(lines: list[str], at: int, types: dict[str, _Columns]) -> Iterator[Epoch]:
+def _epochs_3(
+    lines: list[str], at: int, types: dict[str, _Columns], channels: dict[str, int]
+) -> Iterator[Epoch]:
     while at < len(lines):
         head = lines[at]
         at += 1
@@ -165,9 +199,10 @@ def _epochs_3(lines: list[str], at: int, types: dict[str, _Columns]) -> Iterator
             if columns is not None and columns.code >= 0:
                 values = _parse(line, 3, columns)
                 if values is not None:
-                    rows.append((line[0] + line[1:3].replace(" ", "0"), values))
+                    name = line[0] + line[1:3].replace(" ", "0")
+                    rows.append((name, values, columns.carrier_hz))
         at += count
-        epoch = _epoch(week, tow_s, rows)
+        epoch = _epoch(week, tow_s, rows, channels)
         if epoch is not None and at <= len(lines):
             yield epoch
 
@@ -186,7 +221,9 @@ def _time(year: str, rest: str) -> tuple[int, float]:
     )
 
 
-def _epochs_2(lines: list[str], at: int, types: tuple[int, _Columns]) -> Iterator[Epoch]:
+def _epochs_2(
+    lines: list[str], at: int, types: tuple[int, _Columns], channels: dict[str, int]
+) -> Iterator[Epoch]:
     total, columns = types
     per_satellite = -(-total // 5)
     while at < len(lines):
@@ -209,8 +246,8 @@ def _epochs_2(lines: list[str], at: int, types: tuple[int, _Columns]) -> Iterato
             name = names[3 * i : 3 * i + 3].replace(" ", "0")
             name = "G" + name[1:] if name[:1] == "0" else name
             values = _parse("".join(line.ljust(80)[:80] for line in block), 0, columns)
-            if values is not None and name[:1] in PREFERRED:
-                rows.append((name, values))
-        epoch = _epoch(week, tow_s, rows)
+            if values is not None and name[:1] in "GER":
+                rows.append((name, values, CENTRE_HZ if name[0] == "R" else L1_HZ))
+        epoch = _epoch(week, tow_s, rows, channels)
         if epoch is not None and at <= len(lines):
             yield epoch

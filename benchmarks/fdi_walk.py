@@ -88,7 +88,7 @@ def range_errors(
         observed = observe(s, choose(s, state.core.ephemerides))
         if observed is None:
             continue
-        x = np.zeros(19)
+        x = np.zeros(21)
         x[0:3], x[6] = where[round(s.t_us * 4e-6)], 1.0
         seen = model(observed, x, detector.config.sigma, state.core.ionosphere)
         for system in "GE":

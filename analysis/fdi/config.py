@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from analysis.fdi.verdict import RULES
-from analysis.gnss import TYPICAL_ALPHA, TYPICAL_BETA
+from analysis.gnss import SYSTEMS, TYPICAL_ALPHA, TYPICAL_BETA
 from analysis.samples import Vector
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.wire.compiled import compiled
@@ -88,7 +88,8 @@ class DetectorConfig:
 
     `p_false_alarm` is per GNSS epoch for the main test F00; `p_slow` per epoch for the tests with
     memory and `p_other` for Doppler and the other sensors. `rule` is how a verdict is found and
-    `left_out` the most satellites left out for it. `readmit_s` is how long an excluded satellite
+    `left_out` the most satellites left out for it. `systems` are the first letters of those that
+    are used: GPS, Galileo, GLONASS (R), BeiDou (C). `readmit_s` is how long an excluded satellite
     must look healthy before it is used again, `imu_hold_s` how long a faulty IMU is not, `gap_s`
     the longest IMU gap that is bridged, `reset_s` the longest gap of epochs. `slow_accel_mps2` is
     what a sound IMU's acceleration may be wrong by for seconds. `history_s` is how far back the
@@ -100,6 +101,7 @@ class DetectorConfig:
     p_other: float = 1e-5
     rule: str = "explicit"
     left_out: int = 3
+    systems: str = "GE"
     mask_deg: float = 10.0
     readmit_s: float = 10.0
     imu_hold_s: float = 10.0
@@ -127,6 +129,11 @@ class DetectorConfig:
         if self.rule not in RULES:
             raise ConfigError(
                 f"monitor.rule = {self.rule!r} is unknown; known: {', '.join(sorted(RULES))}"
+            )
+        if not self.systems or not set(self.systems) <= set(SYSTEMS):
+            raise ConfigError(
+                f"monitor.systems = {self.systems!r} names no or other systems;"
+                f" letters of {SYSTEMS} are known"
             )
         for name in ("left_out", "readmit_s", "imu_hold_s", "gap_s", "reset_s", "history_s"):
             value = getattr(self, name)

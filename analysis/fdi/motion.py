@@ -67,7 +67,7 @@ def segment(run: list[ImuSample], motion: Motion, until_us: int) -> Segment:
 def advance(
     motion: Motion, part: Segment, until_us: int, config: DetectorConfig
 ) -> tuple[Motion, Vector]:
-    """The filter at `until_us`, before the epoch there is used, and the transition (18, 18)."""
+    """The filter at `until_us`, before the epoch there is used, and the transition (20, 20)."""
     dt_s = (until_us - motion.t_us) * 1e-6
     noise = config.noise.densities
     whole = part.gap_s <= config.gap_s and len(part.samples) > 0

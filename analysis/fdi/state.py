@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from analysis.fdi.value import Value
-from analysis.samples import ImuSample, Vector
+from analysis.samples import ImuSample, StateVector, Vector
 from mavproxy_fault.wire.ephemeris import Ephemeris
 
-Stored = tuple[Ephemeris, Vector]  # an ephemeris and its packed numbers
+Stored = tuple[Ephemeris | StateVector, Vector]  # an ephemeris and its packed numbers
 
 
 class Pending(NamedTuple):
@@ -44,7 +44,7 @@ class Exclusion:
 
 
 class Motion(Value, frozen=True):
-    """The filter: time, state x (19,) and covariance p (18, 18) of `inertial`.
+    """The filter: time, state x (21,) and covariance p (20, 20) of `inertial`.
 
     `inertial` says whether the IMU moves it, `alignment` is how far its attitude has been found.
     """

@@ -30,7 +30,7 @@ GEMAN = 3.0
 
 
 class Ranges:
-    """What one epoch measured, corrected by the models at the filter's state x (19,)."""
+    """What one epoch measured, corrected by the models at the filter's state x (21,)."""
 
     def __init__(
         self,
