@@ -2,69 +2,46 @@
 
 import struct
 from collections import deque
-from functools import lru_cache
+from collections.abc import Iterable, Mapping
 from statistics import median_low
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from analysis.block import Block, Indices, Part, Stamps, joined
 from analysis.readers import READERS
-from analysis.samples import (
-    AirspeedSample,
-    AttitudeSample,
-    BaroSample,
-    EphemerisSample,
-    Epoch,
-    GpsFix,
-    ImuSample,
-    IonosphereSample,
-    MagSample,
-    RangeSample,
-    Sample,
-    TruthSample,
-    Vector,
-    VisionSample,
-)
-from mavproxy_fault.wire.dialect import known
+from analysis.samples import EphemerisSample, Epoch, Sample
 from mavproxy_fault.wire.ephemeris import decode_ephemeris
 from mavproxy_fault.wire.frame import Frame
-from mavproxy_fault.wire.msm7 import Msm7, decode_msm7
-from mavproxy_fault.wire.rtcm import Reassembler, message_number, tunnel_payload
+from mavproxy_fault.wire.ranges import Ranges, quick_crc24q, read_ranges
+from mavproxy_fault.wire.rtcm import PAYLOAD_TYPE, Reassembler, message_number
+from mavproxy_fault.wire.tlog import Columns, row_dtype
 
-__all__ = [
-    "AirspeedSample",
-    "AttitudeSample",
-    "BaroSample",
-    "Decoder",
-    "EphemerisSample",
-    "Epoch",
-    "GpsFix",
-    "ImuSample",
-    "IonosphereSample",
-    "MagSample",
-    "RangeSample",
-    "Sample",
-    "TruthSample",
-    "Vector",
-    "VisionSample",
-]
+Orders = dict[str, Indices]
+Sender = tuple[int, int]
 
+MESSAGES = (*READERS, "TUNNEL")
 STAMPED = ("HIL_SENSOR", "HIL_GPS", "HIL_STATE_QUATERNION")
 HALF_WEEK_S = 302_400.0
 WEEK_S = 604_800
 OFFSETS_KEPT = 25
+_ROW_HEAD = struct.Struct("<qBBB")
 
 
-@lru_cache(maxsize=32)
-def _packing(number: int) -> tuple[struct.Struct, int]:
-    layout = known(number)
-    code = "".join(f"{max(f.count, 1)}{f.code}" for f in layout.fields.values())
-    return struct.Struct("<" + code), layout.length
-
-
-def _unpack(frame: Frame) -> Vector:
-    """All numbers (k,) of a frame in the order of the wire; cut zeros read as 0."""
-    packing, length = _packing(frame.id)
-    return np.array(packing.unpack(frame.payload.ljust(length, b"\0")), dtype=float)
+def columns_of(frames: Iterable[Frame]) -> tuple[Columns, Orders]:
+    """Frames as the columns of a log, and which frame each row was."""
+    rows: dict[str, list[bytes]] = {}
+    places: dict[str, list[int]] = {}
+    for place, frame in enumerate(frames):
+        name = frame.layout.name
+        if name in MESSAGES:
+            head = _ROW_HEAD.pack(0, frame.system, frame.component, frame.seq)
+            length = frame.layout.length
+            rows.setdefault(name, []).append(head + frame.payload[:length].ljust(length, b"\0"))
+            places.setdefault(name, []).append(place)
+    columns = {name: np.frombuffer(b"".join(row), row_dtype(name)) for name, row in rows.items()}
+    return columns, {name: np.array(found) for name, found in places.items()}
 
 
 class Decoder:
@@ -78,34 +55,54 @@ class Decoder:
     __slots__ = ("_offsets", "_parts", "_reassemblers", "_stamps", "_week")
 
     def __init__(self) -> None:
-        self._reassemblers: dict[tuple[int, int], Reassembler] = {}
-        self._stamps: dict[tuple[int, int], int] = {}
+        self._reassemblers: dict[Sender, Reassembler] = {}
+        self._stamps: dict[Sender, int] = {}
         self._offsets: deque[int] = deque(maxlen=OFFSETS_KEPT)
-        self._parts: list[Msm7] = []
+        self._parts: list[Ranges] = []
         self._week: tuple[int, float] | None = None
 
-    def decode(self, frame: Frame) -> list[Sample]:
-        """The samples one frame holds; none for messages that carry no measurement."""
-        name = frame.layout.name
-        if name == "TUNNEL":
-            return self._tunnel(frame)
-        read = READERS.get(name)
-        if read is None:
-            return []
-        samples = read(_unpack(frame), frame.system)
-        if samples and name in STAMPED:
-            self._stamps[frame.system, frame.component] = samples[-1].t_us
-        return samples
+    def decode(self, frames: Iterable[Frame]) -> Block:
+        """The samples that some frames hold; none for messages that carry no measurement."""
+        return self.columns(*columns_of(frames))
 
-    def _tunnel(self, frame: Frame) -> list[Sample]:
-        payload = tunnel_payload(frame)
-        if payload is None:
-            return []
-        sender = frame.system, frame.component
-        samples: list[Sample] = []
-        for message in self._reassemblers.setdefault(sender, Reassembler()).add(payload):
-            samples += self._rtcm(message, self._stamps.get(sender))
-        return samples
+    def columns(self, columns: Mapping[str, NDArray[Any]], orders: Mapping[str, Indices]) -> Block:
+        """The samples of frames given by message, with the place (m,) of each among all frames."""
+        parts = []
+        stamps = _Stamps(self._stamps)
+        for name, rows in columns.items():
+            for read in READERS[name](rows) if name in READERS else ():
+                order = orders[name][read.row]
+                parts.append(Part(read.kind, order, read.t_us, read.values))
+                if name in STAMPED:
+                    stamps.learn(rows[read.row], order, read.t_us)
+        beside: list[tuple[int, Sample]] = []
+        if "TUNNEL" in columns:
+            beside = self._tunnels(columns["TUNNEL"], orders["TUNNEL"], stamps)
+        self._stamps = stamps.newest()
+        return joined(parts, beside)
+
+    def _tunnels(
+        self, rows: NDArray[Any], order: Indices, stamps: "_Stamps"
+    ) -> list[tuple[int, Sample]]:
+        found: list[tuple[int, Sample]] = []
+        ours = np.flatnonzero(rows["payload_type"] == PAYLOAD_TYPE)
+        fields = ("system", "component", "payload_length")
+        senders = zip(ours.tolist(), *(rows[name][ours].tolist() for name in fields), strict=True)
+        payloads = np.ascontiguousarray(rows["payload"])
+        for row, system, component, length in senders:
+            sender, place = (system, component), int(order[row])
+            reassembler = self._reassembler(sender)
+            if length > payloads.shape[1]:
+                continue
+            for message in reassembler.add(payloads[row, :length].tobytes()):
+                stamp_us = stamps.before(sender, place)
+                found += [(place, sample) for sample in self._rtcm(message, stamp_us)]
+        return found
+
+    def _reassembler(self, sender: Sender) -> Reassembler:
+        if sender not in self._reassemblers:
+            self._reassemblers[sender] = Reassembler(quick_crc24q)
+        return self._reassemblers[sender]
 
     def _rtcm(self, message: bytes, stamp_us: int | None) -> list[Sample]:
         number = message_number(message)
@@ -115,12 +112,12 @@ class Decoder:
                 self._week = ephemeris.week, ephemeris.toe_s
                 return [EphemerisSample(stamp_us or 0, ephemeris)]
             if number in (1077, 1097):
-                return self._ranges(decode_msm7(message), stamp_us)
+                return self._ranges(read_ranges(message), stamp_us)
         except ValueError:  # a peer's bad bytes are no sample
             return []
         return []
 
-    def _ranges(self, part: Msm7, stamp_us: int | None) -> list[Sample]:
+    def _ranges(self, part: Ranges, stamp_us: int | None) -> list[Sample]:
         """Collect the messages of one epoch; the epoch when its last one is here."""
         done: list[Sample] = []
         if self._parts and self._parts[0].tow_s != part.tow_s:
@@ -145,9 +142,9 @@ class Decoder:
                 week=week,
                 tow_s=tow_s,
                 satellites=tuple(name for part in parts for name in part.satellites),
-                pseudorange_m=np.array([x for part in parts for x in part.pseudorange_m]),
-                doppler_mps=np.array([x for part in parts for x in part.doppler_mps]),
-                cn0_dbhz=np.array([x for part in parts for x in part.cn0_dbhz]),
+                pseudorange_m=np.concatenate([part.pseudorange_m for part in parts]),
+                doppler_mps=np.concatenate([part.doppler_mps for part in parts]),
+                cn0_dbhz=np.concatenate([part.cn0_dbhz for part in parts]),
             )
         ]
 
@@ -159,3 +156,42 @@ class Decoder:
         if tow_s - toe_s > HALF_WEEK_S:
             return week - 1
         return week + 1 if toe_s - tow_s > HALF_WEEK_S else week
+
+
+class _Stamps:
+    """The newest stamp of each sender before some frame."""
+
+    def __init__(self, before: Mapping[Sender, int]) -> None:
+        self._before = dict(before)
+        self._parts: dict[Sender, list[tuple[Indices, Stamps]]] = {}
+        self._known: dict[Sender, tuple[Indices, Stamps]] = {}
+
+    def learn(self, rows: NDArray[Any], order: Indices, t_us: Stamps) -> None:
+        """Stamps (m,) of rows and their places."""
+        numbers = rows["system"].astype(int) << 8 | rows["component"]
+        for number in np.unique(numbers).tolist():
+            mine = numbers == number
+            parts = self._parts.setdefault((number >> 8, number & 0xFF), [])
+            parts.append((order[mine], t_us[mine]))
+
+    def before(self, sender: Sender, place: int) -> int | None:
+        """The stamp that a sender gave last before a place."""
+        if sender in self._parts:
+            order, t_us = self._sorted(sender)
+            at = int(np.searchsorted(order, place))
+            if at:
+                return int(t_us[at - 1])
+        return self._before.get(sender)
+
+    def newest(self) -> dict[Sender, int]:
+        """The last stamp of every sender."""
+        return self._before | {sender: int(self._sorted(sender)[1][-1]) for sender in self._parts}
+
+    def _sorted(self, sender: Sender) -> tuple[Indices, Stamps]:
+        if sender not in self._known:
+            order, t_us = (
+                np.concatenate(column) for column in zip(*self._parts[sender], strict=True)
+            )
+            by_place = np.argsort(order, kind="stable")
+            self._known[sender] = order[by_place], t_us[by_place]
+        return self._known[sender]

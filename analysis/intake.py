@@ -13,6 +13,7 @@ from types import TracebackType
 from mavproxy_fault.links.link import Link
 
 MOST_CHUNKS = 500_000  # about ten minutes of HIL traffic
+CHUNKS_AT_ONCE = 1000
 PATIENCE_S = 0.1
 
 
@@ -41,10 +42,10 @@ class Intake:
         self._link.close()
 
     def take(self) -> Iterator[bytes]:
-        """What has come by now; waits a little for the first of it."""
+        """What has come by now, `CHUNKS_AT_ONCE` at most; waits a little for the first of it."""
         try:
             yield self._chunks.get(timeout=PATIENCE_S)
-            while True:
+            for _ in range(CHUNKS_AT_ONCE - 1):
                 yield self._chunks.get_nowait()
         except queue.Empty:
             return

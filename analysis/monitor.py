@@ -3,11 +3,11 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from analysis.block import Block
 from analysis.criteria import Criteria
 from analysis.epochs import Decoder
 from analysis.pipeline import MonitorConfig, Pipeline
 from analysis.results import Result
-from analysis.samples import Sample, TruthSample
 from analysis.tally import Tally
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import Label
@@ -28,27 +28,16 @@ class Monitor:
         """Seconds from the first sample to the newest, on the vehicle's clock."""
         return self._tally.span_s
 
-    def bytes(self, data: bytes, *, datagram: bool = True) -> list[Result]:
-        """Results of the frames in some bytes; a stream's may be cut anywhere."""
-        items = self._parser.push(data, datagram=datagram)
-        return [r for item in items if isinstance(item, Frame) for r in self.frame(item)]
+    def bytes(self, chunks: Iterable[bytes], *, datagrams: bool = True) -> list[Result]:
+        """Results of the frames in some chunks; a stream's may be cut anywhere."""
+        items = (item for data in chunks for item in self._parser.push(data, datagram=datagrams))
+        return self.block(self._decoder.decode(i for i in items if isinstance(i, Frame)))
 
-    def frame(self, frame: Frame) -> list[Result]:
-        """Results of one frame."""
-        return self.samples(self._decoder.decode(frame))
-
-    def samples(self, samples: Iterable[Sample]) -> list[Result]:
+    def block(self, block: Block) -> list[Result]:
         """Results of samples in order."""
-        results: list[Result] = []
-        for sample in samples:
-            if isinstance(sample, TruthSample):
-                self._tally.truth(sample)
-            else:
-                self._tally.clock(sample.t_us)
-            results += self._pipeline.push(sample)
-        for result in results:
-            self._tally.add(result)
-        return results
+        found = self._pipeline.judge(block)
+        self._tally.take(block, found)
+        return [result for _, result in found]
 
     def summary(
         self, labels: Sequence[Label] | None, criteria: Criteria, wall_s: float

@@ -12,15 +12,15 @@ from types import FrameType
 
 import msgspec
 
+from analysis.block import Block, block_of
 from analysis.criteria import Criteria
 from analysis.folder import ResultFile, make_folder, write_summary
 from analysis.intake import Intake
 from analysis.monitor import Monitor
 from analysis.pipeline import MonitorConfig
 from analysis.publish import Publisher
-from analysis.recordings import read_log_samples, read_rinex_samples
+from analysis.recordings import read_log, read_rinex_samples
 from analysis.results import Result
-from analysis.samples import Sample
 from analysis.terminal import print_summary
 from analysis.watch import Watch
 from mavproxy_fault.errors import ConfigError
@@ -92,7 +92,8 @@ def calibrate_to(path: Path, args: argparse.Namespace, config: MonitorConfig) ->
         raise ConfigError("--calibrate: a link cannot be read twice; give --log or --rinex")
     from analysis.calibrate import calibrate, write_sigma  # loads scipy's optimisers
 
-    found = calibrate(list(samples_of(args)), config.detector)
+    samples = [sample for block in blocks_of(args) for sample in block.samples()]
+    found = calibrate(samples, config.detector)
     write_sigma(path, found)
     print(
         f"{path}: from {found.epochs} epochs, chi-square per degree of freedom "
@@ -121,17 +122,17 @@ def _feed(args: argparse.Namespace, monitor: Monitor, take: Take) -> None:
         with _ended_by_signals():
             watch_link(args.link, monitor, take, args.for_s)
     else:
-        for sample in samples_of(args):
-            take(monitor.samples([sample]))
+        for block in blocks_of(args):
+            take(monitor.block(block))
 
 
-def samples_of(args: argparse.Namespace) -> Iterator[Sample]:
+def blocks_of(args: argparse.Namespace) -> Iterator[Block]:
     """The samples of the recording that was given."""
     if args.log is not None:
-        yield from read_log_samples(args.log)
+        yield from read_log(args.log)
     else:
         obs, nav = (Path(path) for path in args.rinex)
-        yield from read_rinex_samples(obs, nav, Path(args.imu) if args.imu else None)
+        yield block_of(read_rinex_samples(obs, nav, Path(args.imu) if args.imu else None))
 
 
 def watch_link(spec: str, monitor: Monitor, take: Take, for_s: float | None) -> None:
@@ -140,8 +141,7 @@ def watch_link(spec: str, monitor: Monitor, take: Take, for_s: float | None) -> 
     with Intake(link) as intake:
         print(f"watching {link.name}", file=sys.stderr, flush=True)
         while for_s is None or monitor.t_s < for_s:
-            for data in intake.take():
-                take(monitor.bytes(data, datagram=link.datagrams))
+            take(monitor.bytes(intake.take(), datagrams=link.datagrams))
     if intake.drops:
         print(f"{intake.drops} chunks came too fast and were not seen", file=sys.stderr)
 

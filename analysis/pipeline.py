@@ -1,21 +1,25 @@
 """Samples to results: the only place where the steps are strung together, live and offline alike.
 
-A step is a frozen set of parameters with `new_state()` and `step(sample, state)`, which gives back
-results and the next state.
+A step is a frozen set of parameters with `new_state()` and `step(samples, state)`, which gives back
+results and the next state; samples come in blocks of any length, one or a whole log.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from typing import Any
 
 import msgspec
+import numpy as np
+from msgspec.structs import force_setattr
 
 from analysis.attitude import AttitudeConfig, AttitudeScorer
+from analysis.block import EPHEMERIS, Block, Piece, block_of, pieces
 from analysis.fdi import DetectorConfig
 from analysis.fusion.config import FusionConfig
 from analysis.reference import References
 from analysis.results import Result
-from analysis.samples import EphemerisSample, IonosphereSample, Sample
+from analysis.samples import Sample
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.wire.label import Label
 
@@ -83,28 +87,39 @@ class Pipeline:
         self._fusion_states = [fusion.new_state() for fusion in self._fusions]
         self._t0_us: int | None = None
 
-    def push(self, sample: Sample) -> list[Result]:
-        """What one sample leads to."""
-        if self._t0_us is None and not isinstance(sample, (EphemerisSample, IonosphereSample)):
-            self._t0_us = sample.t_us
-        results, self._detector_state = self._detector.step(sample, self._detector_state)
-        if self._fusions:
-            results = [*results, *self._fuse(sample, results)]
-        scores, self._attitude_state = self._attitude.step(sample, self._attitude_state)
-        base_us = self._t0_us or 0
-        return [
-            msgspec.structs.replace(result, t_s=round((result.t_us - base_us) * 1e-6, 6))
-            for result in (*results, *scores)
-        ]
+    def push(self, samples: Sample | Block) -> list[Result]:
+        """What a block of samples, or a single one, leads to."""
+        block = samples if isinstance(samples, Block) else block_of(samples)
+        return [result for _, result in self.judge(block)]
 
-    def _fuse(self, sample: Sample, results: Sequence[Result]) -> list[Result]:
+    def judge(self, block: Block) -> list[tuple[int, Result]]:
+        """The same with the row of the block that led to each."""
+        if self._t0_us is None:
+            stamped = np.flatnonzero(block.kind < EPHEMERIS)
+            self._t0_us = int(block.t_us[stamped[0]]) if len(stamped) else None
+        found: list[tuple[int, Result]] = []
+        for piece in pieces(block):
+            results, self._detector_state = self._detector.take(piece, self._detector_state)
+            if self._fusions:
+                results = [*results, *self._fuse(piece, results)]
+            found += [(piece.last, result) for result in results]
+        found += self._attitude.score(block, self._attitude_state)
+        found.sort(key=itemgetter(0))
+        base_us = self._t0_us or 0
+        for _, result in found:  # they are this step's own, nobody has seen them yet
+            force_setattr(result, "t_s", round((result.t_us - base_us) * 1e-6, 6))
+        return found
+
+    def _fuse(self, piece: Piece, results: Sequence[Result]) -> list[Result]:
         """The fused states where there are any; with feedback the detector goes on from them."""
         detector = self._detector_state.detector
         said: list[Result] = []
-        for i, fusion in enumerate(self._fusions):
-            fused, state = fusion.step(sample, results, detector.core, self._fusion_states[i])
-            self._fusion_states[i] = state
-            said += fused
+        for row, sample in enumerate(piece.samples(), piece.first):
+            told = results if row == piece.last else ()
+            for i, fusion in enumerate(self._fusions):
+                fused, state = fusion.step(sample, told, detector.core, self._fusion_states[i])
+                self._fusion_states[i] = state
+                said += fused
         if said and self._feed_back is not None:
             core = self._feed_back(detector.core, self._fusion_states[0].graph)
             detector = detector._replace(core=core)

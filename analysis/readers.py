@@ -1,35 +1,37 @@
-"""MAVLink messages -> samples: one function a message, from its numbers in the order of the wire.
+"""MAVLink messages -> samples: one function a message, from its columns.
 
 HIL_SENSOR carries what `fields_updated` says: bits 0 to 5 acceleration and rates, 6 to 8 the
 magnetic field, 9 static pressure, 10 differential pressure, 11 the altitude made of it [1]_.
-Vectors of a sample are views of the numbers (k,) they were read from.
 
 References
 ----------
 .. [1] MAVLink common message set, HIL_SENSOR_UPDATED_FLAGS.
 """
 
-import math
 from collections.abc import Callable
-from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from analysis.samples import (
-    AirspeedSample,
-    AttitudeSample,
-    BaroSample,
-    GpsFix,
-    ImuSample,
-    MagSample,
-    RangeSample,
-    Sample,
-    TruthSample,
-    Vector,
-    VisionSample,
+from analysis.block import (
+    AIRSPEED,
+    ATTITUDE,
+    BARO,
+    FIX,
+    IMU,
+    MAG,
+    RANGE,
+    SOURCES,
+    TRUTH,
+    VISION,
+    Indices,
+    Stamps,
 )
-from mavproxy_fault.wire.dialect import known
+from analysis.samples import Vector
 from simvehicle.rotation import matrix_from_quat, quat_from_euler
+
+Rows = NDArray[np.void]
 
 IMU_BITS = 0x3F
 MAG_BITS = 0x1C0
@@ -42,138 +44,149 @@ BODY_FRD = 12  # MAV_FRAME_BODY_FRD
 UNKNOWN_16 = 0xFFFF
 
 
-@cache
-def places(name: str) -> dict[str, int]:
-    """Where each field of a message begins among its numbers."""
-    found, at = {}, 0
-    for field in known(name).fields.values():
-        found[field.name] = at
-        at += max(field.count, 1)
-    return found
+class Read(NamedTuple):
+    """Samples of one kind: from which rows of the message, their stamps and numbers (m, k)."""
+
+    kind: int
+    row: Indices
+    t_us: Stamps
+    values: Vector
 
 
-def _hil_sensor(v: Vector, system: int) -> list[Sample]:
-    samples = _highres_imu(v, system)
-    t_us, updated = int(v[0]), int(v[14])
-    if updated & BARO_BIT:
-        samples.append(BaroSample(t_us, HECTOPASCAL * float(v[10]), float(v[12])))
-    if updated & AIRSPEED_BIT:
-        samples.append(AirspeedSample(t_us, HECTOPASCAL * float(v[11])))
-    return samples
+def _numbers(rows: Rows, *names: str) -> Vector:
+    """Fields of a message side by side (m, k); a field may be an array."""
+    return np.column_stack([rows[name].astype(float) for name in names])
 
 
-def _highres_imu(v: Vector, system: int) -> list[Sample]:
-    t_us, updated = int(v[0]), int(v[14])
-    samples: list[Sample] = []
-    if updated & IMU_BITS == IMU_BITS:
-        samples.append(ImuSample(t_us, v[4:7], v[1:4], int(v[15])))
-    if updated & MAG_BITS == MAG_BITS:
-        samples.append(MagSample(t_us, v[7:10]))
-    return samples
+def _whole(kind: int, t_us: NDArray[Any], values: Vector) -> list[Read]:
+    """A sample for each row."""
+    return [Read(kind, np.arange(len(t_us)), t_us, values)]
 
 
-def _scaled_imu(v: Vector, system: int) -> list[Sample]:
-    accel = v[1:4] * (STANDARD_GRAVITY * 1e-3)
-    return [ImuSample(int(v[0]) * 1000, v[4:7] * 1e-3, accel)]
+def _some(rows: Rows, bits: int, kind: int, values: Callable[[Rows], Vector]) -> list[Read]:
+    """A sample for each row in which all these bits are set."""
+    row = np.flatnonzero(rows["fields_updated"] & bits == bits)
+    if not len(row):
+        return []
+    found = rows if len(row) == len(rows) else rows[row]
+    return [Read(kind, row, found["time_usec"].astype(np.int64), values(found))]
 
 
-def _named(name: str, v: Vector) -> Callable[[str], float]:
-    """The numbers of a message by field."""
-    values, at = v.tolist(), places(name)
-    return lambda field: float(values[at[field]])
+def _hil_sensor(rows: Rows) -> list[Read]:
+    return [
+        *_highres_imu(rows),
+        *_some(rows, BARO_BIT, BARO, _pressure),
+        *_some(
+            rows,
+            AIRSPEED_BIT,
+            AIRSPEED,
+            lambda found: HECTOPASCAL * _numbers(found, "diff_pressure"),
+        ),
+    ]
 
 
-def _accuracy(value: float) -> float:
-    return value * 1e-2 if value != UNKNOWN_16 else math.nan
+def _pressure(rows: Rows) -> Vector:
+    return _numbers(rows, "abs_pressure", "pressure_alt") * (HECTOPASCAL, 1.0)
 
 
-def _fix(
-    read: Callable[[str], float], source: str, v_ned: Vector | None, eph_m: float, epv_m: float
-) -> list[Sample]:
+def _highres_imu(rows: Rows) -> list[Read]:
+    names = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc", "id")
+    return [
+        *_some(rows, IMU_BITS, IMU, lambda found: _numbers(found, *names)),
+        *_some(rows, MAG_BITS, MAG, lambda found: _numbers(found, "xmag", "ymag", "zmag")),
+    ]
+
+
+def _since_boot(rows: Rows) -> Stamps:
+    stamps: Stamps = rows["time_boot_ms"].astype(np.int64) * 1000
+    return stamps
+
+
+def _scaled_imu(rows: Rows) -> list[Read]:
+    rates = _numbers(rows, "xgyro", "ygyro", "zgyro") * 1e-3
+    force = _numbers(rows, "xacc", "yacc", "zacc") * (STANDARD_GRAVITY * 1e-3)
+    return _whole(IMU, _since_boot(rows), np.column_stack([rates, force]))
+
+
+def _fix(rows: Rows, source: str, v_ned: Vector, accuracy_m: Vector) -> list[Read]:
     """A receiver's solution, from the fields that HIL_GPS and GPS_RAW_INT have in common."""
-    return [
-        GpsFix(
-            t_us=int(read("time_usec")),
-            lat_deg=read("lat") * 1e-7,
-            lon_deg=read("lon") * 1e-7,
-            alt_m=read("alt") * 1e-3,
-            v_ned_mps=v_ned,
-            fix_type=int(read("fix_type")),
-            satellites=int(read("satellites_visible")),
-            eph_m=eph_m,
-            epv_m=epv_m,
-            source=source,
-        )
-    ]
+    place = _numbers(rows, "lat", "lon", "alt") * (1e-7, 1e-7, 1e-3)
+    state = _numbers(rows, "fix_type", "satellites_visible")
+    number = np.full(len(rows), float(SOURCES.index(source)))
+    values = np.column_stack([place, v_ned, state, accuracy_m, number])
+    return _whole(FIX, rows["time_usec"].astype(np.int64), values)
 
 
-def _hil_gps(v: Vector, system: int) -> list[Sample]:
-    read = _named("HIL_GPS", v)
-    v_ned = np.array([read("vn"), read("ve"), read("vd")]) * 1e-2
-    return _fix(read, "HIL_GPS", v_ned, _accuracy(read("eph")), _accuracy(read("epv")))
+def _hil_gps(rows: Rows) -> list[Read]:
+    accuracy = _numbers(rows, "eph", "epv")
+    accuracy_m = np.where(accuracy != UNKNOWN_16, accuracy * 1e-2, np.nan)
+    return _fix(rows, "HIL_GPS", _numbers(rows, "vn", "ve", "vd") * 1e-2, accuracy_m)
 
 
-def _gps_raw_int(v: Vector, system: int) -> list[Sample]:
-    read = _named("GPS_RAW_INT", v)
-    v_ned = None
-    if read("vel") != UNKNOWN_16 and read("cog") != UNKNOWN_16:
-        course, speed = math.radians(read("cog") * 1e-2), read("vel") * 1e-2
-        v_ned = np.array([speed * math.cos(course), speed * math.sin(course), math.nan])
-    sigmas = [read(name) * 1e-3 or math.nan for name in ("h_acc", "v_acc")]  # 0 is unknown
-    return _fix(read, "GPS_RAW_INT", v_ned, *sigmas)
+def _gps_raw_int(rows: Rows) -> list[Read]:
+    """Speed and course give the level part of the velocity; an accuracy of 0 is unknown."""
+    speed, course = rows["vel"] * 1e-2, np.radians(rows["cog"] * 1e-2)
+    known = (rows["vel"] != UNKNOWN_16) & (rows["cog"] != UNKNOWN_16)
+    v_ned = np.full((len(rows), 3), np.nan)
+    v_ned[known, 0] = (speed * np.cos(course))[known]
+    v_ned[known, 1] = (speed * np.sin(course))[known]
+    accuracy_m = _numbers(rows, "h_acc", "v_acc") * 1e-3
+    return _fix(rows, "GPS_RAW_INT", v_ned, np.where(accuracy_m != 0.0, accuracy_m, np.nan))
 
 
-def _hil_state(v: Vector, system: int) -> list[Sample]:
-    lat, lon, alt = v[8:11].tolist()
-    return [
-        TruthSample(
-            t_us=int(v[0]),
-            q_nb=v[1:5],
-            omega_b_rps=v[5:8],
-            lat_deg=lat * 1e-7,
-            lon_deg=lon * 1e-7,
-            alt_m=alt * 1e-3,
-            v_ned_mps=v[11:14] * 1e-2,
-        )
-    ]
+def _hil_state(rows: Rows) -> list[Read]:
+    names = ("attitude_quaternion", "rollspeed", "pitchspeed", "yawspeed")
+    place = _numbers(rows, "lat", "lon", "alt") * (1e-7, 1e-7, 1e-3)
+    v_ned = _numbers(rows, "vx", "vy", "vz") * 1e-2
+    values = np.column_stack([_numbers(rows, *names), place, v_ned])
+    return _whole(TRUTH, rows["time_usec"].astype(np.int64), values)
 
 
-def _distance(v: Vector, system: int) -> list[Sample]:
-    read = _named("DISTANCE_SENSOR", v)
-    distance = read("current_distance")
-    inside = read("min_distance") <= distance <= read("max_distance")
-    if read("orientation") != DOWNWARD or not inside:
-        return []
-    return [RangeSample(int(read("time_boot_ms")) * 1000, distance * 1e-2)]
+def _distance(rows: Rows) -> list[Read]:
+    distance = rows["current_distance"]
+    inside = (rows["min_distance"] <= distance) & (distance <= rows["max_distance"])
+    row = np.flatnonzero(inside & (rows["orientation"] == DOWNWARD))
+    return [Read(RANGE, row, _since_boot(rows[row]), distance[row, None] * 1e-2)]
 
 
-def _odometry(v: Vector, system: int) -> list[Sample]:
-    q_nb, velocity = v[4:8], v[8:11]
-    norm = float(np.linalg.norm(q_nb))
-    if not norm > 0.0:
-        return []
-    q_nb = q_nb / norm
-    if v[places("ODOMETRY")["child_frame_id"]] == BODY_FRD:
-        velocity = matrix_from_quat(q_nb) @ velocity
-    return [
-        VisionSample(int(v[0]), v[1:4], velocity if np.isfinite(velocity).all() else None, q_nb)
-    ]
+def _odometry(rows: Rows) -> list[Read]:
+    q_nb, v = _numbers(rows, "q"), _numbers(rows, "vx", "vy", "vz")
+    norm = np.linalg.norm(q_nb, axis=1)
+    row = np.flatnonzero(norm > 0.0)
+    q_nb, v = q_nb[row] / norm[row, None], v[row]
+    body = rows["child_frame_id"][row] == BODY_FRD
+    v[body] = np.einsum("nij,nj->ni", matrix_from_quat(q_nb[body]), v[body])
+    v[~np.isfinite(v).all(axis=1)] = np.nan
+    values = np.column_stack([_numbers(rows[row], "x", "y", "z"), v, q_nb])
+    return [Read(VISION, row, rows["time_usec"][row].astype(np.int64), values)]
 
 
-def _vision(v: Vector, system: int) -> list[Sample]:
-    return [VisionSample(int(v[0]), v[1:4], None, quat_from_euler(*v[4:7].tolist()))]
+def _vision(rows: Rows) -> list[Read]:
+    unknown = np.full((len(rows), 3), np.nan)
+    values = np.column_stack([_numbers(rows, "x", "y", "z"), unknown, _turn(rows)])
+    return _whole(VISION, rows["usec"].astype(np.int64), values)
 
 
-def _attitude(v: Vector, system: int) -> list[Sample]:
-    q_nb = quat_from_euler(*v[1:4].tolist())
-    return [AttitudeSample(int(v[0]) * 1000, q_nb, system, "ATTITUDE")]
+def _turn(rows: Rows) -> Vector:
+    """Attitudes (m, 4) of Euler angles."""
+    return quat_from_euler(*_numbers(rows, "roll", "pitch", "yaw").T)
 
 
-def _attitude_quaternion(v: Vector, system: int) -> list[Sample]:
-    return [AttitudeSample(int(v[0]) * 1000, v[1:5], system, "ATTITUDE_QUATERNION")]
+def _attitude(rows: Rows) -> list[Read]:
+    return _estimate(rows, _turn(rows), "ATTITUDE")
 
 
-READERS: dict[str, Callable[[Vector, int], list[Sample]]] = {
+def _attitude_quaternion(rows: Rows) -> list[Read]:
+    return _estimate(rows, _numbers(rows, "q1", "q2", "q3", "q4"), "ATTITUDE_QUATERNION")
+
+
+def _estimate(rows: Rows, q_nb: Vector, source: str) -> list[Read]:
+    number = np.full(len(rows), float(SOURCES.index(source)))
+    values = np.column_stack([q_nb, rows["system"].astype(float), number])
+    return _whole(ATTITUDE, _since_boot(rows), values)
+
+
+READERS: dict[str, Callable[[Rows], list[Read]]] = {
     "HIL_SENSOR": _hil_sensor,
     "HIGHRES_IMU": _highres_imu,
     "SCALED_IMU": _scaled_imu,

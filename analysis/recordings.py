@@ -6,16 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.epochs import Decoder
+from analysis.block import Block
+from analysis.epochs import MESSAGES, Decoder
 from analysis.readers import STANDARD_GRAVITY
 from analysis.samples import ImuSample, Sample
-from mavproxy_fault.wire.tlog import read_frames
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.tlog import read_parts
 
 UNIX_TO_GPS_S = 315_964_800  # 1980-01-06 on Unix's count
 
 
-def read_log_samples(path: Path | str) -> Iterator[Sample]:
-    """What `Decoder` makes of the frames of a tlog.
+def read_log(path: Path | str) -> Iterator[Block]:
+    """What `Decoder` makes of a tlog, block by block.
 
     Raises
     ------
@@ -23,8 +25,9 @@ def read_log_samples(path: Path | str) -> Iterator[Sample]:
         If there is no such log.
     """
     decoder = Decoder()
-    for _, frame in read_frames(path):
-        yield from decoder.decode(frame)
+    for log in read_parts(path, MESSAGES):
+        orders = {name: np.flatnonzero(log.frames["id"] == known(name).id) for name in log.columns}
+        yield decoder.columns(log.columns, orders)
 
 
 def read_rinex_samples(

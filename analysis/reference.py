@@ -16,60 +16,59 @@ is predicted is in `reference_models`.
 pipeline holds either a `Detector` or a `References`.
 """
 
-from dataclasses import dataclass, field, replace
+import math
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
+from analysis import block as kinds
+from analysis.block import WIDTH, Block, Piece, Stamps, pieces
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import State
 from analysis.fdi.detector import Detector
 from analysis.fdi.thresholds import chi_square
-from analysis.reference_models import MODELS, Seen, SensorNoise, Slow, view
-from analysis.results import Decision, Result, SensorDecision
-from analysis.samples import (
-    AirspeedSample,
-    BaroSample,
-    GpsFix,
-    ImuSample,
-    MagSample,
-    RangeSample,
-    Sample,
-    VisionSample,
+from analysis.reference_kernel import (
+    HEALTHY_US,
+    ISOLATED,
+    NEVER_US,
+    SLOW_US,
+    STALE_US,
+    Counts,
+    judge,
 )
+from analysis.reference_models import (
+    GPS_POSITION,
+    GPS_VELOCITY,
+    NOTHING,
+    REASONS,
+    SENSORS,
+    TESTED,
+    SensorNoise,
+)
+from analysis.results import Decision, Result, SensorDecision
+from analysis.samples import Sample, Vector
 
 FIX_OF_EPOCH_S = 0.01
-
-KINDS: dict[type, tuple[str, ...]] = {
-    BaroSample: ("baro",),
-    AirspeedSample: ("airspeed",),
-    MagSample: ("mag",),
-    RangeSample: ("range",),
-    VisionSample: ("vision",),
-    GpsFix: ("gps-position", "gps-velocity"),
-}
+STALE_S = STALE_US * 1e-6  # older samples are not tested
+GPS = (GPS_POSITION, GPS_VELOCITY)
+NO_SAMPLES = np.full(len(SENSORS), NEVER_US)
 SOUND = ("none", "satellites", "clock", "gps")
-STALE_S = 0.5
-FAILS_TO_ISOLATE = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Watch:
-    """One sensor: its slow states, how often it failed running, and whether it is isolated."""
-
-    slow: Slow | None = None
-    fails: int = 0
-    isolated: bool = False
-    healthy_since_us: int | None = None
+_ORDER = (kinds.MAG, kinds.BARO, kinds.AIRSPEED, kinds.RANGE, kinds.VISION)  # as in SENSORS
+NUMBER_OF = {kind: number for number, kind in enumerate(_ORDER)}
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceState:
-    """The detector's state, each sensor's newest sample and its watch, the newest decision."""
+    """The detector's state, the newest decision, and of each of s sensors the newest sample since
+    then, `stamps` (s,) and `values` (s, WIDTH), what is counted (s, 4) and its slow states (s, 12).
+    """
 
     detector: State
-    newest: dict[str, Sample]
-    watches: dict[str, Watch]
+    stamps: Stamps
+    values: Vector
+    counts: Counts
+    slow: Vector
     decision: Decision | None = None
 
 
@@ -85,112 +84,125 @@ class References:
         """The detector whose filter is the reference."""
         return Detector(self.config)
 
+    @cached_property
+    def _thresholds(self) -> Vector:
+        return np.array([0.0, *(chi_square(dof, self.config.p_other) for dof in (1, 2, 3))])
+
     def new_state(self) -> ReferenceState:
         """Nothing known."""
-        return ReferenceState(self.detector.new_state(), {}, {})
+        count = len(SENSORS)
+        counts = np.zeros((count, 4), np.int64)
+        counts[:, [SLOW_US, HEALTHY_US]] = NEVER_US
+        values, slow = np.zeros((count, WIDTH)), np.zeros((count, 12))
+        return ReferenceState(self.detector.new_state(), NO_SAMPLES, values, counts, slow)
 
-    def step(self, sample: Sample, state: ReferenceState) -> tuple[list[Result], ReferenceState]:
-        """Decisions that one sample allows, and the next state."""
-        if type(sample) is ImuSample:
-            _, detector = self.detector.step(sample, state.detector)
-            return [], ReferenceState(detector, state.newest, state.watches, state.decision)
-        newest = state.newest
-        for sensor in KINDS.get(type(sample), ()):
-            newest = {**newest, sensor: sample}
-        results, detector = self.detector.step(sample, state.detector)
+    def step(
+        self, samples: Sample | Block, state: ReferenceState
+    ) -> tuple[list[Result], ReferenceState]:
+        """Decisions that a block of samples, or a single one, allows, and the next state."""
+        results: list[Result] = []
+        for piece in pieces(samples):
+            said, state = self.take(piece, state)
+            results += said
+        return results, state
+
+    def take(self, piece: Piece, state: ReferenceState) -> tuple[list[Result], ReferenceState]:
+        """The same for samples up to an event."""
+        stamps, values = _with_newest(piece, state.stamps, state.values)
+        results, detector = self.detector.take(piece, state.detector)
         decision = next((r for r in results if isinstance(r, Decision)), None)
-        if decision is None and isinstance(sample, GpsFix):
-            decision = _of_same_instant(state.decision, sample)
+        if decision is None and piece.kind == kinds.FIX:
+            decision = _of_same_instant(state.decision, piece.t_us)
+        counts, slow = state.counts, state.slow
         if decision is None or decision.mode == "":
-            return results, replace(state, detector=detector, newest=newest)
-        watches = dict(state.watches)
-        for sensor, waiting in newest.items():
-            if sensor.startswith("gps") and decision.mode.startswith("position"):
-                continue  # the fix is the filter's own input
-            judged, watch = self._judge(sensor, waiting, decision, detector, watches.get(sensor))
-            watches[sensor] = watch
-            results = [*results, *judged]
-        return results, ReferenceState(detector, {}, watches, decision)
-
-    def _judge(
-        self,
-        sensor: str,
-        sample: Sample,
-        decision: Decision,
-        detector: State,
-        watch: Watch | None,
-    ) -> tuple[list[Result], Watch]:
-        """One sensor's test at one epoch."""
-        watch = watch or Watch()
+            return results, ReferenceState(detector, stamps, values, counts, slow, state.decision)
+        if decision.mode.startswith("position"):
+            stamps[list(GPS)] = NEVER_US  # the fix is the filter's own input
         motion = detector.core.motion
         if motion is None or decision.hypothesis not in SOUND:
-            return [_untested(sensor, decision, "no sound reference", watch)], watch
-        if abs(sample.t_us - decision.t_us) * 1e-6 > STALE_S:
-            return [], watch
-        seen = MODELS[sensor](sample, view(motion), watch.slow, self.sensors)
-        if isinstance(seen, str):
-            return [_untested(sensor, decision, seen, watch)], watch
-        if isinstance(seen, Slow):
-            return [], replace(watch, slow=seen)
-        return self._tested(sensor, seen, decision, watch)
-
-    def _tested(
-        self, sensor: str, seen: Seen, decision: Decision, watch: Watch
-    ) -> tuple[list[Result], Watch]:
-        slow = seen.slow
-        dt_s = (decision.t_us - slow.t_us) * 1e-6
-        p = slow.p + np.diag(slow.walk) * max(dt_s, 0.0)
-        s = seen.h @ p @ seen.h.T + seen.r
-        inverse = np.linalg.inv(s)
-        q = float(seen.v @ inverse @ seen.v)
-        threshold = chi_square(len(seen.v), self.config.p_other)
-        failed = not q <= threshold
-        watch = self._hysteresis(watch, failed, decision.t_us)
-        if failed or watch.isolated:
-            slow = Slow(decision.t_us, slow.b, slow.p, slow.walk)  # the offset keeps still
+            results += _without_reference(decision, stamps, counts)
         else:
-            gain = p @ seen.h.T @ inverse
-            slow = Slow(decision.t_us, slow.b + gain @ seen.v, p - gain @ seen.h @ p, slow.walk)
-        result = SensorDecision(
-            t_s=decision.t_s,
-            t_us=decision.t_us,
-            sensor=sensor,
-            statistic=q if np.isfinite(q) else None,
-            threshold=threshold,
-            dof=len(seen.v),
-            alarm=failed,
-            isolated=watch.isolated,
-        )
-        return [result], replace(watch, slow=slow)
+            said, counts, slow = judge(
+                motion.x,
+                motion.p,
+                motion.inertial,
+                decision.t_us,
+                stamps,
+                values,
+                counts,
+                slow,
+                self.sensors,
+                self._thresholds,
+                self.config.readmit_s * 1e6,
+            )
+            results += self._said(decision, said, values, counts)
+        return results, ReferenceState(detector, NO_SAMPLES, values, counts, slow, decision)
 
-    def _hysteresis(self, watch: Watch, failed: bool, t_us: int) -> Watch:
-        if failed:
-            fails = watch.fails + 1
-            return Watch(watch.slow, fails, watch.isolated or fails >= FAILS_TO_ISOLATE)
-        if not watch.isolated:
-            return Watch(watch.slow)
-        since = watch.healthy_since_us if watch.healthy_since_us is not None else t_us
-        if (t_us - since) * 1e-6 >= self.config.readmit_s:
-            return Watch(watch.slow)
-        return Watch(watch.slow, 0, True, since)
+    def _said(
+        self, decision: Decision, said: Vector, values: Vector, counts: Counts
+    ) -> list[Result]:
+        """What the kernel found, in the words of `analysis.results`."""
+        found: list[Result] = []
+        isolated = counts[:, ISOLATED].tolist()
+        for sensor, (code, statistic, dof) in enumerate(said.tolist()):
+            if code == NOTHING:
+                continue
+            if code != TESTED:
+                reason = REASONS[code].format(fix_type=values[sensor, 6])
+                found.append(_untested(sensor, decision, reason, isolated[sensor]))
+                continue
+            threshold = float(self._thresholds[int(dof)])
+            found.append(
+                SensorDecision(
+                    t_s=decision.t_s,
+                    t_us=decision.t_us,
+                    sensor=SENSORS[sensor],
+                    statistic=statistic if math.isfinite(statistic) else None,
+                    threshold=threshold,
+                    dof=int(dof),
+                    alarm=not statistic <= threshold,
+                    isolated=bool(isolated[sensor]),
+                )
+            )
+        return found
 
 
-def _of_same_instant(decision: Decision | None, fix: GpsFix) -> Decision | None:
+def _with_newest(piece: Piece, stamps: Stamps, values: Vector) -> tuple[Stamps, Vector]:
+    """The newest sample of each sensor after a piece."""
+    stamps, values, block = stamps.copy(), values.copy(), piece.block
+    for kind, row in piece.newest.items():
+        number = NUMBER_OF[kind]
+        stamps[number], values[number] = block.t_us[row], block.values[row]
+    if piece.kind == kinds.FIX:
+        for number in GPS:
+            stamps[number], values[number] = piece.t_us, block.values[piece.last]
+    return stamps, values
+
+
+def _of_same_instant(decision: Decision | None, t_us: int) -> Decision | None:
     """The newest decision if a fix belongs to its epoch: a receiver sends it after the ranges."""
-    if decision is None or abs(fix.t_us - decision.t_us) * 1e-6 > FIX_OF_EPOCH_S:
+    if decision is None or abs(t_us - decision.t_us) * 1e-6 > FIX_OF_EPOCH_S:
         return None
     return decision
 
 
-def _untested(sensor: str, decision: Decision, reason: str, watch: Watch) -> SensorDecision:
+def _without_reference(decision: Decision, stamps: Stamps, counts: Counts) -> list[Result]:
+    """Nothing can be said of the sensors that there are."""
+    return [
+        _untested(sensor, decision, "no sound reference", counts[sensor, ISOLATED])
+        for sensor in np.flatnonzero(stamps != NEVER_US).tolist()
+    ]
+
+
+def _untested(sensor: int, decision: Decision, reason: str, isolated: int) -> SensorDecision:
     return SensorDecision(
         t_s=decision.t_s,
         t_us=decision.t_us,
-        sensor=sensor,
+        sensor=SENSORS[sensor],
         statistic=None,
         threshold=None,
         dof=0,
         alarm=False,
-        isolated=watch.isolated,
+        isolated=bool(isolated),
         reason=reason,
     )

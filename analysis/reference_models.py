@@ -1,39 +1,53 @@
-"""What each sensor should say where the filter is: one function a sensor.
+"""What each sensor should say where the filter is: one compiled function a sensor.
 
-Each takes the sample, the filter's view, the sensor's slow states and the noise, and gives what a
-test needs (`Seen`), or first slow states (`Slow`) to start with, or why it cannot be tested (text).
+Each takes the numbers z of the newest sample (see `analysis.block`), the filter's view, the
+sensor's slow states b (3,) if they are known, and the noise. It fills in what a test needs:
+innovation v (m,), its sensitivity h (m, k) to the slow states and the rest r (m, m) of its
+variance; or the first slow states in v (k,) and their covariance in r (k, k). It returns STARTED,
+TESTED or the number of a reason why it cannot be tested, and m or k.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple, cast
 
 import numpy as np
 
-from analysis.fdi.inertial import PSI, matrix
-from analysis.fdi.state import Motion
-from analysis.gnss import geodetic, ned_axes
-from analysis.samples import (
-    AirspeedSample,
-    BaroSample,
-    GpsFix,
-    MagSample,
-    RangeSample,
-    Vector,
-    VisionSample,
-)
-from simvehicle.earth import ecef_from_geodetic
+from analysis.samples import Vector
+from mavproxy_fault.wire.compiled import compiled
+from simvehicle.earth import ecef_of
 
 SEA_LEVEL_PA = 101_325.0  # ICAO standard atmosphere, Doc 7488
 SEA_LEVEL_KGPM3 = 1.225
 ISA_KELVIN, ISA_LAPSE, ISA_EXPONENT = 288.15, 6.5e-3, 5.25588
 DENSITY_EXPONENT = 4.25588
 SLOW_AIR_MPS = 6.0  # below it a pitot tube says little
+WIND_MPS = 6.0  # one sigma of what the wind may be
+FIX_3D = 3
+
+MAG, BARO, AIRSPEED, RANGE, VISION, GPS_POSITION, GPS_VELOCITY = range(7)
+SENSORS = ("mag", "baro", "airspeed", "range", "vision", "gps-position", "gps-velocity")
+SLOW_STATES = (3, 1, 2, 1, 3, 3, 0)
+
+NOTHING, STARTED, TESTED = 0, 1, 2
+NO_ATTITUDE, NO_FIELD, NO_PRESSURE, NO_AIR_DATA, SLOW_AIR, NO_RANGE, TILTED = range(3, 10)
+NO_POSITION, NO_FIX, NO_VELOCITY = range(10, 13)
+REASONS = {
+    NO_ATTITUDE: "attitude not known",
+    NO_FIELD: "the field is not finite",
+    NO_PRESSURE: "the pressure is not positive",
+    NO_AIR_DATA: "the pressure is not finite",
+    SLOW_AIR: f"airspeed below {SLOW_AIR_MPS:.0f} m/s",
+    NO_RANGE: "the distance is not finite",
+    TILTED: "tilted by more than 45 degrees",
+    NO_POSITION: "the position is not finite",
+    NO_FIX: "fix type {fix_type:.0f}",
+    NO_VELOCITY: "no velocity",
+}
+_ecef_of = cast(Callable[[float, float, float], tuple[float, float, float]], compiled(ecef_of))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SensorNoise:
+class SensorNoise(NamedTuple):
     """One sigma of each sensor, and how fast its slow states walk (per square root of a second)."""
 
     baro_m: float = 1.0
@@ -51,187 +65,195 @@ class SensorNoise:
     gps_mps: float = 0.4
 
 
-@dataclass(frozen=True, slots=True)
-class Slow:
-    """A sensor's slow states b (k,) with covariance p (k, k) at `t_us`; `walk` (k,) their variance
-    per second."""
+class View(NamedTuple):
+    """The filter in local terms: height, NED velocity, attitude rot_nb (known or not), and
+    covariances in NED; `axes` are NED in ECEF. `late_s` is how much older the sample is."""
 
-    t_us: int
-    b: Vector
-    p: Vector
-    walk: Vector
-
-
-@dataclass(frozen=True, slots=True)
-class Seen:
-    """Innovation v (m,) and its sensitivity h (m, k) to the slow states.
-
-    r (m, m) is the variance that the filter and the sensor leave.
-    """
-
-    v: Vector
-    h: Vector
-    r: Vector
-    slow: Slow
-
-
-@dataclass(frozen=True, slots=True)
-class View:
-    """The filter in local terms: height, NED velocity, attitude rot_nb, and covariances in NED."""
-
-    t_us: int
     r_ecef_m: Vector
-    lat_rad: float
     height_m: float
     axes: Vector
     v_ned_mps: Vector
-    rot_nb: Vector | None
+    rot_nb: Vector
+    upright: bool
     p_position: Vector
     p_velocity: Vector
     p_attitude: Vector
+    late_s: float
 
 
-Outcome = Seen | Slow | str
-
-
-def view(motion: Motion) -> View:
-    """The filter as the sensors see it; no attitude while the IMU does not move it."""
-    lat, lon, height = geodetic(motion.x[0:3])
-    axes = ned_axes(lat, lon)
-    p = [axes @ motion.p[at : at + 3, at : at + 3] @ axes.T for at in (0, 3, PSI)]
-    rot_nb = axes @ matrix(motion.x[6:10]) if motion.inertial else None
-    return View(
-        motion.t_us,
-        motion.x[0:3],
-        lat,
-        height,
-        axes,
-        axes @ motion.x[3:6],
-        rot_nb,
-        p[0],
-        p[1],
-        p[2],
-    )
-
-
+@compiled
 def pressure_altitude_m(pressure_pa: float) -> float:
     """Altitude in the standard atmosphere below 11 km."""
     ratio = math.pow(pressure_pa / SEA_LEVEL_PA, 1.0 / ISA_EXPONENT)
     return ISA_KELVIN / ISA_LAPSE * (1.0 - ratio)
 
 
+@compiled
 def density_kgpm3(altitude_m: float) -> float:
     """Density in the standard atmosphere below 11 km."""
-    return float(
-        SEA_LEVEL_KGPM3 * max(1.0 - ISA_LAPSE * altitude_m / ISA_KELVIN, 0.1) ** DENSITY_EXPONENT
-    )
+    share = max(1.0 - ISA_LAPSE * altitude_m / ISA_KELVIN, 0.1)
+    return SEA_LEVEL_KGPM3 * math.pow(share, DENSITY_EXPONENT)
 
 
-def _offset(t_us: int, first: Vector, sigma: float, walk: float) -> Slow:
-    size = len(first)
-    return Slow(t_us, first, np.eye(size) * sigma**2, np.full(size, walk**2))
+@compiled
+def _three(v: Vector, h: Vector, r: Vector, b: Vector, known: bool) -> tuple[int, int]:
+    """A sensor that sees its own three slow states: less these, or these to begin with."""
+    if not known:
+        return STARTED, 3
+    for i in range(3):
+        v[i] -= b[i]
+        h[i, i] = 1.0
+    return TESTED, 3
 
 
-def _baro(sample: BaroSample, at: View, slow: Slow | None, noise: SensorNoise) -> Outcome:
-    if not sample.pressure_pa > 0.0:
-        return "the pressure is not positive"
-    difference = np.array([pressure_altitude_m(sample.pressure_pa) - at.height_m])
-    if slow is None:
-        sigma = math.hypot(noise.baro_m, math.sqrt(at.p_position[2, 2]))
-        return _offset(at.t_us, difference, sigma, noise.baro_walk_m)
-    r = np.array([[noise.baro_m**2 + at.p_position[2, 2]]])
-    return Seen(difference - slow.b, np.eye(1), r, slow)
+@compiled
+def _one(v: Vector, h: Vector, b: Vector, known: bool) -> tuple[int, int]:
+    """The same for one slow state."""
+    if not known:
+        return STARTED, 1
+    v[0] -= b[0]
+    h[0, 0] = 1.0
+    return TESTED, 1
 
 
-def _airspeed(sample: AirspeedSample, at: View, slow: Slow | None, noise: SensorNoise) -> Outcome:
-    if not math.isfinite(sample.diff_pressure_pa):
-        return "the pressure is not finite"
-    speed = math.sqrt(2.0 * max(sample.diff_pressure_pa, 0.0) / density_kgpm3(at.height_m))
-    if slow is None:
+@compiled
+def mag(
+    z: Vector, at: View, b: Vector, known: bool, noise: SensorNoise, v: Vector, h: Vector, r: Vector
+) -> tuple[int, int]:
+    """The field in NED is steady."""
+    if not at.upright:
+        return NO_ATTITUDE, 0
+    if not (np.isfinite(z[0]) and np.isfinite(z[1]) and np.isfinite(z[2])):
+        return NO_FIELD, 0
+    for i in range(3):
+        for j in range(3):
+            v[i] += at.rot_nb[i, j] * z[j]
+    cross = np.zeros((3, 3))
+    cross[0, 1], cross[0, 2], cross[1, 2] = -v[2], v[1], -v[0]
+    cross[1, 0], cross[2, 0], cross[2, 1] = v[2], -v[1], v[0]
+    for i in range(3):
+        r[i, i] = noise.mag_gauss**2
+        for j in range(3):
+            for k in range(3):
+                for m in range(3):
+                    r[i, j] += cross[i, k] * at.p_attitude[k, m] * cross[j, m]
+    return _three(v, h, r, b, known)
+
+
+@compiled
+def baro(
+    z: Vector, at: View, b: Vector, known: bool, noise: SensorNoise, v: Vector, h: Vector, r: Vector
+) -> tuple[int, int]:
+    """Pressure altitude less height is steady."""
+    if not z[0] > 0.0:
+        return NO_PRESSURE, 0
+    v[0] = pressure_altitude_m(z[0]) - at.height_m
+    r[0, 0] = noise.baro_m**2 + at.p_position[2, 2]
+    return _one(v, h, b, known)
+
+
+@compiled
+def airspeed(
+    z: Vector, at: View, b: Vector, known: bool, noise: SensorNoise, v: Vector, h: Vector, r: Vector
+) -> tuple[int, int]:
+    """Dynamic pressure is that of the velocity less a level wind."""
+    if not np.isfinite(z[0]):
+        return NO_AIR_DATA, 0
+    speed = math.sqrt(2.0 * max(z[0], 0.0) / density_kgpm3(at.height_m))
+    if not known:
         if speed < SLOW_AIR_MPS:
-            return f"airspeed below {SLOW_AIR_MPS:.0f} m/s"
-        return _offset(at.t_us, np.zeros(2), 6.0, noise.wind_walk_mps)
-    air = at.v_ned_mps - np.array([slow.b[0], slow.b[1], 0.0])
-    predicted = float(np.linalg.norm(air))
+            return SLOW_AIR, 0
+        r[0, 0] = r[1, 1] = WIND_MPS**2
+        return STARTED, 2
+    air = at.v_ned_mps.copy()
+    air[0] -= b[0]
+    air[1] -= b[1]
+    predicted = math.sqrt(air[0] * air[0] + air[1] * air[1] + air[2] * air[2])
     if predicted < SLOW_AIR_MPS:
-        return f"airspeed below {SLOW_AIR_MPS:.0f} m/s"
-    along = air / predicted
-    r = np.array([[noise.airspeed_mps**2 + along @ at.p_velocity @ along]])
-    return Seen(np.array([speed - predicted]), -along[None, :2], r, slow)
+        return SLOW_AIR, 0
+    v[0] = speed - predicted
+    h[0, 0], h[0, 1] = -air[0] / predicted, -air[1] / predicted
+    r[0, 0] = noise.airspeed_mps**2
+    for i in range(3):
+        for j in range(3):
+            r[0, 0] += air[i] / predicted * at.p_velocity[i, j] * air[j] / predicted
+    return TESTED, 1
 
 
-def _mag(sample: MagSample, at: View, slow: Slow | None, noise: SensorNoise) -> Outcome:
-    if at.rot_nb is None:
-        return "attitude not known"
-    if not np.isfinite(sample.field_b_gauss).all():
-        return "the field is not finite"
-    field_ned = at.rot_nb @ sample.field_b_gauss
-    x, y, z = field_ned
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    r = cross @ at.p_attitude @ cross.T + noise.mag_gauss**2 * np.eye(3)
-    if slow is None:
-        return Slow(at.t_us, field_ned, r.copy(), np.full(3, noise.field_walk_gauss**2))
-    return Seen(field_ned - slow.b, np.eye(3), r, slow)
-
-
-def _vision(sample: VisionSample, at: View, slow: Slow | None, noise: SensorNoise) -> Outcome:
-    if not np.isfinite(sample.r_ned_m).all():
-        return "the position is not finite"
-    origin = at.r_ecef_m - at.axes.T @ sample.r_ned_m
-    if slow is None:
-        sigma = math.hypot(noise.vision_m, math.sqrt(float(np.trace(at.p_position)) / 3.0))
-        return _offset(at.t_us, origin, sigma, noise.vision_walk_m)
-    v = at.axes @ (origin - slow.b)
-    r = at.p_position + noise.vision_m**2 * np.eye(3)
-    return Seen(v, at.axes.copy(), r, slow)
-
-
-def _range(sample: RangeSample, at: View, slow: Slow | None, noise: SensorNoise) -> Outcome:
-    if not math.isfinite(sample.distance_m):
-        return "the distance is not finite"
-    upright = float(at.rot_nb[2, 2]) if at.rot_nb is not None else 1.0
+@compiled
+def rangefinder(
+    z: Vector, at: View, b: Vector, known: bool, noise: SensorNoise, v: Vector, h: Vector, r: Vector
+) -> tuple[int, int]:
+    """Height less the distance, upright, is that of the terrain."""
+    if not np.isfinite(z[0]):
+        return NO_RANGE, 0
+    upright = at.rot_nb[2, 2] if at.upright else 1.0
     if upright < 0.7:
-        return "tilted by more than 45 degrees"
-    terrain = np.array([at.height_m - sample.distance_m * upright])
-    level = sample.distance_m * math.sqrt(1.0 - min(upright, 1.0) ** 2)
-    tilt = float(np.trace(at.p_attitude)) / 3.0 if at.rot_nb is not None else 0.0
-    variance = noise.range_m**2 + float(at.p_position[2, 2]) + level**2 * tilt
-    if slow is None:
-        return _offset(at.t_us, terrain, math.sqrt(variance), noise.terrain_walk_m)
-    return Seen(terrain - slow.b, np.eye(1), np.array([[variance]]), slow)
+        return TILTED, 0
+    v[0] = at.height_m - z[0] * upright
+    level = z[0] * math.sqrt(1.0 - min(upright, 1.0) ** 2)
+    tilt = (at.p_attitude[0, 0] + at.p_attitude[1, 1] + at.p_attitude[2, 2]) / 3.0
+    r[0, 0] = noise.range_m**2 + at.p_position[2, 2]
+    if at.upright:
+        r[0, 0] += level**2 * tilt
+    return _one(v, h, b, known)
 
 
-def _gps_position(sample: GpsFix, at: View, slow: Slow | None, noise: SensorNoise) -> Outcome:
-    if sample.fix_type < 3:
-        return f"fix type {sample.fix_type}"
-    lat, lon = math.radians(sample.lat_deg), math.radians(sample.lon_deg)
-    r_ecef = np.asarray(ecef_from_geodetic(lat, lon, sample.alt_m))
-    # A stamp between two epochs: the filter's velocity carries the fix to the epoch.
-    late_s = (at.t_us - sample.t_us) * 1e-6
-    v = at.axes @ (r_ecef - at.r_ecef_m) + at.v_ned_mps * late_s
-    r = at.p_position + noise.gps_m**2 * np.eye(3)
-    if slow is None:
-        return Slow(at.t_us, v, r.copy(), np.full(3, noise.gps_walk_m**2))
-    return Seen(v - slow.b, np.eye(3), r, slow)
+@compiled
+def vision(
+    z: Vector, at: View, b: Vector, known: bool, noise: SensorNoise, v: Vector, h: Vector, r: Vector
+) -> tuple[int, int]:
+    """The origin of a local position, in ECEF, is steady."""
+    if not (np.isfinite(z[0]) and np.isfinite(z[1]) and np.isfinite(z[2])):
+        return NO_POSITION, 0
+    origin = at.r_ecef_m.copy()
+    for i in range(3):
+        for j in range(3):
+            origin[i] -= at.axes[j, i] * z[j]
+    if not known:
+        trace = at.p_position[0, 0] + at.p_position[1, 1] + at.p_position[2, 2]
+        for i in range(3):
+            v[i], r[i, i] = origin[i], noise.vision_m**2 + trace / 3.0
+        return STARTED, 3
+    for i in range(3):
+        for j in range(3):
+            v[i] += at.axes[i, j] * (origin[j] - b[j])
+            h[i, j] = at.axes[i, j]
+            r[i, j] = at.p_position[i, j]
+        r[i, i] += noise.vision_m**2
+    return TESTED, 3
 
 
-def _gps_velocity(sample: GpsFix, at: View, slow: Slow | None, noise: SensorNoise) -> Outcome:
-    if sample.fix_type < 3 or sample.v_ned_mps is None:
-        return "no velocity"
-    if slow is None:
-        return Slow(at.t_us, np.zeros(0), np.zeros((0, 0)), np.zeros(0))
-    known = np.isfinite(sample.v_ned_mps)
-    v = (sample.v_ned_mps - at.v_ned_mps)[known]
-    r = (at.p_velocity + noise.gps_mps**2 * np.eye(3))[np.ix_(known, known)]
-    return Seen(v, np.zeros((len(v), 0)), r, slow)
+@compiled
+def gps_position(
+    z: Vector, at: View, b: Vector, known: bool, noise: SensorNoise, v: Vector, h: Vector, r: Vector
+) -> tuple[int, int]:
+    """The receiver's position, carried to the epoch by the filter's velocity, is off by little."""
+    if z[6] < FIX_3D:
+        return NO_FIX, 0
+    place = _ecef_of(math.radians(z[0]), math.radians(z[1]), z[2])
+    for i in range(3):
+        for j in range(3):
+            v[i] += at.axes[i, j] * (place[j] - at.r_ecef_m[j])
+            r[i, j] = at.p_position[i, j]
+        v[i] += at.v_ned_mps[i] * at.late_s
+        r[i, i] += noise.gps_m**2
+    return _three(v, h, r, b, known)
 
 
-MODELS: dict[str, Callable[[Any, View, Slow | None, SensorNoise], Outcome]] = {
-    "baro": _baro,
-    "airspeed": _airspeed,
-    "mag": _mag,
-    "vision": _vision,
-    "range": _range,
-    "gps-position": _gps_position,
-    "gps-velocity": _gps_velocity,
-}
+@compiled
+def gps_velocity(
+    z: Vector, at: View, b: Vector, known: bool, noise: SensorNoise, v: Vector, h: Vector, r: Vector
+) -> tuple[int, int]:
+    """The receiver's velocity is the filter's; its last part may be missing."""
+    if z[6] < FIX_3D or not np.isfinite(z[3]):
+        return NO_VELOCITY, 0
+    if not known:
+        return STARTED, 0
+    count = 3 if np.isfinite(z[5]) else 2
+    for i in range(count):
+        v[i] = z[3 + i] - at.v_ned_mps[i]
+        for j in range(count):
+            r[i, j] = at.p_velocity[i, j]
+        r[i, i] += noise.gps_mps**2
+    return TESTED, count

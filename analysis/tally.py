@@ -7,10 +7,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
+import numpy as np
 
+from analysis.block import EPHEMERIS, TRUTH, Block
 from analysis.criteria import Criteria, judge, verdict
 from analysis.results import Decision, FusedState, Result
-from analysis.samples import TruthSample
+from analysis.samples import Vector
 from analysis.score import Alarm, alarm_of, false_alarms, risen, score_faults
 from mavproxy_fault.wire.label import Label
 from simvehicle.earth import ecef_from_geodetic
@@ -25,50 +27,57 @@ class Tally:
         self.first_us: int | None = None
         self.last_us = 0
         self.alarms: list[Alarm] = []
-        self._truth: TruthSample | None = None
+        self._truth: Vector | None = None  # latitude, longitude in degrees, altitude (3,)
         self._errors = 0
         self._square_m2 = 0.0
         self._fused: dict[str, tuple[int, float]] = {}  # how many, sum of squared errors in m^2
-
-    def truth(self, sample: TruthSample) -> None:
-        """Note where the vehicle really is."""
-        self._truth = sample
-        self.clock(sample.t_us)
 
     @property
     def span_s(self) -> float:
         """Time from the first sample to the last, in seconds."""
         return (self.last_us - (self.first_us or 0)) * 1e-6
 
-    def clock(self, t_us: int) -> None:
-        """Note the vehicle's time."""
-        if self.first_us is None:
-            self.first_us = t_us
-        self.last_us = max(self.last_us, t_us)
+    def take(self, block: Block, found: Sequence[tuple[int, Result]]) -> None:
+        """Take a block of samples, and its results with the rows that led to them."""
+        stamps = block.t_us[block.kind < EPHEMERIS]
+        if len(stamps):
+            if self.first_us is None:
+                self.first_us = int(stamps[0])
+            self.last_us = max(self.last_us, int(stamps.max()))
+        for _, result in found:
+            alarm = alarm_of(result)
+            if alarm is not None:
+                self.alarms.append(alarm)
+        placed = [pair for pair in found if isinstance(pair[1], Decision | FusedState)]
+        for (_, result), true_m in zip(placed, self._true_positions(block, placed), strict=True):
+            self._add(result, true_m)
 
-    def add(self, result: Result) -> None:
-        """Take one result."""
-        alarm = alarm_of(result)
-        if alarm is not None:
-            self.alarms.append(alarm)
-        if isinstance(result, FusedState) and self._truth is not None:
+    def _true_positions(self, block: Block, found: Sequence[tuple[int, Result]]) -> list[Any]:
+        """Where the vehicle really was at each result, ECEF (3,); None where that is not known."""
+        truths = block.rows(TRUTH)
+        places = block.values[truths, 7:10]
+        if self._truth is not None:
+            truths, places = np.append(-1, truths), np.vstack([self._truth, places])
+        if not len(truths):
+            return [None] * len(found)
+        self._truth = places[-1]
+        at = np.searchsorted(truths, [row for row, _ in found], side="right") - 1
+        lat, lon = np.radians(places[at, :2]).T
+        true_m = ecef_from_geodetic(lat, lon, places[at, 2])
+        return [r if known >= 0 else None for r, known in zip(true_m.tolist(), at, strict=True)]
+
+    def _add(self, result: Result, true_m: Sequence[float] | None) -> None:
+        if isinstance(result, FusedState) and true_m is not None:
             count, total_m2 = self._fused.get(result.name, (0, 0.0))
-            error_m2 = self._square_error(result.position_ecef_m, self._truth)
+            error_m2 = math.dist(true_m, result.position_ecef_m) ** 2
             self._fused[result.name] = count + 1, total_m2 + error_m2
         if not isinstance(result, Decision):
             return
         self.epochs += 1
         self.untestable += result.hypothesis == "untestable"
-        if result.position_ecef_m is not None and self._truth is not None:
-            self._square_m2 += self._square_error(result.position_ecef_m, self._truth)
+        if result.position_ecef_m is not None and true_m is not None:
+            self._square_m2 += math.dist(true_m, result.position_ecef_m) ** 2
             self._errors += 1
-
-    @staticmethod
-    def _square_error(r_ecef_m: tuple[float, float, float], truth: TruthSample) -> float:
-        true_m = ecef_from_geodetic(
-            math.radians(truth.lat_deg), math.radians(truth.lon_deg), truth.alt_m
-        )
-        return math.dist(true_m, r_ecef_m) ** 2
 
     def _fused_summary(self) -> dict[str, float]:
         """The error of the fused position, where it was fused and the truth is known."""

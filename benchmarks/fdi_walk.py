@@ -55,7 +55,7 @@ def through_proxy(samples: list[Sample], fault: str) -> list[Sample]:
         for send in core.received(0, data, s.t_us):
             for frame in Parser().push(send.data, datagram=True):
                 if isinstance(frame, Frame):
-                    found = decoder.decode(frame)
+                    found = decoder.decode([frame]).samples()
                     out += [replace(sample, t_us=sample.t_us + first) for sample in found]
     return out
 

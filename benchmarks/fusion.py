@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-from analysis.epochs import Decoder
 from analysis.fdi import DetectorConfig
 from analysis.fdi.config import Noise, SigmaModel
 from analysis.fdi.core import Core
@@ -28,7 +27,7 @@ from analysis.fusion.frame import frame_at
 from analysis.fusion.smoother import Fusion
 from analysis.gnss import ned_axes
 from analysis.pipeline import Pipeline, monitor_config
-from analysis.recordings import read_rinex_samples
+from analysis.recordings import read_log, read_rinex_samples
 from analysis.reference import References
 from analysis.reference_models import density_kgpm3
 from analysis.results import Decision, FusedState, Result
@@ -42,7 +41,6 @@ from analysis.samples import (
     TruthSample,
     Vector,
 )
-from mavproxy_fault.wire.tlog import read_frames
 from simvehicle.earth import ecef_from_geodetic
 from simvehicle.gnss.config import GnssConfig
 from simvehicle.gnss.sensor import gnss_sensor
@@ -141,8 +139,7 @@ def decisions(rows: list[Row]) -> list[Decision]:
 
 def tlog_samples(path: Path) -> list[Sample]:
     """The samples of a recording."""
-    decoder = Decoder()
-    return [sample for _, frame in read_frames(path) for sample in decoder.decode(frame)]
+    return [sample for block in read_log(path) for sample in block.samples()]
 
 
 def flight(folder: Path) -> None:

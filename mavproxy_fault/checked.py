@@ -16,12 +16,12 @@ Path = tuple[str | int, ...]
 Lines = dict[Path, int]
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(yaml.CSafeLoader):
     """PyYAML follows YAML 1.1, where 1e-3 is text; YAML 1.2 and people read a number."""
 
 
 _Loader.yaml_implicit_resolvers = {
-    key: list(resolvers) for key, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    key: list(resolvers) for key, resolvers in yaml.CSafeLoader.yaml_implicit_resolvers.items()
 }
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",

@@ -1,16 +1,16 @@
-"""The command: `mavproxy-fault`, made of subcommands that packages register by entry point.
+"""The command: `mavproxy-fault`, made of our subcommands and those of other packages.
 
-An entry point of the group `mavproxy_fault.commands` is a function that adds its own parser to the
-subparsers it is given and sets the default `main`, a function of the parsed arguments that returns
-the exit code. Whatever is heavy is imported inside `main`.
+Other packages register theirs by entry point (group `mavproxy_fault.commands`): a function that
+adds its own parser to the subparsers it is given and sets the default `main`, a function of the
+parsed arguments that returns the exit code. Whatever is heavy is imported inside `main`.
 """
 
 import argparse
 import sys
 from collections.abc import Sequence
-from importlib.metadata import entry_points
 
 from mavproxy_fault import __version__
+from mavproxy_fault.commands import OURS, Add
 from mavproxy_fault.errors import ConfigError
 
 EPILOG = """\
@@ -37,8 +37,8 @@ ORDER = (
 )  # fmt: skip
 
 
-def parser() -> argparse.ArgumentParser:
-    """The parser with every registered subcommand."""
+def parser(command: str = "") -> argparse.ArgumentParser:
+    """The parser with every subcommand; with ours alone if `command` is one of them."""
     top = argparse.ArgumentParser(
         prog="mavproxy-fault",
         description="Apply sensor and link faults to MAVLink traffic, and see what happens.",
@@ -47,15 +47,23 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action="version", version=f"mavproxy-fault {__version__}")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    points = {point.name: point for point in entry_points(group="mavproxy_fault.commands")}
-    for name in [*(n for n in ORDER if n in points), *sorted(points.keys() - set(ORDER))]:
-        points[name].load()(commands)
+    adders = OURS if command in OURS else {**OURS, **_registered()}
+    for name in [*(n for n in ORDER if n in adders), *sorted(adders.keys() - set(ORDER))]:
+        adders[name](commands)
     return top
+
+
+def _registered() -> dict[str, Add]:
+    """Other packages' subcommands by name; to look for them takes longer than to parse ours."""
+    from importlib.metadata import entry_points
+
+    return {point.name: point.load() for point in entry_points(group="mavproxy_fault.commands")}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one subcommand and return the exit code."""
-    chosen = parser().parse_args(arguments)
+    given = sys.argv[1:] if arguments is None else arguments
+    chosen = parser(given[0] if given else "").parse_args(given)
     try:
         code: int = chosen.main(chosen)
     except ConfigError as error:

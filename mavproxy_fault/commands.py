@@ -1,7 +1,10 @@
 """The proxy's subcommands; what they need is imported when they run."""
 
 import argparse
+from collections.abc import Callable
 from typing import Any
+
+Add = Callable[[Any], None]
 
 ENDPOINT = "connection string, e.g. udpin:127.0.0.1:14550, tcpin:127.0.0.1:4560, /dev/ttyUSB0,57600"
 
@@ -111,3 +114,11 @@ def _faults(args: argparse.Namespace) -> int:
     from mavproxy_fault.catalogue import main
 
     return main(args)
+
+
+OURS: dict[str, Add] = {
+    "proxy": add_proxy,
+    "replay": add_replay,
+    "inject": add_inject,
+    "faults": add_faults,
+}

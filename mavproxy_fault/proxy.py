@@ -5,7 +5,6 @@ import contextlib
 import signal
 import socket
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any
@@ -85,7 +84,8 @@ def signing(args: argparse.Namespace) -> Signing | None:
 
 
 def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server) -> "Live":
-    """Live control over the bus and RflySim's port; loads all that faults need."""
+    """Live control over the bus and RflySim's port; loads all that faults need, numpy too."""
+    import mavproxy_fault.plans  # noqa: F401  so that no frame waits for it later
     from mavproxy_fault.control import Control
     from mavproxy_fault.edits import Journal
     from mavproxy_fault.engine import Engine
@@ -104,6 +104,8 @@ def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server)
 
 def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server) -> None:
     """Open live control in the background."""
+    from concurrent.futures import Future
+
     coming: Future[Live] = Future()
 
     def work() -> None:

@@ -1,11 +1,11 @@
 """One entry of a schedule at work: when it is active, what it did, and the labels for it."""
 
 import math
-from typing import Any, get_type_hints
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, get_type_hints
 from zlib import crc32
 
 import msgspec
-import numpy as np
 
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.faults.base import Outgoing
@@ -13,6 +13,9 @@ from mavproxy_fault.schedule import Entry
 from mavproxy_fault.triggers import Telemetry
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import Label
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
 
 NEVER_US = 1 << 62
 TELL_US = 200_000  # between two labels about new values of one fault
@@ -33,7 +36,6 @@ class Running:
     def __init__(self, entry: Entry, seed: int, base_us: int, t0_us: int) -> None:
         self.entry = entry
         self.fault: Any = entry.fault
-        self.rng = np.random.default_rng([seed, crc32(entry.id.encode())])
         self.seed = seed
         self.t0_us = t0_us
         self.base_us = base_us
@@ -63,6 +65,13 @@ class Running:
         self.takes_sealed = getattr(entry.fault, "takes_sealed", False)
         self.holds = hasattr(entry.fault, "release")
         self.keeps_back = getattr(entry.fault, "keeps_back", False)
+
+    @cached_property
+    def rng(self) -> "Generator":
+        """The entry's own chance; numpy is loaded for what draws, and only there."""
+        from numpy.random import default_rng
+
+        return default_rng([self.seed, crc32(self.entry.id.encode())])
 
     def _end(self) -> int:
         for_s = self.entry.for_s

@@ -127,6 +127,8 @@ class Server:
         if machine.load() is not None:
             self.use_fast()
         elif self._compiler is None:
+            print("first start: machine code is being made, once, while all goes a slower way",
+                  file=sys.stderr, flush=True)  # fmt: skip
             quiet = subprocess.DEVNULL  # it may outlive us: nobody must wait for its output to end
             self._compiler = subprocess.Popen(
                 [sys.executable, "-m", machine.__name__], stdin=quiet, stdout=quiet, stderr=quiet
@@ -216,9 +218,13 @@ class Server:
                 self._serve(number)
         if self._fast is not None:
             self._fast.count()
-        elif self._compiler is not None and self._compiler.poll() == 0:
-            self.prepare()
+        elif self._compiler is not None and (code := self._compiler.poll()) is not None:
             self._compiler = None
+            if code == 0:
+                self.prepare()
+            else:
+                print(f"no machine code ({code} from `python -m mavproxy_fault.machine`); "
+                      "all goes the slower way", file=sys.stderr, flush=True)  # fmt: skip
 
     def _record(self) -> None:
         if self.recorder is None and self.live is None:

@@ -8,10 +8,10 @@ from collections.abc import Callable
 from importlib import import_module
 from importlib.metadata import entry_points
 
-from analysis.estimators.base import AttitudeEstimate, Estimator, Prior
+from analysis.estimators.base import AttitudeEstimate, Estimator, Prior, follow
 from mavproxy_fault.errors import ConfigError
 
-__all__ = ["AttitudeEstimate", "Estimator", "Prior", "make", "names"]
+__all__ = ["AttitudeEstimate", "Estimator", "Prior", "follow", "make", "names"]
 
 GROUP = "mavproxy_fault.estimators"
 BUILT_IN = {

@@ -1,17 +1,20 @@
 """What an attitude estimator is: readings in, an attitude out.
 
 An estimator is a frozen set of parameters; what moves is the state it hands back. Readings are the
-samples of `analysis.epochs`; one that an estimator has no use for changes nothing. Attitudes are
+samples of `analysis.samples`; one that an estimator has no use for changes nothing. Attitudes are
 unit quaternions (w, x, y, z) that take body axes (forward, right, down) to north, east, down.
 """
 
 from dataclasses import dataclass, field
+from math import sqrt
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.epochs import Sample
+from analysis.block import ATTITUDE, IMU, TRUTH, Block, Stamps
+from analysis.samples import Sample
+from mavproxy_fault.wire.compiled import compiled
 
 Vector = NDArray[np.float64]
 GRAVITY_MPS2 = 9.80665  # standard gravity, CGPM 1901
@@ -42,7 +45,11 @@ class AttitudeEstimate:
 
 
 class Estimator(Protocol):
-    """The contract; `state` is whatever `start` returned."""
+    """The contract; `state` is whatever `start` returned.
+
+    One that can take many samples at once, compiled, also has a method `follow(block, state)`: see
+    the function below.
+    """
 
     def start(self, prior: Prior) -> Any:
         """The state before the first reading."""
@@ -51,6 +58,23 @@ class Estimator(Protocol):
         """The attitude after one reading, and the next state."""
 
 
+def follow(estimator: Estimator, block: Block, state: Any) -> tuple[Stamps, Vector, Any]:
+    """Estimates of a block, stamps (m,) and q_nb (m, 4) at its m IMU samples; the next state."""
+    at_once = getattr(estimator, "follow", None)
+    if at_once is not None:
+        found: tuple[Stamps, Vector, Any] = at_once(block, state)
+        return found
+    stamps, turns = [], []
+    for row, kind in enumerate(block.kind.tolist()):
+        if kind not in (TRUTH, ATTITUDE):
+            estimate, state = estimator.update(block.sample(row), state)
+            if kind == IMU:
+                stamps.append(estimate.t_us)
+                turns.append(estimate.q_nb)
+    return np.array(stamps, np.int64), np.array(turns, dtype=float).reshape(-1, 4), state
+
+
+@compiled
 def airspeed_mps(diff_pressure_pa: float) -> float:
     """Equivalent airspeed from the pitot tube's pressure; 0 where it is negative."""
-    return float((2.0 * max(diff_pressure_pa, 0.0) / SEA_LEVEL_DENSITY_KGPM3) ** 0.5)
+    return sqrt(2.0 * max(diff_pressure_pa, 0.0) / SEA_LEVEL_DENSITY_KGPM3)

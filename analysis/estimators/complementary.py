@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.epochs import AirspeedSample, ImuSample, MagSample, Sample
 from analysis.estimators.base import (
     GRAVITY_MPS2,
     MAX_GAP_S,
@@ -25,6 +24,7 @@ from analysis.estimators.base import (
     airspeed_mps,
 )
 from analysis.estimators.rotations import gravity_error, heading_error, matrix, turned
+from analysis.samples import AirspeedSample, ImuSample, MagSample, Sample
 from mavproxy_fault.wire.compiled import compiled
 
 Vector = NDArray[np.float64]

@@ -16,12 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.epochs import AirspeedSample, GpsFix, ImuSample, MagSample, Sample
+from analysis.block import Block, Stamps, block_of
 from analysis.estimators import ekf_kernel
-from analysis.estimators.base import MAX_GAP_S, AttitudeEstimate, Prior, airspeed_mps
+from analysis.estimators.base import AttitudeEstimate, Prior
+from analysis.samples import Sample
 
 Vector = NDArray[np.float64]
-MIN_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 
 
 class EkfState(NamedTuple):
@@ -66,55 +66,33 @@ class Ekf:
 
     def update(self, reading: Sample, state: EkfState) -> tuple[AttitudeEstimate, EkfState]:
         """IMU predicts; velocity, field and (where GPS is missing) gravity correct."""
-        if isinstance(reading, ImuSample):
-            state = self._predicted(reading, state)
-        elif isinstance(reading, MagSample):
-            x = ekf_kernel.head(
-                state.x, reading.field_b_gauss, state.declination_rad, self.heading_sigma_rad**2
-            )
-            state = state._replace(x=x)
-        elif isinstance(reading, GpsFix):
-            state = self._with_velocity(reading, state)
-        elif isinstance(reading, AirspeedSample):
-            state = state._replace(airspeed_mps=airspeed_mps(reading.diff_pressure_pa))
+        _, _, state = self.follow(block_of(reading), state)
         return AttitudeEstimate(state.t_us, state.x[:4]), state
 
-    def _predicted(self, reading: ImuSample, state: EkfState) -> EkfState:
-        t_us = reading.t_us
-        dt_s = (t_us - state.t_us) * 1e-6
-        if dt_s <= 0.0:
-            return state
-        x, tilt_t_us = state.x, state.tilt_t_us
-        if dt_s <= MAX_GAP_S:
-            x = ekf_kernel.predict(
-                x,
-                reading.gyro_b_rps,
-                reading.accel_b_mps2,
-                dt_s,
-                self.gyro_density,
-                self.bias_density,
-                self.accel_density,
-            )
-        blind = t_us - state.gps_t_us >= self.gps_timeout_s * 1e6
-        if blind and t_us - tilt_t_us >= self.gravity_period_s * 1e6:
-            x = ekf_kernel.level(
-                x,
-                reading.gyro_b_rps,
-                reading.accel_b_mps2,
-                state.airspeed_mps,
-                self.gravity_sigma_mps2**2,
-            )
-            tilt_t_us = t_us
-        return EkfState(
-            t_us, x, state.airspeed_mps, state.declination_rad, state.gps_t_us, tilt_t_us
+    def follow(self, block: Block, state: EkfState) -> tuple[Stamps, Vector, EkfState]:
+        """The same for a block of samples: stamps (m,) and q_nb (m, 4) after each of the IMU's."""
+        stamps = np.array([state.t_us, state.gps_t_us, state.tilt_t_us])
+        t_us, q_nb, x, stamps, airspeed_mps = ekf_kernel.follow(
+            block.kind,
+            block.t_us,
+            block.values,
+            state.x,
+            stamps,
+            state.airspeed_mps,
+            state.declination_rad,
+            self._numbers,
         )
+        now_us, gps_t_us, tilt_t_us = stamps.tolist()
+        after = EkfState(now_us, x, airspeed_mps, state.declination_rad, gps_t_us, tilt_t_us)
+        return t_us, q_nb, after
 
-    def _with_velocity(self, fix: GpsFix, state: EkfState) -> EkfState:
-        if fix.v_ned_mps is None or fix.fix_type < MIN_FIX or not np.isfinite(fix.v_ned_mps).all():
-            return state  # GPS_RAW_INT does not tell the climb
-        variance = self.velocity_sigma_mps**2
-        if fix.t_us - state.gps_t_us >= self.gps_timeout_s * 1e6:
-            x = ekf_kernel.restart_velocity(state.x, fix.v_ned_mps, variance)
-        else:
-            x = ekf_kernel.correct_velocity(state.x, fix.v_ned_mps, variance)
-        return state._replace(x=x, gps_t_us=max(fix.t_us, state.gps_t_us))
+    @property
+    def _numbers(self) -> Vector:
+        return np.array(
+            [
+                *(self.gyro_density, self.bias_density, self.accel_density),
+                *(self.velocity_sigma_mps**2, self.heading_sigma_rad**2),
+                self.gravity_sigma_mps2**2,
+                *(self.gravity_period_s * 1e6, self.gps_timeout_s * 1e6),
+            ]
+        )

@@ -6,12 +6,15 @@ Plain loops, no slices: assignments of slices cost seconds of compilation.
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.estimators.base import GRAVITY_MPS2
+from analysis.block import AIRSPEED, FIX, IMU, MAG, Indices, Stamps
+from analysis.estimators.base import GRAVITY_MPS2, MAX_GAP_S, airspeed_mps
 from analysis.estimators.rotations import heading_error, matrix, turned
 from mavproxy_fault.wire.compiled import compiled
 
 Vector = NDArray[np.float64]
 N = 9  # error states: turn, bias, velocity
+MIN_FIX = 3  # GPS_FIX_TYPE_3D_FIX
+NOW, GPS, TILT = 0, 1, 2  # stamps: of the state, of the newest velocity, of gravity's last use
 
 
 @compiled
@@ -168,3 +171,82 @@ def level(x: Vector, gyro: Vector, accel: Vector, speed_mps: float, variance: fl
             expected = gz - (gyro[1] - x[5]) * speed_mps
         x = correct(x, row, accel[axis] - expected, variance)
     return x
+
+
+@compiled
+def moved(
+    x: Vector, stamps: Stamps, t_us: int, v: Vector, speed_mps: float, numbers: Vector
+) -> Vector:
+    """The state after the numbers v (7,) of an IMU sample; `stamps` are moved on."""
+    dt_s = (t_us - stamps[NOW]) * 1e-6
+    if dt_s <= 0.0:
+        return x
+    if dt_s <= MAX_GAP_S:
+        x = predict(x, v[0:3], v[3:6], dt_s, numbers[0], numbers[1], numbers[2])
+    if t_us - stamps[GPS] >= numbers[7] and t_us - stamps[TILT] >= numbers[6]:
+        x = level(x, v[0:3], v[3:6], speed_mps, numbers[5])
+        stamps[TILT] = t_us
+    stamps[NOW] = t_us
+    return x
+
+
+@compiled
+def with_velocity(x: Vector, stamps: Stamps, t_us: int, v: Vector, numbers: Vector) -> Vector:
+    """The state after the numbers v (11,) of a fix; one that does not tell the climb is no use."""
+    finite = np.isfinite(v[3]) and np.isfinite(v[4]) and np.isfinite(v[5])
+    if v[6] < MIN_FIX or not finite:
+        return x
+    if t_us - stamps[GPS] >= numbers[7]:
+        x = restart_velocity(x, v[3:6], numbers[3])
+    else:
+        x = correct_velocity(x, v[3:6], numbers[3])
+    stamps[GPS] = max(t_us, stamps[GPS])
+    return x
+
+
+@compiled
+def follow(
+    kind: Indices,
+    t_us: Stamps,
+    values: Vector,
+    x: Vector,
+    stamps: Stamps,
+    speed_mps: float,
+    declination_rad: float,
+    numbers: Vector,
+) -> tuple[Stamps, Vector, Vector, Stamps, float]:
+    """The filter over a block (see `analysis.block`).
+
+    Parameters
+    ----------
+    kind, t_us, values : (n,), (n,), (n, WIDTH)
+    x, stamps, speed_mps : (91,), (3,)
+        The state before.
+    numbers : (8,)
+        Densities of gyro, bias and acceleration, variances of velocity, heading and gravity, how
+        often gravity is used and after which silence of GPS, in us.
+
+    Returns
+    -------
+    Stamps (m,) and q_nb (m, 4) after each IMU sample, and the state after.
+    """
+    count = 0
+    for i in range(len(kind)):
+        count += kind[i] == IMU
+    when, q_nb = np.empty(count, np.int64), np.empty((count, 4))
+    stamps = stamps.copy()
+    done = 0
+    for i in range(len(kind)):
+        if kind[i] == IMU:
+            x = moved(x, stamps, t_us[i], values[i], speed_mps, numbers)
+            when[done] = stamps[NOW]
+            for k in range(4):
+                q_nb[done, k] = x[k]
+            done += 1
+        elif kind[i] == MAG:
+            x = head(x, values[i, 0:3], declination_rad, numbers[4])
+        elif kind[i] == FIX:
+            x = with_velocity(x, stamps, t_us[i], values[i], numbers)
+        elif kind[i] == AIRSPEED:
+            speed_mps = airspeed_mps(values[i, 0])
+    return when, q_nb, x, stamps, speed_mps

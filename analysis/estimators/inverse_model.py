@@ -23,9 +23,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.epochs import ImuSample, Sample
 from analysis.estimators.base import GRAVITY_MPS2, MAX_GAP_S, AttitudeEstimate, Prior
 from analysis.estimators.rotations import euler, matrix, quaternion_of_euler
+from analysis.samples import ImuSample, Sample
 from mavproxy_fault.wire.compiled import compiled
 
 Vector = NDArray[np.float64]

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from analysis.block import EPOCH, FIX, MAG, Block, ImuRun, Piece, block_of, pieces
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import NOTHING_HELD, Core, Record, State
 from analysis.fdi.epoch import Outcome, judge_epoch
@@ -21,9 +22,7 @@ from analysis.samples import (
     EphemerisSample,
     Epoch,
     GpsFix,
-    ImuSample,
     IonosphereSample,
-    MagSample,
     Sample,
 )
 
@@ -40,27 +39,42 @@ class Detector:
         """Nothing known."""
         return State(Core(None, {}, np.array(self.config.ionosphere, dtype=float)))
 
-    def step(self, sample: Sample, state: State) -> tuple[list[Result], State]:
-        """Decisions that one sample allows, and the next state."""
-        if isinstance(sample, ImuSample):
-            return [], _with_imu(sample, state)
-        if isinstance(sample, Epoch):
-            return self._epoch(sample, state)
+    def step(self, samples: Sample | Block, state: State) -> tuple[list[Result], State]:
+        """Decisions that a block of samples, or a single one, allows, and the next state."""
+        results: list[Result] = []
+        for piece in pieces(samples):
+            said, state = self.take(piece, state)
+            results += said
+        return results, state
+
+    def take(self, piece: Piece, state: State) -> tuple[list[Result], State]:
+        """The same for samples up to an event."""
+        if len(piece.ids):
+            state = _with_imu(piece, state)
         core, pending = state
-        if isinstance(sample, MagSample):
-            return [], State(core._replace(mag_b=sample.field_b_gauss), pending)
-        if isinstance(sample, GpsFix):
-            if core.ranges_us is not None and (
-                sample.t_us - core.ranges_us < self.config.reset_s * 1e6
-            ):
-                return [], state
-            return step_position(sample, state, self.config)
-        if isinstance(sample, EphemerisSample):
-            return [], State(_learn(core, sample), pending)
-        if isinstance(sample, IonosphereSample):
-            known = np.array(sample.alpha + sample.beta)
+        mag = piece.newest.get(MAG)
+        if mag is not None:
+            core = core._replace(mag_b=piece.block.values[mag, :3].copy())
+            state = State(core, pending)
+        if piece.kind == FIX and not self._has_ranges(core, piece.t_us):
+            fix = piece.event
+            assert isinstance(fix, GpsFix)
+            return step_position(fix, state, self.config)
+        if piece.kind < EPOCH:
+            return [], state
+        event = piece.event
+        if isinstance(event, Epoch):
+            return self._epoch(event, state)
+        if isinstance(event, EphemerisSample):
+            return [], State(_learn(core, event), pending)
+        if isinstance(event, IonosphereSample):
+            known = np.array(event.alpha + event.beta)
             return [], State(core._replace(ionosphere=known), pending)
         return [], state
+
+    def _has_ranges(self, core: Core, t_us: int) -> bool:
+        """Whether there are raw ranges, so that a receiver's own position is not needed."""
+        return core.ranges_us is not None and t_us - core.ranges_us < self.config.reset_s * 1e6
 
     def _epoch(self, epoch: Epoch, state: State) -> tuple[list[Result], State]:
         core, pending = state
@@ -166,11 +180,7 @@ class Detector:
 
 def run(detector: Detector, samples: Iterable[Sample]) -> list[Result]:
     """All results of a detector over samples in order of time."""
-    state = detector.new_state()
-    results: list[Result] = []
-    for sample in samples:
-        said, state = detector.step(sample, state)
-        results += said
+    results, _ = detector.step(block_of(samples), detector.new_state())
     return results
 
 
@@ -179,15 +189,13 @@ def _forgotten(core: Core) -> Core:
     return core._replace(motion=None, excluded={}, held=NOTHING_HELD, memory=None, history=())
 
 
-def _with_imu(sample: ImuSample, state: State) -> State:
+def _with_imu(piece: Piece, state: State) -> State:
     core, pending = state
-    if core.imu_id != sample.id:
-        if core.imu_id is not None:
-            return state  # a second IMU
-        core = core._replace(imu_id=sample.id)
-    if pending is not None and sample.t_us <= pending.sample.t_us:
-        return state
-    return State(core, keep_pending(sample, pending))
+    if core.imu_id is None:
+        core = core._replace(imu_id=int(piece.ids[0]))
+    mine = piece.ids == core.imu_id  # there may be a second IMU
+    run = piece.imu if mine.all() else ImuRun(piece.imu.t_us[mine], piece.imu.values[mine])
+    return State(core, keep_pending(run, pending))
 
 
 def _learn(core: Core, sample: EphemerisSample) -> Core:

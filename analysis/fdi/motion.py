@@ -1,15 +1,19 @@
 """From one epoch to the next: by the IMU where it is there and sound, freely otherwise."""
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
+from analysis.block import ImuRun, Stamps
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.inertial import PSI, propagate_freely, propagate_inertial
 from analysis.fdi.state import Motion, Pending
 from analysis.samples import ImuSample, Vector
+from mavproxy_fault.wire.compiled import compiled
 
 PENDING_MAX = 40_000  # samples without an epoch between; older ones are forgotten
+NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
 TURN_SIGMA_RPS = 0.5  # how fast a body may turn while its IMU is silent
 SHORT_GAP_S = 1.0  # after a longer one the attitude is found anew
 
@@ -23,45 +27,94 @@ class Segment(NamedTuple):
     heard: bool
 
 
-def keep_pending(sample: ImuSample, pending: Pending | None) -> Pending:
-    """One more sample for the next epoch."""
-    if pending is None or pending.depth >= PENDING_MAX:
-        return Pending(sample, None, 1)
-    return Pending(sample, pending, pending.depth + 1)
+def run_of(samples: Iterable[ImuSample]) -> ImuRun:
+    """IMU samples in order as a run."""
+    listed = list(samples)
+    values = [(*sample.gyro_b_rps, *sample.accel_b_mps2) for sample in listed]
+    stamps = np.array([sample.t_us for sample in listed], np.int64)
+    return ImuRun(stamps, np.array(values, dtype=float).reshape(-1, 6))
 
 
-def split_pending(pending: Pending | None, until_us: int) -> tuple[list[ImuSample], Pending | None]:
-    """Samples up to `until_us`, oldest first, and those that stay pending."""
-    newer: list[ImuSample] = []
-    while pending is not None and pending.sample.t_us > until_us:
-        newer.append(pending.sample)
-        pending = pending.older
-    older: list[ImuSample] = []
-    while pending is not None:
-        older.append(pending.sample)
-        pending = pending.older
-    rest: Pending | None = None
-    for sample in reversed(newer):
-        rest = keep_pending(sample, rest)
-    older.reverse()
-    return older, rest
+def keep_pending(run: ImuRun, pending: Pending | None) -> Pending | None:
+    """A further run for the next epoch; samples that are not later than the newest are left out."""
+    if not len(run.t_us):
+        return pending
+    newest_us = pending.run.t_us[-1] if pending is not None else run.t_us[0] - 1
+    if not _rising(run.t_us, newest_us):
+        later = run.t_us > np.maximum.accumulate(np.append(newest_us, run.t_us[:-1]))
+        if not later.any():
+            return pending
+        run = ImuRun(run.t_us[later], run.values[later])
+    depth = len(run.t_us) + (pending.depth if pending is not None else 0)
+    if depth <= 2 * PENDING_MAX:
+        return Pending(run, pending, depth)
+    whole = _whole(Pending(run, pending, depth))
+    return Pending(whole, None, len(whole.t_us))
 
 
-def segment(run: list[ImuSample], motion: Motion, until_us: int) -> Segment:
+def split_pending(pending: Pending | None, until_us: int) -> tuple[ImuRun, Pending | None]:
+    """Samples up to `until_us`, and those that stay pending."""
+    if pending is None:
+        return NO_RUN, None
+    run = _whole(pending)
+    at = int(np.searchsorted(run.t_us, until_us, side="right"))
+    rest = ImuRun(run.t_us[at:], run.values[at:])
+    return ImuRun(run.t_us[:at], run.values[:at]), keep_pending(rest, None)
+
+
+def _whole(pending: Pending) -> ImuRun:
+    """Everything that is pending as one run, but no more than `PENDING_MAX` samples."""
+    runs: list[ImuRun] = []
+    at: Pending | None = pending
+    while at is not None:
+        runs.append(at.run)
+        at = at.older
+    runs.reverse()
+    if len(runs) == 1 and pending.depth <= PENDING_MAX:
+        return pending.run
+    columns = (np.concatenate(column)[-PENDING_MAX:] for column in zip(*runs, strict=True))
+    return ImuRun(*columns)
+
+
+@compiled
+def _rising(t_us: Stamps, newest_us: int) -> bool:
+    """Whether every stamp is later than the one before."""
+    for stamp_us in t_us:
+        if stamp_us <= newest_us:
+            return False
+        newest_us = stamp_us
+    return True
+
+
+def segment(run: ImuRun, motion: Motion, until_us: int) -> Segment:
     """Steps from the filter's time to `until_us`; the last sample is held to the end."""
-    run = [sample for sample in run if sample.t_us > motion.t_us]
-    if not run:
-        return Segment(np.empty((0, 7)), (until_us - motion.t_us) * 1e-6, False)
-    stamps = np.array([motion.t_us, *[sample.t_us for sample in run], until_us])
-    table = np.empty((len(run) + 1, 7))
-    table[:-1, 1:4] = [sample.gyro_b_rps for sample in run]
-    table[:-1, 4:7] = [sample.accel_b_mps2 for sample in run]
-    table[-1, 1:7] = table[-2, 1:7]
-    table[:, 0] = np.diff(stamps) * 1e-6
-    finite = np.isfinite(table).all(axis=1)
-    if not finite.all():
-        return Segment(np.empty((0, 7)), float(table[:, 0].sum()), True)
-    return Segment(table, float(table[:, 0].max()), True)
+    return Segment(*_steps(run.t_us, run.values, motion.t_us, until_us))
+
+
+@compiled
+def _steps(t_us: Stamps, values: Vector, from_us: int, until_us: int) -> tuple[Vector, float, bool]:
+    """The fields of a `Segment`; without samples if one of them is not finite."""
+    at = 0
+    while at < len(t_us) and t_us[at] <= from_us:
+        at += 1
+    count = len(t_us) - at
+    if count == 0:
+        return np.empty((0, 7)), (until_us - from_us) * 1e-6, False
+    table = np.empty((count + 1, 7))
+    before_us, gap_s, total_s, amount = from_us, -np.inf, 0.0, 0.0
+    for k in range(count + 1):
+        row = min(at + k, len(t_us) - 1)
+        now_us = t_us[at + k] if k < count else until_us
+        table[k, 0] = (now_us - before_us) * 1e-6
+        gap_s = max(gap_s, table[k, 0])
+        total_s += table[k, 0]
+        before_us = now_us
+        for i in range(6):
+            table[k, 1 + i] = values[row, i]
+            amount += values[row, i]
+    if not np.isfinite(amount):
+        return np.empty((0, 7)), total_s, True
+    return table, gap_s, True
 
 
 def advance(

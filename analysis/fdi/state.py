@@ -3,17 +3,18 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from analysis.block import ImuRun
 from analysis.fdi.value import Value
-from analysis.samples import ImuSample, StateVector, Vector
+from analysis.samples import StateVector, Vector
 from mavproxy_fault.wire.ephemeris import Ephemeris
 
 Stored = tuple[Ephemeris | StateVector, Vector]  # an ephemeris and its packed numbers
 
 
 class Pending(NamedTuple):
-    """IMU samples not yet used, newest first; `depth` of them, so that memory stays bounded."""
+    """IMU samples not yet used, the newest run first; `depth` of them, as memory is bounded."""
 
-    sample: ImuSample
+    run: ImuRun
     older: "Pending | None"
     depth: int
 

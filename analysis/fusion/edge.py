@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.fdi.motion import TURN_SIGMA_RPS, Segment, segment
+from analysis.fdi.motion import TURN_SIGMA_RPS, Segment, run_of, segment
 from analysis.fdi.state import Motion
 from analysis.samples import ImuSample, Vector
 
@@ -30,7 +30,7 @@ class Edge:
 
 def between(run: Sequence[ImuSample], start_us: int, end_us: int) -> Segment:
     """The samples of a run between two times."""
-    return segment(list(run), Motion(start_us, NOTHING, NOTHING), end_us)
+    return segment(run_of(run), Motion(start_us, NOTHING, NOTHING), end_us)
 
 
 def samples_of(part: Segment, start_us: int) -> list[ImuSample]:

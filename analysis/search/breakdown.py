@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.attitude import Cell, parted, phase_of
+from analysis.attitude_scores import Cell, parted, phases_of
 from analysis.estimators import make
 from analysis.search.batch import COMPILED, Batch, ned_velocity, start_memory
 from analysis.search.shrink import pinned
@@ -75,12 +75,13 @@ def cells_of(flight: Trace, error: Array) -> list[Cell]:
     """Errors (n, 4) of a flight in cells of CELL_US."""
     length = max(1, round(CELL_US * 1e-6 / flight.plan.dt_s))
     velocity = ned_velocity(flight.state[:, 6:10].T, flight.state[:, 3:6].T).T
+    phases = phases_of(flight.state[::length, 6:10], velocity[::length])
     cells = []
-    for first in range(0, len(error), length):
+    for number, first in enumerate(range(0, len(error), length)):
         part = error[first : first + length]
         sums = np.concatenate([[len(part)], (part**2).sum(axis=0), np.abs(part).max(axis=0)])
-        phase = phase_of(flight.state[first, 6:10], velocity[first])
-        cells.append(Cell(round(first * flight.plan.dt_s * 1e6), phase, sums, part[0]))
+        start_us = round(first * flight.plan.dt_s * 1e6)
+        cells.append(Cell(start_us, phases[number], sums, part[0]))
     return cells
 
 

@@ -13,7 +13,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.attitude import AXES, AttitudeConfig, AttitudeScorer
+from analysis.attitude import AttitudeConfig, AttitudeScorer
+from analysis.attitude_scores import AXES
 from analysis.epochs import Decoder
 from analysis.estimators.base import GRAVITY_MPS2
 from analysis.run.flight import Flight
@@ -61,10 +62,9 @@ class Watch:
 
     def hear(self, data: bytes) -> None:
         """Take in what left the proxy for the monitor."""
-        for item in self._parser.push(data, datagram=False):
-            if isinstance(item, Frame):
-                for sample in self._decoder.decode(item):
-                    _, self._state = self._scorer.step(sample, self._state)
+        items = self._parser.push(data, datagram=False)
+        block = self._decoder.decode(item for item in items if isinstance(item, Frame))
+        _, self._state = self._scorer.step(block, self._state)
 
     def summary(self, labels: Sequence[Label]) -> dict[str, Any]:
         """Scores by estimator."""

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.epochs import AirspeedSample, GpsFix, ImuSample, MagSample, Sample
 from analysis.estimators import Estimator, Prior
 from analysis.estimators.rotations import errors
+from analysis.samples import AirspeedSample, GpsFix, ImuSample, MagSample, Sample
 from analysis.search import rows
 from analysis.search.filter_lanes import MAHONY
 from analysis.search.kernel import Plan, trace

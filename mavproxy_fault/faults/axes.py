@@ -1,14 +1,14 @@
 """Faults of three axes together: swapped, turned (misalignment), hard and soft iron."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
-
-import numpy as np
 
 from mavproxy_fault.faults.value import ValueFault
 from mavproxy_fault.wire.frame import Number
 
 Three = tuple[float, float, float]
+Matrix = tuple[Three, Three, Three]
 
 
 class AxisSwap(ValueFault, frozen=True, kw_only=True):
@@ -48,14 +48,14 @@ class Rotation(ValueFault, frozen=True, kw_only=True):
         self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """The vector as a sensor turned by these angles measures it."""
-        return [float(x) for x in turn(self.angles_deg) @ np.array(before, float)], None
+        return [*times(turn(self.angles_deg), before)], None
 
 
 class Iron(ValueFault, frozen=True, kw_only=True):
     """Magnetic surroundings: soft iron (a 3 x 3 matrix) times the field plus hard iron (offset)."""
 
     hard: Three = (0.0, 0.0, 0.0)
-    soft: tuple[Three, Three, Three] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    soft: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
     def __post_init__(self) -> None:
         check_three(self.elements)
@@ -64,8 +64,8 @@ class Iron(ValueFault, frozen=True, kw_only=True):
         self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """soft @ field + hard."""
-        field = np.array(self.soft) @ np.array(before, float) + np.array(self.hard)
-        return [float(x) for x in field], None
+        field = times(self.soft, before)
+        return [x + offset for x, offset in zip(field, self.hard, strict=True)], None
 
 
 def check_three(elements: Any) -> None:
@@ -81,13 +81,18 @@ def check_three(elements: Any) -> None:
             raise ValueError(f"acts on three fields, not {len(places)}; give x, y and z as target")
 
 
-def turn(angles_deg: Three) -> np.ndarray:
-    """The matrix (3, 3) from body axes to axes turned by yaw, then pitch, then roll."""
+def turn(angles_deg: Three) -> Matrix:
+    """The matrix from body axes to axes turned by yaw, then pitch, then roll."""
     roll, pitch, yaw = (math.radians(angle) for angle in angles_deg)
     cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
     cy, sy = math.cos(yaw), math.sin(yaw)
-    about_x = np.array([[1, 0, 0], [0, cr, sr], [0, -sr, cr]])
-    about_y = np.array([[cp, 0, -sp], [0, 1, 0], [sp, 0, cp]])
-    about_z = np.array([[cy, sy, 0], [-sy, cy, 0], [0, 0, 1]])
-    turned: np.ndarray = about_x @ about_y @ about_z
-    return turned
+    return (
+        (cp * cy, cp * sy, -sp),
+        (sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp),
+        (cr * sp * cy + sr * sy, cr * sp * sy - sr * cy, cr * cp),
+    )
+
+
+def times(matrix: Matrix, vector: Sequence[float]) -> list[float]:
+    """matrix @ vector."""
+    return [sum(a * b for a, b in zip(row, vector, strict=True)) for row in matrix]

@@ -6,12 +6,14 @@ come from the same lines); its moving part is the state it hands back. It does n
 as `t_us` and chance from `rng`, and never changes its arguments.
 """
 
-from typing import Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 import msgspec
-import numpy as np
 
 from mavproxy_fault.wire.frame import Frame
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
 
 ActsOn = Literal["fields", "frames", "satellites", "plant"]
 
@@ -44,7 +46,7 @@ class Fault(Protocol):
         """The state before the first frame; the fault is active from `start_us` on."""
 
     def apply(
-        self, frame: Frame, t_us: int, state: Any, rng: np.random.Generator
+        self, frame: Frame, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
         """What leaves for one frame that came at `t_us`, and the next state.
 

@@ -2,9 +2,8 @@
 
 import math
 import struct
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
 from msgspec import Meta
 
 from mavproxy_fault.faults.base import Outgoing
@@ -12,6 +11,9 @@ from mavproxy_fault.faults.place import changed, places_of, values_at
 from mavproxy_fault.faults.value import Moving, ValueFault
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, Number
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
 
 # HIL_SENSOR.fields_updated (HIL_SENSOR_UPDATED_FLAGS); PX4 takes baro only with bits 9, 11 and 12.
 GROUPS = {
@@ -31,7 +33,7 @@ class BitFlip(ValueFault, frozen=True, kw_only=True):
     bit: Annotated[int, Meta(ge=0, le=63)] | None = None
 
     def apply(
-        self, frame: Frame, t_us: int, state: Moving, rng: np.random.Generator
+        self, frame: Frame, t_us: int, state: Moving, rng: "Generator"
     ) -> tuple[list[Outgoing], Moving]:
         """Flip in each element of one frame."""
         places = places_of(frame.id, self.elements[frame.id])
@@ -39,7 +41,7 @@ class BitFlip(ValueFault, frozen=True, kw_only=True):
         after = [self._flipped(x, p.packer, rng) for x, p in zip(before, places, strict=True)]
         return [changed(frame, t_us, places, before, after)], state
 
-    def _flipped(self, value: Number, packer: struct.Struct, rng: np.random.Generator) -> Number:
+    def _flipped(self, value: Number, packer: struct.Struct, rng: "Generator") -> Number:
         width = 8 * packer.size
         if self.bit is None:
             chosen = [int(b) for b in rng.choice(width, min(self.value, width), replace=False)]

@@ -1,13 +1,15 @@
 """Damaged frames: wrong bytes, cut short, gaps in the sequence."""
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-import numpy as np
 from msgspec import Meta
 
 from mavproxy_fault.faults.base import LinkFault, Outgoing
 from mavproxy_fault.faults.loss import Share
 from mavproxy_fault.wire.frame import Frame
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
 
 
 class Corrupt(LinkFault, frozen=True, kw_only=True):
@@ -24,7 +26,7 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
         """Nothing to remember."""
 
     def apply(
-        self, frame: Frame | bytes, t_us: int, state: Any, rng: np.random.Generator
+        self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
         """Change some bytes, each into another one."""
         if self.value < 1.0 and rng.random() >= self.value:
@@ -38,7 +40,7 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
         raw = frame.raw[: frame.payload_at] + payload + frame.raw[end:]
         return [Outgoing(t_us, raw)], None
 
-    def _mixed(self, data: bytes, rng: np.random.Generator) -> bytes:
+    def _mixed(self, data: bytes, rng: "Generator") -> bytes:
         mixed = bytearray(data)
         places = rng.choice(len(mixed), min(self.count, len(mixed)), replace=False)
         for place, change in zip(places, rng.integers(1, 256, len(places)), strict=True):
@@ -56,7 +58,7 @@ class Truncate(LinkFault, frozen=True, kw_only=True):
         """Nothing to remember."""
 
     def apply(
-        self, frame: Frame | bytes, t_us: int, state: Any, rng: np.random.Generator
+        self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
         """Send the head of the frame; at least one byte of it."""
         if self.value < 1.0 and rng.random() >= self.value:
@@ -79,7 +81,7 @@ class SequenceGap(LinkFault, frozen=True, kw_only=True):
         return 0
 
     def apply(
-        self, frame: Frame, t_us: int, state: int, rng: np.random.Generator
+        self, frame: Frame, t_us: int, state: int, rng: "Generator"
     ) -> tuple[list[Outgoing], int]:
         """Renumber the frame; once opened, a gap stays until the fault ends."""
         ahead = (state + self.count * (rng.random() < self.value)) & 0xFF

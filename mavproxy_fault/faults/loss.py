@@ -1,12 +1,14 @@
 """Lost frames: at random, in bursts, or all of them."""
 
-from typing import Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import numpy as np
 from msgspec import Meta
 
 from mavproxy_fault.faults.base import LinkFault, Outgoing
 from mavproxy_fault.wire.frame import Frame
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
 
 Share = Annotated[float, Meta(ge=0, le=1)]
 
@@ -20,7 +22,7 @@ class Drop(LinkFault, frozen=True, kw_only=True):
         """Nothing to remember."""
 
     def apply(
-        self, frame: Frame | bytes, t_us: int, state: Any, rng: np.random.Generator
+        self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
         """Lose this frame or not."""
         if self.value < 1.0 and rng.random() >= self.value:
@@ -35,7 +37,7 @@ class Outage(LinkFault, frozen=True, kw_only=True):
         """Nothing to remember."""
 
     def apply(
-        self, frame: Frame | bytes, t_us: int, state: Any, rng: np.random.Generator
+        self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
         """Nothing leaves."""
         return [], None
@@ -59,7 +61,7 @@ class GilbertElliott(LinkFault, frozen=True, kw_only=True):
         return False
 
     def apply(
-        self, frame: Frame | bytes, t_us: int, state: bool, rng: np.random.Generator
+        self, frame: Frame | bytes, t_us: int, state: bool, rng: "Generator"
     ) -> tuple[list[Outgoing], bool]:
         """Change state or not, then lose the frame or not."""
         bad = rng.random() >= self.to_good if state else rng.random() < self.to_bad
@@ -78,7 +80,7 @@ class Burst(LinkFault, frozen=True, kw_only=True):
         return 0
 
     def apply(
-        self, frame: Frame | bytes, t_us: int, state: int, rng: np.random.Generator
+        self, frame: Frame | bytes, t_us: int, state: int, rng: "Generator"
     ) -> tuple[list[Outgoing], int]:
         """Lose this frame or not."""
         left = state or (self.frames if rng.random() < self.value else 0)
@@ -102,7 +104,7 @@ class RateLimit(LinkFault, frozen=True, kw_only=True):
         return Bucket(start_us)
 
     def apply(
-        self, frame: Frame | bytes, t_us: int, state: Bucket, rng: np.random.Generator
+        self, frame: Frame | bytes, t_us: int, state: Bucket, rng: "Generator"
     ) -> tuple[list[Outgoing], Bucket]:
         """Pass, wait or be lost."""
         due_us = max(state.free_us, t_us)

@@ -1,8 +1,7 @@
 """Noise, and a random walk whose variance grows with time."""
 
+import math
 from typing import Any, ClassVar, Literal
-
-import numpy as np
 
 from mavproxy_fault.faults.profile import NotNegative
 from mavproxy_fault.faults.value import ValueFault, each
@@ -40,7 +39,7 @@ class RandomWalk(ValueFault, frozen=True, kw_only=True):
         """Take a step as long as the time since the last frame of this sender calls for."""
         walks: dict[tuple[int, ...], tuple[float, tuple[float, ...]]] = memory or {}
         last_s, walked = walks.get(key, (0.0, (0.0,) * len(before)))
-        sigma = self.value * np.sqrt(max(t_s - last_s, 0.0))
+        sigma = self.value * math.sqrt(max(t_s - last_s, 0.0))
         steps = rng.normal(0.0, 1.0, len(before)) * sigma
         now = tuple(w + float(step) for w, step in zip(walked, steps, strict=True))
         after = [x + error for x, error in zip(before, now, strict=True)]

@@ -6,10 +6,9 @@ passed. When the fault ends, the simulator is told that the parameter is healthy
 """
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import msgspec
-import numpy as np
 
 from mavproxy_fault.faults.base import ActsOn, Outgoing
 from mavproxy_fault.faults.loss import Drop
@@ -19,6 +18,9 @@ from mavproxy_fault.faults.value import ValueFault
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.plant import SIMULATOR, PlantChange, plant_frame
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
 
 REPEAT_US = 200_000
 STEP_US = 20_000  # a changing value is sent at 50 Hz at most
@@ -45,12 +47,12 @@ class InSimulator(msgspec.Struct, frozen=True, kw_only=True):
         """Nothing said yet."""
         return Sent(start_us)
 
-    def values(self, t_s: float, memory: Any, rng: np.random.Generator) -> tuple[Values, Any]:
+    def values(self, t_s: float, memory: Any, rng: "Generator") -> tuple[Values, Any]:
         """The value of each name, `t_s` after the fault began."""
         raise NotImplementedError
 
     def apply(
-        self, frame: Frame, t_us: int, state: Sent, rng: np.random.Generator
+        self, frame: Frame, t_us: int, state: Sent, rng: "Generator"
     ) -> tuple[list[Outgoing], Sent]:
         """Pass the frame; answer a simulator's with the values."""
         passed = Outgoing(t_us, frame)
@@ -105,7 +107,7 @@ class Plant(InSimulator, frozen=True, kw_only=True):
         if (self.value is None) == (self.profile is None):
             raise ValueError("takes either value or profile")
 
-    def values(self, t_s: float, memory: Any, rng: np.random.Generator) -> tuple[Values, Any]:
+    def values(self, t_s: float, memory: Any, rng: "Generator") -> tuple[Values, Any]:
         """The same value for all."""
         if self.profile is None:
             return (self.value,) * len(self.names), None
@@ -132,7 +134,7 @@ class InReceiver(InSimulator, frozen=True, kw_only=True):
                 " wholly; leave value out, or give `via: proxy`"
             )
 
-    def values(self, t_s: float, memory: Any, rng: np.random.Generator) -> tuple[Values, Any]:
+    def values(self, t_s: float, memory: Any, rng: "Generator") -> tuple[Values, Any]:
         """Metres per satellite, or 1 for lost."""
         if isinstance(self.fault, Drop):
             return (1.0,) * len(self.names), None

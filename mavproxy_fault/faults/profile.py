@@ -5,13 +5,16 @@ A segment is f(t) = start + rate (t - at) on [at, at + for]; between segments th
 open on the left and closed on the right, and at a joint the earlier segment holds.
 """
 
+import math
 from bisect import bisect_right
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
-import numpy as np
 from msgspec import Meta
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
 
 Mode = Literal["replace", "add", "scale"]
 OVERLAP_TOLERANCE_S = 1e-6  # stamps are microseconds: what is closer than one is not an overlap
@@ -30,7 +33,7 @@ class Draw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if (self.uniform is None) == (self.normal is None):
             raise ValueError("a drawn number takes either uniform or normal")
 
-    def number(self, rng: np.random.Generator) -> float:
+    def number(self, rng: "Generator") -> float:
         """One draw."""
         if self.uniform is not None:
             return float(rng.uniform(*self.uniform))
@@ -109,7 +112,7 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             else:
                 check_param_gen(self.segments, self.time_sim_s)
 
-    def new_state(self, rng: np.random.Generator) -> Any:
+    def new_state(self, rng: "Generator") -> Any:
         """What the profile remembers: drawn segments, an open table, or the newest live value."""
         if self.segments is not None:
             return drawn(self.segments, rng)
@@ -125,8 +128,8 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             found = at(state, t_s, open_left=self.compat is not None)
         elif self.sine is not None:
             wave = self.sine
-            found = wave.offset + wave.amplitude * float(
-                np.sin(2 * np.pi * wave.frequency_hz * t_s + wave.phase_rad)
+            found = wave.offset + wave.amplitude * math.sin(
+                math.tau * wave.frequency_hz * t_s + wave.phase_rad
             )
         elif self.impulses is not None:
             train = self.impulses
@@ -144,7 +147,7 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 Piece = tuple[float, float, float, float]  # at_s, for_s, start, rate
 
 
-def drawn(segments: Sequence[Segment], rng: np.random.Generator) -> tuple[Piece, ...]:
+def drawn(segments: Sequence[Segment], rng: "Generator") -> tuple[Piece, ...]:
     """The segments with every number drawn."""
 
     def number(given: float | Draw) -> float:

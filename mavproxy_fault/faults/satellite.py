@@ -7,10 +7,9 @@ not MSM7 and fragments that belong to nothing pass.
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import msgspec
-import numpy as np
 
 from mavproxy_fault.faults.base import ActsOn, Outgoing
 from mavproxy_fault.faults.loss import Drop
@@ -19,6 +18,9 @@ from mavproxy_fault.wire import rtcm
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.msm7 import SYSTEMS, msm7_satellites, patch_msm7
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
 
 HOLD_US = 500_000  # fragments of one message leave a receiver within milliseconds
 
@@ -58,7 +60,7 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         return Ranges(start_us, None, {})
 
     def apply(
-        self, frame: Frame, t_us: int, state: Ranges, rng: np.random.Generator
+        self, frame: Frame, t_us: int, state: Ranges, rng: "Generator"
     ) -> tuple[list[Outgoing], Ranges]:
         """Keep a fragment back, or patch the message that it completes."""
         payload = rtcm.tunnel_payload(frame)

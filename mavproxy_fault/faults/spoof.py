@@ -11,16 +11,18 @@ References
 """
 
 import math
-from typing import ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import msgspec
-import numpy as np
 
 from mavproxy_fault.faults.base import ActsOn, Outgoing
 from mavproxy_fault.faults.place import rewritten
 from mavproxy_fault.faults.profile import NotNegative
 from mavproxy_fault.faults.spoofed import MOVERS, Move, Three
 from mavproxy_fault.wire.frame import Frame
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
 
 
 class Shift(NamedTuple):
@@ -66,7 +68,7 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
         return start_us
 
     def apply(
-        self, frame: Frame, t_us: int, state: int, rng: np.random.Generator
+        self, frame: Frame, t_us: int, state: int, rng: "Generator"
     ) -> tuple[list[Outgoing], int]:
         """Move one frame; a message that tells no position passes."""
         mover = MOVERS.get(frame.layout.name)

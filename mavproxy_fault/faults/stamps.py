@@ -4,15 +4,16 @@ Every field that holds the sender's time is changed, whatever its unit: `time_us
 `time_boot_us`, `timestamp`, `time_boot_ms`.
 """
 
-from typing import ClassVar
-
-import numpy as np
+from typing import TYPE_CHECKING, ClassVar
 
 from mavproxy_fault.faults.base import LinkFault, Outgoing
 from mavproxy_fault.faults.place import rewritten
 from mavproxy_fault.faults.profile import Positive
 from mavproxy_fault.wire.dialect import Layout
 from mavproxy_fault.wire.frame import Frame
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
 
 NAMES = ("time_usec", "usec", "time_boot_us", "time_unix_usec", "timestamp", "time_boot_ms")
 COUNTS_PER_S = {"us": 1e6, "ms": 1e3}
@@ -33,7 +34,7 @@ class Stamps(LinkFault, frozen=True, kw_only=True):
         raise NotImplementedError
 
     def apply(
-        self, frame: Frame, t_us: int, state: int, rng: np.random.Generator
+        self, frame: Frame, t_us: int, state: int, rng: "Generator"
     ) -> tuple[list[Outgoing], int]:
         """Move every stamp of the frame; a message without one passes."""
         off_s = self.off_s((t_us - state) / 1e6)

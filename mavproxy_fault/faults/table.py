@@ -5,13 +5,13 @@ whole would cost hundreds of megabytes. Only the present block is in memory.
 """
 
 import csv
+import itertools
 import logging
+import math
 from bisect import bisect_right
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from mavproxy_fault.errors import ConfigError
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 BLOCK_ROWS = 8192
 LOG = logging.getLogger(__name__)
-Block = tuple[np.ndarray, np.ndarray]  # times in seconds and values, each of shape (n,)
+Block = tuple[tuple[float, ...], tuple[float, ...]]  # times in seconds, and values
 
 
 class Series:
@@ -35,11 +35,11 @@ class Series:
 
     def _start(self) -> None:
         self._blocks = read_blocks(self.table)
-        self._times: list[float] = []
-        self._values: list[float] = []
+        self._times: tuple[float, ...] = ()
+        self._values: tuple[float, ...] = ()
         self._at = 0  # no row before it is needed any more
         self._previous: tuple[float, float] | None = None
-        self._latest_s = -np.inf
+        self._latest_s = -math.inf
 
     def _next(self) -> Block | None:
         """The next block; a series that turns out broken ends there, for traffic must go on."""
@@ -62,7 +62,7 @@ class Series:
                 return None
             if len(self._times):
                 self._previous = (self._times[-1], self._values[-1])
-            self._times, self._values = block[0].tolist(), block[1].tolist()
+            self._times, self._values = block
             self._at = 0
         k = bisect_right(self._times, t_s, self._at)
         self._at = k
@@ -86,15 +86,16 @@ def read_blocks(table: "Table") -> Iterator[Block]:
     ConfigError
         If the file cannot be read, lacks a column, holds text, or its times go backwards.
     """
-    last_s = -np.inf
+    last_s = -math.inf
     source = _parquet if Path(table.file).suffix == ".parquet" else _csv
     for times, values in source(table):
-        if not (np.all(np.diff(times, prepend=last_s) > 0) and np.all(np.isfinite(values))):
+        ascending = all(a < b for a, b in itertools.pairwise((last_s, *times)))
+        if not ascending or not all(map(math.isfinite, values)):
             raise ConfigError(
                 f"{table.file}: near {table.time} = {times[0]} times do not grow or values are not "
                 "finite; times must ascend and every value be a number"
             )
-        last_s = float(times[-1])
+        last_s = times[-1]
         yield times, values
 
 
@@ -103,17 +104,11 @@ def _csv(table: "Table") -> Iterator[Block]:
         with Path(table.file).open(newline="", encoding="utf-8") as file:
             rows = csv.reader(file)
             names = [name.strip() for name in next(rows, [])]
-            columns = [_column(names, name, table.file) for name in (table.time, table.value)]
-            pairs: list[tuple[float, float]] = []
-            for row in rows:
-                if not row:
-                    continue
-                pairs.append((float(row[columns[0]]), float(row[columns[1]])))
-                if len(pairs) == BLOCK_ROWS:
-                    yield _block(pairs)
-                    pairs = []
-            if pairs:
-                yield _block(pairs)
+            time, value = (_column(names, name, table.file) for name in (table.time, table.value))
+            pairs = ((float(row[time]), float(row[value])) for row in rows if row)
+            while block := list(itertools.islice(pairs, BLOCK_ROWS)):
+                times, values = zip(*block, strict=True)
+                yield times, values
     except OSError as error:
         raise ConfigError(f"{table.file}: cannot be read ({error}); give a CSV file") from None
     except (ValueError, IndexError) as error:
@@ -121,11 +116,6 @@ def _csv(table: "Table") -> Iterator[Block]:
             raise
         line = rows.line_num
         raise ConfigError(f"{table.file}:{line}: {error}; every row needs two numbers") from None
-
-
-def _block(pairs: list[tuple[float, float]]) -> Block:
-    array = np.array(pairs)
-    return array[:, 0], array[:, 1]
 
 
 def _column(names: list[str], name: str, file: str) -> int:
@@ -147,9 +137,14 @@ def _parquet(table: "Table") -> Iterator[Block]:
                 _column(file.schema_arrow.names, name, table.file)
             for batch in file.iter_batches(BLOCK_ROWS, columns=[table.time, table.value]):
                 if batch.num_rows:
-                    yield (
-                        batch.column(0).to_numpy(zero_copy_only=False).astype(float),
-                        batch.column(1).to_numpy(zero_copy_only=False).astype(float),
+                    times, values = (
+                        tuple(map(float, batch.column(name).to_pylist()))
+                        for name in (table.time, table.value)
                     )
+                    yield times, values
     except OSError as error:
         raise ConfigError(f"{table.file}: cannot be read ({error}); give Parquet") from None
+    except (TypeError, ValueError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        raise ConfigError(f"{table.file}: {error}; every row needs two numbers") from None

@@ -1,14 +1,16 @@
 """Frames at the wrong time: late, jittered, out of order, twice."""
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
 from msgspec import Meta
 
 from mavproxy_fault.faults.base import LinkFault, Outgoing
 from mavproxy_fault.faults.loss import Share
 from mavproxy_fault.faults.profile import NotNegative
 from mavproxy_fault.wire.frame import Frame
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
 
 
 class Delay(LinkFault, frozen=True, kw_only=True):
@@ -20,7 +22,7 @@ class Delay(LinkFault, frozen=True, kw_only=True):
         """Nothing to remember."""
 
     def apply(
-        self, frame: Frame | bytes, t_us: int, state: Any, rng: np.random.Generator
+        self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
         """The same frame, later."""
         return [late(frame, t_us, self.value)], None
@@ -45,7 +47,7 @@ class Jitter(LinkFault, frozen=True, kw_only=True):
         return start_us
 
     def apply(
-        self, frame: Frame | bytes, t_us: int, state: int, rng: np.random.Generator
+        self, frame: Frame | bytes, t_us: int, state: int, rng: "Generator"
     ) -> tuple[list[Outgoing], int]:
         """The same frame, a random time later."""
         out = late(frame, t_us, self.base_s + self._draw(rng))
@@ -53,7 +55,7 @@ class Jitter(LinkFault, frozen=True, kw_only=True):
             out = late(frame, t_us, (state - t_us) * 1e-6)
         return [out], max(out.due_us, state)
 
-    def _draw(self, rng: np.random.Generator) -> float:
+    def _draw(self, rng: "Generator") -> float:
         if self.distribution == "uniform":
             return float(rng.uniform(0.0, self.value))
         if self.distribution == "normal":
@@ -73,7 +75,7 @@ class Reorder(LinkFault, frozen=True, kw_only=True):
         """Nothing to remember."""
 
     def apply(
-        self, frame: Frame | bytes, t_us: int, state: Any, rng: np.random.Generator
+        self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
         """Hold this frame back or not."""
         return [late(frame, t_us, self.by_s if rng.random() < self.value else 0.0)], None
@@ -90,7 +92,7 @@ class Duplicate(LinkFault, frozen=True, kw_only=True):
         """Nothing to remember."""
 
     def apply(
-        self, frame: Frame | bytes, t_us: int, state: Any, rng: np.random.Generator
+        self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
         """The frame, and its copies."""
         first = Outgoing(t_us, frame)

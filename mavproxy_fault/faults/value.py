@@ -1,14 +1,16 @@
 """Value faults: they change elements of a frame in place and say how much and whether it fitted."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import msgspec
-import numpy as np
 
 from mavproxy_fault.faults.base import ActsOn, Outgoing
 from mavproxy_fault.faults.place import Element, changed, places_of, values_at
 from mavproxy_fault.wire.frame import Frame, Number
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
 
 
 class Moving(NamedTuple):
@@ -40,7 +42,7 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
         return Moving(start_us, None)
 
     def apply(
-        self, frame: Frame, t_us: int, state: Moving, rng: np.random.Generator
+        self, frame: Frame, t_us: int, state: Moving, rng: "Generator"
     ) -> tuple[list[Outgoing], Moving]:
         """Change the elements of one frame."""
         start_us, remembered = state

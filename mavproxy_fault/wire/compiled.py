@@ -1,4 +1,4 @@
-"""The two ways this project compiles numerical functions with numba, with their types kept."""
+"""The three ways this project compiles numerical functions with numba, with their types kept."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
@@ -19,6 +19,11 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 def compiled(function: Function) -> Function:
     """Compile a function that Python calls; the machine code is kept on disk."""
     return cast(Function, njit(cache=True, error_model="numpy", fastmath=_FAST)(function))
+
+
+def exact(function: Function) -> Function:
+    """Compile a function that must round as Python does."""
+    return cast(Function, njit(cache=True, error_model="numpy")(function))
 
 
 def inlined(function: Function) -> Function:

@@ -15,10 +15,12 @@ References
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
+
+Crc = Callable[[bytes], int]
 
 PREAMBLE = 0xD3
 HEADER = 3
@@ -50,6 +52,7 @@ def _crc_tables() -> tuple[tuple[int, ...], ...]:
 
 
 _TABLES = _crc_tables()
+CRC24Q_TABLE = _TABLES[0]
 
 
 def crc24q(data: bytes) -> int:
@@ -100,13 +103,13 @@ def message_number(message: bytes) -> int:
     return message[HEADER] << 4 | message[HEADER + 1] >> 4
 
 
-def split_messages(data: bytes) -> Iterator[bytes]:
+def split_messages(data: bytes, crc: Crc = crc24q) -> Iterator[bytes]:
     """The whole messages with right CRC among `data`; anything else is passed over."""
     at = data.find(PREAMBLE)
     while 0 <= at <= len(data) - HEADER - TRAILER:
         end = at + HEADER + TRAILER + ((data[at + 1] & 0x03) << 8 | data[at + 2])
         message = data[at:end]
-        if end <= len(data) and crc24q(message[:-TRAILER]) == int.from_bytes(
+        if end <= len(data) and crc(message[:-TRAILER]) == int.from_bytes(
             message[-TRAILER:], "big"
         ):
             yield message
@@ -173,12 +176,13 @@ def tunnel_payload(frame: Frame) -> bytes | None:
 class Reassembler:
     """Puts fragments of one sender together again; keeps at most four incomplete messages.
 
-    A lost fragment loses its message. Fragments may come in any order.
+    A lost fragment loses its message. Fragments may come in any order. `crc` is what checks them.
     """
 
-    __slots__ = ("_pending",)
+    __slots__ = ("_crc", "_pending")
 
-    def __init__(self) -> None:
+    def __init__(self, crc: Crc = crc24q) -> None:
+        self._crc = crc
         self._pending: dict[int, dict[int, bytes]] = {}
 
     def add(self, payload: bytes) -> list[bytes]:
@@ -189,13 +193,13 @@ class Reassembler:
         sequence = flags >> 3
         if not flags & 1:
             self._pending.pop(sequence, None)
-            return list(split_messages(data))
+            return list(split_messages(data, self._crc))
         parts = self._pending.setdefault(sequence, {})
         parts[flags >> 1 & 3] = data
         whole = joined(parts)
         if whole is not None:
             del self._pending[sequence]
-            return list(split_messages(whole))
+            return list(split_messages(whole, self._crc))
         if len(self._pending) > PENDING_MAX:
             del self._pending[next(iter(self._pending))]
         return []

@@ -211,11 +211,11 @@ def read_log(path: str | Path, only: Collection[str] | None = None) -> Log:
     return _log(data, _whole(data), only)
 
 
-def read_parts(path: str | Path) -> Iterator[Log]:
+def read_parts(path: str | Path, only: Collection[str] | None = None) -> Iterator[Log]:
     """The same block by block, for logs larger than memory; `size` is the whole file's."""
     data = map_bytes(Path(path))
     for block in _blocks(data):
-        yield _log(data, block, None)
+        yield _log(data, block, only)
 
 
 def _log(data: NDArray[np.uint8], block: _Block, only: Collection[str] | None) -> Log:

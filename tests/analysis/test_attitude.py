@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from analysis.attitude import AttitudeConfig, AttitudeScorer, declination_rad
-from analysis.epochs import AttitudeSample, ImuSample, TruthSample
 from analysis.estimators.rotations import errors, quaternion_of_euler
+from analysis.samples import AttitudeSample, ImuSample, TruthSample
 from mavproxy_fault.wire.label import Label
 
 LEVEL = np.array([0.0, 0.0, -9.80665])

@@ -16,6 +16,7 @@ from analysis.samples import (
     ImuSample,
     MagSample,
     RangeSample,
+    Sample,
     TruthSample,
     VisionSample,
 )
@@ -29,6 +30,10 @@ from mavproxy_fault.wire.rtcm import tunnel_frames
 def frame(name: str, component: int = 51, **values: object) -> Frame:
     layout = known(name)
     return Frame(build(layout, values, component=component), layout)
+
+
+def samples_of(decoder: Decoder, *frames: Frame) -> list[Sample]:
+    return list(decoder.decode(frames).samples())
 
 
 def tunnel(message: bytes, sequence: int) -> list[Frame]:
@@ -46,12 +51,13 @@ def tunnel(message: bytes, sequence: int) -> list[Frame]:
     ],
 )
 def test_hil_sensor_gives_what_its_bits_say(bits: int, kinds: list[type]):
-    samples = Decoder().decode(frame("HIL_SENSOR", time_usec=5, fields_updated=bits))
+    samples = samples_of(Decoder(), frame("HIL_SENSOR", time_usec=5, fields_updated=bits))
     assert [type(sample) for sample in samples] == kinds
 
 
 def test_hil_sensor_comes_in_si_units():
-    imu, mag, baro, air = Decoder().decode(
+    imu, mag, baro, air = samples_of(
+        Decoder(),
         frame(
             "HIL_SENSOR",
             time_usec=7,
@@ -62,7 +68,7 @@ def test_hil_sensor_comes_in_si_units():
             diff_pressure=2.0,
             pressure_alt=110.0,
             fields_updated=0x1FFF,
-        )
+        ),
     )
     assert imu.t_us == 7
     assert imu.accel_b_mps2.tolist() == [1.5, 0.0, 0.0]
@@ -74,7 +80,8 @@ def test_hil_sensor_comes_in_si_units():
 
 def test_the_other_messages_come_in_si_units():
     decoder = Decoder()
-    (fix,) = decoder.decode(
+    (fix,) = samples_of(
+        decoder,
         frame(
             "HIL_GPS",
             time_usec=9,
@@ -87,22 +94,24 @@ def test_the_other_messages_come_in_si_units():
             epv=65535,
             fix_type=3,
             satellites_visible=11,
-        )
+        ),
     )
     assert isinstance(fix, GpsFix)
     assert (fix.lat_deg, fix.lon_deg, fix.alt_m) == pytest.approx((47.4, -8.5, 500.0))
     assert fix.v_ned_mps.tolist() == [1.0, 0.0, -0.5]
     assert fix.eph_m == 1.2
     assert math.isnan(fix.epv_m)
-    (raw,) = decoder.decode(frame("GPS_RAW_INT", vel=1000, cog=9000, fix_type=3, h_acc=800))
+    (raw,) = samples_of(decoder, frame("GPS_RAW_INT", vel=1000, cog=9000, fix_type=3, h_acc=800))
     assert raw.v_ned_mps[:2] == pytest.approx([0.0, 10.0], abs=1e-9)
     assert math.isnan(raw.v_ned_mps[2])
-    (truth,) = decoder.decode(
-        frame("HIL_STATE_QUATERNION", time_usec=1, attitude_quaternion=[1.0, 0, 0, 0], vx=250)
+    (truth,) = samples_of(
+        decoder,
+        frame("HIL_STATE_QUATERNION", time_usec=1, attitude_quaternion=[1.0, 0, 0, 0], vx=250),
     )
     assert isinstance(truth, TruthSample)
     assert truth.v_ned_mps[0] == 2.5
-    (down,) = decoder.decode(
+    (down,) = samples_of(
+        decoder,
         frame(
             "DISTANCE_SENSOR",
             time_boot_ms=3,
@@ -110,11 +119,14 @@ def test_the_other_messages_come_in_si_units():
             max_distance=5000,
             current_distance=250,
             orientation=25,
-        )
+        ),
     )
     assert down == RangeSample(3000, 2.5)
-    assert decoder.decode(frame("DISTANCE_SENSOR", current_distance=250, max_distance=500)) == []
-    (odometry,) = decoder.decode(
+    assert (
+        samples_of(decoder, frame("DISTANCE_SENSOR", current_distance=250, max_distance=500)) == []
+    )
+    (odometry,) = samples_of(
+        decoder,
         frame(
             "ODOMETRY",
             time_usec=4,
@@ -123,11 +135,13 @@ def test_the_other_messages_come_in_si_units():
             vx=2.0,
             frame_id=1,
             child_frame_id=12,
-        )
+        ),
     )
     assert isinstance(odometry, VisionSample)
     assert odometry.v_ned_mps == pytest.approx([0.0, 2.0, 0.0], abs=1e-6)
-    (attitude,) = decoder.decode(frame("ATTITUDE", component=1, time_boot_ms=2, yaw=math.pi / 2))
+    (attitude,) = samples_of(
+        decoder, frame("ATTITUDE", component=1, time_boot_ms=2, yaw=math.pi / 2)
+    )
     assert isinstance(attitude, AttitudeSample)
     assert attitude.q_nb == pytest.approx([math.sqrt(0.5), 0, 0, math.sqrt(0.5)])
 
@@ -136,16 +150,16 @@ def test_ranges_in_tunnel_frames_come_back_with_week_and_time(flight):
     epoch = next(s for s in flight if isinstance(s, Epoch))
     ephemeris = next(s.ephemeris for s in flight if isinstance(s, EphemerisSample))
     decoder = Decoder()
-    decoder.decode(frame("HIL_SENSOR", time_usec=1_000_000, fields_updated=0x3F))
+    samples_of(decoder, frame("HIL_SENSOR", time_usec=1_000_000, fields_updated=0x3F))
     samples = []
     for raw in tunnel(encode_ephemeris(ephemeris), 1):
-        samples += decoder.decode(raw)
+        samples += samples_of(decoder, raw)
     messages = encode_epoch(
         epoch.tow_s, epoch.satellites, epoch.pseudorange_m, epoch.doppler_mps, epoch.cn0_dbhz
     )
     for number, message in enumerate(messages):
         for raw in tunnel(message, 2 + number):
-            samples += decoder.decode(raw)
+            samples += samples_of(decoder, raw)
     back = samples[-1]
     assert isinstance(samples[0], EphemerisSample)
     assert isinstance(back, Epoch)
@@ -161,7 +175,7 @@ def test_a_late_epoch_keeps_its_own_time(flight):
     decoder = Decoder()
     stamps = []
     for epoch, arrival_us in zip(epochs, (1_000_000, 1_900_000), strict=True):
-        decoder.decode(frame("HIL_SENSOR", time_usec=arrival_us, fields_updated=0x3F))
+        samples_of(decoder, frame("HIL_SENSOR", time_usec=arrival_us, fields_updated=0x3F))
         for number, message in enumerate(
             encode_epoch(
                 epoch.tow_s,
@@ -172,12 +186,14 @@ def test_a_late_epoch_keeps_its_own_time(flight):
             )
         ):
             for raw in tunnel(message, number):
-                stamps += [s.t_us for s in decoder.decode(raw)]
+                stamps += [s.t_us for s in samples_of(decoder, raw)]
     assert stamps == [1_000_000, 1_200_000]
 
 
 def test_broken_rtcm_is_no_sample():
     decoder = Decoder()
     raw = frame("TUNNEL", payload_type=33845, payload_length=30, payload=b"\0" + b"\xd3" * 29)
-    assert decoder.decode(raw) == []
-    assert decoder.decode(frame("TUNNEL", payload_type=1, payload_length=3, payload=b"abc")) == []
+    assert samples_of(decoder, raw) == []
+    assert (
+        samples_of(decoder, frame("TUNNEL", payload_type=1, payload_length=3, payload=b"abc")) == []
+    )

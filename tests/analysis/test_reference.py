@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.epochs import Decoder
 from analysis.fdi import Detector, DetectorConfig
 from analysis.fdi.detector import run
+from analysis.recordings import read_log
 from analysis.reference import References
 from analysis.results import Decision, SensorDecision
 from analysis.samples import (
@@ -24,7 +24,6 @@ from analysis.samples import (
     TruthSample,
     VisionSample,
 )
-from mavproxy_fault.wire.tlog import read_frames
 from simvehicle.earth import ecef_from_geodetic
 from simvehicle.rotation import matrix_from_quat
 
@@ -109,10 +108,8 @@ def test_a_faulty_sensor_alone_is_isolated(flight, sensor: str):
 
 
 def test_a_receiver_that_jumps_is_told_from_the_imu_without_raw_ranges(shared_data: Path):
-    decoder, samples = Decoder(), []
     path = next((shared_data / "px4_hil").glob("*_hil.tlog"))
-    for _, frame in read_frames(path):
-        samples += decoder.decode(frame)
+    samples = [sample for block in read_log(path) for sample in block.samples()]
     found = [r for r in run(Detector(DetectorConfig()), samples) if isinstance(r, Decision)]
     alarms = [d for d in found if d.alarm]
     assert alarms[0].t_s == pytest.approx(41.0, abs=0.2)

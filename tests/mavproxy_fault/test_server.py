@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault import commands, proxy
+from mavproxy_fault import commands, machine, proxy
 from mavproxy_fault.core import Core
 from mavproxy_fault.engine import Engine
 from mavproxy_fault.errors import ConfigError
@@ -214,3 +214,26 @@ def test_a_running_proxy_takes_faults_over_the_bus_and_answers_injected_failures
             process.send_signal(signal.SIGINT)
             process.communicate(timeout=10)
     assert process.returncode == 0
+
+
+def test_without_machine_code_the_proxy_says_so_and_forwards(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(machine, "load", lambda: None)
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    with udp() as station:
+        links = [
+            open_link("udpin:127.0.0.1:0"),
+            open_link(f"udpout:127.0.0.1:{station.getsockname()[1]}"),
+        ]
+        with serving(links) as running, udp() as vehicle:
+            running.prepare()
+            running._compiler.wait(10)
+            vehicle.sendto(heartbeat(), ("127.0.0.1", links[0].port))
+            assert station.recv(1000) == heartbeat()
+            while running._compiler is not None:
+                vehicle.sendto(heartbeat(), ("127.0.0.1", links[0].port))
+                station.recv(1000)
+    told = capfd.readouterr().err
+    assert "first start" in told
+    assert "no machine code (1 from" in told

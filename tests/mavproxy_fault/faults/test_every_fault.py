@@ -3,6 +3,7 @@
 The frames run through an engine and are judged by pymavlink's decoder.
 """
 
+import importlib.metadata
 import math
 from importlib.metadata import EntryPoint
 
@@ -162,7 +163,7 @@ def test_whatever_the_payload_holds_a_fault_goes_on(name: str, data: st.DataObje
 
 def test_another_package_adds_a_fault_by_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
     point = EntryPoint("double", "mavproxy_fault.faults.driven:Scale", "mavproxy_fault.faults")
-    monkeypatch.setattr(registry, "entry_points", lambda group: [point])
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [point])
     registry.known_faults.cache_clear()
     try:
         entry = {"fault": "double", "target": "HIL_SENSOR.xgyro", "value": 2}

@@ -109,7 +109,7 @@ def test_a_parquet_table_says_the_same_as_its_csv(tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     rows = [(i * 0.1, math.sin(i)) for i in range(100)]
     written = table(tmp_path / "a.csv", rows)
-    columns = {"t_s": [t for t, _ in rows], "value": [v for _, v in rows]}
+    columns = {"value": [v for _, v in rows], "t_s": [t for t, _ in rows]}
     parquet.write_table(pyarrow.table(columns), tmp_path / "a.parquet")
     packed = Profile(table=Table(str(tmp_path / "a.parquet")))
     states = written.new_state(RNG), packed.new_state(RNG)

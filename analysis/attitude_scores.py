@@ -1,0 +1,103 @@
+"""Errors gathered in cells, and the scores that are made of them."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from analysis.samples import Vector
+
+AXES = ("roll", "pitch", "yaw", "angle")
+GROUND_SPEED_MPS = 1.0
+TURN_RAD = np.radians(15.0)
+CLIMB_MPS = 1.0
+
+
+class Window(Protocol):
+    """When a fault acted; a label of the proxy's is one."""
+
+    @property
+    def id(self) -> str:
+        """Its name."""
+
+    @property
+    def start_us(self) -> int:
+        """When it began."""
+
+    @property
+    def end_us(self) -> int | None:
+        """When it ended; None if it did not."""
+
+
+class Cell(NamedTuple):
+    """Errors of one estimator within one cell.
+
+    `sums` (9,): how many, sums of squares (4,) and maxima (4,) in rad; `first` (4,) in rad.
+    """
+
+    t_us: int
+    phase: str
+    sums: Vector
+    first: Vector
+
+
+def parted(cells: Sequence[Cell], windows: Sequence[Window], cell_us: int) -> dict[str, Any]:
+    """Scores of the whole, without faults, by phase of flight and by fault.
+
+    RMSE (`max` is the largest of roll, pitch and yaw) and maxima in degrees; percentiles are
+    those of the turn between estimate and truth, of the first error in each cell.
+    """
+    faulty = [any(_within(cell, window, cell_us) for window in windows) for cell in cells]
+    return scored(cells) | {
+        "nominal": scored([c for c, bad in zip(cells, faulty, strict=True) if not bad]),
+        "phases": {
+            phase: scored([c for c in cells if c.phase == phase])
+            for phase in sorted({c.phase for c in cells})
+        },
+        "faults": {
+            window.id: scored([c for c in cells if _within(c, window, cell_us)])
+            for window in windows
+        },
+    }
+
+
+def scored(cells: Sequence[Cell]) -> dict[str, Any]:
+    """The scores of some cells; only `samples` = 0 where there are none."""
+    if not cells:
+        return {"samples": 0}
+    sums = np.array([cell.sums for cell in cells])
+    count = sums[:, 0].sum()
+    rmse = np.degrees(np.sqrt(sums[:, 1:5].sum(axis=0) / count))
+    largest = np.degrees(sums[:, 5:].max(axis=0))
+    angles = np.degrees([cell.first[3] for cell in cells])
+    rmse_deg = dict(zip(AXES, rmse.tolist(), strict=True))
+    return {
+        "samples": int(count),
+        "rmse_deg": rmse_deg | {"max": float(rmse[:3].max())},
+        "max_deg": dict(zip(AXES, largest.tolist(), strict=True)),
+        "angle_percentiles_deg": {
+            str(p): float(value)
+            for p, value in zip((50, 95, 99), np.percentile(angles, (50, 95, 99)), strict=True)
+        },
+    }
+
+
+def phases_of(q_nb: Vector, v_ned_mps: Vector) -> list[str]:
+    """ground, turn, climb, descent or level, by speed, bank and climb of truths (n, 4), (n, 3)."""
+    w, x, y, z = q_nb.T
+    bank = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    down = v_ned_mps[:, 2]
+    conditions = [
+        np.linalg.norm(v_ned_mps, axis=1) < GROUND_SPEED_MPS,
+        np.abs(bank) > TURN_RAD,
+        down < -CLIMB_MPS,
+        down > CLIMB_MPS,
+    ]
+    found = np.select(conditions, [0, 1, 2, 3], 4)
+    return [("ground", "turn", "climb", "descent", "level")[i] for i in found.tolist()]
+
+
+def _within(cell: Cell, window: Window, cell_us: int) -> bool:
+    return cell.t_us + cell_us > window.start_us and (
+        window.end_us is None or cell.t_us < window.end_us
+    )

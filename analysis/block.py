@@ -1,0 +1,265 @@
+"""Samples in a row as one table: what a log is read into, and what comes of a link at once.
+
+A row has its kind, its stamp and its numbers; epochs and broadcasts, which are no row of numbers,
+stand beside the table. Steps of the pipeline take blocks of any length and say the same whatever
+the length.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.samples import (
+    AirspeedSample,
+    AttitudeSample,
+    BaroSample,
+    EphemerisSample,
+    Epoch,
+    GpsFix,
+    ImuSample,
+    IonosphereSample,
+    MagSample,
+    RangeSample,
+    Sample,
+    TruthSample,
+    Vector,
+    VisionSample,
+)
+
+Stamps = NDArray[np.int64]
+Indices = NDArray[np.int64]
+
+WIDTH = 13
+IMU, MAG, BARO, AIRSPEED, RANGE, VISION, TRUTH, ATTITUDE = range(8)
+FIX, EPOCH, EPHEMERIS, IONOSPHERE = range(8, 12)  # what may lead to a decision: events
+KINDS: dict[type, int] = {
+    ImuSample: IMU,
+    MagSample: MAG,
+    BaroSample: BARO,
+    AirspeedSample: AIRSPEED,
+    RangeSample: RANGE,
+    VisionSample: VISION,
+    TruthSample: TRUTH,
+    AttitudeSample: ATTITUDE,
+    GpsFix: FIX,
+    Epoch: EPOCH,
+    EphemerisSample: EPHEMERIS,
+    IonosphereSample: IONOSPHERE,
+}
+SOURCES = ("HIL_GPS", "GPS_RAW_INT", "ATTITUDE", "ATTITUDE_QUATERNION")
+NEWEST = (MAG, BARO, AIRSPEED, RANGE, VISION)  # sensors of which a test wants the last sample
+UNKNOWN_3 = (np.nan, np.nan, np.nan)
+
+
+class Block(NamedTuple):
+    """n samples in their order.
+
+    `kind` and `t_us` (n,); `values` (n, WIDTH): the numbers of the samples, in the order of their
+    fields (see `ROWS`); `beside` holds by row what is no row of numbers.
+    """
+
+    kind: Indices
+    t_us: Stamps
+    values: Vector
+    beside: Mapping[int, Sample]
+
+    def rows(self, kind: int) -> Indices:
+        """Where the samples of one kind are."""
+        return np.flatnonzero(self.kind == kind)
+
+    def sample(self, row: int) -> Sample:
+        """The sample of a row; its vectors are views of the table."""
+        kind = int(self.kind[row])
+        read = SAMPLES.get(kind)
+        return self.beside[row] if read is None else read(int(self.t_us[row]), self.values[row])
+
+    def samples(self) -> Iterator[Sample]:
+        """One after the other."""
+        return (self.sample(row) for row in range(len(self.kind)))
+
+    def where(self, keep: NDArray[np.bool_]) -> "Block":
+        """The rows that `keep` (n,), a mask, lets pass."""
+        to = np.cumsum(keep) - 1
+        beside = {int(to[row]): sample for row, sample in self.beside.items() if keep[row]}
+        return Block(self.kind[keep], self.t_us[keep], self.values[keep], beside)
+
+
+def block_of(samples: Sample | Iterable[Sample]) -> Block:
+    """Samples as a block."""
+    listed: Sequence[Sample] = (samples,) if isinstance(samples, Sample) else tuple(samples)
+    count = len(listed)
+    kind, t_us = np.empty(count, np.int64), np.empty(count, np.int64)
+    values = np.zeros((count, WIDTH))
+    beside: dict[int, Sample] = {}
+    for row, sample in enumerate(listed):
+        number = KINDS[type(sample)]
+        kind[row], t_us[row] = number, sample.t_us
+        write = ROWS.get(number)
+        if write is None:
+            beside[row] = sample
+        else:
+            numbers = write(sample)
+            values[row, : len(numbers)] = numbers
+    return Block(kind, t_us, values, beside)
+
+
+class Part(NamedTuple):
+    """Rows of some kinds, as they were read from one message; `order` (m,) tells where they belong
+    among all rows, `values` (m, k) with k up to WIDTH."""
+
+    kind: int
+    order: Indices
+    t_us: Stamps
+    values: Vector
+
+
+def joined(parts: Sequence[Part], beside: Sequence[tuple[int, Sample]]) -> Block:
+    """Parts, and samples that are no numbers with their place in the order, as one block."""
+    order = np.concatenate([*(p.order for p in parts), np.array([at for at, _ in beside], int)])
+    count = len(order)
+    row = np.empty(count, np.int64)
+    row[np.argsort(order, kind="stable")] = np.arange(count)
+    kind, t_us = np.empty(count, np.int64), np.empty(count, np.int64)
+    values = np.zeros((count, WIDTH))
+    begin = 0
+    for part in parts:
+        to = row[begin : begin + len(part.order)]
+        kind[to], t_us[to] = part.kind, part.t_us
+        values[to, : part.values.shape[1]] = part.values
+        begin += len(to)
+    others: dict[int, Sample] = {}
+    for at, (_, sample) in zip(row[begin:].tolist(), beside, strict=True):
+        kind[at], t_us[at], others[at] = KINDS[type(sample)], sample.t_us, sample
+    return Block(kind, t_us, values, others)
+
+
+def _or_unknown(v: Vector | None) -> Sequence[float] | Vector:
+    return UNKNOWN_3 if v is None else v
+
+
+# The numbers of each kind, and back.
+ROWS: dict[int, Callable[[Any], Sequence[float]]] = {
+    IMU: lambda s: (*s.gyro_b_rps, *s.accel_b_mps2, s.id),
+    MAG: lambda s: s.field_b_gauss,
+    BARO: lambda s: (s.pressure_pa, s.pressure_alt_m),
+    AIRSPEED: lambda s: (s.diff_pressure_pa,),
+    RANGE: lambda s: (s.distance_m,),
+    VISION: lambda s: (*s.r_ned_m, *_or_unknown(s.v_ned_mps), *s.q_nb),
+    TRUTH: lambda s: (*s.q_nb, *s.omega_b_rps, s.lat_deg, s.lon_deg, s.alt_m, *s.v_ned_mps),
+    ATTITUDE: lambda s: (*s.q_nb, s.system, SOURCES.index(s.source)),
+    FIX: lambda s: (
+        *(s.lat_deg, s.lon_deg, s.alt_m),
+        *_or_unknown(s.v_ned_mps),
+        *(s.fix_type, s.satellites, s.eph_m, s.epv_m, SOURCES.index(s.source)),
+    ),
+}
+
+
+def _known(v: Vector) -> Vector | None:
+    """A velocity; None where nothing of it is known."""
+    return None if np.isnan(v).all() else v
+
+
+def _fix(t_us: int, v: Vector) -> GpsFix:
+    lat, lon, alt, *_, fix_type, satellites, eph_m, epv_m, source = v[:11].tolist()
+    return GpsFix(
+        t_us,
+        lat,
+        lon,
+        alt,
+        _known(v[3:6]),
+        int(fix_type),
+        int(satellites),
+        eph_m,
+        epv_m,
+        SOURCES[int(source)],
+    )
+
+
+def _truth(t_us: int, v: Vector) -> TruthSample:
+    lat, lon, alt = v[7:10].tolist()
+    return TruthSample(t_us, v[0:4], v[4:7], lat, lon, alt, v[10:13])
+
+
+SAMPLES: dict[int, Callable[[int, Vector], Sample]] = {
+    IMU: lambda t, v: ImuSample(t, v[0:3], v[3:6], int(v[6])),
+    MAG: lambda t, v: MagSample(t, v[0:3]),
+    BARO: lambda t, v: BaroSample(t, float(v[0]), float(v[1])),
+    AIRSPEED: lambda t, v: AirspeedSample(t, float(v[0])),
+    RANGE: lambda t, v: RangeSample(t, float(v[0])),
+    VISION: lambda t, v: VisionSample(t, v[0:3], _known(v[3:6]), v[6:10]),
+    TRUTH: _truth,
+    ATTITUDE: lambda t, v: AttitudeSample(t, v[0:4], int(v[4]), SOURCES[int(v[5])]),
+    FIX: _fix,
+}
+
+
+class ImuRun(NamedTuple):
+    """IMU samples in a row: stamps (k,), and rates in rad/s and specific force in m/s^2 (k, 6)."""
+
+    t_us: Stamps
+    values: Vector
+
+
+class Piece(NamedTuple):
+    """Samples up to an event, as detectors take them.
+
+    `first` to `last` are the rows of `block`. `imu` are those of the IMU with the numbers `ids` of
+    their sensors (k,); `newest` holds by kind the row of the last sample of every other sensor;
+    `kind` and `t_us` are the last row's.
+    """
+
+    block: Block
+    first: int
+    last: int
+    imu: ImuRun
+    ids: Vector
+    newest: dict[int, int]
+    kind: int
+    t_us: int
+
+    @property
+    def event(self) -> Sample:
+        """The last sample, the only one that may lead to a decision."""
+        return self.block.sample(self.last)
+
+    def samples(self) -> Iterator[Sample]:
+        """All of them, one after the other."""
+        return (self.block.sample(row) for row in range(self.first, self.last + 1))
+
+
+def pieces(samples: Sample | Block) -> Iterator[Piece]:
+    """A block, or a single sample, cut behind each event."""
+    block = samples if isinstance(samples, Block) else block_of(samples)
+    count = len(block.kind)
+    ends = np.flatnonzero(block.kind >= FIX)
+    if count and (not len(ends) or ends[-1] != count - 1):
+        ends = np.append(ends, count - 1)
+    begins = np.concatenate([np.zeros(min(len(ends), 1), np.int64), ends[:-1] + 1])
+    newest = np.column_stack([_last_rows(block, kind, begins, ends) for kind in NEWEST])
+    imu = block.rows(IMU)
+    run = ImuRun(block.t_us[imu], block.values[imu, :6])
+    ids = block.values[imu, 6]
+    cuts = np.searchsorted(imu, np.append(begins, count)).tolist()
+    events = block.kind[ends].tolist(), block.t_us[ends].tolist()
+    lists = begins.tolist(), ends.tolist(), newest.tolist(), cuts[:-1], cuts[1:], *events
+    for first, last, rows, a, b, kind, t_us in zip(*lists, strict=True):
+        yield Piece(
+            block,
+            first,
+            last,
+            ImuRun(run.t_us[a:b], run.values[a:b]),
+            ids[a:b],
+            {sensor: row for sensor, row in zip(NEWEST, rows, strict=True) if row >= 0},
+            kind,
+            t_us,
+        )
+
+
+def _last_rows(block: Block, kind: int, begins: Indices, ends: Indices) -> Indices:
+    """The last row of a kind within each of some stretches; -1 where there is none."""
+    rows = np.concatenate([[-1], block.rows(kind)])
+    found = rows[np.searchsorted(rows, ends, side="right") - 1]
+    return np.where(found >= begins, found, -1)

@@ -1,0 +1,85 @@
+"""The same frames say the same, whether they come one by one, in heaps, or from a log."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from analysis.block import block_of
+from analysis.monitor import Monitor
+from analysis.pipeline import MonitorConfig, monitor_config
+from analysis.recordings import read_log
+from analysis.results import Result, encode
+from analysis.run.flight import Flight
+from analysis.run.setup import read_setup
+from mavproxy_fault.wire import tlog
+
+SECONDS = 4.0
+CONFIG = {"attitude": {"estimators": ["ekf", "complementary"]}}
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[bytes]:
+    """What the demo's vehicle sends in its first seconds, HIL frames and those of its autopilot."""
+    setup = read_setup(None, None, None)
+    flight = Flight(setup.scenario, setup.schedule)
+    sent: list[bytes] = []
+    while flight.t_us < SECONDS * 1e6:
+        chunks = flight.advance([])
+        sent += [chunks.monitor, *chunks.ground]
+    return [chunk for chunk in sent if chunk]
+
+
+def config() -> MonitorConfig:
+    return monitor_config(CONFIG, "test")
+
+
+def lines(results: list[Result]) -> list[bytes]:
+    return [encode(result) for result in results]
+
+
+@pytest.fixture(scope="module")
+def at_once(frames: list[bytes]) -> list[bytes]:
+    return lines(Monitor(config()).bytes(frames, datagrams=False))
+
+
+def test_there_is_something_to_compare(at_once: list[bytes]):
+    text = b"".join(at_once)
+    wanted = (b'"Decision"', b'"baro"', b'"gps-position"', b'"ekf"', b'"complementary"')
+    assert all(name in text for name in wanted)
+
+
+@settings(max_examples=6)
+@given(st.data())
+def test_a_stream_cut_anywhere_says_the_same(frames, at_once, data):
+    cuts = data.draw(st.sets(st.integers(1, len(frames) - 1), max_size=40))
+    monitor, found = Monitor(config()), []
+    for begin, end in pairwise([0, *sorted(cuts), len(frames)]):
+        found += lines(monitor.bytes(frames[begin:end], datagrams=False))
+    assert found == at_once
+
+
+def test_frames_that_come_one_by_one_say_the_same(frames, at_once):
+    monitor = Monitor(config())
+    found = [line for frame in frames for line in lines(monitor.bytes([frame], datagrams=False))]
+    assert found == at_once
+
+
+def test_a_log_of_the_stream_says_the_same(frames, at_once, tmp_path: Path):
+    path = tmp_path / "flight.tlog"
+    tlog.write(path, ((1_700_000_000_000_000, frame) for frame in frames))
+    monitor = Monitor(config())
+    assert lines([result for block in read_log(path) for result in monitor.block(block)]) == at_once
+
+
+def test_a_block_gives_back_the_samples_it_was_made_of(frames, tmp_path: Path):
+    path = tmp_path / "flight.tlog"
+    tlog.write(path, ((0, frame) for frame in frames))
+    (block,) = read_log(path)
+    again = block_of(block.samples())
+    assert (again.kind == block.kind).all()
+    assert (again.t_us == block.t_us).all()
+    assert (again.values == block.values)[block.values == block.values].all()
+    assert again.beside == block.beside
