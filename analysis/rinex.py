@@ -33,19 +33,27 @@ BEIDOU_HZ = {"1": B1I_HZ, "2": B1I_HZ, "6": B3I_HZ}  # by the band
 GPS_DAY_ZERO = date(1980, 1, 6).toordinal()
 WEEK_DAYS = 7
 FIELD_WIDTH = 16  # F14.3, loss of lock, signal strength
+NOWHERE = 1 << 20  # behind the end of any line
 _Row = tuple[str, tuple[float, float, float], float]  # satellite, its values, carrier
 _COMPRESSED = (".gz", ".z", ".bz2", ".zip", ".crx", ".crx.gz")
 
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Where code, Doppler and C/N0 of one system lie among its observations (-1: nowhere), and the
-    carrier; GLONASS's is that of channel 0."""
+    """Where code, Doppler and C/N0 of one system begin in a line, and its carrier (of GLONASS:
+    that of channel 0)."""
 
     code: int
     doppler: int
     cn0: int
     carrier_hz: float = L1_HZ
+
+
+def _placed(first: int, places: list[int], carrier_hz: float = L1_HZ) -> _Columns:
+    """Columns by their places among the observations (-1: nowhere), in lines whose fields begin at
+    `first`."""
+    starts = [first + FIELD_WIDTH * place if place >= 0 else NOWHERE for place in places]
+    return _Columns(starts[0], starts[1], starts[2], carrier_hz)
 
 
 def read_text(path: Path) -> list[str]:
@@ -101,8 +109,8 @@ def _columns(system: str, types: list[str]) -> _Columns:
     for signal in PREFERRED[system]:
         if "C" + signal in types:
             found = [types.index(k + signal) if k + signal in types else -1 for k in "CDS"]
-            return _Columns(found[0], found[1], found[2], _carrier_hz(system, signal))
-    return _Columns(-1, -1, -1)
+            return _placed(3, found, _carrier_hz(system, signal))
+    return _placed(3, [-1, -1, -1])
 
 
 def _carrier_hz(system: str, signal: str) -> float:
@@ -117,7 +125,8 @@ def _channels(header: list[str]) -> dict[str, int]:
     for line in header:
         if line[60:].startswith("GLONASS SLOT / FRQ #"):
             words = line[4:60].split()
-            found |= {words[i]: int(words[i + 1]) for i in range(0, len(words) - 1, 2)}
+            pairs = zip(words[::2], words[1::2], strict=False)
+            found |= {name: int(k) for name, k in pairs if k.lstrip("-").isdigit()}
     return found
 
 
@@ -138,24 +147,24 @@ def _types_2(header: list[str]) -> tuple[int, _Columns]:
             names.extend(line[6:60].split())
     code = names.index("C1") if "C1" in names else names.index("P1") if "P1" in names else -1
     places = [names.index(k) if k in names else -1 for k in ("D1", "S1")]
-    return len(names), _Columns(code, *places)
+    return len(names), _placed(0, [code, *places])
 
 
-def _number(line: str, first: int, place: int) -> float:
-    """A field of a line of fields that starts at `first`; NaN where it is blank."""
-    if place < 0:
-        return math.nan
-    at = first + FIELD_WIDTH * place
-    text = line[at : at + 14]
+def _number(text: str) -> float:
+    """A field; NaN where it is blank."""
     return math.nan if not text or text.isspace() else float(text)
 
 
-def _values(line: str, first: int, columns: _Columns) -> tuple[float, float, float] | None:
-    """Code, Doppler and C/N0 from one line of fields that starts at `first`."""
-    code = _number(line, first, columns.code)
-    if not code > 0.0:
+def _values(line: str, columns: _Columns) -> tuple[float, float, float] | None:
+    """Code, Doppler and C/N0 from one line of fields; None where they cannot be read."""
+    code, doppler, cn0 = columns.code, columns.doppler, columns.cn0
+    try:
+        range_m = float(line[code : code + 14])
+        if not range_m > 0.0:
+            return None
+        return range_m, _number(line[doppler : doppler + 14]), _number(line[cn0 : cn0 + 14])
+    except ValueError:
         return None
-    return code, _number(line, first, columns.doppler), _number(line, first, columns.cn0)
 
 
 def _epoch(week: int, tow_s: float, rows: list[_Row], channels: dict[str, int]) -> Epoch | None:
@@ -196,22 +205,13 @@ def _epochs_3(
         rows = []
         for line in lines[at : at + count]:
             columns = types.get(line[:1])
-            if columns is not None and columns.code >= 0:
-                values = _parse(line, 3, columns)
-                if values is not None:
-                    name = line[0] + line[1:3].replace(" ", "0")
-                    rows.append((name, values, columns.carrier_hz))
+            values = _values(line, columns) if columns is not None else None
+            if columns is not None and values is not None:
+                rows.append((line[:3].replace(" ", "0"), values, columns.carrier_hz))
         at += count
         epoch = _epoch(week, tow_s, rows, channels)
         if epoch is not None and at <= len(lines):
             yield epoch
-
-
-def _parse(line: str, first: int, columns: _Columns) -> tuple[float, float, float] | None:
-    try:
-        return _values(line, first, columns)
-    except ValueError:
-        return None
 
 
 def _time(year: str, rest: str) -> tuple[int, float]:
@@ -245,7 +245,7 @@ def _epochs_2(
             at += per_satellite
             name = names[3 * i : 3 * i + 3].replace(" ", "0")
             name = "G" + name[1:] if name[:1] == "0" else name
-            values = _parse("".join(line.ljust(80)[:80] for line in block), 0, columns)
+            values = _values("".join(line.ljust(80)[:80] for line in block), columns)
             if values is not None and name[:1] in "GER":
                 rows.append((name, values, CENTRE_HZ if name[0] == "R" else L1_HZ))
         epoch = _epoch(week, tow_s, rows, channels)
