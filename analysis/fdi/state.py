@@ -24,7 +24,8 @@ class Alignment:
     """What the IMU and GNSS velocity tell of attitude while it is unknown.
 
     `q_0b` (4,) turns body to the axes at the start, `alpha` (3,) is the specific force integrated
-    in those, `beta` (3,) the same from GNSS in ECEF; `pairs` are earlier (alpha, beta, variance).
+    in those, `beta` (3,) the same from GNSS in ECEF; `cross` and `information` (3, 3) are sums of
+    beta alpha' and of (beta' beta I - beta beta'), each over the pair's variance.
     """
 
     start_us: int
@@ -32,7 +33,8 @@ class Alignment:
     alpha: Vector
     beta: Vector
     v_ecef_mps: Vector
-    pairs: tuple[tuple[Vector, Vector, float], ...] = ()
+    cross: Vector
+    information: Vector
 
 
 @dataclass(frozen=True, slots=True)
