@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from analysis.block import block_of
 from analysis.criteria import Criteria
 from analysis.pipeline import Pipeline, monitor_config
 from analysis.results import FusedState
@@ -16,9 +17,8 @@ def summary(results):
     """The summary of results at a known place."""
     tally = Tally()
     still = np.zeros(3)
-    tally.truth(TruthSample(0, np.array([1.0, 0, 0, 0]), still, 47.0, 8.0, 500.0, still))
-    for result in results:
-        tally.add(result)
+    truth = TruthSample(0, np.array([1.0, 0, 0, 0]), still, 47.0, 8.0, 500.0, still)
+    tally.take(block_of(truth), [(0, result) for result in results])
     return tally.summary([], {}, Criteria(), 1.0)
 
 
