@@ -25,15 +25,14 @@ from analysis.fdi.inertial import (
 )
 from analysis.fdi.start import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.fdi.state import Motion
-from analysis.fusion.factors import sigma1
+from analysis.fusion.factors import NO_CLOCK
 from analysis.fusion.frame import Frame, frame_at, quaternion
 from analysis.fusion.window import key
-from analysis.gnss import LIGHT_MPS
 from analysis.samples import Vector
 
-Clock = tuple[float, float]  # clock in s, drift in s/s
+Clock = tuple[float, float]  # clock in m, drift in m/s
 TINY = 1e-12  # keeps a covariance positive definite
-UNKNOWN_CLOCK = (1.0, 1e-6)
+UNKNOWN_CLOCK = (1e5, 300.0)  # next to nothing beside a range, and no zero to Cholesky
 STILL_RAD = 0.1
 DOUBT = 2.0  # the sigmas of the last good state times this
 
@@ -53,18 +52,21 @@ class Node:
 @dataclass(frozen=True, slots=True)
 class Beginning:
     """A first node with its covariances: pose (6, 6) turn then shift in body axes, velocity (3, 3)
-    in the frame's, bias (6, 6), and sigmas of clock and drift; `aligned`: its attitude is known."""
+    in the frame's, bias (6, 6), and sigmas (2,) of clock and drift.
+
+    `aligned` says that its attitude is known.
+    """
 
     frame: Frame
     node: Node
     pose_p: Vector
     velocity_p: Vector
     bias_p: Vector
-    clock_sigma: Clock
+    clock_sigma: Vector
     aligned: bool
 
-    def priors(self, biases: int) -> list[Any]:
-        """The first node's factors; `biases` is the key of its biases."""
+    def priors(self) -> list[Any]:
+        """The first node's factors."""
         gaussian = gtsam.noiseModel.Gaussian.Covariance
         node, epoch = self.node, self.node.epoch
         return [
@@ -75,10 +77,11 @@ class Beginning:
                 key("v", epoch), node.velocity, gaussian(self.velocity_p + TINY * np.eye(3))
             ),
             gtsam.PriorFactorConstantBias(
-                biases, node.bias, gaussian(self.bias_p + TINY * np.eye(6))
+                key("b", epoch), node.bias, gaussian(self.bias_p + TINY * np.eye(6))
             ),
-            gtsam.PriorFactorDouble(key("c", epoch), 0.0, sigma1(self.clock_sigma[0])),
-            gtsam.PriorFactorVector(key("d", epoch), np.zeros(1), sigma1(self.clock_sigma[1])),
+            gtsam.PriorFactorVector(
+                key("c", epoch), NO_CLOCK, gtsam.noiseModel.Diagonal.Sigmas(self.clock_sigma)
+            ),
         ]
 
 
@@ -97,14 +100,13 @@ def at_filter(motion: Motion, correlation: float) -> Beginning:
         pose_p[:3, :] = pose_p[:, :3] = 0.0
         pose_p[:3, :3] = STILL_RAD**2 * np.eye(3)
     biases = [*range(BA, BA + 3), *range(BG, BG + 3)]
-    sigma = correlation * np.sqrt(p[[CLOCK, DRIFT], [CLOCK, DRIFT]] + 1e-4) / LIGHT_MPS
     node = Node(
         0,
         motion.t_us,
         gtsam.Pose3(gtsam.Rot3(rot), np.zeros(3)),
         frame.axes @ x[V : V + 3],
         gtsam.imuBias.ConstantBias(x[X_BA : X_BA + 3], x[X_BG : X_BG + 3]),
-        (x[X_CLOCK] / LIGHT_MPS, x[X_DRIFT] / LIGHT_MPS),
+        (float(x[X_CLOCK]), float(x[X_DRIFT])),
     )
     return Beginning(
         frame,
@@ -112,7 +114,7 @@ def at_filter(motion: Motion, correlation: float) -> Beginning:
         pose_p,
         frame.axes @ p[V : V + 3, V : V + 3] @ frame.axes.T,
         p[np.ix_(biases, biases)],
-        (float(sigma[0]), float(sigma[1])),
+        correlation * np.sqrt(p[[CLOCK, DRIFT], [CLOCK, DRIFT]] + 1e-4),
         motion.inertial,
     )
 
@@ -122,7 +124,9 @@ def at_node(frame: Frame, node: Node, covariance: Vector, aligned: bool) -> Begi
     wide = DOUBT**2 * covariance
     bias = np.diag([ACCEL_BIAS_SIGMA_MPS2**2] * 3 + [GYRO_BIAS_SIGMA_RPS**2] * 3)
     first = Node(0, node.t_us, node.pose, node.velocity, node.bias, node.clock)
-    return Beginning(frame, first, wide[:6, :6], wide[6:, 6:], bias, UNKNOWN_CLOCK, aligned)
+    return Beginning(
+        frame, first, wide[:6, :6], wide[6:, 6:], bias, np.array(UNKNOWN_CLOCK), aligned
+    )
 
 
 def attitude_in(frame: Frame, motion: Motion) -> tuple[Any, Vector]:
@@ -141,6 +145,6 @@ def navigation_state(frame: Frame, node: Node, isb_m: Vector) -> Vector:
     x[X_Q : X_Q + 4] = quaternion(frame.axes.T @ node.pose.rotation().matrix())
     x[X_BG : X_BG + 3] = node.bias.gyroscope()
     x[X_BA : X_BA + 3] = node.bias.accelerometer()
-    x[X_CLOCK], x[X_DRIFT] = (part * LIGHT_MPS for part in node.clock)
+    x[X_CLOCK], x[X_DRIFT] = node.clock
     x[X_ISB:] = isb_m
     return x

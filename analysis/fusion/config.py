@@ -17,7 +17,8 @@ class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
     pseudoranges (or its graduated non-convexity): both for comparison. What is wrong with
     a satellite's pseudorange stays wrong for seconds to minutes while the graph takes every
     measurement for independent: `correlation` multiplies their sigmas, and the reported covariance
-    of position has a bias of `slow` sigmas per satellite added. The other sigmas are per
+    of position has a bias of `slow` sigmas per satellite added. With `learn` that share, the
+    rates' sigmas and the IMU's noise are taken from the flight itself. The other sigmas are per
     GNSS epoch, walks per square root of a second.
     """
 
@@ -30,6 +31,7 @@ class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
     robust: str = "none"
     correlation: float = 3.0
     slow: float = 0.4
+    learn: bool = True
     baro_m: float = 1.0
     baro_walk_m: float = 0.3
     mag_gauss: float = 0.1

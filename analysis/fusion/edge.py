@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from analysis.fdi.config import Noise
 from analysis.fdi.motion import TURN_SIGMA_RPS, Segment, run_of, segment
 from analysis.fdi.state import Motion
 from analysis.samples import ImuSample, Vector
@@ -14,13 +15,14 @@ NOTHING: Vector = np.empty(0)
 
 @dataclass(frozen=True, slots=True)
 class Edge:
-    """From the epoch `before`: the IMU between and whether it is trusted, how far the clock may
-    have leapt in s, how fast the body may have turned where there is no IMU in rad/s."""
+    """From the epoch `before`: the IMU between, its noise and whether it is trusted, how far the
+    clock may have leapt in m, how fast the body may have turned where there is no IMU in rad/s."""
 
     before: int
     part: Segment
+    noise: Noise
     trusted: bool
-    jumped_s: float
+    jumped_m: float
     turn_rps: float = TURN_SIGMA_RPS
 
     def sound(self, gap_s: float) -> bool:

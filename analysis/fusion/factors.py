@@ -1,105 +1,125 @@
 """Measurements other than ranges as factors; keys are letters with the number of an epoch.
 
-x pose (body to local), v velocity, b IMU biases, c receiver clock (a number, in seconds as GTSAM
-wants it) and d its drift (a vector of one, which GTSAM's bindings insert ten times faster), counted
-from where they were when the graph began; per block of time h the barometer's offset, w the wind.
+x pose (body to local), v velocity, b IMU biases, c receiver clock and drift (in m and m/s, counted
+from where they were when the graph began); per block of time h the barometer's offset (in km, see
+`OFFSET_UNIT_M`), w the wind.
+
+GTSAM's factors take a clock in seconds and an offset in metres as numbers of their own. Beside
+metres that ruins the condition of the system, so such factors are linearised here, where they are
+made, and enter the graph as linear ones with scaled columns; both are as good as linear.
 """
 
-import math
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
 import gtsam
 import numpy as np
 
-from analysis.fdi.config import DetectorConfig
-from analysis.fusion.config import FusionConfig
+from analysis.fdi.config import Noise
 from analysis.fusion.frame import Frame
 from analysis.fusion.window import key
-from analysis.gnss import LIGHT_MPS
 from analysis.samples import Vector
 
-EPOCHS = 1024  # numbers of epochs are used again after so many: at most that in a window
-ONE = np.ones((1, 1))
-NOTHING = np.zeros(1)
-
-
-def sigma1(sigma: float) -> Any:
-    """The noise of a scalar."""
-    return gtsam.noiseModel.Isotropic.Sigma(1, sigma)
+EPOCHS = 1024  # at most that many in a window
+NUMBER = gtsam.symbol("a", 0)  # of `linear_rows` alone; its letter comes before that of a pose
+# GTSAM's Cholesky takes a last pivot 2^12 times smaller than the one before it for a zero. In
+# metres an offset would be that beside the gyro's biases.
+OFFSET_UNIT_M = 1000.0
+NO_CLOCK, NO_OFFSET, NO_MAGNET = np.zeros(2), np.zeros(1), np.zeros(3)
+STANDARD_AIR = gtsam.BarometricFactor()
 
 
 @lru_cache(maxsize=EPOCHS)
-def clock_origin(epoch: int) -> Any:
-    """An epoch's clock and drift as they were when the graph began: both are linear.
+def alike(size: int, sigma: float) -> Any:
+    """The noise of a vector whose parts have the same sigma."""
+    return gtsam.noiseModel.Isotropic.Sigma(size, sigma)
 
-    Kept, since the bindings take 50 us to insert a number; not to be changed.
+
+@lru_cache(maxsize=EPOCHS)
+def unit(rows: int) -> Any:
+    """The noise of rows that are divided by their sigmas."""
+    return gtsam.noiseModel.Unit.Create(rows)
+
+
+def linear_rows(factors: Iterable[Any], values: Any) -> tuple[Vector, Vector, Vector]:
+    """Factors on a pose and `NUMBER`, linearised.
+
+    Returns
+    -------
+    Jacobians (n, 6) by the pose and (n,) by the number, and what they should come to (n,).
+    """
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in factors:
+        graph.add(factor)
+    jacobian, wanted = graph.linearize(values).jacobian()  # columns in the order of the keys
+    return jacobian[:, 1:], jacobian[:, 0], wanted
+
+
+@lru_cache(maxsize=EPOCHS)
+def at_rest(epoch: int) -> Any:
+    """`NUMBER`, velocity and clock of an epoch at zero; not to be changed.
+
+    Kept, since the bindings take 70 us to insert a number.
     """
     values = gtsam.Values()
-    values.insert(key("c", epoch), 0.0)
-    values.insert(key("d", epoch), NOTHING)
+    values.insert(NUMBER, 0.0)
+    values.insert(key("v", epoch), np.zeros(3))
+    values.insert(key("c", epoch), NO_CLOCK)
     return values
 
 
-def clock_factors(
-    before: int, epoch: int, origin: Any, dt_s: float, jumped_s: float, detector: DetectorConfig
-) -> list[Any]:
-    """The receiver's clock from one epoch to another; `jumped_s` is how far it may have leapt.
-
-    `origin` has the values of both epochs' `clock_origin`.
-    """
-    noise, root = detector.noise, math.sqrt(dt_s)
-    walk_s = math.hypot(noise.clock_m * root, noise.drift_mps * dt_s * root) / LIGHT_MPS
-    sigmas = math.hypot(walk_s, jumped_s), noise.drift_mps * root / LIGHT_MPS
-    c0, c1, d0, d1 = key("c", before), key("c", epoch), key("d", before), key("d", epoch)
-    rows = (
-        gtsam.JacobianFactor(c1, ONE, c0, -ONE, d0, -dt_s * ONE, NOTHING, _diagonal(sigmas[0])),
-        gtsam.JacobianFactor(d1, ONE, d0, -ONE, NOTHING, _diagonal(sigmas[1])),
-    )
-    return [gtsam.LinearContainerFactor(row, origin) for row in rows]
+@lru_cache(maxsize=EPOCHS)
+def clock_factor(before: int, epoch: int, dt_s: float, jumped_m: float, noise: Noise) -> Any:
+    """The receiver's clock from one epoch to another; `jumped_m` is how far it may have leapt."""
+    walk, drift = noise.clock_m**2, noise.drift_mps**2
+    cross = drift * dt_s**2 / 2.0
+    own = walk * dt_s + drift * dt_s**3 / 3.0 + jumped_m**2
+    spread = np.array([[own, cross], [cross, drift * dt_s]])
+    whiten = np.linalg.inv(np.linalg.cholesky(spread))
+    step = np.array([[1.0, dt_s], [0.0, 1.0]])
+    c0, c1 = key("c", before), key("c", epoch)
+    row = gtsam.JacobianFactor(c1, whiten, c0, -whiten @ step, NO_CLOCK, unit(2))
+    return _linear_at_zero(row, NO_CLOCK, c0, c1)
 
 
-def walk_factor(before: int, after: int, sigma: float) -> Any:
-    """A number that walks."""
+def walk_factor(before: int, after: int, sigma: float, size: int) -> Any:
+    """A vector that walks from one key to another."""
+    share = np.eye(size) / sigma
+    zero = np.zeros(size)
+    row = gtsam.JacobianFactor(after, share, before, -share, zero, unit(size))
+    return _linear_at_zero(row, zero, before, after)
+
+
+def _linear_at_zero(row: Any, zero: Vector, *keys: int) -> Any:
     origin = gtsam.Values()
-    origin.insert(before, 0.0)
-    origin.insert(after, 0.0)
-    row = gtsam.JacobianFactor(after, ONE, before, -ONE, NOTHING, _diagonal(sigma))
+    for name in keys:
+        origin.insert(name, zero)
     return gtsam.LinearContainerFactor(row, origin)
 
 
-@lru_cache(maxsize=64)
-def _diagonal(sigma: float) -> Any:
-    return gtsam.noiseModel.Diagonal.Sigmas(np.array([sigma]))
+def baro_factor(epoch: int, pose: Any, offset: int, altitude_m: float, sigma_m: float) -> Any:
+    """A pressure altitude with the offset of a key, linearised at a pose; GTSAM wants the pressure
+    of its own standard atmosphere for it."""
+    pressure = STANDARD_AIR.baroOut(altitude_m)
+    x = key("x", epoch)
+    factor = gtsam.BarometricFactor(x, NUMBER, pressure, alike(1, sigma_m))
+    origin = gtsam.Values(at_rest(epoch))
+    origin.insert(x, pose)
+    origin.insert(offset, NO_OFFSET)
+    by_pose, by_offset, wanted = linear_rows([factor], origin)
+    scaled = by_offset[:, None] * OFFSET_UNIT_M
+    row = gtsam.JacobianFactor(x, by_pose, offset, scaled, wanted, unit(1))
+    return gtsam.LinearContainerFactor(row, origin)
 
 
-def baro_factor(epoch: int, offset: int, altitude_m: float, config: FusionConfig) -> Any:
-    """A pressure altitude with the offset of a key; GTSAM wants the pressure of its own standard
-    atmosphere for it."""
-    pressure = gtsam.BarometricFactor().baroOut(altitude_m)
-    return gtsam.BarometricFactor(key("x", epoch), offset, pressure, sigma1(config.baro_m))
-
-
-def mag_factor(epoch: int, field_b_gauss: Vector, frame: Frame, config: FusionConfig) -> Any:
+def mag_factor(epoch: int, field_b_gauss: Vector, frame: Frame, sigma_gauss: float) -> Any:
     """The field in body axes against the world's magnetic model."""
-    field = frame.field_gauss
-    size = float(np.linalg.norm(field))
-    noise = gtsam.noiseModel.Isotropic.Sigma(3, config.mag_gauss)
-    return gtsam.MagPoseFactorPose3(
-        key("x", epoch), field_b_gauss, size, field / size, np.zeros(3), noise
-    )
+    field, noise = frame.field_gauss, alike(3, sigma_gauss)
+    size = float(np.linalg.norm(field))  # GTSAM takes the direction alone of its third argument
+    return gtsam.MagPoseFactorPose3(key("x", epoch), field_b_gauss, size, field, NO_MAGNET, noise)
 
 
-def airspeed_factor(epoch: int, wind: int, speed_mps: float, config: FusionConfig) -> Any:
-    """The speed through the air: the length of velocity less the wind of a key."""
-    velocity = key("v", epoch)
-
-    def error(_: Any, values: Any, jacobians: Any) -> Vector:
-        air = values.atPoint3(velocity) - values.atPoint3(wind)
-        size = max(float(np.linalg.norm(air)), 1e-3)
-        if jacobians is not None:
-            jacobians[0] = (air / size)[None, :]
-            jacobians[1] = -(air / size)[None, :]
-        return np.array([size - speed_mps])
-
-    return gtsam.CustomFactor(sigma1(config.airspeed_mps), [velocity, wind], error)
+def airspeed_factor(epoch: int, wind: int, speed_mps: float, sigma_mps: float) -> Any:
+    """The speed through the air: how far the velocity is from the wind of a key."""
+    return gtsam.RangeFactor3(key("v", epoch), wind, speed_mps, alike(1, sigma_mps))

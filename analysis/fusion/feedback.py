@@ -7,7 +7,6 @@ from analysis.fdi.inertial import BA, BG, CLOCK, DRIFT, ERRORS, ISB, PSI, X_ISB,
 from analysis.fusion.beginning import navigation_state
 from analysis.fusion.graph import Graph
 from analysis.fusion.window import key
-from analysis.gnss import LIGHT_MPS
 from analysis.samples import Vector
 
 SIZE = 17  # errors of a node: turn, shift (body axes), velocity, biases, clock, drift
@@ -17,7 +16,6 @@ def fed_back(core: Core, graph: Graph | None) -> Core:
     """The detector's state with its filter taken from the graph.
 
     Both must be at the same epoch and know the attitude; systems' offsets stay the filter's own.
-    The joint covariance is good to some percent: clocks in seconds beside metres cost digits.
     """
     motion = core.motion
     if motion is None or graph is None or not (motion.inertial and graph.aligned):
@@ -26,8 +24,7 @@ def fed_back(core: Core, graph: Graph | None) -> Core:
     if motion.t_us != node.t_us:
         return core
     x = navigation_state(graph.frame, node, motion.x[X_ISB:])
-    x_key, v_key, c_key, d_key = (key(letter, node.epoch) for letter in "xvcd")
-    names = [x_key, v_key, graph.bias_key(node.epoch), c_key, d_key]
+    names = [key(letter, node.epoch) for letter in "xvbc"]
     to_filter = _to_filter(graph.frame.axes.T, matrix(x[X_Q : X_Q + 4]))
     p = to_filter @ graph.window.covariance(names) @ to_filter.T
     p[ISB:, ISB:] = motion.p[ISB:, ISB:]
@@ -42,5 +39,5 @@ def _to_filter(to_ecef: Vector, rot_eb: Vector) -> Vector:
     turn[V : V + 3, 6:9] = to_ecef
     turn[BA : BA + 3, 9:12] = np.eye(3)
     turn[BG : BG + 3, 12:15] = np.eye(3)
-    turn[CLOCK, 15] = turn[DRIFT, 16] = LIGHT_MPS
+    turn[CLOCK, 15] = turn[DRIFT, 16] = 1.0
     return turn

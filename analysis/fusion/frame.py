@@ -46,12 +46,6 @@ class Frame:
         result: Vector = self.axes[:, 2] * EARTH_RATE_RPS
         return result
 
-    def ned_from_local(self, r_m: Vector) -> Vector:
-        """Rotation (3, 3) to north, east, down at a position of this frame."""
-        lat, lon, _ = geodetic(self.ecef(r_m))
-        result: Vector = ned_axes(lat, lon) @ self.axes.T
-        return result
-
     @cached_property
     def field_gauss(self) -> Vector:
         """The magnetic field (3,) at the anchor."""

@@ -1,5 +1,6 @@
 """The graph between two restarts: a chain of epochs, the factors on each, the newest estimate."""
 
+import math
 from bisect import bisect_left, insort
 from dataclasses import dataclass, replace
 from typing import Any
@@ -7,32 +8,34 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from analysis.fdi.config import DetectorConfig
+from analysis.fdi.config import DetectorConfig, Noise
 from analysis.fusion.beginning import Beginning, Clock, Node
 from analysis.fusion.config import FusionConfig
 from analysis.fusion.edge import Edge, mended, split
-from analysis.fusion.factors import EPOCHS, clock_factors, clock_origin
+from analysis.fusion.factors import EPOCHS, NO_CLOCK, clock_factor
 from analysis.fusion.inertia import FREE_TURN_RPS, imagine, imu_params, preintegrate
-from analysis.fusion.ranges import Mask, Ranges
+from analysis.fusion.ranges import Ranges, Weights
+from analysis.fusion.robust import clock_in_seconds, pseudoranges
 from analysis.fusion.window import Window, key
 from analysis.samples import ImuSample, Vector
 
 SAME_PLACE_M = 50.0  # gravity turns by 8e-6 rad over it
 SAME_US = 1000  # epochs closer than this are one
+STALE_BIAS = np.array([0.1] * 3 + [0.01] * 3)  # m/s^2 and rad/s, as good a first guess is enough
+RANGES = "ranges"
 Attitude = tuple[Any, Vector]  # rotation body to local, covariance (3, 3) in body axes
 
 
 @dataclass(slots=True)
 class Epoch:
-    """What the graph remembers of an epoch in the window: `bias` is the block whose biases it has,
-    `seen` the pose by vision."""
+    """What the graph remembers of an epoch in the window: its first attitude and the pose `seen`
+    by vision among it."""
 
     t_us: int
-    bias: int
-    origin: Any
+    turn: Any
     edge: Edge | None = None
     ranges: Ranges | None = None
-    weights: dict[str, float] | None = None
+    weights: Weights | None = None
     seen: Any = None
 
 
@@ -55,19 +58,20 @@ class Graph:
         self._began = beginning.node
         self._detector = detector
         self._track: list[tuple[int, int]] = []  # times and numbers of epochs, in order of time
-        self._count = 0
         self._late: dict[int, list[ImuSample]] = {}
-        self._biases: set[int] = set()
-        self._params: tuple[Vector, Any] | None = None
+        self._robust = config.robust
+        self._place_m: Vector = np.zeros(3)
+        self._params: dict[Noise, Any] = {}
+        self._guess_bias(self.node.bias)
         self._insert(self.node)
-        self.attach("prior", 0, *beginning.priors(self.bias_key(0)))
+        self.attach("prior", 0, *beginning.priors())
 
     def seconds(self, t_us: int) -> float:
         """Time since the graph began."""
         return (t_us - self._began.t_us) * 1e-6
 
     def clock_at(self, t_us: int) -> Clock:
-        """Clock and drift that the graph's are counted from."""
+        """Clock in m and drift in m/s that the graph's are counted from."""
         clock, drift = self._began.clock
         return clock + drift * self.seconds(t_us), drift
 
@@ -83,6 +87,10 @@ class Graph:
         best = min(around, key=lambda entry: abs(entry[0] - t_us))
         return best[1] if abs(best[0] - t_us) <= within_us else None
 
+    def pose(self, epoch: int) -> Any:
+        """The newest guess of an epoch's pose."""
+        return (self.node if epoch == self.node.epoch else self.estimate(epoch)).pose
+
     def neighbours(self, epoch: int) -> tuple[int | None, int | None]:
         """The epochs before and after one."""
         at = bisect_left(self._track, (self.epochs[epoch].t_us, epoch))
@@ -90,10 +98,21 @@ class Graph:
         after = self._track[at + 1][1] if at + 1 < len(self._track) else None
         return before, after
 
+    def seen_around(self, epoch: int, within_us: int) -> tuple[int | None, int | None]:
+        """The nearest epochs before and after one that vision has seen."""
+        t_us = self.epochs[epoch].t_us
+        seen = [(at, i) for at, i in self._track if self.epochs[i].seen is not None]
+        before = [i for at, i in seen if 0 < t_us - at <= within_us]
+        after = [i for at, i in seen if 0 < at - t_us <= within_us]
+        return (before[-1] if before else None), (after[0] if after else None)
+
     def begins_block(self) -> bool:
         """Whether the newest epoch is the first of its block."""
         before, _ = self.neighbours(self.node.epoch)
-        return before is not None and self.epochs[before].bias != self.epochs[self.node.epoch].bias
+        return before is not None and self._block(before) != self._block(self.node.epoch)
+
+    def _block(self, epoch: int) -> int:
+        return self.window.block(self.seconds(self.epochs[epoch].t_us))
 
     def extend(self, t_us: int, edge: Edge, attitude: Attitude | None = None) -> bool:
         """One epoch more after the newest, with its attitude where that becomes known.
@@ -118,6 +137,10 @@ class Graph:
             x = key("x", self.node.epoch)
             prior = gtsam.PoseRotationPrior3D(x, attitude[0], noise)
             self.attach("aligned", self.node.epoch, prior)
+        return self.sound(edge)
+
+    def sound(self, edge: Edge) -> bool:
+        """Whether the IMU ties the ends of an edge."""
         return edge.sound(self._detector.gap_s)
 
     def insert_late(self, t_us: int) -> Node | None:
@@ -152,38 +175,34 @@ class Graph:
             if t_us > since_us and edge is not None and edge.trusted:
                 self._retie(epoch, replace(edge, trusted=False))
 
-    def attach_ranges(self, epoch: int, ranges: Ranges, weights: dict[str, float]) -> list[str]:
+    def attach_ranges(self, epoch: int, ranges: Ranges, weights: Weights) -> list[str]:
         """The pseudoranges and rates of an epoch; the satellites used."""
         at = self.epochs[epoch]
         at.ranges, at.weights = ranges, weights
-        clock_s, _ = self.clock_at(at.t_us)
-        used = ranges.used(weights)
-        made = ranges.factors(used, epoch, self.frame, clock_s, weights)
-        for name, factor in made.items():
-            self.attach(name, epoch, factor)
-        self._attach_rates(used, epoch, at)
-        return list(made)
-
-    def _attach_rates(self, used: Mask, epoch: int, at: Epoch) -> None:
-        assert at.ranges is not None
-        assert at.weights is not None
-        origin = gtsam.Values(at.origin)
-        origin.insert(key("v", epoch), np.zeros(3))
-        _, drift = self._began.clock
-        rates = at.ranges.rates(used, epoch, self.frame, drift, origin, at.weights)
-        if rates is not None:
-            self.attach("rates", epoch, rates)
+        used, clock = ranges.used(weights), self.clock_at(at.t_us)
+        if not used:
+            return []
+        if self._robust == "none":
+            made = ranges.factor(used, epoch, at.turn, self.frame, clock, weights)
+            self.attach(RANGES, epoch, made)
+        else:
+            found = pseudoranges(ranges, used, epoch, self.frame, clock, self._robust)
+            for name, factor in found.items():
+                self.attach(name, epoch, factor)
+            rates = ranges.rates(used, epoch, self.frame, clock, weights)
+            guess, tie = clock_in_seconds(epoch)
+            self.window.insert(guess, (key("r", epoch),), self.seconds(at.t_us))
+            self.attach(RANGES, epoch, tie, *([] if rates is None else [rates]))
+        return [ranges.satellites[i] for i in used]
 
     def remove(self, name: str, since_us: int) -> None:
-        """Take back a satellite from a time on."""
+        """Take back a satellite from a time on: the epoch's other ranges are attached anew."""
         for t_us, epoch in self._track:
             at = self.epochs[epoch]
-            if t_us < since_us or not self.window.take_back(name, epoch):
+            if t_us < since_us or at.ranges is None or not (at.weights or {}).get(name):
                 continue
-            at.weights = {**(at.weights or {}), name: 0.0}
-            if self.window.take_back("rates", epoch):
-                assert at.ranges is not None
-                self._attach_rates(at.ranges.used(at.weights), epoch, at)
+            if self.window.take_back(RANGES, epoch):
+                self.attach_ranges(epoch, at.ranges, {**(at.weights or {}), name: 0.0})
 
     def estimate(self, epoch: int) -> Node:
         """What the smoother thinks of an epoch since the last commit.
@@ -196,17 +215,12 @@ class Graph:
         smoother, t_us = self.window.smoother, self.epochs[epoch].t_us
         pose = smoother.calculateEstimatePose3(key("x", epoch))
         velocity = np.asarray(smoother.calculateEstimateVector(key("v", epoch)))
-        clock = smoother.calculateEstimateDouble(key("c", epoch))
-        drift = float(smoother.calculateEstimateVector(key("d", epoch))[0])
-        if not (np.isfinite(pose.matrix()).all() and np.isfinite([*velocity, clock, drift]).all()):
+        clock, drift = smoother.calculateEstimateVector(key("c", epoch)).tolist()
+        if not math.isfinite(pose.matrix().sum() + velocity.sum() + clock + drift):
             raise RuntimeError("the estimate is not finite")
-        bias = smoother.calculateEstimateConstantBias(self.bias_key(epoch))
+        bias = smoother.calculateEstimateConstantBias(key("b", epoch))
         known = self.clock_at(t_us)
         return Node(epoch, t_us, pose, velocity, bias, (known[0] + clock, known[1] + drift))
-
-    def bias_key(self, epoch: int) -> int:
-        """The biases at an epoch."""
-        return key("b", self.epochs[epoch].bias)
 
     def commit(self) -> None:
         """Solve with what was attached and take over the estimate.
@@ -228,6 +242,8 @@ class Graph:
         epoch = self.node.epoch
         self.node = self.estimate(epoch)
         self.covariance = self.window.covariance([key("x", epoch), key("v", epoch)])
+        if (np.abs(self.node.bias.vector() - self._guessed.vector()) > STALE_BIAS).any():
+            self._guess_bias(self.node.bias)
 
     def _edge(self, epoch: int) -> Edge | None:
         """The edge to an epoch if it can still be changed: it and both ends are in the window."""
@@ -242,60 +258,65 @@ class Graph:
         while self._track and stamp(self.seconds(self._track[0][0])) < oldest_s:
             _, epoch = self._track.pop(0)
             del self.epochs[epoch]
-        self._biases = {block for block in self._biases if self.window.starts_s(block) >= oldest_s}
 
     def _new_node(self, start: Node, t_us: int, motion: Any) -> Node:
         guess = motion.predict(gtsam.NavState(start.pose, start.velocity), start.bias)
-        self._count = (self._count + 1) % EPOCHS
-        if self._count in self.epochs:
+        epoch = next((number for number in range(EPOCHS) if number not in self.epochs), None)
+        if epoch is None:
             raise RuntimeError(f"more than {EPOCHS} epochs in the window")
         drift = start.clock[1]
         clock = start.clock[0] + drift * (t_us - start.t_us) * 1e-6, drift
-        return Node(self._count, t_us, guess.pose(), guess.velocity(), start.bias, clock)
+        return Node(epoch, t_us, guess.pose(), guess.velocity(), start.bias, clock)
+
+    def _guess_bias(self, bias: Any) -> None:
+        """Take biases as the first guess of those to come.
+
+        The bindings need 70 us to insert biases, 1 us to copy values: they are kept by epoch.
+        """
+        self._guessed = bias
+        self._blanks: dict[int, Any] = {}
+
+    def _blank(self, epoch: int) -> Any:
+        """First guesses of biases and clock."""
+        if epoch not in self._blanks:
+            values = gtsam.Values()
+            values.insert(key("b", epoch), self._guessed)
+            values.insert(key("c", epoch), NO_CLOCK)
+            self._blanks[epoch] = values
+        return self._blanks[epoch]
 
     def _insert(self, node: Node) -> None:
-        origin, t_s = clock_origin(node.epoch), self.seconds(node.t_us)
-        values = gtsam.Values(origin)
-        names = [key(letter, node.epoch) for letter in "xvcd"]
+        values = gtsam.Values(self._blank(node.epoch))
+        names = [key(letter, node.epoch) for letter in "xvbc"]
         values.insert(names[0], node.pose)
         values.insert(names[1], node.velocity)
-        block = self.window.block(t_s)
-        if block not in self._biases:
-            self._biases.add(block)
-            names.append(key("b", block))
-            values.insert(names[-1], node.bias)
-        self.window.insert(values, names, t_s)
-        self.epochs[node.epoch] = Epoch(node.t_us, block, origin)
+        self.window.insert(values, names, self.seconds(node.t_us))
+        self.epochs[node.epoch] = Epoch(node.t_us, node.pose.rotation())
         insort(self._track, (node.t_us, node.epoch))
 
     def _motion(self, edge: Edge, start: Node, t_us: int) -> Any:
         """The preintegrated IMU of an edge, or a model of motion in its place."""
-        noise = self._detector.noise
-        walking = self.epochs[edge.before].bias != self.window.block(self.seconds(t_us))
-        if edge.sound(self._detector.gap_s):
+        if self.sound(edge):
             r_m = start.pose.translation()
-            if self._params is None or np.abs(r_m - self._params[0]).max() > SAME_PLACE_M:
-                self._params = r_m, imu_params(self.frame, r_m, noise)
-            return preintegrate(edge.part.samples, start.bias, self._params[1], walking)
+            if np.abs(r_m - self._place_m).max() > SAME_PLACE_M:
+                self._place_m, self._params = r_m, {}
+            if edge.noise not in self._params:
+                self._params[edge.noise] = imu_params(self.frame, r_m, edge.noise)
+            return preintegrate(edge.part.samples, start.bias, self._params[edge.noise])
         dt_s = (t_us - start.t_us) * 1e-6
-        return imagine(dt_s, start.bias, self.frame, noise, edge.turn_rps, walking)
+        return imagine(dt_s, start.bias, self.frame, edge.noise, edge.turn_rps)
 
     def _tie(self, edge: Edge, motion: Any, epoch: int) -> None:
-        i, j = edge.before, epoch
-        before, after = self.epochs[i], self.epochs[j]
+        before, after = self.epochs[edge.before], self.epochs[epoch]
         after.edge = edge
-        (x0, v0), (x1, v1) = ([key(letter, at) for letter in "xv"] for at in (i, j))
-        b0, b1 = key("b", before.bias), key("b", after.bias)
-        if b0 == b1:
-            moved: Any = gtsam.ImuFactor(x0, v0, x1, v1, b0, motion)
-        else:
-            moved = gtsam.CombinedImuFactor(x0, v0, x1, v1, b0, b1, motion)
-        self.attach("imu", j, moved, since=i)
-        origin = gtsam.Values(before.origin)
-        origin.insert(after.origin)
+        (x0, v0, b0), (x1, v1, b1) = (
+            [key(letter, at) for letter in "xvb"] for at in (edge.before, epoch)
+        )
+        moved = gtsam.CombinedImuFactor(x0, v0, x1, v1, b0, b1, motion)
+        self.attach("imu", epoch, moved, since=edge.before)
         dt_s = (after.t_us - before.t_us) * 1e-6
-        rows = clock_factors(i, j, origin, dt_s, edge.jumped_s, self._detector)
-        self.attach("clock", j, *rows, since=i)
+        walked = clock_factor(edge.before, epoch, dt_s, edge.jumped_m, self._detector.noise)
+        self.attach("clock", epoch, walked, since=edge.before)
 
     def _retie(self, epoch: int, edge: Edge, start: Node | None = None) -> None:
         """Another edge to an epoch in place of the one it has."""

@@ -18,9 +18,10 @@ import numpy as np
 from analysis.fdi.config import Noise
 from analysis.fusion.frame import Frame
 from analysis.samples import Vector
+from mavproxy_fault.wire.compiled import compiled
 
 INTEGRATION_M = 1e-3  # m/sqrt(s), position noise of the integration itself
-STEP_S = 0.02  # faster samples are averaged: a turn between them costs less than their noise
+STEP_S = 0.05  # faster samples are put together first
 FICTION_STEP_S = 0.05
 FREE_TURN_RPS = 30.0  # of a motion that says nothing of the attitude
 
@@ -30,43 +31,66 @@ def imu_params(frame: Frame, r_m: Vector, noise: Noise) -> Any:
     return _params(frame.gravity(r_m), frame, noise, noise.gyro_rps, noise.accel_mps2)
 
 
-def preintegrate(samples: Vector, bias: Any, params: Any, walking: bool) -> Any:
-    """The IMU's samples (k, 7) of `fdi.motion.segment`: step in s, rates, specific force.
-
-    `walking` says whether the biases at both ends are two variables.
-    """
-    preintegrated = _kind(walking)(params, bias)
-    table = averaged(samples, STEP_S)
-    for row in table:
+def preintegrate(samples: Vector, bias: Any, params: Any) -> Any:
+    """The IMU's samples (k, 7) of `fdi.motion.segment`: step in s, rates, specific force."""
+    preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
+    for row in condensed(samples, STEP_S):
         preintegrated.integrateMeasurement(row[4:7], row[1:4], row[0])
     return preintegrated
 
 
-def averaged(samples: Vector, step_s: float) -> Vector:
-    """Samples (k, 7) in runs of equal number that last up to `step_s`; empty steps left out."""
-    samples = samples[samples[:, 0] > 0.0]
-    size = int(step_s * len(samples) / samples[:, 0].sum() + 0.1) if len(samples) else 1
-    if size < 2:
-        return samples
-    weighted = samples * samples[:, :1]
-    weighted[:, 0] = samples[:, 0]
-    sums: Vector = np.add.reduceat(weighted, np.arange(0, len(samples), size))
-    sums[:, 1:] /= sums[:, :1]
-    return sums
+@compiled
+def condensed(samples: Vector, step_s: float) -> Vector:
+    """Samples (k, 7) in runs of equal number that last up to `step_s`; empty steps left out.
+
+    A run's rate is its turn over its time and its force that in the axes at its begin: GTSAM takes
+    both as constant from there on. Turns within are added to second order (coning, sculling).
+    """
+    count, whole_s = 0, 0.0
+    for k in range(samples.shape[0]):
+        if samples[k, 0] > 0.0:
+            count, whole_s = count + 1, whole_s + samples[k, 0]
+    size = max(int(step_s * count / whole_s + 0.1), 1) if count else 1
+    out = np.zeros(((count + size - 1) // size, 7))
+    turn, half, push = np.zeros(3), np.zeros(3), np.zeros(3)
+    at = 0
+    for k in range(samples.shape[0]):
+        dt = samples[k, 0]
+        if not dt > 0.0:
+            continue
+        row = out[at // size]
+        if at % size == 0:
+            turn[:] = 0.0
+        for i in range(3):
+            half[i] = turn[i] + 0.5 * dt * samples[k, 1 + i]
+            push[i] = samples[k, 4 + i]
+        once = _cross(half, push)
+        twice, bent = _cross(half, once), _cross(turn, samples[k, 1:4])
+        row[0] += dt
+        for i in range(3):
+            row[4 + i] += dt * (push[i] + once[i] + 0.5 * twice[i])
+            turn[i] += dt * (samples[k, 1 + i] + 0.5 * bent[i])
+            row[1 + i] = turn[i]
+        at += 1
+    for k in range(out.shape[0]):
+        for i in range(1, 7):
+            out[k, i] /= out[k, 0]
+    return out
 
 
-def _kind(walking: bool) -> Any:
-    if walking:
-        return gtsam.PreintegratedCombinedMeasurements
-    return gtsam.PreintegratedImuMeasurements
+@compiled
+def _cross(a: Vector, b: Vector) -> Vector:
+    out = np.empty(3)
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
+    return out
 
 
-def imagine(
-    dt_s: float, bias: Any, frame: Frame, noise: Noise, turn_rps: float, walking: bool
-) -> Any:
+def imagine(dt_s: float, bias: Any, frame: Frame, noise: Noise, turn_rps: float) -> Any:
     """The motion model over `dt_s`, with turns as fast as `turn_rps`."""
     params = _params(np.zeros(3), frame, noise, turn_rps, noise.motion_mps2)
-    preintegrated = _kind(walking)(params, bias)
+    preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
     steps = max(round(dt_s / FICTION_STEP_S), 2)
     for _ in range(steps):
         preintegrated.integrateMeasurement(bias.accelerometer(), bias.gyroscope(), dt_s / steps)

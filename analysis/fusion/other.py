@@ -8,8 +8,17 @@ import numpy as np
 
 from analysis.fdi.position import measure
 from analysis.fusion.config import FusionConfig
-from analysis.fusion.factors import airspeed_factor, baro_factor, mag_factor, walk_factor
+from analysis.fusion.factors import (
+    OFFSET_UNIT_M,
+    airspeed_factor,
+    alike,
+    baro_factor,
+    mag_factor,
+    walk_factor,
+)
 from analysis.fusion.graph import Graph
+from analysis.fusion.ranges import LEAST_WEIGHT
+from analysis.fusion.weights import weight
 from analysis.fusion.window import key
 from analysis.gnss import geodetic
 from analysis.reference import STALE_S
@@ -21,6 +30,7 @@ from analysis.samples import (
     GpsFix,
     MagSample,
     Sample,
+    Vector,
     VisionSample,
 )
 from simvehicle.rotation import matrix_from_quat
@@ -46,34 +56,39 @@ class Others:
     def __init__(self, graph: Graph, config: FusionConfig) -> None:
         self._graph, self._config = graph, config
         self._blocks: dict[str, list[int]] = {"h": [], "w": []}
+        self._vision_sigmas = np.array([config.vision_rad] * 3 + [config.vision_m] * 3)
 
-    def attach(self, sample: Sample, decision: Decision | None) -> float | None:
+    def attach(self, sample: Sample, decision: Decision | None, share: float = 1.0) -> float | None:
         """One sample onto the epoch it belongs to; the weight it got, None if it was not used.
 
-        A receiver's own position is for epochs decided by it alone.
+        `share` is the weight it is to have. A receiver's own position is for epochs decided by it
+        alone.
         """
+        if share < LEAST_WEIGHT:
+            return 0.0
+        root = math.sqrt(share)
         epoch = self._graph.nearest(sample.t_us, round(STALE_S * 1e6))
         if epoch is None:
             return None
         if isinstance(sample, BaroSample):
-            done = self._baro(sample, epoch)
+            done = self._baro(sample, epoch, root)
         elif isinstance(sample, MagSample):
-            done = self._mag(sample, epoch)
+            done = self._mag(sample, epoch, root)
         elif isinstance(sample, AirspeedSample):
-            done = self._airspeed(sample, epoch)
+            done = self._airspeed(sample, epoch, root)
         elif isinstance(sample, VisionSample):
-            done = self._vision(sample, epoch)
+            return self._vision(sample, epoch, share)
         elif isinstance(sample, GpsFix) and decision and decision.mode.startswith("position"):
             if self._config.decide and (
                 decision.excluded or decision.hypothesis not in ("none", "imu")
             ):
                 return 0.0
-            done = self._fix(sample, epoch)
+            done = self._fix(sample, epoch, share)
         else:
             done = False
-        return 1.0 if done else None
+        return share if done else None
 
-    def _slow(self, letter: str, epoch: int, first: Any, sigma: float, walk: float) -> int:
+    def _slow(self, letter: str, epoch: int, first: Vector, sigma: float, walk: float) -> int:
         """The key of a slow state at an epoch; `walk` is per square root of a second."""
         graph, window = self._graph, self._graph.window
         t_s = graph.seconds(graph.epochs[epoch].t_us)
@@ -83,35 +98,22 @@ class Others:
         blocks = [known for known in self._blocks[letter] if window.starts_s(known) >= gone_s]
         if block not in blocks:
             before = max((known for known in blocks if known < block), default=None)
-            value = first
             if before is None:
-                noise = gtsam.noiseModel.Isotropic.Sigma(np.size(first), sigma)
-                prior = gtsam.PriorFactorDouble if letter == "h" else gtsam.PriorFactorPoint3
-                factor = prior(name, first, noise)
+                factor = gtsam.PriorFactorVector(name, first, alike(len(first), sigma))
                 since_s = t_s
             else:
-                since_s = window.starts_s(before)
+                old, since_s = key(letter, before), window.starts_s(before)
                 walked = walk * math.sqrt((block - before) * window.block_s)
-                factor, value = self._walk(letter, before, name, first, walked)
+                factor = walk_factor(old, name, walked, len(first))
+                if window.slots(letter, before):
+                    first = np.asarray(window.smoother.calculateEstimateVector(old))
             values = gtsam.Values()
-            values.insert(name, value)
+            values.insert(name, first)
             window.insert(values, (name,), t_s)
             window.attach(letter, block, since_s, factor)
             blocks.append(block)
         self._blocks[letter] = blocks
         return name
-
-    def _walk(
-        self, letter: str, before: int, name: int, first: Any, sigma: float
-    ) -> tuple[Any, Any]:
-        """A factor from one slow state to another, and a first guess of that."""
-        window, old = self._graph.window, key(letter, before)
-        if letter == "h":
-            return walk_factor(old, name, sigma), first
-        noise = gtsam.noiseModel.Isotropic.Sigma(3, sigma)
-        if window.slots(letter, before):
-            first = np.asarray(window.smoother.calculateEstimateVector(old))
-        return gtsam.BetweenFactorPoint3(old, name, np.zeros(3), noise), first
 
     def _up_m(self, epoch: int) -> tuple[float, float]:
         """Height above the frame's tangent plane, and above the ellipsoid, of about the epoch."""
@@ -119,27 +121,33 @@ class Others:
         _, _, height = geodetic(self._graph.frame.ecef(r_m))
         return float(r_m[2]), height
 
-    def _baro(self, sample: BaroSample, epoch: int) -> bool:
+    def _baro(self, sample: BaroSample, epoch: int, root: float) -> bool:
         if not sample.pressure_pa > 0.0 or self._graph.window.holds("baro", epoch):
             return False
         up_m, height = self._up_m(epoch)
         # The graph's z is the height above the anchor's tangent plane, not above the ellipsoid.
         altitude = pressure_altitude_m(sample.pressure_pa) - (height - up_m)
-        offset = self._slow("h", epoch, altitude - up_m, OFFSET_SIGMA_M, self._config.baro_walk_m)
-        self._graph.attach("baro", epoch, baro_factor(epoch, offset, altitude, self._config))
+        graph, config, unit_m = self._graph, self._config, OFFSET_UNIT_M
+        first = np.array([altitude - up_m]) / unit_m
+        sigma, walk = OFFSET_SIGMA_M / unit_m, config.baro_walk_m / unit_m
+        offset = self._slow("h", epoch, first, sigma, walk)
+        pose = graph.pose(epoch)
+        graph.attach(
+            "baro", epoch, baro_factor(epoch, pose, offset, altitude, config.baro_m / root)
+        )
         return True
 
-    def _mag(self, sample: MagSample, epoch: int) -> bool:
+    def _mag(self, sample: MagSample, epoch: int, root: float) -> bool:
         graph = self._graph
         if not graph.aligned or not np.isfinite(sample.field_b_gauss).all():
             return False
         if graph.window.holds("mag", epoch):
             return False
-        factor = mag_factor(epoch, sample.field_b_gauss, graph.frame, self._config)
+        factor = mag_factor(epoch, sample.field_b_gauss, graph.frame, self._config.mag_gauss / root)
         graph.attach("mag", epoch, factor)
         return True
 
-    def _airspeed(self, sample: AirspeedSample, epoch: int) -> bool:
+    def _airspeed(self, sample: AirspeedSample, epoch: int, root: float) -> bool:
         if not math.isfinite(sample.diff_pressure_pa):
             return False
         if self._graph.window.holds("airspeed", epoch):
@@ -149,33 +157,45 @@ class Others:
         if speed < SLOW_AIR_MPS:
             return False
         wind = self._slow("w", epoch, np.zeros(3), WIND_SIGMA_MPS, self._config.wind_walk_mps)
-        self._graph.attach("airspeed", epoch, airspeed_factor(epoch, wind, speed, self._config))
+        self._graph.attach(
+            "airspeed", epoch, airspeed_factor(epoch, wind, speed, self._config.airspeed_mps / root)
+        )
         return True
 
-    def _vision(self, sample: VisionSample, epoch: int) -> bool:
+    def _vision(self, sample: VisionSample, epoch: int, share: float) -> float | None:
         """Vision as odometry: its own origin and north drop out between two epochs."""
         graph = self._graph
         at = graph.epochs[epoch]
         seen = _seen(sample, at.t_us)
         if seen is None or at.seen is not None or not graph.aligned:
-            return False
+            return None
         at.seen = seen
-        sigmas = np.array([self._config.vision_rad] * 3 + [self._config.vision_m] * 3)
-        noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-        done = False
-        before, after = graph.neighbours(epoch)
+        given = None
+        before, after = graph.seen_around(epoch, round(STALE_S * 1e6))
         for i, j in ((before, epoch), (epoch, after)):
             if i is None or j is None:
                 continue
-            first, second = graph.epochs[i].seen, graph.epochs[j].seen
-            if first is not None and second is not None:
-                moved = first.between(second)
+            moved = graph.epochs[i].seen.between(graph.epochs[j].seen)
+            given = min(share, self._plausible(i, j, moved))
+            if given >= LEAST_WEIGHT:
+                noise = gtsam.noiseModel.Diagonal.Sigmas(self._vision_sigmas / math.sqrt(given))
                 factor = gtsam.BetweenFactorPose3(key("x", i), key("x", j), moved, noise)
                 graph.attach("vision", j, factor, since=i)
-                done = True
-        return done
+        return given
 
-    def _fix(self, sample: GpsFix, epoch: int) -> bool:
+    def _plausible(self, i: int, j: int, moved: Any) -> float:
+        """The weight of a motion that was seen, by what the IMU says of it: a jump weighs nothing
+        although the test of vision's position, which allows for a drift, does not see it."""
+        graph, config = self._graph, self._config
+        edge = graph.epochs[j].edge
+        if not config.decide or edge is None or not graph.sound(edge):  # nothing to go by
+            return 1.0
+        off = gtsam.Pose3.Logmap(graph.pose(i).between(graph.pose(j)).between(moved))
+        return weight(
+            float(np.abs(off / self._vision_sigmas).max()), config.suspicious, config.hopeless
+        )
+
+    def _fix(self, sample: GpsFix, epoch: int, share: float) -> bool:
         """A receiver's own solution, where there are no raw ranges."""
         graph, config = self._graph, self._config
         measured, _ = measure(sample)
@@ -185,10 +205,10 @@ class Others:
         spread = config.correlation**2 * to_local @ np.diag(measured.variance_m2) @ to_local.T
         gaussian = gtsam.noiseModel.Gaussian.Covariance
         r_m = graph.frame.local(measured.r_ecef_m)
-        position = gtsam.GPSFactor(key("x", epoch), r_m, gaussian(spread))
+        position = gtsam.GPSFactor(key("x", epoch), r_m, gaussian(spread / share))
         graph.attach("gps-position", epoch, position)
         if measured.v_ned_mps is not None and np.isfinite(measured.v_ned_mps).all():
-            noise = gtsam.noiseModel.Isotropic.Sigma(3, config.gps_mps)
+            noise = alike(3, config.gps_mps)
             velocity = to_local @ measured.v_ned_mps
             factor = gtsam.PriorFactorPoint3(key("v", epoch), velocity, noise)
             graph.attach("gps-velocity", epoch, factor)

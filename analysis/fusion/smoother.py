@@ -3,10 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import msgspec
 import numpy as np
 
-from analysis.fdi.config import DetectorConfig
+from analysis.fdi.config import DetectorConfig, Noise
 from analysis.fdi.core import Core
 from analysis.fdi.inertial import X_ISB
 from analysis.fdi.measure import choose, observe
@@ -27,15 +26,16 @@ from analysis.fusion.other import WAITING, Others
 from analysis.fusion.ranges import Ranges
 from analysis.fusion.said import fused_state, gap
 from analysis.fusion.state import FusionState, Good, Now
-from analysis.fusion.weights import isolated_sensors, range_weights
+from analysis.fusion.weights import isolated_sensors, range_weights, sensor_weights
 from analysis.results import Decision, FusedState, Result, SensorDecision
 from analysis.samples import Epoch, ImuSample, Sample
 
 LOOSE_M = 10.0  # a start less sure than this takes the epoch's own ranges in
 LOST_RAD = 0.1  # an attitude as sure as this needs no help from the detector
 SUSPECT = 0.5  # of the threshold: above it the IMU is suspicious, and taken back if it is isolated
+SHOWS_NOISE = ("none", "satellites")  # hypotheses under which residuals are noise
 SKY_US = 2_000_000  # satellites move little meanwhile
-JUMP_S = 1.0  # how far a clock may leap where the detector says that it did
+JUMP_M = 1e5  # how far a clock may leap where the detector says that it did, as the ranges allow
 FAILURES = (RuntimeError, ValueError, IndexError)  # what GTSAM and numpy raise
 
 
@@ -86,7 +86,7 @@ class Fusion:
             said = self._again(now, state, _first_line(error))
         if said is None:
             return [], state
-        state.last = said = msgspec.structs.replace(said, name=self.name)
+        state.last = said
         return [said], state
 
     def _epoch(self, now: Now, state: FusionState) -> FusedState | None:
@@ -133,19 +133,26 @@ class Fusion:
         part = self._heard(node.t_us, now, state)
         silent = part.gap_s > self.detector.gap_s  # what is missing may still come
         trusted = silent or not ("imu" in isolated or state.lost)
-        jumped_s = JUMP_S if now.decision.hypothesis == "clock" else 0.0
-        edge = Edge(node.epoch, part, trusted, jumped_s)
+        jumped_m = JUMP_M if now.decision.hypothesis == "clock" else 0.0
+        edge = Edge(node.epoch, part, self._imu_noise(part, trusted, state), trusted, jumped_m)
         sound = graph.extend(t_us, edge, attitude)
         state.lost = state.lost or (graph.aligned and not sound and attitude is None)
         used = {"imu": float(sound)} | self._attach_ranges(graph, now, state)
         assert state.others is not None
+        tested = sensor_weights(now.results, self.config)
         for source, sample in state.waiting.items():
-            out = source in isolated
-            share = 0.0 if out else state.others.attach(sample, now.decision)
+            share = state.others.attach(sample, now.decision, tested.get(source, 1.0))
             if share is not None:
                 used[source] = share
         state.isolated = isolated
         return self._done(graph, used, now, state)
+
+    def _imu_noise(self, part: Segment, trusted: bool, state: FusionState) -> Noise:
+        if not self.config.learn:
+            return self.detector.noise
+        if trusted:
+            state.learnt.hear_imu(part.samples)
+        return state.learnt.noise(self.detector.noise)
 
     @staticmethod
     def _heard(since_us: int, now: Now, state: FusionState) -> Segment:
@@ -169,7 +176,8 @@ class Fusion:
             self._drop_outliers(graph)
         state.excluded = excluded
         state.good = Good(graph.frame, graph.node, graph.covariance, graph.aligned)
-        said = fused_state(graph, used | dict.fromkeys(excluded, 0.0), "; ".join(state.notes))
+        weights = used | dict.fromkeys(excluded, 0.0)
+        said = fused_state(graph, self.name, weights, "; ".join(state.notes))
         state.waiting, state.notes = {}, []
         return said
 
@@ -226,6 +234,11 @@ class Fusion:
         core, config = now.core, self.config
         ranges = Ranges(observed, now.motion.x, core.ionosphere, config, self.detector)
         weights = range_weights(now.decision, config)
+        if config.learn:
+            if now.decision.hypothesis in SHOWS_NOISE:
+                normalised = ranges.normalised(weights)
+                state.learnt.hear_ranges(now.decision.t_us, ranges.satellites, normalised)
+            ranges.learn(state.learnt)
         names = graph.attach_ranges(graph.node.epoch, ranges, weights)
         sky = (*names, now.decision.t_us // SKY_US)
         if sky != state.sky:
@@ -268,6 +281,8 @@ class Fusion:
             return
         x = navigation_state(graph.frame, node, core.motion.x[X_ISB:])
         ranges = Ranges(observed, x, core.ionosphere, self.config, self.detector)
+        if self.config.learn:
+            ranges.learn(state.learnt)
         weights = ranges.own_weights(state.excluded)
         graph.attach_ranges(node.epoch, ranges, weights)
         graph.commit()

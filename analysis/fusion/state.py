@@ -11,6 +11,7 @@ from analysis.fdi.state import Motion
 from analysis.fusion.beginning import Node
 from analysis.fusion.frame import Frame
 from analysis.fusion.graph import Graph
+from analysis.fusion.learnt import Learnt
 from analysis.fusion.other import Others
 from analysis.results import Decision, FusedState, Result
 from analysis.samples import ImuSample, Sample, Vector
@@ -52,10 +53,10 @@ class FusionState:
     """What moves; changed in place, as the graph in it must be.
 
     `imu` and `waiting` are samples for the next epoch and `run` the IMU up to the newest one.
-    `excluded` and `isolated` are what was left out there, `lost` says that the graph has missed the
-    IMU since it knew its attitude, `suspect_us` since when the IMU has been suspicious. `sky` are
-    the satellites that the slow covariance is of, and when; `notes` are for the next result's
-    reason.
+    `learnt` is what the flight has shown of its noise. `excluded` and `isolated` are what was left
+    out there, `lost` says that the graph has missed the IMU since it knew its attitude,
+    `suspect_us` since when the IMU has been suspicious. `sky` are the satellites that the slow
+    covariance is of, and when; `notes` are for the next result's reason.
     """
 
     imu: deque[ImuSample] = field(default_factory=lambda: deque(maxlen=PENDING_MAX))
@@ -63,6 +64,7 @@ class FusionState:
     waiting: dict[str, Sample] = field(default_factory=dict)
     graph: Graph | None = None
     others: Others | None = None
+    learnt: Learnt = field(default_factory=Learnt)
     good: Good | None = None
     excluded: frozenset[str] = frozenset()
     isolated: frozenset[str] = frozenset()

@@ -1,11 +1,13 @@
 """Decisions as weights: 1 healthy, between the thresholds less, 0 isolated."""
 
-from collections.abc import Iterable
+import math
+from collections.abc import Sequence
 
 from analysis.fusion.config import FusionConfig
 from analysis.results import Decision, Result, SensorDecision
 
 SOUND = ("none", "satellites", "clock", "gps", "imu")
+DOUBTED = 0.7  # of the root of a sensor's threshold: from here its weight falls to 0 at the alarm
 
 
 def weight(normalised: float, suspicious: float, hopeless: float) -> float:
@@ -33,12 +35,24 @@ def range_weights(decision: Decision, config: FusionConfig) -> dict[str, float]:
     if not decision.alarm and decision.hypothesis in ("none", "satellites"):
         for name, value in zip(decision.satellites, decision.normalised, strict=False):
             residual = float("inf") if value is None else value
-            weights[name] = weight(residual, config.suspicious, config.hopeless)
+            if not abs(residual) <= config.suspicious:
+                weights[name] = weight(residual, config.suspicious, config.hopeless)
     weights.update(dict.fromkeys(decision.excluded, 0.0))
     return weights
 
 
-def isolated_sensors(results: Iterable[Result], config: FusionConfig) -> set[str]:
+def sensor_weights(results: Sequence[Result], config: FusionConfig) -> dict[str, float]:
+    """Weights of sensors other than satellites that were tested at this epoch."""
+    if not config.decide:
+        return {}
+    weights = {}
+    for said in results:
+        if isinstance(said, SensorDecision) and said.statistic is not None and said.threshold:
+            weights[said.sensor] = weight(math.sqrt(said.statistic / said.threshold), DOUBTED, 1.0)
+    return weights | dict.fromkeys(isolated_sensors(results, config), 0.0)
+
+
+def isolated_sensors(results: Sequence[Result], config: FusionConfig) -> set[str]:
     """Sensors other than satellites that must not be used at this epoch."""
     if not config.decide:
         return set()

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from analysis.fusion.config import FusionConfig
-from analysis.fusion.factors import sigma1
+from analysis.fusion.factors import alike
 from analysis.fusion.graph import Graph
 from analysis.fusion.window import Window, key
 from analysis.pipeline import Pipeline, monitor_config
@@ -16,7 +16,7 @@ FAILS_US = 5_000_000
 
 def lost_variable(graph):
     """A factor on a variable that the smoother does not know (any more)."""
-    noise = sigma1(1.0)
+    noise = alike(1, 1.0)
     graph.attach("lost", graph.node.epoch, gtsam.PriorFactorDouble(key("c", 99_999), 0.0, noise))
 
 
@@ -70,6 +70,6 @@ def test_a_failing_graph_is_reported_and_goes_on_from_the_last_good_state(
 
 def test_the_smoother_raises_what_the_step_catches():
     window = Window(FusionConfig().lag_s)
-    window.attach("lost", 0, 0.0, gtsam.PriorFactorDouble(key("c", 7), 0.0, sigma1(1.0)))
+    window.attach("lost", 0, 0.0, gtsam.PriorFactorDouble(key("c", 7), 0.0, alike(1, 1.0)))
     with pytest.raises((RuntimeError, ValueError, IndexError)):
         window.commit()
