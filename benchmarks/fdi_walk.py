@@ -150,7 +150,7 @@ def systems(samples: list[Sample], where: dict[int, np.ndarray]) -> None:
     print("\n## Walk by systems, nothing injected\n")
     print("| systems | satellites | parity chi-square per dof | alarms | horizontal error, m RMS |")
     print("|---|---|---|---|---|")
-    for names in ("G", "GE", "GC", "GEC"):
+    for names in ("GE", "GC", "GEC"):
         found = decisions(samples, DetectorConfig(systems=names))
         tested = [d for d in found if d.parity_dof]
         ratio = sum(d.parity_statistic for d in tested) / sum(d.parity_dof for d in tested)

@@ -13,11 +13,12 @@ from analysis.fdi.offsets import held, hold, learnt
 from analysis.fdi.ranges import Tested, blamed, free_clock, free_position, passed
 from analysis.fdi.rates import RatesTested, check_rates, freed_by
 from analysis.fdi.sight import CLOCK_LEAP_M, Assessed, Sight, see
-from analysis.fdi.slow import SlowVerdict, judge_slow, new_memory, ready
+from analysis.fdi.slow import Memory, SlowVerdict, judge_slow, new_memory, ready
 from analysis.fdi.state import Motion
 from analysis.fdi.thresholds import chi_square
-from analysis.fdi.update import absorb, innovated, remember
+from analysis.fdi.update import Rates, absorb, innovated, remember
 from analysis.fdi.value import Value
+from analysis.samples import Vector
 
 
 class Outcome(Value, frozen=True):
@@ -56,19 +57,8 @@ def judge_epoch(
     undisturbed = not leapt and not tested.freed and rates.hypothesis in ("none", "satellites")
     memory, slow = None, None
     if undisturbed and before.inertial == tested.motion.inertial:
-        memory = core.memory or new_memory(before.t_us)
-        memory = ready(memory, t_us, seen.names, tested.part.variance, config)
-        moved, memory, found = remember(
-            tested.motion,
-            tested.part,
-            tested.taken,
-            rates.fit,
-            memory,
-            phi,
-            (t_us - before.t_us) * 1e-6,
-            config,
-        )
-        slow = judge_slow(memory, found, config)
+        since = core.memory or new_memory(before.t_us), phi, before.t_us
+        moved, memory, slow = _remembered(since, t_us, seen.names, tested, rates.fit, config)
     else:
         moved = absorb(tested.motion, tested.part, tested.taken, rates.fit)
         core = hold(core, t_us, config)
@@ -102,6 +92,25 @@ def judge_epoch(
         imu_blamed=imu_blamed,
         was_inertial=before.inertial,
     )
+
+
+def _remembered(
+    since: tuple[Memory, Vector, int],
+    t_us: int,
+    names: tuple[str, ...],
+    tested: Tested,
+    rates: Rates,
+    config: DetectorConfig,
+) -> tuple[Motion, Memory, SlowVerdict]:
+    """The filter and its memory after an epoch, and what the memory says; `since` is the memory,
+    the transition and the time of the epoch before."""
+    memory, phi, before_us = since
+    memory = ready(memory, t_us, names, tested.part.variance, config)
+    dt_s = (t_us - before_us) * 1e-6
+    moved, memory, found = remember(
+        tested.motion, tested.part, tested.taken, rates, memory, phi, dt_s, config
+    )
+    return moved, memory, judge_slow(memory, found, config)
 
 
 def _tested(
