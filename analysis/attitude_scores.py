@@ -1,6 +1,6 @@
 """Errors gathered in cells, and the scores that are made of them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -11,6 +11,8 @@ AXES = ("roll", "pitch", "yaw", "angle")
 GROUND_SPEED_MPS = 1.0
 TURN_RAD = np.radians(15.0)
 CLIMB_MPS = 1.0
+REPEATED = " (the truth itself)"
+REPEATED_DEG = 0.01  # half of what is said is closer: no estimator is as good
 
 
 class Window(Protocol):
@@ -80,6 +82,18 @@ def scored(cells: Sequence[Cell]) -> dict[str, Any]:
             for p, value in zip((50, 95, 99), np.percentile(angles, (50, 95, 99)), strict=True)
         },
     }
+
+
+def with_repeaters_last(scores: Mapping[str, Any], sources: Sequence[str]) -> dict[str, Any]:
+    """The scores by estimator; those of `sources` that only repeat the truth, as a simulator in the
+    place of the autopilot does, come last under a name that says so."""
+    repeated = {
+        name
+        for name in sources
+        if name in scores and scores[name]["angle_percentiles_deg"]["50"] < REPEATED_DEG
+    }
+    own = {name: scores[name] for name in scores if name not in repeated}
+    return own | {name + REPEATED: scores[name] for name in sorted(repeated)}
 
 
 def phases_of(q_nb: Vector, v_ned_mps: Vector) -> list[str]:

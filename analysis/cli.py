@@ -2,7 +2,6 @@
 
 import argparse
 import contextlib
-import os
 from typing import Any
 
 
@@ -72,10 +71,10 @@ def add_monitor(commands: Any) -> None:
 
 
 def _monitor(args: argparse.Namespace) -> int:
-    # numba reads it when it is loaded: half the time to compile, and the monitor is as fast
-    os.environ.setdefault("NUMBA_OPT", "1")
-    from analysis.monitor_command import main
+    from analysis.compilation import light_compilation
 
+    with light_compilation():
+        from analysis.monitor_command import main
     return main(args)
 
 

@@ -1,4 +1,4 @@
-"""Broadcast orbits and clocks of GPS and Galileo, and the delays of the atmosphere.
+"""Broadcast orbits and clocks of GPS, Galileo, GLONASS and BeiDou, and the atmosphere's delays.
 
 Positions and velocities follow the algorithm of the interface documents [1]_ [2]_ with the
 velocity in closed form; the ionosphere is Klobuchar's model [1]_, the troposphere Saastamoinen's
@@ -7,7 +7,8 @@ zenith delay [3]_ in the standard atmosphere with the mapping of Black and Eisne
 References
 ----------
 .. [1] IS-GPS-200N, 20.3.3.3.3 (clock), 20.3.3.4.3 (orbit), 20.3.3.5.2.5 (ionosphere).
-.. [2] Galileo OS SIS ICD 2.1, sections 5.1.1 and 5.1.4.
+.. [2] Galileo OS SIS ICD 2.1, sections 5.1.1 and 5.1.4; BDS-SIS-ICD-B1I 3.0, sections 5.2.4.9 to
+   5.2.4.12. GLONASS: `glonass`.
 .. [3] J. Saastamoinen, Bulletin Geodesique 107, 1973.
 .. [4] H. D. Black and A. Eisner, J. Geophys. Res. 89 (D2), 1984.
 """
@@ -16,16 +17,22 @@ import math
 
 import numpy as np
 
-from analysis.samples import Vector
+from analysis.glonass import carry
+from analysis.samples import StateVector, Vector
 from mavproxy_fault.wire.compiled import compiled
 from mavproxy_fault.wire.ephemeris import Ephemeris
 
-SYSTEMS = "GE"  # a satellite's first letter; each but the first has a clock offset of its own
+SYSTEMS = "GERC"  # a satellite's first letter; each but the first has a clock offset of its own
 LIGHT_MPS = 299_792_458.0
 MU_GPS = 3.986005e14  # m^3/s^2, IS-GPS-200N
 MU_GALILEO = 3.986004418e14  # m^3/s^2, Galileo OS SIS ICD
 EARTH_RATE_RPS = 7.2921151467e-5  # both documents
+EARTH_RATE_BEIDOU_RPS = 7.2921150e-5  # CGCS2000; its mu is Galileo's
+BEIDOU_BEHIND_S = 14.0  # BeiDou's time against GPS's
+GEOSTATIONARY = (*range(1, 6), *range(59, 64))  # BeiDou's, by number
 L1_HZ = 1575.42e6  # GPS L1 and Galileo E1
+B1I_HZ = 1561.098e6
+B3I_HZ = 1268.52e6  # BeiDou's clocks are given for it: no group delay
 WEEK_S = 604_800.0
 WGS84_A_M = 6_378_137.0
 WGS84_E2 = 6.69437999014e-3
@@ -39,14 +46,36 @@ _RATE_FIELDS = ("delta_n_rps", "omega_dot_rps", "idot_rps")
 _WAVE_FIELDS = ("crs_m", "crc_m", "cus_rad", "cuc_rad", "cis_rad", "cic_rad")
 _CLOCK_FIELDS = ("toe_s", "toc_s", "af0_s", "af1", "af2_per_s")
 _FIELDS = (*_CLOCK_FIELDS, *_ORBIT_FIELDS, *_RATE_FIELDS, *_WAVE_FIELDS, "group_delay_s")
-PACKED = 2 + len(_FIELDS)
+PACKED = 4 + len(_FIELDS)
 
 
-def pack_ephemeris(ephemeris: Ephemeris) -> Vector:
-    """The numbers of one ephemeris (23,): mu, week, then `_FIELDS` in their order."""
-    mu = MU_GALILEO if ephemeris.satellite[0] == "E" else MU_GPS
-    values = [float(getattr(ephemeris, name)) for name in _FIELDS]
-    return np.array([mu, float(ephemeris.week), *values])
+def pack_ephemeris(ephemeris: Ephemeris | StateVector) -> Vector:
+    """The numbers of one ephemeris (25,): mu, week, `_FIELDS` in their order, the kind of orbit (0
+    elements, 1 those of a geostationary satellite, 2 a state vector in place of the elements), and
+    the ionosphere's delay over that of L1."""
+    if isinstance(ephemeris, StateVector):
+        clock = ephemeris.toe_s, ephemeris.toe_s, ephemeris.af0_s, ephemeris.af1, 0.0
+        orbit = *ephemeris.r_m, *ephemeris.v_mps, *ephemeris.a_mps2
+        rest = PACKED - 4 - len(clock) - len(orbit)
+        return np.array([0.0, ephemeris.week, *clock, *orbit, *[0.0] * rest, 2.0, 1.0])
+    values = {name: float(getattr(ephemeris, name)) for name in _FIELDS}
+    beidou = ephemeris.satellite[0] == "C"
+    still = beidou and int(ephemeris.satellite[1:]) in GEOSTATIONARY
+    if beidou:  # its own rate of the earth and time of week, in terms of GPS's
+        own_s = (ephemeris.toe_s - BEIDOU_BEHIND_S) % WEEK_S
+        values["omega0_rad"] += EARTH_RATE_RPS * ephemeris.toe_s - EARTH_RATE_BEIDOU_RPS * own_s
+        values["omega_dot_rps"] += 0.0 if still else EARTH_RATE_RPS - EARTH_RATE_BEIDOU_RPS
+    mu = MU_GPS if ephemeris.satellite[0] == "G" else MU_GALILEO
+    return np.array([mu, float(ephemeris.week), *values.values(), float(still), 1.0])
+
+
+def packed_for(packed: Vector, carrier_hz: float) -> Vector:
+    """An ephemeris (25,) for ranges on another carrier than L1: its ionosphere and group delay."""
+    packed = packed.copy()
+    packed[-1] = (L1_HZ / carrier_hz) ** 2
+    if carrier_hz == B3I_HZ:
+        packed[2 + _FIELDS.index("group_delay_s")] = 0.0
+    return packed
 
 
 @compiled
@@ -55,25 +84,31 @@ def satellite_states(packed: Vector, week: float, tow_s: float, pseudorange_m: V
 
     Parameters
     ----------
-    packed : (n, 23), rows of `pack_ephemeris`
+    packed : (n, 25), rows of `pack_ephemeris`
     week, tow_s : GPS time of reception by the receiver's clock
     pseudorange_m : (n,)
 
     Returns
     -------
-    (n, 8) : position (3) in m and velocity (3) in m/s, ECEF at the time of transmission; clock
-        offset in m (relativity and group delay of L1 or E1 included) and its rate in m/s.
+    (n, 9) : position (3) in m and velocity (3) in m/s, ECEF at the time of transmission; clock
+        offset in m (relativity and group delay included) and its rate in m/s; the ionosphere's
+        delay over that of L1.
     """
-    out = np.empty((packed.shape[0], 8))
+    out = np.empty((packed.shape[0], 9))
     for i in range(packed.shape[0]):
         row = packed[i]
         since_toc = (week - row[1]) * 604800.0 + tow_s - pseudorange_m[i] / 299792458.0 - row[3]
         clock = row[4] + row[5] * since_toc + row[6] * since_toc * since_toc
         since_toc -= clock
         clock = row[4] + row[5] * since_toc + row[6] * since_toc * since_toc
-        relativity = _orbit(row, since_toc + row[3] - row[2], out[i])
+        relativity = 0.0
+        if row[23] == 2.0:
+            carry(row[7:16], since_toc, out[i])
+        else:
+            relativity = _orbit(row, since_toc + row[3] - row[2], out[i])
         out[i, 6] = 299792458.0 * (clock - row[22] + relativity)
         out[i, 7] = 299792458.0 * (row[5] + 2.0 * row[6] * since_toc)
+        out[i, 8] = row[24]
     return out
 
 
@@ -102,7 +137,7 @@ def _orbit(row: Vector, t_k: float, out: Vector) -> float:
     r_rate = a * e * sin_e * ecc_rate + 2.0 * phi_rate * (row[16] * c2 - row[17] * s2)
     inc = row[9] + row[15] * t_k + row[20] * s2 + row[21] * c2
     inc_rate = row[15] + 2.0 * phi_rate * (row[20] * c2 - row[21] * s2)
-    node_rate = row[14] - 7.2921151467e-5
+    node_rate = row[14] - (0.0 if row[23] == 1.0 else 7.2921151467e-5)
     node = row[10] + node_rate * t_k - 7.2921151467e-5 * row[2]
     x, y = r * math.cos(u), r * math.sin(u)
     x_rate = r_rate * math.cos(u) - y * u_rate
@@ -114,8 +149,23 @@ def _orbit(row: Vector, t_k: float, out: Vector) -> float:
     out[3] = x_rate * co - y_rate * ci * so + y * si * so * inc_rate - out[1] * node_rate
     out[4] = x_rate * so + y_rate * ci * co - y * si * co * inc_rate + out[0] * node_rate
     out[5] = y_rate * si + y * ci * inc_rate
+    if row[23] == 1.0:
+        _turn_still(t_k, out)
     relativity: float = -2.0 * math.sqrt(mu) / (299792458.0 * 299792458.0) * e * sqrt_a * sin_e
     return relativity
+
+
+@compiled
+def _turn_still(t_k: float, out: Vector) -> None:
+    """Turn a geostationary satellite's position and velocity to ECEF, in place: its elements are
+    given in axes that do not turn with the earth, tilted by 5 degrees [2]_."""
+    rate, tilt = 7.2921150e-5, -5.0 * math.pi / 180.0
+    s, c, st, ct = math.sin(rate * t_k), math.cos(rate * t_k), math.sin(tilt), math.cos(tilt)
+    for at in (0, 3):
+        x, y, z = out[at], ct * out[at + 1] + st * out[at + 2], ct * out[at + 2] - st * out[at + 1]
+        out[at], out[at + 1], out[at + 2] = c * x + s * y, c * y - s * x, z
+    out[3] += rate * out[1]
+    out[4] -= rate * out[0]
 
 
 @compiled
@@ -194,7 +244,7 @@ def predict_ranges(
 
     Parameters
     ----------
-    states : (n, 8), of `satellite_states`
+    states : (n, 9), of `satellite_states`
     r_ecef_m, v_ecef_mps : (3,), the receiver
     tow_s : seconds of the GPS week
     ionosphere : (8,), Klobuchar's coefficients
@@ -233,9 +283,8 @@ def predict_ranges(
         az = math.atan2(east, north)
         delay = 0.0
         if el > 0.0:
-            delay = troposphere_m(lat, height, el) + klobuchar_m(
-                lat, lon, az, el, tow_s, ionosphere
-            )
+            delay = troposphere_m(lat, height, el)
+            delay += states[i, 8] * klobuchar_m(lat, lon, az, el, tow_s, ionosphere)
         out[i, 0] = rho - states[i, 6] + delay
         out[i, 1] = u[0] * vx + u[1] * vy + u[2] * vz - states[i, 7]
         out[i, 5] = el

@@ -12,14 +12,14 @@ from types import FrameType
 
 import msgspec
 
-from analysis.block import Block, block_of
+from analysis.block import Block
 from analysis.criteria import Criteria
 from analysis.folder import ResultFile, make_folder, write_summary
 from analysis.intake import Intake
 from analysis.monitor import Monitor
 from analysis.pipeline import MonitorConfig
 from analysis.publish import Publisher
-from analysis.recordings import read_log, read_rinex_samples
+from analysis.recordings import read_log, read_rinex
 from analysis.results import Result
 from analysis.terminal import print_summary
 from analysis.watch import Watch
@@ -132,7 +132,7 @@ def blocks_of(args: argparse.Namespace) -> Iterator[Block]:
         yield from read_log(args.log)
     else:
         obs, nav = (Path(path) for path in args.rinex)
-        yield block_of(read_rinex_samples(obs, nav, Path(args.imu) if args.imu else None))
+        yield read_rinex(obs, nav, Path(args.imu) if args.imu else None)
 
 
 def watch_link(spec: str, monitor: Monitor, take: Take, for_s: float | None) -> None:

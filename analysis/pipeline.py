@@ -13,7 +13,8 @@ import msgspec
 import numpy as np
 from msgspec.structs import force_setattr
 
-from analysis.attitude import AttitudeConfig, AttitudeScorer
+from analysis.attitude import AUTOPILOTS, AttitudeConfig, AttitudeScorer
+from analysis.attitude_scores import with_repeaters_last
 from analysis.block import EPHEMERIS, Block, Piece, block_of, pieces
 from analysis.fdi import DetectorConfig
 from analysis.fusion.config import FusionConfig
@@ -127,5 +128,6 @@ class Pipeline:
         return said
 
     def attitude(self, labels: Sequence[Label] = ()) -> dict[str, Any]:
-        """Scores by estimator."""
-        return self._attitude.summary(self._attitude_state, labels)
+        """Scores by estimator; an autopilot that only repeats the truth is called so, and last."""
+        scores = self._attitude.summary(self._attitude_state, labels)
+        return with_repeaters_last(scores, AUTOPILOTS)

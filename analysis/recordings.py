@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.block import Block
+from analysis.block import IMU, Block, Part, joined
 from analysis.epochs import MESSAGES, Decoder
 from analysis.readers import STANDARD_GRAVITY
-from analysis.samples import ImuSample, Sample
+from analysis.samples import Sample
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.tlog import read_parts
 
@@ -30,9 +30,7 @@ def read_log(path: Path | str) -> Iterator[Block]:
         yield decoder.columns(log.columns, orders)
 
 
-def read_rinex_samples(
-    observations: Path, navigation: Path, imu: Path | None = None
-) -> list[Sample]:
+def read_rinex(observations: Path, navigation: Path, imu: Path | None = None) -> Block:
     """A RINEX observation and navigation file, and IMU samples where there are any, by time.
 
     The IMU file has one sample a line: GPS time on Unix's count of seconds, specific force (3) in g
@@ -48,16 +46,23 @@ def read_rinex_samples(
     from analysis.rinex_navigation import read_navigation
 
     epochs = read_observations(observations)
-    samples: list[Sample] = list(epochs)
-    if imu is not None:
-        samples += _read_imu(imu)
-    samples.sort(key=lambda sample: sample.t_us)
-    first_us = samples[0].t_us if samples else 0
+    parts = [] if imu is None else [_read_imu(imu)]
+    stamps = [epoch.t_us for epoch in epochs] + [int(p.t_us.min()) for p in parts if len(p.t_us)]
+    first_us = min(stamps, default=0)
     broadcast = [replace(sample, t_us=first_us) for sample in read_navigation(navigation)]
-    return [*broadcast, *samples]
+    beside: list[tuple[int, Sample]] = [(-1, sample) for sample in broadcast]
+    beside += [(2 * epoch.t_us, epoch) for epoch in epochs]
+    return joined(parts, beside)
 
 
-def _read_imu(path: Path) -> list[ImuSample]:
+def read_rinex_samples(
+    observations: Path, navigation: Path, imu: Path | None = None
+) -> list[Sample]:
+    """What `read_rinex` reads, one sample after the other."""
+    return list(read_rinex(observations, navigation, imu).samples())
+
+
+def _read_imu(path: Path) -> Part:
     from mavproxy_fault.errors import ConfigError
 
     try:
@@ -69,7 +74,7 @@ def _read_imu(path: Path) -> list[ImuSample]:
             f"{path}: has {table.shape[1]} columns; time, force (3) and rates (3) are needed"
         )
     to_frd = np.array([1.0, -1.0, -1.0])
-    stamps = np.rint((table[:, 0] - UNIX_TO_GPS_S) * 1e6).astype(np.int64)
+    t_us = np.rint((table[:, 0] - UNIX_TO_GPS_S) * 1e6).astype(np.int64)
     force = table[:, 1:4] * to_frd * STANDARD_GRAVITY
     rates = table[:, 4:7] * to_frd
-    return list(map(ImuSample, stamps.tolist(), rates, force))
+    return Part(IMU, 2 * t_us + 1, t_us, np.hstack([rates, force]))  # behind an epoch's stamp

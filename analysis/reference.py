@@ -88,6 +88,10 @@ class References:
     def _thresholds(self) -> Vector:
         return np.array([0.0, *(chi_square(dof, self.config.p_other) for dof in (1, 2, 3))])
 
+    @cached_property
+    def _noise(self) -> tuple[Vector, Vector]:
+        return self.sensors.sigmas(), self.sensors.walks()
+
     def new_state(self) -> ReferenceState:
         """Nothing known."""
         count = len(SENSORS)
@@ -131,7 +135,7 @@ class References:
                 values,
                 counts,
                 slow,
-                self.sensors,
+                *self._noise,
                 self._thresholds,
                 self.config.readmit_s * 1e6,
             )

@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 from analysis import reference_models as models
 from analysis.block import Stamps
 from analysis.fdi.inertial import matrix
-from analysis.fdi.linear import apply, inverse, multiply, transposed
+from analysis.fdi.linear import inverse, multiply
 from analysis.gnss import geodetic, ned_axes
-from analysis.reference_models import NOTHING, SLOW_STATES, STARTED, TESTED, SensorNoise, View
+from analysis.reference_models import LATE_S, NOTHING, SLOW_STATES, STARTED, TESTED, H, S, V
 from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
@@ -22,101 +22,70 @@ Counts = NDArray[np.int64]
 
 
 @compiled
-def _in_axes(axes: Vector, p: Vector, at: int) -> Vector:
-    """The covariance (3, 3) of three errors from `at` on, turned into the axes."""
-    part = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            part[i, j] = p[at + i, at + j]
-    return multiply(multiply(axes, part), transposed(axes))
-
-
-@compiled
-def view(x: Vector, p: Vector, inertial: bool) -> View:
-    """The filter, state x (19,) and covariance p (18, 18), as the sensors see it."""
+def view(x: Vector, p: Vector, inertial: bool) -> Vector:
+    """The filter, state x (19,) and covariance p (18, 18), as the sensors see it (VIEW,)."""
+    at = np.zeros(models.VIEW)
     lat, lon, height = geodetic(x[0:3])
     axes = ned_axes(lat, lon)
-    return View(
-        x[0:3],
-        height,
-        axes,
-        apply(axes, x[3:6]),
-        multiply(axes, matrix(x[6:10])),
-        inertial,
-        _in_axes(axes, p, 0),
-        _in_axes(axes, p, 3),
-        _in_axes(axes, p, 6),
-        0.0,
-    )
+    rot = multiply(axes, matrix(x[6:10]))
+    at[models.HEIGHT], at[models.UPRIGHT] = height, 1.0 if inertial else 0.0
+    begins = (models.P_POSITION, models.P_VELOCITY, models.P_ATTITUDE)
+    for i in range(3):
+        at[models.R + i] = x[i]
+        for j in range(3):
+            at[models.V_NED + i] += axes[i, j] * x[3 + j]
+            at[models.AXES + 3 * i + j] = axes[i, j]
+            at[models.ROT + 3 * i + j] = rot[i, j]
+            for part in range(3):
+                for k in range(9):
+                    turned = axes[i, k // 3] * axes[j, k % 3]
+                    cell = turned * p[3 * part + k // 3, 3 * part + k % 3]
+                    at[begins[part] + 3 * i + j] += cell
+    return at
 
 
 @compiled
 def _seen(
-    sensor: int,
-    z: Vector,
-    at: View,
-    b: Vector,
-    known: bool,
-    noise: SensorNoise,
-    v: Vector,
-    h: Vector,
-    r: Vector,
+    sensor: int, z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
-    """What the sensor's own function says, and the variance per second of its slow states."""
+    """What the sensor's own function says."""
     if sensor == models.MAG:
-        return models.mag(z, at, b, known, noise, v, h, r)
+        return models.mag(z, at, b, known, sigma, out)
     if sensor == models.BARO:
-        return models.baro(z, at, b, known, noise, v, h, r)
+        return models.baro(z, at, b, known, sigma, out)
     if sensor == models.AIRSPEED:
-        return models.airspeed(z, at, b, known, noise, v, h, r)
+        return models.airspeed(z, at, b, known, sigma, out)
     if sensor == models.RANGE:
-        return models.rangefinder(z, at, b, known, noise, v, h, r)
+        return models.rangefinder(z, at, b, known, sigma, out)
     if sensor == models.VISION:
-        return models.vision(z, at, b, known, noise, v, h, r)
+        return models.vision(z, at, b, known, sigma, out)
     if sensor == models.GPS_POSITION:
-        return models.gps_position(z, at, b, known, noise, v, h, r)
-    return models.gps_velocity(z, at, b, known, noise, v, h, r)
+        return models.gps_position(z, at, b, known, sigma, out)
+    return models.gps_velocity(z, at, b, known, sigma, out)
 
 
 @compiled
-def _walk(sensor: int, noise: SensorNoise) -> float:
-    """How fast the slow states walk, per square root of a second."""
-    if sensor == models.MAG:
-        return noise.field_walk_gauss
-    if sensor == models.BARO:
-        return noise.baro_walk_m
-    if sensor == models.AIRSPEED:
-        return noise.wind_walk_mps
-    if sensor == models.RANGE:
-        return noise.terrain_walk_m
-    if sensor == models.VISION:
-        return noise.vision_walk_m
-    return noise.gps_walk_m
-
-
-@compiled
-def _updated(v: Vector, h: Vector, r: Vector, slow: Vector, m: int, k: int) -> tuple[float, Vector]:
-    """v' inv(h p h' + r) v, and the k slow states (12,), b and p by rows, after it."""
+def _updated(out: Vector, slow: Vector, m: int, k: int) -> tuple[float, Vector]:
+    """v' inv(h p h' + r) v of `out` (7, 3), and the k slow states (12,), b and p, after it."""
     ph, s = np.zeros((k, m)), np.empty((m, m))
-    for i in range(k):
-        for j in range(m):
+    for j in range(m):
+        for i in range(k):
             for n in range(k):
-                ph[i, j] += slow[3 + 3 * i + n] * h[j, n]
+                ph[i, j] += slow[3 + 3 * i + n] * out[H + j, n]
     for i in range(m):
         for j in range(m):
-            s[i, j] = r[i, j]
+            s[i, j] = out[S + i, j]
             for n in range(k):
-                s[i, j] += h[i, n] * ph[n, j]
+                s[i, j] += out[H + i, n] * ph[n, j]
     inv = inverse(s)
-    u = apply(inv, v[:m])
     gain = multiply(ph, inv)
     q = 0.0
-    for i in range(m):
-        q += v[i] * u[i]
     after = slow.copy()
-    for i in range(k):
-        for j in range(m):
-            after[i] += gain[i, j] * v[j]
+    for j in range(m):
+        for i in range(m):
+            q += out[V, i] * inv[i, j] * out[V, j]
+        for i in range(k):
+            after[i] += gain[i, j] * out[V, j]
             for n in range(k):
                 after[3 + 3 * i + n] -= gain[i, j] * ph[n, j]
     return q, after
@@ -152,7 +121,8 @@ def judge(
     values: Vector,
     counts: Counts,
     slow: Vector,
-    noise: SensorNoise,
+    sigmas: Vector,
+    walks: Vector,
     thresholds: Vector,
     readmit_us: float,
 ) -> tuple[Vector, Counts, Vector]:
@@ -166,6 +136,8 @@ def judge(
         The newest sample of each sensor; NEVER_US where there is none.
     counts, slow : (s, 4), (s, 12)
         What is counted of each sensor, and its slow states: b (3,) and p (3, 3).
+    sigmas, walks : (s,), (s,)
+        As `SensorNoise` gives them.
     thresholds : (4,)
         By degrees of freedom.
 
@@ -179,29 +151,25 @@ def judge(
     for sensor in range(len(stamps)):
         if stamps[sensor] == NEVER_US or abs(stamps[sensor] - t_us) > STALE_US:
             continue
-        v, h, r = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
+        out = np.zeros((7, 3))
         count, states, k = counts[sensor], slow[sensor], SLOW_STATES[sensor]
         known = count[SLOW_US] != NEVER_US
-        late_s = (t_us - stamps[sensor]) * 1e-6
-        now = View(
-            at.r_ecef_m, at.height_m, at.axes, at.v_ned_mps, at.rot_nb, at.upright,
-            at.p_position, at.p_velocity, at.p_attitude, late_s,
-        )  # fmt: skip
-        code, m = _seen(sensor, values[sensor], now, states[:3], known, noise, v, h, r)
+        at[LATE_S] = (t_us - stamps[sensor]) * 1e-6
+        code, m = _seen(sensor, values[sensor], at, states[:3], known, sigmas[sensor], out)
         said[sensor, CODE] = code
         if code == STARTED:
             said[sensor, CODE] = NOTHING
             for i in range(k):
-                states[i] = v[i]
+                states[i] = out[V, i]
                 for j in range(k):
-                    states[3 + 3 * i + j] = r[i, j]
+                    states[3 + 3 * i + j] = out[S + i, j]
             count[SLOW_US] = t_us
         elif code == TESTED:
             moved = states.copy()
             dt_s = max((t_us - count[SLOW_US]) * 1e-6, 0.0)
             for i in range(k):
-                moved[3 + 4 * i] += _walk(sensor, noise) ** 2 * dt_s
-            q, after = _updated(v, h, r, moved, m, k)
+                moved[3 + 4 * i] += walks[sensor] * dt_s
+            q, after = _updated(out, moved, m, k)
             failed = not q <= thresholds[m]
             _with_hysteresis(count, failed, t_us, readmit_us)
             if not failed and not count[ISOLATED]:  # or else the slow states keep still

@@ -1,10 +1,13 @@
 """What each sensor should say where the filter is: one compiled function a sensor.
 
-Each takes the numbers z of the newest sample (see `analysis.block`), the filter's view, the
-sensor's slow states b (3,) if they are known, and the noise. It fills in what a test needs:
-innovation v (m,), its sensitivity h (m, k) to the slow states and the rest r (m, m) of its
-variance; or the first slow states in v (k,) and their covariance in r (k, k). It returns STARTED,
-TESTED or the number of a reason why it cannot be tested, and m or k.
+Each takes the numbers z of the newest sample (see `analysis.block`), the filter's view `at` (see
+`reference_kernel.view`), the sensor's slow states b (3,) if they are known, and one sigma of its
+noise. It fills in what a test needs, in the rows of `out` (7, 3): the innovation v (m,), then its
+sensitivity h (m, k) to the slow states, then the rest r (m, m) of its variance; or the first slow
+states (k,) as v and their covariance as r. It returns STARTED, TESTED or the number of a reason why
+it cannot be tested, and m or k.
+
+Numbers lie in flat arrays because numba takes seconds to compile functions of many arguments.
 """
 
 import math
@@ -21,6 +24,7 @@ SEA_LEVEL_PA = 101_325.0  # ICAO standard atmosphere, Doc 7488
 SEA_LEVEL_KGPM3 = 1.225
 ISA_KELVIN, ISA_LAPSE, ISA_EXPONENT = 288.15, 6.5e-3, 5.25588
 DENSITY_EXPONENT = 4.25588
+LEAST_UPRIGHT = 0.7  # a beam further off the vertical than 45 degrees says little
 SLOW_AIR_MPS = 6.0  # below it a pitot tube says little
 WIND_MPS = 6.0  # one sigma of what the wind may be
 FIX_3D = 3
@@ -44,6 +48,11 @@ REASONS = {
     NO_FIX: "fix type {fix_type:.0f}",
     NO_VELOCITY: "no velocity",
 }
+# The view: position in ECEF, height, velocity NED, how much older the sample is in s, axes NED in
+# ECEF, rotation body to NED (known or not), and covariances of position, velocity and attitude.
+R, HEIGHT, V_NED, LATE_S, AXES, ROT, UPRIGHT = 0, 3, 4, 7, 8, 17, 53
+P_POSITION, P_VELOCITY, P_ATTITUDE, VIEW = 26, 35, 44, 54
+V, H, S = 0, 1, 4  # rows of `out`
 _ecef_of = cast(Callable[[float, float, float], tuple[float, float, float]], compiled(ecef_of))
 
 
@@ -64,21 +73,19 @@ class SensorNoise(NamedTuple):
     gps_walk_m: float = 0.1
     gps_mps: float = 0.4
 
+    def sigmas(self) -> Vector:
+        """One sigma of each sensor (s,)."""
+        return np.array(
+            [
+                *(self.mag_gauss, self.baro_m, self.airspeed_mps, self.range_m),
+                *(self.vision_m, self.gps_m, self.gps_mps),
+            ]
+        )
 
-class View(NamedTuple):
-    """The filter in local terms: height, NED velocity, attitude rot_nb (known or not), and
-    covariances in NED; `axes` are NED in ECEF. `late_s` is how much older the sample is."""
-
-    r_ecef_m: Vector
-    height_m: float
-    axes: Vector
-    v_ned_mps: Vector
-    rot_nb: Vector
-    upright: bool
-    p_position: Vector
-    p_velocity: Vector
-    p_attitude: Vector
-    late_s: float
+    def walks(self) -> Vector:
+        """Variance per second of each sensor's slow states (s,)."""
+        walks = (self.field_walk_gauss, self.baro_walk_m, self.wind_walk_mps, self.terrain_walk_m)
+        return np.array([*walks, self.vision_walk_m, self.gps_walk_m, 0.0]) ** 2
 
 
 @compiled
@@ -96,154 +103,143 @@ def density_kgpm3(altitude_m: float) -> float:
 
 
 @compiled
-def _three(v: Vector, h: Vector, r: Vector, b: Vector, known: bool) -> tuple[int, int]:
-    """A sensor that sees its own three slow states: less these, or these to begin with."""
+def _own(out: Vector, b: Vector, known: bool, count: int) -> tuple[int, int]:
+    """A sensor that sees its own slow states: less these, or these to begin with."""
     if not known:
-        return STARTED, 3
-    for i in range(3):
-        v[i] -= b[i]
-        h[i, i] = 1.0
-    return TESTED, 3
+        return STARTED, count
+    for i in range(count):
+        out[V, i] -= b[i]
+        out[H + i, i] = 1.0
+    return TESTED, count
 
 
 @compiled
-def _one(v: Vector, h: Vector, b: Vector, known: bool) -> tuple[int, int]:
-    """The same for one slow state."""
-    if not known:
-        return STARTED, 1
-    v[0] -= b[0]
-    h[0, 0] = 1.0
-    return TESTED, 1
+def _finite(z: Vector) -> bool:
+    """Whether the first three numbers are."""
+    return bool(np.isfinite(z[0] + z[1] + z[2]))
 
 
 @compiled
 def mag(
-    z: Vector, at: View, b: Vector, known: bool, noise: SensorNoise, v: Vector, h: Vector, r: Vector
+    z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
     """The field in NED is steady."""
-    if not at.upright:
+    if at[UPRIGHT] == 0.0:
         return NO_ATTITUDE, 0
-    if not (np.isfinite(z[0]) and np.isfinite(z[1]) and np.isfinite(z[2])):
+    if not _finite(z):
         return NO_FIELD, 0
     for i in range(3):
         for j in range(3):
-            v[i] += at.rot_nb[i, j] * z[j]
-    cross = np.zeros((3, 3))
-    cross[0, 1], cross[0, 2], cross[1, 2] = -v[2], v[1], -v[0]
-    cross[1, 0], cross[2, 0], cross[2, 1] = v[2], -v[1], v[0]
+            out[V, i] += at[ROT + 3 * i + j] * z[j]
+    x, y, z_ = out[V, 0], out[V, 1], out[V, 2]
+    cross = np.array([0.0, -z_, y, z_, 0.0, -x, -y, x, 0.0])
     for i in range(3):
-        r[i, i] = noise.mag_gauss**2
         for j in range(3):
-            for k in range(3):
-                for m in range(3):
-                    r[i, j] += cross[i, k] * at.p_attitude[k, m] * cross[j, m]
-    return _three(v, h, r, b, known)
+            for k in range(9):
+                part = cross[3 * i + k // 3] * at[P_ATTITUDE + k] * cross[3 * j + k % 3]
+                out[S + i, j] += part
+        out[S + i, i] += sigma**2
+    return _own(out, b, known, 3)
 
 
 @compiled
 def baro(
-    z: Vector, at: View, b: Vector, known: bool, noise: SensorNoise, v: Vector, h: Vector, r: Vector
+    z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
     """Pressure altitude less height is steady."""
     if not z[0] > 0.0:
         return NO_PRESSURE, 0
-    v[0] = pressure_altitude_m(z[0]) - at.height_m
-    r[0, 0] = noise.baro_m**2 + at.p_position[2, 2]
-    return _one(v, h, b, known)
+    out[V, 0] = pressure_altitude_m(z[0]) - at[HEIGHT]
+    out[S, 0] = sigma**2 + at[P_POSITION + 8]
+    return _own(out, b, known, 1)
 
 
 @compiled
 def airspeed(
-    z: Vector, at: View, b: Vector, known: bool, noise: SensorNoise, v: Vector, h: Vector, r: Vector
+    z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
     """Dynamic pressure is that of the velocity less a level wind."""
     if not np.isfinite(z[0]):
         return NO_AIR_DATA, 0
-    speed = math.sqrt(2.0 * max(z[0], 0.0) / density_kgpm3(at.height_m))
+    speed = math.sqrt(2.0 * max(z[0], 0.0) / density_kgpm3(at[HEIGHT]))
     if not known:
         if speed < SLOW_AIR_MPS:
             return SLOW_AIR, 0
-        r[0, 0] = r[1, 1] = WIND_MPS**2
+        out[S, 0] = out[S + 1, 1] = WIND_MPS**2
         return STARTED, 2
-    air = at.v_ned_mps.copy()
-    air[0] -= b[0]
-    air[1] -= b[1]
+    air = np.array([at[V_NED] - b[0], at[V_NED + 1] - b[1], at[V_NED + 2]])
     predicted = math.sqrt(air[0] * air[0] + air[1] * air[1] + air[2] * air[2])
     if predicted < SLOW_AIR_MPS:
         return SLOW_AIR, 0
-    v[0] = speed - predicted
-    h[0, 0], h[0, 1] = -air[0] / predicted, -air[1] / predicted
-    r[0, 0] = noise.airspeed_mps**2
-    for i in range(3):
-        for j in range(3):
-            r[0, 0] += air[i] / predicted * at.p_velocity[i, j] * air[j] / predicted
+    out[V, 0] = speed - predicted
+    out[H, 0], out[H, 1] = -air[0] / predicted, -air[1] / predicted
+    out[S, 0] = sigma**2
+    for k in range(9):
+        out[S, 0] += air[k // 3] * at[P_VELOCITY + k] * air[k % 3] / (predicted * predicted)
     return TESTED, 1
 
 
 @compiled
 def rangefinder(
-    z: Vector, at: View, b: Vector, known: bool, noise: SensorNoise, v: Vector, h: Vector, r: Vector
+    z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
     """Height less the distance, upright, is that of the terrain."""
     if not np.isfinite(z[0]):
         return NO_RANGE, 0
-    upright = at.rot_nb[2, 2] if at.upright else 1.0
-    if upright < 0.7:
+    upright = at[ROT + 8] if at[UPRIGHT] != 0.0 else 1.0
+    if upright < LEAST_UPRIGHT:
         return TILTED, 0
-    v[0] = at.height_m - z[0] * upright
     level = z[0] * math.sqrt(1.0 - min(upright, 1.0) ** 2)
-    tilt = (at.p_attitude[0, 0] + at.p_attitude[1, 1] + at.p_attitude[2, 2]) / 3.0
-    r[0, 0] = noise.range_m**2 + at.p_position[2, 2]
-    if at.upright:
-        r[0, 0] += level**2 * tilt
-    return _one(v, h, b, known)
+    tilt = (at[P_ATTITUDE] + at[P_ATTITUDE + 4] + at[P_ATTITUDE + 8]) / 3.0
+    out[V, 0] = at[HEIGHT] - z[0] * upright
+    out[S, 0] = sigma**2 + at[P_POSITION + 8] + at[UPRIGHT] * level**2 * tilt
+    return _own(out, b, known, 1)
 
 
 @compiled
 def vision(
-    z: Vector, at: View, b: Vector, known: bool, noise: SensorNoise, v: Vector, h: Vector, r: Vector
+    z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
     """The origin of a local position, in ECEF, is steady."""
-    if not (np.isfinite(z[0]) and np.isfinite(z[1]) and np.isfinite(z[2])):
+    if not _finite(z):
         return NO_POSITION, 0
-    origin = at.r_ecef_m.copy()
+    trace = at[P_POSITION] + at[P_POSITION + 4] + at[P_POSITION + 8]
     for i in range(3):
+        origin = at[R + i]
         for j in range(3):
-            origin[i] -= at.axes[j, i] * z[j]
-    if not known:
-        trace = at.p_position[0, 0] + at.p_position[1, 1] + at.p_position[2, 2]
-        for i in range(3):
-            v[i], r[i, i] = origin[i], noise.vision_m**2 + trace / 3.0
-        return STARTED, 3
-    for i in range(3):
-        for j in range(3):
-            v[i] += at.axes[i, j] * (origin[j] - b[j])
-            h[i, j] = at.axes[i, j]
-            r[i, j] = at.p_position[i, j]
-        r[i, i] += noise.vision_m**2
-    return TESTED, 3
+            origin -= at[AXES + 3 * j + i] * z[j]
+        if known:
+            for j in range(3):
+                out[V, j] += at[AXES + 3 * j + i] * (origin - b[i])
+                out[H + i, j] = at[AXES + 3 * i + j]
+                out[S + i, j] = at[P_POSITION + 3 * i + j]
+            out[S + i, i] += sigma**2
+        else:
+            out[V, i], out[S + i, i] = origin, sigma**2 + trace / 3.0
+    return (TESTED if known else STARTED), 3
 
 
 @compiled
 def gps_position(
-    z: Vector, at: View, b: Vector, known: bool, noise: SensorNoise, v: Vector, h: Vector, r: Vector
+    z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
     """The receiver's position, carried to the epoch by the filter's velocity, is off by little."""
     if z[6] < FIX_3D:
         return NO_FIX, 0
-    place = _ecef_of(math.radians(z[0]), math.radians(z[1]), z[2])
+    x, y, z_ = _ecef_of(math.radians(z[0]), math.radians(z[1]), z[2])
+    off = np.array([x - at[R], y - at[R + 1], z_ - at[R + 2]])
     for i in range(3):
+        out[V, i] = at[V_NED + i] * at[LATE_S]
         for j in range(3):
-            v[i] += at.axes[i, j] * (place[j] - at.r_ecef_m[j])
-            r[i, j] = at.p_position[i, j]
-        v[i] += at.v_ned_mps[i] * at.late_s
-        r[i, i] += noise.gps_m**2
-    return _three(v, h, r, b, known)
+            out[V, i] += at[AXES + 3 * i + j] * off[j]
+            out[S + i, j] = at[P_POSITION + 3 * i + j]
+        out[S + i, i] += sigma**2
+    return _own(out, b, known, 3)
 
 
 @compiled
 def gps_velocity(
-    z: Vector, at: View, b: Vector, known: bool, noise: SensorNoise, v: Vector, h: Vector, r: Vector
+    z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
     """The receiver's velocity is the filter's; its last part may be missing."""
     if z[6] < FIX_3D or not np.isfinite(z[3]):
@@ -252,8 +248,8 @@ def gps_velocity(
         return STARTED, 0
     count = 3 if np.isfinite(z[5]) else 2
     for i in range(count):
-        v[i] = z[3 + i] - at.v_ned_mps[i]
+        out[V, i] = z[3 + i] - at[V_NED + i]
         for j in range(count):
-            r[i, j] = at.p_velocity[i, j]
-        r[i, i] += noise.gps_mps**2
+            out[S + i, j] = at[P_VELOCITY + 3 * i + j]
+        out[S + i, i] += sigma**2
     return TESTED, count

@@ -1,8 +1,8 @@
 """RINEX 2, 3 and 4 observation files, one code range, Doppler and C/N0 per satellite.
 
-Only what the detector needs is read: GPS L1 and Galileo E1. Of the code signals of a system the
-first in `PREFERRED` that the file has is taken [1]_ [2]_. Lines that are no observation are passed
-over; a file cut short ends with its last whole epoch.
+Only what the detector needs is read: GPS L1, Galileo E1, GLONASS G1, and B1I or B3I of BeiDou. Of
+the code signals of a system the first in `PREFERRED` that the file has is taken [1]_ [2]_. Lines
+that are no observation are passed over; a file cut short ends with its last whole epoch.
 
 References
 ----------
@@ -18,24 +18,42 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.gnss import L1_HZ, LIGHT_MPS
-from analysis.samples import Epoch
+from analysis.glonass import CENTRE_HZ, CHANNEL_HZ
+from analysis.gnss import B1I_HZ, B3I_HZ, L1_HZ, LIGHT_MPS
+from analysis.samples import Epoch, Vector
 from mavproxy_fault.errors import ConfigError
 
-PREFERRED = {"G": ("1C", "1X", "1L", "1S", "1W", "1P"), "E": ("1C", "1X", "1B", "1A")}
+PREFERRED = {
+    "G": ("1C", "1X", "1L", "1S", "1W", "1P"),
+    "E": ("1C", "1X", "1B", "1A"),
+    "R": ("1C", "1P"),
+    "C": ("2I", "1I", "2X", "6I", "6X"),  # 1I is what RINEX 3.02 calls B1I
+}
+BEIDOU_HZ = {"1": B1I_HZ, "2": B1I_HZ, "6": B3I_HZ}  # by the band
 GPS_DAY_ZERO = date(1980, 1, 6).toordinal()
 WEEK_DAYS = 7
 FIELD_WIDTH = 16  # F14.3, loss of lock, signal strength
+NOWHERE = 1 << 20  # behind the end of any line
+_Row = tuple[str, tuple[float, float, float], float]  # satellite, its values, carrier
 _COMPRESSED = (".gz", ".z", ".bz2", ".zip", ".crx", ".crx.gz")
 
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Where code, Doppler and C/N0 of one system lie among its observations (-1: nowhere)."""
+    """Where code, Doppler and C/N0 of one system begin in a line, and its carrier (of GLONASS:
+    that of channel 0)."""
 
     code: int
     doppler: int
     cn0: int
+    carrier_hz: float = L1_HZ
+
+
+def _placed(first: int, places: list[int], carrier_hz: float = L1_HZ) -> _Columns:
+    """Columns by their places among the observations (-1: nowhere), in lines whose fields begin at
+    `first`."""
+    starts = [first + FIELD_WIDTH * place if place >= 0 else NOWHERE for place in places]
+    return _Columns(starts[0], starts[1], starts[2], carrier_hz)
 
 
 def read_text(path: Path) -> list[str]:
@@ -81,17 +99,35 @@ def read_observations(path: Path) -> list[Epoch]:
     start = next((i for i, line in enumerate(lines) if line[60:].startswith("END OF HEADER")), None)
     if start is None:
         raise ConfigError(f"{path}: has no END OF HEADER; the header is cut short")
+    channels = _channels(lines[:start])
     if version < 3.0:
-        return list(_epochs_2(lines, start + 1, _types_2(lines[:start])))
-    return list(_epochs_3(lines, start + 1, _types_3(lines[:start])))
+        return list(_epochs_2(lines, start + 1, _types_2(lines[:start]), channels))
+    return list(_epochs_3(lines, start + 1, _types_3(lines[:start]), channels))
 
 
 def _columns(system: str, types: list[str]) -> _Columns:
     for signal in PREFERRED[system]:
         if "C" + signal in types:
             found = [types.index(k + signal) if k + signal in types else -1 for k in "CDS"]
-            return _Columns(*found)
-    return _Columns(-1, -1, -1)
+            return _placed(3, found, _carrier_hz(system, signal))
+    return _placed(3, [-1, -1, -1])
+
+
+def _carrier_hz(system: str, signal: str) -> float:
+    if system == "R":
+        return CENTRE_HZ
+    return BEIDOU_HZ[signal[0]] if system == "C" else L1_HZ
+
+
+def _channels(header: list[str]) -> dict[str, int]:
+    """The channels of GLONASS satellites."""
+    found: dict[str, int] = {}
+    for line in header:
+        if line[60:].startswith("GLONASS SLOT / FRQ #"):
+            words = line[4:60].split()
+            pairs = zip(words[::2], words[1::2], strict=False)
+            found |= {name: int(k) for name, k in pairs if k.lstrip("-").isdigit()}
+    return found
 
 
 def _types_3(header: list[str]) -> dict[str, _Columns]:
@@ -111,44 +147,51 @@ def _types_2(header: list[str]) -> tuple[int, _Columns]:
             names.extend(line[6:60].split())
     code = names.index("C1") if "C1" in names else names.index("P1") if "P1" in names else -1
     places = [names.index(k) if k in names else -1 for k in ("D1", "S1")]
-    return len(names), _Columns(code, *places)
+    return len(names), _placed(0, [code, *places])
 
 
-def _number(line: str, first: int, place: int) -> float:
-    """A field of a line of fields that starts at `first`; NaN where it is blank."""
-    if place < 0:
-        return math.nan
-    at = first + FIELD_WIDTH * place
-    text = line[at : at + 14]
+def _number(text: str) -> float:
+    """A field; NaN where it is blank."""
     return math.nan if not text or text.isspace() else float(text)
 
 
-def _values(line: str, first: int, columns: _Columns) -> tuple[float, float, float] | None:
-    """Code, Doppler and C/N0 from one line of fields that starts at `first`."""
-    code = _number(line, first, columns.code)
-    if not code > 0.0:
+def _values(line: str, columns: _Columns) -> tuple[float, float, float] | None:
+    """Code, Doppler and C/N0 from one line of fields; None where they cannot be read."""
+    code, doppler, cn0 = columns.code, columns.doppler, columns.cn0
+    try:
+        range_m = float(line[code : code + 14])
+        if not range_m > 0.0:
+            return None
+        return range_m, _number(line[doppler : doppler + 14]), _number(line[cn0 : cn0 + 14])
+    except ValueError:
         return None
-    return code, _number(line, first, columns.doppler), _number(line, first, columns.cn0)
 
 
-def _epoch(
-    week: int, tow_s: float, rows: list[tuple[str, tuple[float, float, float]]]
-) -> Epoch | None:
+def _epoch(week: int, tow_s: float, rows: list[_Row], channels: dict[str, int]) -> Epoch | None:
     if not rows:
         return None
-    table = np.array([values for _, values in rows])
+    table = np.array([row[1] for row in rows])
+    carriers: Vector | None = None
+    rates = table[:, 1] * (-LIGHT_MPS / L1_HZ)
+    if any(row[2] != L1_HZ for row in rows):
+        carriers = np.array([hz + CHANNEL_HZ * channels.get(name, 0) for name, _, hz in rows])
+        unknown = [name[0] == "R" and name not in channels for name, _, _ in rows]
+        rates = np.where(unknown, np.nan, table[:, 1] * (-LIGHT_MPS / carriers))
     return Epoch(
         t_us=round((week * 604_800 + tow_s) * 1e6),
         week=week,
         tow_s=tow_s,
-        satellites=tuple(name for name, _ in rows),
+        satellites=tuple(row[0] for row in rows),
         pseudorange_m=table[:, 0].copy(),
-        doppler_mps=table[:, 1] * (-LIGHT_MPS / L1_HZ),
+        doppler_mps=rates,
         cn0_dbhz=table[:, 2].copy(),
+        carrier_hz=carriers,
     )
 
 
-def _epochs_3(lines: list[str], at: int, types: dict[str, _Columns]) -> Iterator[Epoch]:
+def _epochs_3(
+    lines: list[str], at: int, types: dict[str, _Columns], channels: dict[str, int]
+) -> Iterator[Epoch]:
     while at < len(lines):
         head = lines[at]
         at += 1
@@ -162,21 +205,13 @@ def _epochs_3(lines: list[str], at: int, types: dict[str, _Columns]) -> Iterator
         rows = []
         for line in lines[at : at + count]:
             columns = types.get(line[:1])
-            if columns is not None and columns.code >= 0:
-                values = _parse(line, 3, columns)
-                if values is not None:
-                    rows.append((line[0] + line[1:3].replace(" ", "0"), values))
+            values = _values(line, columns) if columns is not None else None
+            if columns is not None and values is not None:
+                rows.append((line[:3].replace(" ", "0"), values, columns.carrier_hz))
         at += count
-        epoch = _epoch(week, tow_s, rows)
+        epoch = _epoch(week, tow_s, rows, channels)
         if epoch is not None and at <= len(lines):
             yield epoch
-
-
-def _parse(line: str, first: int, columns: _Columns) -> tuple[float, float, float] | None:
-    try:
-        return _values(line, first, columns)
-    except ValueError:
-        return None
 
 
 def _time(year: str, rest: str) -> tuple[int, float]:
@@ -186,7 +221,9 @@ def _time(year: str, rest: str) -> tuple[int, float]:
     )
 
 
-def _epochs_2(lines: list[str], at: int, types: tuple[int, _Columns]) -> Iterator[Epoch]:
+def _epochs_2(
+    lines: list[str], at: int, types: tuple[int, _Columns], channels: dict[str, int]
+) -> Iterator[Epoch]:
     total, columns = types
     per_satellite = -(-total // 5)
     while at < len(lines):
@@ -208,9 +245,9 @@ def _epochs_2(lines: list[str], at: int, types: tuple[int, _Columns]) -> Iterato
             at += per_satellite
             name = names[3 * i : 3 * i + 3].replace(" ", "0")
             name = "G" + name[1:] if name[:1] == "0" else name
-            values = _parse("".join(line.ljust(80)[:80] for line in block), 0, columns)
-            if values is not None and name[:1] in PREFERRED:
-                rows.append((name, values))
-        epoch = _epoch(week, tow_s, rows)
+            values = _values("".join(line.ljust(80)[:80] for line in block), columns)
+            if values is not None and name[:1] in "GER":
+                rows.append((name, values, CENTRE_HZ if name[0] == "R" else L1_HZ))
+        epoch = _epoch(week, tow_s, rows, channels)
         if epoch is not None and at <= len(lines):
             yield epoch

@@ -1,22 +1,28 @@
-"""RINEX 2, 3 and 4 navigation files: ephemerides of GPS and Galileo, Klobuchar's coefficients.
+"""RINEX 2, 3 and 4 navigation files: ephemerides, and Klobuchar's coefficients.
 
 Galileo's I/NAV records are preferred; F/NAV, whose clock belongs to E1 and E5a, serves satellites
-that have no other [1]_. Of RINEX 4's many kinds of records those are read that RINEX 3 has too.
+that have no other [1]_. GLONASS and BeiDou are read from RINEX 3 and 4, with their stamps turned to
+GPS time. Of RINEX 4's many kinds of records those are read that RINEX 3 has too.
 
 References
 ----------
-.. [1] IGS/RTCM, RINEX 3.05, tables A5, A6, A8; RINEX 4.01, section 8; RINEX 2.11, tables A3, A4.
+.. [1] IGS/RTCM, RINEX 3.05, tables A5, A6, A8, A10, A14; RINEX 4.01, section 8; RINEX 2.11,
+   tables A3, A4.
 """
 
 from collections.abc import Iterator
+from datetime import date
 from pathlib import Path
 
+from analysis.glonass import leap_seconds
+from analysis.gnss import BEIDOU_BEHIND_S, SYSTEMS, WEEK_S
 from analysis.rinex import gps_time, read_text
-from analysis.samples import EphemerisSample, IonosphereSample
+from analysis.samples import EphemerisSample, IonosphereSample, StateVector
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.wire.ephemeris import Ephemeris
 
-MESSAGES = ("LNAV", "INAV", "FNAV")  # RINEX 4 names the message of each record
+MESSAGES = ("LNAV", "INAV", "FNAV", "FDMA", "D1", "D2")  # RINEX 4 names the message of each record
+BEIDOU_WEEK_ZERO = 1356  # in GPS weeks
 FNAV_ONLY = 0b010  # bit 1 of Galileo's data source word: F/NAV on E5a
 ACCURACY_INDEX_M = (2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24.0, 48.0, 96.0, 192.0)  # IS-GPS-200N
 
@@ -77,8 +83,8 @@ def _float(text: str) -> float:
     return float(text) if text else 0.0
 
 
-def _records(lines: list[str], version: float) -> Iterator[tuple[Ephemeris, bool]]:
-    """Each ephemeris of GPS and Galileo, and whether it is an F/NAV one."""
+def _records(lines: list[str], version: float) -> Iterator[tuple[Ephemeris | StateVector, bool]]:
+    """Each ephemeris, and whether it is an F/NAV one of Galileo."""
     indent = 3 if version < 3.0 else 4
     at, readable = 0, True
     while at < len(lines):
@@ -92,14 +98,19 @@ def _records(lines: list[str], version: float) -> Iterator[tuple[Ephemeris, bool
             known = line[:2].strip().isdigit()
         else:
             name = line[:1] + line[1:3].replace(" ", "0")
-            known = line[:1] in ("G", "E") and name[1:].isdigit() and line[4:8].isdigit()
-        if not (known and readable) or at + 7 > len(lines):
+            known = line[:1] in SYSTEMS and name[1:].isdigit() and line[4:8].isdigit()
+        count = 3 if name[0] == "R" else 7
+        if not (known and readable) or at + count > len(lines):
             continue
+        body = lines[at : at + count]
         try:
-            yield _ephemeris(name, line, lines[at : at + 7], indent)
+            if name[0] == "R":
+                yield _state_vector(name, line, body), False
+            else:
+                yield _ephemeris(name, line, body, indent)
         except ValueError:
             continue
-        at += 7
+        at += count
 
 
 def _ephemeris(name: str, head: str, body: list[str], indent: int) -> tuple[Ephemeris, bool]:
@@ -109,22 +120,25 @@ def _ephemeris(name: str, head: str, body: list[str], indent: int) -> tuple[Ephe
     if indent == 3:
         year += 1900 if year >= 80 else 2000
     month, day, hour, minute = (int(p) for p in parts[1:5])
-    _, toc_s = gps_time(year, month, day, hour * 3600 + minute * 60 + float(parts[5]))
+    toc = gps_time(year, month, day, hour * 3600 + minute * 60 + float(parts[5]))
     af0, af1, af2 = (_float(head[start + 19 * i : start + 19 * i + 19]) for i in range(3))
     v = [_float(line[indent + 19 * i : indent + 19 * i + 19]) for line in body for i in range(4)]
-    galileo = name[0] == "E"
+    galileo, week, toe_s = name[0] == "E", int(v[18]), v[8]
+    if name[0] == "C":
+        week, toe_s = _later(week + BEIDOU_WEEK_ZERO, toe_s, BEIDOU_BEHIND_S)
+        toc = _later(*toc, BEIDOU_BEHIND_S)
     fnav = galileo and bool(int(v[17]) & FNAV_ONLY)
     delay = (v[22] if fnav else v[23]) if galileo else v[22]
     ephemeris = Ephemeris(
         satellite=name,
-        week=int(v[18]),
-        toe_s=v[8],
-        toc_s=toc_s,
+        week=week,
+        toe_s=toe_s,
+        toc_s=toc[1],
         af0_s=af0,
         af1=af1,
         af2_per_s=af2,
         iode=int(v[0]),
-        iodc=int(v[0]) if galileo else int(v[23]),
+        iodc=int(v[23]) if name[0] == "G" else int(v[0]),
         sqrt_a=v[7],
         eccentricity=v[5],
         i0_rad=v[12],
@@ -142,7 +156,33 @@ def _ephemeris(name: str, head: str, body: list[str], indent: int) -> tuple[Ephe
         cic_rad=v[9],
         group_delay_s=delay,
         group_delay_e5a_s=v[22] if galileo else 0.0,
-        accuracy=0 if galileo else sum(v[20] > limit for limit in ACCURACY_INDEX_M),
+        accuracy=0 if name[0] != "G" else sum(v[20] > limit for limit in ACCURACY_INDEX_M),
         health=int(v[21]),
     )
     return ephemeris, fnav
+
+
+def _later(week: int, tow_s: float, by_s: float) -> tuple[int, float]:
+    """Week and seconds of week `by_s` later."""
+    weeks, tow_s = divmod(tow_s + by_s, WEEK_S)
+    return week + int(weeks), tow_s
+
+
+def _state_vector(name: str, head: str, body: list[str]) -> StateVector:
+    """A GLONASS record: its time is UTC, its lengths are km."""
+    year, month, day, hour, minute, second = (int(part) for part in head[4:23].split())
+    utc = gps_time(year, month, day, hour * 3600 + minute * 60 + second)
+    week, toe_s = _later(*utc, leap_seconds(date(year, month, day)))
+    rows = [[_float(line[4 + 19 * i : 23 + 19 * i]) for i in range(4)] for line in body]
+    r, v, a = (tuple(1000.0 * row[i] for row in rows) for i in range(3))
+    return StateVector(
+        satellite=name,
+        week=week,
+        toe_s=toe_s,
+        r_m=(r[0], r[1], r[2]),
+        v_mps=(v[0], v[1], v[2]),
+        a_mps2=(a[0], a[1], a[2]),
+        af0_s=_float(head[23:42]),
+        af1=_float(head[42:61]),
+        health=int(rows[0][3]),
+    )

@@ -3,7 +3,8 @@
 Stamps `t_us` are microseconds on the vehicle's clock.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,7 +74,8 @@ class Epoch:
     """Pseudoranges of one instant on one signal per satellite; arrays have shape (n,).
 
     `week` and `tow_s` are GPS time by the receiver's clock; `doppler_mps` is the range rate
-    (NaN where there is none); satellites are named `G12`, `E05`.
+    (NaN where there is none); satellites are named `G12`, `E05`, `R07`, `C21`. `carrier_hz` is
+    what each range was measured on, always the same for a satellite; None: all on L1 or E1.
     """
 
     t_us: int
@@ -83,6 +85,43 @@ class Epoch:
     pseudorange_m: Vector
     doppler_mps: Vector
     cn0_dbhz: Vector
+    carrier_hz: Vector | None = None
+
+    def select(self, keep: Sequence[int]) -> "Epoch":
+        """The epoch of some of its satellites, by their places."""
+        at = list(keep)
+        return replace(
+            self,
+            satellites=tuple(self.satellites[i] for i in at),
+            pseudorange_m=self.pseudorange_m[at],
+            doppler_mps=self.doppler_mps[at],
+            cn0_dbhz=self.cn0_dbhz[at],
+            carrier_hz=None if self.carrier_hz is None else self.carrier_hz[at],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class StateVector:
+    """The broadcast orbit of one GLONASS satellite at `toe_s` of GPS week `week`.
+
+    Position, velocity and the acceleration by sun and moon (3,) in PZ-90, m and seconds; the
+    clock's offset (minus tau_n) in s and its rate gamma_n; `health` is 0 for a healthy satellite.
+    """
+
+    satellite: str
+    week: int
+    toe_s: float
+    r_m: tuple[float, float, float]
+    v_mps: tuple[float, float, float]
+    a_mps2: tuple[float, float, float]
+    af0_s: float
+    af1: float
+    health: int = 0
+
+    @property
+    def fit_half_s(self) -> float:
+        """How far from `toe_s` the vector is used: twice its interval, as RTKLIB does."""
+        return 1800.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +129,7 @@ class EphemerisSample:
     """A satellite's broadcast orbit and clock."""
 
     t_us: int
-    ephemeris: Ephemeris
+    ephemeris: Ephemeris | StateVector
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,7 +69,7 @@ def solve(
     ----------
     epoch : Epoch
         n satellites, all with an ephemeris.
-    packed : (n, 23), `gnss.pack_ephemeris` of each
+    packed : (n, 25), `gnss.pack_ephemeris` of each
     ionosphere : (8,), Klobuchar's coefficients
     sigma_m : (n,), one sigma of each pseudorange
     guess : (3,), ECEF in m; the earth's centre by default

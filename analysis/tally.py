@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from analysis.attitude_scores import REPEATED
 from analysis.block import EPHEMERIS, TRUTH, Block
 from analysis.criteria import Criteria, judge, verdict
 from analysis.results import Decision, FusedState, Result
@@ -100,13 +101,14 @@ class Tally:
         labels : sequence of Label
             What was really done; None if nobody knows.
         attitude : mapping
-            Scores by estimator; the first is the one the criteria judge.
+            Scores by estimator; the first that does not repeat the truth is what the criteria
+            judge.
         criteria : Criteria
             Limits for the verdict.
         wall_s : float
             How long the run took.
         """
-        first = next(iter(attitude.values()), None)
+        first = next((attitude[name] for name in attitude if not name.endswith(REPEATED)), None)
         found: dict[str, Any] = {
             "verdict": "NO VERDICT",
             "sim_s": round(self.span_s, 3),

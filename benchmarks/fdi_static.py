@@ -106,7 +106,7 @@ def with_noise(
 ) -> list[Sample]:
     """The recording with ranges as the detector's own model draws them."""
     detector = Detector(config)
-    state, x, out, last_us = detector.new_state(), np.zeros(19), [], 0
+    state, x, out, last_us = detector.new_state(), np.zeros(21), [], 0
     x[0:3], x[6] = STATIC_TRUTH_M, 1.0
     noise = config.noise
     for s in samples:
@@ -181,14 +181,7 @@ def only(sample: Sample, systems: str) -> Sample:
     """An epoch with the satellites of some systems."""
     if not isinstance(sample, Epoch):
         return sample
-    keep = [i for i, name in enumerate(sample.satellites) if name[0] in systems]
-    return replace(
-        sample,
-        satellites=tuple(sample.satellites[i] for i in keep),
-        pseudorange_m=sample.pseudorange_m[keep],
-        doppler_mps=sample.doppler_mps[keep],
-        cn0_dbhz=sample.cn0_dbhz[keep],
-    )
+    return sample.select([i for i, name in enumerate(sample.satellites) if name[0] in systems])
 
 
 def static_case(name, size, number, samples, clean, lines, navigation, base, mask) -> None:

@@ -7,7 +7,6 @@ from scipy.stats import binom
 
 from analysis.fdi.bank import normalised, projected_weights
 from analysis.fdi.memory import STRIDE_S, WINDOWS, YOUNGEST_S, ramp_statistics, respond
-from analysis.fdi.slow import EPISODES
 from analysis.fdi.thresholds import chi_square, two_sided
 from analysis.fdi.verdict import judge
 
@@ -164,7 +163,7 @@ def ramp_run(slope: float, onset: int, epochs: int, threshold: float) -> tuple[i
 
 def ramps() -> None:
     """Delays of the tests with memory."""
-    threshold = chi_square(1, 1e-4 / (EPISODES * 10))
+    threshold = chi_square(1, 1e-4 / 10)
     false = epochs = 0
     for _ in range(40):
         false += len(ramp_run(0.0, 10**9, 5000, threshold)[1])

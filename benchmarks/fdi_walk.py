@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from analysis.epochs import Decoder
-from analysis.fdi import Detector
+from analysis.fdi import Detector, DetectorConfig
 from analysis.fdi.measure import choose, model, observe
 from analysis.gnss import ned_axes
 from analysis.recordings import read_rinex_samples
@@ -88,7 +88,7 @@ def range_errors(
         observed = observe(s, choose(s, state.core.ephemerides))
         if observed is None:
             continue
-        x = np.zeros(19)
+        x = np.zeros(21)
         x[0:3], x[6] = where[round(s.t_us * 4e-6)], 1.0
         seen = model(observed, x, detector.config.sigma, state.core.ionosphere)
         for system in "GE":
@@ -126,10 +126,9 @@ def walk(data: Path) -> None:
             near = [e for t, e in errors[name].items() if abs(t - d.t_us) <= 5_000_000]
             print(f"| {(d.t_us - first) * 1e-6:.1f} | {name} | {min(near):.1f}, {max(near):.1f} |")
         out = set(d.excluded)
-    off = np.array([d.position_ecef_m - where[k] for d in usual if (k := key(d)) in where])
-    level = (off @ ned_axes(np.radians(40.0967), np.radians(-105.1472)).T)[:, :2]
-    spread = np.hypot(*level.std(axis=0))
+    spread = spread_m(usual, where)
     print(f"\nHorizontal error less its mean (the reference's datum): {spread:.2f} m RMS.")
+    systems(samples, where)
     print(
         f"\n## Walk: faults of the IMU put in by the proxy from {FROM_S:.0f} s to {UNTIL_S:.0f} s\n"
     )
@@ -139,9 +138,31 @@ def walk(data: Path) -> None:
         row(name, decisions(through_proxy(samples, fault)), usual, first)
 
 
-def decisions(samples: list[Sample]) -> list[Decision]:
-    """The decisions of the detector with its defaults."""
-    detector = Detector()
+def spread_m(found: list[Decision], where: dict[int, np.ndarray]) -> float:
+    """Horizontal error less its mean, RMS."""
+    off = np.array([d.position_ecef_m - where[k] for d in found if (k := key(d)) in where])
+    level = (off @ ned_axes(np.radians(40.0967), np.radians(-105.1472)).T)[:, :2]
+    return float(np.hypot(*level.std(axis=0)))
+
+
+def systems(samples: list[Sample], where: dict[int, np.ndarray]) -> None:
+    """What each system is worth."""
+    print("\n## Walk by systems, nothing injected\n")
+    print("| systems | satellites | parity chi-square per dof | alarms | horizontal error, m RMS |")
+    print("|---|---|---|---|---|")
+    for names in ("G", "GE", "GC", "GEC"):
+        found = decisions(samples, DetectorConfig(systems=names))
+        tested = [d for d in found if d.parity_dof]
+        ratio = sum(d.parity_statistic for d in tested) / sum(d.parity_dof for d in tested)
+        print(
+            f"| {names} | {np.mean([len(d.satellites) for d in found]):.1f} | {ratio:.2f}"
+            f" | {sum(d.alarm for d in found)} | {spread_m(found, where):.2f} |"
+        )
+
+
+def decisions(samples: list[Sample], config: DetectorConfig | None = None) -> list[Decision]:
+    """The decisions of the detector, with its defaults if nothing else is said."""
+    detector = Detector(config or DetectorConfig())
     state, found = detector.new_state(), []
     for s in samples:
         results, state = detector.step(s, state)

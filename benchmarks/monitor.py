@@ -5,7 +5,6 @@ first. CPU time of one core, the best of `ROUNDS`; the command itself by the clo
 """
 
 import argparse
-import os
 import platform
 import subprocess
 import sys
@@ -17,17 +16,18 @@ from typing import Any
 
 import msgspec
 
-os.environ.setdefault("NUMBA_OPT", "1")  # as `monitor` sets it
+from analysis.block import AIRSPEED, ATTITUDE, BARO, EPOCH, FIX, IMU, MAG, TRUTH, Block
+from analysis.compilation import light_compilation
 
-from analysis.attitude import AttitudeConfig, AttitudeScorer
-from analysis.block import ATTITUDE, EPOCH, FIX, IMU, TRUTH, Block
-from analysis.fdi import Detector
-from analysis.monitor import Monitor
-from analysis.monitor_command import settings
-from analysis.pipeline import MonitorConfig
-from analysis.recordings import read_log
-from analysis.reference import References
-from analysis.results import encode
+with light_compilation():  # as the monitor does
+    from analysis.attitude import AttitudeConfig, AttitudeScorer
+    from analysis.fdi import Detector
+    from analysis.monitor import Monitor
+    from analysis.monitor_command import settings
+    from analysis.pipeline import MonitorConfig
+    from analysis.recordings import read_log
+    from analysis.reference import References
+    from analysis.results import encode
 from mavproxy_fault.wire.tlog import read_columns
 
 ROUNDS = 5
@@ -122,8 +122,6 @@ def measure(log: Path, config: MonitorConfig) -> None:
 
 def only_ranges(blocks: Iterator[Block]) -> list[Block]:
     """IMU, epochs and broadcasts."""
-    from analysis.block import AIRSPEED, BARO, MAG
-
     return without(list(blocks), MAG, BARO, AIRSPEED, TRUTH, ATTITUDE, FIX)
 
 

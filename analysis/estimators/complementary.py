@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.block import AIRSPEED, IMU, MAG, Block, Indices, Stamps, block_of
 from analysis.estimators.base import (
     GRAVITY_MPS2,
     MAX_GAP_S,
@@ -24,7 +25,7 @@ from analysis.estimators.base import (
     airspeed_mps,
 )
 from analysis.estimators.rotations import gravity_error, heading_error, matrix, turned
-from analysis.samples import AirspeedSample, ImuSample, MagSample, Sample
+from analysis.samples import Sample
 from mavproxy_fault.wire.compiled import compiled
 
 Vector = NDArray[np.float64]
@@ -74,6 +75,48 @@ def head(
     return out
 
 
+@compiled
+def follow(
+    kind: Indices,
+    t_us: Stamps,
+    values: Vector,
+    x: Vector,
+    stamps: Stamps,
+    speed_mps: float,
+    declination_rad: float,
+    gains: Vector,
+) -> tuple[Stamps, Vector, Vector, Stamps, float]:
+    """The filter over a block (see `analysis.block`).
+
+    `stamps` (2,) are those of the state and of the newest field sample, `gains` (3,) for tilt,
+    heading and bias. Returns stamps (m,) and q_nb (m, 4) after each IMU sample, then the state.
+    """
+    count = 0
+    for i in range(len(kind)):
+        count += kind[i] == IMU
+    when, q_nb = np.empty(count, np.int64), np.empty((count, 4))
+    stamps = stamps.copy()
+    done = 0
+    for i in range(len(kind)):
+        if kind[i] == IMU:
+            dt_s = (t_us[i] - stamps[0]) * 1e-6
+            if 0.0 < dt_s <= MAX_GAP_S:
+                gyro, accel = values[i, 0:3], values[i, 3:6]
+                x = predict(x, gyro, accel, speed_mps, dt_s, gains[0], gains[2])
+            stamps[0] = max(t_us[i], stamps[0])
+            when[done] = stamps[0]
+            for k in range(4):
+                q_nb[done, k] = x[k]
+            done += 1
+        elif kind[i] == MAG and t_us[i] > stamps[1]:
+            dt_s = min((t_us[i] - stamps[1]) * 1e-6, MAX_GAP_S)
+            x = head(x, values[i, 0:3], declination_rad, dt_s, gains[1], gains[2])
+            stamps[1] = t_us[i]
+        elif kind[i] == AIRSPEED:
+            speed_mps = airspeed_mps(values[i, 0])
+    return when, q_nb, x, stamps, speed_mps
+
+
 @dataclass(frozen=True, slots=True)
 class Mahony:
     """Gains in 1/s (bias gain in 1/s^2)."""
@@ -89,46 +132,24 @@ class Mahony:
 
     def update(self, reading: Sample, state: FilterState) -> tuple[AttitudeEstimate, FilterState]:
         """IMU moves, field turns, airspeed is kept for the centripetal part."""
-        if isinstance(reading, ImuSample):
-            state = self._moved(reading, state)
-        elif isinstance(reading, MagSample):
-            state = self._headed(reading, state)
-        elif isinstance(reading, AirspeedSample):
-            state = state._replace(airspeed_mps=airspeed_mps(reading.diff_pressure_pa))
+        _, _, state = self.follow(block_of(reading), state)
         return AttitudeEstimate(state.t_us, state.x[:4]), state
 
-    def _moved(self, reading: ImuSample, state: FilterState) -> FilterState:
-        dt_s = (reading.t_us - state.t_us) * 1e-6
-        if dt_s <= 0.0:
-            return state
-        x = state.x
-        if dt_s <= MAX_GAP_S:
-            x = predict(
-                x,
-                reading.gyro_b_rps,
-                reading.accel_b_mps2,
-                state.airspeed_mps,
-                dt_s,
-                self.tilt_gain,
-                self.bias_gain,
-            )
-        return FilterState(
-            reading.t_us, x, state.airspeed_mps, state.declination_rad, state.mag_t_us
-        )
-
-    def _headed(self, reading: MagSample, state: FilterState) -> FilterState:
-        dt_s = (reading.t_us - state.mag_t_us) * 1e-6
-        if dt_s <= 0.0:
-            return state
-        x = head(
+    def follow(self, block: Block, state: FilterState) -> tuple[Stamps, Vector, FilterState]:
+        """The same for a block of samples: stamps (m,) and q_nb (m, 4) after each of the IMU's."""
+        t_us, q_nb, x, stamps, airspeed_mps = follow(
+            block.kind,
+            block.t_us,
+            block.values,
             state.x,
-            reading.field_b_gauss,
+            np.array([state.t_us, state.mag_t_us]),
+            state.airspeed_mps,
             state.declination_rad,
-            min(dt_s, MAX_GAP_S),
-            self.heading_gain,
-            self.bias_gain,
+            np.array([self.tilt_gain, self.heading_gain, self.bias_gain]),
         )
-        return state._replace(x=x, mag_t_us=reading.t_us)
+        now_us, mag_t_us = stamps.tolist()
+        after = FilterState(now_us, x, airspeed_mps, state.declination_rad, mag_t_us)
+        return t_us, q_nb, after
 
 
 def complementary() -> Mahony:

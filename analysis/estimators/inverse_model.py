@@ -23,9 +23,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.block import IMU, Block, Indices, Stamps, block_of
 from analysis.estimators.base import GRAVITY_MPS2, MAX_GAP_S, AttitudeEstimate, Prior
 from analysis.estimators.rotations import euler, matrix, quaternion_of_euler
-from analysis.samples import ImuSample, Sample
+from analysis.samples import Sample
 from mavproxy_fault.wire.compiled import compiled
 
 Vector = NDArray[np.float64]
@@ -64,12 +65,44 @@ def heun(
     return x + 0.5 * dt_s * (slope0 + slope1)
 
 
+@compiled
+def follow(
+    kind: Indices, t_us: Stamps, values: Vector, x: Vector, now_us: int, before: Vector
+) -> tuple[Stamps, Vector, Vector, int, Vector]:
+    """Integrate over a block (see `analysis.block`).
+
+    `before` holds the numbers of the sample at `now_us`; nothing finite means that it is not known.
+    Returns stamps (m,) and q_nb (m, 4) after each IMU sample, then the state.
+    """
+    count = 0
+    for i in range(len(kind)):
+        count += kind[i] == IMU
+    when, q_nb = np.empty(count, np.int64), np.empty((count, 4))
+    done = 0
+    for i in range(len(kind)):
+        if kind[i] != IMU:
+            continue
+        v = values[i, 0:6]
+        if np.isnan(before[0]):
+            before = v
+        dt_s = (t_us[i] - now_us) * 1e-6
+        if 0.0 < dt_s <= MAX_GAP_S:
+            x = heun(x, before[0:3], before[3:6], v[0:3], v[3:6], dt_s)
+        before, now_us = v, max(t_us[i], now_us)
+        q = quaternion_of_euler(x[0], x[1], x[2])
+        when[done] = now_us
+        for k in range(4):
+            q_nb[done, k] = q[k]
+        done += 1
+    return when, q_nb, x, now_us, before.copy()
+
+
 class HeunState(NamedTuple):
-    """x (9,) as above and the sample before."""
+    """x (9,) as above and the numbers (6,) of the IMU sample before, NaN without one."""
 
     t_us: int
     x: Vector
-    before: ImuSample | None
+    before: Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,27 +114,17 @@ class InverseModel:
         start = np.concatenate(
             [euler(prior.q_nb), matrix(prior.q_nb).T @ prior.v_ned_mps, prior.r_ned_m]
         )
-        return HeunState(prior.t_us, start, None)
+        return HeunState(prior.t_us, start, np.full(6, np.nan))
 
     def update(self, reading: Sample, state: HeunState) -> tuple[AttitudeEstimate, HeunState]:
         """Integrate from the sample before to this one."""
-        if not isinstance(reading, ImuSample):
-            return _estimate(state), state
-        first = reading if state.before is None else state.before
-        dt_s = (reading.t_us - state.t_us) * 1e-6
-        x = state.x
-        if 0.0 < dt_s <= MAX_GAP_S:
-            x = heun(
-                x,
-                first.gyro_b_rps,
-                first.accel_b_mps2,
-                reading.gyro_b_rps,
-                reading.accel_b_mps2,
-                dt_s,
-            )
-        moved = HeunState(max(reading.t_us, state.t_us), x, reading)
-        return _estimate(moved), moved
+        _, _, state = self.follow(block_of(reading), state)
+        q_nb = quaternion_of_euler(state.x[0], state.x[1], state.x[2])
+        return AttitudeEstimate(state.t_us, q_nb), state
 
-
-def _estimate(state: HeunState) -> AttitudeEstimate:
-    return AttitudeEstimate(state.t_us, quaternion_of_euler(state.x[0], state.x[1], state.x[2]))
+    def follow(self, block: Block, state: HeunState) -> tuple[Stamps, Vector, HeunState]:
+        """The same for a block of samples: stamps (m,) and q_nb (m, 4) after each of the IMU's."""
+        t_us, q_nb, x, now_us, before = follow(
+            block.kind, block.t_us, block.values, state.x, state.t_us, state.before
+        )
+        return t_us, q_nb, HeunState(now_us, x, before)

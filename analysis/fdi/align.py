@@ -53,7 +53,9 @@ def _integrate(q: Vector, alpha: Vector, samples: Vector) -> tuple[Vector, Vecto
 def new_alignment(motion: Motion) -> Alignment:
     """The state at the start."""
     unit = np.array([1.0, 0.0, 0.0, 0.0])
-    return Alignment(motion.t_us, unit, np.zeros(3), np.zeros(3), motion.x[3:6].copy())
+    nothing = np.zeros((3, 3))
+    still = np.zeros(3)
+    return Alignment(motion.t_us, unit, still, still, motion.x[3:6].copy(), nothing, nothing)
 
 
 def extend(alignment: Alignment, motion: Motion, samples: Vector, dt_s: float) -> Alignment:
@@ -65,9 +67,11 @@ def extend(alignment: Alignment, motion: Motion, samples: Vector, dt_s: float) -
     gravity = gravity_ecef(motion.x[0:3])
     beta = alignment.beta + v - alignment.v_ecef_mps - (gravity + coriolis) * dt_s
     variance = float(np.trace(motion.p[3:6, 3:6])) / 3.0 + VELOCITY_FLOOR_MPS**2
-    return Alignment(
-        alignment.start_us, q, alpha, beta, v.copy(), (*alignment.pairs, (alpha, beta, variance))
+    cross = alignment.cross + np.outer(beta, alpha) / variance
+    information = (
+        alignment.information + (beta @ beta * np.eye(3) - np.outer(beta, beta)) / variance
     )
+    return Alignment(alignment.start_us, q, alpha, beta, v.copy(), cross, information)
 
 
 def aligned(alignment: Alignment, motion: Motion, mag_b: Vector | None) -> Motion | None:
@@ -75,15 +79,12 @@ def aligned(alignment: Alignment, motion: Motion, mag_b: Vector | None) -> Motio
     span_s = (motion.t_us - alignment.start_us) * 1e-6
     if span_s < SHORTEST_S:
         return None
-    cross, information = np.zeros((3, 3)), np.zeros((3, 3))
-    for alpha, beta, variance in alignment.pairs:
-        cross += np.outer(beta, alpha) / variance
-        information += (beta @ beta * np.eye(3) - np.outer(beta, beta)) / variance
+    cross, information = alignment.cross, alignment.information
     limit = HEADING_BY_MOTION_RAD
     if mag_b is not None and span_s >= MAG_AFTER_S:
         alpha, north = _mag_pair(alignment, motion, mag_b)
-        cross += np.outer(north, alpha) / HEADING_BY_MAG_RAD**2
-        information += (np.eye(3) - np.outer(north, north)) / HEADING_BY_MAG_RAD**2
+        cross = cross + np.outer(north, alpha) / HEADING_BY_MAG_RAD**2
+        information = information + (np.eye(3) - np.outer(north, north)) / HEADING_BY_MAG_RAD**2
         limit = 1.01 * HEADING_BY_MAG_RAD
     if np.linalg.eigvalsh(information)[0] < limit**-2.0:
         return None

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from analysis.fdi.verdict import RULES
-from analysis.gnss import TYPICAL_ALPHA, TYPICAL_BETA
+from analysis.gnss import SYSTEMS, TYPICAL_ALPHA, TYPICAL_BETA
 from analysis.samples import Vector
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.wire.compiled import compiled
@@ -88,7 +88,9 @@ class DetectorConfig:
 
     `p_false_alarm` is per GNSS epoch for the main test F00; `p_slow` per epoch for the tests with
     memory and `p_other` for Doppler and the other sensors. `rule` is how a verdict is found and
-    `left_out` the most satellites left out for it. `readmit_s` is how long an excluded satellite
+    `left_out` the most satellites left out for it. `systems` are the first letters of those that
+    are used: GPS, Galileo, GLONASS (R), BeiDou (C). `antenna_b_m` is where the
+    antenna is from the IMU, in body axes. `readmit_s` is how long an excluded satellite
     must look healthy before it is used again, `imu_hold_s` how long a faulty IMU is not, `gap_s`
     the longest IMU gap that is bridged, `reset_s` the longest gap of epochs. `slow_accel_mps2` is
     what a sound IMU's acceleration may be wrong by for seconds. `history_s` is how far back the
@@ -100,6 +102,8 @@ class DetectorConfig:
     p_other: float = 1e-5
     rule: str = "explicit"
     left_out: int = 3
+    systems: str = "GE"
+    antenna_b_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     mask_deg: float = 10.0
     readmit_s: float = 10.0
     imu_hold_s: float = 10.0
@@ -128,6 +132,16 @@ class DetectorConfig:
             raise ConfigError(
                 f"monitor.rule = {self.rule!r} is unknown; known: {', '.join(sorted(RULES))}"
             )
+        if len(self.antenna_b_m) != 3 or not np.isfinite(self.antenna_b_m).all():
+            raise ConfigError(
+                f"monitor.antenna_b_m = {self.antenna_b_m} is no place;"
+                " three lengths in m are: forward, right, down"
+            )
+        if not self.systems or not set(self.systems) <= set(SYSTEMS):
+            raise ConfigError(
+                f"monitor.systems = {self.systems!r} names no or other systems;"
+                f" letters of {SYSTEMS} are known"
+            )
         for name in ("left_out", "readmit_s", "imu_hold_s", "gap_s", "reset_s", "history_s"):
             value = getattr(self, name)
             if not value >= 0:
@@ -139,6 +153,11 @@ class DetectorConfig:
     def mask_rad(self) -> float:
         """The lowest elevation used."""
         return math.radians(self.mask_deg)
+
+    @cached_property
+    def antenna(self) -> Vector | None:
+        """The antenna's lever arm (3,); None where it is at the IMU."""
+        return np.array(self.antenna_b_m) if any(self.antenna_b_m) else None
 
     @cached_property
     def memory_numbers(self) -> Vector:
@@ -162,8 +181,9 @@ class DetectorConfig:
         for name, kind in (("sigma", SigmaModel), ("noise", Noise)):
             if name in parts:
                 parts[name] = _build(f"monitor.{name}", kind, parts[name])
-        if "ionosphere" in parts:
-            parts["ionosphere"] = tuple(float(x) for x in parts["ionosphere"])
+        for name in ("ionosphere", "antenna_b_m"):
+            if name in parts:
+                parts[name] = tuple(float(x) for x in parts[name])
         built: DetectorConfig = _build("monitor", cls, parts)
         return built
 

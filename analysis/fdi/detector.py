@@ -80,7 +80,7 @@ class Detector:
         core, pending = state
         chosen = core.chosen
         if chosen is None or not chosen.serves(epoch):
-            chosen = choose(epoch, core.ephemerides)
+            chosen = choose(epoch, core.ephemerides, self.config.systems)
             core = core._replace(chosen=chosen)
         observed = observe(epoch, chosen)
         if observed is None:

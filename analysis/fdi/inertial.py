@@ -1,15 +1,16 @@
 """The navigation state between epochs: strapdown mechanisation in ECEF and its error covariance.
 
-State x (19,): position r (m), velocity v (m/s), quaternion q_eb (body to ECEF), gyro bias (rad/s),
-accelerometer bias (m/s^2), receiver clock (m), its drift (m/s), Galileo's offset (m).
-Error (18,): dr, dv, psi, dbg, dba, dc, dd, di with the true attitude exp([psi]x) C_eb. Then [1]_
+State x (21,): position r (m), velocity v (m/s), quaternion q_eb (body to ECEF), gyro bias (rad/s),
+accelerometer bias (m/s^2), receiver clock (m), its drift (m/s), offsets of Galileo, GLONASS and
+BeiDou (m). Error (20,): dr, dv, psi, dbg, dba, dc, dd, di (3) with the true attitude
+exp([psi]x) C_eb. Then [1]_
 
     dr' = dv
     dv' = -[f_e]x psi - C dba - 2 Omega x dv
     psi' = -C dbg - Omega x psi
     dc' = dd
 
-with white noise on psi', dv', and random walks of the biases, clock, drift and offset. The
+with white noise on psi', dv', and random walks of the biases, clock, drift and offsets. The
 gradient of gravity is left out: it matters over minutes without GNSS only.
 
 References
@@ -26,8 +27,8 @@ from analysis.fdi.linear import add_product, apply, inverse, multiply, transpose
 from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
-X_SIZE = 19
-ERRORS = 18
+X_SIZE = 21
+ERRORS = 20
 R, V, PSI, BG, BA, CLOCK, DRIFT, ISB = 0, 3, 6, 9, 12, 15, 16, 17
 X_Q, X_BG, X_BA, X_CLOCK, X_DRIFT, X_ISB = 6, 10, 13, 16, 17, 18
 
@@ -118,7 +119,7 @@ def _mechanise(x: Vector, gyro: Vector, accel: Vector, dt: float) -> tuple[Vecto
 
 @compiled
 def _transition(p: Vector, c: Vector, f: Vector, dt: float) -> None:
-    """Multiply p (18, k) from the left by the transition of one step, in place."""
+    """Multiply p (20, k) from the left by the transition of one step, in place."""
     earth = 7.2921151467e-5 * dt
     fx, fy, fz = f[0] * dt, f[1] * dt, f[2] * dt
     for j in range(p.shape[1]):
@@ -151,7 +152,8 @@ def _add_noise(p: Vector, noise: Vector, dt: float) -> None:
     p[15, 16] += noise[5] * dt * dt / 2.0
     p[16, 15] += noise[5] * dt * dt / 2.0
     p[16, 16] += noise[5] * dt
-    p[17, 17] += noise[6] * dt
+    for i in range(17, 20):
+        p[i, i] += noise[6] * dt
 
 
 @compiled
@@ -162,16 +164,16 @@ def propagate_inertial(
 
     Parameters
     ----------
-    x, p : (19,) and (18, 18)
+    x, p : (21,) and (20, 20)
     samples : (k, 7), each the length of its step in s, rates (3) and specific force (3)
     noise : (8,), squared densities of `Noise`
 
     Returns
     -------
-    x, p and the transition (18, 18) of the whole run; the arguments stay as they were.
+    x, p and the transition (20, 20) of the whole run; the arguments stay as they were.
     """
     x, p = x.copy(), p.copy()
-    phi = np.eye(18)
+    phi = np.eye(20)
     for k in range(samples.shape[0]):
         dt = samples[k, 0]
         if dt <= 0.0:
@@ -192,7 +194,7 @@ def propagate_freely(
 ) -> tuple[Vector, Vector, Vector]:
     """The same over `dt` seconds without an IMU: steady velocity with random acceleration."""
     x = x.copy()
-    phi = np.eye(18)
+    phi = np.eye(20)
     for i in range(3):
         phi[i, 3 + i] = dt
         x[i] += x[3 + i] * dt
@@ -215,7 +217,7 @@ def propagate_freely(
 def innovate(
     p: Vector, h: Vector, variance: Vector, v: Vector
 ) -> tuple[Vector, Vector, Vector, float]:
-    """P H' (18, n), M = inv(H P H' + diag(variance)) (n, n), u = M v (n,) and q = v' M v."""
+    """P H' (20, n), M = inv(H P H' + diag(variance)) (n, n), u = M v (n,) and q = v' M v."""
     hp = multiply(h, p)
     ph = transposed(hp)
     s = multiply(h, ph)
@@ -233,7 +235,7 @@ def innovate(
 def correct(
     x: Vector, p: Vector, h: Vector, variance: Vector, ph: Vector, m: Vector, u: Vector
 ) -> tuple[Vector, Vector, Vector]:
-    """State, covariance and the gain K = P H' M (18, n) after what `innovate` gave.
+    """State, covariance and the gain K = P H' M (20, n) after what `innovate` gave.
 
     The covariance in Joseph's form, (I - K H) P (I - K H)' + K R K', stays positive definite when a
     part of the state was forgotten. With T = (I - K H) P it is T - (T H' - K R) K'.
@@ -248,8 +250,8 @@ def correct(
         x[i] += d[i]
     for i in range(4):
         x[6 + i] = q[i]
-    for i in range(9):
-        x[10 + i] += d[9 + i]
+    for i in range(9, d.shape[0]):
+        x[1 + i] += d[i]
     gain = multiply(ph, m)
     hp = transposed(ph)
     left = p.copy()

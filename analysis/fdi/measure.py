@@ -10,18 +10,29 @@ from analysis.fdi.config import SigmaModel, range_variance
 from analysis.fdi.inertial import ERRORS
 from analysis.fdi.state import Stored
 from analysis.fdi.value import Value
-from analysis.gnss import PACKED, SYSTEMS, WEEK_S, predict_ranges, satellite_states
+from analysis.gnss import (
+    L1_HZ,
+    PACKED,
+    SYSTEMS,
+    WEEK_S,
+    packed_for,
+    predict_ranges,
+    satellite_states,
+)
 from analysis.samples import Epoch, Vector
 from mavproxy_fault.wire.compiled import compiled
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 CHOSEN_US = 30_000_000  # the choice is looked at again
+# Of the variance, in the order of SYSTEMS: GLONASS's channels have delays of their own (RTKLIB's
+# factor), BeiDou's B3I wanders as much more on the walk of shared data.
+SPREAD = (1.0, 1.0, 1.5**2, 1.5**2)
 RANGE_LIMITS_M = (1.5e7, 6.0e7)  # medium orbits as seen from near the earth
 
 
 class Observed(Value, frozen=True):
-    """Usable satellites of one epoch: parallel arrays (n,), their ephemerides packed (n, 23).
+    """Usable satellites of one epoch: parallel arrays (n,), their ephemerides packed (n, 25).
 
     `system` (n,) is each one's place in `gnss.SYSTEMS`; `week` and `tow_s` are the receiver's time.
     """
@@ -61,7 +72,7 @@ class Modelled(Value, frozen=True):
     """Innovations at a state: ranges and rates with geometry.
 
     `v_m` and `v_mps` (n,), `variance` and `rate_variance` (n,) of both, `elevation_rad` (n,) and
-    `h` (n, 18) of the ranges.
+    `h` (n, 20) of the ranges.
     """
 
     v_m: Vector
@@ -90,7 +101,7 @@ NO_ROWS = Modelled(_NONE, _NONE, _NONE, _NONE, _NONE, np.empty((0, ERRORS)))
 @dataclass(frozen=True, slots=True)
 class Chosen:
     """The ephemerides of a set of satellites, chosen until `until_us`: indices of those that have
-    one (None: all have), and their packed rows (n, 23)."""
+    one (None: all have), and their packed rows (n, 25)."""
 
     satellites: tuple[str, ...]
     week: int
@@ -107,14 +118,21 @@ class Chosen:
         return same and 0 <= age_us <= CHOSEN_US
 
 
-def choose(epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]]) -> Chosen:
-    """The healthy ephemeris nearest in time for each satellite of an epoch that has one."""
+def choose(
+    epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]], systems: str = SYSTEMS
+) -> Chosen:
+    """The healthy ephemeris nearest in time for each satellite of an epoch that has one.
+
+    `systems` are the first letters of those that are used."""
     keep, rows = [], []
+    carriers = [L1_HZ] * len(epoch.satellites)
+    if epoch.carrier_hz is not None:
+        carriers = epoch.carrier_hz.tolist()
     for i, name in enumerate(epoch.satellites):
         packed = _nearest(ephemerides.get(name, ()), epoch)
-        if packed is not None:
+        if packed is not None and name[0] in systems:
             keep.append(i)
-            rows.append(packed)
+            rows.append(packed if carriers[i] == L1_HZ else packed_for(packed, carriers[i]))
     names = tuple(epoch.satellites[i] for i in keep)
     return Chosen(
         epoch.satellites,
@@ -178,7 +196,7 @@ def why_none(epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]]) -> str:
 
 
 def model(observed: Observed, x: Vector, sigma: SigmaModel, ionosphere: Vector) -> Modelled:
-    """Innovations, their geometry and variance at the state x (19,)."""
+    """Innovations, their geometry and variance at the state x (21,)."""
     table, h = modelled_at(
         observed.states,
         observed.pseudorange_m,
@@ -206,10 +224,10 @@ def modelled_at(
     ionosphere: Vector,
     sigma: Vector,
 ) -> tuple[Vector, Vector]:
-    """The columns of `Modelled` as rows (5, n), and the geometry h (n, 18)."""
+    """The columns of `Modelled` as rows (5, n), and the geometry h (n, 20)."""
     predicted = predict_ranges(states, x[0:3], x[3:6], tow_s, ionosphere)
     count = states.shape[0]
-    out, h = np.empty((5, count)), np.zeros((count, 18))
+    out, h = np.empty((5, count)), np.zeros((count, 20))
     for i in range(count):
         out[4, i] = predicted[i, 5]
     variance = range_variance(out[4], cn0_dbhz, sigma)
@@ -217,7 +235,7 @@ def modelled_at(
         isb = x[17 + system[i]] if system[i] > 0 else 0.0
         out[0, i] = pseudorange_m[i] - predicted[i, 0] - x[16] - isb
         out[1, i] = doppler_mps[i] - predicted[i, 1] - x[17]
-        out[2, i] = variance[i]
+        out[2, i] = SPREAD[system[i]] * variance[i]
         out[3, i] = sigma[4] ** 2 / math.sin(max(predicted[i, 5], 0.1))
         for k in range(3):
             h[i, k] = -predicted[i, 2 + k]
@@ -229,7 +247,7 @@ def modelled_at(
 
 @compiled
 def rate_rows(h: Vector, known: Indices) -> Vector:
-    """The Doppler rates' geometry (k, 18) of the satellites `known` (k,) among those of h."""
+    """The Doppler rates' geometry (k, 20) of the satellites `known` (k,) among those of h."""
     out = np.zeros((known.shape[0], h.shape[1]))
     for i in range(known.shape[0]):
         for k in range(3):

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from analysis.block import ImuRun, Stamps
+from analysis.fdi.antenna import moved_along
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.inertial import PSI, propagate_freely, propagate_inertial
 from analysis.fdi.state import Motion, Pending
@@ -120,13 +121,19 @@ def _steps(t_us: Stamps, values: Vector, from_us: int, until_us: int) -> tuple[V
 def advance(
     motion: Motion, part: Segment, until_us: int, config: DetectorConfig
 ) -> tuple[Motion, Vector]:
-    """The filter at `until_us`, before the epoch there is used, and the transition (18, 18)."""
+    """The filter at `until_us`, before the epoch there is used, and the transition (20, 20)."""
     dt_s = (until_us - motion.t_us) * 1e-6
     noise = config.noise.densities
     whole = part.gap_s <= config.gap_s and len(part.samples) > 0
-    if motion.inertial and whole:
+    if motion.inertial and whole and config.antenna is None:
         x, p, phi = propagate_inertial(motion.x, motion.p, part.samples, noise)
         return Motion(until_us, x, p, True), phi
+    if motion.inertial and whole and config.antenna is not None:
+        first, last, arm = part.samples[0, 1:4], part.samples[-1, 1:4], config.antenna
+        x, p, back = moved_along(motion.x, motion.p, first, arm, -1.0)
+        x, p, phi = propagate_inertial(x, p, part.samples, noise)
+        x, p, out = moved_along(x, p, last, arm, 1.0)
+        return Motion(until_us, x, p, True), out @ phi @ back
     x, p, phi = propagate_freely(motion.x, motion.p, dt_s, noise)
     inertial = motion.inertial and part.gap_s <= SHORT_GAP_S and part.heard
     if inertial:

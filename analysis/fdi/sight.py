@@ -30,7 +30,7 @@ _CONSTELLATIONS = len(SYSTEMS)
 
 
 class Innovated(Value, frozen=True):
-    """P H' (18, n), the inverse innovation covariance M (n, n), u = M v (n,) and q = v' M v."""
+    """P H' (20, n), the inverse innovation covariance M (n, n), u = M v (n,) and q = v' M v."""
 
     ph: Vector
     m: Vector
@@ -144,7 +144,7 @@ def _see(
     tuple[int, int, int, int, int, int],
 ]:
     """The order of the satellites (used, left out, below the mask), their numbers (7, n) and
-    geometry (n, 18) in it; P H' and M of those used, statistics and counts."""
+    geometry (n, 20) in it; P H' and M of those used, statistics and counts."""
     states = satellite_states(packed, week, tow_s, pseudorange_m)
     found, geometry = modelled_at(
         states, pseudorange_m, doppler_mps, cn0_dbhz, system, x, tow_s, ionosphere, sigma

@@ -12,7 +12,6 @@ from analysis.fdi.verdict import PENALTY
 from analysis.samples import Vector
 
 STRIDE_US = round(STRIDE_S * 1e6)
-EPISODES = 1.2  # alarms per epoch over single-test probability, over windows and time: measured
 LATE = 9.0  # a ramp's likelihood ratio that dates the fault of a satellite found otherwise
 
 
@@ -119,9 +118,9 @@ def _turned_over(memory: Memory, t_us: int) -> Memory:
 def judge_slow(memory: Memory, found: Strongest, config: DetectorConfig) -> SlowVerdict:
     """Whether a window has seen a ramp, and whose; the rival is a wrong acceleration."""
     count = len(memory.names)
-    threshold = chi_square(1, config.p_slow / (EPISODES * max(count, 1)))
+    threshold = chi_square(1, config.p_slow / max(count, 1))
     statistic, imu_cost = found.ramp, found.rival - 3.0 * PENALTY
-    wrong = found.rival > chi_square(3, config.p_slow / EPISODES)
+    wrong = found.rival > chi_square(3, config.p_slow)
     if wrong and imu_cost > statistic - 2.0 * PENALTY:
         return SlowVerdict(statistic, threshold, "imu")
     if statistic <= threshold:

@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 from analysis.block import ImuRun
 from analysis.fdi.value import Value
-from analysis.samples import Vector
+from analysis.samples import StateVector, Vector
 from mavproxy_fault.wire.ephemeris import Ephemeris
 
-Stored = tuple[Ephemeris, Vector]  # an ephemeris and its packed numbers
+Stored = tuple[Ephemeris | StateVector, Vector]  # an ephemeris and its packed numbers
 
 
 class Pending(NamedTuple):
@@ -24,7 +24,8 @@ class Alignment:
     """What the IMU and GNSS velocity tell of attitude while it is unknown.
 
     `q_0b` (4,) turns body to the axes at the start, `alpha` (3,) is the specific force integrated
-    in those, `beta` (3,) the same from GNSS in ECEF; `pairs` are earlier (alpha, beta, variance).
+    in those, `beta` (3,) the same from GNSS in ECEF; `cross` and `information` (3, 3) are sums of
+    beta alpha' and of (beta' beta I - beta beta'), each over the pair's variance.
     """
 
     start_us: int
@@ -32,7 +33,8 @@ class Alignment:
     alpha: Vector
     beta: Vector
     v_ecef_mps: Vector
-    pairs: tuple[tuple[Vector, Vector, float], ...] = ()
+    cross: Vector
+    information: Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +47,7 @@ class Exclusion:
 
 
 class Motion(Value, frozen=True):
-    """The filter: time, state x (19,) and covariance p (18, 18) of `inertial`.
+    """The filter: time, state x (21,) and covariance p (20, 20) of `inertial`.
 
     `inertial` says whether the IMU moves it, `alignment` is how far its attitude has been found.
     """

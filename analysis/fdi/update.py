@@ -20,7 +20,7 @@ from mavproxy_fault.wire.compiled import compiled
 
 class Rates(Value, frozen=True):
     """Doppler rates that fit, NaN where one does not: v and variance (n,), geometry of the ranges
-    of the same satellites (n, 18)."""
+    of the same satellites (n, 20)."""
 
     v: Vector
     variance: Vector
@@ -28,7 +28,7 @@ class Rates(Value, frozen=True):
 
 
 def innovated(p: Vector, modelled: Modelled) -> Innovated:
-    """The ranges' innovations with the covariance p (18, 18) of the prediction."""
+    """The ranges' innovations with the covariance p (20, 20) of the prediction."""
     return Innovated(*innovate(p, modelled.h, modelled.variance, modelled.v_m))
 
 
@@ -61,7 +61,7 @@ def remember(
 ) -> tuple[Motion, Memory, Strongest]:
     """The same, the memory of the epochs before with it, and what its windows say now.
 
-    `memory` is over the satellites of `ranges`; phi (18, 18) the transition since the last epoch.
+    `memory` is over the satellites of `ranges`; phi (20, 20) the transition since the last epoch.
     """
     x, p, d, sums, offset, spread, found = _remember(
         motion.x,

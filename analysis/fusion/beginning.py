@@ -137,8 +137,8 @@ def attitude_in(frame: Frame, motion: Motion) -> tuple[Any, Vector]:
     return gtsam.Rot3(rot), p + TINY * np.eye(3)
 
 
-def navigation_state(frame: Frame, node: Node, isb_m: float) -> Vector:
-    """A node as the state x (19,) of the detector's filter."""
+def navigation_state(frame: Frame, node: Node, isb_m: Vector) -> Vector:
+    """A node as the state x (21,) of the detector's filter."""
     x = np.zeros(X_SIZE)
     x[R : R + 3] = frame.ecef(node.pose.translation())
     x[V : V + 3] = frame.axes.T @ node.velocity
@@ -146,5 +146,5 @@ def navigation_state(frame: Frame, node: Node, isb_m: float) -> Vector:
     x[X_BG : X_BG + 3] = node.bias.gyroscope()
     x[X_BA : X_BA + 3] = node.bias.accelerometer()
     x[X_CLOCK], x[X_DRIFT] = node.clock
-    x[X_ISB] = isb_m
+    x[X_ISB:] = isb_m
     return x

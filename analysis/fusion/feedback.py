@@ -15,7 +15,7 @@ SIZE = 17  # errors of a node: turn, shift (body axes), velocity, biases, clock,
 def fed_back(core: Core, graph: Graph | None) -> Core:
     """The detector's state with its filter taken from the graph.
 
-    Both must be at the same epoch and know the attitude; Galileo's offset stays the filter's own.
+    Both must be at the same epoch and know the attitude; systems' offsets stay the filter's own.
     """
     motion = core.motion
     if motion is None or graph is None or not (motion.inertial and graph.aligned):
@@ -23,16 +23,16 @@ def fed_back(core: Core, graph: Graph | None) -> Core:
     node = graph.node
     if motion.t_us != node.t_us:
         return core
-    x = navigation_state(graph.frame, node, motion.x[X_ISB])
+    x = navigation_state(graph.frame, node, motion.x[X_ISB:])
     names = [key(letter, node.epoch) for letter in "xvbc"]
     to_filter = _to_filter(graph.frame.axes.T, matrix(x[X_Q : X_Q + 4]))
     p = to_filter @ graph.window.covariance(names) @ to_filter.T
-    p[ISB, ISB] = motion.p[ISB, ISB]
+    p[ISB:, ISB:] = motion.p[ISB:, ISB:]
     return core._replace(motion=motion._replace(x=x, p=0.5 * (p + p.T)))
 
 
 def _to_filter(to_ecef: Vector, rot_eb: Vector) -> Vector:
-    """Errors (18) of the filter from those (17) of a node: (18, 17)."""
+    """Errors (20) of the filter from those (17) of a node: (20, 17)."""
     turn = np.zeros((ERRORS, SIZE))
     turn[PSI : PSI + 3, 0:3] = rot_eb
     turn[R : R + 3, 3:6] = rot_eb

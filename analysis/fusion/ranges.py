@@ -32,7 +32,7 @@ CORRECTED, SIGMA, RATE_SIGMA, LOS, NORMALISED = 0, 2, 3, slice(4, 7), 7
 
 
 class Ranges:
-    """What one epoch measured, corrected by the models at the filter's state x (19,)."""
+    """What one epoch measured, corrected by the models at the filter's state x (21,)."""
 
     def __init__(
         self,

@@ -272,14 +272,14 @@ class Fusion:
 
     def _late_epoch(self, graph: Graph, sample: Epoch, core: Core, state: FusionState) -> None:
         """Ranges that came late: the detector cannot test them, so their own residuals weigh."""
-        chosen = choose(sample, core.ephemerides)
+        chosen = choose(sample, core.ephemerides, self.detector.systems)
         observed = observe(sample, chosen)
         if observed is None or core.motion is None:
             return
         node = graph.insert_late(sample.t_us)
         if node is None:
             return
-        x = navigation_state(graph.frame, node, core.motion.x[X_ISB])
+        x = navigation_state(graph.frame, node, core.motion.x[X_ISB:])
         ranges = Ranges(observed, x, core.ionosphere, self.config, self.detector)
         if self.config.learn:
             ranges.learn(state.learnt)

@@ -4,23 +4,21 @@ Bytes go to it by a bounded queue, results come back by a pipe. The flight runs 
 monitor compiles its kernels, and the monitor catches up.
 """
 
-import contextlib
 import multiprocessing
-import os
 import queue
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from multiprocessing.queues import Queue
 from types import TracebackType
 from typing import Any
 
+from analysis.compilation import light_compilation
 from analysis.criteria import Criteria
 from analysis.pipeline import MonitorConfig
 from analysis.results import Result
 from mavproxy_fault.wire.label import Label
 
-OPTIMISATION = "NUMBA_OPT"
 BATCH_BYTES = 32_768
 MOST_BATCHES = 1000  # 32 MB that the flight may be ahead
 Order = bytes | tuple[list[Label], Criteria, float]
@@ -39,22 +37,6 @@ def _work(orders: "Queue[Order | None]", answers: Connection, config: MonitorCon
             answers.send(monitor.summary(*order))
 
 
-@contextlib.contextmanager
-def _light_compilation() -> Iterator[None]:
-    """A process begun meanwhile compiles with little optimisation.
-
-    numba takes half the time for it, and the monitor's kernels, short plain loops, run as fast. It
-    reads the setting when it is loaded, so this process is as before.
-    """
-    before = os.environ.get(OPTIMISATION)
-    os.environ[OPTIMISATION] = before or "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[OPTIMISATION]
-
-
 class MonitorProcess:
     """A monitor to feed; it works on what it was given while the caller makes more."""
 
@@ -65,7 +47,7 @@ class MonitorProcess:
         self._process = context.Process(
             target=_work, args=(self._orders, theirs, config), daemon=True
         )
-        with _light_compilation():
+        with light_compilation():
             self._process.start()
         theirs.close()
         self._batch = bytearray()

@@ -24,10 +24,10 @@ from mavproxy_fault.wire.rtcm import CRC24Q_TABLE, HEADER, TRAILER
 
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
+Bits = NDArray[np.uint8]
 
-_HEAD_BITS = 73 + 64 + 32  # up to the mask of cells
-_SATELLITE_BITS = 8 + 4 + 10 + 14
-_CELL_BITS = 20 + 24 + 10 + 1 + 10 + 15
+HEAD_BITS = 73 + 64 + 32  # up to the mask of cells
+WIDTHS = np.array([8, 10, -14, -20, -15, 10])  # rough range, rate, fine range and rate, C/N0
 _NAMES = {letter: tuple(f"{letter}{n:02d}" for n in range(65)) for letter in SYSTEMS.values()}
 
 
@@ -57,14 +57,33 @@ def read_ranges(message: bytes) -> Ranges:
         If it is no MSM7 message of GPS or Galileo, or ends early. Its CRC is not looked at: the
         messages of a `Reassembler` have been checked.
     """
-    body = np.frombuffer(message, np.uint8, offset=HEADER)[:-TRAILER]
-    number, epoch_ms, more, cells = _cells(body)
+    head = int.from_bytes(message[HEADER : HEADER + 7], "big")  # number, station, epoch, more
+    number, epoch_ms, more = head >> 44, head >> 2 & 0x3FFFFFFF, head >> 1 & 1
     system = SYSTEMS.get(number)
-    if system is None or epoch_ms < 0:
+    bits = np.unpackbits(np.frombuffer(message, np.uint8)[HEADER:-TRAILER])
+    satellites = np.flatnonzero(bits[73:137]) + 1
+    count, signals = len(satellites), int(bits[137:HEAD_BITS].sum())
+    begin = HEAD_BITS + count * signals  # of what is said of satellites
+    given = bits[HEAD_BITS:begin]
+    total = int(given.sum())
+    fine = begin + 36 * count  # of what is said of signals
+    if system is None or len(bits) < max(HEAD_BITS, fine + 80 * total):
         raise ValueError(f"RTCM {number} is not a whole MSM7 of GPS or Galileo (1077, 1097)")
+    satellite_bits = (begin, begin + 12 * count, begin + 22 * count)
+    begins = (*satellite_bits, fine, fine + 65 * total, fine + 55 * total)
+    columns = np.zeros((6, max(count, total)), np.int64)
+    _fields(bits, np.array(begins), WIDTHS, np.array([count] * 3 + [total] * 3), columns)
+    values, which = np.empty((3, count)), np.empty(count, np.int64)
+    usable = _values(columns, given, signals, values, which)
     names = _NAMES[system]
-    satellites = tuple([names[int(n)] for n in cells[0].tolist()])
-    return Ranges(epoch_ms / 1000.0, satellites, cells[1], cells[2], cells[3], bool(more))
+    return Ranges(
+        epoch_ms / 1000.0,
+        tuple([names[n] for n in satellites[which[:usable]].tolist()]),
+        values[0, :usable],
+        values[1, :usable],
+        values[2, :usable],
+        bool(more),
+    )
 
 
 def quick_crc24q(data: bytes) -> int:
@@ -81,80 +100,45 @@ def _crc24q(data: NDArray[np.uint8], table: Integers) -> int:
 
 
 @exact
-def _unsigned(data: NDArray[np.uint8], at: int, width: int) -> int:
-    value = 0
-    for bit in range(at, at + width):
-        value = value << 1 | (data[bit >> 3] >> (7 - (bit & 7))) & 1
-    return value
+def _fields(
+    bits: Bits, begins: Integers, widths: Integers, counts: Integers, out: Integers
+) -> None:
+    """Columns (c, n) of numbers: so many of a width from a bit on; a negative width is signed."""
+    for column in range(len(begins)):
+        at = begins[column]
+        for i in range(counts[column]):
+            value = np.int64(0)
+            for bit in range(at, at + abs(widths[column])):
+                value = 2 * value + bits[bit]
+            at += abs(widths[column])
+            if widths[column] < 0 and value >> (-widths[column] - 1):
+                value -= 1 << -widths[column]
+            out[column, i] = value
 
 
 @exact
-def _signed(data: NDArray[np.uint8], at: int, width: int) -> int:
-    value = _unsigned(data, at, width)
-    return value - (1 << width) if value >> (width - 1) else value
+def _values(columns: Integers, given: Bits, signals: int, out: Floats, which: Integers) -> int:
+    """Range, rate and C/N0 (3, n) of the satellites that have them, which these are, how many.
 
-
-@exact
-def _cells(data: NDArray[np.uint8]) -> tuple[int, int, int, Floats]:
-    """Number, epoch in ms (-1 if the message ends early), whether more follows, and of the
-    satellites with a pseudorange (4, n): number, range, rate and C/N0."""
-    nothing = np.empty((4, 0))
-    if 8 * len(data) < _HEAD_BITS:
-        return 0, -1, 0, nothing
-    number = _unsigned(data, 0, 12)
-    satellites, signals = np.empty(64, np.int64), 0
-    count = 0
-    for n in range(64):
-        if _unsigned(data, 73 + n, 1):
-            satellites[count] = n + 1
-            count += 1
-    for n in range(32):
-        signals += _unsigned(data, 137 + n, 1)
-    begin = _HEAD_BITS + count * signals  # of what is said of satellites
-    if 8 * len(data) < begin:
-        return number, -1, 0, nothing
-    total = 0
-    for n in range(count * signals):
-        total += _unsigned(data, _HEAD_BITS + n, 1)
-    fine = begin + _SATELLITE_BITS * count  # of what is said of signals
-    if 8 * len(data) < fine + _CELL_BITS * total:
-        return number, -1, 0, nothing
-    found = np.empty((4, count))
+    `columns` are rough range in ms and the rest, rate, fine range, fine rate and C/N0; `given`
+    (satellites * signals,) tells which signals there are.
+    """
     usable = cell = 0
-    for n in range(count):
-        taken = _unsigned(data, begin + 8 * n, 8) == ROUGH_INVALID
+    for satellite in range(len(which)):
+        taken = columns[0, satellite] == ROUGH_INVALID
         for s in range(signals):
-            if not _unsigned(data, _HEAD_BITS + n * signals + s, 1):
+            if not given[satellite * signals + s]:
                 continue
-            if not taken and _signed(data, fine + 20 * cell, 20) != FINE_INVALID:
+            if not taken and columns[3, cell] != FINE_INVALID:
                 taken = True
-                found[0, usable] = satellites[n]
-                _read(data, begin, count, n, fine, total, cell, found[1:, usable])
+                rough = columns[0, satellite] * ROUGH + columns[1, satellite]
+                counts = rough * FINE_PER_ROUGH + columns[3, cell]
+                rate, fine_rate, cn0 = columns[2, satellite], columns[4, cell], columns[5, cell]
+                known = rate != RATE_INVALID and fine_rate != FINE_RATE_INVALID
+                out[0, usable] = counts / (ROUGH * FINE_PER_ROUGH) * MS_M
+                out[1, usable] = rate + fine_rate / 10_000 if known else np.nan
+                out[2, usable] = cn0 * CN0_STEP_DBHZ if cn0 else np.nan
+                which[usable] = satellite
                 usable += 1
             cell += 1
-    return number, _unsigned(data, 24, 30), _unsigned(data, 54, 1), found[:, :usable]
-
-
-@exact
-def _read(
-    data: NDArray[np.uint8],
-    begin: int,
-    count: int,
-    satellite: int,
-    fine: int,
-    total: int,
-    cell: int,
-    out: Floats,
-) -> None:
-    """Range, rate and C/N0 (3,) of a cell; `count` satellites begin at a bit, `total` cells at
-    another."""
-    rough = _unsigned(data, begin + 8 * satellite, 8) * ROUGH
-    rough += _unsigned(data, begin + 12 * count + 10 * satellite, 10)
-    counts = rough * FINE_PER_ROUGH + _signed(data, fine + 20 * cell, 20)
-    out[0] = counts / (ROUGH * FINE_PER_ROUGH) * MS_M
-    rate = _signed(data, begin + 22 * count + 14 * satellite, 14)
-    fine_rate = _signed(data, fine + 65 * total + 15 * cell, 15)
-    known = rate != RATE_INVALID and fine_rate != FINE_RATE_INVALID
-    out[1] = rate + fine_rate / 10_000 if known else np.nan
-    cn0 = _unsigned(data, fine + 55 * total + 10 * cell, 10)
-    out[2] = cn0 * CN0_STEP_DBHZ if cn0 else np.nan
+    return usable

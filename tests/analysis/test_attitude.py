@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from analysis.attitude import AttitudeConfig, AttitudeScorer, declination_rad
+from analysis.attitude import AUTOPILOTS, AttitudeConfig, AttitudeScorer, declination_rad
+from analysis.attitude_scores import REPEATED, with_repeaters_last
 from analysis.estimators.rotations import errors, quaternion_of_euler
 from analysis.samples import AttitudeSample, ImuSample, TruthSample
 from mavproxy_fault.wire.label import Label
@@ -106,6 +107,19 @@ def test_an_estimate_from_before_the_truth_that_is_kept_does_not_count():
 def test_a_pause_of_the_truth_is_not_interpolated_over():
     _, _, results = score([truth(0), autopilot(500_000), truth(5_000_000)], estimators=())
     assert results == []
+
+
+def test_an_autopilot_that_only_repeats_the_truth_is_called_so_and_comes_last():
+    samples = [truth(0)]
+    for k in range(1, 101):
+        samples += [ImuSample(k * 5000, np.array([0.0, 0.1, 0.0]), LEVEL), autopilot(k * 5000)]
+        samples.append(truth(k * 5000))
+    scorer, state, _ = score(samples, estimators=("inverse-model",))
+    found = with_repeaters_last(scorer.summary(state), AUTOPILOTS)
+    assert list(found) == ["inverse-model", "ATTITUDE" + REPEATED]
+    wrong = [truth(0), *(autopilot(k * 5000, roll=0.001) for k in range(1, 100)), truth(500_000)]
+    scorer, state, _ = score(wrong, estimators=())
+    assert list(with_repeaters_last(scorer.summary(state), AUTOPILOTS)) == ["ATTITUDE"]
 
 
 def test_declination_at_provo_is_that_of_the_world_magnetic_model():

@@ -55,7 +55,7 @@ def test_held_offsets_fade_with_their_correlation_time():
 def test_an_offset_is_learnt_as_kalman_s_filter_does():
     rng = np.random.default_rng(2)
     mean, wide = np.zeros(1), np.ones(1)
-    h, p = np.zeros((1, 18)), np.zeros((18, 18))
+    h, p = np.zeros((1, 20)), np.zeros((20, 20))
     for _ in range(50):
         v = 0.7 + rng.standard_normal(1)
         mean, wide = learn_offsets(mean, wide, p, h, np.ones(1), v, 1.0, FOR_EVER)

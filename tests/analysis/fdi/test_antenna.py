@@ -1,0 +1,91 @@
+"""The antenna's lever arm on a body that turns on the spot."""
+
+import math
+
+import numpy as np
+import pytest
+
+from analysis.fdi import DetectorConfig
+from analysis.fdi.antenna import moved_along
+from analysis.fdi.inertial import ERRORS, X_SIZE, gravity_ecef, matrix, turned
+from analysis.fdi.motion import Segment, advance
+from analysis.fdi.state import Motion
+from analysis.gnss import EARTH_RATE_RPS
+from mavproxy_fault.errors import ConfigError
+
+ARM_M = np.array([1.5, -0.5, -0.3])
+RATE_RPS = 0.8
+POLE_M = np.array([0.0, 0.0, 6_356_752.3])  # where up is along the earth's axis
+
+
+def gravity_at_the_pole() -> float:
+    return float(-gravity_ecef(POLE_M)[2])
+
+
+def turning_body(at_s: float) -> np.ndarray:
+    """The state of the IMU on the pole, level and turning to the right at `RATE_RPS` (ECEF)."""
+    x = np.zeros(X_SIZE)
+    x[:3] = POLE_M
+    half = 0.5 * RATE_RPS * at_s
+    spun = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])  # about down
+    x[6:10] = turned(spun, np.array([math.pi, 0.0, 0.0]), 1.0)  # down is against the axis
+    return x
+
+
+def segment(until_s: float, dt_s: float = 0.005) -> Segment:
+    """What the IMU reads: its own turn and the earth's, and what holds it up."""
+    steps = round(until_s / dt_s)
+    row = [dt_s, 0.0, 0.0, RATE_RPS - EARTH_RATE_RPS, 0.0, 0.0, -gravity_at_the_pole()]
+    return Segment(np.tile(row, (steps, 1)), dt_s, True)
+
+
+def antenna_at(at_s: float) -> np.ndarray:
+    x = turning_body(at_s)
+    return x[:3] + matrix(x[6:10]) @ ARM_M
+
+
+def test_the_antenna_goes_round_while_the_imu_stands():
+    config = DetectorConfig(antenna_b_m=tuple(ARM_M))
+    x = turning_body(0.0)
+    x[:3] = antenna_at(0.0)
+    x[3:6] = (antenna_at(1e-4) - antenna_at(-1e-4)) / 2e-4
+    start = Motion(0, x, 1e-4 * np.eye(ERRORS), True)
+    end, _ = advance(start, segment(2.0), 2_000_000, config)
+    assert end.x[:3] == pytest.approx(antenna_at(2.0), abs=0.01)
+    assert end.x[3:6] == pytest.approx((antenna_at(2.0001) - antenna_at(1.9999)) / 2e-4, abs=0.01)
+    straight, _ = advance(start, segment(2.0), 2_000_000, DetectorConfig())
+    assert np.linalg.norm(straight.x[:3] - antenna_at(2.0)) > 1.0
+
+
+def changed(x: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """The state that is true where x is believed and wrong by `error` (20,)."""
+    out = x.copy()
+    out[:6] += error[:6]
+    out[6:10] = turned(x[6:10], error[6:9], 1.0)
+    out[10:] += error[9:]
+    return out
+
+
+def test_errors_move_along_as_states_do():
+    gyro = np.array([0.1, -0.2, RATE_RPS])
+    x, p = turning_body(0.7), np.eye(ERRORS)
+    here, _, turn = moved_along(x, p, gyro, ARM_M, 1.0)
+    for i in range(12):
+        error = np.zeros(ERRORS)
+        error[i] = 1e-5
+        there = moved_along(changed(x, error), p, gyro, ARM_M, 1.0)[0]
+        assert (there[:6] - here[:6]) / 1e-5 == pytest.approx(turn[:6, i], abs=1e-3), i
+
+
+def test_there_and_back_is_where_one_was():
+    gyro = np.array([0.1, -0.2, RATE_RPS])
+    x, p = turning_body(0.7), np.diag(np.linspace(1.0, 2.0, ERRORS))
+    there, wide, _ = moved_along(x, p, gyro, ARM_M, 1.0)
+    back, narrow, _ = moved_along(there, wide, gyro, ARM_M, -1.0)
+    assert back == pytest.approx(x, abs=1e-8)
+    assert narrow == pytest.approx(p, abs=1e-8)
+
+
+def test_an_antenna_without_a_place_is_refused():
+    with pytest.raises(ConfigError, match="antenna_b_m"):
+        DetectorConfig(antenna_b_m=(1.0, 2.0))  # type: ignore[arg-type]
