@@ -23,6 +23,9 @@ from mavproxy_fault.wire.compiled import compiled
 INTEGRATION_M = 1e-3  # m/sqrt(s), position noise of the integration itself
 STEP_S = 0.05  # faster samples are put together first
 FICTION_STEP_S = 0.05
+# Of the detector's noise of motion: rates pin the velocity at both ends, and between them it
+# changes more evenly than white noise that allows for the change would.
+EVEN = 0.25
 FREE_TURN_RPS = 30.0  # of a motion that says nothing of the attitude
 
 
@@ -89,7 +92,7 @@ def _cross(a: Vector, b: Vector) -> Vector:
 
 def imagine(dt_s: float, bias: Any, frame: Frame, noise: Noise, turn_rps: float) -> Any:
     """The motion model over `dt_s`, with turns as fast as `turn_rps`."""
-    params = _params(np.zeros(3), frame, noise, turn_rps, noise.motion_mps2)
+    params = _params(np.zeros(3), frame, noise, turn_rps, EVEN * noise.motion_mps2)
     preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
     steps = max(round(dt_s / FICTION_STEP_S), 2)
     for _ in range(steps):
