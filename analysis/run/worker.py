@@ -17,6 +17,7 @@ from analysis.compilation import light_compilation
 from analysis.criteria import Criteria
 from analysis.pipeline import MonitorConfig
 from analysis.results import Result
+from analysis.run import rehearsal
 from mavproxy_fault.wire.label import Label
 
 BATCH_BYTES = 32_768
@@ -47,8 +48,11 @@ class MonitorProcess:
         self._process = context.Process(
             target=_work, args=(self._orders, theirs, config), daemon=True
         )
+        mark = rehearsal.due()
         with light_compilation():
             self._process.start()
+            if mark is not None:
+                context.Process(target=rehearsal.rehearse, args=(config, mark), daemon=True).start()
         theirs.close()
         self._batch = bytearray()
         self.owed = 0  # batches without their results yet

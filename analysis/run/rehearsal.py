@@ -1,0 +1,71 @@
+"""Part of the monitor's kernels compiled beside it, so that two cores share the first run's work.
+
+The monitor compiles what it needs in the order in which it needs it. A second process begins at the
+other end: it plays attitude scores and sensor tests with made-up samples. The monitor then finds
+their machine code on the disk. Once done, that leaves a mark beside the machine code.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from analysis.pipeline import MonitorConfig
+from mavproxy_fault.wire.kernels import folder
+
+
+def due() -> Path | None:
+    """The mark that a rehearsal is to leave; None if it is there."""
+    mark = folder() / "rehearsed"
+    return None if mark.exists() else mark
+
+
+def rehearse(config: MonitorConfig, mark: Path) -> None:
+    """Call the kernels of the sensors' tests and of attitude scores with the types they meet."""
+    _test_sensors(config)
+    _score_attitude(config)
+    mark.touch()
+
+
+def _test_sensors(config: MonitorConfig) -> None:
+    from analysis.fdi.inertial import ERRORS, X_Q, X_SIZE
+    from analysis.reference import NO_SAMPLES, References
+    from analysis.reference_kernel import judge
+
+    references = References(config.detector)
+    state = references.new_state()
+    x = np.zeros(X_SIZE)
+    x[0], x[X_Q] = 6.4e6, 1.0
+    judge(
+        x,
+        np.eye(ERRORS),
+        True,
+        0,
+        NO_SAMPLES,
+        state.values,
+        state.counts,
+        state.slow,
+        references.sensors.sigmas(),
+        references.sensors.walks(),
+        np.ones(4),
+        1e6,
+    )
+
+
+def _score_attitude(config: MonitorConfig) -> None:
+    from analysis.attitude import AttitudeScorer
+    from analysis.block import block_of
+    from analysis.samples import AttitudeSample, ImuSample, MagSample, TruthSample
+
+    level, still = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
+    samples = [
+        sample
+        for t_us in range(0, 1_000_000, 4000)
+        for sample in (
+            ImuSample(t_us, still, np.array([0.0, 0.0, -9.81]), config.attitude.imu),
+            MagSample(t_us, np.array([0.2, 0.0, 0.4])),
+            TruthSample(t_us, level, still, 47.0, 8.0, 500.0, still),
+            AttitudeSample(t_us, level, 1, "ATTITUDE"),
+        )
+    ]
+    scorer = AttitudeScorer(config.attitude)
+    scorer.score(block_of(samples), scorer.new_state())

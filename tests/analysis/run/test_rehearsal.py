@@ -1,0 +1,20 @@
+"""What is compiled beside the monitor is what the monitor calls."""
+
+from analysis.attitude_kernel import compare, gather
+from analysis.pipeline import MonitorConfig, Pipeline
+from analysis.reference_kernel import judge
+from analysis.run.rehearsal import rehearse
+
+
+def signatures():
+    return [set(kernel.signatures) for kernel in (judge, compare, gather)]
+
+
+def test_a_flight_needs_no_kernel_that_was_not_rehearsed(flights, tmp_path):
+    rehearse(MonitorConfig(), tmp_path / "mark")
+    rehearsed = signatures()
+    pipeline = Pipeline(MonitorConfig())
+    for sample in flights(2.0):
+        pipeline.push(sample)
+    assert signatures() == rehearsed
+    assert (tmp_path / "mark").exists()
