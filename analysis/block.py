@@ -225,10 +225,6 @@ class Piece(NamedTuple):
         """The last sample, the only one that may lead to a decision."""
         return self.block.sample(self.last)
 
-    def samples(self) -> Iterator[Sample]:
-        """All of them, one after the other."""
-        return (self.block.sample(row) for row in range(self.first, self.last + 1))
-
 
 def pieces(samples: Sample | Block) -> Iterator[Piece]:
     """A block, or a single sample, cut behind each event."""

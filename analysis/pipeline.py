@@ -115,12 +115,11 @@ class Pipeline:
         """The fused states where there are any; with feedback the detector goes on from them."""
         detector = self._detector_state.detector
         said: list[Result] = []
-        for row, sample in enumerate(piece.samples(), piece.first):
-            told = results if row == piece.last else ()
-            for i, fusion in enumerate(self._fusions):
-                fused, state = fusion.step(sample, told, detector.core, self._fusion_states[i])
-                self._fusion_states[i] = state
-                said += fused
+        for i, fusion in enumerate(self._fusions):
+            fused, self._fusion_states[i] = fusion.take(
+                piece, results, detector.core, self._fusion_states[i]
+            )
+            said += fused
         if said and self._feed_back is not None:
             core = self._feed_back(detector.core, self._fusion_states[0].graph)
             detector = detector._replace(core=core)

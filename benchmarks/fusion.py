@@ -341,10 +341,8 @@ def timed(samples: list[Sample]) -> tuple[Vector, Vector]:
         for piece in pieces(block):
             results, detector_state = references.take(piece, detector_state)
             middle = time.perf_counter()
-            for row, sample in enumerate(piece.samples(), piece.first):
-                told = results if row == piece.last else ()
-                found, state = fusion.step(sample, told, detector_state.detector.core, state)
-                said += found
+            found, state = fusion.take(piece, results, detector_state.detector.core, state)
+            said += found
             detecting, start = detecting + middle - start, time.perf_counter()
             fusing += start - middle
         if said:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from analysis.block import ImuRun
 from analysis.fdi.config import Noise
 from analysis.fdi.motion import TURN_SIGMA_RPS, Segment, run_of, segment
 from analysis.fdi.state import Motion
@@ -30,9 +31,9 @@ class Edge:
         return self.trusted and self.part.heard and 0.0 <= self.part.gap_s <= gap_s
 
 
-def between(run: Sequence[ImuSample], start_us: int, end_us: int) -> Segment:
+def between(run: ImuRun, start_us: int, end_us: int) -> Segment:
     """The samples of a run between two times."""
-    return segment(run_of(run), Motion(start_us, NOTHING, NOTHING), end_us)
+    return segment(run, Motion(start_us, NOTHING, NOTHING), end_us)
 
 
 def samples_of(part: Segment, start_us: int) -> list[ImuSample]:
@@ -47,12 +48,12 @@ def samples_of(part: Segment, start_us: int) -> list[ImuSample]:
 def split(part: Segment, start_us: int, at_us: int, end_us: int) -> tuple[Segment, Segment]:
     """The segments before and after a time in between."""
     run = samples_of(part, start_us)
-    first = [sample for sample in run if sample.t_us <= at_us]
-    second = [sample for sample in run if sample.t_us > at_us]
+    first = run_of(sample for sample in run if sample.t_us <= at_us)
+    second = run_of(sample for sample in run if sample.t_us > at_us)
     return between(first, start_us, at_us), between(second, at_us, end_us)
 
 
 def mended(part: Segment, start_us: int, end_us: int, late: Sequence[ImuSample]) -> Segment:
     """The segment with samples that came late."""
     known = {sample.t_us: sample for sample in (*samples_of(part, start_us), *late)}
-    return between([known[t_us] for t_us in sorted(known)], start_us, end_us)
+    return between(run_of(known[t_us] for t_us in sorted(known)), start_us, end_us)

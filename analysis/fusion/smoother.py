@@ -5,11 +5,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from analysis.block import ATTITUDE, IMU, TRUTH, ImuRun, Piece
 from analysis.fdi.config import DetectorConfig, Noise
 from analysis.fdi.core import Core
 from analysis.fdi.inertial import X_ISB
 from analysis.fdi.measure import choose, observe
-from analysis.fdi.motion import Segment
+from analysis.fdi.motion import Segment, run_of
 from analysis.fdi.state import Motion
 from analysis.fusion.beginning import (
     Beginning,
@@ -36,6 +37,7 @@ SUSPECT = 0.5  # of the threshold: above it the IMU is suspicious, and taken bac
 SHOWS_NOISE = ("none", "satellites")  # hypotheses under which residuals are noise
 SKY_US = 2_000_000  # satellites move little meanwhile
 JUMP_M = 1e5  # how far a clock may leap where the detector says that it did, as the ranges allow
+ASIDE = (IMU, TRUTH, ATTITUDE)  # taken as a whole, or not at all
 FAILURES = (RuntimeError, ValueError, IndexError)  # what GTSAM and numpy raise
 
 
@@ -50,6 +52,22 @@ class Fusion:
     def new_state(self) -> FusionState:
         """Nothing known."""
         return FusionState()
+
+    def take(
+        self, piece: Piece, results: Sequence[Result], core: Core, state: FusionState
+    ) -> tuple[list[Result], FusionState]:
+        """The same as `step` for samples up to an event, with the results of that."""
+        run, ours = piece.imu, slice(None)
+        if core.imu_id is not None:
+            ours = piece.ids == core.imu_id
+        state.hear(ImuRun(run.t_us[ours], run.values[ours]))
+        kinds = piece.block.kind[piece.first : piece.last + 1]
+        said: list[Result] = []
+        for row in (np.flatnonzero(~np.isin(kinds, ASIDE)) + piece.first).tolist():
+            told = results if row == piece.last else ()
+            found, state = self.step(piece.block.sample(row), told, core, state)
+            said += found
+        return said, state
 
     def step(
         self, sample: Sample, results: Sequence[Result], core: Core, state: FusionState
@@ -68,7 +86,7 @@ class Fusion:
         """
         if type(sample) is ImuSample:
             if core.imu_id is None or core.imu_id == sample.id:
-                self._hear(sample, state)
+                state.hear(run_of([sample]))
             return [], state
         decision = next((result for result in results if isinstance(result, Decision)), None)
         graph, source = state.graph, WAITING.get(type(sample))
@@ -92,9 +110,7 @@ class Fusion:
     def _epoch(self, now: Now, state: FusionState) -> FusedState | None:
         """The next epoch of the graph, or the first of a new one."""
         graph, t_us = state.graph, now.decision.t_us
-        state.run = []
-        while state.imu and state.imu[0].t_us <= t_us:
-            state.run.append(state.imu.popleft())
+        state.cut(t_us)
         if graph is not None and not self._must_restart(graph, now.decision):
             return self._go_on(graph, now, state)
         motion = now.motion
@@ -246,16 +262,6 @@ class Fusion:
             if slow is not None:
                 graph.slow_m2, state.sky = slow, sky
         return {name: weights[name] for name in names}
-
-    def _hear(self, sample: ImuSample, state: FusionState) -> None:
-        if state.graph is not None and sample.t_us <= state.graph.node.t_us:
-            state.graph.hear_late(sample)
-        elif not state.imu or sample.t_us > state.imu[-1].t_us:
-            state.imu.append(sample)
-        else:
-            known = {other.t_us: other for other in (sample, *state.imu)}
-            state.imu.clear()
-            state.imu.extend(known[t_us] for t_us in sorted(known))
 
     def _take_late(
         self, graph: Graph, sample: Sample, source: str | None, core: Core, state: FusionState

@@ -5,6 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import numpy as np
+
+from analysis.block import ImuRun
 from analysis.fdi.core import Core, Record
 from analysis.fdi.motion import PENDING_MAX
 from analysis.fdi.state import Motion
@@ -15,6 +18,8 @@ from analysis.fusion.learnt import Learnt
 from analysis.fusion.other import Others
 from analysis.results import Decision, FusedState, Result
 from analysis.samples import ImuSample, Sample, Vector
+
+NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,15 +57,16 @@ class Good(NamedTuple):
 class FusionState:
     """What moves; changed in place, as the graph in it must be.
 
-    `imu` and `waiting` are samples for the next epoch and `run` the IMU up to the newest one.
+    `imu` and `waiting` are runs and samples for the next epoch, `run` the IMU up to the newest one.
     `learnt` is what the flight has shown of its noise. `excluded` and `isolated` are what was left
     out there, `lost` says that the graph has missed the IMU since it knew its attitude,
     `suspect_us` since when the IMU has been suspicious. `sky` are the satellites that the slow
     covariance is of, and when; `notes` are for the next result's reason.
     """
 
-    imu: deque[ImuSample] = field(default_factory=lambda: deque(maxlen=PENDING_MAX))
-    run: list[ImuSample] = field(default_factory=list)
+    imu: deque[ImuRun] = field(default_factory=deque)
+    depth: int = 0  # samples in `imu`
+    run: ImuRun = NO_RUN
     waiting: dict[str, Sample] = field(default_factory=dict)
     graph: Graph | None = None
     others: Others | None = None
@@ -73,3 +79,32 @@ class FusionState:
     sky: tuple[object, ...] = ()
     notes: list[str] = field(default_factory=list)
     last: FusedState | None = None
+
+    def hear(self, run: ImuRun) -> None:
+        """Take IMU samples: the graph those from before its newest epoch, the next epoch the rest.
+
+        The oldest are forgotten where there are too many.
+        """
+        if self.graph is not None and len(run.t_us):
+            late = run.t_us <= self.graph.node.t_us
+            if late.any():
+                for t_us, row in zip(run.t_us[late].tolist(), run.values[late], strict=True):
+                    self.graph.hear_late(ImuSample(t_us, row[:3], row[3:]))
+                run = ImuRun(run.t_us[~late], run.values[~late])
+        if len(run.t_us):
+            self.imu.append(run)
+            self.depth += len(run.t_us)
+        while self.depth > PENDING_MAX and len(self.imu) > 1:
+            self.depth -= len(self.imu.popleft().t_us)
+
+    def cut(self, t_us: int) -> None:
+        """Put together what has come, in order of time, and cut it behind an epoch."""
+        stamps = np.concatenate([NO_RUN.t_us, *(one.t_us for one in self.imu)])
+        values = np.concatenate([NO_RUN.values, *(one.values for one in self.imu)])
+        if (np.diff(stamps) <= 0).any():
+            stamps, first = np.unique(stamps, return_index=True)
+            values = values[first]
+        end = int(np.searchsorted(stamps, t_us, side="right"))
+        self.run = ImuRun(stamps[:end], values[:end])
+        self.imu = deque([ImuRun(stamps[end:], values[end:])])
+        self.depth = len(stamps) - end
