@@ -79,6 +79,11 @@ class Block(NamedTuple):
         """One after the other."""
         return (self.sample(row) for row in range(len(self.kind)))
 
+    def between(self, begin: int, end: int) -> "Block":
+        """Rows in a row; views of the table."""
+        beside = {row - begin: sample for row, sample in self.beside.items() if begin <= row < end}
+        return Block(self.kind[begin:end], self.t_us[begin:end], self.values[begin:end], beside)
+
     def where(self, keep: NDArray[np.bool_]) -> "Block":
         """The rows that `keep` (n,), a mask, lets pass."""
         to = np.cumsum(keep) - 1

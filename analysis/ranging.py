@@ -28,7 +28,17 @@ class Rows(NamedTuple):
 
     def between(self, begin: int, end: int) -> "Rows":
         """Some in a row."""
-        return Rows(*(column[begin:end] for column in self))
+        at = slice(begin, end)
+        return Rows(self.code[at], self.pseudorange_m[at], self.doppler_mps[at], self.cn0_dbhz[at])
+
+    def after(self, rows: "Rows") -> "Rows":
+        """The same behind others."""
+        return Rows(
+            np.concatenate([rows.code, self.code]),
+            np.concatenate([rows.pseudorange_m, self.pseudorange_m]),
+            np.concatenate([rows.doppler_mps, self.doppler_mps]),
+            np.concatenate([rows.cn0_dbhz, self.cn0_dbhz]),
+        )
 
 
 NO_ROWS = Rows(np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0))
@@ -55,7 +65,7 @@ class Ranging:
         `stamps_us` (k) is what the sender's clock showed last before.
         """
         ranges = read_ranges(messages)
-        rows = Rows(*(np.concatenate(c) for c in zip(self._rows, ranges[3:], strict=True)))
+        rows = Rows(*ranges[3:]).after(self._rows)
         begin, end = 0, len(self._rows.code)
         heads = zip(
             messages.number.tolist(),
@@ -79,7 +89,7 @@ class Ranging:
             if not more:
                 found.append((place, self._epoch(rows.between(begin, end), stamp_us)))
                 begin = end
-        self._rows = Rows(*(column.copy() for column in rows.between(begin, end)))
+        self._rows = rows.between(begin, end).after(NO_ROWS)  # a copy
         return found
 
     def _broadcast(self, message: bytes, stamp_us: int | None) -> list[Sample]:

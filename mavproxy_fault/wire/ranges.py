@@ -60,7 +60,9 @@ def read_ranges(messages: Messages) -> Ranges:
     room = len(messages.data) // LEAST_BYTES
     code, values = np.empty(room, np.int64), np.empty((3, room))
     count = _read(messages.data, messages.ends, _SYSTEM_NUMBERS, heads, code, values)
-    return Ranges(*heads, code[:count], *values[:, :count])
+    tow_ms, more, ends = heads
+    pseudorange_m, doppler_mps, cn0_dbhz = values[:, :count]
+    return Ranges(tow_ms, more, ends, code[:count], pseudorange_m, doppler_mps, cn0_dbhz)
 
 
 @exact
@@ -96,7 +98,7 @@ def _bits(data: Bytes, at: int, width: int) -> int:
     byte = at >> 3
     word = np.int64(data[byte]) << 24 | np.int64(data[byte + 1]) << 16
     word |= np.int64(data[byte + 2]) << 8 | np.int64(data[byte + 3])
-    return (word >> (32 - (at & 7) - width)) & ((1 << width) - 1)
+    return int((word >> (32 - (at & 7) - width)) & ((1 << width) - 1))
 
 
 @exact
