@@ -108,7 +108,11 @@ class References:
         found: list[tuple[int, Result]] = []
         decided: list[Decided] = []
         before, detector = state.detector.core.motion, state.detector
-        for piece in pieces(block):
+
+        def wanted(t_us: int) -> bool:
+            return self.detector.wants_fix(detector.core, t_us)
+
+        for piece in pieces(block, wanted):
             results, detector = self.detector.take(piece, detector)
             found += [(piece.last, result) for result in results]
             decided += _decided(piece.last, results, detector)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from analysis.block import EPOCH, FIX, MAG, Block, ImuRun, Piece, block_of, pieces
+from analysis.block import EPOCH, FIX, Block, ImuRun, Piece, block_of, pieces
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import NOTHING_HELD, Core, Record, State
 from analysis.fdi.epoch import Outcome, judge_epoch
@@ -42,7 +42,11 @@ class Detector:
     def step(self, samples: Sample | Block, state: State) -> tuple[list[Result], State]:
         """Decisions that a block of samples, or a single one, allows, and the next state."""
         results: list[Result] = []
-        for piece in pieces(samples):
+
+        def wanted(t_us: int) -> bool:
+            return self.wants_fix(state.core, t_us)
+
+        for piece in pieces(samples, wanted):
             said, state = self.take(piece, state)
             results += said
         return results, state
@@ -52,11 +56,10 @@ class Detector:
         if len(piece.ids):
             state = _with_imu(piece, state)
         core, pending = state
-        mag = piece.newest.get(MAG)
-        if mag is not None:
-            core = core._replace(mag_b=piece.block.values[mag, :3].copy())
+        if piece.mag >= 0:
+            core = core._replace(mag_b=piece.block.values[piece.mag, :3].copy())
             state = State(core, pending)
-        if piece.kind == FIX and not self._has_ranges(core, piece.t_us):
+        if piece.kind == FIX and self.wants_fix(core, piece.t_us):
             fix = piece.event
             assert isinstance(fix, GpsFix)
             return step_position(fix, state, self.config)
@@ -72,9 +75,9 @@ class Detector:
             return [], State(core._replace(ionosphere=known), pending)
         return [], state
 
-    def _has_ranges(self, core: Core, t_us: int) -> bool:
-        """Whether there are raw ranges, so that a receiver's own position is not needed."""
-        return core.ranges_us is not None and t_us - core.ranges_us < self.config.reset_s * 1e6
+    def wants_fix(self, core: Core, t_us: int) -> bool:
+        """Whether there are no raw ranges, so that a receiver's own position is needed."""
+        return core.ranges_us is None or t_us - core.ranges_us >= self.config.reset_s * 1e6
 
     def _epoch(self, epoch: Epoch, state: State) -> tuple[list[Result], State]:
         core, pending = state
