@@ -99,12 +99,12 @@ class References:
         """Decisions that a block of samples, or a single one, allows, and the next state."""
         block = samples if isinstance(samples, Block) else block_of(samples)
         found, state = self.judge(block, state)
-        return [result for _, result in found], state
+        return [result for _, result in sorted(found, key=itemgetter(0))], state
 
     def judge(
         self, block: Block, state: ReferenceState
     ) -> tuple[list[tuple[int, Result]], ReferenceState]:
-        """The same, each with the row of the block that led to it."""
+        """The same, each with the row of the block that led to it: the detector's, then others."""
         found: list[tuple[int, Result]] = []
         decided: list[Decided] = []
         before, detector = state.detector.core.motion, state.detector
@@ -117,9 +117,7 @@ class References:
             found += [(piece.last, result) for result in results]
             decided += _decided(piece.last, results, detector)
         said, kept = self._judged(block, decided, before, state.kept)
-        found += said
-        found.sort(key=itemgetter(0))
-        return found, ReferenceState(detector, kept)
+        return found + said, ReferenceState(detector, kept)
 
     def take(self, piece: Piece, state: ReferenceState) -> tuple[list[Result], ReferenceState]:
         """The same for samples up to an event, where something else moves the filter meanwhile."""
