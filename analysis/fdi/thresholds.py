@@ -1,15 +1,40 @@
-"""Chi-square and normal thresholds, kept once computed."""
+"""Chi-square and normal thresholds, kept once computed.
+
+Whole degrees of freedom need no special functions: the tail of chi-square is a finite sum [1]_.
+Loading those of scipy would take longer than all thresholds of a flight.
+
+References
+----------
+.. [1] Abramowitz and Stegun, Handbook of Mathematical Functions, 26.4.4 and 26.4.5.
+"""
 
 from functools import lru_cache
-from math import comb
+from math import comb, erfc, exp, inf, lgamma, log, nan, pi, sqrt
+from statistics import NormalDist
 
-from scipy.special import chdtrc, chdtri, ndtri
+BEYOND = 1400.0  # the probability of a larger statistic is below the smallest number
+ITERATIONS = 50
 
 
 @lru_cache(maxsize=4096)
 def chi_square(dof: int, p_false_alarm: float) -> float:
-    """The value a chi-square variable of `dof` exceeds with probability `p_false_alarm`."""
-    return float(chdtri(dof, p_false_alarm))
+    """The value a chi-square variable of `dof` exceeds with probability `p_false_alarm`.
+
+    Newton's method on the logarithm of the tail, from Wilson and Hilferty's cube; NaN without a
+    degree of freedom.
+    """
+    if dof < 1:
+        return nan
+    spread = 2.0 / (9.0 * dof)
+    x = max(dof * (1.0 - spread + two_sided(2.0 * p_false_alarm) * sqrt(spread)) ** 3, 1e-3)
+    for _ in range(ITERATIONS):
+        tail = p_value(x, dof)
+        density = exp((0.5 * dof - 1.0) * log(0.5 * x) - 0.5 * x - lgamma(0.5 * dof)) / 2.0
+        step = tail / density * log(tail / p_false_alarm)
+        x = max(x + step, 0.5 * x)
+        if abs(step) <= 1e-15 * x:
+            break
+    return x
 
 
 @lru_cache(maxsize=4096)
@@ -25,9 +50,22 @@ def subset_threshold(count: int, left_out: int, p_false_alarm: float, unknowns: 
 @lru_cache(maxsize=1024)
 def two_sided(p_false_alarm: float) -> float:
     """The value a standard normal variable exceeds in size with probability `p_false_alarm`."""
-    return float(-ndtri(0.5 * p_false_alarm))
+    return -NormalDist().inv_cdf(0.5 * p_false_alarm)
 
 
 def p_value(statistic: float, dof: int) -> float:
     """Probability of a statistic at least as large without a fault."""
-    return float(chdtrc(dof, statistic))
+    if not 0.0 < statistic < inf or dof < 1:
+        return nan if dof < 1 or statistic != statistic else float(statistic <= 0.0)
+    if statistic > BEYOND:
+        return 0.0
+    half = 0.5 * statistic
+    odd = dof % 2 == 1
+    total = erfc(sqrt(half)) if odd else 0.0
+    term = 2.0 * sqrt(half / pi) * exp(-half) if odd else exp(-half)
+    order = 1.5 if odd else 1.0  # the next term is this one times half / order
+    for _ in range(dof // 2):
+        total += term
+        term *= half / order
+        order += 1.0
+    return total
