@@ -7,6 +7,7 @@ from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import Core
 from analysis.fdi.exclusion import NOBODY, Outside, exclude, outside, readmit
 from analysis.fdi.inertial import X_CLOCK
+from analysis.fdi.information import statistic
 from analysis.fdi.measure import Modelled, Observed
 from analysis.fdi.motion import Segment, advance
 from analysis.fdi.offsets import held, hold, learnt
@@ -16,7 +17,7 @@ from analysis.fdi.sight import CLOCK_LEAP_M, Assessed, Sight, see
 from analysis.fdi.slow import Memory, SlowVerdict, judge_slow, new_memory, ready
 from analysis.fdi.state import Motion
 from analysis.fdi.thresholds import chi_square
-from analysis.fdi.update import Rates, absorb, innovated, remember
+from analysis.fdi.update import Rates, absorb, remember
 from analysis.fdi.value import Value
 from analysis.samples import Vector
 
@@ -60,7 +61,7 @@ def judge_epoch(
         since = core.memory or new_memory(before.t_us), phi, before.t_us
         moved, memory, slow = _remembered(since, t_us, seen.names, tested, rates.fit, config)
     else:
-        moved = absorb(tested.motion, tested.part, tested.taken, rates.fit)
+        moved = absorb(tested.motion, tested.part, rates.fit)
         core = hold(core, t_us, config)
     wrong = slow.hypothesis if slow is not None else "none"
     imu_blamed = before.inertial and "imu" in (rates.hypothesis, tested.hypothesis, wrong)
@@ -107,9 +108,7 @@ def _remembered(
     memory, phi, before_us = since
     memory = ready(memory, t_us, names, tested.part.variance, config)
     dt_s = (t_us - before_us) * 1e-6
-    moved, memory, found = remember(
-        tested.motion, tested.part, tested.taken, rates, memory, phi, dt_s, config
-    )
+    moved, memory, found = remember(tested.motion, tested.part, rates, memory, phi, dt_s, config)
     return moved, memory, judge_slow(memory, found, config)
 
 
@@ -118,12 +117,14 @@ def _tested(
 ) -> Tested:
     """The ranges' test after what the rates have said of the prediction."""
     freed = freed_by(motion, by_rates)
-    first = seen.assessed.ranges if freed is motion else innovated(freed.p, seen.used)
+    used, q = seen.used, seen.assessed.q
+    if freed is not motion:
+        q = statistic(freed.p, used.h, used.variance, used.v_m)
     threshold = chi_square(len(seen.names), config.p_false_alarm)
-    if first.q <= threshold:
-        return passed(freed, seen.used, first, threshold)
+    if q <= threshold:
+        return passed(freed, used, q, threshold)
     standing_m = learnt(core, seen.names)
-    return blamed(freed, seen.used, first.q, threshold, standing_m, config)
+    return blamed(freed, used, q, threshold, standing_m, config)
 
 
 def _shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:

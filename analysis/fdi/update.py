@@ -6,11 +6,10 @@ The ranges are used first, then the Doppler rates against what the ranges have t
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
-from analysis.fdi.inertial import correct, innovate
-from analysis.fdi.linear import apply
-from analysis.fdi.measure import Indices, Modelled, rate_rows
+from analysis.fdi.information import block, columns, states_of, take, weighed
+from analysis.fdi.measure import Indices, Modelled
 from analysis.fdi.memory import learn_offsets, respond, respond_to_rates, strongest
-from analysis.fdi.sight import Innovated, finite
+from analysis.fdi.sight import RATE_STATES, weighed_rates
 from analysis.fdi.slow import Memory, Strongest
 from analysis.fdi.state import Motion
 from analysis.fdi.value import Value
@@ -27,32 +26,16 @@ class Rates(Value, frozen=True):
     h: Vector
 
 
-def innovated(p: Vector, modelled: Modelled) -> Innovated:
-    """The ranges' innovations with the covariance p (20, 20) of the prediction."""
-    return Innovated(*innovate(p, modelled.h, modelled.variance, modelled.v_m))
-
-
-def absorb(motion: Motion, ranges: Modelled, taken: Innovated, rates: Rates) -> Motion:
-    """The filter after the ranges of `ranges`, innovated as `taken`, and the rates of `rates`."""
-    x, p, *_ = _absorb(
-        motion.x,
-        motion.p,
-        ranges.h,
-        ranges.variance,
-        taken.ph,
-        taken.m,
-        taken.u,
-        rates.h,
-        rates.variance,
-        rates.v,
-    )
+def absorb(motion: Motion, ranges: Modelled, rates: Rates) -> Motion:
+    """The filter after some ranges and rates."""
+    x, p = motion.x.copy(), motion.p.copy()
+    _absorb(x, p, ranges.h, ranges.variance, ranges.v_m, rates.h, rates.variance, rates.v)
     return motion._replace(x=x, p=p)
 
 
 def remember(
     motion: Motion,
     ranges: Modelled,
-    taken: Innovated,
     rates: Rates,
     memory: Memory,
     phi: Vector,
@@ -69,9 +52,6 @@ def remember(
         ranges.h,
         ranges.variance,
         ranges.v_m,
-        taken.ph,
-        taken.m,
-        taken.u,
         rates.h,
         rates.variance,
         rates.v,
@@ -98,26 +78,23 @@ def _absorb(
     p: Vector,
     h: Vector,
     variance: Vector,
-    ph: Vector,
-    m: Vector,
-    u: Vector,
+    v: Vector,
     rates_h: Vector,
     rate_variance: Vector,
     v_rate: Vector,
-) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector, Vector]:
-    """State, covariance and gain; gain, M, geometry and innovations of the rates."""
-    moved = apply(ph, u)
-    x, p, gain = correct(x, p, h, variance, ph, m, u)
-    known = finite(v_rate)
-    rows = rate_rows(rates_h, known)
-    left, wide = np.empty(known.shape[0]), np.empty(known.shape[0])
-    for i in range(left.shape[0]):
-        left[i], wide[i] = v_rate[known[i]], rate_variance[known[i]]
-        for j in range(moved.shape[0]):  # what the ranges' update has told is no news
-            left[i] -= rows[i, j] * moved[j]
-    ph_rate, m_rate, u_rate, _ = innovate(p, rows, wide, left)
-    x, p, gain_rate = correct(x, p, rows, wide, ph_rate, m_rate, u_rate)
-    return x, p, gain, gain_rate, m_rate, rows, left
+) -> tuple[Indices, Vector, Vector, Vector, Vector, Vector]:
+    """Update x and p in place; returns the states that the ranges see (c,), their geometry over
+    these (n, c) and P+_:c (20, c) after them; P+_:c (20, 4), N and b of the rates."""
+    states = states_of(h)
+    a = columns(h, states)
+    information, b, _ = weighed(a, variance, v)
+    after, moved = take(x, p, states, information, b)
+    information, b, _, _ = weighed_rates(rates_h, rate_variance, v_rate)
+    for i in range(b.shape[0]):  # what the ranges' update has told is no news
+        for j in range(b.shape[0]):
+            b[i] -= information[i, j] * moved[RATE_STATES[j]]
+    after_rates, _ = take(x, p, RATE_STATES, information, b)
+    return states, a, after, after_rates, information, b
 
 
 @compiled
@@ -127,9 +104,6 @@ def _remember(
     h: Vector,
     variance: Vector,
     v: Vector,
-    ph: Vector,
-    m: Vector,
-    u: Vector,
     rates_h: Vector,
     rate_variance: Vector,
     v_rate: Vector,
@@ -146,16 +120,19 @@ def _remember(
     inertial: bool,
     numbers: Vector,
 ) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector, tuple[float, int, int, float]]:
-    after, wide, gain, gain_rate, m_rate, rows, left = _absorb(
-        x, p, h, variance, ph, m, u, rates_h, rate_variance, v_rate
+    prior = p
+    x, p = x.copy(), p.copy()
+    states, a, after, after_rates, information, b = _absorb(
+        x, p, h, variance, v, rates_h, rate_variance, v_rate
     )
     ages = np.zeros(starts_us.shape[0])
     for w in range(ages.shape[0]):
         if starts_us[w] != 0:
             ages[w] = (t_us - starts_us[w]) * 1e-6
-    d, sums = respond(d, sums, offsets, ages, phi, gain, m, h, v, dt_s)
-    if left.shape[0] > 0:
-        d, sums = respond_to_rates(d, sums, gain_rate, m_rate, rows, left)
-    offset, spread = learn_offsets(offset, spread, p, h, variance, v, dt_s, numbers)
+    d, sums = respond(d, sums, offsets, ages, phi, after, states, a, variance, v, dt_s)
+    respond_to_rates(d, sums, after_rates, RATE_STATES, information, b)
+    offset, spread = learn_offsets(
+        offset, spread, block(prior, states), a, variance, v, dt_s, numbers
+    )
     found = strongest(sums, spreads, ages, inertial, numbers)
-    return after, wide, d, sums, offset, spread, found
+    return x, p, d, sums, offset, spread, found
