@@ -8,10 +8,11 @@ import numpy as np
 from analysis.block import EPOCH, FIX, MAG, Block, ImuRun, Piece, block_of, pieces
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import NOTHING_HELD, Core, Record, State
-from analysis.fdi.epoch import Outcome, judge_epoch
+from analysis.fdi.epoch import judge_epoch
 from analysis.fdi.exclusion import exclude
 from analysis.fdi.measure import Observed, choose, observe, why_none
 from analysis.fdi.motion import Segment, keep_pending, segment, split_pending
+from analysis.fdi.outcome import Outcome
 from analysis.fdi.receiver import step_position
 from analysis.fdi.said import decision, imu_results, started, untestable
 from analysis.fdi.slow import onset_of
@@ -134,18 +135,18 @@ class Detector:
             outcome = self._repaired(outcome, late, history)
             history = outcome.core.history
         core = outcome.core._replace(history=history if outcome.core.motion else ())
-        if outcome.tested is None:
+        if outcome.reason:
             return [untestable(epoch.t_us, outcome.reason, core.excluded)], core
         said = decision(epoch, outcome, core, bool(late), config)
         return [said, *imu_results(epoch, outcome, part, config)], core
 
     def _late(self, outcome: Outcome, core: Core, t_us: int) -> dict[str, int]:
         """Satellites found faulty now, and since when, where that was earlier."""
-        slow, tested = outcome.slow, outcome.tested
+        slow = outcome.slow
         onsets = {}
         if slow is not None and slow.hypothesis == "satellites":
             onsets[slow.satellite] = slow.onset_us
-        for i in tested.left_out if tested is not None else ():
+        for i in outcome.left_out:
             onset_us = onset_of(core.memory, outcome.names[i], t_us, self.config)
             if onset_us < t_us:
                 onsets[outcome.names[i]] = onset_us

@@ -133,11 +133,8 @@ def weights(p: Vector, h: Vector, variance: Vector) -> Vector:
 
 
 @compiled
-def take(
-    x: Vector, p: Vector, states: Indices, information: Vector, b: Vector
-) -> tuple[Vector, Vector]:
-    """Update x (21,) and p (20, 20), in place; returns P+_:c (20, c) and dx (20,)."""
-    told = narrowed(block(p, states), information)[1]
+def take(x: Vector, p: Vector, states: Indices, told: Vector, b: Vector) -> tuple[Vector, Vector]:
+    """Update x (21,) and p (20, 20), in place, by Y and b; returns P+_:c (20, c) and dx (20,)."""
     rows = np.empty((states.shape[0], p.shape[0]))
     for k in range(states.shape[0]):
         for j in range(p.shape[0]):
@@ -178,5 +175,5 @@ def taken(x: Vector, p: Vector, h: Vector, variance: Vector, v: Vector) -> tuple
     x, p = x.copy(), p.copy()
     states = states_of(h)
     information, b, _ = weighed(columns(h, states), variance, v)
-    take(x, p, states, information, b)
+    take(x, p, states, narrowed(block(p, states), information)[1], b)
     return x, p

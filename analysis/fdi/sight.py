@@ -9,7 +9,6 @@ import math
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
-from analysis.fdi.inertial import ISB
 from analysis.fdi.information import block, columns, narrowed, quadratic, states_of, weighed
 from analysis.fdi.linear import apply, inverse
 from analysis.fdi.measure import (
@@ -153,55 +152,56 @@ def _see(
         far += i < seen and abs(table[0, i]) > CLOCK_LEAP_M
     used = h[:count]
     variance, v = table[2, :count], table[0, :count]
-    q, parity, dof, systems = _ranges(p, used, variance, v, table[5])
-    q_rate, rates = _rates(p, used, table[3, :count], table[1, :count])
+    states = states_of(used)
+    a = columns(used, states)
+    information, b, total = weighed(a, variance, v)
+    after = narrowed(block(p, states), information)[0]
+    normalise(a, after, b, variance, v, table[5])
+    q = total - quadratic(b, after)
+    parity, dof, systems = parity_test(a, information, b, total)
+    q_rate, rates = rates_statistic(p, used, table[3, :count], table[1, :count])
     return order, table, h, (q, q_rate, parity), (count, seen, systems, rates, dof, far)
 
 
 @compiled
-def _ranges(
-    p: Vector, h: Vector, variance: Vector, v: Vector, normalised: Vector
-) -> tuple[float, float, int, int]:
-    """The main statistic, the parity statistic (that of the snapshot's residuals) with its degrees
-    of freedom, and how many systems there are; `normalised` is filled with u_i / sqrt(M_ii), whose
-    squares are what the main statistic is less without i; NaN where the others do not check i."""
-    states = states_of(h)
-    a = columns(h, states)
-    information, b, total = weighed(a, variance, v)
-    after = narrowed(block(p, states), information)[0]
+def normalise(
+    a: Vector, after: Vector, b: Vector, variance: Vector, v: Vector, out: Vector
+) -> None:
+    """Fill `out` with u_i / sqrt(M_ii), standard normal without faults, whose squares are what q is
+    less without i; NaN where a satellite is not checked by the others. `after` is P+_c."""
     moved = apply(after, b)
     for i in range(a.shape[0]):
         left, own = v[i], 1.0 - quadratic(a[i], after) / variance[i]
         for j in range(a.shape[1]):
             left -= a[i, j] * moved[j]
         known = own > 1e-12 * variance[i]
-        normalised[i] = left / math.sqrt(own * variance[i]) if known else np.nan
-    unknowns, systems = _snapshot(h, states)
-    dof = max(a.shape[0] - unknowns.shape[0], 0)
-    parity = 0.0
-    if dof > 0:
-        some = np.empty(unknowns.shape[0])
-        for j in range(unknowns.shape[0]):
-            some[j] = b[unknowns[j]]
-        parity = total - quadratic(some, inverse(block(information, unknowns)))
-    return total - quadratic(b, after), parity, dof, systems
+        out[i] = left / math.sqrt(own * variance[i]) if known else np.nan
 
 
 @compiled
-def _snapshot(h: Vector, states: Indices) -> tuple[Indices, int]:
-    """Places in `states` of what a snapshot solves for, and the number of systems: where none is
-    GPS, the first one's offset is the clock's."""
+def parity_test(a: Vector, information: Vector, b: Vector, total: float) -> tuple[float, int, int]:
+    """The statistic of the snapshot's residuals, its degrees of freedom, and how many systems.
+
+    A snapshot solves for the states that are seen; where no satellite is GPS's, its first system's
+    offset is the clock's.
+    """
     of_gps = 0
-    for i in range(h.shape[0]):
+    for i in range(a.shape[0]):
         own = 0.0
-        for j in range(ISB, h.shape[1]):
-            own += h[i, j]
+        for j in range(4, a.shape[1]):
+            own += a[i, j]
         of_gps += own == 0.0
     skipped = 0 if of_gps else 1
-    out = np.empty(max(states.shape[0] - skipped, 0), dtype=np.int64)
-    for j in range(out.shape[0]):
-        out[j] = j if j < 4 else j + skipped
-    return out, max(out.shape[0] - 3, 0)
+    unknowns = np.empty(max(a.shape[1] - skipped, 3), dtype=np.int64)
+    for j in range(unknowns.shape[0]):
+        unknowns[j] = j if j < 4 else j + skipped
+    systems, dof = unknowns.shape[0] - 3, max(a.shape[0] - unknowns.shape[0], 0)
+    if dof == 0:
+        return 0.0, 0, systems
+    some = np.empty(unknowns.shape[0])
+    for j in range(some.shape[0]):
+        some[j] = b[unknowns[j]]
+    return total - quadratic(some, inverse(block(information, unknowns))), dof, systems
 
 
 @compiled
@@ -220,7 +220,7 @@ def _sorted(elevation: Vector, trusted: Mask, mask_rad: float) -> tuple[Indices,
 
 
 @compiled
-def _rates(p: Vector, h: Vector, variance: Vector, v: Vector) -> tuple[float, int]:
+def rates_statistic(p: Vector, h: Vector, variance: Vector, v: Vector) -> tuple[float, int]:
     """The statistic of the Doppler rates that are known, and how many they are."""
     information, b, total, count = weighed_rates(h, variance, v)
     after = narrowed(block(p, RATE_STATES), information)[0]

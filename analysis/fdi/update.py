@@ -6,7 +6,7 @@ The ranges are used first, then the Doppler rates against what the ranges have t
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
-from analysis.fdi.information import block, columns, states_of, take, weighed
+from analysis.fdi.information import block, columns, narrowed, states_of, take, weighed
 from analysis.fdi.measure import Indices, Modelled
 from analysis.fdi.memory import learn_offsets, respond, respond_to_rates, strongest
 from analysis.fdi.sight import RATE_STATES, weighed_rates
@@ -82,19 +82,25 @@ def _absorb(
     rates_h: Vector,
     rate_variance: Vector,
     v_rate: Vector,
-) -> tuple[Indices, Vector, Vector, Vector, Vector, Vector]:
-    """Update x and p in place; returns the states that the ranges see (c,), their geometry over
-    these (n, c) and P+_:c (20, c) after them; P+_:c (20, 4), N and b of the rates."""
+) -> None:
+    """Update x and p in place."""
     states = states_of(h)
-    a = columns(h, states)
-    information, b, _ = weighed(a, variance, v)
-    after, moved = take(x, p, states, information, b)
+    information, b, _ = weighed(columns(h, states), variance, v)
+    told = narrowed(block(p, states), information)[1]
+    _, moved = take(x, p, states, told, b)
     information, b, _, _ = weighed_rates(rates_h, rate_variance, v_rate)
+    absorb_rates(x, p, information, b, moved)
+
+
+@compiled
+def absorb_rates(x: Vector, p: Vector, information: Vector, b: Vector, moved: Vector) -> Vector:
+    """Update x, p and b in place by rates of N and b (4,) after the ranges moved the state by
+    `moved` (20,); returns P+_:c (20, 4)."""
     for i in range(b.shape[0]):  # what the ranges' update has told is no news
         for j in range(b.shape[0]):
             b[i] -= information[i, j] * moved[RATE_STATES[j]]
-    after_rates, _ = take(x, p, RATE_STATES, information, b)
-    return states, a, after, after_rates, information, b
+    told = narrowed(block(p, RATE_STATES), information)[1]
+    return take(x, p, RATE_STATES, told, b)[0]
 
 
 @compiled
@@ -120,19 +126,74 @@ def _remember(
     inertial: bool,
     numbers: Vector,
 ) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector, tuple[float, int, int, float]]:
-    prior = p
-    x, p = x.copy(), p.copy()
-    states, a, after, after_rates, information, b = _absorb(
-        x, p, h, variance, v, rates_h, rate_variance, v_rate
+    states = states_of(h)
+    a = columns(h, states)
+    information, b, _ = weighed(a, variance, v)
+    told = narrowed(block(p, states), information)[1]
+    of_rates, b_rates, _, _ = weighed_rates(rates_h, rate_variance, v_rate)
+    return followed(
+        x,
+        p,
+        states,
+        a,
+        variance,
+        v,
+        told,
+        b,
+        of_rates,
+        b_rates,
+        phi,
+        dt_s,
+        t_us,
+        starts_us,
+        d,
+        sums,
+        offset,
+        spread,
+        offsets,
+        spreads,
+        inertial,
+        numbers,
     )
+
+
+@compiled
+def followed(
+    x: Vector,
+    p: Vector,
+    states: Indices,
+    a: Vector,
+    variance: Vector,
+    v: Vector,
+    told: Vector,
+    b: Vector,
+    of_rates: Vector,
+    b_rates: Vector,
+    phi: Vector,
+    dt_s: float,
+    t_us: int,
+    starts_us: Indices,
+    d: Vector,
+    sums: Vector,
+    offset: Vector,
+    spread: Vector,
+    offsets: Vector,
+    spreads: Vector,
+    inertial: bool,
+    numbers: Vector,
+) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector, tuple[float, int, int, float]]:
+    """Filter and memory after ranges of b and Y (`told`) and rates of N and b, as new arrays; what
+    the windows say of them (`memory.strongest`)."""
+    prior = block(p, states)
+    x, p = x.copy(), p.copy()
+    after, moved = take(x, p, states, told, b)
+    after_rates = absorb_rates(x, p, of_rates, b_rates, moved)
     ages = np.zeros(starts_us.shape[0])
     for w in range(ages.shape[0]):
         if starts_us[w] != 0:
             ages[w] = (t_us - starts_us[w]) * 1e-6
     d, sums = respond(d, sums, offsets, ages, phi, after, states, a, variance, v, dt_s)
-    respond_to_rates(d, sums, after_rates, RATE_STATES, information, b)
-    offset, spread = learn_offsets(
-        offset, spread, block(prior, states), a, variance, v, dt_s, numbers
-    )
+    respond_to_rates(d, sums, after_rates, RATE_STATES, of_rates, b_rates)
+    offset, spread = learn_offsets(offset, spread, prior, a, variance, v, dt_s, numbers)
     found = strongest(sums, spreads, ages, inertial, numbers)
     return x, p, d, sums, offset, spread, found
