@@ -50,27 +50,29 @@ class Detector:
 
     def take(self, piece: Piece, state: State) -> tuple[list[Result], State]:
         """The same for samples up to an event."""
+        core, pending, mag_b = state
         if len(piece.ids):
-            state = _with_imu(piece, state)
-        core, pending = state
+            if core.imu_id is None:
+                core = core._replace(imu_id=int(piece.ids[0]))
+            pending = keep_pending(_of_imu(piece, core.imu_id), pending)
         mag = piece.newest.get(MAG)
         if mag is not None:
-            core = core._replace(mag_b=piece.block.values[mag, :3].copy())
-            state = State(core, pending)
-        if piece.kind == FIX and not self._has_ranges(core, piece.t_us):
+            mag_b = piece.block.values[mag, :3]
+        state = State(core, pending, mag_b)
+        if piece.kind < EPOCH:
+            if piece.kind < FIX or self._has_ranges(core, piece.t_us):
+                return [], state
             fix = piece.event
             assert isinstance(fix, GpsFix)
             return step_position(fix, state, self.config)
-        if piece.kind < EPOCH:
-            return [], state
         event = piece.event
         if isinstance(event, Epoch):
             return self._epoch(event, state)
         if isinstance(event, EphemerisSample):
-            return [], State(_learn(core, event), pending)
+            return [], State(_learn(core, event), pending, mag_b)
         if isinstance(event, IonosphereSample):
             known = np.array(event.alpha + event.beta)
-            return [], State(core._replace(ionosphere=known), pending)
+            return [], State(core._replace(ionosphere=known), pending, mag_b)
         return [], state
 
     def _has_ranges(self, core: Core, t_us: int) -> bool:
@@ -78,7 +80,7 @@ class Detector:
         return core.ranges_us is not None and t_us - core.ranges_us < self.config.reset_s * 1e6
 
     def _epoch(self, epoch: Epoch, state: State) -> tuple[list[Result], State]:
-        core, pending = state
+        core, pending, mag_b = state
         chosen = core.chosen
         if chosen is None or not chosen.serves(epoch):
             chosen = choose(epoch, core.ephemerides, self.config.systems)
@@ -101,9 +103,11 @@ class Detector:
         run, pending = split_pending(pending, epoch.t_us)
         if motion is None:
             results, core = self._start(epoch, observed, core)
-            return results, State(core, pending)
-        results, core = self._test(epoch, observed, segment(run, motion, epoch.t_us), core)
-        return results, State(core, pending)
+            return results, State(core, pending, mag_b)
+        part, history = segment(run, motion, epoch.t_us), core.history
+        core = core._replace(history=(), mag_b=mag_b)
+        results, core = self._test(epoch, observed, part, core, history)
+        return results, State(core, pending, mag_b)
 
     def _start(self, epoch: Epoch, observed: Observed, core: Core) -> tuple[list[Result], Core]:
         begun = start(epoch.t_us, observed, self.config, core.ionosphere)
@@ -120,16 +124,18 @@ class Detector:
         return [started(epoch, observed, begun, core)], core
 
     def _test(
-        self, epoch: Epoch, observed: Observed, part: Segment, core: Core
+        self,
+        epoch: Epoch,
+        observed: Observed,
+        part: Segment,
+        core: Core,
+        history: tuple[Record, ...],
     ) -> tuple[list[Result], Core]:
         config = self.config
-        record = Record(epoch.t_us, core._replace(history=()), observed, part)
         outcome = judge_epoch(epoch.t_us, observed, part, core, config)
-        oldest_us = epoch.t_us - round(config.history_s * 1e6)
-        history = core.history
-        if history and history[0].t_us < oldest_us:
+        if history and history[0].t_us < epoch.t_us - config.history_s * 1e6:
             history = history[1:]
-        history = (*history, record)
+        history = (*history, Record(epoch.t_us, core, observed, part))
         late = self._late(outcome, core, epoch.t_us)
         if late:
             outcome = self._repaired(outcome, late, history)
@@ -190,13 +196,12 @@ def _forgotten(core: Core) -> Core:
     return core._replace(motion=None, excluded={}, held=NOTHING_HELD, memory=None, history=())
 
 
-def _with_imu(piece: Piece, state: State) -> State:
-    core, pending = state
-    if core.imu_id is None:
-        core = core._replace(imu_id=int(piece.ids[0]))
-    mine = piece.ids == core.imu_id  # there may be a second IMU
-    run = piece.imu if mine.all() else ImuRun(piece.imu.t_us[mine], piece.imu.values[mine])
-    return State(core, keep_pending(run, pending))
+def _of_imu(piece: Piece, number: int) -> ImuRun:
+    """What one IMU gave: there may be a second."""
+    mine = piece.ids == number
+    if np.count_nonzero(mine) == len(mine):
+        return piece.imu
+    return ImuRun(piece.imu.t_us[mine], piece.imu.values[mine])
 
 
 def _learn(core: Core, sample: EphemerisSample) -> Core:

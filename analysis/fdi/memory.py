@@ -37,7 +37,7 @@ import numpy as np
 
 from analysis.fdi.bank import reduction
 from analysis.fdi.information import Indices, quadratic, weighed
-from analysis.fdi.linear import add_product, apply, multiply
+from analysis.fdi.linear import add_product, apply, multiply, transposed
 from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
@@ -85,20 +85,26 @@ def respond(
             response[axis, at] += 0.5 * dt * dt
             if d.shape[0] > 6:
                 response[3 + axis, at] += dt
-    sums, left = sums.copy(), np.empty(count)
-    known = _rows(after, states)
-    information = weighed(a, variance, v)[0]
-    seen, gamma = _seen(response, states, information)
+    sums, known = sums.copy(), _rows(after, states)
+    seen, gamma = _seen(response, states, weighed(a, variance, v)[0])
+    shares, left = transposed(a), np.empty(count)
+    for k in range(shares.shape[0]):
+        for w in range(windows):
+            for i in range(count):
+                gamma[k, w * each + i] += shares[k, i] * ages[w] / variance[i]
+    whole = multiply(known, gamma)
+    for k in range(seen.shape[0]):
+        for j in range(seen.shape[1]):
+            whole[k, j] += seen[k, j]
     for w in range(windows):
         for i in range(count):
             left[i] = v[i] - offsets[w, i]
-            for k in range(states.shape[0]):
-                gamma[k, w * each + i] += a[i, k] * ages[w] / variance[i]
         b = weighed(a, variance, left)[1]
         moved = apply(known, b)
         first = w * each
-        _add_ramps(sums[w], seen[:, first:], gamma[:, first:], a, variance, left, ages[w], known, b)
-        _add_accelerations(sums[w], seen, gamma, first + count, known, b, moved)
+        _add_offsets(sums[w], a, variance, left, known, moved)
+        _add_ramps(sums[w], seen, gamma, whole, first, shares, variance, left, ages[w], b, moved)
+        _add_accelerations(sums[w], seen, gamma, whole, first + count, b, moved)
     add_product(response, 1.0, after, gamma)
     return response, sums
 
@@ -123,56 +129,71 @@ def _seen(response: Vector, states: Indices, information: Vector) -> tuple[Vecto
 
 
 @compiled
+def _add_offsets(
+    row: Vector, a: Vector, variance: Vector, v: Vector, known: Vector, moved: Vector
+) -> None:
+    """Add c_o and J_oo of an epoch to a window's sums, in place."""
+    count = v.shape[0]
+    for i in range(count):
+        left = v[i]
+        for k in range(moved.shape[0]):
+            left -= a[i, k] * moved[k]
+        row[count + i] += left / variance[i]
+        row[4 * count + i] += (1.0 - quadratic(a[i], known) / variance[i]) / variance[i]
+
+
+@compiled
 def _add_ramps(
     row: Vector,
     seen: Vector,
     gamma: Vector,
-    a: Vector,
+    whole: Vector,
+    first: int,
+    shares: Vector,
     variance: Vector,
     v: Vector,
     age: float,
-    known: Vector,
     b: Vector,
+    moved: Vector,
 ) -> None:
-    """Add an epoch to a window's sums of the n ramps and offsets, in place; `known` is P+_c."""
-    count, width = v.shape[0], b.shape[0]
-    moved = apply(known, b)
+    """Add c_r, J_rr and J_ro of an epoch to a window's sums, in place; its ramps are the columns
+    from `first`, `whole` is D_c + P+_c gamma and `shares` is A'."""
+    count = v.shape[0]
+    table = np.zeros((4, count))
+    followed, mixed, cross, direct = table[0], table[1], table[2], table[3]
+    for k in range(b.shape[0]):
+        for i in range(count):
+            followed[i] += shares[k, i] * seen[k, first + i]
+        for i in range(count):
+            mixed[i] += shares[k, i] * whole[k, first + i]
+        for i in range(count):
+            cross[i] += gamma[k, first + i] * whole[k, first + i]
+        for i in range(count):
+            direct[i] += seen[k, first + i] * b[k] + gamma[k, first + i] * moved[k]
     for i in range(count):
-        followed = told = cross = straight = left = mixed = 0.0
-        for k in range(width):
-            turned, direct = 0.0, 0.0
-            for j in range(width):
-                turned += known[k, j] * gamma[j, i]
-                direct += known[k, j] * a[i, j]
-            followed += a[i, k] * seen[k, i]
-            told += seen[k, i] * b[k] + gamma[k, i] * moved[k]
-            cross += seen[k, i] * gamma[k, i] + gamma[k, i] * turned
-            straight += a[i, k] * direct
-            left += a[i, k] * moved[k]
-            mixed += a[i, k] * turned
-        row[i] += age * v[i] / variance[i] - told
-        row[count + i] += (v[i] - left) / variance[i]
-        row[2 * count + i] += age * (age - followed) / variance[i] - cross
-        row[3 * count + i] += (age - followed - mixed) / variance[i]
-        row[4 * count + i] += (1.0 - straight / variance[i]) / variance[i]
+        row[i] += age * v[i] / variance[i] - direct[i]
+        row[2 * count + i] += age * (age - followed[i]) / variance[i] - cross[i]
+        row[3 * count + i] += (age - mixed[i]) / variance[i]
 
 
 @compiled
 def _add_accelerations(
-    row: Vector, seen: Vector, gamma: Vector, column: int, known: Vector, b: Vector, moved: Vector
+    row: Vector,
+    seen: Vector,
+    gamma: Vector,
+    whole: Vector,
+    first: int,
+    b: Vector,
+    moved: Vector,
 ) -> None:
     """Add to c and J of the accelerations, the last 12 of `row`, in place; theirs are the columns
-    from `column`."""
-    first = row.shape[0] - 12
-    turned = multiply(known, gamma[:, column : column + 3])
-    for i in range(3):
-        for k in range(b.shape[0]):
-            g = gamma[k, column + i]
-            row[first + i] -= seen[k, column + i] * b[k] + g * moved[k]
+    from `first`, `whole` is D_c + P+_c gamma."""
+    to = row.shape[0] - 12
+    for k in range(b.shape[0]):
+        for i in range(3):
+            row[to + i] -= seen[k, first + i] * b[k] + gamma[k, first + i] * moved[k]
             for j in range(3):
-                row[first + 3 + 3 * i + j] -= (
-                    seen[k, column + i] * gamma[k, column + j] + g * turned[k, j]
-                )
+                row[to + 3 + 3 * i + j] -= whole[k, first + i] * gamma[k, first + j]
 
 
 @compiled
@@ -184,9 +205,12 @@ def respond_to_rates(
     count = (sums.shape[1] - 12) // 5
     known = _rows(after, states)
     seen, gamma = _seen(d, states, information)
-    moved = apply(known, b)
+    whole, moved = multiply(known, gamma), apply(known, b)
+    for k in range(seen.shape[0]):
+        for j in range(seen.shape[1]):
+            whole[k, j] += seen[k, j]
     for w in range(sums.shape[0]):
-        _add_accelerations(sums[w], seen, gamma, w * (count + 3) + count, known, b, moved)
+        _add_accelerations(sums[w], seen, gamma, whole, w * (count + 3) + count, b, moved)
     add_product(d, 1.0, after, gamma)
 
 
