@@ -60,10 +60,11 @@ def measured(
 def whitened(
     table: Vector,
     weights: Vector,
-    pose: Vector,
-    ahead_m: Vector,
-    velocity: Vector,
+    r_ecef_m: Vector,
+    anchor_m: Vector,
     axes: Vector,
+    pose: Vector,
+    velocity: Vector,
     clock_m: float,
     drift_mps: float,
     ranges: bool,
@@ -72,10 +73,14 @@ def whitened(
     """Rows (k, 12) over their sigmas: the pseudoranges where wanted, then the rates.
 
     Columns: pose (6), velocity (3), clock, drift, and what they should come to from the pose (4, 4)
-    and velocity on; `ahead_m` is how far that pose is from where the table was made.
+    and velocity on. The table was made at `r_ecef_m`; anchor and axes are the frame's.
     """
     out = np.zeros((2 * table.shape[0], 12))
-    sight = np.empty(3)
+    sight, ahead_m = np.empty(3), np.empty(3)
+    for k in range(3):
+        ahead_m[k] = pose[k, 3]
+        for j in range(3):
+            ahead_m[k] -= axes[k, j] * (r_ecef_m[j] - anchor_m[j])
     count = 0
     for kind in range(2):
         for i in range(table.shape[0]):

@@ -118,15 +118,14 @@ class Ranges:
         graph's is counted from; `origin` holds first guesses of the epoch, pose and velocity those
         of the node.
         """
-        pose = node.pose.matrix()
-        ahead_m = pose[:3, 3] - frame.local(self._r_m)
         rows = whitened(
             self.table,
             weights,
-            pose,
-            ahead_m,
-            node.velocity,
+            self._r_m,
+            frame.anchor_m,
             frame.axes,
+            node.pose.matrix(),
+            node.velocity,
             *clock,
             not rates_only,
             self._doppler,
