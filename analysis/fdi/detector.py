@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from analysis.block import EPOCH, FIX, Block, ImuRun, Piece, block_of, pieces
+from analysis.block import FIX, Block, ImuRun, Piece, block_of, pieces
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import NOTHING_HELD, Core, Record, State
 from analysis.fdi.epoch import judge_epoch
@@ -56,9 +56,11 @@ class Detector:
         """The same for samples up to an event."""
         core, pending, mag_b = state
         if len(piece.ids):
-            if core.imu_id is None:
-                core = core._replace(imu_id=int(piece.ids[0]))
-            pending = keep_pending(_of_imu(piece, core.imu_id), pending)
+            number = core.imu_id
+            if number is None:
+                number = int(piece.ids[0])
+                core = core._replace(imu_id=number)
+            pending = keep_pending(_of_imu(piece, number), pending)
         if piece.mag >= 0:
             mag_b = piece.block.values[piece.mag, :3].copy()
         state = State(core, pending, mag_b)
