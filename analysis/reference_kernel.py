@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from analysis import reference_models as models
 from analysis.block import FIX, Indices, Stamps
-from analysis.fdi.inertial import matrix
+from analysis.estimators.rotations import matrix
 from analysis.fdi.linear import inverse, multiply
 from analysis.gnss import geodetic, ned_axes
 from analysis.reference_models import (

@@ -29,8 +29,8 @@ def read_document(path: Path) -> tuple[Any, "Lines"]:
     except UnicodeDecodeError:
         raise ConfigError(f"{path}: is not text; a YAML file in UTF-8 is expected") from None
     try:
-        node = yaml.compose(text, yaml.SafeLoader)
-        return yaml.safe_load(text), Lines(str(path), node)
+        node = yaml.compose(text, yaml.CSafeLoader)
+        return yaml.load(text, yaml.CSafeLoader), Lines(str(path), node)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f"{path}:{mark.line + 1}" if mark else str(path)

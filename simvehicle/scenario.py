@@ -249,7 +249,7 @@ def _with_presets(sensors: dict[str, Any], lines: Lines, at: str) -> dict[str, A
     `at` is where the sensors stand in their document.
     """
     text = resources.files("simvehicle.sensors").joinpath("presets.yaml").read_text("utf-8")
-    presets: dict[str, dict[str, dict[str, Any]]] = yaml.safe_load(text)
+    presets: dict[str, dict[str, dict[str, Any]]] = yaml.load(text, yaml.CSafeLoader)
     out: dict[str, Any] = {}
     for kind, value in sensors.items():
         entries = value if isinstance(value, list) else [value]

@@ -18,7 +18,8 @@ def preset_names() -> tuple[str, ...]:
 @cache
 def read_preset(name: str) -> dict[str, Any]:
     """A preset as written: `about` (one line) and `faults` (entries without times)."""
-    data: dict[str, Any] = yaml.safe_load((HERE / f"{name}.yaml").read_text(encoding="utf-8"))
+    text = (HERE / f"{name}.yaml").read_text(encoding="utf-8")
+    data: dict[str, Any] = yaml.load(text, yaml.CSafeLoader)
     return data
 
 
