@@ -5,7 +5,9 @@ first. CPU time of one core, the best of `ROUNDS`; the command itself by the clo
 """
 
 import argparse
+import os
 import platform
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -33,7 +35,8 @@ with light_compilation():  # as the monitor does
 from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.tlog import read_columns, read_records
 
-ROUNDS = 5
+ROUNDS = 9
+COMMANDS = 2  # runs of the command, after one that is not counted
 SHORT_FRAMES = 700
 SCALE = np.eye(18) + 0.1
 DEMO = Path(__file__).parents[1] / "simvehicle" / "scenarios" / "demo.yaml"
@@ -118,7 +121,8 @@ def only_ranges(blocks: Iterator[Block]) -> list[Block]:
 
 
 def command(log: Path, scenario: Path) -> None:
-    """The command as a user types it; a log of a second shows what is start-up."""
+    """The command as a user types it the second time, when Python's bytecode and the machine code
+    are on the disk; a log of a second shows what is start-up."""
     line = [sys.executable, "-m", "mavproxy_fault.cli", "monitor", "--zenoh", "off"]
     line += ["--scenario", str(scenario), "--log"]
     with tempfile.TemporaryDirectory() as folder:
@@ -130,10 +134,18 @@ def command(log: Path, scenario: Path) -> None:
             "no files": [str(log)],
             "with results and report": [str(log), "--out", folder + "/out"],
         }
+        kept = os.environ | {"PYTHONPYCACHEPREFIX": folder + "/bytecode"}
+        kept.pop("PYTHONDONTWRITEBYTECODE", None)
         for name, arguments in runs.items():
-            began = time.monotonic()
-            subprocess.run([*line, *arguments], check=False, stdout=subprocess.DEVNULL)
-            print(f"| `mavproxy-fault monitor --log`, {name} | {time.monotonic() - began:.2f} s |")
+            took_s = []
+            for _ in range(1 + COMMANDS):
+                shutil.rmtree(folder + "/out", ignore_errors=True)
+                began = time.monotonic()
+                subprocess.run(
+                    [*line, *arguments], check=False, stdout=subprocess.DEVNULL, env=kept
+                )
+                took_s.append(time.monotonic() - began)
+            print(f"| `mavproxy-fault monitor --log`, {name} | {min(took_s[1:]):.2f} s |")
 
 
 def main() -> None:
