@@ -34,6 +34,7 @@ from analysis.fdi.thresholds import chi_square
 from analysis.reference_kernel import (
     HEALTHY_US,
     NEVER_US,
+    SENSOR_OF,
     SLOW_US,
     SOUND,
     STALE_US,
@@ -131,6 +132,8 @@ class References:
         self, block: Block, decided: Sequence[Decided], before: Motion | None, kept: Kept
     ) -> tuple[list[tuple[int, Result]], Kept]:
         """What the sensors say at some decisions; `before` is the filter until the first."""
+        if not decided and not _OF_SENSORS[block.kind].any():
+            return [], kept
         kept = kept.copy()
         motions = [_START if m is None else m for m in (before, *(m for _, _, m in decided))]
         said = judge(
@@ -150,6 +153,7 @@ class References:
         return [(int(row[0]), _said(thresholds, *row[1:])) for row in said.tolist()], kept
 
 
+_OF_SENSORS = np.array(SENSOR_OF) >= 0  # by kind of sample
 _START = Motion(0, np.zeros(X_SIZE), np.zeros((ERRORS, ERRORS)))
 
 

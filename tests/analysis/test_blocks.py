@@ -7,13 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.block import block_of
+from analysis.block import block_of, pieces
 from analysis.monitor import Monitor
 from analysis.pipeline import MonitorConfig, monitor_config
 from analysis.recordings import read_log
 from analysis.results import Result, encode
 from analysis.run.flight import Flight
 from analysis.run.setup import read_setup
+from analysis.samples import GpsFix, IonosphereSample
 from mavproxy_fault.wire import tlog
 
 SECONDS = 4.0
@@ -83,3 +84,12 @@ def test_a_block_gives_back_the_samples_it_was_made_of(frames, tmp_path: Path):
     assert (again.t_us == block.t_us).all()
     assert (again.values == block.values)[block.values == block.values].all()
     assert again.beside == block.beside
+
+
+def test_a_fix_that_is_not_wanted_ends_no_piece_but_the_last():
+    fixes = [GpsFix(t, 0.0, 0.0, 0.0, None, 3, 9, 1.0, 1.0, "HIL_GPS") for t in range(4)]
+    broadcast = IonosphereSample(9, (0.0,) * 4, (0.0,) * 4)
+    block = block_of([fixes[0], fixes[1], broadcast, fixes[2], fixes[3]])
+    assert [(p.first, p.last) for p in pieces(block)] == [(n, n) for n in range(5)]
+    cut = [(p.first, p.last) for p in pieces(block, lambda t_us: t_us == 0)]
+    assert cut == [(0, 0), (1, 2), (3, 4)]
