@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
+import numpy as np
 from numba import config, njit
 
 from mavproxy_fault.wire.kernels import folder
@@ -17,6 +18,11 @@ _FAST = {"contract", "arcp", "nsz"}
 _OPTIONS = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def constant(value: int) -> int:
+    """A number for compiled calls: for each plain one numba compiles what is called anew."""
+    return cast(int, np.int64(value))
 
 
 def compiled(function: Function) -> Function:

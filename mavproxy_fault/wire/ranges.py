@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.wire.compiled import exact
+from mavproxy_fault.wire.compiled import constant, exact
 from mavproxy_fault.wire.msm7 import (
     CN0_STEP_DBHZ,
     FINE_INVALID,
@@ -30,7 +30,11 @@ Bytes = NDArray[np.uint8]
 MASK_BIT, SIGNAL_BIT, CELL_BIT = 73, 137, 169  # of satellites, signals and cells
 SATELLITE_BITS, SIGNAL_BITS = 36, 80
 LEAST_BYTES = 14  # what one satellite with one signal takes
-NO_MSM7 = -1
+# Widths in bits
+FLAG, MS, ROUGH_PART, CN0, NUMBER, RATE, HALF_EPOCH, FINE_RATE, FINE = (
+    constant(bits) for bits in (1, 8, 10, 10, 12, 14, 15, 15, 20)
+)
+NO_MSM7, NO_ROWS = -1, constant(0)
 NUMBERS_OF_SATELLITES = 65
 NAMES = tuple(f"{letter}{n:02d}" for letter in NUMBERS for n in range(NUMBERS_OF_SATELLITES))
 _SYSTEM_NUMBERS = np.array(list(NUMBERS.values()))
@@ -75,18 +79,19 @@ def _read(
     values: Floats,
 ) -> int:
     """Fill the columns of `Ranges`; how many rows there are."""
-    rows = begin = 0
+    rows, begin = NO_ROWS, 0
     for message in range(len(ends)):
         at, end = 8 * (begin + HEADER), 8 * (ends[message] - TRAILER)
         begin = ends[message]
         heads[0, message], heads[1, message] = NO_MSM7, 0
         system = -1
         for i in range(len(numbers)):
-            if end - at >= CELL_BIT and _bits(data, at, 12) == numbers[i]:
+            if end - at >= CELL_BIT and _bits(data, at, NUMBER) == numbers[i]:
                 system = i
         if system >= 0 and _whole(data, at, end):
-            heads[0, message] = _bits(data, at + 24, 15) << 15 | _bits(data, at + 39, 15)
-            heads[1, message] = _bits(data, at + 54, 1)
+            heads[0, message] = _bits(data, at + 24, HALF_EPOCH) << 15
+            heads[0, message] |= _bits(data, at + 39, HALF_EPOCH)
+            heads[1, message] = _bits(data, at + 54, FLAG)
             rows = _observed(data, at, NUMBERS_OF_SATELLITES * system, code, values, rows)
         heads[2, message] = rows
     return rows
@@ -139,20 +144,21 @@ def _observed(data: Bytes, at: int, first: int, code: Integers, values: Floats, 
     fine_at = rough_at + SATELLITE_BITS * count
     satellite = cell = 0
     for n in range(64):
-        if not _bits(data, at + MASK_BIT + n, 1):
+        if not _bits(data, at + MASK_BIT + n, FLAG):
             continue
-        rough_ms = _bits(data, rough_at + 8 * satellite, 8)
+        rough_ms = _bits(data, rough_at + MS * satellite, MS)
         taken = rough_ms == ROUGH_INVALID
         for s in range(signals):
-            if not _bits(data, at + CELL_BIT + satellite * signals + s, 1):
+            if not _bits(data, at + CELL_BIT + satellite * signals + s, FLAG):
                 continue
-            fine = _signed(data, fine_at + 20 * cell, 20)
+            fine = _signed(data, fine_at + FINE * cell, FINE)
             if not taken and fine != FINE_INVALID:
                 taken = True
-                rough = ROUGH * rough_ms + _bits(data, rough_at + 12 * count + 10 * satellite, 10)
-                rate = _signed(data, rough_at + 22 * count + 14 * satellite, 14)
-                fine_rate = _signed(data, fine_at + 65 * total + 15 * cell, 15)
-                cn0 = _bits(data, fine_at + 55 * total + 10 * cell, 10)
+                part_at = rough_at + 12 * count + ROUGH_PART * satellite
+                rough = ROUGH * rough_ms + _bits(data, part_at, ROUGH_PART)
+                rate = _signed(data, rough_at + 22 * count + RATE * satellite, RATE)
+                fine_rate = _signed(data, fine_at + 65 * total + FINE_RATE * cell, FINE_RATE)
+                cn0 = _bits(data, fine_at + 55 * total + CN0 * cell, CN0)
                 known = rate != RATE_INVALID and fine_rate != FINE_RATE_INVALID
                 counts = rough * FINE_PER_ROUGH + fine
                 code[rows] = first + n + 1

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.wire.compiled import exact
+from mavproxy_fault.wire.compiled import constant, exact
 from mavproxy_fault.wire.rtcm import (
     CRC24Q_TABLE,
     FRAGMENT_BYTES,
@@ -27,6 +27,7 @@ SENDERS_MAX = 16  # further ones share their places: what is mixed has no right 
 PLACES = PENDING_MAX + 1  # for incomplete messages: one is let go when all are taken
 AGE, SEQUENCE, LENGTHS = 0, 1, 2  # columns of an incomplete message; an age of 0: the place is free
 SHORTEST = HEADER + TRAILER
+ZERO = constant(0)
 _CRC_TABLE = np.array(CRC24Q_TABLE)
 
 
@@ -90,7 +91,7 @@ def _assembled(
     table: Integers,
 ) -> int:
     """Fill `data`, and end and row of each message in `found`; how many there are."""
-    count = 0
+    count = ZERO
     whole = np.empty(MESSAGE_MAX, np.uint8)
     for row in range(len(length)):
         if length[row] < 1 or length[row] > payload.shape[1]:
@@ -171,7 +172,7 @@ def _split(
     table: Integers,
 ) -> int:
     """Add the messages with right CRC in `whole`; how many there are then."""
-    at = 0
+    at = ZERO
     while at <= size - SHORTEST:
         body = (whole[at + 1] & 3) << 8 | whole[at + 2]
         end = at + SHORTEST + body
