@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from analysis.block import EPOCH, FIX, MAG, Block, ImuRun, Piece, block_of, pieces
+from analysis.block import FIX, Block, ImuRun, Piece, block_of, pieces
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import NOTHING_HELD, Core, Record, State
 from analysis.fdi.epoch import judge_epoch
@@ -43,7 +43,11 @@ class Detector:
     def step(self, samples: Sample | Block, state: State) -> tuple[list[Result], State]:
         """Decisions that a block of samples, or a single one, allows, and the next state."""
         results: list[Result] = []
-        for piece in pieces(samples):
+
+        def wanted(t_us: int) -> bool:
+            return self.wants_fix(state.core, t_us)
+
+        for piece in pieces(samples, wanted):
             said, state = self.take(piece, state)
             results += said
         return results, state
@@ -52,16 +56,15 @@ class Detector:
         """The same for samples up to an event."""
         core, pending, mag_b = state
         if len(piece.ids):
-            if core.imu_id is None:
-                core = core._replace(imu_id=int(piece.ids[0]))
-            pending = keep_pending(_of_imu(piece, core.imu_id), pending)
-        mag = piece.newest.get(MAG)
-        if mag is not None:
-            mag_b = piece.block.values[mag, :3]
+            number = core.imu_id
+            if number is None:
+                number = int(piece.ids[0])
+                core = core._replace(imu_id=number)
+            pending = keep_pending(_of_imu(piece, number), pending)
+        if piece.mag >= 0:
+            mag_b = piece.block.values[piece.mag, :3].copy()
         state = State(core, pending, mag_b)
-        if piece.kind < EPOCH:
-            if piece.kind < FIX or self._has_ranges(core, piece.t_us):
-                return [], state
+        if piece.kind == FIX and self.wants_fix(core, piece.t_us):
             fix = piece.event
             assert isinstance(fix, GpsFix)
             return step_position(fix, state, self.config)
@@ -75,9 +78,9 @@ class Detector:
             return [], State(core._replace(ionosphere=known), pending, mag_b)
         return [], state
 
-    def _has_ranges(self, core: Core, t_us: int) -> bool:
-        """Whether there are raw ranges, so that a receiver's own position is not needed."""
-        return core.ranges_us is not None and t_us - core.ranges_us < self.config.reset_s * 1e6
+    def wants_fix(self, core: Core, t_us: int) -> bool:
+        """Whether there are no raw ranges, so that a receiver's own position is needed."""
+        return core.ranges_us is None or t_us - core.ranges_us >= self.config.reset_s * 1e6
 
     def _epoch(self, epoch: Epoch, state: State) -> tuple[list[Result], State]:
         core, pending, mag_b = state

@@ -65,7 +65,7 @@ def _whole(pending: Pending) -> ImuRun:
     run = pending.run
     if pending.older is not None:
         runs = [run]
-        at = pending.older
+        at: Pending | None = pending.older
         while at is not None:
             runs.append(at.run)
             at = at.older

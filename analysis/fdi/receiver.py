@@ -73,7 +73,7 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     elif hypothesis == "none" and core.imu_bad_until_us is not None:
         shown = "imu"
     mode = "position" if moved.inertial else "position-free"
-    results = [fix_decision(fix, core, position, velocity, shown, alarm, mode)]
+    results: list[Result] = [fix_decision(fix, core, position, velocity, shown, alarm, mode)]
     gap = part.gap_s if predicted.inertial or motion.inertial else 0.0
     results += fix_sensors(fix, core, position, velocity, gap, hypothesis, config)
     return results, State(core, pending, mag_b)

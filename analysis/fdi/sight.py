@@ -152,10 +152,10 @@ def _see(
         far += i < seen and abs(table[0, i]) > CLOCK_LEAP_M
     used = h[:count]
     variance, v = table[2, :count], table[0, :count]
-    states = states_of(used)
-    a = columns(used, states)
+    estimated = states_of(used)
+    a = columns(used, estimated)
     information, b, total = weighed(a, variance, v)
-    after = narrowed(block(p, states), information)[0]
+    after = narrowed(block(p, estimated), information)[0]
     normalise(a, after, b, variance, v, table[5])
     q = total - quadratic(b, after)
     parity, dof, systems = parity_test(a, information, b, total)

@@ -1,6 +1,7 @@
 """Where a graph begins: at the detector's filter, or where the last one was good."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import gtsam
@@ -25,12 +26,13 @@ from analysis.fdi.inertial import (
 )
 from analysis.fdi.start import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.fdi.state import Motion
-from analysis.fusion.factors import NO_CLOCK
+from analysis.fusion.factors import EPOCHS, NO_CLOCK
 from analysis.fusion.frame import Frame, frame_at, quaternion
 from analysis.fusion.window import key
 from analysis.samples import Vector
 
 Clock = tuple[float, float]  # clock in m, drift in m/s
+NO_SPEED = np.zeros(3)
 TINY = 1e-12  # keeps a covariance positive definite
 UNKNOWN_CLOCK = (1e5, 300.0)  # next to nothing beside a range, and no zero to Cholesky
 STILL_RAD = 0.1
@@ -83,6 +85,29 @@ class Beginning:
                 key("c", epoch), NO_CLOCK, gtsam.noiseModel.Diagonal.Sigmas(self.clock_sigma)
             ),
         ]
+
+
+@lru_cache(maxsize=EPOCHS)
+def _at_rest(epoch: int) -> Any:
+    """The variables of an epoch at zero; not to be changed."""
+    values = gtsam.Values()
+    values.insert(key("x", epoch), gtsam.Pose3())
+    values.insert(key("v", epoch), NO_SPEED)
+    values.insert(key("b", epoch), gtsam.imuBias.ConstantBias())
+    values.insert(key("c", epoch), NO_CLOCK)
+    return values
+
+
+def first_guess(node: Node) -> Any:
+    """A node as GTSAM's values, its clock at zero: what the graph's is counted from.
+
+    By a step from rest, since the bindings try forty overloads for a bias and take 70 us.
+    """
+    step, epoch = gtsam.VectorValues(), node.epoch
+    step.insert(key("x", epoch), gtsam.Pose3.Logmap(node.pose))
+    step.insert(key("v", epoch), node.velocity)
+    step.insert(key("b", epoch), node.bias.vector())
+    return _at_rest(epoch).retract(step)
 
 
 def at_filter(motion: Motion, correlation: float) -> Beginning:

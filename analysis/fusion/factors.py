@@ -9,7 +9,6 @@ metres that ruins the condition of the system, so such factors are linearised he
 made, and enter the graph as linear ones with scaled columns; both are as good as linear.
 """
 
-from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
@@ -22,7 +21,7 @@ from analysis.fusion.window import key
 from analysis.samples import Vector
 
 EPOCHS = 1024  # at most that many in a window
-NUMBER = gtsam.symbol("a", 0)  # of `linear_rows` alone; its letter comes before that of a pose
+NUMBER = gtsam.symbol("a", 0)  # in the place of a variable that is a vector in the graph
 # GTSAM's Cholesky takes a last pivot 2^12 times smaller than the one before it for a zero. In
 # metres an offset would be that beside the gyro's biases.
 OFFSET_UNIT_M = 1000.0
@@ -40,33 +39,6 @@ def alike(size: int, sigma: float) -> Any:
 def unit(rows: int) -> Any:
     """The noise of rows that are divided by their sigmas."""
     return gtsam.noiseModel.Unit.Create(rows)
-
-
-def linear_rows(factors: Iterable[Any], values: Any) -> tuple[Vector, Vector, Vector]:
-    """Factors on a pose and `NUMBER`, linearised.
-
-    Returns
-    -------
-    Jacobians (n, 6) by the pose and (n,) by the number, and what they should come to (n,).
-    """
-    graph = gtsam.NonlinearFactorGraph()
-    for factor in factors:
-        graph.add(factor)
-    jacobian, wanted = graph.linearize(values).jacobian()  # columns in the order of the keys
-    return jacobian[:, 1:], jacobian[:, 0], wanted
-
-
-@lru_cache(maxsize=EPOCHS)
-def at_rest(epoch: int) -> Any:
-    """`NUMBER`, velocity and clock of an epoch at zero; not to be changed.
-
-    Kept, since the bindings take 70 us to insert a number.
-    """
-    values = gtsam.Values()
-    values.insert(NUMBER, 0.0)
-    values.insert(key("v", epoch), np.zeros(3))
-    values.insert(key("c", epoch), NO_CLOCK)
-    return values
 
 
 @lru_cache(maxsize=EPOCHS)
@@ -98,18 +70,26 @@ def _linear_at_zero(row: Any, zero: Vector, *keys: int) -> Any:
     return gtsam.LinearContainerFactor(row, origin)
 
 
+@lru_cache(maxsize=1)
+def _no_number() -> Any:
+    """`NUMBER` at zero; not to be changed. The bindings take 70 us to insert a number."""
+    values = gtsam.Values()
+    values.insert(NUMBER, 0.0)
+    return values
+
+
 def baro_factor(epoch: int, pose: Any, offset: int, altitude_m: float, sigma_m: float) -> Any:
     """A pressure altitude with the offset of a key, linearised at a pose; GTSAM wants the pressure
     of its own standard atmosphere for it."""
     pressure = STANDARD_AIR.baroOut(altitude_m)
     x = key("x", epoch)
     factor = gtsam.BarometricFactor(x, NUMBER, pressure, alike(1, sigma_m))
-    origin = gtsam.Values(at_rest(epoch))
+    origin = gtsam.Values(_no_number())
     origin.insert(x, pose)
     origin.insert(offset, NO_OFFSET)
-    by_pose, by_offset, wanted = linear_rows([factor], origin)
-    scaled = by_offset[:, None] * OFFSET_UNIT_M
-    row = gtsam.JacobianFactor(x, by_pose, offset, scaled, wanted, unit(1))
+    jacobian, wanted = factor.linearize(origin).jacobian()  # by pose, then number
+    by_offset = jacobian[:, 6:] * OFFSET_UNIT_M
+    row = gtsam.JacobianFactor(x, jacobian[:, :6], offset, by_offset, wanted, unit(1))
     return gtsam.LinearContainerFactor(row, origin)
 
 

@@ -1,5 +1,6 @@
 """The local frame of the graph: east, north, up at an anchor, in metres."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 from analysis.fdi.inertial import gravity_ecef
 from analysis.gnss import EARTH_RATE_RPS, geodetic, ned_axes
 from analysis.samples import Vector
+from mavproxy_fault.wire.compiled import compiled
 
 NANOTESLA_PER_GAUSS = 1e5
 
@@ -54,10 +56,30 @@ class Frame:
         return np.array([east, north, -down])
 
 
-def quaternion(rot: Vector) -> tuple[float, float, float, float]:
-    """A rotation matrix as a unit quaternion (w, x, y, z)."""
-    q: Any = gtsam.Rot3(rot).toQuaternion()
-    return q.w(), q.x(), q.y(), q.z()
+@compiled
+def quaternion(rot: Vector) -> Vector:
+    """A rotation matrix as a unit quaternion (w, x, y, z), divided by its largest part."""
+    out = np.empty(4)
+    trace = rot[0, 0] + rot[1, 1] + rot[2, 2]
+    if trace > 0.0:
+        root = 2.0 * math.sqrt(1.0 + trace)
+        out[0] = 0.25 * root
+        out[1] = (rot[2, 1] - rot[1, 2]) / root
+        out[2] = (rot[0, 2] - rot[2, 0]) / root
+        out[3] = (rot[1, 0] - rot[0, 1]) / root
+        return out
+    i = 0
+    if rot[1, 1] > rot[0, 0]:
+        i = 1
+    if rot[2, 2] > rot[i, i]:
+        i = 2
+    j, k = (i + 1) % 3, (i + 2) % 3
+    root = 2.0 * math.sqrt(1.0 + rot[i, i] - rot[j, j] - rot[k, k])
+    out[0] = (rot[k, j] - rot[j, k]) / root
+    out[1 + i] = 0.25 * root
+    out[1 + j] = (rot[j, i] + rot[i, j]) / root
+    out[1 + k] = (rot[k, i] + rot[i, k]) / root
+    return out
 
 
 def frame_at(r_ecef_m: Vector) -> Frame:

@@ -2,41 +2,45 @@
 
 import math
 from bisect import bisect_left, insort
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import gtsam
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig, Noise
-from analysis.fusion.beginning import Beginning, Clock, Node
+from analysis.fusion.beginning import Beginning, Clock, Node, first_guess
 from analysis.fusion.config import FusionConfig
 from analysis.fusion.edge import Edge, mended, split
-from analysis.fusion.factors import EPOCHS, NO_CLOCK, clock_factor
+from analysis.fusion.factors import EPOCHS, clock_factor
 from analysis.fusion.inertia import FREE_TURN_RPS, imagine, imu_params, preintegrate
-from analysis.fusion.ranges import Ranges, Weights
+from analysis.fusion.ranges import Ranges
 from analysis.fusion.robust import clock_in_seconds, pseudoranges
 from analysis.fusion.window import Window, key
 from analysis.samples import ImuSample, Vector
 
 SAME_PLACE_M = 50.0  # gravity turns by 8e-6 rad over it
 SAME_US = 1000  # epochs closer than this are one
-STALE_BIAS = np.array([0.1] * 3 + [0.01] * 3)  # m/s^2 and rad/s, as good a first guess is enough
 RANGES = "ranges"
 Attitude = tuple[Any, Vector]  # rotation body to local, covariance (3, 3) in body axes
 
 
 @dataclass(slots=True)
 class Epoch:
-    """What the graph remembers of an epoch in the window: its first attitude and the pose `seen`
-    by vision among it."""
+    """What the graph remembers of an epoch in the window: its first guess, as a node and as GTSAM's
+    values, and the pose `seen` by vision among it."""
 
-    t_us: int
-    turn: Any
+    first: Node
+    values: Any
     edge: Edge | None = None
     ranges: Ranges | None = None
-    weights: Weights | None = None
+    weights: Vector = field(default_factory=lambda: np.empty(0))
     seen: Any = None
+
+    @property
+    def t_us(self) -> int:
+        """When it is."""
+        return self.first.t_us
 
 
 class Graph:
@@ -61,8 +65,8 @@ class Graph:
         self._late: dict[int, list[ImuSample]] = {}
         self._robust = config.robust
         self._place_m: Vector = np.zeros(3)
-        self._params: dict[Noise, Any] = {}
-        self._guess_bias(self.node.bias)
+        self._noise: Noise | None = None  # of what `_params` are
+        self._params: Any = None
         self._insert(self.node)
         self.attach("prior", 0, *beginning.priors())
 
@@ -175,34 +179,35 @@ class Graph:
             if t_us > since_us and edge is not None and edge.trusted:
                 self._retie(epoch, replace(edge, trusted=False))
 
-    def attach_ranges(self, epoch: int, ranges: Ranges, weights: Weights) -> list[str]:
-        """The pseudoranges and rates of an epoch; the satellites used."""
+    def attach_ranges(self, epoch: int, ranges: Ranges, weights: Vector) -> None:
+        """The pseudoranges and rates of an epoch with their weights (n,)."""
         at = self.epochs[epoch]
         at.ranges, at.weights = ranges, weights
-        used, clock = ranges.used(weights), self.clock_at(at.t_us)
-        if not used:
-            return []
-        if self._robust == "none":
-            made = ranges.factor(used, epoch, at.turn, self.frame, clock, weights)
-            self.attach(RANGES, epoch, made)
-        else:
-            found = pseudoranges(ranges, used, epoch, self.frame, clock, self._robust)
-            for name, factor in found.items():
-                self.attach(name, epoch, factor)
-            rates = ranges.rates(used, epoch, self.frame, clock, weights)
-            guess, tie = clock_in_seconds(epoch)
-            self.window.insert(guess, (key("r", epoch),), self.seconds(at.t_us))
-            self.attach(RANGES, epoch, tie, *([] if rates is None else [rates]))
-        return [ranges.satellites[i] for i in used]
+        if not weights.any():
+            return
+        clock, alone = self.clock_at(at.t_us), self._robust == "none"
+        rows = ranges.factor(at.first, at.values, self.frame, clock, weights, rates_only=not alone)
+        if alone:
+            self.attach(RANGES, epoch, rows)
+            return
+        found = pseudoranges(ranges, weights, epoch, self.frame, clock, self._robust)
+        for name, factor in found.items():
+            self.attach(name, epoch, factor)
+        guess, tie = clock_in_seconds(epoch)
+        self.window.insert(guess, (key("r", epoch),), self.seconds(at.t_us))
+        self.attach(RANGES, epoch, tie, *([] if rows is None else [rows]))
 
     def remove(self, name: str, since_us: int) -> None:
         """Take back a satellite from a time on: the epoch's other ranges are attached anew."""
         for t_us, epoch in self._track:
             at = self.epochs[epoch]
-            if t_us < since_us or at.ranges is None or not (at.weights or {}).get(name):
+            if t_us < since_us or at.ranges is None or name not in at.ranges.satellites:
                 continue
-            if self.window.take_back(RANGES, epoch):
-                self.attach_ranges(epoch, at.ranges, {**(at.weights or {}), name: 0.0})
+            i = at.ranges.satellites.index(name)
+            if at.weights[i] > 0.0 and self.window.take_back(RANGES, epoch):
+                others = at.weights.copy()
+                others[i] = 0.0
+                self.attach_ranges(epoch, at.ranges, others)
 
     def estimate(self, epoch: int) -> Node:
         """What the smoother thinks of an epoch since the last commit.
@@ -242,8 +247,6 @@ class Graph:
         epoch = self.node.epoch
         self.node = self.estimate(epoch)
         self.covariance = self.window.covariance([key("x", epoch), key("v", epoch)])
-        if (np.abs(self.node.bias.vector() - self._guessed.vector()) > STALE_BIAS).any():
-            self._guess_bias(self.node.bias)
 
     def _edge(self, epoch: int) -> Edge | None:
         """The edge to an epoch if it can still be changed: it and both ends are in the window."""
@@ -261,48 +264,31 @@ class Graph:
 
     def _new_node(self, start: Node, t_us: int, motion: Any) -> Node:
         guess = motion.predict(gtsam.NavState(start.pose, start.velocity), start.bias)
-        epoch = next((number for number in range(EPOCHS) if number not in self.epochs), None)
-        if epoch is None:
+        epoch = 0
+        while epoch in self.epochs:
+            epoch += 1
+        if epoch == EPOCHS:
             raise RuntimeError(f"more than {EPOCHS} epochs in the window")
         drift = start.clock[1]
         clock = start.clock[0] + drift * (t_us - start.t_us) * 1e-6, drift
         return Node(epoch, t_us, guess.pose(), guess.velocity(), start.bias, clock)
 
-    def _guess_bias(self, bias: Any) -> None:
-        """Take biases as the first guess of those to come.
-
-        The bindings need 70 us to insert biases, 1 us to copy values: they are kept by epoch.
-        """
-        self._guessed = bias
-        self._blanks: dict[int, Any] = {}
-
-    def _blank(self, epoch: int) -> Any:
-        """First guesses of biases and clock."""
-        if epoch not in self._blanks:
-            values = gtsam.Values()
-            values.insert(key("b", epoch), self._guessed)
-            values.insert(key("c", epoch), NO_CLOCK)
-            self._blanks[epoch] = values
-        return self._blanks[epoch]
-
     def _insert(self, node: Node) -> None:
-        values = gtsam.Values(self._blank(node.epoch))
+        values = first_guess(node)
         names = [key(letter, node.epoch) for letter in "xvbc"]
-        values.insert(names[0], node.pose)
-        values.insert(names[1], node.velocity)
         self.window.insert(values, names, self.seconds(node.t_us))
-        self.epochs[node.epoch] = Epoch(node.t_us, node.pose.rotation())
+        self.epochs[node.epoch] = Epoch(node, values)
         insort(self._track, (node.t_us, node.epoch))
 
     def _motion(self, edge: Edge, start: Node, t_us: int) -> Any:
         """The preintegrated IMU of an edge, or a model of motion in its place."""
         if self.sound(edge):
             r_m = start.pose.translation()
-            if np.abs(r_m - self._place_m).max() > SAME_PLACE_M:
-                self._place_m, self._params = r_m, {}
-            if edge.noise not in self._params:
-                self._params[edge.noise] = imu_params(self.frame, r_m, edge.noise)
-            return preintegrate(edge.part.samples, start.bias, self._params[edge.noise])
+            far = math.dist(r_m, self._place_m) > SAME_PLACE_M
+            if far or edge.noise is not self._noise:
+                self._place_m, self._noise = r_m, edge.noise
+                self._params = imu_params(self.frame, r_m, edge.noise)
+            return preintegrate(edge.part.samples, start.bias, self._params)
         dt_s = (t_us - start.t_us) * 1e-6
         return imagine(dt_s, start.bias, self.frame, edge.noise, edge.turn_rps)
 

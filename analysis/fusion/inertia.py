@@ -56,6 +56,7 @@ def condensed(samples: Vector, step_s: float) -> Vector:
     size = max(int(step_s * count / whole_s + 0.1), 1) if count else 1
     out = np.zeros(((count + size - 1) // size, 7))
     turn, half, push = np.zeros(3), np.zeros(3), np.zeros(3)
+    once, twice, bent = np.zeros(3), np.zeros(3), np.zeros(3)
     at = 0
     for k in range(samples.shape[0]):
         dt = samples[k, 0]
@@ -67,8 +68,9 @@ def condensed(samples: Vector, step_s: float) -> Vector:
         for i in range(3):
             half[i] = turn[i] + 0.5 * dt * samples[k, 1 + i]
             push[i] = samples[k, 4 + i]
-        once = _cross(half, push)
-        twice, bent = _cross(half, once), _cross(turn, samples[k, 1:4])
+        _cross(half, push, once)
+        _cross(half, once, twice)
+        _cross(turn, samples[k, 1:4], bent)
         row[0] += dt
         for i in range(3):
             row[4 + i] += dt * (push[i] + once[i] + 0.5 * twice[i])
@@ -82,12 +84,10 @@ def condensed(samples: Vector, step_s: float) -> Vector:
 
 
 @compiled
-def _cross(a: Vector, b: Vector) -> Vector:
-    out = np.empty(3)
+def _cross(a: Vector, b: Vector, out: Vector) -> None:
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
     out[2] = a[0] * b[1] - a[1] * b[0]
-    return out
 
 
 def imagine(dt_s: float, bias: Any, frame: Frame, noise: Noise, turn_rps: float) -> Any:

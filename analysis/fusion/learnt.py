@@ -10,7 +10,6 @@ What a detector may assume is a worst case; a covariance is to be right. From so
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from mavproxy_fault.wire.compiled import compiled
 
 IMU_S, RATE_S, SLOW_S = 5.0, 20.0, 10.0  # time constants
 PRIOR_S = 1.0  # what the configured noise counts for
-LEAST_SAMPLES = 12
+LEAST_SAMPLES = 11
 GYRO_FLOOR_RPS, ACCEL_FLOOR_MPS2 = 1.0e-4, 2.0e-3  # per root hertz, as simulated flights leave
 WORSE = 2.0
 STEP = 1.15  # densities are rounded to powers of it, so that they seldom change
@@ -32,48 +31,47 @@ AGE, RATE, SLOW = 0, 1, 2
 
 @dataclass(slots=True)
 class Learnt:
-    """What moves: variances of the IMU's white noise per hertz with their age in s, and a table
-    (n, 3) by satellite: age, mean square of the rate's residual, mean of the range's."""
+    """What moves, in place: variances of the IMU's white noise per hertz, of gyros and
+    accelerometers, and how long it was heard in s (3,); a table (n, 3) by satellite: age, mean
+    square of the rate's residual, mean of the range's; the noise `found` of the IMU, of rounded
+    `levels`."""
 
-    imu: Vector = field(default_factory=lambda: np.zeros(2))
-    imu_s: float = 0.0
+    imu: Vector = field(default_factory=lambda: np.zeros(3))
     satellites: tuple[str, ...] = ()
     table: Vector = field(default_factory=lambda: np.empty((0, 3)))
     t_us: int = 0
+    levels: tuple[int, int] = (0, 0)
+    found: Noise | None = None
 
     def hear_imu(self, samples: Vector) -> None:
         """Samples (k, 7) of a sound IMU: step in s, rates, specific force."""
-        if len(samples) < LEAST_SAMPLES:
-            return
-        found = _white(samples)
-        dt_s = float(samples[:, 0].sum())
-        mean = self.imu + (found - self.imu) * dt_s / (self.imu_s + dt_s)
-        self.imu = np.where(found > WORSE * self.imu, found, mean)  # noise may begin at once
-        self.imu_s = min(self.imu_s + dt_s, IMU_S)
+        _hear(self.imu, samples)
 
     def noise(self, configured: Noise) -> Noise:
         """The noise with what was learnt of the IMU."""
-        if self.imu_s == 0.0:
+        gyro2, accel2, heard_s = self.imu.tolist()
+        if heard_s == 0.0:
             return configured
-        gyro2, accel2 = self.imu.tolist()
-        return _noise(
-            configured,
-            _level(math.hypot(math.sqrt(gyro2), GYRO_FLOOR_RPS)),
-            _level(math.hypot(math.sqrt(accel2), ACCEL_FLOOR_MPS2)),
-        )
+        gyro = _level(math.sqrt(gyro2 + GYRO_FLOOR_RPS**2))
+        accel = _level(math.sqrt(accel2 + ACCEL_FLOOR_MPS2**2))
+        if (gyro, accel) != self.levels or self.found is None:
+            self.levels = gyro, accel
+            self.found = replace(configured, gyro_rps=STEP**gyro, accel_mps2=STEP**accel)
+        return self.found
 
-    def hear_ranges(self, t_us: int, satellites: tuple[str, ...], normalised: Vector) -> None:
-        """Residuals (n, 2) of ranges and rates over their configured sigmas; NaN where unused."""
+    def hear_ranges(
+        self, t_us: int, satellites: tuple[str, ...], weights: Vector, normalised: Vector
+    ) -> None:
+        """Residuals (n, 2) of ranges and rates over their configured sigmas; where the weights (n,)
+        are 0 they are not used."""
         dt_s = min(max((t_us - self.t_us) * 1e-6, 0.0), 1.0)
         self.t_us = t_us
-        table = self.table = self._of(satellites)
-        self.satellites = satellites
-        _average(table, normalised, dt_s)
+        self._turn_to(satellites)
+        _average(self.table, weights, normalised, dt_s)
 
-    def rate_factors(self, satellites: tuple[str, ...]) -> Vector:
-        """What the configured sigmas (n,) of rates are multiplied by."""
-        result: Vector = np.sqrt(np.clip(self._of(satellites)[:, RATE], *LIMITS))
-        return result
+    def scale(self, satellites: tuple[str, ...], rate_sigma: Vector) -> None:
+        """Multiply the configured sigmas (n,) of rates, in place."""
+        _scale(self._of(satellites), rate_sigma)
 
     def slow(self, configured: float, unknowns: int) -> float:
         """The share of the ranges' sigmas that lasts; `unknowns` a snapshot solution takes away."""
@@ -83,6 +81,9 @@ class Learnt:
             return configured
         seen = float(means @ means) * count / (count - unknowns)
         return math.sqrt((SLOW_PRIOR * configured**2 + seen) / (SLOW_PRIOR + count))
+
+    def _turn_to(self, satellites: tuple[str, ...]) -> None:
+        self.table, self.satellites = self._of(satellites), satellites
 
     def _of(self, satellites: tuple[str, ...]) -> Vector:
         """The table's rows of some satellites, new ones as configured."""
@@ -97,36 +98,47 @@ def _level(density: float) -> int:
     return round(math.log(density) / math.log(STEP))
 
 
-@lru_cache(maxsize=256)
-def _noise(configured: Noise, gyro: int, accel: int) -> Noise:
-    return replace(configured, gyro_rps=STEP**gyro, accel_mps2=STEP**accel)
-
-
 @compiled
-def _white(samples: Vector) -> Vector:
-    """Variances (2,) per hertz of gyros and accelerometers, from second differences."""
+def _hear(imu: Vector, samples: Vector) -> None:
+    """Take samples (k, 7) into the IMU's variances and age (3,), from second differences."""
     count = samples.shape[0] - 1  # the last step repeats its sample
-    whole_s, sums = 0.0, np.zeros(2)
+    if count < LEAST_SAMPLES:
+        return
+    whole_s, sums = samples[count, 0], np.zeros(2)
     for k in range(count):
         whole_s += samples[k, 0]
         if k >= 2:
             for i in range(6):
                 bend = samples[k, 1 + i] - 2.0 * samples[k - 1, 1 + i] + samples[k - 2, 1 + i]
                 sums[i // 3] += bend * bend / 18.0
-    sums *= whole_s / (count * (count - 2))
-    return sums
+    inner_s = whole_s - samples[count, 0]
+    for i in range(2):
+        found = sums[i] * inner_s / (count * (count - 2))
+        # noise may begin at once
+        share = 1.0 if found > WORSE * imu[i] else whole_s / (imu[2] + whole_s)
+        imu[i] += (found - imu[i]) * share
+    imu[2] = min(imu[2] + whole_s, IMU_S)
 
 
 @compiled
-def _average(table: Vector, normalised: Vector, dt_s: float) -> None:
+def _average(table: Vector, weights: Vector, normalised: Vector, dt_s: float) -> None:
     """Take residuals (n, 2) into a table (n, 3), in place."""
     for i in range(table.shape[0]):
+        if weights[i] == 0.0:
+            continue
         slow, rate = normalised[i, 0], normalised[i, 1]
-        age = table[i, 0]
+        age = table[i, AGE]
         if np.isfinite(rate):
             share = dt_s / (min(age, RATE_S) + dt_s)
-            table[i, 1] += share * (min(rate * rate, OUTLIER) - table[i, 1])
+            table[i, RATE] += share * (min(rate * rate, OUTLIER) - table[i, RATE])
         if np.isfinite(slow):
             share = dt_s / (min(age, SLOW_S) + dt_s)
-            table[i, 2] += share * (slow - table[i, 2])
-            table[i, 0] = age + dt_s
+            table[i, SLOW] += share * (slow - table[i, SLOW])
+            table[i, AGE] = age + dt_s
+
+
+@compiled
+def _scale(table: Vector, sigma: Vector) -> None:
+    """Multiply configured sigmas (n,) by the root of a table's (n, 3) mean squares, in place."""
+    for i in range(table.shape[0]):
+        sigma[i] *= math.sqrt(min(max(table[i, RATE], LIMITS[0]), LIMITS[1]))

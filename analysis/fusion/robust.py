@@ -14,6 +14,7 @@ from analysis.fusion.frame import Frame
 from analysis.fusion.ranges import Ranges
 from analysis.fusion.window import key
 from analysis.gnss import LIGHT_MPS
+from analysis.samples import Vector
 
 HUBER = 1.345  # 95 % efficiency for normal noise (Huber 1964)
 GEMAN = 3.0
@@ -21,7 +22,7 @@ TIED_M = 0.05  # far below a range's sigma
 
 
 def pseudoranges(
-    ranges: Ranges, at: list[int], epoch: int, frame: Frame, clock: Clock, robust: str
+    ranges: Ranges, weights: Vector, epoch: int, frame: Frame, clock: Clock, robust: str
 ) -> dict[str, Any]:
     """Factors by satellite, on the pose and the clock in seconds of an epoch."""
     x, r = key("x", epoch), key("r", epoch)
@@ -29,7 +30,7 @@ def pseudoranges(
         ranges.satellites[i]: ranges.pseudorange(
             i, x, r, frame, clock, _loss(robust, ranges.sigma_m[i])
         )
-        for i in at
+        for i in np.flatnonzero(weights).tolist()
     }
 
 

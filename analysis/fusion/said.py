@@ -1,10 +1,12 @@
 """The newest epoch of a graph in the words of `analysis.results`."""
 
 import math
+from typing import Any
 
 import msgspec
 import numpy as np
 
+from analysis.fdi.linear import apply, multiply, transposed
 from analysis.fusion.frame import quaternion
 from analysis.fusion.graph import Graph
 from analysis.gnss import geodetic, ned_axes
@@ -18,20 +20,26 @@ UNKNOWN_DEG = (180.0, 180.0, 180.0)
 def fused_state(graph: Graph, name: str, weights: dict[str, float], reason: str) -> FusedState:
     """Position, velocity and attitude with sigmas; those of position and velocity north, east,
     down, those of attitude about the body's axes."""
-    node, p, frame = graph.node, graph.covariance, graph.frame
+    node, frame = graph.node, graph.frame
     rows = _rows(
-        node.pose.matrix(), node.velocity, p, frame.anchor_m, frame.axes, graph.slow_m2
-    ).tolist()
+        node.pose.matrix(),
+        node.velocity,
+        graph.covariance,
+        frame.anchor_m,
+        frame.axes,
+        graph.slow_m2,
+    )
+    each: list[Any] = [tuple(row) for row in rows[:15].reshape(5, 3).tolist()]
     return FusedState(
         t_s=node.t_us * 1e-6,
         t_us=node.t_us,
         name=name,
-        position_ecef_m=tuple(rows[0]),
-        velocity_ned_mps=tuple(rows[1]),
-        q_nb=quaternion(np.array(rows[5:])),
-        position_sigma_m=tuple(rows[2]),
-        velocity_sigma_mps=tuple(rows[3]),
-        attitude_sigma_deg=tuple(rows[4]) if graph.aligned else UNKNOWN_DEG,
+        position_ecef_m=each[0],
+        velocity_ned_mps=each[1],
+        q_nb=tuple(rows[15:].tolist()),
+        position_sigma_m=each[2],
+        velocity_sigma_mps=each[3],
+        attitude_sigma_deg=each[4] if graph.aligned else UNKNOWN_DEG,
         weights=weights,
         reason=reason,
     )
@@ -52,32 +60,35 @@ def gap(last: FusedState, t_us: int, why: str) -> FusedState:
 def _rows(
     pose: Vector, velocity: Vector, p: Vector, anchor_m: Vector, axes: Vector, slow_m2: Vector
 ) -> Vector:
-    """Rows (8, 3): position in ECEF; velocity north, east, down; sigmas of position and velocity,
-    and of attitude in degrees; the rotation from body to north, east, down."""
-    out = np.zeros((8, 3))
+    """Numbers (19,): position in ECEF; velocity north, east, down; sigmas of position and velocity,
+    and of attitude in degrees; the quaternion from body to north, east, down."""
+    out = np.empty(19)
     for i in range(3):
-        out[0, i] = anchor_m[i]
+        out[i] = anchor_m[i]
         for k in range(3):
-            out[0, i] += axes[k, i] * pose[k, 3]
-    lat, lon, _ = geodetic(out[0])
+            out[i] += axes[k, i] * pose[k, 3]
+    lat, lon, _ = geodetic(out[0:3])
     ned = ned_axes(lat, lon)
-    to_ned = np.zeros((3, 3))
+    to_ned = multiply(ned, transposed(axes))
+    turn = multiply(to_ned, pose[0:3, 0:3])
+    speed, q = apply(to_ned, velocity), quaternion(turn)
+    here, slow = _variances(turn, p[3:6, 3:6]), _variances(ned, slow_m2)
+    change = _variances(to_ned, p[6:9, 6:9])
     for i in range(3):
-        for j in range(3):
-            for k in range(3):
-                to_ned[i, j] += ned[i, k] * axes[j, k]
+        out[3 + i] = speed[i]
+        out[6 + i] = math.sqrt(here[i] + slow[i])
+        out[9 + i] = math.sqrt(change[i])
+        out[12 + i] = math.degrees(math.sqrt(p[i, i]))
+    for i in range(4):
+        out[15 + i] = q[i]
+    return out
+
+
+@compiled
+def _variances(a: Vector, p: Vector) -> Vector:
+    """Diagonal (3,) of a p a'."""
+    out, ap = np.zeros(3), multiply(a, p)
     for i in range(3):
-        for j in range(3):
-            out[1, i] += to_ned[i, j] * velocity[j]
-            for k in range(3):
-                out[5 + i, j] += to_ned[i, k] * pose[k, j]
-    for i in range(3):
-        where = speed = 0.0
-        for j in range(3):
-            for k in range(3):
-                where += out[5 + i, j] * p[3 + j, 3 + k] * out[5 + i, k]
-                where += ned[i, j] * slow_m2[j, k] * ned[i, k]
-                speed += to_ned[i, j] * p[6 + j, 6 + k] * to_ned[i, k]
-        out[2, i], out[3, i] = math.sqrt(where), math.sqrt(speed)
-        out[4, i] = math.degrees(math.sqrt(p[i, i]))
+        for k in range(3):
+            out[i] += ap[i, k] * a[i, k]
     return out

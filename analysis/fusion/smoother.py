@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from analysis.block import ATTITUDE, IMU, TRUTH, ImuRun, Piece
+from analysis.block import ATTITUDE, IMU, IONOSPHERE, TRUTH, ImuRun, Piece
 from analysis.fdi.config import DetectorConfig, Noise
 from analysis.fdi.core import Core
 from analysis.fdi.inertial import X_ISB
@@ -37,7 +37,8 @@ SUSPECT = 0.5  # of the threshold: above it the IMU is suspicious, and taken bac
 SHOWS_NOISE = ("none", "satellites")  # hypotheses under which residuals are noise
 SKY_US = 2_000_000  # satellites move little meanwhile
 JUMP_M = 1e5  # how far a clock may leap where the detector says that it did, as the ranges allow
-ASIDE = (IMU, TRUTH, ATTITUDE)  # taken as a whole, or not at all
+HEEDED = np.ones(IONOSPHERE + 1, bool)  # kinds of samples that are not taken as a whole, if at all
+HEEDED[[IMU, TRUTH, ATTITUDE]] = False
 FAILURES = (RuntimeError, ValueError, IndexError)  # what GTSAM and numpy raise
 
 
@@ -57,13 +58,13 @@ class Fusion:
         self, piece: Piece, results: Sequence[Result], core: Core, state: FusionState
     ) -> tuple[list[Result], FusionState]:
         """The same as `step` for samples up to an event, with the results of that."""
-        run, ours = piece.imu, slice(None)
-        if core.imu_id is not None:
-            ours = piece.ids == core.imu_id
-        state.hear(ImuRun(run.t_us[ours], run.values[ours]))
+        run, ours = piece.imu, piece.ids == core.imu_id
+        if core.imu_id is not None and not ours.all():
+            run = ImuRun(run.t_us[ours], run.values[ours])
+        state.hear(run)
         kinds = piece.block.kind[piece.first : piece.last + 1]
         said: list[Result] = []
-        for row in (np.flatnonzero(~np.isin(kinds, ASIDE)) + piece.first).tolist():
+        for row in (np.flatnonzero(HEEDED[kinds]) + piece.first).tolist():
             told = results if row == piece.last else ()
             found, state = self.step(piece.block.sample(row), told, core, state)
             said += found
@@ -102,6 +103,7 @@ class Fusion:
             said = self._epoch(now, state)
         except FAILURES as error:
             said = self._again(now, state, _first_line(error))
+        state.forget(decision.t_us)
         if said is None:
             return [], state
         state.last = said
@@ -109,8 +111,7 @@ class Fusion:
 
     def _epoch(self, now: Now, state: FusionState) -> FusedState | None:
         """The next epoch of the graph, or the first of a new one."""
-        graph, t_us = state.graph, now.decision.t_us
-        state.cut(t_us)
+        graph = state.graph
         if graph is not None and not self._must_restart(graph, now.decision):
             return self._go_on(graph, now, state)
         motion = now.motion
@@ -143,7 +144,7 @@ class Fusion:
 
     def _go_on(self, graph: Graph, now: Now, state: FusionState) -> FusedState:
         """One epoch more on a graph."""
-        isolated = frozenset(isolated_sensors(now.results, self.config))
+        isolated = isolated_sensors(now.results, self.config)
         attitude = self._watch_imu(graph, now, isolated, state)
         t_us, node = now.decision.t_us, graph.node
         part = self._heard(node.t_us, now, state)
@@ -155,7 +156,7 @@ class Fusion:
         state.lost = state.lost or (graph.aligned and not sound and attitude is None)
         used = {"imu": float(sound)} | self._attach_ranges(graph, now, state)
         assert state.others is not None
-        tested = sensor_weights(now.results, self.config)
+        tested = sensor_weights(now.results, isolated, self.config) if state.waiting else {}
         for source, sample in state.waiting.items():
             share = state.others.attach(sample, now.decision, tested.get(source, 1.0))
             if share is not None:
@@ -177,7 +178,8 @@ class Fusion:
         before = record.core.motion if record is not None else None
         if record is not None and before is not None and before.t_us == since_us:
             return record.part
-        return between(state.run, since_us, now.decision.t_us)
+        t_us = now.decision.t_us
+        return between(state.heard(t_us), since_us, t_us)
 
     def _done(
         self, graph: Graph, used: dict[str, float], now: Now, state: FusionState
@@ -248,20 +250,23 @@ class Fusion:
         if observed is None:
             return {}
         core, config = now.core, self.config
+        decision, learnt = now.decision, state.learnt
         ranges = Ranges(observed, now.motion.x, core.ionosphere, config, self.detector)
-        weights = range_weights(now.decision, config)
+        weights = ranges.weights(range_weights(decision, config))
         if config.learn:
-            if now.decision.hypothesis in SHOWS_NOISE:
-                normalised = ranges.normalised(weights)
-                state.learnt.hear_ranges(now.decision.t_us, ranges.satellites, normalised)
-            ranges.learn(state.learnt)
-        names = graph.attach_ranges(graph.node.epoch, ranges, weights)
-        sky = (*names, now.decision.t_us // SKY_US)
+            if decision.hypothesis in SHOWS_NOISE:
+                learnt.hear_ranges(decision.t_us, ranges.satellites, weights, ranges.normalised)
+            ranges.learn(learnt)
+        graph.attach_ranges(graph.node.epoch, ranges, weights)
+        given = zip(ranges.satellites, weights.tolist(), strict=True)
+        used = {name: weight for name, weight in given if weight > 0.0}
+        sky = (*used, decision.t_us // SKY_US)
         if sky != state.sky:
-            slow = ranges.slow_covariance(weights)
+            share = learnt.slow(config.slow, ranges.unknowns) if config.learn else config.slow
+            slow = ranges.slow_covariance(weights, share)
             if slow is not None:
                 graph.slow_m2, state.sky = slow, sky
-        return {name: weights[name] for name in names}
+        return used
 
     def _take_late(
         self, graph: Graph, sample: Sample, source: str | None, core: Core, state: FusionState

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.block import ImuRun
+from analysis.block import ImuRun, Stamps
 from analysis.fdi.core import Core, Record
 from analysis.fdi.motion import PENDING_MAX
 from analysis.fdi.state import Motion
@@ -18,6 +18,7 @@ from analysis.fusion.learnt import Learnt
 from analysis.fusion.other import Others
 from analysis.results import Decision, FusedState, Result
 from analysis.samples import ImuSample, Sample, Vector
+from mavproxy_fault.wire.compiled import compiled
 
 NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
 
@@ -57,7 +58,7 @@ class Good(NamedTuple):
 class FusionState:
     """What moves; changed in place, as the graph in it must be.
 
-    `imu` and `waiting` are runs and samples for the next epoch, `run` the IMU up to the newest one.
+    `imu` and `waiting` are runs and samples for the next epoch.
     `learnt` is what the flight has shown of its noise. `excluded` and `isolated` are what was left
     out there, `lost` says that the graph has missed the IMU since it knew its attitude,
     `suspect_us` since when the IMU has been suspicious. `sky` are the satellites that the slow
@@ -66,7 +67,6 @@ class FusionState:
 
     imu: deque[ImuRun] = field(default_factory=deque)
     depth: int = 0  # samples in `imu`
-    run: ImuRun = NO_RUN
     waiting: dict[str, Sample] = field(default_factory=dict)
     graph: Graph | None = None
     others: Others | None = None
@@ -85,26 +85,41 @@ class FusionState:
 
         The oldest are forgotten where there are too many.
         """
-        if self.graph is not None and len(run.t_us):
+        if self.graph is not None and _later(run.t_us, self.graph.node.t_us) < len(run.t_us):
             late = run.t_us <= self.graph.node.t_us
-            if late.any():
-                for t_us, row in zip(run.t_us[late].tolist(), run.values[late], strict=True):
-                    self.graph.hear_late(ImuSample(t_us, row[:3], row[3:]))
-                run = ImuRun(run.t_us[~late], run.values[~late])
+            for t_us, row in zip(run.t_us[late].tolist(), run.values[late], strict=True):
+                self.graph.hear_late(ImuSample(t_us, row[:3], row[3:]))
+            run = ImuRun(run.t_us[~late], run.values[~late])
         if len(run.t_us):
             self.imu.append(run)
             self.depth += len(run.t_us)
         while self.depth > PENDING_MAX and len(self.imu) > 1:
             self.depth -= len(self.imu.popleft().t_us)
 
-    def cut(self, t_us: int) -> None:
-        """Put together what has come, in order of time, and cut it behind an epoch."""
+    def heard(self, until_us: int) -> ImuRun:
+        """What has come up to a time, put together in order of time."""
         stamps = np.concatenate([NO_RUN.t_us, *(one.t_us for one in self.imu)])
         values = np.concatenate([NO_RUN.values, *(one.values for one in self.imu)])
-        if (np.diff(stamps) <= 0).any():
-            stamps, first = np.unique(stamps, return_index=True)
-            values = values[first]
-        end = int(np.searchsorted(stamps, t_us, side="right"))
-        self.run = ImuRun(stamps[:end], values[:end])
-        self.imu = deque([ImuRun(stamps[end:], values[end:])])
-        self.depth = len(stamps) - end
+        stamps, first = np.unique(stamps, return_index=True)
+        end = int(np.searchsorted(stamps, until_us, side="right"))
+        return ImuRun(stamps[:end], values[first[:end]])
+
+    def forget(self, until_us: int) -> None:
+        """Drop what is not later than a time."""
+        runs, self.imu, self.depth = self.imu, deque(), 0
+        for run in runs:
+            count = _later(run.t_us, until_us)
+            if count:
+                later = run.t_us > until_us
+                self.imu.append(ImuRun(run.t_us[later], run.values[later]))
+                self.depth += count
+
+
+@compiled
+def _later(t_us: Stamps, than_us: int) -> int:
+    """How many of the stamps are later than a time."""
+    count = 0
+    for stamp_us in t_us:
+        if stamp_us > than_us:
+            count += 1
+    return count

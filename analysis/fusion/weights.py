@@ -1,7 +1,7 @@
 """Decisions as weights: 1 healthy, between the thresholds less, 0 isolated."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from analysis.fusion.config import FusionConfig
 from analysis.results import Decision, Result, SensorDecision
@@ -41,23 +41,25 @@ def range_weights(decision: Decision, config: FusionConfig) -> dict[str, float]:
     return weights
 
 
-def sensor_weights(results: Sequence[Result], config: FusionConfig) -> dict[str, float]:
-    """Weights of sensors other than satellites that were tested at this epoch."""
+def sensor_weights(
+    results: Sequence[Result], isolated: Iterable[str], config: FusionConfig
+) -> dict[str, float]:
+    """Weights of sensors other than satellites that were tested or isolated at this epoch."""
     if not config.decide:
         return {}
     weights = {}
     for said in results:
         if isinstance(said, SensorDecision) and said.statistic is not None and said.threshold:
             weights[said.sensor] = weight(math.sqrt(said.statistic / said.threshold), DOUBTED, 1.0)
-    return weights | dict.fromkeys(isolated_sensors(results, config), 0.0)
+    return weights | dict.fromkeys(isolated, 0.0)
 
 
-def isolated_sensors(results: Sequence[Result], config: FusionConfig) -> set[str]:
+def isolated_sensors(results: Sequence[Result], config: FusionConfig) -> frozenset[str]:
     """Sensors other than satellites that must not be used at this epoch."""
     if not config.decide:
-        return set()
-    return {
+        return frozenset()
+    return frozenset(
         result.sensor
         for result in results
         if isinstance(result, SensorDecision) and (result.isolated or result.alarm)
-    }
+    )
