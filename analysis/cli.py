@@ -71,10 +71,8 @@ def add_monitor(commands: Any) -> None:
 
 
 def _monitor(args: argparse.Namespace) -> int:
-    from analysis.compilation import light_compilation
+    from analysis.monitor_command import main
 
-    with light_compilation():
-        from analysis.monitor_command import main
     return main(args)
 
 

@@ -18,18 +18,15 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from analysis.attitude import AttitudeConfig, AttitudeScorer
 from analysis.block import EPHEMERIS, EPOCH, FIX, IMU, IONOSPHERE, Block
-from analysis.compilation import light_compilation
-
-with light_compilation():  # as the monitor does
-    from analysis.attitude import AttitudeConfig, AttitudeScorer
-    from analysis.fdi import Detector
-    from analysis.monitor import Monitor
-    from analysis.monitor_command import settings
-    from analysis.pipeline import MonitorConfig
-    from analysis.recordings import read_log
-    from analysis.reference import References
-    from analysis.results import encode_lines
+from analysis.fdi import Detector
+from analysis.monitor import Monitor
+from analysis.monitor_command import settings
+from analysis.pipeline import MonitorConfig
+from analysis.recordings import read_log
+from analysis.reference import References
+from analysis.results import encode_lines
 from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.tlog import read_columns, read_records
 

@@ -14,7 +14,6 @@ from multiprocessing.queues import Queue
 from types import TracebackType
 from typing import Any
 
-from analysis.compilation import light_compilation
 from analysis.criteria import Criteria
 from analysis.pipeline import MonitorConfig
 from analysis.results import Result
@@ -59,7 +58,7 @@ class MonitorProcess:
             target=_work, args=(self._orders, theirs, config), daemon=True
         )
         mark = rehearsal.due()
-        with light_compilation(), _without_ctrl_c():
+        with _without_ctrl_c():
             self._process.start()
             if mark is not None:
                 context.Process(target=rehearsal.rehearse, args=(config, mark), daemon=True).start()

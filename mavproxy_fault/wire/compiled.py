@@ -9,6 +9,10 @@ from mavproxy_fault.wire.kernels import folder
 
 config.CACHE_DIR = str(folder())
 
+# It takes half the time to compile, and plain loops and lanes run as fast. One level for all, since
+# the last bits of results depend on it, and machine code that one command made serves the others.
+config.OPT = type(config.OPT)(1)
+
 # Fused multiply-add, one reciprocal for several divisions by one number, signless zeros: a quarter
 # faster, differences in the last bit only. Not allowed: reordering, or ignoring NaN and infinity.
 _FAST = {"contract", "arcp", "nsz"}
