@@ -222,8 +222,8 @@ def klobuchar_m(
 
 
 @compiled
-def troposphere_m(lat_rad: float, height_m: float, el_rad: float) -> float:
-    """Slant delay in the standard atmosphere at 50 % humidity."""
+def zenith_delay_m(lat_rad: float, height_m: float) -> float:
+    """The troposphere's delay in the zenith in the standard atmosphere at 50 % humidity."""
     if height_m < -1000.0 or height_m > 20000.0:
         return 0.0
     h = max(height_m, 0.0)
@@ -232,7 +232,14 @@ def troposphere_m(lat_rad: float, height_m: float, el_rad: float) -> float:
     vapour = 6.108 * 0.5 * math.exp((17.15 * kelvin - 4684.0) / (kelvin - 38.45))
     dry = 0.0022768 * pressure / (1.0 - 0.00266 * math.cos(2.0 * lat_rad) - 0.00028e-3 * h)
     wet = 0.002277 * (1255.0 / kelvin + 0.05) * vapour
-    slant: float = (dry + wet) * 1.001 / math.sqrt(0.002001 + math.sin(el_rad) ** 2)
+    zenith: float = dry + wet
+    return zenith
+
+
+@compiled
+def troposphere_m(zenith_m: float, el_rad: float) -> float:
+    """Slant delay of a delay in the zenith [4]_."""
+    slant: float = zenith_m * 1.001 / math.sqrt(0.002001 + math.sin(el_rad) ** 2)
     return slant
 
 
@@ -256,23 +263,20 @@ def predict_ranges(
     """
     out = np.empty((states.shape[0], 7))
     lat, lon, height = geodetic(r_ecef_m)
-    axes = ned_axes(lat, lon)
+    axes, zenith = ned_axes(lat, lon), zenith_delay_m(lat, height)
+    d, u = np.empty(3), np.empty(3)
     for i in range(states.shape[0]):
-        turn = 0.0
-        d = np.zeros(3)
-        rho = 0.0
-        for _ in range(2):  # the earth turns while the signal travels
-            s, c = math.sin(turn), math.cos(turn)
+        s, c, rho = 0.0, 1.0, 0.0
+        for _ in range(2):  # the earth turns while the signal travels, by 5e-6 rad
             d[0] = c * states[i, 0] + s * states[i, 1] - r_ecef_m[0]
             d[1] = -s * states[i, 0] + c * states[i, 1] - r_ecef_m[1]
             d[2] = states[i, 2] - r_ecef_m[2]
             rho = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-            turn = 7.2921151467e-5 * rho / 299792458.0
-        s, c = math.sin(turn), math.cos(turn)
+            s = 7.2921151467e-5 * rho / 299792458.0
+            c = 1.0 - 0.5 * s * s
         vx = c * states[i, 3] + s * states[i, 4] - v_ecef_mps[0]
         vy = -s * states[i, 3] + c * states[i, 4] - v_ecef_mps[1]
         vz = states[i, 5] - v_ecef_mps[2]
-        u = np.empty(3)
         for k in range(3):
             u[k] = d[k] / rho
             out[i, 2 + k] = u[k]
@@ -283,7 +287,7 @@ def predict_ranges(
         az = math.atan2(east, north)
         delay = 0.0
         if el > 0.0:
-            delay = troposphere_m(lat, height, el)
+            delay = troposphere_m(zenith, el)
             delay += states[i, 8] * klobuchar_m(lat, lon, az, el, tow_s, ionosphere)
         out[i, 0] = rho - states[i, 6] + delay
         out[i, 1] = u[0] * vx + u[1] * vy + u[2] * vz - states[i, 7]

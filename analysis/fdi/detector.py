@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from analysis.block import FIX, Block, ImuRun, Piece, block_of, pieces
+from analysis.block import EPOCH, FIX, Block, ImuRun, Piece, block_of, pieces
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import NOTHING_HELD, Core, Record, State
 from analysis.fdi.epoch import judge_epoch
@@ -68,6 +68,8 @@ class Detector:
             fix = piece.event
             assert isinstance(fix, GpsFix)
             return step_position(fix, state, self.config)
+        if piece.kind < EPOCH:
+            return [], state
         event = piece.event
         if isinstance(event, Epoch):
             return self._epoch(event, state)

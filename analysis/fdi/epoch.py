@@ -11,10 +11,10 @@ from analysis.fdi.information import statistic
 from analysis.fdi.measure import Observed
 from analysis.fdi.motion import Segment, advance
 from analysis.fdi.offsets import held, hold, learnt
-from analysis.fdi.outcome import Outcome
-from analysis.fdi.passing import Passed, let_pass
+from analysis.fdi.outcome import Outcome, imu_bad_until_us, shown
+from analysis.fdi.passing import let_pass
 from analysis.fdi.ranges import Tested, blamed, free_clock, free_position, passed
-from analysis.fdi.rates import MIN_RATES, check_rates, freed_by
+from analysis.fdi.rates import check_rates, freed_by
 from analysis.fdi.sight import CLOCK_LEAP_M, Sight, see
 from analysis.fdi.slow import judge_slow, new_memory, ready
 from analysis.fdi.state import Motion
@@ -28,43 +28,8 @@ def judge_epoch(
 ) -> Outcome:
     """Predict, test, isolate, update: the core after an epoch and what it said."""
     held_m = held(core, observed.satellites, t_us, config)
-    healthy = let_pass(t_us, observed, held_m, part, core, config)
-    if healthy is not None:
-        return _passed(t_us, healthy, core, config)
-    return _judged(t_us, observed, held_m, part, core, config)
-
-
-def _passed(t_us: int, healthy: Passed, core: Core, config: DetectorConfig) -> Outcome:
-    """An epoch in which nothing tripped but, perhaps, a test with memory."""
-    motion, memory = healthy.motion, healthy.memory
-    slow = judge_slow(memory, healthy.found, config)
-    imu_blamed = motion.inertial and slow.hypothesis == "imu"
-    core = core._replace(
-        motion=free_position(motion) if imu_blamed else motion,
-        ranges_us=t_us,
-        memory=memory,
-        imu_bad_until_us=_imu_bad_until_us(core, imu_blamed, t_us, config),
-        unknown_since_us=None,
-    )
-    rates = healthy.rates if config.doppler and healthy.rates >= MIN_RATES else 0
-    return Outcome(
-        core,
-        names=memory.names,
-        residual_m=healthy.residual_m,
-        normalised=healthy.normalised,
-        statistic=healthy.q,
-        threshold=chi_square(len(memory.names), config.p_false_alarm),
-        parity=healthy.parity,
-        parity_dof=healthy.parity_dof,
-        rate=healthy.q_rate if rates else None,
-        rate_threshold=chi_square(rates, config.p_other) if rates else None,
-        rate_dof=rates,
-        slow=slow,
-        hypothesis=_shown(core, "none", imu_blamed, False),
-        alarm=imu_blamed,
-        imu_blamed=imu_blamed,
-        was_inertial=motion.inertial,
-    )
+    passed = let_pass(t_us, observed, held_m, part, core, config)
+    return passed or _judged(t_us, observed, held_m, part, core, config)
 
 
 def _judged(
@@ -117,7 +82,7 @@ def _judged(
         ranges_us=t_us,
         memory=memory,
         excluded=excluded,
-        imu_bad_until_us=_imu_bad_until_us(core, imu_blamed, t_us, config),
+        imu_bad_until_us=imu_bad_until_us(core, imu_blamed, t_us, config),
     )
     moved = find_attitude(core, moved, part, (t_us - before.t_us) * 1e-6, config)
     core = _unknown(core._replace(motion=moved), tested.hypothesis, t_us, config)
@@ -139,7 +104,7 @@ def _judged(
         rate_threshold=rates.threshold,
         rate_dof=rates.dof,
         slow=slow,
-        hypothesis=_shown(core, tested.hypothesis, imu_blamed or silent, leapt),
+        hypothesis=shown(core, tested.hypothesis, imu_blamed or silent, leapt),
         alarm=tested.alarm or imu_blamed or silent,
         imu_blamed=imu_blamed,
         was_inertial=before.inertial,
@@ -159,19 +124,6 @@ def _tested(
         return passed(freed, used, q, threshold)
     standing_m = learnt(core, seen.names)
     return blamed(freed, used, q, threshold, standing_m, config)
-
-
-def _shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:
-    """The hypothesis of the epoch; an isolation holds until it is taken back."""
-    if imu:
-        return "imu"
-    if hypothesis != "none":
-        return hypothesis
-    if leapt:
-        return "clock"
-    if core.imu_bad_until_us is not None:
-        return "imu"
-    return "satellites" if core.excluded else "none"
 
 
 def _seen(
@@ -210,14 +162,6 @@ def _leap_m(seen: Sight) -> float:
     innovations = sorted((*seen.used.v_m.tolist(), *seen.left.v_m.tolist()))
     middle: float = innovations[len(innovations) // 2]
     return middle if abs(middle) > CLOCK_LEAP_M else 0.0
-
-
-def _imu_bad_until_us(core: Core, blamed: bool, t_us: int, config: DetectorConfig) -> int | None:
-    """Until when the IMU is held out: for a while once it was blamed."""
-    if blamed:
-        return t_us + round(config.imu_hold_s * 1e6)
-    until_us = core.imu_bad_until_us
-    return None if until_us is not None and t_us >= until_us else until_us
 
 
 def _unknown(core: Core, hypothesis: str, t_us: int, config: DetectorConfig) -> Core:

@@ -164,31 +164,41 @@ def _transition(p: Vector, c: Vector, f: Vector, dt: float, first: int, last: in
 @compiled
 def _transition_right(p: Vector, c: Vector, f: Vector, dt: float) -> None:
     """The same from the right, with the transposed transition, on what `_transition` has left of a
-    symmetric p: what its rows 9 to 19 become is their columns' already."""
+    symmetric p, in place.
+
+    Only the lower triangle of what changes is computed, and the rest is its mirror image; columns 9
+    to 14 and 16 to 19 are right already.
+    """
     earth = 7.2921151467e-5 * dt
     fx, fy, fz = f[0] * dt, f[1] * dt, f[2] * dt
     c0, c1, c2, c3, c4 = c[0] * dt, c[1] * dt, c[2] * dt, c[3] * dt, c[4] * dt
     c5, c6, c7, c8 = c[5] * dt, c[6] * dt, c[7] * dt, c[8] * dt
     for b in (0, 20, 40, 60, 80, 100, 120, 140, 160, 300):
         vx, vy, vz = p[b + 3], p[b + 4], p[b + 5]
-        tx, ty, tz = p[b + 6], p[b + 7], p[b + 8]
-        gx, gy, gz = p[b + 9], p[b + 10], p[b + 11]
-        ax, ay, az = p[b + 12], p[b + 13], p[b + 14]
         p[b] += dt * vx
         p[b + 1] += dt * vy
         p[b + 2] += dt * vz
+        if b < 60:
+            continue
+        tx, ty, tz = p[b + 6], p[b + 7], p[b + 8]
+        ax, ay, az = p[b + 12], p[b + 13], p[b + 14]
         p[b + 3] = vx + fz * ty - fy * tz - (c0 * ax + c1 * ay + c2 * az) + 2.0 * earth * vy
         p[b + 4] = vy + fx * tz - fz * tx - (c3 * ax + c4 * ay + c5 * az) - 2.0 * earth * vx
         p[b + 5] = vz + fy * tx - fx * ty - (c6 * ax + c7 * ay + c8 * az)
+        if b < 120:
+            continue
+        gx, gy, gz = p[b + 9], p[b + 10], p[b + 11]
         p[b + 6] = tx + earth * ty - (c0 * gx + c1 * gy + c2 * gz)
         p[b + 7] = ty - earth * tx - (c3 * gx + c4 * gy + c5 * gz)
         p[b + 8] = tz - (c6 * gx + c7 * gy + c8 * gz)
-        p[b + 15] += dt * p[b + 16]
+    p[315] += dt * p[316]
+    for i in range(20):
+        p[20 * i + 15] = p[300 + i]
     for i in range(9):
+        for j in range(i):
+            p[20 * j + i] = p[20 * i + j]
         for j in range(9, 20):
             p[20 * j + i] = p[20 * i + j]
-    for j in range(20):
-        p[20 * j + 15] = p[300 + j]
 
 
 @compiled

@@ -37,7 +37,7 @@ import numpy as np
 
 from analysis.fdi.bank import reduction
 from analysis.fdi.information import Indices, quadratic, weighed
-from analysis.fdi.linear import add_product, apply, multiply, transposed
+from analysis.fdi.linear import add_product, apply, multiply
 from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
@@ -87,23 +87,24 @@ def respond(
                 response[3 + axis, at] += dt
     sums, known = sums.copy(), _rows(after, states)
     seen, gamma = _seen(response, states, weighed(a, variance, v)[0])
-    shares, left = transposed(a), np.empty(count)
-    for k in range(shares.shape[0]):
-        for w in range(windows):
-            for i in range(count):
-                gamma[k, w * each + i] += shares[k, i] * ages[w] / variance[i]
-    whole = multiply(known, gamma)
-    for k in range(seen.shape[0]):
-        for j in range(seen.shape[1]):
-            whole[k, j] += seen[k, j]
     for w in range(windows):
         for i in range(count):
-            left[i] = v[i] - offsets[w, i]
-        b = weighed(a, variance, left)[1]
+            for k in range(states.shape[0]):
+                gamma[k, w * each + i] += a[i, k] * ages[w] / variance[i]
+    whole = _whole(seen, gamma, known)
+    own, left = np.empty(count), np.empty(count)
+    for i in range(count):
+        own[i] = (1.0 - quadratic(a[i], known) / variance[i]) / variance[i]
+    for w in range(windows):
+        b = np.zeros(states.shape[0])
+        for i in range(count):
+            left[i] = (v[i] - offsets[w, i]) / variance[i]
+            sums[w, 4 * count + i] += own[i]
+            for k in range(b.shape[0]):
+                b[k] += a[i, k] * left[i]
         moved = apply(known, b)
         first = w * each
-        _add_offsets(sums[w], a, variance, left, known, moved)
-        _add_ramps(sums[w], seen, gamma, whole, first, shares, variance, left, ages[w], b, moved)
+        _add_ramps(sums[w], seen, gamma, whole, first, a, variance, left, ages[w], b, moved)
         _add_accelerations(sums[w], seen, gamma, whole, first + count, b, moved)
     add_product(response, 1.0, after, gamma)
     return response, sums
@@ -129,17 +130,13 @@ def _seen(response: Vector, states: Indices, information: Vector) -> tuple[Vecto
 
 
 @compiled
-def _add_offsets(
-    row: Vector, a: Vector, variance: Vector, v: Vector, known: Vector, moved: Vector
-) -> None:
-    """Add c_o and J_oo of an epoch to a window's sums, in place."""
-    count = v.shape[0]
-    for i in range(count):
-        left = v[i]
-        for k in range(moved.shape[0]):
-            left -= a[i, k] * moved[k]
-        row[count + i] += left / variance[i]
-        row[4 * count + i] += (1.0 - quadratic(a[i], known) / variance[i]) / variance[i]
+def _whole(seen: Vector, gamma: Vector, known: Vector) -> Vector:
+    """D_c + P+_c gamma (c, w s)."""
+    whole = multiply(known, gamma)
+    for k in range(seen.shape[0]):
+        for j in range(seen.shape[1]):
+            whole[k, j] += seen[k, j]
+    return whole
 
 
 @compiled
@@ -149,31 +146,29 @@ def _add_ramps(
     gamma: Vector,
     whole: Vector,
     first: int,
-    shares: Vector,
+    a: Vector,
     variance: Vector,
-    v: Vector,
+    left: Vector,
     age: float,
     b: Vector,
     moved: Vector,
 ) -> None:
-    """Add c_r, J_rr and J_ro of an epoch to a window's sums, in place; its ramps are the columns
-    from `first`, `whole` is D_c + P+_c gamma and `shares` is A'."""
-    count = v.shape[0]
-    table = np.zeros((4, count))
-    followed, mixed, cross, direct = table[0], table[1], table[2], table[3]
-    for k in range(b.shape[0]):
-        for i in range(count):
-            followed[i] += shares[k, i] * seen[k, first + i]
-        for i in range(count):
-            mixed[i] += shares[k, i] * whole[k, first + i]
-        for i in range(count):
-            cross[i] += gamma[k, first + i] * whole[k, first + i]
-        for i in range(count):
-            direct[i] += seen[k, first + i] * b[k] + gamma[k, first + i] * moved[k]
+    """Add an epoch to a window's sums of ramps and c_o, in place; its ramps are the columns from
+    `first`, `left` (n,) the innovations over their variance."""
+    count = left.shape[0]
     for i in range(count):
-        row[i] += age * v[i] / variance[i] - direct[i]
-        row[2 * count + i] += age * (age - followed[i]) / variance[i] - cross[i]
-        row[3 * count + i] += (age - mixed[i]) / variance[i]
+        followed = mixed = cross = told = offset = 0.0
+        for k in range(b.shape[0]):
+            response, own, both = seen[k, first + i], gamma[k, first + i], whole[k, first + i]
+            followed += a[i, k] * response
+            mixed += a[i, k] * both
+            cross += own * both
+            told += response * b[k] + own * moved[k]
+            offset += a[i, k] * moved[k]
+        row[i] += age * left[i] - told
+        row[count + i] += left[i] - offset / variance[i]
+        row[2 * count + i] += age * (age - followed) / variance[i] - cross
+        row[3 * count + i] += (age - mixed) / variance[i]
 
 
 @compiled
@@ -205,10 +200,7 @@ def respond_to_rates(
     count = (sums.shape[1] - 12) // 5
     known = _rows(after, states)
     seen, gamma = _seen(d, states, information)
-    whole, moved = multiply(known, gamma), apply(known, b)
-    for k in range(seen.shape[0]):
-        for j in range(seen.shape[1]):
-            whole[k, j] += seen[k, j]
+    whole, moved = _whole(seen, gamma, known), apply(known, b)
     for w in range(sums.shape[0]):
         _add_accelerations(sums[w], seen, gamma, whole, w * (count + 3) + count, b, moved)
     add_product(d, 1.0, after, gamma)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import Core
 from analysis.fdi.slow import SlowVerdict
 from analysis.fdi.value import Value
@@ -37,3 +38,24 @@ class Outcome(Value, frozen=True):
     alarm: bool = False
     imu_blamed: bool = False
     was_inertial: bool = False
+
+
+def shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:
+    """The hypothesis of the epoch; an isolation holds until it is taken back."""
+    if imu:
+        return "imu"
+    if hypothesis != "none":
+        return hypothesis
+    if leapt:
+        return "clock"
+    if core.imu_bad_until_us is not None:
+        return "imu"
+    return "satellites" if core.excluded else "none"
+
+
+def imu_bad_until_us(core: Core, blamed: bool, t_us: int, config: DetectorConfig) -> int | None:
+    """Until when the IMU is held out: for a while once it was blamed."""
+    if blamed:
+        return t_us + round(config.imu_hold_s * 1e6)
+    until_us = core.imu_bad_until_us
+    return None if until_us is not None and t_us >= until_us else until_us

@@ -14,32 +14,19 @@ from analysis.fdi.inertial import propagate_freely, propagate_inertial
 from analysis.fdi.information import block, columns, narrowed, quadratic, states_of, weighed
 from analysis.fdi.measure import Indices, Observed, modelled_at
 from analysis.fdi.motion import Segment
+from analysis.fdi.outcome import Outcome, imu_bad_until_us, shown
+from analysis.fdi.ranges import free_position
 from analysis.fdi.rates import MIN_RATES
 from analysis.fdi.sight import CLOCK_LEAP_M, normalise, parity_test, rates_statistic, weighed_rates
-from analysis.fdi.slow import Memory, Strongest
+from analysis.fdi.slow import Strongest, judge_slow
 from analysis.fdi.state import Motion
+from analysis.fdi.thresholds import chi_square
 from analysis.fdi.update import followed
-from analysis.fdi.value import Value
 from analysis.gnss import satellite_states
 from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
 Filtered = tuple[Vector, Vector, Vector, Vector, Vector, Vector]
-
-
-class Passed(Value, frozen=True):
-    """The filter and its memory after an epoch that passed, its innovations (n,) and statistics."""
-
-    motion: Motion
-    memory: Memory
-    found: Strongest
-    residual_m: list[float]
-    normalised: list[float]
-    q: float
-    parity: float
-    parity_dof: int
-    q_rate: float
-    rates: int
 
 
 def let_pass(
@@ -49,7 +36,7 @@ def let_pass(
     part: Segment,
     core: Core,
     config: DetectorConfig,
-) -> Passed | None:
+) -> Outcome | None:
     """The epoch if nothing of it needs a verdict, None otherwise."""
     motion, memory = core.motion, core.memory
     if motion is None or memory is None or memory.among is not observed.satellites:
@@ -93,17 +80,35 @@ def let_pass(
     q, q_rate, parity = numbers
     dof, rates = counts
     residual_m, normalised = table.tolist()
-    return Passed(
-        Motion(t_us, x, p, motion.inertial),
-        memory._replace(d=d, sums=sums, offset=offset, spread=spread),
-        Strongest(*found),
-        residual_m,
-        normalised,
-        q,
-        parity,
-        dof,
-        q_rate,
-        rates,
+    memory = memory._replace(d=d, sums=sums, offset=offset, spread=spread)
+    slow = judge_slow(memory, Strongest(*found), config)
+    blamed = motion.inertial and slow.hypothesis == "imu"
+    motion = Motion(t_us, x, p, motion.inertial)
+    core = core._replace(
+        motion=free_position(motion) if blamed else motion,
+        ranges_us=t_us,
+        memory=memory,
+        imu_bad_until_us=imu_bad_until_us(core, blamed, t_us, config),
+        unknown_since_us=None,
+    )
+    tested = config.doppler and rates >= MIN_RATES
+    return Outcome(
+        core,
+        names=memory.names,
+        residual_m=residual_m,
+        normalised=normalised,
+        statistic=q,
+        threshold=chi_square(len(residual_m), config.p_false_alarm),
+        parity=parity,
+        parity_dof=dof,
+        rate=q_rate if tested else None,
+        rate_threshold=chi_square(rates, config.p_other) if tested else None,
+        rate_dof=rates if tested else 0,
+        slow=slow,
+        hypothesis=shown(core, "none", blamed, False),
+        alarm=blamed,
+        imu_blamed=blamed,
+        was_inertial=motion.inertial,
     )
 
 

@@ -1,0 +1,42 @@
+"""The covariance between epochs against its transition."""
+
+import numpy as np
+
+from analysis.fdi.inertial import ERRORS, X_SIZE, propagate_inertial
+
+RNG = np.random.default_rng(8)
+START_M = np.array([4.2e6, 6.0e5, 4.7e6])
+UPHOLDING_MPS2 = np.array([0.0, 0.0, -9.8])
+
+
+def moving() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A state, a covariance with every correlation, and a second of a lively IMU."""
+    x = np.zeros(X_SIZE)
+    x[:3], x[3:6], x[6] = START_M, (20.0, -3.0, 5.0), 1.0
+    root = RNG.standard_normal((ERRORS, ERRORS))
+    samples = np.hstack(
+        [
+            np.full((100, 1), 0.01),
+            RNG.normal(0.0, 0.5, (100, 3)),
+            RNG.normal(UPHOLDING_MPS2, 2.0, (100, 3)),
+        ]
+    )
+    return x, root @ root.T, samples
+
+
+def test_without_noise_the_covariance_follows_the_transition():
+    x, p, samples = moving()
+    _, after, phi = propagate_inertial(x, p, samples, np.zeros(8))
+    assert np.allclose(after, phi @ p @ phi.T, rtol=1e-11, atol=1e-9)
+    assert (after == after.T).all()
+
+
+def test_the_transition_is_the_derivative_of_the_motion():
+    x, p, samples = moving()
+    end, _, phi = propagate_inertial(x, p, samples, np.zeros(8))
+    for state, error in ((3, 3), (13, 12), (17, 16)):  # velocity, accelerometer bias, drift
+        other = x.copy()
+        other[state] += 1e-3
+        moved = propagate_inertial(other, p, samples, np.zeros(8))[0] - end
+        assert np.allclose(moved[:6], 1e-3 * phi[:6, error], atol=1e-5)  # position by Euler's step
+        assert np.isclose(moved[16], 1e-3 * phi[15, error])
