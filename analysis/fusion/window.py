@@ -21,14 +21,14 @@ from analysis.samples import Vector
 BLOCKS = 2.5  # per lag
 BEFORE = 1 << 20  # keeps the numbers of blocks positive
 NEVER = 1e9
-SMALL = 0.05  # m, rad, m/s: older variables that moved less keep their estimate
+SMALL = 0.02  # m, rad, m/s: older variables that moved less keep their estimate
 # How far a variable moves before it is relinearised, in its own units (rad, m, m/s, m/s^2): ranges
 # and clocks are as good as linear, turns are not. Older variables are looked at only where newer
 # ones moved as far.
 RELINEARISE = {
-    "x": [0.04] * 3 + [3.0] * 3,
-    "v": [5.0] * 3,
-    "b": [0.5] * 3 + [0.05] * 3,
+    "x": [0.01] * 3 + [3.0] * 3,
+    "v": [2.0] * 3,
+    "b": [0.1] * 3 + [0.01] * 3,
     "c": [NEVER] * 2,
     "r": [NEVER],
     "h": [NEVER],
