@@ -18,7 +18,7 @@ from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
 IMU_S, RATE_S, SLOW_S = 5.0, 20.0, 10.0  # time constants
-PRIOR_S = 0.1  # what the configured rate noise counts for: it may be five times too large
+PRIOR_S = 0.3  # what the configured rate noise counts for: it may be five times too large
 LEAST_SAMPLES = 11
 GYRO_FLOOR_RPS, ACCEL_FLOOR_MPS2 = 1.0e-4, 2.0e-3  # per root hertz, as simulated flights leave
 WORSE = 2.0
