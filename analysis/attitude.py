@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from analysis.attitude_kernel import compare, gather
-from analysis.attitude_scores import AXES, Cell, Window, parted, phases_of
+from analysis.attitude_scores import Cell, Window, parted, phases_of
 from analysis.block import ATTITUDE, IMU, SOURCES, TRUTH, Block, Indices, Stamps, block_of
 from analysis.estimators import Estimator, Prior, follow, make
 from analysis.results import AttitudeError
@@ -189,7 +189,7 @@ class AttitudeScorer:
     def _results(
         self, t0_us: int, estimates: Estimates, error: Vector, row: Indices
     ) -> list[tuple[int, AttitudeError]]:
-        lists = row.tolist(), estimates.source.tolist(), estimates.t_us.tolist()
+        columns = row, estimates.source, estimates.t_us, *np.degrees(error).T
         return [
             (
                 at,
@@ -197,10 +197,15 @@ class AttitudeScorer:
                     t_s=(t_us - t0_us) * 1e-6,
                     t_us=t_us,
                     estimator=self._names[number],
-                    **dict(zip(AXES, values, strict=True)),
+                    roll=roll,
+                    pitch=pitch,
+                    yaw=yaw,
+                    angle=angle,
                 ),
             )
-            for at, number, t_us, values in zip(*lists, np.degrees(error).tolist(), strict=True)
+            for at, number, t_us, roll, pitch, yaw, angle in zip(
+                *(column.tolist() for column in columns), strict=True
+            )
         ]
 
     def summary(self, state: ScorerState, labels: Sequence[Window] = ()) -> dict[str, Any]:

@@ -49,7 +49,6 @@ KINDS: dict[type, int] = {
     IonosphereSample: IONOSPHERE,
 }
 SOURCES = ("HIL_GPS", "GPS_RAW_INT", "ATTITUDE", "ATTITUDE_QUATERNION")
-NEWEST = (MAG, BARO, AIRSPEED, RANGE, VISION)  # sensors of which a test wants the last sample
 UNKNOWN_3 = (np.nan, np.nan, np.nan)
 
 
@@ -78,6 +77,11 @@ class Block(NamedTuple):
     def samples(self) -> Iterator[Sample]:
         """One after the other."""
         return (self.sample(row) for row in range(len(self.kind)))
+
+    def between(self, begin: int, end: int) -> "Block":
+        """Rows in a row; views of the table."""
+        beside = {row - begin: sample for row, sample in self.beside.items() if begin <= row < end}
+        return Block(self.kind[begin:end], self.t_us[begin:end], self.values[begin:end], beside)
 
     def where(self, keep: NDArray[np.bool_]) -> "Block":
         """The rows that `keep` (n,), a mask, lets pass."""
@@ -207,8 +211,8 @@ class Piece(NamedTuple):
     """Samples up to an event, as detectors take them.
 
     `first` to `last` are the rows of `block`. `imu` are those of the IMU with the numbers `ids` of
-    their sensors (k,); `newest` holds by kind the row of the last sample of every other sensor;
-    `kind` and `t_us` are the last row's.
+    their sensors (k,); `mag` is the row of the last field sample, -1 if there is none; `kind` and
+    `t_us` are the last row's.
     """
 
     block: Block
@@ -216,7 +220,7 @@ class Piece(NamedTuple):
     last: int
     imu: ImuRun
     ids: Vector
-    newest: dict[int, int]
+    mag: int
     kind: int
     t_us: int
 
@@ -226,36 +230,32 @@ class Piece(NamedTuple):
         return self.block.sample(self.last)
 
 
-def pieces(samples: Sample | Block) -> Iterator[Piece]:
-    """A block, or a single sample, cut behind each event."""
+def every_fix(t_us: int) -> bool:
+    """All fixes are events."""
+    return True
+
+
+def pieces(samples: Sample | Block, counts: Callable[[int], bool] = every_fix) -> Iterator[Piece]:
+    """A block, or a single sample, cut behind each event.
+
+    `counts` is asked whether a fix of some stamp is one, after what is before it has been taken.
+    """
     block = samples if isinstance(samples, Block) else block_of(samples)
-    count = len(block.kind)
+    last_row = len(block.kind) - 1
     ends = np.flatnonzero(block.kind >= FIX)
-    if count and (not len(ends) or ends[-1] != count - 1):
-        ends = np.append(ends, count - 1)
-    begins = np.concatenate([np.zeros(min(len(ends), 1), np.int64), ends[:-1] + 1])
-    newest = np.column_stack([_last_rows(block, kind, begins, ends) for kind in NEWEST])
-    imu = block.rows(IMU)
+    if last_row >= 0 and (not len(ends) or ends[-1] != last_row):
+        ends = np.append(ends, last_row)
+    imu, mag = block.rows(IMU), np.append(-1, block.rows(MAG))
     run = ImuRun(block.t_us[imu], block.values[imu, :6])
     ids = block.values[imu, 6]
-    cuts = np.searchsorted(imu, np.append(begins, count)).tolist()
-    events = block.kind[ends].tolist(), block.t_us[ends].tolist()
-    lists = begins.tolist(), ends.tolist(), newest.tolist(), cuts[:-1], cuts[1:], *events
-    for first, last, rows, a, b, kind, t_us in zip(*lists, strict=True):
-        yield Piece(
-            block,
-            first,
-            last,
-            ImuRun(run.t_us[a:b], run.values[a:b]),
-            ids[a:b],
-            {sensor: row for sensor, row in zip(NEWEST, rows, strict=True) if row >= 0},
-            kind,
-            t_us,
-        )
-
-
-def _last_rows(block: Block, kind: int, begins: Indices, ends: Indices) -> Indices:
-    """The last row of a kind within each of some stretches; -1 where there is none."""
-    rows = np.concatenate([[-1], block.rows(kind)])
-    found = rows[np.searchsorted(rows, ends, side="right") - 1]
-    return np.where(found >= begins, found, -1)
+    mags = mag[np.searchsorted(mag, ends, side="right") - 1]
+    cuts = np.searchsorted(imu, ends, side="right")
+    columns = ends, mags, cuts, block.kind[ends], block.t_us[ends]
+    first = a = 0
+    for last, mag_row, b, kind, t_us in zip(*(c.tolist() for c in columns), strict=True):
+        if kind == FIX and last < last_row and not counts(t_us):
+            continue
+        samples_of_imu = ImuRun(run.t_us[a:b], run.values[a:b])
+        newest = mag_row if mag_row >= first else -1
+        yield Piece(block, first, last, samples_of_imu, ids[a:b], newest, kind, t_us)
+        first, a = last + 1, b

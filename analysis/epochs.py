@@ -1,31 +1,25 @@
 """MAVLink frames -> samples, the one form everything else works on."""
 
 import struct
-from collections import deque
 from collections.abc import Iterable, Mapping
-from statistics import median_low
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.block import Block, Indices, Part, Stamps, joined
+from analysis.ranging import Ranging
 from analysis.readers import READERS
-from analysis.samples import EphemerisSample, Epoch, Sample
-from mavproxy_fault.wire.ephemeris import decode_ephemeris
+from analysis.samples import Sample
 from mavproxy_fault.wire.frame import Frame
-from mavproxy_fault.wire.ranges import Ranges, quick_crc24q, read_ranges
-from mavproxy_fault.wire.rtcm import PAYLOAD_TYPE, Reassembler, message_number
+from mavproxy_fault.wire.rtcm import PAYLOAD_TYPE
 from mavproxy_fault.wire.tlog import Columns, row_dtype
+from mavproxy_fault.wire.tunnels import Assembler
 
 Orders = dict[str, Indices]
-Sender = tuple[int, int]
 
 MESSAGES = (*READERS, "TUNNEL")
 STAMPED = ("HIL_SENSOR", "HIL_GPS", "HIL_STATE_QUATERNION")
-HALF_WEEK_S = 302_400.0
-WEEK_S = 604_800
-OFFSETS_KEPT = 25
 _ROW_HEAD = struct.Struct("<qBBB")
 
 
@@ -45,21 +39,14 @@ def columns_of(frames: Iterable[Frame]) -> tuple[Columns, Orders]:
 
 
 class Decoder:
-    """Frames of one stream to samples; holds what spans frames (RTCM fragments, clock offset).
+    """Frames of one stream to samples; holds what spans frames."""
 
-    TUNNEL frames bear no stamp, so a pseudorange epoch gets its GPS time plus the median
-    of the newest differences between the sender's clock and GPS time: a late frame keeps its true
-    time, and so do the frames of a sender whose stamped messages pause.
-    """
-
-    __slots__ = ("_offsets", "_parts", "_reassemblers", "_stamps", "_week")
+    __slots__ = ("_assembler", "_ranging", "_stamps")
 
     def __init__(self) -> None:
-        self._reassemblers: dict[Sender, Reassembler] = {}
-        self._stamps: dict[Sender, int] = {}
-        self._offsets: deque[int] = deque(maxlen=OFFSETS_KEPT)
-        self._parts: list[Ranges] = []
-        self._week: tuple[int, float] | None = None
+        self._assembler = Assembler()
+        self._ranging = Ranging()
+        self._stamps: dict[int, int] = {}
 
     def decode(self, frames: Iterable[Frame]) -> Block:
         """The samples that some frames hold; none for messages that carry no measurement."""
@@ -71,10 +58,9 @@ class Decoder:
         stamps = _Stamps(self._stamps)
         for name, rows in columns.items():
             for read in READERS[name](rows) if name in READERS else ():
-                order = orders[name][read.row]
-                parts.append(Part(read.kind, order, read.t_us, read.values))
-                if name in STAMPED:
-                    stamps.learn(rows[read.row], order, read.t_us)
+                parts.append(Part(read.kind, orders[name][read.row], read.t_us, read.values))
+            if name in STAMPED:
+                stamps.learn(_senders(rows), orders[name], rows["time_usec"].astype(np.int64))
         beside: list[tuple[int, Sample]] = []
         if "TUNNEL" in columns:
             beside = self._tunnels(columns["TUNNEL"], orders["TUNNEL"], stamps)
@@ -84,114 +70,67 @@ class Decoder:
     def _tunnels(
         self, rows: NDArray[Any], order: Indices, stamps: "_Stamps"
     ) -> list[tuple[int, Sample]]:
-        found: list[tuple[int, Sample]] = []
         ours = np.flatnonzero(rows["payload_type"] == PAYLOAD_TYPE)
-        fields = ("system", "component", "payload_length")
-        senders = zip(ours.tolist(), *(rows[name][ours].tolist() for name in fields), strict=True)
-        payloads = np.ascontiguousarray(rows["payload"])
-        for row, system, component, length in senders:
-            sender, place = (system, component), int(order[row])
-            reassembler = self._reassembler(sender)
-            if length > payloads.shape[1]:
-                continue
-            for message in reassembler.add(payloads[row, :length].tobytes()):
-                stamp_us = stamps.before(sender, place)
-                found += [(place, sample) for sample in self._rtcm(message, stamp_us)]
-        return found
+        rows, order, sender = rows[ours], order[ours], _senders(rows)[ours]
+        payload = np.ascontiguousarray(rows["payload"])
+        messages = self._assembler.add(sender, payload, rows["payload_length"].astype(np.int64))
+        places = order[messages.row]
+        stamps_us = stamps.before(sender[messages.row], places)
+        return self._ranging.samples(messages, places.tolist(), stamps_us)
 
-    def _reassembler(self, sender: Sender) -> Reassembler:
-        if sender not in self._reassemblers:
-            self._reassemblers[sender] = Reassembler(quick_crc24q)
-        return self._reassemblers[sender]
 
-    def _rtcm(self, message: bytes, stamp_us: int | None) -> list[Sample]:
-        number = message_number(message)
-        try:
-            if number in (1019, 1046):
-                ephemeris = decode_ephemeris(message)
-                self._week = ephemeris.week, ephemeris.toe_s
-                return [EphemerisSample(stamp_us or 0, ephemeris)]
-            if number in (1077, 1097):
-                return self._ranges(read_ranges(message), stamp_us)
-        except ValueError:  # a peer's bad bytes are no sample
-            return []
-        return []
-
-    def _ranges(self, part: Ranges, stamp_us: int | None) -> list[Sample]:
-        """Collect the messages of one epoch; the epoch when its last one is here."""
-        done: list[Sample] = []
-        if self._parts and self._parts[0].tow_s != part.tow_s:
-            done = self._epoch(stamp_us)
-        self._parts.append(part)
-        return done if part.more else done + self._epoch(stamp_us)
-
-    def _epoch(self, stamp_us: int | None) -> list[Sample]:
-        parts, self._parts = self._parts, []
-        tow_s = parts[0].tow_s
-        week = self._full_week(tow_s)
-        gps_us = round((week * WEEK_S + tow_s) * 1e6)
-        if stamp_us is not None:
-            offset_us = stamp_us - gps_us
-            if self._offsets and abs(offset_us - self._offsets[-1]) > WEEK_S * 1_000_000 // 2:
-                self._offsets.clear()  # the week has become known
-            self._offsets.append(offset_us)
-        offset_us = median_low(self._offsets) if self._offsets else 0
-        return [
-            Epoch(
-                t_us=gps_us + offset_us,
-                week=week,
-                tow_s=tow_s,
-                satellites=tuple(name for part in parts for name in part.satellites),
-                pseudorange_m=np.concatenate([part.pseudorange_m for part in parts]),
-                doppler_mps=np.concatenate([part.doppler_mps for part in parts]),
-                cn0_dbhz=np.concatenate([part.cn0_dbhz for part in parts]),
-            )
-        ]
-
-    def _full_week(self, tow_s: float) -> int:
-        """MSM gives no week; the newest ephemeris does (0 before there is one)."""
-        if self._week is None:
-            return 0
-        week, toe_s = self._week
-        if tow_s - toe_s > HALF_WEEK_S:
-            return week - 1
-        return week + 1 if toe_s - tow_s > HALF_WEEK_S else week
+def _senders(rows: NDArray[Any]) -> Indices:
+    """A number (m,) of system and component of each row."""
+    numbers: Indices = rows["system"].astype(np.int64) << 8 | rows["component"]
+    return numbers
 
 
 class _Stamps:
-    """The newest stamp of each sender before some frame."""
+    """The newest stamp of each sender before some frame; `before` holds those of earlier blocks."""
 
-    def __init__(self, before: Mapping[Sender, int]) -> None:
+    def __init__(self, before: Mapping[int, int]) -> None:
         self._before = dict(before)
-        self._parts: dict[Sender, list[tuple[Indices, Stamps]]] = {}
-        self._known: dict[Sender, tuple[Indices, Stamps]] = {}
+        self._parts: list[tuple[Indices, Indices, Stamps]] = []
 
-    def learn(self, rows: NDArray[Any], order: Indices, t_us: Stamps) -> None:
-        """Stamps (m,) of rows and their places."""
-        numbers = rows["system"].astype(int) << 8 | rows["component"]
-        for number in np.unique(numbers).tolist():
-            mine = numbers == number
-            parts = self._parts.setdefault((number >> 8, number & 0xFF), [])
-            parts.append((order[mine], t_us[mine]))
+    def learn(self, sender: Indices, order: Indices, t_us: Stamps) -> None:
+        """Stamps (m,) of frames, whose they are, and their places."""
+        self._parts.append((sender, order, t_us))
 
-    def before(self, sender: Sender, place: int) -> int | None:
-        """The stamp that a sender gave last before a place."""
-        if sender in self._parts:
-            order, t_us = self._sorted(sender)
-            at = int(np.searchsorted(order, place))
-            if at:
-                return int(t_us[at - 1])
-        return self._before.get(sender)
+    def before(self, sender: Indices, place: Indices) -> list[int | None]:
+        """The stamps that senders (k,) gave last before some places."""
+        found: list[int | None] = [None] * len(place)
+        known = self._by_sender()
+        for number in _each(sender):
+            order, t_us = known.get(number, _NO_STAMPS)
+            mine = np.flatnonzero(sender == number)
+            at = np.searchsorted(order, place[mine]) - 1
+            earlier = self._before.get(number)
+            for i, row in zip(mine.tolist(), at.tolist(), strict=True):
+                found[i] = int(t_us[row]) if row >= 0 else earlier
+        return found
 
-    def newest(self) -> dict[Sender, int]:
+    def newest(self) -> dict[int, int]:
         """The last stamp of every sender."""
-        return self._before | {sender: int(self._sorted(sender)[1][-1]) for sender in self._parts}
+        known = self._by_sender()
+        return self._before | {number: int(t_us[-1]) for number, (_, t_us) in known.items()}
 
-    def _sorted(self, sender: Sender) -> tuple[Indices, Stamps]:
-        if sender not in self._known:
-            order, t_us = (
-                np.concatenate(column) for column in zip(*self._parts[sender], strict=True)
-            )
-            by_place = np.argsort(order, kind="stable")
-            self._known[sender] = order[by_place], t_us[by_place]
-        return self._known[sender]
+    def _by_sender(self) -> dict[int, tuple[Indices, Stamps]]:
+        if not self._parts:
+            return {}
+        sender, order, t_us = (np.concatenate(c) for c in zip(*self._parts, strict=True))
+        by_place = np.argsort(order, kind="stable")
+        sender, order, t_us = sender[by_place], order[by_place], t_us[by_place]
+        self._parts = [(sender, order, t_us)]
+        numbers = _each(sender)
+        if len(numbers) == 1:
+            return {numbers[0]: (order, t_us)}
+        return {n: (order[sender == n], t_us[sender == n]) for n in numbers}
+
+
+_NO_STAMPS = np.empty(0, np.int64), np.empty(0, np.int64)
+
+
+def _each(sender: Indices) -> list[int]:
+    """The different senders."""
+    found: list[int] = np.flatnonzero(np.bincount(sender)).tolist()
+    return found

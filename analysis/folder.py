@@ -8,7 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from analysis.results import Result, encode
+from analysis.results import Result, encode_lines
 from mavproxy_fault.errors import ConfigError
 
 FLUSH_S = 1.0
@@ -59,8 +59,7 @@ class ResultFile:
 
     def write(self, results: Iterable[Result]) -> None:
         """Append results."""
-        for result in results:
-            self._file.write(encode(result) + b"\n")
+        self._file.write(encode_lines(results))
         now_s = time.monotonic()
         if now_s - self._flushed_s >= FLUSH_S:
             self._flushed_s = now_s

@@ -2,13 +2,11 @@
 
 import argparse
 import contextlib
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 
 import msgspec
 
@@ -21,6 +19,7 @@ from analysis.pipeline import MonitorConfig
 from analysis.publish import Publisher
 from analysis.recordings import read_log, read_rinex
 from analysis.results import Result
+from analysis.stop import stop_requests
 from analysis.terminal import print_summary
 from analysis.watch import Watch
 from mavproxy_fault.errors import ConfigError
@@ -31,6 +30,7 @@ from mavproxy_fault.wire.label import Label, read_labels
 EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 
 Take = Callable[[list[Result]], None]
+Stop = Callable[[], bool]
 
 
 def main(args: argparse.Namespace) -> int:
@@ -57,8 +57,7 @@ def main(args: argparse.Namespace) -> int:
             if watch is not None:
                 watch.show(results)
 
-        with contextlib.suppress(KeyboardInterrupt):
-            _feed(args, monitor, take)
+        _feed(args, monitor, take, stack.enter_context(stop_requests()))
     labels = read_known(args.labels)
     if labels is None:  # nothing tells what was done, so no fault can have been missed
         criteria = msgspec.structs.replace(criteria, must_detect=(), must_isolate=())
@@ -117,13 +116,14 @@ def read_known(path: str | None) -> list[Label] | None:
     return read_labels(Path(path))
 
 
-def _feed(args: argparse.Namespace, monitor: Monitor, take: Take) -> None:
+def _feed(args: argparse.Namespace, monitor: Monitor, take: Take, stop: Stop) -> None:
     if args.link is not None:
-        with _ended_by_signals():
-            watch_link(args.link, monitor, take, args.for_s)
-    else:
-        for block in blocks_of(args):
-            take(monitor.block(block))
+        watch_link(args.link, monitor, take, args.for_s, stop)
+        return
+    for block in blocks_of(args):
+        take(monitor.block(block))
+        if stop():
+            return
 
 
 def blocks_of(args: argparse.Namespace) -> Iterator[Block]:
@@ -135,29 +135,15 @@ def blocks_of(args: argparse.Namespace) -> Iterator[Block]:
         yield read_rinex(obs, nav, Path(args.imu) if args.imu else None)
 
 
-def watch_link(spec: str, monitor: Monitor, take: Take, for_s: float | None) -> None:
+def watch_link(spec: str, monitor: Monitor, take: Take, for_s: float | None, stop: Stop) -> None:
     """Feed the monitor from a link, until `for_s` seconds of the vehicle's time have passed."""
     link = open_link(spec)
     with Intake(link) as intake:
         print(f"watching {link.name}", file=sys.stderr, flush=True)
-        while for_s is None or monitor.t_s < for_s:
+        while not stop() and (for_s is None or monitor.t_s < for_s):
             take(monitor.bytes(intake.take(), datagrams=link.datagrams))
     if intake.drops:
         print(f"{intake.drops} chunks came too fast and were not seen", file=sys.stderr)
-
-
-@contextlib.contextmanager
-def _ended_by_signals() -> Iterator[None]:
-    """SIGTERM ends the watch like Ctrl-C, with everything written."""
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _report(

@@ -98,12 +98,10 @@ class Pipeline:
         if self._t0_us is None:
             stamped = np.flatnonzero(block.kind < EPHEMERIS)
             self._t0_us = int(block.t_us[stamped[0]]) if len(stamped) else None
-        found: list[tuple[int, Result]] = []
-        for piece in pieces(block):
-            results, self._detector_state = self._detector.take(piece, self._detector_state)
-            if self._fusions:
-                results = [*results, *self._fuse(piece, results)]
-            found += [(piece.last, result) for result in results]
+        if self._fusions:
+            found = [(piece.last, said) for piece in pieces(block) for said in self._fused(piece)]
+        else:
+            found, self._detector_state = self._detector.judge(block, self._detector_state)
         found += self._attitude.score(block, self._attitude_state)
         found.sort(key=itemgetter(0))
         base_us = self._t0_us or 0
@@ -111,8 +109,9 @@ class Pipeline:
             force_setattr(result, "t_s", round((result.t_us - base_us) * 1e-6, 6))
         return found
 
-    def _fuse(self, piece: Piece, results: Sequence[Result]) -> list[Result]:
-        """The fused states where there are any; with feedback the detector goes on from them."""
+    def _fused(self, piece: Piece) -> list[Result]:
+        """Results with the fused states; with feedback the detector goes on from those."""
+        results, self._detector_state = self._detector.take(piece, self._detector_state)
         detector = self._detector_state.detector
         said: list[Result] = []
         for i, fusion in enumerate(self._fusions):
@@ -124,7 +123,7 @@ class Pipeline:
             core = self._feed_back(detector.core, self._fusion_states[0].graph)
             detector = detector._replace(core=core)
             self._detector_state = replace(self._detector_state, detector=detector)
-        return said
+        return [*results, *said]
 
     def attitude(self, labels: Sequence[Label] = ()) -> dict[str, Any]:
         """Scores by estimator; an autopilot that only repeats the truth is called so, and last."""

@@ -10,8 +10,7 @@ from analysis.block import IMU, Block, Part, joined
 from analysis.epochs import MESSAGES, Decoder
 from analysis.readers import STANDARD_GRAVITY
 from analysis.samples import Sample
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.tlog import read_parts
+from mavproxy_fault.wire.tlog import read_ordered
 
 UNIX_TO_GPS_S = 315_964_800  # 1980-01-06 on Unix's count
 
@@ -25,9 +24,8 @@ def read_log(path: Path | str) -> Iterator[Block]:
         If there is no such log.
     """
     decoder = Decoder()
-    for log in read_parts(path, MESSAGES):
-        orders = {name: np.flatnonzero(log.frames["id"] == known(name).id) for name in log.columns}
-        yield decoder.columns(log.columns, orders)
+    for columns, orders in read_ordered(path, MESSAGES):
+        yield decoder.columns(columns, orders)
 
 
 def read_rinex(observations: Path, navigation: Path, imu: Path | None = None) -> Block:

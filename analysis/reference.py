@@ -17,59 +17,46 @@ pipeline holds either a `Detector` or a `References`.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from operator import itemgetter
 
 import numpy as np
 
-from analysis import block as kinds
-from analysis.block import WIDTH, Block, Piece, Stamps, pieces
+from analysis.block import WIDTH, Block, Piece, block_of, pieces
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import State
 from analysis.fdi.detector import Detector
+from analysis.fdi.inertial import ERRORS, X_SIZE
+from analysis.fdi.state import Motion
 from analysis.fdi.thresholds import chi_square
 from analysis.reference_kernel import (
     HEALTHY_US,
-    ISOLATED,
     NEVER_US,
     SLOW_US,
+    SOUND,
     STALE_US,
-    Counts,
+    UNSOUND,
+    UNTESTED,
+    Kept,
     judge,
 )
-from analysis.reference_models import (
-    GPS_POSITION,
-    GPS_VELOCITY,
-    NOTHING,
-    REASONS,
-    SENSORS,
-    TESTED,
-    SensorNoise,
-)
+from analysis.reference_models import REASONS, SENSORS, TESTED, SensorNoise
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples import Sample, Vector
 
-FIX_OF_EPOCH_S = 0.01
 STALE_S = STALE_US * 1e-6  # older samples are not tested
-GPS = (GPS_POSITION, GPS_VELOCITY)
-NO_SAMPLES = np.full(len(SENSORS), NEVER_US)
-SOUND = ("none", "satellites", "clock", "gps")
-_ORDER = (kinds.MAG, kinds.BARO, kinds.AIRSPEED, kinds.RANGE, kinds.VISION)  # as in SENSORS
-NUMBER_OF = {kind: number for number, kind in enumerate(_ORDER)}
+FITTING = ("none", "satellites", "clock", "gps")  # hypotheses that leave the filter sound
+Decided = tuple[int, Decision, Motion | None]  # a block's row, the decision there, and the filter
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceState:
-    """The detector's state, the newest decision, and of each of s sensors the newest sample since
-    then, `stamps` (s,) and `values` (s, WIDTH), what is counted (s, 4) and its slow states (s, 12).
-    """
+    """The detector's state and what is kept of the other sensors."""
 
     detector: State
-    stamps: Stamps
-    values: Vector
-    counts: Counts
-    slow: Vector
-    decision: Decision | None = None
+    kept: Kept
 
 
 @dataclass(frozen=True)
@@ -89,124 +76,117 @@ class References:
         return np.array([0.0, *(chi_square(dof, self.config.p_other) for dof in (1, 2, 3))])
 
     @cached_property
-    def _noise(self) -> tuple[Vector, Vector]:
-        return self.sensors.sigmas(), self.sensors.walks()
+    def _noise(self) -> Vector:
+        return np.array([self.sensors.sigmas(), self.sensors.walks()])
 
     def new_state(self) -> ReferenceState:
         """Nothing known."""
         count = len(SENSORS)
         counts = np.zeros((count, 4), np.int64)
         counts[:, [SLOW_US, HEALTHY_US]] = NEVER_US
-        values, slow = np.zeros((count, WIDTH)), np.zeros((count, 12))
-        return ReferenceState(self.detector.new_state(), NO_SAMPLES, values, counts, slow)
+        kept = Kept(
+            np.full(count, NEVER_US),
+            np.zeros((count, WIDTH)),
+            counts,
+            np.zeros((count, 12)),
+            np.full(4, UNTESTED),
+        )
+        return ReferenceState(self.detector.new_state(), kept)
 
     def step(
         self, samples: Sample | Block, state: ReferenceState
     ) -> tuple[list[Result], ReferenceState]:
         """Decisions that a block of samples, or a single one, allows, and the next state."""
-        results: list[Result] = []
-        for piece in pieces(samples):
-            said, state = self.take(piece, state)
-            results += said
-        return results, state
+        block = samples if isinstance(samples, Block) else block_of(samples)
+        found, state = self.judge(block, state)
+        return [result for _, result in sorted(found, key=itemgetter(0))], state
+
+    def judge(
+        self, block: Block, state: ReferenceState
+    ) -> tuple[list[tuple[int, Result]], ReferenceState]:
+        """The same, each with the row of the block that led to it: the detector's, then others."""
+        found: list[tuple[int, Result]] = []
+        decided: list[Decided] = []
+        before, detector = state.detector.core.motion, state.detector
+
+        def wanted(t_us: int) -> bool:
+            return self.detector.wants_fix(detector.core, t_us)
+
+        for piece in pieces(block, wanted):
+            results, detector = self.detector.take(piece, detector)
+            found += [(piece.last, result) for result in results]
+            decided += _decided(piece.last, results, detector)
+        said, kept = self._judged(block, decided, before, state.kept)
+        return found + said, ReferenceState(detector, kept)
 
     def take(self, piece: Piece, state: ReferenceState) -> tuple[list[Result], ReferenceState]:
-        """The same for samples up to an event."""
-        stamps, values = _with_newest(piece, state.stamps, state.values)
+        """The same for samples up to an event, where something else moves the filter meanwhile."""
         results, detector = self.detector.take(piece, state.detector)
-        decision = next((r for r in results if isinstance(r, Decision)), None)
-        if decision is None and piece.kind == kinds.FIX:
-            decision = _of_same_instant(state.decision, piece.t_us)
-        counts, slow = state.counts, state.slow
-        if decision is None or decision.mode == "":
-            return results, ReferenceState(detector, stamps, values, counts, slow, state.decision)
-        if decision.mode.startswith("position"):
-            stamps[list(GPS)] = NEVER_US  # the fix is the filter's own input
-        motion = detector.core.motion
-        if motion is None or decision.hypothesis not in SOUND:
-            results += _without_reference(decision, stamps, counts)
-        else:
-            said, counts, slow = judge(
-                motion.x,
-                motion.p,
-                motion.inertial,
-                decision.t_us,
-                stamps,
-                values,
-                counts,
-                slow,
-                *self._noise,
-                self._thresholds,
-                self.config.readmit_s * 1e6,
-            )
-            results += self._said(decision, said, values, counts)
-        return results, ReferenceState(detector, NO_SAMPLES, values, counts, slow, decision)
+        rows = piece.block.between(piece.first, piece.last + 1)
+        decided = _decided(piece.last - piece.first, results, detector)
+        said, kept = self._judged(rows, decided, detector.core.motion, state.kept)
+        return [*results, *(result for _, result in said)], ReferenceState(detector, kept)
 
-    def _said(
-        self, decision: Decision, said: Vector, values: Vector, counts: Counts
-    ) -> list[Result]:
-        """What the kernel found, in the words of `analysis.results`."""
-        found: list[Result] = []
-        isolated = counts[:, ISOLATED].tolist()
-        for sensor, (code, statistic, dof) in enumerate(said.tolist()):
-            if code == NOTHING:
-                continue
-            if code != TESTED:
-                reason = REASONS[code].format(fix_type=values[sensor, 6])
-                found.append(_untested(sensor, decision, reason, isolated[sensor]))
-                continue
-            threshold = float(self._thresholds[int(dof)])
-            found.append(
-                SensorDecision(
-                    t_s=decision.t_s,
-                    t_us=decision.t_us,
-                    sensor=SENSORS[sensor],
-                    statistic=statistic if math.isfinite(statistic) else None,
-                    threshold=threshold,
-                    dof=int(dof),
-                    alarm=not statistic <= threshold,
-                    isolated=bool(isolated[sensor]),
-                )
-            )
-        return found
+    def _judged(
+        self, block: Block, decided: Sequence[Decided], before: Motion | None, kept: Kept
+    ) -> tuple[list[tuple[int, Result]], Kept]:
+        """What the sensors say at some decisions; `before` is the filter until the first."""
+        kept = kept.copy()
+        motions = [_START if m is None else m for m in (before, *(m for _, _, m in decided))]
+        said = judge(
+            block.kind,
+            block.t_us,
+            block.values,
+            np.array([_numbers(*row) for row in decided], np.int64).reshape(-1, 4),
+            np.array([motion.x for motion in motions]),
+            np.array([motion.p for motion in motions]),
+            np.array([motion.inertial for motion in motions], np.int64),
+            kept,
+            self._noise,
+            self._thresholds,
+            self.config.readmit_s * 1e6,
+        )
+        thresholds = self._thresholds.tolist()
+        return [(int(row[0]), _said(thresholds, *row[1:])) for row in said.tolist()], kept
 
 
-def _with_newest(piece: Piece, stamps: Stamps, values: Vector) -> tuple[Stamps, Vector]:
-    """The newest sample of each sensor after a piece."""
-    stamps, values, block = stamps.copy(), values.copy(), piece.block
-    for kind, row in piece.newest.items():
-        number = NUMBER_OF[kind]
-        stamps[number], values[number] = block.t_us[row], block.values[row]
-    if piece.kind == kinds.FIX:
-        for number in GPS:
-            stamps[number], values[number] = piece.t_us, block.values[piece.last]
-    return stamps, values
+_START = Motion(0, np.zeros(X_SIZE), np.zeros((ERRORS, ERRORS)))
 
 
-def _of_same_instant(decision: Decision | None, t_us: int) -> Decision | None:
-    """The newest decision if a fix belongs to its epoch: a receiver sends it after the ranges."""
-    if decision is None or abs(t_us - decision.t_us) * 1e-6 > FIX_OF_EPOCH_S:
-        return None
-    return decision
+def _decided(row: int, results: Sequence[Result], detector: State) -> list[Decided]:
+    """The decision among the results of a row, if any."""
+    return [(row, r, detector.core.motion) for r in results if isinstance(r, Decision)][:1]
 
 
-def _without_reference(decision: Decision, stamps: Stamps, counts: Counts) -> list[Result]:
-    """Nothing can be said of the sensors that there are."""
-    return [
-        _untested(sensor, decision, "no sound reference", counts[sensor, ISOLATED])
-        for sensor in np.flatnonzero(stamps != NEVER_US).tolist()
-    ]
+def _numbers(row: int, decision: Decision, motion: Motion | None) -> tuple[int, int, int, bool]:
+    """A decision as the kernel takes it."""
+    how = SOUND if motion is not None and decision.hypothesis in FITTING else UNSOUND
+    if decision.mode == "":
+        how = UNTESTED
+    return row, decision.t_us, how, decision.mode.startswith("position")
 
 
-def _untested(sensor: int, decision: Decision, reason: str, isolated: int) -> SensorDecision:
+def _said(
+    thresholds: list[float],
+    sensor: float,
+    code: float,
+    statistic: float,
+    dof: float,
+    isolated: float,
+    t_us: float,
+    seventh: float,
+) -> SensorDecision:
+    """What the kernel says of a sensor, in the words of `analysis.results`."""
+    tested = code == TESTED
+    threshold = thresholds[int(dof)]
     return SensorDecision(
-        t_s=decision.t_s,
-        t_us=decision.t_us,
-        sensor=SENSORS[sensor],
-        statistic=None,
-        threshold=None,
-        dof=0,
-        alarm=False,
-        isolated=bool(isolated),
-        reason=reason,
+        t_s=t_us * 1e-6,
+        t_us=int(t_us),
+        sensor=SENSORS[int(sensor)],
+        statistic=statistic if tested and math.isfinite(statistic) else None,
+        threshold=threshold if tested else None,
+        dof=int(dof),
+        alarm=tested and not statistic <= threshold,
+        isolated=isolated != 0.0,
+        reason="" if tested else REASONS[int(code)].format(fix_type=seventh),
     )

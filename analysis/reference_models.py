@@ -35,7 +35,7 @@ SLOW_STATES = (3, 1, 2, 1, 3, 3, 0)
 
 NOTHING, STARTED, TESTED = 0, 1, 2
 NO_ATTITUDE, NO_FIELD, NO_PRESSURE, NO_AIR_DATA, SLOW_AIR, NO_RANGE, TILTED = range(3, 10)
-NO_POSITION, NO_FIX, NO_VELOCITY = range(10, 13)
+NO_POSITION, NO_FIX, NO_VELOCITY, NO_REFERENCE = range(10, 14)
 REASONS = {
     NO_ATTITUDE: "attitude not known",
     NO_FIELD: "the field is not finite",
@@ -47,6 +47,7 @@ REASONS = {
     NO_POSITION: "the position is not finite",
     NO_FIX: "fix type {fix_type:.0f}",
     NO_VELOCITY: "no velocity",
+    NO_REFERENCE: "no sound reference",
 }
 # The view: position in ECEF, height, velocity NED, how much older the sample is in s, axes NED in
 # ECEF, rotation body to NED (known or not), and covariances of position, velocity and attitude.

@@ -3,7 +3,7 @@
 JSON by msgspec, the struct's name under `type`; null stands for a number that is not finite.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import msgspec
@@ -103,6 +103,11 @@ _DECODER: msgspec.json.Decoder[Result] = msgspec.json.Decoder(Result)
 def encode(result: Result) -> bytes:
     """One result as JSON."""
     return _ENCODER.encode(result)
+
+
+def encode_lines(results: Iterable[Result]) -> bytes:
+    """Results as JSON, each with the end of its line."""
+    return _ENCODER.encode_lines(results)
 
 
 def decode(line: bytes) -> Result:

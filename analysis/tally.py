@@ -12,11 +12,13 @@ import numpy as np
 from analysis.attitude_scores import REPEATED
 from analysis.block import EPHEMERIS, TRUTH, Block
 from analysis.criteria import Criteria, judge, verdict
-from analysis.results import Decision, FusedState, Result
+from analysis.results import AttitudeError, Decision, FusedState, Result
 from analysis.samples import Vector
 from analysis.score import Alarm, alarm_of, false_alarms, risen, score_faults
 from mavproxy_fault.wire.label import Label
 from simvehicle.earth import ecef_from_geodetic
+
+PLACED = (Decision, FusedState)  # results that tell a position
 
 
 class Tally:
@@ -45,11 +47,9 @@ class Tally:
             if self.first_us is None:
                 self.first_us = int(stamps[0])
             self.last_us = max(self.last_us, int(stamps.max()))
-        for _, result in found:
-            alarm = alarm_of(result)
-            if alarm is not None:
-                self.alarms.append(alarm)
-        placed = [pair for pair in found if isinstance(pair[1], Decision | FusedState)]
+        alarms = (alarm_of(result) for _, result in found if not isinstance(result, AttitudeError))
+        self.alarms += [alarm for alarm in alarms if alarm is not None]
+        placed = [pair for pair in found if isinstance(pair[1], PLACED)]
         for (_, result), true_m in zip(placed, self._true_positions(block, placed), strict=True):
             self._add(result, true_m)
 

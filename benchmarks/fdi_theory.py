@@ -138,6 +138,7 @@ def ramp_run(slope: float, onset: int, epochs: int, threshold: float) -> tuple[i
     m = np.linalg.inv(covariance(h))
     gain = p @ h.T @ m
     kick = np.linalg.cholesky(gain @ h @ p + 1e-12 * np.eye(4))
+    after, states, ones = p - gain @ h @ p, np.arange(4), np.ones(count)
     phi, zero = np.eye(4), np.zeros((WINDOWS, count))
     each = count + 3
     d, sums = np.zeros((4, WINDOWS * each)), np.zeros((WINDOWS, 5 * count + 12))
@@ -150,7 +151,7 @@ def ramp_run(slope: float, onset: int, epochs: int, threshold: float) -> tuple[i
         if t - starts.max() >= STRIDE_S:
             w = int(starts.argmin())
             starts[w], d[:, w * each : (w + 1) * each], sums[w] = t, 0.0, 0.0
-        d, sums = respond(d, sums, zero, t - starts, phi, gain, m, h, v, dt)
+        d, sums = respond(d, sums, zero, t - starts, phi, after, states, h, ones, v, dt)
         old = t - starts >= YOUNGEST_S
         if (ramp_statistics(sums, zero, 0.0)[old] > threshold).any():
             if k >= onset:

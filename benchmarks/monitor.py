@@ -29,7 +29,7 @@ with light_compilation():  # as the monitor does
     from analysis.pipeline import MonitorConfig
     from analysis.recordings import read_log
     from analysis.reference import References
-    from analysis.results import encode
+    from analysis.results import encode_lines
 from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.tlog import read_columns, read_records
 
@@ -54,8 +54,7 @@ def watched(blocks: Iterator[Block] | list[Block], config: MonitorConfig) -> Mon
     """Everything but the files: samples to results, tally and JSON."""
     monitor = Monitor(config)
     for block in blocks:
-        for result in monitor.block(block):
-            encode(result)
+        encode_lines(monitor.block(block))
     return monitor
 
 

@@ -47,7 +47,7 @@ def parser(command: str = "") -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action="version", version=f"mavproxy-fault {__version__}")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    adders = OURS if command in OURS else {**OURS, **_registered()}
+    adders = OURS if command in OURS else {**_registered(), **OURS}
     for name in [*(n for n in ORDER if n in adders), *sorted(adders.keys() - set(ORDER))]:
         adders[name](commands)
     return top

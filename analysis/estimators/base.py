@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.block import ATTITUDE, IMU, TRUTH, Block, Stamps
+from analysis.block import ATTITUDE, IMU, TRUTH, Block, Indices, Stamps
 from analysis.samples import Sample
 from mavproxy_fault.wire.compiled import compiled
 
@@ -72,6 +72,15 @@ def follow(estimator: Estimator, block: Block, state: Any) -> tuple[Stamps, Vect
                 stamps.append(estimate.t_us)
                 turns.append(estimate.q_nb)
     return np.array(stamps, np.int64), np.array(turns, dtype=float).reshape(-1, 4), state
+
+
+@compiled
+def room_for_estimates(kind: Indices) -> tuple[Stamps, Vector]:
+    """Stamps (m,) and q_nb (m, 4), to be filled, of the m IMU samples among some kinds."""
+    count = 0
+    for i in range(len(kind)):
+        count += kind[i] == IMU
+    return np.empty(count, np.int64), np.empty((count, 4))
 
 
 @compiled

@@ -23,6 +23,7 @@ from analysis.estimators.base import (
     AttitudeEstimate,
     Prior,
     airspeed_mps,
+    room_for_estimates,
 )
 from analysis.estimators.rotations import gravity_error, heading_error, matrix, turned
 from analysis.samples import Sample
@@ -91,10 +92,7 @@ def follow(
     `stamps` (2,) are those of the state and of the newest field sample, `gains` (3,) for tilt,
     heading and bias. Returns stamps (m,) and q_nb (m, 4) after each IMU sample, then the state.
     """
-    count = 0
-    for i in range(len(kind)):
-        count += kind[i] == IMU
-    when, q_nb = np.empty(count, np.int64), np.empty((count, 4))
+    when, q_nb = room_for_estimates(kind)
     stamps = stamps.copy()
     done = 0
     for i in range(len(kind)):

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.block import AIRSPEED, FIX, IMU, MAG, Indices, Stamps
-from analysis.estimators.base import GRAVITY_MPS2, MAX_GAP_S, airspeed_mps
+from analysis.estimators.base import GRAVITY_MPS2, MAX_GAP_S, airspeed_mps, room_for_estimates
 from analysis.estimators.rotations import heading_error, matrix, turned
 from mavproxy_fault.wire.compiled import compiled
 
@@ -43,18 +43,15 @@ def predict(
         out[4 + i] = x[4 + i]
         out[7 + i] = x[7 + i] + dt_s * (rot[i, 0] * fx + rot[i, 1] * fy + rot[i, 2] * fz)
     out[9] += dt_s * GRAVITY_MPS2
-    transition = np.zeros((N, N))
-    for i in range(N):
-        transition[i, i] = 1.0
-    transition[0, 1], transition[0, 2] = dt_s * rz, -dt_s * ry
-    transition[1, 0], transition[1, 2] = -dt_s * rz, dt_s * rx
-    transition[2, 0], transition[2, 1] = dt_s * ry, -dt_s * rx
+    moves = np.empty((6, 3))  # what the turn's error does to itself, and to the velocity's
+    moves[0, 0], moves[0, 1], moves[0, 2] = 1.0, dt_s * rz, -dt_s * ry
+    moves[1, 0], moves[1, 1], moves[1, 2] = -dt_s * rz, 1.0, dt_s * rx
+    moves[2, 0], moves[2, 1], moves[2, 2] = dt_s * ry, -dt_s * rx, 1.0
     for i in range(3):
-        transition[i, 3 + i] = -dt_s
-        transition[6 + i, 0] = -dt_s * (rot[i, 1] * fz - rot[i, 2] * fy)
-        transition[6 + i, 1] = -dt_s * (rot[i, 2] * fx - rot[i, 0] * fz)
-        transition[6 + i, 2] = -dt_s * (rot[i, 0] * fy - rot[i, 1] * fx)
-    spread(out, x, transition)
+        moves[3 + i, 0] = -dt_s * (rot[i, 1] * fz - rot[i, 2] * fy)
+        moves[3 + i, 1] = -dt_s * (rot[i, 2] * fx - rot[i, 0] * fz)
+        moves[3 + i, 2] = -dt_s * (rot[i, 0] * fy - rot[i, 1] * fx)
+    spread(out, x, moves, dt_s)
     for i in range(3):
         out[10 + (N + 1) * i] += dt_s * gyro_density * gyro_density
         out[10 + (N + 1) * (i + 3)] += dt_s * bias_density * bias_density
@@ -63,21 +60,30 @@ def predict(
 
 
 @compiled
-def spread(out: Vector, x: Vector, transition: NDArray[np.float64]) -> None:
-    """Write transition @ P @ transition.T, made symmetric, into the tail of the new state `out`."""
+def spread(out: Vector, x: Vector, moves: NDArray[np.float64], dt_s: float) -> None:
+    """Write F P F', made symmetric, into the tail of the new state `out`.
+
+    F is the identity, but for the turn's columns, `moves` (6, 3) in the rows of turn and velocity,
+    and for what the bias does to the turn in `dt_s`.
+    """
     before = x[10:].reshape(N, N)
-    half = np.zeros((N, N))
-    for i in range(N):
-        for k in range(N):
-            factor = transition[i, k]
-            if factor != 0.0:
-                for j in range(N):
-                    half[i, j] += factor * before[k, j]
+    half = np.empty((N, N))  # F P
+    for j in range(N):
+        for i in range(3):
+            turn = moves[i, 0] * before[0, j] + moves[i, 1] * before[1, j]
+            half[i, j] = turn + moves[i, 2] * before[2, j] - dt_s * before[3 + i, j]
+            half[3 + i, j] = before[3 + i, j]
+            turn = moves[3 + i, 0] * before[0, j] + moves[3 + i, 1] * before[1, j]
+            half[6 + i, j] = turn + moves[3 + i, 2] * before[2, j] + before[6 + i, j]
     for i in range(N):
         for j in range(i, N):
-            total = 0.0
-            for k in range(N):
-                total += half[i, k] * transition[j, k]
+            if 3 <= j < 6:
+                total = half[i, j]
+            else:
+                row = j if j < 3 else j - 3
+                turn = half[i, 0] * moves[row, 0] + half[i, 1] * moves[row, 1]
+                turn += half[i, 2] * moves[row, 2]
+                total = turn - dt_s * half[i, 3 + j] if j < 3 else turn + half[i, j]
             out[10 + N * i + j] = total
             out[10 + N * j + i] = total
 
@@ -230,10 +236,7 @@ def follow(
     -------
     Stamps (m,) and q_nb (m, 4) after each IMU sample, and the state after.
     """
-    count = 0
-    for i in range(len(kind)):
-        count += kind[i] == IMU
-    when, q_nb = np.empty(count, np.int64), np.empty((count, 4))
+    when, q_nb = room_for_estimates(kind)
     stamps = stamps.copy()
     done = 0
     for i in range(len(kind)):

@@ -1,6 +1,6 @@
 """Scalar quaternion kernels of the estimators; quaternions are (w, x, y, z), body to NED."""
 
-from math import asin, atan2, cos, sin, sqrt
+from math import asin, atan2, cos, pi, sin, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,10 @@ def turned(q: Vector, rx: float, ry: float, rz: float) -> Vector:
     out[1] = a * x + b * w + c * z - d * y
     out[2] = a * y - b * z + c * w + d * x
     out[3] = a * z + b * y - c * x + d * w
-    norm = sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2 + out[3] ** 2)
-    return out / norm
+    norm = sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2] + out[3] * out[3])
+    for i in range(4):
+        out[i] /= norm
+    return out
 
 
 @compiled
@@ -73,6 +75,8 @@ def quaternion_of_euler(roll: float, pitch: float, yaw: float) -> Vector:
 @compiled
 def wrapped(angle_rad: float) -> float:
     """The angle in (-pi, pi]."""
+    if -pi < angle_rad <= pi:
+        return angle_rad
     return atan2(sin(angle_rad), cos(angle_rad))
 
 
@@ -133,5 +137,10 @@ def between(q0: Vector, q1: Vector, share: float) -> Vector:
     """Along the shorter way from q0 (share 0) to q1 (share 1), normalised linear."""
     dot = q0[0] * q1[0] + q0[1] * q1[1] + q0[2] * q1[2] + q0[3] * q1[3]
     sign = 1.0 if dot >= 0.0 else -1.0
-    out = (1.0 - share) * q0 + (share * sign) * q1
-    return out / sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2 + out[3] ** 2)
+    out = np.empty(4)
+    for i in range(4):
+        out[i] = (1.0 - share) * q0[i] + (share * sign) * q1[i]
+    norm = sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2] + out[3] * out[3])
+    for i in range(4):
+        out[i] /= norm
+    return out

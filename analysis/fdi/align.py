@@ -13,9 +13,10 @@ References
 
 import numpy as np
 
+from analysis.estimators.rotations import matrix
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import Core
-from analysis.fdi.inertial import BA, BG, ERRORS, PSI, gravity_ecef, matrix, turned
+from analysis.fdi.inertial import BA, BG, ERRORS, PSI, gravity_ecef, turned
 from analysis.fdi.motion import Segment
 from analysis.fdi.start import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.fdi.state import Alignment, Motion

@@ -11,7 +11,8 @@ antenna in body axes, w the rate of the body against the earth and C from body t
 
 import numpy as np
 
-from analysis.fdi.inertial import BG, ERRORS, PSI, X_BG, X_Q, R, V, matrix
+from analysis.estimators.rotations import matrix
+from analysis.fdi.inertial import BG, ERRORS, PSI, X_BG, X_Q, R, V
 from analysis.gnss import EARTH_RATE_RPS
 from analysis.samples import Vector
 

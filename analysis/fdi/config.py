@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from analysis.fdi.thresholds import chi_square
 from analysis.fdi.verdict import RULES
 from analysis.gnss import SYSTEMS, TYPICAL_ALPHA, TYPICAL_BETA
 from analysis.samples import Vector
 from mavproxy_fault.errors import ConfigError
 from mavproxy_fault.wire.compiled import compiled
+
+MOST = 64  # satellites whose thresholds are kept in a table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,6 +161,12 @@ class DetectorConfig:
     def antenna(self) -> Vector | None:
         """The antenna's lever arm (3,); None where it is at the IMU."""
         return np.array(self.antenna_b_m) if any(self.antenna_b_m) else None
+
+    @cached_property
+    def thresholds(self) -> Vector:
+        """Thresholds (2, 65) of the main test and of the rates' by degrees of freedom."""
+        levels = (self.p_false_alarm, self.p_other)
+        return np.array([[chi_square(dof, p) for dof in range(MOST + 1)] for p in levels])
 
     @cached_property
     def memory_numbers(self) -> Vector:

@@ -59,7 +59,8 @@ class Record(Value, frozen=True):
 
 
 class State(NamedTuple):
-    """The detector's state."""
+    """The detector's state; `mag_b` (3,) is the newest sample of the magnetometer."""
 
     core: Core
     pending: Pending | None = None
+    mag_b: Vector | None = None

@@ -5,13 +5,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from analysis.block import EPOCH, FIX, MAG, Block, ImuRun, Piece, block_of, pieces
+from analysis.block import FIX, Block, ImuRun, Piece, block_of, pieces
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import NOTHING_HELD, Core, Record, State
-from analysis.fdi.epoch import Outcome, judge_epoch
+from analysis.fdi.epoch import judge_epoch
 from analysis.fdi.exclusion import exclude
 from analysis.fdi.measure import Observed, choose, observe, why_none
 from analysis.fdi.motion import Segment, keep_pending, segment, split_pending
+from analysis.fdi.outcome import Outcome
 from analysis.fdi.receiver import step_position
 from analysis.fdi.said import decision, imu_results, started, untestable
 from analysis.fdi.slow import onset_of
@@ -42,42 +43,47 @@ class Detector:
     def step(self, samples: Sample | Block, state: State) -> tuple[list[Result], State]:
         """Decisions that a block of samples, or a single one, allows, and the next state."""
         results: list[Result] = []
-        for piece in pieces(samples):
+
+        def wanted(t_us: int) -> bool:
+            return self.wants_fix(state.core, t_us)
+
+        for piece in pieces(samples, wanted):
             said, state = self.take(piece, state)
             results += said
         return results, state
 
     def take(self, piece: Piece, state: State) -> tuple[list[Result], State]:
         """The same for samples up to an event."""
+        core, pending, mag_b = state
         if len(piece.ids):
-            state = _with_imu(piece, state)
-        core, pending = state
-        mag = piece.newest.get(MAG)
-        if mag is not None:
-            core = core._replace(mag_b=piece.block.values[mag, :3].copy())
-            state = State(core, pending)
-        if piece.kind == FIX and not self._has_ranges(core, piece.t_us):
+            number = core.imu_id
+            if number is None:
+                number = int(piece.ids[0])
+                core = core._replace(imu_id=number)
+            pending = keep_pending(_of_imu(piece, number), pending)
+        if piece.mag >= 0:
+            mag_b = piece.block.values[piece.mag, :3].copy()
+        state = State(core, pending, mag_b)
+        if piece.kind == FIX and self.wants_fix(core, piece.t_us):
             fix = piece.event
             assert isinstance(fix, GpsFix)
             return step_position(fix, state, self.config)
-        if piece.kind < EPOCH:
-            return [], state
         event = piece.event
         if isinstance(event, Epoch):
             return self._epoch(event, state)
         if isinstance(event, EphemerisSample):
-            return [], State(_learn(core, event), pending)
+            return [], State(_learn(core, event), pending, mag_b)
         if isinstance(event, IonosphereSample):
             known = np.array(event.alpha + event.beta)
-            return [], State(core._replace(ionosphere=known), pending)
+            return [], State(core._replace(ionosphere=known), pending, mag_b)
         return [], state
 
-    def _has_ranges(self, core: Core, t_us: int) -> bool:
-        """Whether there are raw ranges, so that a receiver's own position is not needed."""
-        return core.ranges_us is not None and t_us - core.ranges_us < self.config.reset_s * 1e6
+    def wants_fix(self, core: Core, t_us: int) -> bool:
+        """Whether there are no raw ranges, so that a receiver's own position is needed."""
+        return core.ranges_us is None or t_us - core.ranges_us >= self.config.reset_s * 1e6
 
     def _epoch(self, epoch: Epoch, state: State) -> tuple[list[Result], State]:
-        core, pending = state
+        core, pending, mag_b = state
         chosen = core.chosen
         if chosen is None or not chosen.serves(epoch):
             chosen = choose(epoch, core.ephemerides, self.config.systems)
@@ -100,9 +106,11 @@ class Detector:
         run, pending = split_pending(pending, epoch.t_us)
         if motion is None:
             results, core = self._start(epoch, observed, core)
-            return results, State(core, pending)
-        results, core = self._test(epoch, observed, segment(run, motion, epoch.t_us), core)
-        return results, State(core, pending)
+            return results, State(core, pending, mag_b)
+        part, history = segment(run, motion, epoch.t_us), core.history
+        core = core._replace(history=(), mag_b=mag_b)
+        results, core = self._test(epoch, observed, part, core, history)
+        return results, State(core, pending, mag_b)
 
     def _start(self, epoch: Epoch, observed: Observed, core: Core) -> tuple[list[Result], Core]:
         begun = start(epoch.t_us, observed, self.config, core.ionosphere)
@@ -119,33 +127,35 @@ class Detector:
         return [started(epoch, observed, begun, core)], core
 
     def _test(
-        self, epoch: Epoch, observed: Observed, part: Segment, core: Core
+        self,
+        epoch: Epoch,
+        observed: Observed,
+        part: Segment,
+        core: Core,
+        history: tuple[Record, ...],
     ) -> tuple[list[Result], Core]:
         config = self.config
-        record = Record(epoch.t_us, core._replace(history=()), observed, part)
         outcome = judge_epoch(epoch.t_us, observed, part, core, config)
-        oldest_us = epoch.t_us - round(config.history_s * 1e6)
-        history = core.history
-        if history and history[0].t_us < oldest_us:
+        if history and history[0].t_us < epoch.t_us - config.history_s * 1e6:
             history = history[1:]
-        history = (*history, record)
+        history = (*history, Record(epoch.t_us, core, observed, part))
         late = self._late(outcome, core, epoch.t_us)
         if late:
             outcome = self._repaired(outcome, late, history)
             history = outcome.core.history
         core = outcome.core._replace(history=history if outcome.core.motion else ())
-        if outcome.tested is None:
+        if outcome.reason:
             return [untestable(epoch.t_us, outcome.reason, core.excluded)], core
         said = decision(epoch, outcome, core, bool(late), config)
         return [said, *imu_results(epoch, outcome, part, config)], core
 
     def _late(self, outcome: Outcome, core: Core, t_us: int) -> dict[str, int]:
         """Satellites found faulty now, and since when, where that was earlier."""
-        slow, tested = outcome.slow, outcome.tested
+        slow = outcome.slow
         onsets = {}
         if slow is not None and slow.hypothesis == "satellites":
             onsets[slow.satellite] = slow.onset_us
-        for i in tested.left_out if tested is not None else ():
+        for i in outcome.left_out:
             onset_us = onset_of(core.memory, outcome.names[i], t_us, self.config)
             if onset_us < t_us:
                 onsets[outcome.names[i]] = onset_us
@@ -189,13 +199,12 @@ def _forgotten(core: Core) -> Core:
     return core._replace(motion=None, excluded={}, held=NOTHING_HELD, memory=None, history=())
 
 
-def _with_imu(piece: Piece, state: State) -> State:
-    core, pending = state
-    if core.imu_id is None:
-        core = core._replace(imu_id=int(piece.ids[0]))
-    mine = piece.ids == core.imu_id  # there may be a second IMU
-    run = piece.imu if mine.all() else ImuRun(piece.imu.t_us[mine], piece.imu.values[mine])
-    return State(core, keep_pending(run, pending))
+def _of_imu(piece: Piece, number: int) -> ImuRun:
+    """What one IMU gave: there may be a second."""
+    mine = piece.ids == number
+    if np.count_nonzero(mine) == len(mine):
+        return piece.imu
+    return ImuRun(piece.imu.t_us[mine], piece.imu.values[mine])
 
 
 def _learn(core: Core, sample: EphemerisSample) -> Core:

@@ -5,48 +5,81 @@ import numpy as np
 from analysis.fdi.align import find_attitude
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import Core
-from analysis.fdi.exclusion import NOBODY, Outside, exclude, outside, readmit
+from analysis.fdi.exclusion import exclude, outside, readmit
 from analysis.fdi.inertial import X_CLOCK
-from analysis.fdi.measure import Modelled, Observed
+from analysis.fdi.information import statistic
+from analysis.fdi.measure import Observed
 from analysis.fdi.motion import Segment, advance
 from analysis.fdi.offsets import held, hold, learnt
+from analysis.fdi.outcome import Outcome
+from analysis.fdi.passing import Passed, let_pass
 from analysis.fdi.ranges import Tested, blamed, free_clock, free_position, passed
-from analysis.fdi.rates import RatesTested, check_rates, freed_by
-from analysis.fdi.sight import CLOCK_LEAP_M, Assessed, Sight, see
-from analysis.fdi.slow import Memory, SlowVerdict, judge_slow, new_memory, ready
+from analysis.fdi.rates import MIN_RATES, check_rates, freed_by
+from analysis.fdi.sight import CLOCK_LEAP_M, Sight, see
+from analysis.fdi.slow import judge_slow, new_memory, ready
 from analysis.fdi.state import Motion
 from analysis.fdi.thresholds import chi_square
-from analysis.fdi.update import Rates, absorb, innovated, remember
-from analysis.fdi.value import Value
+from analysis.fdi.update import absorb, remember
 from analysis.samples import Vector
-
-
-class Outcome(Value, frozen=True):
-    """What an epoch said; None for `tested` where it could not be tested (`reason` says why)."""
-
-    core: Core
-    reason: str = ""
-    names: tuple[str, ...] = ()
-    used: Modelled | None = None
-    left: Outside = NOBODY
-    assessed: Assessed | None = None
-    tested: Tested | None = None
-    rates: RatesTested | None = None
-    slow: SlowVerdict | None = None
-    hypothesis: str = "untestable"
-    alarm: bool = False
-    imu_blamed: bool = False
-    was_inertial: bool = False
 
 
 def judge_epoch(
     t_us: int, observed: Observed, part: Segment, core: Core, config: DetectorConfig
 ) -> Outcome:
     """Predict, test, isolate, update: the core after an epoch and what it said."""
+    held_m = held(core, observed.satellites, t_us, config)
+    healthy = let_pass(t_us, observed, held_m, part, core, config)
+    if healthy is not None:
+        return _passed(t_us, healthy, core, config)
+    return _judged(t_us, observed, held_m, part, core, config)
+
+
+def _passed(t_us: int, healthy: Passed, core: Core, config: DetectorConfig) -> Outcome:
+    """An epoch in which nothing tripped but, perhaps, a test with memory."""
+    motion, memory = healthy.motion, healthy.memory
+    slow = judge_slow(memory, healthy.found, config)
+    imu_blamed = motion.inertial and slow.hypothesis == "imu"
+    core = core._replace(
+        motion=free_position(motion) if imu_blamed else motion,
+        ranges_us=t_us,
+        memory=memory,
+        imu_bad_until_us=_imu_bad_until_us(core, imu_blamed, t_us, config),
+        unknown_since_us=None,
+    )
+    rates = healthy.rates if config.doppler and healthy.rates >= MIN_RATES else 0
+    return Outcome(
+        core,
+        names=memory.names,
+        residual_m=healthy.residual_m,
+        normalised=healthy.normalised,
+        statistic=healthy.q,
+        threshold=chi_square(len(memory.names), config.p_false_alarm),
+        parity=healthy.parity,
+        parity_dof=healthy.parity_dof,
+        rate=healthy.q_rate if rates else None,
+        rate_threshold=chi_square(rates, config.p_other) if rates else None,
+        rate_dof=rates,
+        slow=slow,
+        hypothesis=_shown(core, "none", imu_blamed, False),
+        alarm=imu_blamed,
+        imu_blamed=imu_blamed,
+        was_inertial=motion.inertial,
+    )
+
+
+def _judged(
+    t_us: int,
+    observed: Observed,
+    held_m: Vector,
+    part: Segment,
+    core: Core,
+    config: DetectorConfig,
+) -> Outcome:
+    """An epoch that may need a verdict, step by step."""
     before = core.motion
     assert before is not None
     motion, phi = advance(before, part, t_us, config)
-    seen, leapt, motion, core = _seen(t_us, observed, motion, core, config)
+    seen, leapt, motion, core = _seen(t_us, observed, held_m, motion, core, config)
     needed = 3 if motion.inertial else 4 + max(seen.systems, 1)
     if len(seen.names) < needed:
         reason = f"{len(seen.names)} healthy satellites above the mask; {needed} are needed"
@@ -57,10 +90,21 @@ def judge_epoch(
     undisturbed = not leapt and not tested.freed and rates.hypothesis in ("none", "satellites")
     memory, slow = None, None
     if undisturbed and before.inertial == tested.motion.inertial:
-        since = core.memory or new_memory(before.t_us), phi, before.t_us
-        moved, memory, slow = _remembered(since, t_us, seen.names, tested, rates.fit, config)
+        memory = ready(
+            core.memory or new_memory(before.t_us),
+            t_us,
+            observed.satellites,
+            seen.names,
+            tested.part.variance,
+            config,
+        )
+        dt_s = (t_us - before.t_us) * 1e-6
+        moved, memory, found = remember(
+            tested.motion, tested.part, rates.fit, memory, phi, dt_s, config
+        )
+        slow = judge_slow(memory, found, config)
     else:
-        moved = absorb(tested.motion, tested.part, tested.taken, rates.fit)
+        moved = absorb(tested.motion, tested.part, rates.fit)
         core = hold(core, t_us, config)
     wrong = slow.hypothesis if slow is not None else "none"
     imu_blamed = before.inertial and "imu" in (rates.hypothesis, tested.hypothesis, wrong)
@@ -78,14 +122,22 @@ def judge_epoch(
     moved = find_attitude(core, moved, part, (t_us - before.t_us) * 1e-6, config)
     core = _unknown(core._replace(motion=moved), tested.hypothesis, t_us, config)
     silent = before.inertial and part.gap_s > config.gap_s
+    assessed = seen.assessed
     return Outcome(
         core,
         names=seen.names,
-        used=seen.used,
-        left=left,
-        assessed=seen.assessed,
-        tested=tested,
-        rates=rates,
+        left_out=tested.left_out,
+        others=left.names,
+        residual_m=(*seen.used.v_m.tolist(), *left.v_m.tolist()),
+        normalised=(*assessed.normalised.tolist(), *left.normalised.tolist()),
+        statistic=tested.statistic,
+        threshold=tested.threshold,
+        probabilities=tested.probabilities,
+        parity=assessed.parity,
+        parity_dof=assessed.parity_dof,
+        rate=rates.statistic,
+        rate_threshold=rates.threshold,
+        rate_dof=rates.dof,
         slow=slow,
         hypothesis=_shown(core, tested.hypothesis, imu_blamed or silent, leapt),
         alarm=tested.alarm or imu_blamed or silent,
@@ -94,36 +146,19 @@ def judge_epoch(
     )
 
 
-def _remembered(
-    since: tuple[Memory, Vector, int],
-    t_us: int,
-    names: tuple[str, ...],
-    tested: Tested,
-    rates: Rates,
-    config: DetectorConfig,
-) -> tuple[Motion, Memory, SlowVerdict]:
-    """The filter and its memory after an epoch, and what the memory says; `since` is the memory,
-    the transition and the time of the epoch before."""
-    memory, phi, before_us = since
-    memory = ready(memory, t_us, names, tested.part.variance, config)
-    dt_s = (t_us - before_us) * 1e-6
-    moved, memory, found = remember(
-        tested.motion, tested.part, tested.taken, rates, memory, phi, dt_s, config
-    )
-    return moved, memory, judge_slow(memory, found, config)
-
-
 def _tested(
     core: Core, motion: Motion, seen: Sight, by_rates: str, config: DetectorConfig
 ) -> Tested:
     """The ranges' test after what the rates have said of the prediction."""
     freed = freed_by(motion, by_rates)
-    first = seen.assessed.ranges if freed is motion else innovated(freed.p, seen.used)
+    used, q = seen.used, seen.assessed.q
+    if freed is not motion:
+        q = statistic(freed.p, used.h, used.variance, used.v_m)
     threshold = chi_square(len(seen.names), config.p_false_alarm)
-    if first.q <= threshold:
-        return passed(freed, seen.used, first, threshold)
+    if q <= threshold:
+        return passed(freed, used, q, threshold)
     standing_m = learnt(core, seen.names)
-    return blamed(freed, seen.used, first.q, threshold, standing_m, config)
+    return blamed(freed, used, q, threshold, standing_m, config)
 
 
 def _shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:
@@ -140,7 +175,12 @@ def _shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:
 
 
 def _seen(
-    t_us: int, observed: Observed, motion: Motion, core: Core, config: DetectorConfig
+    t_us: int,
+    observed: Observed,
+    held_m: Vector,
+    motion: Motion,
+    core: Core,
+    config: DetectorConfig,
 ) -> tuple[Sight, bool, Motion, Core]:
     """The epoch against the prediction, and whether the clock leapt; it is set where it did.
 
@@ -150,7 +190,7 @@ def _seen(
     trusted = np.ones(len(names), dtype=bool)
     if core.excluded:
         trusted = np.array([name not in core.excluded for name in names], dtype=bool)
-    held_m, ionosphere = held(core, names, t_us, config), core.ionosphere
+    ionosphere = core.ionosphere
     seen = see(observed, trusted, held_m, motion, ionosphere, config)
     leap = _leap_m(seen) if seen.far else 0.0
     if leap:

@@ -23,7 +23,7 @@ import math
 
 import numpy as np
 
-from analysis.fdi.linear import add_product, apply, inverse, multiply, transposed
+from analysis.fdi.linear import multiply, transposed
 from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
@@ -36,36 +36,24 @@ X_Q, X_BG, X_BA, X_CLOCK, X_DRIFT, X_ISB = 6, 10, 13, 16, 17, 18
 @compiled
 def gravity_ecef(r: Vector) -> Vector:
     """Gravity (3,) in ECEF: mass attraction with J2, and the centrifugal part (WGS 84)."""
-    square = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
-    size = math.sqrt(square)
-    out = np.zeros(3)
-    if size < 1.0e6:
-        return out
-    factor = -3.986004418e14 / (square * size)
-    bulge = 1.5 * 1.082627e-3 * 6378137.0 * 6378137.0 / square
-    tilt = 5.0 * r[2] * r[2] / square
-    spin = 7.2921151467e-5 * 7.2921151467e-5
-    out[0] = (factor * (1.0 + bulge * (1.0 - tilt)) + spin) * r[0]
-    out[1] = (factor * (1.0 + bulge * (1.0 - tilt)) + spin) * r[1]
-    out[2] = factor * (1.0 + bulge * (3.0 - tilt)) * r[2]
+    out = np.empty(3)
+    out[0], out[1], out[2] = _gravity(r[0], r[1], r[2])
     return out
 
 
 @compiled
-def matrix(q: Vector) -> Vector:
-    """Rotation matrix (3, 3) of a unit quaternion (w, x, y, z)."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    out = np.empty((3, 3))
-    out[0, 0] = 1.0 - 2.0 * (y * y + z * z)
-    out[0, 1] = 2.0 * (x * y - w * z)
-    out[0, 2] = 2.0 * (x * z + w * y)
-    out[1, 0] = 2.0 * (x * y + w * z)
-    out[1, 1] = 1.0 - 2.0 * (x * x + z * z)
-    out[1, 2] = 2.0 * (y * z - w * x)
-    out[2, 0] = 2.0 * (x * z - w * y)
-    out[2, 1] = 2.0 * (y * z + w * x)
-    out[2, 2] = 1.0 - 2.0 * (x * x + y * y)
-    return out
+def _gravity(x: float, y: float, z: float) -> tuple[float, float, float]:
+    """The same by components, which needs no memory."""
+    square = x * x + y * y + z * z
+    size = math.sqrt(square)
+    if size < 1.0e6:
+        return 0.0, 0.0, 0.0
+    factor = -3.986004418e14 / (square * size)
+    bulge = 1.5 * 1.082627e-3 * 6378137.0 * 6378137.0 / square
+    tilt = 5.0 * z * z / square
+    spin = 7.2921151467e-5 * 7.2921151467e-5
+    level = factor * (1.0 + bulge * (1.0 - tilt)) + spin
+    return level * x, level * y, factor * (1.0 + bulge * (3.0 - tilt)) * z
 
 
 @compiled
@@ -86,74 +74,137 @@ def turned(q: Vector, rotvec: Vector, sign: float) -> Vector:
 
 
 @compiled
-def _mechanise(x: Vector, gyro: Vector, accel: Vector, dt: float) -> tuple[Vector, Vector]:
-    """Advance x in place; returns the rotation and the specific force in ECEF at mid-step."""
-    earth = 7.2921151467e-5
-    rate = np.empty(3)
-    c = matrix(x[6:10])
-    for i in range(3):
-        rate[i] = (gyro[i] - x[10 + i] - earth * c[2, i]) * dt
-    half = np.empty(3)
-    for i in range(3):
-        half[i] = 0.5 * rate[i]
-    mid = matrix(turned(x[6:10], half, -1.0))
-    f = np.empty(3)
-    for i in range(3):
-        f[i] = 0.0
-        for j in range(3):
-            f[i] += mid[i, j] * (accel[j] - x[13 + j])
-    g = gravity_ecef(x[0:3])
-    vx, vy = x[3], x[4]
-    step = np.empty(3)
-    step[0] = (f[0] + g[0] + 2.0 * earth * vy) * dt
-    step[1] = (f[1] + g[1] - 2.0 * earth * vx) * dt
-    step[2] = (f[2] + g[2]) * dt
-    for i in range(3):
-        x[i] += (x[3 + i] + 0.5 * step[i]) * dt
-        x[3 + i] += step[i]
-    q = turned(x[6:10], rate, -1.0)
-    for i in range(4):
-        x[6 + i] = q[i]
-    return mid, f
+def _mechanise(x: Vector, sample: Vector, c: Vector, f: Vector) -> None:
+    """Advance x in place by one sample; c (9,) becomes the rotation, row by row, and f (3,) the
+    specific force in ECEF at mid-step."""
+    earth, dt = 7.2921151467e-5, sample[0]
+    _turn(x, sample, c)
+    ax, ay, az = sample[4] - x[13], sample[5] - x[14], sample[6] - x[15]
+    f[0] = c[0] * ax + c[1] * ay + c[2] * az
+    f[1] = c[3] * ax + c[4] * ay + c[5] * az
+    f[2] = c[6] * ax + c[7] * ay + c[8] * az
+    gx, gy, gz = _gravity(x[0], x[1], x[2])
+    vx, vy, vz = x[3], x[4], x[5]
+    sx = (f[0] + gx + 2.0 * earth * vy) * dt
+    sy = (f[1] + gy - 2.0 * earth * vx) * dt
+    sz = (f[2] + gz) * dt
+    x[0] += (vx + 0.5 * sx) * dt
+    x[1] += (vy + 0.5 * sy) * dt
+    x[2] += (vz + 0.5 * sz) * dt
+    x[3], x[4], x[5] = vx + sx, vy + sy, vz + sz
+    x[16] += x[17] * dt
 
 
 @compiled
-def _transition(p: Vector, c: Vector, f: Vector, dt: float) -> None:
-    """Multiply p (20, k) from the left by the transition of one step, in place."""
+def _turn(x: Vector, sample: Vector, c: Vector) -> None:
+    """Turn the attitude in x by the rates of a sample; c (9,) becomes the rotation at mid-step."""
+    earth, dt = 7.2921151467e-5, sample[0]
+    w, i, j, k = x[6], x[7], x[8], x[9]
+    rx = (sample[1] - x[10] - earth * 2.0 * (i * k - w * j)) * dt
+    ry = (sample[2] - x[11] - earth * 2.0 * (j * k + w * i)) * dt
+    rz = (sample[3] - x[12] - earth * (1.0 - 2.0 * (i * i + j * j))) * dt
+    angle = math.sqrt(rx * rx + ry * ry + rz * rz)
+    scale = 0.25 if angle < 1e-8 else math.sin(0.25 * angle) / angle
+    a, b, d, e = math.cos(0.25 * angle), scale * rx, scale * ry, scale * rz
+    for half in range(2):  # the same turn to mid-step and to the end
+        w, i, j, k = (
+            a * w - b * i - d * j - e * k,
+            a * i + b * w - d * k + e * j,
+            a * j + d * w - e * i + b * k,
+            a * k + e * w - b * j + d * i,
+        )
+        if half == 0:
+            c[0], c[1], c[2] = (
+                1.0 - 2.0 * (j * j + k * k),
+                2.0 * (i * j - w * k),
+                2.0 * (i * k + w * j),
+            )
+            c[3], c[4], c[5] = (
+                2.0 * (i * j + w * k),
+                1.0 - 2.0 * (i * i + k * k),
+                2.0 * (j * k - w * i),
+            )
+            c[6], c[7], c[8] = (
+                2.0 * (i * k - w * j),
+                2.0 * (j * k + w * i),
+                1.0 - 2.0 * (i * i + j * j),
+            )
+    size = math.sqrt(w * w + i * i + j * j + k * k)
+    x[6], x[7], x[8], x[9] = w / size, i / size, j / size, k / size
+
+
+@compiled
+def _transition(p: Vector, c: Vector, f: Vector, dt: float, first: int, last: int) -> None:
+    """Multiply the columns `first` to `last` of p, rows of 20 one after the other in (400,), from
+    the left by the transition of one step, in place.
+
+    The rows' distance is a number known when this is compiled: so it becomes vector instructions.
+    """
     earth = 7.2921151467e-5 * dt
     fx, fy, fz = f[0] * dt, f[1] * dt, f[2] * dt
-    for j in range(p.shape[1]):
-        vx, vy = p[3, j], p[4, j]
-        tx, ty, tz = p[6, j], p[7, j], p[8, j]
-        p[0, j] += dt * p[3, j]
-        p[1, j] += dt * p[4, j]
-        p[2, j] += dt * p[5, j]
-        a0, a1, a2 = p[12, j] * dt, p[13, j] * dt, p[14, j] * dt
-        g0, g1, g2 = p[9, j] * dt, p[10, j] * dt, p[11, j] * dt
-        p[3, j] += fz * ty - fy * tz - (c[0, 0] * a0 + c[0, 1] * a1 + c[0, 2] * a2)
-        p[4, j] += fx * tz - fz * tx - (c[1, 0] * a0 + c[1, 1] * a1 + c[1, 2] * a2)
-        p[5, j] += fy * tx - fx * ty - (c[2, 0] * a0 + c[2, 1] * a1 + c[2, 2] * a2)
-        p[3, j] += 2.0 * earth * vy
-        p[4, j] -= 2.0 * earth * vx
-        p[6, j] += earth * ty - (c[0, 0] * g0 + c[0, 1] * g1 + c[0, 2] * g2)
-        p[7, j] -= earth * tx + (c[1, 0] * g0 + c[1, 1] * g1 + c[1, 2] * g2)
-        p[8, j] -= c[2, 0] * g0 + c[2, 1] * g1 + c[2, 2] * g2
-        p[15, j] += dt * p[16, j]
+    c0, c1, c2, c3, c4 = c[0] * dt, c[1] * dt, c[2] * dt, c[3] * dt, c[4] * dt
+    c5, c6, c7, c8 = c[5] * dt, c[6] * dt, c[7] * dt, c[8] * dt
+    for j in range(first, last):
+        vx, vy, vz = p[60 + j], p[80 + j], p[100 + j]
+        tx, ty, tz = p[120 + j], p[140 + j], p[160 + j]
+        gx, gy, gz = p[180 + j], p[200 + j], p[220 + j]
+        ax, ay, az = p[240 + j], p[260 + j], p[280 + j]
+        p[j] += dt * vx
+        p[20 + j] += dt * vy
+        p[40 + j] += dt * vz
+        p[60 + j] = vx + fz * ty - fy * tz - (c0 * ax + c1 * ay + c2 * az) + 2.0 * earth * vy
+        p[80 + j] = vy + fx * tz - fz * tx - (c3 * ax + c4 * ay + c5 * az) - 2.0 * earth * vx
+        p[100 + j] = vz + fy * tx - fx * ty - (c6 * ax + c7 * ay + c8 * az)
+        p[120 + j] = tx + earth * ty - (c0 * gx + c1 * gy + c2 * gz)
+        p[140 + j] = ty - earth * tx - (c3 * gx + c4 * gy + c5 * gz)
+        p[160 + j] = tz - (c6 * gx + c7 * gy + c8 * gz)
+        p[300 + j] += dt * p[320 + j]
+
+
+@compiled
+def _transition_right(p: Vector, c: Vector, f: Vector, dt: float) -> None:
+    """The same from the right, with the transposed transition, on what `_transition` has left of a
+    symmetric p: what its rows 9 to 19 become is their columns' already."""
+    earth = 7.2921151467e-5 * dt
+    fx, fy, fz = f[0] * dt, f[1] * dt, f[2] * dt
+    c0, c1, c2, c3, c4 = c[0] * dt, c[1] * dt, c[2] * dt, c[3] * dt, c[4] * dt
+    c5, c6, c7, c8 = c[5] * dt, c[6] * dt, c[7] * dt, c[8] * dt
+    for b in (0, 20, 40, 60, 80, 100, 120, 140, 160, 300):
+        vx, vy, vz = p[b + 3], p[b + 4], p[b + 5]
+        tx, ty, tz = p[b + 6], p[b + 7], p[b + 8]
+        gx, gy, gz = p[b + 9], p[b + 10], p[b + 11]
+        ax, ay, az = p[b + 12], p[b + 13], p[b + 14]
+        p[b] += dt * vx
+        p[b + 1] += dt * vy
+        p[b + 2] += dt * vz
+        p[b + 3] = vx + fz * ty - fy * tz - (c0 * ax + c1 * ay + c2 * az) + 2.0 * earth * vy
+        p[b + 4] = vy + fx * tz - fz * tx - (c3 * ax + c4 * ay + c5 * az) - 2.0 * earth * vx
+        p[b + 5] = vz + fy * tx - fx * ty - (c6 * ax + c7 * ay + c8 * az)
+        p[b + 6] = tx + earth * ty - (c0 * gx + c1 * gy + c2 * gz)
+        p[b + 7] = ty - earth * tx - (c3 * gx + c4 * gy + c5 * gz)
+        p[b + 8] = tz - (c6 * gx + c7 * gy + c8 * gz)
+        p[b + 15] += dt * p[b + 16]
+    for i in range(9):
+        for j in range(9, 20):
+            p[20 * j + i] = p[20 * i + j]
+    for j in range(20):
+        p[20 * j + 15] = p[300 + j]
 
 
 @compiled
 def _add_noise(p: Vector, noise: Vector, dt: float) -> None:
+    """Add the process noise of one step to p (400,), in place."""
     for i in range(3):
-        p[3 + i, 3 + i] += noise[1] * dt
-        p[6 + i, 6 + i] += noise[0] * dt
-        p[9 + i, 9 + i] += noise[2] * dt
-        p[12 + i, 12 + i] += noise[3] * dt
-    p[15, 15] += noise[4] * dt + noise[5] * dt * dt * dt / 3.0
-    p[15, 16] += noise[5] * dt * dt / 2.0
-    p[16, 15] += noise[5] * dt * dt / 2.0
-    p[16, 16] += noise[5] * dt
+        p[21 * (3 + i)] += noise[1] * dt
+        p[21 * (6 + i)] += noise[0] * dt
+        p[21 * (9 + i)] += noise[2] * dt
+        p[21 * (12 + i)] += noise[3] * dt
+    p[315] += noise[4] * dt + noise[5] * dt * dt * dt / 3.0
+    p[316] += noise[5] * dt * dt / 2.0
+    p[335] += noise[5] * dt * dt / 2.0
+    p[336] += noise[5] * dt
     for i in range(17, 20):
-        p[i, i] += noise[6] * dt
+        p[21 * i] += noise[6] * dt
 
 
 @compiled
@@ -172,20 +223,18 @@ def propagate_inertial(
     -------
     x, p and the transition (20, 20) of the whole run; the arguments stay as they were.
     """
-    x, p = x.copy(), p.copy()
-    phi = np.eye(20)
+    x, p, phi = x.copy(), p.copy().reshape(400), np.eye(20).reshape(400)
+    c, f = np.empty(9), np.empty(3)
     for k in range(samples.shape[0]):
         dt = samples[k, 0]
         if dt <= 0.0:
             continue
-        c, f = _mechanise(x, samples[k, 1:4], samples[k, 4:7], dt)
-        _transition(p, c, f, dt)
-        p = transposed(p)
-        _transition(p, c, f, dt)
-        _transition(phi, c, f, dt)
+        _mechanise(x, samples[k], c, f)
+        _transition(p, c, f, dt, 0, 20)
+        _transition_right(p, c, f, dt)
+        _transition(phi, c, f, dt, 3, 17)  # the others stay as they were
         _add_noise(p, noise, dt)
-        x[16] += x[17] * dt
-    return x, p, phi
+    return x, p.reshape(20, 20), phi.reshape(20, 20)
 
 
 @compiled
@@ -203,7 +252,7 @@ def propagate_freely(
     p = multiply(multiply(phi, p), transposed(phi))
     quiet = noise.copy()
     quiet[0] = quiet[1] = 0.0
-    _add_noise(p, quiet, dt)
+    _add_noise(p.reshape(400), quiet, dt)
     q = noise[7]
     for i in range(3):
         p[i, i] += q * dt * dt * dt / 3.0
@@ -211,59 +260,3 @@ def propagate_freely(
         p[3 + i, i] += q * dt * dt / 2.0
         p[3 + i, 3 + i] += q * dt
     return x, p, phi
-
-
-@compiled
-def innovate(
-    p: Vector, h: Vector, variance: Vector, v: Vector
-) -> tuple[Vector, Vector, Vector, float]:
-    """P H' (20, n), M = inv(H P H' + diag(variance)) (n, n), u = M v (n,) and q = v' M v."""
-    hp = multiply(h, p)
-    ph = transposed(hp)
-    s = multiply(h, ph)
-    for i in range(variance.shape[0]):
-        s[i, i] += variance[i]
-    m = inverse(s)
-    u = apply(m, v)
-    q = 0.0
-    for i in range(v.shape[0]):
-        q += v[i] * u[i]
-    return ph, m, u, q
-
-
-@compiled
-def correct(
-    x: Vector, p: Vector, h: Vector, variance: Vector, ph: Vector, m: Vector, u: Vector
-) -> tuple[Vector, Vector, Vector]:
-    """State, covariance and the gain K = P H' M (20, n) after what `innovate` gave.
-
-    The covariance in Joseph's form, (I - K H) P (I - K H)' + K R K', stays positive definite when a
-    part of the state was forgotten. With T = (I - K H) P it is T - (T H' - K R) K'.
-    """
-    d = apply(ph, u)
-    x = x.copy()
-    turn = np.empty(3)
-    for i in range(3):
-        turn[i] = d[6 + i]
-    q = turned(x[6:10], turn, 1.0)
-    for i in range(6):
-        x[i] += d[i]
-    for i in range(4):
-        x[6 + i] = q[i]
-    for i in range(9, d.shape[0]):
-        x[1 + i] += d[i]
-    gain = multiply(ph, m)
-    hp = transposed(ph)
-    left = p.copy()
-    add_product(left, -1.0, gain, hp)
-    rest = multiply(h, transposed(left))  # (T H')'
-    for i in range(rest.shape[0]):
-        for j in range(rest.shape[1]):
-            rest[i, j] -= gain[j, i] * variance[i]
-    back = transposed(left)  # T is not symmetric: T' - K (T H' - K R)'
-    add_product(back, -1.0, gain, rest)
-    after = np.empty_like(p)
-    for i in range(p.shape[0]):
-        for j in range(p.shape[0]):
-            after[i, j] = 0.5 * (back[i, j] + back[j, i])
-    return x, after, gain

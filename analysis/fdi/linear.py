@@ -52,8 +52,8 @@ def apply(a: Vector, v: Vector) -> Vector:
 
 
 @compiled
-def inverse(s: Vector) -> Vector:
-    """The inverse of a positive definite matrix, by Cholesky; NaN where it is not."""
+def lower(s: Vector) -> Vector:
+    """Cholesky's lower triangle of a positive definite matrix; NaN where it is not."""
     n = s.shape[0]
     low = np.zeros((n, n))
     for i in range(n):
@@ -65,7 +65,14 @@ def inverse(s: Vector) -> Vector:
                 low[i, i] = math.sqrt(total) if total > 0.0 else np.nan
             else:
                 low[i, j] = total / low[j, j]
-    root = np.zeros((n, n))  # inverse of the triangle
+    return low
+
+
+@compiled
+def lower_inverse(low: Vector) -> Vector:
+    """The inverse of a lower triangle."""
+    n = low.shape[0]
+    root = np.zeros((n, n))
     for i in range(n):
         root[i, i] = 1.0 / low[i, i]
         for k in range(i):
@@ -74,10 +81,24 @@ def inverse(s: Vector) -> Vector:
                 root[i, j] -= factor * root[k, j]
         for j in range(i):
             root[i, j] *= root[i, i]
+    return root
+
+
+@compiled
+def square(a: Vector) -> Vector:
+    """a' a (n, n)."""
+    n = a.shape[1]
     out = np.zeros((n, n))
-    for k in range(n):
-        for i in range(k + 1):
-            factor = root[k, i]
-            for j in range(k + 1):
-                out[i, j] += factor * root[k, j]
+    for k in range(a.shape[0]):
+        for i in range(n):
+            factor = a[k, i]
+            if factor != 0.0:
+                for j in range(n):
+                    out[i, j] += factor * a[k, j]
     return out
+
+
+@compiled
+def inverse(s: Vector) -> Vector:
+    """The inverse of a positive definite matrix, by Cholesky; NaN where it is not."""
+    return square(lower_inverse(lower(s)))

@@ -20,6 +20,12 @@ left of the offset marginalised,
 and a natural slope of variance k makes the test c^2 / (J + k J^2). A faulty accelerometer or a
 wrong attitude shows as a constant acceleration: three more responses, the rival explanation.
 
+The innovations are never formed: with N, b and P+ of `information`, D_c the response of the states
+that are seen and gamma = A' inv(R) g = A' inv(R) e s - N D_c,
+
+    K g = P+_:c gamma,
+    g' M v = g' inv(R) v - gamma' P+_c b,   g' M g = g' inv(R) g - gamma' P+_c gamma.
+
 References
 ----------
 .. [1] A. S. Willsky and H. L. Jones, IEEE Trans. Automatic Control 21(1), 1976.
@@ -30,7 +36,8 @@ import math
 import numpy as np
 
 from analysis.fdi.bank import reduction
-from analysis.fdi.linear import add_product, apply, multiply
+from analysis.fdi.information import Indices, quadratic, weighed
+from analysis.fdi.linear import add_product, apply, multiply, transposed
 from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
@@ -47,9 +54,10 @@ def respond(
     offsets: Vector,
     ages: Vector,
     phi: Vector,
-    gain: Vector,
-    m: Vector,
-    h: Vector,
+    after: Vector,
+    states: Indices,
+    a: Vector,
+    variance: Vector,
     v: Vector,
     dt: float,
 ) -> tuple[Vector, Vector]:
@@ -62,8 +70,10 @@ def respond(
     sums : (w, 5 n + 12): c_r, c_o, J_rr, J_ro, J_oo, then c and J (3, 3) of the accelerations
     offsets : (w, n), what was known of each satellite's offset when the window started
     ages : (w,), seconds since each window's start
-    phi, gain, m, h, v : transition since the last epoch (k, k), gain (k, n), inverse innovation
-        covariance (n, n), geometry (n, k) and innovations (n,)
+    phi, after : transition since the last epoch (k, k), and of the covariance after this one the
+        columns (k, c) of the states that are seen
+    states, a, variance, v : which states are seen (c,), geometry over these (n, c), variance and
+        innovations (n,)
     dt : seconds since the last epoch
     """
     windows, count = offsets.shape
@@ -75,73 +85,141 @@ def respond(
             response[axis, at] += 0.5 * dt * dt
             if d.shape[0] > 6:
                 response[3 + axis, at] += dt
-    g = multiply(h, response)
-    for i in range(g.shape[0]):
-        for j in range(g.shape[1]):
-            g[i, j] = -g[i, j]
+    sums, known = sums.copy(), _rows(after, states)
+    seen, gamma = _seen(response, states, weighed(a, variance, v)[0])
+    shares, left = transposed(a), np.empty(count)
+    for k in range(shares.shape[0]):
         for w in range(windows):
-            g[i, w * each + i] += ages[w]
-    mg = multiply(m, g)
-    sums = sums.copy()
-    left = np.empty(count)
+            for i in range(count):
+                gamma[k, w * each + i] += shares[k, i] * ages[w] / variance[i]
+    whole = multiply(known, gamma)
+    for k in range(seen.shape[0]):
+        for j in range(seen.shape[1]):
+            whole[k, j] += seen[k, j]
     for w in range(windows):
         for i in range(count):
             left[i] = v[i] - offsets[w, i]
-        mv = apply(m, left)
-        for i in range(count):
-            sums[w, count + i] += mv[i]
-            sums[w, 3 * count + i] += mg[i, w * each + i]
-            sums[w, 4 * count + i] += m[i, i]
-            for j in range(count):
-                ramp = g[i, w * each + j]
-                sums[w, j] += ramp * mv[i]
-                sums[w, 2 * count + j] += ramp * mg[i, w * each + j]
-        _add_accelerations(sums[w], 5 * count, g, mg, mv, w * each + count)
-    add_product(response, 1.0, gain, g)
+        b = weighed(a, variance, left)[1]
+        moved = apply(known, b)
+        first = w * each
+        _add_offsets(sums[w], a, variance, left, known, moved)
+        _add_ramps(sums[w], seen, gamma, whole, first, shares, variance, left, ages[w], b, moved)
+        _add_accelerations(sums[w], seen, gamma, whole, first + count, b, moved)
+    add_product(response, 1.0, after, gamma)
     return response, sums
 
 
 @compiled
-def _add_accelerations(
-    row: Vector, first: int, g: Vector, mg: Vector, mv: Vector, column: int
+def _rows(m: Vector, which: Indices) -> Vector:
+    """Some rows of a matrix."""
+    out = np.empty((which.shape[0], m.shape[1]))
+    for i in range(which.shape[0]):
+        for j in range(m.shape[1]):
+            out[i, j] = m[which[i], j]
+    return out
+
+
+@compiled
+def _seen(response: Vector, states: Indices, information: Vector) -> tuple[Vector, Vector]:
+    """D_c and -N D_c (c, w s)."""
+    seen = _rows(response, states)
+    gamma = np.zeros_like(seen)
+    add_product(gamma, -1.0, information, seen)
+    return seen, gamma
+
+
+@compiled
+def _add_offsets(
+    row: Vector, a: Vector, variance: Vector, v: Vector, known: Vector, moved: Vector
 ) -> None:
-    """Add to c and J of the accelerations, in place: `row` from `first`, `g` from `column`."""
-    for i in range(g.shape[0]):
-        for a in range(3):
-            row[first + a] += g[i, column + a] * mv[i]
-            for b in range(3):
-                row[first + 3 + 3 * a + b] += g[i, column + a] * mg[i, column + b]
+    """Add c_o and J_oo of an epoch to a window's sums, in place."""
+    count = v.shape[0]
+    for i in range(count):
+        left = v[i]
+        for k in range(moved.shape[0]):
+            left -= a[i, k] * moved[k]
+        row[count + i] += left / variance[i]
+        row[4 * count + i] += (1.0 - quadratic(a[i], known) / variance[i]) / variance[i]
+
+
+@compiled
+def _add_ramps(
+    row: Vector,
+    seen: Vector,
+    gamma: Vector,
+    whole: Vector,
+    first: int,
+    shares: Vector,
+    variance: Vector,
+    v: Vector,
+    age: float,
+    b: Vector,
+    moved: Vector,
+) -> None:
+    """Add c_r, J_rr and J_ro of an epoch to a window's sums, in place; its ramps are the columns
+    from `first`, `whole` is D_c + P+_c gamma and `shares` is A'."""
+    count = v.shape[0]
+    table = np.zeros((4, count))
+    followed, mixed, cross, direct = table[0], table[1], table[2], table[3]
+    for k in range(b.shape[0]):
+        for i in range(count):
+            followed[i] += shares[k, i] * seen[k, first + i]
+        for i in range(count):
+            mixed[i] += shares[k, i] * whole[k, first + i]
+        for i in range(count):
+            cross[i] += gamma[k, first + i] * whole[k, first + i]
+        for i in range(count):
+            direct[i] += seen[k, first + i] * b[k] + gamma[k, first + i] * moved[k]
+    for i in range(count):
+        row[i] += age * v[i] / variance[i] - direct[i]
+        row[2 * count + i] += age * (age - followed[i]) / variance[i] - cross[i]
+        row[3 * count + i] += (age - mixed[i]) / variance[i]
+
+
+@compiled
+def _add_accelerations(
+    row: Vector,
+    seen: Vector,
+    gamma: Vector,
+    whole: Vector,
+    first: int,
+    b: Vector,
+    moved: Vector,
+) -> None:
+    """Add to c and J of the accelerations, the last 12 of `row`, in place; theirs are the columns
+    from `first`, `whole` is D_c + P+_c gamma."""
+    to = row.shape[0] - 12
+    for k in range(b.shape[0]):
+        for i in range(3):
+            row[to + i] -= seen[k, first + i] * b[k] + gamma[k, first + i] * moved[k]
+            for j in range(3):
+                row[to + 3 + 3 * i + j] -= whole[k, first + i] * gamma[k, first + j]
 
 
 @compiled
 def respond_to_rates(
-    d: Vector, sums: Vector, gain: Vector, m: Vector, h: Vector, v: Vector
-) -> tuple[Vector, Vector]:
-    """The same for Doppler rates, which no fault of a range touches: accelerations alone gain."""
+    d: Vector, sums: Vector, after: Vector, states: Indices, information: Vector, b: Vector
+) -> None:
+    """The same for Doppler rates of information N and b, which no fault of a range touches:
+    accelerations alone gain. d and sums change in place."""
     count = (sums.shape[1] - 12) // 5
-    g = multiply(h, d)
-    for i in range(g.shape[0]):
-        for j in range(g.shape[1]):
-            g[i, j] = -g[i, j]
-    sums, d = sums.copy(), d.copy()
-    own = np.empty((g.shape[0], 3 * sums.shape[0]))
-    for i in range(g.shape[0]):
-        for w in range(sums.shape[0]):
-            for a in range(3):
-                own[i, 3 * w + a] = g[i, w * (count + 3) + count + a]
-    mv, mg = apply(m, v), multiply(m, own)
+    known = _rows(after, states)
+    seen, gamma = _seen(d, states, information)
+    whole, moved = multiply(known, gamma), apply(known, b)
+    for k in range(seen.shape[0]):
+        for j in range(seen.shape[1]):
+            whole[k, j] += seen[k, j]
     for w in range(sums.shape[0]):
-        _add_accelerations(sums[w], 5 * count, own, mg, mv, 3 * w)
-    add_product(d, 1.0, gain, g)
-    return d, sums
+        _add_accelerations(sums[w], seen, gamma, whole, w * (count + 3) + count, b, moved)
+    add_product(d, 1.0, after, gamma)
 
 
 @compiled
 def learn_offsets(
     offset: Vector,
     spread: Vector,
-    p: Vector,
-    h: Vector,
+    prior: Vector,
+    a: Vector,
     variance: Vector,
     v: Vector,
     dt_s: float,
@@ -149,7 +227,8 @@ def learn_offsets(
 ) -> tuple[Vector, Vector]:
     """Mean and variance (n,) of each satellite's offset after the innovations v of one epoch.
 
-    `numbers` are those of `DetectorConfig.memory_numbers`; an epoch `dt_s` after the last tells
+    `prior` (c, c) is the covariance of the states that are seen, by the geometry a (n, c), before
+    it. `numbers` are those of `DetectorConfig.memory_numbers`; an epoch `dt_s` after the last tells
     min(dt_s, 1 s) of what an independent one would.
     """
     slow, stays, news = numbers[0], math.exp(-dt_s / numbers[1]), min(dt_s / NEWS_S, 1.0)
@@ -157,11 +236,7 @@ def learn_offsets(
     for i in range(mean.shape[0]):
         mean[i] *= stays
         wide[i] = stays * stays * wide[i] + (1.0 - stays * stays) * slow * variance[i]
-        s = variance[i]
-        for j in range(h.shape[1]):
-            if h[i, j] != 0.0:
-                for k in range(h.shape[1]):
-                    s += h[i, j] * p[j, k] * h[i, k]
+        s = variance[i] + quadratic(a[i], prior)
         share = wide[i] / (wide[i] + s / news)
         mean[i] += share * (v[i] - mean[i])
         wide[i] *= 1.0 - share

@@ -37,15 +37,9 @@ def run_of(samples: Iterable[ImuSample]) -> ImuRun:
 
 
 def keep_pending(run: ImuRun, pending: Pending | None) -> Pending | None:
-    """A further run for the next epoch; samples that are not later than the newest are left out."""
+    """A further run for the next epoch."""
     if not len(run.t_us):
         return pending
-    newest_us = pending.run.t_us[-1] if pending is not None else run.t_us[0] - 1
-    if not _rising(run.t_us, newest_us):
-        later = run.t_us > np.maximum.accumulate(np.append(newest_us, run.t_us[:-1]))
-        if not later.any():
-            return pending
-        run = ImuRun(run.t_us[later], run.values[later])
     depth = len(run.t_us) + (pending.depth if pending is not None else 0)
     if depth <= 2 * PENDING_MAX:
         return Pending(run, pending, depth)
@@ -58,33 +52,42 @@ def split_pending(pending: Pending | None, until_us: int) -> tuple[ImuRun, Pendi
     if pending is None:
         return NO_RUN, None
     run = _whole(pending)
-    at = int(np.searchsorted(run.t_us, until_us, side="right"))
+    at = int(run.t_us.searchsorted(until_us, side="right"))
+    if at == len(run.t_us):
+        return run, None
     rest = ImuRun(run.t_us[at:], run.values[at:])
-    return ImuRun(run.t_us[:at], run.values[:at]), keep_pending(rest, None)
+    return ImuRun(run.t_us[:at], run.values[:at]), Pending(rest, None, len(rest.t_us))
 
 
 def _whole(pending: Pending) -> ImuRun:
-    """Everything that is pending as one run, but no more than `PENDING_MAX` samples."""
-    runs: list[ImuRun] = []
-    at: Pending | None = pending
-    while at is not None:
-        runs.append(at.run)
-        at = at.older
-    runs.reverse()
-    if len(runs) == 1 and pending.depth <= PENDING_MAX:
-        return pending.run
-    columns = (np.concatenate(column)[-PENDING_MAX:] for column in zip(*runs, strict=True))
-    return ImuRun(*columns)
+    """Everything that is pending as one run, but no more than `PENDING_MAX` samples; those that are
+    not later than all before them are left out."""
+    run = pending.run
+    if pending.older is not None:
+        runs = [run]
+        at: Pending | None = pending.older
+        while at is not None:
+            runs.append(at.run)
+            at = at.older
+        runs.reverse()
+        run = ImuRun(
+            np.concatenate([one.t_us for one in runs]), np.concatenate([one.values for one in runs])
+        )
+    if not _rising(run.t_us):
+        later = np.append(True, run.t_us[1:] > np.maximum.accumulate(run.t_us)[:-1])
+        run = ImuRun(run.t_us[later], run.values[later])
+    if pending.depth <= PENDING_MAX:
+        return run
+    return ImuRun(run.t_us[-PENDING_MAX:], run.values[-PENDING_MAX:])
 
 
 @compiled
-def _rising(t_us: Stamps, newest_us: int) -> bool:
+def _rising(t_us: Stamps) -> bool:
     """Whether every stamp is later than the one before."""
-    for stamp_us in t_us:
-        if stamp_us <= newest_us:
-            return False
-        newest_us = stamp_us
-    return True
+    rising = True
+    for i in range(1, t_us.shape[0]):
+        rising &= t_us[i] > t_us[i - 1]
+    return rising
 
 
 def segment(run: ImuRun, motion: Motion, until_us: int) -> Segment:

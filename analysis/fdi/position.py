@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
-from analysis.fdi.inertial import BA, BG, CLOCK, DRIFT, ERRORS, PSI, X_SIZE, correct, innovate
+from analysis.fdi.inertial import BA, BG, CLOCK, DRIFT, ERRORS, PSI, X_SIZE
+from analysis.fdi.information import statistic, taken
 from analysis.fdi.start import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.fdi.state import Motion
 from analysis.fdi.thresholds import chi_square
@@ -80,15 +81,13 @@ def check(measured: Measured, motion: Motion, config: DetectorConfig) -> tuple[C
 
 
 def _check(p: Vector, v: Vector, h: Vector, variance: Vector, p_false_alarm: float) -> Check:
-    _, _, _, q = innovate(p, np.ascontiguousarray(h), variance, v)
+    q = statistic(p, np.ascontiguousarray(h), variance, v)
     return Check(q, chi_square(len(v), p_false_alarm), v, h, variance)
 
 
 def updated(motion: Motion, part: Check) -> Motion:
     """The filter after a test's measurement."""
-    h = np.ascontiguousarray(part.h)
-    ph, m, u, _ = innovate(motion.p, h, part.variance, part.v)
-    x, p, _ = correct(motion.x, motion.p, h, part.variance, ph, m, u)
+    x, p = taken(motion.x, motion.p, np.ascontiguousarray(part.h), part.variance, part.v)
     return motion._replace(x=x, p=p)
 
 

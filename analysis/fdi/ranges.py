@@ -4,10 +4,9 @@ import numpy as np
 
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.inertial import CLOCK, DRIFT, PSI
+from analysis.fdi.information import statistic, weights
 from analysis.fdi.measure import NO_ROWS, Modelled
-from analysis.fdi.sight import Innovated
 from analysis.fdi.state import Motion
-from analysis.fdi.update import innovated
 from analysis.fdi.value import Value
 from analysis.fdi.verdict import Verdict, judge
 from analysis.samples import Vector
@@ -23,9 +22,9 @@ ROUNDS = 3  # a clock jump and a wrong prediction may come together
 class Tested(Value, frozen=True):
     """What the tests said, and what of the epoch the filter may take.
 
-    `motion` is the prediction, with what was found wrong of it forgotten (`freed`);
-    `part` and `taken` are the innovations of those that are trusted, none where nothing is.
-    `left_out` are indices of satellites found faulty; the statistic is that of the first round.
+    `motion` is the prediction, with what was found wrong of it forgotten (`freed`); `part` are the
+    innovations of those that are trusted, none where nothing is. `left_out` are indices of
+    satellites found faulty; the statistic is that of the first round.
     """
 
     motion: Motion
@@ -36,7 +35,6 @@ class Tested(Value, frozen=True):
     threshold: float
     probabilities: dict[str, float]
     part: Modelled
-    taken: Innovated
     freed: bool
 
 
@@ -45,20 +43,20 @@ def largest_set(count: int, wanted: int) -> int:
     return max(min(wanted, (count - 4) // 2), 1 if count >= 4 else 0)
 
 
-def passed(motion: Motion, modelled: Modelled, first: Innovated, threshold: float) -> Tested:
+def passed(motion: Motion, modelled: Modelled, q: float, threshold: float) -> Tested:
     """F00 passed: all ranges may be taken."""
-    return Tested(motion, "none", False, (), first.q, threshold, {}, modelled, first, False)
+    return Tested(motion, "none", False, (), q, threshold, {}, modelled, False)
 
 
 def blamed(
     motion: Motion,
     modelled: Modelled,
-    statistic: float,
+    q: float,
     threshold: float,
     standing_m: Vector,
     config: DetectorConfig,
 ) -> Tested:
-    """The verdict on ranges of `modelled` (n satellites) whose `statistic` failed F00.
+    """The verdict on ranges of `modelled` (n satellites) whose statistic q failed F00.
 
     `standing_m` (n,) is each satellite's learnt offset: when some are left out it is taken off the
     others', so that the position does not jump with the geometry.
@@ -74,8 +72,7 @@ def blamed(
         shown = verdict.hypothesis
     alarm = shown not in ("none", "clock")
     subset, chances = verdict.subset, verdict.probabilities
-    taken = innovated(motion.p, part)
-    return Tested(motion, shown, alarm, subset, statistic, threshold, chances, part, taken, True)
+    return Tested(motion, shown, alarm, subset, q, threshold, chances, part, True)
 
 
 def without(modelled: Modelled, subset: tuple[int, ...], standing_m: Vector) -> Modelled:
@@ -100,12 +97,11 @@ def _freed(
     position = np.ascontiguousarray(modelled.h[:, 0:3])
     clock = np.ascontiguousarray(modelled.h[:, CLOCK : CLOCK + 1])
     for _ in range(ROUNDS):
-        tried = innovated(motion.p, modelled)
-        if tried.q <= threshold:
+        h, variance, v = modelled.h, modelled.variance, modelled.v_m
+        if statistic(motion.p, h, variance, v) <= threshold:
             return hypothesis, Verdict("none", (), chances), motion
-        verdict = judge(
-            tried.m, modelled.v_m, position, clock, config.p_false_alarm, largest, config.rule
-        )
+        m = weights(motion.p, h, variance)
+        verdict = judge(m, v, position, clock, config.p_false_alarm, largest, config.rule)
         chances = chances or verdict.probabilities
         if verdict.hypothesis == "clock":
             motion = free_clock(motion)

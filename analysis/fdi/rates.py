@@ -3,7 +3,8 @@
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
-from analysis.fdi.inertial import DRIFT, innovate
+from analysis.fdi.inertial import DRIFT
+from analysis.fdi.information import weights
 from analysis.fdi.measure import NO_ROWS, Modelled, rate_rows
 from analysis.fdi.ranges import FREE_DRIFT_MPS, free_position, largest_set
 from analysis.fdi.sight import Assessed
@@ -40,7 +41,7 @@ def check_rates(
         return RatesTested(assessed.q_rate, threshold, count, "none", fit)
     known = np.flatnonzero(np.isfinite(fit.v))
     h, v = rate_rows(fit.h, known), fit.v[known]
-    _, m, _, q = innovate(motion.p, h, fit.variance[known], v)
+    m = weights(motion.p, h, fit.variance[known])
     velocity = np.ascontiguousarray(h[:, 3:6])
     drift = np.ascontiguousarray(h[:, DRIFT : DRIFT + 1])
     verdict = judge(m, v, velocity, drift, config.p_other, largest_set(count, config.left_out))
@@ -50,7 +51,7 @@ def check_rates(
         fit = fit._replace(v=kept)
     elif verdict.hypothesis == "multiple-unknown":
         fit = NO_RATES
-    return RatesTested(q, threshold, count, verdict.hypothesis, fit)
+    return RatesTested(assessed.q_rate, threshold, count, verdict.hypothesis, fit)
 
 
 def freed_by(motion: Motion, hypothesis: str) -> Motion:

@@ -37,26 +37,27 @@ LOST_M = 300.0  # a filter as unsure as this is started anew
 
 def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[list[Result], State]:
     """The decision on one fix and the next state."""
-    core, pending = state
+    core, pending, mag_b = state
     if core.gps_source not in (None, fix.source) and fix.source != "HIL_GPS":
         return [], state
-    core = core._replace(gps_source=fix.source)
+    core = core._replace(gps_source=fix.source, mag_b=mag_b)
     measured, reason = measure(fix)
     motion = core.motion
     if measured is None:
-        return [untestable(fix.t_us, reason)], State(core, pending)
+        return [untestable(fix.t_us, reason)], State(core, pending, mag_b)
     if motion is not None:
         since_s = (fix.t_us - motion.t_us) * 1e-6
         if -config.reset_s < since_s <= 0.0:
-            return [untestable(fix.t_us, f"time went back by {-since_s:.3f} s")], State(
-                core, pending
-            )
+            reason = f"time went back by {-since_s:.3f} s"
+            return [untestable(fix.t_us, reason)], State(core, pending, mag_b)
         if not 0.0 < since_s <= config.reset_s or np.sqrt(motion.p[0, 0]) > LOST_M:
             motion = None
     run, pending = split_pending(pending, fix.t_us)
     if motion is None:
         core = core._replace(motion=start_at(fix.t_us, measured), excluded={}, last_fix=None)
-        return [fix_decision(fix, core, None, None, "none", False, "start")], State(core, pending)
+        return [fix_decision(fix, core, None, None, "none", False, "start")], State(
+            core, pending, mag_b
+        )
     part = segment(run, motion, fix.t_us)
     predicted, _ = advance(motion, part, fix.t_us, config)
     position, velocity = check(measured, predicted, config)
@@ -72,11 +73,10 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     elif hypothesis == "none" and core.imu_bad_until_us is not None:
         shown = "imu"
     mode = "position" if moved.inertial else "position-free"
-    results = [fix_decision(fix, core, position, velocity, shown, alarm, mode)]
+    results: list[Result] = [fix_decision(fix, core, position, velocity, shown, alarm, mode)]
     gap = part.gap_s if predicted.inertial or motion.inertial else 0.0
-    return [*results, *fix_sensors(fix, core, position, velocity, gap, hypothesis, config)], State(
-        core, pending
-    )
+    results += fix_sensors(fix, core, position, velocity, gap, hypothesis, config)
+    return results, State(core, pending, mag_b)
 
 
 def _judge(

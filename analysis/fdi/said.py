@@ -5,9 +5,9 @@ from collections.abc import Iterable
 
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import Core
-from analysis.fdi.epoch import Outcome
 from analysis.fdi.measure import Observed
 from analysis.fdi.motion import Segment
+from analysis.fdi.outcome import Outcome
 from analysis.fdi.start import Start
 from analysis.fdi.state import Motion
 from analysis.fdi.thresholds import chi_square, p_value
@@ -19,33 +19,28 @@ def decision(
     epoch: Epoch, outcome: Outcome, core: Core, late: bool, config: DetectorConfig
 ) -> Decision:
     """The decision on a tested epoch; `late` says that a fault was found by its past."""
-    tested, assessed, used, motion = outcome.tested, outcome.assessed, outcome.used, core.motion
-    assert tested is not None
-    assert assessed is not None
-    assert used is not None
+    motion, slow, dof = core.motion, outcome.slow, outcome.parity_dof
     onsets = [entry.onset_us for entry in core.excluded.values()]
-    slow, left = outcome.slow, outcome.left
     hypothesis = "satellites" if late and outcome.hypothesis == "none" else outcome.hypothesis
-    dof = assessed.parity_dof
     return Decision(
         t_s=epoch.t_us * 1e-6,
         t_us=epoch.t_us,
-        statistic=tested.statistic,
-        threshold=tested.threshold,
+        statistic=outcome.statistic,
+        threshold=outcome.threshold,
         dof=len(outcome.names),
-        p_value=p_value(tested.statistic, len(outcome.names)),
+        p_value=p_value(outcome.statistic, len(outcome.names)),
         alarm=outcome.alarm or late,
         hypothesis=hypothesis,
         excluded=tuple(sorted(core.excluded)),
-        satellites=(*outcome.names, *left.names),
-        residual_m=(*used.v_m.tolist(), *left.v_m.tolist()),
-        normalised=(*assessed.normalised.tolist(), *left.normalised.tolist()),
+        satellites=outcome.names + outcome.others,
+        residual_m=tuple(outcome.residual_m),
+        normalised=tuple(outcome.normalised),
         onset_s=max(onsets) * 1e-6 if onsets else None,
-        probabilities=tested.probabilities,
+        probabilities=dict(outcome.probabilities),
         position_ecef_m=_position(motion) if motion is not None else None,
         position_sigma_m=_sigma(motion) if motion is not None else None,
         mode="inertial" if motion is not None and motion.inertial else "free",
-        parity_statistic=assessed.parity if dof else 0.0,
+        parity_statistic=outcome.parity if dof else 0.0,
         parity_threshold=chi_square(dof, config.p_false_alarm) if dof else 0.0,
         parity_dof=dof,
         slow_statistic=slow.statistic if slow is not None else None,
@@ -94,21 +89,18 @@ def imu_results(
     epoch: Epoch, outcome: Outcome, part: Segment, config: DetectorConfig
 ) -> list[Result]:
     """What the epoch says of the IMU: silence, and the test of the velocity it predicts."""
-    rates = outcome.rates
-    if not outcome.was_inertial or rates is None:
-        return []
     silent = part.gap_s > config.gap_s
-    if not silent and rates.statistic is None and not outcome.imu_blamed:
-        return []
     faulty = silent or outcome.imu_blamed
+    if not outcome.was_inertial or (outcome.rate is None and not faulty):
+        return []
     return [
         SensorDecision(
             t_s=epoch.t_us * 1e-6,
             t_us=epoch.t_us,
             sensor="imu",
-            statistic=rates.statistic,
-            threshold=rates.threshold,
-            dof=rates.dof,
+            statistic=outcome.rate,
+            threshold=outcome.rate_threshold,
+            dof=outcome.rate_dof,
             alarm=faulty,
             isolated=faulty,
             reason=f"no IMU samples for {part.gap_s:.2f} s" if silent else "",

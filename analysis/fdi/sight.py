@@ -4,12 +4,13 @@ An epoch without a fault needs nothing else before its update; the verdicts of o
 start from what is told here.
 """
 
+import math
+
 import numpy as np
 
-from analysis.fdi.bank import normalised, projected_weights
 from analysis.fdi.config import DetectorConfig
-from analysis.fdi.inertial import innovate
-from analysis.fdi.linear import apply
+from analysis.fdi.information import block, columns, narrowed, quadratic, states_of, weighed
+from analysis.fdi.linear import apply, inverse
 from analysis.fdi.measure import (
     NO_ROWS,
     Indices,
@@ -17,32 +18,23 @@ from analysis.fdi.measure import (
     Modelled,
     Observed,
     modelled_at,
-    rate_rows,
 )
 from analysis.fdi.state import Motion
 from analysis.fdi.value import Value
-from analysis.gnss import SYSTEMS, satellite_states
+from analysis.gnss import satellite_states
 from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
 CLOCK_LEAP_M = 1000.0  # the receiver set its clock: no fault has this on most satellites
-_CONSTELLATIONS = len(SYSTEMS)
-
-
-class Innovated(Value, frozen=True):
-    """P H' (20, n), the inverse innovation covariance M (n, n), u = M v (n,) and q = v' M v."""
-
-    ph: Vector
-    m: Vector
-    u: Vector
-    q: float
+RATE_STATES = np.array([3, 4, 5, 16])  # velocity and drift
 
 
 class Assessed(Value, frozen=True):
-    """All tests of an epoch: the ranges' with `normalised` (n,), the rates' statistic over `rates`
-    of them, and the parity statistic with its degrees of freedom (0 where it cannot be had)."""
+    """All tests of an epoch: the ranges' q with `normalised` (n,), the rates' statistic over
+    `rates` of them, and the parity statistic with its degrees of freedom (0 where there is none).
+    """
 
-    ranges: Innovated
+    q: float
     normalised: Vector
     q_rate: float
     rates: int
@@ -75,7 +67,7 @@ def see(
     config: DetectorConfig,
 ) -> Sight:
     """An epoch modelled and tested; `trusted` (n,) may be used, `held_m` (n,) is taken off."""
-    order, table, h, ph, m, numbers, counts = _see(
+    order, table, h, numbers, counts = _see(
         observed.packed,
         observed.pseudorange_m,
         observed.doppler_mps,
@@ -104,9 +96,7 @@ def see(
     return Sight(
         names,
         _modelled(table[:, :count], h[:count]),
-        Assessed(
-            Innovated(ph, m, table[5, :count], q), table[6, :count], q_rate, rates, parity, dof
-        ),
+        Assessed(q, table[5, :count], q_rate, rates, parity, dof),
         others,
         left,
         systems,
@@ -138,20 +128,18 @@ def _see(
     Indices,
     Vector,
     Vector,
-    Vector,
-    Vector,
     tuple[float, float, float],
     tuple[int, int, int, int, int, int],
 ]:
-    """The order of the satellites (used, left out, below the mask), their numbers (7, n) and
-    geometry (n, 20) in it; P H' and M of those used, statistics and counts."""
+    """The order of the satellites (used, left out, below the mask), their numbers (6, n) and
+    geometry (n, 20) in it; statistics and counts."""
     states = satellite_states(packed, week, tow_s, pseudorange_m)
     found, geometry = modelled_at(
         states, pseudorange_m, doppler_mps, cn0_dbhz, system, x, tow_s, ionosphere, sigma
     )
     order, count, seen = _sorted(found[4], trusted, mask_rad)
     total = order.shape[0]
-    table, h, kinds = np.empty((7, total)), np.empty_like(geometry), np.empty_like(system)
+    table, h, kinds = np.empty((6, total)), np.empty_like(geometry), np.empty_like(system)
     far = 0
     for i in range(total):
         at = order[i]
@@ -164,13 +152,56 @@ def _see(
         far += i < seen and abs(table[0, i]) > CLOCK_LEAP_M
     used = h[:count]
     variance, v = table[2, :count], table[0, :count]
-    ph, m, u, q = innovate(p, used, variance, v)
-    each = normalised(m, u)
-    for i in range(count):
-        table[5, i], table[6, i] = u[i], each[i]
-    q_rate, rates = _rates(p, used, table[3, :count], table[1, :count])
-    parity, dof, systems = _parity(used, variance, v, kinds[:count])
-    return order, table, h, ph, m, (q, q_rate, parity), (count, seen, systems, rates, dof, far)
+    estimated = states_of(used)
+    a = columns(used, estimated)
+    information, b, total = weighed(a, variance, v)
+    after = narrowed(block(p, estimated), information)[0]
+    normalise(a, after, b, variance, v, table[5])
+    q = total - quadratic(b, after)
+    parity, dof, systems = parity_test(a, information, b, total)
+    q_rate, rates = rates_statistic(p, used, table[3, :count], table[1, :count])
+    return order, table, h, (q, q_rate, parity), (count, seen, systems, rates, dof, far)
+
+
+@compiled
+def normalise(
+    a: Vector, after: Vector, b: Vector, variance: Vector, v: Vector, out: Vector
+) -> None:
+    """Fill `out` with u_i / sqrt(M_ii), standard normal without faults, whose squares are what q is
+    less without i; NaN where a satellite is not checked by the others. `after` is P+_c."""
+    moved = apply(after, b)
+    for i in range(a.shape[0]):
+        left, own = v[i], 1.0 - quadratic(a[i], after) / variance[i]
+        for j in range(a.shape[1]):
+            left -= a[i, j] * moved[j]
+        known = own > 1e-12 * variance[i]
+        out[i] = left / math.sqrt(own * variance[i]) if known else np.nan
+
+
+@compiled
+def parity_test(a: Vector, information: Vector, b: Vector, total: float) -> tuple[float, int, int]:
+    """The statistic of the snapshot's residuals, its degrees of freedom, and how many systems.
+
+    A snapshot solves for the states that are seen; where no satellite is GPS's, its first system's
+    offset is the clock's.
+    """
+    of_gps = 0
+    for i in range(a.shape[0]):
+        own = 0.0
+        for j in range(4, a.shape[1]):
+            own += a[i, j]
+        of_gps += own == 0.0
+    skipped = 0 if of_gps else 1
+    unknowns = np.empty(max(a.shape[1] - skipped, 3), dtype=np.int64)
+    for j in range(unknowns.shape[0]):
+        unknowns[j] = j if j < 4 else j + skipped
+    systems, dof = unknowns.shape[0] - 3, max(a.shape[0] - unknowns.shape[0], 0)
+    if dof == 0:
+        return 0.0, 0, systems
+    some = np.empty(unknowns.shape[0])
+    for j in range(some.shape[0]):
+        some[j] = b[unknowns[j]]
+    return total - quadratic(some, inverse(block(information, unknowns))), dof, systems
 
 
 @compiled
@@ -189,55 +220,24 @@ def _sorted(elevation: Vector, trusted: Mask, mask_rad: float) -> tuple[Indices,
 
 
 @compiled
-def _rates(p: Vector, h: Vector, variance: Vector, v: Vector) -> tuple[float, int]:
+def rates_statistic(p: Vector, h: Vector, variance: Vector, v: Vector) -> tuple[float, int]:
     """The statistic of the Doppler rates that are known, and how many they are."""
-    known = finite(v)
-    count = known.shape[0]
-    if count == 0:
-        return 0.0, 0
-    some, wide = np.empty(count), np.empty(count)
-    for i in range(count):
-        some[i], wide[i] = v[known[i]], variance[known[i]]
-    return innovate(p, rate_rows(h, known), wide, some)[3], count
+    information, b, total, count = weighed_rates(h, variance, v)
+    after = narrowed(block(p, RATE_STATES), information)[0]
+    return total - quadratic(b, after), count
 
 
 @compiled
-def finite(v: Vector) -> Indices:
-    """Indices of the finite numbers among v (n,)."""
-    known = np.empty(v.shape[0], dtype=np.int64)
+def weighed_rates(h: Vector, variance: Vector, v: Vector) -> tuple[Vector, Vector, float, int]:
+    """N, b and v' inv(R) v of the Doppler rates v (n,) that are known, and how many they are; h
+    (n, 20) is the geometry of the ranges."""
     count = 0
+    a, wide, some = np.empty((v.shape[0], 4)), np.empty(v.shape[0]), np.empty(v.shape[0])
     for i in range(v.shape[0]):
         if np.isfinite(v[i]):
-            known[count] = i
+            for k in range(3):
+                a[count, k] = h[i, k]
+            a[count, 3], wide[count], some[count] = 1.0, variance[i], v[i]
             count += 1
-    return known[:count]
-
-
-@compiled
-def _parity(h: Vector, variance: Vector, v: Vector, system: Indices) -> tuple[float, int, int]:
-    """The statistic of the snapshot's residuals, its degrees of freedom, and how many systems."""
-    count, systems = v.shape[0], 0
-    column = np.zeros(_CONSTELLATIONS, dtype=np.int64)
-    for kind in range(_CONSTELLATIONS):
-        present = False
-        for i in range(count):
-            present |= system[i] == kind
-        if present:
-            column[kind] = 3 + systems  # the first has the clock's own
-            systems += 1
-    columns = 3 + systems
-    dof = max(count - columns, 0)
-    if dof == 0:
-        return 0.0, 0, systems
-    design, weight = np.zeros((count, columns)), np.empty(count)
-    for i in range(count):
-        weight[i] = 1.0 / variance[i]
-        for j in range(3):
-            design[i, j] = h[i, j]
-        design[i, 3] = 1.0
-        design[i, column[system[i]]] = 1.0
-    left = apply(projected_weights(design, weight), v)
-    parity = 0.0
-    for i in range(count):
-        parity += v[i] * left[i]
-    return parity, dof, systems
+    information, b, total = weighed(a[:count], wide[:count], some[:count])
+    return information, b, total, count

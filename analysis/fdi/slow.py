@@ -12,12 +12,15 @@ from analysis.fdi.verdict import PENALTY
 from analysis.samples import Vector
 
 STRIDE_US = round(STRIDE_S * 1e6)
+NOWHERE = np.empty(0, dtype=np.int64)
 LATE = 9.0  # a ramp's likelihood ratio that dates the fault of a satellite found otherwise
 
 
 class Memory(Value, frozen=True):
     """Windows over `names` (n satellites), each since `starts_us` (w,) (0: not begun yet), the next
     to begin at `due_us`; d and sums as in `memory`.
+
+    The satellites are those at `places` (n,) among all of an epoch, `among`.
 
     `offset` and `spread` (n,) are mean and variance of each satellite's offset now, `offsets` and
     `spreads` (w, n) the same when a window started.
@@ -32,6 +35,12 @@ class Memory(Value, frozen=True):
     spread: Vector
     offsets: Vector
     spreads: Vector
+    among: tuple[str, ...] = ()
+    places: Indices = NOWHERE
+
+    def turned_over(self, t_us: int) -> "Memory":
+        """The oldest window started anew where one is due."""
+        return self if t_us < self.due_us else _turned_over(self, t_us)
 
 
 class Strongest(Value, frozen=True):
@@ -63,12 +72,21 @@ def new_memory(t_us: int) -> Memory:
 
 
 def ready(
-    memory: Memory, t_us: int, names: tuple[str, ...], variance: Vector, config: DetectorConfig
+    memory: Memory,
+    t_us: int,
+    among: tuple[str, ...],
+    names: tuple[str, ...],
+    variance: Vector,
+    config: DetectorConfig,
 ) -> Memory:
-    """The memory before an epoch of `names` (n satellites) at `t_us`; `variance` (n,) of ranges."""
+    """The memory before an epoch at `t_us` in which `names` (n satellites) are used of `among`;
+    `variance` (n,) of their ranges."""
     if memory.names != names:
         memory = _renamed(memory, names, config.sigma.slow**2 * variance)
-    return memory if t_us < memory.due_us else _turned_over(memory, t_us)
+    if memory.among is not among:
+        places = np.array([among.index(name) for name in names], dtype=np.int64)
+        memory = memory._replace(among=among, places=places)
+    return memory.turned_over(t_us)
 
 
 def _renamed(memory: Memory, names: tuple[str, ...], most: Vector) -> Memory:

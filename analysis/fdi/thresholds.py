@@ -1,9 +1,12 @@
-"""Chi-square and normal thresholds, kept once computed."""
+"""Chi-square and normal thresholds, kept once computed, and the probability of a statistic."""
 
+import math
 from functools import lru_cache
 from math import comb
 
-from scipy.special import chdtrc, chdtri, ndtri
+from scipy.special import chdtri, ndtri
+
+from mavproxy_fault.wire.compiled import compiled
 
 
 @lru_cache(maxsize=4096)
@@ -28,6 +31,22 @@ def two_sided(p_false_alarm: float) -> float:
     return float(-ndtri(0.5 * p_false_alarm))
 
 
+@compiled
 def p_value(statistic: float, dof: int) -> float:
-    """Probability of a statistic at least as large without a fault."""
-    return float(chdtrc(dof, statistic))
+    """Probability of a statistic at least as large without a fault.
+
+    The finite sums for whole degrees of freedom (Abramowitz and Stegun, 26.4.4 and 26.4.5).
+    """
+    statistic = max(statistic, 0.0)  # less by rounding only
+    half, total = 0.5 * statistic, 0.0
+    if dof % 2 == 0:
+        term = 1.0
+        for k in range(dof // 2):
+            total += term
+            term *= half / (k + 1.0)
+        return total * math.exp(-half)
+    term = math.sqrt(statistic)
+    for k in range(dof // 2):
+        total += term
+        term *= statistic / (2.0 * k + 3.0)
+    return math.erfc(math.sqrt(half)) + math.sqrt(2.0 / math.pi) * math.exp(-half) * total

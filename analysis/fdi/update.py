@@ -6,11 +6,10 @@ The ranges are used first, then the Doppler rates against what the ranges have t
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
-from analysis.fdi.inertial import correct, innovate
-from analysis.fdi.linear import apply
-from analysis.fdi.measure import Indices, Modelled, rate_rows
+from analysis.fdi.information import block, columns, narrowed, states_of, take, weighed
+from analysis.fdi.measure import Indices, Modelled
 from analysis.fdi.memory import learn_offsets, respond, respond_to_rates, strongest
-from analysis.fdi.sight import Innovated, finite
+from analysis.fdi.sight import RATE_STATES, weighed_rates
 from analysis.fdi.slow import Memory, Strongest
 from analysis.fdi.state import Motion
 from analysis.fdi.value import Value
@@ -27,32 +26,16 @@ class Rates(Value, frozen=True):
     h: Vector
 
 
-def innovated(p: Vector, modelled: Modelled) -> Innovated:
-    """The ranges' innovations with the covariance p (20, 20) of the prediction."""
-    return Innovated(*innovate(p, modelled.h, modelled.variance, modelled.v_m))
-
-
-def absorb(motion: Motion, ranges: Modelled, taken: Innovated, rates: Rates) -> Motion:
-    """The filter after the ranges of `ranges`, innovated as `taken`, and the rates of `rates`."""
-    x, p, *_ = _absorb(
-        motion.x,
-        motion.p,
-        ranges.h,
-        ranges.variance,
-        taken.ph,
-        taken.m,
-        taken.u,
-        rates.h,
-        rates.variance,
-        rates.v,
-    )
+def absorb(motion: Motion, ranges: Modelled, rates: Rates) -> Motion:
+    """The filter after some ranges and rates."""
+    x, p = motion.x.copy(), motion.p.copy()
+    _absorb(x, p, ranges.h, ranges.variance, ranges.v_m, rates.h, rates.variance, rates.v)
     return motion._replace(x=x, p=p)
 
 
 def remember(
     motion: Motion,
     ranges: Modelled,
-    taken: Innovated,
     rates: Rates,
     memory: Memory,
     phi: Vector,
@@ -69,9 +52,6 @@ def remember(
         ranges.h,
         ranges.variance,
         ranges.v_m,
-        taken.ph,
-        taken.m,
-        taken.u,
         rates.h,
         rates.variance,
         rates.v,
@@ -98,26 +78,29 @@ def _absorb(
     p: Vector,
     h: Vector,
     variance: Vector,
-    ph: Vector,
-    m: Vector,
-    u: Vector,
+    v: Vector,
     rates_h: Vector,
     rate_variance: Vector,
     v_rate: Vector,
-) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector, Vector]:
-    """State, covariance and gain; gain, M, geometry and innovations of the rates."""
-    moved = apply(ph, u)
-    x, p, gain = correct(x, p, h, variance, ph, m, u)
-    known = finite(v_rate)
-    rows = rate_rows(rates_h, known)
-    left, wide = np.empty(known.shape[0]), np.empty(known.shape[0])
-    for i in range(left.shape[0]):
-        left[i], wide[i] = v_rate[known[i]], rate_variance[known[i]]
-        for j in range(moved.shape[0]):  # what the ranges' update has told is no news
-            left[i] -= rows[i, j] * moved[j]
-    ph_rate, m_rate, u_rate, _ = innovate(p, rows, wide, left)
-    x, p, gain_rate = correct(x, p, rows, wide, ph_rate, m_rate, u_rate)
-    return x, p, gain, gain_rate, m_rate, rows, left
+) -> None:
+    """Update x and p in place."""
+    states = states_of(h)
+    information, b, _ = weighed(columns(h, states), variance, v)
+    told = narrowed(block(p, states), information)[1]
+    _, moved = take(x, p, states, told, b)
+    information, b, _, _ = weighed_rates(rates_h, rate_variance, v_rate)
+    absorb_rates(x, p, information, b, moved)
+
+
+@compiled
+def absorb_rates(x: Vector, p: Vector, information: Vector, b: Vector, moved: Vector) -> Vector:
+    """Update x, p and b in place by rates of N and b (4,) after the ranges moved the state by
+    `moved` (20,); returns P+_:c (20, 4)."""
+    for i in range(b.shape[0]):  # what the ranges' update has told is no news
+        for j in range(b.shape[0]):
+            b[i] -= information[i, j] * moved[RATE_STATES[j]]
+    told = narrowed(block(p, RATE_STATES), information)[1]
+    return take(x, p, RATE_STATES, told, b)[0]
 
 
 @compiled
@@ -127,9 +110,6 @@ def _remember(
     h: Vector,
     variance: Vector,
     v: Vector,
-    ph: Vector,
-    m: Vector,
-    u: Vector,
     rates_h: Vector,
     rate_variance: Vector,
     v_rate: Vector,
@@ -146,16 +126,74 @@ def _remember(
     inertial: bool,
     numbers: Vector,
 ) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector, tuple[float, int, int, float]]:
-    after, wide, gain, gain_rate, m_rate, rows, left = _absorb(
-        x, p, h, variance, ph, m, u, rates_h, rate_variance, v_rate
+    states = states_of(h)
+    a = columns(h, states)
+    information, b, _ = weighed(a, variance, v)
+    told = narrowed(block(p, states), information)[1]
+    of_rates, b_rates, _, _ = weighed_rates(rates_h, rate_variance, v_rate)
+    return followed(
+        x,
+        p,
+        states,
+        a,
+        variance,
+        v,
+        told,
+        b,
+        of_rates,
+        b_rates,
+        phi,
+        dt_s,
+        t_us,
+        starts_us,
+        d,
+        sums,
+        offset,
+        spread,
+        offsets,
+        spreads,
+        inertial,
+        numbers,
     )
+
+
+@compiled
+def followed(
+    x: Vector,
+    p: Vector,
+    states: Indices,
+    a: Vector,
+    variance: Vector,
+    v: Vector,
+    told: Vector,
+    b: Vector,
+    of_rates: Vector,
+    b_rates: Vector,
+    phi: Vector,
+    dt_s: float,
+    t_us: int,
+    starts_us: Indices,
+    d: Vector,
+    sums: Vector,
+    offset: Vector,
+    spread: Vector,
+    offsets: Vector,
+    spreads: Vector,
+    inertial: bool,
+    numbers: Vector,
+) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector, tuple[float, int, int, float]]:
+    """Filter and memory after ranges of b and Y (`told`) and rates of N and b, as new arrays; what
+    the windows say of them (`memory.strongest`)."""
+    prior = block(p, states)
+    x, p = x.copy(), p.copy()
+    after, moved = take(x, p, states, told, b)
+    after_rates = absorb_rates(x, p, of_rates, b_rates, moved)
     ages = np.zeros(starts_us.shape[0])
     for w in range(ages.shape[0]):
         if starts_us[w] != 0:
             ages[w] = (t_us - starts_us[w]) * 1e-6
-    d, sums = respond(d, sums, offsets, ages, phi, gain, m, h, v, dt_s)
-    if left.shape[0] > 0:
-        d, sums = respond_to_rates(d, sums, gain_rate, m_rate, rows, left)
-    offset, spread = learn_offsets(offset, spread, p, h, variance, v, dt_s, numbers)
+    d, sums = respond(d, sums, offsets, ages, phi, after, states, a, variance, v, dt_s)
+    respond_to_rates(d, sums, after_rates, RATE_STATES, of_rates, b_rates)
+    offset, spread = learn_offsets(offset, spread, prior, a, variance, v, dt_s, numbers)
     found = strongest(sums, spreads, ages, inertial, numbers)
-    return after, wide, d, sums, offset, spread, found
+    return x, p, d, sums, offset, spread, found

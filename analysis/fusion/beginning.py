@@ -7,6 +7,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from analysis.estimators.rotations import matrix
 from analysis.fdi.inertial import (
     BA,
     BG,
@@ -22,7 +23,6 @@ from analysis.fdi.inertial import (
     X_SIZE,
     R,
     V,
-    matrix,
 )
 from analysis.fdi.start import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.fdi.state import Motion

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from analysis.estimators.rotations import matrix
 from analysis.fdi.core import Core
-from analysis.fdi.inertial import BA, BG, CLOCK, DRIFT, ERRORS, ISB, PSI, X_ISB, X_Q, R, V, matrix
+from analysis.fdi.inertial import BA, BG, CLOCK, DRIFT, ERRORS, ISB, PSI, X_ISB, X_Q, R, V
 from analysis.fusion.beginning import navigation_state
 from analysis.fusion.graph import Graph
 from analysis.fusion.window import key

@@ -15,6 +15,7 @@ from analysis.results import Result, read_results
 from analysis.run.flight import Flight
 from analysis.run.setup import Setup, read_setup
 from analysis.run.worker import MonitorProcess
+from analysis.stop import stop_requests
 from analysis.terminal import print_summary
 from mavproxy_fault.edits import JOIN, Journal
 from mavproxy_fault.links.bus import open_run_bus
@@ -87,8 +88,8 @@ def fly(
     """
     recorded_us = 0
     with RunProgress(flight.duration_s) as progress:
-        with contextlib.suppress(KeyboardInterrupt):
-            while not flight.over:
+        with stop_requests() as stop:
+            while not (flight.over or stop()):
                 hold = together and monitor.owed > MOST_OWED
                 wait_s = HOLD_S if hold else pace.wait_s(flight.t_us, time.monotonic())
                 if wait_s > 0.0:

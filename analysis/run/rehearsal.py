@@ -27,28 +27,11 @@ def rehearse(config: MonitorConfig, mark: Path) -> None:
 
 
 def _test_sensors(config: MonitorConfig) -> None:
-    from analysis.fdi.inertial import ERRORS, X_Q, X_SIZE
-    from analysis.reference import NO_SAMPLES, References
-    from analysis.reference_kernel import judge
+    from analysis.block import block_of
+    from analysis.reference import References
 
     references = References(config.detector)
-    state = references.new_state()
-    x = np.zeros(X_SIZE)
-    x[0], x[X_Q] = 6.4e6, 1.0
-    judge(
-        x,
-        np.eye(ERRORS),
-        True,
-        0,
-        NO_SAMPLES,
-        state.values,
-        state.counts,
-        state.slow,
-        references.sensors.sigmas(),
-        references.sensors.walks(),
-        np.ones(4),
-        1e6,
-    )
+    references.judge(block_of([]), references.new_state())
 
 
 def _score_attitude(config: MonitorConfig) -> None:

@@ -4,10 +4,11 @@ Bytes go to it by a bounded queue, results come back by a pipe. The flight runs 
 monitor compiles its kernels, and the monitor catches up.
 """
 
+import contextlib
 import multiprocessing
 import queue
 import signal
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from multiprocessing.connection import Connection
 from multiprocessing.queues import Queue
 from types import TracebackType
@@ -27,7 +28,6 @@ Order = bytes | tuple[list[Label], Criteria, float]
 
 def _work(orders: "Queue[Order | None]", answers: Connection, config: MonitorConfig) -> None:
     """The process: bytes in, results out; a question is answered by the summary."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's: it still wants a summary
     from analysis.monitor import Monitor
 
     monitor = Monitor(config)
@@ -36,6 +36,16 @@ def _work(orders: "Queue[Order | None]", answers: Connection, config: MonitorCon
             answers.send(monitor.bytes([order], datagrams=False))
         else:
             answers.send(monitor.summary(*order))
+
+
+@contextlib.contextmanager
+def _without_ctrl_c() -> Iterator[None]:
+    """Ctrl-C is the parent's, who still wants a summary: what is started inherits the mask."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class MonitorProcess:
@@ -49,7 +59,7 @@ class MonitorProcess:
             target=_work, args=(self._orders, theirs, config), daemon=True
         )
         mark = rehearsal.due()
-        with light_compilation():
+        with light_compilation(), _without_ctrl_c():
             self._process.start()
             if mark is not None:
                 context.Process(target=rehearsal.rehearse, args=(config, mark), daemon=True).start()

@@ -75,7 +75,7 @@ def known_faults() -> dict[str, type[Any]]:
     from importlib.metadata import entry_points  # a twentieth of a second, for what few have
 
     others = {point.name: point.load() for point in entry_points(group="mavproxy_fault.faults")}
-    return dict(sorted({**OURS, **others}.items()))
+    return dict(sorted({**others, **OURS}.items()))
 
 
 def fault_class(name: str) -> type[Any] | None:

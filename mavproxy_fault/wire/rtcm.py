@@ -15,12 +15,10 @@ References
 """
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
-
-Crc = Callable[[bytes], int]
 
 PREAMBLE = 0xD3
 HEADER = 3
@@ -103,15 +101,14 @@ def message_number(message: bytes) -> int:
     return message[HEADER] << 4 | message[HEADER + 1] >> 4
 
 
-def split_messages(data: bytes, crc: Crc = crc24q) -> Iterator[bytes]:
+def split_messages(data: bytes) -> Iterator[bytes]:
     """The whole messages with right CRC among `data`; anything else is passed over."""
     at = data.find(PREAMBLE)
     while 0 <= at <= len(data) - HEADER - TRAILER:
         end = at + HEADER + TRAILER + ((data[at + 1] & 0x03) << 8 | data[at + 2])
         message = data[at:end]
-        if end <= len(data) and crc(message[:-TRAILER]) == int.from_bytes(
-            message[-TRAILER:], "big"
-        ):
+        right = int.from_bytes(message[-TRAILER:], "big")
+        if end <= len(data) and crc24q(message[:-TRAILER]) == right:
             yield message
             at = data.find(PREAMBLE, end)
         else:
@@ -176,13 +173,12 @@ def tunnel_payload(frame: Frame) -> bytes | None:
 class Reassembler:
     """Puts fragments of one sender together again; keeps at most four incomplete messages.
 
-    A lost fragment loses its message. Fragments may come in any order. `crc` is what checks them.
+    A lost fragment loses its message. Fragments may come in any order.
     """
 
-    __slots__ = ("_crc", "_pending")
+    __slots__ = ("_pending",)
 
-    def __init__(self, crc: Crc = crc24q) -> None:
-        self._crc = crc
+    def __init__(self) -> None:
         self._pending: dict[int, dict[int, bytes]] = {}
 
     def add(self, payload: bytes) -> list[bytes]:
@@ -193,13 +189,13 @@ class Reassembler:
         sequence = flags >> 3
         if not flags & 1:
             self._pending.pop(sequence, None)
-            return list(split_messages(data, self._crc))
+            return list(split_messages(data))
         parts = self._pending.setdefault(sequence, {})
         parts[flags >> 1 & 3] = data
         whole = joined(parts)
         if whole is not None:
             del self._pending[sequence]
-            return list(split_messages(whole, self._crc))
+            return list(split_messages(whole))
         if len(self._pending) > PENDING_MAX:
             del self._pending[next(iter(self._pending))]
         return []

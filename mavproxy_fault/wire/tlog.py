@@ -123,13 +123,13 @@ def map_bytes(path: Path) -> NDArray[np.uint8]:
     return np.memmap(path, np.uint8, mode="r")
 
 
-def _blocks(data: NDArray[np.uint8]) -> Iterator[_Block]:
-    """The frames of a log, block by block."""
+def _blocks(data: NDArray[np.uint8], frames: int = BLOCK_FRAMES) -> Iterator[_Block]:
+    """The frames of a log, so many at a time."""
     from mavproxy_fault.wire.walk import crc_tables, walk
 
     slots, extras, lengths = _tables()
     tables = crc_tables()
-    runs = np.empty((BLOCK_FRAMES, 2), np.int64)
+    runs = np.empty((frames, 2), np.int64)
     start = 0
     while start < len(data):
         counts = np.zeros(len(lengths), np.int64)
@@ -243,6 +243,18 @@ def read_blocks(path: str | Path, only: Collection[str] | None = None) -> Iterat
     data = map_bytes(Path(path))
     for block in _blocks(data):
         yield _columns(data, block, only)
+
+
+def read_ordered(
+    path: str | Path, only: Collection[str], frames: int = CACHED_FRAMES
+) -> Iterator[tuple[Columns, dict[str, NDArray[np.int64]]]]:
+    """The columns of so many frames at a time, with the place (n,) of each row among all frames."""
+    data = map_bytes(Path(path))
+    slots = {name: slot for slot, name in enumerate(message_names())}
+    for block in _blocks(data, frames):
+        columns = _columns(data, block, only)
+        slot = np.concatenate([slot.copy() for _, _, slot in _unrolled(data, block)])
+        yield columns, {name: np.flatnonzero(slot == slots[name]) for name in columns}
 
 
 def extent_us(path: str | Path) -> tuple[int, int] | None:

@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from analysis.estimators.rotations import matrix
 from analysis.fdi import DetectorConfig
 from analysis.fdi.antenna import moved_along
-from analysis.fdi.inertial import ERRORS, X_SIZE, gravity_ecef, matrix, turned
+from analysis.fdi.inertial import ERRORS, X_SIZE, gravity_ecef, turned
 from analysis.fdi.motion import Segment, advance
 from analysis.fdi.state import Motion
 from analysis.gnss import EARTH_RATE_RPS

@@ -28,7 +28,9 @@ def normalised_squares(state, truth):
     turn = matrix_from_quat(truth.q_nb).T @ matrix_from_quat(np.array(state.q_nb))
     off_deg = np.degrees(0.5 * (turn - turn.T)[[2, 0, 1], [1, 2, 0]])  # small, about body axes
     sigmas = state.position_sigma_m, state.velocity_sigma_mps, state.attitude_sigma_deg
-    return [np.sum((off / s) ** 2) for off, s in zip((off_m, off_mps, off_deg), sigmas, strict=True)]
+    return [
+        np.sum((off / s) ** 2) for off, s in zip((off_m, off_mps, off_deg), sigmas, strict=True)
+    ]
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,234 @@
+"""An epoch in which no test trips: one call of compiled code, from the IMU's samples to the filter
+and its memory after it.
+
+It does what `motion`, `sight`, `update` and `slow` do one after the other, for the satellites that
+were used at the last epoch, and gives up where there is anything to decide: the epoch is then
+judged from its beginning by `epoch`. Nearly every epoch of a flight passes.
+"""
+
+import numpy as np
+
+from analysis.fdi.config import MOST, DetectorConfig
+from analysis.fdi.core import Core
+from analysis.fdi.inertial import propagate_freely, propagate_inertial
+from analysis.fdi.information import block, columns, narrowed, quadratic, states_of, weighed
+from analysis.fdi.measure import Indices, Observed, modelled_at
+from analysis.fdi.motion import Segment
+from analysis.fdi.rates import MIN_RATES
+from analysis.fdi.sight import CLOCK_LEAP_M, normalise, parity_test, rates_statistic, weighed_rates
+from analysis.fdi.slow import Memory, Strongest
+from analysis.fdi.state import Motion
+from analysis.fdi.update import followed
+from analysis.fdi.value import Value
+from analysis.gnss import satellite_states
+from analysis.samples import Vector
+from mavproxy_fault.wire.compiled import compiled
+
+Filtered = tuple[Vector, Vector, Vector, Vector, Vector, Vector]
+
+
+class Passed(Value, frozen=True):
+    """The filter and its memory after an epoch that passed, its innovations (n,) and statistics."""
+
+    motion: Motion
+    memory: Memory
+    found: Strongest
+    residual_m: list[float]
+    normalised: list[float]
+    q: float
+    parity: float
+    parity_dof: int
+    q_rate: float
+    rates: int
+
+
+def let_pass(
+    t_us: int,
+    observed: Observed,
+    held_m: Vector,
+    part: Segment,
+    core: Core,
+    config: DetectorConfig,
+) -> Passed | None:
+    """The epoch if nothing of it needs a verdict, None otherwise."""
+    motion, memory = core.motion, core.memory
+    if motion is None or memory is None or memory.among is not observed.satellites:
+        return None
+    if core.excluded or len(memory.names) > MOST or not _plainly_moved(motion, part, config):
+        return None
+    memory = memory.turned_over(t_us)
+    passed, table, after, found, numbers, counts = _pass(
+        observed.packed,
+        observed.pseudorange_m,
+        observed.doppler_mps,
+        observed.cn0_dbhz,
+        observed.system,
+        observed.week,
+        observed.tow_s,
+        memory.places,
+        held_m,
+        motion.x,
+        motion.p,
+        part.samples,
+        t_us,
+        motion.t_us,
+        core.ionosphere,
+        config.sigma.numbers,
+        config.noise.densities,
+        config.thresholds,
+        config.memory_numbers,
+        config.mask_rad,
+        config.doppler,
+        memory.starts_us,
+        memory.d,
+        memory.sums,
+        memory.offset,
+        memory.spread,
+        memory.offsets,
+        memory.spreads,
+    )
+    if not passed:
+        return None
+    x, p, d, sums, offset, spread = after
+    q, q_rate, parity = numbers
+    dof, rates = counts
+    residual_m, normalised = table.tolist()
+    return Passed(
+        Motion(t_us, x, p, motion.inertial),
+        memory._replace(d=d, sums=sums, offset=offset, spread=spread),
+        Strongest(*found),
+        residual_m,
+        normalised,
+        q,
+        parity,
+        dof,
+        q_rate,
+        rates,
+    )
+
+
+def _plainly_moved(motion: Motion, part: Segment, config: DetectorConfig) -> bool:
+    """Whether the IMU moves the filter without a gap, or there is none and never was."""
+    if not motion.inertial:
+        return not part.heard and motion.alignment is None
+    return config.antenna is None and len(part.samples) > 0 and part.gap_s <= config.gap_s
+
+
+@compiled
+def _pass(
+    packed: Vector,
+    pseudorange_m: Vector,
+    doppler_mps: Vector,
+    cn0_dbhz: Vector,
+    system: Indices,
+    week: float,
+    tow_s: float,
+    places: Indices,
+    held_m: Vector,
+    x: Vector,
+    p: Vector,
+    samples: Vector,
+    t_us: int,
+    before_us: int,
+    ionosphere: Vector,
+    sigma: Vector,
+    noise: Vector,
+    thresholds: Vector,
+    memory_numbers: Vector,
+    mask_rad: float,
+    doppler: bool,
+    starts_us: Indices,
+    d: Vector,
+    sums: Vector,
+    offset: Vector,
+    spread: Vector,
+    offsets: Vector,
+    spreads: Vector,
+) -> tuple[
+    bool,
+    Vector,
+    Filtered,
+    tuple[float, int, int, float],
+    tuple[float, float, float],
+    tuple[int, int],
+]:
+    """Whether the epoch passed; innovations and normalised ones (2, n); the filter and its memory
+    after it; what the windows say; statistics and counts."""
+    inertial, dt_s = samples.shape[0] > 0, (t_us - before_us) * 1e-6
+    if inertial:
+        x, p, phi = propagate_inertial(x, p, samples, noise)
+    else:
+        x, p, phi = propagate_freely(x, p, dt_s, noise)
+    states = satellite_states(packed, week, tow_s, pseudorange_m)
+    every, geometry = modelled_at(
+        states, pseudorange_m, doppler_mps, cn0_dbhz, system, x, tow_s, ionosphere, sigma
+    )
+    rows, h, as_before = _used(every, geometry, held_m, places, mask_rad)
+    v, variance, table = rows[0], rows[2], np.empty((2, places.shape[0]))
+    for i in range(v.shape[0]):
+        table[0, i] = v[i]
+    seen = states_of(h)
+    a = columns(h, seen)
+    information, b, total = weighed(a, variance, v)
+    after, told = narrowed(block(p, seen), information)
+    normalise(a, after, b, variance, v, table[1])
+    q = total - quadratic(b, after)
+    parity, dof, systems = parity_test(a, information, b, total)
+    q_rate, rates = rates_statistic(p, h, rows[3], rows[1])
+    of_rates, b_rates = np.zeros((4, 4)), np.zeros(4)
+    rates_fit = True
+    if doppler and rates >= MIN_RATES:
+        of_rates, b_rates, _, _ = weighed_rates(h, rows[3], rows[1])
+        rates_fit = q_rate <= thresholds[1, rates]
+    enough = v.shape[0] >= (3 if inertial else 4 + systems)
+    statistics, counts = (q, q_rate, parity), (dof, rates)
+    if not (as_before and enough and rates_fit and q <= thresholds[0, v.shape[0]]):
+        nothing = x, p, d, sums, offset, spread
+        return False, table, nothing, (0.0, -1, -1, 0.0), statistics, counts
+    x, p, d, sums, offset, spread, found = followed(
+        x,
+        p,
+        seen,
+        a,
+        variance,
+        v,
+        told,
+        b,
+        of_rates,
+        b_rates,
+        phi,
+        dt_s,
+        t_us,
+        starts_us,
+        d,
+        sums,
+        offset,
+        spread,
+        offsets,
+        spreads,
+        inertial,
+        memory_numbers,
+    )
+    return True, table, (x, p, d, sums, offset, spread), found, statistics, counts
+
+
+@compiled
+def _used(
+    every: Vector, geometry: Vector, held_m: Vector, places: Indices, mask_rad: float
+) -> tuple[Vector, Vector, bool]:
+    """The rows (4, n) and geometry (n, 20) of the satellites at `places`; whether they, and no
+    others, are above the mask, and the receiver has not set its clock."""
+    rows, h = np.empty((4, places.shape[0])), np.empty((places.shape[0], geometry.shape[1]))
+    above, own, far = 0, 0, 0
+    for i in range(every.shape[1]):
+        above += every[4, i] >= mask_rad
+    for i in range(places.shape[0]):
+        at = places[i]
+        own += every[4, at] >= mask_rad
+        for k in range(4):
+            rows[k, i] = every[k, at]
+        rows[0, i] -= held_m[at]
+        far += abs(rows[0, i]) > CLOCK_LEAP_M
+        for k in range(h.shape[1]):
+            h[i, k] = geometry[at, k]
+    return rows, h, above == own == places.shape[0] and 2 * far < own

@@ -1,0 +1,33 @@
+"""Ctrl-C and SIGTERM end the work between two steps, so that all that is written stays whole."""
+
+import contextlib
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from types import FrameType
+
+SAID = b"\nstopping; once more ends at once\n"
+
+
+@contextlib.contextmanager
+def stop_requests() -> Iterator[Callable[[], bool]]:
+    """Whether somebody wants the work to end; what comes after the first request interrupts it."""
+    asked = threading.Event()
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def restore() -> None:
+        for number, action in before.items():
+            signal.signal(number, action)
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        asked.set()
+        restore()
+        os.write(2, SAID)
+
+    for number in before:
+        signal.signal(number, ask)
+    try:
+        yield asked.is_set
+    finally:
+        restore()
