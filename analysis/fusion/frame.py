@@ -58,27 +58,28 @@ class Frame:
 
 @compiled
 def quaternion(rot: Vector) -> Vector:
-    """A rotation matrix as a unit quaternion (w, x, y, z), divided by its largest part."""
+    """A rotation matrix as a unit quaternion (w, x, y, z) with w >= 0.
+
+    By its largest part: four times its square is what the signs make of the diagonal.
+    """
+    best, most = -1, rot[0, 0] + rot[1, 1] + rot[2, 2]
+    for i in range(3):
+        square = 2.0 * rot[i, i] - rot[0, 0] - rot[1, 1] - rot[2, 2]
+        if square > most:
+            best, most = i, square
+    root = 2.0 * math.sqrt(1.0 + most)
     out = np.empty(4)
-    trace = rot[0, 0] + rot[1, 1] + rot[2, 2]
-    if trace > 0.0:
-        root = 2.0 * math.sqrt(1.0 + trace)
-        out[0] = 0.25 * root
-        out[1] = (rot[2, 1] - rot[1, 2]) / root
-        out[2] = (rot[0, 2] - rot[2, 0]) / root
-        out[3] = (rot[1, 0] - rot[0, 1]) / root
-        return out
-    i = 0
-    if rot[1, 1] > rot[0, 0]:
-        i = 1
-    if rot[2, 2] > rot[i, i]:
-        i = 2
-    j, k = (i + 1) % 3, (i + 2) % 3
-    root = 2.0 * math.sqrt(1.0 + rot[i, i] - rot[j, j] - rot[k, k])
-    out[0] = (rot[k, j] - rot[j, k]) / root
-    out[1 + i] = 0.25 * root
-    out[1 + j] = (rot[j, i] + rot[i, j]) / root
-    out[1 + k] = (rot[k, i] + rot[i, k]) / root
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        if best == -1:
+            out[0], out[1 + i] = 0.25 * root, (rot[k, j] - rot[j, k]) / root
+        elif best == i:
+            out[0], out[1 + i] = (rot[k, j] - rot[j, k]) / root, 0.25 * root
+        else:
+            out[1 + i] = (rot[best, i] + rot[i, best]) / root
+    if out[0] < 0.0:
+        for i in range(4):
+            out[i] = -out[i]
     return out
 
 

@@ -19,7 +19,7 @@ from analysis.fusion.robust import clock_in_seconds, pseudoranges
 from analysis.fusion.window import Window, key
 from analysis.samples import ImuSample, Vector
 
-SAME_PLACE_M = 50.0  # gravity turns by 8e-6 rad over it
+SAME_PLACE_M = 100.0  # gravity turns by 2e-5 rad over it
 SAME_US = 1000  # epochs closer than this are one
 RANGES = "ranges"
 Attitude = tuple[Any, Vector]  # rotation body to local, covariance (3, 3) in body axes
@@ -28,10 +28,11 @@ Attitude = tuple[Any, Vector]  # rotation body to local, covariance (3, 3) in bo
 @dataclass(slots=True)
 class Epoch:
     """What the graph remembers of an epoch in the window: its first guess, as a node and as GTSAM's
-    values, and the pose `seen` by vision among it."""
+    values, its stamp in the window, and the pose `seen` by vision among it."""
 
     first: Node
     values: Any
+    stamp_s: float
     edge: Edge | None = None
     ranges: Ranges | None = None
     weights: Vector = field(default_factory=lambda: np.empty(0))
@@ -64,7 +65,7 @@ class Graph:
         self._track: list[tuple[int, int]] = []  # times and numbers of epochs, in order of time
         self._late: dict[int, list[ImuSample]] = {}
         self._robust = config.robust
-        self._place_m: Vector = np.zeros(3)
+        self._place_m = [0.0, 0.0, 0.0]
         self._noise: Noise | None = None  # of what `_params` are
         self._params: Any = None
         self._insert(self.node)
@@ -82,7 +83,7 @@ class Graph:
     def attach(self, source: str, epoch: int, *factors: Any, since: int | None = None) -> None:
         """Factors of a source on an epoch (and on the one `since`), for the next `commit`."""
         oldest = self.epochs[epoch if since is None else since]
-        self.window.attach(source, epoch, self.seconds(oldest.t_us), *factors)
+        self.window.attach(source, epoch, oldest.stamp_s, *factors)
 
     def nearest(self, t_us: int, within_us: int) -> int | None:
         """The epoch in the window nearest to a time."""
@@ -194,7 +195,7 @@ class Graph:
         for name, factor in found.items():
             self.attach(name, epoch, factor)
         guess, tie = clock_in_seconds(epoch)
-        self.window.insert(guess, (key("r", epoch),), self.seconds(at.t_us))
+        self.window.insert(guess, (key("r", epoch),), at.stamp_s)
         self.attach(RANGES, epoch, tie, *([] if rows is None else [rows]))
 
     def remove(self, name: str, since_us: int) -> None:
@@ -257,8 +258,8 @@ class Graph:
 
     def _forget(self) -> None:
         """Epochs that the next commit marginalises."""
-        oldest_s, stamp = self.window.oldest_s, self.window.stamp
-        while self._track and stamp(self.seconds(self._track[0][0])) < oldest_s:
+        oldest_s = self.window.oldest_s
+        while self._track and self.epochs[self._track[0][1]].stamp_s < oldest_s:
             _, epoch = self._track.pop(0)
             del self.epochs[epoch]
 
@@ -276,18 +277,19 @@ class Graph:
     def _insert(self, node: Node) -> None:
         values = first_guess(node)
         names = [key(letter, node.epoch) for letter in "xvbc"]
-        self.window.insert(values, names, self.seconds(node.t_us))
-        self.epochs[node.epoch] = Epoch(node, values)
+        stamp_s = self.window.stamp(self.seconds(node.t_us))
+        self.window.insert(values, names, stamp_s)
+        self.epochs[node.epoch] = Epoch(node, values, stamp_s)
         insort(self._track, (node.t_us, node.epoch))
 
     def _motion(self, edge: Edge, start: Node, t_us: int) -> Any:
         """The preintegrated IMU of an edge, or a model of motion in its place."""
         if self.sound(edge):
-            r_m = start.pose.translation()
-            far = math.dist(r_m, self._place_m) > SAME_PLACE_M
+            place_m = start.pose.translation().tolist()
+            far = math.dist(place_m, self._place_m) > SAME_PLACE_M
             if far or edge.noise is not self._noise:
-                self._place_m, self._noise = r_m, edge.noise
-                self._params = imu_params(self.frame, r_m, edge.noise)
+                self._place_m, self._noise = place_m, edge.noise
+                self._params = imu_params(self.frame, np.array(place_m), edge.noise)
             return preintegrate(edge.part.samples, start.bias, self._params)
         dt_s = (t_us - start.t_us) * 1e-6
         return imagine(dt_s, start.bias, self.frame, edge.noise, edge.turn_rps)

@@ -18,11 +18,11 @@ from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
 IMU_S, RATE_S, SLOW_S = 5.0, 20.0, 10.0  # time constants
-PRIOR_S = 1.0  # what the configured noise counts for
+PRIOR_S = 0.3  # what the configured rate noise counts for: it may be five times too large
 LEAST_SAMPLES = 11
 GYRO_FLOOR_RPS, ACCEL_FLOOR_MPS2 = 1.0e-4, 2.0e-3  # per root hertz, as simulated flights leave
 WORSE = 2.0
-STEP = 1.15  # densities are rounded to powers of it, so that they seldom change
+STEP = 1.05  # densities stay as they are until they are off by it, so that they seldom change
 LIMITS = (0.01, 25.0)  # of variances against the configured ones
 OUTLIER = 25.0  # the most that a squared normalised residual counts
 SLOW_PRIOR = 4.0  # satellites that the configured share counts for
@@ -33,14 +33,12 @@ AGE, RATE, SLOW = 0, 1, 2
 class Learnt:
     """What moves, in place: variances of the IMU's white noise per hertz, of gyros and
     accelerometers, and how long it was heard in s (3,); a table (n, 3) by satellite: age, mean
-    square of the rate's residual, mean of the range's; the noise `found` of the IMU, of rounded
-    `levels`."""
+    square of the rate's residual, mean of the range's; the noise `found` last."""
 
     imu: Vector = field(default_factory=lambda: np.zeros(3))
     satellites: tuple[str, ...] = ()
     table: Vector = field(default_factory=lambda: np.empty((0, 3)))
     t_us: int = 0
-    levels: tuple[int, int] = (0, 0)
     found: Noise | None = None
 
     def hear_imu(self, samples: Vector) -> None:
@@ -52,12 +50,15 @@ class Learnt:
         gyro2, accel2, heard_s = self.imu.tolist()
         if heard_s == 0.0:
             return configured
-        gyro = _level(math.sqrt(gyro2 + GYRO_FLOOR_RPS**2))
-        accel = _level(math.sqrt(accel2 + ACCEL_FLOOR_MPS2**2))
-        if (gyro, accel) != self.levels or self.found is None:
-            self.levels = gyro, accel
-            self.found = replace(configured, gyro_rps=STEP**gyro, accel_mps2=STEP**accel)
-        return self.found
+        gyro = math.sqrt(gyro2 + GYRO_FLOOR_RPS**2)
+        accel = math.sqrt(accel2 + ACCEL_FLOOR_MPS2**2)
+        known = self.found
+        if known is None or not (
+            1.0 / STEP < gyro / known.gyro_rps < STEP
+            and 1.0 / STEP < accel / known.accel_mps2 < STEP
+        ):
+            known = self.found = replace(configured, gyro_rps=gyro, accel_mps2=accel)
+        return known
 
     def hear_ranges(
         self, t_us: int, satellites: tuple[str, ...], weights: Vector, normalised: Vector
@@ -92,10 +93,6 @@ class Learnt:
         known = dict(zip(self.satellites, self.table, strict=True))
         new = np.array([PRIOR_S, 1.0, 0.0])
         return np.array([known.get(name, new) for name in satellites]).reshape(-1, 3)
-
-
-def _level(density: float) -> int:
-    return round(math.log(density) / math.log(STEP))
 
 
 @compiled

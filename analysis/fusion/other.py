@@ -100,7 +100,7 @@ class Others:
             before = max((known for known in blocks if known < block), default=None)
             if before is None:
                 factor = gtsam.PriorFactorVector(name, first, alike(len(first), sigma))
-                since_s = t_s
+                since_s = window.starts_s(block)
             else:
                 old, since_s = key(letter, before), window.starts_s(before)
                 walked = walk * math.sqrt((block - before) * window.block_s)
@@ -109,7 +109,7 @@ class Others:
                     first = np.asarray(window.smoother.calculateEstimateVector(old))
             values = gtsam.Values()
             values.insert(name, first)
-            window.insert(values, (name,), t_s)
+            window.insert(values, (name,), window.starts_s(block))
             window.attach(letter, block, since_s, factor)
             blocks.append(block)
         self._blocks[letter] = blocks

@@ -21,13 +21,14 @@ from analysis.samples import Vector
 BLOCKS = 2.5  # per lag
 BEFORE = 1 << 20  # keeps the numbers of blocks positive
 NEVER = 1e9
-SMALL = 0.01  # m, rad, m/s: older variables that moved less keep their estimate
+SMALL = 0.02  # m, rad, m/s: older variables that moved less keep their estimate
 # How far a variable moves before it is relinearised, in its own units (rad, m, m/s, m/s^2): ranges
-# and clocks are as good as linear, turns are not.
+# and clocks are as good as linear, turns are not. Older variables are looked at only where newer
+# ones moved as far.
 RELINEARISE = {
-    "x": [0.04] * 3 + [3.0] * 3,
-    "v": [5.0] * 3,
-    "b": [0.5] * 3 + [0.05] * 3,
+    "x": [0.01] * 3 + [3.0] * 3,
+    "v": [2.0] * 3,
+    "b": [0.1] * 3 + [0.01] * 3,
     "c": [NEVER] * 2,
     "r": [NEVER],
     "h": [NEVER],
@@ -61,6 +62,7 @@ class Window:
         params.setFactorization("CHOLESKY")
         params.findUnusedFactorSlots = True
         params.relinearizeSkip = 1
+        params.enablePartialRelinearizationCheck = True
         steps = gtsam.ISAM2GaussNewtonParams()
         steps.setWildfireThreshold(SMALL)
         params.setOptimizationParams(steps)
@@ -99,18 +101,17 @@ class Window:
         """Variables with an older stamp are gone after the next commit."""
         return self._newest_s - self._lag_s
 
-    def insert(self, values: Any, names: Iterable[int], t_s: float) -> None:
-        """Variables at a time with their first guesses."""
+    def insert(self, values: Any, names: Iterable[int], stamp_s: float) -> None:
+        """Variables with their first guesses and the `stamp` of their time."""
         self._values.insert(values)
-        stamp = self.stamp(t_s)
-        self._newest_s = max(self._newest_s, stamp)
-        self._stamps.update(dict.fromkeys(names, stamp))
+        self._newest_s = max(self._newest_s, stamp_s)
+        self._stamps.update(dict.fromkeys(names, stamp_s))
 
-    def attach(self, source: str, epoch: int, t_s: float, *factors: Any) -> None:
-        """Factors of a source at an epoch; `t_s` is the time of the oldest variable they touch."""
+    def attach(self, source: str, epoch: int, stamp_s: float, *factors: Any) -> None:
+        """Factors of a source at an epoch, with the stamp of the oldest variable they touch."""
         for factor in factors:
             self._batch.add(factor)
-        self._named.append(((source, epoch), self.stamp(t_s), len(factors)))
+        self._named.append(((source, epoch), stamp_s, len(factors)))
 
     def take_back(self, source: str, epoch: int) -> bool:
         """Remove the factors of a source at an epoch; whether there were any."""

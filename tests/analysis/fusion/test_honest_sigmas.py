@@ -14,8 +14,8 @@ from analysis.samples import TruthSample
 from simvehicle.earth import ecef_from_geodetic
 from simvehicle.rotation import matrix_from_quat
 
-SEEDS = 21, 22, 23, 24
-SECONDS, SETTLED_US = 12.0, 6_000_000
+SEEDS = 21, 22, 23
+SECONDS, SETTLED_US = 20.0, 12_000_000
 KINDS = "position", "velocity", "attitude"
 
 
