@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.wire.compiled import constant, exact
+from mavproxy_fault.wire.compiled import compiled, constant
 from mavproxy_fault.wire.msm7 import (
     CN0_STEP_DBHZ,
     FINE_INVALID,
@@ -69,7 +69,7 @@ def read_ranges(messages: Messages) -> Ranges:
     return Ranges(tow_ms, more, ends, code[:count], pseudorange_m, doppler_mps, cn0_dbhz)
 
 
-@exact
+@compiled
 def _read(
     data: Bytes,
     ends: Integers,
@@ -97,7 +97,7 @@ def _read(
     return rows
 
 
-@exact
+@compiled
 def _bits(data: Bytes, at: int, width: int) -> int:
     """An unsigned number of up to 25 bits; the trailer follows the last."""
     byte = at >> 3
@@ -106,14 +106,14 @@ def _bits(data: Bytes, at: int, width: int) -> int:
     return int((word >> (32 - (at & 7) - width)) & ((1 << width) - 1))
 
 
-@exact
+@compiled
 def _signed(data: Bytes, at: int, width: int) -> int:
     """The same of a signed number."""
     value = _bits(data, at, width)
     return value - (1 << width) if value >> (width - 1) else value
 
 
-@exact
+@compiled
 def _count(data: Bytes, at: int, width: int) -> int:
     """How many bits are set."""
     total = 0
@@ -122,7 +122,7 @@ def _count(data: Bytes, at: int, width: int) -> int:
     return total
 
 
-@exact
+@compiled
 def _whole(data: Bytes, at: int, end: int) -> bool:
     """Whether a message that begins at a bit holds everything that its masks announce."""
     count = _count(data, at + MASK_BIT, SIGNAL_BIT - MASK_BIT)
@@ -134,7 +134,7 @@ def _whole(data: Bytes, at: int, end: int) -> bool:
     return begin + SATELLITE_BITS * count + SIGNAL_BITS * total <= end
 
 
-@exact
+@compiled
 def _observed(data: Bytes, at: int, first: int, code: Integers, values: Floats, rows: int) -> int:
     """Add the satellites of a message that have a pseudorange; how many rows there are then."""
     count = _count(data, at + MASK_BIT, SIGNAL_BIT - MASK_BIT)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.wire.compiled import constant, exact
+from mavproxy_fault.wire.compiled import compiled, constant
 from mavproxy_fault.wire.rtcm import (
     CRC24Q_TABLE,
     FRAGMENT_BYTES,
@@ -79,7 +79,7 @@ class Assembler:
         return Messages(data[: ends[-1] if count else 0], ends, row)
 
 
-@exact
+@compiled
 def _assembled(
     payload: Bytes,
     length: Integers,
@@ -116,7 +116,7 @@ def _assembled(
     return count
 
 
-@exact
+@compiled
 def _place(mine: Integers, sequence: int, begin: int) -> int:
     """Where the fragments of a sequence number are; if there are none a free place, made ready,
     or -1 if none is to `begin`."""
@@ -135,7 +135,7 @@ def _place(mine: Integers, sequence: int, begin: int) -> int:
     return free
 
 
-@exact
+@compiled
 def _joined(lengths: Integers, parts: Bytes, whole: Bytes) -> int:
     """Put fragments up to the first that is not full in `whole`; their length, -1 if one lacks."""
     size = 0
@@ -151,7 +151,7 @@ def _joined(lengths: Integers, parts: Bytes, whole: Bytes) -> int:
     return size
 
 
-@exact
+@compiled
 def _let_go(mine: Integers) -> None:
     """Free the place of the oldest message if all are taken."""
     oldest = 0
@@ -161,7 +161,7 @@ def _let_go(mine: Integers) -> None:
     mine[oldest, AGE] = 0
 
 
-@exact
+@compiled
 def _split(
     whole: Bytes,
     size: int,
@@ -188,7 +188,7 @@ def _split(
     return count
 
 
-@exact
+@compiled
 def _crc(data: Bytes, begin: int, end: int, table: Integers) -> int:
     """CRC-24Q of some bytes; 0 of a message with its own CRC at the end."""
     crc = 0
