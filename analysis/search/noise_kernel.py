@@ -21,7 +21,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from mavproxy_fault.wire.compiled import inlined
-from simvehicle.vehicles.polynomial import sin_cos
+from simvehicle.vehicles.polynomial import fma, sin_cos
 
 GENERATORS = 4  # streams of noise of each flight
 _intrinsic: Callable[[Any], Callable[[Any], Any]] = intrinsic
@@ -62,12 +62,14 @@ def log(x: float) -> float:
     exponent = exponent - 1.0 if low else exponent
     z = 2.0 * mantissa - 1.0 if low else mantissa - 1.0
     y = z * z
-    even = (1.0703173868773347194e-1 * y + 1.1005971106776227843e-1) * y + 1.4288390892955720858e-1
-    even = (even * y + 1.9999974485378308111e-1) * y + 3.3333333387667396773e-1
-    odd = (-6.5185159937650039792e-2 * y - 1.0598790046870771327e-1) * y - 1.2452770668107651628e-1
-    odd = (odd * y - 1.6667978351387716496e-1) * y - 2.499999030373073921e-1
-    small = z - 0.5 * y + y * z * (even + z * odd)
-    result: float = small + 0.69314718055994530942 * exponent
+    even = fma(1.0703173868773347194e-1, y, 1.1005971106776227843e-1)
+    even = fma(fma(even, y, 1.4288390892955720858e-1), y, 1.9999974485378308111e-1)
+    even = fma(even, y, 3.3333333387667396773e-1)
+    odd = fma(-6.5185159937650039792e-2, y, -1.0598790046870771327e-1)
+    odd = fma(fma(odd, y, -1.2452770668107651628e-1), y, -1.6667978351387716496e-1)
+    odd = fma(odd, y, -2.499999030373073921e-1)
+    small = fma(y * z, fma(z, odd, even), fma(-0.5, y, z))
+    result: float = fma(0.69314718055994530942, exponent, small)
     return result
 
 

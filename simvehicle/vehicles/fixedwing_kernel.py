@@ -21,6 +21,7 @@ from simvehicle.vehicles.rigidbody_kernel import (
     to_body,
 )
 
+_PER_TURN = 1.0 / (2.0 * np.pi)
 _STILL = 1e-9  # m/s; keeps the flow angles defined in still air
 
 
@@ -93,23 +94,25 @@ def propulsion(
     simple = 0.5 * density * aero.disc * (square * square - airspeed * airspeed)
     simple_torque = -aero.torque * throttle * throttle
     # Supplement to the book, "propeller thrust and torque": the speed at which the motor's torque
-    # equals the propeller's is the positive root of a quadratic.
+    # equals the propeller's is the positive root of a quadratic. Reciprocals, as those of what is
+    # the same for all lanes are computed once.
     d = aero.diameter
     d3 = density * d * d * d
-    a = aero.cq0 * d3 * d * d / (4.0 * np.pi * np.pi)
-    bb = aero.cq1 * d3 * d / (2.0 * np.pi) * airspeed + aero.kq * aero.kq / aero.resistance
+    conductance = 1.0 / aero.resistance
+    a = aero.cq0 * d3 * d * d * (_PER_TURN * _PER_TURN)
+    bb = aero.cq1 * d3 * d * _PER_TURN * airspeed + aero.kq * aero.kq * conductance
     volts = aero.v_max * throttle
-    cc = aero.cq2 * d3 * airspeed * airspeed - aero.kq * volts / aero.resistance + aero.kq * aero.i0
+    cc = aero.cq2 * d3 * airspeed * airspeed - aero.kq * volts * conductance + aero.kq * aero.i0
     disc = bb * bb - 4.0 * a * cc
     disc = disc if disc > 0.0 else 0.0
-    omega = (np.sqrt(disc) - bb) / (2.0 * a)
+    omega = (np.sqrt(disc) - bb) * (0.5 / a)
     omega = omega if omega > 0.0 else 0.0
-    n = omega / (2.0 * np.pi)
+    n = omega * _PER_TURN
     nd = n * d
     va = airspeed
-    thrust = d3 / d * (aero.ct0 * nd * nd + aero.ct1 * nd * va + aero.ct2 * va * va)
+    thrust = density * d * d * (aero.ct0 * nd * nd + aero.ct1 * nd * va + aero.ct2 * va * va)
     torque = -d3 * (aero.cq0 * nd * nd + aero.cq1 * nd * va + aero.cq2 * va * va)
-    current = (volts - aero.kq * omega) / aero.resistance
+    current = (volts - aero.kq * omega) * conductance
     use = aero.direct_current
     rest = 1.0 - use
     return use * thrust + rest * simple, use * torque + rest * simple_torque, use * current
@@ -144,7 +147,8 @@ def forces_moments(
     va = np.sqrt(plane + vr * vr)
     in_plane = np.sqrt(plane) + _STILL
     alpha, beta = atan2(wr, ur), atan2(vr, in_plane)
-    sa, ca = wr / in_plane, ur / in_plane
+    inverse = 1.0 / in_plane
+    sa, ca = wr * inverse, ur * inverse
     qd = 0.5 * density * va * va * aero.s
     qr = 0.25 * density * va * aero.s  # dynamic pressure times area over 2 Va, finite at rest
 

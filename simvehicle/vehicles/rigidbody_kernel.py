@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mavproxy_fault.wire.compiled import inlined
+from simvehicle.vehicles.polynomial import fma
 
 State13 = tuple[
     float, float, float, float, float, float, float, float, float, float, float, float, float
@@ -142,19 +143,19 @@ def rigid_body(
 def moved(state: State13, rate: State13, dt: float) -> State13:
     """State + dt * rate (the quaternion is left as it comes)."""
     return (
-        state[0] + dt * rate[0],
-        state[1] + dt * rate[1],
-        state[2] + dt * rate[2],
-        state[3] + dt * rate[3],
-        state[4] + dt * rate[4],
-        state[5] + dt * rate[5],
-        state[6] + dt * rate[6],
-        state[7] + dt * rate[7],
-        state[8] + dt * rate[8],
-        state[9] + dt * rate[9],
-        state[10] + dt * rate[10],
-        state[11] + dt * rate[11],
-        state[12] + dt * rate[12],
+        fma(dt, rate[0], state[0]),
+        fma(dt, rate[1], state[1]),
+        fma(dt, rate[2], state[2]),
+        fma(dt, rate[3], state[3]),
+        fma(dt, rate[4], state[4]),
+        fma(dt, rate[5], state[5]),
+        fma(dt, rate[6], state[6]),
+        fma(dt, rate[7], state[7]),
+        fma(dt, rate[8], state[8]),
+        fma(dt, rate[9], state[9]),
+        fma(dt, rate[10], state[10]),
+        fma(dt, rate[11], state[11]),
+        fma(dt, rate[12], state[12]),
     )
 
 
