@@ -123,7 +123,7 @@ def map_bytes(path: Path) -> NDArray[np.uint8]:
     return np.memmap(path, np.uint8, mode="r")
 
 
-def _blocks(data: NDArray[np.uint8], frames: int = BLOCK_FRAMES) -> Iterator[_Block]:
+def _blocks(data: NDArray[np.uint8], frames: int) -> Iterator[_Block]:
     """The frames of a log, so many at a time."""
     from mavproxy_fault.wire.walk import crc_tables, walk
 
@@ -139,7 +139,7 @@ def _blocks(data: NDArray[np.uint8], frames: int = BLOCK_FRAMES) -> Iterator[_Bl
 
 def _whole(data: NDArray[np.uint8]) -> _Block:
     """A log as one block."""
-    blocks = list(_blocks(data))
+    blocks = list(_blocks(data, BLOCK_FRAMES))
     return _Block(
         np.concatenate([block.runs for block in blocks]),
         np.sum([block.counts for block in blocks], axis=0),
@@ -214,7 +214,7 @@ def read_log(path: str | Path, only: Collection[str] | None = None) -> Log:
 def read_parts(path: str | Path, only: Collection[str] | None = None) -> Iterator[Log]:
     """The same block by block, for logs larger than memory; `size` is the whole file's."""
     data = map_bytes(Path(path))
-    for block in _blocks(data):
+    for block in _blocks(data, BLOCK_FRAMES):
         yield _log(data, block, only)
 
 
@@ -241,7 +241,7 @@ def read_columns(path: str | Path, only: Collection[str] | None = None) -> Colum
 def read_blocks(path: str | Path, only: Collection[str] | None = None) -> Iterator[Columns]:
     """The same block by block (131,072 frames each), for logs larger than memory."""
     data = map_bytes(Path(path))
-    for block in _blocks(data):
+    for block in _blocks(data, BLOCK_FRAMES):
         yield _columns(data, block, only)
 
 
@@ -271,7 +271,7 @@ def read_records(path: str | Path) -> Iterator[tuple[int, bytes, Layout | None]]
     """Stamp, bytes and layout of every frame in order; None where the message is unknown."""
     data = map_bytes(Path(path))
     layouts = [known(name) for name in message_names()]
-    for block in _blocks(data):
+    for block in _blocks(data, BLOCK_FRAMES):
         for at, t_us, slot in _unrolled(data, block):
             second = data[at] == 0xFD
             signed = second & (data[at + 2] & SIGNED == SIGNED)
