@@ -166,6 +166,8 @@ class AttitudeScorer:
         if not settled.all():
             estimates, error, row = estimates.at(settled), error[settled], row[settled]
             since_us, truth = since_us[settled], truth[settled]
+        if not len(error):
+            return []
         cell_us = estimates.t_us - since_us % self._cell_us
         opened, state.last_us, sums = gather(
             estimates.source, cell_us, error, state.last_us, state.sums

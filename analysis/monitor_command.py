@@ -19,7 +19,7 @@ from analysis.pipeline import MonitorConfig
 from analysis.publish import Publisher
 from analysis.recordings import read_log, read_rinex
 from analysis.results import Result
-from analysis.stop import stop_requests
+from analysis.stop import Stop, stop_requests
 from analysis.terminal import print_summary
 from analysis.watch import Watch
 from mavproxy_fault.errors import ConfigError
@@ -30,7 +30,6 @@ from mavproxy_fault.wire.label import Label, read_labels
 EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 
 Take = Callable[[list[Result]], None]
-Stop = Callable[[], bool]
 
 
 def main(args: argparse.Namespace) -> int:

@@ -7,12 +7,13 @@ import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
 
+Stop = Callable[[], bool]  # whether somebody wants the work to end
 SAID = b"\nstopping; once more ends at once\n"
 
 
 @contextlib.contextmanager
-def stop_requests() -> Iterator[Callable[[], bool]]:
-    """Whether somebody wants the work to end; what comes after the first request interrupts it."""
+def stop_requests() -> Iterator[Stop]:
+    """Requests to stop are told by what this gives; one after the first interrupts the work."""
     asked = threading.Event()
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 

@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 from scipy.stats import chi2
 
-from analysis.block import Block, block_of, pieces
+from analysis.block import TRUTH, Block, block_of, pieces
 from analysis.epochs import Decoder
 from analysis.fdi import DetectorConfig
 from analysis.fdi.core import Core
@@ -351,13 +351,14 @@ def timed(samples: list[Sample]) -> tuple[Vector, Vector]:
     return rest[:, 0], rest[:, 1]
 
 
-def blocks(samples: list[Sample]) -> Iterable[Block]:
+def blocks(samples: Iterable[Sample]) -> Iterable[Block]:
     """The samples up to each epoch."""
-    first = 0
-    for i, sample in enumerate(samples):
+    gathered: list[Sample] = []
+    for sample in samples:
+        gathered.append(sample)
         if isinstance(sample, Epoch):
-            yield block_of(samples[first : i + 1])
-            first = i + 1
+            yield block_of(gathered)
+            gathered = []
 
 
 def with_others(samples: list[Sample]) -> list[Sample]:
@@ -482,16 +483,16 @@ def memory(seconds: int = 3601, every: int = 1) -> None:
     errors_m: list[float] = []
     last: FusedState | None = None
     print("| flown, min | resident MB | epochs | position RMSE m |\n|---|---|---|---|")
-    for sample in hour(seconds, every):
-        said = [r for r in pipeline.push(sample) if isinstance(r, FusedState)]
+    for block in blocks(hour(seconds, every)):
+        said = [r for r in pipeline.push(block) if isinstance(r, FusedState)]
         epochs += len(said)
-        if isinstance(sample, TruthSample):
-            lat, lon = math.radians(sample.lat_deg), math.radians(sample.lon_deg)
-            true_m = ecef_from_geodetic(lat, lon, sample.alt_m)
-            if last is not None and last.t_us == sample.t_us:
+        for row in block.rows(TRUTH):  # that of an epoch comes after it
+            if last is not None and last.t_us == block.t_us[row]:
+                lat_deg, lon_deg, alt_m = block.values[row, 7:10]
+                true_m = ecef_from_geodetic(math.radians(lat_deg), math.radians(lon_deg), alt_m)
                 errors_m.append(math.dist(true_m, last.position_ecef_m))
         last = said[-1] if said else last
-        if sample.t_us * 1e-6 >= mark_s + 300.0:
+        if block.t_us[-1] * 1e-6 >= mark_s + 300.0:
             mark_s += 300.0
             resident_mb = int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
             value = math.sqrt(float(np.mean(np.square(errors_m))))

@@ -26,7 +26,7 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 CHOSEN_US = 30_000_000  # the choice is looked at again
 # Of the variance, in the order of SYSTEMS: GLONASS's channels have delays of their own (RTKLIB's
-# factor), BeiDou's B3I wanders as much more on the walk of shared data.
+# factor), BeiDou's B3I wanders as much more on a recorded walk.
 SPREAD = (1.0, 1.0, 1.5**2, 1.5**2)
 RANGE_LIMITS_M = (1.5e7, 6.0e7)  # medium orbits as seen from near the earth
 
@@ -45,6 +45,19 @@ class Observed(Value, frozen=True):
     system: Indices
     week: float
     tow_s: float
+
+    @property
+    def measured(self) -> tuple[Vector, Vector, Vector, Vector, Indices, float, float]:
+        """Ephemerides, ranges, rates, strengths, systems and time, as kernels take them."""
+        return (
+            self.packed,
+            self.pseudorange_m,
+            self.doppler_mps,
+            self.cn0_dbhz,
+            self.system,
+            self.week,
+            self.tow_s,
+        )
 
     @property
     def states(self) -> Vector:

@@ -45,13 +45,7 @@ def let_pass(
         return None
     memory = memory.turned_over(t_us)
     passed, table, after, found, numbers, counts = _pass(
-        observed.packed,
-        observed.pseudorange_m,
-        observed.doppler_mps,
-        observed.cn0_dbhz,
-        observed.system,
-        observed.week,
-        observed.tow_s,
+        *observed.measured,
         memory.places,
         held_m,
         motion.x,

@@ -68,13 +68,7 @@ def see(
 ) -> Sight:
     """An epoch modelled and tested; `trusted` (n,) may be used, `held_m` (n,) is taken off."""
     order, table, h, numbers, counts = _see(
-        observed.packed,
-        observed.pseudorange_m,
-        observed.doppler_mps,
-        observed.cn0_dbhz,
-        observed.system,
-        observed.week,
-        observed.tow_s,
+        *observed.measured,
         trusted,
         held_m,
         motion.x,

@@ -56,13 +56,7 @@ class Ranges:
         self._observed, self._config, self._doppler = observed, config, detector.doppler
         self._r_m = x[R : R + 3]
         self.table = measured(
-            observed.packed,
-            observed.pseudorange_m,
-            observed.doppler_mps,
-            observed.cn0_dbhz,
-            observed.system,
-            observed.week,
-            observed.tow_s,
+            *observed.measured,
             x,
             ionosphere,
             detector.sigma.numbers,

@@ -205,22 +205,22 @@ def _frames(data: NDArray[np.uint8], some: _Frames) -> NDArray[np.void]:
     return frames
 
 
-def read_log(path: str | Path, only: Collection[str] | None = None) -> Log:
-    """Read a whole log; with `only`, columns of these messages alone."""
+def read_log(path: str | Path) -> Log:
+    """Read a whole log."""
     data = map_bytes(Path(path))
-    return _log(data, _whole(data), only)
+    return _log(data, _whole(data))
 
 
-def read_parts(path: str | Path, only: Collection[str] | None = None) -> Iterator[Log]:
+def read_parts(path: str | Path) -> Iterator[Log]:
     """The same block by block, for logs larger than memory; `size` is the whole file's."""
     data = map_bytes(Path(path))
     for block in _blocks(data, BLOCK_FRAMES):
-        yield _log(data, block, only)
+        yield _log(data, block)
 
 
-def _log(data: NDArray[np.uint8], block: _Block, only: Collection[str] | None) -> Log:
+def _log(data: NDArray[np.uint8], block: _Block) -> Log:
     frames = np.concatenate([_frames(data, some) for some in _unrolled(data, block)])
-    return Log(_columns(data, block, only), frames, block.junk_bytes, len(data))
+    return Log(_columns(data, block, None), frames, block.junk_bytes, len(data))
 
 
 def read_columns(path: str | Path, only: Collection[str] | None = None) -> Columns:
