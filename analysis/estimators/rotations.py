@@ -10,6 +10,7 @@ from mavproxy_fault.wire.compiled import compiled
 Vector = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]
 Axis = tuple[float, float, float]
+Errors = tuple[float, float, float, float]
 
 
 @compiled
@@ -64,7 +65,7 @@ def matrix(q: Vector) -> NDArray[np.float64]:
 
 
 @compiled
-def euler(q: Vector) -> tuple[float, float, float]:
+def euler(q: Vector | Quaternion) -> tuple[float, float, float]:
     """Roll, pitch, yaw in rad of q (4,)."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
@@ -132,8 +133,8 @@ def gravity_error(
 
 
 @compiled
-def errors(q_estimate: Vector, q_truth: Vector) -> Vector:
-    """Differences of roll, pitch and yaw, wrapped, and the angle of the turn between, rad, (4,)."""
+def errors(q_estimate: Vector | Quaternion, q_truth: Vector | Quaternion) -> Errors:
+    """Differences of roll, pitch and yaw, wrapped, and the angle of the turn between, rad."""
     a, b = q_estimate, q_truth
     roll_a, pitch_a, yaw_a = euler(a)
     roll_b, pitch_b, yaw_b = euler(b)
@@ -141,23 +142,17 @@ def errors(q_estimate: Vector, q_truth: Vector) -> Vector:
     x = a[0] * b[1] - a[1] * b[0] - a[2] * b[3] + a[3] * b[2]
     y = a[0] * b[2] + a[1] * b[3] - a[2] * b[0] - a[3] * b[1]
     z = a[0] * b[3] - a[1] * b[2] + a[2] * b[1] - a[3] * b[0]
-    out = np.empty(4)
-    out[0] = wrapped(roll_a - roll_b)
-    out[1] = wrapped(pitch_a - pitch_b)
-    out[2] = wrapped(yaw_a - yaw_b)
-    out[3] = 2.0 * atan2(sqrt(x * x + y * y + z * z), abs(w))
-    return out
+    turn_rad = 2.0 * atan2(sqrt(x * x + y * y + z * z), abs(w))
+    return wrapped(roll_a - roll_b), wrapped(pitch_a - pitch_b), wrapped(yaw_a - yaw_b), turn_rad
 
 
 @compiled
-def between(q0: Vector, q1: Vector, share: float) -> Vector:
+def between(q0: Quaternion, q1: Quaternion, share: float) -> Quaternion:
     """Along the shorter way from q0 (share 0) to q1 (share 1), normalised linear."""
     dot = q0[0] * q1[0] + q0[1] * q1[1] + q0[2] * q1[2] + q0[3] * q1[3]
-    sign = 1.0 if dot >= 0.0 else -1.0
-    out = np.empty(4)
-    for i in range(4):
-        out[i] = (1.0 - share) * q0[i] + (share * sign) * q1[i]
-    norm = sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2] + out[3] * out[3])
-    for i in range(4):
-        out[i] /= norm
-    return out
+    other = share if dot >= 0.0 else -share
+    one = 1.0 - share
+    w, x = one * q0[0] + other * q1[0], one * q0[1] + other * q1[1]
+    y, z = one * q0[2] + other * q1[2], one * q0[3] + other * q1[3]
+    norm = sqrt(w * w + x * x + y * y + z * z)
+    return w / norm, x / norm, y / norm, z / norm
