@@ -46,9 +46,11 @@ class Estimates(NamedTuple):
     t_us: Stamps
     q_nb: Vector
 
-    def at(self, index: Any) -> "Estimates":
+    def at(self, rows: Indices) -> "Estimates":
         """Some of them."""
-        return Estimates(*(column[index] for column in self))
+        return Estimates(
+            self.row[rows], self.source[rows], self.t_us[rows], self.q_nb.take(rows, axis=0)
+        )
 
 
 NO_ESTIMATES = Estimates(
@@ -106,7 +108,7 @@ class AttitudeScorer:
             self._start(block.sample(begin), state)
         estimates = self._estimates(block, begin, state)
         truth_us = np.concatenate([state.truth_us, block.t_us[truths]])
-        truth = np.concatenate([state.truth, block.values[truths]])
+        truth = np.concatenate([state.truth, block.values.take(truths, axis=0)])
         truth_row = np.concatenate([np.full(len(state.truth_us), -1), truths])
         scored, came, after, error, waiting, oldest = compare(
             truth_row,
@@ -169,8 +171,8 @@ class AttitudeScorer:
         """
         assert state.t0_us is not None
         since_us = estimates.t_us - state.t0_us
-        settled = since_us >= self.config.settle_s * 1e6
-        if not settled.all():
+        settled = np.flatnonzero(since_us >= self.config.settle_s * 1e6)
+        if len(settled) < len(since_us):
             estimates, error, row = estimates.at(settled), error[settled], row[settled]
             since_us, after = since_us[settled], after[settled]
         if not len(error):

@@ -103,10 +103,11 @@ class _Stamps:
         for number in _each(sender):
             order, t_us = known.get(number, _NO_STAMPS)
             mine = np.flatnonzero(sender == number)
-            at = np.searchsorted(order, place[mine]) - 1
+            at = np.searchsorted(order, place[mine])  # 0: all of them came later
+            newest = np.append(0, t_us)[at]
             earlier = self._before.get(number)
-            for i, row in zip(mine.tolist(), at.tolist(), strict=True):
-                found[i] = int(t_us[row]) if row >= 0 else earlier
+            for i, row, stamp_us in zip(mine.tolist(), at.tolist(), newest.tolist(), strict=True):
+                found[i] = stamp_us if row else earlier
         return found
 
     def newest(self) -> dict[int, int]:

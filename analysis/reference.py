@@ -16,6 +16,7 @@ is predicted is in `reference_models`.
 pipeline holds either a `Detector` or a `References`.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -170,14 +171,18 @@ def _numbers(row: int, decision: Decision, motion: Motion | None) -> tuple[int, 
 
 def _said(said: Vector, thresholds: Vector) -> list[tuple[int, Result]]:
     """What the kernel said (k, 8), by row of the block, in the words of `analysis.results`."""
-    statistics, tested = said[:, 3], said[:, 2] == TESTED
     row, sensor, code, dof, t_us = said[:, [0, 1, 2, 4, 6]].astype(np.int64).T
-    limits = thresholds[dof]
+    statistics, limits = said[:, 3], thresholds[dof]
+    failed = ~(statistics <= limits)
     columns = (
-        *(row, t_us, sensor, code, dof),
-        np.where(tested & np.isfinite(statistics), statistics, None),
-        np.where(tested, limits, None),
-        tested & ~(statistics <= limits),
+        row,
+        t_us,
+        sensor,
+        code,
+        dof,
+        statistics,
+        limits,
+        failed,
         said[:, 5] != 0.0,
         said[:, 7],
     )
@@ -188,15 +193,15 @@ def _said(said: Vector, thresholds: Vector) -> list[tuple[int, Result]]:
                 t_s=stamp_us * 1e-6,
                 t_us=stamp_us,
                 sensor=SENSORS[number],
-                statistic=statistic,
-                threshold=limit,
+                statistic=statistic if why == TESTED and math.isfinite(statistic) else None,
+                threshold=limit if why == TESTED else None,
                 dof=freedom,
-                alarm=alarm,
+                alarm=why == TESTED and bad,
                 isolated=isolated,
                 reason="" if why == TESTED else REASONS[why].format(fix_type=seventh),
             ),
         )
-        for at, stamp_us, number, why, freedom, statistic, limit, alarm, isolated, seventh in zip(
+        for at, stamp_us, number, why, freedom, statistic, limit, bad, isolated, seventh in zip(
             *(column.tolist() for column in columns), strict=True
         )
     ]
