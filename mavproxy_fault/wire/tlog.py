@@ -26,6 +26,7 @@ Columns = dict[str, NDArray[np.void]]
 _Frames = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int16]]  # start, stamp, slot
 
 BLOCK_FRAMES = 1 << 17
+ORDERED_FRAMES = 1 << 15  # of `read_ordered`: fewer cost calls, more the processor's cache
 CACHED_FRAMES = 1 << 14  # whose places and stamps stay in the processor's cache
 END_BYTES = 1 << 16  # as much of a log's beginning or end as shows its first or last frame
 
@@ -175,7 +176,7 @@ def _columns(
     lengths = _tables()[2]
     wanted = counts > 0
     if only is not None:
-        wanted &= np.isin(names, list(only))
+        wanted &= np.array([name in only for name in names])
     sizes = np.where(wanted, counts * (lengths + HEAD) + SLACK, 0)
     begins = np.concatenate(([0], np.cumsum(sizes + -sizes % 64)))
     rows = np.zeros(int(begins[-1]), np.uint8)
@@ -253,7 +254,7 @@ def read_blocks(path: str | Path, only: Collection[str] | None = None) -> Iterat
 
 
 def read_ordered(
-    path: str | Path, only: Collection[str], frames: int = CACHED_FRAMES
+    path: str | Path, only: Collection[str], frames: int = ORDERED_FRAMES
 ) -> Iterator[tuple[Columns, dict[str, NDArray[np.int64]]]]:
     """The columns of so many frames at a time, with the place (n,) of each row among all frames."""
     data = map_bytes(Path(path))
