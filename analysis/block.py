@@ -211,8 +211,8 @@ class Piece(NamedTuple):
     """Samples up to an event, as detectors take them.
 
     `first` to `last` are the rows of `block`. `imu` are those of the IMU with the numbers `ids` of
-    their sensors (k,); `mag` is the row of the last field sample, -1 if there is none; `kind` and
-    `t_us` are the last row's.
+    their sensors (k,), all of them `id` where it is not None; `mag` is the row of the last field
+    sample, -1 if there is none; `kind` and `t_us` are the last row's.
     """
 
     block: Block
@@ -220,6 +220,7 @@ class Piece(NamedTuple):
     last: int
     imu: ImuRun
     ids: Vector
+    id: int | None
     mag: int
     kind: int
     t_us: int
@@ -248,6 +249,7 @@ def pieces(samples: Sample | Block, counts: Callable[[int], bool] = every_fix) -
     imu, mag = block.rows(IMU), np.append(-1, block.rows(MAG))
     run = ImuRun(block.t_us[imu], block.values[imu, :6])
     ids = block.values[imu, 6]
+    same = int(ids[0]) if len(ids) and (ids == ids[0]).all() else None
     mags = mag[np.searchsorted(mag, ends, side="right") - 1]
     cuts = np.searchsorted(imu, ends, side="right")
     columns = ends, mags, cuts, block.kind[ends], block.t_us[ends]
@@ -257,5 +259,5 @@ def pieces(samples: Sample | Block, counts: Callable[[int], bool] = every_fix) -
             continue
         samples_of_imu = ImuRun(run.t_us[a:b], run.values[a:b])
         newest = mag_row if mag_row >= first else -1
-        yield Piece(block, first, last, samples_of_imu, ids[a:b], newest, kind, t_us)
+        yield Piece(block, first, last, samples_of_imu, ids[a:b], same, newest, kind, t_us)
         first, a = last + 1, b

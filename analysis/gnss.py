@@ -105,7 +105,7 @@ def satellite_states(packed: Vector, week: float, tow_s: float, pseudorange_m: V
         if row[23] == 2.0:
             carry(row[7:16], since_toc, out[i])
         else:
-            relativity = _orbit(row, since_toc + row[3] - row[2], out[i])
+            relativity = _orbit(packed, i, since_toc + row[3] - row[2], out)
         out[i, 6] = 299792458.0 * (clock - row[22] + relativity)
         out[i, 7] = 299792458.0 * (row[5] + 2.0 * row[6] * since_toc)
         out[i, 8] = row[24]
@@ -113,8 +113,9 @@ def satellite_states(packed: Vector, week: float, tow_s: float, pseudorange_m: V
 
 
 @compiled
-def _orbit(row: Vector, t_k: float, out: Vector) -> float:
-    """Fill position and velocity `t_k` seconds after toe; returns the relativistic clock term."""
+def _orbit(packed: Vector, i: int, t_k: float, out: Vector) -> float:
+    """Fill row i with position and velocity `t_k` s after toe; the relativistic clock term."""
+    row = packed[i]
     mu, e, sqrt_a = row[0], row[8], row[7]
     a = sqrt_a * sqrt_a
     n = math.sqrt(mu / (a * a * a)) + row[13]
@@ -143,14 +144,14 @@ def _orbit(row: Vector, t_k: float, out: Vector) -> float:
     x_rate = r_rate * math.cos(u) - y * u_rate
     y_rate = r_rate * math.sin(u) + x * u_rate
     so, co, si, ci = math.sin(node), math.cos(node), math.sin(inc), math.cos(inc)
-    out[0] = x * co - y * ci * so
-    out[1] = x * so + y * ci * co
-    out[2] = y * si
-    out[3] = x_rate * co - y_rate * ci * so + y * si * so * inc_rate - out[1] * node_rate
-    out[4] = x_rate * so + y_rate * ci * co - y * si * co * inc_rate + out[0] * node_rate
-    out[5] = y_rate * si + y * ci * inc_rate
+    out[i, 0] = x * co - y * ci * so
+    out[i, 1] = x * so + y * ci * co
+    out[i, 2] = y * si
+    out[i, 3] = x_rate * co - y_rate * ci * so + y * si * so * inc_rate - out[i, 1] * node_rate
+    out[i, 4] = x_rate * so + y_rate * ci * co - y * si * co * inc_rate + out[i, 0] * node_rate
+    out[i, 5] = y_rate * si + y * ci * inc_rate
     if row[23] == 1.0:
-        _turn_still(t_k, out)
+        _turn_still(t_k, out[i])
     relativity: float = -2.0 * math.sqrt(mu) / (299792458.0 * 299792458.0) * e * sqrt_a * sin_e
     return relativity
 

@@ -151,7 +151,7 @@ def ramp_run(slope: float, onset: int, epochs: int, threshold: float) -> tuple[i
         if t - starts.max() >= STRIDE_S:
             w = int(starts.argmin())
             starts[w], d[:, w * each : (w + 1) * each], sums[w] = t, 0.0, 0.0
-        d, sums = respond(d, sums, zero, t - starts, phi, after, states, h, ones, v, dt)
+        d, sums = respond(d, sums, zero, t - starts, phi, after, states, h, h.T @ h, ones, v, dt)
         old = t - starts >= YOUNGEST_S
         if (ramp_statistics(sums, zero, 0.0)[old] > threshold).any():
             if k >= onset:

@@ -2,8 +2,9 @@
 
 from typing import NamedTuple
 
+from analysis.block import ImuRun
 from analysis.fdi.measure import Chosen, Observed
-from analysis.fdi.motion import Segment
+from analysis.fdi.motion import Segment, segment
 from analysis.fdi.slow import Memory
 from analysis.fdi.state import Exclusion, Motion, Pending, Stored
 from analysis.fdi.value import Value
@@ -50,12 +51,19 @@ class Core(Value, frozen=True):
 
 
 class Record(Value, frozen=True):
-    """One epoch of the past, to be judged again: the core before it and what was observed."""
+    """One epoch of the past, to be judged again: the core before it, what was observed, and what
+    the IMU gave until then."""
 
     t_us: int
     core: Core
     observed: Observed
-    part: Segment
+    run: ImuRun
+
+    @property
+    def part(self) -> Segment:
+        """The IMU since the epoch before."""
+        assert self.core.motion is not None
+        return segment(self.run, self.core.motion, self.t_us)
 
 
 class State(NamedTuple):

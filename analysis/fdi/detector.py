@@ -11,7 +11,7 @@ from analysis.fdi.core import NOTHING_HELD, Core, Record, State
 from analysis.fdi.epoch import judge_epoch
 from analysis.fdi.exclusion import exclude
 from analysis.fdi.measure import Observed, choose, observe, why_none
-from analysis.fdi.motion import Segment, keep_pending, segment, split_pending
+from analysis.fdi.motion import keep_pending, split_pending
 from analysis.fdi.outcome import Outcome
 from analysis.fdi.receiver import step_position
 from analysis.fdi.said import decision, imu_results, started, untestable
@@ -109,9 +109,9 @@ class Detector:
         if motion is None:
             results, core = self._start(epoch, observed, core)
             return results, State(core, pending, mag_b)
-        part, history = segment(run, motion, epoch.t_us), core.history
+        history = core.history
         core = core._replace(history=(), mag_b=mag_b)
-        results, core = self._test(epoch, observed, part, core, history)
+        results, core = self._test(epoch, observed, run, core, history)
         return results, State(core, pending, mag_b)
 
     def _start(self, epoch: Epoch, observed: Observed, core: Core) -> tuple[list[Result], Core]:
@@ -132,15 +132,15 @@ class Detector:
         self,
         epoch: Epoch,
         observed: Observed,
-        part: Segment,
+        run: ImuRun,
         core: Core,
         history: tuple[Record, ...],
     ) -> tuple[list[Result], Core]:
         config = self.config
-        outcome = judge_epoch(epoch.t_us, observed, part, core, config)
+        outcome = judge_epoch(epoch.t_us, observed, run, core, config)
         if history and history[0].t_us < epoch.t_us - config.history_s * 1e6:
             history = history[1:]
-        history = (*history, Record(epoch.t_us, core, observed, part))
+        history = (*history, Record(epoch.t_us, core, observed, run))
         late = self._late(outcome, core, epoch.t_us)
         if late:
             outcome = self._repaired(outcome, late, history)
@@ -149,7 +149,7 @@ class Detector:
         if outcome.reason:
             return [untestable(epoch.t_us, outcome.reason, core.excluded)], core
         said = decision(epoch, outcome, core, bool(late), config)
-        return [said, *imu_results(epoch, outcome, part, config)], core
+        return [said, *imu_results(epoch, outcome, config)], core
 
     def _late(self, outcome: Outcome, core: Core, t_us: int) -> dict[str, int]:
         """Satellites found faulty now, and since when, where that was earlier."""
@@ -183,8 +183,8 @@ class Detector:
         for record in again:
             if core.motion is None:
                 break
-            replayed.append(Record(record.t_us, core, record.observed, record.part))
-            core = judge_epoch(record.t_us, record.observed, record.part, core, self.config).core
+            replayed.append(Record(record.t_us, core, record.observed, record.run))
+            core = judge_epoch(record.t_us, record.observed, record.run, core, self.config).core
         excluded = {**outcome.core.excluded, **core.excluded}
         core = core._replace(excluded=excluded, history=tuple(replayed), chosen=outcome.core.chosen)
         return outcome._replace(core=core)
@@ -203,9 +203,9 @@ def _forgotten(core: Core) -> Core:
 
 def _of_imu(piece: Piece, number: int) -> ImuRun:
     """What one IMU gave: there may be a second."""
-    mine = piece.ids == number
-    if np.count_nonzero(mine) == len(mine):
+    if piece.id == number:
         return piece.imu
+    mine = piece.ids == number
     return ImuRun(piece.imu.t_us[mine], piece.imu.values[mine])
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from analysis.block import ImuRun
 from analysis.fdi.align import find_attitude
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import Core
@@ -9,7 +10,7 @@ from analysis.fdi.exclusion import exclude, outside, readmit
 from analysis.fdi.inertial import X_CLOCK
 from analysis.fdi.information import statistic
 from analysis.fdi.measure import Observed
-from analysis.fdi.motion import Segment, advance
+from analysis.fdi.motion import advance, segment
 from analysis.fdi.offsets import held, hold, learnt
 from analysis.fdi.outcome import Outcome, imu_bad_until_us, shown
 from analysis.fdi.passing import let_pass
@@ -24,25 +25,27 @@ from analysis.samples import Vector
 
 
 def judge_epoch(
-    t_us: int, observed: Observed, part: Segment, core: Core, config: DetectorConfig
+    t_us: int, observed: Observed, run: ImuRun, core: Core, config: DetectorConfig
 ) -> Outcome:
-    """Predict, test, isolate, update: the core after an epoch and what it said."""
+    """Predict, test, isolate, update: the core after an epoch and what it said; `run` is what the
+    IMU gave since the last."""
     held_m = held(core, observed.satellites, t_us, config)
-    passed = let_pass(t_us, observed, held_m, part, core, config)
-    return passed or _judged(t_us, observed, held_m, part, core, config)
+    passed = let_pass(t_us, observed, held_m, run, core, config)
+    return passed or _judged(t_us, observed, held_m, run, core, config)
 
 
 def _judged(
     t_us: int,
     observed: Observed,
     held_m: Vector,
-    part: Segment,
+    run: ImuRun,
     core: Core,
     config: DetectorConfig,
 ) -> Outcome:
     """An epoch that may need a verdict, step by step."""
     before = core.motion
     assert before is not None
+    part = segment(run, before, t_us)
     motion, phi = advance(before, part, t_us, config)
     seen, leapt, motion, core = _seen(t_us, observed, held_m, motion, core, config)
     needed = 3 if motion.inertial else 4 + max(seen.systems, 1)
@@ -108,6 +111,7 @@ def _judged(
         alarm=tested.alarm or imu_blamed or silent,
         imu_blamed=imu_blamed,
         was_inertial=before.inertial,
+        gap_s=part.gap_s,
     )
 
 

@@ -25,12 +25,13 @@ import numpy as np
 
 from analysis.fdi.linear import multiply, transposed
 from analysis.samples import Vector
-from mavproxy_fault.wire.compiled import compiled
+from mavproxy_fault.wire.compiled import compiled, inlined
 
 X_SIZE = 21
 ERRORS = 20
 R, V, PSI, BG, BA, CLOCK, DRIFT, ISB = 0, 3, 6, 9, 12, 15, 16, 17
 X_Q, X_BG, X_BA, X_CLOCK, X_DRIFT, X_ISB = 6, 10, 13, 16, 17, 18
+TOGETHER_S = 0.25  # so much at most of the covariance's way at once
 
 
 @compiled
@@ -46,12 +47,10 @@ def _gravity(x: float, y: float, z: float) -> tuple[float, float, float]:
     """The same by components, which needs no memory."""
     square = x * x + y * y + z * z
     size = math.sqrt(square)
-    if size < 1.0e6:
-        return 0.0, 0.0, 0.0
-    factor = -3.986004418e14 / (square * size)
+    factor = -3.986004418e14 / (square * size) if size > 1.0e6 else 0.0
     bulge = 1.5 * 1.082627e-3 * 6378137.0 * 6378137.0 / square
     tilt = 5.0 * z * z / square
-    spin = 7.2921151467e-5 * 7.2921151467e-5
+    spin = 7.2921151467e-5 * 7.2921151467e-5 if size > 1.0e6 else 0.0
     level = factor * (1.0 + bulge * (1.0 - tilt)) + spin
     return level * x, level * y, factor * (1.0 + bulge * (3.0 - tilt)) * z
 
@@ -73,13 +72,13 @@ def turned(q: Vector, rotvec: Vector, sign: float) -> Vector:
     return out
 
 
-@compiled
-def _mechanise(x: Vector, sample: Vector, c: Vector, f: Vector) -> None:
-    """Advance x in place by one sample; c (9,) becomes the rotation, row by row, and f (3,) the
-    specific force in ECEF at mid-step."""
-    earth, dt = 7.2921151467e-5, sample[0]
-    _turn(x, sample, c)
-    ax, ay, az = sample[4] - x[13], sample[5] - x[14], sample[6] - x[15]
+@inlined
+def _mechanise(x: Vector, samples: Vector, row: int, c: Vector, f: Vector) -> None:
+    """Advance x in place by the sample of a row; c (9,) becomes the rotation, row by row, and f
+    (3,) the specific force in ECEF at mid-step."""
+    earth, dt = 7.2921151467e-5, samples[row, 0]
+    _turn(x, samples, row, c)
+    ax, ay, az = samples[row, 4] - x[13], samples[row, 5] - x[14], samples[row, 6] - x[15]
     f[0] = c[0] * ax + c[1] * ay + c[2] * az
     f[1] = c[3] * ax + c[4] * ay + c[5] * az
     f[2] = c[6] * ax + c[7] * ay + c[8] * az
@@ -95,17 +94,17 @@ def _mechanise(x: Vector, sample: Vector, c: Vector, f: Vector) -> None:
     x[16] += x[17] * dt
 
 
-@compiled
-def _turn(x: Vector, sample: Vector, c: Vector) -> None:
-    """Turn the attitude in x by the rates of a sample; c (9,) becomes the rotation at mid-step."""
-    earth, dt = 7.2921151467e-5, sample[0]
+@inlined
+def _turn(x: Vector, samples: Vector, row: int, c: Vector) -> None:
+    """Turn the attitude in x by the rates of a row; c (9,) becomes the rotation at mid-step."""
+    earth, dt = 7.2921151467e-5, samples[row, 0]
+    rx, ry, rz = samples[row, 1] - x[10], samples[row, 2] - x[11], samples[row, 3] - x[12]
     w, i, j, k = x[6], x[7], x[8], x[9]
-    rx = (sample[1] - x[10] - earth * 2.0 * (i * k - w * j)) * dt
-    ry = (sample[2] - x[11] - earth * 2.0 * (j * k + w * i)) * dt
-    rz = (sample[3] - x[12] - earth * (1.0 - 2.0 * (i * i + j * j))) * dt
-    angle = math.sqrt(rx * rx + ry * ry + rz * rz)
-    scale = 0.25 if angle < 1e-8 else math.sin(0.25 * angle) / angle
-    a, b, d, e = math.cos(0.25 * angle), scale * rx, scale * ry, scale * rz
+    rx = (rx - earth * 2.0 * (i * k - w * j)) * dt
+    ry = (ry - earth * 2.0 * (j * k + w * i)) * dt
+    rz = (rz - earth * (1.0 - 2.0 * (i * i + j * j))) * dt
+    a, scale = _quarter(rx * rx + ry * ry + rz * rz)
+    b, d, e = scale * rx, scale * ry, scale * rz
     for half in range(2):  # the same turn to mid-step and to the end
         w, i, j, k = (
             a * w - b * i - d * j - e * k,
@@ -129,86 +128,63 @@ def _turn(x: Vector, sample: Vector, c: Vector) -> None:
                 2.0 * (j * k + w * i),
                 1.0 - 2.0 * (i * i + j * j),
             )
-    size = math.sqrt(w * w + i * i + j * j + k * k)
-    x[6], x[7], x[8], x[9] = w / size, i / size, j / size, k / size
+    length = 1.5 - 0.5 * (w * w + i * i + j * j + k * k)  # of a unit but for rounding, inverted
+    x[6], x[7], x[8], x[9] = w * length, i * length, j * length, k * length
 
 
 @compiled
-def _transition(p: Vector, c: Vector, f: Vector, dt: float, first: int, last: int) -> None:
-    """Multiply the columns `first` to `last` of p, rows of 20 one after the other in (400,), from
-    the left by the transition of one step, in place.
+def _quarter(square: float) -> tuple[float, float]:
+    """cos(a / 4) and sin(a / 4) / a of a turn by a, from its square; by series where it is small,
+    to the last digit."""
+    if square > 0.01:
+        angle = math.sqrt(square)
+        return math.cos(0.25 * angle), math.sin(0.25 * angle) / angle
+    u = square / 16.0
+    cosine = 1.0 - u / 2.0 * (1.0 - u / 12.0 * (1.0 - u / 30.0))
+    return cosine, 0.25 * (1.0 - u / 6.0 * (1.0 - u / 20.0 * (1.0 - u / 42.0)))
 
-    The rows' distance is a number known when this is compiled: so it becomes vector instructions.
+
+@inlined
+def _add_step(phi: Vector, c: Vector, f: Vector, dt: float) -> None:
+    """Put one step behind the transition phi, rows of 20 one after the other in (400,), in place.
+
+    What depends on the IMU stands in its rows 0 to 8, columns 3 to 14. The rows'
+    distance is a number known when this is compiled: so it becomes vector instructions.
     """
     earth = 7.2921151467e-5 * dt
     fx, fy, fz = f[0] * dt, f[1] * dt, f[2] * dt
     c0, c1, c2, c3, c4 = c[0] * dt, c[1] * dt, c[2] * dt, c[3] * dt, c[4] * dt
     c5, c6, c7, c8 = c[5] * dt, c[6] * dt, c[7] * dt, c[8] * dt
-    for j in range(first, last):
-        vx, vy, vz = p[60 + j], p[80 + j], p[100 + j]
-        tx, ty, tz = p[120 + j], p[140 + j], p[160 + j]
-        gx, gy, gz = p[180 + j], p[200 + j], p[220 + j]
-        ax, ay, az = p[240 + j], p[260 + j], p[280 + j]
-        p[j] += dt * vx
-        p[20 + j] += dt * vy
-        p[40 + j] += dt * vz
-        p[60 + j] = vx + fz * ty - fy * tz - (c0 * ax + c1 * ay + c2 * az) + 2.0 * earth * vy
-        p[80 + j] = vy + fx * tz - fz * tx - (c3 * ax + c4 * ay + c5 * az) - 2.0 * earth * vx
-        p[100 + j] = vz + fy * tx - fx * ty - (c6 * ax + c7 * ay + c8 * az)
-        p[120 + j] = tx + earth * ty - (c0 * gx + c1 * gy + c2 * gz)
-        p[140 + j] = ty - earth * tx - (c3 * gx + c4 * gy + c5 * gz)
-        p[160 + j] = tz - (c6 * gx + c7 * gy + c8 * gz)
-        p[300 + j] += dt * p[320 + j]
-
-
-@compiled
-def _transition_right(p: Vector, c: Vector, f: Vector, dt: float) -> None:
-    """The same from the right, with the transposed transition, on what `_transition` has left of a
-    symmetric p, in place.
-
-    Only the lower triangle of what changes is computed, and the rest is its mirror image; columns 9
-    to 14 and 16 to 19 are right already.
-    """
-    earth = 7.2921151467e-5 * dt
-    fx, fy, fz = f[0] * dt, f[1] * dt, f[2] * dt
-    c0, c1, c2, c3, c4 = c[0] * dt, c[1] * dt, c[2] * dt, c[3] * dt, c[4] * dt
-    c5, c6, c7, c8 = c[5] * dt, c[6] * dt, c[7] * dt, c[8] * dt
-    for b in (0, 20, 40, 60, 80, 100, 120, 140, 160, 300):
-        vx, vy, vz = p[b + 3], p[b + 4], p[b + 5]
-        p[b] += dt * vx
-        p[b + 1] += dt * vy
-        p[b + 2] += dt * vz
-        if b < 60:
-            continue
-        tx, ty, tz = p[b + 6], p[b + 7], p[b + 8]
-        ax, ay, az = p[b + 12], p[b + 13], p[b + 14]
-        p[b + 3] = vx + fz * ty - fy * tz - (c0 * ax + c1 * ay + c2 * az) + 2.0 * earth * vy
-        p[b + 4] = vy + fx * tz - fz * tx - (c3 * ax + c4 * ay + c5 * az) - 2.0 * earth * vx
-        p[b + 5] = vz + fy * tx - fx * ty - (c6 * ax + c7 * ay + c8 * az)
-        if b < 120:
-            continue
-        gx, gy, gz = p[b + 9], p[b + 10], p[b + 11]
-        p[b + 6] = tx + earth * ty - (c0 * gx + c1 * gy + c2 * gz)
-        p[b + 7] = ty - earth * tx - (c3 * gx + c4 * gy + c5 * gz)
-        p[b + 8] = tz - (c6 * gx + c7 * gy + c8 * gz)
-    p[315] += dt * p[316]
-    for i in range(20):
-        p[20 * i + 15] = p[300 + i]
-    for i in range(9):
-        for j in range(i):
-            p[20 * j + i] = p[20 * i + j]
-        for j in range(9, 20):
-            p[20 * j + i] = p[20 * i + j]
+    for j in range(3, 15):
+        vx, vy, vz = phi[60 + j], phi[80 + j], phi[100 + j]
+        tx, ty, tz = phi[120 + j], phi[140 + j], phi[160 + j]
+        gx, gy, gz = phi[180 + j], phi[200 + j], phi[220 + j]
+        ax, ay, az = phi[240 + j], phi[260 + j], phi[280 + j]
+        phi[j] += dt * vx
+        phi[20 + j] += dt * vy
+        phi[40 + j] += dt * vz
+        phi[60 + j] = vx + fz * ty - fy * tz - (c0 * ax + c1 * ay + c2 * az) + 2.0 * earth * vy
+        phi[80 + j] = vy + fx * tz - fz * tx - (c3 * ax + c4 * ay + c5 * az) - 2.0 * earth * vx
+        phi[100 + j] = vz + fy * tx - fx * ty - (c6 * ax + c7 * ay + c8 * az)
+        phi[120 + j] = tx + earth * ty - (c0 * gx + c1 * gy + c2 * gz)
+        phi[140 + j] = ty - earth * tx - (c3 * gx + c4 * gy + c5 * gz)
+        phi[160 + j] = tz - (c6 * gx + c7 * gy + c8 * gz)
+    phi[316] += dt
 
 
 @compiled
 def _add_noise(p: Vector, noise: Vector, dt: float) -> None:
-    """Add the process noise of one step to p (400,), in place."""
+    """Add what the IMU's noise does in a while to p (400,), in place."""
     for i in range(3):
         p[21 * (3 + i)] += noise[1] * dt
         p[21 * (6 + i)] += noise[0] * dt
         p[21 * (9 + i)] += noise[2] * dt
         p[21 * (12 + i)] += noise[3] * dt
+
+
+@compiled
+def _add_clock_noise(p: Vector, noise: Vector, dt: float) -> None:
+    """The same of the clock and the offsets of systems."""
     p[315] += noise[4] * dt + noise[5] * dt * dt * dt / 3.0
     p[316] += noise[5] * dt * dt / 2.0
     p[335] += noise[5] * dt * dt / 2.0
@@ -218,10 +194,28 @@ def _add_noise(p: Vector, noise: Vector, dt: float) -> None:
 
 
 @compiled
+def _carried(p: Vector, phi: Vector, noise: Vector) -> Vector:
+    """The covariance (20, 20) after a while of the transition phi (20, 20): half of the IMU's noise
+    comes before it and half after, which is exact but for the third power of the time."""
+    dt, p = phi[CLOCK, DRIFT], p.copy()
+    _add_noise(p.reshape(400), noise, 0.5 * dt)
+    p = multiply(phi, transposed(multiply(phi, p)))
+    for i in range(20):
+        for j in range(i):
+            p[i, j] = p[j, i] = 0.5 * (p[i, j] + p[j, i])
+    _add_noise(p.reshape(400), noise, 0.5 * dt)
+    _add_clock_noise(p.reshape(400), noise, dt)
+    return p
+
+
+@compiled
 def propagate_inertial(
     x: Vector, p: Vector, samples: Vector, noise: Vector
 ) -> tuple[Vector, Vector, Vector]:
     """State and covariance over a run of IMU samples.
+
+    State and transition go by single samples, the covariance by transitions over at most
+    `TOGETHER_S`.
 
     Parameters
     ----------
@@ -233,18 +227,29 @@ def propagate_inertial(
     -------
     x, p and the transition (20, 20) of the whole run; the arguments stay as they were.
     """
-    x, p, phi = x.copy(), p.copy().reshape(400), np.eye(20).reshape(400)
-    c, f = np.empty(9), np.empty(3)
-    for k in range(samples.shape[0]):
-        dt = samples[k, 0]
-        if dt <= 0.0:
-            continue
-        _mechanise(x, samples[k], c, f)
-        _transition(p, c, f, dt, 0, 20)
-        _transition_right(p, c, f, dt)
-        _transition(phi, c, f, dt, 3, 17)  # the others stay as they were
-        _add_noise(p, noise, dt)
-    return x, p.reshape(20, 20), phi.reshape(20, 20)
+    x, whole = x.copy(), np.eye(20)
+    row = 0
+    while row < samples.shape[0]:
+        phi = np.eye(20)
+        first, row = row, _advance(x, phi.reshape(400), samples, row)
+        p = _carried(p, phi, noise)
+        whole = phi if first == 0 else multiply(phi, whole)
+    return x, p, whole
+
+
+@compiled
+def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> int:
+    """Advance x and the transition phi (400,) in place by the samples from a row on, over
+    `TOGETHER_S` at most; returns the row after."""
+    c, f, until_s = np.empty(9), np.empty(3), TOGETHER_S
+    while row < samples.shape[0] and until_s > 0.0:
+        dt = samples[row, 0]
+        if dt > 0.0:
+            _mechanise(x, samples, row, c, f)
+            _add_step(phi, c, f, dt)
+            until_s -= dt
+        row += 1
+    return row
 
 
 @compiled
@@ -263,6 +268,7 @@ def propagate_freely(
     quiet = noise.copy()
     quiet[0] = quiet[1] = 0.0
     _add_noise(p.reshape(400), quiet, dt)
+    _add_clock_noise(p.reshape(400), quiet, dt)
     q = noise[7]
     for i in range(3):
         p[i, i] += q * dt * dt * dt / 3.0

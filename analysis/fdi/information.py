@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from analysis.fdi.inertial import PSI, X_Q, turned
 from analysis.fdi.linear import apply, lower, lower_inverse, multiply, square, transposed
 from analysis.samples import Vector
-from mavproxy_fault.wire.compiled import compiled
+from mavproxy_fault.wire.compiled import compiled, inlined
 
 Indices = NDArray[np.int64]
 
@@ -109,6 +109,16 @@ def quadratic(v: Vector, m: Vector) -> float:
     return total
 
 
+@inlined
+def quadratic_of(a: Vector, row: int, m: Vector) -> float:
+    """The same of a row of a (n, c)."""
+    total = 0.0
+    for i in range(a.shape[1]):
+        for j in range(a.shape[1]):
+            total += a[row, i] * m[i, j] * a[row, j]
+    return total
+
+
 @compiled
 def statistic(p: Vector, h: Vector, variance: Vector, v: Vector) -> float:
     """q of innovations v (n,) with variance (n,) and geometry h (n, 20) before the covariance p."""
@@ -143,11 +153,10 @@ def take(x: Vector, p: Vector, states: Indices, told: Vector, b: Vector) -> tupl
     for i in range(p.shape[0]):
         for k in range(states.shape[0]):
             factor = rows[k, i]
-            for j in range(p.shape[0]):
+            for j in range(i + 1):
                 p[i, j] -= factor * turned_rows[k, j]
-    for i in range(p.shape[0]):
         for j in range(i):
-            p[i, j] = p[j, i] = 0.5 * (p[i, j] + p[j, i])
+            p[j, i] = p[i, j]
     after = columns(p, states)
     moved = apply(after, b)
     move(x, moved)

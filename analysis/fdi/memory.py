@@ -36,7 +36,7 @@ import math
 import numpy as np
 
 from analysis.fdi.bank import reduction
-from analysis.fdi.information import Indices, quadratic, weighed
+from analysis.fdi.information import Indices, quadratic_of
 from analysis.fdi.linear import add_product, apply, multiply
 from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
@@ -57,6 +57,7 @@ def respond(
     after: Vector,
     states: Indices,
     a: Vector,
+    information: Vector,
     variance: Vector,
     v: Vector,
     dt: float,
@@ -72,8 +73,8 @@ def respond(
     ages : (w,), seconds since each window's start
     phi, after : transition since the last epoch (k, k), and of the covariance after this one the
         columns (k, c) of the states that are seen
-    states, a, variance, v : which states are seen (c,), geometry over these (n, c), variance and
-        innovations (n,)
+    states, a, information, variance, v : which states are seen (c,), geometry over these (n, c), N
+        (c, c), variance and innovations (n,)
     dt : seconds since the last epoch
     """
     windows, count = offsets.shape
@@ -86,15 +87,15 @@ def respond(
             if d.shape[0] > 6:
                 response[3 + axis, at] += dt
     sums, known = sums.copy(), _rows(after, states)
-    seen, gamma = _seen(response, states, weighed(a, variance, v)[0])
-    for w in range(windows):
-        for i in range(count):
-            for k in range(states.shape[0]):
-                gamma[k, w * each + i] += a[i, k] * ages[w] / variance[i]
-    whole = _whole(seen, gamma, known)
+    seen, gamma = _seen(response, states, information)
     own, left = np.empty(count), np.empty(count)
     for i in range(count):
-        own[i] = (1.0 - quadratic(a[i], known) / variance[i]) / variance[i]
+        own[i] = (1.0 - quadratic_of(a, i, known) / variance[i]) / variance[i]
+        for k in range(states.shape[0]):
+            share = a[i, k] / variance[i]
+            for w in range(windows):
+                gamma[k, w * each + i] += share * ages[w]
+    whole = _whole(seen, gamma, known)
     for w in range(windows):
         b = np.zeros(states.shape[0])
         for i in range(count):
@@ -228,7 +229,7 @@ def learn_offsets(
     for i in range(mean.shape[0]):
         mean[i] *= stays
         wide[i] = stays * stays * wide[i] + (1.0 - stays * stays) * slow * variance[i]
-        s = variance[i] + quadratic(a[i], prior)
+        s = variance[i] + quadratic_of(a, i, prior)
         share = wide[i] / (wide[i] + s / news)
         mean[i] += share * (v[i] - mean[i])
         wide[i] *= 1.0 - share

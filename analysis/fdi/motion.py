@@ -92,11 +92,11 @@ def _rising(t_us: Stamps) -> bool:
 
 def segment(run: ImuRun, motion: Motion, until_us: int) -> Segment:
     """Steps from the filter's time to `until_us`; the last sample is held to the end."""
-    return Segment(*_steps(run.t_us, run.values, motion.t_us, until_us))
+    return Segment(*steps(run.t_us, run.values, motion.t_us, until_us))
 
 
 @compiled
-def _steps(t_us: Stamps, values: Vector, from_us: int, until_us: int) -> tuple[Vector, float, bool]:
+def steps(t_us: Stamps, values: Vector, from_us: int, until_us: int) -> tuple[Vector, float, bool]:
     """The fields of a `Segment`; without samples if one of them is not finite."""
     at = 0
     while at < len(t_us) and t_us[at] <= from_us:

@@ -15,7 +15,8 @@ class Outcome(Value, frozen=True):
     `names` are the satellites that were used, `left_out` the places of those found faulty among
     them, `others` those left out before; innovations `residual_m` and `normalised` are of both. The
     tests: the main one, `parity` over `parity_dof` degrees of freedom, the rates' over `rate_dof`
-    (None: there were too few), and the slow one.
+    (None: there were too few), and the slow one. `gap_s` is how long the IMU was silent, where that
+    matters.
     """
 
     core: Core
@@ -38,6 +39,7 @@ class Outcome(Value, frozen=True):
     alarm: bool = False
     imu_blamed: bool = False
     was_inertial: bool = False
+    gap_s: float = 0.0
 
 
 def shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:

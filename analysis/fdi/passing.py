@@ -8,12 +8,13 @@ judged from its beginning by `epoch`. Nearly every epoch of a flight passes.
 
 import numpy as np
 
+from analysis.block import ImuRun, Stamps
 from analysis.fdi.config import MOST, DetectorConfig
 from analysis.fdi.core import Core
 from analysis.fdi.inertial import propagate_freely, propagate_inertial
 from analysis.fdi.information import block, columns, narrowed, quadratic, states_of, weighed
 from analysis.fdi.measure import Indices, Observed, modelled_at
-from analysis.fdi.motion import Segment
+from analysis.fdi.motion import steps
 from analysis.fdi.outcome import Outcome, imu_bad_until_us, shown
 from analysis.fdi.ranges import free_position
 from analysis.fdi.rates import MIN_RATES
@@ -26,6 +27,8 @@ from analysis.gnss import satellite_states
 from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
+NOTHING_FOUND = 0.0, -1, -1, 0.0
+
 Filtered = tuple[Vector, Vector, Vector, Vector, Vector, Vector]
 
 
@@ -33,7 +36,7 @@ def let_pass(
     t_us: int,
     observed: Observed,
     held_m: Vector,
-    part: Segment,
+    run: ImuRun,
     core: Core,
     config: DetectorConfig,
 ) -> Outcome | None:
@@ -41,7 +44,9 @@ def let_pass(
     motion, memory = core.motion, core.memory
     if motion is None or memory is None or memory.among is not observed.satellites:
         return None
-    if core.excluded or len(memory.names) > MOST or not _plainly_moved(motion, part, config):
+    if core.excluded or len(memory.names) > MOST:
+        return None
+    if motion.alignment is not None or (motion.inertial and config.antenna is not None):
         return None
     memory = memory.turned_over(t_us)
     passed, table, after, found, numbers, counts = _pass(
@@ -50,7 +55,10 @@ def let_pass(
         held_m,
         motion.x,
         motion.p,
-        part.samples,
+        run.t_us,
+        run.values,
+        motion.inertial,
+        config.gap_s,
         t_us,
         motion.t_us,
         core.ionosphere,
@@ -106,13 +114,6 @@ def let_pass(
     )
 
 
-def _plainly_moved(motion: Motion, part: Segment, config: DetectorConfig) -> bool:
-    """Whether the IMU moves the filter without a gap, or there is none and never was."""
-    if not motion.inertial:
-        return not part.heard and motion.alignment is None
-    return config.antenna is None and len(part.samples) > 0 and part.gap_s <= config.gap_s
-
-
 @compiled
 def _pass(
     packed: Vector,
@@ -126,7 +127,10 @@ def _pass(
     held_m: Vector,
     x: Vector,
     p: Vector,
-    samples: Vector,
+    run_us: Stamps,
+    run: Vector,
+    inertial: bool,
+    most_gap_s: float,
     t_us: int,
     before_us: int,
     ionosphere: Vector,
@@ -153,7 +157,11 @@ def _pass(
 ]:
     """Whether the epoch passed; innovations and normalised ones (2, n); the filter and its memory
     after it; what the windows say; statistics and counts."""
-    inertial, dt_s = samples.shape[0] > 0, (t_us - before_us) * 1e-6
+    dt_s, nothing = (t_us - before_us) * 1e-6, (x, p, d, sums, offset, spread)
+    samples, gap_s, heard = steps(run_us, run, before_us, t_us)
+    moved = samples.shape[0] > 0 and gap_s <= most_gap_s if inertial else not heard
+    if not moved:  # by the IMU without a gap, or there is none
+        return False, np.empty((2, 0)), nothing, NOTHING_FOUND, (0.0, 0.0, 0.0), (0, 0)
     if inertial:
         x, p, phi = propagate_inertial(x, p, samples, noise)
     else:
@@ -173,22 +181,22 @@ def _pass(
     normalise(a, after, b, variance, v, table[1])
     q = total - quadratic(b, after)
     parity, dof, systems = parity_test(a, information, b, total)
-    q_rate, rates = rates_statistic(p, h, rows[3], rows[1])
-    of_rates, b_rates = np.zeros((4, 4)), np.zeros(4)
-    rates_fit = True
-    if doppler and rates >= MIN_RATES:
-        of_rates, b_rates, _, _ = weighed_rates(h, rows[3], rows[1])
-        rates_fit = q_rate <= thresholds[1, rates]
+    of_rates, b_rates, total_rates, rates = weighed_rates(h, rows[3], rows[1])
+    q_rate = rates_statistic(p, of_rates, b_rates, total_rates)
+    tested = doppler and rates >= MIN_RATES
+    if not tested:
+        of_rates, b_rates = np.zeros((4, 4)), np.zeros(4)
     enough = v.shape[0] >= (3 if inertial else 4 + systems)
     statistics, counts = (q, q_rate, parity), (dof, rates)
+    rates_fit = not tested or q_rate <= thresholds[1, rates]
     if not (as_before and enough and rates_fit and q <= thresholds[0, v.shape[0]]):
-        nothing = x, p, d, sums, offset, spread
-        return False, table, nothing, (0.0, -1, -1, 0.0), statistics, counts
+        return False, table, nothing, NOTHING_FOUND, statistics, counts
     x, p, d, sums, offset, spread, found = followed(
         x,
         p,
         seen,
         a,
+        information,
         variance,
         v,
         told,

@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.core import Core
 from analysis.fdi.measure import Observed
-from analysis.fdi.motion import Segment
 from analysis.fdi.outcome import Outcome
 from analysis.fdi.start import Start
 from analysis.fdi.state import Motion
@@ -85,11 +84,9 @@ def untestable(t_us: int, reason: str, excluded: Iterable[str] = ()) -> Decision
     )
 
 
-def imu_results(
-    epoch: Epoch, outcome: Outcome, part: Segment, config: DetectorConfig
-) -> list[Result]:
+def imu_results(epoch: Epoch, outcome: Outcome, config: DetectorConfig) -> list[Result]:
     """What the epoch says of the IMU: silence, and the test of the velocity it predicts."""
-    silent = part.gap_s > config.gap_s
+    silent = outcome.gap_s > config.gap_s
     faulty = silent or outcome.imu_blamed
     if not outcome.was_inertial or (outcome.rate is None and not faulty):
         return []
@@ -103,16 +100,16 @@ def imu_results(
             dof=outcome.rate_dof,
             alarm=faulty,
             isolated=faulty,
-            reason=f"no IMU samples for {part.gap_s:.2f} s" if silent else "",
+            reason=f"no IMU samples for {outcome.gap_s:.2f} s" if silent else "",
         )
     ]
 
 
 def _position(motion: Motion) -> tuple[float, float, float]:
-    x, y, z = motion.x[:3].tolist()
-    return x, y, z
+    x = motion.x
+    return x.item(0), x.item(1), x.item(2)
 
 
 def _sigma(motion: Motion) -> tuple[float, float, float]:
     p = motion.p
-    return math.sqrt(p[0, 0]), math.sqrt(p[1, 1]), math.sqrt(p[2, 2])
+    return math.sqrt(p.item(0, 0)), math.sqrt(p.item(1, 1)), math.sqrt(p.item(2, 2))

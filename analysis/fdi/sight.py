@@ -9,7 +9,15 @@ import math
 import numpy as np
 
 from analysis.fdi.config import DetectorConfig
-from analysis.fdi.information import block, columns, narrowed, quadratic, states_of, weighed
+from analysis.fdi.information import (
+    block,
+    columns,
+    narrowed,
+    quadratic,
+    quadratic_of,
+    states_of,
+    weighed,
+)
 from analysis.fdi.linear import apply, inverse
 from analysis.fdi.measure import (
     NO_ROWS,
@@ -153,7 +161,8 @@ def _see(
     normalise(a, after, b, variance, v, table[5])
     q = total - quadratic(b, after)
     parity, dof, systems = parity_test(a, information, b, total)
-    q_rate, rates = rates_statistic(p, used, table[3, :count], table[1, :count])
+    of_rates, b_rates, total_rates, rates = weighed_rates(used, table[3, :count], table[1, :count])
+    q_rate = rates_statistic(p, of_rates, b_rates, total_rates)
     return order, table, h, (q, q_rate, parity), (count, seen, systems, rates, dof, far)
 
 
@@ -165,7 +174,7 @@ def normalise(
     less without i; NaN where a satellite is not checked by the others. `after` is P+_c."""
     moved = apply(after, b)
     for i in range(a.shape[0]):
-        left, own = v[i], 1.0 - quadratic(a[i], after) / variance[i]
+        left, own = v[i], 1.0 - quadratic_of(a, i, after) / variance[i]
         for j in range(a.shape[1]):
             left -= a[i, j] * moved[j]
         known = own > 1e-12 * variance[i]
@@ -214,11 +223,9 @@ def _sorted(elevation: Vector, trusted: Mask, mask_rad: float) -> tuple[Indices,
 
 
 @compiled
-def rates_statistic(p: Vector, h: Vector, variance: Vector, v: Vector) -> tuple[float, int]:
-    """The statistic of the Doppler rates that are known, and how many they are."""
-    information, b, total, count = weighed_rates(h, variance, v)
-    after = narrowed(block(p, RATE_STATES), information)[0]
-    return total - quadratic(b, after), count
+def rates_statistic(p: Vector, information: Vector, b: Vector, total: float) -> float:
+    """The statistic of Doppler rates of N, b and v' inv(R) v (`weighed_rates`)."""
+    return total - quadratic(b, narrowed(block(p, RATE_STATES), information)[0])
 
 
 @compiled

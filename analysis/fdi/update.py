@@ -136,6 +136,7 @@ def _remember(
         p,
         states,
         a,
+        information,
         variance,
         v,
         told,
@@ -163,6 +164,7 @@ def followed(
     p: Vector,
     states: Indices,
     a: Vector,
+    information: Vector,
     variance: Vector,
     v: Vector,
     told: Vector,
@@ -182,8 +184,8 @@ def followed(
     inertial: bool,
     numbers: Vector,
 ) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector, tuple[float, int, int, float]]:
-    """Filter and memory after ranges of b and Y (`told`) and rates of N and b, as new arrays; what
-    the windows say of them (`memory.strongest`)."""
+    """Filter and memory, as new arrays, after ranges of N, b and Y (`told`) and rates of N and b;
+    what the windows say of them (`memory.strongest`)."""
     prior = block(p, states)
     x, p = x.copy(), p.copy()
     after, moved = take(x, p, states, told, b)
@@ -192,7 +194,7 @@ def followed(
     for w in range(ages.shape[0]):
         if starts_us[w] != 0:
             ages[w] = (t_us - starts_us[w]) * 1e-6
-    d, sums = respond(d, sums, offsets, ages, phi, after, states, a, variance, v, dt_s)
+    d, sums = respond(d, sums, offsets, ages, phi, after, states, a, information, variance, v, dt_s)
     respond_to_rates(d, sums, after_rates, RATE_STATES, of_rates, b_rates)
     offset, spread = learn_offsets(offset, spread, prior, a, variance, v, dt_s, numbers)
     found = strongest(sums, spreads, ages, inertial, numbers)

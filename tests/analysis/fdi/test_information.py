@@ -61,6 +61,7 @@ def test_the_memory_sums_what_the_formed_innovations_would():
         columns(after, states),
         states,
         columns(h, states),
+        (columns(h, states).T / variance) @ columns(h, states),
         variance,
         v,
         0.0,
