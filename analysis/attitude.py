@@ -14,8 +14,8 @@ import msgspec
 import numpy as np
 
 from analysis.attitude_kernel import compare, gather
-from analysis.attitude_scores import Cell, Window, parted, phases_of
-from analysis.block import ATTITUDE, IMU, SOURCES, TRUTH, Block, Indices, Stamps, block_of
+from analysis.attitude_scores import Cells, Window, parted, phases_of
+from analysis.block import ATTITUDE, IMU, SOURCES, TRUTH, WIDTH, Block, Indices, Stamps, block_of
 from analysis.estimators import Estimator, Prior, follow, make
 from analysis.results import AttitudeError
 from analysis.samples import Sample, TruthSample, Vector
@@ -46,9 +46,11 @@ class Estimates(NamedTuple):
     t_us: Stamps
     q_nb: Vector
 
-    def at(self, index: Any) -> "Estimates":
+    def at(self, rows: Indices) -> "Estimates":
         """Some of them."""
-        return Estimates(*(column[index] for column in self))
+        return Estimates(
+            self.row[rows], self.source[rows], self.t_us[rows], self.q_nb.take(rows, axis=0)
+        )
 
 
 NO_ESTIMATES = Estimates(
@@ -61,7 +63,7 @@ class ScorerState:
     """What moves while scoring, in place: the history grows by every cell.
 
     `last_us` and `sums` (s, 9) are the newest cell of each source; `truth_us` (k,) and `truth`
-    (k, 7), attitude and velocity, the newest truths.
+    (k, WIDTH) the newest truths.
     """
 
     last_us: Stamps
@@ -69,9 +71,9 @@ class ScorerState:
     t0_us: int | None = None
     estimators: dict[str, Any] = field(default_factory=dict)
     truth_us: Stamps = field(default_factory=lambda: np.empty(0, np.int64))
-    truth: Vector = field(default_factory=lambda: np.empty((0, 7)))
+    truth: Vector = field(default_factory=lambda: np.empty((0, WIDTH)))
     waiting: Estimates = NO_ESTIMATES
-    cells: dict[str, list[Cell]] = field(default_factory=dict)
+    cells: dict[str, list[Cells]] = field(default_factory=dict)  # as blocks brought them
 
 
 class AttitudeScorer:
@@ -106,12 +108,12 @@ class AttitudeScorer:
             self._start(block.sample(begin), state)
         estimates = self._estimates(block, begin, state)
         truth_us = np.concatenate([state.truth_us, block.t_us[truths]])
-        truth = np.concatenate([state.truth, block.values[truths][:, [0, 1, 2, 3, 10, 11, 12]]])
+        truth = np.concatenate([state.truth, block.values.take(truths, axis=0)])
         truth_row = np.concatenate([np.full(len(state.truth_us), -1), truths])
         scored, came, after, error, waiting, oldest = compare(
             truth_row,
             truth_us,
-            np.ascontiguousarray(truth[:, :4]),
+            truth,
             estimates.row,
             estimates.t_us,
             estimates.q_nb,
@@ -119,7 +121,7 @@ class AttitudeScorer:
         waiting = waiting[-WAITING_MAX:]
         state.waiting = estimates.at(waiting)._replace(row=np.full(len(waiting), -1))
         state.truth_us, state.truth = truth_us[oldest:].copy(), truth[oldest:].copy()
-        return self._gather(state, estimates.at(scored), error, came, truth[after])
+        return self._gather(state, estimates.at(scored), error, came, after, truth)
 
     def _start(self, sample: Sample, state: ScorerState) -> None:
         assert isinstance(sample, TruthSample)
@@ -154,39 +156,45 @@ class AttitudeScorer:
         return every.at(np.argsort(every.row, kind="stable"))
 
     def _gather(
-        self, state: ScorerState, estimates: Estimates, error: Vector, row: Indices, truth: Vector
+        self,
+        state: ScorerState,
+        estimates: Estimates,
+        error: Vector,
+        row: Indices,
+        after: Indices,
+        truth: Vector,
     ) -> list[tuple[int, AttitudeError]]:
         """Add errors (m, 4) to their cells; those that opened one, with their row.
 
-        `row` (m,) tells what completed each, `truth` (m, 7) is that just after the estimate.
+        `row` (m,) tells what completed each, `after` (m,) which of `truth` (k, WIDTH) is that just
+        after the estimate.
         """
         assert state.t0_us is not None
         since_us = estimates.t_us - state.t0_us
-        settled = since_us >= self.config.settle_s * 1e6
-        if not settled.all():
+        settled = np.flatnonzero(since_us >= self.config.settle_s * 1e6)
+        if len(settled) < len(since_us):
             estimates, error, row = estimates.at(settled), error[settled], row[settled]
-            since_us, truth = since_us[settled], truth[settled]
+            since_us, after = since_us[settled], after[settled]
         if not len(error):
             return []
         cell_us = estimates.t_us - since_us % self._cell_us
         opened, state.last_us, sums = gather(
             estimates.source, cell_us, error, state.last_us, state.sums
         )
+        true, count = truth[after[opened]], len(self._names)
+        cells = Cells(
+            cell_us[opened], phases_of(true[:, :4], true[:, 10:13]), sums[count:], error[opened]
+        )
         for number, name in enumerate(self._names):
-            if name in state.cells:
-                state.cells[name][-1] = state.cells[name][-1]._replace(sums=sums[number])
-        phases = phases_of(truth[opened, :4], truth[opened, 4:])
-        lists = estimates.source[opened].tolist(), cell_us[opened].tolist(), phases
-        new = sums[len(self._names) :]
-        for number, start_us, phase, total, first in zip(*lists, new, error[opened], strict=True):
-            cells = state.cells.setdefault(self._names[number], [])
-            cells.append(Cell(start_us, phase, total, first))
-        state.sums = np.array([self._newest_sums(name, state) for name in self._names])
+            known = state.cells.setdefault(name, [])
+            if known:
+                known[-1].sums[-1] = sums[number]
+            mine = np.flatnonzero(estimates.source[opened] == number)
+            if len(mine):
+                known.append(cells.at(mine))
+            if known:
+                state.sums[number] = known[-1].sums[-1]
         return self._results(state.t0_us, estimates.at(opened), error[opened], row[opened])
-
-    @staticmethod
-    def _newest_sums(name: str, state: ScorerState) -> Vector:
-        return state.cells[name][-1].sums if name in state.cells else np.zeros(9)
 
     def _results(
         self, t0_us: int, estimates: Estimates, error: Vector, row: Indices
@@ -213,8 +221,11 @@ class AttitudeScorer:
     def summary(self, state: ScorerState, labels: Sequence[Window] = ()) -> dict[str, Any]:
         """Scores by estimator, as `parted` gives them."""
         return {
-            name: parted(cells, labels, self._cell_us)
+            name: parted(
+                Cells(*map(np.concatenate, zip(*cells, strict=True))), labels, self._cell_us
+            )
             for name, cells in sorted(state.cells.items())
+            if cells
         }
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from analysis.block import Indices, Stamps
-from analysis.estimators.rotations import between, errors
+from analysis.estimators.rotations import Quaternion, between, errors
 from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
@@ -29,6 +29,12 @@ def around(truth_us: Stamps, oldest: int, newest: int, t_us: int) -> tuple[int, 
         first, second = max(low - 1, oldest), max(low, oldest + 1)
     span_us = truth_us[second] - truth_us[first]
     return (first, second) if 0 < span_us <= MAX_TRUTH_GAP_US else (-1, -1)
+
+
+@compiled
+def attitude(q_nb: Vector, row: int) -> Quaternion:
+    """One of q_nb (n, 4)."""
+    return q_nb[row, 0], q_nb[row, 1], q_nb[row, 2], q_nb[row, 3]
 
 
 @compiled
@@ -83,9 +89,10 @@ def compare(
                 first, second = around(truth_us, oldest, j, t_us[i])
                 if first >= 0:
                     share = (t_us[i] - truth_us[first]) / (truth_us[second] - truth_us[first])
-                    found = errors(q_nb[i], between(truth_q[first], truth_q[second], share))
-                    for axis in range(4):
-                        error[done, axis] = found[axis]
+                    true = between(attitude(truth_q, first), attitude(truth_q, second), share)
+                    roll, pitch, yaw, turn = errors(attitude(q_nb, i), true)
+                    error[done, 0], error[done, 1] = roll, pitch
+                    error[done, 2], error[done, 3] = yaw, turn
                     scored[done], came[done], truth[done] = i, truth_row[j], second
                     done += 1
             waits = later

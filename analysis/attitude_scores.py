@@ -4,10 +4,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
+from analysis.block import Indices, Stamps
 from analysis.samples import Vector
 
 AXES = ("roll", "pitch", "yaw", "angle")
+PHASES = ("ground", "turn", "climb", "descent", "level")
 GROUND_SPEED_MPS = 1.0
 TURN_RAD = np.radians(15.0)
 CLIMB_MPS = 1.0
@@ -31,47 +34,51 @@ class Window(Protocol):
         """When it ended; None if it did not."""
 
 
-class Cell(NamedTuple):
-    """Errors of one estimator within one cell.
+class Cells(NamedTuple):
+    """Errors of one estimator within c cells.
 
-    `sums` (9,): how many, sums of squares (4,) and maxima (4,) in rad; `first` (4,) in rad.
+    `t_us` (c,): their beginnings; `phase` (c,): places in PHASES; `sums` (c, 9): how many errors,
+    sums of squares (4) and maxima (4) in rad; `first` (c, 4): the first error of each in rad.
     """
 
-    t_us: int
-    phase: str
+    t_us: Stamps
+    phase: Indices
     sums: Vector
     first: Vector
 
+    def at(self, index: Any) -> "Cells":
+        """Some of them."""
+        return Cells(*(column[index] for column in self))
 
-def parted(cells: Sequence[Cell], windows: Sequence[Window], cell_us: int) -> dict[str, Any]:
+
+def parted(cells: Cells, windows: Sequence[Window], cell_us: int) -> dict[str, Any]:
     """Scores of the whole, without faults, by phase of flight and by fault.
 
     RMSE (`max` is the largest of roll, pitch and yaw) and maxima in degrees; percentiles are
     those of the turn between estimate and truth, of the first error in each cell.
     """
-    faulty = [any(_within(cell, window, cell_us) for window in windows) for cell in cells]
+    within = [_within(cells, window, cell_us) for window in windows]
+    faulty = np.any([np.zeros(len(cells.t_us), bool), *within], axis=0)
+    flown = sorted({PHASES[i] for i in cells.phase.tolist()})
     return scored(cells) | {
-        "nominal": scored([c for c, bad in zip(cells, faulty, strict=True) if not bad]),
-        "phases": {
-            phase: scored([c for c in cells if c.phase == phase])
-            for phase in sorted({c.phase for c in cells})
-        },
+        "nominal": scored(cells.at(~faulty)),
+        "phases": {name: scored(cells.at(cells.phase == PHASES.index(name))) for name in flown},
         "faults": {
-            window.id: scored([c for c in cells if _within(c, window, cell_us)])
-            for window in windows
+            window.id: scored(cells.at(inside))
+            for window, inside in zip(windows, within, strict=True)
         },
     }
 
 
-def scored(cells: Sequence[Cell]) -> dict[str, Any]:
+def scored(cells: Cells) -> dict[str, Any]:
     """The scores of some cells; only `samples` = 0 where there are none."""
-    if not cells:
+    if not len(cells.t_us):
         return {"samples": 0}
-    sums = np.array([cell.sums for cell in cells])
+    sums = cells.sums
     count = sums[:, 0].sum()
     rmse = np.degrees(np.sqrt(sums[:, 1:5].sum(axis=0) / count))
     largest = np.degrees(sums[:, 5:].max(axis=0))
-    angles = np.degrees([cell.first[3] for cell in cells])
+    angles = np.degrees(cells.first[:, 3])
     rmse_deg = dict(zip(AXES, rmse.tolist(), strict=True))
     return {
         "samples": int(count),
@@ -96,8 +103,8 @@ def with_repeaters_last(scores: Mapping[str, Any], sources: Sequence[str]) -> di
     return own | {name + REPEATED: scores[name] for name in sorted(repeated)}
 
 
-def phases_of(q_nb: Vector, v_ned_mps: Vector) -> list[str]:
-    """ground, turn, climb, descent or level, by speed, bank and climb of truths (n, 4), (n, 3)."""
+def phases_of(q_nb: Vector, v_ned_mps: Vector) -> Indices:
+    """Places in PHASES by speed, bank and climb of truths (n, 4), (n, 3)."""
     w, x, y, z = q_nb.T
     bank = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     down = v_ned_mps[:, 2]
@@ -107,11 +114,10 @@ def phases_of(q_nb: Vector, v_ned_mps: Vector) -> list[str]:
         down < -CLIMB_MPS,
         down > CLIMB_MPS,
     ]
-    found = np.select(conditions, [0, 1, 2, 3], 4)
-    return [("ground", "turn", "climb", "descent", "level")[i] for i in found.tolist()]
+    return np.select(conditions, range(4), 4)
 
 
-def _within(cell: Cell, window: Window, cell_us: int) -> bool:
-    return cell.t_us + cell_us > window.start_us and (
-        window.end_us is None or cell.t_us < window.end_us
-    )
+def _within(cells: Cells, window: Window, cell_us: int) -> NDArray[np.bool_]:
+    """Which cells (c,) a window touches."""
+    inside = cells.t_us + cell_us > window.start_us
+    return inside if window.end_us is None else inside & (cells.t_us < window.end_us)

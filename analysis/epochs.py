@@ -91,6 +91,7 @@ class _Stamps:
     def __init__(self, before: Mapping[int, int]) -> None:
         self._before = dict(before)
         self._parts: list[tuple[Indices, Indices, Stamps]] = []
+        self._known: dict[int, tuple[Indices, Stamps]] = {}
 
     def learn(self, sender: Indices, order: Indices, t_us: Stamps) -> None:
         """Stamps (m,) of frames, whose they are, and their places."""
@@ -103,10 +104,11 @@ class _Stamps:
         for number in _each(sender):
             order, t_us = known.get(number, _NO_STAMPS)
             mine = np.flatnonzero(sender == number)
-            at = np.searchsorted(order, place[mine]) - 1
+            at = np.searchsorted(order, place[mine])  # 0: all of them came later
+            newest = np.append(0, t_us)[at]
             earlier = self._before.get(number)
-            for i, row in zip(mine.tolist(), at.tolist(), strict=True):
-                found[i] = int(t_us[row]) if row >= 0 else earlier
+            for i, row, stamp_us in zip(mine.tolist(), at.tolist(), newest.tolist(), strict=True):
+                found[i] = stamp_us if row else earlier
         return found
 
     def newest(self) -> dict[int, int]:
@@ -115,16 +117,18 @@ class _Stamps:
         return self._before | {number: int(t_us[-1]) for number, (_, t_us) in known.items()}
 
     def _by_sender(self) -> dict[int, tuple[Indices, Stamps]]:
-        if not self._parts:
-            return {}
+        """Places and stamps of each sender in order; asked for when all have been learnt."""
+        if self._known or not self._parts:
+            return self._known
         sender, order, t_us = (np.concatenate(c) for c in zip(*self._parts, strict=True))
         by_place = np.argsort(order, kind="stable")
         sender, order, t_us = sender[by_place], order[by_place], t_us[by_place]
-        self._parts = [(sender, order, t_us)]
         numbers = _each(sender)
         if len(numbers) == 1:
-            return {numbers[0]: (order, t_us)}
-        return {n: (order[sender == n], t_us[sender == n]) for n in numbers}
+            self._known = {numbers[0]: (order, t_us)}
+        else:
+            self._known = {n: (order[sender == n], t_us[sender == n]) for n in numbers}
+        return self._known
 
 
 _NO_STAMPS = np.empty(0, np.int64), np.empty(0, np.int64)

@@ -106,7 +106,7 @@ class Pipeline:
         found.sort(key=itemgetter(0))
         base_us = self._t0_us or 0
         for _, result in found:  # they are this step's own, nobody has seen them yet
-            force_setattr(result, "t_s", round((result.t_us - base_us) * 1e-6, 6))
+            force_setattr(result, "t_s", (result.t_us - base_us) / 1e6)
         return found
 
     def _fused(self, piece: Piece) -> list[Result]:

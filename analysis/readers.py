@@ -55,7 +55,13 @@ class Read(NamedTuple):
 
 def _numbers(rows: Rows, *names: str) -> Vector:
     """Fields of a message side by side (m, k); a field may be an array."""
-    return np.column_stack([rows[name].astype(float) for name in names])
+    fields = [rows[name].reshape(len(rows), -1) for name in names]
+    found = np.empty((len(rows), sum(field.shape[1] for field in fields)))
+    end = 0
+    for field in fields:
+        begin, end = end, end + field.shape[1]
+        found[:, begin:end] = field
+    return found
 
 
 def _whole(kind: int, t_us: NDArray[Any], values: Vector) -> list[Read]:

@@ -149,8 +149,7 @@ class References:
             self._thresholds,
             self.config.readmit_s * 1e6,
         )
-        thresholds = self._thresholds.tolist()
-        return [(int(row[0]), _said(thresholds, *row[1:])) for row in said.tolist()], kept
+        return _said(said, self._thresholds), kept
 
 
 _OF_SENSORS = np.array(SENSOR_OF) >= 0  # by kind of sample
@@ -170,27 +169,39 @@ def _numbers(row: int, decision: Decision, motion: Motion | None) -> tuple[int, 
     return row, decision.t_us, how, decision.mode.startswith("position")
 
 
-def _said(
-    thresholds: list[float],
-    sensor: float,
-    code: float,
-    statistic: float,
-    dof: float,
-    isolated: float,
-    t_us: float,
-    seventh: float,
-) -> SensorDecision:
-    """What the kernel says of a sensor, in the words of `analysis.results`."""
-    tested = code == TESTED
-    threshold = thresholds[int(dof)]
-    return SensorDecision(
-        t_s=t_us * 1e-6,
-        t_us=int(t_us),
-        sensor=SENSORS[int(sensor)],
-        statistic=statistic if tested and math.isfinite(statistic) else None,
-        threshold=threshold if tested else None,
-        dof=int(dof),
-        alarm=tested and not statistic <= threshold,
-        isolated=isolated != 0.0,
-        reason="" if tested else REASONS[int(code)].format(fix_type=seventh),
+def _said(said: Vector, thresholds: Vector) -> list[tuple[int, Result]]:
+    """What the kernel said (k, 8), by row of the block, in the words of `analysis.results`."""
+    row, sensor, code, dof, t_us = said[:, [0, 1, 2, 4, 6]].astype(np.int64).T
+    statistics, limits = said[:, 3], thresholds[dof]
+    failed = ~(statistics <= limits)
+    columns = (
+        row,
+        t_us,
+        sensor,
+        code,
+        dof,
+        statistics,
+        limits,
+        failed,
+        said[:, 5] != 0.0,
+        said[:, 7],
     )
+    return [
+        (
+            at,
+            SensorDecision(
+                t_s=stamp_us * 1e-6,
+                t_us=stamp_us,
+                sensor=SENSORS[number],
+                statistic=statistic if why == TESTED and math.isfinite(statistic) else None,
+                threshold=limit if why == TESTED else None,
+                dof=freedom,
+                alarm=why == TESTED and bad,
+                isolated=isolated,
+                reason="" if why == TESTED else REASONS[why].format(fix_type=seventh),
+            ),
+        )
+        for at, stamp_us, number, why, freedom, statistic, limit, bad, isolated, seventh in zip(
+            *(column.tolist() for column in columns), strict=True
+        )
+    ]

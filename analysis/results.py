@@ -1,6 +1,7 @@
 """What the analysis says: one schema for Zenoh, `results.jsonl` and the reports.
 
-JSON by msgspec, the struct's name under `type`; null stands for a number that is not finite.
+JSON by msgspec, the struct's name under `type`; null stands for a number that is not finite. They
+hold nothing that could lead back to them, so the garbage collector need not look (`gc=False`).
 """
 
 from collections.abc import Iterable, Iterator
@@ -9,7 +10,7 @@ from pathlib import Path
 import msgspec
 
 
-class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True):
+class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False):
     """The verdict of the detector on one GNSS epoch.
 
     `hypothesis` is one of none, satellites, imu, clock, gps (without raw ranges: the receiver's own
@@ -45,7 +46,9 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=
     slow_threshold: float | None = None
 
 
-class SensorDecision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True):
+class SensorDecision(
+    msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False
+):
     """The verdict on another sensor against the inertial reference.
 
     `sensor` is one of baro, airspeed, mag, vision, range, gps-position, gps-velocity, imu.
@@ -62,7 +65,9 @@ class SensorDecision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type"
     reason: str = ""
 
 
-class AttitudeError(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True):
+class AttitudeError(
+    msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False
+):
     """Estimate minus truth at one instant, in degrees, wrapped; `angle` is the rotation between."""
 
     t_s: float
@@ -74,7 +79,7 @@ class AttitudeError(msgspec.Struct, frozen=True, kw_only=True, tag_field="type",
     angle: float
 
 
-class FusedState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True):
+class FusedState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False):
     """The fused navigation solution of one epoch with one-sigma values and the factors in use.
 
     `name` tells the solution ("fused") from the one without isolation computed beside it.

@@ -82,14 +82,13 @@ def channel(target: str) -> str:
 
 def alarm_of(result: Result) -> Alarm | None:
     """The alarm a result raises, if any."""
-    match result:
-        case Decision(alarm=True, hypothesis="imu"):
-            return Alarm(result.t_us, "imu", ("imu",))
-        case Decision() if result.alarm or result.excluded:
-            return Alarm(result.t_us, "satellites", result.excluded)
-        case SensorDecision(alarm=True):
-            return Alarm(result.t_us, result.sensor, (result.sensor,))
-    return None
+    if isinstance(result, SensorDecision):
+        return Alarm(result.t_us, result.sensor, (result.sensor,)) if result.alarm else None
+    if not isinstance(result, Decision) or not (result.alarm or result.excluded):
+        return None
+    if result.alarm and result.hypothesis == "imu":
+        return Alarm(result.t_us, "imu", ("imu",))
+    return Alarm(result.t_us, "satellites", result.excluded)
 
 
 def score_faults(labels: Sequence[Label], alarms: Iterable[Alarm]) -> list[FaultScore]:

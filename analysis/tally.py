@@ -47,25 +47,25 @@ class Tally:
             if self.first_us is None:
                 self.first_us = int(stamps[0])
             self.last_us = max(self.last_us, int(stamps.max()))
-        alarms = (alarm_of(result) for _, result in found if not isinstance(result, AttitudeError))
-        self.alarms += [alarm for alarm in alarms if alarm is not None]
-        placed = [pair for pair in found if isinstance(pair[1], PLACED)]
+        said = [pair for pair in found if not isinstance(pair[1], AttitudeError)]
+        self.alarms += filter(None, (alarm_of(result) for _, result in said))
+        placed = [pair for pair in said if isinstance(pair[1], PLACED)]
         for (_, result), true_m in zip(placed, self._true_positions(block, placed), strict=True):
             self._add(result, true_m)
 
     def _true_positions(self, block: Block, found: Sequence[tuple[int, Result]]) -> list[Any]:
         """Where the vehicle really was at each result, ECEF (3,); None where that is not known."""
         truths = block.rows(TRUTH)
-        places = block.values[truths, 7:10]
-        if self._truth is not None:
-            truths, places = np.append(-1, truths), np.vstack([self._truth, places])
-        if not len(truths):
+        if self._truth is None and not len(truths):
             return [None] * len(found)
-        self._truth = places[-1]
         at = np.searchsorted(truths, [row for row, _ in found], side="right") - 1
-        lat, lon = np.radians(places[at, :2]).T
-        true_m = ecef_from_geodetic(lat, lon, places[at, 2])
-        return [r if known >= 0 else None for r, known in zip(true_m.tolist(), at, strict=True)]
+        places = block.values[truths[at], 7:10] if len(truths) else np.empty((len(at), 3))
+        places[at < 0] = np.nan if self._truth is None else self._truth
+        if len(truths):
+            self._truth = block.values[truths[-1], 7:10].copy()
+        lat, lon = np.radians(places[:, :2]).T
+        true_m = ecef_from_geodetic(lat, lon, places[:, 2])
+        return [None if np.isnan(x) else [x, y, z] for x, y, z in true_m.tolist()]
 
     def _add(self, result: Result, true_m: Sequence[float] | None) -> None:
         if isinstance(result, FusedState) and true_m is not None:

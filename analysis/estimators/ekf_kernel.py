@@ -1,213 +1,234 @@
 """The arithmetic of the quaternion EKF, compiled; see `ekf` for the layout of x (91,).
 
-Plain loops, no slices: assignments of slices cost seconds of compilation.
+What takes a measurement changes the state in place. Plain loops, no slices: assignments of slices
+cost seconds of compilation.
 """
+
+from math import atan2
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.block import AIRSPEED, FIX, IMU, MAG, Indices, Stamps
 from analysis.estimators.base import GRAVITY_MPS2, MAX_GAP_S, airspeed_mps, room_for_estimates
-from analysis.estimators.rotations import heading_error, matrix, turned
-from mavproxy_fault.wire.compiled import compiled
+from analysis.estimators.rotations import (
+    Axis,
+    body_axes,
+    quaternion_of_turn,
+    turn,
+    wrapped,
+)
+from mavproxy_fault.wire.compiled import compiled, inlined
 
 Vector = NDArray[np.float64]
+P = 10  # where the covariance begins in x
 N = 9  # error states: turn, bias, velocity
 MIN_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 NOW, GPS, TILT = 0, 1, 2  # stamps: of the state, of the newest velocity, of gravity's last use
+
+Room = NDArray[np.float64]  # (6, 12), for what is only needed in between
+
+
+@compiled
+def new_room() -> Room:
+    """Room to work in: made once, used at every sample."""
+    return np.empty((6, 12))
 
 
 @compiled
 def predict(
     x: Vector,
-    gyro: Vector,
-    accel: Vector,
+    imu: Vector,
     dt_s: float,
     gyro_density: float,
     bias_density: float,
     accel_density: float,
-) -> Vector:
-    """State and covariance after one IMU sample (gyro, accel (3,)).
+    room: Room,
+) -> None:
+    """Move state and covariance over one IMU sample, rates and specific force (6,).
 
     The turn's error obeys t' = -omega x t - b, the velocity's v' = -rot (f x t).
     """
-    out = np.empty(91)
-    rx, ry, rz = gyro[0] - x[4], gyro[1] - x[5], gyro[2] - x[6]
-    q = turned(x[:4], 0.5 * rx * dt_s, 0.5 * ry * dt_s, 0.5 * rz * dt_s)  # at mid-step
-    rot = matrix(q)
-    q = turned(q, 0.5 * rx * dt_s, 0.5 * ry * dt_s, 0.5 * rz * dt_s)
-    for i in range(4):
-        out[i] = q[i]
-    fx, fy, fz = accel[0], accel[1], accel[2]
+    rx, ry, rz = imu[0] - x[4], imu[1] - x[5], imu[2] - x[6]
+    fx, fy, fz = imu[3], imu[4], imu[5]
+    half_way = quaternion_of_turn(0.5 * rx * dt_s, 0.5 * ry * dt_s, 0.5 * rz * dt_s)
+    turn(x, half_way)
+    rows = body_axes(x)
+    turn(x, half_way)
     for i in range(3):
-        out[4 + i] = x[4 + i]
-        out[7 + i] = x[7 + i] + dt_s * (rot[i, 0] * fx + rot[i, 1] * fy + rot[i, 2] * fz)
-    out[9] += dt_s * GRAVITY_MPS2
-    moves = np.empty((6, 3))  # what the turn's error does to itself, and to the velocity's
-    moves[0, 0], moves[0, 1], moves[0, 2] = 1.0, dt_s * rz, -dt_s * ry
-    moves[1, 0], moves[1, 1], moves[1, 2] = -dt_s * rz, 1.0, dt_s * rx
-    moves[2, 0], moves[2, 1], moves[2, 2] = dt_s * ry, -dt_s * rx, 1.0
+        a, b, c = rows[i]
+        x[7 + i] += dt_s * (a * fx + b * fy + c * fz)
+        room[3 + i, 0] = -dt_s * (b * fz - c * fy)
+        room[3 + i, 1] = -dt_s * (c * fx - a * fz)
+        room[3 + i, 2] = -dt_s * (a * fy - b * fx)
+    x[9] += dt_s * GRAVITY_MPS2
+    room[0, 0], room[0, 1], room[0, 2] = 1.0, dt_s * rz, -dt_s * ry
+    room[1, 0], room[1, 1], room[1, 2] = -dt_s * rz, 1.0, dt_s * rx
+    room[2, 0], room[2, 1], room[2, 2] = dt_s * ry, -dt_s * rx, 1.0
+    spread(x, room, dt_s)
     for i in range(3):
-        moves[3 + i, 0] = -dt_s * (rot[i, 1] * fz - rot[i, 2] * fy)
-        moves[3 + i, 1] = -dt_s * (rot[i, 2] * fx - rot[i, 0] * fz)
-        moves[3 + i, 2] = -dt_s * (rot[i, 0] * fy - rot[i, 1] * fx)
-    spread(out, x, moves, dt_s)
-    for i in range(3):
-        out[10 + (N + 1) * i] += dt_s * gyro_density * gyro_density
-        out[10 + (N + 1) * (i + 3)] += dt_s * bias_density * bias_density
-        out[10 + (N + 1) * (i + 6)] += dt_s * accel_density * accel_density
-    return out
+        x[P + (N + 1) * i] += dt_s * gyro_density * gyro_density
+        x[P + (N + 1) * (i + 3)] += dt_s * bias_density * bias_density
+        x[P + (N + 1) * (i + 6)] += dt_s * accel_density * accel_density
 
 
 @compiled
-def spread(out: Vector, x: Vector, moves: NDArray[np.float64], dt_s: float) -> None:
-    """Write F P F', made symmetric, into the tail of the new state `out`.
+def spread(x: Vector, room: Room, dt_s: float) -> None:
+    """Put F P F' in the place of P, in place.
 
-    F is the identity, but for the turn's columns, `moves` (6, 3) in the rows of turn and velocity,
-    and for what the bias does to the turn in `dt_s`.
+    F is the identity but for what the turn's error does to itself and to the velocity's, the first
+    three columns of `room`, and for what the bias does to the turn in `dt_s`. The rows of F P that
+    are not P's, turn and velocity, are put behind those columns.
     """
-    before = x[10:].reshape(N, N)
-    half = np.empty((N, N))  # F P
     for j in range(N):
+        turn_0, turn_1, turn_2 = x[P + j], x[P + N + j], x[P + 2 * N + j]
         for i in range(3):
-            turn = moves[i, 0] * before[0, j] + moves[i, 1] * before[1, j]
-            half[i, j] = turn + moves[i, 2] * before[2, j] - dt_s * before[3 + i, j]
-            half[3 + i, j] = before[3 + i, j]
-            turn = moves[3 + i, 0] * before[0, j] + moves[3 + i, 1] * before[1, j]
-            half[6 + i, j] = turn + moves[3 + i, 2] * before[2, j] + before[6 + i, j]
-    for i in range(N):
-        for j in range(i, N):
-            if 3 <= j < 6:
-                total = half[i, j]
-            else:
-                row = j if j < 3 else j - 3
-                turn = half[i, 0] * moves[row, 0] + half[i, 1] * moves[row, 1]
-                turn += half[i, 2] * moves[row, 2]
-                total = turn - dt_s * half[i, 3 + j] if j < 3 else turn + half[i, j]
-            out[10 + N * i + j] = total
-            out[10 + N * j + i] = total
+            sum_ = room[i, 0] * turn_0 + room[i, 1] * turn_1 + room[i, 2] * turn_2
+            room[i, 3 + j] = sum_ - dt_s * x[P + N * (3 + i) + j]
+            sum_ = room[3 + i, 0] * turn_0 + room[3 + i, 1] * turn_1 + room[3 + i, 2] * turn_2
+            room[3 + i, 3 + j] = sum_ + x[P + N * (6 + i) + j]
+    for i in range(3):
+        for j in range(3):
+            put(x, i, 3 + j, room[i, 6 + j])
+            put(x, 3 + j, 6 + i, room[3 + i, 6 + j])
+            put(x, i, 6 + j, through(room, i, 3 + j) + room[i, 9 + j])
+        for j in range(i, 3):
+            put(x, i, j, through(room, i, j) - dt_s * room[i, 6 + j])
+            put(x, 6 + i, 6 + j, through(room, 3 + i, 3 + j) + room[3 + i, 9 + j])
+
+
+@inlined
+def put(x: Vector, i: int, j: int, value: float) -> None:
+    """Write an element of the covariance and its mirror image."""
+    x[P + N * i + j] = value
+    x[P + N * j + i] = value
+
+
+@inlined
+def through(room: Room, i: int, j: int) -> float:
+    """What row i of F P, in `room`, brings about by row j of the turn's columns."""
+    value: float = room[i, 3] * room[j, 0] + room[i, 4] * room[j, 1] + room[i, 5] * room[j, 2]
+    return value
 
 
 @compiled
-def correct(x: Vector, row: Vector, innovation: float, variance: float) -> Vector:
-    """One scalar measurement with sensitivity row (9,) to the error states."""
-    out = x.copy()
-    p = out[10:].reshape(N, N)
-    gain = np.zeros(N)
-    scale = variance
-    for i in range(N):
-        for j in range(N):
-            gain[i] += p[i, j] * row[j]
-    for i in range(N):
-        scale += row[i] * gain[i]
+def correct(x: Vector, gain: Vector, innovation: float, variance: float) -> None:
+    """Take one scalar measurement of innovation variance `variance`; `gain` (9,) is P h."""
     for i in range(N):
         for j in range(i, N):
-            p[i, j] -= gain[i] * gain[j] / scale
-            p[j, i] = p[i, j]
-    size = innovation / scale
-    q = turned(x[:4], gain[0] * size, gain[1] * size, gain[2] * size)
-    for i in range(4):
-        out[i] = q[i]
+            put(x, i, j, x[P + N * i + j] - gain[i] * gain[j] / variance)
+    size = innovation / variance
+    turn(x, quaternion_of_turn(gain[0] * size, gain[1] * size, gain[2] * size))
     for i in range(6):
-        out[4 + i] += gain[3 + i] * size
-    return out
+        x[4 + i] += gain[3 + i] * size
 
 
 @compiled
-def correct_velocity(x: Vector, v_ned_mps: Vector, variance: float) -> Vector:
-    """Velocity over ground (3,), axis by axis."""
+def correct_by_turn(x: Vector, h: Axis, innovation: float, variance: float, room: Room) -> None:
+    """Take a scalar measurement that only the turn's error moves, by h."""
+    gain = room[0]
+    for i in range(N):
+        gain[i] = x[P + N * i] * h[0] + x[P + N * i + 1] * h[1] + x[P + N * i + 2] * h[2]
+    variance = variance + h[0] * gain[0] + h[1] * gain[1] + h[2] * gain[2]
+    correct(x, gain, innovation, variance)
+
+
+@compiled
+def correct_velocity(x: Vector, v_ned_mps: Vector, variance: float, room: Room) -> None:
+    """Take a velocity over ground (3,), axis by axis."""
+    gain = room[0]
     for axis in range(3):
-        row = np.zeros(N)
-        row[6 + axis] = 1.0
-        x = correct(x, row, v_ned_mps[axis] - x[7 + axis], variance)
-    return x
+        for i in range(N):
+            gain[i] = x[P + N * i + 6 + axis]
+        innovation = v_ned_mps[axis] - x[7 + axis]
+        correct(x, gain, innovation, variance + gain[6 + axis])
 
 
 @compiled
-def restart_velocity(x: Vector, v_ned_mps: Vector, variance: float) -> Vector:
+def restart_velocity(x: Vector, v_ned_mps: Vector, variance: float) -> None:
     """Take the velocity as measured and forget what it had to do with the other errors."""
-    out = x.copy()
-    p = out[10:].reshape(N, N)
     for i in range(6, N):
         for j in range(N):
-            p[i, j] = 0.0
-            p[j, i] = 0.0
+            put(x, i, j, 0.0)
     for axis in range(3):
-        out[7 + axis] = v_ned_mps[axis]
-        p[6 + axis, 6 + axis] = variance
-    return out
+        x[7 + axis] = v_ned_mps[axis]
+        put(x, 6 + axis, 6 + axis, variance)
 
 
 @compiled
-def head(x: Vector, field: Vector, declination_rad: float, variance: float) -> Vector:
-    """The heading of the field (3,): a small turn e in NED moves it by
+def head(x: Vector, field: Vector, declination_rad: float, variance: float, room: Room) -> None:
+    """Take the heading of the field (3,): a small turn e in NED moves it by
 
     e_d - m_d (e_n m_n + e_e m_e) / (m_n^2 + m_e^2), so that a tilt is not taken for heading.
     """
-    rot = matrix(x[:4])
-    seen = np.zeros(3)
-    for i in range(3):
-        for j in range(3):
-            seen[i] += rot[i, j] * field[j]
-    tilt = -seen[2] / (seen[0] * seen[0] + seen[1] * seen[1] + 1e-12)
-    row = np.zeros(N)
-    for j in range(3):
-        row[j] = rot[2, j] + tilt * (seen[0] * rot[0, j] + seen[1] * rot[1, j])
-    return correct(x, row, heading_error(x[:4], field, declination_rad), variance)
+    fx, fy, fz = field[0], field[1], field[2]
+    (n_x, n_y, n_z), (e_x, e_y, e_z), (d_x, d_y, d_z) = body_axes(x)
+    north = n_x * fx + n_y * fy + n_z * fz
+    east = e_x * fx + e_y * fy + e_z * fz
+    tilt = -(d_x * fx + d_y * fy + d_z * fz) / (north * north + east * east + 1e-12)
+    h = (
+        d_x + tilt * (north * n_x + east * e_x),
+        d_y + tilt * (north * n_y + east * e_y),
+        d_z + tilt * (north * n_z + east * e_z),
+    )
+    innovation = wrapped(declination_rad - atan2(east, north))
+    correct_by_turn(x, h, innovation, variance, room)
 
 
 @compiled
-def level(x: Vector, gyro: Vector, accel: Vector, speed_mps: float, variance: float) -> Vector:
-    """Specific force (3,) as gravity plus the centripetal part of a flight along the nose.
+def level(x: Vector, imu: Vector, speed_mps: float, variance: float, room: Room) -> None:
+    """Take the specific force of an IMU sample (6,) as gravity plus the centripetal part of a
+    flight along the nose, axis by axis.
 
     The error of the turn moves gravity in body axes by g x t.
     """
     for axis in range(3):
-        down = matrix(x[:4])[2]
+        down = body_axes(x)[2]
         gx, gy, gz = -GRAVITY_MPS2 * down[0], -GRAVITY_MPS2 * down[1], -GRAVITY_MPS2 * down[2]
-        row = np.zeros(N)
         if axis == 0:
-            row[1], row[2] = -gz, gy
-            expected = gx
+            h, expected = (0.0, -gz, gy), gx
         elif axis == 1:
-            row[0], row[2] = gz, -gx
-            expected = gy + (gyro[2] - x[6]) * speed_mps
+            h, expected = (gz, 0.0, -gx), gy + (imu[2] - x[6]) * speed_mps
         else:
-            row[0], row[1] = -gy, gx
-            expected = gz - (gyro[1] - x[5]) * speed_mps
-        x = correct(x, row, accel[axis] - expected, variance)
-    return x
+            h, expected = (-gy, gx, 0.0), gz - (imu[1] - x[5]) * speed_mps
+        correct_by_turn(x, h, imu[3 + axis] - expected, variance, room)
 
 
 @compiled
 def moved(
-    x: Vector, stamps: Stamps, t_us: int, v: Vector, speed_mps: float, numbers: Vector
-) -> Vector:
-    """The state after the numbers v (7,) of an IMU sample; `stamps` are moved on."""
+    x: Vector,
+    stamps: Stamps,
+    t_us: int,
+    imu: Vector,
+    speed_mps: float,
+    numbers: Vector,
+    room: Room,
+) -> None:
+    """Move the state to an IMU sample (6,), and its `stamps` with it."""
     dt_s = (t_us - stamps[NOW]) * 1e-6
     if dt_s <= 0.0:
-        return x
+        return
     if dt_s <= MAX_GAP_S:
-        x = predict(x, v[0:3], v[3:6], dt_s, numbers[0], numbers[1], numbers[2])
+        predict(x, imu, dt_s, numbers[0], numbers[1], numbers[2], room)
     if t_us - stamps[GPS] >= numbers[7] and t_us - stamps[TILT] >= numbers[6]:
-        x = level(x, v[0:3], v[3:6], speed_mps, numbers[5])
+        level(x, imu, speed_mps, numbers[5], room)
         stamps[TILT] = t_us
     stamps[NOW] = t_us
-    return x
 
 
 @compiled
-def with_velocity(x: Vector, stamps: Stamps, t_us: int, v: Vector, numbers: Vector) -> Vector:
-    """The state after the numbers v (11,) of a fix; one that does not tell the climb is no use."""
+def with_velocity(
+    x: Vector, stamps: Stamps, t_us: int, v: Vector, numbers: Vector, room: Room
+) -> None:
+    """Take the numbers v (11,) of a fix; one that does not tell the climb is no use."""
     finite = np.isfinite(v[3]) and np.isfinite(v[4]) and np.isfinite(v[5])
     if v[6] < MIN_FIX or not finite:
-        return x
+        return
     if t_us - stamps[GPS] >= numbers[7]:
-        x = restart_velocity(x, v[3:6], numbers[3])
+        restart_velocity(x, v[3:6], numbers[3])
     else:
-        x = correct_velocity(x, v[3:6], numbers[3])
+        correct_velocity(x, v[3:6], numbers[3], room)
     stamps[GPS] = max(t_us, stamps[GPS])
-    return x
 
 
 @compiled
@@ -237,19 +258,19 @@ def follow(
     Stamps (m,) and q_nb (m, 4) after each IMU sample, and the state after.
     """
     when, q_nb = room_for_estimates(kind)
-    stamps = stamps.copy()
+    x, stamps, room = x.copy(), stamps.copy(), new_room()
     done = 0
     for i in range(len(kind)):
         if kind[i] == IMU:
-            x = moved(x, stamps, t_us[i], values[i], speed_mps, numbers)
+            moved(x, stamps, t_us[i], values[i], speed_mps, numbers, room)
             when[done] = stamps[NOW]
             for k in range(4):
                 q_nb[done, k] = x[k]
             done += 1
         elif kind[i] == MAG:
-            x = head(x, values[i, 0:3], declination_rad, numbers[4])
+            head(x, values[i], declination_rad, numbers[4], room)
         elif kind[i] == FIX:
-            x = with_velocity(x, stamps, t_us[i], values[i], numbers)
+            with_velocity(x, stamps, t_us[i], values[i], numbers, room)
         elif kind[i] == AIRSPEED:
             speed_mps = airspeed_mps(values[i, 0])
     return when, q_nb, x, stamps, speed_mps

@@ -8,46 +8,64 @@ from numpy.typing import NDArray
 from mavproxy_fault.wire.compiled import compiled
 
 Vector = NDArray[np.float64]
+Quaternion = tuple[float, float, float, float]
+Axis = tuple[float, float, float]
+Errors = tuple[float, float, float, float]
+
+
+@compiled
+def quaternion_of_turn(rx: float, ry: float, rz: float) -> Quaternion:
+    """The unit quaternion of a rotation vector in rad."""
+    angle = sqrt(rx * rx + ry * ry + rz * rz)
+    # sin(angle / 2) / angle by its series where the quotient would lose digits
+    factor = 0.5 - angle * angle / 48.0 if angle < 1e-4 else sin(0.5 * angle) / angle
+    return cos(0.5 * angle), factor * rx, factor * ry, factor * rz
+
+
+@compiled
+def turn(q: Vector, by: Quaternion) -> None:
+    """Turn the attitude in the first four places of q in place, by a turn in body axes."""
+    w, x, y, z = by
+    a, b, c, d = q[0], q[1], q[2], q[3]
+    q0 = a * w - b * x - c * y - d * z
+    q1 = a * x + b * w + c * z - d * y
+    q2 = a * y - b * z + c * w + d * x
+    q3 = a * z + b * y - c * x + d * w
+    norm = sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
+    q[0], q[1], q[2], q[3] = q0 / norm, q1 / norm, q2 / norm, q3 / norm
 
 
 @compiled
 def turned(q: Vector, rx: float, ry: float, rz: float) -> Vector:
     """q (4,) turned by the rotation vector (rx, ry, rz) in rad, given in body axes."""
-    angle = sqrt(rx * rx + ry * ry + rz * rz)
-    # sin(angle / 2) / angle by its series where the quotient would lose digits
-    factor = 0.5 - angle * angle / 48.0 if angle < 1e-4 else sin(0.5 * angle) / angle
-    w, x, y, z = cos(0.5 * angle), factor * rx, factor * ry, factor * rz
-    a, b, c, d = q[0], q[1], q[2], q[3]
-    out = np.empty(4)
-    out[0] = a * w - b * x - c * y - d * z
-    out[1] = a * x + b * w + c * z - d * y
-    out[2] = a * y - b * z + c * w + d * x
-    out[3] = a * z + b * y - c * x + d * w
-    norm = sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2] + out[3] * out[3])
-    for i in range(4):
-        out[i] /= norm
+    out = q.copy()
+    turn(out, quaternion_of_turn(rx, ry, rz))
     return out
+
+
+@compiled
+def body_axes(q: Vector) -> tuple[Axis, Axis, Axis]:
+    """The rows of rot_nb of the attitude in the first four places of q."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    return (
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+    )
 
 
 @compiled
 def matrix(q: Vector) -> NDArray[np.float64]:
     """rot_nb (3, 3) of q (4,)."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
+    north, east, down = body_axes(q)
     out = np.empty((3, 3))
-    out[0, 0] = 1.0 - 2.0 * (y * y + z * z)
-    out[0, 1] = 2.0 * (x * y - w * z)
-    out[0, 2] = 2.0 * (x * z + w * y)
-    out[1, 0] = 2.0 * (x * y + w * z)
-    out[1, 1] = 1.0 - 2.0 * (x * x + z * z)
-    out[1, 2] = 2.0 * (y * z - w * x)
-    out[2, 0] = 2.0 * (x * z - w * y)
-    out[2, 1] = 2.0 * (y * z + w * x)
-    out[2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    for i in range(3):
+        out[0, i], out[1, i], out[2, i] = north[i], east[i], down[i]
     return out
 
 
 @compiled
-def euler(q: Vector) -> tuple[float, float, float]:
+def euler(q: Vector | Quaternion) -> tuple[float, float, float]:
     """Roll, pitch, yaw in rad of q (4,)."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
@@ -115,8 +133,8 @@ def gravity_error(
 
 
 @compiled
-def errors(q_estimate: Vector, q_truth: Vector) -> Vector:
-    """Differences of roll, pitch and yaw, wrapped, and the angle of the turn between, rad, (4,)."""
+def errors(q_estimate: Vector | Quaternion, q_truth: Vector | Quaternion) -> Errors:
+    """Differences of roll, pitch and yaw, wrapped, and the angle of the turn between, rad."""
     a, b = q_estimate, q_truth
     roll_a, pitch_a, yaw_a = euler(a)
     roll_b, pitch_b, yaw_b = euler(b)
@@ -124,23 +142,17 @@ def errors(q_estimate: Vector, q_truth: Vector) -> Vector:
     x = a[0] * b[1] - a[1] * b[0] - a[2] * b[3] + a[3] * b[2]
     y = a[0] * b[2] + a[1] * b[3] - a[2] * b[0] - a[3] * b[1]
     z = a[0] * b[3] - a[1] * b[2] + a[2] * b[1] - a[3] * b[0]
-    out = np.empty(4)
-    out[0] = wrapped(roll_a - roll_b)
-    out[1] = wrapped(pitch_a - pitch_b)
-    out[2] = wrapped(yaw_a - yaw_b)
-    out[3] = 2.0 * atan2(sqrt(x * x + y * y + z * z), abs(w))
-    return out
+    turn_rad = 2.0 * atan2(sqrt(x * x + y * y + z * z), abs(w))
+    return wrapped(roll_a - roll_b), wrapped(pitch_a - pitch_b), wrapped(yaw_a - yaw_b), turn_rad
 
 
 @compiled
-def between(q0: Vector, q1: Vector, share: float) -> Vector:
+def between(q0: Quaternion, q1: Quaternion, share: float) -> Quaternion:
     """Along the shorter way from q0 (share 0) to q1 (share 1), normalised linear."""
     dot = q0[0] * q1[0] + q0[1] * q1[1] + q0[2] * q1[2] + q0[3] * q1[3]
-    sign = 1.0 if dot >= 0.0 else -1.0
-    out = np.empty(4)
-    for i in range(4):
-        out[i] = (1.0 - share) * q0[i] + (share * sign) * q1[i]
-    norm = sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2] + out[3] * out[3])
-    for i in range(4):
-        out[i] /= norm
-    return out
+    other = share if dot >= 0.0 else -share
+    one = 1.0 - share
+    w, x = one * q0[0] + other * q1[0], one * q0[1] + other * q1[1]
+    y, z = one * q0[2] + other * q1[2], one * q0[3] + other * q1[3]
+    norm = sqrt(w * w + x * x + y * y + z * z)
+    return w / norm, x / norm, y / norm, z / norm

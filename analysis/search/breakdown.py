@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.attitude_scores import Cell, parted, phases_of
+from analysis.attitude_scores import Cells, parted, phases_of
 from analysis.estimators import make
 from analysis.search.batch import COMPILED, Batch, ned_velocity, start_memory
 from analysis.search.shrink import pinned
@@ -71,18 +71,20 @@ def _end_us(at_s: float, for_s: float | None) -> int | None:
     return None if for_s is None else round((at_s + for_s) * 1e6)
 
 
-def cells_of(flight: Trace, error: Array) -> list[Cell]:
+def cells_of(flight: Trace, error: Array) -> Cells:
     """Errors (n, 4) of a flight in cells of CELL_US."""
     length = max(1, round(CELL_US * 1e-6 / flight.plan.dt_s))
+    begins = np.arange(0, len(error), length)
     velocity = ned_velocity(flight.state[:, 6:10].T, flight.state[:, 3:6].T).T
-    phases = phases_of(flight.state[::length, 6:10], velocity[::length])
-    cells = []
-    for number, first in enumerate(range(0, len(error), length)):
-        part = error[first : first + length]
-        sums = np.concatenate([[len(part)], (part**2).sum(axis=0), np.abs(part).max(axis=0)])
-        start_us = round(first * flight.plan.dt_s * 1e6)
-        cells.append(Cell(start_us, phases[number], sums, part[0]))
-    return cells
+    counts = np.diff(begins, append=len(error))
+    squares = np.add.reduceat(error**2, begins)
+    largest = np.maximum.reduceat(np.abs(error), begins)
+    return Cells(
+        np.rint(begins * flight.plan.dt_s * 1e6).astype(np.int64),
+        phases_of(flight.state[begins, 6:10], velocity[begins]),
+        np.column_stack([counts, squares, largest]),
+        error[begins],
+    )
 
 
 def state_rmse(flight: Trace) -> Array:

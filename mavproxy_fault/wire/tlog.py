@@ -26,6 +26,7 @@ Columns = dict[str, NDArray[np.void]]
 _Frames = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int16]]  # start, stamp, slot
 
 BLOCK_FRAMES = 1 << 17
+ORDERED_FRAMES = 1 << 15  # of `read_ordered`: fewer cost calls, more the processor's cache
 CACHED_FRAMES = 1 << 14  # whose places and stamps stay in the processor's cache
 END_BYTES = 1 << 16  # as much of a log's beginning or end as shows its first or last frame
 
@@ -162,28 +163,33 @@ def _unrolled(data: NDArray[np.uint8], block: _Block) -> Iterator[_Frames]:
         yield at[:filled], t_us[:filled], slot[:filled]
 
 
-def _columns(data: NDArray[np.uint8], block: _Block, only: Collection[str] | None) -> Columns:
+def _columns(
+    data: NDArray[np.uint8],
+    counts: NDArray[np.int64],
+    parts: Iterable[_Frames],
+    only: Collection[str] | None = None,
+) -> Columns:
+    """The columns of frames, so many of each message, given part by part."""
     from mavproxy_fault.wire.walk import HEAD, SLACK, scatter
 
     names = message_names()
     lengths = _tables()[2]
-    wanted = block.counts > 0
+    wanted = counts > 0
     if only is not None:
-        wanted &= np.isin(names, list(only))
-    sizes = np.where(wanted, block.counts * (lengths + HEAD) + SLACK, 0)
+        wanted &= np.array([name in only for name in names])
+    sizes = np.where(wanted, counts * (lengths + HEAD) + SLACK, 0)
     begins = np.concatenate(([0], np.cumsum(sizes + -sizes % 64)))
     rows = np.zeros(int(begins[-1]), np.uint8)
     wanted_lengths = np.where(wanted, lengths, -1)
     nexts = begins[:-1].copy()
-    for at, t_us, slot in _unrolled(data, block):
+    for at, t_us, slot in parts:
         scatter(data, at, t_us, slot, wanted_lengths, nexts, rows)
     columns = {}
     for slot_ in np.flatnonzero(wanted):
         dtype = row_dtype(names[slot_])
         begin = int(begins[slot_])
-        columns[names[slot_]] = rows[begin : begin + block.counts[slot_] * dtype.itemsize].view(
-            dtype
-        )
+        end = begin + int(counts[slot_]) * dtype.itemsize
+        columns[names[slot_]] = rows[begin:end].view(dtype)
     return columns
 
 
@@ -220,7 +226,8 @@ def read_parts(path: str | Path) -> Iterator[Log]:
 
 def _log(data: NDArray[np.uint8], block: _Block) -> Log:
     frames = np.concatenate([_frames(data, some) for some in _unrolled(data, block)])
-    return Log(_columns(data, block, None), frames, block.junk_bytes, len(data))
+    columns = _columns(data, block.counts, _unrolled(data, block))
+    return Log(columns, frames, block.junk_bytes, len(data))
 
 
 def read_columns(path: str | Path, only: Collection[str] | None = None) -> Columns:
@@ -235,25 +242,27 @@ def read_columns(path: str | Path, only: Collection[str] | None = None) -> Colum
         first four has `_` appended.
     """
     data = map_bytes(Path(path))
-    return _columns(data, _whole(data), only)
+    block = _whole(data)
+    return _columns(data, block.counts, _unrolled(data, block), only)
 
 
 def read_blocks(path: str | Path, only: Collection[str] | None = None) -> Iterator[Columns]:
     """The same block by block (131,072 frames each), for logs larger than memory."""
     data = map_bytes(Path(path))
     for block in _blocks(data, BLOCK_FRAMES):
-        yield _columns(data, block, only)
+        yield _columns(data, block.counts, _unrolled(data, block), only)
 
 
 def read_ordered(
-    path: str | Path, only: Collection[str], frames: int = CACHED_FRAMES
+    path: str | Path, only: Collection[str], frames: int = ORDERED_FRAMES
 ) -> Iterator[tuple[Columns, dict[str, NDArray[np.int64]]]]:
     """The columns of so many frames at a time, with the place (n,) of each row among all frames."""
     data = map_bytes(Path(path))
     slots = {name: slot for slot, name in enumerate(message_names())}
     for block in _blocks(data, frames):
-        columns = _columns(data, block, only)
-        slot = np.concatenate([slot.copy() for _, _, slot in _unrolled(data, block)])
+        parts = [(at.copy(), t_us.copy(), slot.copy()) for at, t_us, slot in _unrolled(data, block)]
+        columns = _columns(data, block.counts, parts, only)
+        slot = np.concatenate([slot for _, _, slot in parts])
         yield columns, {name: np.flatnonzero(slot == slots[name]) for name in columns}
 
 
