@@ -27,6 +27,7 @@ from analysis.samples import (
     Vector,
     VisionSample,
 )
+from mavproxy_fault.wire.compiled import compiled
 
 Stamps = NDArray[np.int64]
 Indices = NDArray[np.int64]
@@ -243,15 +244,10 @@ def pieces(samples: Sample | Block, counts: Callable[[int], bool] = every_fix) -
     """
     block = samples if isinstance(samples, Block) else block_of(samples)
     last_row = len(block.kind) - 1
-    ends = np.flatnonzero(block.kind >= FIX)
-    if last_row >= 0 and (not len(ends) or ends[-1] != last_row):
-        ends = np.append(ends, last_row)
-    imu, mag = block.rows(IMU), np.append(-1, block.rows(MAG))
+    imu, ends, mags, cuts = _cut(block.kind)
     run = ImuRun(block.t_us[imu], block.values[imu, :6])
     ids = block.values[imu, 6]
     same = int(ids[0]) if len(ids) and (ids == ids[0]).all() else None
-    mags = mag[np.searchsorted(mag, ends, side="right") - 1]
-    cuts = np.searchsorted(imu, ends, side="right")
     columns = ends, mags, cuts, block.kind[ends], block.t_us[ends]
     first = a = 0
     for last, mag_row, b, kind, t_us in zip(*(c.tolist() for c in columns), strict=True):
@@ -261,3 +257,23 @@ def pieces(samples: Sample | Block, counts: Callable[[int], bool] = every_fix) -
         newest = mag_row if mag_row >= first else -1
         yield Piece(block, first, last, samples_of_imu, ids[a:b], same, newest, kind, t_us)
         first, a = last + 1, b
+
+
+@compiled
+def _cut(kind: Indices) -> tuple[Indices, Indices, Indices, Indices]:
+    """Where the IMU's samples are; where pieces end, where the newest field sample is at each end
+    (-1: nowhere), and how many of the IMU's are before it."""
+    count = kind.shape[0]
+    imu, ends = np.empty(count, np.int64), np.empty(count, np.int64)
+    mags, cuts = np.empty(count, np.int64), np.empty(count, np.int64)
+    seen, cut, mag = 0, 0, -1
+    for row in range(count):
+        if kind[row] == IMU:
+            imu[seen] = row
+            seen += 1
+        elif kind[row] == MAG:
+            mag = row
+        if kind[row] >= FIX or row == count - 1:
+            ends[cut], mags[cut], cuts[cut] = row, mag, seen
+            cut += 1
+    return imu[:seen], ends[:cut], mags[:cut], cuts[:cut]

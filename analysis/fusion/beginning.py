@@ -26,6 +26,7 @@ from analysis.fdi.inertial import (
 )
 from analysis.fdi.start import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.fdi.state import Motion
+from analysis.fdi.value import Value
 from analysis.fusion.factors import EPOCHS, NO_CLOCK
 from analysis.fusion.frame import Frame, frame_at, quaternion
 from analysis.fusion.window import key
@@ -39,8 +40,7 @@ STILL_RAD = 0.1
 DOUBT = 2.0  # the sigmas of the last good state times this
 
 
-@dataclass(frozen=True, slots=True)
-class Node:
+class Node(Value, frozen=True):
     """An epoch and its estimate in the graph's frame."""
 
     epoch: int

@@ -1,7 +1,6 @@
 """What lies between two epochs: the IMU's samples, split and mended when data come late."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,13 +8,13 @@ from analysis.block import ImuRun
 from analysis.fdi.config import Noise
 from analysis.fdi.motion import TURN_SIGMA_RPS, Segment, run_of, segment
 from analysis.fdi.state import Motion
+from analysis.fdi.value import Value
 from analysis.samples import ImuSample, Vector
 
 NOTHING: Vector = np.empty(0)
 
 
-@dataclass(frozen=True, slots=True)
-class Edge:
+class Edge(Value, frozen=True):
     """From the epoch `before`: the IMU between, its noise and whether it is trusted, how far the
     clock may have leapt in m, how fast the body may have turned where there is no IMU in rad/s."""
 

@@ -1,8 +1,8 @@
 """Measurements other than ranges as factors; keys are letters with the number of an epoch.
 
 x pose (body to local), v velocity, b IMU biases, c receiver clock and drift (in m and m/s, counted
-from where they were when the graph began); per block of time h the barometer's offset (in km, see
-`OFFSET_UNIT_M`), w the wind.
+from where they were when the graph began); per span of the window h the barometer's offset (in km,
+see `OFFSET_UNIT_M`), w the wind.
 
 GTSAM's factors take a clock in seconds and an offset in metres as numbers of their own. Beside
 metres that ruins the condition of the system, so such factors are linearised here, where they are

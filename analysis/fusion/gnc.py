@@ -1,7 +1,8 @@
 """GTSAM's graduated non-convexity on a window: for comparison with the detector's decisions.
 
 `GncLMOptimizer` solves the whole window again and again while it tightens a truncated least-squares
-loss, so it takes tens of milliseconds where an update takes one; it is asked once per block.
+loss, so it takes tens of milliseconds where an update takes one; it is asked once per span of the
+window.
 """
 
 import gtsam

@@ -2,7 +2,7 @@
 
 import math
 from bisect import bisect_left, insort
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import gtsam
@@ -18,6 +18,7 @@ from analysis.fusion.ranges import Ranges
 from analysis.fusion.robust import clock_in_seconds, pseudoranges
 from analysis.fusion.window import Window, key
 from analysis.samples import ImuSample, Vector
+from mavproxy_fault.wire.compiled import compiled
 
 SAME_PLACE_M = 100.0  # gravity turns by 2e-5 rad over it
 SAME_US = 1000  # epochs closer than this are one
@@ -63,6 +64,7 @@ class Graph:
         self._began = beginning.node
         self._detector = detector
         self._track: list[tuple[int, int]] = []  # times and numbers of epochs, in order of time
+        self._free: list[int] = []  # numbers of epochs that are gone
         self._late: dict[int, list[ImuSample]] = {}
         self._robust = config.robust
         self._place_m = [0.0, 0.0, 0.0]
@@ -111,13 +113,14 @@ class Graph:
         after = [i for at, i in seen if 0 < at - t_us <= within_us]
         return (before[-1] if before else None), (after[0] if after else None)
 
-    def begins_block(self) -> bool:
-        """Whether the newest epoch is the first of its block."""
+    def begins_span(self) -> bool:
+        """Whether the newest epoch is the first of its span of the window."""
         before, _ = self.neighbours(self.node.epoch)
-        return before is not None and self._block(before) != self._block(self.node.epoch)
+        return before is not None and self.span(before) != self.span(self.node.epoch)
 
-    def _block(self, epoch: int) -> int:
-        return self.window.block(self.seconds(self.epochs[epoch].t_us))
+    def span(self, epoch: int) -> int:
+        """The span of the window that an epoch is in."""
+        return self.window.span(self.seconds(self.epochs[epoch].t_us))
 
     def extend(self, t_us: int, edge: Edge, attitude: Attitude | None = None) -> bool:
         """One epoch more after the newest, with its attitude where that becomes known.
@@ -126,14 +129,14 @@ class Graph:
         """
         old = self.node
         if attitude is not None:
-            edge = replace(edge, trusted=False, turn_rps=FREE_TURN_RPS)
+            edge = edge._replace(trusted=False, turn_rps=FREE_TURN_RPS)
         elif not self.aligned:
-            edge = replace(edge, trusted=False)
+            edge = edge._replace(trusted=False)
         motion = self._motion(edge, old, t_us)
         self.node = self._new_node(old, t_us, motion)
         if attitude is not None:
             pose = gtsam.Pose3(attitude[0], self.node.pose.translation())
-            self.node = replace(self.node, pose=pose)
+            self.node = self.node._replace(pose=pose)
         self._insert(self.node)
         self._tie(edge, motion, self.node.epoch)
         if attitude is not None:
@@ -158,13 +161,13 @@ class Graph:
         if edge is None or min(t_us - start_us, end_us - t_us) < SAME_US:
             return None
         first, second = split(edge.part, start_us, t_us, end_us)
-        earlier = replace(edge, part=first)
+        earlier = edge._replace(part=first)
         start = self.estimate(i)
         motion = self._motion(earlier, start, t_us)
         node = self._new_node(start, t_us, motion)
         self._insert(node)
         self._tie(earlier, motion, node.epoch)
-        self._retie(j, replace(edge, before=node.epoch, part=second), node)
+        self._retie(j, edge._replace(before=node.epoch, part=second), node)
         return node
 
     def hear_late(self, sample: ImuSample) -> None:
@@ -178,18 +181,19 @@ class Graph:
         for t_us, epoch in self._track:
             edge = self._edge(epoch)
             if t_us > since_us and edge is not None and edge.trusted:
-                self._retie(epoch, replace(edge, trusted=False))
+                self._retie(epoch, edge._replace(trusted=False))
 
     def attach_ranges(self, epoch: int, ranges: Ranges, weights: Vector) -> None:
         """The pseudoranges and rates of an epoch with their weights (n,)."""
         at = self.epochs[epoch]
         at.ranges, at.weights = ranges, weights
-        if not weights.any():
-            return
         clock, alone = self.clock_at(at.t_us), self._robust == "none"
         rows = ranges.factor(at.first, at.values, self.frame, clock, weights, rates_only=not alone)
         if alone:
-            self.attach(RANGES, epoch, rows)
+            if rows is not None:
+                self.attach(RANGES, epoch, rows)
+            return
+        if not weights.any():
             return
         found = pseudoranges(ranges, weights, epoch, self.frame, clock, self._robust)
         for name, factor in found.items():
@@ -220,13 +224,13 @@ class Graph:
         """
         smoother, t_us = self.window.smoother, self.epochs[epoch].t_us
         pose = smoother.calculateEstimatePose3(key("x", epoch))
-        velocity = np.asarray(smoother.calculateEstimateVector(key("v", epoch)))
-        clock, drift = smoother.calculateEstimateVector(key("c", epoch)).tolist()
-        if not math.isfinite(pose.matrix().sum() + velocity.sum() + clock + drift):
+        velocity = smoother.calculateEstimateVector(key("v", epoch))
+        clock = smoother.calculateEstimateVector(key("c", epoch))
+        if not _finite(pose.matrix(), velocity, clock):
             raise RuntimeError("the estimate is not finite")
         bias = smoother.calculateEstimateConstantBias(key("b", epoch))
-        known = self.clock_at(t_us)
-        return Node(epoch, t_us, pose, velocity, bias, (known[0] + clock, known[1] + drift))
+        known, (ahead_m, faster_mps) = self.clock_at(t_us), clock.tolist()
+        return Node(epoch, t_us, pose, velocity, bias, (known[0] + ahead_m, known[1] + faster_mps))
 
     def commit(self) -> None:
         """Solve with what was attached and take over the estimate.
@@ -241,7 +245,7 @@ class Graph:
             if edge is not None and edge.trusted:
                 start_us, end_us = self.epochs[edge.before].t_us, self.epochs[epoch].t_us
                 part = mended(edge.part, start_us, end_us, late)
-                self._retie(epoch, replace(edge, part=part))
+                self._retie(epoch, edge._replace(part=part))
         self._late = {}
         self._forget()
         self.window.commit()
@@ -262,12 +266,11 @@ class Graph:
         while self._track and self.epochs[self._track[0][1]].stamp_s < oldest_s:
             _, epoch = self._track.pop(0)
             del self.epochs[epoch]
+            self._free.append(epoch)
 
     def _new_node(self, start: Node, t_us: int, motion: Any) -> Node:
         guess = motion.predict(gtsam.NavState(start.pose, start.velocity), start.bias)
-        epoch = 0
-        while epoch in self.epochs:
-            epoch += 1
+        epoch = self._free.pop() if self._free else len(self.epochs)
         if epoch == EPOCHS:
             raise RuntimeError(f"more than {EPOCHS} epochs in the window")
         drift = start.clock[1]
@@ -312,3 +315,16 @@ class Graph:
             self.window.take_back(source, epoch)
         start = start or self.estimate(edge.before)
         self._tie(edge, self._motion(edge, start, self.epochs[epoch].t_us), epoch)
+
+
+@compiled
+def _finite(pose: Vector, velocity: Vector, clock: Vector) -> bool:
+    """Whether the numbers of a node are."""
+    total = 0.0
+    for i in range(3):
+        total += velocity[i]
+        for k in range(4):
+            total += pose[i, k]
+    for value in clock:
+        total += value
+    return math.isfinite(total)

@@ -21,7 +21,7 @@ from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
 INTEGRATION_M = 1e-3  # m/sqrt(s), position noise of the integration itself
-STEP_S = 0.05  # faster samples are put together first
+STEP_S = 0.1  # faster samples are put together first; what is left out is of third order
 FICTION_STEP_S = 0.05
 # Of the detector's noise of motion: rates pin the velocity at both ends, and between them it
 # changes more evenly than white noise that allows for the change would.

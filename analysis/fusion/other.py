@@ -49,13 +49,13 @@ OFFSET_SIGMA_M = 5.0  # of the first guess of a barometer's offset
 class Others:
     """Attaches samples to the epoch nearest to each, and keeps the slow states they need.
 
-    A barometer's offset and the wind are one variable per block of the window, each walking from
-    the block before; after a silence longer than the window they begin anew.
+    A barometer's offset and the wind are one variable per span of the window, each walking from
+    the span before; after a silence longer than the window they begin anew.
     """
 
     def __init__(self, graph: Graph, config: FusionConfig) -> None:
         self._graph, self._config = graph, config
-        self._blocks: dict[str, list[int]] = {"h": [], "w": []}
+        self._spans: dict[str, list[int]] = {"h": [], "w": []}
         self._vision_sigmas = np.array([config.vision_rad] * 3 + [config.vision_m] * 3)
 
     def attach(self, sample: Sample, decision: Decision | None, share: float = 1.0) -> float | None:
@@ -91,28 +91,26 @@ class Others:
     def _slow(self, letter: str, epoch: int, first: Vector, sigma: float, walk: float) -> int:
         """The key of a slow state at an epoch; `walk` is per square root of a second."""
         graph, window = self._graph, self._graph.window
-        t_s = graph.seconds(graph.epochs[epoch].t_us)
-        block = window.block(t_s)
-        name = key(letter, block)
-        gone_s = window.oldest_s
-        blocks = [known for known in self._blocks[letter] if window.starts_s(known) >= gone_s]
-        if block not in blocks:
-            before = max((known for known in blocks if known < block), default=None)
+        span = graph.span(epoch)
+        name, stamp_s, gone_s = key(letter, span), window.span_stamp(span), window.oldest_s
+        spans = [known for known in self._spans[letter] if window.span_stamp(known) >= gone_s]
+        if span not in spans:
+            before = max((known for known in spans if known < span), default=None)
             if before is None:
                 factor = gtsam.PriorFactorVector(name, first, alike(len(first), sigma))
-                since_s = window.starts_s(block)
+                since_s = stamp_s
             else:
-                old, since_s = key(letter, before), window.starts_s(before)
-                walked = walk * math.sqrt((block - before) * window.block_s)
+                old, since_s = key(letter, before), window.span_stamp(before)
+                walked = walk * math.sqrt((span - before) * window.span_s)
                 factor = walk_factor(old, name, walked, len(first))
                 if window.slots(letter, before):
                     first = np.asarray(window.smoother.calculateEstimateVector(old))
             values = gtsam.Values()
             values.insert(name, first)
-            window.insert(values, (name,), window.starts_s(block))
-            window.attach(letter, block, since_s, factor)
-            blocks.append(block)
-        self._blocks[letter] = blocks
+            window.insert(values, (name,), stamp_s)
+            window.attach(letter, span, since_s, factor)
+            spans.append(span)
+        self._spans[letter] = spans
         return name
 
     def _up_m(self, epoch: int) -> tuple[float, float]:

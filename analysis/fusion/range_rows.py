@@ -5,8 +5,9 @@ import math
 import numpy as np
 
 from analysis.fdi.inertial import X_CLOCK, X_DRIFT, V
+from analysis.fdi.linear import inverse
 from analysis.fdi.measure import Indices, modelled_at
-from analysis.gnss import EARTH_RATE_RPS, LIGHT_MPS, satellite_states
+from analysis.gnss import EARTH_RATE_RPS, LIGHT_MPS, SYSTEMS, satellite_states
 from analysis.samples import Vector
 from mavproxy_fault.wire.compiled import compiled
 
@@ -106,3 +107,33 @@ def whitened(
                     row[6 + k] = -sight[k]
                     row[11] += sight[k] * velocity[k]
     return out[:count]
+
+
+@compiled
+def snapshot_covariance(table: Vector, weights: Vector, system: Indices, share: float) -> Vector:
+    """Covariance (3, 3) in ECEF of a snapshot solution with a clock per system from the satellites
+    with a weight, their sigmas multiplied by `share`; NaN where it is undetermined."""
+    clock, size, count = np.zeros(len(SYSTEMS), np.int64), 3, 0
+    for kind in range(len(SYSTEMS)):
+        before = count
+        for i in range(table.shape[0]):
+            if weights[i] > 0.0 and system[i] == kind:
+                count += 1
+        if count > before:
+            clock[kind], size = size, size + 1
+    normal, row = np.zeros((size, size)), np.zeros(size)
+    for i in range(table.shape[0]):
+        if not weights[i] > 0.0:
+            continue
+        row[:] = 0.0
+        for k in range(3):
+            row[k] = table[i, LOS + k] / (share * table[i, SIGMA])
+        row[clock[system[i]]] = 1.0 / (share * table[i, SIGMA])
+        for k in range(size):
+            for j in range(size):
+                normal[k, j] += row[k] * row[j]
+    cofactor, out = inverse(normal), np.empty((3, 3))
+    for k in range(3):
+        for j in range(3):
+            out[k, j] = cofactor[k, j] if count >= size else np.nan
+    return out

@@ -21,18 +21,18 @@ from analysis.fusion.learnt import Learnt
 from analysis.fusion.range_rows import (
     ABOVE,
     CORRECTED,
-    LOS,
     NORMALISED,
     RATE_SIGMA,
     SIGMA,
     measured,
+    snapshot_covariance,
     whitened,
 )
 from analysis.fusion.weights import weight
 from analysis.fusion.window import key
 from analysis.gnss import LIGHT_MPS
 from analysis.samples import Vector
-from analysis.solve import design_matrix, systems_of
+from analysis.solve import systems_of
 
 NO_ARM = np.zeros(3)
 LEAST_WEIGHT = 0.02  # less is left out
@@ -159,14 +159,6 @@ class Ranges:
         Multipath, ephemeris and atmosphere stay the same for minutes: a bias of `share` sigmas per
         satellite, which the position follows as the snapshot solution does.
         """
-        used = np.flatnonzero(weights)
-        system = self._observed.system[used]
-        if len(used) < 3 + max(len(systems_of(system)), 1):
-            return None
-        sigma = share * self.sigma_m[used] / self._config.correlation
-        design = design_matrix(self.table[used, LOS : LOS + 3], system) / sigma[:, None]
-        try:
-            cofactor = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
-        except np.linalg.LinAlgError:
-            return None
-        return cofactor[:3, :3]
+        sigmas = share / self._config.correlation
+        found = snapshot_covariance(self.table, weights, self._observed.system, sigmas)
+        return found if math.isfinite(found[0, 0]) else None

@@ -29,14 +29,15 @@ def fused_state(graph: Graph, name: str, weights: dict[str, float], reason: str)
         frame.axes,
         graph.slow_m2,
     )
-    each: list[Any] = [tuple(row) for row in rows[:15].reshape(5, 3).tolist()]
+    numbers = rows.tolist()
+    each: list[Any] = [tuple(numbers[at : at + 3]) for at in range(0, 15, 3)]
     return FusedState(
         t_s=node.t_us * 1e-6,
         t_us=node.t_us,
         name=name,
         position_ecef_m=each[0],
         velocity_ned_mps=each[1],
-        q_nb=tuple(rows[15:].tolist()),
+        q_nb=tuple(numbers[15:]),
         position_sigma_m=each[2],
         velocity_sigma_mps=each[3],
         attitude_sigma_deg=each[4] if graph.aligned else UNKNOWN_DEG,

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from analysis.block import ATTITUDE, IMU, IONOSPHERE, TRUTH, ImuRun, Piece
+from analysis.block import ImuRun, Piece
 from analysis.fdi.config import DetectorConfig, Noise
 from analysis.fdi.core import Core
 from analysis.fdi.inertial import X_ISB
@@ -26,7 +26,7 @@ from analysis.fusion.graph import Attitude, Graph
 from analysis.fusion.other import WAITING, Others
 from analysis.fusion.ranges import Ranges
 from analysis.fusion.said import fused_state, gap
-from analysis.fusion.state import FusionState, Good, Now
+from analysis.fusion.state import FusionState, Good, Now, all_are, heeded
 from analysis.fusion.weights import isolated_sensors, range_weights, sensor_weights
 from analysis.results import Decision, FusedState, Result, SensorDecision
 from analysis.samples import Epoch, ImuSample, Sample
@@ -37,8 +37,6 @@ SUSPECT = 0.5  # of the threshold: above it the IMU is suspicious, and taken bac
 SHOWS_NOISE = ("none", "satellites")  # hypotheses under which residuals are noise
 SKY_US = 2_000_000  # satellites move little meanwhile
 JUMP_M = 1e5  # how far a clock may leap where the detector says that it did, as the ranges allow
-HEEDED = np.ones(IONOSPHERE + 1, bool)  # kinds of samples that are not taken as a whole, if at all
-HEEDED[[IMU, TRUTH, ATTITUDE]] = False
 FAILURES = (RuntimeError, ValueError, IndexError)  # what GTSAM and numpy raise
 
 
@@ -58,13 +56,13 @@ class Fusion:
         self, piece: Piece, results: Sequence[Result], core: Core, state: FusionState
     ) -> tuple[list[Result], FusionState]:
         """The same as `step` for samples up to an event, with the results of that."""
-        run, ours = piece.imu, piece.ids == core.imu_id
-        if core.imu_id is not None and not ours.all():
+        run = piece.imu
+        if core.imu_id is not None and not all_are(piece.ids, core.imu_id):
+            ours = piece.ids == core.imu_id
             run = ImuRun(run.t_us[ours], run.values[ours])
         state.hear(run)
-        kinds = piece.block.kind[piece.first : piece.last + 1]
         said: list[Result] = []
-        for row in (np.flatnonzero(HEEDED[kinds]) + piece.first).tolist():
+        for row in heeded(piece.block.kind, piece.first, piece.last).tolist():
             told = results if row == piece.last else ()
             found, state = self.step(piece.block.sample(row), told, core, state)
             said += found
@@ -190,7 +188,7 @@ class Fusion:
             if name in now.core.excluded:
                 graph.remove(name, now.core.excluded[name].onset_us)
         graph.commit()
-        if self.config.robust == "gnc" and graph.begins_block():
+        if self.config.robust == "gnc" and graph.begins_span():
             self._drop_outliers(graph)
         state.excluded = excluded
         state.good = Good(graph.frame, graph.node, graph.covariance, graph.aligned)

@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.block import ImuRun, Stamps
+from analysis.block import ATTITUDE, IMU, TRUTH, ImuRun, Indices, Stamps
 from analysis.fdi.core import Core, Record
 from analysis.fdi.motion import PENDING_MAX
 from analysis.fdi.state import Motion
+from analysis.fdi.value import Value
 from analysis.fusion.beginning import Node
 from analysis.fusion.frame import Frame
 from analysis.fusion.graph import Graph
@@ -23,8 +24,7 @@ from mavproxy_fault.wire.compiled import compiled
 NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
 
 
-@dataclass(frozen=True, slots=True)
-class Now:
+class Now(Value, frozen=True):
     """One epoch: the sample that made it, what the detector said, and its state after it."""
 
     sample: Sample
@@ -123,3 +123,23 @@ def _later(t_us: Stamps, than_us: int) -> int:
         if stamp_us > than_us:
             count += 1
     return count
+
+
+@compiled
+def heeded(kind: Indices, first: int, last: int) -> Indices:
+    """The rows from `first` to `last` that are taken one by one: the IMU's are taken as a whole."""
+    rows, count = np.empty(last + 1 - first, np.int64), 0
+    for row in range(first, last + 1):
+        if kind[row] != IMU and kind[row] != TRUTH and kind[row] != ATTITUDE:
+            rows[count] = row
+            count += 1
+    return rows[:count]
+
+
+@compiled
+def all_are(ids: Vector, wanted: float) -> bool:
+    """Whether the numbers of sensors (k,) are all the same."""
+    same = True
+    for each in ids:
+        same &= each == wanted
+    return same

@@ -1,25 +1,29 @@
 """GTSAM's fixed-lag smoother with names for its factors, so that they can be taken back.
 
-`IncrementalFixedLagSmoother` as set up here costs a fraction of its defaults: time stamps are cut
-to blocks, so that the oldest variables are marginalised together once per block, and in the updates
-between the newest variables stay at the root of its tree; and variables are relinearised only when
-they moved so far that it matters. Cholesky takes half the time of QR; it asks for variables of like
-scale (see `factors`).
+`IncrementalFixedLagSmoother` as set up here costs a fraction of its defaults. Time stamps are cut
+to blocks as long as the lag, and a block is marginalised as a whole when the next but one begins.
+In the updates between, the newest variables become the root of GTSAM's tree, so that those of a
+block hang on it in order of time and leave it without any other being eliminated anew. Of shorter
+blocks what stays has been put in another order by the last marginalisation, and is so by each.
+Variables are relinearised only when they moved so far that it matters. Cholesky takes half the time
+of QR; it asks for variables of like scale (see `factors`).
 """
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import gtsam
 import numpy as np
 
+from analysis.fdi.value import Value
 from analysis.samples import Vector
 
-BLOCKS = 2.5  # per lag
-BEFORE = 1 << 20  # keeps the numbers of blocks positive
+SPANS = 2  # per block, for what changes slowly
+KEPT = 1.5  # blocks: the newest's and the one before, whatever the rounding
+BEFORE = 1 << 20  # keeps the numbers of spans positive
+ROUNDING = 1e-9
 NEVER = 1e9
 SMALL = 0.02  # m, rad, m/s: older variables that moved less keep their estimate
 # How far a variable moves before it is relinearised, in its own units (rad, m, m/s, m/s^2): ranges
@@ -36,8 +40,7 @@ RELINEARISE = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
+class Entry(Value, frozen=True):
     """The slots of some factors and the stamp of the oldest variable they touch."""
 
     stamp_s: float
@@ -70,9 +73,8 @@ class Window:
         for letter, values in RELINEARISE.items():
             thresholds.insert((letter, np.array(values)))
         params.setRelinearizeThreshold(thresholds)
-        self.block_s = lag_s / BLOCKS
-        self._lag_s = lag_s
-        self.smoother = gtsam.IncrementalFixedLagSmoother(lag_s, params)
+        self._block_s = lag_s
+        self.smoother = gtsam.IncrementalFixedLagSmoother(KEPT * lag_s, params)
         self._entries: dict[tuple[str, int], Entry] = {}
         self._newest_s = self._forgotten_s = -NEVER
         self._clear()
@@ -84,22 +86,27 @@ class Window:
         self._named: list[tuple[tuple[str, int], float, int]] = []
         self._back: list[int] = []
 
-    def block(self, t_s: float) -> int:
-        """The number, above zero, of the block a time is in."""
-        return math.floor(t_s / self.block_s + 1e-9) + BEFORE
-
-    def starts_s(self, block: int) -> float:
-        """When a block begins."""
-        return (block - BEFORE) * self.block_s
-
     def stamp(self, t_s: float) -> float:
         """The start of the block a time is in."""
-        return self.starts_s(self.block(t_s))
+        return math.floor(t_s / self._block_s + ROUNDING) * self._block_s
+
+    @property
+    def span_s(self) -> float:
+        """How long a span is."""
+        return self._block_s / SPANS
+
+    def span(self, t_s: float) -> int:
+        """The number, above zero, of the span a time is in."""
+        return math.floor(t_s / self.span_s + ROUNDING) + BEFORE
+
+    def span_stamp(self, span: int) -> float:
+        """The start of the block a span is in."""
+        return self.stamp((span - BEFORE) * self.span_s)
 
     @property
     def oldest_s(self) -> float:
         """Variables with an older stamp are gone after the next commit."""
-        return self._newest_s - self._lag_s
+        return self._newest_s - KEPT * self._block_s
 
     def insert(self, values: Any, names: Iterable[int], stamp_s: float) -> None:
         """Variables with their first guesses and the `stamp` of their time."""

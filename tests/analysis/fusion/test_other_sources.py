@@ -124,10 +124,10 @@ def test_they_make_the_solution_surer_and_no_worse(plain, rich):
 
 def test_the_barometers_offset_and_the_wind_are_found(rich):
     _, _, graph = rich
-    smoother, block = graph.window.smoother, graph.window.block(graph.seconds(graph.node.t_us))
-    offset_m = OFFSET_UNIT_M * float(smoother.calculateEstimateVector(key("h", block))[0])
+    smoother, span = graph.window.smoother, graph.span(graph.node.epoch)
+    offset_m = OFFSET_UNIT_M * float(smoother.calculateEstimateVector(key("h", span))[0])
     assert abs(offset_m - 40.0) < 5.0  # the ellipsoid's height error is in it
-    east, north, _ = smoother.calculateEstimateVector(key("w", block))
+    east, north, _ = smoother.calculateEstimateVector(key("w", span))
     assert math.hypot(north - WIND_NED_MPS[0], east - WIND_NED_MPS[1]) < 3.0
 
 
