@@ -71,7 +71,7 @@ class Decoder:
         self, rows: NDArray[Any], order: Indices, stamps: "_Stamps"
     ) -> list[tuple[int, Sample]]:
         ours = np.flatnonzero(rows["payload_type"] == PAYLOAD_TYPE)
-        rows, order, sender = rows[ours], order[ours], _senders(rows)[ours]
+        rows, order, sender = rows.take(ours), order[ours], _senders(rows)[ours]
         payload = np.ascontiguousarray(rows["payload"])
         messages = self._assembler.add(sender, payload, rows["payload_length"].astype(np.int64))
         places = order[messages.row]

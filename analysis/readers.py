@@ -74,7 +74,7 @@ def _some(rows: Rows, bits: int, kind: int, values: Callable[[Rows], Vector]) ->
     row = np.flatnonzero(rows["fields_updated"] & bits == bits)
     if not len(row):
         return []
-    found = rows if len(row) == len(rows) else rows[row]
+    found = rows if len(row) == len(rows) else rows.take(row)  # a tenth of the time of rows[row]
     return [Read(kind, row, found["time_usec"].astype(np.int64), values(found))]
 
 
@@ -141,10 +141,9 @@ def _gps_raw_int(rows: Rows) -> list[Read]:
 
 
 def _hil_state(rows: Rows) -> list[Read]:
-    names = ("attitude_quaternion", "rollspeed", "pitchspeed", "yawspeed")
-    place = _numbers(rows, "lat", "lon", "alt") * (1e-7, 1e-7, 1e-3)
-    v_ned = _numbers(rows, "vx", "vy", "vz") * 1e-2
-    values = np.column_stack([_numbers(rows, *names), place, v_ned])
+    turns = ("attitude_quaternion", "rollspeed", "pitchspeed", "yawspeed")
+    values = _numbers(rows, *turns, "lat", "lon", "alt", "vx", "vy", "vz")
+    values[:, 7:] *= (1e-7, 1e-7, 1e-3, 1e-2, 1e-2, 1e-2)
     return _whole(TRUTH, rows["time_usec"].astype(np.int64), values)
 
 

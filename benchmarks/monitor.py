@@ -36,18 +36,35 @@ ROUNDS = 9
 COMMANDS = 2  # runs of the command, after one that is not counted
 SHORT_FRAMES = 700
 SCALE = np.eye(18) + 0.1
+SPEED = "numpy.linalg.inv of 18 x 18, for scale"
+Actions = dict[str, Callable[[], object]]
 DEMO = Path(__file__).parents[1] / "simvehicle" / "scenarios" / "demo.yaml"
 
 
-def best_s(action: Callable[[], object]) -> float:
-    """CPU time of the fastest of some rounds, after one that compiles."""
-    action()
-    found = []
-    for _ in range(ROUNDS):
-        began = time.process_time()
+def inverses() -> None:
+    """Something to tell the machine's speed by."""
+    for _ in range(1000):
+        np.linalg.inv(SCALE)
+
+
+def best_s(actions: Actions) -> dict[str, float]:
+    """CPU time of the fastest of some rounds of each, after one that compiles.
+
+    They have their turns in each round, since the machine's speed may change: `inverses`, which are
+    among them, are said to have taken from so long to so long.
+    """
+    found: dict[str, list[float]] = {name: [] for name in [*actions, SPEED]}
+    turns: Actions = actions | {SPEED: inverses}
+    for action in turns.values():
         action()
-        found.append(time.process_time() - began)
-    return min(found)
+    for _ in range(ROUNDS):
+        for name, action in turns.items():
+            began = time.process_time()
+            action()
+            found[name].append(time.process_time() - began)
+    least, most = min(found[SPEED]) * 1e3, max(found[SPEED]) * 1e3
+    print(f"{SPEED}: {least:.0f} us in the fastest round, {most:.0f} in the slowest")
+    return {name: min(spent) for name, spent in found.items()}
 
 
 def watched(blocks: Iterator[Block] | list[Block], config: MonitorConfig) -> Monitor:
@@ -82,33 +99,33 @@ def measure(log: Path, config: MonitorConfig) -> None:
         f"\n{span_s:.0f} s of flight, {log.stat().st_size / 1e6:.1f} MB: {imu} IMU samples, "
         f"{epochs} epochs, {fixes} fixes, {sum(len(b.kind) for b in blocks)} samples in all\n"
     )
-    rows: dict[str, Callable[[], object]] = {
-        "log to results, everything": lambda: watched(read_log(log), config),
+    everything = "log to results, everything"
+    whole: Actions = {
+        everything: lambda: watched(read_log(log), config),
         "the same without attitude estimators": lambda: watched(
             read_log(log), with_estimators(config)
         ),
         "ranges and IMU only": lambda: watched(only_ranges(read_log(log)), with_estimators(config)),
     }
-    print("| what | CPU s | times real time |\n|---|---:|---:|")
-    whole_s = 0.0
-    for name, action in rows.items():
-        spent_s = best_s(action)
-        whole_s = whole_s or spent_s
-        print(f"| {name} | {spent_s:.3f} | {span_s / spent_s:.0f} |")
-    stages: dict[str, float] = {
-        "columns of the log": best_s(lambda: read_columns(log)),
-        "samples": best_s(lambda: list(read_log(log))),
-        "detector": best_s(lambda: stepped(Detector(config.detector), blocks)),
-        "other sensors": best_s(lambda: stepped(References(config.detector), blocks)),
-        "attitude": best_s(lambda: stepped(AttitudeScorer(config.attitude), blocks)),
+    steps: Actions = {
+        "columns of the log": lambda: read_columns(log),
+        "samples": lambda: list(read_log(log)),
+        "detector": lambda: stepped(Detector(config.detector), blocks),
+        "other sensors": lambda: stepped(References(config.detector), blocks),
+        "attitude": lambda: stepped(AttitudeScorer(config.attitude), blocks),
     }
+    spent = best_s(whole | steps)
+    print("\n| what | CPU s | times real time |\n|---|---:|---:|")
+    for name in whole:
+        print(f"| {name} | {spent[name]:.3f} | {span_s / spent[name]:.0f} |")
+    stages = {name: spent[name] for name in steps}
     stages["samples"] -= stages["columns of the log"]
     stages["other sensors"] -= stages["detector"]
-    stages["the rest: tally, order, JSON"] = whole_s - sum(stages.values())
+    stages["the rest: tally, order, JSON"] = spent[everything] - sum(stages.values())
     print("\n| stage | CPU s | share | us per epoch |\n|---|---:|---:|---:|")
-    for name, spent_s in stages.items():
-        per_us = spent_s / max(epochs, 1) * 1e6
-        print(f"| {name} | {spent_s:.3f} | {spent_s / whole_s:.0%} | {per_us:.0f} |")
+    for name, stage_s in stages.items():
+        per_us = stage_s / max(epochs, 1) * 1e6
+        print(f"| {name} | {stage_s:.3f} | {stage_s / spent[everything]:.0%} | {per_us:.0f} |")
 
 
 def only_ranges(blocks: Iterator[Block]) -> list[Block]:
@@ -151,11 +168,7 @@ def main() -> None:
     parser.add_argument("log", nargs="?", type=Path)
     parser.add_argument("--scenario", type=Path, default=DEMO)
     args = parser.parse_args()
-    unit_s = best_s(lambda: [np.linalg.inv(SCALE) for _ in range(1000)]) / 1000
-    print(
-        f"{platform.processor() or platform.machine()}, Python {platform.python_version()}; "
-        f"numpy.linalg.inv of 18 x 18, for scale: {unit_s * 1e6:.0f} us"
-    )
+    print(f"{platform.processor() or platform.machine()}, Python {platform.python_version()}")
     with tempfile.TemporaryDirectory() as folder:
         log: Path | None = args.log
         if log is None:
