@@ -96,50 +96,51 @@ def satellite_states(packed: Vector, week: float, tow_s: float, pseudorange_m: V
     """
     out = np.empty((packed.shape[0], 9))
     for i in range(packed.shape[0]):
-        row = packed[i]
-        since_toc = (week - row[1]) * 604800.0 + tow_s - pseudorange_m[i] / 299792458.0 - row[3]
-        clock = row[4] + row[5] * since_toc + row[6] * since_toc * since_toc
+        since_toc = (
+            (week - packed[i, 1]) * 604800.0 + tow_s - pseudorange_m[i] / 299792458.0 - packed[i, 3]
+        )
+        clock = packed[i, 4] + packed[i, 5] * since_toc + packed[i, 6] * since_toc * since_toc
         since_toc -= clock
-        clock = row[4] + row[5] * since_toc + row[6] * since_toc * since_toc
+        clock = packed[i, 4] + packed[i, 5] * since_toc + packed[i, 6] * since_toc * since_toc
         relativity = 0.0
-        if row[23] == 2.0:
-            carry(row[7:16], since_toc, out[i])
+        if packed[i, 23] == 2.0:
+            carry(packed[i, 7:16], since_toc, out[i])
         else:
-            relativity = _orbit(packed, i, since_toc + row[3] - row[2], out)
-        out[i, 6] = 299792458.0 * (clock - row[22] + relativity)
-        out[i, 7] = 299792458.0 * (row[5] + 2.0 * row[6] * since_toc)
-        out[i, 8] = row[24]
+            relativity = _orbit(packed, i, since_toc + packed[i, 3] - packed[i, 2], out)
+        out[i, 6] = 299792458.0 * (clock - packed[i, 22] + relativity)
+        out[i, 7] = 299792458.0 * (packed[i, 5] + 2.0 * packed[i, 6] * since_toc)
+        out[i, 8] = packed[i, 24]
     return out
 
 
 @compiled
 def _orbit(packed: Vector, i: int, t_k: float, out: Vector) -> float:
     """Fill row i with position and velocity `t_k` s after toe; the relativistic clock term."""
-    row = packed[i]
-    mu, e, sqrt_a = row[0], row[8], row[7]
+    mu, e, sqrt_a = packed[i, 0], packed[i, 8], packed[i, 7]
     a = sqrt_a * sqrt_a
-    n = math.sqrt(mu / (a * a * a)) + row[13]
-    mean = row[12] + n * t_k
-    ecc = mean
+    n = math.sqrt(mu / (a * a * a)) + packed[i, 13]
+    mean = packed[i, 12] + n * t_k
+    ecc, step, sin_e, cos_e = mean + e * math.sin(mean), 0.0, 0.0, 1.0
     for _ in range(12):
-        step = (ecc - e * math.sin(ecc) - mean) / (1.0 - e * math.cos(ecc))
+        sin_e, cos_e = math.sin(ecc), math.cos(ecc)
+        step = (ecc - e * sin_e - mean) / (1.0 - e * cos_e)
         ecc -= step
-        if abs(step) < 1e-13:
+        if abs(step) < 1e-8:  # the rest is below the last digit
             break
-    sin_e, cos_e = math.sin(ecc), math.cos(ecc)
+    sin_e, cos_e = sin_e - step * cos_e, cos_e + step * sin_e
     ecc_rate = n / (1.0 - e * cos_e)
     root = math.sqrt(1.0 - e * e)
-    phi = math.atan2(root * sin_e, cos_e - e) + row[11]
+    phi = math.atan2(root * sin_e, cos_e - e) + packed[i, 11]
     phi_rate = root * ecc_rate / (1.0 - e * cos_e)
     s2, c2 = math.sin(2.0 * phi), math.cos(2.0 * phi)
-    u = phi + row[18] * s2 + row[19] * c2
-    u_rate = phi_rate * (1.0 + 2.0 * (row[18] * c2 - row[19] * s2))
-    r = a * (1.0 - e * cos_e) + row[16] * s2 + row[17] * c2
-    r_rate = a * e * sin_e * ecc_rate + 2.0 * phi_rate * (row[16] * c2 - row[17] * s2)
-    inc = row[9] + row[15] * t_k + row[20] * s2 + row[21] * c2
-    inc_rate = row[15] + 2.0 * phi_rate * (row[20] * c2 - row[21] * s2)
-    node_rate = row[14] - (0.0 if row[23] == 1.0 else 7.2921151467e-5)
-    node = row[10] + node_rate * t_k - 7.2921151467e-5 * row[2]
+    u = phi + packed[i, 18] * s2 + packed[i, 19] * c2
+    u_rate = phi_rate * (1.0 + 2.0 * (packed[i, 18] * c2 - packed[i, 19] * s2))
+    r = a * (1.0 - e * cos_e) + packed[i, 16] * s2 + packed[i, 17] * c2
+    r_rate = a * e * sin_e * ecc_rate + 2.0 * phi_rate * (packed[i, 16] * c2 - packed[i, 17] * s2)
+    inc = packed[i, 9] + packed[i, 15] * t_k + packed[i, 20] * s2 + packed[i, 21] * c2
+    inc_rate = packed[i, 15] + 2.0 * phi_rate * (packed[i, 20] * c2 - packed[i, 21] * s2)
+    node_rate = packed[i, 14] - (0.0 if packed[i, 23] == 1.0 else 7.2921151467e-5)
+    node = packed[i, 10] + node_rate * t_k - 7.2921151467e-5 * packed[i, 2]
     x, y = r * math.cos(u), r * math.sin(u)
     x_rate = r_rate * math.cos(u) - y * u_rate
     y_rate = r_rate * math.sin(u) + x * u_rate
@@ -150,7 +151,7 @@ def _orbit(packed: Vector, i: int, t_k: float, out: Vector) -> float:
     out[i, 3] = x_rate * co - y_rate * ci * so + y * si * so * inc_rate - out[i, 1] * node_rate
     out[i, 4] = x_rate * so + y_rate * ci * co - y * si * co * inc_rate + out[i, 0] * node_rate
     out[i, 5] = y_rate * si + y * ci * inc_rate
-    if row[23] == 1.0:
+    if packed[i, 23] == 1.0:
         _turn_still(t_k, out[i])
     relativity: float = -2.0 * math.sqrt(mu) / (299792458.0 * 299792458.0) * e * sqrt_a * sin_e
     return relativity

@@ -283,16 +283,18 @@ def acceleration_statistics(sums: Vector, prior: float) -> Vector:
     """
     count = (sums.shape[1] - 12) // 5
     out = np.zeros(sums.shape[0])
+    c, info, covariance = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     for w in range(sums.shape[0]):
-        c, info, covariance = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
         for a in range(3):
             c[a] = sums[w, 5 * count + a]
             for b in range(3):
                 info[a, b] = sums[w, 5 * count + 3 + 3 * a + b]
-        squared = multiply(info, info)
         for a in range(3):
             for b in range(3):
-                covariance[a, b] = info[a, b] + prior * squared[a, b]
+                squared = (
+                    info[a, 0] * info[0, b] + info[a, 1] * info[1, b] + info[a, 2] * info[2, b]
+                )
+                covariance[a, b] = info[a, b] + prior * squared
             covariance[a, a] += 1e-9
         if info[0, 0] + info[1, 1] + info[2, 2] > 1e-6:
             out[w] = max(reduction(covariance, c), 0.0)
