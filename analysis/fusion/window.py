@@ -26,13 +26,13 @@ BEFORE = 1 << 20  # keeps the numbers of spans positive
 ROUNDING = 1e-9
 NEVER = 1e9
 SMALL = 0.02  # m, rad, m/s: older variables that moved less keep their estimate
-# How far a variable moves before it is relinearised, in its own units (rad, m, m/s, m/s^2): ranges
-# and clocks are as good as linear, turns are not. Older variables are looked at only where newer
-# ones moved as far.
+# How far a variable moves before it is relinearised, in its own units (rad, m, m/s; m/s^2, rad/s):
+# ranges, clocks and what an accelerometer's bias does are as good as linear, turns are not. Older
+# variables are looked at only where newer ones moved as far.
 RELINEARISE = {
-    "x": [0.01] * 3 + [3.0] * 3,
+    "x": [0.02] * 3 + [3.0] * 3,
     "v": [2.0] * 3,
-    "b": [0.1] * 3 + [0.01] * 3,
+    "b": [1.0] * 3 + [0.01] * 3,
     "c": [NEVER] * 2,
     "r": [NEVER],
     "h": [NEVER],
