@@ -171,6 +171,8 @@ def _numbers(row: int, decision: Decision, motion: Motion | None) -> tuple[int, 
 
 def _said(said: Vector, thresholds: Vector) -> list[tuple[int, Result]]:
     """What the kernel said (k, 8), by row of the block, in the words of `analysis.results`."""
+    if not len(said):
+        return []
     row, sensor, code, dof, t_us = said[:, [0, 1, 2, 4, 6]].astype(np.int64).T
     statistics, limits = said[:, 3], thresholds[dof]
     failed = ~(statistics <= limits)

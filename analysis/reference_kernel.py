@@ -266,6 +266,8 @@ def judge(
             continue
         if kept.last[BY_FIX]:  # it is the filter's own input
             kept.stamps[models.GPS_POSITION] = kept.stamps[models.GPS_VELOCITY] = NEVER_US
+        if kept.stamps.max() == NEVER_US:
+            continue
         sound = kept.last[HOW] == SOUND
         at = view(x[used], p[used], inertial[used] != 0) if sound else np.zeros(models.VIEW)
         for sensor in range(sensors):
