@@ -10,11 +10,13 @@ from analysis.fusion.beginning import Node, first_guess
 from analysis.fusion.config import FusionConfig
 from analysis.fusion.factors import NUMBER
 from analysis.fusion.frame import frame_at
+from analysis.fusion.range_rows import LOS
 from analysis.fusion.ranges import Ranges
 from analysis.fusion.window import key
 from analysis.gnss import LIGHT_MPS
 from analysis.reference import References
 from analysis.samples import Epoch
+from analysis.solve import design_matrix
 
 CLOCK = 40.0, 3.0  # what the graph's clock is counted from
 OFF_M, FASTER_MPS = np.array([4.0, -7.0, 2.0]), np.array([1.0, 2.0, -3.0])
@@ -86,3 +88,18 @@ def test_nothing_that_weighs_gives_no_factor(seen):
     ranges, frame, node, weights = seen
     none = np.zeros_like(weights)
     assert ranges.factor(node, first_guess(node), frame, CLOCK, none, False) is None
+
+
+def test_the_slow_covariance_is_that_of_least_squares_with_biased_ranges(seen):
+    ranges, _, _, weights = seen
+    used, share = np.flatnonzero(weights), 0.3
+    sigma = share * ranges.sigma_m[used] / FusionConfig().correlation
+    design = design_matrix(ranges.table[used, LOS : LOS + 3], ranges._observed.system[used])
+    theirs = np.linalg.inv((design / sigma[:, None]).T @ (design / sigma[:, None]))[:3, :3]
+    assert np.allclose(ranges.slow_covariance(weights, share), theirs, rtol=1e-9)
+
+
+def test_too_few_ranges_have_no_slow_covariance(seen):
+    ranges, _, _, weights = seen
+    few = weights * (np.arange(len(weights)) < 4)
+    assert ranges.slow_covariance(few, 0.3) is None

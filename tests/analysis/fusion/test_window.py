@@ -1,0 +1,43 @@
+"""The window's blocks: what is kept, and that they leave without stirring up the rest."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from analysis.fusion.factors import NO_CLOCK, alike, walk_factor
+from analysis.fusion.window import Window, key
+
+LAG_S, STEP_S, EPOCHS = 1.0, 0.2, 24
+
+
+@pytest.fixture(scope="module")
+def chain():
+    """After each epoch of a chain: how many are in the window, how many were eliminated."""
+    window, rows = Window(LAG_S), []
+    for epoch in range(EPOCHS):
+        name, stamp_s = key("c", epoch), window.stamp(epoch * STEP_S)
+        values = gtsam.Values()
+        values.insert(name, NO_CLOCK)
+        window.insert(values, (name,), stamp_s)
+        if epoch == 0:
+            window.attach("prior", 0, 0.0, gtsam.PriorFactorVector(name, NO_CLOCK, alike(2, 1.0)))
+        else:
+            since_s = window.stamp((epoch - 1) * STEP_S)
+            window.attach("walk", epoch, since_s, walk_factor(name - 1, name, 1.0, 2))
+        window.commit()
+        result = window.smoother.getISAM2Result()
+        size = window.smoother.getLinearizationPoint().size()
+        rows.append((size, result.getVariablesReeliminated()))
+    return np.array(rows)
+
+
+def test_the_window_is_between_one_and_two_lags_long(chain):
+    in_lag = round(LAG_S / STEP_S)
+    sizes = chain[2 * in_lag :, 0]
+    assert set(sizes) == set(range(in_lag + 1, 2 * in_lag + 1))
+
+
+def test_a_block_leaves_without_anything_else_being_eliminated_anew(chain):
+    sizes, eliminated = chain[4:].T
+    assert (np.diff(sizes) < 0).sum() == 3
+    assert len(set(eliminated)) == 1
