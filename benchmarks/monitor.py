@@ -1,7 +1,7 @@
 """How fast `monitor --log` is: times real time, with and without its parts, and stage by stage.
 
 Run by hand: `python benchmarks/monitor.py [LOG] [--scenario FILE]`. Without a log the demo is flown
-first. CPU time of one core, the best of `ROUNDS`; the command itself by the clock, a fresh process.
+first. CPU time of one core, the median of `ROUNDS`; the command by the clock, a fresh process.
 """
 
 import argparse
@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import msgspec
@@ -47,8 +48,8 @@ def inverses() -> None:
         np.linalg.inv(SCALE)
 
 
-def best_s(actions: Actions) -> dict[str, float]:
-    """CPU time of the fastest of some rounds of each, after one that compiles.
+def median_s(actions: Actions) -> dict[str, float]:
+    """CPU time of each, the median of some rounds, after one that compiles.
 
     They have their turns in each round, since the machine's speed may change: `inverses`, which are
     among them, are said to have taken from so long to so long.
@@ -64,7 +65,7 @@ def best_s(actions: Actions) -> dict[str, float]:
             found[name].append(time.process_time() - began)
     least, most = min(found[SPEED]) * 1e3, max(found[SPEED]) * 1e3
     print(f"{SPEED}: {least:.0f} us in the fastest round, {most:.0f} in the slowest")
-    return {name: min(spent) for name, spent in found.items()}
+    return {name: median(spent) for name, spent in found.items()}
 
 
 def watched(blocks: Iterator[Block] | list[Block], config: MonitorConfig) -> Monitor:
@@ -114,7 +115,7 @@ def measure(log: Path, config: MonitorConfig) -> None:
         "other sensors": lambda: stepped(References(config.detector), blocks),
         "attitude": lambda: stepped(AttitudeScorer(config.attitude), blocks),
     }
-    spent = best_s(whole | steps)
+    spent = median_s(whole | steps)
     print("\n| what | CPU s | times real time |\n|---|---:|---:|")
     for name in whole:
         print(f"| {name} | {spent[name]:.3f} | {span_s / spent[name]:.0f} |")
