@@ -83,12 +83,14 @@ def _judged(
     excluded = exclude(excluded, tuple(seen.names[i] for i in tested.left_out), t_us, t_us)
     core = core._replace(
         ranges_us=t_us,
-        memory=memory,
         excluded=excluded,
         imu_bad_until_us=imu_bad_until_us(core, imu_blamed, t_us, config),
     )
     moved = find_attitude(core, moved, part, (t_us - before.t_us) * 1e-6, config)
-    core = _unknown(core._replace(motion=moved), tested.hypothesis, t_us, config)
+    if memory is not None and moved.inertial and not before.inertial:
+        memory = memory.without_accelerations()
+    core = core._replace(motion=moved, memory=memory)
+    core = _unknown(core, tested.hypothesis, t_us, config)
     silent = before.inertial and part.gap_s > config.gap_s
     assessed = seen.assessed
     return Outcome(

@@ -42,6 +42,14 @@ class Memory(Value, frozen=True):
         """The oldest window started anew where one is due."""
         return self if t_us < self.due_us else _turned_over(self, t_us)
 
+    def without_accelerations(self) -> "Memory":
+        """The windows without what they have seen of an acceleration: to a filter that moves freely
+        the vehicle's own is one, to one that the IMU moves it is none."""
+        d, sums = self.d.copy(), self.sums.copy()
+        d.reshape(ERRORS, WINDOWS, -1)[:, :, -3:] = 0.0
+        sums[:, -12:] = 0.0
+        return self._replace(d=d, sums=sums)
+
 
 class Strongest(Value, frozen=True):
     """What stands out most: the ratio of a ramp, in which window and of which satellite (-1: no

@@ -146,6 +146,19 @@ def test_a_faulty_imu_is_blamed_and_no_satellite(
     assert not any(decision.excluded for decision in found)
 
 
+def test_an_imu_that_is_well_again_is_not_blamed_for_turns_flown_without_it(flights):
+    flight = flights(seconds=48.0)
+    changed = [
+        replace(s, gyro_b_rps=s.gyro_b_rps + np.array([0.3, 0.0, 0.0]))
+        if isinstance(s, ImuSample) and FROM_S <= s.t_us * 1e-6 < FROM_S + 3.0
+        else s
+        for s in flight
+    ]
+    found = decisions(changed)
+    assert [d.hypothesis for d in found if d.alarm] == ["imu"]
+    assert found[-1].mode == "inertial"
+
+
 def test_a_silent_imu_is_reported_and_satellites_go_on_being_tested(flight):
     name = satellites(flight)[3]
     silent = [
