@@ -54,7 +54,7 @@ def range_variance(elevation_rad: Vector, cn0_dbhz: Vector, sigma: Vector) -> Ve
     """Variance (n,) of pseudoranges in m^2; `sigma` (5,) of `SigmaModel.numbers`."""
     out = np.empty(elevation_rad.shape[0])
     for i in range(out.shape[0]):
-        cn0 = cn0_dbhz[i] if np.isfinite(cn0_dbhz[i]) else 45.0
+        cn0 = max(cn0_dbhz[i], 0.0) if np.isfinite(cn0_dbhz[i]) else 45.0  # below is no signal
         sine = math.sin(max(elevation_rad[i], 0.05))
         out[i] = sigma[0] ** 2 * (
             sigma[1] ** 2 + (sigma[2] / sine) ** 2 + sigma[3] ** 2 * 10.0 ** ((45.0 - cn0) / 10.0)

@@ -16,6 +16,7 @@ from mavproxy_fault.wire.compiled import compiled
 PENDING_MAX = 40_000  # samples without an epoch between; older ones are forgotten
 NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
 TURN_SIGMA_RPS = 0.5  # how fast a body may turn while its IMU is silent
+USABLE = 1e6  # rad/s, m/s^2: no IMU gives more, and sums of squares stay numbers
 SHORT_GAP_S = 1.0  # after a longer one the attitude is found anew
 
 
@@ -97,7 +98,7 @@ def segment(run: ImuRun, motion: Motion, until_us: int) -> Segment:
 
 @compiled
 def steps(t_us: Stamps, values: Vector, from_us: int, until_us: int) -> tuple[Vector, float, bool]:
-    """The fields of a `Segment`; without samples if one of them is not finite."""
+    """The fields of a `Segment`; without samples if one of them cannot be."""
     at = 0
     while at < len(t_us) and t_us[at] <= from_us:
         at += 1
@@ -105,7 +106,7 @@ def steps(t_us: Stamps, values: Vector, from_us: int, until_us: int) -> tuple[Ve
     if count == 0:
         return np.empty((0, 7)), (until_us - from_us) * 1e-6, False
     table = np.empty((count + 1, 7))
-    before_us, gap_s, total_s, amount = from_us, -np.inf, 0.0, 0.0
+    before_us, gap_s, total_s, usable = from_us, -np.inf, 0.0, True
     for k in range(count + 1):
         row = min(at + k, len(t_us) - 1)
         now_us = t_us[at + k] if k < count else until_us
@@ -115,8 +116,8 @@ def steps(t_us: Stamps, values: Vector, from_us: int, until_us: int) -> tuple[Ve
         before_us = now_us
         for i in range(6):
             table[k, 1 + i] = values[row, i]
-            amount += values[row, i]
-    if not np.isfinite(amount):
+            usable &= abs(values[row, i]) <= USABLE  # which NaN is not
+    if not usable:
         return np.empty((0, 7)), total_s, True
     return table, gap_s, True
 

@@ -159,6 +159,18 @@ def test_an_imu_that_is_well_again_is_not_blamed_for_turns_flown_without_it(flig
     assert found[-1].mode == "inertial"
 
 
+@pytest.mark.parametrize("value", [1e20, -3e38, float("nan")])
+def test_an_imu_that_gives_absurd_numbers_is_blamed_and_the_filter_goes_on(flights, value: float):
+    changed = with_imu(
+        flights(seconds=40.0), lambda s: replace(s, accel_b_mps2=np.array([0.0, value, 0.0]))
+    )
+    found = decisions(changed)
+    first = next(decision for decision in found if decision.alarm)
+    assert (first.hypothesis, first.t_s) == ("imu", FROM_S)
+    assert all(np.isfinite(d.position_sigma_m).all() for d in found if d.position_sigma_m)
+    assert np.isfinite(errors(changed, found)).all()
+
+
 def test_a_silent_imu_is_reported_and_satellites_go_on_being_tested(flight):
     name = satellites(flight)[3]
     silent = [

@@ -16,7 +16,7 @@ NOWHERE = Motion(0, np.empty(0), np.empty(0))
 
 def run_at(stamps_us: list[int]) -> ImuRun:
     t_us = np.array(stamps_us, np.int64)
-    return ImuRun(t_us, np.outer(t_us, np.arange(1.0, 7.0)))
+    return ImuRun(t_us, np.outer(t_us * 1e-6, np.arange(1.0, 7.0)))
 
 
 def kept(stamps_us: list[int], cuts: list[int]) -> Pending | None:
