@@ -1,9 +1,10 @@
 """Scores of attitude estimators against the truth that travels beside the sensor frames.
 
 Estimates wait for the truth samples on both sides of them and are compared with the truth between
-those; one that comes up to a second late, as from an autopilot on a link, still counts. Errors are
-gathered in cells of `1 / rate_hz`: sums at the full rate of the estimates for the scores, the first
-error of each cell as a result.
+those; one that comes up to a second late, as from an autopilot on a link, still counts. One that is
+no number is wrong by 180 degrees. Errors are gathered in cells of `1 / rate_hz`: sums at the full
+rate of the estimates for the scores, the first error of each cell as a result. Samples of an IMU
+or a magnetometer that are no measurement (NaN, 1e20) are not shown to estimators.
 """
 
 from collections.abc import Sequence
@@ -12,13 +13,26 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.attitude_kernel import compare, gather
 from analysis.attitude_scores import Cells, Window, parted, phases_of
-from analysis.block import ATTITUDE, IMU, SOURCES, TRUTH, WIDTH, Block, Indices, Stamps, block_of
+from analysis.block import (
+    AIRSPEED,
+    ATTITUDE,
+    IMU,
+    MAG,
+    SOURCES,
+    TRUTH,
+    WIDTH,
+    Block,
+    Indices,
+    Stamps,
+    block_of,
+)
 from analysis.estimators import Estimator, Prior, follow, make
 from analysis.results import AttitudeError
-from analysis.samples import Sample, TruthSample, Vector
+from analysis.samples import MOST_OF_IMU, Sample, TruthSample, Vector
 
 WAITING_MAX = 20_000  # estimates; after a long pause of the truth the oldest cannot be scored
 AUTOPILOTS = ("ATTITUDE", "ATTITUDE_QUATERNION")
@@ -142,7 +156,8 @@ class AttitudeScorer:
     def _estimates(self, block: Block, begin: int, state: ScorerState) -> Estimates:
         """What waited and what the block brings behind row `begin`, in order."""
         rows = np.arange(len(block.kind))
-        keep = (rows > begin) & ((block.kind != IMU) | (block.values[:, 6] == self.config.imu))
+        mine = (block.kind != IMU) | (block.values[:, 6] == self.config.imu)
+        keep = (rows > begin) & mine & _measured(block)
         seen = block if keep.all() else block.where(keep)
         imu = rows[keep & (block.kind == IMU)]
         found = [state.waiting]
@@ -227,6 +242,15 @@ class AttitudeScorer:
             for name, cells in sorted(state.cells.items())
             if cells
         }
+
+
+def _measured(block: Block) -> NDArray[np.bool_]:
+    """Rows (n,) that are a measurement: neither NaN nor what no sensor gives."""
+    fine = np.ones(len(block.kind), bool)
+    for kind, width, most in ((IMU, 6, MOST_OF_IMU), (MAG, 3, np.inf), (AIRSPEED, 1, np.inf)):
+        rows = block.rows(kind)
+        fine[rows] = (np.abs(block.values[rows, :width]) < most).all(axis=1)
+    return fine
 
 
 def declination_rad(lat_deg: float, lon_deg: float, alt_m: float) -> float:

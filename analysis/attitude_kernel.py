@@ -1,5 +1,7 @@
 """Estimates against the truth around them, compiled: see `attitude`."""
 
+from math import isfinite, pi
+
 import numpy as np
 
 from analysis.block import Indices, Stamps
@@ -61,7 +63,7 @@ def compare(
         Estimates in the order of their scores, the row that completed each, and the truth just
         after it.
     error : (m, 4)
-        Of roll, pitch, yaw and the turn, in rad.
+        Of roll, pitch, yaw and the turn, in rad; pi where the estimate is no number.
     waiting : (w,)
         Estimates that the truth has not passed yet.
     oldest : int
@@ -91,6 +93,8 @@ def compare(
                     share = (t_us[i] - truth_us[first]) / (truth_us[second] - truth_us[first])
                     true = between(attitude(truth_q, first), attitude(truth_q, second), share)
                     roll, pitch, yaw, turn = errors(attitude(q_nb, i), true)
+                    if not isfinite(roll + pitch + yaw + turn):
+                        roll, pitch, yaw, turn = pi, pi, pi, pi
                     error[done, 0], error[done, 1] = roll, pitch
                     error[done, 2], error[done, 3] = yaw, turn
                     scored[done], came[done], truth[done] = i, truth_row[j], second

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import math
 import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -67,6 +68,15 @@ class ResultFile:
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
-    """`summary.json`, for people and scripts."""
-    text = json.dumps(summary, indent=2, allow_nan=False)
+    """`summary.json`, for people and scripts; null stands for a number that is not finite."""
+    text = json.dumps(finite(summary), indent=2, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n")
+
+
+def finite(value: Any) -> Any:
+    """What JSON can say: None for numbers that are not finite."""
+    if isinstance(value, Mapping):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -13,6 +13,8 @@ from mavproxy_fault.wire.ephemeris import Ephemeris
 
 Vector = NDArray[np.float64]
 
+MOST_OF_IMU = 1e6  # rad/s, m/s^2: none gives more, and sums of squares stay numbers
+
 
 @dataclass(frozen=True, slots=True)
 class ImuSample:

@@ -10,13 +10,12 @@ from analysis.fdi.antenna import moved_along
 from analysis.fdi.config import DetectorConfig
 from analysis.fdi.inertial import PSI, propagate_freely, propagate_inertial
 from analysis.fdi.state import Motion, Pending
-from analysis.samples import ImuSample, Vector
+from analysis.samples import MOST_OF_IMU, ImuSample, Vector
 from mavproxy_fault.wire.compiled import compiled
 
 PENDING_MAX = 40_000  # samples without an epoch between; older ones are forgotten
 NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
 TURN_SIGMA_RPS = 0.5  # how fast a body may turn while its IMU is silent
-USABLE = 1e6  # rad/s, m/s^2: no IMU gives more, and sums of squares stay numbers
 SHORT_GAP_S = 1.0  # after a longer one the attitude is found anew
 
 
@@ -116,7 +115,7 @@ def steps(t_us: Stamps, values: Vector, from_us: int, until_us: int) -> tuple[Ve
         before_us = now_us
         for i in range(6):
             table[k, 1 + i] = values[row, i]
-            usable &= abs(values[row, i]) <= USABLE  # which NaN is not
+            usable &= abs(values[row, i]) <= MOST_OF_IMU  # which NaN is not
     if not usable:
         return np.empty((0, 7)), total_s, True
     return table, gap_s, True

@@ -1,29 +1,19 @@
 """What `report` writes besides the page: `summary.json` and JUnit XML."""
 
 import json
-import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from analysis.folder import finite
 from analysis.report.checks import FAIL, NONE, Check
 
 
 def write_json(path: Path, summary: dict[str, Any]) -> None:
     """Write a summary; null stands for a number that is not finite."""
-    text = json.dumps(_finite(summary), indent=1, allow_nan=False, ensure_ascii=False)
+    text = json.dumps(finite(summary), indent=1, allow_nan=False, ensure_ascii=False)
     path.write_text(text + "\n", encoding="utf-8")
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value
 
 
 def write_junit(path: Path, name: str, checks: Sequence[Check]) -> None:

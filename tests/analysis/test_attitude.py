@@ -6,7 +6,7 @@ import pytest
 from analysis.attitude import AUTOPILOTS, AttitudeConfig, AttitudeScorer, declination_rad
 from analysis.attitude_scores import REPEATED, with_repeaters_last
 from analysis.estimators.rotations import errors, quaternion_of_euler
-from analysis.samples import AttitudeSample, ImuSample, TruthSample
+from analysis.samples import AttitudeSample, ImuSample, MagSample, TruthSample
 from mavproxy_fault.wire.label import Label
 
 LEVEL = np.array([0.0, 0.0, -9.80665])
@@ -88,6 +88,26 @@ def test_an_estimator_starts_at_the_first_truth_and_runs_on_its_imu_only():
         samples.append(truth(k * 5000, roll=0.2))
     scorer, state, _ = score(samples, estimators=("inverse-model",))
     assert scorer.summary(state)["inverse-model"]["max_deg"]["angle"] < 1e-6
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e20, -3e38])
+def test_samples_that_are_no_measurement_do_not_reach_an_estimator(value: float):
+    samples = [truth(0)]
+    for k in range(1, 101):
+        gyro = np.array([0.0, value if k == 30 else 0.0, 0.0])
+        field = np.array([0.2, 0.0, np.nan if k == 40 else 0.4])
+        t_us = k * 10_000
+        samples += [ImuSample(t_us, gyro, LEVEL, 0), MagSample(t_us, field), truth(t_us)]
+    scorer, state, _ = score(samples)
+    found = scorer.summary(state)["ekf"]
+    assert found["samples"] == 99
+    assert found["max_deg"]["angle"] < 1.0
+
+
+def test_an_attitude_that_is_no_number_is_wrong_by_half_a_turn():
+    lost = AttitudeSample(50_000, np.full(4, np.nan), 1, "ATTITUDE")
+    _, _, results = score([truth(0), lost, truth(100_000)], estimators=())
+    assert (results[0].yaw, results[0].angle) == (180.0, 180.0)
 
 
 def test_an_estimate_that_comes_late_is_compared_with_the_truth_of_its_own_time():
