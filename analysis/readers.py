@@ -55,7 +55,7 @@ class Read(NamedTuple):
 
 def _numbers(rows: Rows, *names: str) -> Vector:
     """Fields of a message side by side (m, k); a field may be an array."""
-    fields = [rows[name].reshape(len(rows), -1) for name in names]
+    fields = [f if f.ndim > 1 else f[:, np.newaxis] for f in (rows[name] for name in names)]
     found = np.empty((len(rows), sum(field.shape[1] for field in fields)))
     end = 0
     for field in fields:

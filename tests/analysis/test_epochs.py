@@ -146,6 +146,11 @@ def test_the_other_messages_come_in_si_units():
     assert attitude.q_nb == pytest.approx([math.sqrt(0.5), 0, 0, math.sqrt(0.5)])
 
 
+@pytest.mark.parametrize("q", [[0.0] * 4, [math.nan] * 4])
+def test_odometry_without_an_attitude_is_no_sample(q: list[float]) -> None:
+    assert not samples_of(Decoder(), frame("ODOMETRY", time_usec=5, x=1.0, q=q))
+
+
 def test_ranges_in_tunnel_frames_come_back_with_week_and_time(flight):
     epoch = next(s for s in flight if isinstance(s, Epoch))
     ephemeris = next(s.ephemeris for s in flight if isinstance(s, EphemerisSample))
