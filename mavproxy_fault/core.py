@@ -93,6 +93,7 @@ class Core:
         self._held_since: dict[tuple[int, int], int] = {}
         self._pending: list[tuple[int, int, int, bytes]] = []  # due, order, links, bytes
         self._order = itertools.count()
+        self.left_us = 0  # when what left last was due; nothing may come before that any more
         self._on_wall_clock = False
         self._listeners = sum(
             1 << number for number, role in enumerate(links) if role.direction == "to-vehicle"
@@ -141,6 +142,7 @@ class Core:
             when_us = min(engine_us, pending_us)
             if when_us > now_us:
                 break
+            self.left_us = when_us
             if pending_us <= engine_us:
                 _, _, mask, raw = heapq.heappop(self._pending)
                 self._record(raw, when_us)

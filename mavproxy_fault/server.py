@@ -110,7 +110,8 @@ class Server:
         if fast.pending:
             number, data, came_ns = fast.take_datagram()
             if data:
-                now_us = (self._base_ns + came_ns) // 1000
+                # It may have waited behind another of its batch while delayed frames left.
+                now_us = max((self._base_ns + came_ns) // 1000, self.core.left_us)
                 self._carry_out(self.core.received(number, data, now_us))
                 self.latencies[number].add(time.monotonic_ns() - came_ns)
         for number in fast.ready():
