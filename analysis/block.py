@@ -231,6 +231,13 @@ class Piece(NamedTuple):
         """The last sample, the only one that may lead to a decision."""
         return self.block.sample(self.last)
 
+    def of_imu(self, number: int) -> ImuRun:
+        """What one IMU gave: there may be a second."""
+        if self.id == number:
+            return self.imu
+        mine = self.ids == number
+        return ImuRun(self.imu.t_us[mine], self.imu.values[mine])
+
 
 def every_fix(t_us: int) -> bool:
     """All fixes are events."""

@@ -60,7 +60,7 @@ class Detector:
             if number is None:
                 number = int(piece.ids[0])
                 core = core._replace(imu_id=number)
-            pending = keep_pending(_of_imu(piece, number), pending)
+            pending = keep_pending(piece.of_imu(number), pending)
         if piece.mag >= 0:
             mag_b = piece.block.values[piece.mag, :3].copy()
         state = State(core, pending, mag_b)
@@ -199,14 +199,6 @@ def run(detector: Detector, samples: Iterable[Sample]) -> list[Result]:
 def _forgotten(core: Core) -> Core:
     """The core without its filter."""
     return core._replace(motion=None, excluded={}, held=NOTHING_HELD, memory=None, history=())
-
-
-def _of_imu(piece: Piece, number: int) -> ImuRun:
-    """What one IMU gave: there may be a second."""
-    if piece.id == number:
-        return piece.imu
-    mine = piece.ids == number
-    return ImuRun(piece.imu.t_us[mine], piece.imu.values[mine])
 
 
 def _learn(core: Core, sample: EphemerisSample) -> Core:

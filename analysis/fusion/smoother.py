@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from analysis.block import ImuRun, Piece
+from analysis.block import Piece
 from analysis.fdi.config import DetectorConfig, Noise
 from analysis.fdi.core import Core
 from analysis.fdi.inertial import X_ISB
@@ -26,7 +26,7 @@ from analysis.fusion.graph import Attitude, Graph
 from analysis.fusion.other import WAITING, Others
 from analysis.fusion.ranges import Ranges
 from analysis.fusion.said import fused_state, gap
-from analysis.fusion.state import FusionState, Good, Now, all_are, heeded
+from analysis.fusion.state import FusionState, Good, Now, heeded
 from analysis.fusion.weights import isolated_sensors, range_weights, sensor_weights
 from analysis.results import Decision, FusedState, Result, SensorDecision
 from analysis.samples import Epoch, ImuSample, Sample
@@ -56,11 +56,7 @@ class Fusion:
         self, piece: Piece, results: Sequence[Result], core: Core, state: FusionState
     ) -> tuple[list[Result], FusionState]:
         """The same as `step` for samples up to an event, with the results of that."""
-        run = piece.imu
-        if core.imu_id is not None and not all_are(piece.ids, core.imu_id):
-            ours = piece.ids == core.imu_id
-            run = ImuRun(run.t_us[ours], run.values[ours])
-        state.hear(run)
+        state.hear(piece.imu if core.imu_id is None else piece.of_imu(core.imu_id))
         said: list[Result] = []
         for row in heeded(piece.block.kind, piece.first, piece.last).tolist():
             told = results if row == piece.last else ()

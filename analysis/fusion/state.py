@@ -134,12 +134,3 @@ def heeded(kind: Indices, first: int, last: int) -> Indices:
             rows[count] = row
             count += 1
     return rows[:count]
-
-
-@compiled
-def all_are(ids: Vector, wanted: float) -> bool:
-    """Whether the numbers of sensors (k,) are all the same."""
-    same = True
-    for each in ids:
-        same &= each == wanted
-    return same
