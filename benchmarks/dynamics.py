@@ -10,21 +10,21 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 
-from mavproxy_fault.wire.compiled import compiled
-from simvehicle.hil import Hil
-from simvehicle.scenario import (
+from mavproxy_fault.numerics.compile import compiled
+from simvehicle.hil.hil_frames import Hil
+from simvehicle.scenario.scenario_file import (
     Environment,
     Leg,
     Scenario,
     VehicleChoice,
     read_scenario,
 )
+from simvehicle.scenario.simulation import Simulation
 from simvehicle.sensors.battery import BatteryMonitor
+from simvehicle.sensors.error_model import Noise
 from simvehicle.sensors.flow import OpticalFlow
-from simvehicle.sensors.noise import Noise
 from simvehicle.sensors.rangefinder import Rangefinder
 from simvehicle.sensors.vision import Vision
-from simvehicle.simulation import Simulation
 from simvehicle.vehicles.fixedwing_kernel import Aero, step
 from simvehicle.vehicles.fixedwing_parameters import aero_of, read_fixedwing
 from simvehicle.vehicles.parameter_file import body_of

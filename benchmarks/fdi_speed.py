@@ -9,13 +9,13 @@ import numpy as np
 from fdi_static import STATIC_TRUTH_M
 from fdi_theory import RNG, covariance, geometry
 
-from analysis.block import EPOCH, IMU, block_of
-from analysis.fdi import Detector
-from analysis.fdi.inertial import propagate_inertial
-from analysis.fdi.measure import model, observe
-from analysis.fdi.verdict import judge
-from analysis.recordings import read_rinex, read_rinex_samples
-from analysis.samples import Epoch, Sample
+from analysis.detection import Detector
+from analysis.detection.filter.inertial import propagate_inertial
+from analysis.detection.filter.measurement import model, observe
+from analysis.detection.isolation.hypotheses import judge
+from analysis.samples.block import EPOCH, IMU, block_of
+from analysis.samples.recordings import read_rinex, read_rinex_samples
+from analysis.samples.sample import Epoch, Sample
 
 REPEATS = 7  # the least of so many: what the machine does beside is not the detector's
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.fdi import Detector, DetectorConfig
-from analysis.fdi.detector import run
-from analysis.fdi.measure import choose, model, observe
-from analysis.gnss import geodetic, ned_axes
-from analysis.recordings import read_rinex_samples
+from analysis.detection import Detector, DetectorConfig
+from analysis.detection.detector import run
+from analysis.detection.filter.measurement import choose, model, observe
+from analysis.orbits.broadcast import geodetic, ned_axes
 from analysis.results import Decision
-from analysis.samples import Epoch, Sample
+from analysis.samples.recordings import read_rinex_samples
+from analysis.samples.sample import Epoch, Sample
 
 STATIC_TRUTH_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])
 

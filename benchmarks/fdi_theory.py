@@ -5,10 +5,16 @@ from collections import Counter
 import numpy as np
 from scipy.stats import binom
 
-from analysis.fdi.bank import normalised, projected_weights
-from analysis.fdi.memory import STRIDE_S, WINDOWS, YOUNGEST_S, ramp_statistics, respond
-from analysis.fdi.thresholds import chi_square, two_sided
-from analysis.fdi.verdict import judge
+from analysis.detection.isolation.bank import normalised, projected_weights
+from analysis.detection.isolation.chi_square import chi_square, two_sided
+from analysis.detection.isolation.hypotheses import judge
+from analysis.detection.isolation.ramp_windows import (
+    STRIDE_S,
+    WINDOWS,
+    YOUNGEST_S,
+    ramp_statistics,
+    respond,
+)
 
 RNG = np.random.default_rng(20260101)
 

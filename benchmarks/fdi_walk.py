@@ -7,20 +7,20 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.epochs import Decoder
-from analysis.fdi import Detector, DetectorConfig
-from analysis.fdi.measure import choose, model, observe
-from analysis.gnss import ned_axes
-from analysis.recordings import read_rinex_samples
+from analysis.detection import Detector, DetectorConfig
+from analysis.detection.filter.measurement import choose, model, observe
+from analysis.orbits.broadcast import ned_axes
 from analysis.results import Decision
-from analysis.samples import EphemerisSample, Epoch, ImuSample, Sample
-from mavproxy_fault.core import Core, LinkRole
-from mavproxy_fault.engine import Engine
-from mavproxy_fault.schedule import parse_schedule
+from analysis.samples.decoder import Decoder
+from analysis.samples.recordings import read_rinex_samples
+from analysis.samples.sample import EphemerisSample, Epoch, ImuSample, Sample
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.proxy.core import Core, LinkRole
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.parser import Parser
-from simvehicle.earth import ecef_from_geodetic
 
 FROM_S, UNTIL_S = 55.0, 70.0
 GEOID_M = 21.387  # the reference's heights are above it

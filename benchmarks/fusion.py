@@ -20,22 +20,22 @@ import msgspec
 import numpy as np
 from scipy.stats import chi2
 
-from analysis.block import TRUTH, Block, block_of, pieces
-from analysis.epochs import Decoder
-from analysis.fdi import DetectorConfig
-from analysis.fdi.core import Core
-from analysis.fusion.config import FusionConfig
-from analysis.fusion.frame import frame_at
+from analysis.detection import DetectorConfig
+from analysis.detection.detector_state import Core
+from analysis.detection.sensors.sensor_models import density_kgpm3
+from analysis.detection.sensors.sensor_tests import References
+from analysis.fusion.fusion_config import FusionConfig
+from analysis.fusion.local_frame import frame_at
 from analysis.fusion.smoother import Fusion
-from analysis.gnss import ned_axes
-from analysis.pipeline import Pipeline, monitor_config
-from analysis.recordings import read_log, read_rinex_samples
-from analysis.reference import References
-from analysis.reference_models import density_kgpm3
+from analysis.monitor.pipeline import Pipeline, monitor_config
+from analysis.orbits.broadcast import ned_axes
 from analysis.results import Decision, FusedState, Result
-from analysis.run.flight import Flight
+from analysis.run.proxied_flight import Flight
 from analysis.run.setup import read_setup
-from analysis.samples import (
+from analysis.samples.block import TRUTH, Block, block_of, pieces
+from analysis.samples.decoder import Decoder
+from analysis.samples.recordings import read_log, read_rinex_samples
+from analysis.samples.sample import (
     AirspeedSample,
     BaroSample,
     Epoch,
@@ -45,13 +45,13 @@ from analysis.samples import (
     TruthSample,
     Vector,
 )
-from mavproxy_fault.schedule import Schedule
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.numerics.rotation import matrix_from_quat
+from mavproxy_fault.schedule.entries import Schedule
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
-from simvehicle.earth import ecef_from_geodetic
-from simvehicle.gnss.config import GnssConfig
-from simvehicle.gnss.sensor import gnss_sensor
-from simvehicle.rotation import matrix_from_quat
+from simvehicle.gnss.gnss_config import GnssConfig
+from simvehicle.gnss.gnss_sensor import gnss_sensor
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "analysis"))
 import conftest  # the tests' flight

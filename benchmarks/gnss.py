@@ -11,13 +11,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mavproxy_fault.wire.ephemeris import decode_ephemeris
-from mavproxy_fault.wire.msm7 import decode_msm7, encode_epoch, patch_msm7
-from mavproxy_fault.wire.rtcm import tunnel_frames
-from simvehicle.body import Truth
-from simvehicle.gnss.config import GnssConfig
-from simvehicle.gnss.sensor import gnss_sensor
-from simvehicle.readings import EphemerisReading, PseudorangeReading, Reading
+from mavproxy_fault.rtcm.ephemeris_messages import decode_ephemeris
+from mavproxy_fault.rtcm.msm7 import decode_msm7, encode_epoch, patch_msm7
+from mavproxy_fault.rtcm.transport import tunnel_frames
+from simvehicle.gnss.gnss_config import GnssConfig
+from simvehicle.gnss.gnss_sensor import gnss_sensor
+from simvehicle.sensors.readings import EphemerisReading, PseudorangeReading, Reading
+from simvehicle.vehicles.body import Truth
 
 ROUNDS = 30
 HOME = (math.radians(47.4), math.radians(8.5))

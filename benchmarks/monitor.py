@@ -21,15 +21,15 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from analysis.attitude import AttitudeConfig, AttitudeScorer
-from analysis.block import EPHEMERIS, EPOCH, FIX, IMU, IONOSPHERE, Block
-from analysis.fdi import Detector
-from analysis.monitor import Monitor
-from analysis.monitor_command import settings
-from analysis.pipeline import MonitorConfig
-from analysis.recordings import read_log
-from analysis.reference import References
+from analysis.detection import Detector
+from analysis.detection.sensors.sensor_tests import References
+from analysis.monitor.monitor import Monitor
+from analysis.monitor.monitor_command import settings
+from analysis.monitor.pipeline import MonitorConfig
 from analysis.results import encode_lines
+from analysis.samples.block import EPHEMERIS, EPOCH, FIX, IMU, IONOSPHERE, Block
+from analysis.samples.recordings import read_log
+from analysis.scoring.attitude_scoring import AttitudeConfig, AttitudeScorer
 from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.tlog import read_columns, read_records
 
@@ -39,7 +39,7 @@ SHORT_FRAMES = 700
 SCALE = np.eye(18) + 0.1
 SPEED = "numpy.linalg.inv of 18 x 18, for scale"
 Actions = dict[str, Callable[[], object]]
-DEMO = Path(__file__).parents[1] / "simvehicle" / "scenarios" / "demo.yaml"
+DEMO = Path(__file__).parents[1] / "simvehicle" / "scenario" / "demo.yaml"
 
 
 def inverses() -> None:

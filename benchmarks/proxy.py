@@ -256,7 +256,7 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=1, help="of each case within a round")
     parser.add_argument("--command", action="append", default=[], help="NAME=COMMAND")
     args = parser.parse_args()
-    subprocess.run([sys.executable, "-m", "mavproxy_fault.machine"], check=True)
+    subprocess.run([sys.executable, "-m", "mavproxy_fault.compiled.object_file"], check=True)
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(Path(folder), args.realtime)
         found: dict[tuple[str, str], list[Outcome]] = {}

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.report.page import Page, html
-from analysis.report.recording import Recording, Signal
+from analysis.report.page.page_file import Page, html
+from analysis.report.recordings.recording import Recording, Signal
 
 SAMPLES, PANELS = 60_000, ("roll", "pitch", "yaw", "accel", "gyro")
 

@@ -74,8 +74,8 @@ HARDER = {
 
 
 def batch_of(**changes):
-    from analysis.search.batch import Batch
-    from analysis.search.testfile import TestFile
+    from analysis.search.evaluation.compiled_batch import Batch
+    from analysis.search.space.test_file import TestFile
 
     return Batch(msgspec.convert(changes, TestFile))
 
@@ -98,8 +98,8 @@ def ours(estimator="inverse-model", count=256):
 def plain_numpy():
     from search_numpy import fly
 
-    from analysis.search import rows
-    from analysis.search.space import flights_of
+    from analysis.search.lanes import rows
+    from analysis.search.space.dimensions import flights_of
 
     batch = batch_of(**STEADY)
     points = np.random.default_rng(1).random((1000, batch.space.dimension))
@@ -166,8 +166,8 @@ def speed():
 
 def workers():
     """Tests of 60 s a minute of wall time on two processes, noise drawn for each flight."""
-    from analysis.search.pool import Processes
-    from analysis.search.testfile import TestFile
+    from analysis.search.evaluation.pool import Processes
+    from analysis.search.space.test_file import TestFile
 
     test = msgspec.convert({**STEADY, "noise_draws": 1}, TestFile)
     points = np.random.default_rng(1).random((4096, 4))
@@ -183,8 +183,8 @@ def workers():
 
 def loop():
     """Seconds of flight per second of wall time with a stand-in for an autopilot on the link."""
-    from analysis.search.flown import Flown
-    from analysis.search.testfile import AutopilotChoice, TestFile
+    from analysis.search.evaluation.flown_cases import Flown
+    from analysis.search.space.test_file import AutopilotChoice, TestFile
 
     stand_in = HERE.parent / "tests/analysis/search/stand_in.py"
     link = "tcpin:127.0.0.1:0"

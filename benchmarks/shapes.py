@@ -10,11 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from simvehicle.guidance import PathTrack
-from simvehicle.mission import smallest_size, turn_radius
-from simvehicle.scenario import Environment, Leg, Scenario, Sensors, Start, VehicleChoice
+from simvehicle.guidance.mission import smallest_size, turn_radius
+from simvehicle.guidance.route import PathTrack
+from simvehicle.scenario.scenario_file import (
+    Environment,
+    Leg,
+    Scenario,
+    Sensors,
+    Start,
+    VehicleChoice,
+)
+from simvehicle.scenario.simulation import Simulation
 from simvehicle.sensors.imu import Imu
-from simvehicle.simulation import Simulation
 
 WIND = Environment(wind_ned_mps=(5.657, 5.657, 0.0), gusts="light")
 SHAPES = ("triangle", "diamond", "trapezoid", "s", "eight", "circle", "line", "all in sequence")

@@ -15,10 +15,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from mavproxy_fault.links.spec import open_link
-from simvehicle.hil import Hil
-from simvehicle.scenario import read_scenario
-from simvehicle.server import datagrams
-from simvehicle.simulation import Simulation
+from simvehicle.app.sim_server import datagrams
+from simvehicle.hil.hil_frames import Hil
+from simvehicle.scenario.scenario_file import read_scenario
+from simvehicle.scenario.simulation import Simulation
 
 SENSORS = """
   imu: {preset: consumer-mems, rate_hz: 250}

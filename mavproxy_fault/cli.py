@@ -10,8 +10,8 @@ import sys
 from collections.abc import Sequence
 
 from mavproxy_fault import __version__
-from mavproxy_fault.commands import OURS, Add
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.app.commands import OURS, Add
+from mavproxy_fault.documents.errors import ConfigError
 
 EPILOG = """\
 examples

@@ -8,14 +8,14 @@ import math
 import numpy as np
 import pytest
 
-from analysis.gnss import pack_ephemeris, predict_ranges, satellite_states
-from mavproxy_fault.wire.ephemeris import decode_ephemeris
-from mavproxy_fault.wire.msm7 import decode_msm7, encode_epoch
-from simvehicle.body import Truth
-from simvehicle.earth import ecef_from_geodetic, rot_en
-from simvehicle.gnss.config import ClockConfig, GnssConfig
-from simvehicle.gnss.sensor import gnss_sensor
-from simvehicle.readings import EphemerisReading, PseudorangeReading
+from analysis.orbits.broadcast import pack_ephemeris, predict_ranges, satellite_states
+from mavproxy_fault.numerics.earth import ecef_from_geodetic, rot_en
+from mavproxy_fault.rtcm.ephemeris_messages import decode_ephemeris
+from mavproxy_fault.rtcm.msm7 import decode_msm7, encode_epoch
+from simvehicle.gnss.gnss_config import ClockConfig, GnssConfig
+from simvehicle.gnss.gnss_sensor import gnss_sensor
+from simvehicle.sensors.readings import EphemerisReading, PseudorangeReading
+from simvehicle.vehicles.body import Truth
 
 HOME = (math.radians(40.2), math.radians(-111.7))
 V_NED = np.array([20.0, -15.0, 3.0])

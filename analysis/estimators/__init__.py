@@ -1,15 +1,15 @@
 """Attitude estimators under test, one file each; others' by entry point.
 
 An entry point of the group `mavproxy_fault.estimators` names a function without arguments that
-returns an `Estimator` (see `base`).
+returns an `Estimator` (see `estimator`).
 """
 
 from collections.abc import Callable
 from importlib import import_module
 from importlib.metadata import entry_points
 
-from analysis.estimators.base import AttitudeEstimate, Estimator, Prior, follow
-from mavproxy_fault.errors import ConfigError
+from analysis.estimators.estimator import AttitudeEstimate, Estimator, Prior, follow
+from mavproxy_fault.documents.errors import ConfigError
 
 __all__ = ["AttitudeEstimate", "Estimator", "Prior", "follow", "make", "names"]
 
@@ -17,7 +17,7 @@ GROUP = "mavproxy_fault.estimators"
 BUILT_IN = {
     "complementary": "analysis.estimators.complementary:complementary",
     "ekf": "analysis.estimators.ekf:Ekf",
-    "fusion": "analysis.estimators.fusion:FusedAttitude",
+    "fusion": "analysis.estimators.graph_estimator:FusedAttitude",
     "inverse-model": "analysis.estimators.inverse_model:InverseModel",
     "madgwick": "analysis.estimators.madgwick:Madgwick",
     "mahony": "analysis.estimators.complementary:Mahony",

@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.block import AIRSPEED, IMU, MAG, Block, Indices, Stamps, block_of
-from analysis.estimators.base import (
+from analysis.estimators.estimator import (
     GRAVITY_MPS2,
     MAX_GAP_S,
     AttitudeEstimate,
@@ -25,9 +24,10 @@ from analysis.estimators.base import (
     airspeed_mps,
     room_for_estimates,
 )
-from analysis.estimators.rotations import gravity_error, heading_error, matrix, turned
-from analysis.samples import Sample
-from mavproxy_fault.wire.compiled import compiled
+from analysis.samples.block import AIRSPEED, IMU, MAG, Block, Indices, Stamps, block_of
+from analysis.samples.sample import Sample
+from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.quaternion import gravity_error, heading_error, matrix, turned
 
 Vector = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ def follow(
     declination_rad: float,
     gains: Vector,
 ) -> tuple[Stamps, Vector, Vector, Stamps, float]:
-    """The filter over a block (see `analysis.block`).
+    """The filter over a block (see `analysis.samples.block`).
 
     `stamps` (2,) are those of the state and of the newest field sample, `gains` (3,) for tilt,
     heading and bias. Returns stamps (m,) and q_nb (m, 4) after each IMU sample, then the state.

@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.block import Block, Stamps, block_of
 from analysis.estimators import ekf_kernel
-from analysis.estimators.base import AttitudeEstimate, Prior
-from analysis.samples import Sample
+from analysis.estimators.estimator import AttitudeEstimate, Prior
+from analysis.samples.block import Block, Stamps, block_of
+from analysis.samples.sample import Sample
 
 Vector = NDArray[np.float64]
 

@@ -9,16 +9,16 @@ from math import atan2
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.block import AIRSPEED, FIX, IMU, MAG, Indices, Stamps
-from analysis.estimators.base import GRAVITY_MPS2, MAX_GAP_S, airspeed_mps, room_for_estimates
-from analysis.estimators.rotations import (
+from analysis.estimators.estimator import GRAVITY_MPS2, MAX_GAP_S, airspeed_mps, room_for_estimates
+from analysis.samples.block import AIRSPEED, FIX, IMU, MAG, Indices, Stamps
+from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.quaternion import (
     Axis,
     body_axes,
     quaternion_of_turn,
     turn,
     wrapped,
 )
-from mavproxy_fault.wire.compiled import compiled, inlined
 
 Vector = NDArray[np.float64]
 P = 10  # where the covariance begins in x
@@ -242,7 +242,7 @@ def follow(
     declination_rad: float,
     numbers: Vector,
 ) -> tuple[Stamps, Vector, Vector, Stamps, float]:
-    """The filter over a block (see `analysis.block`).
+    """The filter over a block (see `analysis.samples.block`).
 
     Parameters
     ----------

@@ -23,11 +23,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.block import IMU, Block, Indices, Stamps, block_of
-from analysis.estimators.base import GRAVITY_MPS2, MAX_GAP_S, AttitudeEstimate, Prior
-from analysis.estimators.rotations import euler, matrix, quaternion_of_euler
-from analysis.samples import Sample
-from mavproxy_fault.wire.compiled import compiled
+from analysis.estimators.estimator import GRAVITY_MPS2, MAX_GAP_S, AttitudeEstimate, Prior
+from analysis.samples.block import IMU, Block, Indices, Stamps, block_of
+from analysis.samples.sample import Sample
+from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.quaternion import euler, matrix, quaternion_of_euler
 
 Vector = NDArray[np.float64]
 MIN_COS_PITCH = 1e-6  # keeps the Euler rates finite at the pole
@@ -69,7 +69,7 @@ def heun(
 def follow(
     kind: Indices, t_us: Stamps, values: Vector, x: Vector, now_us: int, before: Vector
 ) -> tuple[Stamps, Vector, Vector, int, Vector]:
-    """Integrate over a block (see `analysis.block`).
+    """Integrate over a block (see `analysis.samples.block`).
 
     `before` holds the numbers of the sample at `now_us`; nothing finite means that it is not known.
     Returns stamps (m,) and q_nb (m, 4) after each IMU sample, then the state.

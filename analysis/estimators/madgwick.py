@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.estimators.base import MAX_GAP_S, AttitudeEstimate, Prior
-from analysis.samples import ImuSample, MagSample, Sample
+from analysis.estimators.estimator import MAX_GAP_S, AttitudeEstimate, Prior
+from analysis.samples.sample import ImuSample, MagSample, Sample
 
 Vector = NDArray[np.float64]
 

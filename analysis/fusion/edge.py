@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from analysis.block import ImuRun
-from analysis.fdi.config import Noise
-from analysis.fdi.motion import TURN_SIGMA_RPS, Segment, run_of, segment
-from analysis.fdi.state import Motion
-from analysis.fdi.value import Value
-from analysis.samples import ImuSample, Vector
+from analysis.detection.detection_config import Noise
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.propagation import TURN_SIGMA_RPS, Segment, run_of, segment
+from analysis.detection.values import Value
+from analysis.samples.block import ImuRun
+from analysis.samples.sample import ImuSample, Vector
 
 NOTHING: Vector = np.empty(0)
 

@@ -2,13 +2,25 @@
 
 import numpy as np
 
-from analysis.estimators.rotations import matrix
-from analysis.fdi.core import Core
-from analysis.fdi.inertial import BA, BG, CLOCK, DRIFT, ERRORS, ISB, PSI, X_ISB, X_Q, R, V
-from analysis.fusion.beginning import navigation_state
+from analysis.detection.detector_state import Core
+from analysis.detection.filter.inertial import (
+    BA,
+    BG,
+    CLOCK,
+    DRIFT,
+    ERRORS,
+    ISB,
+    PSI,
+    X_ISB,
+    X_Q,
+    R,
+    V,
+)
 from analysis.fusion.graph import Graph
+from analysis.fusion.graph_start import navigation_state
 from analysis.fusion.window import key
-from analysis.samples import Vector
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.quaternion import matrix
 
 SIZE = 17  # errors of a node: turn, shift (body axes), velocity, biases, clock, drift
 

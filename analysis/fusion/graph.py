@@ -8,17 +8,17 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from analysis.fdi.config import DetectorConfig, Noise
-from analysis.fusion.beginning import Beginning, Clock, Node, first_guess
-from analysis.fusion.config import FusionConfig
+from analysis.detection.detection_config import DetectorConfig, Noise
 from analysis.fusion.edge import Edge, mended, split
-from analysis.fusion.factors import EPOCHS, clock_factor
-from analysis.fusion.inertia import FREE_TURN_RPS, imagine, imu_params, preintegrate
-from analysis.fusion.ranges import Ranges
-from analysis.fusion.robust import clock_in_seconds, pseudoranges
+from analysis.fusion.factors.imu_factors import FREE_TURN_RPS, imagine, imu_params, preintegrate
+from analysis.fusion.factors.range_factors import Ranges
+from analysis.fusion.factors.robust_factors import clock_in_seconds, pseudoranges
+from analysis.fusion.factors.unary_factors import EPOCHS, clock_factor
+from analysis.fusion.fusion_config import FusionConfig
+from analysis.fusion.graph_start import Beginning, Clock, Node, first_guess
 from analysis.fusion.window import Window, key
-from analysis.samples import ImuSample, Vector
-from mavproxy_fault.wire.compiled import compiled
+from analysis.samples.sample import ImuSample, Vector
+from mavproxy_fault.numerics.compile import compiled
 
 SAME_PLACE_M = 100.0  # gravity turns by 2e-5 rad over it
 SAME_US = 1000  # epochs closer than this are one

@@ -5,31 +5,31 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from analysis.block import Piece
-from analysis.fdi.config import DetectorConfig, Noise
-from analysis.fdi.core import Core
-from analysis.fdi.inertial import X_ISB
-from analysis.fdi.measure import choose, observe
-from analysis.fdi.motion import Segment, run_of
-from analysis.fdi.state import Motion
-from analysis.fusion.beginning import (
+from analysis.detection.detection_config import DetectorConfig, Noise
+from analysis.detection.detector_state import Core
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.inertial import X_ISB
+from analysis.detection.filter.measurement import choose, observe
+from analysis.detection.filter.propagation import Segment, run_of
+from analysis.fusion.edge import Edge, between
+from analysis.fusion.factors.factor_weights import isolated_sensors, range_weights, sensor_weights
+from analysis.fusion.factors.gnc import outliers
+from analysis.fusion.factors.range_factors import Ranges
+from analysis.fusion.factors.sensor_factors import WAITING, Others
+from analysis.fusion.fused_record import fused_state, gap
+from analysis.fusion.fusion_config import FusionConfig
+from analysis.fusion.fusion_state import FusionState, Good, Now, heeded
+from analysis.fusion.graph import Attitude, Graph
+from analysis.fusion.graph_start import (
     Beginning,
     at_filter,
     at_node,
     attitude_in,
     navigation_state,
 )
-from analysis.fusion.config import FusionConfig
-from analysis.fusion.edge import Edge, between
-from analysis.fusion.gnc import outliers
-from analysis.fusion.graph import Attitude, Graph
-from analysis.fusion.other import WAITING, Others
-from analysis.fusion.ranges import Ranges
-from analysis.fusion.said import fused_state, gap
-from analysis.fusion.state import FusionState, Good, Now, heeded
-from analysis.fusion.weights import isolated_sensors, range_weights, sensor_weights
 from analysis.results import Decision, FusedState, Result, SensorDecision
-from analysis.samples import Epoch, ImuSample, Sample
+from analysis.samples.block import Piece
+from analysis.samples.sample import Epoch, ImuSample, Sample
 
 LOOSE_M = 10.0  # a start less sure than this takes the epoch's own ranges in
 LOST_RAD = 0.1  # an attitude as sure as this needs no help from the detector

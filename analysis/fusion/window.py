@@ -17,8 +17,8 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from analysis.fdi.value import Value
-from analysis.samples import Vector
+from analysis.detection.values import Value
+from analysis.samples.sample import Vector
 
 SPANS = 2  # per block, for what changes slowly
 KEPT = 1.5  # blocks: the newest's and the one before, whatever the rounding

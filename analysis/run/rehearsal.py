@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.pipeline import MonitorConfig
-from mavproxy_fault.wire.kernels import folder
+from analysis.monitor.pipeline import MonitorConfig
+from mavproxy_fault.numerics.code_cache import folder
 
 
 def due() -> Path | None:
@@ -27,17 +27,17 @@ def rehearse(config: MonitorConfig, mark: Path) -> None:
 
 
 def _test_sensors(config: MonitorConfig) -> None:
-    from analysis.reference import References
-    from analysis.samples import BaroSample
+    from analysis.detection.sensors.sensor_tests import References
+    from analysis.samples.sample import BaroSample
 
     references = References(config.detector)
     references.step(BaroSample(0, 1e5, 0.0), references.new_state())
 
 
 def _score_attitude(config: MonitorConfig) -> None:
-    from analysis.attitude import AttitudeScorer
-    from analysis.block import block_of
-    from analysis.samples import AttitudeSample, ImuSample, MagSample, TruthSample
+    from analysis.samples.block import block_of
+    from analysis.samples.sample import AttitudeSample, ImuSample, MagSample, TruthSample
+    from analysis.scoring.attitude_scoring import AttitudeScorer
 
     level, still = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
     samples = [

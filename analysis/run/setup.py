@@ -5,13 +5,13 @@ from pathlib import Path
 
 import msgspec
 
-from analysis.criteria import Criteria
-from analysis.pipeline import MonitorConfig, monitor_config
-from mavproxy_fault.checked import Lines, read_yaml
-from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.schedule import Schedule, parse_schedule, read_schedule
-from simvehicle.kinds import kind_of
-from simvehicle.scenario import Scenario, read_scenario
+from analysis.monitor.pipeline import MonitorConfig, monitor_config
+from analysis.scoring.criteria import Criteria
+from mavproxy_fault.documents.checked import Lines, read_yaml
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.schedule.entries import Schedule, parse_schedule, read_schedule
+from simvehicle.scenario.kinds import kind_of
+from simvehicle.scenario.scenario_file import Scenario, read_scenario
 
 
 @dataclass(frozen=True, slots=True)

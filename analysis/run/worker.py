@@ -14,10 +14,10 @@ from multiprocessing.queues import Queue
 from types import TracebackType
 from typing import Any
 
-from analysis.criteria import Criteria
-from analysis.pipeline import MonitorConfig
+from analysis.monitor.pipeline import MonitorConfig
 from analysis.results import Result
 from analysis.run import rehearsal
+from analysis.scoring.criteria import Criteria
 from mavproxy_fault.wire.label import Label
 
 BATCH_BYTES = 32_768
@@ -27,7 +27,7 @@ Order = bytes | tuple[list[Label], Criteria, float]
 
 def _work(orders: "Queue[Order | None]", answers: Connection, config: MonitorConfig) -> None:
     """The process: bytes in, results out; a question is answered by the summary."""
-    from analysis.monitor import Monitor
+    from analysis.monitor.monitor import Monitor
 
     monitor = Monitor(config)
     while (order := orders.get()) is not None:

@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.attitude_scores import Cells, parted, phases_of
 from analysis.estimators import make
-from analysis.search.batch import COMPILED, Batch, ned_velocity, start_memory
+from analysis.scoring.attitude_scores import Cells, parted, phases_of
+from analysis.search.evaluation.compiled_batch import COMPILED, Batch, ned_velocity, start_memory
+from analysis.search.evaluation.traced_flight import Trace, estimated, traced, with_all_sensors
 from analysis.search.shrink import pinned
-from analysis.search.space import flights_of
-from analysis.search.testfile import TestFile
-from analysis.search.traced import Trace, estimated, traced, with_all_sensors
-from simvehicle.rotation import euler_from_quat
+from analysis.search.space.dimensions import flights_of
+from analysis.search.space.test_file import TestFile
+from mavproxy_fault.numerics.rotation import euler_from_quat
 
 Array = NDArray[np.float64]
 CELL_US = 100_000
@@ -40,7 +40,7 @@ def breakdown(
     `seed` and `number` choose the noise.
     """
     if test.flown:
-        from analysis.search.flown import Flown
+        from analysis.search.evaluation.flown_cases import Flown
 
         return Flown(test).scores(values, seed, number).parts
     flight = flight_of(test, values, seed, number)

@@ -8,11 +8,11 @@ import msgspec
 import numpy as np
 import yaml
 
-from analysis.search.batch import Batch, ned_velocity
-from analysis.search.document import document_of, faults_of
+from analysis.search.evaluation.compiled_batch import Batch, ned_velocity
 from analysis.search.shrink import pinned
-from analysis.search.testfile import AUTOPILOT, TestFile
-from simvehicle.rotation import quat_from_euler
+from analysis.search.space.point_scenario import document_of, faults_of
+from analysis.search.space.test_file import AUTOPILOT, TestFile
+from mavproxy_fault.numerics.rotation import quat_from_euler
 
 
 class WorstCase(NamedTuple):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError
 
 RECORD = np.dtype([("fitness", "<f8"), ("left", "<i4"), ("steps", "<i4")])
 Records = NDArray[np.void]

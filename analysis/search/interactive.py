@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.search.batch import Batch
 from analysis.search.breakdown import flight_of
 from analysis.search.cases import yaml_of
+from analysis.search.evaluation.compiled_batch import Batch
+from analysis.search.evaluation.traced_flight import Trace
 from analysis.search.searchers import searcher
 from analysis.search.shrink import pinned
-from analysis.search.testfile import TestFile
-from analysis.search.traced import Trace
-from mavproxy_fault.errors import ConfigError
-from simvehicle.rotation import euler_from_quat
+from analysis.search.space.test_file import TestFile
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.rotation import euler_from_quat
 
 Array = NDArray[np.float64]
 UNSEEN = 3  # figures written where there is no display

@@ -7,8 +7,8 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import NDArray
 
-from analysis.search.traced import Trace
-from simvehicle.rotation import euler_from_quat, matrix_from_quat
+from analysis.search.evaluation.traced_flight import Trace
+from mavproxy_fault.numerics.rotation import euler_from_quat, matrix_from_quat
 
 Array = NDArray[np.float64]
 # outlines in body axes, spans of the wing: wing, fuselage, tailplane, fin

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.search.inverted import Function, Inverted
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError
 
 Array = NDArray[np.float64]
 BATCH = 256  # points of a batch where the method does not say

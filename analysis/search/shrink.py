@@ -11,9 +11,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.search.evaluator import evaluator
-from analysis.search.space import target_of
-from analysis.search.testfile import Initial, Mission, OpenLoop, Sensors, TestFile, Wind
+from analysis.search.evaluation.evaluator import evaluator
+from analysis.search.space.dimensions import target_of
+from analysis.search.space.test_file import Initial, Mission, OpenLoop, Sensors, TestFile, Wind
 
 Array = NDArray[np.float64]
 GRID, COARSE = 12, 4  # of flights in the kernels, and of those in the simulator

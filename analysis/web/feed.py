@@ -13,8 +13,8 @@ from collections.abc import Iterable
 
 import msgspec
 
-from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.view import MOST_MESSAGES, RANGES
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.live.watching import MOST_MESSAGES, RANGES
 from mavproxy_fault.wire.dialect import layout
 
 KEPT = 200  # events and labels remembered for late joiners

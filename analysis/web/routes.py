@@ -20,14 +20,14 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from analysis.web.feed import Feed
-from analysis.web.source import Source
-from mavproxy_fault.errors import ConfigError
+from analysis.web.run_source import Source
+from mavproxy_fault.documents.errors import ConfigError
 
 TICK_S = 0.04  # a batch holds all that came in it; a screen shows no more
 CROWD = 20  # with so many viewers more, batches come a tick later and hold more
 LARGEST_BODY = 1_000_000
 HERE = Path(__file__).parent / "assets"
-PLOTS = Path(__file__).parents[1] / "report" / "assets"
+PLOTS = Path(__file__).parents[1] / "report" / "page" / "assets"
 FILES = {
     **{path.name: path for path in HERE.iterdir() if path.suffix in (".js", ".css")},
     **{name: PLOTS / name for name in ("uPlot.iife.min.js", "uPlot.min.css", "uPlot.LICENSE")},

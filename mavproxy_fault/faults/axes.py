@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from mavproxy_fault.faults.value import ValueFault
+from mavproxy_fault.faults.value_fault import ValueFault
 from mavproxy_fault.wire.frame import Number
 
 Three = tuple[float, float, float]

@@ -3,7 +3,7 @@
 from typing import Any, ClassVar
 
 from mavproxy_fault.faults.profile import Mode, Profile
-from mavproxy_fault.faults.value import Moving, ValueFault, each
+from mavproxy_fault.faults.value_fault import Moving, ValueFault, each
 from mavproxy_fault.wire.frame import Number
 
 

@@ -4,7 +4,7 @@ import math
 from typing import Any, ClassVar
 
 from mavproxy_fault.faults.profile import NotNegative, Positive
-from mavproxy_fault.faults.value import ValueFault
+from mavproxy_fault.faults.value_fault import ValueFault
 from mavproxy_fault.wire.frame import Number
 
 Key = tuple[int, ...]

@@ -7,7 +7,7 @@ late or slow by delaying or losing the frame.
 from typing import Any, ClassVar
 
 from mavproxy_fault.faults.profile import CLOSE_S, Positive
-from mavproxy_fault.faults.value import ValueFault
+from mavproxy_fault.faults.value_fault import ValueFault
 from mavproxy_fault.wire.frame import Number
 
 Key = tuple[int, ...]

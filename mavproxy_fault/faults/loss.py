@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from msgspec import Meta
 
-from mavproxy_fault.faults.base import LinkFault, Outgoing
+from mavproxy_fault.faults.fault import LinkFault, Outgoing
 from mavproxy_fault.wire.frame import Frame
 
 if TYPE_CHECKING:

@@ -117,7 +117,7 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         if self.segments is not None:
             return drawn(self.segments, rng)
         if self.table is not None:
-            from mavproxy_fault.faults.table import Series
+            from mavproxy_fault.faults.series import Series
 
             return Series(self.table)
         return None

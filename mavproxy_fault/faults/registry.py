@@ -5,20 +5,20 @@ from typing import Any
 
 from mavproxy_fault.faults import (
     axes,
-    bits,
     damage,
     driven,
     freeze,
     late,
     loss,
-    noise,
-    plant,
-    shape,
     spoof,
     stamps,
     timing,
     waves,
 )
+from mavproxy_fault.faults import bit_faults as bits
+from mavproxy_fault.faults import noise_fault as noise
+from mavproxy_fault.faults import plant_fault as plant
+from mavproxy_fault.faults import sensor_curve as shape
 
 OURS: dict[str, type[Any]] = {
     "axis-swap": axes.AxisSwap,

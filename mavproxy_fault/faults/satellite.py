@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import msgspec
 
-from mavproxy_fault.faults.base import ActsOn, Outgoing
+from mavproxy_fault.faults.fault import ActsOn, Outgoing
 from mavproxy_fault.faults.loss import Drop
-from mavproxy_fault.faults.value import ValueFault, each
-from mavproxy_fault.wire import rtcm
+from mavproxy_fault.faults.value_fault import ValueFault, each
+from mavproxy_fault.rtcm import transport as rtcm
+from mavproxy_fault.rtcm.msm7 import SYSTEMS, msm7_satellites, patch_msm7
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
-from mavproxy_fault.wire.msm7 import SYSTEMS, msm7_satellites, patch_msm7
 
 if TYPE_CHECKING:
     from numpy.random import Generator

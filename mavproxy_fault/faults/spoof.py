@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import msgspec
 
-from mavproxy_fault.faults.base import ActsOn, Outgoing
-from mavproxy_fault.faults.place import rewritten
+from mavproxy_fault.faults.elements import rewritten
+from mavproxy_fault.faults.fault import ActsOn, Outgoing
 from mavproxy_fault.faults.profile import NotNegative
-from mavproxy_fault.faults.spoofed import MOVERS, Move, Three
+from mavproxy_fault.faults.spoofed_messages import MOVERS, Move, Three
 from mavproxy_fault.wire.frame import Frame
 
 if TYPE_CHECKING:

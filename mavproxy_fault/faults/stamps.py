@@ -6,8 +6,8 @@ Every field that holds the sender's time is changed, whatever its unit: `time_us
 
 from typing import TYPE_CHECKING, ClassVar
 
-from mavproxy_fault.faults.base import LinkFault, Outgoing
-from mavproxy_fault.faults.place import rewritten
+from mavproxy_fault.faults.elements import rewritten
+from mavproxy_fault.faults.fault import LinkFault, Outgoing
 from mavproxy_fault.faults.profile import Positive
 from mavproxy_fault.wire.dialect import Layout
 from mavproxy_fault.wire.frame import Frame

@@ -7,7 +7,7 @@ import difflib
 import re
 from collections.abc import Iterable
 
-from mavproxy_fault.faults.place import Element
+from mavproxy_fault.faults.elements import Element
 from mavproxy_fault.wire.dialect import Layout, layout, message_names
 
 SATELLITE = re.compile(r"[A-Z]\d\d")

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from msgspec import Meta
 
-from mavproxy_fault.faults.base import LinkFault, Outgoing
+from mavproxy_fault.faults.fault import LinkFault, Outgoing
 from mavproxy_fault.faults.loss import Share
 from mavproxy_fault.faults.profile import NotNegative
 from mavproxy_fault.wire.frame import Frame

@@ -5,7 +5,7 @@ from typing import Any
 
 from mavproxy_fault.faults.driven import meet
 from mavproxy_fault.faults.profile import CLOSE_S, Mode, Positive, since_last
-from mavproxy_fault.faults.value import ValueFault
+from mavproxy_fault.faults.value_fault import ValueFault
 from mavproxy_fault.wire.frame import Number
 
 

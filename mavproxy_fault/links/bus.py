@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Any
 
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError
 
 DEFAULT_URL = "tcp/127.0.0.1:7447"
 ROOT = "mavfault/v1"

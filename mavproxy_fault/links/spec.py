@@ -12,7 +12,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.link import Link
 
 Kind = Literal["udpin", "udpout", "tcp", "tcpin", "serial"]

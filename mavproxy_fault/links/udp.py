@@ -4,7 +4,7 @@ import socket
 import time
 from typing import Any
 
-from mavproxy_fault.links.batch import Receiver, send
+from mavproxy_fault.links.datagram_batch import Receiver, send
 from mavproxy_fault.links.link import Chunk, LinkCounters, enlarge_buffers
 
 FORGET_S = 60.0  # a silent peer is forgotten, unless it was the last to speak

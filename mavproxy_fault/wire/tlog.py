@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.dialect import Layout, known, message_names
 from mavproxy_fault.wire.frame import HEADER_V1, HEADER_V2, SIGNATURE_LENGTH, SIGNED, Frame
 
@@ -126,7 +126,7 @@ def map_bytes(path: Path) -> NDArray[np.uint8]:
 
 def _blocks(data: NDArray[np.uint8], frames: int) -> Iterator[_Block]:
     """The frames of a log, so many at a time."""
-    from mavproxy_fault.wire.walk import crc_tables, walk
+    from mavproxy_fault.wire.log_walk import crc_tables, walk
 
     slots, extras, lengths = _tables()
     tables = crc_tables()
@@ -150,7 +150,7 @@ def _whole(data: NDArray[np.uint8]) -> _Block:
 
 def _unrolled(data: NDArray[np.uint8], block: _Block) -> Iterator[_Frames]:
     """Start, stamp and slot of every frame, some at a time in arrays that are used again."""
-    from mavproxy_fault.wire.walk import first_stamp, unroll
+    from mavproxy_fault.wire.log_walk import first_stamp, unroll
 
     slots = _tables()[0]
     at = np.empty(CACHED_FRAMES, np.int64)
@@ -170,7 +170,7 @@ def _columns(
     only: Collection[str] | None = None,
 ) -> Columns:
     """The columns of frames, so many of each message, given part by part."""
-    from mavproxy_fault.wire.walk import HEAD, SLACK, scatter
+    from mavproxy_fault.wire.log_walk import HEAD, SLACK, scatter
 
     names = message_names()
     lengths = _tables()[2]

@@ -12,15 +12,15 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
-from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.wire.ephemeris import (
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.rtcm.ephemeris_messages import (
     SEMICIRCLE,
     Ephemeris,
     decode_ephemeris,
     encode_ephemeris,
 )
-from simvehicle.gnss.config import GnssConfig
-from simvehicle.gnss.navigation import SHIPPED, WEEK_S, Navigation, gps_time, read_navigation
+from simvehicle.gnss.gnss_config import GnssConfig
+from simvehicle.gnss.navigation_file import SHIPPED, WEEK_S, Navigation, gps_time, read_navigation
 
 SHIPPED_TIME = datetime(2021, 3, 19, 12, 0, 0)
 SHIPPED_LON_RAD = math.radians(139.522)  # of the site, 35.339 degrees north

@@ -17,10 +17,15 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.wire.compiled import compiled, inlined
-from simvehicle.earth import geodetic_of
-from simvehicle.gnss.atmosphere import ionosphere_m, troposphere_m
-from simvehicle.gnss.ephemeris import EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS, Orbits, satellite_state
+from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.earth import geodetic_of
+from simvehicle.gnss.satellite_orbits import (
+    EARTH_RATE_RPS,
+    SPEED_OF_LIGHT_MPS,
+    Orbits,
+    satellite_state,
+)
+from simvehicle.gnss.signal_delays import ionosphere_m, troposphere_m
 
 Vector = NDArray[np.float64]
 

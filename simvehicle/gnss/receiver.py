@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simvehicle.gnss import receiver_kernel as kernel
-from simvehicle.gnss.ephemeris import Orbits, satellite_states
 from simvehicle.gnss.pseudorange import Atmosphere
+from simvehicle.gnss.satellite_orbits import Orbits, satellite_states
 
 Vector = NDArray[np.float64]
 

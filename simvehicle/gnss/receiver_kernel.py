@@ -5,9 +5,9 @@ from math import cos, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.wire.compiled import compiled
-from simvehicle.gnss.ephemeris import SPEED_OF_LIGHT_MPS
+from mavproxy_fault.numerics.compile import compiled
 from simvehicle.gnss.pseudorange import geodetic, sights
+from simvehicle.gnss.satellite_orbits import SPEED_OF_LIGHT_MPS
 
 Vector = NDArray[np.float64]
 

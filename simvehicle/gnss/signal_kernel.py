@@ -7,12 +7,12 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.wire.compiled import compiled, inlined
-from simvehicle.earth import ecef_of
-from simvehicle.gnss.ephemeris import SPEED_OF_LIGHT_MPS
-from simvehicle.gnss.errors import code_sigma_m, multipath_sigma_m, rate_sigma_mps
+from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.earth import ecef_of
 from simvehicle.gnss.pseudorange import sights
 from simvehicle.gnss.receiver_kernel import axes_en
+from simvehicle.gnss.satellite_orbits import SPEED_OF_LIGHT_MPS
+from simvehicle.gnss.signal_errors import code_sigma_m, multipath_sigma_m, rate_sigma_mps
 
 Vector = NDArray[np.float64]
 _Scalar = Callable[[float], float]

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from simvehicle.gnss.config import ReceiverConfig
+from simvehicle.gnss.gnss_config import ReceiverConfig
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]

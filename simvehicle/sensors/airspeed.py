@@ -4,10 +4,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from simvehicle.body import Truth
-from simvehicle.readings import AirspeedReading
-from simvehicle.sensors.base import SensorParameters
-from simvehicle.sensors.noise import Noise, NoiseState
+from simvehicle.sensors.error_model import Noise, NoiseState
+from simvehicle.sensors.readings import AirspeedReading
+from simvehicle.sensors.sensor import SensorParameters
+from simvehicle.vehicles.body import Truth
 
 
 class Airspeed(SensorParameters, frozen=True, kw_only=True):

@@ -4,11 +4,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from simvehicle.air import pressure_altitude
-from simvehicle.body import Truth
-from simvehicle.readings import PressureReading
-from simvehicle.sensors.base import SensorParameters
-from simvehicle.sensors.noise import Noise, NoiseState
+from simvehicle.environment.air import pressure_altitude
+from simvehicle.sensors.error_model import Noise, NoiseState
+from simvehicle.sensors.readings import PressureReading
+from simvehicle.sensors.sensor import SensorParameters
+from simvehicle.vehicles.body import Truth
 
 _ICE_K = 273.15
 

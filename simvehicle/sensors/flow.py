@@ -9,12 +9,12 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from simvehicle.body import Truth
-from simvehicle.readings import FlowReading
-from simvehicle.rotation import into_body
-from simvehicle.sensors.base import SensorParameters
-from simvehicle.sensors.noise import Noise, NoiseState
+from mavproxy_fault.numerics.rotation import into_body
+from simvehicle.sensors.error_model import Noise, NoiseState
 from simvehicle.sensors.rangefinder import check_span, slant_range
+from simvehicle.sensors.readings import FlowReading
+from simvehicle.sensors.sensor import SensorParameters
+from simvehicle.vehicles.body import Truth
 
 
 class FlowState(NamedTuple):

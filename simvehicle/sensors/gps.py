@@ -9,11 +9,11 @@ from typing import ClassVar, NamedTuple
 import msgspec
 import numpy as np
 
-from simvehicle.body import Truth
-from simvehicle.earth import radii
-from simvehicle.readings import GpsReading
-from simvehicle.sensors.base import SensorParameters
-from simvehicle.sensors.noise import Noise, NoiseState
+from mavproxy_fault.numerics.earth import radii
+from simvehicle.sensors.error_model import Noise, NoiseState
+from simvehicle.sensors.readings import GpsReading
+from simvehicle.sensors.sensor import SensorParameters
+from simvehicle.vehicles.body import Truth
 
 
 class GpsState(NamedTuple):

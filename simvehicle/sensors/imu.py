@@ -5,10 +5,10 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from simvehicle.body import Truth
-from simvehicle.readings import ImuReading, Triple
-from simvehicle.sensors.base import SensorParameters
-from simvehicle.sensors.noise import Noise, NoiseState
+from simvehicle.sensors.error_model import Noise, NoiseState
+from simvehicle.sensors.readings import ImuReading, Triple
+from simvehicle.sensors.sensor import SensorParameters
+from simvehicle.vehicles.body import Truth
 
 
 class ImuState(NamedTuple):

@@ -4,11 +4,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from simvehicle.body import Truth
-from simvehicle.readings import MagReading
-from simvehicle.rotation import into_body
-from simvehicle.sensors.base import SensorParameters
-from simvehicle.sensors.noise import Noise, NoiseState
+from mavproxy_fault.numerics.rotation import into_body
+from simvehicle.sensors.error_model import Noise, NoiseState
+from simvehicle.sensors.readings import MagReading
+from simvehicle.sensors.sensor import SensorParameters
+from simvehicle.vehicles.body import Truth
 
 
 class Magnetometer(SensorParameters, frozen=True, kw_only=True):

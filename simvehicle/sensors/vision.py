@@ -5,11 +5,11 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from simvehicle.body import Truth
-from simvehicle.readings import Triple, VisionReading
-from simvehicle.rotation import turned
-from simvehicle.sensors.base import SensorParameters
-from simvehicle.sensors.noise import Noise, NoiseState
+from mavproxy_fault.numerics.rotation import turned
+from simvehicle.sensors.error_model import Noise, NoiseState
+from simvehicle.sensors.readings import Triple, VisionReading
+from simvehicle.sensors.sensor import SensorParameters
+from simvehicle.vehicles.body import Truth
 
 
 class VisionState(NamedTuple):

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.wire.compiled import inlined
+from mavproxy_fault.numerics.compile import inlined
 from simvehicle.vehicles.rigidbody_kernel import State13, to_body, to_ned
 
 _CREEP_MPS = 0.05

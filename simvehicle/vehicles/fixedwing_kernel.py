@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavproxy_fault.wire.compiled import inlined
-from simvehicle.vehicles.polynomial import atan2, exp
+from mavproxy_fault.numerics.compile import inlined
+from mavproxy_fault.numerics.polynomial import atan2, exp
 from simvehicle.vehicles.rigidbody_kernel import (
     Inertia,
     State13,

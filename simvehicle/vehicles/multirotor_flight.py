@@ -14,7 +14,7 @@ import numpy as np
 from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
-from mavproxy_fault.wire.compiled import compiled, inlined
+from mavproxy_fault.numerics.compile import compiled, inlined
 from simvehicle.vehicles.contact_kernel import Gear, contact
 from simvehicle.vehicles.rigidbody_kernel import Inertia, Loads, State13, integrated, to_body
 

@@ -7,8 +7,8 @@ from typing import Protocol, TypeVar
 
 import msgspec
 
-from mavproxy_fault.errors import ConfigError
-from simvehicle.documents import decode, read_document
+from mavproxy_fault.documents.decoded import decode, read_document
+from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.vehicles.rigidbody_kernel import Inertia, inertia
 
 T = TypeVar("T")

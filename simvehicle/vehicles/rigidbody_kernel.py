@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavproxy_fault.wire.compiled import inlined
-from simvehicle.vehicles.polynomial import fma
+from mavproxy_fault.numerics.compile import inlined
+from mavproxy_fault.numerics.polynomial import fma
 
 State13 = tuple[
     float, float, float, float, float, float, float, float, float, float, float, float, float

@@ -11,8 +11,8 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.wire.compiled import compiled
-from simvehicle.rotation import quat_from_euler
+from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.rotation import quat_from_euler
 from simvehicle.vehicles.fixedwing_kernel import Aero, derivative
 from simvehicle.vehicles.rigidbody_kernel import Inertia, State13
 

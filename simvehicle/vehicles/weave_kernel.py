@@ -7,8 +7,8 @@ within the envelope. The simulator calls it for one vehicle, the worst-case sear
 from math import pi
 from typing import NamedTuple
 
-from mavproxy_fault.wire.compiled import inlined
-from simvehicle.vehicles.polynomial import sin_cos
+from mavproxy_fault.numerics.compile import inlined
+from mavproxy_fault.numerics.polynomial import sin_cos
 
 # Elevator and aileron per rad and per rad/s, throttle per m/s: the loops of pitch and roll lie
 # near 6 rad/s for the Aerosonde at 35 m/s.

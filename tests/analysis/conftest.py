@@ -6,16 +6,16 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from analysis.fdi.inertial import gravity_ecef
-from analysis.gnss import EARTH_RATE_RPS, geodetic, ned_axes
-from analysis.samples import EphemerisSample, Epoch, GpsFix, ImuSample, Sample, TruthSample
-from mavproxy_fault.wire.ephemeris import decode_ephemeris
-from simvehicle.body import Truth
-from simvehicle.earth import ecef_from_geodetic
-from simvehicle.gnss.config import GnssConfig
-from simvehicle.gnss.sensor import gnss_sensor
-from simvehicle.readings import EphemerisReading, GpsReading, PseudorangeReading
-from simvehicle.rotation import quat_from_matrix
+from analysis.detection.filter.inertial import gravity_ecef
+from analysis.orbits.broadcast import EARTH_RATE_RPS, geodetic, ned_axes
+from analysis.samples.sample import EphemerisSample, Epoch, GpsFix, ImuSample, Sample, TruthSample
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.numerics.rotation import quat_from_matrix
+from mavproxy_fault.rtcm.ephemeris_messages import decode_ephemeris
+from simvehicle.gnss.gnss_config import GnssConfig
+from simvehicle.gnss.gnss_sensor import gnss_sensor
+from simvehicle.sensors.readings import EphemerisReading, GpsReading, PseudorangeReading
+from simvehicle.vehicles.body import Truth
 
 LAT, LON, HEIGHT_M = math.radians(47.4), math.radians(8.55), 500.0
 STEP_US = 5000

@@ -3,10 +3,15 @@
 import numpy as np
 import pytest
 
-from analysis.attitude import AUTOPILOTS, AttitudeConfig, AttitudeScorer, declination_rad
-from analysis.attitude_scores import REPEATED, with_repeaters_last
-from analysis.estimators.rotations import errors, quaternion_of_euler
-from analysis.samples import AttitudeSample, ImuSample, MagSample, TruthSample
+from analysis.samples.sample import AttitudeSample, ImuSample, MagSample, TruthSample
+from analysis.scoring.attitude_scores import REPEATED, with_repeaters_last
+from analysis.scoring.attitude_scoring import (
+    AUTOPILOTS,
+    AttitudeConfig,
+    AttitudeScorer,
+    declination_rad,
+)
+from mavproxy_fault.numerics.quaternion import errors, quaternion_of_euler
 from mavproxy_fault.wire.label import Label
 
 LEVEL = np.array([0.0, 0.0, -9.80665])

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.block import block_of, pieces
-from analysis.monitor import Monitor
-from analysis.pipeline import MonitorConfig, monitor_config
-from analysis.recordings import read_log
+from analysis.monitor.monitor import Monitor
+from analysis.monitor.pipeline import MonitorConfig, monitor_config
 from analysis.results import Result, encode
-from analysis.run.flight import Flight
+from analysis.run.proxied_flight import Flight
 from analysis.run.setup import read_setup
-from analysis.samples import GpsFix, IonosphereSample
+from analysis.samples.block import block_of, pieces
+from analysis.samples.recordings import read_log
+from analysis.samples.sample import GpsFix, IonosphereSample
 from mavproxy_fault.wire import tlog
 
 SECONDS = 4.0

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from analysis.calibrate import calibrate, read_sigma, write_sigma
-from analysis.fdi import DetectorConfig
-from analysis.samples import Epoch, ImuSample
-from mavproxy_fault.errors import ConfigError
+from analysis.detection import DetectorConfig
+from analysis.detection.calibrate import calibrate, read_sigma, write_sigma
+from analysis.samples.sample import Epoch, ImuSample
+from mavproxy_fault.documents.errors import ConfigError
 
 
 def test_clean_chi_square_per_degree_of_freedom_becomes_one(flight, tmp_path: Path):

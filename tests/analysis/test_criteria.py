@@ -5,7 +5,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from analysis.criteria import Criteria, judge, verdict
+from analysis.scoring.criteria import Criteria, judge, verdict
 
 
 def summary(**changes: Any) -> dict[str, Any]:

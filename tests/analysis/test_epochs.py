@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from analysis.epochs import Decoder
-from analysis.samples import (
+from analysis.samples.decoder import Decoder
+from analysis.samples.sample import (
     AirspeedSample,
     AttitudeSample,
     BaroSample,
@@ -20,11 +20,11 @@ from analysis.samples import (
     TruthSample,
     VisionSample,
 )
+from mavproxy_fault.rtcm.ephemeris_messages import encode_ephemeris
+from mavproxy_fault.rtcm.msm7 import encode_epoch
+from mavproxy_fault.rtcm.transport import tunnel_frames
 from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.ephemeris import encode_ephemeris
 from mavproxy_fault.wire.frame import Frame, build
-from mavproxy_fault.wire.msm7 import encode_epoch
-from mavproxy_fault.wire.rtcm import tunnel_frames
 
 
 def frame(name: str, component: int = 51, **values: object) -> Frame:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from analysis.gnss import (
+from analysis.orbits.broadcast import (
     TYPICAL_ALPHA,
     TYPICAL_BETA,
     geodetic,
@@ -15,11 +15,11 @@ from analysis.gnss import (
     troposphere_m,
     zenith_delay_m,
 )
-from analysis.samples import EphemerisSample, Epoch, Sample
-from analysis.solve import solve
-from simvehicle.earth import ecef_from_geodetic
-from simvehicle.gnss.atmosphere import ionosphere_m
-from simvehicle.gnss.atmosphere import troposphere_m as simulated_troposphere_m
+from analysis.orbits.snapshot import solve
+from analysis.samples.sample import EphemerisSample, Epoch, Sample
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from simvehicle.gnss.signal_delays import ionosphere_m
+from simvehicle.gnss.signal_delays import troposphere_m as simulated_troposphere_m
 
 
 def _first(samples: list[Sample]) -> tuple[Epoch, np.ndarray]:

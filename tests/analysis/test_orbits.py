@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.fdi import Detector, DetectorConfig
-from analysis.fdi.detector import run
-from analysis.glonass import leap_seconds
-from analysis.gnss import (
+from analysis.detection import Detector, DetectorConfig
+from analysis.detection.detector import run
+from analysis.orbits.broadcast import (
     B1I_HZ,
     LIGHT_MPS,
     TYPICAL_ALPHA,
@@ -18,13 +17,14 @@ from analysis.gnss import (
     packed_for,
     satellite_states,
 )
-from analysis.recordings import read_rinex_samples
+from analysis.orbits.glonass import leap_seconds
+from analysis.orbits.snapshot import Fix, solve
 from analysis.results import Decision
-from analysis.rinex import read_observations
-from analysis.rinex_navigation import read_navigation
-from analysis.samples import EphemerisSample, Epoch
-from analysis.solve import Fix, solve
-from mavproxy_fault.errors import ConfigError
+from analysis.samples.recordings import read_rinex_samples
+from analysis.samples.rinex_navigation import read_navigation
+from analysis.samples.rinex_observations import read_observations
+from analysis.samples.sample import EphemerisSample, Epoch
+from mavproxy_fault.documents.errors import ConfigError
 
 AUTHORITY = Path(__file__).parents[1] / "authorities/rtklib_states"
 NUMBERS = {"39": "R07", "106": "C01", "126": "C21"}

@@ -2,7 +2,7 @@
 
 import queue
 
-from analysis.publish import Publisher
+from analysis.monitor.publish import Publisher
 from analysis.results import Decision, decode
 from mavproxy_fault.links.bus import open_bus
 

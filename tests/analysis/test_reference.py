@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.block import block_of
-from analysis.fdi import Detector, DetectorConfig
-from analysis.fdi.detector import run
-from analysis.recordings import read_log
-from analysis.reference import References
+from analysis.detection import Detector, DetectorConfig
+from analysis.detection.detector import run
+from analysis.detection.sensors.sensor_tests import References
 from analysis.results import Decision, SensorDecision
-from analysis.samples import (
+from analysis.samples.block import block_of
+from analysis.samples.recordings import read_log
+from analysis.samples.sample import (
     AirspeedSample,
     BaroSample,
     Epoch,
@@ -25,8 +25,8 @@ from analysis.samples import (
     TruthSample,
     VisionSample,
 )
-from simvehicle.earth import ecef_from_geodetic
-from simvehicle.rotation import matrix_from_quat
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.numerics.rotation import matrix_from_quat
 
 FROM_S, UNTIL_S = 30.0, 40.0
 FIELD_NED = np.array([0.21, 0.02, 0.43])  # gauss, middle Europe

@@ -7,13 +7,13 @@ import hatanaka
 import numpy as np
 import pytest
 
-from analysis.gnss import pack_ephemeris
-from analysis.recordings import read_rinex_samples
-from analysis.rinex import gps_time, read_observations
-from analysis.rinex_navigation import read_navigation
-from analysis.samples import EphemerisSample, Epoch, ImuSample, IonosphereSample
-from analysis.solve import solve
-from mavproxy_fault.errors import ConfigError
+from analysis.orbits.broadcast import pack_ephemeris
+from analysis.orbits.snapshot import solve
+from analysis.samples.recordings import read_rinex_samples
+from analysis.samples.rinex_navigation import read_navigation
+from analysis.samples.rinex_observations import gps_time, read_observations
+from analysis.samples.sample import EphemerisSample, Epoch, ImuSample, IonosphereSample
+from mavproxy_fault.documents.errors import ConfigError
 
 STATIC_TRUTH_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])
 

@@ -1,7 +1,7 @@
 """Labels against results."""
 
 from analysis.results import Decision, Result, SensorDecision
-from analysis.score import Alarm, alarm_of, channel, false_alarms, score_faults
+from analysis.scoring.fault_scores import Alarm, alarm_of, channel, false_alarms, score_faults
 from mavproxy_fault.wire.label import Label
 
 

@@ -4,7 +4,7 @@ import signal
 
 import pytest
 
-from analysis.stop import stop_requests
+from analysis.run.stop import stop_requests
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -4,7 +4,7 @@ import queue
 
 import pytest
 
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import Bus, open_bus
 
 

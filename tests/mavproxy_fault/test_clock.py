@@ -1,4 +1,4 @@
-from mavproxy_fault.clock import VehicleClock, stamp_us
+from mavproxy_fault.proxy.vehicle_clock import VehicleClock, stamp_us
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 

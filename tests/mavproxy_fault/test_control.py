@@ -3,13 +3,13 @@ import struct
 
 import pytest
 
-from mavproxy_fault.control import Control
-from mavproxy_fault.engine import Engine
-from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.failure import TYPES, UNITS, WHAT
-from mavproxy_fault.faults.base import Outgoing
-from mavproxy_fault.rflysim import read_map
-from mavproxy_fault.schedule import Schedule, parse_schedule
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.faults.fault import Outgoing
+from mavproxy_fault.live.control import Control
+from mavproxy_fault.live.failure_command import TYPES, UNITS, WHAT
+from mavproxy_fault.live.rflysim import read_map
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.schedule.entries import Schedule, parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 

@@ -1,9 +1,9 @@
 from collections.abc import Mapping
 
-from mavproxy_fault.core import Core, LinkRole, Send
-from mavproxy_fault.engine import Engine
-from mavproxy_fault.schedule import parse_schedule
-from mavproxy_fault.tape import Tape
+from mavproxy_fault.proxy.core import Core, LinkRole, Send
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.parser import Parser

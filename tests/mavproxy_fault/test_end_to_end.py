@@ -8,18 +8,18 @@ import pytest
 import yaml
 from pymavlink import mavutil
 
-from mavproxy_fault.announce import COMPONENT
+from mavproxy_fault.app.replay import main
 from mavproxy_fault.faults.examples import EXAMPLES
 from mavproxy_fault.faults.registry import known_faults
 from mavproxy_fault.faults.satellite import Satellites
-from mavproxy_fault.plot import epoch, sample
-from mavproxy_fault.presets import preset_names
-from mavproxy_fault.replay import main
-from mavproxy_fault.schedule import Entry, parse_schedule
+from mavproxy_fault.proxy.announcements import COMPONENT
+from mavproxy_fault.rtcm.transport import tunnel_frames
+from mavproxy_fault.schedule.entries import Entry, parse_schedule
+from mavproxy_fault.schedule.presets import preset_names
+from mavproxy_fault.schedule.preview import epoch, sample
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import read_labels
-from mavproxy_fault.wire.rtcm import tunnel_frames
 
 UNIX_US = 1_700_000_000_000_000
 FRAMES, STEP_S = 100, 0.02

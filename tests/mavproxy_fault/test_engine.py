@@ -1,11 +1,11 @@
 import pytest
 
-from mavproxy_fault.engine import Engine
-from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.schedule import parse_schedule
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
-from mavproxy_fault.wire.plant import plant_change
+from mavproxy_fault.wire.plant_messages import plant_change
 
 DT_US = 4000
 

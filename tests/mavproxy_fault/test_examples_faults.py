@@ -4,8 +4,8 @@ import pytest
 import yaml
 
 from mavproxy_fault.faults.registry import known_faults
-from mavproxy_fault.presets import preset_names
-from mavproxy_fault.schedule import read_schedule
+from mavproxy_fault.schedule.entries import read_schedule
+from mavproxy_fault.schedule.presets import preset_names
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SCHEDULES = [

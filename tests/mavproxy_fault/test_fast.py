@@ -7,16 +7,16 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from mavproxy_fault.core import Core
-from mavproxy_fault.engine import Engine
+from mavproxy_fault.app.playback import split
+from mavproxy_fault.app.proxy_command import roles
+from mavproxy_fault.app.server import Server
+from mavproxy_fault.compiled.object_file import load, make
 from mavproxy_fault.links.link import enlarge_buffers
 from mavproxy_fault.links.udp import UdpClient, UdpServer
-from mavproxy_fault.machine import load, make
-from mavproxy_fault.playback import split
-from mavproxy_fault.proxy import roles
-from mavproxy_fault.schedule import parse_schedule
-from mavproxy_fault.server import Server
-from mavproxy_fault.tape import Taken, Tape
+from mavproxy_fault.proxy.core import Core
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.proxy.tape import Taken, Tape
+from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.label import Label

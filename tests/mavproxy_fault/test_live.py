@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import pytest
 
 from mavproxy_fault.cli import main
-from mavproxy_fault.control import Control
-from mavproxy_fault.engine import Engine
-from mavproxy_fault.live import Live
-from mavproxy_fault.rflysim import read_map
-from mavproxy_fault.schedule import Schedule
+from mavproxy_fault.live.control import Control
+from mavproxy_fault.live.rflysim import read_map
+from mavproxy_fault.live.session import Live
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.schedule.entries import Schedule
 
 
 class Loop:

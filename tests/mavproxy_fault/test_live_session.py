@@ -16,7 +16,7 @@ import pytest
 from pymavlink.dialects.v20 import all as pymavlink
 
 from mavproxy_fault.cli import main
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build

@@ -2,9 +2,9 @@ import json
 import warnings
 from pathlib import Path
 
-from mavproxy_fault.playback import split
-from mavproxy_fault.record import Recorder
-from mavproxy_fault.tape import Tape
+from mavproxy_fault.app.playback import split
+from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import build
 from mavproxy_fault.wire.label import Label, read_labels

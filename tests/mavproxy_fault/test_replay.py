@@ -5,17 +5,17 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault import replay
-from mavproxy_fault.core import Core
-from mavproxy_fault.engine import Engine
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.app import replay
+from mavproxy_fault.app.playback import open_log, split
+from mavproxy_fault.app.proxy_command import roles
+from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.app.server import Server
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.udp import UdpClient, UdpServer
-from mavproxy_fault.playback import open_log, split
-from mavproxy_fault.proxy import roles
-from mavproxy_fault.record import Recorder
-from mavproxy_fault.schedule import parse_schedule
-from mavproxy_fault.server import Server
-from mavproxy_fault.tape import Tape
+from mavproxy_fault.proxy.core import Core
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import build
 from mavproxy_fault.wire.label import read_labels

@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.schedule import Schedule, parse_schedule, read_schedule
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.schedule.entries import Schedule, parse_schedule, read_schedule
 from mavproxy_fault.wire.dialect import known
 
 GOOD = """\

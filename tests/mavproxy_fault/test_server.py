@@ -12,16 +12,18 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault import commands, machine, proxy
-from mavproxy_fault.core import Core
-from mavproxy_fault.engine import Engine
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.app import commands
+from mavproxy_fault.app import proxy_command as proxy
+from mavproxy_fault.app.proxy_command import roles
+from mavproxy_fault.app.server import Server
+from mavproxy_fault.compiled import object_file as machine
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
-from mavproxy_fault.proxy import roles
-from mavproxy_fault.schedule import parse_schedule
-from mavproxy_fault.server import Server
+from mavproxy_fault.proxy.core import Core
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.parser import Parser
@@ -165,7 +167,10 @@ def test_the_process_stops_cleanly_and_says_what_passed(tmp_path: Path) -> None:
 
 
 def test_a_proxy_without_faults_does_not_load_what_only_faults_need() -> None:
-    code = "import mavproxy_fault.proxy, sys; print({'numpy', 'yaml', 'msgspec'} & {*sys.modules})"
+    code = (
+        "import mavproxy_fault.app.proxy_command, sys\n"
+        "print({'numpy', 'yaml', 'msgspec'} & {*sys.modules})"
+    )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
     assert said.stdout == "set()\n"
 

@@ -8,7 +8,7 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import all as dialect
 
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire import frame as frames
 from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.dialect import known

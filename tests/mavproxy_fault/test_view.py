@@ -1,16 +1,16 @@
 import pytest
 
-from mavproxy_fault.control import Control
-from mavproxy_fault.core import Core
-from mavproxy_fault.engine import Engine
-from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.ports import LinkRole
-from mavproxy_fault.schedule import parse_schedule
-from mavproxy_fault.view import LEASE_S, MOST_ROWS, Watched
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.live.control import Control
+from mavproxy_fault.live.watching import LEASE_S, MOST_ROWS, Watched
+from mavproxy_fault.proxy.core import Core
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.proxy.interfaces import LinkRole
+from mavproxy_fault.rtcm.msm7 import encode_epoch
+from mavproxy_fault.rtcm.transport import tunnel_frames
+from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known, message_names
 from mavproxy_fault.wire.frame import build
-from mavproxy_fault.wire.msm7 import encode_epoch
-from mavproxy_fault.wire.rtcm import tunnel_frames
 
 LINKS = (LinkRole("simulator", "to-vehicle"), LinkRole("vehicle", "from-vehicle"))
 

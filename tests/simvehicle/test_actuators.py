@@ -5,7 +5,7 @@ from pymavlink.dialects.v20 import all as dialect
 
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame
-from simvehicle.actuators import motors, plane, read_controls
+from simvehicle.vehicles.actuators import motors, plane, read_controls
 
 
 def answer(channels: dict[int, float], mode: int = 129, t_us: int = 1_132_000) -> Frame:

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.wire.compiled import compiled
-from simvehicle.air import GUSTS, pressure_altitude, standard_air, wind_step
-from simvehicle.geomagnetism import field_ned_gauss
-from simvehicle.place import Home, locate
-from simvehicle.terrain import read_grid
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.compile import compiled
+from simvehicle.environment.air import GUSTS, pressure_altitude, standard_air, wind_step
+from simvehicle.environment.geolocation import Home, locate
+from simvehicle.environment.geomagnetism import field_ned_gauss
+from simvehicle.environment.terrain import read_grid
 
 LEVEL = np.array([0.0] * 6 + [1.0, 0.0, 0.0, 0.0])  # a state of which the attitude counts
 

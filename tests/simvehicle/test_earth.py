@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simvehicle import earth
+from mavproxy_fault.numerics import earth
 
 
 def test_known_points_of_the_ellipsoid() -> None:

@@ -6,10 +6,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from simvehicle.body import Controls
-from simvehicle.scenario import Environment, Scenario, Sensors, VehicleChoice, read_scenario
+from simvehicle.scenario.scenario_file import (
+    Environment,
+    Scenario,
+    Sensors,
+    VehicleChoice,
+    read_scenario,
+)
+from simvehicle.scenario.simulation import Simulation
 from simvehicle.sensors.imu import Imu
-from simvehicle.simulation import Simulation
+from simvehicle.vehicles.body import Controls
 
 QUAD = VehicleChoice(kind="multirotor", parameters="iris")
 HEXA = VehicleChoice(kind="multirotor", parameters="hexa")

@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
+from mavproxy_fault.rtcm.msm7 import decode_msm7
+from mavproxy_fault.rtcm.transport import Reassembler, message_number, tunnel_payload, wrap
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame
-from mavproxy_fault.wire.msm7 import decode_msm7
-from mavproxy_fault.wire.rtcm import Reassembler, message_number, tunnel_payload, wrap
-from simvehicle import hil
-from simvehicle.body import Truth
-from simvehicle.hil import Hil
-from simvehicle.hil_kernel import TruthPayload
-from simvehicle.readings import (
+from simvehicle.hil import hil_frames as hil
+from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.state_kernel import TruthPayload
+from simvehicle.sensors.readings import (
     AirspeedReading,
     BatteryReading,
     EphemerisReading,
@@ -25,6 +24,7 @@ from simvehicle.readings import (
     RangeReading,
     VisionReading,
 )
+from simvehicle.vehicles.body import Truth
 
 
 def make_truth(t_us: int = 0, **changes: object) -> Truth:

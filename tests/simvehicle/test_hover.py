@@ -10,13 +10,13 @@ import numpy as np
 
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.links.tcp import TcpServer
-from simvehicle.actuators import motors
-from simvehicle.hil import Hil
-from simvehicle.inbox import Inbox
-from simvehicle.lockstep_loop import LockstepLoop, serve_autopilot
-from simvehicle.progress import Progress
-from simvehicle.scenario import read_scenario
-from simvehicle.simulation import Simulation
+from simvehicle.app.sim_progress import Progress
+from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.inbox import Inbox
+from simvehicle.hil.lockstep_loop import LockstepLoop, serve_autopilot
+from simvehicle.scenario.scenario_file import read_scenario
+from simvehicle.scenario.simulation import Simulation
+from simvehicle.vehicles.actuators import motors
 
 SCENARIO = """
 vehicle: {kind: multirotor, parameters: iris}

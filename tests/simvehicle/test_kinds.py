@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavproxy_fault.errors import ConfigError
-from simvehicle import kinds
-from simvehicle.body import Controls, Truth
-from simvehicle.kinds import Kind, kind_of
-from simvehicle.scenario import Scenario, Start, VehicleChoice
-from simvehicle.server import airframe, throttle
-from simvehicle.services.enums import MavType
-from simvehicle.simulation import Simulation
+from mavproxy_fault.documents.errors import ConfigError
+from simvehicle.app.sim_server import airframe, throttle
+from simvehicle.autopilot.enums import MavType
+from simvehicle.scenario import kinds
+from simvehicle.scenario.kinds import Kind, kind_of
+from simvehicle.scenario.scenario_file import Scenario, Start, VehicleChoice
+from simvehicle.scenario.simulation import Simulation
+from simvehicle.vehicles.body import Controls, Truth
 
 
 class Material:

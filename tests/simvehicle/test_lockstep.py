@@ -1,6 +1,6 @@
 import pytest
 
-from simvehicle.lockstep import AutopilotSilentError, Lockstep
+from simvehicle.hil.lockstep import AutopilotSilentError, Lockstep
 
 
 def locked(timeout_s: float = 2.0) -> Lockstep:

@@ -13,15 +13,15 @@ from pymavlink.dialects.v20 import all as dialect
 
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.links.tcp import TcpServer
-from mavproxy_fault.wire.plant import PlantChange, plant_frame
-from simvehicle.actuators import motors
-from simvehicle.body import Controls, Truth
-from simvehicle.hil import Hil
-from simvehicle.inbox import Inbox
-from simvehicle.lockstep import Lockstep
-from simvehicle.lockstep_loop import LockstepLoop, serve_autopilot
-from simvehicle.progress import Progress
-from simvehicle.readings import ImuReading, Reading
+from mavproxy_fault.wire.plant_messages import PlantChange, plant_frame
+from simvehicle.app.sim_progress import Progress
+from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.inbox import Inbox
+from simvehicle.hil.lockstep import Lockstep
+from simvehicle.hil.lockstep_loop import LockstepLoop, serve_autopilot
+from simvehicle.sensors.readings import ImuReading, Reading
+from simvehicle.vehicles.actuators import motors
+from simvehicle.vehicles.body import Controls, Truth
 
 
 class Lift:

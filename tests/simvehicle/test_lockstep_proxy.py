@@ -12,23 +12,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavproxy_fault.core import Core
-from mavproxy_fault.engine import Engine
+from mavproxy_fault.app.proxy_command import roles
+from mavproxy_fault.app.server import Server
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.links.tcp import TcpServer
-from mavproxy_fault.proxy import roles
-from mavproxy_fault.schedule import parse_schedule
-from mavproxy_fault.server import Server
+from mavproxy_fault.proxy.core import Core
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
-from simvehicle.actuators import motors
-from simvehicle.hil import Hil
-from simvehicle.inbox import Inbox
-from simvehicle.lockstep import Lockstep
-from simvehicle.lockstep_loop import LockstepLoop, serve_autopilot
-from simvehicle.progress import Progress
-from simvehicle.scenario import read_scenario
-from simvehicle.simulation import Simulation
+from simvehicle.app.sim_progress import Progress
+from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.inbox import Inbox
+from simvehicle.hil.lockstep import Lockstep
+from simvehicle.hil.lockstep_loop import LockstepLoop, serve_autopilot
+from simvehicle.scenario.scenario_file import read_scenario
+from simvehicle.scenario.simulation import Simulation
+from simvehicle.vehicles.actuators import motors
 
 SCENARIO = """
 vehicle: {kind: multirotor, parameters: iris}

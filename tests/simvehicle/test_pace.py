@@ -2,8 +2,8 @@ import math
 
 import pytest
 
-from mavproxy_fault.errors import ConfigError
-from simvehicle.pace import Pace, parse_speed
+from mavproxy_fault.documents.errors import ConfigError
+from simvehicle.app.pace import Pace, parse_speed
 
 
 @pytest.mark.parametrize(

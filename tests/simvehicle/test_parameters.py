@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mavproxy_fault.errors import ConfigError
-from simvehicle.kinds import kind_of
-from simvehicle.scenario import Scenario, VehicleChoice, read_scenario
-from simvehicle.simulation import Simulation
+from mavproxy_fault.documents.errors import ConfigError
+from simvehicle.scenario.kinds import kind_of
+from simvehicle.scenario.scenario_file import Scenario, VehicleChoice, read_scenario
+from simvehicle.scenario.simulation import Simulation
 from simvehicle.vehicles.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing_parameters import read_fixedwing
 from simvehicle.vehicles.multirotor import Multirotor

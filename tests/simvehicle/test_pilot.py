@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from simvehicle.body import Truth
-from simvehicle.pilot import Pilot
-from simvehicle.scenario import read_scenario
-from simvehicle.server import services
-from simvehicle.services.enums import Mode
-from simvehicle.services.flight import Flight
-from simvehicle.simulation import Simulation
+from simvehicle.app.sim_server import services
+from simvehicle.autopilot.enums import Mode
+from simvehicle.autopilot.flight_goals import Flight
+from simvehicle.guidance.pilot import Pilot
+from simvehicle.scenario.scenario_file import read_scenario
+from simvehicle.scenario.simulation import Simulation
+from simvehicle.vehicles.body import Truth
 
 Holds = Callable[[Truth], bool]
 

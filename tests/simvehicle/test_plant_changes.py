@@ -4,10 +4,10 @@ import pytest
 
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
-from mavproxy_fault.wire.plant import PlantChange, plant_frame
-from simvehicle.plant_changes import PlantChanges
-from simvehicle.scenario import read_scenario
-from simvehicle.simulation import Simulation
+from mavproxy_fault.wire.plant_messages import PlantChange, plant_frame
+from simvehicle.hil.plant_changes import PlantChanges
+from simvehicle.scenario.scenario_file import read_scenario
+from simvehicle.scenario.simulation import Simulation
 
 
 @pytest.fixture

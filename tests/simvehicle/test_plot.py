@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault.errors import ConfigError
-from simvehicle.plot import fly, plot_scenario
-from simvehicle.scenario import Leg, Scenario, Sensors, Start, read_scenario
+from mavproxy_fault.documents.errors import ConfigError
+from simvehicle.app.flight_plot import fly, plot_scenario
+from simvehicle.scenario.scenario_file import Leg, Scenario, Sensors, Start, read_scenario
 from simvehicle.sensors.imu import Imu
 
 SHORT = Scenario(

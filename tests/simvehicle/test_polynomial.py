@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from mavproxy_fault.wire.compiled import compiled
-from simvehicle.vehicles import polynomial
+from mavproxy_fault.numerics import polynomial
+from mavproxy_fault.numerics.compile import compiled
 
 RNG = np.random.default_rng(3)
 

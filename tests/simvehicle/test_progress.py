@@ -1,6 +1,6 @@
 import io
 
-from simvehicle.progress import Progress
+from simvehicle.app.sim_progress import Progress
 
 
 class Terminal(io.StringIO):

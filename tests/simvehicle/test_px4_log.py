@@ -23,15 +23,15 @@ from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame
-from simvehicle.actuators import motors, read_controls
-from simvehicle.body import Controls
-from simvehicle.hil import Hil
-from simvehicle.inbox import Inbox
-from simvehicle.lockstep import Lockstep
-from simvehicle.lockstep_loop import LockstepLoop, serve_autopilot
-from simvehicle.progress import Progress
-from simvehicle.scenario import read_scenario
-from simvehicle.simulation import Simulation
+from simvehicle.app.sim_progress import Progress
+from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.inbox import Inbox
+from simvehicle.hil.lockstep import Lockstep
+from simvehicle.hil.lockstep_loop import LockstepLoop, serve_autopilot
+from simvehicle.scenario.scenario_file import read_scenario
+from simvehicle.scenario.simulation import Simulation
+from simvehicle.vehicles.actuators import motors, read_controls
+from simvehicle.vehicles.body import Controls
 from simvehicle.vehicles.multirotor import Multirotor
 
 LIFT_OFF_US = 17_000_000  # the recorded vehicle stands until then

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mavproxy_fault.wire.compiled import compiled
-from simvehicle.rotation import matrix_from_quat
+from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.rotation import matrix_from_quat
 from simvehicle.vehicles.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing_kernel import Aero, step
 from simvehicle.vehicles.fixedwing_parameters import aero_of, read_fixedwing

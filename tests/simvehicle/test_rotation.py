@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from simvehicle import rotation
+from mavproxy_fault.numerics import rotation
 
 RNG = np.random.default_rng(4)
 SCIPY = Rotation.random(200, rng=RNG)

@@ -8,12 +8,19 @@ import math
 import numpy as np
 import pytest
 
-from simvehicle.controller import FixedWingController
-from simvehicle.guidance import PathTrack
-from simvehicle.rudderless import RudderlessController, has_rudder
-from simvehicle.scenario import Environment, Leg, Scenario, Sensors, Start, VehicleChoice
+from simvehicle.guidance.fixedwing_controller import FixedWingController
+from simvehicle.guidance.route import PathTrack
+from simvehicle.guidance.rudderless_controller import RudderlessController, has_rudder
+from simvehicle.scenario.scenario_file import (
+    Environment,
+    Leg,
+    Scenario,
+    Sensors,
+    Start,
+    VehicleChoice,
+)
+from simvehicle.scenario.simulation import Simulation
 from simvehicle.sensors.imu import Imu
-from simvehicle.simulation import Simulation
 from simvehicle.vehicles.fixedwing import FixedWing
 
 WIND = Environment(wind_ned_mps=(3.0, 3.0, 0.0), gusts="light")

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault.errors import ConfigError
-from simvehicle.scenario import Scenario, read_scenario
+from mavproxy_fault.documents.errors import ConfigError
+from simvehicle.scenario.scenario_file import Scenario, read_scenario
 from simvehicle.sensors.imu import Imu
 
 

@@ -6,9 +6,18 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from simvehicle.air import pressure_altitude
-from simvehicle.body import Truth
-from simvehicle.readings import (
+from mavproxy_fault.numerics.rotation import matrix_from_quat, quat_from_euler
+from simvehicle.environment.air import pressure_altitude
+from simvehicle.sensors.airspeed import Airspeed
+from simvehicle.sensors.barometer import Barometer
+from simvehicle.sensors.battery import BatteryMonitor
+from simvehicle.sensors.error_model import Noise
+from simvehicle.sensors.flow import OpticalFlow
+from simvehicle.sensors.gps import Gps, GpsError
+from simvehicle.sensors.imu import Imu
+from simvehicle.sensors.magnetometer import Magnetometer
+from simvehicle.sensors.rangefinder import Rangefinder
+from simvehicle.sensors.readings import (
     AirspeedReading,
     BatteryReading,
     FlowReading,
@@ -19,17 +28,8 @@ from simvehicle.readings import (
     RangeReading,
     VisionReading,
 )
-from simvehicle.rotation import matrix_from_quat, quat_from_euler
-from simvehicle.sensors.airspeed import Airspeed
-from simvehicle.sensors.barometer import Barometer
-from simvehicle.sensors.battery import BatteryMonitor
-from simvehicle.sensors.flow import OpticalFlow
-from simvehicle.sensors.gps import Gps, GpsError
-from simvehicle.sensors.imu import Imu
-from simvehicle.sensors.magnetometer import Magnetometer
-from simvehicle.sensors.noise import Noise
-from simvehicle.sensors.rangefinder import Rangefinder
 from simvehicle.sensors.vision import Vision
+from simvehicle.vehicles.body import Truth
 
 FIELD = (0.21, 0.01, 0.43)
 TRUTH = Truth(

@@ -11,14 +11,14 @@ import pytest
 from pymavlink.dialects.v20 import all as dialect
 
 from mavproxy_fault.cli import main
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.links.udp import UdpServer
-from simvehicle import server
-from simvehicle.pace import Pace
-from simvehicle.progress import Progress
-from simvehicle.scenario import read_scenario
-from simvehicle.simulation import Simulation
+from simvehicle.app import sim_server as server
+from simvehicle.app.pace import Pace
+from simvehicle.app.sim_progress import Progress
+from simvehicle.scenario.scenario_file import read_scenario
+from simvehicle.scenario.simulation import Simulation
 
 SCENARIO = """
 duration_s: 2.0

@@ -9,11 +9,18 @@ import math
 import numpy as np
 import pytest
 
-from simvehicle.guidance import PathTrack
-from simvehicle.mission import plan, shape_pieces, smallest_size
-from simvehicle.scenario import Environment, Leg, Scenario, Sensors, Start, VehicleChoice
+from simvehicle.guidance.mission import plan, shape_pieces, smallest_size
+from simvehicle.guidance.route import PathTrack
+from simvehicle.scenario.scenario_file import (
+    Environment,
+    Leg,
+    Scenario,
+    Sensors,
+    Start,
+    VehicleChoice,
+)
+from simvehicle.scenario.simulation import Simulation
 from simvehicle.sensors.imu import Imu
-from simvehicle.simulation import Simulation
 
 SHAPES = ["triangle", "diamond", "trapezoid", "s", "eight", "circle", "line"]
 WIND = Environment(wind_ned_mps=(5.657, 5.657, 0.0), gusts="light")

@@ -7,15 +7,22 @@ import msgspec
 import numpy as np
 import pytest
 
-from mavproxy_fault.errors import ConfigError
-from simvehicle.body import Controls
-from simvehicle.readings import GpsReading, ImuReading, PressureReading
-from simvehicle.scenario import Environment, Leg, Scenario, Sensors, Start, read_scenario
+from mavproxy_fault.documents.errors import ConfigError
+from simvehicle.scenario.scenario_file import (
+    Environment,
+    Leg,
+    Scenario,
+    Sensors,
+    Start,
+    read_scenario,
+)
+from simvehicle.scenario.simulation import Simulation, simulate
 from simvehicle.sensors.barometer import Barometer
+from simvehicle.sensors.error_model import Noise
 from simvehicle.sensors.gps import Gps
 from simvehicle.sensors.imu import Imu
-from simvehicle.sensors.noise import Noise
-from simvehicle.simulation import Simulation, simulate
+from simvehicle.sensors.readings import GpsReading, ImuReading, PressureReading
+from simvehicle.vehicles.body import Controls
 
 IN_THE_AIR = Start(height_m=100.0)
 NOISY = Imu(rate_hz=100.0, gyro=Noise(sigma=0.01), accel=Noise(sigma=0.1))

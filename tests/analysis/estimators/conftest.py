@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from analysis.samples import AirspeedSample, GpsFix, ImuSample, MagSample, Sample
+from analysis.samples.sample import AirspeedSample, GpsFix, ImuSample, MagSample, Sample
 
 RATE_HZ = 200
 FIELD_NED = np.array([0.21, 0.03, 0.42])

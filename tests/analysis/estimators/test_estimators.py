@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from analysis.estimators import Prior, make, names
-from analysis.estimators.rotations import errors, quaternion_of_euler
-from analysis.samples import GpsFix, ImuSample, MagSample
-from mavproxy_fault.errors import ConfigError
+from analysis.samples.sample import GpsFix, ImuSample, MagSample
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.quaternion import errors, quaternion_of_euler
 
 DECLINATION_RAD = float(np.arctan2(0.03, 0.21))
 

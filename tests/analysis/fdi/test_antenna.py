@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from analysis.estimators.rotations import matrix
-from analysis.fdi import DetectorConfig
-from analysis.fdi.antenna import moved_along
-from analysis.fdi.inertial import ERRORS, X_SIZE, gravity_ecef, turned
-from analysis.fdi.motion import Segment, advance
-from analysis.fdi.state import Motion
-from analysis.gnss import EARTH_RATE_RPS
-from mavproxy_fault.errors import ConfigError
+from analysis.detection import DetectorConfig
+from analysis.detection.filter.antenna import moved_along
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.inertial import ERRORS, X_SIZE, gravity_ecef, turned
+from analysis.detection.filter.propagation import Segment, advance
+from analysis.orbits.broadcast import EARTH_RATE_RPS
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.quaternion import matrix
 
 ARM_M = np.array([1.5, -0.5, -0.3])
 RATE_RPS = 0.8

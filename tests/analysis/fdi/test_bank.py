@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from analysis.fdi.bank import best_subset, freed, normalised, projected_weights
-from analysis.fdi.thresholds import chi_square
-from analysis.fdi.verdict import judge
+from analysis.detection.isolation.bank import best_subset, freed, normalised, projected_weights
+from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.isolation.hypotheses import judge
 
 RNG = np.random.default_rng(5)
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.fdi import Detector, DetectorConfig
-from analysis.fdi.detector import run
+from analysis.detection import Detector, DetectorConfig
+from analysis.detection.detector import run
 from analysis.results import Decision, SensorDecision
-from analysis.samples import EphemerisSample, Epoch, ImuSample, Sample, TruthSample
-from simvehicle.earth import ecef_from_geodetic
+from analysis.samples.sample import EphemerisSample, Epoch, ImuSample, Sample, TruthSample
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
 
 FROM_S, UNTIL_S = 30.0, 45.0
 Ranges = dict[str, Callable[[float], float]]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from analysis.fdi.inertial import ERRORS, X_SIZE, propagate_inertial
+from analysis.detection.filter.inertial import ERRORS, X_SIZE, propagate_inertial
 
 RNG = np.random.default_rng(8)
 START_M = np.array([4.2e6, 6.0e5, 4.7e6])

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from analysis.fdi.inertial import ERRORS, X_SIZE
-from analysis.fdi.information import columns, states_of, statistic, taken, weights
-from analysis.fdi.memory import WINDOWS, respond
+from analysis.detection.filter.inertial import ERRORS, X_SIZE
+from analysis.detection.filter.information import columns, states_of, statistic, taken, weights
+from analysis.detection.isolation.ramp_windows import WINDOWS, respond
 
 RNG = np.random.default_rng(9)
 COUNT = 9

@@ -6,10 +6,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.block import ImuRun
-from analysis.fdi import motion
-from analysis.fdi.motion import keep_pending, segment, split_pending
-from analysis.fdi.state import Motion, Pending
+from analysis.detection.filter import propagation as motion
+from analysis.detection.filter.filter_state import Motion, Pending
+from analysis.detection.filter.propagation import keep_pending, segment, split_pending
+from analysis.samples.block import ImuRun
 
 NOWHERE = Motion(0, np.empty(0), np.empty(0))
 

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.fdi import DetectorConfig, SigmaModel
-from analysis.fdi.core import Core
-from analysis.fdi.detector import Detector, run
-from analysis.fdi.memory import WINDOWS, learn_offsets
-from analysis.fdi.offsets import held, hold, learnt
-from analysis.fdi.slow import new_memory
+from analysis.detection import DetectorConfig, SigmaModel
+from analysis.detection.detector import Detector, run
+from analysis.detection.detector_state import Core
+from analysis.detection.filter.offsets import held, hold, learnt
+from analysis.detection.isolation.ramp_test import new_memory
+from analysis.detection.isolation.ramp_windows import WINDOWS, learn_offsets
 from analysis.results import Decision
-from analysis.samples import Epoch, ImuSample, Sample
+from analysis.samples.sample import Epoch, ImuSample, Sample
 
 CONFIG = DetectorConfig()
 FOR_EVER = DetectorConfig(sigma=SigmaModel(slow_s=1e12)).memory_numbers

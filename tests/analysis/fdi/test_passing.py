@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.fdi import Detector, DetectorConfig, epoch
-from analysis.fdi.detector import run
+from analysis.detection import Detector, DetectorConfig
+from analysis.detection.detector import run
+from analysis.detection.isolation import epoch_test as epoch
 from analysis.results import Decision
-from analysis.samples import Epoch, ImuSample, Sample
+from analysis.samples.sample import Epoch, ImuSample, Sample
 
 
 def by_steps(monkeypatch: pytest.MonkeyPatch, samples: list[Sample]) -> list[Decision]:

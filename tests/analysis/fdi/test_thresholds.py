@@ -5,7 +5,7 @@ import math
 import pytest
 from scipy.special import chdtrc, chdtri, ndtri
 
-from analysis.fdi.thresholds import chi_square, p_value, two_sided
+from analysis.detection.isolation.chi_square import chi_square, p_value, two_sided
 
 PROBABILITIES = (0.4, 0.1, 1e-3, 1e-4, 1e-6, 1e-9, 1e-13)
 

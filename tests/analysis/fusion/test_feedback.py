@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.fdi.inertial import CLOCK, ISB, PSI, R, V
+from analysis.detection.filter.inertial import CLOCK, ISB, PSI, R, V
 from analysis.fusion.feedback import fed_back
-from analysis.pipeline import WITHOUT_ISOLATION, Pipeline, monitor_config
+from analysis.monitor.pipeline import WITHOUT_ISOLATION, Pipeline, monitor_config
 from analysis.results import Decision, FusedState
-from analysis.samples import Epoch
+from analysis.samples.sample import Epoch
 
 FAULT_US = 6_000_000
 

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from analysis.estimators.base import Prior
-from analysis.estimators.fusion import FusedAttitude
-from analysis.samples import Epoch, TruthSample
+from analysis.estimators.estimator import Prior
+from analysis.estimators.graph_estimator import FusedAttitude
+from analysis.samples.sample import Epoch, TruthSample
 
 
 def angle_deg(q, other):

@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 
-from analysis.block import block_of
-from analysis.criteria import Criteria
-from analysis.pipeline import Pipeline, monitor_config
+from analysis.monitor.pipeline import Pipeline, monitor_config
 from analysis.results import FusedState
-from analysis.samples import TruthSample
-from analysis.tally import Tally
-from simvehicle.earth import ecef_from_geodetic
+from analysis.samples.block import block_of
+from analysis.samples.sample import TruthSample
+from analysis.scoring.criteria import Criteria
+from analysis.scoring.summary_tally import Tally
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
 
 
 def summary(results):

@@ -4,11 +4,11 @@ import gtsam
 import numpy as np
 import pytest
 
-from analysis.fusion.config import FusionConfig
-from analysis.fusion.factors import alike
+from analysis.fusion.factors.unary_factors import alike
+from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.graph import Graph
 from analysis.fusion.window import Window, key
-from analysis.pipeline import Pipeline, monitor_config
+from analysis.monitor.pipeline import Pipeline, monitor_config
 from analysis.results import Decision, FusedState
 
 FAILS_US = 5_000_000

@@ -5,11 +5,11 @@ import itertools
 import msgspec
 import pytest
 
-from analysis.fusion.config import FusionConfig
-from analysis.fusion.weights import isolated_sensors, range_weights, weight
-from analysis.pipeline import monitor_config
+from analysis.fusion.factors.factor_weights import isolated_sensors, range_weights, weight
+from analysis.fusion.fusion_config import FusionConfig
+from analysis.monitor.pipeline import monitor_config
 from analysis.results import Decision, SensorDecision
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError
 
 CONFIG = FusionConfig()
 

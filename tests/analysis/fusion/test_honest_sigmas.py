@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from analysis.block import block_of
-from analysis.gnss import ned_axes
-from analysis.pipeline import Pipeline, monitor_config
+from analysis.monitor.pipeline import Pipeline, monitor_config
+from analysis.orbits.broadcast import ned_axes
 from analysis.results import FusedState
-from analysis.samples import TruthSample
-from simvehicle.earth import ecef_from_geodetic
-from simvehicle.rotation import matrix_from_quat
+from analysis.samples.block import block_of
+from analysis.samples.sample import TruthSample
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.numerics.rotation import matrix_from_quat
 
 SEEDS = 21, 22, 23
 SECONDS, SETTLED_US = 20.0, 12_000_000

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.pipeline import Pipeline, monitor_config
+from analysis.monitor.pipeline import Pipeline, monitor_config
 from analysis.results import FusedState
-from analysis.samples import ImuSample
+from analysis.samples.sample import ImuSample
 
 FROM_US, UNTIL_US = 7_000_000, 8_000_000
 

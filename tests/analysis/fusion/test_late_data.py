@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.pipeline import Pipeline, monitor_config
+from analysis.monitor.pipeline import Pipeline, monitor_config
 from analysis.results import FusedState
-from analysis.samples import BaroSample, Epoch, ImuSample
+from analysis.samples.sample import BaroSample, Epoch, ImuSample
 
 LATE_US = 6_000_000
 ARRIVES_US = 6_400_000

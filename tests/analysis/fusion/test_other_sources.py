@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.fusion.factors import OFFSET_UNIT_M
-from analysis.fusion.frame import frame_at
+from analysis.detection.sensors.sensor_models import density_kgpm3
+from analysis.fusion.factors.unary_factors import OFFSET_UNIT_M
+from analysis.fusion.local_frame import frame_at
 from analysis.fusion.window import key
-from analysis.pipeline import Pipeline, monitor_config
-from analysis.reference_models import density_kgpm3
+from analysis.monitor.pipeline import Pipeline, monitor_config
 from analysis.results import FusedState
-from analysis.samples import (
+from analysis.samples.sample import (
     AirspeedSample,
     BaroSample,
     Epoch,
@@ -21,8 +21,8 @@ from analysis.samples import (
     TruthSample,
     VisionSample,
 )
-from simvehicle.earth import ecef_from_geodetic
-from simvehicle.rotation import matrix_from_quat
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.numerics.rotation import matrix_from_quat
 
 SECONDS = 10.0
 LATE_US = 6_000_000

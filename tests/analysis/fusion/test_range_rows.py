@@ -4,19 +4,19 @@ import gtsam
 import numpy as np
 import pytest
 
-from analysis.fdi import DetectorConfig
-from analysis.fdi.measure import observe
-from analysis.fusion.beginning import Node, first_guess
-from analysis.fusion.config import FusionConfig
-from analysis.fusion.factors import NUMBER
-from analysis.fusion.frame import frame_at
-from analysis.fusion.range_rows import LOS
-from analysis.fusion.ranges import Ranges
+from analysis.detection import DetectorConfig
+from analysis.detection.filter.measurement import observe
+from analysis.detection.sensors.sensor_tests import References
+from analysis.fusion.factors.range_factors import Ranges
+from analysis.fusion.factors.range_rows import LOS
+from analysis.fusion.factors.unary_factors import NUMBER
+from analysis.fusion.fusion_config import FusionConfig
+from analysis.fusion.graph_start import Node, first_guess
+from analysis.fusion.local_frame import frame_at
 from analysis.fusion.window import key
-from analysis.gnss import LIGHT_MPS
-from analysis.reference import References
-from analysis.samples import Epoch
-from analysis.solve import design_matrix
+from analysis.orbits.broadcast import LIGHT_MPS
+from analysis.orbits.snapshot import design_matrix
+from analysis.samples.sample import Epoch
 
 CLOCK = 40.0, 3.0  # what the graph's clock is counted from
 OFF_M, FASTER_MPS = np.array([4.0, -7.0, 2.0]), np.array([1.0, 2.0, -3.0])

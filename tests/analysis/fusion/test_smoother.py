@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from analysis.fdi import DetectorConfig
-from analysis.fusion.config import FusionConfig
+from analysis.detection import DetectorConfig
+from analysis.detection.sensors.sensor_tests import References
+from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.graph import Graph
 from analysis.fusion.smoother import Fusion
-from analysis.gnss import ned_axes
-from analysis.reference import References
+from analysis.orbits.broadcast import ned_axes
 from analysis.results import Decision, FusedState
-from analysis.samples import BaroSample, Epoch, ImuSample, TruthSample
-from simvehicle.earth import ecef_from_geodetic
+from analysis.samples.sample import BaroSample, Epoch, ImuSample, TruthSample
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
 
 SECONDS = 14.0
 FAULT_US, FOUND_US = 9_000_000, 10_000_000

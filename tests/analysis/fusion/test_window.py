@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from analysis.fusion.factors import NO_CLOCK, alike, walk_factor
+from analysis.fusion.factors.unary_factors import NO_CLOCK, alike, walk_factor
 from analysis.fusion.window import Window, key
 
 LAG_S, STEP_S, EPOCHS = 1.0, 0.2, 24

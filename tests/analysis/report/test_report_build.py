@@ -7,9 +7,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from analysis.report.build import write
-from analysis.report.from_results import isolation_matrix, recording_of_results
-from analysis.report.tables import attitude_tables
+from analysis.report.page.report_tables import attitude_tables
+from analysis.report.recordings.from_results import isolation_matrix, recording_of_results
+from analysis.report.run_report import write
 from analysis.results import AttitudeError, Decision, Result
 from mavproxy_fault.wire.label import Label
 

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.report.checks import Check, Limits, held, level, verdict_of
-from analysis.report.outcome import Outcome, judged
-from analysis.report.recording import Recording, Signal
-from analysis.report.sources import Flight as Source
-from analysis.report.sources import group, read_flight
-from analysis.report.thresholds import Thresholds, read_thresholds
-from mavproxy_fault.errors import ConfigError
+from analysis.report.judging.check_limits import Thresholds, read_thresholds
+from analysis.report.judging.checks import Check, Limits, held, level, verdict_of
+from analysis.report.judging.flight_verdict import Outcome, judged
+from analysis.report.recordings.recording import Recording, Signal
+from analysis.report.recordings.sources import Flight as Source
+from analysis.report.recordings.sources import group, read_flight
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.label import Label
 
 Flight = Callable[..., Path]

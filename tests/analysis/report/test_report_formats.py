@@ -5,14 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from analysis.dataflash import read_dataflash
 from analysis.report.export import tables_of
-from analysis.report.from_dataflash import recording_of_dataflash
-from analysis.report.outcome import judged
-from analysis.report.sources import read_flight
-from analysis.report.thresholds import Thresholds
-from analysis.ulog import read_ulog
-from mavproxy_fault.errors import ConfigError
+from analysis.report.judging.check_limits import Thresholds
+from analysis.report.judging.flight_verdict import judged
+from analysis.report.recordings.from_dataflash import recording_of_dataflash
+from analysis.report.recordings.sources import read_flight
+from analysis.samples.dataflash import read_dataflash
+from analysis.samples.ulog import read_ulog
+from mavproxy_fault.documents.errors import ConfigError
 
 HEAD = b"\xa3\x95"
 FORMATS = {  # name: (type, struct code, dataflash code, columns)

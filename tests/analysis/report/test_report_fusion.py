@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from analysis.report.derive import with_derived
-from analysis.report.from_results import recording_of_results
-from analysis.report.fused_table import fused_table
-from analysis.report.fusion import error_ned_m
-from analysis.report.recording import Recording, Track, joined
+from analysis.report.page.fused_curves import error_ned_m
+from analysis.report.page.fused_table import fused_table
+from analysis.report.recordings.derived_curves import with_derived
+from analysis.report.recordings.from_results import recording_of_results
+from analysis.report.recordings.recording import Recording, Track, joined
 from analysis.results import FusedState
-from simvehicle.earth import ecef_from_geodetic
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
 
 LAT_DEG, LON_DEG, ALT_M = 47.0, 8.0, 500.0
 METRE_DEG = 1.0 / 111_195.0  # of latitude, on the sphere that reports measure on

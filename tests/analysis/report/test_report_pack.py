@@ -5,7 +5,7 @@ import zlib
 
 import numpy as np
 
-from analysis.report.pack import Block, broken, thinned, unwrapped
+from analysis.report.page.pack import Block, broken, thinned, unwrapped
 
 
 def unpacked(block: Block) -> np.typing.NDArray[np.float32]:

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.report import thin
-from analysis.report.link import stretches
-from analysis.report.outcome import Outcome, judged
-from analysis.report.sources import read_flight
-from analysis.report.thresholds import Thresholds
+from analysis.report.judging.check_limits import Thresholds
+from analysis.report.judging.flight_verdict import Outcome, judged
+from analysis.report.recordings import thinning as thin
+from analysis.report.recordings.link_quality import stretches
+from analysis.report.recordings.sources import read_flight
 from mavproxy_fault.wire import tlog
 
 Flight = Callable[..., Path]

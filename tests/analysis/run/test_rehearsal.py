@@ -1,9 +1,9 @@
 """What is compiled beside the monitor is what the monitor calls."""
 
-from analysis.attitude_kernel import compare, gather
-from analysis.pipeline import MonitorConfig, Pipeline
-from analysis.reference_kernel import judge
+from analysis.detection.sensors.sensor_kernel import judge
+from analysis.monitor.pipeline import MonitorConfig, Pipeline
 from analysis.run.rehearsal import rehearse
+from analysis.scoring.attitude_kernel import compare, gather
 
 
 def signatures():

@@ -12,7 +12,7 @@ import pytest
 from pymavlink import mavutil
 
 from analysis.results import Decision, decode, read_results
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import Bus, open_bus
 from mavproxy_fault.wire.label import read_labels
 

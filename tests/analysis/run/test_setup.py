@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from analysis.run.setup import read_setup
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError
 
 
 @pytest.mark.parametrize("head", ["schedule:\n  faults:\n", "schedule:\n"])

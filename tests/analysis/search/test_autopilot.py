@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.search.faultrange import FaultRange
-from analysis.search.flown import Flown
-from analysis.search.testfile import AutopilotChoice, Initial, Sensors, TestFile
-from mavproxy_fault.errors import ConfigError
+from analysis.search.evaluation.flown_cases import Flown
+from analysis.search.space.fault_range import FaultRange
+from analysis.search.space.test_file import AutopilotChoice, Initial, Sensors, TestFile
+from mavproxy_fault.documents.errors import ConfigError
 
 STAND_IN = Path(__file__).with_name("stand_in.py")
 CHOICE = AutopilotChoice(

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from analysis.search.archive import APART, Archive, distance
-from analysis.search.batch import Outcome
-from analysis.search.campaign import campaign, main
 from analysis.search.cases import yaml_of
+from analysis.search.evaluation.compiled_batch import Outcome
+from analysis.search.evaluation.pool import Here, Processes
 from analysis.search.history import RECORD
-from analysis.search.pool import Here, Processes
-from analysis.search.testfile import (
+from analysis.search.search_command import campaign, main
+from analysis.search.space.test_file import (
     FaultRange,
     Initial,
     Mission,
@@ -19,7 +19,7 @@ from analysis.search.testfile import (
     TestFile,
     read_test,
 )
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError
 
 TEST = TestFile(
     duration_s=3.0,

@@ -6,9 +6,9 @@ import signal
 import numpy as np
 import pytest
 
-from analysis.search import pool
-from analysis.search.batch import Batch
-from analysis.search.testfile import Initial, TestFile
+from analysis.search.evaluation import pool
+from analysis.search.evaluation.compiled_batch import Batch
+from analysis.search.space.test_file import Initial, TestFile
 
 ray = pytest.importorskip("ray", reason="Ray is not installed")
 TEST = TestFile(duration_s=1.0, noise_draws=2, initial=Initial(roll_deg=(-40.0, 40.0)))

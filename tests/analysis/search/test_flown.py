@@ -5,16 +5,16 @@ import numpy as np
 import pytest
 import yaml
 
-from analysis.attitude import AttitudeConfig
-from analysis.run.flight import Flight
+from analysis.run.proxied_flight import Flight
 from analysis.run.setup import read_setup
-from analysis.search.batch import Batch
-from analysis.search.campaign import campaign
+from analysis.scoring.attitude_scoring import AttitudeConfig
 from analysis.search.cases import write_cases
-from analysis.search.document import document_of
-from analysis.search.flown import Flown, Watch, fly
-from analysis.search.pool import Here
-from analysis.search.testfile import (
+from analysis.search.evaluation.compiled_batch import Batch
+from analysis.search.evaluation.flown_cases import Flown, Watch, fly
+from analysis.search.evaluation.pool import Here
+from analysis.search.search_command import campaign
+from analysis.search.space.point_scenario import document_of
+from analysis.search.space.test_file import (
     FaultRange,
     Initial,
     Mission,
@@ -23,7 +23,7 @@ from analysis.search.testfile import (
     TestFile,
     read_test,
 )
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError
 
 QUIET = Sensors(
     gyro_sigma_dps=0.0,

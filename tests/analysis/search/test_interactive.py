@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from analysis.search.interactive import COLUMNS, Session, Window, show
-from analysis.search.testfile import Initial, TestFile, read_test
+from analysis.search.space.test_file import Initial, TestFile, read_test
 
 TEST = TestFile(duration_s=1.0, initial=Initial(roll_deg=(-30.0, 30.0)))
 

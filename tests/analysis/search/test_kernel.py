@@ -6,14 +6,22 @@ import numpy as np
 import pytest
 
 from analysis.estimators import make
-from analysis.search import rows
-from analysis.search.batch import Batch, start_memory
 from analysis.search.breakdown import breakdown
-from analysis.search.space import flights_of
-from analysis.search.testfile import FaultRange, Initial, Mission, OpenLoop, Sensors, TestFile, Wind
-from analysis.search.traced import estimated, traced
-from mavproxy_fault.errors import ConfigError
-from simvehicle.rotation import euler_from_quat
+from analysis.search.evaluation.compiled_batch import Batch, start_memory
+from analysis.search.evaluation.traced_flight import estimated, traced
+from analysis.search.lanes import rows
+from analysis.search.space.dimensions import flights_of
+from analysis.search.space.test_file import (
+    FaultRange,
+    Initial,
+    Mission,
+    OpenLoop,
+    Sensors,
+    TestFile,
+    Wind,
+)
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.rotation import euler_from_quat
 
 QUIET = Sensors(
     gyro_sigma_dps=0.0,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.search.noise_kernel import gauss_pair, generator_states, log, next_bits
-from mavproxy_fault.wire.compiled import compiled
+from analysis.search.lanes.noise_kernel import gauss_pair, generator_states, log, next_bits
+from mavproxy_fault.numerics.compile import compiled
 
 
 @compiled

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from analysis.search.searchers import METHODS, searcher
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError
 
 TOP = np.array([0.2, 0.7, 0.4, 0.9])
 

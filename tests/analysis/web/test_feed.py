@@ -3,7 +3,7 @@ import json
 import pytest
 
 from analysis.web.feed import BURST, MOST_VIEWERS, WAITING, Feed, Viewer
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError
 
 
 def said(viewer: Viewer) -> list[list[object]]:

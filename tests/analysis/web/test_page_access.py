@@ -10,7 +10,7 @@ from websockets import Origin
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from analysis.web.server import listen
+from analysis.web.page_server import listen
 
 
 @pytest.mark.browser

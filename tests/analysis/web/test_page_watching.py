@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from analysis.web.server import serve
+from analysis.web.page_server import serve
 from mavproxy_fault.links.bus import open_bus
 
 pytestmark = pytest.mark.browser

@@ -5,8 +5,8 @@ import msgspec
 import pytest
 
 from analysis.web.feed import STATUS, Feed
-from analysis.web.source import Source
-from mavproxy_fault.errors import ConfigError
+from analysis.web.run_source import Source
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import open_bus
 
 

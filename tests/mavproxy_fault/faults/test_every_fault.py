@@ -13,15 +13,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as pymavlink
 
-from mavproxy_fault.engine import Engine
 from mavproxy_fault.faults import registry
-from mavproxy_fault.faults.base import Outgoing
 from mavproxy_fault.faults.examples import EXAMPLES
+from mavproxy_fault.faults.fault import Outgoing
 from mavproxy_fault.faults.registry import known_faults
-from mavproxy_fault.schedule import parse_schedule
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
-from mavproxy_fault.wire.plant import plant_change
+from mavproxy_fault.wire.plant_messages import plant_change
 
 START_US = 1_000_000
 STEP_US = 4_000

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from mavproxy_fault.engine import Engine
-from mavproxy_fault.schedule import parse_schedule
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.faults.profile import Draw, Live, Profile, Segment, Sine, Table
-from mavproxy_fault.faults.table import BLOCK_ROWS
-from mavproxy_fault.schedule import read_schedule
+from mavproxy_fault.faults.series import BLOCK_ROWS
+from mavproxy_fault.schedule.entries import read_schedule
 
 RNG = np.random.default_rng(0)
 

@@ -1,15 +1,15 @@
 import pytest
 
-from mavproxy_fault.engine import Engine
-from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.faults.base import Outgoing
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.faults.fault import Outgoing
 from mavproxy_fault.faults.satellite import HOLD_US
-from mavproxy_fault.schedule import parse_schedule
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.rtcm.msm7 import Msm7, decode_msm7, encode_msm7
+from mavproxy_fault.rtcm.transport import Reassembler, tunnel_frames, tunnel_payload
+from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame
-from mavproxy_fault.wire.msm7 import Msm7, decode_msm7, encode_msm7
-from mavproxy_fault.wire.plant import plant_change
-from mavproxy_fault.wire.rtcm import Reassembler, tunnel_frames, tunnel_payload
+from mavproxy_fault.wire.plant_messages import plant_change
 
 NAMES = tuple(f"G{n:02d}" for n in range(2, 22, 2))
 TUNNEL = known("TUNNEL")

@@ -1,6 +1,6 @@
 import pytest
 
-from mavproxy_fault.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.spec import open_link, parse_spec
 
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from pyrtcm import RTCMReader
 
-from mavproxy_fault.wire.ephemeris import Ephemeris, decode_ephemeris, encode_ephemeris
-from mavproxy_fault.wire.rtcm import message_number, wrap
+from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris, decode_ephemeris, encode_ephemeris
+from mavproxy_fault.rtcm.transport import message_number, wrap
 
 G03 = Ephemeris(
     satellite="G03", week=2149, toe_s=475200.0, toc_s=475200.0,

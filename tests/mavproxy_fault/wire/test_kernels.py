@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault.wire import kernels
+from mavproxy_fault.numerics import code_cache as kernels
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyrtcm import RTCMReader
 
-from mavproxy_fault.wire.msm7 import (
+from mavproxy_fault.rtcm.msm7 import (
     MS_M,
     Msm7,
     decode_msm7,
@@ -20,7 +20,7 @@ from mavproxy_fault.wire.msm7 import (
     msm7_satellites,
     patch_msm7,
 )
-from mavproxy_fault.wire.rtcm import wrap
+from mavproxy_fault.rtcm.transport import wrap
 
 COUNT_M = MS_M * 2**-29
 PHASE_COUNT_M = MS_M * 2**-31

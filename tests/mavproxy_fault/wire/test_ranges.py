@@ -4,10 +4,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavproxy_fault.wire.msm7 import decode_msm7
-from mavproxy_fault.wire.ranges import NAMES, NO_MSM7, Ranges, read_ranges
-from mavproxy_fault.wire.rtcm import unwrap, wrap
-from mavproxy_fault.wire.tunnels import Messages
+from mavproxy_fault.rtcm.msm7 import decode_msm7
+from mavproxy_fault.rtcm.range_columns import NAMES, NO_MSM7, Ranges, read_ranges
+from mavproxy_fault.rtcm.transport import unwrap, wrap
+from mavproxy_fault.rtcm.tunnel_columns import Messages
 
 
 @st.composite

@@ -6,10 +6,8 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 from pyrtcm import calc_crc24q
 
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame
-from mavproxy_fault.wire.msm7 import encode_epoch
-from mavproxy_fault.wire.rtcm import (
+from mavproxy_fault.rtcm.msm7 import encode_epoch
+from mavproxy_fault.rtcm.transport import (
     FRAGMENT_BYTES,
     MESSAGE_MAX,
     PAYLOAD_TYPE,
@@ -23,6 +21,8 @@ from mavproxy_fault.wire.rtcm import (
     unwrap,
     wrap,
 )
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame
 
 # RTCM 10403.3 section 4.3: the standard's own example of a whole message (1005)
 EXAMPLE = bytes.fromhex("D300133ED7D30202980EDEEF34B4BD62AC0941986F33360B98")

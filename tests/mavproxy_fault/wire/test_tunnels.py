@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavproxy_fault.wire.rtcm import Reassembler, fragments, message_number, wrap
-from mavproxy_fault.wire.tunnels import SENDERS_MAX, Assembler, Messages
+from mavproxy_fault.rtcm.transport import Reassembler, fragments, message_number, wrap
+from mavproxy_fault.rtcm.tunnel_columns import SENDERS_MAX, Assembler, Messages
 
 WIDTH = 128
 

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 
 from mavproxy_fault.links.spec import open_link
-from simvehicle.progress import Progress
-from simvehicle.scenario import read_scenario
-from simvehicle.server import FreeLoop
-from simvehicle.simulation import Simulation
+from simvehicle.app.sim_progress import Progress
+from simvehicle.app.sim_server import FreeLoop
+from simvehicle.scenario.scenario_file import read_scenario
+from simvehicle.scenario.simulation import Simulation
 
 SCENARIO = """
 vehicle: {kind: multirotor, parameters: iris}

@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from simvehicle.body import Truth
-from simvehicle.gnss.config import ClockConfig, GnssConfig
+from simvehicle.gnss.gnss_config import ClockConfig, GnssConfig
+from simvehicle.vehicles.body import Truth
 
 HOME = (math.radians(47.397742), math.radians(8.545594))
 UNDULATION_M = 47.0

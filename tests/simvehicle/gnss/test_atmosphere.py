@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from simvehicle.gnss.atmosphere import (
+from simvehicle.gnss.signal_delays import (
     SPEED_OF_LIGHT_MPS,
     ionosphere_m,
     troposphere_m,

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.wire.ephemeris import decode_ephemeris, encode_ephemeris
-from simvehicle.earth import ecef_from_geodetic
-from simvehicle.gnss.config import GnssConfig, ReceiverConfig
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.rtcm.ephemeris_messages import decode_ephemeris, encode_ephemeris
 from simvehicle.gnss.constellation import Constellation, constellation_of
-from simvehicle.gnss.ephemeris import orbits_of
-from simvehicle.gnss.navigation import SHIPPED, read_navigation
+from simvehicle.gnss.gnss_config import GnssConfig, ReceiverConfig
+from simvehicle.gnss.navigation_file import SHIPPED, read_navigation
 from simvehicle.gnss.pseudorange import Atmosphere, sight
+from simvehicle.gnss.satellite_orbits import orbits_of
 
 PLACES = [(47.4, 8.5), (-35.4, 149.2), (40.2, -111.7), (0.0, 0.0), (-33.0, -70.0), (60.0, 179.9)]
 

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simvehicle.gnss.ephemeris import (
+from simvehicle.gnss.navigation_file import SHIPPED, gps_time, read_navigation
+from simvehicle.gnss.satellite_orbits import (
     EARTH_RATE_RPS,
     SPEED_OF_LIGHT_MPS,
     orbits_at,
     orbits_of,
     satellite_states,
 )
-from simvehicle.gnss.navigation import SHIPPED, gps_time, read_navigation
 
 PRECISE = Path(__file__).parents[2] / "authorities" / "code_orbits" / "orbits.sp3"
 NAVIGATION = read_navigation(SHIPPED)

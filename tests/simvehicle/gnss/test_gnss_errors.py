@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from simvehicle.gnss.config import ClockConfig
-from simvehicle.gnss.errors import (
+from simvehicle.gnss.gnss_config import ClockConfig
+from simvehicle.gnss.signal_errors import (
     SPEED_OF_LIGHT_MPS,
     Clock,
     code_sigma_m,

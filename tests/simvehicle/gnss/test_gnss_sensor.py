@@ -8,16 +8,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from mavproxy_fault.errors import ConfigError
-from mavproxy_fault.wire.ephemeris import decode_ephemeris
-from mavproxy_fault.wire.msm7 import decode_msm7, encode_epoch
-from simvehicle.body import Truth
-from simvehicle.earth import ecef_from_geodetic
-from simvehicle.gnss.config import ClockConfig, GnssConfig, ReceiverConfig
-from simvehicle.gnss.ephemeris import SPEED_OF_LIGHT_MPS, orbits_of, satellite_states
-from simvehicle.gnss.sensor import GnssSensor, gnss_sensor
-from simvehicle.gnss.state import GnssState
-from simvehicle.readings import EphemerisReading, GpsReading, PseudorangeReading
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.rtcm.ephemeris_messages import decode_ephemeris
+from mavproxy_fault.rtcm.msm7 import decode_msm7, encode_epoch
+from simvehicle.gnss.gnss_config import ClockConfig, GnssConfig, ReceiverConfig
+from simvehicle.gnss.gnss_sensor import GnssSensor, gnss_sensor
+from simvehicle.gnss.gnss_state import GnssState
+from simvehicle.gnss.satellite_orbits import SPEED_OF_LIGHT_MPS, orbits_of, satellite_states
+from simvehicle.sensors.readings import EphemerisReading, GpsReading, PseudorangeReading
+from simvehicle.vehicles.body import Truth
 
 TruthAt = Callable[..., Truth]
 Home = tuple[float, float]

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault.errors import ConfigError
-from simvehicle.gnss.navigation import (
+from mavproxy_fault.documents.errors import ConfigError
+from simvehicle.gnss.navigation_file import (
     SHIPPED,
     gps_time,
     parse_navigation,

@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simvehicle.earth import ecef_from_geodetic, geodetic_from_ecef
-from simvehicle.gnss.ephemeris import (
+from mavproxy_fault.numerics.earth import ecef_from_geodetic, geodetic_from_ecef
+from simvehicle.gnss.navigation_file import SHIPPED, read_navigation
+from simvehicle.gnss.pseudorange import Atmosphere, sight
+from simvehicle.gnss.satellite_orbits import (
     EARTH_RATE_RPS,
     SPEED_OF_LIGHT_MPS,
     Orbits,
     orbits_of,
     satellite_states,
 )
-from simvehicle.gnss.navigation import SHIPPED, read_navigation
-from simvehicle.gnss.pseudorange import Atmosphere, sight
 
 VACUUM = Atmosphere(None, False)
 TOW_S = 475200.0

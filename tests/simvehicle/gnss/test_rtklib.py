@@ -10,12 +10,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from mavproxy_fault.wire.msm7 import encode_epoch
-from simvehicle.body import Truth
-from simvehicle.earth import ecef_from_geodetic
-from simvehicle.gnss.config import ClockConfig, GnssConfig
-from simvehicle.gnss.sensor import gnss_sensor
-from simvehicle.readings import EphemerisReading, PseudorangeReading
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.rtcm.msm7 import encode_epoch
+from simvehicle.gnss.gnss_config import ClockConfig, GnssConfig
+from simvehicle.gnss.gnss_sensor import gnss_sensor
+from simvehicle.sensors.readings import EphemerisReading, PseudorangeReading
+from simvehicle.vehicles.body import Truth
 
 TOOLS = ("convbin", "rnx2rtkp")
 OPTIONS = """pos1-posmode=single

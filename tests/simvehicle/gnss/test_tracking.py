@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simvehicle.gnss.config import ReceiverConfig
+from simvehicle.gnss.gnss_config import ReceiverConfig
 from simvehicle.gnss.tracking import Tracking, next_tracking, power_off
 
 RECEIVER = ReceiverConfig(reacquire_s=2.0)

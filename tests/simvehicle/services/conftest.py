@@ -10,12 +10,12 @@ from pymavlink.dialects.v20 import all as dialect
 
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame
-from simvehicle.autopilot_link import AutopilotLink
-from simvehicle.body import Truth
-from simvehicle.services.flight import Flight
-from simvehicle.services.missions import Missions
-from simvehicle.services.parameters import Parameters
-from simvehicle.services.telemetry import Home
+from simvehicle.autopilot.autopilot_link import AutopilotLink
+from simvehicle.autopilot.flight_goals import Flight
+from simvehicle.autopilot.mission_service import Missions
+from simvehicle.autopilot.parameter_service import Parameters
+from simvehicle.autopilot.telemetry import Home
+from simvehicle.vehicles.body import Truth
 
 HOME = Home(47.397742, 8.545594, 488.0)
 M_PER_DEG = 111_320.0

@@ -2,8 +2,8 @@ from typing import Any
 
 import pytest
 
-from simvehicle.services.enums import LandedState, Mode
-from simvehicle.services.flight import Kind
+from simvehicle.autopilot.enums import LandedState, Mode
+from simvehicle.autopilot.flight_goals import Kind
 
 
 def names(messages: list[Any]) -> list[str]:

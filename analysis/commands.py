@@ -1,0 +1,134 @@
+"""The analysis' subcommands; what they need is imported when they run."""
+
+import argparse
+import contextlib
+from typing import Any
+
+
+def add_run(commands: Any) -> None:
+    """`run`: simulator, proxy, monitor and report from one scenario."""
+    parser = commands.add_parser(
+        "run", help="play a scenario: simulator + proxy + monitor + report"
+    )
+    parser.add_argument("scenario", nargs="?", metavar="SCENARIO", help="YAML (default: the demo)")
+    parser.add_argument(
+        "--schedule", metavar="FILE", help="faults to use instead of the scenario's"
+    )
+    parser.add_argument(
+        "--speed", metavar="1|N|max", help="times real time (default: max, with --ui 1)"
+    )
+    parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
+    parser.add_argument("--out", metavar="DIR", help="run folder (default: runs/ and a number)")
+    parser.add_argument(
+        "--gcs",
+        default="udpout:127.0.0.1:14550",
+        metavar="EP|off",
+        help="ground station, unless --speed max (default: udpout:127.0.0.1:14550)",
+    )
+    parser.add_argument(
+        "--ui", action="store_true", help="serve the page for control and live view"
+    )
+    parser.add_argument(
+        "--zenoh", default="auto", metavar="auto|off|URL", help="where results are published"
+    )
+    parser.set_defaults(main=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    with contextlib.ExitStack() as stack:
+        if args.ui:
+            from analysis.web.page_server import serve_beside
+
+            stack.enter_context(serve_beside(args))
+        from analysis.run.run_command import main
+
+        return main(args)
+
+
+def add_monitor(commands: Any) -> None:
+    """`monitor`: detection, fusion and scores on a link or a log."""
+    parser = commands.add_parser("monitor", help="detect and isolate faults on a link or a log")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--link", metavar="EP", help="live MAVLink, e.g. udpin:127.0.0.1:14551")
+    source.add_argument("--log", metavar="LOG", help="a tlog")
+    source.add_argument("--rinex", nargs=2, metavar=("OBS", "NAV"), help="RINEX 2, 3 or 4 files")
+    parser.add_argument("--imu", metavar="CSV", help="IMU samples to go with --rinex")
+    parser.add_argument("--labels", metavar="FILE", help="what was injected, to score against")
+    parser.add_argument("--out", metavar="DIR", help="write results and report here")
+    parser.add_argument("--watch", action="store_true", help="a compact live status")
+    parser.add_argument("--scenario", metavar="FILE", help="monitor and criteria sections to use")
+    parser.add_argument(
+        "--calibrate", metavar="FILE", help="fit the noise of pseudoranges to clean data, write it"
+    )
+    parser.add_argument("--sigma", metavar="FILE", help="a noise model that --calibrate wrote")
+    parser.add_argument(
+        "--for", dest="for_s", type=float, metavar="S", help="end after S seconds of vehicle time"
+    )
+    parser.add_argument(
+        "--zenoh", default="auto", metavar="auto|off|URL", help="where results are published"
+    )
+    parser.set_defaults(main=_monitor)
+
+
+def _monitor(args: argparse.Namespace) -> int:
+    from analysis.monitor.monitor_command import main
+
+    return main(args)
+
+
+def add_search(commands: Any) -> None:
+    """`search`: the worst case of an estimator."""
+    parser = commands.add_parser("search", help="random and optimised search for the worst case")
+    parser.add_argument("testfile", metavar="TESTFILE", help="what to vary and how far (YAML)")
+    parser.add_argument("--budget", type=int, metavar="N", help="evaluations")
+    parser.add_argument("--method", metavar="M", help="random, matyas, sobol, cmaes, de or mixed")
+    parser.add_argument("--seed", type=int, metavar="N")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=int, metavar="N", help="processes on this machine")
+    where.add_argument("--ray", metavar="ADDRESS", help="a Ray cluster")
+    parser.add_argument("--out", metavar="DIR")
+    parser.add_argument(
+        "--interactive", action="store_true", help="look at one test after the other"
+    )
+    parser.set_defaults(main=_search)
+
+
+def _search(args: argparse.Namespace) -> int:
+    from analysis.search.search_command import main
+
+    return main(args)
+
+
+def add_report(commands: Any) -> None:
+    """`report`: a verdict from logs."""
+    parser = commands.add_parser("report", help="tlog, ULog or dataflash log to HTML and JSON")
+    parser.add_argument("logs", nargs="+", metavar="LOG")
+    parser.add_argument("--labels", metavar="FILE", help="what was injected")
+    parser.add_argument(
+        "--against", action="append", default=[], metavar="LOG", help="a log to compare with"
+    )
+    parser.add_argument("--criteria", metavar="FILE", help="thresholds of the checks (YAML)")
+    parser.add_argument("--out", metavar="DIR", help="default: LOG's name and -report")
+    parser.add_argument("--figures", action="store_true", help="every plot as PNG and SVG too")
+    parser.add_argument("--export", choices=("csv", "parquet", "mcap"), help="the data as tables")
+    parser.set_defaults(main=_report)
+
+
+def _report(args: argparse.Namespace) -> int:
+    from analysis.report.report_command import main
+
+    return main(args)
+
+
+def add_ui(commands: Any) -> None:
+    """`ui`: the page."""
+    parser = commands.add_parser("ui", help="the page: control faults and watch a running proxy")
+    parser.add_argument("--port", type=int, help="TCP port; 8350, or a free one if it is taken")
+    parser.add_argument("--zenoh", metavar="URL", help="the proxy's router")
+    parser.set_defaults(main=_ui)
+
+
+def _ui(args: argparse.Namespace) -> int:
+    from analysis.web.page_server import main
+
+    return main(args)

@@ -1,0 +1,161 @@
+"""The sigma model from clean data: scaled until the clean chi-square per degree of freedom is one.
+
+The shape over elevation and C/N0 is fitted to the leave-one-out residuals first: their variance is
+regressed on the model's three terms with coefficients of 0 or more. Then `scale` is set so that the
+parity test, which asks satellites alone, has a mean of 1 per degree of freedom, and the rates'
+sigma so that the median of their test has that of chi-square. Offsets are neither learnt nor taken
+off meanwhile: the noise is that of the raw ranges.
+"""
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.special import chdtri
+
+from analysis.detection.detection_config import DetectorConfig, SigmaModel
+from analysis.detection.detector import Detector
+from analysis.detection.detector_state import State
+from analysis.detection.filter.measurement import model, observe
+from analysis.results import Decision, SensorDecision
+from analysis.samples.sample import Epoch, Sample, Vector
+from mavproxy_fault.documents.errors import ConfigError
+
+EPOCHS_MIN = 60
+FLOOR_M = 0.05
+NEVER = 1e-100  # a false-alarm probability
+OUTLIER = 5.0  # residuals beyond this many sigma are no noise
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """A sigma model and what it was made from."""
+
+    sigma: SigmaModel
+    epochs: int
+    chi_square_per_dof: float
+
+
+def calibrate(samples: Iterable[Sample], config: DetectorConfig) -> Calibration:
+    """Fit the sigma model to a recording without faults.
+
+    Raises
+    ------
+    ConfigError
+        If there are fewer than 60 epochs that can be tested.
+    """
+    kept = list(samples)
+    wanted, config = config, _plain(config)
+    rows, decisions, rates = _pass(kept, config)
+    if len(decisions) < EPOCHS_MIN:
+        raise ConfigError(
+            f"calibrate: {len(decisions)} epochs can be tested; at least {EPOCHS_MIN} are needed"
+        )
+    shaped = _shape(rows, config.sigma)
+    _, decisions, _ = _pass(kept, replace(config, sigma=shaped))
+    ratio = _per_dof(decisions)
+    scaled = replace(shaped, scale=shaped.scale * float(np.sqrt(ratio)))
+    if rates:
+        dof = float(np.median([dof for _, dof in rates]))
+        expected = float(chdtri(dof, 0.5))
+        measured = float(np.median([statistic for statistic, _ in rates]))
+        factor = float(np.sqrt(measured / expected))
+        scaled = replace(scaled, rate_mps=max(config.sigma.rate_mps * factor, 0.02))
+    _, decisions, _ = _pass(kept, replace(config, sigma=scaled))
+    return Calibration(replace(scaled, slow=wanted.sigma.slow), len(decisions), _per_dof(decisions))
+
+
+def _plain(config: DetectorConfig) -> DetectorConfig:
+    """The configuration without tests that have a memory, which is what they would remember."""
+    return replace(config, p_slow=NEVER, sigma=replace(config.sigma, slow=0.0))
+
+
+def _per_dof(decisions: list[Decision]) -> float:
+    total = sum(d.parity_statistic or 0.0 for d in decisions)
+    return total / max(sum(d.parity_dof for d in decisions), 1)
+
+
+def _pass(
+    samples: list[Sample], config: DetectorConfig
+) -> tuple[list[Vector], list[Decision], list[tuple[float, int]]]:
+    """Residuals with elevation and C/N0 (3, n) by epoch, the decisions, and the rates' tests."""
+    detector = Detector(config)
+    state = detector.new_state()
+    rows, decisions, rates = [], [], []
+    for sample in samples:
+        results, state = detector.step(sample, state)
+        for result in results:
+            if isinstance(result, Decision) and result.parity_dof and not result.alarm:
+                decisions.append(result)
+                if isinstance(sample, Epoch):
+                    rows.append(_residuals(sample, state, config))
+            elif isinstance(result, SensorDecision) and result.statistic is not None:
+                rates.append((result.statistic, result.dof))
+    return rows, decisions, rates
+
+
+def _residuals(epoch: Epoch, state: State, config: DetectorConfig) -> Vector:
+    core = state.core
+    observed = observe(epoch, core.chosen) if core.chosen is not None else None
+    if observed is None or core.motion is None:
+        return np.empty((3, 0))
+    modelled = model(observed, core.motion.x, config.sigma, core.ionosphere)
+    keep = np.array([name not in core.excluded for name in observed.satellites])
+    keep &= modelled.elevation_rad >= np.radians(config.mask_deg)
+    keep &= np.abs(modelled.v_m) < OUTLIER * np.sqrt(modelled.variance)
+    return np.array([modelled.v_m[keep], modelled.elevation_rad[keep], observed.cn0_dbhz[keep]])
+
+
+def _shape(rows: list[Vector], before: SigmaModel) -> SigmaModel:
+    """The model's three terms from squared residuals, by least squares without negative terms."""
+    table = np.hstack(rows)
+    cn0 = np.where(np.isfinite(table[2]), table[2], 45.0)
+    terms = np.column_stack(
+        [
+            np.ones(table.shape[1]),
+            np.sin(np.maximum(table[1], 0.05)) ** -2.0,
+            10.0 ** ((45.0 - cn0) / 10.0),
+        ]
+    )
+    # a squared residual's own spread is its mean: weigh by the model so far
+    weight = 1.0 / before.sigma_m(table[1], table[2]) ** 2
+    found, _ = nnls(terms * weight[:, None], table[0] ** 2 * weight)
+    floor, zenith, thermal = np.sqrt(found)
+    return replace(
+        before,
+        scale=1.0,
+        floor_m=max(float(floor), FLOOR_M),
+        zenith_m=float(zenith),
+        thermal_m=float(thermal),
+    )
+
+
+def write_sigma(path: Path, calibration: Calibration) -> None:
+    """The sigma model as YAML, as the `sigma` of a monitor's configuration."""
+    import yaml
+
+    numbers = {name: round(value, 4) for name, value in asdict(calibration.sigma).items()}
+    text = yaml.safe_dump({"sigma": numbers}, sort_keys=False)
+    made = f"{calibration.epochs} epochs, chi-square per dof {calibration.chi_square_per_dof:.3f}"
+    path.write_text(f"# Pseudorange noise fitted to a clean recording: {made}\n{text}")
+
+
+def read_sigma(path: Path) -> SigmaModel:
+    """A sigma model as `write_sigma` wrote it.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or holds something else.
+    """
+    import yaml
+
+    try:
+        values = yaml.safe_load(path.read_text())
+    except (OSError, yaml.YAMLError) as error:
+        raise ConfigError(f"{path}: cannot be read as YAML ({error})") from error
+    if not isinstance(values, dict) or not isinstance(values.get("sigma"), dict):
+        raise ConfigError(f"{path}: has no `sigma`; a file of `monitor --calibrate` has one")
+    return DetectorConfig.from_mapping({"sigma": values["sigma"]}).sigma

@@ -1,0 +1,115 @@
+"""The detector's outcome in the words of `analysis.results`."""
+
+import math
+from collections.abc import Iterable
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.detector_state import Core
+from analysis.detection.epoch_outcome import Outcome
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.initial_fix import Start
+from analysis.detection.filter.measurement import Observed
+from analysis.detection.isolation.chi_square import chi_square, p_value
+from analysis.results import Decision, Result, SensorDecision
+from analysis.samples.sample import Epoch
+
+
+def decision(
+    epoch: Epoch, outcome: Outcome, core: Core, late: bool, config: DetectorConfig
+) -> Decision:
+    """The decision on a tested epoch; `late` says that a fault was found by its past."""
+    motion, slow, dof = core.motion, outcome.slow, outcome.parity_dof
+    onsets = [entry.onset_us for entry in core.excluded.values()]
+    hypothesis = "satellites" if late and outcome.hypothesis == "none" else outcome.hypothesis
+    return Decision(
+        t_s=epoch.t_us * 1e-6,
+        t_us=epoch.t_us,
+        statistic=outcome.statistic,
+        threshold=outcome.threshold,
+        dof=len(outcome.names),
+        p_value=p_value(outcome.statistic, len(outcome.names)),
+        alarm=outcome.alarm or late,
+        hypothesis=hypothesis,
+        excluded=tuple(sorted(core.excluded)),
+        satellites=outcome.names + outcome.others,
+        residual_m=tuple(outcome.residual_m),
+        normalised=tuple(outcome.normalised),
+        onset_s=max(onsets) * 1e-6 if onsets else None,
+        probabilities=dict(outcome.probabilities),
+        position_ecef_m=_position(motion) if motion is not None else None,
+        position_sigma_m=_sigma(motion) if motion is not None else None,
+        mode="inertial" if motion is not None and motion.inertial else "free",
+        parity_statistic=outcome.parity if dof else 0.0,
+        parity_threshold=chi_square(dof, config.p_false_alarm) if dof else 0.0,
+        parity_dof=dof,
+        slow_statistic=slow.statistic if slow is not None else None,
+        slow_threshold=slow.threshold if slow is not None else None,
+    )
+
+
+def started(epoch: Epoch, observed: Observed, begun: Start, core: Core) -> Decision:
+    """The decision on the epoch the filter started with."""
+    motion = begun.motion
+    assert motion is not None
+    return Decision(
+        t_s=epoch.t_us * 1e-6,
+        t_us=epoch.t_us,
+        statistic=begun.statistic,
+        threshold=begun.threshold,
+        dof=begun.dof,
+        p_value=p_value(begun.statistic, begun.dof),
+        alarm=bool(begun.left_out),
+        hypothesis="satellites" if core.excluded else "none",
+        excluded=tuple(sorted(core.excluded)),
+        satellites=observed.satellites,
+        position_ecef_m=_position(motion),
+        position_sigma_m=_sigma(motion),
+        mode="start",
+    )
+
+
+def untestable(t_us: int, reason: str, excluded: Iterable[str] = ()) -> Decision:
+    """No decision, and why."""
+    return Decision(
+        t_s=t_us * 1e-6,
+        t_us=t_us,
+        statistic=None,
+        threshold=None,
+        dof=0,
+        p_value=None,
+        alarm=False,
+        hypothesis="untestable",
+        excluded=tuple(sorted(excluded)),
+        reason=reason,
+    )
+
+
+def imu_results(epoch: Epoch, outcome: Outcome, config: DetectorConfig) -> list[Result]:
+    """What the epoch says of the IMU: silence, and the test of the velocity it predicts."""
+    silent = outcome.gap_s > config.gap_s
+    faulty = silent or outcome.imu_blamed
+    if not outcome.was_inertial or (outcome.rate is None and not faulty):
+        return []
+    return [
+        SensorDecision(
+            t_s=epoch.t_us * 1e-6,
+            t_us=epoch.t_us,
+            sensor="imu",
+            statistic=outcome.rate,
+            threshold=outcome.rate_threshold,
+            dof=outcome.rate_dof,
+            alarm=faulty,
+            isolated=faulty,
+            reason=f"no IMU samples for {outcome.gap_s:.2f} s" if silent else "",
+        )
+    ]
+
+
+def _position(motion: Motion) -> tuple[float, float, float]:
+    x = motion.x
+    return x.item(0), x.item(1), x.item(2)
+
+
+def _sigma(motion: Motion) -> tuple[float, float, float]:
+    p = motion.p
+    return math.sqrt(p.item(0, 0)), math.sqrt(p.item(1, 1)), math.sqrt(p.item(2, 2))

@@ -1,0 +1,74 @@
+"""The detector's state; every step hands back a new one."""
+
+from typing import NamedTuple
+
+from analysis.detection.filter.filter_state import Exclusion, Motion, Pending, Stored
+from analysis.detection.filter.measurement import Chosen, Observed
+from analysis.detection.filter.propagation import Segment, segment
+from analysis.detection.isolation.ramp_test import Memory
+from analysis.detection.values import Value
+from analysis.samples.block import ImuRun
+from analysis.samples.sample import Vector
+
+RECEIVER = "GPS"  # the receiver's name among what is excluded
+NOTHING_EXCLUDED: dict[str, Exclusion] = {}
+
+
+class Held(Value, frozen=True):
+    """Offsets in m of satellites' ranges at `t_us`, held while others are left out."""
+
+    t_us: int
+    offsets_m: dict[str, float]
+
+
+NOTHING_HELD = Held(0, {})
+
+
+class Core(Value, frozen=True):
+    """Everything but the pending IMU samples.
+
+    `imu_bad_until_us` is when a faulty IMU is tried again (None: it is trusted), `unknown_since_us`
+    since when every epoch had the verdict "multiple-unknown". `ranges_us` is when raw ranges were
+    last usable, `held` what is taken off them; `gps_source` and `last_fix` (time and ECEF
+    position) serve when there are none.
+    """
+
+    motion: Motion | None
+    ephemerides: dict[str, tuple[Stored, ...]]
+    ionosphere: Vector
+    excluded: dict[str, Exclusion] = NOTHING_EXCLUDED
+    held: Held = NOTHING_HELD
+    imu_id: int | None = None
+    imu_bad_until_us: int | None = None
+    mag_b: Vector | None = None
+    unknown_since_us: int | None = None
+    ranges_us: int | None = None
+    chosen: Chosen | None = None
+    memory: Memory | None = None
+    history: "tuple[Record, ...]" = ()
+    gps_source: str | None = None
+    last_fix: tuple[int, Vector] | None = None
+
+
+class Record(Value, frozen=True):
+    """One epoch of the past, to be judged again: the core before it, what was observed, and what
+    the IMU gave until then."""
+
+    t_us: int
+    core: Core
+    observed: Observed
+    run: ImuRun
+
+    @property
+    def part(self) -> Segment:
+        """The IMU since the epoch before."""
+        assert self.core.motion is not None
+        return segment(self.run, self.core.motion, self.t_us)
+
+
+class State(NamedTuple):
+    """The detector's state; `mag_b` (3,) is the newest sample of the magnetometer."""
+
+    core: Core
+    pending: Pending | None = None
+    mag_b: Vector | None = None

@@ -1,0 +1,63 @@
+"""What the detector found at one epoch, before it is put in words."""
+
+from collections.abc import Mapping, Sequence
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.detector_state import Core
+from analysis.detection.isolation.ramp_test import SlowVerdict
+from analysis.detection.values import Value
+
+
+class Outcome(Value, frozen=True):
+    """The core after an epoch and what the epoch said; nothing but `reason` where it could not be
+    tested.
+
+    `names` are the satellites that were used, `left_out` the places of those found faulty among
+    them, `others` those left out before; innovations `residual_m` and `normalised` are of both. The
+    tests: the main one, `parity` over `parity_dof` degrees of freedom, the rates' over `rate_dof`
+    (None: there were too few), and the slow one. `gap_s` is how long the IMU was silent, where that
+    matters.
+    """
+
+    core: Core
+    reason: str = ""
+    names: tuple[str, ...] = ()
+    left_out: tuple[int, ...] = ()
+    others: tuple[str, ...] = ()
+    residual_m: Sequence[float] = ()
+    normalised: Sequence[float] = ()
+    statistic: float = 0.0
+    threshold: float = 0.0
+    probabilities: Mapping[str, float] = {}
+    parity: float = 0.0
+    parity_dof: int = 0
+    rate: float | None = None
+    rate_threshold: float | None = None
+    rate_dof: int = 0
+    slow: SlowVerdict | None = None
+    hypothesis: str = "untestable"
+    alarm: bool = False
+    imu_blamed: bool = False
+    was_inertial: bool = False
+    gap_s: float = 0.0
+
+
+def shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:
+    """The hypothesis of the epoch; an isolation holds until it is taken back."""
+    if imu:
+        return "imu"
+    if hypothesis != "none":
+        return hypothesis
+    if leapt:
+        return "clock"
+    if core.imu_bad_until_us is not None:
+        return "imu"
+    return "satellites" if core.excluded else "none"
+
+
+def imu_bad_until_us(core: Core, blamed: bool, t_us: int, config: DetectorConfig) -> int | None:
+    """Until when the IMU is held out: for a while once it was blamed."""
+    if blamed:
+        return t_us + round(config.imu_hold_s * 1e6)
+    until_us = core.imu_bad_until_us
+    return None if until_us is not None and t_us >= until_us else until_us

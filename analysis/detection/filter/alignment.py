@@ -1,0 +1,129 @@
+"""Attitude from nothing: the specific force integrated by the IMU against GNSS velocity.
+
+In axes fixed at the start (0), alpha = integral of C_0b f dt; by GNSS the same vector in ECEF is
+beta = v - v_0 - integral of (g - 2 Omega x v) dt. The turn C_e0 with beta = C_e0 alpha for all
+epochs is Wahba's problem, solved by the singular value decomposition [1]_ [2]_. Gravity alone
+gives tilt; heading needs horizontal acceleration, or the magnetometer as one more pair.
+
+References
+----------
+.. [1] M. Wu and X. Pan, IEEE Trans. Aerospace and Electronic Systems 49(1), 2013.
+.. [2] F. L. Markley, J. Astronautical Sciences 36(3), 1988.
+"""
+
+import numpy as np
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.detector_state import Core
+from analysis.detection.filter.filter_state import Alignment, Motion
+from analysis.detection.filter.inertial import BA, BG, ERRORS, PSI, gravity_ecef, turned
+from analysis.detection.filter.initial_fix import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
+from analysis.detection.filter.propagation import Segment
+from analysis.orbits.broadcast import EARTH_RATE_RPS, geodetic, ned_axes
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.quaternion import matrix
+from mavproxy_fault.numerics.rotation import quat_from_matrix
+
+LONGEST_S = 20.0
+SHORTEST_S = 2.0
+HEADING_BY_MOTION_RAD = 0.12
+HEADING_BY_MAG_RAD = 0.35  # declination unknown: 20 degrees
+MAG_AFTER_S = 4.0
+VELOCITY_FLOOR_MPS = 0.2
+FLOOR_RAD = 0.05  # gyro bias and timing over the alignment
+
+
+@compiled
+def _integrate(q: Vector, alpha: Vector, samples: Vector) -> tuple[Vector, Vector]:
+    alpha = alpha.copy()
+    for k in range(samples.shape[0]):
+        dt = samples[k, 0]
+        turn = np.empty(3)
+        for i in range(3):
+            turn[i] = 0.5 * dt * samples[k, 1 + i]
+        mid = matrix(turned(q, turn, -1.0))
+        for i in range(3):
+            for j in range(3):
+                alpha[i] += mid[i, j] * samples[k, 4 + j] * dt
+            turn[i] *= 2.0
+        q = turned(q, turn, -1.0)
+    return q, alpha
+
+
+def new_alignment(motion: Motion) -> Alignment:
+    """The state at the start."""
+    unit = np.array([1.0, 0.0, 0.0, 0.0])
+    nothing = np.zeros((3, 3))
+    still = np.zeros(3)
+    return Alignment(motion.t_us, unit, still, still, motion.x[3:6].copy(), nothing, nothing)
+
+
+def extend(alignment: Alignment, motion: Motion, samples: Vector, dt_s: float) -> Alignment:
+    """One epoch more: the IMU's samples (k, 7) since the last and the filter's velocity now."""
+    q, alpha = _integrate(alignment.q_0b, alignment.alpha, samples)
+    v = motion.x[3:6]
+    mean = 0.5 * (v + alignment.v_ecef_mps)
+    coriolis = 2.0 * EARTH_RATE_RPS * np.array([mean[1], -mean[0], 0.0])
+    gravity = gravity_ecef(motion.x[0:3])
+    beta = alignment.beta + v - alignment.v_ecef_mps - (gravity + coriolis) * dt_s
+    variance = float(np.trace(motion.p[3:6, 3:6])) / 3.0 + VELOCITY_FLOOR_MPS**2
+    cross = alignment.cross + np.outer(beta, alpha) / variance
+    information = (
+        alignment.information + (beta @ beta * np.eye(3) - np.outer(beta, beta)) / variance
+    )
+    return Alignment(alignment.start_us, q, alpha, beta, v.copy(), cross, information)
+
+
+def aligned(alignment: Alignment, motion: Motion, mag_b: Vector | None) -> Motion | None:
+    """The filter with its attitude found, moved by the IMU from here; None while it is not."""
+    span_s = (motion.t_us - alignment.start_us) * 1e-6
+    if span_s < SHORTEST_S:
+        return None
+    cross, information = alignment.cross, alignment.information
+    limit = HEADING_BY_MOTION_RAD
+    if mag_b is not None and span_s >= MAG_AFTER_S:
+        alpha, north = _mag_pair(alignment, motion, mag_b)
+        cross = cross + np.outer(north, alpha) / HEADING_BY_MAG_RAD**2
+        information = information + (np.eye(3) - np.outer(north, north)) / HEADING_BY_MAG_RAD**2
+        limit = 1.01 * HEADING_BY_MAG_RAD
+    if np.linalg.eigvalsh(information)[0] < limit**-2.0:
+        return None
+    left, _, right = np.linalg.svd(cross)
+    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    x, p = motion.x.copy(), motion.p.copy()
+    x[6:10] = quat_from_matrix(turn @ matrix(alignment.q_0b))
+    x[10:16] = 0.0
+    for at in (PSI, BG, BA):
+        p[at : at + 3, :] = 0.0
+        p[:, at : at + 3] = 0.0
+    p[PSI : PSI + 3, PSI : PSI + 3] = np.linalg.inv(information) + FLOOR_RAD**2 * np.eye(3)
+    for at, sigma in ((BG, GYRO_BIAS_SIGMA_RPS), (BA, ACCEL_BIAS_SIGMA_MPS2)):
+        p[range(at, at + 3), range(at, at + 3)] = sigma**2
+    assert p.shape == (ERRORS, ERRORS)
+    return Motion(motion.t_us, x, p, True)
+
+
+def _mag_pair(alignment: Alignment, motion: Motion, mag_b: Vector) -> tuple[Vector, Vector]:
+    """The field's horizontal direction in the start's axes, and north in ECEF."""
+    up = alignment.alpha / np.linalg.norm(alignment.alpha)
+    field = matrix(alignment.q_0b) @ mag_b
+    level = field - (field @ up) * up
+    lat, lon, _ = geodetic(motion.x[0:3])
+    return level / max(float(np.linalg.norm(level)), 1e-9), ned_axes(lat, lon)[0]
+
+
+def find_attitude(
+    core: Core, motion: Motion, part: Segment, dt_s: float, config: DetectorConfig
+) -> Motion:
+    """After an epoch without inertial attitude: gather, and switch to the IMU once it is found."""
+    if motion.inertial or not len(part.samples) or part.gap_s > config.gap_s:
+        return motion
+    if core.imu_bad_until_us is not None and motion.t_us < core.imu_bad_until_us:
+        return motion
+    alignment = motion.alignment
+    if alignment is None or (motion.t_us - alignment.start_us) * 1e-6 > LONGEST_S:
+        return motion._replace(alignment=new_alignment(motion))
+    alignment = extend(alignment, motion, part.samples, dt_s)
+    found = aligned(alignment, motion, core.mag_b)
+    return found if found is not None else motion._replace(alignment=alignment)

@@ -1,0 +1,49 @@
+"""The antenna's lever arm: the filter's position and velocity are the antenna's at every epoch.
+
+The IMU moves the filter from one epoch to the next at its own place. With l the arm from IMU to
+antenna in body axes, w the rate of the body against the earth and C from body to ECEF,
+
+    r_a = r + C l,                  dr_a = dr - [C l]x psi
+    v_a = v + C (w x l),            dv_a = dv - [C (w x l)]x psi + C [l]x db_g
+
+(Groves, Principles of GNSS, Inertial and Multisensor Integrated Navigation, 2nd ed., 14.3.1).
+"""
+
+import numpy as np
+
+from analysis.detection.filter.inertial import BG, ERRORS, PSI, X_BG, X_Q, R, V
+from analysis.orbits.broadcast import EARTH_RATE_RPS
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.quaternion import matrix
+
+
+def moved_along(
+    x: Vector, p: Vector, gyro_b_rps: Vector, arm_b_m: Vector, sign: float
+) -> tuple[Vector, Vector, Vector]:
+    """State and covariance at the antenna (sign 1) of those at the IMU, or back (-1).
+
+    Parameters
+    ----------
+    x, p : (21,) and (20, 20)
+    gyro_b_rps, arm_b_m : (3,), the gyro's reading and the arm from IMU to antenna
+
+    Returns
+    -------
+    x, p and the matrix (20, 20) that turns the errors of the one into those of the other.
+    """
+    c = matrix(x[X_Q : X_Q + 4])
+    turning = gyro_b_rps - x[X_BG : X_BG + 3] - EARTH_RATE_RPS * c[2]
+    arm, speed = c @ arm_b_m, c @ np.cross(turning, arm_b_m)
+    turn = np.eye(ERRORS)
+    turn[R : R + 3, PSI : PSI + 3] = -sign * _cross(arm)
+    turn[V : V + 3, PSI : PSI + 3] = -sign * _cross(speed)
+    turn[V : V + 3, BG : BG + 3] = sign * c @ _cross(arm_b_m)
+    x = x.copy()
+    x[R : R + 3] += sign * arm
+    x[V : V + 3] += sign * speed
+    return x, turn @ p @ turn.T, turn
+
+
+def _cross(v: Vector) -> Vector:
+    """[v]x (3, 3)."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])

@@ -1,0 +1,188 @@
+"""Measurements taken by the information they hold of the few states that they see.
+
+Pseudoranges see position, clock and the systems' offsets, Doppler rates velocity and drift: c
+states each, 4 to 7 of 20. With A (n, c) the geometry over these, R the noise (diagonal) and P_c the
+covariance of these states,
+
+    N = A' inv(R) A,    b = A' inv(R) v,    P_c = L L',    T = I + L' N L,
+
+    P+_c = L inv(T) L',    P+ = P - P_:c Y P_c:  with  Y = inv(L)' (I - inv(T)) inv(L),
+    dx = P+_:c b,          gain K = P+_:c A' inv(R),
+
+and the inverse innovation covariance is M = inv(R) - inv(R) A P+_c A' inv(R), so that
+
+    q = v' M v = v' inv(R) v - b' P+_c b.
+
+All of it is the Kalman update by the matrix inversion lemma [1]_; nothing of size n is inverted. T
+is never less than I, so what was forgotten (a large P) costs no digits.
+
+References
+----------
+.. [1] D. Simon, Optimal State Estimation, 2006, sections 1.1.2 and 6.1.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.detection.filter.inertial import PSI, X_Q, turned
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.linear import apply, lower, lower_inverse, multiply, square, transposed
+
+Indices = NDArray[np.int64]
+
+
+@compiled
+def states_of(h: Vector) -> Indices:
+    """The states (c,) that a geometry h (n, 20) depends on."""
+    seen = np.empty(h.shape[1], dtype=np.int64)
+    count = 0
+    for j in range(h.shape[1]):
+        for i in range(h.shape[0]):
+            if h[i, j] != 0.0:
+                seen[count] = j
+                count += 1
+                break
+    return seen[:count]
+
+
+@compiled
+def columns(h: Vector, states: Indices) -> Vector:
+    """The columns (n, c) of a matrix."""
+    out = np.empty((h.shape[0], states.shape[0]))
+    for i in range(h.shape[0]):
+        for j in range(states.shape[0]):
+            out[i, j] = h[i, states[j]]
+    return out
+
+
+@compiled
+def block(p: Vector, states: Indices) -> Vector:
+    """The covariance (c, c) of some states."""
+    out = np.empty((states.shape[0], states.shape[0]))
+    for i in range(states.shape[0]):
+        for j in range(states.shape[0]):
+            out[i, j] = p[states[i], states[j]]
+    return out
+
+
+@compiled
+def weighed(a: Vector, variance: Vector, v: Vector) -> tuple[Vector, Vector, float]:
+    """N (c, c), b (c,) and v' inv(R) v of measurements."""
+    count = a.shape[1]
+    information, b, total = np.zeros((count, count)), np.zeros(count), 0.0
+    for i in range(a.shape[0]):
+        total += v[i] * v[i] / variance[i]
+        for j in range(count):
+            share = a[i, j] / variance[i]
+            b[j] += share * v[i]
+            for k in range(count):
+                information[j, k] += share * a[i, k]
+    return information, b, total
+
+
+@compiled
+def narrowed(prior: Vector, information: Vector) -> tuple[Vector, Vector]:
+    """P+_c and Y (c, c) of P_c and N."""
+    low = lower(prior)
+    total = multiply(transposed(low), multiply(information, low))
+    for i in range(total.shape[0]):
+        total[i, i] += 1.0
+    root = lower_inverse(lower(total))
+    after = square(multiply(root, transposed(low)))
+    told = square(root)
+    for i in range(told.shape[0]):
+        for j in range(told.shape[0]):
+            told[i, j] = -told[i, j]
+        told[i, i] += 1.0
+    back = lower_inverse(low)
+    return after, multiply(transposed(back), multiply(told, back))
+
+
+@compiled
+def quadratic(v: Vector, m: Vector) -> float:
+    """v' m v."""
+    total = 0.0
+    for i in range(v.shape[0]):
+        for j in range(v.shape[0]):
+            total += v[i] * m[i, j] * v[j]
+    return total
+
+
+@inlined
+def quadratic_of(a: Vector, row: int, m: Vector) -> float:
+    """The same of a row of a (n, c)."""
+    total = 0.0
+    for i in range(a.shape[1]):
+        for j in range(a.shape[1]):
+            total += a[row, i] * m[i, j] * a[row, j]
+    return total
+
+
+@compiled
+def statistic(p: Vector, h: Vector, variance: Vector, v: Vector) -> float:
+    """q of innovations v (n,) with variance (n,) and geometry h (n, 20) before the covariance p."""
+    states = states_of(h)
+    information, b, total = weighed(columns(h, states), variance, v)
+    return total - quadratic(b, narrowed(block(p, states), information)[0])
+
+
+@compiled
+def weights(p: Vector, h: Vector, variance: Vector) -> Vector:
+    """The inverse innovation covariance M (n, n)."""
+    states = states_of(h)
+    a = columns(h, states)
+    information = weighed(a, variance, np.zeros(variance.shape[0]))[0]
+    after = narrowed(block(p, states), information)[0]
+    out = multiply(a, multiply(after, transposed(a)))
+    for i in range(variance.shape[0]):
+        for j in range(variance.shape[0]):
+            out[i, j] *= -1.0 / (variance[i] * variance[j])
+        out[i, i] += 1.0 / variance[i]
+    return out
+
+
+@compiled
+def take(x: Vector, p: Vector, states: Indices, told: Vector, b: Vector) -> tuple[Vector, Vector]:
+    """Update x (21,) and p (20, 20), in place, by Y and b; returns P+_:c (20, c) and dx (20,)."""
+    rows = np.empty((states.shape[0], p.shape[0]))
+    for k in range(states.shape[0]):
+        for j in range(p.shape[0]):
+            rows[k, j] = p[states[k], j]
+    turned_rows = multiply(told, rows)
+    for i in range(p.shape[0]):
+        for k in range(states.shape[0]):
+            factor = rows[k, i]
+            for j in range(i + 1):
+                p[i, j] -= factor * turned_rows[k, j]
+        for j in range(i):
+            p[j, i] = p[i, j]
+    after = columns(p, states)
+    moved = apply(after, b)
+    move(x, moved)
+    return after, moved
+
+
+@compiled
+def move(x: Vector, d: Vector) -> None:
+    """Add an error d (20,) to the state x (21,), in place."""
+    turn = np.empty(3)
+    for i in range(3):
+        turn[i] = d[PSI + i]
+    q = turned(x[X_Q : X_Q + 4], turn, 1.0)
+    for i in range(PSI):
+        x[i] += d[i]
+    for i in range(4):
+        x[X_Q + i] = q[i]
+    for i in range(PSI + 3, d.shape[0]):
+        x[1 + i] += d[i]
+
+
+@compiled
+def taken(x: Vector, p: Vector, h: Vector, variance: Vector, v: Vector) -> tuple[Vector, Vector]:
+    """State and covariance after measurements, as new arrays."""
+    x, p = x.copy(), p.copy()
+    states = states_of(h)
+    information, b, _ = weighed(columns(h, states), variance, v)
+    take(x, p, states, narrowed(block(p, states), information)[1], b)
+    return x, p

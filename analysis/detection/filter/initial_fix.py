@@ -1,0 +1,164 @@
+"""The first state: a snapshot solution that passes its own test."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.inertial import (
+    BA,
+    BG,
+    CLOCK,
+    DRIFT,
+    ERRORS,
+    ISB,
+    PSI,
+    X_CLOCK,
+    X_ISB,
+    X_SIZE,
+)
+from analysis.detection.filter.measurement import Modelled, Observed, model
+from analysis.detection.isolation.bank import projected_weights
+from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.isolation.hypotheses import explain_by_satellites
+from analysis.orbits.snapshot import design_matrix, systems_of
+from analysis.samples.sample import Vector
+
+ITERATIONS = 12
+CONVERGED_M = 1e-3
+FAR_FROM_EARTH_M = 1.0e6
+ISB_SIGMA_M = 300.0
+GYRO_BIAS_SIGMA_RPS = 0.02
+ACCEL_BIAS_SIGMA_MPS2 = 0.3
+UNKNOWN_SPEED_SIGMA_MPS = 30.0
+UNKNOWN_DRIFT_SIGMA_MPS = 300.0
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """A first state, what it was made from, and which satellites it leaves out (or why not)."""
+
+    motion: Motion | None
+    reason: str = ""
+    left_out: tuple[str, ...] = ()
+    statistic: float = 0.0
+    dof: int = 0
+    threshold: float = 0.0
+
+
+def start(t_us: int, observed: Observed, config: DetectorConfig, ionosphere: Vector) -> Start:
+    """Least squares over all satellites above the mask, tested, and repaired if it fails."""
+    x = _solve(observed, np.zeros(X_SIZE), config, ionosphere)
+    if x is None:
+        return Start(None, _too_few(observed))
+    above = model(observed, x, config.sigma, ionosphere).elevation_rad
+    observed = observed.select(above >= np.radians(config.mask_deg))
+    x = _solve(observed, x, config, ionosphere)
+    if x is None:
+        return Start(None, _too_few(observed))
+    modelled = model(observed, x, config.sigma, ionosphere)
+    design = design_matrix(-modelled.h[:, 0:3], observed.system)
+    dof = len(design) - design.shape[1]
+    if dof < 1:
+        return Start(None, f"{len(design)} satellites; {design.shape[1] + 1} are needed to test")
+    m = projected_weights(design, 1.0 / modelled.variance)
+    u = m @ modelled.v_m
+    q = float(modelled.v_m @ u)
+    threshold = chi_square(dof, config.p_false_alarm)
+    if q <= threshold:
+        motion = _motion(t_us, x, observed, modelled, design, config)
+        return Start(motion, "", (), q, dof, threshold)
+    return _repaired(t_us, x, observed, m, q, config, ionosphere)
+
+
+def _repaired(
+    t_us: int,
+    x: Vector,
+    observed: Observed,
+    m: Vector,
+    q: float,
+    config: DetectorConfig,
+    ionosphere: Vector,
+) -> Start:
+    """The start without the satellites that make it fail."""
+    modelled = model(observed, x, config.sigma, ionosphere)
+    u = m @ modelled.v_m
+    unknowns = 3 + len(systems_of(observed.system))
+    largest = min(config.left_out, (len(u) - unknowns) // 2)
+    found = explain_by_satellites(m, u, q, config.p_false_alarm, largest, unknowns)
+    if found is None:
+        return Start(None, "the first solutions fail their test", (), q, len(u) - unknowns)
+    keep = np.ones(len(u), dtype=bool)
+    keep[list(found.subset)] = False
+    left_out = tuple(observed.satellites[i] for i in found.subset)
+    observed = observed.select(keep)
+    solved = _solve(observed, x, config, ionosphere)
+    if solved is None:
+        return Start(None, _too_few(observed))
+    modelled = model(observed, solved, config.sigma, ionosphere)
+    design = design_matrix(-modelled.h[:, 0:3], observed.system)
+    motion = _motion(t_us, solved, observed, modelled, design, config)
+    dof = len(u) - unknowns
+    return Start(motion, "", left_out, q, dof, chi_square(dof, config.p_false_alarm))
+
+
+def _too_few(observed: Observed) -> str:
+    return f"{len(observed.satellites)} satellites with an ephemeris give no position"
+
+
+def _solve(
+    observed: Observed, x: Vector, config: DetectorConfig, ionosphere: Vector
+) -> Vector | None:
+    """Position, clock and system offsets by Gauss-Newton from x; None where it fails."""
+    x = x.copy()
+    offset = [X_ISB + kind - 1 for kind in systems_of(observed.system)[1:]]
+    x[[i for i in range(X_ISB, X_SIZE) if i not in offset]] = 0.0
+    if len(observed.satellites) < 4 + len(offset):
+        return None
+    for _ in range(ITERATIONS):
+        near = float(x[:3] @ x[:3]) > FAR_FROM_EARTH_M**2
+        modelled = model(observed, x if near else x + 1e-3, config.sigma, ionosphere)
+        weight = modelled.variance**-0.5 if near else np.ones(len(modelled.v_m))
+        design = design_matrix(-modelled.h[:, 0:3], observed.system) * weight[:, None]
+        step, _, rank, _ = np.linalg.lstsq(design, modelled.v_m * weight, rcond=1e-10)
+        if rank < design.shape[1] or not np.isfinite(step).all():
+            return None
+        x[0:3] += step[:3]
+        x[[X_CLOCK, *offset]] += step[3:]
+        if near and float(np.abs(step[:3]).max()) < CONVERGED_M:
+            return x
+    return None
+
+
+def _motion(
+    t_us: int,
+    x: Vector,
+    observed: Observed,
+    modelled: Modelled,
+    design: Vector,
+    config: DetectorConfig,
+) -> Motion:
+    """The filter at the solution x, with velocity from Doppler where there is enough of it."""
+    p = np.zeros((ERRORS, ERRORS))
+    weighted = design / np.sqrt(modelled.variance)[:, None]
+    cofactor = np.linalg.inv(weighted.T @ weighted)
+    p[range(ISB, ERRORS), range(ISB, ERRORS)] = ISB_SIGMA_M**2
+    spots = [0, 1, 2, CLOCK, *(ISB + kind - 1 for kind in systems_of(observed.system)[1:])]
+    p[np.ix_(spots, spots)] = cofactor
+    x = x.copy()
+    x[6] = 1.0
+    known = np.isfinite(observed.doppler_mps)
+    if known.sum() >= 5:
+        h = np.hstack([modelled.h[known, 0:3], np.ones((known.sum(), 1))])
+        solution, *_ = np.linalg.lstsq(h, modelled.v_mps[known], rcond=None)
+        x[3:6] += solution[:3]
+        x[17] += solution[3]
+        rate = np.linalg.inv(h.T @ h) * (4.0 * config.sigma.rate_mps) ** 2
+        p[np.ix_([3, 4, 5, DRIFT], [3, 4, 5, DRIFT])] = rate + 0.01 * np.eye(4)
+    else:
+        p[[3, 4, 5], [3, 4, 5]] = UNKNOWN_SPEED_SIGMA_MPS**2
+        p[DRIFT, DRIFT] = UNKNOWN_DRIFT_SIGMA_MPS**2
+    for at, sigma in ((PSI, 3.0), (BG, GYRO_BIAS_SIGMA_RPS), (BA, ACCEL_BIAS_SIGMA_MPS2)):
+        p[range(at, at + 3), range(at, at + 3)] = sigma**2
+    return Motion(t_us, x, p)

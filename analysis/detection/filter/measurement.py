@@ -1,0 +1,269 @@
+"""An epoch's usable satellites and what the model makes of them."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.detection.detection_config import SigmaModel, range_variance
+from analysis.detection.filter.filter_state import Stored
+from analysis.detection.filter.inertial import ERRORS
+from analysis.detection.values import Value
+from analysis.orbits.broadcast import (
+    L1_HZ,
+    PACKED,
+    SYSTEMS,
+    WEEK_S,
+    packed_for,
+    predict_ranges,
+    satellite_states,
+)
+from analysis.samples.sample import Epoch, Vector
+from mavproxy_fault.numerics.compile import compiled
+
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+CHOSEN_US = 30_000_000  # the choice is looked at again
+# Of the variance, in the order of SYSTEMS: GLONASS's channels have delays of their own (RTKLIB's
+# factor), BeiDou's B3I wanders as much more on a recorded walk.
+SPREAD = (1.0, 1.0, 1.5**2, 1.5**2)
+RANGE_LIMITS_M = (1.5e7, 6.0e7)  # medium orbits as seen from near the earth
+
+
+class Observed(Value, frozen=True):
+    """Usable satellites of one epoch: parallel arrays (n,), their ephemerides packed (n, 25).
+
+    `system` (n,) is each one's place in `gnss.SYSTEMS`; `week` and `tow_s` are the receiver's time.
+    """
+
+    satellites: tuple[str, ...]
+    pseudorange_m: Vector
+    doppler_mps: Vector
+    cn0_dbhz: Vector
+    packed: Vector
+    system: Indices
+    week: float
+    tow_s: float
+
+    @property
+    def measured(self) -> tuple[Vector, Vector, Vector, Vector, Indices, float, float]:
+        """Ephemerides, ranges, rates, strengths, systems and time, as kernels take them."""
+        return (
+            self.packed,
+            self.pseudorange_m,
+            self.doppler_mps,
+            self.cn0_dbhz,
+            self.system,
+            self.week,
+            self.tow_s,
+        )
+
+    @property
+    def states(self) -> Vector:
+        """Satellites (n, 8) when they sent what was received, as `gnss.satellite_states`."""
+        return satellite_states(self.packed, self.week, self.tow_s, self.pseudorange_m)
+
+    def select(self, keep: Mask) -> "Observed":
+        """Those that `keep` (n,), a mask, lets pass."""
+        names = tuple(
+            name for name, kept in zip(self.satellites, keep.tolist(), strict=True) if kept
+        )
+        return Observed(
+            names,
+            self.pseudorange_m[keep],
+            self.doppler_mps[keep],
+            self.cn0_dbhz[keep],
+            self.packed[keep],
+            self.system[keep],
+            self.week,
+            self.tow_s,
+        )
+
+
+class Modelled(Value, frozen=True):
+    """Innovations at a state: ranges and rates with geometry.
+
+    `v_m` and `v_mps` (n,), `variance` and `rate_variance` (n,) of both, `elevation_rad` (n,) and
+    `h` (n, 20) of the ranges.
+    """
+
+    v_m: Vector
+    v_mps: Vector
+    variance: Vector
+    rate_variance: Vector
+    elevation_rad: Vector
+    h: Vector
+
+    def select(self, keep: Mask) -> "Modelled":
+        """Those that `keep` (n,), a mask, lets pass."""
+        return Modelled(
+            self.v_m[keep],
+            self.v_mps[keep],
+            self.variance[keep],
+            self.rate_variance[keep],
+            self.elevation_rad[keep],
+            self.h[keep],
+        )
+
+
+_NONE = np.empty(0)
+NO_ROWS = Modelled(_NONE, _NONE, _NONE, _NONE, _NONE, np.empty((0, ERRORS)))
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """The ephemerides of a set of satellites, chosen until `until_us`: indices of those that have
+    one (None: all have), and their packed rows (n, 25)."""
+
+    satellites: tuple[str, ...]
+    week: int
+    until_us: int
+    keep: Indices | None
+    names: tuple[str, ...]
+    packed: Vector
+    system: Indices
+
+    def serves(self, epoch: Epoch) -> bool:
+        """Whether the choice still holds for an epoch."""
+        age_us = epoch.t_us - self.until_us + CHOSEN_US
+        same = self.satellites == epoch.satellites and self.week == epoch.week
+        return same and 0 <= age_us <= CHOSEN_US
+
+
+def choose(
+    epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]], systems: str = SYSTEMS
+) -> Chosen:
+    """The healthy ephemeris nearest in time for each satellite of an epoch that has one.
+
+    `systems` are the first letters of those that are used."""
+    keep, rows = [], []
+    carriers = [L1_HZ] * len(epoch.satellites)
+    if epoch.carrier_hz is not None:
+        carriers = epoch.carrier_hz.tolist()
+    for i, name in enumerate(epoch.satellites):
+        packed = _nearest(ephemerides.get(name, ()), epoch)
+        if packed is not None and name[0] in systems:
+            keep.append(i)
+            rows.append(packed if carriers[i] == L1_HZ else packed_for(packed, carriers[i]))
+    names = tuple(epoch.satellites[i] for i in keep)
+    return Chosen(
+        epoch.satellites,
+        epoch.week,
+        epoch.t_us + CHOSEN_US,
+        np.array(keep, dtype=np.int64) if len(keep) < len(epoch.satellites) else None,
+        names,
+        np.array(rows).reshape(len(rows), PACKED),
+        np.array([SYSTEMS.index(name[0]) for name in names], dtype=np.int64),
+    )
+
+
+def observe(epoch: Epoch, chosen: Chosen) -> Observed | None:
+    """The satellites that can be used; None where there are none."""
+    if not chosen.names or not 0.0 <= epoch.tow_s <= WEEK_S:
+        return None
+    columns = epoch.pseudorange_m, epoch.doppler_mps, epoch.cn0_dbhz
+    if chosen.keep is not None:
+        columns = columns[0][chosen.keep], columns[1][chosen.keep], columns[2][chosen.keep]
+    observed = Observed(
+        chosen.names, *columns, chosen.packed, chosen.system, float(epoch.week), epoch.tow_s
+    )
+    if _all_plausible(columns[0]):
+        return observed
+    ranges = columns[0]
+    plausible = (ranges > RANGE_LIMITS_M[0]) & (ranges < RANGE_LIMITS_M[1])
+    return observed.select(plausible) if plausible.any() else None
+
+
+@compiled
+def _all_plausible(ranges: Vector) -> bool:
+    """Whether all ranges lie within `RANGE_LIMITS_M`; one that is not finite does not."""
+    plausible = True
+    for i in range(ranges.shape[0]):
+        plausible &= RANGE_LIMITS_M[0] < ranges[i] < RANGE_LIMITS_M[1]
+    return plausible
+
+
+def _nearest(stored: tuple[Stored, ...], epoch: Epoch) -> Vector | None:
+    """The packed ephemeris whose time is nearest, if one is healthy and still holds."""
+    best, age = None, float("inf")
+    for ephemeris, packed in stored:
+        distance = abs((epoch.week - ephemeris.week) * WEEK_S + epoch.tow_s - ephemeris.toe_s)
+        if distance < age and distance <= ephemeris.fit_half_s and ephemeris.health == 0:
+            best, age = packed, distance
+    return best
+
+
+def why_none(epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]]) -> str:
+    """Why `observe` found nothing to use."""
+    if not epoch.satellites:
+        return "no pseudoranges"
+    if not 0.0 <= epoch.tow_s <= WEEK_S:
+        return f"time of week {epoch.tow_s} is none"
+    if not any(name in ephemerides for name in epoch.satellites):
+        return "no ephemeris for any satellite in view"
+    weeks = sorted({e.week for stored in ephemerides.values() for e, _ in stored})
+    if epoch.week not in range(weeks[0] - 1, weeks[-1] + 2):
+        return f"GPS week {epoch.week} does not fit the ephemerides of week {weeks[-1]}"
+    return "no satellite has a valid ephemeris and a plausible pseudorange"
+
+
+def model(observed: Observed, x: Vector, sigma: SigmaModel, ionosphere: Vector) -> Modelled:
+    """Innovations, their geometry and variance at the state x (21,)."""
+    table, h = modelled_at(
+        observed.states,
+        observed.pseudorange_m,
+        observed.doppler_mps,
+        observed.cn0_dbhz,
+        observed.system,
+        x,
+        observed.tow_s,
+        ionosphere,
+        sigma.numbers,
+    )
+    v, v_rate, variance, rate_variance, elevation = table
+    return Modelled(v, v_rate, variance, rate_variance, elevation, h)
+
+
+@compiled
+def modelled_at(
+    states: Vector,
+    pseudorange_m: Vector,
+    doppler_mps: Vector,
+    cn0_dbhz: Vector,
+    system: Indices,
+    x: Vector,
+    tow_s: float,
+    ionosphere: Vector,
+    sigma: Vector,
+) -> tuple[Vector, Vector]:
+    """The columns of `Modelled` as rows (5, n), and the geometry h (n, 20)."""
+    predicted = predict_ranges(states, x[0:3], x[3:6], tow_s, ionosphere)
+    count = states.shape[0]
+    out, h = np.empty((5, count)), np.zeros((count, 20))
+    for i in range(count):
+        out[4, i] = predicted[i, 5]
+    variance = range_variance(out[4], cn0_dbhz, sigma)
+    for i in range(count):
+        isb = x[17 + system[i]] if system[i] > 0 else 0.0
+        out[0, i] = pseudorange_m[i] - predicted[i, 0] - x[16] - isb
+        out[1, i] = doppler_mps[i] - predicted[i, 1] - x[17]
+        out[2, i] = SPREAD[system[i]] * variance[i]
+        out[3, i] = sigma[4] ** 2 / math.sin(max(predicted[i, 5], 0.1))
+        for k in range(3):
+            h[i, k] = -predicted[i, 2 + k]
+        h[i, 15] = 1.0
+        if system[i] > 0:
+            h[i, 16 + system[i]] = 1.0
+    return out, h
+
+
+@compiled
+def rate_rows(h: Vector, known: Indices) -> Vector:
+    """The Doppler rates' geometry (k, 20) of the satellites `known` (k,) among those of h."""
+    out = np.zeros((known.shape[0], h.shape[1]))
+    for i in range(known.shape[0]):
+        for k in range(3):
+            out[i, 3 + k] = h[known[i], k]
+        out[i, 16] = 1.0
+    return out

@@ -1,0 +1,145 @@
+"""From one epoch to the next: by the IMU where it is there and sound, freely otherwise."""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.filter.antenna import moved_along
+from analysis.detection.filter.filter_state import Motion, Pending
+from analysis.detection.filter.inertial import PSI, propagate_freely, propagate_inertial
+from analysis.samples.block import ImuRun, Stamps
+from analysis.samples.sample import MOST_OF_IMU, ImuSample, Vector
+from mavproxy_fault.numerics.compile import compiled
+
+PENDING_MAX = 40_000  # samples without an epoch between; older ones are forgotten
+NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
+TURN_SIGMA_RPS = 0.5  # how fast a body may turn while its IMU is silent
+SHORT_GAP_S = 1.0  # after a longer one the attitude is found anew
+
+
+class Segment(NamedTuple):
+    """The IMU between two instants: samples (k, 7) with the length of each step; `gap_s` is the
+    longest silence in it and `heard` whether there was any sample."""
+
+    samples: Vector
+    gap_s: float
+    heard: bool
+
+
+def run_of(samples: Iterable[ImuSample]) -> ImuRun:
+    """IMU samples in order as a run."""
+    listed = list(samples)
+    values = [(*sample.gyro_b_rps, *sample.accel_b_mps2) for sample in listed]
+    stamps = np.array([sample.t_us for sample in listed], np.int64)
+    return ImuRun(stamps, np.array(values, dtype=float).reshape(-1, 6))
+
+
+def keep_pending(run: ImuRun, pending: Pending | None) -> Pending | None:
+    """A further run for the next epoch."""
+    if not len(run.t_us):
+        return pending
+    depth = len(run.t_us) + (pending.depth if pending is not None else 0)
+    if depth <= 2 * PENDING_MAX:
+        return Pending(run, pending, depth)
+    whole = _whole(Pending(run, pending, depth))
+    return Pending(whole, None, len(whole.t_us))
+
+
+def split_pending(pending: Pending | None, until_us: int) -> tuple[ImuRun, Pending | None]:
+    """Samples up to `until_us`, and those that stay pending."""
+    if pending is None:
+        return NO_RUN, None
+    run = _whole(pending)
+    at = int(run.t_us.searchsorted(until_us, side="right"))
+    if at == len(run.t_us):
+        return run, None
+    rest = ImuRun(run.t_us[at:], run.values[at:])
+    return ImuRun(run.t_us[:at], run.values[:at]), Pending(rest, None, len(rest.t_us))
+
+
+def _whole(pending: Pending) -> ImuRun:
+    """Everything that is pending as one run, but no more than `PENDING_MAX` samples; those that are
+    not later than all before them are left out."""
+    run = pending.run
+    if pending.older is not None:
+        runs = [run]
+        at: Pending | None = pending.older
+        while at is not None:
+            runs.append(at.run)
+            at = at.older
+        runs.reverse()
+        run = ImuRun(
+            np.concatenate([one.t_us for one in runs]), np.concatenate([one.values for one in runs])
+        )
+    if not _rising(run.t_us):
+        later = np.append(True, run.t_us[1:] > np.maximum.accumulate(run.t_us)[:-1])
+        run = ImuRun(run.t_us[later], run.values[later])
+    if pending.depth <= PENDING_MAX:
+        return run
+    return ImuRun(run.t_us[-PENDING_MAX:], run.values[-PENDING_MAX:])
+
+
+@compiled
+def _rising(t_us: Stamps) -> bool:
+    """Whether every stamp is later than the one before."""
+    rising = True
+    for i in range(1, t_us.shape[0]):
+        rising &= t_us[i] > t_us[i - 1]
+    return rising
+
+
+def segment(run: ImuRun, motion: Motion, until_us: int) -> Segment:
+    """Steps from the filter's time to `until_us`; the last sample is held to the end."""
+    return Segment(*steps(run.t_us, run.values, motion.t_us, until_us))
+
+
+@compiled
+def steps(t_us: Stamps, values: Vector, from_us: int, until_us: int) -> tuple[Vector, float, bool]:
+    """The fields of a `Segment`; without samples if one of them cannot be."""
+    at = 0
+    while at < len(t_us) and t_us[at] <= from_us:
+        at += 1
+    count = len(t_us) - at
+    if count == 0:
+        return np.empty((0, 7)), (until_us - from_us) * 1e-6, False
+    table = np.empty((count + 1, 7))
+    before_us, gap_s, total_s, usable = from_us, -np.inf, 0.0, True
+    for k in range(count + 1):
+        row = min(at + k, len(t_us) - 1)
+        now_us = t_us[at + k] if k < count else until_us
+        table[k, 0] = (now_us - before_us) * 1e-6
+        gap_s = max(gap_s, table[k, 0])
+        total_s += table[k, 0]
+        before_us = now_us
+        for i in range(6):
+            table[k, 1 + i] = values[row, i]
+            usable &= abs(values[row, i]) <= MOST_OF_IMU  # which NaN is not
+    if not usable:
+        return np.empty((0, 7)), total_s, True
+    return table, gap_s, True
+
+
+def advance(
+    motion: Motion, part: Segment, until_us: int, config: DetectorConfig
+) -> tuple[Motion, Vector]:
+    """The filter at `until_us`, before the epoch there is used, and the transition (20, 20)."""
+    dt_s = (until_us - motion.t_us) * 1e-6
+    noise = config.noise.densities
+    whole = part.gap_s <= config.gap_s and len(part.samples) > 0
+    if motion.inertial and whole and config.antenna is None:
+        x, p, phi = propagate_inertial(motion.x, motion.p, part.samples, noise)
+        return Motion(until_us, x, p, True), phi
+    if motion.inertial and whole and config.antenna is not None:
+        first, last, arm = part.samples[0, 1:4], part.samples[-1, 1:4], config.antenna
+        x, p, back = moved_along(motion.x, motion.p, first, arm, -1.0)
+        x, p, phi = propagate_inertial(x, p, part.samples, noise)
+        x, p, out = moved_along(x, p, last, arm, 1.0)
+        return Motion(until_us, x, p, True), out @ phi @ back
+    x, p, phi = propagate_freely(motion.x, motion.p, dt_s, noise)
+    inertial = motion.inertial and part.gap_s <= SHORT_GAP_S and part.heard
+    if inertial:
+        p[range(PSI, PSI + 3), range(PSI, PSI + 3)] += (TURN_SIGMA_RPS * part.gap_s) ** 2
+    alignment = motion.alignment if whole and not motion.inertial else None
+    return Motion(until_us, x, p, inertial, alignment), phi

@@ -1,0 +1,84 @@
+"""The outcome of a receiver's fix in the words of `analysis.results`."""
+
+import numpy as np
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.detector_state import RECEIVER, Core
+from analysis.detection.isolation.chi_square import p_value
+from analysis.detection.sensors.position_test import Check
+from analysis.results import Decision, Result, SensorDecision
+from analysis.samples.sample import GpsFix
+
+
+def fix_decision(
+    fix: GpsFix,
+    core: Core,
+    position: Check | None,
+    velocity: Check | None,
+    hypothesis: str,
+    alarm: bool,
+    mode: str,
+) -> Decision:
+    """The decision on one fix; `position` is None where the filter starts with it."""
+    motion = core.motion
+    assert motion is not None
+    sigma = np.sqrt(np.diag(motion.p)[:3])
+    return Decision(
+        t_s=fix.t_us * 1e-6,
+        t_us=fix.t_us,
+        statistic=position.statistic if position else None,
+        threshold=position.threshold if position else None,
+        dof=3 if position else 0,
+        p_value=p_value(position.statistic, 3) if position else None,
+        alarm=alarm,
+        hypothesis=hypothesis,
+        excluded=tuple(sorted(core.excluded)),
+        position_ecef_m=(float(motion.x[0]), float(motion.x[1]), float(motion.x[2])),
+        position_sigma_m=(float(sigma[0]), float(sigma[1]), float(sigma[2])),
+        residual_m=tuple(position.v.tolist()) if position else (),
+        mode=mode,
+    )
+
+
+def fix_sensors(
+    fix: GpsFix,
+    core: Core,
+    position: Check,
+    velocity: Check | None,
+    gap_s: float,
+    hypothesis: str,
+    config: DetectorConfig,
+) -> list[Result]:
+    """The same in the form of the other sensors' verdicts, and a silent IMU."""
+    results: list[Result] = []
+    blamed = hypothesis == "gps" or RECEIVER in core.excluded
+    for sensor, part in (("gps-position", position), ("gps-velocity", velocity)):
+        if part is not None:
+            results.append(
+                SensorDecision(
+                    t_s=fix.t_us * 1e-6,
+                    t_us=fix.t_us,
+                    sensor=sensor,
+                    statistic=part.statistic,
+                    threshold=part.threshold,
+                    dof=len(part.v),
+                    alarm=not part.passes,
+                    isolated=blamed and not part.passes,
+                )
+            )
+    silent = gap_s > config.gap_s
+    if silent or hypothesis == "imu":
+        results.append(
+            SensorDecision(
+                t_s=fix.t_us * 1e-6,
+                t_us=fix.t_us,
+                sensor="imu",
+                statistic=velocity.statistic if velocity and not silent else None,
+                threshold=velocity.threshold if velocity and not silent else None,
+                dof=len(velocity.v) if velocity and not silent else 0,
+                alarm=True,
+                isolated=True,
+                reason=f"no IMU samples for {gap_s:.2f} s" if silent else "",
+            )
+        )
+    return results

@@ -1,0 +1,127 @@
+"""The bank of leave-out tests as algebra on one inverse.
+
+With M the inverse covariance of the innovations v (or, for a snapshot, the weight matrix projected
+off the unknowns), u = M v and q = v' M v, the statistic with the set K of measurements left out is
+
+    q_K = q - u_K' inv(M_KK) u_K
+
+and the statistic with nuisance parameters along the columns of G freed is
+
+    q_G = q - (G'u)' inv(G' M G) (G'u)
+
+Both are chi-square with as many degrees of freedom fewer as M_KK or G'MG has rank, when what is
+left is free of faults (block inversion; for a Kalman innovation as for least squares).
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.linear import apply, inverse, multiply, transposed
+
+Indices = NDArray[np.int64]
+
+
+@compiled
+def reduction(block: Vector, right: Vector) -> float:
+    """right' inv(block) right by Cholesky, in place; -1 where the block is singular."""
+    k = right.shape[0]
+    total = 0.0
+    for i in range(k):
+        pivot = block[i, i]
+        for j in range(i):
+            pivot -= block[i, j] * block[i, j]
+        if pivot <= 1e-9 * block[i, i] or block[i, i] <= 0.0:
+            return -1.0
+        root = math.sqrt(pivot)
+        value = right[i]
+        for j in range(i):
+            value -= block[i, j] * right[j]
+        right[i] = value / root
+        total += right[i] * right[i]
+        for row in range(i + 1, k):
+            value = block[row, i]
+            for j in range(i):
+                value -= block[row, j] * block[i, j]
+            block[row, i] = value / root
+        block[i, i] = root
+    return total
+
+
+@compiled
+def best_subset(m: Vector, u: Vector, q: float, size: int) -> tuple[float, Indices]:
+    """The set of `size` measurements whose leaving out lowers the statistic most.
+
+    Parameters
+    ----------
+    m : (n, n), inverse covariance or projected weights
+    u : (n,), m @ v
+    q : statistic with all measurements
+    size : how many to leave out, at least 1
+
+    Returns
+    -------
+    statistic without them, and their indices (size,) as an integer array.
+    """
+    n = u.shape[0]
+    pick = np.arange(size)
+    best, best_pick = q, pick.copy()
+    block, right = np.empty((size, size)), np.empty(size)
+    while True:
+        for i in range(size):
+            right[i] = u[pick[i]]
+            for j in range(size):
+                block[i, j] = m[pick[i], pick[j]]
+        left = q - reduction(block, right)
+        if left < best:
+            best = left
+            for i in range(size):
+                best_pick[i] = pick[i]
+        at = size - 1
+        while at >= 0 and pick[at] == n - size + at:
+            at -= 1
+        if at < 0:
+            return best, best_pick
+        pick[at] += 1
+        for j in range(at + 1, size):
+            pick[j] = pick[j - 1] + 1
+
+
+@compiled
+def freed(m: Vector, u: Vector, q: float, g: Vector) -> float:
+    """The statistic with the parameters along the columns of g (n, k) freed; q if not separable."""
+    turned = transposed(g)
+    lowered = reduction(multiply(turned, multiply(m, g)), apply(turned, u))
+    return q - lowered if lowered >= 0.0 else q
+
+
+@compiled
+def normalised(m: Vector, u: Vector) -> Vector:
+    """Per-measurement test statistics (n,), standard normal without faults: u_i / sqrt(M_ii).
+
+    Their squares are q - q_i; NaN where a measurement is not checked by the others.
+    """
+    out = np.empty(u.shape[0])
+    for i in range(u.shape[0]):
+        out[i] = u[i] / math.sqrt(m[i, i]) if m[i, i] > 1e-12 else np.nan
+    return out
+
+
+@compiled
+def projected_weights(design: Vector, weight: Vector) -> Vector:
+    """W - W A inv(A'WA) A'W (n, n) for the geometry A (n, k) and weights (n,): the parity test."""
+    count = weight.shape[0]
+    wa = np.empty_like(design)
+    for i in range(count):
+        for j in range(design.shape[1]):
+            wa[i, j] = weight[i] * design[i, j]
+    cofactor = inverse(multiply(transposed(design), wa))
+    out = multiply(multiply(wa, cofactor), transposed(wa))
+    for i in range(count):
+        for j in range(count):
+            out[i, j] = -out[i, j]
+        out[i, i] += weight[i]
+    return out

@@ -1,0 +1,136 @@
+"""Who is lying: satellites, the prediction (IMU), the receiver clock, or more than can be told.
+
+Rule D: every explanation frees some parameters. Leaving out the set K of satellites frees |K| of
+them, a wrong prediction of position frees three (the clock is kept), a clock jump frees one. Of
+the explanations that pass their own chi-square test the one with the least
+
+    J = q_left + PENALTY * (number of freed parameters)
+
+is taken; if none passes the verdict is "multiple-unknown", never "imu". The plain rule of the
+older literature, "no leave-out set passes, so it is the IMU", can be chosen for comparison.
+"""
+
+import math
+
+from analysis.detection.isolation.bank import best_subset, freed
+from analysis.detection.isolation.chi_square import chi_square, subset_threshold
+from analysis.detection.values import Value
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.linear import apply
+
+PENALTY = 2.0  # per freed parameter, as in Akaike's criterion
+RULES = ("explicit", "plain")
+DOF_LEFT = 2  # degrees of freedom kept after leaving out
+
+
+class Explanation(Value, frozen=True):
+    """One hypothesis: what it frees, the statistic left, and whether that passes its test."""
+
+    hypothesis: str
+    subset: tuple[int, ...]
+    statistic: float
+    threshold: float
+    cost: float
+
+    @property
+    def passes(self) -> bool:
+        """Whether what is left fits the noise model."""
+        return self.statistic <= self.threshold
+
+
+class Verdict(Value, frozen=True):
+    """The explanation taken, and all that were weighed with their relative likelihoods."""
+
+    hypothesis: str
+    subset: tuple[int, ...]
+    probabilities: dict[str, float]
+
+
+def explain_by_satellites(
+    m: Vector, u: Vector, q: float, p_false_alarm: float, largest: int, unknowns: int = 0
+) -> Explanation | None:
+    """The smallest set whose leaving out passes (None if none of up to `largest` does).
+
+    A set that passes is still enlarged while one satellite more lowers the statistic by what a
+    healthy one would with probability `p_false_alarm` only: the omnibus test of what is left can
+    miss a second fault that a test of its own sees. `unknowns` is how many parameters `m` has
+    been projected off (0 for innovations of a filter, 4 or 5 for a snapshot).
+    """
+    count = len(u)
+    found: Explanation | None = None
+    telling = chi_square(1, p_false_alarm / count)
+    for size in range(1, min(largest, count - unknowns - DOF_LEFT) + 1):
+        statistic, pick = best_subset(m, u, q, size)
+        threshold = subset_threshold(count, size, p_false_alarm, unknowns)
+        if found is not None and found.statistic - statistic <= telling:
+            return found
+        if statistic <= threshold:
+            subset = tuple(pick.tolist())
+            cost = statistic + PENALTY * size
+            found = Explanation("satellites", subset, statistic, threshold, cost)
+    return found
+
+
+def explain_by(
+    hypothesis: str, m: Vector, u: Vector, q: float, g: Vector, p_false_alarm: float
+) -> Explanation:
+    """The explanation that frees parameters along the columns of g (n, k)."""
+    size = g.shape[1]
+    statistic = freed(m, u, q, g)
+    threshold = chi_square(max(len(u) - size, 1), p_false_alarm)
+    return Explanation(hypothesis, (), statistic, threshold, statistic + PENALTY * size)
+
+
+def judge(
+    m: Vector,
+    v: Vector,
+    position: Vector,
+    clock: Vector,
+    p_false_alarm: float,
+    largest: int,
+    rule: str = "explicit",
+) -> Verdict:
+    """The verdict on innovations that failed the main test.
+
+    Parameters
+    ----------
+    m : (n, n), inverse of the innovation covariance
+    v : (n,), innovations
+    position : (n, 3), what a position error does to them
+    clock : (n, 1), what a clock jump does to them
+    p_false_alarm : float
+        Of the main test.
+    largest : int
+        Most satellites to leave out.
+    rule : {"explicit", "plain"}
+    """
+    u = apply(m, v)
+    q = float(v @ u)
+    satellites = explain_by_satellites(m, u, q, p_false_alarm, largest)
+    if rule == "plain":
+        if satellites is None:
+            return Verdict("imu", (), {"imu": 1.0})
+        return Verdict("satellites", satellites.subset, {"satellites": 1.0})
+    rivals = [
+        explain_by("imu", m, u, q, position, p_false_alarm),
+        explain_by("clock", m, u, q, clock, p_false_alarm),
+    ]
+    if satellites is not None:
+        rivals.append(satellites)
+    passing = [rival for rival in rivals if rival.passes]
+    chances = _probabilities(rivals, q, chi_square(len(u), p_false_alarm))
+    if not passing:
+        return Verdict("multiple-unknown", (), chances)
+    best = min(passing, key=lambda rival: rival.cost)
+    return Verdict(best.hypothesis, best.subset, chances)
+
+
+def _probabilities(rivals: list[Explanation], q: float, threshold: float) -> dict[str, float]:
+    """Relative likelihoods exp(-J/2); "multiple-unknown" explains all but for its threshold."""
+    costs = {rival.hypothesis: rival.cost for rival in rivals}
+    costs["none"] = q
+    costs["multiple-unknown"] = threshold + 3.0 * PENALTY
+    least = min(costs.values())
+    weights = {name: math.exp(-0.5 * (cost - least)) for name, cost in costs.items()}
+    total = sum(weights.values())
+    return {name: weight / total for name, weight in sorted(weights.items())}

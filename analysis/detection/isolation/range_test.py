@@ -1,0 +1,130 @@
+"""The main test F00 on all trusted pseudoranges, and the bank when it trips."""
+
+import numpy as np
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.inertial import CLOCK, DRIFT, PSI
+from analysis.detection.filter.information import statistic, weights
+from analysis.detection.filter.measurement import NO_ROWS, Modelled
+from analysis.detection.isolation.hypotheses import Verdict, judge
+from analysis.detection.values import Value
+from analysis.samples.sample import Vector
+
+FREE_POSITION_M = 300.0
+FREE_SPEED_MPS = 30.0
+FREE_TILT_RAD = 0.3
+FREE_CLOCK_M = 1000.0  # larger jumps are taken off before
+FREE_DRIFT_MPS = 100.0
+ROUNDS = 3  # a clock jump and a wrong prediction may come together
+
+
+class Tested(Value, frozen=True):
+    """What the tests said, and what of the epoch the filter may take.
+
+    `motion` is the prediction, with what was found wrong of it forgotten (`freed`); `part` are the
+    innovations of those that are trusted, none where nothing is. `left_out` are indices of
+    satellites found faulty; the statistic is that of the first round.
+    """
+
+    motion: Motion
+    hypothesis: str
+    alarm: bool
+    left_out: tuple[int, ...]
+    statistic: float
+    threshold: float
+    probabilities: dict[str, float]
+    part: Modelled
+    freed: bool
+
+
+def largest_set(count: int, wanted: int) -> int:
+    """How many satellites may be left out: enough must stay for the set to be the only one."""
+    return max(min(wanted, (count - 4) // 2), 1 if count >= 4 else 0)
+
+
+def passed(motion: Motion, modelled: Modelled, q: float, threshold: float) -> Tested:
+    """F00 passed: all ranges may be taken."""
+    return Tested(motion, "none", False, (), q, threshold, {}, modelled, False)
+
+
+def blamed(
+    motion: Motion,
+    modelled: Modelled,
+    q: float,
+    threshold: float,
+    standing_m: Vector,
+    config: DetectorConfig,
+) -> Tested:
+    """The verdict on ranges of `modelled` (n satellites) whose statistic q failed F00.
+
+    `standing_m` (n,) is each satellite's learnt offset: when some are left out it is taken off the
+    others', so that the position does not jump with the geometry.
+    """
+    hypothesis, verdict, motion = _freed(motion, modelled, threshold, config)
+    part = modelled
+    if verdict.hypothesis == "satellites":
+        part = without(modelled, verdict.subset, standing_m)
+    elif verdict.hypothesis != "none":
+        part = NO_ROWS
+    shown = hypothesis
+    if verdict.hypothesis != "none" and hypothesis in ("none", "clock"):
+        shown = verdict.hypothesis
+    alarm = shown not in ("none", "clock")
+    subset, chances = verdict.subset, verdict.probabilities
+    return Tested(motion, shown, alarm, subset, q, threshold, chances, part, True)
+
+
+def without(modelled: Modelled, subset: tuple[int, ...], standing_m: Vector) -> Modelled:
+    """The innovations of the satellites that are not in `subset`, their offsets taken off."""
+    keep = np.ones(len(modelled.v_m), dtype=bool)
+    keep[list(subset)] = False
+    part = modelled.select(keep)
+    return part._replace(v_m=part.v_m - standing_m[keep])
+
+
+def _freed(
+    motion: Motion, modelled: Modelled, threshold: float, config: DetectorConfig
+) -> tuple[str, Verdict, Motion]:
+    """Judge what failed; forget the clock or the position where they explain it, and judge again.
+
+    The hypothesis so far, the last verdict ("none" once what is left passes), and the filter. A
+    prediction without an IMU claims little: its failure is a manoeuvre and no fault.
+    """
+    hypothesis = "none"
+    chances: dict[str, float] = {}
+    largest = largest_set(len(modelled.v_m), config.left_out)
+    position = np.ascontiguousarray(modelled.h[:, 0:3])
+    clock = np.ascontiguousarray(modelled.h[:, CLOCK : CLOCK + 1])
+    for _ in range(ROUNDS):
+        h, variance, v = modelled.h, modelled.variance, modelled.v_m
+        if statistic(motion.p, h, variance, v) <= threshold:
+            return hypothesis, Verdict("none", (), chances), motion
+        m = weights(motion.p, h, variance)
+        verdict = judge(m, v, position, clock, config.p_false_alarm, largest, config.rule)
+        chances = chances or verdict.probabilities
+        if verdict.hypothesis == "clock":
+            motion = free_clock(motion)
+            hypothesis = "clock" if hypothesis == "none" else hypothesis
+        elif verdict.hypothesis == "imu":
+            hypothesis = "imu" if motion.inertial else hypothesis
+            motion = free_position(motion)
+        else:
+            return hypothesis, verdict._replace(probabilities=chances), motion
+    return hypothesis, Verdict("multiple-unknown", (), chances), motion
+
+
+def free_clock(motion: Motion) -> Motion:
+    """The filter with its clock forgotten: jumps of the receiver's clock are states."""
+    p = motion.p.copy()
+    p[CLOCK, CLOCK] += FREE_CLOCK_M**2
+    p[DRIFT, DRIFT] += FREE_DRIFT_MPS**2
+    return motion._replace(p=p)
+
+
+def free_position(motion: Motion) -> Motion:
+    """The filter with its position and velocity forgotten, moved freely from here."""
+    p = motion.p.copy()
+    for at, sigma in ((0, FREE_POSITION_M), (3, FREE_SPEED_MPS), (PSI, FREE_TILT_RAD)):
+        p[range(at, at + 3), range(at, at + 3)] += sigma**2
+    return motion._replace(p=p, inertial=False, alignment=None)

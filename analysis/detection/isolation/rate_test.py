@@ -1,0 +1,65 @@
+"""The same tests on the Doppler rates: they see a wrong attitude or force seconds earlier."""
+
+import numpy as np
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.filter.epoch_update import Rates
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.inertial import DRIFT
+from analysis.detection.filter.information import weights
+from analysis.detection.filter.measurement import NO_ROWS, Modelled, rate_rows
+from analysis.detection.isolation.assessment import Assessed
+from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.isolation.hypotheses import judge
+from analysis.detection.isolation.range_test import FREE_DRIFT_MPS, free_position, largest_set
+from analysis.detection.values import Value
+
+MIN_RATES = 5
+NO_RATES = Rates(NO_ROWS.v_mps, NO_ROWS.rate_variance, NO_ROWS.h)
+
+
+class RatesTested(Value, frozen=True):
+    """What the rates said of the prediction, and those that fit."""
+
+    statistic: float | None
+    threshold: float | None
+    dof: int
+    hypothesis: str
+    fit: Rates
+
+
+def check_rates(
+    motion: Motion, modelled: Modelled, assessed: Assessed, config: DetectorConfig
+) -> RatesTested:
+    """Test the predicted velocity against the rates."""
+    count = assessed.rates
+    if not config.doppler or count < MIN_RATES:
+        return RatesTested(None, None, 0, "none", NO_RATES)
+    fit = Rates(modelled.v_mps, modelled.rate_variance, modelled.h)
+    threshold = chi_square(count, config.p_other)
+    if assessed.q_rate <= threshold:
+        return RatesTested(assessed.q_rate, threshold, count, "none", fit)
+    known = np.flatnonzero(np.isfinite(fit.v))
+    h, v = rate_rows(fit.h, known), fit.v[known]
+    m = weights(motion.p, h, fit.variance[known])
+    velocity = np.ascontiguousarray(h[:, 3:6])
+    drift = np.ascontiguousarray(h[:, DRIFT : DRIFT + 1])
+    verdict = judge(m, v, velocity, drift, config.p_other, largest_set(count, config.left_out))
+    if verdict.hypothesis == "satellites":
+        kept = fit.v.copy()
+        kept[known[list(verdict.subset)]] = np.nan
+        fit = fit._replace(v=kept)
+    elif verdict.hypothesis == "multiple-unknown":
+        fit = NO_RATES
+    return RatesTested(assessed.q_rate, threshold, count, verdict.hypothesis, fit)
+
+
+def freed_by(motion: Motion, hypothesis: str) -> Motion:
+    """The filter before the ranges are used, with what the rates contradict forgotten."""
+    if hypothesis == "imu":
+        return free_position(motion)
+    if hypothesis == "clock":
+        p = motion.p.copy()
+        p[DRIFT, DRIFT] += FREE_DRIFT_MPS**2
+        return motion._replace(p=p)
+    return motion

@@ -1,0 +1,1 @@
+"""Sensors other than pseudoranges and IMU, tested against the navigation filter."""

@@ -1,0 +1,107 @@
+"""A receiver's own position and velocity against the filter, for when there are no raw ranges."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.inertial import BA, BG, CLOCK, DRIFT, ERRORS, PSI, X_SIZE
+from analysis.detection.filter.information import statistic, taken
+from analysis.detection.filter.initial_fix import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
+from analysis.detection.isolation.chi_square import chi_square
+from analysis.orbits.broadcast import ned_axes
+from analysis.samples.sample import GpsFix, Vector
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
+
+FIX_3D = 3
+POSITION_SIGMA_M = (1.0, 1.5)  # horizontal, vertical; where the receiver claims less
+UNKNOWN_SIGMA_M = 3.0
+VELOCITY_SIGMA_MPS = (0.3, 0.4)
+
+
+class Measured(NamedTuple):
+    """A fix in ECEF: position and variance along north, east, down; velocity where known."""
+
+    r_ecef_m: Vector
+    axes: Vector
+    variance_m2: Vector
+    v_ned_mps: Vector | None
+
+
+class Check(NamedTuple):
+    """One chi-square test; `v`, `h` and `variance` are what an update would use."""
+
+    statistic: float
+    threshold: float
+    v: Vector
+    h: Vector
+    variance: Vector
+
+    @property
+    def passes(self) -> bool:
+        """Whether the fix fits the prediction."""
+        return self.statistic <= self.threshold
+
+
+def measure(fix: GpsFix) -> tuple[Measured | None, str]:
+    """The fix in ECEF, or why it cannot be used."""
+    if fix.fix_type < FIX_3D:
+        return None, f"fix type {fix.fix_type}; 3 or more is a position"
+    if not np.isfinite([fix.lat_deg, fix.lon_deg, fix.alt_m]).all():
+        return None, "the position is not finite"
+    if fix.lat_deg == 0.0 and fix.lon_deg == 0.0:
+        return None, "the position is 0, 0"
+    lat, lon = np.radians(fix.lat_deg), np.radians(fix.lon_deg)
+    sigma = [
+        max(claimed, floor) if np.isfinite(claimed) and claimed > 0.0 else UNKNOWN_SIGMA_M
+        for claimed, floor in zip((fix.eph_m, fix.epv_m), POSITION_SIGMA_M, strict=True)
+    ]
+    variance = np.array([sigma[0], sigma[0], sigma[1]]) ** 2
+    r_ecef_m = np.asarray(ecef_from_geodetic(lat, lon, fix.alt_m))
+    return Measured(r_ecef_m, ned_axes(float(lat), float(lon)), variance, fix.v_ned_mps), ""
+
+
+def check(measured: Measured, motion: Motion, config: DetectorConfig) -> tuple[Check, Check | None]:
+    """Test position, and velocity where it is known, against the prediction."""
+    h = np.zeros((3, ERRORS))
+    h[:, 0:3] = measured.axes
+    v = measured.axes @ (measured.r_ecef_m - motion.x[0:3])
+    position = _check(motion.p, v, h, measured.variance_m2, config.p_false_alarm)
+    if measured.v_ned_mps is None:
+        return position, None
+    known = np.isfinite(measured.v_ned_mps)
+    if not known.any():
+        return position, None
+    h = np.zeros((3, ERRORS))
+    h[:, 3:6] = measured.axes
+    v = measured.v_ned_mps - measured.axes @ motion.x[3:6]
+    sigma = np.array([VELOCITY_SIGMA_MPS[0], *VELOCITY_SIGMA_MPS])
+    return position, _check(motion.p, v[known], h[known], sigma[known] ** 2, config.p_other)
+
+
+def _check(p: Vector, v: Vector, h: Vector, variance: Vector, p_false_alarm: float) -> Check:
+    q = statistic(p, np.ascontiguousarray(h), variance, v)
+    return Check(q, chi_square(len(v), p_false_alarm), v, h, variance)
+
+
+def updated(motion: Motion, part: Check) -> Motion:
+    """The filter after a test's measurement."""
+    x, p = taken(motion.x, motion.p, np.ascontiguousarray(part.h), part.variance, part.v)
+    return motion._replace(x=x, p=p)
+
+
+def start_at(t_us: int, measured: Measured) -> Motion:
+    """The filter at a fix."""
+    x, p = np.zeros(X_SIZE), np.zeros((ERRORS, ERRORS))
+    x[0:3], x[6] = measured.r_ecef_m, 1.0
+    p[0:3, 0:3] = measured.axes.T @ np.diag(measured.variance_m2) @ measured.axes
+    known = measured.v_ned_mps is not None and np.isfinite(measured.v_ned_mps).all()
+    if measured.v_ned_mps is not None:
+        x[3:6] = measured.axes.T @ np.nan_to_num(measured.v_ned_mps)
+    speed = 2.0 * VELOCITY_SIGMA_MPS[1] if known else 10.0
+    parts = ((3, speed), (PSI, 3.0), (BG, GYRO_BIAS_SIGMA_RPS), (BA, ACCEL_BIAS_SIGMA_MPS2))
+    for at, sigma in parts:
+        p[range(at, at + 3), range(at, at + 3)] = sigma**2
+    p[CLOCK, CLOCK] = p[DRIFT, DRIFT] = 1.0
+    return Motion(t_us, x, p)

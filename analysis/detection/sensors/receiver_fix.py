@@ -1,0 +1,156 @@
+"""Without raw ranges: the same tests on a receiver's own position and velocity.
+
+Three position components have no redundancy among themselves, so who lies is told by the velocity
+and by whether the receiver agrees with itself: a position that leaves while the velocity still
+fits the IMU is the receiver's fault; a velocity that leaves while the receiver's positions move
+with it is the IMU's.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from analysis.detection.decision_record import untestable
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.detector_state import RECEIVER, Core, State
+from analysis.detection.filter.alignment import find_attitude
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.propagation import advance, segment, split_pending
+from analysis.detection.fix_record import fix_decision, fix_sensors
+from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.isolation.exclusion import exclude
+from analysis.detection.isolation.range_test import free_position
+from analysis.detection.sensors.position_test import (
+    VELOCITY_SIGMA_MPS,
+    Check,
+    Measured,
+    check,
+    measure,
+    start_at,
+    updated,
+)
+from analysis.results import Result
+from analysis.samples.sample import GpsFix
+
+LOST_M = 300.0  # a filter as unsure as this is started anew
+
+
+def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[list[Result], State]:
+    """The decision on one fix and the next state."""
+    core, pending, mag_b = state
+    if core.gps_source not in (None, fix.source) and fix.source != "HIL_GPS":
+        return [], state
+    core = core._replace(gps_source=fix.source, mag_b=mag_b)
+    measured, reason = measure(fix)
+    motion = core.motion
+    if measured is None:
+        return [untestable(fix.t_us, reason)], State(core, pending, mag_b)
+    if motion is not None:
+        since_s = (fix.t_us - motion.t_us) * 1e-6
+        if -config.reset_s < since_s <= 0.0:
+            reason = f"time went back by {-since_s:.3f} s"
+            return [untestable(fix.t_us, reason)], State(core, pending, mag_b)
+        if not 0.0 < since_s <= config.reset_s or np.sqrt(motion.p[0, 0]) > LOST_M:
+            motion = None
+    run, pending = split_pending(pending, fix.t_us)
+    if motion is None:
+        core = core._replace(motion=start_at(fix.t_us, measured), excluded={}, last_fix=None)
+        return [fix_decision(fix, core, None, None, "none", False, "start")], State(
+            core, pending, mag_b
+        )
+    part = segment(run, motion, fix.t_us)
+    predicted, _ = advance(motion, part, fix.t_us, config)
+    position, velocity = check(measured, predicted, config)
+    hypothesis, alarm = _judge(core, measured, fix.t_us, predicted, position, velocity, config)
+    core = _with_hysteresis(core, hypothesis, position, fix.t_us, config)
+    moved = _used(predicted, core, hypothesis, measured, position, velocity, config)
+    dt_s = (fix.t_us - motion.t_us) * 1e-6
+    moved = find_attitude(core, moved, part, dt_s, config)
+    core = core._replace(motion=moved, last_fix=(fix.t_us, measured.r_ecef_m))
+    shown = hypothesis
+    if hypothesis == "none" and RECEIVER in core.excluded:
+        shown = "gps"
+    elif hypothesis == "none" and core.imu_bad_until_us is not None:
+        shown = "imu"
+    mode = "position" if moved.inertial else "position-free"
+    results: list[Result] = [fix_decision(fix, core, position, velocity, shown, alarm, mode)]
+    gap = part.gap_s if predicted.inertial or motion.inertial else 0.0
+    results += fix_sensors(fix, core, position, velocity, gap, hypothesis, config)
+    return results, State(core, pending, mag_b)
+
+
+def _judge(
+    core: Core,
+    measured: Measured,
+    t_us: int,
+    motion: Motion,
+    position: Check,
+    velocity: Check | None,
+    config: DetectorConfig,
+) -> tuple[str, bool]:
+    """Whose fault a failed test is, and whether it is an alarm."""
+    if position.passes and (velocity is None or velocity.passes):
+        return "none", False
+    if not motion.inertial:  # nothing but steady motion predicts: a jump of position it is, or none
+        return ("none", False) if _self_consistent(core, measured, t_us, config) else ("gps", True)
+    if velocity is None or velocity.passes:
+        return "gps", True
+    if _self_consistent(core, measured, t_us, config):
+        return "imu", True
+    return ("gps", True) if position.passes else ("multiple-unknown", True)
+
+
+def _self_consistent(core: Core, measured: Measured, t_us: int, config: DetectorConfig) -> bool:
+    """Whether the receiver's position moved as its velocity says since the last fix."""
+    if core.last_fix is None or measured.v_ned_mps is None:
+        return True
+    dt_s = (t_us - core.last_fix[0]) * 1e-6
+    known = np.isfinite(measured.v_ned_mps)
+    moved = measured.axes @ (measured.r_ecef_m - core.last_fix[1])
+    difference = (moved - np.nan_to_num(measured.v_ned_mps) * dt_s)[known]
+    variance = 0.5**2 + (VELOCITY_SIGMA_MPS[0] ** 2 + config.noise.motion_mps2**2 * dt_s) * dt_s**2
+    q = float(difference @ difference) / variance
+    return q <= chi_square(int(known.sum()), config.p_other)
+
+
+def _with_hysteresis(
+    core: Core, hypothesis: str, position: Check, t_us: int, config: DetectorConfig
+) -> Core:
+    """The receiver left out or back in; the IMU held out for a while."""
+    if hypothesis == "imu":
+        return core._replace(imu_bad_until_us=t_us + round(config.imu_hold_s * 1e6))
+    if core.imu_bad_until_us is not None and t_us >= core.imu_bad_until_us:
+        core = core._replace(imu_bad_until_us=None)
+    if hypothesis in ("gps", "multiple-unknown"):
+        left = exclude(core.excluded, (RECEIVER,), t_us, t_us)
+        return core._replace(
+            excluded={**left, RECEIVER: replace(left[RECEIVER], healthy_since_us=None)}
+        )
+    entry = core.excluded.get(RECEIVER)
+    if entry is None or not position.passes:
+        return core
+    since = entry.healthy_since_us if entry.healthy_since_us is not None else t_us
+    if (t_us - since) * 1e-6 >= config.readmit_s:
+        return core._replace(excluded={})
+    return core._replace(excluded={RECEIVER: replace(entry, healthy_since_us=since)})
+
+
+def _used(
+    motion: Motion,
+    core: Core,
+    hypothesis: str,
+    measured: Measured,
+    position: Check,
+    velocity: Check | None,
+    config: DetectorConfig,
+) -> Motion:
+    """The filter after what is trusted of the fix."""
+    if hypothesis == "imu" or (hypothesis == "none" and not position.passes):
+        motion = free_position(motion)
+        position, velocity = check(measured, motion, config)
+    if RECEIVER not in core.excluded and position.passes:
+        motion = updated(motion, position)
+    if velocity is not None and velocity.passes:
+        again = check(measured, motion, config)[1]
+        motion = updated(motion, again if again is not None else velocity)
+    return motion

@@ -1,0 +1,209 @@
+"""The other sensors against the navigation filter.
+
+Barometer, airspeed, magnetometer, vision, range, and a receiver's own position and velocity.
+
+While the detector finds the IMU (or at least the satellites) sound, its filter is the reference.
+Every sensor is tested at each GNSS epoch with its newest sample: innovation v, what the filter and
+the sensor's own slow states (an offset, the wind, the local field) leave uncertain of it, and
+
+    v' inv(H_b P_b H_b' + R) v  against chi-square(m),
+
+with a false-alarm probability of its own (`p_other`). A sensor that fails several times running is
+isolated until it has been healthy for `readmit_s`; its slow states stand still meanwhile. How each
+is predicted is in `reference_models`.
+
+`References` contains the detector: its results are the detector's and the sensors' together, so a
+pipeline holds either a `Detector` or a `References`.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from operator import itemgetter
+
+import numpy as np
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.detector import Detector
+from analysis.detection.detector_state import State
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.inertial import ERRORS, X_SIZE
+from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.sensors.sensor_kernel import (
+    HEALTHY_US,
+    NEVER_US,
+    SENSOR_OF,
+    SLOW_US,
+    SOUND,
+    STALE_US,
+    UNSOUND,
+    UNTESTED,
+    Kept,
+    judge,
+)
+from analysis.detection.sensors.sensor_models import REASONS, SENSORS, TESTED, SensorNoise
+from analysis.results import Decision, Result, SensorDecision
+from analysis.samples.block import WIDTH, Block, Piece, block_of, pieces
+from analysis.samples.sample import Sample, Vector
+
+STALE_S = STALE_US * 1e-6  # older samples are not tested
+FITTING = ("none", "satellites", "clock", "gps")  # hypotheses that leave the filter sound
+Decided = tuple[int, Decision, Motion | None]  # a block's row, the decision there, and the filter
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceState:
+    """The detector's state and what is kept of the other sensors."""
+
+    detector: State
+    kept: Kept
+
+
+@dataclass(frozen=True)
+class References:
+    """The detector and the tests of the other sensors against it."""
+
+    config: DetectorConfig = field(default_factory=DetectorConfig)
+    sensors: SensorNoise = field(default_factory=SensorNoise)
+
+    @cached_property
+    def detector(self) -> Detector:
+        """The detector whose filter is the reference."""
+        return Detector(self.config)
+
+    @cached_property
+    def _thresholds(self) -> Vector:
+        return np.array([0.0, *(chi_square(dof, self.config.p_other) for dof in (1, 2, 3))])
+
+    @cached_property
+    def _noise(self) -> Vector:
+        return np.array([self.sensors.sigmas(), self.sensors.walks()])
+
+    def new_state(self) -> ReferenceState:
+        """Nothing known."""
+        count = len(SENSORS)
+        counts = np.zeros((count, 4), np.int64)
+        counts[:, [SLOW_US, HEALTHY_US]] = NEVER_US
+        kept = Kept(
+            np.full(count, NEVER_US),
+            np.zeros((count, WIDTH)),
+            counts,
+            np.zeros((count, 12)),
+            np.full(4, UNTESTED),
+        )
+        return ReferenceState(self.detector.new_state(), kept)
+
+    def step(
+        self, samples: Sample | Block, state: ReferenceState
+    ) -> tuple[list[Result], ReferenceState]:
+        """Decisions that a block of samples, or a single one, allows, and the next state."""
+        block = samples if isinstance(samples, Block) else block_of(samples)
+        found, state = self.judge(block, state)
+        return [result for _, result in sorted(found, key=itemgetter(0))], state
+
+    def judge(
+        self, block: Block, state: ReferenceState
+    ) -> tuple[list[tuple[int, Result]], ReferenceState]:
+        """The same, each with the row of the block that led to it: the detector's, then others."""
+        found: list[tuple[int, Result]] = []
+        decided: list[Decided] = []
+        before, detector = state.detector.core.motion, state.detector
+
+        def wanted(t_us: int) -> bool:
+            return self.detector.wants_fix(detector.core, t_us)
+
+        for piece in pieces(block, wanted):
+            results, detector = self.detector.take(piece, detector)
+            found += [(piece.last, result) for result in results]
+            decided += _decided(piece.last, results, detector)
+        said, kept = self._judged(block, decided, before, state.kept)
+        return found + said, ReferenceState(detector, kept)
+
+    def take(self, piece: Piece, state: ReferenceState) -> tuple[list[Result], ReferenceState]:
+        """The same for samples up to an event, where something else moves the filter meanwhile."""
+        results, detector = self.detector.take(piece, state.detector)
+        rows = piece.block.between(piece.first, piece.last + 1)
+        decided = _decided(piece.last - piece.first, results, detector)
+        said, kept = self._judged(rows, decided, detector.core.motion, state.kept)
+        return [*results, *(result for _, result in said)], ReferenceState(detector, kept)
+
+    def _judged(
+        self, block: Block, decided: Sequence[Decided], before: Motion | None, kept: Kept
+    ) -> tuple[list[tuple[int, Result]], Kept]:
+        """What the sensors say at some decisions; `before` is the filter until the first."""
+        if not decided and not _OF_SENSORS[block.kind].any():
+            return [], kept
+        kept = kept.copy()
+        motions = [_START if m is None else m for m in (before, *(m for _, _, m in decided))]
+        said = judge(
+            block.kind,
+            block.t_us,
+            block.values,
+            np.array([_numbers(*row) for row in decided], np.int64).reshape(-1, 4),
+            np.array([motion.x for motion in motions]),
+            np.array([motion.p for motion in motions]),
+            np.array([motion.inertial for motion in motions], np.int64),
+            kept,
+            self._noise,
+            self._thresholds,
+            self.config.readmit_s * 1e6,
+        )
+        return _said(said, self._thresholds), kept
+
+
+_OF_SENSORS = np.array(SENSOR_OF) >= 0  # by kind of sample
+_START = Motion(0, np.zeros(X_SIZE), np.zeros((ERRORS, ERRORS)))
+
+
+def _decided(row: int, results: Sequence[Result], detector: State) -> list[Decided]:
+    """The decision among the results of a row, if any."""
+    return [(row, r, detector.core.motion) for r in results if isinstance(r, Decision)][:1]
+
+
+def _numbers(row: int, decision: Decision, motion: Motion | None) -> tuple[int, int, int, bool]:
+    """A decision as the kernel takes it."""
+    how = SOUND if motion is not None and decision.hypothesis in FITTING else UNSOUND
+    if decision.mode == "":
+        how = UNTESTED
+    return row, decision.t_us, how, decision.mode.startswith("position")
+
+
+def _said(said: Vector, thresholds: Vector) -> list[tuple[int, Result]]:
+    """What the kernel said (k, 8), by row of the block, in the words of `analysis.results`."""
+    if not len(said):
+        return []
+    row, sensor, code, dof, t_us = said[:, [0, 1, 2, 4, 6]].astype(np.int64).T
+    statistics, limits = said[:, 3], thresholds[dof]
+    failed = ~(statistics <= limits)
+    columns = (
+        row,
+        t_us,
+        sensor,
+        code,
+        dof,
+        statistics,
+        limits,
+        failed,
+        said[:, 5] != 0.0,
+        said[:, 7],
+    )
+    return [
+        (
+            at,
+            SensorDecision(
+                t_s=stamp_us * 1e-6,
+                t_us=stamp_us,
+                sensor=SENSORS[number],
+                statistic=statistic if why == TESTED and math.isfinite(statistic) else None,
+                threshold=limit if why == TESTED else None,
+                dof=freedom,
+                alarm=why == TESTED and bad,
+                isolated=isolated,
+                reason="" if why == TESTED else REASONS[why].format(fix_type=seventh),
+            ),
+        )
+        for at, stamp_us, number, why, freedom, statistic, limit, bad, isolated, seventh in zip(
+            *(column.tolist() for column in columns), strict=True
+        )
+    ]

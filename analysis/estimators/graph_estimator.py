@@ -1,0 +1,112 @@
+"""The factor graph as an attitude estimator, for the scores and the search.
+
+It contains the detector and the tests of the other sensors. Between GNSS epochs the gyro turns the
+newest attitude of the graph, less the graph's bias.
+"""
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.inertial import PSI, X_Q, R
+from analysis.detection.sensors.sensor_tests import References, ReferenceState
+from analysis.estimators.estimator import MAX_GAP_S, AttitudeEstimate, Prior
+from analysis.fusion.fusion_config import FusionConfig
+from analysis.fusion.fusion_state import FusionState
+from analysis.fusion.local_frame import quaternion
+from analysis.fusion.smoother import Fusion
+from analysis.orbits.broadcast import geodetic, ned_axes
+from analysis.results import Decision, FusedState
+from analysis.samples.sample import ImuSample, Sample, Vector
+from mavproxy_fault.numerics.quaternion import matrix, turned
+
+PRIOR_RAD = 0.05  # how sure the first attitude is
+
+
+@dataclass(slots=True)
+class FusedAttitudeState:
+    """What moves, in place: the detector and the graph, the attitude (4,) and its time, gyro bias
+    (3,), the turns (time, rate (3,), length in s) since the last epoch."""
+
+    detector: ReferenceState
+    fusion: FusionState
+    q_nb: Vector
+    t_us: int
+    bias_rps: Vector = field(default_factory=lambda: np.zeros(3))
+    turns: deque[tuple[int, Vector, float]] = field(default_factory=deque)
+
+
+@dataclass(frozen=True)
+class FusedAttitude:
+    """An `Estimator`; it needs an IMU and a receiver's positions or raw ranges."""
+
+    config: FusionConfig = field(default_factory=FusionConfig)
+    detector: DetectorConfig = field(default_factory=DetectorConfig)
+
+    def start(self, prior: Prior) -> FusedAttitudeState:
+        """The state before the first reading."""
+        return FusedAttitudeState(
+            References(self.detector).new_state(),
+            Fusion(self.config, self.detector).new_state(),
+            np.array(prior.q_nb, dtype=float),
+            prior.t_us,
+        )
+
+    def update(
+        self, reading: Sample, state: FusedAttitudeState
+    ) -> tuple[AttitudeEstimate, FusedAttitudeState]:
+        """The attitude after one reading; the state is changed in place."""
+        if isinstance(reading, ImuSample) and reading.t_us > state.t_us:
+            dt_s = (reading.t_us - state.t_us) * 1e-6
+            if dt_s <= MAX_GAP_S:
+                state.turns.append((reading.t_us, reading.gyro_b_rps, dt_s))
+                state.q_nb = _after(state.q_nb, reading.gyro_b_rps - state.bias_rps, dt_s)
+            state.t_us = reading.t_us
+        results, state.detector = References(self.detector).step(reading, state.detector)
+        decision = next((result for result in results if isinstance(result, Decision)), None)
+        motion = state.detector.detector.core.motion
+        if decision is not None and decision.mode == "start" and motion is not None:
+            self._tell(motion, state)
+        core = state.detector.detector.core
+        fused, state.fusion = Fusion(self.config, self.detector).step(
+            reading, results, core, state.fusion
+        )
+        for result in fused:
+            if isinstance(result, FusedState):
+                self._take(result, state)
+        return AttitudeEstimate(max(reading.t_us, state.t_us), state.q_nb), state
+
+    @staticmethod
+    def _tell(motion: Motion, state: FusedAttitudeState) -> None:
+        """The detector's filter begins with the attitude that is known here."""
+        x, p = motion.x.copy(), motion.p.copy()
+        lat, lon, _ = geodetic(x[R : R + 3])
+        x[X_Q : X_Q + 4] = quaternion(ned_axes(lat, lon).T @ matrix(state.q_nb))
+        p[PSI : PSI + 3, :] = p[:, PSI : PSI + 3] = 0.0
+        p[PSI : PSI + 3, PSI : PSI + 3] = PRIOR_RAD**2 * np.eye(3)
+        inner = state.detector.detector
+        core = inner.core._replace(motion=motion._replace(x=x, p=p, inertial=True))
+        state.detector = replace(state.detector, detector=inner._replace(core=core))
+
+    @staticmethod
+    def _take(said: FusedState, state: FusedAttitudeState) -> None:
+        """The graph's attitude, turned from its epoch to the newest IMU sample."""
+        graph = state.fusion.graph
+        while state.turns and state.turns[0][0] <= said.t_us:
+            state.turns.popleft()
+        if graph is None or not graph.aligned:
+            return
+        state.bias_rps = graph.node.bias.gyroscope()
+        q_nb = np.array(said.q_nb)
+        for _, rate, dt_s in state.turns:
+            q_nb = _after(q_nb, rate - state.bias_rps, dt_s)
+        state.q_nb = q_nb
+
+
+def _after(q_nb: Vector, rate_rps: Vector, dt_s: float) -> Vector:
+    turn = rate_rps * dt_s
+    result: Vector = turned(q_nb, float(turn[0]), float(turn[1]), float(turn[2]))
+    return result

@@ -1,0 +1,1 @@
+"""The factors of the graph: pseudoranges, IMU, other sensors, and their weights."""

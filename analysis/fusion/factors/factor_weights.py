@@ -1,0 +1,65 @@
+"""Decisions as weights: 1 healthy, between the thresholds less, 0 isolated."""
+
+import math
+from collections.abc import Iterable, Sequence
+
+from analysis.fusion.fusion_config import FusionConfig
+from analysis.results import Decision, Result, SensorDecision
+
+SOUND = ("none", "satellites", "clock", "gps", "imu")
+DOUBTED = 0.7  # of the root of a sensor's threshold: from here its weight falls to 0 at the alarm
+
+
+def weight(normalised: float, suspicious: float, hopeless: float) -> float:
+    """s(r) of a normalised residual: 1 up to `suspicious`, 0 from `hopeless`.
+
+    Between them 1 - 3 u^2 + 2 u^3 with u the share of the way, so that neither the weight nor its
+    slope jumps.
+    """
+    u = (abs(normalised) - suspicious) / (hopeless - suspicious)
+    u = min(max(u, 0.0), 1.0)
+    return 1.0 - u * u * (3.0 - 2.0 * u)
+
+
+def range_weights(decision: Decision, config: FusionConfig) -> dict[str, float]:
+    """Weights of the satellites the detector tested at one epoch.
+
+    Nothing is trusted where the detector could not tell who is wrong. The residuals are those
+    before the isolation: where something was isolated, they say nothing about the others.
+    """
+    if not config.decide:
+        return dict.fromkeys((*decision.satellites, *decision.excluded), 1.0)
+    if decision.hypothesis not in SOUND:
+        return dict.fromkeys(decision.satellites, 0.0)
+    weights = dict.fromkeys(decision.satellites, 1.0)
+    if not decision.alarm and decision.hypothesis in ("none", "satellites"):
+        for name, value in zip(decision.satellites, decision.normalised, strict=False):
+            residual = float("inf") if value is None else value
+            if not abs(residual) <= config.suspicious:
+                weights[name] = weight(residual, config.suspicious, config.hopeless)
+    weights.update(dict.fromkeys(decision.excluded, 0.0))
+    return weights
+
+
+def sensor_weights(
+    results: Sequence[Result], isolated: Iterable[str], config: FusionConfig
+) -> dict[str, float]:
+    """Weights of sensors other than satellites that were tested or isolated at this epoch."""
+    if not config.decide:
+        return {}
+    weights = {}
+    for said in results:
+        if isinstance(said, SensorDecision) and said.statistic is not None and said.threshold:
+            weights[said.sensor] = weight(math.sqrt(said.statistic / said.threshold), DOUBTED, 1.0)
+    return weights | dict.fromkeys(isolated, 0.0)
+
+
+def isolated_sensors(results: Sequence[Result], config: FusionConfig) -> frozenset[str]:
+    """Sensors other than satellites that must not be used at this epoch."""
+    if not config.decide:
+        return frozenset()
+    return frozenset(
+        result.sensor
+        for result in results
+        if isinstance(result, SensorDecision) and (result.isolated or result.alarm)
+    )

@@ -1,0 +1,112 @@
+"""What ties one epoch to the next: the IMU preintegrated, or a model of motion without it.
+
+Preintegration is that of Forster et al. [1]_ with correlated biases, in a frame that turns with the
+earth (Coriolis term; the centrifugal part is in gravity). The motion model is the same factor fed
+with fiction: no gravity, no measured force and no turn, and noise as large as the motion may be,
+so that position and velocity stay tied to each other.
+
+References
+----------
+.. [1] C. Forster et al., IEEE Trans. Robotics 33(1), 2017.
+"""
+
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from analysis.detection.detection_config import Noise
+from analysis.fusion.local_frame import Frame
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled
+
+INTEGRATION_M = 1e-3  # m/sqrt(s), position noise of the integration itself
+STEP_S = 0.1  # faster samples are put together first; what is left out is of third order
+FICTION_STEP_S = 0.05
+# Of the detector's noise of motion: rates pin the velocity at both ends, and between them it
+# changes more evenly than white noise that allows for the change would.
+EVEN = 0.25
+FREE_TURN_RPS = 30.0  # of a motion that says nothing of the attitude
+
+
+def imu_params(frame: Frame, r_m: Vector, noise: Noise) -> Any:
+    """What preintegration takes for granted at a position of the frame."""
+    return _params(frame.gravity(r_m), frame, noise, noise.gyro_rps, noise.accel_mps2)
+
+
+def preintegrate(samples: Vector, bias: Any, params: Any) -> Any:
+    """The IMU's samples (k, 7) of `fdi.motion.segment`: step in s, rates, specific force."""
+    preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
+    for row in condensed(samples, STEP_S):
+        preintegrated.integrateMeasurement(row[4:7], row[1:4], row[0])
+    return preintegrated
+
+
+@compiled
+def condensed(samples: Vector, step_s: float) -> Vector:
+    """Samples (k, 7) in runs of equal number that last up to `step_s`; empty steps left out.
+
+    A run's rate is its turn over its time and its force that in the axes at its begin: GTSAM takes
+    both as constant from there on. Turns within are added to second order (coning, sculling).
+    """
+    count, whole_s = 0, 0.0
+    for k in range(samples.shape[0]):
+        if samples[k, 0] > 0.0:
+            count, whole_s = count + 1, whole_s + samples[k, 0]
+    size = max(int(step_s * count / whole_s + 0.1), 1) if count else 1
+    out = np.zeros(((count + size - 1) // size, 7))
+    turn, half, push = np.zeros(3), np.zeros(3), np.zeros(3)
+    once, twice, bent = np.zeros(3), np.zeros(3), np.zeros(3)
+    at = 0
+    for k in range(samples.shape[0]):
+        dt = samples[k, 0]
+        if not dt > 0.0:
+            continue
+        row = out[at // size]
+        if at % size == 0:
+            turn[:] = 0.0
+        for i in range(3):
+            half[i] = turn[i] + 0.5 * dt * samples[k, 1 + i]
+            push[i] = samples[k, 4 + i]
+        _cross(half, push, once)
+        _cross(half, once, twice)
+        _cross(turn, samples[k, 1:4], bent)
+        row[0] += dt
+        for i in range(3):
+            row[4 + i] += dt * (push[i] + once[i] + 0.5 * twice[i])
+            turn[i] += dt * (samples[k, 1 + i] + 0.5 * bent[i])
+            row[1 + i] = turn[i]
+        at += 1
+    for k in range(out.shape[0]):
+        for i in range(1, 7):
+            out[k, i] /= out[k, 0]
+    return out
+
+
+@compiled
+def _cross(a: Vector, b: Vector, out: Vector) -> None:
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
+
+
+def imagine(dt_s: float, bias: Any, frame: Frame, noise: Noise, turn_rps: float) -> Any:
+    """The motion model over `dt_s`, with turns as fast as `turn_rps`."""
+    params = _params(np.zeros(3), frame, noise, turn_rps, EVEN * noise.motion_mps2)
+    preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
+    steps = max(round(dt_s / FICTION_STEP_S), 2)
+    for _ in range(steps):
+        preintegrated.integrateMeasurement(bias.accelerometer(), bias.gyroscope(), dt_s / steps)
+    return preintegrated
+
+
+def _params(gravity: Vector, frame: Frame, noise: Noise, gyro: float, accel: float) -> Any:
+    params = gtsam.PreintegrationCombinedParams(gravity)
+    unit = np.eye(3)
+    params.setGyroscopeCovariance(unit * gyro**2)
+    params.setAccelerometerCovariance(unit * accel**2)
+    params.setIntegrationCovariance(unit * INTEGRATION_M**2)
+    params.setBiasOmegaCovariance(unit * noise.gyro_walk**2)
+    params.setBiasAccCovariance(unit * noise.accel_walk**2)
+    params.setOmegaCoriolis(frame.earth_rate())
+    return params

@@ -1,0 +1,164 @@
+"""Pseudoranges and Doppler rates of an epoch as factors.
+
+Galileo's offset from the receiver's clock is taken from the detector's filter, which has known it
+for longer than the graph remembers.
+"""
+
+import math
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.filter.inertial import R
+from analysis.detection.filter.measurement import Observed
+from analysis.fusion.factors.factor_weights import weight
+from analysis.fusion.factors.range_rows import (
+    ABOVE,
+    CORRECTED,
+    NORMALISED,
+    RATE_SIGMA,
+    SIGMA,
+    measured,
+    snapshot_covariance,
+    whitened,
+)
+from analysis.fusion.factors.unary_factors import unit
+from analysis.fusion.fusion_config import FusionConfig
+from analysis.fusion.graph_start import Clock, Node
+from analysis.fusion.learnt_noise import Learnt
+from analysis.fusion.local_frame import Frame
+from analysis.fusion.window import key
+from analysis.orbits.broadcast import LIGHT_MPS
+from analysis.orbits.snapshot import systems_of
+from analysis.samples.sample import Vector
+
+NO_ARM = np.zeros(3)
+LEAST_WEIGHT = 0.02  # less is left out
+
+
+class Ranges:
+    """What one epoch measured, corrected by the models at the filter's state x (21,).
+
+    Weights (n,) are those of the satellites in their order, 0 for what is left out.
+    """
+
+    def __init__(
+        self,
+        observed: Observed,
+        x: Vector,
+        ionosphere: Vector,
+        config: FusionConfig,
+        detector: DetectorConfig,
+    ) -> None:
+        self.satellites = observed.satellites
+        self._observed, self._config, self._doppler = observed, config, detector.doppler
+        self._r_m = x[R : R + 3]
+        self.table = measured(
+            *observed.measured,
+            x,
+            ionosphere,
+            detector.sigma.numbers,
+            config.correlation,
+            math.radians(detector.mask_deg),
+        )
+
+    @property
+    def sigma_m(self) -> Vector:
+        """Sigmas (n,) of the pseudoranges as the graph takes them."""
+        result: Vector = self.table[:, SIGMA]
+        return result
+
+    @property
+    def normalised(self) -> Vector:
+        """Innovations (n, 2) of ranges and rates over the detector's sigmas."""
+        result: Vector = self.table[:, NORMALISED : NORMALISED + 2]
+        return result
+
+    def weights(self, by_name: dict[str, float]) -> Vector:
+        """Weights of those above the mask that have one worth it."""
+        given = [by_name.get(name, 0.0) for name in self.satellites]
+        above = self.table[:, ABOVE].tolist()
+        return np.array(
+            [a if a >= LEAST_WEIGHT and b else 0.0 for a, b in zip(given, above, strict=True)]
+        )
+
+    def own_weights(self, excluded: frozenset[str]) -> Vector:
+        """Weights by the residuals at the filter's state, where nothing else judges them."""
+        config = self._config
+        if not config.decide:
+            return self.weights(dict.fromkeys(self.satellites, 1.0))
+        normalised = zip(self.satellites, self.table[:, NORMALISED].tolist(), strict=True)
+        return self.weights(
+            {
+                name: 0.0 if name in excluded else weight(value, config.suspicious, config.hopeless)
+                for name, value in normalised
+            }
+        )
+
+    def learn(self, learnt: Learnt) -> None:
+        """Take over what is known of the rates' sigmas."""
+        learnt.scale(self.satellites, self.table[:, RATE_SIGMA])
+
+    def factor(
+        self, node: Node, origin: Any, frame: Frame, clock: Clock, weights: Vector, rates_only: bool
+    ) -> Any | None:
+        """All pseudoranges and rates of an epoch in one factor on pose, velocity and clock; None
+        where there are none.
+
+        The ranges are `PseudorangeFactorArm`s without an arm, linearised at the filter's position:
+        they bend by d^2/2R over a distance d, by 2 micrometres over 10 m. `clock` is what the
+        graph's is counted from; `origin` holds first guesses of the epoch, pose and velocity those
+        of the node.
+        """
+        rows = whitened(
+            self.table,
+            weights,
+            self._r_m,
+            frame.anchor_m,
+            frame.axes,
+            node.pose.matrix(),
+            node.velocity,
+            *clock,
+            not rates_only,
+            self._doppler,
+        )
+        if not len(rows):
+            return None
+        x, v, c = (key(letter, node.epoch) for letter in "xvc")
+        row = gtsam.JacobianFactor(
+            x, rows[:, :6], v, rows[:, 6:9], c, rows[:, 9:11], rows[:, 11], unit(len(rows))
+        )
+        return gtsam.LinearContainerFactor(row, origin)
+
+    def pseudorange(
+        self, i: int, pose: int, seconds: int, frame: Frame, clock: Clock, noise: Any
+    ) -> Any:
+        """One satellite's factor on a pose and a clock in seconds, two keys."""
+        state = self._observed.states[i]
+        return gtsam.PseudorangeFactorArm(
+            pose,
+            seconds,
+            self.table[i, CORRECTED] - clock[0],
+            state[:3],
+            NO_ARM,
+            frame.pose,
+            state[6] / LIGHT_MPS,
+            noise,
+        )
+
+    @property
+    def unknowns(self) -> int:
+        """How many a snapshot solution finds beside the receiver's clock."""
+        return 3 + len(systems_of(self._observed.system))
+
+    def slow_covariance(self, weights: Vector, share: float) -> Vector | None:
+        """Covariance (3, 3) in ECEF of what averaging cannot take away; None if undetermined.
+
+        Multipath, ephemeris and atmosphere stay the same for minutes: a bias of `share` sigmas per
+        satellite, which the position follows as the snapshot solution does.
+        """
+        sigmas = share / self._config.correlation
+        found = snapshot_covariance(self.table, weights, self._observed.system, sigmas)
+        return found if math.isfinite(found[0, 0]) else None

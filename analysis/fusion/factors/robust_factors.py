@@ -1,0 +1,62 @@
+"""Pseudoranges one by one with robust losses of GTSAM's: for comparison with decisions.
+
+They take the receiver's clock in seconds: a variable r, tied to the one in metres.
+"""
+
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from analysis.fusion.factors.range_factors import Ranges
+from analysis.fusion.factors.unary_factors import NO_CLOCK, unit
+from analysis.fusion.graph_start import Clock
+from analysis.fusion.local_frame import Frame
+from analysis.fusion.window import key
+from analysis.orbits.broadcast import LIGHT_MPS
+from analysis.samples.sample import Vector
+
+HUBER = 1.345  # 95 % efficiency for normal noise (Huber 1964)
+GEMAN = 3.0
+TIED_M = 0.05  # far below a range's sigma
+
+
+def pseudoranges(
+    ranges: Ranges, weights: Vector, epoch: int, frame: Frame, clock: Clock, robust: str
+) -> dict[str, Any]:
+    """Factors by satellite, on the pose and the clock in seconds of an epoch."""
+    x, r = key("x", epoch), key("r", epoch)
+    return {
+        ranges.satellites[i]: ranges.pseudorange(
+            i, x, r, frame, clock, _loss(robust, ranges.sigma_m[i])
+        )
+        for i in np.flatnonzero(weights).tolist()
+    }
+
+
+def clock_in_seconds(epoch: int) -> tuple[Any, Any]:
+    """The clock in seconds with a first guess, and the factor that ties it."""
+    c, r = key("c", epoch), key("r", epoch)
+    guess = gtsam.Values()
+    guess.insert(r, 0.0)
+    origin = gtsam.Values(guess)
+    origin.insert(c, NO_CLOCK)
+    row = gtsam.JacobianFactor(
+        c,
+        np.array([[1.0 / TIED_M, 0.0]]),
+        r,
+        np.array([[-LIGHT_MPS / TIED_M]]),
+        np.zeros(1),
+        unit(1),
+    )
+    return guess, gtsam.LinearContainerFactor(row, origin)
+
+
+def _loss(robust: str, sigma_m: float) -> Any:
+    noise = gtsam.noiseModel.Isotropic.Sigma(1, sigma_m)
+    estimator = gtsam.noiseModel.mEstimator
+    if robust == "huber":
+        return gtsam.noiseModel.Robust.Create(estimator.Huber.Create(HUBER), noise)
+    if robust == "geman-mcclure":
+        return gtsam.noiseModel.Robust.Create(estimator.GemanMcClure.Create(GEMAN), noise)
+    return noise

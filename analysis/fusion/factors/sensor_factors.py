@@ -1,0 +1,227 @@
+"""The sources other than IMU and pseudoranges: each adds factors while it is there and healthy."""
+
+import math
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from analysis.detection.sensors.position_test import measure
+from analysis.detection.sensors.sensor_models import (
+    SLOW_AIR_MPS,
+    density_kgpm3,
+    pressure_altitude_m,
+)
+from analysis.detection.sensors.sensor_tests import STALE_S
+from analysis.fusion.factors.factor_weights import weight
+from analysis.fusion.factors.range_factors import LEAST_WEIGHT
+from analysis.fusion.factors.unary_factors import (
+    OFFSET_UNIT_M,
+    airspeed_factor,
+    alike,
+    baro_factor,
+    mag_factor,
+    walk_factor,
+)
+from analysis.fusion.fusion_config import FusionConfig
+from analysis.fusion.graph import Graph
+from analysis.fusion.window import key
+from analysis.orbits.broadcast import geodetic
+from analysis.results import Decision
+from analysis.samples.sample import (
+    AirspeedSample,
+    BaroSample,
+    GpsFix,
+    MagSample,
+    Sample,
+    Vector,
+    VisionSample,
+)
+from mavproxy_fault.numerics.rotation import matrix_from_quat
+
+WAITING: dict[type, str] = {
+    BaroSample: "baro",
+    MagSample: "mag",
+    AirspeedSample: "airspeed",
+    VisionSample: "vision",
+    GpsFix: "gps-position",
+}
+WIND_SIGMA_MPS = 6.0
+OFFSET_SIGMA_M = 5.0  # of the first guess of a barometer's offset
+
+
+class Others:
+    """Attaches samples to the epoch nearest to each, and keeps the slow states they need.
+
+    A barometer's offset and the wind are one variable per span of the window, each walking from
+    the span before; after a silence longer than the window they begin anew.
+    """
+
+    def __init__(self, graph: Graph, config: FusionConfig) -> None:
+        self._graph, self._config = graph, config
+        self._spans: dict[str, list[int]] = {"h": [], "w": []}
+        self._vision_sigmas = np.array([config.vision_rad] * 3 + [config.vision_m] * 3)
+
+    def attach(self, sample: Sample, decision: Decision | None, share: float = 1.0) -> float | None:
+        """One sample onto the epoch it belongs to; the weight it got, None if it was not used.
+
+        `share` is the weight it is to have. A receiver's own position is for epochs decided by it
+        alone.
+        """
+        if share < LEAST_WEIGHT:
+            return 0.0
+        root = math.sqrt(share)
+        epoch = self._graph.nearest(sample.t_us, round(STALE_S * 1e6))
+        if epoch is None:
+            return None
+        if isinstance(sample, BaroSample):
+            done = self._baro(sample, epoch, root)
+        elif isinstance(sample, MagSample):
+            done = self._mag(sample, epoch, root)
+        elif isinstance(sample, AirspeedSample):
+            done = self._airspeed(sample, epoch, root)
+        elif isinstance(sample, VisionSample):
+            return self._vision(sample, epoch, share)
+        elif isinstance(sample, GpsFix) and decision and decision.mode.startswith("position"):
+            if self._config.decide and (
+                decision.excluded or decision.hypothesis not in ("none", "imu")
+            ):
+                return 0.0
+            done = self._fix(sample, epoch, share)
+        else:
+            done = False
+        return share if done else None
+
+    def _slow(self, letter: str, epoch: int, first: Vector, sigma: float, walk: float) -> int:
+        """The key of a slow state at an epoch; `walk` is per square root of a second."""
+        graph, window = self._graph, self._graph.window
+        span = graph.span(epoch)
+        name, stamp_s, gone_s = key(letter, span), window.span_stamp(span), window.oldest_s
+        spans = [known for known in self._spans[letter] if window.span_stamp(known) >= gone_s]
+        if span not in spans:
+            before = max((known for known in spans if known < span), default=None)
+            if before is None:
+                factor = gtsam.PriorFactorVector(name, first, alike(len(first), sigma))
+                since_s = stamp_s
+            else:
+                old, since_s = key(letter, before), window.span_stamp(before)
+                walked = walk * math.sqrt((span - before) * window.span_s)
+                factor = walk_factor(old, name, walked, len(first))
+                if window.slots(letter, before):
+                    first = np.asarray(window.smoother.calculateEstimateVector(old))
+            values = gtsam.Values()
+            values.insert(name, first)
+            window.insert(values, (name,), stamp_s)
+            window.attach(letter, span, since_s, factor)
+            spans.append(span)
+        self._spans[letter] = spans
+        return name
+
+    def _up_m(self, epoch: int) -> tuple[float, float]:
+        """Height above the frame's tangent plane, and above the ellipsoid, of about the epoch."""
+        r_m = self._graph.node.pose.translation()
+        _, _, height = geodetic(self._graph.frame.ecef(r_m))
+        return float(r_m[2]), height
+
+    def _baro(self, sample: BaroSample, epoch: int, root: float) -> bool:
+        if not sample.pressure_pa > 0.0 or self._graph.window.holds("baro", epoch):
+            return False
+        up_m, height = self._up_m(epoch)
+        # The graph's z is the height above the anchor's tangent plane, not above the ellipsoid.
+        altitude = pressure_altitude_m(sample.pressure_pa) - (height - up_m)
+        graph, config, unit_m = self._graph, self._config, OFFSET_UNIT_M
+        first = np.array([altitude - up_m]) / unit_m
+        sigma, walk = OFFSET_SIGMA_M / unit_m, config.baro_walk_m / unit_m
+        offset = self._slow("h", epoch, first, sigma, walk)
+        pose = graph.pose(epoch)
+        graph.attach(
+            "baro", epoch, baro_factor(epoch, pose, offset, altitude, config.baro_m / root)
+        )
+        return True
+
+    def _mag(self, sample: MagSample, epoch: int, root: float) -> bool:
+        graph = self._graph
+        if not graph.aligned or not np.isfinite(sample.field_b_gauss).all():
+            return False
+        if graph.window.holds("mag", epoch):
+            return False
+        factor = mag_factor(epoch, sample.field_b_gauss, graph.frame, self._config.mag_gauss / root)
+        graph.attach("mag", epoch, factor)
+        return True
+
+    def _airspeed(self, sample: AirspeedSample, epoch: int, root: float) -> bool:
+        if not math.isfinite(sample.diff_pressure_pa):
+            return False
+        if self._graph.window.holds("airspeed", epoch):
+            return False
+        _, height = self._up_m(epoch)
+        speed = math.sqrt(2.0 * max(sample.diff_pressure_pa, 0.0) / density_kgpm3(height))
+        if speed < SLOW_AIR_MPS:
+            return False
+        wind = self._slow("w", epoch, np.zeros(3), WIND_SIGMA_MPS, self._config.wind_walk_mps)
+        self._graph.attach(
+            "airspeed", epoch, airspeed_factor(epoch, wind, speed, self._config.airspeed_mps / root)
+        )
+        return True
+
+    def _vision(self, sample: VisionSample, epoch: int, share: float) -> float | None:
+        """Vision as odometry: its own origin and north drop out between two epochs."""
+        graph = self._graph
+        at = graph.epochs[epoch]
+        seen = _seen(sample, at.t_us)
+        if seen is None or at.seen is not None or not graph.aligned:
+            return None
+        at.seen = seen
+        given = None
+        before, after = graph.seen_around(epoch, round(STALE_S * 1e6))
+        for i, j in ((before, epoch), (epoch, after)):
+            if i is None or j is None:
+                continue
+            moved = graph.epochs[i].seen.between(graph.epochs[j].seen)
+            given = min(share, self._plausible(i, j, moved))
+            if given >= LEAST_WEIGHT:
+                noise = gtsam.noiseModel.Diagonal.Sigmas(self._vision_sigmas / math.sqrt(given))
+                factor = gtsam.BetweenFactorPose3(key("x", i), key("x", j), moved, noise)
+                graph.attach("vision", j, factor, since=i)
+        return given
+
+    def _plausible(self, i: int, j: int, moved: Any) -> float:
+        """The weight of a motion that was seen, by what the IMU says of it: a jump weighs nothing
+        although the test of vision's position, which allows for a drift, does not see it."""
+        graph, config = self._graph, self._config
+        edge = graph.epochs[j].edge
+        if not config.decide or edge is None or not graph.sound(edge):  # nothing to go by
+            return 1.0
+        off = gtsam.Pose3.Logmap(graph.pose(i).between(graph.pose(j)).between(moved))
+        return weight(
+            float(np.abs(off / self._vision_sigmas).max()), config.suspicious, config.hopeless
+        )
+
+    def _fix(self, sample: GpsFix, epoch: int, share: float) -> bool:
+        """A receiver's own solution, where there are no raw ranges."""
+        graph, config = self._graph, self._config
+        measured, _ = measure(sample)
+        if measured is None or graph.window.holds("gps-position", epoch):
+            return False
+        to_local = graph.frame.axes @ measured.axes.T
+        spread = config.correlation**2 * to_local @ np.diag(measured.variance_m2) @ to_local.T
+        gaussian = gtsam.noiseModel.Gaussian.Covariance
+        r_m = graph.frame.local(measured.r_ecef_m)
+        position = gtsam.GPSFactor(key("x", epoch), r_m, gaussian(spread / share))
+        graph.attach("gps-position", epoch, position)
+        if measured.v_ned_mps is not None and np.isfinite(measured.v_ned_mps).all():
+            noise = alike(3, config.gps_mps)
+            velocity = to_local @ measured.v_ned_mps
+            factor = gtsam.PriorFactorPoint3(key("v", epoch), velocity, noise)
+            graph.attach("gps-velocity", epoch, factor)
+        return True
+
+
+def _seen(sample: VisionSample, t_us: int) -> Any:
+    """The pose by vision, moved to an epoch's time."""
+    if not np.isfinite(sample.r_ned_m).all():
+        return None
+    r_m = sample.r_ned_m
+    if sample.v_ned_mps is not None:
+        r_m = r_m + sample.v_ned_mps * (t_us - sample.t_us) * 1e-6
+    return gtsam.Pose3(gtsam.Rot3(matrix_from_quat(sample.q_nb)), r_m)

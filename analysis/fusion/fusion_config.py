@@ -1,0 +1,64 @@
+"""Parameters of the fusion."""
+
+import msgspec
+
+from mavproxy_fault.documents.errors import ConfigError
+
+ROBUST = ("none", "huber", "geman-mcclure", "gnc")
+
+
+class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """How the smoother weighs what it is given.
+
+    `lag_s` is how far back it can change its mind. A normalised residual below `suspicious` has
+    weight 1, above `hopeless` weight 0. With `feedback` the detector goes on from the fused state;
+    with `compare` a second graph takes every measurement as it comes, to show what isolation did.
+    `decide` False takes every measurement as it comes, and `robust` is a loss of GTSAM's on the
+    pseudoranges (or its graduated non-convexity): both for comparison. What is wrong with
+    a satellite's pseudorange stays wrong for seconds to minutes while the graph takes every
+    measurement for independent: `correlation` multiplies their sigmas, and the reported covariance
+    of position has a bias of `slow` sigmas per satellite added. With `learn` that share, the
+    rates' sigmas and the IMU's noise are taken from the flight itself. The other sigmas are per
+    GNSS epoch, walks per square root of a second.
+    """
+
+    lag_s: float = 5.0
+    suspicious: float = 3.0
+    hopeless: float = 6.0
+    feedback: bool = False
+    compare: bool = False
+    decide: bool = True
+    robust: str = "none"
+    correlation: float = 3.0
+    slow: float = 0.4
+    learn: bool = True
+    baro_m: float = 1.0
+    baro_walk_m: float = 0.3
+    mag_gauss: float = 0.1
+    airspeed_mps: float = 1.0
+    wind_walk_mps: float = 0.3
+    vision_m: float = 0.2
+    vision_rad: float = 0.02
+    gps_mps: float = 0.4
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be meant.
+
+        Raises
+        ------
+        ConfigError
+            Naming the field, its value and what is allowed.
+        """
+        for name in self.__struct_fields__:
+            value = getattr(self, name)
+            if isinstance(value, float) and not value > 0.0:
+                raise ConfigError(f"monitor.fusion.{name} = {value} is not positive; it must be")
+        if not self.suspicious < self.hopeless:
+            raise ConfigError(
+                f"monitor.fusion.hopeless = {self.hopeless} is not above suspicious = "
+                f"{self.suspicious}; it must be"
+            )
+        if self.robust not in ROBUST:
+            raise ConfigError(
+                f"monitor.fusion.robust = {self.robust!r} is unknown; known: {', '.join(ROBUST)}"
+            )

@@ -1,0 +1,136 @@
+"""What moves in the fusion step, and what it is told of an epoch."""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from analysis.detection.detector_state import Core, Record
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.propagation import PENDING_MAX
+from analysis.detection.values import Value
+from analysis.fusion.factors.sensor_factors import Others
+from analysis.fusion.graph import Graph
+from analysis.fusion.graph_start import Node
+from analysis.fusion.learnt_noise import Learnt
+from analysis.fusion.local_frame import Frame
+from analysis.results import Decision, FusedState, Result
+from analysis.samples.block import ATTITUDE, IMU, TRUTH, ImuRun, Indices, Stamps
+from analysis.samples.sample import ImuSample, Sample, Vector
+from mavproxy_fault.numerics.compile import compiled
+
+NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
+
+
+class Now(Value, frozen=True):
+    """One epoch: the sample that made it, what the detector said, and its state after it."""
+
+    sample: Sample
+    decision: Decision
+    results: Sequence[Result]
+    core: Core
+
+    @property
+    def motion(self) -> Motion | None:
+        """The detector's filter if it is at this epoch."""
+        motion = self.core.motion
+        return motion if motion and motion.t_us == self.decision.t_us else None
+
+    @property
+    def record(self) -> Record | None:
+        """What the detector keeps of this epoch, where it does."""
+        history = self.core.history
+        return history[-1] if history and history[-1].t_us == self.decision.t_us else None
+
+
+class Good(NamedTuple):
+    """What a graph was after its last commit."""
+
+    frame: Frame
+    node: Node
+    covariance: Vector
+    aligned: bool
+
+
+@dataclass(slots=True)
+class FusionState:
+    """What moves; changed in place, as the graph in it must be.
+
+    `imu` and `waiting` are runs and samples for the next epoch.
+    `learnt` is what the flight has shown of its noise. `excluded` and `isolated` are what was left
+    out there, `lost` says that the graph has missed the IMU since it knew its attitude,
+    `suspect_us` since when the IMU has been suspicious. `sky` are the satellites that the slow
+    covariance is of, and when; `notes` are for the next result's reason.
+    """
+
+    imu: deque[ImuRun] = field(default_factory=deque)
+    depth: int = 0  # samples in `imu`
+    waiting: dict[str, Sample] = field(default_factory=dict)
+    graph: Graph | None = None
+    others: Others | None = None
+    learnt: Learnt = field(default_factory=Learnt)
+    good: Good | None = None
+    excluded: frozenset[str] = frozenset()
+    isolated: frozenset[str] = frozenset()
+    lost: bool = False
+    suspect_us: int | None = None
+    sky: tuple[object, ...] = ()
+    notes: list[str] = field(default_factory=list)
+    last: FusedState | None = None
+
+    def hear(self, run: ImuRun) -> None:
+        """Take IMU samples: the graph those from before its newest epoch, the next epoch the rest.
+
+        The oldest are forgotten where there are too many.
+        """
+        if self.graph is not None and _later(run.t_us, self.graph.node.t_us) < len(run.t_us):
+            late = run.t_us <= self.graph.node.t_us
+            for t_us, row in zip(run.t_us[late].tolist(), run.values[late], strict=True):
+                self.graph.hear_late(ImuSample(t_us, row[:3], row[3:]))
+            run = ImuRun(run.t_us[~late], run.values[~late])
+        if len(run.t_us):
+            self.imu.append(run)
+            self.depth += len(run.t_us)
+        while self.depth > PENDING_MAX and len(self.imu) > 1:
+            self.depth -= len(self.imu.popleft().t_us)
+
+    def heard(self, until_us: int) -> ImuRun:
+        """What has come up to a time, put together in order of time."""
+        stamps = np.concatenate([NO_RUN.t_us, *(one.t_us for one in self.imu)])
+        values = np.concatenate([NO_RUN.values, *(one.values for one in self.imu)])
+        stamps, first = np.unique(stamps, return_index=True)
+        end = int(np.searchsorted(stamps, until_us, side="right"))
+        return ImuRun(stamps[:end], values[first[:end]])
+
+    def forget(self, until_us: int) -> None:
+        """Drop what is not later than a time."""
+        runs, self.imu, self.depth = self.imu, deque(), 0
+        for run in runs:
+            count = _later(run.t_us, until_us)
+            if count:
+                later = run.t_us > until_us
+                self.imu.append(ImuRun(run.t_us[later], run.values[later]))
+                self.depth += count
+
+
+@compiled
+def _later(t_us: Stamps, than_us: int) -> int:
+    """How many of the stamps are later than a time."""
+    count = 0
+    for stamp_us in t_us:
+        if stamp_us > than_us:
+            count += 1
+    return count
+
+
+@compiled
+def heeded(kind: Indices, first: int, last: int) -> Indices:
+    """The rows from `first` to `last` that are taken one by one: the IMU's are taken as a whole."""
+    rows, count = np.empty(last + 1 - first, np.int64), 0
+    for row in range(first, last + 1):
+        if kind[row] != IMU and kind[row] != TRUTH and kind[row] != ATTITUDE:
+            rows[count] = row
+            count += 1
+    return rows[:count]

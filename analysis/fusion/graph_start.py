@@ -1,0 +1,175 @@
+"""Where a graph begins: at the detector's filter, or where the last one was good."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.inertial import (
+    BA,
+    BG,
+    CLOCK,
+    DRIFT,
+    PSI,
+    X_BA,
+    X_BG,
+    X_CLOCK,
+    X_DRIFT,
+    X_ISB,
+    X_Q,
+    X_SIZE,
+    R,
+    V,
+)
+from analysis.detection.filter.initial_fix import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
+from analysis.detection.values import Value
+from analysis.fusion.factors.unary_factors import EPOCHS, NO_CLOCK
+from analysis.fusion.local_frame import Frame, frame_at, quaternion
+from analysis.fusion.window import key
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.quaternion import matrix
+
+Clock = tuple[float, float]  # clock in m, drift in m/s
+NO_SPEED = np.zeros(3)
+TINY = 1e-12  # keeps a covariance positive definite
+UNKNOWN_CLOCK = (1e5, 300.0)  # next to nothing beside a range, and no zero to Cholesky
+STILL_RAD = 0.1
+DOUBT = 2.0  # the sigmas of the last good state times this
+
+
+class Node(Value, frozen=True):
+    """An epoch and its estimate in the graph's frame."""
+
+    epoch: int
+    t_us: int
+    pose: Any
+    velocity: Vector
+    bias: Any
+    clock: Clock
+
+
+@dataclass(frozen=True, slots=True)
+class Beginning:
+    """A first node with its covariances: pose (6, 6) turn then shift in body axes, velocity (3, 3)
+    in the frame's, bias (6, 6), and sigmas (2,) of clock and drift.
+
+    `aligned` says that its attitude is known.
+    """
+
+    frame: Frame
+    node: Node
+    pose_p: Vector
+    velocity_p: Vector
+    bias_p: Vector
+    clock_sigma: Vector
+    aligned: bool
+
+    def priors(self) -> list[Any]:
+        """The first node's factors."""
+        gaussian = gtsam.noiseModel.Gaussian.Covariance
+        node, epoch = self.node, self.node.epoch
+        return [
+            gtsam.PriorFactorPose3(
+                key("x", epoch), node.pose, gaussian(self.pose_p + TINY * np.eye(6))
+            ),
+            gtsam.PriorFactorPoint3(
+                key("v", epoch), node.velocity, gaussian(self.velocity_p + TINY * np.eye(3))
+            ),
+            gtsam.PriorFactorConstantBias(
+                key("b", epoch), node.bias, gaussian(self.bias_p + TINY * np.eye(6))
+            ),
+            gtsam.PriorFactorVector(
+                key("c", epoch), NO_CLOCK, gtsam.noiseModel.Diagonal.Sigmas(self.clock_sigma)
+            ),
+        ]
+
+
+@lru_cache(maxsize=EPOCHS)
+def _at_rest(epoch: int) -> Any:
+    """The variables of an epoch at zero; not to be changed."""
+    values = gtsam.Values()
+    values.insert(key("x", epoch), gtsam.Pose3())
+    values.insert(key("v", epoch), NO_SPEED)
+    values.insert(key("b", epoch), gtsam.imuBias.ConstantBias())
+    values.insert(key("c", epoch), NO_CLOCK)
+    return values
+
+
+def first_guess(node: Node) -> Any:
+    """A node as GTSAM's values, its clock at zero: what the graph's is counted from.
+
+    By a step from rest, since the bindings try forty overloads for a bias and take 70 us.
+    """
+    step, epoch = gtsam.VectorValues(), node.epoch
+    step.insert(key("x", epoch), gtsam.Pose3.Logmap(node.pose))
+    step.insert(key("v", epoch), node.velocity)
+    step.insert(key("b", epoch), node.bias.vector())
+    return _at_rest(epoch).retract(step)
+
+
+def at_filter(motion: Motion, correlation: float) -> Beginning:
+    """The detector's filter, its position and clock `correlation` times less sure."""
+    x, p = motion.x, motion.p
+    frame = frame_at(x[R : R + 3])
+    rot = frame.axes @ matrix(x[X_Q : X_Q + 4])
+    to_body = rot.T @ frame.axes
+    both = np.zeros((6, 6))
+    both[:3, :3] = both[3:, 3:] = to_body
+    spots = [*range(PSI, PSI + 3), *range(R, R + 3)]
+    widen = np.diag([1.0] * 3 + [correlation] * 3)
+    pose_p = widen @ both @ p[np.ix_(spots, spots)] @ both.T @ widen
+    if not motion.inertial:  # it tells nothing, and must not wander while nothing else does
+        pose_p[:3, :] = pose_p[:, :3] = 0.0
+        pose_p[:3, :3] = STILL_RAD**2 * np.eye(3)
+    biases = [*range(BA, BA + 3), *range(BG, BG + 3)]
+    node = Node(
+        0,
+        motion.t_us,
+        gtsam.Pose3(gtsam.Rot3(rot), np.zeros(3)),
+        frame.axes @ x[V : V + 3],
+        gtsam.imuBias.ConstantBias(x[X_BA : X_BA + 3], x[X_BG : X_BG + 3]),
+        (float(x[X_CLOCK]), float(x[X_DRIFT])),
+    )
+    return Beginning(
+        frame,
+        node,
+        pose_p,
+        frame.axes @ p[V : V + 3, V : V + 3] @ frame.axes.T,
+        p[np.ix_(biases, biases)],
+        correlation * np.sqrt(p[[CLOCK, DRIFT], [CLOCK, DRIFT]] + 1e-4),
+        motion.inertial,
+    )
+
+
+def at_node(frame: Frame, node: Node, covariance: Vector, aligned: bool) -> Beginning:
+    """The last good node of a graph with the covariance (9, 9) of its pose and velocity."""
+    wide = DOUBT**2 * covariance
+    bias = np.diag([ACCEL_BIAS_SIGMA_MPS2**2] * 3 + [GYRO_BIAS_SIGMA_RPS**2] * 3)
+    first = Node(0, node.t_us, node.pose, node.velocity, node.bias, node.clock)
+    return Beginning(
+        frame, first, wide[:6, :6], wide[6:, 6:], bias, np.array(UNKNOWN_CLOCK), aligned
+    )
+
+
+def attitude_in(frame: Frame, motion: Motion) -> tuple[Any, Vector]:
+    """The filter's attitude in a frame, with its covariance (3, 3) in body axes."""
+    rot = frame.axes @ matrix(motion.x[X_Q : X_Q + 4])
+    to_body = rot.T @ frame.axes
+    p = to_body @ motion.p[PSI : PSI + 3, PSI : PSI + 3] @ to_body.T
+    return gtsam.Rot3(rot), p + TINY * np.eye(3)
+
+
+def navigation_state(frame: Frame, node: Node, isb_m: Vector) -> Vector:
+    """A node as the state x (21,) of the detector's filter."""
+    x = np.zeros(X_SIZE)
+    x[R : R + 3] = frame.ecef(node.pose.translation())
+    x[V : V + 3] = frame.axes.T @ node.velocity
+    x[X_Q : X_Q + 4] = quaternion(frame.axes.T @ node.pose.rotation().matrix())
+    x[X_BG : X_BG + 3] = node.bias.gyroscope()
+    x[X_BA : X_BA + 3] = node.bias.accelerometer()
+    x[X_CLOCK], x[X_DRIFT] = node.clock
+    x[X_ISB:] = isb_m
+    return x

@@ -1,0 +1,101 @@
+"""The local frame of the graph: east, north, up at an anchor, in metres."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from analysis.detection.filter.inertial import gravity_ecef
+from analysis.orbits.broadcast import EARTH_RATE_RPS, geodetic, ned_axes
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled
+
+NANOTESLA_PER_GAUSS = 1e5
+
+
+@dataclass(frozen=True)
+class Frame:
+    """An anchor (3,) in ECEF and rows (3, 3) east, north, up there."""
+
+    anchor_m: Vector
+    axes: Vector
+
+    @cached_property
+    def pose(self) -> Any:
+        """This frame in ECEF as GTSAM takes it."""
+        return gtsam.Pose3(gtsam.Rot3(self.axes.T), self.anchor_m)
+
+    def local(self, r_ecef_m: Vector) -> Vector:
+        """A position (3,) in this frame."""
+        result: Vector = self.axes @ (r_ecef_m - self.anchor_m)
+        return result
+
+    def ecef(self, r_m: Vector) -> Vector:
+        """A position (3,) of this frame in ECEF."""
+        result: Vector = self.anchor_m + self.axes.T @ r_m
+        return result
+
+    def gravity(self, r_m: Vector) -> Vector:
+        """Gravity (3,) at a position of this frame."""
+        result: Vector = self.axes @ gravity_ecef(self.ecef(r_m))
+        return result
+
+    def earth_rate(self) -> Vector:
+        """The earth's rotation (3,) in rad/s."""
+        result: Vector = self.axes[:, 2] * EARTH_RATE_RPS
+        return result
+
+    @cached_property
+    def field_gauss(self) -> Vector:
+        """The magnetic field (3,) at the anchor."""
+        lat, lon, height = geodetic(self.anchor_m)
+        north, east, down = _field_ned_gauss(float(np.degrees(lat)), float(np.degrees(lon)), height)
+        return np.array([east, north, -down])
+
+
+@compiled
+def quaternion(rot: Vector) -> Vector:
+    """A rotation matrix as a unit quaternion (w, x, y, z) with w >= 0.
+
+    By its largest part: four times its square is what the signs make of the diagonal.
+    """
+    best, most = -1, rot[0, 0] + rot[1, 1] + rot[2, 2]
+    for i in range(3):
+        square = 2.0 * rot[i, i] - rot[0, 0] - rot[1, 1] - rot[2, 2]
+        if square > most:
+            best, most = i, square
+    root = 2.0 * math.sqrt(1.0 + most)
+    out = np.empty(4)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        if best == -1:
+            out[0], out[1 + i] = 0.25 * root, (rot[k, j] - rot[j, k]) / root
+        elif best == i:
+            out[0], out[1 + i] = (rot[k, j] - rot[j, k]) / root, 0.25 * root
+        else:
+            out[1 + i] = (rot[best, i] + rot[i, best]) / root
+    if out[0] < 0.0:
+        for i in range(4):
+            out[i] = -out[i]
+    return out
+
+
+def frame_at(r_ecef_m: Vector) -> Frame:
+    """The frame anchored at a position (3,)."""
+    lat, lon, _ = geodetic(r_ecef_m)
+    north, east, down = ned_axes(lat, lon)
+    return Frame(r_ecef_m.copy(), np.array([east, north, -down]))
+
+
+@lru_cache(maxsize=4)
+def _field_ned_gauss(lat_deg: float, lon_deg: float, height_m: float) -> tuple[float, ...]:
+    """World Magnetic Model 2025 at its epoch."""
+    from pygeomag import GeoMag
+
+    found = GeoMag(coefficients_file="wmm/WMM_2025.COF").calculate(
+        glat=lat_deg, glon=lon_deg, alt=height_m / 1000.0, time=2025.0
+    )
+    return tuple(float(value) / NANOTESLA_PER_GAUSS for value in (found.x, found.y, found.z))

@@ -1,0 +1,47 @@
+"""The monitor: MAVLink bytes to results and their summary, whatever they came from."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from analysis.monitor.pipeline import MonitorConfig, Pipeline
+from analysis.results import Result
+from analysis.samples.block import Block
+from analysis.samples.decoder import Decoder
+from analysis.scoring.criteria import Criteria
+from analysis.scoring.summary_tally import Tally
+from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.label import Label
+from mavproxy_fault.wire.parser import Parser
+
+
+class Monitor:
+    """Parser, decoder, pipeline and tally in a row."""
+
+    def __init__(self, config: MonitorConfig) -> None:
+        self._parser = Parser()
+        self._decoder = Decoder()
+        self._pipeline = Pipeline(config)
+        self._tally = Tally()
+
+    @property
+    def t_s(self) -> float:
+        """Seconds from the first sample to the newest, on the vehicle's clock."""
+        return self._tally.span_s
+
+    def bytes(self, chunks: Iterable[bytes], *, datagrams: bool = True) -> list[Result]:
+        """Results of the frames in some chunks; a stream's may be cut anywhere."""
+        items = (item for data in chunks for item in self._parser.push(data, datagram=datagrams))
+        return self.block(self._decoder.decode(i for i in items if isinstance(i, Frame)))
+
+    def block(self, block: Block) -> list[Result]:
+        """Results of samples in order."""
+        found = self._pipeline.judge(block)
+        self._tally.take(block, found)
+        return [result for _, result in found]
+
+    def summary(
+        self, labels: Sequence[Label] | None, criteria: Criteria, wall_s: float
+    ) -> dict[str, Any]:
+        """The content of `summary.json`; without labels no alarm can be called false."""
+        attitude = self._pipeline.attitude(labels or ())
+        return self._tally.summary(labels, attitude, criteria, wall_s)

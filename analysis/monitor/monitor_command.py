@@ -1,0 +1,162 @@
+"""`monitor`: detection, fusion and scores on a live link, a log, or RINEX files."""
+
+import argparse
+import contextlib
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+
+from analysis.monitor.monitor import Monitor
+from analysis.monitor.pipeline import MonitorConfig
+from analysis.monitor.publish import Publisher
+from analysis.monitor.watch import Watch
+from analysis.results import Result
+from analysis.run.run_folder import ResultFile, make_folder, write_summary
+from analysis.run.stop import Stop, stop_requests
+from analysis.run.terminal import print_summary
+from analysis.samples.block import Block
+from analysis.samples.intake import Intake
+from analysis.samples.recordings import read_log, read_rinex
+from analysis.scoring.criteria import Criteria
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.bus import open_run_bus
+from mavproxy_fault.links.spec import open_link
+from mavproxy_fault.wire.label import Label, read_labels
+
+EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
+
+Take = Callable[[list[Result]], None]
+
+
+def main(args: argparse.Namespace) -> int:
+    """Watch until the source ends, the time is over or Ctrl-C; the exit code of the verdict."""
+    config, criteria = settings(args.scenario, args.sigma)
+    if args.calibrate is not None:
+        return calibrate_to(Path(args.calibrate), args, config)
+    if args.link is None:
+        read_known(args.labels)  # a wrong name is told before the work, not after
+    folder = make_folder(args.out, "monitor") if args.out else None
+    monitor = Monitor(config)
+    started_s = time.monotonic()
+    with contextlib.ExitStack() as stack:
+        bus = stack.enter_context(open_run_bus(args.zenoh, "live", "monitor"))
+        publisher = Publisher(bus) if bus else None
+        file = stack.enter_context(ResultFile(folder)) if folder else None
+        watch = stack.enter_context(Watch()) if args.watch else None
+
+        def take(results: list[Result]) -> None:
+            if file is not None:
+                file.write(results)
+            if publisher is not None:
+                publisher.publish(results)
+            if watch is not None:
+                watch.show(results)
+
+        _feed(args, monitor, take, stack.enter_context(stop_requests()))
+    labels = read_known(args.labels)
+    if labels is None:  # nothing tells what was done, so no fault can have been missed
+        criteria = msgspec.structs.replace(criteria, must_detect=(), must_isolate=())
+    summary = monitor.summary(labels, criteria, time.monotonic() - started_s)
+    if folder is not None:
+        write_summary(folder, summary)
+        _report(args, folder, labels or [], summary)
+    print_summary(summary, folder)
+    return EXIT_CODES[summary["verdict"]]
+
+
+def settings(scenario: str | None, sigma: str | None) -> tuple[MonitorConfig, Criteria]:
+    """The monitor's part of a scenario, or the defaults; with another noise model where given."""
+    config, criteria = MonitorConfig(), Criteria()
+    if scenario is not None:
+        from analysis.run.setup import read_setup
+
+        setup = read_setup(scenario)
+        config, criteria = setup.monitor, setup.criteria
+    if sigma is not None:
+        from analysis.detection.calibrate import read_sigma
+
+        detector = replace(config.detector, sigma=read_sigma(Path(sigma)))
+        config = msgspec.structs.replace(config, detector=detector)
+    return config, criteria
+
+
+def calibrate_to(path: Path, args: argparse.Namespace, config: MonitorConfig) -> int:
+    """Fit the noise model of pseudoranges to a clean recording and write it."""
+    if args.link is not None:
+        raise ConfigError("--calibrate: a link cannot be read twice; give --log or --rinex")
+    from analysis.detection.calibrate import calibrate, write_sigma  # loads scipy's optimisers
+
+    samples = [sample for block in blocks_of(args) for sample in block.samples()]
+    found = calibrate(samples, config.detector)
+    write_sigma(path, found)
+    print(
+        f"{path}: from {found.epochs} epochs, chi-square per degree of freedom "
+        f"{found.chi_square_per_dof:.2f}; use it with --sigma {path}"
+    )
+    return 0
+
+
+def read_known(path: str | None) -> list[Label] | None:
+    """The labels of a file, None without one. On a link the proxy writes them meanwhile.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such file.
+    """
+    if path is None:
+        return None
+    if not Path(path).is_file():
+        raise ConfigError(f"--labels {path}: there is no such file; give a labels.jsonl")
+    return read_labels(Path(path))
+
+
+def _feed(args: argparse.Namespace, monitor: Monitor, take: Take, stop: Stop) -> None:
+    if args.link is not None:
+        watch_link(args.link, monitor, take, args.for_s, stop)
+        return
+    for block in blocks_of(args):
+        take(monitor.block(block))
+        if stop():
+            return
+
+
+def blocks_of(args: argparse.Namespace) -> Iterator[Block]:
+    """The samples of the recording that was given."""
+    if args.log is not None:
+        yield from read_log(args.log)
+    else:
+        obs, nav = (Path(path) for path in args.rinex)
+        yield read_rinex(obs, nav, Path(args.imu) if args.imu else None)
+
+
+def watch_link(spec: str, monitor: Monitor, take: Take, for_s: float | None, stop: Stop) -> None:
+    """Feed the monitor from a link, until `for_s` seconds of the vehicle's time have passed."""
+    link = open_link(spec)
+    with Intake(link) as intake:
+        print(f"watching {link.name}", file=sys.stderr, flush=True)
+        while not stop() and (for_s is None or monitor.t_s < for_s):
+            take(monitor.bytes(intake.take(), datagrams=link.datagrams))
+    if intake.drops:
+        print(f"{intake.drops} chunks came too fast and were not seen", file=sys.stderr)
+
+
+def _report(
+    args: argparse.Namespace, folder: Path, labels: Sequence[Label], summary: dict[str, object]
+) -> None:
+    from analysis.report.run_report import write
+    from analysis.results import read_results
+    from mavproxy_fault.wire.tlog import read_columns
+
+    write(
+        folder,
+        summary=summary,
+        labels=labels,
+        results=read_results(folder / "results.jsonl"),
+        columns=read_columns(args.log) if args.log else {},
+        title=Path(args.log).name if args.log else folder.name,
+    )

@@ -1,0 +1,131 @@
+"""Samples to results: the only place where the steps are strung together, live and offline alike.
+
+A step is a frozen set of parameters with `new_state()` and `step(samples, state)`, which gives back
+results and the next state; samples come in blocks of any length, one or a whole log.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from operator import itemgetter
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec.structs import force_setattr
+
+from analysis.detection import DetectorConfig
+from analysis.detection.sensors.sensor_tests import References
+from analysis.fusion.fusion_config import FusionConfig
+from analysis.results import Result
+from analysis.samples.block import EPHEMERIS, Block, Piece, block_of, pieces
+from analysis.samples.sample import Sample
+from analysis.scoring.attitude_scores import with_repeaters_last
+from analysis.scoring.attitude_scoring import AUTOPILOTS, AttitudeConfig, AttitudeScorer
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.wire.label import Label
+
+WITHOUT_ISOLATION = "fused without isolation"
+
+
+class MonitorConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """The detector with the checks of other sensors, attitude scores, and fusion where wanted."""
+
+    detector: DetectorConfig = msgspec.field(default_factory=DetectorConfig)
+    attitude: AttitudeConfig = AttitudeConfig()
+    fusion: FusionConfig | None = None
+
+
+def monitor_config(values: Mapping[str, Any] | None, where: str) -> MonitorConfig:
+    """The `monitor` section of a scenario: the detector's keys, and mappings `attitude` and
+    `fusion` (which switches it on).
+
+    Raises
+    ------
+    ConfigError
+        For a name or value that is not allowed.
+    """
+    detector = dict(values or {})
+    attitude = detector.pop("attitude", {})
+    fusion = detector.pop("fusion", None)
+    try:
+        return MonitorConfig(
+            detector=DetectorConfig.from_mapping(detector),
+            attitude=msgspec.convert(attitude, AttitudeConfig),
+            fusion=None if fusion is None else _fusion_config(fusion),
+        )
+    except (ConfigError, msgspec.ValidationError) as error:
+        raise ConfigError(f"{where}: {error}") from error
+
+
+def _fusion_config(values: Any) -> FusionConfig:
+    if isinstance(values, dict):
+        known = FusionConfig.__struct_fields__
+        for name in values:
+            if name not in known:
+                raise ConfigError(f"monitor.fusion.{name} is unknown; known: {', '.join(known)}")
+    return msgspec.convert(values, FusionConfig)
+
+
+class Pipeline:
+    """The steps and their states; times in results count from the first stamped sample."""
+
+    def __init__(self, config: MonitorConfig) -> None:
+        self._attitude = AttitudeScorer(config.attitude)
+        self._attitude_state = self._attitude.new_state()
+        self._detector = References(config.detector)
+        self._detector_state = self._detector.new_state()
+        self._fusions: list[Any] = []
+        self._feed_back: Any = None
+        if config.fusion is not None:
+            from analysis.fusion.feedback import fed_back  # GTSAM takes its time to load
+            from analysis.fusion.smoother import Fusion
+
+            self._fusions.append(Fusion(config.fusion, config.detector))
+            if config.fusion.compare:
+                believing = msgspec.structs.replace(config.fusion, decide=False)
+                self._fusions.append(Fusion(believing, config.detector, WITHOUT_ISOLATION))
+            self._feed_back = fed_back if config.fusion.feedback else None
+        self._fusion_states = [fusion.new_state() for fusion in self._fusions]
+        self._t0_us: int | None = None
+
+    def push(self, samples: Sample | Block) -> list[Result]:
+        """What a block of samples, or a single one, leads to."""
+        block = samples if isinstance(samples, Block) else block_of(samples)
+        return [result for _, result in self.judge(block)]
+
+    def judge(self, block: Block) -> list[tuple[int, Result]]:
+        """The same with the row of the block that led to each."""
+        if self._t0_us is None:
+            stamped = np.flatnonzero(block.kind < EPHEMERIS)
+            self._t0_us = int(block.t_us[stamped[0]]) if len(stamped) else None
+        if self._fusions:
+            found = [(piece.last, said) for piece in pieces(block) for said in self._fused(piece)]
+        else:
+            found, self._detector_state = self._detector.judge(block, self._detector_state)
+        found += self._attitude.score(block, self._attitude_state)
+        found.sort(key=itemgetter(0))
+        base_us = self._t0_us or 0
+        for _, result in found:  # they are this step's own, nobody has seen them yet
+            force_setattr(result, "t_s", (result.t_us - base_us) / 1e6)
+        return found
+
+    def _fused(self, piece: Piece) -> list[Result]:
+        """Results with the fused states; with feedback the detector goes on from those."""
+        results, self._detector_state = self._detector.take(piece, self._detector_state)
+        detector = self._detector_state.detector
+        said: list[Result] = []
+        for i, fusion in enumerate(self._fusions):
+            fused, self._fusion_states[i] = fusion.take(
+                piece, results, detector.core, self._fusion_states[i]
+            )
+            said += fused
+        if said and self._feed_back is not None:
+            core = self._feed_back(detector.core, self._fusion_states[0].graph)
+            detector = detector._replace(core=core)
+            self._detector_state = replace(self._detector_state, detector=detector)
+        return [*results, *said]
+
+    def attitude(self, labels: Sequence[Label] = ()) -> dict[str, Any]:
+        """Scores by estimator; an autopilot that only repeats the truth is called so, and last."""
+        scores = self._attitude.summary(self._attitude_state, labels)
+        return with_repeaters_last(scores, AUTOPILOTS)

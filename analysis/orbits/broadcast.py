@@ -1,0 +1,298 @@
+"""Broadcast orbits and clocks of GPS, Galileo, GLONASS and BeiDou, and the atmosphere's delays.
+
+Positions and velocities follow the algorithm of the interface documents [1]_ [2]_ with the
+velocity in closed form; the ionosphere is Klobuchar's model [1]_, the troposphere Saastamoinen's
+zenith delay [3]_ in the standard atmosphere with the mapping of Black and Eisner [4]_.
+
+References
+----------
+.. [1] IS-GPS-200N, 20.3.3.3.3 (clock), 20.3.3.4.3 (orbit), 20.3.3.5.2.5 (ionosphere).
+.. [2] Galileo OS SIS ICD 2.1, sections 5.1.1 and 5.1.4; BDS-SIS-ICD-B1I 3.0, sections 5.2.4.9 to
+   5.2.4.12. GLONASS: `glonass`.
+.. [3] J. Saastamoinen, Bulletin Geodesique 107, 1973.
+.. [4] H. D. Black and A. Eisner, J. Geophys. Res. 89 (D2), 1984.
+"""
+
+import math
+
+import numpy as np
+
+from analysis.orbits.glonass import carry
+from analysis.samples.sample import StateVector, Vector
+from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
+
+SYSTEMS = "GERC"  # a satellite's first letter; each but the first has a clock offset of its own
+LIGHT_MPS = 299_792_458.0
+MU_GPS = 3.986005e14  # m^3/s^2, IS-GPS-200N
+MU_GALILEO = 3.986004418e14  # m^3/s^2, Galileo OS SIS ICD
+EARTH_RATE_RPS = 7.2921151467e-5  # both documents
+EARTH_RATE_BEIDOU_RPS = 7.2921150e-5  # CGCS2000; its mu is Galileo's
+BEIDOU_BEHIND_S = 14.0  # BeiDou's time against GPS's
+GEOSTATIONARY = (*range(1, 6), *range(59, 64))  # BeiDou's, by number
+L1_HZ = 1575.42e6  # GPS L1 and Galileo E1
+B1I_HZ = 1561.098e6
+B3I_HZ = 1268.52e6  # BeiDou's clocks are given for it: no group delay
+WEEK_S = 604_800.0
+WGS84_A_M = 6_378_137.0
+WGS84_E2 = 6.69437999014e-3
+
+# Klobuchar's coefficients of a quiet to moderate day, for when none are broadcast.
+TYPICAL_ALPHA = (1.118e-8, 7.451e-9, -5.96e-8, -5.96e-8)
+TYPICAL_BETA = (9.011e4, 0.0, -1.966e5, -6.554e4)
+
+_ORBIT_FIELDS = ("sqrt_a", "eccentricity", "i0_rad", "omega0_rad", "omega_rad", "m0_rad")
+_RATE_FIELDS = ("delta_n_rps", "omega_dot_rps", "idot_rps")
+_WAVE_FIELDS = ("crs_m", "crc_m", "cus_rad", "cuc_rad", "cis_rad", "cic_rad")
+_CLOCK_FIELDS = ("toe_s", "toc_s", "af0_s", "af1", "af2_per_s")
+_FIELDS = (*_CLOCK_FIELDS, *_ORBIT_FIELDS, *_RATE_FIELDS, *_WAVE_FIELDS, "group_delay_s")
+PACKED = 4 + len(_FIELDS)
+
+
+def pack_ephemeris(ephemeris: Ephemeris | StateVector) -> Vector:
+    """The numbers of one ephemeris (25,): mu, week, `_FIELDS` in their order, the kind of orbit (0
+    elements, 1 those of a geostationary satellite, 2 a state vector in place of the elements), and
+    the ionosphere's delay over that of L1."""
+    if isinstance(ephemeris, StateVector):
+        clock = ephemeris.toe_s, ephemeris.toe_s, ephemeris.af0_s, ephemeris.af1, 0.0
+        orbit = *ephemeris.r_m, *ephemeris.v_mps, *ephemeris.a_mps2
+        rest = PACKED - 4 - len(clock) - len(orbit)
+        return np.array([0.0, ephemeris.week, *clock, *orbit, *[0.0] * rest, 2.0, 1.0])
+    values = {name: float(getattr(ephemeris, name)) for name in _FIELDS}
+    beidou = ephemeris.satellite[0] == "C"
+    still = beidou and int(ephemeris.satellite[1:]) in GEOSTATIONARY
+    if beidou:  # its own rate of the earth and time of week, in terms of GPS's
+        own_s = (ephemeris.toe_s - BEIDOU_BEHIND_S) % WEEK_S
+        values["omega0_rad"] += EARTH_RATE_RPS * ephemeris.toe_s - EARTH_RATE_BEIDOU_RPS * own_s
+        values["omega_dot_rps"] += 0.0 if still else EARTH_RATE_RPS - EARTH_RATE_BEIDOU_RPS
+    mu = MU_GPS if ephemeris.satellite[0] == "G" else MU_GALILEO
+    return np.array([mu, float(ephemeris.week), *values.values(), float(still), 1.0])
+
+
+def packed_for(packed: Vector, carrier_hz: float) -> Vector:
+    """An ephemeris (25,) for ranges on another carrier than L1: its ionosphere and group delay."""
+    packed = packed.copy()
+    packed[-1] = (L1_HZ / carrier_hz) ** 2
+    if carrier_hz == B3I_HZ:
+        packed[2 + _FIELDS.index("group_delay_s")] = 0.0
+    return packed
+
+
+@compiled
+def satellite_states(packed: Vector, week: float, tow_s: float, pseudorange_m: Vector) -> Vector:
+    """Satellites when they sent what is received now.
+
+    Parameters
+    ----------
+    packed : (n, 25), rows of `pack_ephemeris`
+    week, tow_s : GPS time of reception by the receiver's clock
+    pseudorange_m : (n,)
+
+    Returns
+    -------
+    (n, 9) : position (3) in m and velocity (3) in m/s, ECEF at the time of transmission; clock
+        offset in m (relativity and group delay included) and its rate in m/s; the ionosphere's
+        delay over that of L1.
+    """
+    out = np.empty((packed.shape[0], 9))
+    for i in range(packed.shape[0]):
+        since_toc = (
+            (week - packed[i, 1]) * 604800.0 + tow_s - pseudorange_m[i] / 299792458.0 - packed[i, 3]
+        )
+        clock = packed[i, 4] + packed[i, 5] * since_toc + packed[i, 6] * since_toc * since_toc
+        since_toc -= clock
+        clock = packed[i, 4] + packed[i, 5] * since_toc + packed[i, 6] * since_toc * since_toc
+        relativity = 0.0
+        if packed[i, 23] == 2.0:
+            carry(packed[i, 7:16], since_toc, out[i])
+        else:
+            relativity = _orbit(packed, i, since_toc + packed[i, 3] - packed[i, 2], out)
+        out[i, 6] = 299792458.0 * (clock - packed[i, 22] + relativity)
+        out[i, 7] = 299792458.0 * (packed[i, 5] + 2.0 * packed[i, 6] * since_toc)
+        out[i, 8] = packed[i, 24]
+    return out
+
+
+@compiled
+def _orbit(packed: Vector, i: int, t_k: float, out: Vector) -> float:
+    """Fill row i with position and velocity `t_k` s after toe; the relativistic clock term."""
+    mu, e, sqrt_a = packed[i, 0], packed[i, 8], packed[i, 7]
+    a = sqrt_a * sqrt_a
+    n = math.sqrt(mu / (a * a * a)) + packed[i, 13]
+    mean = packed[i, 12] + n * t_k
+    ecc, step, sin_e, cos_e = mean + e * math.sin(mean), 0.0, 0.0, 1.0
+    for _ in range(12):
+        sin_e, cos_e = math.sin(ecc), math.cos(ecc)
+        step = (ecc - e * sin_e - mean) / (1.0 - e * cos_e)
+        ecc -= step
+        if abs(step) < 1e-8:  # the rest is below the last digit
+            break
+    sin_e, cos_e = sin_e - step * cos_e, cos_e + step * sin_e
+    ecc_rate = n / (1.0 - e * cos_e)
+    root = math.sqrt(1.0 - e * e)
+    phi = math.atan2(root * sin_e, cos_e - e) + packed[i, 11]
+    phi_rate = root * ecc_rate / (1.0 - e * cos_e)
+    s2, c2 = math.sin(2.0 * phi), math.cos(2.0 * phi)
+    u = phi + packed[i, 18] * s2 + packed[i, 19] * c2
+    u_rate = phi_rate * (1.0 + 2.0 * (packed[i, 18] * c2 - packed[i, 19] * s2))
+    r = a * (1.0 - e * cos_e) + packed[i, 16] * s2 + packed[i, 17] * c2
+    r_rate = a * e * sin_e * ecc_rate + 2.0 * phi_rate * (packed[i, 16] * c2 - packed[i, 17] * s2)
+    inc = packed[i, 9] + packed[i, 15] * t_k + packed[i, 20] * s2 + packed[i, 21] * c2
+    inc_rate = packed[i, 15] + 2.0 * phi_rate * (packed[i, 20] * c2 - packed[i, 21] * s2)
+    node_rate = packed[i, 14] - (0.0 if packed[i, 23] == 1.0 else 7.2921151467e-5)
+    node = packed[i, 10] + node_rate * t_k - 7.2921151467e-5 * packed[i, 2]
+    x, y = r * math.cos(u), r * math.sin(u)
+    x_rate = r_rate * math.cos(u) - y * u_rate
+    y_rate = r_rate * math.sin(u) + x * u_rate
+    so, co, si, ci = math.sin(node), math.cos(node), math.sin(inc), math.cos(inc)
+    out[i, 0] = x * co - y * ci * so
+    out[i, 1] = x * so + y * ci * co
+    out[i, 2] = y * si
+    out[i, 3] = x_rate * co - y_rate * ci * so + y * si * so * inc_rate - out[i, 1] * node_rate
+    out[i, 4] = x_rate * so + y_rate * ci * co - y * si * co * inc_rate + out[i, 0] * node_rate
+    out[i, 5] = y_rate * si + y * ci * inc_rate
+    if packed[i, 23] == 1.0:
+        _turn_still(t_k, out[i])
+    relativity: float = -2.0 * math.sqrt(mu) / (299792458.0 * 299792458.0) * e * sqrt_a * sin_e
+    return relativity
+
+
+@compiled
+def _turn_still(t_k: float, out: Vector) -> None:
+    """Turn a geostationary satellite's position and velocity to ECEF, in place: its elements are
+    given in axes that do not turn with the earth, tilted by 5 degrees [2]_."""
+    rate, tilt = 7.2921150e-5, -5.0 * math.pi / 180.0
+    s, c, st, ct = math.sin(rate * t_k), math.cos(rate * t_k), math.sin(tilt), math.cos(tilt)
+    for at in (0, 3):
+        x, y, z = out[at], ct * out[at + 1] + st * out[at + 2], ct * out[at + 2] - st * out[at + 1]
+        out[at], out[at + 1], out[at + 2] = c * x + s * y, c * y - s * x, z
+    out[3] += rate * out[1]
+    out[4] -= rate * out[0]
+
+
+@compiled
+def geodetic(r_ecef_m: Vector) -> tuple[float, float, float]:
+    """Latitude and longitude in rad and ellipsoidal height in m (WGS 84, by iteration)."""
+    x, y, z = r_ecef_m[0], r_ecef_m[1], r_ecef_m[2]
+    p = math.sqrt(x * x + y * y)
+    lat = math.atan2(z, p * (1.0 - 6.69437999014e-3))
+    height = 0.0
+    for _ in range(5):
+        s = math.sin(lat)
+        n = 6378137.0 / math.sqrt(1.0 - 6.69437999014e-3 * s * s)
+        height = p * math.cos(lat) + z * s - n * (1.0 - 6.69437999014e-3 * s * s)
+        lat = math.atan2(z, p * (1.0 - 6.69437999014e-3 * n / (n + height)))
+    return lat, math.atan2(y, x), height
+
+
+@compiled
+def ned_axes(lat_rad: float, lon_rad: float) -> Vector:
+    """Rows (3, 3): north, east and down in ECEF."""
+    sl, cl = math.sin(lat_rad), math.cos(lat_rad)
+    so, co = math.sin(lon_rad), math.cos(lon_rad)
+    out = np.zeros((3, 3))
+    out[0, 0], out[0, 1], out[0, 2] = -sl * co, -sl * so, cl
+    out[1, 0], out[1, 1] = -so, co
+    out[2, 0], out[2, 1], out[2, 2] = -cl * co, -cl * so, -sl
+    return out
+
+
+@compiled
+def klobuchar_m(
+    lat_rad: float, lon_rad: float, az_rad: float, el_rad: float, tow_s: float, coefficients: Vector
+) -> float:
+    """Delay of L1 by the ionosphere; `coefficients` (8,) are alpha, then beta."""
+    el = el_rad / math.pi
+    psi = 0.0137 / (el + 0.11) - 0.022
+    lat = lat_rad / math.pi + psi * math.cos(az_rad)
+    lat = min(max(lat, -0.416), 0.416)
+    lon = lon_rad / math.pi + psi * math.sin(az_rad) / math.cos(lat * math.pi)
+    lat_m = lat + 0.064 * math.cos((lon - 1.617) * math.pi)
+    local_s = (4.32e4 * lon + tow_s) % 86400.0
+    slant = 1.0 + 16.0 * (0.53 - el) ** 3
+    amplitude, period, power = 0.0, 0.0, 1.0
+    for i in range(4):
+        amplitude += coefficients[i] * power
+        period += coefficients[4 + i] * power
+        power *= lat_m
+    x = 2.0 * math.pi * (local_s - 50400.0) / max(period, 72000.0)
+    delay = 5e-9
+    if abs(x) < 1.57:
+        delay += max(amplitude, 0.0) * (1.0 - x * x / 2.0 + x * x * x * x / 24.0)
+    metres: float = 299792458.0 * slant * delay
+    return metres
+
+
+@compiled
+def zenith_delay_m(lat_rad: float, height_m: float) -> float:
+    """The troposphere's delay in the zenith in the standard atmosphere at 50 % humidity."""
+    if height_m < -1000.0 or height_m > 20000.0:
+        return 0.0
+    h = max(height_m, 0.0)
+    pressure = 1013.25 * (1.0 - 2.2557e-5 * h) ** 5.2568  # hPa
+    kelvin = 288.15 - 6.5e-3 * h
+    vapour = 6.108 * 0.5 * math.exp((17.15 * kelvin - 4684.0) / (kelvin - 38.45))
+    dry = 0.0022768 * pressure / (1.0 - 0.00266 * math.cos(2.0 * lat_rad) - 0.00028e-3 * h)
+    wet = 0.002277 * (1255.0 / kelvin + 0.05) * vapour
+    zenith: float = dry + wet
+    return zenith
+
+
+@compiled
+def troposphere_m(zenith_m: float, el_rad: float) -> float:
+    """Slant delay of a delay in the zenith [4]_."""
+    slant: float = zenith_m * 1.001 / math.sqrt(0.002001 + math.sin(el_rad) ** 2)
+    return slant
+
+
+@compiled
+def predict_ranges(
+    states: Vector, r_ecef_m: Vector, v_ecef_mps: Vector, tow_s: float, ionosphere: Vector
+) -> Vector:
+    """What a receiver with a perfect clock would measure.
+
+    Parameters
+    ----------
+    states : (n, 9), of `satellite_states`
+    r_ecef_m, v_ecef_mps : (3,), the receiver
+    tow_s : seconds of the GPS week
+    ionosphere : (8,), Klobuchar's coefficients
+
+    Returns
+    -------
+    (n, 7) : pseudorange in m and its rate in m/s, unit vector to the satellite (3) in ECEF at the
+        time of reception, elevation and azimuth in rad.
+    """
+    out = np.empty((states.shape[0], 7))
+    lat, lon, height = geodetic(r_ecef_m)
+    axes, zenith = ned_axes(lat, lon), zenith_delay_m(lat, height)
+    d, u = np.empty(3), np.empty(3)
+    for i in range(states.shape[0]):
+        s, c, rho = 0.0, 1.0, 0.0
+        for _ in range(2):  # the earth turns while the signal travels, by 5e-6 rad
+            d[0] = c * states[i, 0] + s * states[i, 1] - r_ecef_m[0]
+            d[1] = -s * states[i, 0] + c * states[i, 1] - r_ecef_m[1]
+            d[2] = states[i, 2] - r_ecef_m[2]
+            rho = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+            s = 7.2921151467e-5 * rho / 299792458.0
+            c = 1.0 - 0.5 * s * s
+        vx = c * states[i, 3] + s * states[i, 4] - v_ecef_mps[0]
+        vy = -s * states[i, 3] + c * states[i, 4] - v_ecef_mps[1]
+        vz = states[i, 5] - v_ecef_mps[2]
+        for k in range(3):
+            u[k] = d[k] / rho
+            out[i, 2 + k] = u[k]
+        north = axes[0, 0] * u[0] + axes[0, 1] * u[1] + axes[0, 2] * u[2]
+        east = axes[1, 0] * u[0] + axes[1, 1] * u[1] + axes[1, 2] * u[2]
+        down = axes[2, 0] * u[0] + axes[2, 1] * u[1] + axes[2, 2] * u[2]
+        el = math.asin(min(max(-down, -1.0), 1.0))
+        az = math.atan2(east, north)
+        delay = 0.0
+        if el > 0.0:
+            delay = troposphere_m(zenith, el)
+            delay += states[i, 8] * klobuchar_m(lat, lon, az, el, tow_s, ionosphere)
+        out[i, 0] = rho - states[i, 6] + delay
+        out[i, 1] = u[0] * vx + u[1] * vy + u[2] * vz - states[i, 7]
+        out[i, 5] = el
+        out[i, 6] = az
+    return out

@@ -1,0 +1,76 @@
+"""GLONASS orbits: a broadcast state vector carried on by Runge-Kutta, and UTC's leap seconds.
+
+The frame is PZ-90.11, which agrees with WGS 84 to centimetres [1]_. GLONASS keeps UTC; stamps here
+are GPS time.
+
+References
+----------
+.. [1] GLONASS ICD, edition 5.1, 2008, sections 3.3.3, 4.4 and appendix 3.1.2; PZ-90.11, 2014.
+.. [2] IERS Bulletin C.
+"""
+
+from bisect import bisect_right
+from datetime import date
+
+import numpy as np
+
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled
+
+CENTRE_HZ, CHANNEL_HZ = 1602.0e6, 0.5625e6  # L1 of channel 0, and from one channel to the next
+STEP_S = 60.0
+
+# Days on which UTC fell a second further behind GPS time, which began on 6 January 1980.
+_LEAPS = tuple(
+    date(year, month, 1)
+    for year, month in (
+        *((1981, 7), (1982, 7), (1983, 7), (1985, 7), (1988, 1), (1990, 1), (1991, 1), (1992, 7)),
+        *((1993, 7), (1994, 7), (1996, 1), (1997, 7), (1999, 1), (2006, 1), (2009, 1), (2012, 7)),
+        *((2015, 7), (2017, 1)),
+    )
+)
+
+
+def leap_seconds(day: date) -> int:
+    """How far GPS time is ahead of UTC on a day."""
+    return bisect_right(_LEAPS, day)
+
+
+@compiled
+def _accelerated(s: Vector, a: Vector, out: Vector) -> None:
+    """The derivative (6,) of position and velocity s (6,) in the turning frame, into `out`."""
+    mu, j2, radius, rate = 3.9860044e14, 1.0826257e-3, 6378136.0, 7.292115e-5
+    square = s[0] * s[0] + s[1] * s[1] + s[2] * s[2]
+    pull = mu / (square * np.sqrt(square))
+    bulge = 1.5 * j2 * pull * radius * radius / square
+    tilt = 5.0 * s[2] * s[2] / square
+    for i in range(3):
+        out[i] = s[3 + i]
+    level = rate * rate - pull - bulge * (1.0 - tilt)
+    out[3] = level * s[0] + 2.0 * rate * s[4] + a[0]
+    out[4] = level * s[1] - 2.0 * rate * s[3] + a[1]
+    out[5] = -(pull + bulge * (3.0 - tilt)) * s[2] + a[2]
+
+
+@compiled
+def carry(vector: Vector, t_s: float, out: Vector) -> None:
+    """Fill position and velocity (6,) `t_s` seconds after the vector (9,): r, v, a."""
+    steps = int(np.ceil(abs(t_s) / STEP_S))
+    for i in range(6):
+        out[i] = vector[i]
+    if steps == 0:
+        return
+    dt = t_s / steps
+    k, trial, total = np.empty(6), np.empty(6), np.empty(6)
+    for _ in range(steps):
+        for i in range(6):
+            trial[i], total[i] = out[i], 0.0
+        for stage in range(4):
+            _accelerated(trial, vector[6:9], k)
+            share = 2.0 if stage == 1 or stage == 2 else 1.0
+            reach = dt if stage == 2 else 0.5 * dt
+            for i in range(6):
+                total[i] += share * k[i]
+                trial[i] = out[i] + reach * k[i]
+        for i in range(6):
+            out[i] += dt / 6.0 * total[i]

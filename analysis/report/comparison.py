@@ -1,0 +1,96 @@
+"""Two or more flights side by side: their curves in one plot, checks and parameters in a table."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from analysis.report.judging.checks import NONE, Check
+from analysis.report.judging.flight_verdict import Outcome
+from analysis.report.page.page_file import Table
+from analysis.report.page.panels import CHECKS
+from analysis.report.recordings.recording import Recording, Signal
+
+ROWS_SHOWN = 300
+
+
+def overlaid(outcome: Outcome, others: Sequence[Outcome]) -> Recording:
+    """The recording with the curves of the others on its axis, take-off at take-off.
+
+    Flights are laid over each other where they were first armed, or, if one does not say, where
+    they begin.
+    """
+    recording = outcome.flight.recording
+    signals = list(recording.signals)
+    notes = list(recording.notes)
+    tracks = list(recording.tracks)
+    panels = {signal.panel for signal in recording.signals}
+    for other in others:
+        theirs = other.flight.recording
+        shift_s, why = _shift(recording, theirs)
+        name = theirs.name
+        signals += [
+            Signal(s.panel, f"{s.name} · {name}", s.t_s + shift_s, s.value)
+            for s in theirs.signals
+            if s.panel in panels
+        ]
+        tracks += [
+            replace(t, name=f"{t.name} · {name}", t_s=t.t_s + shift_s) for t in theirs.tracks
+        ]
+        notes.append(f"compared with {name}, moved by {shift_s:+.2f} s ({why})")
+    return replace(recording, signals=signals, tracks=tracks, notes=notes)
+
+
+def _shift(one: Recording, other: Recording) -> tuple[float, str]:
+    armed = [
+        min(
+            (s.start_s for s in r.spans if s.lane.startswith("armed") and s.text == "armed"),
+            default=None,
+        )
+        for r in (one, other)
+    ]
+    if armed[0] is not None and armed[1] is not None:
+        return armed[0] - armed[1], "armed at the same time"
+    return 0.0, "begun at the same time"
+
+
+def comparison_tables(outcome: Outcome, others: Sequence[Outcome]) -> list[tuple[str, Table]]:
+    """Verdicts of every check and the parameters that differ."""
+    every = [outcome, *others]
+    names = [one.flight.recording.name for one in every]
+    tables = [(CHECKS, _checks(every, names))]
+    histories = [one.flight.recording.parameters for one in every]
+    if all(histories):
+        keys = sorted(set().union(*histories))
+        rows = []
+        for key in keys:
+            values = [_last(history.get(key)) for history in histories]
+            if len(set(values)) > 1:
+                rows.append((key, *values))
+        note = f"{len(rows)} of {len(keys)} parameters differ."
+        if len(rows) > ROWS_SHOWN:
+            note += f" The first {ROWS_SHOWN} are shown."
+        table = Table(
+            "Parameters that differ", ("parameter", *names), rows[:ROWS_SHOWN], note, True
+        )
+        tables.append(("Parameters", table))
+    return tables
+
+
+def _last(history: list[tuple[float, float]] | None) -> str:
+    return "not in the log" if not history else f"{history[-1][1]:.7g}"
+
+
+def _checks(every: Sequence[Outcome], names: Sequence[str]) -> Table:
+    by_name: list[dict[str, Check]] = [{check.name: check for check in one.checks} for one in every]
+    rows = []
+    for name in dict.fromkeys(name for checks in by_name for name in checks):
+        found = [checks.get(name) for checks in by_name]
+        if all(check is None or check.verdict == NONE for check in found):
+            continue
+        cells: list[str | tuple[str, str]] = [
+            ("–", "NONE")
+            if check is None
+            else (f"{check.verdict}: {check.evidence}", check.verdict)
+            for check in found
+        ]
+        rows.append((name, *cells))
+    return Table("Checks side by side", ("check", *names), rows)

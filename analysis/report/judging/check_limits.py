@@ -1,0 +1,65 @@
+"""The limits of the checks; each can be set in a criteria file (YAML, `--criteria`).
+
+Sources: vibration, compass interference and board voltage from ArduPilot's log-analysis pages
+("Diagnosing problems using Logs", "Measuring Vibration", "Compass interference"); EKF variance from
+its FS_EKF_THRESH default; PX4's vibration metric and the jamming indicator from PX4's pages on
+Flight Review (jamming: about 40 is good, 80 too much); attitude control lies around 30 deg, where
+ArduPilot's crash check begins to count; innovation ratios from MAVLink's ESTIMATOR_STATUS (1 is
+where a measurement is refused). The others are judgement, set so that an uneventful flight passes.
+"""
+
+from pathlib import Path
+
+import msgspec
+import yaml
+
+from mavproxy_fault.documents.errors import ConfigError
+
+
+class Thresholds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Two limits each: beyond the first is a warning, beyond the second a failure.
+
+    `hold_s` is how long a value must stay beyond a limit to count.
+    """
+
+    broken_bytes_percent: tuple[float, float] = (0.5, 10.0)
+    frames_lost_percent: tuple[float, float] = (2.0, 20.0)
+    silence_s: tuple[float, float] = (3.0, 15.0)
+    vibration_ardupilot_mps2: tuple[float, float] = (30.0, 60.0)
+    vibration_px4_mps2: tuple[float, float] = (4.905, 9.81)
+    clipping_count: tuple[float, float] = (10.0, 100.0)
+    gps_fix_type: tuple[float, float] = (3.0, 2.0)
+    gps_satellites: tuple[float, float] = (6.0, 4.0)
+    gps_dilution: tuple[float, float] = (2.5, 5.0)
+    gps_step_m: tuple[float, float] = (10.0, 30.0)
+    gps_jamming: tuple[float, float] = (50.0, 80.0)
+    innovation_ratio: tuple[float, float] = (0.5, 1.0)
+    ekf_variance: tuple[float, float] = (0.5, 0.8)
+    compass_change_percent: tuple[float, float] = (35.0, 60.0)
+    battery_remaining_percent: tuple[float, float] = (20.0, 10.0)
+    board_voltage_v: tuple[float, float] = (4.5, 4.3)
+    attitude_control_deg: tuple[float, float] = (25.0, 45.0)
+    attitude_error_deg: tuple[float, float] = (5.0, 15.0)
+    position_error_m: tuple[float, float] = (10.0, 30.0)
+    estimate_step_m: tuple[float, float] = (10.0, 30.0)
+    hold_s: float = 1.0
+
+
+def read_thresholds(path: str | None) -> Thresholds:
+    """The thresholds of a file, or the defaults.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing, no YAML, or names something unknown.
+    """
+    if path is None:
+        return Thresholds()
+    try:
+        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        return msgspec.convert(content or {}, Thresholds)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; give a YAML file of thresholds") from error
+    except (yaml.YAMLError, msgspec.ValidationError) as error:
+        allowed = ", ".join(Thresholds.__struct_fields__)
+        raise ConfigError(f"{path}: {error}; known thresholds: {allowed}") from error

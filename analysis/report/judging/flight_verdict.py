@@ -1,0 +1,153 @@
+"""A flight judged: its checks, its verdict and every number of the report as one summary."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from analysis.report.judging.check_limits import Thresholds
+from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, Check, verdict_of
+from analysis.report.judging.flight_checks import flight_checks
+from analysis.report.judging.reaction import ECHO_S, reactions
+from analysis.report.page.panels import BY_KEY
+from analysis.report.recordings.derived_curves import with_derived
+from analysis.report.recordings.recording import Recording, Span
+from analysis.report.recordings.sources import Flight
+
+# Checks that hold the autopilot's own alarms: where a fault was injected they ought to speak.
+ALARMS = {
+    "GPS fix", "GPS satellites", "GPS dilution of precision", "GPS jumps", "GPS jamming indicator",
+    "innovation test ratios", "EKF variances", "compass field strength", "vibration",
+    "accelerometer clipping", "messages of the autopilot", "flags of the autopilot",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """A flight with its derived curves, its checks, their verdict and the summary."""
+
+    flight: Flight
+    checks: list[Check]
+    verdict: str
+    summary: dict[str, Any]
+
+
+def judged(flight: Flight, thresholds: Thresholds) -> Outcome:
+    """Derive what follows from the recording, check it, and sum up."""
+    recording = with_derived(flight.recording)
+    checks = [_expected(check, recording) for check in flight_checks(recording, thresholds)]
+    checks += [_criterion(row) for row in flight.summary.get("criteria", ())]
+    recording = replace(recording, spans=recording.spans + _found(checks))
+    flight = replace(flight, recording=recording)
+    verdict = verdict_of(checks)
+    return Outcome(flight, checks, verdict, _summary(flight, checks, verdict))
+
+
+def _expected(check: Check, recording: Recording) -> Check:
+    """An alarm raised while a fault was injected, and only then, is as it should be."""
+    injected = [span for span in recording.spans if span.kind == "injected"]
+    if check.name not in ALARMS or check.verdict not in (WARN, FAIL) or not injected:
+        return check
+    inside = all(
+        any(s.start_s - 1 <= start and end <= s.end_s + ECHO_S for s in injected)
+        for start, end in check.windows
+    )
+    if not inside:
+        return check
+    evidence = f"{check.evidence}; only while a fault was injected, as it should be"
+    return msgspec.structs.replace(check, verdict=PASS, evidence=evidence)
+
+
+def _criterion(row: Mapping[str, Any]) -> Check:
+    words = {True: PASS, False: FAIL, None: NONE}
+    return Check(
+        name=f"criterion: {row['name']}",
+        verdict=words[row["passed"]],
+        evidence="no value" if row["value"] is None else str(row["value"]),
+        limit=str(row["limit"]),
+    )
+
+
+def _found(checks: Sequence[Check]) -> list[Span]:
+    """Windows of the checks that did not pass; what the autopilot said has lanes of its own."""
+    return [
+        Span(f"found: {check.name}", start, end, check.evidence, check.verdict.lower())
+        for check in checks
+        if check.verdict in (WARN, FAIL) and not check.name.endswith("of the autopilot")
+        for start, end in check.windows
+    ]
+
+
+def _summary(flight: Flight, checks: Sequence[Check], verdict: str) -> dict[str, Any]:
+    recording, run = flight.recording, flight.summary
+    position = [s for s in recording.of("position-error") if s.name in ("fused", "estimate")]
+    position_rmse_m = _rms(position[0].value) if position else None
+    return {
+        "verdict": verdict,
+        "files": [str(path) for path in flight.paths],
+        "autopilot": recording.autopilot,
+        "sim_s": run.get("sim_s", round(recording.duration_s, 3)),
+        "wall_s": run.get("wall_s"),
+        "epochs": run.get("epochs", 0),
+        "false_alarms": run.get("false_alarms"),
+        "untestable_epochs": run.get("untestable_epochs", 0),
+        "attitude_rmse_deg": run.get("attitude_rmse_deg", _attitude_rmse(recording)),
+        "position_rmse_m": run.get("position_rmse_m", position_rmse_m),
+        "faults": run.get("faults") or reactions(flight.labels, recording),
+        "checks": [msgspec.structs.asdict(check) for check in checks],
+        "signals": _numbers(recording),
+        "links": [
+            {
+                "log": link.log, "system": link.system, "component": link.component,
+                "frames": link.frames, "lost": link.lost, "longest_gap_s": link.longest_gap_s,
+            }
+            for link in recording.links
+        ],
+        "spans": [
+            {"lane": s.lane, "start_s": s.start_s, "end_s": s.end_s, "text": s.text}
+            for s in recording.spans
+        ],
+        "events": [
+            {"t_s": round(e.t_s, 3), "kind": e.kind, "text": e.text, "severity": e.severity}
+            for e in recording.events
+        ],
+        "parameters": {name: values[-1][1] for name, values in recording.parameters.items()},
+        "notes": recording.notes,
+        "size": recording.size,
+        "junk_bytes": recording.junk_bytes,
+    }  # fmt: skip
+
+
+def _rms(values: np.typing.NDArray[np.float64]) -> float | None:
+    good = values[np.isfinite(values)]
+    return round(float(np.sqrt(np.mean(good**2))), 4) if len(good) else None
+
+
+def _attitude_rmse(recording: Recording) -> dict[str, float] | None:
+    """RMSE of the autopilot's attitude where the log holds the truth."""
+    found = {}
+    for part in ("roll", "pitch", "yaw"):
+        own = [s for s in recording.of(f"error-{part}") if s.name == "autopilot"]
+        value = _rms(own[0].value) if own else None
+        if value is not None:
+            found[part] = value
+    return {**found, "max": max(found.values())} if len(found) == 3 else None
+
+
+def _numbers(recording: Recording) -> dict[str, dict[str, dict[str, float | int | str]]]:
+    """Peaks and percentiles of every curve."""
+    found: dict[str, dict[str, dict[str, float | int | str]]] = {}
+    for signal in recording.signals:
+        good = signal.value[np.isfinite(signal.value)]
+        if len(good) == 0:
+            continue
+        low, first, middle, last, high = np.percentile(good, (0, 1, 50, 99, 100)).tolist()
+        found.setdefault(signal.panel, {})[signal.name] = {
+            "unit": BY_KEY[signal.panel].unit,
+            "samples": len(good),
+            "min": low, "p1": first, "median": middle, "p99": last, "max": high,
+            "start_s": float(signal.t_s[0]), "end_s": float(signal.t_s[-1]),
+        }  # fmt: skip
+    return found

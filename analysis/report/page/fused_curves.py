@@ -1,0 +1,46 @@
+"""The fused solution against the truth: error curves with the band of three of its own sigmas."""
+
+import numpy as np
+
+from analysis.report.recordings.recording import Recording, Signal, Track, Vector
+
+EARTH_RADIUS_M = 6_371_000.0
+AXES = ("north", "east", "down")
+FUSED = "fused"  # tracks of fused solutions begin with this
+BAND = 3.0
+
+
+def fused_errors(recording: Recording) -> list[Signal]:
+    """Errors of every fused track along each axis, and the band of the fused one."""
+    sigmas = {signal.name: signal for signal in recording.of("fused-sigma")}
+    truth = next((track for track in recording.tracks if track.name == "truth"), None)
+    tracks = [track for track in recording.tracks if track.name.startswith(FUSED)]
+    if truth is None or not tracks:
+        return []
+    found = []
+    errors = [(track.name, *error_ned_m(track, truth)) for track in tracks]
+    for i, axis in enumerate(AXES):
+        panel = f"fused-{axis}"
+        found += [Signal(panel, name, t_s, error[:, i]) for name, t_s, error in errors]
+        if axis in sigmas:
+            t_s, value = sigmas[axis].t_s, BAND * sigmas[axis].value
+            found.append(Signal(panel, "+3 sigma", t_s, value))
+            found.append(Signal(panel, "-3 sigma", t_s, -value))
+    return found
+
+
+def error_ned_m(track: Track, truth: Track) -> tuple[Vector, Vector]:
+    """Times (n,) within the truth's and track minus truth (n, 3) north, east, down there."""
+    inside = (track.t_s >= truth.t_s[0]) & (track.t_s <= truth.t_s[-1])
+    t_s = track.t_s[inside]
+    lat, lon, alt = (
+        own[inside] - np.interp(t_s, truth.t_s, true)
+        for own, true in (
+            (track.lat_deg, truth.lat_deg),
+            (track.lon_deg, truth.lon_deg),
+            (track.alt_m, truth.alt_m),
+        )
+    )
+    north = np.radians(lat) * EARTH_RADIUS_M
+    east = np.radians(lon) * EARTH_RADIUS_M * np.cos(np.radians(track.lat_deg[inside]))
+    return t_s, np.column_stack((north, east, -alt))

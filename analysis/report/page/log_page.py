@@ -1,0 +1,84 @@
+"""The page of a log: its verdict and checks, what was injected, and everything the log holds."""
+
+from collections.abc import Sequence
+
+from analysis.report.judging.checks import FAIL, PASS, WARN, Check
+from analysis.report.judging.flight_verdict import Outcome
+from analysis.report.page.fused_table import fused_table
+from analysis.report.page.page_file import SENSOR_LIMIT, Limit, Page, Table
+from analysis.report.page.panels import CHECKS, DETECTION, FUSION, LINK, TIMELINE
+from analysis.report.page.report_tables import (
+    checks_tables,
+    facts,
+    links_table,
+    matrix_table,
+    parameters_table,
+    reaction_table,
+    reasons,
+    run_tables,
+)
+
+AUTOPILOTS = {"px4": "PX4", "ardupilot": "ArduPilot"}
+NEEDS_RESULTS = {"flight", "GNSS epochs", "epochs untestable", "false alarms"}
+DIRECT = {
+    "vibration", "gps-satellites", "gps-fix", "gps-dilution", "gps-jump", "ratio", "variance",
+    "estimate-jump", "battery-remaining", "board-voltage", "position-error",
+}  # fmt: skip
+
+
+def log_page(outcome: Outcome, tables: Sequence[tuple[str, Table]]) -> Page:
+    """The page of a log: its checks, the reactions to what was injected, links and parameters."""
+    flight, recording = outcome.flight, outcome.flight.recording
+    summary = outcome.summary
+    every = run_tables({"faults": summary["faults"], "attitude": flight.summary.get("attitude")})
+    every += [(CHECKS, table) for table in checks_tables(outcome.checks)]
+    reaction = reaction_table(summary["faults"])
+    if reaction is not None:
+        every.append((TIMELINE, reaction))
+    matrix = matrix_table(flight.labels, flight.results)
+    if matrix is not None:
+        every.append((DETECTION, matrix))
+    fused = fused_table(recording)
+    if fused is not None:
+        every.append((FUSION, fused))
+    every += tables
+    if recording.links:
+        every.append((LINK, links_table(recording)))
+    if recording.parameters:
+        every += [("Parameters", table) for table in parameters_table(recording)]
+    shown = [("flight", f"{recording.duration_s:.0f} s"), *_counts(outcome.checks)]
+    if recording.autopilot:
+        shown.append(("autopilot", AUTOPILOTS[recording.autopilot]))
+    shown += _run_facts(outcome)
+    return Page(
+        recording.name,
+        outcome.verdict,
+        shown,
+        every,
+        {**SENSOR_LIMIT, **panel_limits(outcome.checks)},
+        reasons(outcome.checks),
+    )
+
+
+def _counts(checks: Sequence[Check]) -> list[tuple[str, str]]:
+    words = ((PASS, "checks passed"), (WARN, "warnings"), (FAIL, "checks failed"))
+    counts = [(text, sum(check.verdict == word for check in checks)) for word, text in words]
+    return [(text, str(count)) for text, count in counts]
+
+
+def _run_facts(outcome: Outcome) -> list[tuple[str, str]]:
+    """What a run's summary adds; counts of epochs only where there was a detector."""
+    mute = {"flight"} if outcome.flight.results else NEEDS_RESULTS
+    return [fact for fact in facts(outcome.summary) if fact[0] not in mute]
+
+
+def panel_limits(checks: Sequence[Check]) -> dict[str, list[Limit]]:
+    """Lines for the limits of each check on the plot that shows the very value it judges."""
+    return {
+        check.panel: [
+            Limit(check.levels[0], "warn", "warn"),
+            Limit(check.levels[1], "fail", "fail"),
+        ]
+        for check in checks
+        if check.levels is not None and check.panel in DIRECT
+    }

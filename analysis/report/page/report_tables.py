@@ -1,0 +1,214 @@
+"""The tables of a report."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from analysis.report.judging.checks import FAIL, NONE, PASS, RANK, WARN, Check
+from analysis.report.page.page_file import Table
+from analysis.report.page.panels import ATTITUDE, CHECKS, TIMELINE
+from analysis.report.recordings.from_results import isolation_matrix
+from analysis.report.recordings.recording import Recording
+from analysis.results import Result
+from mavproxy_fault.wire.label import Label
+
+REASONS = 6  # shown under the verdict
+
+
+def facts(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    facts = []
+    attitude = summary.get("attitude_rmse_deg")
+    rows = summary.get("faults") or []
+    hours = (summary.get("sim_s") or 0) / 3600
+    false_alarms = summary.get("false_alarms")
+    if rows:
+        seen = sum(bool(row["detected"]) for row in rows)
+        facts.append(("faults detected", f"{seen} of {len(rows)}"))
+        delays = [row["delay_s"] for row in rows if row["delay_s"] is not None]
+        if delays:
+            facts.append(("longest detection delay", f"{max(delays):.2f} s"))
+    if false_alarms is not None:
+        facts.append(("false alarms", str(false_alarms)))
+        if hours > 0:
+            facts.append(("false alarms per hour", f"{false_alarms / hours:.1f}"))
+    if summary.get("epochs") is not None:
+        facts.append(("GNSS epochs", str(summary["epochs"])))
+    if summary.get("untestable_epochs") is not None:
+        facts.append(("epochs untestable", str(summary["untestable_epochs"])))
+    if attitude:
+        facts.append(("attitude RMSE, worst axis", f"{attitude['max']:.2f}°"))
+    if summary.get("position_rmse_m") is not None:
+        facts.append(("position RMSE", f"{summary['position_rmse_m']:.2f} m"))
+    if summary.get("sim_s"):
+        facts.append(("flight", f"{summary['sim_s']:.0f} s"))
+    return facts
+
+
+def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
+    tables = []
+    rows = summary.get("faults") or []
+    if rows:
+        head = ("fault", "target", "from, s", "to, s", "frames", "delay, s", "blamed", "verdict")
+        cells = [
+            (
+                str(row["id"]),
+                str(row["target"]),
+                _short(row["start_s"]),
+                _short(row["end_s"]),
+                str(row["frames"]),
+                _short(row["delay_s"]),
+                ", ".join(row["isolated"]),
+                (str(row["verdict"]), str(row["verdict"])),
+            )
+            for row in rows
+        ]
+        tables.append((TIMELINE, Table("Injected against detected", head, cells)))
+    checks = summary.get("criteria") or []
+    if checks:
+        words = {True: "PASS", False: "FAIL", None: "not judged"}
+        cells_ = [
+            (
+                str(check["name"]),
+                _plain(check["value"]),
+                _plain(check["limit"]),
+                (words[check["passed"]], words[check["passed"]]),
+            )
+            for check in checks
+        ]
+        head_ = ("criterion", "found", "limit", "verdict")
+        tables.append((CHECKS, Table("Criteria", head_, cells_)))
+    return tables + attitude_tables(summary)
+
+
+def attitude_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
+    """Scores of each attitude estimator: the whole, by phase of flight and by fault."""
+    return [
+        (ATTITUDE, _attitude_table(name, scores))
+        for name, scores in (summary.get("attitude") or {}).items()
+    ]
+
+
+def _attitude_table(name: str, scores: Mapping[str, Any]) -> Table:
+    parts = [("whole flight", scores), ("without faults", scores.get("nominal", {}))]
+    parts += [(f"phase: {phase}", part) for phase, part in scores.get("phases", {}).items()]
+    parts += [(f"fault: {fault}", part) for fault, part in scores.get("faults", {}).items()]
+    rows = [
+        (
+            label,
+            str(part["samples"]),
+            *(f"{part['rmse_deg'][axis]:.2f}" for axis in ("roll", "pitch", "yaw", "angle")),
+            f"{part['angle_percentiles_deg']['95']:.2f}",
+            f"{part['max_deg']['angle']:.2f}",
+        )
+        for label, part in parts
+        if part.get("samples")
+    ]
+    head = ("", "samples", "roll", "pitch", "yaw", "turn", "turn, 95th percentile", "turn, most")
+    note = "Root mean squares in degrees; the turn is the angle between estimate and truth."
+    return Table(f"Attitude errors of {name}", head, rows, note)
+
+
+def criteria_reasons(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The criteria of a run that were not met."""
+    return [
+        (FAIL, f"{row['name']}: {_plain(row['value'])}, limit {_plain(row['limit'])}")
+        for row in summary.get("criteria") or ()
+        if row["passed"] is False
+    ]
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "" if value is None else str(value)
+
+
+def _short(value: float | None) -> str:
+    return "" if value is None else f"{value:.2f}"
+
+
+def matrix_table(labels: Sequence[Label], results: Sequence[Result]) -> Table | None:
+    """Decisions by what really acted, shaded by share of the row."""
+    heads, counts = isolation_matrix(labels, results)
+    if not heads:
+        return None
+    rows = [(name, *(str(count) if count else "" for count in row)) for name, row in counts.items()]
+    note = "GNSS epochs by what acted (rows) and what the detector said or excluded (columns)."
+    return Table("Isolation matrix", ("acted", *heads), rows, note, style="matrix")
+
+
+def checks_tables(checks: Sequence[Check]) -> list[Table]:
+    """What did not pass, then what did and what had no data, folded."""
+    head = ("verdict", "check", "found", "limit", "when")
+    rows: dict[str, list[Sequence[str | tuple[str, str]]]] = {}
+    for check in sorted(checks, key=lambda check: -RANK[check.verdict]):
+        group = check.verdict if check.verdict in (PASS, NONE) else ""
+        cells = ((check.verdict, check.verdict), check.name, check.evidence, check.limit)
+        rows.setdefault(group, []).append((*cells, _when(check)))
+    titles = {"": "Did not pass", PASS: "Passed ({})", NONE: "Not judged ({})"}
+    return [
+        Table(titles[group].format(len(some)), head, some, folded=group != "")
+        for group, some in rows.items()
+    ]
+
+
+def reasons(checks: Sequence[Check]) -> list[tuple[str, str]]:
+    """The checks that led to a verdict other than PASS, the worst first."""
+    bad = [check for check in checks if check.verdict in (WARN, FAIL)]
+    bad.sort(key=lambda check: -RANK[check.verdict])
+    lines = [(check.verdict, f"{check.name}: {check.evidence}") for check in bad[:REASONS]]
+    if len(bad) > REASONS:
+        lines.append((bad[REASONS].verdict, f"and {len(bad) - REASONS} more, see Checks"))
+    return lines
+
+
+def _when(check: Check) -> str:
+    shown = ", ".join(f"{start:.1f}–{end:.1f} s" for start, end in check.windows[:3])
+    return shown + (f" and {len(check.windows) - 3} more" if len(check.windows) > 3 else "")
+
+
+def reaction_table(faults: Sequence[Mapping[str, Any]]) -> Table | None:
+    """What the autopilot said to each fault; None where that was not looked at."""
+    rows = [
+        (str(fault["id"]), f"{said['t_s']:.2f}", f"{said['after_s']:.2f}", str(said["text"]))
+        for fault in faults
+        for said in fault.get("reaction", ())
+    ]
+    if not any("reaction" in fault for fault in faults):
+        return None
+    head = ("fault", "t, s", "after, s", "what it said or did")
+    return Table("The autopilot's reaction to what was injected", head, rows[:60])
+
+
+def links_table(recording: Recording) -> Table:
+    """Frames and losses of each sender."""
+    rows = [
+        (
+            link.log,
+            f"{link.system}/{link.component}",
+            str(link.frames),
+            str(link.lost),
+            f"{100 * link.lost / (link.frames + link.lost):.2f}",
+            f"{link.longest_gap_s:.2f}",
+        )
+        for link in recording.links
+    ]
+    head = ("log", "sender", "frames", "missing", "%", "longest silence, s")
+    note = "Missing frames are counted by gaps in each sender's sequence numbers (modulo 256)."
+    return Table("Senders", head, rows, note)
+
+
+def parameters_table(recording: Recording) -> list[Table]:
+    """Parameters that changed, then all of them, folded."""
+    changed = [
+        (name, f"{t_s:.2f}", f"{before:.7g}", f"{value:.7g}")
+        for name, history in recording.parameters.items()
+        for (_, before), (t_s, value) in itertools.pairwise(history)
+    ]
+    every = [(name, f"{h[-1][1]:.7g}") for name, h in sorted(recording.parameters.items())]
+    title = f"All parameters ({len(every)})"
+    tables = [Table(title, ("parameter", "value"), every, folded=True)]
+    if changed:
+        head = ("parameter", "t, s", "before", "after")
+        tables.insert(0, Table("Parameters changed", head, changed[:200]))
+    return tables

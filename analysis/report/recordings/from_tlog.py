@@ -1,0 +1,261 @@
+"""MAVLink columns (one or more logs of one flight) to a `Recording`."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.report.recordings.curves import CURVES
+from analysis.report.recordings.link_quality import link_quality
+from analysis.report.recordings.log_clock import Clock, clock_of
+from analysis.report.recordings.mode_names import (
+    ARDUPILOT,
+    EKF_ARDUPILOT_GLITCH,
+    ESTIMATOR_FLAGS,
+    PX4,
+    STATES,
+    mode_name,
+)
+from analysis.report.recordings.recording import Event, Recording, Signal, Span, Track, runs
+from mavproxy_fault.wire.tlog import Columns
+
+GROUND_STATION = 6  # MAV_TYPE_GCS
+ARMED = 0x80
+TRUTH = "HIL_STATE_QUATERNION"
+TURNING_RPS = 0.05  # a gyroscope that spans more than this has turned
+TRACKS = (
+    ("HIL_STATE_QUATERNION", "truth", 1e-3),
+    ("HIL_GPS", "HIL_GPS", 1e-3),
+    ("GPS_RAW_INT", "GPS", 1e-3),
+    ("GLOBAL_POSITION_INT", "estimate", 1e-3),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Vehicle:
+    """One vehicle's rows and what its signals are called when there are several."""
+
+    system: int
+    columns: Columns
+    clock: Clock
+    suffix: str
+    autopilot: int
+    type: int
+
+
+def merged(logs: Sequence[Columns]) -> Columns:
+    """The columns of several logs of one flight as those of one log, in order of their stamps."""
+    if len(logs) == 1:
+        return logs[0]
+    names = dict.fromkeys(name for columns in logs for name in columns)
+    together = {}
+    for name in names:
+        rows = np.concatenate([columns[name] for columns in logs if name in columns])
+        together[name] = rows[np.argsort(rows["t_us"], kind="stable")]
+    return together
+
+
+def recording_of(
+    columns: Columns,
+    *,
+    name: str = "",
+    t0_us: int | None = None,
+    links: Mapping[str, NDArray[np.void]] | None = None,
+) -> Recording:
+    """Everything of the vehicles in a log that a report shows.
+
+    Parameters
+    ----------
+    columns : dict of structured arrays
+        As `mavproxy_fault.wire.tlog.read_columns` gives them (several logs: `merged`).
+    t0_us : int, optional
+        The vehicle's time that is zero on the axis (a label's `t0_us`); the start by default.
+    links : dict of structured arrays, optional
+        By log name how its frames came (`link.stretches`).
+    """
+    systems = vehicle_systems(columns)
+    found = Recording(name)
+    vehicles = []
+    for system in systems or [0]:
+        own = {key: rows[rows["system"] == system] for key, rows in columns.items()}
+        own = {key: rows for key, rows in own.items() if len(rows)} if systems else columns
+        own, said = _without_placeholder(own)
+        clock, notes = clock_of(own, system, t0_us)
+        notes += said
+        found.notes.extend(notes)
+        suffix = f" (system {system})" if len(systems) > 1 else ""
+        vehicles.append(_Vehicle(system, own, clock, suffix, *_kind(own)))
+    for vehicle in vehicles:
+        _add_vehicle(found, vehicle)
+    quality, losses = link_quality(links or {}, vehicles[0].clock)
+    found.links.extend(quality)
+    found.signals.extend(losses)
+    autopilot = {PX4: "px4", ARDUPILOT: "ardupilot"}.get(vehicles[0].autopilot, "")
+    ends = [signal.t_s[-1] for signal in found.signals if len(signal.t_s)]
+    found.events.sort(key=lambda event: event.t_s)
+    return Recording(
+        name, autopilot, int(vehicles[0].clock.t0_us), max(ends, default=0.0),
+        found.signals, found.spans, found.events, found.tracks, found.links, found.parameters,
+        found.notes, tuple(systems),
+    )  # fmt: skip
+
+
+def _without_placeholder(columns: Columns) -> tuple[Columns, list[str]]:
+    """The columns without a truth that never changes, as a simulator sends that has none."""
+    rows = columns.get(TRUTH)
+    if rows is None or len(rows) < 2 or "HIL_SENSOR" not in columns:
+        return columns, []
+    same = all(
+        np.all(rows[name] == rows[name][0]) for name in ("attitude_quaternion", "lat", "alt")
+    )
+    turning = np.ptp(columns["HIL_SENSOR"]["xgyro"]) > TURNING_RPS
+    if not (same and turning):
+        return columns, []
+    kept = {name: rows for name, rows in columns.items() if name != TRUTH}
+    return kept, [f"{TRUTH} never changes while the gyroscopes turn: it is not taken as the truth"]
+
+
+def vehicle_systems(columns: Columns) -> list[int]:
+    """System ids of vehicles: senders of curves, not ground stations."""
+    systems: set[int] = set()
+    for message in {message for message, *_ in CURVES} & columns.keys():
+        systems.update(np.unique(columns[message]["system"]).tolist())
+    if "HEARTBEAT" in columns:
+        beats = columns["HEARTBEAT"]
+        stations = set(np.unique(beats["system"][beats["type"] == GROUND_STATION]).tolist())
+        flying = set(np.unique(beats["system"][beats["type"] != GROUND_STATION]).tolist())
+        systems -= stations - flying
+        radios = {s for s in systems if s not in flying}
+        systems -= radios if flying & systems else set()
+    return sorted(systems)
+
+
+def _kind(columns: Columns) -> tuple[int, int]:
+    """Autopilot and vehicle type by the autopilot's own heartbeats; zeros if there are none."""
+    beats = columns.get("HEARTBEAT")
+    if beats is None:
+        return 0, 0
+    beats = beats[(beats["type"] != GROUND_STATION) & (beats["autopilot"] != 8)]
+    return (int(beats["autopilot"][-1]), int(beats["type"][-1])) if len(beats) else (0, 0)
+
+
+def _add_vehicle(found: Recording, vehicle: _Vehicle) -> None:
+    for message, panel, label, values in CURVES:
+        rows = vehicle.columns.get(message)
+        if rows is not None and len(rows):
+            t_s, y = _in_order(vehicle.clock.seconds(rows), values(rows))
+            if np.isfinite(y).any():
+                found.signals.append(Signal(panel, label + vehicle.suffix, t_s, y))
+    _add_tracks(found, vehicle)
+    _add_modes(found, vehicle)
+    _add_flags(found, vehicle)
+    _add_texts(found, vehicle)
+    _add_parameters(found, vehicle)
+
+
+def _in_order(
+    t_s: NDArray[np.float64], *values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], ...]:
+    if np.all(np.diff(t_s) >= 0):
+        return (t_s, *values)
+    order = np.argsort(t_s, kind="stable")
+    return (t_s[order], *(value[order] for value in values))
+
+
+def _add_tracks(found: Recording, vehicle: _Vehicle) -> None:
+    for message, label, scale in TRACKS:
+        rows = vehicle.columns.get(message)
+        if rows is None:
+            continue
+        rows = rows[(rows["lat"] != 0) | (rows["lon"] != 0)]
+        if len(rows) < 2:
+            continue
+        lat, lon = rows["lat"] * 1e-7, rows["lon"] * 1e-7
+        columns = _in_order(vehicle.clock.seconds(rows), lat, lon, rows["alt"] * scale)
+        found.tracks.append(Track(label + vehicle.suffix, *columns))
+
+
+def _add_modes(found: Recording, vehicle: _Vehicle) -> None:
+    beats = vehicle.columns.get("HEARTBEAT")
+    if beats is None:
+        return
+    beats = beats[(beats["type"] != GROUND_STATION) & (beats["autopilot"] != 8)]
+    if len(beats) == 0:
+        return
+    t_s = vehicle.clock.seconds(beats)
+    names = [
+        mode_name(vehicle.autopilot, vehicle.type, mode) for mode in beats["custom_mode"].tolist()
+    ]
+    armed = ["armed" if mode & ARMED else "disarmed" for mode in beats["base_mode"].tolist()]
+    states = [STATES.get(state, "") for state in beats["system_status"].tolist()]
+    for lane, values, kind in (("mode", names, "mode"), ("armed", armed, "mode")):
+        found.spans.extend(_stretches(lane + vehicle.suffix, t_s, values, kind))
+    found.spans.extend(_stretches("system status" + vehicle.suffix, t_s, states, "fail"))
+    for i in range(1, len(beats)):
+        if names[i] != names[i - 1]:
+            found.events.append(Event(float(t_s[i]), "mode", f"mode {names[i]}{vehicle.suffix}"))
+        if armed[i] != armed[i - 1]:
+            found.events.append(Event(float(t_s[i]), "mode", armed[i] + vehicle.suffix))
+
+
+def _stretches(lane: str, t_s: NDArray[np.float64], values: list[str], kind: str) -> list[Span]:
+    """One span per stretch of equal, non-empty values."""
+    spans: list[Span] = []
+    begin = 0
+    for i in range(1, len(values) + 1):
+        if i == len(values) or values[i] != values[begin]:
+            end = float(t_s[min(i, len(values) - 1)])
+            if values[begin]:
+                spans.append(Span(lane, float(t_s[begin]), end, values[begin], kind))
+            begin = i
+    return spans
+
+
+def _add_flags(found: Recording, vehicle: _Vehicle) -> None:
+    """Estimator flags that mean trouble, as spans and events."""
+    tables = (
+        ("ESTIMATOR_STATUS", ESTIMATOR_FLAGS),
+        ("EKF_STATUS_REPORT", {EKF_ARDUPILOT_GLITCH: "GPS glitch"}),
+    )
+    for message, bits in tables:
+        rows = vehicle.columns.get(message)
+        if rows is None:
+            continue
+        t_s, flags = _in_order(vehicle.clock.seconds(rows), rows["flags"].astype(float))
+        for bit, text in bits.items():
+            raised = flags.astype(np.int64) >> bit & 1 == 1
+            for begin, end in runs(raised):
+                stop = float(t_s[min(end, len(t_s) - 1)])
+                lane = f"estimator: {text}{vehicle.suffix}"
+                found.spans.append(Span(lane, float(t_s[begin]), stop, text, "flag"))
+                found.events.append(Event(float(t_s[begin]), "flag", f"{lane} raised", 4))
+                if end < len(t_s):
+                    found.events.append(Event(stop, "flag", f"{lane} cleared", 5))
+
+
+def _add_texts(found: Recording, vehicle: _Vehicle) -> None:
+    rows = vehicle.columns.get("STATUSTEXT")
+    if rows is None:
+        return
+    t_s = vehicle.clock.at(rows["t_us"])
+    for i, row in enumerate(rows):
+        text = bytes(row["text"]).split(b"\0", 1)[0].decode("utf-8", "replace").strip()
+        found.events.append(
+            Event(float(t_s[i]), "text", text + vehicle.suffix, int(row["severity"]))
+        )
+
+
+def _add_parameters(found: Recording, vehicle: _Vehicle) -> None:
+    rows = vehicle.columns.get("PARAM_VALUE")
+    if rows is None:
+        return
+    t_s = vehicle.clock.at(rows["t_us"])
+    for i, row in enumerate(rows):
+        name = bytes(row["param_id"]).split(b"\0", 1)[0].decode("ascii", "replace")
+        value = float(row["param_value"])
+        if vehicle.autopilot == PX4 and row["param_type"] == 6:  # the bytes of an int32
+            value = float(row["param_value"].view(np.int32))
+        history = found.parameters.setdefault(name + vehicle.suffix, [])
+        if not history or history[-1][1] != value:
+            history.append((float(t_s[i]), value))

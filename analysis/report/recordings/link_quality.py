@@ -1,0 +1,89 @@
+"""How well a link did: frames missing by each sender's sequence numbers (modulo 256), silences."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.report.recordings.log_clock import Clock
+from analysis.report.recordings.recording import LinkQuality, Signal
+
+MOST_STRETCHES, LEAST_FRAMES = 200, 20  # of a sender in a block of a log; of a stretch
+FEWEST = 100  # frames of a sender for a curve of its losses
+
+STRETCHES = np.dtype(
+    [("sender", "<i4"), ("t_us", "<i8"), ("frames", "<i8"), ("lost", "<i8"), ("gap_us", "<i8")]
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Sender:
+    """The last frame of a sender so far."""
+
+    seq: int
+    t_us: int
+
+
+def stretches(frames: NDArray[np.void], last: dict[int, Sender]) -> NDArray[np.void]:
+    """Sum up the frames of a log, or of a block of it, in short stretches of each sender.
+
+    Parameters
+    ----------
+    frames : structured array
+        As `mavproxy_fault.wire.tlog.Log.frames`.
+    last : dict
+        The last frame of each sender (system * 256 + component) in the blocks before; brought up
+        to date.
+
+    Returns
+    -------
+    structured array
+        Per stretch the sender, the stamp of its first frame, frames, frames lost and the longest
+        time between two frames.
+    """
+    found = [np.empty(0, STRETCHES)]
+    sender = frames["system"].astype(np.int32) << 8 | frames["component"]
+    for key in np.unique(sender).tolist():
+        rows = frames[sender == key]
+        before = last.get(key, Sender((int(rows["seq"][0]) - 1) % 256, int(rows["t_us"][0])))
+        steps = np.diff(rows["seq"].astype(np.int16), prepend=np.int16(before.seq)) % 256
+        starts = np.arange(0, len(rows), max(LEAST_FRAMES, len(rows) // MOST_STRETCHES))
+        some = np.zeros(len(starts), STRETCHES)
+        some["sender"] = key
+        some["t_us"] = rows["t_us"][starts]
+        some["frames"] = np.diff(starts, append=len(rows))
+        some["lost"] = np.add.reduceat(np.maximum(steps - 1, 0).astype(np.int64), starts)
+        some["gap_us"] = np.maximum.reduceat(np.diff(rows["t_us"], prepend=before.t_us), starts)
+        last[key] = Sender(int(rows["seq"][-1]), int(rows["t_us"][-1]))
+        found.append(some)
+    return np.concatenate(found)
+
+
+def link_quality(
+    logs: Mapping[str, NDArray[np.void]], clock: Clock
+) -> tuple[list[LinkQuality], list[Signal]]:
+    """Losses of every sender of each log (`stretches` by name), and their curves."""
+    links, signals = [], []
+    for log, every in logs.items():
+        for key in np.unique(every["sender"]).tolist():
+            some = every[every["sender"] == key]
+            frames, lost = int(some["frames"].sum()), int(some["lost"].sum())
+            if frames < 2:
+                continue
+            longest_s = float(some["gap_us"].max()) * 1e-6
+            links.append(LinkQuality(log, key >> 8, key & 255, frames, lost, longest_s))
+            if frames >= FEWEST and lost:
+                name = f"{key >> 8}/{key & 255} {log}".strip()
+                signals.append(_loss(name, clock.at(some["t_us"]), some))
+    return links, signals
+
+
+def _loss(name: str, t_s: NDArray[np.float64], some: NDArray[np.void]) -> Signal:
+    """Percentage of frames lost in each of some equal stretches of time."""
+    edges = np.linspace(t_s.min(), t_s.max() + 1e-6, max(2, min(2 * MOST_STRETCHES, len(t_s))))
+    came = np.histogram(t_s, edges, weights=some["frames"])[0]
+    gone = np.histogram(t_s, edges, weights=some["lost"])[0]
+    with np.errstate(invalid="ignore"):
+        share = 100 * gone / (came + gone)
+    return Signal("link-lost", name, (edges[:-1] + edges[1:]) / 2, share)

@@ -1,0 +1,112 @@
+"""Fewer samples that still hold the extremes: for long curves, and for logs larger than memory.
+
+A log beyond `WHOLE_BYTES` is read block by block. Of each message that comes often, every so many
+rows are kept, and those with the least and the greatest value of each field, so that no peak is
+lost; what is said seldom (texts, modes, parameters) is kept whenever it changes.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.report.recordings.link_quality import Sender, stretches
+from mavproxy_fault.wire import tlog
+from mavproxy_fault.wire.tlog import Columns
+
+WHOLE_BYTES = 128_000_000  # of a log; beyond, it is thinned
+ROWS = 300_000  # of one message kept of a thinned log, at the most
+LEAST_RECORD = 32  # bytes: records are on average longer
+SENDING = ("t_us", "system", "component", "seq")
+LONGEST_VECTOR = 4  # array fields whose elements are looked at one by one
+HEAD = 11  # bytes of a row that say when and by whom it was sent
+
+Rows = NDArray[np.void]
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """What a report needs of a tlog; `thinned` if rows were left out."""
+
+    columns: Columns
+    links: NDArray[np.void]
+    frames: int
+    unknown: int
+    junk_bytes: int
+    size: int
+    thinned: bool
+
+
+def extremes(value: NDArray[np.float64], buckets: int) -> NDArray[np.int64]:
+    """Places of the least and the greatest value of each of so many equal stretches, in order."""
+    n = len(value)
+    size = -(-n // buckets)
+    whole = np.full(buckets * size, np.nan)
+    whole[:n] = value
+    table = whole.reshape(buckets, size)
+    finite = np.isfinite(table)
+    some = finite.any(axis=1)
+    low = np.where(finite, table, np.inf).argmin(axis=1)
+    high = np.where(finite, table, -np.inf).argmax(axis=1)
+    starts = np.arange(buckets) * size
+    return np.unique(np.concatenate(((starts + low)[some], (starts + high)[some])))
+
+
+def contents(path: Path) -> Contents:
+    """A tlog, thinned if it is large."""
+    size = path.stat().st_size
+    thin = size > WHOLE_BYTES
+    budget = max(60, ROWS * tlog.BLOCK_FRAMES * LEAST_RECORD // max(size, 1))
+    parts: dict[str, list[Rows]] = {}
+    links: list[NDArray[np.void]] = []
+    senders: dict[int, Sender] = {}
+    frames = unknown = junk_bytes = 0
+    for part in tlog.read_parts(path) if thin else [tlog.read_log(path)]:
+        for name, rows in part.columns.items():
+            kept = [kept_rows(some, budget) for some in _by_system(rows)] if thin else [rows]
+            parts.setdefault(name, []).extend(kept)
+        links.append(stretches(part.frames, senders))
+        frames += len(part.frames)
+        unknown += int((~part.frames["known"]).sum())
+        junk_bytes += part.junk_bytes
+    columns = {name: some[0] if len(some) == 1 else _sorted(some) for name, some in parts.items()}
+    return Contents(columns, np.concatenate(links), frames, unknown, junk_bytes, size, thin)
+
+
+def _by_system(rows: Rows) -> Iterator[Rows]:
+    for system in np.unique(rows["system"]):
+        yield rows[rows["system"] == system]
+
+
+def _sorted(some: Sequence[Rows]) -> Rows:
+    rows = np.concatenate(some)
+    return rows[np.argsort(rows["t_us"], kind="stable")]
+
+
+def kept_rows(rows: Rows, budget: int) -> Rows:
+    """About `budget` rows of one message: evenly spaced ones and those that hold the extremes."""
+    if len(rows) <= budget:
+        return rows
+    names = rows.dtype.names or ()
+    if "custom_mode" in names or any(rows.dtype[name].kind == "S" for name in names):
+        return rows[_changes(rows)]
+    curves = [column for name in names if name not in SENDING for column in _curves(rows[name])]
+    buckets = max(1, budget // (4 * max(len(curves), 1)))
+    picked = [np.arange(0, len(rows), max(1, 2 * len(rows) // budget))]
+    picked += [extremes(curve, buckets) for curve in curves]
+    return rows[np.unique(np.concatenate(picked))]
+
+
+def _curves(column: NDArray[np.generic]) -> list[NDArray[np.float64]]:
+    if column.ndim == 1:
+        return [column.astype(float)]
+    return [column[:, i].astype(float) for i in range(min(column.shape[1], LONGEST_VECTOR))]
+
+
+def _changes(rows: Rows) -> NDArray[np.bool_]:
+    """Rows that say something else than the one before."""
+    content = np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), -1)[:, HEAD:]
+    differs = (content[1:] != content[:-1]).any(axis=1)
+    return np.concatenate(([True], differs))

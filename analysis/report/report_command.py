@@ -1,0 +1,126 @@
+"""`mavproxy-fault report`: logs to HTML, JSON and JUnit XML, with a verdict as exit code."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from analysis.report.comparison import comparison_tables, overlaid
+from analysis.report.judging.check_limits import read_thresholds
+from analysis.report.judging.checks import FAIL, Check
+from analysis.report.judging.flight_verdict import Outcome, judged
+from analysis.report.page.log_page import log_page
+from analysis.report.page.page_file import html
+from analysis.report.recordings.sources import group, read_flight
+from analysis.report.report_files import write_json, write_junit
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.wire.label import Label, read_labels
+
+
+def main(args: argparse.Namespace) -> int:
+    """Report on each flight; 0 if none failed, 1 if one did, 2 if a file could not be read.
+
+    Several flights go to folders of their own; a file that cannot be read does not keep the others
+    from being reported.
+    """
+    thresholds = read_thresholds(args.criteria)
+    labels = _labels(args.labels)
+    others = [judged(read_flight([Path(log)], ()), thresholds) for log in args.against]
+    paths, unreadable = _existing([Path(log) for log in args.logs])
+    flights = group(paths)
+    failed = False
+    for flight_paths in flights:
+        folder = _folder(args.out, flight_paths, len(args.logs) > 1 and len(flights) > 1)
+        try:
+            outcome = judged(read_flight(flight_paths, labels), thresholds)
+        except ConfigError as error:
+            if len(flights) == 1:
+                raise
+            unreadable.append(str(error))
+            continue
+        write_report(folder, outcome, others)
+        if args.figures:
+            from analysis.report.page.figures import write_figures
+
+            write_figures(folder / "figures", outcome.flight.recording)
+        if args.export:
+            from analysis.report.export import export
+
+            export(flight_paths, folder / "export", args.export)
+        print_outcome(outcome, folder)
+        failed |= outcome.verdict == FAIL
+    for message in unreadable:
+        print(f"mavproxy-fault: {message}", file=sys.stderr)
+    return 2 if unreadable else int(failed)
+
+
+def _labels(path: str | None) -> list[Label]:
+    if path is None:
+        return []
+    try:
+        return read_labels(Path(path))
+    except OSError as error:
+        raise ConfigError(f"--labels {path}: {error.strerror}; give a labels.jsonl") from error
+    except ValueError as error:  # msgspec's decode errors are
+        raise ConfigError(f"--labels {path}: {error}; give a labels.jsonl") from error
+
+
+def _existing(paths: Sequence[Path]) -> tuple[list[Path], list[str]]:
+    """Those that are there, and a message for each that is not; a single one raises instead."""
+    missing = [
+        f"{path}: there is no such file; give the path of a log"
+        for path in paths
+        if not path.exists()
+    ]
+    if missing and len(paths) == 1:
+        raise ConfigError(missing[0])
+    return [path for path in paths if path.exists()], missing
+
+
+def _folder(out: str | None, paths: Sequence[Path], several: bool) -> Path:
+    stem = paths[0].stem if paths[0].is_file() else paths[0].resolve().name
+    folder = Path(out) if out else Path(f"{stem}-report")
+    if out and several:
+        folder = folder / stem
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--out {folder}: {error.strerror}; name a folder to write") from error
+    return folder
+
+
+def write_report(folder: Path, outcome: Outcome, others: Sequence[Outcome]) -> None:
+    """Write `report.html`, `summary.json` and `junit.xml`."""
+    recording = overlaid(outcome, others) if others else outcome.flight.recording
+    tables = comparison_tables(outcome, others) if others else []
+    page = log_page(outcome, tables)
+    (folder / "report.html").write_text(html(page, recording), encoding="utf-8")
+    write_json(folder / "summary.json", outcome.summary)
+    write_junit(folder / "junit.xml", recording.name, outcome.checks)
+
+
+def print_outcome(outcome: Outcome, folder: Path) -> None:
+    """The verdict and what led to it, on the terminal."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    console = Console(soft_wrap=True, highlight=False)
+    colours = {"PASS": "green", "WARN": "yellow", "FAIL": "red"}
+    recording = outcome.flight.recording
+    console.print(f"[bold]{escape(recording.name)}[/]  {recording.duration_s:.0f} s")
+    for check in sorted(outcome.checks, key=_worst_first):
+        if check.verdict in ("WARN", "FAIL"):
+            word = f"[{colours[check.verdict]}]{check.verdict}[/]"
+            console.print(f"  {word}  {escape(check.name)}: {escape(check.evidence)}")
+    passed = sum(check.verdict == "PASS" for check in outcome.checks)
+    left = sum(check.verdict == "not judged" for check in outcome.checks)
+    console.print(f"  {passed} checks passed, {left} had no data")
+    for row in outcome.summary["faults"]:
+        delay = "" if row["delay_s"] is None else f" after {row['delay_s']:.2f} s"
+        console.print(f"  fault {escape(row['id'])}: {row['verdict']}{delay}")
+    colour = colours.get(outcome.verdict, "white")
+    console.print(f"  verdict [{colour}]{outcome.verdict}[/]  {folder / 'report.html'}")
+
+
+def _worst_first(check: Check) -> int:
+    return {"FAIL": 0, "WARN": 1}.get(check.verdict, 2)

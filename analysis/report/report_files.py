@@ -1,0 +1,45 @@
+"""What `report` writes besides the page: `summary.json` and JUnit XML."""
+
+import json
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from analysis.report.judging.checks import FAIL, NONE, Check
+from analysis.run.run_folder import finite
+
+
+def write_json(path: Path, summary: dict[str, Any]) -> None:
+    """Write a summary; null stands for a number that is not finite."""
+    text = json.dumps(finite(summary), indent=1, allow_nan=False, ensure_ascii=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def write_junit(path: Path, name: str, checks: Sequence[Check]) -> None:
+    """Write the checks as a JUnit test suite: FAIL fails, "not judged" is skipped."""
+    suite = ET.Element(
+        "testsuite",
+        name=name,
+        tests=str(len(checks)),
+        failures=str(sum(check.verdict == FAIL for check in checks)),
+        errors="0",
+        skipped=str(sum(check.verdict == NONE for check in checks)),
+    )
+    for check in checks:
+        case = ET.SubElement(suite, "testcase", classname=_clean(name), name=_clean(check.name))
+        text = f"{check.evidence} ({check.limit})" if check.limit else check.evidence
+        if check.verdict == FAIL:
+            ET.SubElement(case, "failure", message=_clean(text))
+        elif check.verdict == NONE:
+            ET.SubElement(case, "skipped", message=_clean(text))
+        else:
+            ET.SubElement(case, "system-out").text = _clean(f"{check.verdict}: {text}")
+    tree = ET.ElementTree(suite)
+    ET.indent(tree)
+    tree.write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _clean(text: str) -> str:
+    """Text without the control characters that XML 1.0 cannot hold."""
+    return "".join(c if c >= " " or c in "\t\n" else "�" for c in text)

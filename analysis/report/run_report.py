@@ -1,0 +1,72 @@
+"""A run's report: `write` for the commands that have everything in memory."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from analysis.report.page.fused_table import fused_table
+from analysis.report.page.page_file import SENSOR_LIMIT, Page, html
+from analysis.report.page.panels import DETECTION, FUSION
+from analysis.report.page.report_tables import criteria_reasons, facts, matrix_table, run_tables
+from analysis.report.recordings.derived_curves import with_derived
+from analysis.report.recordings.from_results import recording_of_results
+from analysis.report.recordings.from_tlog import recording_of
+from analysis.report.recordings.recording import Recording, joined
+from analysis.results import Result
+from mavproxy_fault.wire.label import Label
+from mavproxy_fault.wire.tlog import Columns
+
+
+def write(
+    out: Path,
+    *,
+    summary: Mapping[str, Any],
+    labels: Sequence[Label],
+    results: Iterable[Result],
+    columns: Columns,
+    title: str = "Run",
+) -> Path:
+    """Write `report.html` into the folder `out`.
+
+    Parameters
+    ----------
+    out : Path
+        An existing folder.
+    summary : mapping
+        The content of `summary.json`.
+    labels, results
+        What was really done, and what the analysis said.
+    columns : dict of structured arrays
+        The log as received (`mavproxy_fault.wire.tlog.read_columns`); empty where there is none.
+
+    Returns
+    -------
+    Path
+        The file written.
+    """
+    results = list(results)
+    t0_us = labels[0].t0_us if labels else _origin(results)
+    flight = recording_of(columns, name=title, t0_us=t0_us) if columns else Recording(title)
+    if t0_us is None:
+        t0_us = flight.t0_us
+    said = recording_of_results(labels, results, t0_us)
+    together = with_derived(joined(flight, said))
+    tables = run_tables(summary)
+    matrix = matrix_table(labels, results)
+    if matrix is not None:
+        tables.append((DETECTION, matrix))
+    fused = fused_table(together)
+    if fused is not None:
+        tables.append((FUSION, fused))
+    reasons = criteria_reasons(summary)
+    page = Page(
+        title, str(summary.get("verdict", "")), facts(summary), tables, SENSOR_LIMIT, reasons
+    )
+    path = out / "report.html"
+    path.write_text(html(page, together), encoding="utf-8")
+    return path
+
+
+def _origin(results: Sequence[Result]) -> int | None:
+    """The vehicle time of t_s = 0, from a result that gives both."""
+    return round(results[0].t_us - results[0].t_s * 1e6) if results else None

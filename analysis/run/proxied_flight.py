@@ -1,0 +1,149 @@
+"""The simulator and the proxy's core in one flight: truth to frames to what left the proxy.
+
+No sockets, files or clocks: `advance` goes one step of simulated time, and the caller records,
+sends on and publishes what comes of it.
+"""
+
+import logging
+from typing import Any, NamedTuple
+
+from mavproxy_fault.app.statistics import figures
+from mavproxy_fault.live.control import Control
+from mavproxy_fault.proxy.core import Core
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.proxy.interfaces import LinkRole, Send
+from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.schedule.entries import Schedule
+from mavproxy_fault.wire.frame import STX_V2, Frame
+from mavproxy_fault.wire.label import Label, newest
+from mavproxy_fault.wire.parser import Parser
+from simvehicle.app.sim_server import airframe, check_sensors, services, throttle
+from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.plant_changes import PlantChanges
+from simvehicle.scenario.scenario_file import Scenario
+from simvehicle.scenario.simulation import Simulation
+
+SIMULATOR, MONITOR, VEHICLE, GROUND = range(4)
+LINKS = (
+    LinkRole("simulator", "to-vehicle"),
+    LinkRole("monitor", "from-vehicle"),
+    LinkRole("vehicle", "from-vehicle"),
+    LinkRole("ground station", "to-vehicle"),
+)
+HIL_COMPONENT = 51
+LOG = logging.getLogger(__name__)
+
+
+class Sent(NamedTuple):
+    """Bytes that left the proxy for the monitor and for the ground station."""
+
+    monitor: bytes
+    ground: list[bytes]
+
+
+class Flight:
+    """A scenario in flight; its wall clock is the scenario's own start time.
+
+    The scenario's mission is flown until a ground station commands something else.
+    """
+
+    def __init__(self, scenario: Scenario, schedule: Schedule) -> None:
+        check_sensors(scenario)
+        self.duration_s = scenario.duration_s
+        self.simulation = Simulation(scenario)
+        self.engine = Engine(schedule)
+        self.tape = Tape()
+        self.control = Control(self.engine)
+        self.core = Core(LINKS, self.engine, tape=self.tape, control=self.control)
+        self._labels: list[Label] = []
+        self._out = [0] * len(LINKS)  # datagrams that left on each link
+        self._hil = Hil(mav_type=airframe(self.simulation)[0])
+        self._services, self._pilot = services(self.simulation)
+        self._plant = PlantChanges(self.simulation, LOG.warning)
+        self._parser = Parser()
+        self._start_us = round(scenario.start.time.timestamp() * 1e6)
+
+    @property
+    def t_us(self) -> int:
+        """Simulated time."""
+        return self.simulation.truth.t_us
+
+    @property
+    def now_us(self) -> int:
+        """Simulated time as Unix time, which the logs are stamped with."""
+        return self._start_us + self.t_us
+
+    @property
+    def vehicle_us(self) -> int:
+        """The vehicle's own clock, which schedules and labels go by."""
+        return self.core.clock.t_us
+
+    @property
+    def over(self) -> bool:
+        """Whether the scenario's duration has been flown."""
+        return self.t_us >= self.duration_s * 1e6
+
+    def advance(self, commands: list[bytes]) -> Sent:
+        """Fly to the next sample of the IMU, with what a ground station sent meanwhile."""
+        controls = self._pilot.controls() if self._pilot.flight.flown else None
+        t_us, truth, readings = self.simulation.step(controls)
+        sends: list[Send] = []
+        for raw in self._hil.frames(t_us, truth, readings):
+            sends += self.core.received(SIMULATOR, raw, self.now_us)
+        for raw in self._services.tick(t_us, truth, readings, throttle(self.simulation)):
+            sends += self.core.received(VEHICLE, raw, self.now_us)
+        for data in commands:
+            sends += self.core.received(GROUND, data, self.now_us)
+        return self._sort(sends)
+
+    def finish(self) -> Sent:
+        """End the faults that still act."""
+        return self._sort(self.core.finish(self.now_us))
+
+    def take_labels(self) -> list[Label]:
+        """Labels since the last call, begun and ended ones, for the log."""
+        taken = self.core.take_labels()
+        self._labels += taken
+        return taken
+
+    def completed_labels(self) -> list[Label]:
+        """What every fault really did, for the scores; after `take_labels`."""
+        return newest(self._labels)
+
+    def stats(self) -> list[dict[str, Any]]:
+        """What passed on every link."""
+        return [
+            {**figures(self.core, number), "chunks_out": out}
+            for number, out in enumerate(self._out)
+        ]
+
+    def _sort(self, sends: list[Send]) -> Sent:
+        """Hand commands to the vehicle; the HIL stream is the monitor's, the rest the ground's."""
+        sent = Sent(b"".join(s.data for s in sends if s.link == MONITOR and _is_hil(s.data)), [])
+        answers: list[Send] = []
+        for link, data, _ in sends:
+            self._out[link] += 1
+            if link == GROUND and not _is_hil(data):
+                sent.ground.append(data)
+            elif link in (VEHICLE, SIMULATOR):
+                answers += self._obey(link, data)
+        sent.ground.extend(s.data for s in answers if s.link == GROUND)
+        return sent
+
+    def _obey(self, link: int, data: bytes) -> list[Send]:
+        """What a frame for the vehicle or for the simulated plant leads to."""
+        sends: list[Send] = []
+        for item in self._parser.push(data, datagram=True):
+            if not isinstance(item, Frame) or item.component == HIL_COMPONENT:
+                continue
+            if link == SIMULATOR:
+                self._plant.take(item)
+                continue
+            for raw in self._services.received(item, self.t_us):
+                sends += self.core.received(VEHICLE, raw, self.now_us)
+        return sends
+
+
+def _is_hil(data: bytes) -> bool:
+    """Whether a datagram comes from the simulator's HIL end."""
+    return data[0] == STX_V2 and data[6] == HIL_COMPONENT

@@ -1,0 +1,149 @@
+"""`run`: a scenario flown through the proxy, watched, recorded and reported."""
+
+import argparse
+import contextlib
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from analysis.monitor.publish import Publisher
+from analysis.results import Result, read_results
+from analysis.run.proxied_flight import Flight
+from analysis.run.run_folder import ResultFile, make_folder, write_summary
+from analysis.run.run_progress import RunProgress
+from analysis.run.setup import Setup, read_setup
+from analysis.run.stop import stop_requests
+from analysis.run.terminal import print_summary
+from analysis.run.worker import MonitorProcess
+from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.links.bus import open_run_bus
+from mavproxy_fault.links.link import Link
+from mavproxy_fault.links.spec import open_link
+from mavproxy_fault.live.journal import JOIN, Journal
+from mavproxy_fault.live.session import Live
+from mavproxy_fault.wire.label import read_labels
+from mavproxy_fault.wire.tlog import Columns, read_columns
+from simvehicle.app.pace import Pace, parse_speed
+
+RECORD_US = 200_000  # simulated time between writes to the logs
+MOST_OWED = 10  # batches, two seconds of flight, that a watched monitor may be behind
+HOLD_S = 0.02
+EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
+
+
+def main(args: argparse.Namespace) -> int:
+    """Fly, report, and return the exit code of the verdict."""
+    setup = read_setup(args.scenario, args.schedule, args.seed)
+    pace = Pace(parse_speed(args.speed or ("1" if args.ui else "max")))
+    folder = make_folder(args.out, setup.scenario.name)
+    with contextlib.ExitStack() as stack:
+        bus = stack.enter_context(open_run_bus(args.zenoh, folder.name))
+        monitor = stack.enter_context(MonitorProcess(setup.monitor))
+        file = stack.enter_context(ResultFile(folder))
+        publisher = Publisher(bus) if bus else None
+
+        def take(results: list[Result]) -> None:
+            file.write(results)
+            if publisher is not None:
+                publisher.publish(results)
+
+        flight = Flight(setup.scenario, setup.schedule)
+        journal = Journal(flight.core, flight.tape)
+        journal.note(JOIN, b"", journal.begin(flight.now_us))
+        live = stack.enter_context(
+            contextlib.closing(Live(flight.control, lambda: journal.begin(flight.now_us), journal))
+        )
+        if bus is not None:
+            live.offer(bus)
+        link = open_ground(args.gcs, pace)
+        started_s = time.monotonic()
+        recorder = Recorder(folder, session(setup, flight))
+        fly(flight, monitor, recorder, pace, take, link, live, together=args.ui)
+        columns = read_columns(folder / "sent.tlog")  # while the monitor catches up
+        take(monitor.results())
+        wall_s = time.monotonic() - started_s
+        summary = monitor.summary(flight.completed_labels(), setup.criteria, wall_s)
+    write_summary(folder, summary)
+    report(folder, summary, columns)
+    print_summary(summary, folder)
+    return EXIT_CODES[summary["verdict"]]
+
+
+def fly(
+    flight: Flight,
+    monitor: MonitorProcess,
+    recorder: Recorder,
+    pace: Pace,
+    take: Callable[[list[Result]], None],
+    ground: Link | None,
+    live: Live,
+    *,
+    together: bool,
+) -> None:
+    """Fly to the end of the scenario, or until Ctrl-C; the logs are closed then.
+
+    With `together` the flight waits for a monitor that falls behind, because somebody watches.
+    """
+    recorded_us = 0
+    with RunProgress(flight.duration_s) as progress:
+        with stop_requests() as stop:
+            while not (flight.over or stop()):
+                hold = together and monitor.owed > MOST_OWED
+                wait_s = HOLD_S if hold else pace.wait_s(flight.t_us, time.monotonic())
+                if wait_s > 0.0:
+                    time.sleep(wait_s)
+                live.serve()
+                live.show(time.monotonic())
+                if hold:
+                    take(monitor.feed(b""))
+                    continue
+                sent = flight.advance([data for _, data in ground.read()] if ground else [])
+                take(monitor.feed(sent.monitor))
+                if ground is not None:
+                    for data in sent.ground:
+                        ground.write(data)
+                if flight.t_us - recorded_us >= RECORD_US:
+                    recorded_us = flight.t_us
+                    labels = flight.take_labels()
+                    recorder.write(flight.tape, labels, live.edits())
+                    live.publish(flight.stats(), labels)
+                    if together or ground is not None:
+                        take(monitor.feed(b"", now=True))
+                    progress.show(flight.t_us * 1e-6, flight.engine.active)
+        take(monitor.feed(flight.finish().monitor, now=True))
+        recorder.write(flight.tape, flight.take_labels())
+        recorder.close(flight.core.clock.t0_us, flight.now_us)
+
+
+def open_ground(spec: str, pace: Pace) -> Link | None:
+    """The ground station's link; at full speed there is none, nobody could watch."""
+    if math.isinf(pace.speed) or spec == "off":
+        return None
+    return open_link(spec, plain_udp="udpout")
+
+
+def session(setup: Setup, flight: Flight) -> dict[str, Any]:
+    """What a replay of the run needs to know."""
+    links = [{"name": role.name, "direction": role.direction} for role in flight.core.links]
+    return {
+        "scenario": setup.scenario.name,
+        "seed": setup.schedule.seed,
+        "schedule": flight.engine.save(),
+        "links": links,
+    }
+
+
+def report(folder: Path, summary: dict[str, Any], columns: Columns) -> None:
+    """`report.html` from what stands in the folder, and the columns of `sent.tlog`."""
+    from analysis.report.run_report import write
+
+    write(
+        folder,
+        summary=summary,
+        labels=read_labels(folder / "labels.jsonl"),
+        results=read_results(folder / "results.jsonl"),
+        columns=columns,
+        title=folder.name,
+    )

@@ -1,0 +1,82 @@
+"""The run folder: where results, summary and report lie beside the logs."""
+
+import itertools
+import json
+import math
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from analysis.results import Result, encode_lines
+from mavproxy_fault.documents.errors import ConfigError
+
+FLUSH_S = 1.0
+
+
+def make_folder(out: str | None, name: str) -> Path:
+    """The folder `out`, or the next free `runs/0001-name`; an old run is never overwritten.
+
+    Raises
+    ------
+    ConfigError
+        If `out` holds an earlier run, or cannot be made.
+    """
+    if out is not None:
+        folder = Path(out)
+        if (folder / "summary.json").exists() or (folder / "received.tlog").exists():
+            raise ConfigError(f"--out {out}: the folder holds an earlier run; name another one")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"--out {out}: {error.strerror}; name a folder to write") from error
+        return folder
+    for number in itertools.count(1):
+        folder = Path("runs") / f"{number:04d}-{name}"
+        if not any(Path("runs").glob(f"{number:04d}-*")):
+            folder.mkdir(parents=True)
+            return folder
+    raise AssertionError
+
+
+class ResultFile:
+    """`results.jsonl`, one result a line, flushed each second of wall time."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file = (folder / "results.jsonl").open("wb")
+        self._flushed_s = time.monotonic()
+
+    def __enter__(self) -> "ResultFile":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._file.close()
+
+    def write(self, results: Iterable[Result]) -> None:
+        """Append results."""
+        self._file.write(encode_lines(results))
+        now_s = time.monotonic()
+        if now_s - self._flushed_s >= FLUSH_S:
+            self._flushed_s = now_s
+            self._file.flush()
+
+
+def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
+    """`summary.json`, for people and scripts; null stands for a number that is not finite."""
+    text = json.dumps(finite(summary), indent=2, allow_nan=False)
+    (folder / "summary.json").write_text(text + "\n")
+
+
+def finite(value: Any) -> Any:
+    """What JSON can say: None for numbers that are not finite."""
+    if isinstance(value, Mapping):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,286 @@
+"""Samples in a row as one table: what a log is read into, and what comes of a link at once.
+
+A row has its kind, its stamp and its numbers; epochs and broadcasts, which are no row of numbers,
+stand beside the table. Steps of the pipeline take blocks of any length and say the same whatever
+the length.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.samples.sample import (
+    AirspeedSample,
+    AttitudeSample,
+    BaroSample,
+    EphemerisSample,
+    Epoch,
+    GpsFix,
+    ImuSample,
+    IonosphereSample,
+    MagSample,
+    RangeSample,
+    Sample,
+    TruthSample,
+    Vector,
+    VisionSample,
+)
+from mavproxy_fault.numerics.compile import compiled
+
+Stamps = NDArray[np.int64]
+Indices = NDArray[np.int64]
+
+WIDTH = 13
+IMU, MAG, BARO, AIRSPEED, RANGE, VISION, TRUTH, ATTITUDE = range(8)
+FIX, EPOCH, EPHEMERIS, IONOSPHERE = range(8, 12)  # what may lead to a decision: events
+KINDS: dict[type, int] = {
+    ImuSample: IMU,
+    MagSample: MAG,
+    BaroSample: BARO,
+    AirspeedSample: AIRSPEED,
+    RangeSample: RANGE,
+    VisionSample: VISION,
+    TruthSample: TRUTH,
+    AttitudeSample: ATTITUDE,
+    GpsFix: FIX,
+    Epoch: EPOCH,
+    EphemerisSample: EPHEMERIS,
+    IonosphereSample: IONOSPHERE,
+}
+SOURCES = ("HIL_GPS", "GPS_RAW_INT", "ATTITUDE", "ATTITUDE_QUATERNION")
+UNKNOWN_3 = (np.nan, np.nan, np.nan)
+
+
+class Block(NamedTuple):
+    """n samples in their order.
+
+    `kind` and `t_us` (n,); `values` (n, WIDTH): the numbers of the samples, in the order of their
+    fields (see `ROWS`); `beside` holds by row what is no row of numbers.
+    """
+
+    kind: Indices
+    t_us: Stamps
+    values: Vector
+    beside: Mapping[int, Sample]
+
+    def rows(self, kind: int) -> Indices:
+        """Where the samples of one kind are."""
+        return np.flatnonzero(self.kind == kind)
+
+    def sample(self, row: int) -> Sample:
+        """The sample of a row; its vectors are views of the table."""
+        kind = int(self.kind[row])
+        read = SAMPLES.get(kind)
+        return self.beside[row] if read is None else read(int(self.t_us[row]), self.values[row])
+
+    def samples(self) -> Iterator[Sample]:
+        """One after the other."""
+        return (self.sample(row) for row in range(len(self.kind)))
+
+    def between(self, begin: int, end: int) -> "Block":
+        """Rows in a row; views of the table."""
+        beside = {row - begin: sample for row, sample in self.beside.items() if begin <= row < end}
+        return Block(self.kind[begin:end], self.t_us[begin:end], self.values[begin:end], beside)
+
+    def where(self, keep: NDArray[np.bool_]) -> "Block":
+        """The rows that `keep` (n,), a mask, lets pass."""
+        to = np.cumsum(keep) - 1
+        beside = {int(to[row]): sample for row, sample in self.beside.items() if keep[row]}
+        return Block(self.kind[keep], self.t_us[keep], self.values[keep], beside)
+
+
+def block_of(samples: Sample | Iterable[Sample]) -> Block:
+    """Samples as a block."""
+    listed: Sequence[Sample] = (samples,) if isinstance(samples, Sample) else tuple(samples)
+    count = len(listed)
+    kind, t_us = np.empty(count, np.int64), np.empty(count, np.int64)
+    values = np.zeros((count, WIDTH))
+    beside: dict[int, Sample] = {}
+    for row, sample in enumerate(listed):
+        number = KINDS[type(sample)]
+        kind[row], t_us[row] = number, sample.t_us
+        write = ROWS.get(number)
+        if write is None:
+            beside[row] = sample
+        else:
+            numbers = write(sample)
+            values[row, : len(numbers)] = numbers
+    return Block(kind, t_us, values, beside)
+
+
+class Part(NamedTuple):
+    """Rows of some kinds, as they were read from one message; `order` (m,) tells where they belong
+    among all rows, `values` (m, k) with k up to WIDTH."""
+
+    kind: int
+    order: Indices
+    t_us: Stamps
+    values: Vector
+
+
+def joined(parts: Sequence[Part], beside: Sequence[tuple[int, Sample]]) -> Block:
+    """Parts, and samples that are no numbers with their place in the order, as one block."""
+    order = np.concatenate([*(p.order for p in parts), np.array([at for at, _ in beside], int)])
+    count = len(order)
+    row = np.empty(count, np.int64)
+    row[np.argsort(order, kind="stable")] = np.arange(count)
+    kind, t_us = np.empty(count, np.int64), np.empty(count, np.int64)
+    values = np.zeros((count, WIDTH))
+    begin = 0
+    for part in parts:
+        to = row[begin : begin + len(part.order)]
+        kind[to], t_us[to] = part.kind, part.t_us
+        values[to, : part.values.shape[1]] = part.values
+        begin += len(to)
+    others: dict[int, Sample] = {}
+    for at, (_, sample) in zip(row[begin:].tolist(), beside, strict=True):
+        kind[at], t_us[at], others[at] = KINDS[type(sample)], sample.t_us, sample
+    return Block(kind, t_us, values, others)
+
+
+def _or_unknown(v: Vector | None) -> Sequence[float] | Vector:
+    return UNKNOWN_3 if v is None else v
+
+
+# The numbers of each kind, and back.
+ROWS: dict[int, Callable[[Any], Sequence[float]]] = {
+    IMU: lambda s: (*s.gyro_b_rps, *s.accel_b_mps2, s.id),
+    MAG: lambda s: s.field_b_gauss,
+    BARO: lambda s: (s.pressure_pa, s.pressure_alt_m),
+    AIRSPEED: lambda s: (s.diff_pressure_pa,),
+    RANGE: lambda s: (s.distance_m,),
+    VISION: lambda s: (*s.r_ned_m, *_or_unknown(s.v_ned_mps), *s.q_nb),
+    TRUTH: lambda s: (*s.q_nb, *s.omega_b_rps, s.lat_deg, s.lon_deg, s.alt_m, *s.v_ned_mps),
+    ATTITUDE: lambda s: (*s.q_nb, s.system, SOURCES.index(s.source)),
+    FIX: lambda s: (
+        *(s.lat_deg, s.lon_deg, s.alt_m),
+        *_or_unknown(s.v_ned_mps),
+        *(s.fix_type, s.satellites, s.eph_m, s.epv_m, SOURCES.index(s.source)),
+    ),
+}
+
+
+def _known(v: Vector) -> Vector | None:
+    """A velocity; None where nothing of it is known."""
+    return None if np.isnan(v).all() else v
+
+
+def _fix(t_us: int, v: Vector) -> GpsFix:
+    lat, lon, alt, *_, fix_type, satellites, eph_m, epv_m, source = v[:11].tolist()
+    return GpsFix(
+        t_us,
+        lat,
+        lon,
+        alt,
+        _known(v[3:6]),
+        int(fix_type),
+        int(satellites),
+        eph_m,
+        epv_m,
+        SOURCES[int(source)],
+    )
+
+
+def _truth(t_us: int, v: Vector) -> TruthSample:
+    lat, lon, alt = v[7:10].tolist()
+    return TruthSample(t_us, v[0:4], v[4:7], lat, lon, alt, v[10:13])
+
+
+SAMPLES: dict[int, Callable[[int, Vector], Sample]] = {
+    IMU: lambda t, v: ImuSample(t, v[0:3], v[3:6], int(v[6])),
+    MAG: lambda t, v: MagSample(t, v[0:3]),
+    BARO: lambda t, v: BaroSample(t, float(v[0]), float(v[1])),
+    AIRSPEED: lambda t, v: AirspeedSample(t, float(v[0])),
+    RANGE: lambda t, v: RangeSample(t, float(v[0])),
+    VISION: lambda t, v: VisionSample(t, v[0:3], _known(v[3:6]), v[6:10]),
+    TRUTH: _truth,
+    ATTITUDE: lambda t, v: AttitudeSample(t, v[0:4], int(v[4]), SOURCES[int(v[5])]),
+    FIX: _fix,
+}
+
+
+class ImuRun(NamedTuple):
+    """IMU samples in a row: stamps (k,), and rates in rad/s and specific force in m/s^2 (k, 6)."""
+
+    t_us: Stamps
+    values: Vector
+
+
+class Piece(NamedTuple):
+    """Samples up to an event, as detectors take them.
+
+    `first` to `last` are the rows of `block`. `imu` are those of the IMU with the numbers `ids` of
+    their sensors (k,), all of them `id` where it is not None; `mag` is the row of the last field
+    sample, -1 if there is none; `kind` and `t_us` are the last row's.
+    """
+
+    block: Block
+    first: int
+    last: int
+    imu: ImuRun
+    ids: Vector
+    id: int | None
+    mag: int
+    kind: int
+    t_us: int
+
+    @property
+    def event(self) -> Sample:
+        """The last sample, the only one that may lead to a decision."""
+        return self.block.sample(self.last)
+
+    def of_imu(self, number: int) -> ImuRun:
+        """What one IMU gave: there may be a second."""
+        if self.id == number:
+            return self.imu
+        mine = self.ids == number
+        return ImuRun(self.imu.t_us[mine], self.imu.values[mine])
+
+
+def every_fix(t_us: int) -> bool:
+    """All fixes are events."""
+    return True
+
+
+def pieces(samples: Sample | Block, counts: Callable[[int], bool] = every_fix) -> Iterator[Piece]:
+    """A block, or a single sample, cut behind each event.
+
+    `counts` is asked whether a fix of some stamp is one, after what is before it has been taken.
+    """
+    block = samples if isinstance(samples, Block) else block_of(samples)
+    last_row = len(block.kind) - 1
+    imu, ends, mags, cuts = _cut(block.kind)
+    run = ImuRun(block.t_us[imu], block.values[imu, :6])
+    ids = block.values[imu, 6]
+    same = int(ids[0]) if len(ids) and (ids == ids[0]).all() else None
+    columns = ends, mags, cuts, block.kind[ends], block.t_us[ends]
+    first = a = 0
+    for last, mag_row, b, kind, t_us in zip(*(c.tolist() for c in columns), strict=True):
+        if kind == FIX and last < last_row and not counts(t_us):
+            continue
+        samples_of_imu = ImuRun(run.t_us[a:b], run.values[a:b])
+        newest = mag_row if mag_row >= first else -1
+        yield Piece(block, first, last, samples_of_imu, ids[a:b], same, newest, kind, t_us)
+        first, a = last + 1, b
+
+
+@compiled
+def _cut(kind: Indices) -> tuple[Indices, Indices, Indices, Indices]:
+    """Where the IMU's samples are; where pieces end, where the newest field sample is at each end
+    (-1: nowhere), and how many of the IMU's are before it."""
+    count = kind.shape[0]
+    imu, ends = np.empty(count, np.int64), np.empty(count, np.int64)
+    mags, cuts = np.empty(count, np.int64), np.empty(count, np.int64)
+    seen, cut, mag = 0, 0, -1
+    for row in range(count):
+        if kind[row] == IMU:
+            imu[seen] = row
+            seen += 1
+        elif kind[row] == MAG:
+            mag = row
+        if kind[row] >= FIX or row == count - 1:
+            ends[cut], mags[cut], cuts[cut] = row, mag, seen
+            cut += 1
+    return imu[:seen], ends[:cut], mags[:cut], cuts[:cut]

@@ -1,0 +1,206 @@
+"""MAVLink messages -> samples: one function a message, from its columns.
+
+HIL_SENSOR carries what `fields_updated` says: bits 0 to 5 acceleration and rates, 6 to 8 the
+magnetic field, 9 static pressure, 10 differential pressure, 11 the altitude made of it [1]_.
+
+References
+----------
+.. [1] MAVLink common message set, HIL_SENSOR_UPDATED_FLAGS.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.samples.block import (
+    AIRSPEED,
+    ATTITUDE,
+    BARO,
+    FIX,
+    IMU,
+    MAG,
+    RANGE,
+    SOURCES,
+    TRUTH,
+    VISION,
+    Indices,
+    Stamps,
+)
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.rotation import matrix_from_quat, quat_from_euler
+
+Rows = NDArray[np.void]
+
+IMU_BITS = 0x3F
+MAG_BITS = 0x1C0
+BARO_BIT = 0x200
+AIRSPEED_BIT = 0x400
+HECTOPASCAL = 100.0
+STANDARD_GRAVITY = 9.80665  # m/s^2, CODATA
+DOWNWARD = 25  # MAV_SENSOR_ROTATION_PITCH_270
+BODY_FRD = 12  # MAV_FRAME_BODY_FRD
+UNKNOWN_16 = 0xFFFF
+
+
+class Read(NamedTuple):
+    """Samples of one kind: from which rows of the message, their stamps and numbers (m, k)."""
+
+    kind: int
+    row: Indices
+    t_us: Stamps
+    values: Vector
+
+
+def _numbers(rows: Rows, *names: str) -> Vector:
+    """Fields of a message side by side (m, k); a field may be an array."""
+    fields = [f if f.ndim > 1 else f[:, np.newaxis] for f in (rows[name] for name in names)]
+    found = np.empty((len(rows), sum(field.shape[1] for field in fields)))
+    end = 0
+    for field in fields:
+        begin, end = end, end + field.shape[1]
+        found[:, begin:end] = field
+    return found
+
+
+def _whole(kind: int, t_us: NDArray[Any], values: Vector) -> list[Read]:
+    """A sample for each row."""
+    return [Read(kind, np.arange(len(t_us)), t_us, values)]
+
+
+def _some(rows: Rows, bits: int, kind: int, values: Callable[[Rows], Vector]) -> list[Read]:
+    """A sample for each row in which all these bits are set."""
+    row = np.flatnonzero(rows["fields_updated"] & bits == bits)
+    if not len(row):
+        return []
+    found = rows if len(row) == len(rows) else rows.take(row)  # a tenth of the time of rows[row]
+    return [Read(kind, row, found["time_usec"].astype(np.int64), values(found))]
+
+
+def _hil_sensor(rows: Rows) -> list[Read]:
+    return [
+        *_highres_imu(rows),
+        *_some(rows, BARO_BIT, BARO, _pressure),
+        *_some(
+            rows,
+            AIRSPEED_BIT,
+            AIRSPEED,
+            lambda found: HECTOPASCAL * _numbers(found, "diff_pressure"),
+        ),
+    ]
+
+
+def _pressure(rows: Rows) -> Vector:
+    return _numbers(rows, "abs_pressure", "pressure_alt") * (HECTOPASCAL, 1.0)
+
+
+def _highres_imu(rows: Rows) -> list[Read]:
+    names = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc", "id")
+    return [
+        *_some(rows, IMU_BITS, IMU, lambda found: _numbers(found, *names)),
+        *_some(rows, MAG_BITS, MAG, lambda found: _numbers(found, "xmag", "ymag", "zmag")),
+    ]
+
+
+def _since_boot(rows: Rows) -> Stamps:
+    stamps: Stamps = rows["time_boot_ms"].astype(np.int64) * 1000
+    return stamps
+
+
+def _scaled_imu(rows: Rows) -> list[Read]:
+    rates = _numbers(rows, "xgyro", "ygyro", "zgyro") * 1e-3
+    force = _numbers(rows, "xacc", "yacc", "zacc") * (STANDARD_GRAVITY * 1e-3)
+    return _whole(IMU, _since_boot(rows), np.column_stack([rates, force]))
+
+
+def _fix(rows: Rows, source: str, v_ned: Vector, accuracy_m: Vector) -> list[Read]:
+    """A receiver's solution, from the fields that HIL_GPS and GPS_RAW_INT have in common."""
+    place = _numbers(rows, "lat", "lon", "alt") * (1e-7, 1e-7, 1e-3)
+    state = _numbers(rows, "fix_type", "satellites_visible")
+    number = np.full(len(rows), float(SOURCES.index(source)))
+    values = np.column_stack([place, v_ned, state, accuracy_m, number])
+    return _whole(FIX, rows["time_usec"].astype(np.int64), values)
+
+
+def _hil_gps(rows: Rows) -> list[Read]:
+    accuracy = _numbers(rows, "eph", "epv")
+    accuracy_m = np.where(accuracy != UNKNOWN_16, accuracy * 1e-2, np.nan)
+    return _fix(rows, "HIL_GPS", _numbers(rows, "vn", "ve", "vd") * 1e-2, accuracy_m)
+
+
+def _gps_raw_int(rows: Rows) -> list[Read]:
+    """Speed and course give the level part of the velocity; an accuracy of 0 is unknown."""
+    speed, course = rows["vel"] * 1e-2, np.radians(rows["cog"] * 1e-2)
+    known = (rows["vel"] != UNKNOWN_16) & (rows["cog"] != UNKNOWN_16)
+    v_ned = np.full((len(rows), 3), np.nan)
+    v_ned[known, 0] = (speed * np.cos(course))[known]
+    v_ned[known, 1] = (speed * np.sin(course))[known]
+    accuracy_m = _numbers(rows, "h_acc", "v_acc") * 1e-3
+    return _fix(rows, "GPS_RAW_INT", v_ned, np.where(accuracy_m != 0.0, accuracy_m, np.nan))
+
+
+def _hil_state(rows: Rows) -> list[Read]:
+    turns = ("attitude_quaternion", "rollspeed", "pitchspeed", "yawspeed")
+    values = _numbers(rows, *turns, "lat", "lon", "alt", "vx", "vy", "vz")
+    values[:, 7:] *= (1e-7, 1e-7, 1e-3, 1e-2, 1e-2, 1e-2)
+    return _whole(TRUTH, rows["time_usec"].astype(np.int64), values)
+
+
+def _distance(rows: Rows) -> list[Read]:
+    distance = rows["current_distance"]
+    inside = (rows["min_distance"] <= distance) & (distance <= rows["max_distance"])
+    row = np.flatnonzero(inside & (rows["orientation"] == DOWNWARD))
+    return [Read(RANGE, row, _since_boot(rows[row]), distance[row, None] * 1e-2)]
+
+
+def _odometry(rows: Rows) -> list[Read]:
+    q_nb, v = _numbers(rows, "q"), _numbers(rows, "vx", "vy", "vz")
+    norm = np.linalg.norm(q_nb, axis=1)
+    row = np.flatnonzero(norm > 0.0)
+    q_nb, v = q_nb[row] / norm[row, None], v[row]
+    body = rows["child_frame_id"][row] == BODY_FRD
+    v[body] = np.einsum("nij,nj->ni", matrix_from_quat(q_nb[body]), v[body])
+    v[~np.isfinite(v).all(axis=1)] = np.nan
+    values = np.column_stack([_numbers(rows[row], "x", "y", "z"), v, q_nb])
+    return [Read(VISION, row, rows["time_usec"][row].astype(np.int64), values)]
+
+
+def _vision(rows: Rows) -> list[Read]:
+    unknown = np.full((len(rows), 3), np.nan)
+    values = np.column_stack([_numbers(rows, "x", "y", "z"), unknown, _turn(rows)])
+    return _whole(VISION, rows["usec"].astype(np.int64), values)
+
+
+def _turn(rows: Rows) -> Vector:
+    """Attitudes (m, 4) of Euler angles."""
+    return quat_from_euler(*_numbers(rows, "roll", "pitch", "yaw").T)
+
+
+def _attitude(rows: Rows) -> list[Read]:
+    return _estimate(rows, _turn(rows), "ATTITUDE")
+
+
+def _attitude_quaternion(rows: Rows) -> list[Read]:
+    return _estimate(rows, _numbers(rows, "q1", "q2", "q3", "q4"), "ATTITUDE_QUATERNION")
+
+
+def _estimate(rows: Rows, q_nb: Vector, source: str) -> list[Read]:
+    number = np.full(len(rows), float(SOURCES.index(source)))
+    values = np.column_stack([q_nb, rows["system"].astype(float), number])
+    return _whole(ATTITUDE, _since_boot(rows), values)
+
+
+READERS: dict[str, Callable[[Rows], list[Read]]] = {
+    "HIL_SENSOR": _hil_sensor,
+    "HIGHRES_IMU": _highres_imu,
+    "SCALED_IMU": _scaled_imu,
+    "HIL_GPS": _hil_gps,
+    "GPS_RAW_INT": _gps_raw_int,
+    "HIL_STATE_QUATERNION": _hil_state,
+    "DISTANCE_SENSOR": _distance,
+    "ODOMETRY": _odometry,
+    "VISION_POSITION_ESTIMATE": _vision,
+    "ATTITUDE": _attitude,
+    "ATTITUDE_QUATERNION": _attitude_quaternion,
+}

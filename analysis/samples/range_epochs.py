@@ -1,0 +1,133 @@
+"""RTCM messages of one stream -> broadcasts and epochs of pseudoranges."""
+
+from collections import deque
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from analysis.samples.block import Indices
+from analysis.samples.sample import EphemerisSample, Epoch, Sample, Vector
+from mavproxy_fault.rtcm.ephemeris_messages import SYSTEMS, decode_ephemeris
+from mavproxy_fault.rtcm.range_columns import NAMES, NO_MSM7, read_ranges
+from mavproxy_fault.rtcm.tunnel_columns import Messages
+
+HALF_WEEK_S = 302_400.0
+WEEK_S = 604_800
+OFFSETS_KEPT = 25
+EPHEMERIDES_KEPT = 512  # a broadcast is repeated for hours
+
+
+class Rows(NamedTuple):
+    """What was observed of satellites (n,), as `ranges.Ranges` has it."""
+
+    code: Indices
+    pseudorange_m: Vector
+    doppler_mps: Vector
+    cn0_dbhz: Vector
+
+    def between(self, begin: int, end: int) -> "Rows":
+        """Some in a row."""
+        at = slice(begin, end)
+        return Rows(self.code[at], self.pseudorange_m[at], self.doppler_mps[at], self.cn0_dbhz[at])
+
+    def after(self, rows: "Rows") -> "Rows":
+        """The same behind others."""
+        return Rows(
+            np.concatenate([rows.code, self.code]),
+            np.concatenate([rows.pseudorange_m, self.pseudorange_m]),
+            np.concatenate([rows.doppler_mps, self.doppler_mps]),
+            np.concatenate([rows.cn0_dbhz, self.cn0_dbhz]),
+        )
+
+
+NO_ROWS = Rows(np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0))
+
+
+class Ranging:
+    """Holds what spans messages: an epoch that is not complete, the week, the clock's offset.
+
+    TUNNEL frames bear no stamp, so a pseudorange epoch gets its GPS time plus the median
+    of the newest differences between the sender's clock and GPS time: a late frame keeps its true
+    time, and so do the frames of a sender whose stamped messages pause.
+    """
+
+    def __init__(self) -> None:
+        self._offsets: deque[int] = deque(maxlen=OFFSETS_KEPT)
+        self._tow_ms, self._rows = NO_MSM7, NO_ROWS
+        self._week: tuple[int, float] | None = None
+
+    def samples(
+        self, messages: Messages, places: list[int], stamps_us: list[int | None]
+    ) -> list[tuple[int, Sample]]:
+        """Broadcasts and epochs, each at the place (k) of the message that completed it.
+
+        `stamps_us` (k) is what the sender's clock showed last before.
+        """
+        ranges = read_ranges(messages)
+        rows = Rows(*ranges[3:]).after(self._rows)
+        begin, end = 0, len(self._rows.code)
+        heads = zip(
+            messages.number.tolist(),
+            ranges.tow_ms.tolist(),
+            ranges.more.tolist(),
+            (ranges.ends + end).tolist(),
+            places,
+            stamps_us,
+            strict=True,
+        )
+        found: list[tuple[int, Sample]] = []
+        for i, (number, tow_ms, more, last, place, stamp_us) in enumerate(heads):
+            if number in SYSTEMS:
+                found += [(place, s) for s in self._broadcast(messages.bytes(i), stamp_us)]
+            if tow_ms == NO_MSM7:
+                continue
+            if self._tow_ms not in (NO_MSM7, tow_ms):  # the rest of that epoch did not come
+                found.append((place, self._epoch(rows.between(begin, end), stamp_us)))
+                begin = end
+            self._tow_ms, end = tow_ms, last
+            if not more:
+                found.append((place, self._epoch(rows.between(begin, end), stamp_us)))
+                begin = end
+        self._rows = rows.between(begin, end).after(NO_ROWS)  # a copy
+        return found
+
+    def _broadcast(self, message: bytes, stamp_us: int | None) -> list[Sample]:
+        try:
+            ephemeris = _ephemeris(message)
+        except ValueError:  # a peer's bad bytes are no sample
+            return []
+        self._week = ephemeris.week, ephemeris.toe_s
+        return [EphemerisSample(stamp_us or 0, ephemeris)]
+
+    def _epoch(self, rows: Rows, stamp_us: int | None) -> Epoch:
+        tow_s, self._tow_ms = self._tow_ms / 1000.0, NO_MSM7
+        week = self._full_week(tow_s)
+        gps_us = round((week * WEEK_S + tow_s) * 1e6)
+        if stamp_us is not None:
+            offset_us = stamp_us - gps_us
+            if self._offsets and abs(offset_us - self._offsets[-1]) > WEEK_S * 1_000_000 // 2:
+                self._offsets.clear()  # the week has become known
+            self._offsets.append(offset_us)
+        middle = (len(self._offsets) - 1) // 2
+        offset_us = sorted(self._offsets)[middle] if self._offsets else 0
+        satellites = _satellites(rows.code.tobytes())
+        return Epoch(gps_us + offset_us, week, tow_s, satellites, *rows[1:])
+
+    def _full_week(self, tow_s: float) -> int:
+        """MSM gives no week; the newest ephemeris does (0 before there is one)."""
+        if self._week is None:
+            return 0
+        week, toe_s = self._week
+        if tow_s - toe_s > HALF_WEEK_S:
+            return week - 1
+        return week + 1 if toe_s - tow_s > HALF_WEEK_S else week
+
+
+_ephemeris = lru_cache(EPHEMERIDES_KEPT)(decode_ephemeris)
+
+
+@lru_cache(256)
+def _satellites(codes: bytes) -> tuple[str, ...]:
+    """Names of satellites; the same for many epochs."""
+    return tuple(NAMES[code] for code in np.frombuffer(codes, np.int64).tolist())

@@ -1,0 +1,253 @@
+"""RINEX 2, 3 and 4 observation files, one code range, Doppler and C/N0 per satellite.
+
+Only what the detector needs is read: GPS L1, Galileo E1, GLONASS G1, and B1I or B3I of BeiDou. Of
+the code signals of a system the first in `PREFERRED` that the file has is taken [1]_ [2]_. Lines
+that are no observation are passed over; a file cut short ends with its last whole epoch.
+
+References
+----------
+.. [1] IGS/RTCM, RINEX 3.05 and 4.01, tables A2, A3. Hatanaka's compression: package `hatanaka`.
+.. [2] W. Gurtner, RINEX 2.11, tables A1, A2.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+
+from analysis.orbits.broadcast import B1I_HZ, B3I_HZ, L1_HZ, LIGHT_MPS
+from analysis.orbits.glonass import CENTRE_HZ, CHANNEL_HZ
+from analysis.samples.sample import Epoch, Vector
+from mavproxy_fault.documents.errors import ConfigError
+
+PREFERRED = {
+    "G": ("1C", "1X", "1L", "1S", "1W", "1P"),
+    "E": ("1C", "1X", "1B", "1A"),
+    "R": ("1C", "1P"),
+    "C": ("2I", "1I", "2X", "6I", "6X"),  # 1I is what RINEX 3.02 calls B1I
+}
+BEIDOU_HZ = {"1": B1I_HZ, "2": B1I_HZ, "6": B3I_HZ}  # by the band
+GPS_DAY_ZERO = date(1980, 1, 6).toordinal()
+WEEK_DAYS = 7
+FIELD_WIDTH = 16  # F14.3, loss of lock, signal strength
+NOWHERE = 1 << 20  # behind the end of any line
+_Row = tuple[str, tuple[float, float, float], float]  # satellite, its values, carrier
+_COMPRESSED = (".gz", ".z", ".bz2", ".zip", ".crx", ".crx.gz")
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """Where code, Doppler and C/N0 of one system begin in a line, and its carrier (of GLONASS:
+    that of channel 0)."""
+
+    code: int
+    doppler: int
+    cn0: int
+    carrier_hz: float = L1_HZ
+
+
+def _placed(first: int, places: list[int], carrier_hz: float = L1_HZ) -> _Columns:
+    """Columns by their places among the observations (-1: nowhere), in lines whose fields begin at
+    `first`."""
+    starts = [first + FIELD_WIDTH * place if place >= 0 else NOWHERE for place in places]
+    return _Columns(starts[0], starts[1], starts[2], carrier_hz)
+
+
+def read_text(path: Path) -> list[str]:
+    """The lines of a RINEX file, unpacked where it is compressed.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read or is not RINEX.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read; {error.strerror}") from error
+    if path.name.lower().endswith(_COMPRESSED) or b"CRINEX" in data[:80]:
+        import hatanaka
+
+        data = hatanaka.decompress(data)
+    lines = data.decode("ascii", "replace").splitlines()
+    if not lines or not lines[0][60:].startswith("RINEX VERSION"):
+        raise ConfigError(f"{path}: is not a RINEX file; its first line must end in RINEX VERSION")
+    return lines
+
+
+def gps_time(year: int, month: int, day: int, seconds_of_day: float) -> tuple[int, float]:
+    """GPS week and seconds of week of a calendar date in GPS time."""
+    days = date(year, month, day).toordinal() - GPS_DAY_ZERO
+    return days // WEEK_DAYS, days % WEEK_DAYS * 86_400.0 + seconds_of_day
+
+
+def read_observations(path: Path) -> list[Epoch]:
+    """All epochs of an observation file in its order; `t_us` counts from the start of GPS time.
+
+    Raises
+    ------
+    ConfigError
+        If the file is no RINEX observation file.
+    """
+    lines = read_text(path)
+    version, kind = float(lines[0][:9]), lines[0][20:21]
+    if kind != "O":
+        raise ConfigError(f"{path}: has type {kind!r}; an observation file has O")
+    start = next((i for i, line in enumerate(lines) if line[60:].startswith("END OF HEADER")), None)
+    if start is None:
+        raise ConfigError(f"{path}: has no END OF HEADER; the header is cut short")
+    channels = _channels(lines[:start])
+    if version < 3.0:
+        return list(_epochs_2(lines, start + 1, _types_2(lines[:start]), channels))
+    return list(_epochs_3(lines, start + 1, _types_3(lines[:start]), channels))
+
+
+def _columns(system: str, types: list[str]) -> _Columns:
+    for signal in PREFERRED[system]:
+        if "C" + signal in types:
+            found = [types.index(k + signal) if k + signal in types else -1 for k in "CDS"]
+            return _placed(3, found, _carrier_hz(system, signal))
+    return _placed(3, [-1, -1, -1])
+
+
+def _carrier_hz(system: str, signal: str) -> float:
+    if system == "R":
+        return CENTRE_HZ
+    return BEIDOU_HZ[signal[0]] if system == "C" else L1_HZ
+
+
+def _channels(header: list[str]) -> dict[str, int]:
+    """The channels of GLONASS satellites."""
+    found: dict[str, int] = {}
+    for line in header:
+        if line[60:].startswith("GLONASS SLOT / FRQ #"):
+            words = line[4:60].split()
+            pairs = zip(words[::2], words[1::2], strict=False)
+            found |= {name: int(k) for name, k in pairs if k.lstrip("-").isdigit()}
+    return found
+
+
+def _types_3(header: list[str]) -> dict[str, _Columns]:
+    types: dict[str, list[str]] = {}
+    system = ""
+    for line in header:
+        if line[60:].startswith("SYS / # / OBS TYPES"):
+            system = line[0] if line[0] != " " else system
+            types.setdefault(system, []).extend(line[6:60].split())
+    return {system: _columns(system, types[system]) for system in PREFERRED if system in types}
+
+
+def _types_2(header: list[str]) -> tuple[int, _Columns]:
+    names: list[str] = []
+    for line in header:
+        if line[60:].startswith("# / TYPES OF OBSERV"):
+            names.extend(line[6:60].split())
+    code = names.index("C1") if "C1" in names else names.index("P1") if "P1" in names else -1
+    places = [names.index(k) if k in names else -1 for k in ("D1", "S1")]
+    return len(names), _placed(0, [code, *places])
+
+
+def _number(text: str) -> float:
+    """A field; NaN where it is blank."""
+    return math.nan if not text or text.isspace() else float(text)
+
+
+def _values(line: str, columns: _Columns) -> tuple[float, float, float] | None:
+    """Code, Doppler and C/N0 from one line of fields; None where they cannot be read."""
+    code, doppler, cn0 = columns.code, columns.doppler, columns.cn0
+    try:
+        range_m = float(line[code : code + 14])
+        if not range_m > 0.0:
+            return None
+        return range_m, _number(line[doppler : doppler + 14]), _number(line[cn0 : cn0 + 14])
+    except ValueError:
+        return None
+
+
+def _epoch(week: int, tow_s: float, rows: list[_Row], channels: dict[str, int]) -> Epoch | None:
+    if not rows:
+        return None
+    table = np.array([row[1] for row in rows])
+    carriers: Vector | None = None
+    rates = table[:, 1] * (-LIGHT_MPS / L1_HZ)
+    if any(row[2] != L1_HZ for row in rows):
+        carriers = np.array([hz + CHANNEL_HZ * channels.get(name, 0) for name, _, hz in rows])
+        unknown = [name[0] == "R" and name not in channels for name, _, _ in rows]
+        rates = np.where(unknown, np.nan, table[:, 1] * (-LIGHT_MPS / carriers))
+    return Epoch(
+        t_us=round((week * 604_800 + tow_s) * 1e6),
+        week=week,
+        tow_s=tow_s,
+        satellites=tuple(row[0] for row in rows),
+        pseudorange_m=table[:, 0].copy(),
+        doppler_mps=rates,
+        cn0_dbhz=table[:, 2].copy(),
+        carrier_hz=carriers,
+    )
+
+
+def _epochs_3(
+    lines: list[str], at: int, types: dict[str, _Columns], channels: dict[str, int]
+) -> Iterator[Epoch]:
+    while at < len(lines):
+        head = lines[at]
+        at += 1
+        if not head.startswith(">") or head[31:32] > "1":
+            continue
+        try:
+            week, tow_s = _time(head[2:6], head[6:29])
+            count = int(head[32:35])
+        except ValueError:
+            continue
+        rows = []
+        for line in lines[at : at + count]:
+            columns = types.get(line[:1])
+            values = _values(line, columns) if columns is not None else None
+            if columns is not None and values is not None:
+                rows.append((line[:3].replace(" ", "0"), values, columns.carrier_hz))
+        at += count
+        epoch = _epoch(week, tow_s, rows, channels)
+        if epoch is not None and at <= len(lines):
+            yield epoch
+
+
+def _time(year: str, rest: str) -> tuple[int, float]:
+    month, day, hour, minute, second = rest.split()
+    return gps_time(
+        int(year), int(month), int(day), int(hour) * 3600 + int(minute) * 60 + float(second)
+    )
+
+
+def _epochs_2(
+    lines: list[str], at: int, types: tuple[int, _Columns], channels: dict[str, int]
+) -> Iterator[Epoch]:
+    total, columns = types
+    per_satellite = -(-total // 5)
+    while at < len(lines):
+        head = lines[at]
+        at += 1
+        try:
+            year = int(head[1:3])
+            week, tow_s = _time(str(year + (1900 if year >= 80 else 2000)), head[3:26])
+            flag, count = int(head[26:29]), int(head[29:32])
+        except ValueError:
+            continue
+        names = head[32:68]
+        for _ in range((count - 1) // 12):
+            names = names.ljust(36) + lines[at][32:68] if at < len(lines) else names
+            at += 1
+        rows = []
+        for i in range(count if flag <= 1 else 0):
+            block = lines[at : at + per_satellite]
+            at += per_satellite
+            name = names[3 * i : 3 * i + 3].replace(" ", "0")
+            name = "G" + name[1:] if name[:1] == "0" else name
+            values = _values("".join(line.ljust(80)[:80] for line in block), columns)
+            if values is not None and name[:1] in "GER":
+                rows.append((name, values, CENTRE_HZ if name[0] == "R" else L1_HZ))
+        epoch = _epoch(week, tow_s, rows, channels)
+        if epoch is not None and at <= len(lines):
+            yield epoch

@@ -1,0 +1,200 @@
+"""What the analysis works on: samples and GNSS epochs, whatever file or link they came from.
+
+Stamps `t_us` are microseconds on the vehicle's clock.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
+
+Vector = NDArray[np.float64]
+
+MOST_OF_IMU = 1e6  # rad/s, m/s^2: none gives more, and sums of squares stay numbers
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSample:
+    """Rates (3,) in rad/s and specific force (3,) in m/s^2, body axes forward-right-down."""
+
+    t_us: int
+    gyro_b_rps: Vector
+    accel_b_mps2: Vector
+    id: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class MagSample:
+    """Magnetic field (3,) in gauss, body axes."""
+
+    t_us: int
+    field_b_gauss: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class BaroSample:
+    """Static pressure and the altitude the sender made of it."""
+
+    t_us: int
+    pressure_pa: float
+    pressure_alt_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class AirspeedSample:
+    """Differential pressure."""
+
+    t_us: int
+    diff_pressure_pa: float
+
+
+@dataclass(frozen=True, slots=True)
+class GpsFix:
+    """A receiver's solution; altitude above mean sea level; `source` is the message it came in.
+
+    `v_ned_mps` is None without a velocity; its last element is NaN where only the ground speed
+    and course are known (GPS_RAW_INT).
+    """
+
+    t_us: int
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+    v_ned_mps: Vector | None
+    fix_type: int
+    satellites: int
+    eph_m: float
+    epv_m: float
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class Epoch:
+    """Pseudoranges of one instant on one signal per satellite; arrays have shape (n,).
+
+    `week` and `tow_s` are GPS time by the receiver's clock; `doppler_mps` is the range rate
+    (NaN where there is none); satellites are named `G12`, `E05`, `R07`, `C21`. `carrier_hz` is
+    what each range was measured on, always the same for a satellite; None: all on L1 or E1.
+    """
+
+    t_us: int
+    week: int
+    tow_s: float
+    satellites: tuple[str, ...]
+    pseudorange_m: Vector
+    doppler_mps: Vector
+    cn0_dbhz: Vector
+    carrier_hz: Vector | None = None
+
+    def select(self, keep: Sequence[int]) -> "Epoch":
+        """The epoch of some of its satellites, by their places."""
+        at = list(keep)
+        return replace(
+            self,
+            satellites=tuple(self.satellites[i] for i in at),
+            pseudorange_m=self.pseudorange_m[at],
+            doppler_mps=self.doppler_mps[at],
+            cn0_dbhz=self.cn0_dbhz[at],
+            carrier_hz=None if self.carrier_hz is None else self.carrier_hz[at],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class StateVector:
+    """The broadcast orbit of one GLONASS satellite at `toe_s` of GPS week `week`.
+
+    Position, velocity and the acceleration by sun and moon (3,) in PZ-90, m and seconds; the
+    clock's offset (minus tau_n) in s and its rate gamma_n; `health` is 0 for a healthy satellite.
+    """
+
+    satellite: str
+    week: int
+    toe_s: float
+    r_m: tuple[float, float, float]
+    v_mps: tuple[float, float, float]
+    a_mps2: tuple[float, float, float]
+    af0_s: float
+    af1: float
+    health: int = 0
+
+    @property
+    def fit_half_s(self) -> float:
+        """How far from `toe_s` the vector is used: twice its interval, as RTKLIB does."""
+        return 1800.0
+
+
+@dataclass(frozen=True, slots=True)
+class EphemerisSample:
+    """A satellite's broadcast orbit and clock."""
+
+    t_us: int
+    ephemeris: Ephemeris | StateVector
+
+
+@dataclass(frozen=True, slots=True)
+class IonosphereSample:
+    """Klobuchar's coefficients as broadcast: four of amplitude, four of period."""
+
+    t_us: int
+    alpha: tuple[float, float, float, float]
+    beta: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class RangeSample:
+    """Distance to the ground along the body's down axis."""
+
+    t_us: int
+    distance_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class VisionSample:
+    """Local NED position, velocity where given, and attitude from vision or odometry."""
+
+    t_us: int
+    r_ned_m: Vector
+    v_ned_mps: Vector | None
+    q_nb: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class TruthSample:
+    """HIL_STATE_QUATERNION: attitude, position and velocity that really were."""
+
+    t_us: int
+    q_nb: Vector
+    omega_b_rps: Vector
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+    v_ned_mps: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeSample:
+    """An autopilot's own attitude estimate (ATTITUDE or ATTITUDE_QUATERNION)."""
+
+    t_us: int
+    q_nb: Vector
+    system: int
+    source: str
+
+
+Sample = (
+    ImuSample
+    | MagSample
+    | BaroSample
+    | AirspeedSample
+    | GpsFix
+    | Epoch
+    | EphemerisSample
+    | IonosphereSample
+    | RangeSample
+    | VisionSample
+    | TruthSample
+    | AttitudeSample
+)

@@ -1,0 +1,137 @@
+"""PX4's ULog files as columns, by pyulog.
+
+A topic's columns are its fields as pyulog names them (`q[0]`), with `timestamp` in microseconds on
+the vehicle's clock. Field names that PX4 1.14 and later changed are given their newer form.
+"""
+
+import contextlib
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.documents.errors import ConfigError
+
+NUMBER = (int, float)  # what a parameter is, unless its definition is damaged
+Topic = dict[str, NDArray[Any]]
+MAGIC = b"ULog\x01\x12\x35"
+MOST_READS = 100  # times the file's size that a reader may read of it
+DEGREES = {"lat": "latitude_deg", "lon": "longitude_deg"}
+
+
+@dataclass(frozen=True, slots=True)
+class ULogFile:
+    """A ULog read.
+
+    Attributes
+    ----------
+    topics : dict
+        By topic name and instance its columns.
+    messages : list of (t_us, severity, text)
+        What the autopilot logged, severity as in MAVLink, 0 (worst) to 7.
+    parameters : dict
+        Initial parameters by name.
+    changes : list of (t_us, name, value)
+        Parameters changed in flight.
+    info : dict
+        The file's information messages (version, hardware).
+    dropouts : list of (t_us, duration_s)
+    damaged : bool
+        Whether parts of the file could not be read.
+    cut : bool
+        Whether it ends in the middle of a message.
+    """
+
+    topics: Mapping[tuple[str, int], Topic]
+    messages: list[tuple[int, int, str]]
+    parameters: dict[str, float]
+    changes: list[tuple[int, str, float]]
+    info: dict[str, Any]
+    start_us: int
+    dropouts: list[tuple[int, float]]
+    damaged: bool
+    cut: bool
+
+
+class _Patient(io.FileIO):
+    """A file that ends a reader which goes over the same damaged bytes for ever, as pyulog can."""
+
+    def __init__(self, path: str | Path) -> None:
+        super().__init__(path, "rb")
+        self.cut = False  # whether it ended in the middle of what a reader asked for
+        self._left = MOST_READS * Path(path).stat().st_size + 10_000_000
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """As in any file, until too much was read."""
+        data = super().read(-1 if size is None else size) or b""
+        self.cut |= size is not None and 0 < len(data) < size
+        self._left -= len(data) + 1
+        if self._left < 0:
+            raise RuntimeError("damaged beyond reading")
+        return data
+
+
+def is_ulog(head: bytes) -> bool:
+    """Whether a file that begins with these bytes is a ULog."""
+    return head.startswith(MAGIC)
+
+
+def read_ulog(path: str | Path) -> ULogFile:
+    """Read a whole ULog; what a damaged file still holds comes back with `damaged` set.
+
+    Raises
+    ------
+    ConfigError
+        If nothing can be read.
+    """
+    from pyulog import ULog
+
+    complaints = io.StringIO()  # pyulog prints what it cannot read
+    try:
+        file = _Patient(path)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; give the path of a ULog") from error
+    try:
+        with file, contextlib.redirect_stdout(complaints):
+            log = ULog(file)
+    except Exception as error:  # pyulog raises whatever its struct and index code does
+        raise ConfigError(f"{path}: not a readable ULog ({error}); give a whole file") from error
+    topics = {
+        (data.name, data.multi_id): _renamed(data.data)
+        for data in log.data_list
+        if len(data.data.get("timestamp", ()))
+    }
+    return ULogFile(
+        topics,
+        [(m.timestamp, (m.log_level - ord("0")) & 7, m.message) for m in log.logged_messages],
+        {name: float(v) for name, v in log.initial_parameters.items() if isinstance(v, NUMBER)},
+        [
+            (t_us, name, float(v))
+            for t_us, name, v in log.changed_parameters
+            if isinstance(v, NUMBER)
+        ],
+        dict(log.msg_info_dict),
+        int(log.start_timestamp),
+        [(drop.timestamp, drop.duration * 1e-3) for drop in log.dropouts],
+        bool(log.file_corruption or complaints.getvalue()),
+        file.cut,
+    )
+
+
+def _renamed(columns: Mapping[str, NDArray[Any]]) -> Topic:
+    """Older PX4 gave positions in 1e-7 degrees and millimetres."""
+    found = dict(columns)
+    for old, new in DEGREES.items():
+        if old in found and new not in found:
+            raw = found[old]
+            scale = 1e-7 if np.issubdtype(raw.dtype, np.integer) else 1.0
+            found[new] = raw * scale
+    if "alt" in found and "altitude_msl_m" not in found:
+        raw = found["alt"]
+        scale = 1e-3 if np.issubdtype(raw.dtype, np.integer) else 1.0
+        found["altitude_msl_m"] = raw * scale
+    return found

@@ -1,0 +1,1 @@
+"""How good it was: attitude errors against the truth, alarms against the labels, criteria."""

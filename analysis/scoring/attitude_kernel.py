@@ -1,0 +1,153 @@
+"""Estimates against the truth around them, compiled: see `attitude`."""
+
+from math import isfinite, pi
+
+import numpy as np
+
+from analysis.samples.block import Indices, Stamps
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.quaternion import Quaternion, between, errors
+
+MAX_TRUTH_GAP_US = 1_000_000  # truth is not interpolated over a longer pause
+LATEST_US = 1_000_000  # how long the truth is kept for estimates that come late
+
+
+@compiled
+def around(truth_us: Stamps, oldest: int, newest: int, t_us: int) -> tuple[int, int]:
+    """The truth just before and just after an instant that lies before the newest; (-1, -1) if it
+    is not known close enough."""
+    first, second = newest - 1, newest
+    if t_us < truth_us[first]:
+        low, high = oldest, newest
+        while low < high:
+            middle = (low + high) // 2
+            if truth_us[middle] < t_us:
+                low = middle + 1
+            else:
+                high = middle
+        if t_us < truth_us[oldest]:
+            return -1, -1
+        first, second = max(low - 1, oldest), max(low, oldest + 1)
+    span_us = truth_us[second] - truth_us[first]
+    return (first, second) if 0 < span_us <= MAX_TRUTH_GAP_US else (-1, -1)
+
+
+@compiled
+def attitude(q_nb: Vector, row: int) -> Quaternion:
+    """One of q_nb (n, 4)."""
+    return q_nb[row, 0], q_nb[row, 1], q_nb[row, 2], q_nb[row, 3]
+
+
+@compiled
+def compare(
+    truth_row: Indices,
+    truth_us: Stamps,
+    truth_q: Vector,
+    row: Indices,
+    t_us: Stamps,
+    q_nb: Vector,
+) -> tuple[Indices, Indices, Indices, Vector, Indices, int]:
+    """Errors of estimates, each when the truth has passed it.
+
+    Parameters
+    ----------
+    truth_row, truth_us, truth_q : (k,), (k,), (k, 4)
+        Where in the block each truth came (-1: before it), its stamp and attitude.
+    row, t_us, q_nb : (n,), (n,), (n, 4)
+        The same of estimates.
+
+    Returns
+    -------
+    scored, came, truth : (m,)
+        Estimates in the order of their scores, the row that completed each, and the truth just
+        after it.
+    error : (m, 4)
+        Of roll, pitch, yaw and the turn, in rad; pi where the estimate is no number.
+    waiting : (w,)
+        Estimates that the truth has not passed yet.
+    oldest : int
+        The first truth that is still wanted.
+    """
+    count = len(row)
+    scored, truth = np.empty(count, np.int64), np.empty(count, np.int64)
+    came = np.empty(count, np.int64)
+    error = np.empty((count, 4))
+    waiting = np.empty(count, np.int64)
+    waits = done = come = oldest = 0
+    for j in range(len(truth_us)):
+        while come < count and row[come] < truth_row[j]:
+            waiting[waits] = come
+            waits += 1
+            come += 1
+        if j > 0 and truth_row[j] >= 0 and truth_us[j] > truth_us[j - 1]:
+            later = 0
+            for k in range(waits):
+                i = waiting[k]
+                if t_us[i] > truth_us[j]:
+                    waiting[later] = i
+                    later += 1
+                    continue
+                first, second = around(truth_us, oldest, j, t_us[i])
+                if first >= 0:
+                    share = (t_us[i] - truth_us[first]) / (truth_us[second] - truth_us[first])
+                    true = between(attitude(truth_q, first), attitude(truth_q, second), share)
+                    roll, pitch, yaw, turn = errors(attitude(q_nb, i), true)
+                    if not isfinite(roll + pitch + yaw + turn):
+                        roll, pitch, yaw, turn = pi, pi, pi, pi
+                    error[done, 0], error[done, 1] = roll, pitch
+                    error[done, 2], error[done, 3] = yaw, turn
+                    scored[done], came[done], truth[done] = i, truth_row[j], second
+                    done += 1
+            waits = later
+        while truth_us[oldest] < truth_us[j] - LATEST_US and j - oldest > 1:
+            oldest += 1
+    while come < count:
+        waiting[waits] = come
+        waits += 1
+        come += 1
+    return scored[:done], came[:done], truth[:done], error[:done], waiting[:waits], oldest
+
+
+@compiled
+def gather(
+    source: Indices, cell_us: Stamps, error: Vector, last_us: Stamps, sums: Vector
+) -> tuple[Indices, Stamps, Vector]:
+    """Add errors to the cells of their sources.
+
+    Parameters
+    ----------
+    source, cell_us, error : (m,), (m,), (m, 4)
+        Whose each error is, when its cell begins, and the error.
+    last_us, sums : (s,), (s, 9)
+        The newest cell of each source and its sums: how many, sums of squares, maxima.
+
+    Returns
+    -------
+    opened : (c,)
+        Errors that opened a new cell.
+    last_us, sums : (s,), (s + c, 9)
+        As above, followed by the sums of the new cells.
+    """
+    sources = len(last_us)
+    last_us = last_us.copy()
+    opened = np.empty(len(source), np.int64)
+    total = np.zeros((sources + len(source), 9))
+    at = np.arange(sources)
+    for s in range(sources):
+        for k in range(9):
+            total[s, k] = sums[s, k]
+    count = 0
+    for i in range(len(source)):
+        s = source[i]
+        if cell_us[i] != last_us[s]:
+            opened[count] = i
+            at[s] = sources + count
+            last_us[s] = cell_us[i]
+            count += 1
+        total[at[s], 0] += 1.0
+        for k in range(4):
+            value = error[i, k]
+            total[at[s], 1 + k] += value * value
+            total[at[s], 5 + k] = max(total[at[s], 5 + k], abs(value))
+    return opened[:count], last_us, total[: sources + count]

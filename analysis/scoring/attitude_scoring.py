@@ -1,0 +1,263 @@
+"""Scores of attitude estimators against the truth that travels beside the sensor frames.
+
+Estimates wait for the truth samples on both sides of them and are compared with the truth between
+those; one that comes up to a second late, as from an autopilot on a link, still counts. One that is
+no number is wrong by 180 degrees. Errors are gathered in cells of `1 / rate_hz`: sums at the full
+rate of the estimates for the scores, the first error of each cell as a result. Samples of an IMU
+or a magnetometer that are no measurement (NaN, 1e20) are not shown to estimators.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.estimators import Estimator, Prior, follow, make
+from analysis.results import AttitudeError
+from analysis.samples.block import (
+    AIRSPEED,
+    ATTITUDE,
+    IMU,
+    MAG,
+    SOURCES,
+    TRUTH,
+    WIDTH,
+    Block,
+    Indices,
+    Stamps,
+    block_of,
+)
+from analysis.samples.sample import MOST_OF_IMU, Sample, TruthSample, Vector
+from analysis.scoring.attitude_kernel import compare, gather
+from analysis.scoring.attitude_scores import Cells, Window, parted, phases_of
+
+WAITING_MAX = 20_000  # estimates; after a long pause of the truth the oldest cannot be scored
+AUTOPILOTS = ("ATTITUDE", "ATTITUDE_QUATERNION")
+FIRST_AUTOPILOT = SOURCES.index(AUTOPILOTS[0])
+
+
+class AttitudeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Which estimators run; `imu` is the IMU they see, `settle_s` the time left out at the start.
+
+    `declination_deg` None takes it from the World Magnetic Model at the first true position.
+    """
+
+    estimators: tuple[str, ...] = ("ekf",)
+    rate_hz: float = 10.0
+    imu: int = 0
+    settle_s: float = 0.0
+    declination_deg: float | None = None
+
+
+class Estimates(NamedTuple):
+    """Estimates (n,): the block's row each came with, whose it is, its stamp, and q_nb (n, 4)."""
+
+    row: Indices
+    source: Indices
+    t_us: Stamps
+    q_nb: Vector
+
+    def at(self, rows: Indices) -> "Estimates":
+        """Some of them."""
+        return Estimates(
+            self.row[rows], self.source[rows], self.t_us[rows], self.q_nb.take(rows, axis=0)
+        )
+
+
+NO_ESTIMATES = Estimates(
+    np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 4))
+)
+
+
+@dataclass
+class ScorerState:
+    """What moves while scoring, in place: the history grows by every cell.
+
+    `last_us` and `sums` (s, 9) are the newest cell of each source; `truth_us` (k,) and `truth`
+    (k, WIDTH) the newest truths.
+    """
+
+    last_us: Stamps
+    sums: Vector
+    t0_us: int | None = None
+    estimators: dict[str, Any] = field(default_factory=dict)
+    truth_us: Stamps = field(default_factory=lambda: np.empty(0, np.int64))
+    truth: Vector = field(default_factory=lambda: np.empty((0, WIDTH)))
+    waiting: Estimates = NO_ESTIMATES
+    cells: dict[str, list[Cells]] = field(default_factory=dict)  # as blocks brought them
+
+
+class AttitudeScorer:
+    """A step of the pipeline; nothing is scored before the first truth sample."""
+
+    def __init__(self, config: AttitudeConfig) -> None:
+        self.config = config
+        self._estimators: dict[str, Estimator] = {name: make(name) for name in config.estimators}
+        self._names = (*self._estimators, *AUTOPILOTS)
+        self._cell_us = round(1e6 / config.rate_hz)
+
+    def new_state(self) -> ScorerState:
+        """The state before the first sample."""
+        count = len(self._names)
+        return ScorerState(np.full(count, -1, np.int64), np.zeros((count, 9)))
+
+    def step(
+        self, samples: Sample | Block, state: ScorerState
+    ) -> tuple[list[AttitudeError], ScorerState]:
+        """Errors that a block of samples, or a single one, completes, thinned to `rate_hz`."""
+        block = samples if isinstance(samples, Block) else block_of(samples)
+        return [error for _, error in self.score(block, state)], state
+
+    def score(self, block: Block, state: ScorerState) -> list[tuple[int, AttitudeError]]:
+        """The same with the row of the block that completed each."""
+        truths = block.rows(TRUTH)
+        begin = -1
+        if state.t0_us is None:
+            if not len(truths):
+                return []
+            begin = int(truths[0])
+            self._start(block.sample(begin), state)
+        estimates = self._estimates(block, begin, state)
+        truth_us = np.concatenate([state.truth_us, block.t_us[truths]])
+        truth = np.concatenate([state.truth, block.values.take(truths, axis=0)])
+        truth_row = np.concatenate([np.full(len(state.truth_us), -1), truths])
+        scored, came, after, error, waiting, oldest = compare(
+            truth_row,
+            truth_us,
+            truth,
+            estimates.row,
+            estimates.t_us,
+            estimates.q_nb,
+        )
+        waiting = waiting[-WAITING_MAX:]
+        state.waiting = estimates.at(waiting)._replace(row=np.full(len(waiting), -1))
+        state.truth_us, state.truth = truth_us[oldest:].copy(), truth[oldest:].copy()
+        return self._gather(state, estimates.at(scored), error, came, after, truth)
+
+    def _start(self, sample: Sample, state: ScorerState) -> None:
+        assert isinstance(sample, TruthSample)
+        state.t0_us = sample.t_us
+        prior = Prior(
+            sample.t_us,
+            sample.q_nb,
+            sample.v_ned_mps,
+            declination_rad=self._declination_rad(sample),
+        )
+        state.estimators = {name: e.start(prior) for name, e in self._estimators.items()}
+
+    def _declination_rad(self, sample: TruthSample) -> float:
+        if self.config.declination_deg is not None:
+            return float(np.radians(self.config.declination_deg))
+        return declination_rad(sample.lat_deg, sample.lon_deg, sample.alt_m)
+
+    def _estimates(self, block: Block, begin: int, state: ScorerState) -> Estimates:
+        """What waited and what the block brings behind row `begin`, in order."""
+        rows = np.arange(len(block.kind))
+        mine = (block.kind != IMU) | (block.values[:, 6] == self.config.imu)
+        keep = (rows > begin) & mine & _measured(block)
+        seen = block if keep.all() else block.where(keep)
+        imu = rows[keep & (block.kind == IMU)]
+        found = [state.waiting]
+        for number, (name, estimator) in enumerate(self._estimators.items()):
+            t_us, q_nb, state.estimators[name] = follow(estimator, seen, state.estimators[name])
+            found.append(Estimates(imu, np.full(len(imu), number), t_us, q_nb))
+        own = rows[keep & (block.kind == ATTITUDE)]
+        number = block.values[own, 5].astype(np.int64) - FIRST_AUTOPILOT + len(self._estimators)
+        found.append(Estimates(own, number, block.t_us[own], block.values[own, :4]))
+        every = Estimates(*(np.concatenate(column) for column in zip(*found, strict=True)))
+        return every.at(np.argsort(every.row, kind="stable"))
+
+    def _gather(
+        self,
+        state: ScorerState,
+        estimates: Estimates,
+        error: Vector,
+        row: Indices,
+        after: Indices,
+        truth: Vector,
+    ) -> list[tuple[int, AttitudeError]]:
+        """Add errors (m, 4) to their cells; those that opened one, with their row.
+
+        `row` (m,) tells what completed each, `after` (m,) which of `truth` (k, WIDTH) is that just
+        after the estimate.
+        """
+        assert state.t0_us is not None
+        since_us = estimates.t_us - state.t0_us
+        settled = np.flatnonzero(since_us >= self.config.settle_s * 1e6)
+        if len(settled) < len(since_us):
+            estimates, error, row = estimates.at(settled), error[settled], row[settled]
+            since_us, after = since_us[settled], after[settled]
+        if not len(error):
+            return []
+        cell_us = estimates.t_us - since_us % self._cell_us
+        opened, state.last_us, sums = gather(
+            estimates.source, cell_us, error, state.last_us, state.sums
+        )
+        true, count = truth[after[opened]], len(self._names)
+        cells = Cells(
+            cell_us[opened], phases_of(true[:, :4], true[:, 10:13]), sums[count:], error[opened]
+        )
+        for number, name in enumerate(self._names):
+            known = state.cells.setdefault(name, [])
+            if known:
+                known[-1].sums[-1] = sums[number]
+            mine = np.flatnonzero(estimates.source[opened] == number)
+            if len(mine):
+                known.append(cells.at(mine))
+            if known:
+                state.sums[number] = known[-1].sums[-1]
+        return self._results(state.t0_us, estimates.at(opened), error[opened], row[opened])
+
+    def _results(
+        self, t0_us: int, estimates: Estimates, error: Vector, row: Indices
+    ) -> list[tuple[int, AttitudeError]]:
+        columns = row, estimates.source, estimates.t_us, *np.degrees(error).T
+        return [
+            (
+                at,
+                AttitudeError(
+                    t_s=(t_us - t0_us) * 1e-6,
+                    t_us=t_us,
+                    estimator=self._names[number],
+                    roll=roll,
+                    pitch=pitch,
+                    yaw=yaw,
+                    angle=angle,
+                ),
+            )
+            for at, number, t_us, roll, pitch, yaw, angle in zip(
+                *(column.tolist() for column in columns), strict=True
+            )
+        ]
+
+    def summary(self, state: ScorerState, labels: Sequence[Window] = ()) -> dict[str, Any]:
+        """Scores by estimator, as `parted` gives them."""
+        return {
+            name: parted(
+                Cells(*map(np.concatenate, zip(*cells, strict=True))), labels, self._cell_us
+            )
+            for name, cells in sorted(state.cells.items())
+            if cells
+        }
+
+
+def _measured(block: Block) -> NDArray[np.bool_]:
+    """Rows (n,) that are a measurement: neither NaN nor what no sensor gives."""
+    fine = np.ones(len(block.kind), bool)
+    for kind, width, most in ((IMU, 6, MOST_OF_IMU), (MAG, 3, np.inf), (AIRSPEED, 1, np.inf)):
+        rows = block.rows(kind)
+        fine[rows] = (np.abs(block.values[rows, :width]) < most).all(axis=1)
+    return fine
+
+
+def declination_rad(lat_deg: float, lon_deg: float, alt_m: float) -> float:
+    """Magnetic declination by the World Magnetic Model 2025 at its epoch."""
+    from pygeomag import GeoMag
+
+    field = GeoMag(coefficients_file="wmm/WMM_2025.COF").calculate(
+        glat=lat_deg, glon=lon_deg, alt=alt_m / 1000.0, time=2025.0
+    )
+    return float(np.radians(field.d))

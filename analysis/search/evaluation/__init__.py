@@ -1,0 +1,1 @@
+"""How a point of the search is flown: in lanes, in the simulator, or under an autopilot."""

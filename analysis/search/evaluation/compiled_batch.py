@@ -1,0 +1,275 @@
+"""Evaluate points of a test's space: fly them all, draw their noise, score the estimator."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.estimators import Prior, make
+from analysis.estimators.complementary import Mahony
+from analysis.estimators.ekf import Ekf
+from analysis.estimators.estimator import GRAVITY_MPS2, SEA_LEVEL_DENSITY_KGPM3
+from analysis.search.evaluation.traced_flight import Trace, estimated, traced, with_all_sensors
+from analysis.search.lanes import rows
+from analysis.search.lanes.filter_lanes import EKF, HEARD, LEVELLED, MAHONY, MEMORY, Gains
+from analysis.search.lanes.lane_state import Envelope
+from analysis.search.lanes.noise_kernel import GENERATORS, streams
+from analysis.search.lanes.search_kernel import Plan, fly
+from analysis.search.space.dimensions import (
+    Space,
+    fault_entries,
+    flight_entries,
+    flights_of,
+    space_of,
+)
+from analysis.search.space.test_file import StateScales, TestFile
+from mavproxy_fault.numerics.rotation import matrix_from_quat
+from simvehicle.environment.air import GUSTS
+from simvehicle.vehicles.fixedwing import FixedWing
+
+Array = NDArray[np.float64]
+FIELD_HZ, VELOCITY_HZ, PRESSURE_HZ = 25.0, 5.0, 10.0
+HEUN = 0
+COMPILED = {"inverse-model": HEUN, "complementary": MAHONY, "mahony": MAHONY, "ekf": EKF}
+
+
+class Outcome(NamedTuple):
+    """What became of n evaluations.
+
+    `fitness` (n,) is the criterion in degrees (without a unit by that of twelve states), or, where
+    the flight left the envelope, minus the share of the time that was left (-1 to 0); `spread_deg`
+    (n,) is its standard deviation over the noise draws. `rmse_deg` and `largest_deg` (n, 4): roll,
+    pitch, yaw, angle (in the kernels 0 unless the criterion is the angle), means over the noise
+    draws. `lasted_s` (n,); `left` (n,) numbers of `rows.LIMITS`; `steps` that were flown and
+    scored, all in all.
+    """
+
+    fitness: Array
+    spread_deg: Array
+    rmse_deg: Array
+    largest_deg: Array
+    lasted_s: Array
+    left: NDArray[np.int64]
+    steps: int
+
+
+@dataclass(frozen=True)
+class Batch:
+    """A test ready to be flown; the same points, seed and numbers give the same outcome."""
+
+    test: TestFile
+
+    @cached_property
+    def vehicle(self) -> FixedWing:
+        """The airframe."""
+        return FixedWing.read(self.test.vehicle)
+
+    @cached_property
+    def space(self) -> Space:
+        """What is searched."""
+        speed = self.vehicle.parameters.cruise_mps
+        trim = self.vehicle.trim(speed, self.test.density_kgpm3, GRAVITY_MPS2)
+        return space_of(flight_entries(self.test, trim) | fault_entries(self.test))
+
+    @cached_property
+    def plan(self) -> Plan:
+        """What all flights share."""
+        return plan_of(self.test, self.vehicle)
+
+    def evaluate(self, points: Array, seed: int, first: int, draws: int | None = None) -> Outcome:
+        """Fly points (n, d) of the unit cube, each with its own noise.
+
+        `first` is the number of the first evaluation: noise belongs to seed and number.
+        """
+        draws = self.test.noise_draws if draws is None else draws
+        return self.of_values(self.space.values(points), seed, first, draws)
+
+    def of_values(
+        self,
+        values: Mapping[str, Array],
+        seed: int,
+        first: int,
+        draws: int,
+        alike: bool = False,
+    ) -> Outcome:
+        """Fly values (n,) by name, `draws` times each; with the same noise for all if `alike`.
+
+        Without gusts chance does not move the aircraft: of many flights, those that leave the
+        envelope are flown only once.
+        """
+        flights = flights_of(self.test, values)
+        count = flights.shape[1]
+        numbers = first * draws + np.arange(count * draws).reshape(count, draws)
+        if alike:
+            numbers = np.broadcast_to(numbers[0], numbers.shape)
+        if count < 2 * rows.LANES or draws == 1 or self.plan.gusts:
+            columns = self._flown(np.repeat(flights, draws, axis=1), seed, numbers.ravel())
+            columns = columns.reshape(rows.ROWS, count, draws)
+            return outcome_of(columns, self.test)
+        once = self._flown(flights, seed, numbers[:, 0])
+        columns = np.repeat(once[:, :, None], draws, axis=2)
+        stays = once[rows.LEFT] == 0.0
+        if stays.any():
+            rest = np.repeat(flights[:, stays], draws - 1, axis=1)
+            again = self._flown(rest, seed, numbers[stays, 1:].ravel())
+            columns[:, stays, 1:] = again.reshape(rows.ROWS, -1, draws - 1)
+        return outcome_of(columns, self.test)
+
+    def _flown(self, flights: Array, seed: int, numbers: NDArray[np.int64]) -> Array:
+        """The columns as the kernel leaves them; `numbers` (n,) choose the noise."""
+        columns = padded(flights)
+        noise = np.ones((GENERATORS, columns.shape[1]), dtype=np.uint64)
+        noise[:, : len(numbers)] = streams(seed, numbers)
+        memory = start_memory(self.test.estimator, columns)
+        fly(columns, memory, noise, self.plan)
+        if self.test.estimator not in COMPILED:
+            for lane in np.flatnonzero(columns[rows.LEFT, : len(numbers)] == 0.0):
+                column, number = flights[:, lane], int(numbers[lane])
+                plan = with_all_sensors(self.plan)
+                self._score(columns[:, lane], traced(plan, column, memory[lane], seed, number))
+        return columns[:, : len(numbers)]
+
+    def _score(self, column: Array, flight: Trace) -> None:
+        """Put the scores of an estimator in Python in the place of the kernel's."""
+        estimate = estimated(flight, make(self.test.estimator))
+        error = replace(flight, q_estimate=estimate).errors_rad()
+        column[rows.SQUARES : rows.SQUARES + 4] = (error**2).sum(axis=0)
+        column[rows.LARGEST : rows.LARGEST + 4] = np.abs(error).max(axis=0)
+
+
+def plan_of(test: TestFile, vehicle: FixedWing) -> Plan:
+    """The kernel's view of a test."""
+    dip, variation = np.radians([test.inclination_deg, test.declination_deg])
+    north, down = test.field_gauss * np.cos(dip), test.field_gauss * np.sin(dip)
+    return Plan(
+        steps=round(test.duration_s / test.dt_s),
+        dt_s=test.dt_s,
+        gravity_mps2=GRAVITY_MPS2,
+        density_kgpm3=test.density_kgpm3,
+        field_ned_gauss=(
+            float(north * np.cos(variation)),
+            float(north * np.sin(variation)),
+            float(down),
+        ),
+        declination_rad=float(variation),
+        field_every=max(1, round(1.0 / FIELD_HZ / test.dt_s)),
+        velocity_every=max(1, round(1.0 / VELOCITY_HZ / test.dt_s)),
+        pressure_every=max(1, round(1.0 / PRESSURE_HZ / test.dt_s)),
+        mission=test.mission is not None,
+        gusts=test.gusts != "none",
+        gust_sigma_mps=GUSTS[test.gusts].sigma_mps,
+        gust_length_m=GUSTS[test.gusts].length_m,
+        slots=len(test.faults),
+        noisy=any(fault.fault == "noise" for fault in test.faults),
+        angle=test.criterion == "angle",
+        state=test.criterion == "state",
+        estimator=COMPILED.get(test.estimator, HEUN),
+        gains=gains_of(test.estimator),
+        sea_density_kgpm3=SEA_LEVEL_DENSITY_KGPM3,
+        limits=envelope_of(test),
+        body=vehicle.body,
+        aero=vehicle.aero,
+    )
+
+
+def gains_of(name: str) -> Gains:
+    """What the kernels of an estimator take, from its default parameters."""
+    estimator = make(name)
+    if isinstance(estimator, Mahony):
+        tilt, heading, bias = estimator.tilt_gain, estimator.heading_gain, estimator.bias_gain
+        return (tilt, heading, bias, 0.0, 0.0, 0.0, 0.0, 0.0)
+    if isinstance(estimator, Ekf):
+        return (
+            estimator.gyro_density,
+            estimator.bias_density,
+            estimator.accel_density,
+            estimator.velocity_sigma_mps**2,
+            estimator.heading_sigma_rad**2,
+            estimator.gravity_sigma_mps2**2,
+            estimator.gravity_period_s,
+            estimator.gps_timeout_s,
+        )
+    return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def envelope_of(test: TestFile) -> Envelope:
+    """The limits as the kernel compares them."""
+    limits = test.envelope
+    return Envelope(
+        float(np.sin(np.radians(limits.pitch_deg))),
+        float(np.tan(np.radians(limits.alpha_deg))),
+        float(np.tan(np.radians(limits.beta_deg))),
+        *limits.airspeed_mps,
+        float(np.radians(limits.rate_dps)),
+        limits.load_g * GRAVITY_MPS2,
+        limits.height_m,
+    )
+
+
+def padded(columns: Array) -> Array:
+    """Columns filled up to a multiple of LANES with dead copies of the first."""
+    missing = -columns.shape[1] % rows.LANES
+    filler = np.repeat(columns[:, :1], missing, axis=1)
+    filler[rows.ALIVE] = 0.0
+    return np.ascontiguousarray(np.concatenate([columns, filler], axis=1))
+
+
+def start_memory(name: str, columns: Array) -> Array:
+    """The filters' start states (n, MEMORY) at the true attitude and velocity."""
+    count = columns.shape[1]
+    memory = np.zeros((count, MEMORY))
+    if COMPILED.get(name, HEUN) == HEUN:
+        memory[:, 0] = 1.0
+        return memory
+    estimator = make(name)
+    x = estimator.start(Prior(0, np.array([1.0, 0.0, 0.0, 0.0]))).x
+    memory[:, : len(x)] = x
+    if isinstance(estimator, Ekf):
+        memory[:, HEARD], memory[:, LEVELLED] = -estimator.gps_timeout_s, 0.0
+    q = columns[rows.STATE + 6 : rows.STATE + 10]
+    memory[:, :4] = q.T
+    if COMPILED[name] == EKF:
+        memory[:, 7:10] = ned_velocity(q, columns[rows.STATE + 3 : rows.STATE + 6]).T
+    return memory
+
+
+def ned_velocity(q: Array, v_b_mps: Array) -> Array:
+    """Body vectors (3, n) turned to NED by quaternions (4, n)."""
+    turned: Array = np.einsum("nij,jn->in", matrix_from_quat(q.T), v_b_mps)
+    return turned
+
+
+def outcome_of(columns: Array, test: TestFile) -> Outcome:
+    """Scores from the rows (ROWS, n, draws) that the kernel left."""
+    count = columns[rows.COUNT]
+    safe = np.maximum(count, 1.0)
+    rmse = np.degrees(np.sqrt(columns[rows.SQUARES : rows.SQUARES + 4] / safe))
+    largest = np.degrees(columns[rows.LARGEST : rows.LARGEST + 4])
+    left = columns[rows.LEFT].max(axis=1).astype(np.int64)
+    lasted = np.minimum(count.min(axis=1) * test.dt_s / (test.duration_s + test.dt_s), 1.0)
+    state = columns[rows.STATE_SQUARES : rows.STATE_SQUARES + 12] / safe
+    worst = {
+        "euler": lambda: rmse[:3].max(axis=0),
+        "angle": lambda: rmse[3],
+        "state": lambda: np.sqrt((state / squares_of(test.state_scales)).mean(axis=0)),
+    }[test.criterion]()
+    fitness = np.where(left > 0, lasted - 1.0, worst.mean(axis=1))
+    return Outcome(
+        np.nan_to_num(fitness, nan=-1.0),
+        worst.std(axis=1),
+        rmse.mean(axis=2).T,
+        largest.mean(axis=2).T,
+        lasted * test.duration_s,
+        left,
+        int(np.where(left > 0, count.max(axis=1), count.sum(axis=1)).sum()),
+    )
+
+
+def squares_of(scales: StateScales) -> Array:
+    """The squares of the scales of twelve states (12, 1, 1) in SI units."""
+    angle, rate = np.radians([scales.angle_deg, scales.rate_dps])
+    each = [scales.position_m, scales.velocity_mps, float(angle), float(rate)]
+    return np.repeat(np.square(each), 3)[:, None, None]

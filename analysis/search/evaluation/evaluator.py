@@ -1,0 +1,38 @@
+"""Who flies a test: the compiled kernels, or the simulator."""
+
+from collections.abc import Mapping
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.search.evaluation.compiled_batch import Batch, Outcome
+from analysis.search.space.dimensions import Space
+from analysis.search.space.test_file import TestFile
+
+Array = NDArray[np.float64]
+
+
+class Evaluator(Protocol):
+    """The same points, seed and numbers give the same outcome (an autopilot's may vary)."""
+
+    @property
+    def space(self) -> Space:
+        """What is searched."""
+
+    def evaluate(self, points: Array, seed: int, first: int, draws: int | None = None) -> Outcome:
+        """Fly points (n, d) of the unit cube; `first` is the number of the first evaluation."""
+
+    def of_values(
+        self, values: Mapping[str, Array], seed: int, first: int, draws: int, alike: bool = False
+    ) -> Outcome:
+        """Fly values (n,) by name; with the same noise for all if `alike`."""
+
+
+def evaluator(test: TestFile) -> Evaluator:
+    """The evaluator of a test."""
+    if test.flown:
+        from analysis.search.evaluation.flown_cases import Flown
+
+        return Flown(test)
+    return Batch(test)

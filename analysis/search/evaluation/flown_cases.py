@@ -1,0 +1,221 @@
+"""Evaluate points of a test's space in the simulator, through the proxy, one flight at a time.
+
+For what the compiled kernels do not have: any scenario, every fault of the proxy, the project's
+own fusion, and an autopilot behind a link.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.estimators.estimator import GRAVITY_MPS2
+from analysis.run.proxied_flight import Flight
+from analysis.samples.decoder import Decoder
+from analysis.scoring.attitude_scores import AXES
+from analysis.scoring.attitude_scoring import AttitudeConfig, AttitudeScorer
+from analysis.search.evaluation.autopilot_flight import AutopilotFlight
+from analysis.search.evaluation.compiled_batch import Outcome
+from analysis.search.lanes.noise_kernel import seed_of
+from analysis.search.space.dimensions import Space, fault_entries, flight_entries, space_of
+from analysis.search.space.point_scenario import Document, document_of
+from analysis.search.space.section import Range
+from analysis.search.space.test_file import AUTOPILOT, Limits, TestFile
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.rotation import euler_angles
+from mavproxy_fault.schedule.entries import Schedule, parse_schedule
+from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.label import Label
+from mavproxy_fault.wire.parser import Parser
+from simvehicle.scenario.scenario_file import Scenario
+from simvehicle.vehicles.body import Truth
+from simvehicle.vehicles.fixedwing import FixedWing
+
+Array = NDArray[np.float64]
+
+
+class Scores(NamedTuple):
+    """Of one flight: `rmse_deg` and `largest_deg` (4,) as in `Outcome`; `parts` as `parted` gives.
+
+    `left` is the number of the limit that ended it, as in `rows.LIMITS`.
+    """
+
+    rmse_deg: Array
+    largest_deg: Array
+    lasted_s: float
+    left: int
+    steps: int
+    parts: dict[str, Any]
+
+
+class Watch:
+    """Bytes of a flight to scores."""
+
+    def __init__(self, config: AttitudeConfig) -> None:
+        self._parser, self._decoder = Parser(), Decoder()
+        self._scorer = AttitudeScorer(config)
+        self._state = self._scorer.new_state()
+
+    def hear(self, data: bytes) -> None:
+        """Take in what left the proxy for the monitor."""
+        items = self._parser.push(data, datagram=False)
+        block = self._decoder.decode(item for item in items if isinstance(item, Frame))
+        _, self._state = self._scorer.step(block, self._state)
+
+    def summary(self, labels: Sequence[Label]) -> dict[str, Any]:
+        """Scores by estimator."""
+        return self._scorer.summary(self._state, labels)
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A test to be flown in the simulator; the counterpart of `Batch`."""
+
+    test: TestFile
+
+    @cached_property
+    def space(self) -> Space:
+        """What is searched."""
+        entries: dict[str, Range] = {f"vary.{name}": ends for name, ends in self.test.vary.items()}
+        if self.test.scenario is None:
+            vehicle = FixedWing.read(self.test.vehicle)
+            speed = vehicle.parameters.cruise_mps
+            trim = vehicle.trim(speed, self.test.density_kgpm3, GRAVITY_MPS2)
+            entries = flight_entries(self.test, trim)
+        return space_of(entries | fault_entries(self.test))
+
+    def evaluate(self, points: Array, seed: int, first: int, draws: int | None = None) -> Outcome:
+        """Fly points (n, d) of the unit cube, `first` being the first evaluation's number."""
+        draws = self.test.noise_draws if draws is None else draws
+        return self.of_values(self.space.values(points), seed, first, draws)
+
+    def of_values(
+        self,
+        values: Mapping[str, Array],
+        seed: int,
+        first: int,
+        draws: int,
+        alike: bool = False,
+    ) -> Outcome:
+        """Fly values (n,) by name, `draws` times each; with the same noise for all if `alike`."""
+        count = len(next(iter(values.values())))
+        flights = []
+        for i in range(count):
+            mine = {name: float(column[i]) for name, column in values.items()}
+            number = first if alike else first + i
+            flights.append(
+                [self.scores(mine, seed, number * draws + draw) for draw in range(draws)]
+            )
+        return outcome_of(flights, self.test)
+
+    def scores(self, values: Mapping[str, float], seed: int, number: int) -> Scores:
+        """One flight with noise `number` of `seed`."""
+        return fly(self.test, document_of(self.test, values, seed_of(seed, number)))
+
+
+def decoded(document: Document) -> tuple[Scenario, Schedule]:
+    """A scenario and its faults.
+
+    Raises
+    ------
+    ConfigError
+        If one of the drawn values is not allowed there.
+    """
+    where = f"the scenario {document.get('name', '')!r}"
+    try:
+        scenario = msgspec.convert(document, Scenario)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{where}: {error}; vary it less far") from error
+    return scenario, parse_schedule({"seed": scenario.seed, **document["schedule"]}, where)
+
+
+def fly(test: TestFile, document: Document) -> Scores:
+    """Fly a scenario to its end or to the end of the envelope, and score the estimator."""
+    scenario, schedule = decoded(document)
+    watch = Watch(msgspec.convert(document["monitor"]["attitude"], AttitudeConfig))
+
+    def limit(truth: Truth) -> int:
+        return broken(truth, test.envelope)
+
+    flight: Flight
+    if test.autopilot is not None:
+        flight = AutopilotFlight(scenario, schedule, test.autopilot, watch.hear)
+        left, steps = flight.fly(limit)
+    else:
+        flight = Flight(scenario, schedule)
+        left = steps = 0
+        while not flight.over and left == 0:
+            watch.hear(flight.advance([]).monitor)
+            left, steps = limit(flight.simulation.truth), steps + 1
+    watch.hear(flight.finish().monitor)
+    flight.take_labels()
+    parts = chosen(test, watch.summary(flight.completed_labels()))
+    rmse, largest = parts.get("rmse_deg", {}), parts.get("max_deg", {})
+    return Scores(
+        np.array([rmse.get(axis, 0.0) for axis in AXES]),
+        np.array([largest.get(axis, 0.0) for axis in AXES]),
+        flight.t_us * 1e-6,
+        left,
+        steps,
+        parts,
+    )
+
+
+def chosen(test: TestFile, summary: dict[str, Any]) -> dict[str, Any]:
+    """The scores of the estimator under test.
+
+    Raises
+    ------
+    ConfigError
+        If an autopilot said nothing of its attitude.
+    """
+    found: dict[str, Any] = summary.get(test.estimator, {})
+    if test.estimator != AUTOPILOT:
+        return found
+    if not summary:
+        raise ConfigError(
+            "autopilot: nothing was heard of its attitude; it has to send ATTITUDE or "
+            "ATTITUDE_QUATERNION on `link` or `telemetry`"
+        )
+    found = summary[max(summary)]  # ATTITUDE_QUATERNION, where there are both
+    return found
+
+
+def broken(truth: Truth, limits: Limits) -> int:
+    """The number of the limit that the flight is beyond (see `rows.LIMITS`), 0 within."""
+    u, v, w = truth.v_air_b_mps.tolist()
+    plane, speed = float(np.hypot(u, w)), float(np.hypot(np.hypot(u, w), v))
+    low, high = limits.airspeed_mps
+    _, pitch, _ = euler_angles(truth.q_nb.tolist())
+    beyond = (
+        abs(np.degrees(pitch)) > limits.pitch_deg,
+        abs(np.degrees(np.arctan2(w, u))) > limits.alpha_deg,
+        np.degrees(np.arctan2(abs(v), plane)) > limits.beta_deg,
+        not low <= speed <= high,
+        np.degrees(np.linalg.norm(truth.omega_b_rps)) > limits.rate_dps,
+        np.linalg.norm(truth.specific_force_b_mps2) > limits.load_g * GRAVITY_MPS2,
+        truth.height_agl_m <= limits.height_m,
+    )
+    return next((number for number, is_beyond in enumerate(beyond, 1) if is_beyond), 0)
+
+
+def outcome_of(flights: Sequence[Sequence[Scores]], test: TestFile) -> Outcome:
+    """The outcome of n evaluations of some draws each."""
+    rmse = np.array([[scores.rmse_deg for scores in draws] for draws in flights])
+    largest = np.array([[scores.largest_deg for scores in draws] for draws in flights])
+    worst = rmse[:, :, 3] if test.criterion == "angle" else rmse[:, :, :3].max(axis=2)
+    left = np.array([max(scores.left for scores in draws) for draws in flights])
+    lasted = np.array([min(scores.lasted_s for scores in draws) for draws in flights])
+    return Outcome(
+        np.where(left > 0, np.minimum(lasted / test.duration_s, 1.0) - 1.0, worst.mean(axis=1)),
+        worst.std(axis=1),
+        rmse.mean(axis=1),
+        largest.mean(axis=1),
+        lasted,
+        left,
+        sum(scores.steps for draws in flights for scores in draws),
+    )

@@ -1,0 +1,127 @@
+"""Where evaluations run: in this process, in several, or on a Ray cluster.
+
+The noise of an evaluation belongs to its number, so that all give the same outcome.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import lru_cache
+from itertools import pairwise
+from multiprocessing import get_context
+from typing import Any, Protocol
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.search.evaluation.compiled_batch import Outcome
+from analysis.search.evaluation.evaluator import Evaluator, evaluator
+from analysis.search.space.test_file import TestFile
+from mavproxy_fault.documents.errors import ConfigError
+
+Array = NDArray[np.float64]
+Job = tuple[bytes, Array, int, int, int]  # test, points, seed, first number, draws
+
+
+class Pool(Protocol):
+    """Evaluates points of a test."""
+
+    def evaluate(self, test: TestFile, points: Array, seed: int, first: int, draws: int) -> Outcome:
+        """As `Batch.evaluate`."""
+
+    def close(self) -> None:
+        """Let go of the processes."""
+
+
+@lru_cache(maxsize=8)
+def evaluator_of(encoded: bytes) -> Evaluator:
+    """The evaluator of a test in JSON; kept, since reading the airframe takes a moment."""
+    return evaluator(msgspec.json.decode(encoded, type=TestFile))
+
+
+def work(job: Job) -> Outcome:
+    """One share of a batch, in whatever process."""
+    encoded, points, seed, first, draws = job
+    return evaluator_of(encoded).evaluate(points, seed, first, draws)
+
+
+def shares(
+    test: TestFile, points: Array, seed: int, first: int, draws: int, count: int
+) -> list[Job]:
+    """At most `count` jobs of neighbouring points."""
+    encoded = msgspec.json.encode(test)
+    cuts = np.linspace(0, len(points), min(count, len(points)) + 1).astype(int).tolist()
+    return [(encoded, points[a:b], seed, first + a, draws) for a, b in pairwise(cuts)]
+
+
+def joined(outcomes: Sequence[Outcome]) -> Outcome:
+    """One outcome of several shares."""
+    arrays = {
+        name: np.concatenate([getattr(outcome, name) for outcome in outcomes])
+        for name in Outcome._fields
+        if name != "steps"
+    }
+    return Outcome(**arrays, steps=sum(outcome.steps for outcome in outcomes))
+
+
+class Here:
+    """This process."""
+
+    def evaluate(self, test: TestFile, points: Array, seed: int, first: int, draws: int) -> Outcome:
+        """As `Batch.evaluate`."""
+        return work((msgspec.json.encode(test), points, seed, first, draws))
+
+    def close(self) -> None:
+        """Nothing to let go."""
+
+
+class Processes:
+    """Several processes of this machine."""
+
+    def __init__(self, workers: int) -> None:
+        self._workers = workers
+        self._pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+
+    def evaluate(self, test: TestFile, points: Array, seed: int, first: int, draws: int) -> Outcome:
+        """As `Batch.evaluate`."""
+        jobs = shares(test, points, seed, first, draws, self._workers)
+        return joined(list(self._pool.map(work, jobs)))
+
+    def close(self) -> None:
+        """End the processes."""
+        self._pool.shutdown(cancel_futures=True)
+
+
+class Cluster:
+    """A Ray cluster; a share whose worker dies is done again by another."""
+
+    def __init__(self, address: str) -> None:
+        try:
+            import ray
+        except ImportError:
+            raise ConfigError(
+                "--ray: Ray is not installed; pip install mavproxy-fault[cluster]"
+            ) from None
+        self._ray: Any = ray
+        self._mine = not ray.is_initialized()
+        if self._mine:
+            ray.init(address=address, log_to_driver=False)
+        self._work: Callable[..., Any] = ray.remote(max_retries=-1)(work).remote
+
+    def evaluate(self, test: TestFile, points: Array, seed: int, first: int, draws: int) -> Outcome:
+        """As `Batch.evaluate`."""
+        count = 2 * max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+        jobs = shares(test, points, seed, first, draws, count)
+        return joined(self._ray.get([self._work(job) for job in jobs]))
+
+    def close(self) -> None:
+        """Leave the cluster."""
+        if self._mine:
+            self._ray.shutdown()
+
+
+def pool_of(workers: int | None, ray_address: str | None) -> Pool:
+    """The pool that the command line asks for."""
+    if ray_address is not None:
+        return Cluster(ray_address)
+    return Processes(workers) if workers is not None and workers > 1 else Here()

@@ -1,0 +1,121 @@
+"""Errors of the estimate against the truth, over lanes."""
+
+from math import pi
+
+import numpy as np
+
+from analysis.search.lanes import rows
+from analysis.search.lanes.lane_state import Buffer
+from analysis.search.lanes.wide import wide
+from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.polynomial import atan2
+
+L = rows.LANES
+NOW = rows.NOW * L
+E, Q = rows.ESTIMATE * L, rows.QUATERNION * L
+SQ, LG = rows.SQUARES * L, rows.LARGEST * L
+ALIVE, COUNT = rows.ALIVE * L, rows.COUNT * L
+M, T = rows.MEASURED * L, rows.STATE_SQUARES * L
+_ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to the nearest integer
+
+
+@inlined
+def euler(e0: float, e1: float, e2: float, e3: float) -> tuple[float, float, float]:
+    """Roll, pitch, yaw in rad of a unit quaternion."""
+    sine = 2.0 * (e0 * e2 - e3 * e1)
+    rest = 1.0 - sine * sine
+    return (
+        atan2(2.0 * (e0 * e1 + e2 * e3), 1.0 - 2.0 * (e1 * e1 + e2 * e2)),
+        atan2(sine, np.sqrt(rest if rest > 0.0 else 0.0)),
+        atan2(2.0 * (e0 * e3 + e1 * e2), 1.0 - 2.0 * (e2 * e2 + e3 * e3)),
+    )
+
+
+@inlined
+def true_attitude(buf: Buffer, lane: int) -> tuple[float, float, float, float]:
+    """The quaternion when the sensors sampled."""
+    return (
+        buf[NOW + 6 * L + lane],
+        buf[NOW + 7 * L + lane],
+        buf[NOW + 8 * L + lane],
+        buf[NOW + 9 * L + lane],
+    )
+
+
+@inlined
+def wrapped(angle: float) -> float:
+    """The angle in [-pi, pi]."""
+    turns = angle * (0.5 / pi) + _ROUND
+    return angle - 2.0 * pi * (turns - _ROUND)
+
+
+@compiled
+def euler_of_quaternions(buf: Buffer) -> None:
+    """The first three rows of ESTIMATE from QUATERNION."""
+    for lane in range(L):
+        e0, e1 = buf[Q + lane], buf[Q + L + lane]
+        e2, e3 = buf[Q + 2 * L + lane], buf[Q + 3 * L + lane]
+        buf[E + lane], buf[E + L + lane], buf[E + 2 * L + lane] = euler(e0, e1, e2, e3)
+
+
+@compiled
+def score_euler(buf: Buffer) -> None:
+    """Add the errors of roll, pitch and yaw at this instant to the scores of living lanes."""
+    wide()
+    for lane in range(L):
+        alive = buf[ALIVE + lane] > 0.5
+        roll, pitch, yaw = euler(*true_attitude(buf, lane))
+        roll = wrapped(buf[E + lane] - roll)
+        pitch = wrapped(buf[E + L + lane] - pitch)
+        yaw = wrapped(buf[E + 2 * L + lane] - yaw)
+        roll = roll if alive else 0.0
+        pitch = pitch if alive else 0.0
+        yaw = yaw if alive else 0.0
+        buf[COUNT + lane] += 1.0 if alive else 0.0
+        buf[SQ + lane] += roll * roll
+        buf[SQ + L + lane] += pitch * pitch
+        buf[SQ + 2 * L + lane] += yaw * yaw
+        roll, pitch, yaw = abs(roll), abs(pitch), abs(yaw)
+        buf[LG + lane] = max(roll, buf[LG + lane])
+        buf[LG + L + lane] = max(pitch, buf[LG + L + lane])
+        buf[LG + 2 * L + lane] = max(yaw, buf[LG + 2 * L + lane])
+
+
+@compiled
+def score_angle(buf: Buffer) -> None:
+    """Add the angle between estimate and truth to the scores of living lanes."""
+    wide()
+    for lane in range(L):
+        alive = buf[ALIVE + lane] > 0.5
+        e0, e1, e2, e3 = true_attitude(buf, lane)
+        a0, a1 = buf[Q + lane], buf[Q + L + lane]
+        a2, a3 = buf[Q + 2 * L + lane], buf[Q + 3 * L + lane]
+        w = a0 * e0 + a1 * e1 + a2 * e2 + a3 * e3
+        x = a0 * e1 - a1 * e0 - a2 * e3 + a3 * e2
+        y = a0 * e2 + a1 * e3 - a2 * e0 - a3 * e1
+        z = a0 * e3 - a1 * e2 + a2 * e1 - a3 * e0
+        angle = 2.0 * atan2(np.sqrt(x * x + y * y + z * z), abs(w))
+        angle = angle if alive else 0.0
+        buf[SQ + 3 * L + lane] += angle * angle
+        buf[LG + 3 * L + lane] = max(angle, buf[LG + 3 * L + lane])
+
+
+@compiled
+def score_state(buf: Buffer) -> None:
+    """Add the errors of all twelve states to the scores of living lanes; the rates are the gyro's.
+
+    Position (NED), velocity (body), angles and rates, in the order of STATE_SQUARES.
+    """
+    for lane in range(L):
+        roll, pitch, yaw = euler(*true_attitude(buf, lane))
+        alive = buf[ALIVE + lane] > 0.5
+        for i in range(3):
+            place = buf[E + (6 + i) * L + lane] - buf[NOW + i * L + lane]
+            speed = buf[E + (3 + i) * L + lane] - buf[NOW + (3 + i) * L + lane]
+            true = roll if i == 0 else pitch if i == 1 else yaw
+            angle = wrapped(buf[E + i * L + lane] - true)
+            rate = buf[M + i * L + lane] - buf[NOW + (10 + i) * L + lane]
+            buf[T + i * L + lane] += place * place if alive else 0.0
+            buf[T + (3 + i) * L + lane] += speed * speed if alive else 0.0
+            buf[T + (6 + i) * L + lane] += angle * angle if alive else 0.0
+            buf[T + (9 + i) * L + lane] += rate * rate if alive else 0.0

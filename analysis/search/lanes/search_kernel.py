@@ -1,0 +1,203 @@
+"""Many flights at once: truth, sensors, faults, estimator and scores, compiled.
+
+`fly` takes flights as the columns of an array whose rows are those of `rows`, works through them
+in groups of LANES and leaves the scores in the same rows. `trace` flies one and keeps everything.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.search.lanes import rows
+from analysis.search.lanes.aid_lanes import airspeeds, sense_field, sense_pressure, sense_velocity
+from analysis.search.lanes.fault_lanes import break_signals
+from analysis.search.lanes.filter_lanes import EKF, Gains, head, level, predict, publish, velocity
+from analysis.search.lanes.gust_lanes import blow
+from analysis.search.lanes.heun_lanes import attitudes, heun, keep
+from analysis.search.lanes.lane_state import Buffer, Envelope, draw, living, move, sense_imu
+from analysis.search.lanes.score_lanes import (
+    euler_of_quaternions,
+    score_angle,
+    score_euler,
+    score_state,
+)
+from analysis.search.lanes.steer_lanes import steer
+from mavproxy_fault.numerics.compile import compiled
+from simvehicle.vehicles.fixedwing_kernel import Aero
+from simvehicle.vehicles.rigidbody_kernel import Inertia
+
+L = rows.LANES
+IMU = 0
+FIELD = rows.FIELD - rows.MEASURED
+VELOCITY = rows.VELOCITY - rows.MEASURED
+PRESSURE = rows.DIFF_PRESSURE - rows.MEASURED
+Columns = NDArray[np.float64]
+Three = tuple[float, float, float]
+Generators = NDArray[np.uint64]
+
+
+class Plan(NamedTuple):
+    """What all flights of a test share; every field is a plain number, as numba wants them.
+
+    `estimator` is 0 for the inverse sensor model, 1 for Mahony, 2 for the EKF, with its `gains`;
+    `field_every`, `velocity_every` and `pressure_every` count IMU samples.
+    """
+
+    steps: int
+    dt_s: float
+    gravity_mps2: float
+    density_kgpm3: float
+    field_ned_gauss: Three
+    declination_rad: float
+    field_every: int
+    velocity_every: int
+    pressure_every: int
+    mission: bool
+    gusts: bool
+    gust_sigma_mps: Three
+    gust_length_m: Three
+    slots: int
+    noisy: bool
+    angle: bool
+    state: bool
+    estimator: int
+    gains: Gains
+    sea_density_kgpm3: float
+    limits: Envelope
+    body: Inertia
+    aero: Aero
+
+
+@compiled
+def break_all(buf: Buffer, first: int, last: int, k: int, plan: Plan) -> None:
+    """The faults of all slots on some channels."""
+    for slot in range(plan.slots):
+        break_signals(buf, slot, first, last, k * plan.dt_s)
+
+
+@compiled
+def measure(buf: Buffer, generators: Generators, k: int, plan: Plan) -> None:
+    """The sensors' samples number `k`, with faults; the slow ones' first is due after a period.
+
+    Generators (4, LANES): IMU, slow sensors, noise faults, gusts.
+    """
+    slow = plan.estimator > 0 and k > 0
+    pressure = slow and k % plan.pressure_every == 0
+    field = slow and k % plan.field_every == 0
+    velocity = slow and k % plan.velocity_every == 0
+    draw(buf, generators[0])
+    sense_imu(buf)
+    if pressure:
+        draw(buf, generators[1])
+        sense_pressure(buf, plan.density_kgpm3)
+    if field or velocity:
+        draw(buf, generators[1])
+    if field:
+        sense_field(buf, plan.field_ned_gauss)
+    if velocity:
+        sense_velocity(buf)
+    if plan.noisy:
+        draw(buf, generators[2])
+    break_all(buf, IMU, IMU + 6, k, plan)
+    if pressure:
+        break_all(buf, PRESSURE, PRESSURE + 1, k, plan)
+    if field:
+        break_all(buf, FIELD, FIELD + 3, k, plan)
+    if velocity:
+        break_all(buf, VELOCITY, VELOCITY + 3, k, plan)
+
+
+@compiled
+def filter_step(buf: Buffer, memory: Columns, airspeed: Buffer, k: int, plan: Plan) -> None:
+    """The filters' share of sample `k` > 0: IMU, field, airspeed, velocity, in this order."""
+    kind, gains = plan.estimator, plan.gains
+    predict(buf, memory, airspeed, kind, gains, plan.dt_s)
+    if kind == EKF:
+        level(buf, memory, airspeed, gains, k * plan.dt_s)
+    if k % plan.field_every == 0:
+        head(buf, memory, kind, gains, plan.declination_rad, plan.field_every * plan.dt_s)
+    if k % plan.pressure_every == 0:
+        airspeeds(buf, airspeed, plan.sea_density_kgpm3)
+    if k % plan.velocity_every == 0 and kind == EKF:
+        velocity(buf, memory, gains, k * plan.dt_s)
+
+
+@compiled
+def tick(
+    buf: Buffer,
+    memory: Columns,
+    airspeed: Buffer,
+    generators: Generators,
+    k: int,
+    plan: Plan,
+) -> None:
+    """Sample `k` of every lane: truth, sensors, estimate, score; the truth moves on."""
+    if plan.mission:
+        steer(buf, k * plan.dt_s)
+    move(buf, plan.dt_s, (plan.gravity_mps2, plan.density_kgpm3), plan.body, plan.aero, plan.limits)
+    measure(buf, generators, k, plan)
+    if plan.estimator == 0:
+        if k > 0:
+            heun(buf, plan.dt_s, plan.gravity_mps2)
+        keep(buf)
+        if plan.angle:
+            attitudes(buf)
+        if plan.state:
+            score_state(buf)
+    else:
+        if k > 0:
+            filter_step(buf, memory, airspeed, k, plan)
+        publish(buf, memory)
+        euler_of_quaternions(buf)
+    score_euler(buf)
+    if plan.angle:
+        score_angle(buf)
+    if plan.gusts:
+        draw(buf, generators[3])
+        blow(buf, plan.gust_sigma_mps, plan.gust_length_m, plan.dt_s)
+
+
+@compiled
+def fly(flights: Columns, memory: Columns, generators: Generators, plan: Plan) -> None:
+    """Fly all columns of `flights` (ROWS, n), n a multiple of LANES.
+
+    `memory` (n, MEMORY) holds the filters' start states, `generators` (4, n) the noise.
+    """
+    buf = np.empty(rows.ROWS * L)
+    for first in range(0, flights.shape[1], L):
+        for row in range(rows.ROWS):
+            buf[row * L : row * L + L] = flights[row, first : first + L]
+        states = memory[first : first + L]
+        noise = generators[:, first : first + L].copy()
+        airspeed = np.zeros(L)
+        for k in range(plan.steps + 1):
+            tick(buf, states, airspeed, noise, k, plan)
+            if k % 64 == 0 and living(buf) == 0:
+                break
+        for row in range(rows.ROWS):
+            flights[row, first : first + L] = buf[row * L : row * L + L]
+
+
+@compiled
+def trace(flights: Columns, memory: Columns, generators: Generators, plan: Plan) -> Columns:
+    """The first lane of `flights` (ROWS, LANES), sample by sample.
+
+    Rows of the answer: 13 of the true state, CHANNELS measured, 9 of ESTIMATE and 4 of QUATERNION,
+    whether alive.
+    """
+    buf = flights.copy().ravel()
+    noise = generators.copy()
+    states = memory.copy()
+    airspeed = np.zeros(L)
+    out = np.empty((plan.steps + 1, 13 + rows.CHANNELS + 14))
+    for k in range(plan.steps + 1):
+        tick(buf, states, airspeed, noise, k, plan)
+        for i in range(13):
+            out[k, i] = buf[(rows.NOW + i) * L]
+        for i in range(rows.CHANNELS):
+            out[k, 13 + i] = buf[(rows.MEASURED + i) * L]
+        for i in range(13):
+            out[k, 13 + rows.CHANNELS + i] = buf[(rows.ESTIMATE + i) * L]
+        out[k, 26 + rows.CHANNELS] = buf[rows.ALIVE * L]
+    return out

@@ -1,0 +1,39 @@
+"""A mission over lanes; a lane without one flies its controls as they are."""
+
+import numpy as np
+
+from analysis.search.lanes import rows
+from analysis.search.lanes.lane_state import Buffer, state_at
+from analysis.search.lanes.score_lanes import euler
+from analysis.search.lanes.wide import wide
+from mavproxy_fault.numerics.compile import compiled
+from simvehicle.vehicles.rigidbody_kernel import to_body
+from simvehicle.vehicles.weave_kernel import Motion, weave
+
+L = rows.LANES
+C, O, T, W = rows.CONTROL * L, rows.OPEN_LOOP * L, rows.MISSION * L, rows.WIND * L  # noqa: E741
+
+
+@compiled
+def steer(buf: Buffer, t_s: float) -> None:
+    """CONTROL from OPEN_LOOP and, where there is a mission, feedback."""
+    wide()
+    for lane in range(L):
+        state = state_at(buf, lane)
+        e0, e1, e2, e3 = state[6], state[7], state[8], state[9]
+        roll, pitch, _ = euler(e0, e1, e2, e3)
+        north, east, down = buf[W + lane], buf[W + L + lane], buf[W + 2 * L + lane]
+        x, y, z = to_body(e0, e1, e2, e3, north, east, down)
+        u, v, w = state[3] - x, state[4] - y, state[5] - z
+        speed = np.sqrt(u * u + v * v + w * w)
+        aim = (
+            buf[T + L + lane],
+            buf[T + 2 * L + lane],
+            buf[T + 3 * L + lane],
+            buf[T + 4 * L + lane],
+        )
+        held = (buf[O + lane], buf[O + L + lane], buf[O + 2 * L + lane], buf[O + 3 * L + lane])
+        woven = weave(Motion(roll, pitch, state[10], state[11], speed), aim, held, t_s)
+        on = buf[T + lane] > 0.5
+        for i in range(4):
+            buf[C + i * L + lane] = woven[i] if on else held[i]

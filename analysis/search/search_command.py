@@ -1,0 +1,220 @@
+"""`search`: look for the worst case of an estimator until the budget is used up."""
+
+import argparse
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.search.archive import Archive, Case
+from analysis.search.breakdown import breakdown
+from analysis.search.cases import (
+    Totals,
+    WorstCase,
+    log_text,
+    quiet_error,
+    write_cases,
+)
+from analysis.search.evaluation.compiled_batch import Outcome
+from analysis.search.evaluation.evaluator import evaluator
+from analysis.search.evaluation.pool import Pool, pool_of
+from analysis.search.history import RECORD, History
+from analysis.search.lanes import rows
+from analysis.search.lanes.noise_kernel import seed_of
+from analysis.search.searchers import searcher
+from analysis.search.shrink import Errors, shrunk
+from analysis.search.space.test_file import TestFile, read_test
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.spec import parse_spec
+
+DEFAULT_BUDGET = 2000
+FRESH = 1_000_003  # added to the seed for noise that the search has not seen
+PORTION = 8  # flights in the simulator between two checkpoints
+Array = NDArray[np.float64]
+Progress = Callable[[int, float, int], None]
+
+
+def main(args: argparse.Namespace) -> int:
+    """Carry out the command."""
+    test = chosen(read_test(args.testfile), args)
+    folder = Path(args.out) if args.out else new_folder(Path("runs"))
+    if args.interactive:
+        from analysis.search.interactive import show
+
+        return show(test, folder)
+    pool = pool_of(args.workers, args.ray)
+    try:
+        cases, totals = campaign(test, pool, folder, progress=_print)
+    finally:
+        pool.close()
+    text = log_text(test, cases, totals)
+    (folder / "TestResFile.log").write_text(text)
+    write_cases(folder, test, cases)
+    (folder / "search-summary.json").write_bytes(
+        msgspec.json.format(
+            msgspec.json.encode({"totals": totals._asdict(), "cases": [c._asdict() for c in cases]})
+        )
+    )
+    print(f"\n{text}\n{folder}/")
+    return 0
+
+
+def chosen(test: TestFile, args: argparse.Namespace) -> TestFile:
+    """The test with what the command line says otherwise."""
+    changes = {
+        name: getattr(args, name)
+        for name in ("budget", "method", "seed")
+        if getattr(args, name, None) is not None
+    }
+    if changes.get("budget", 1) <= 0:
+        raise ConfigError(f"--budget: {changes['budget']} is not positive; evaluations, 1 or more")
+    choice = test.autopilot
+    several = (getattr(args, "workers", None) or 1) > 1 or getattr(args, "ray", None) is not None
+    if choice is not None and several and parse_spec(choice.link).port != 0:
+        raise ConfigError(
+            f"autopilot.link: {choice.link} cannot be shared by several workers; port 0, with"
+            " {port} in autopilot.command"
+        )
+    return msgspec.structs.replace(test, **changes)
+
+
+def new_folder(parent: Path) -> Path:
+    """`search-1` or the first number that is free."""
+    number = 1
+    while (parent / f"search-{number}").exists():
+        number += 1
+    return parent / f"search-{number}"
+
+
+def campaign(
+    test: TestFile, pool: Pool, folder: Path, progress: Progress | None = None
+) -> tuple[list[WorstCase], Totals]:
+    """Search, score the candidates on fresh noise, shrink the faults of the worst.
+
+    A search that was killed goes on from its folder.
+    """
+    started = time.perf_counter()
+    archive = Archive(test.keep)
+    rejected: Counter[str] = Counter()
+    tests, steps = searched(test, pool, folder, archive, rejected, progress)
+    cases = [
+        finished(test, case, outcome)
+        for case, outcome in rescored(test, pool, archive.cases)[: test.keep]
+    ]
+    totals = Totals(tests, dict(rejected), steps, time.perf_counter() - started, steps * test.dt_s)
+    return cases, totals
+
+
+def searched(
+    test: TestFile,
+    pool: Pool,
+    folder: Path,
+    archive: Archive,
+    rejected: Counter[str],
+    progress: Progress | None,
+) -> tuple[int, int]:
+    """Ask, fly and tell until the budget or the time is used up; tests and steps made."""
+    dimension = evaluator(test).space.dimension
+    budget = test.budget or (DEFAULT_BUDGET if test.time_s is None else 10**9)
+    if dimension == 0:
+        budget = 1
+    method = searcher(test.method if dimension else "random", dimension, test.seed, budget)
+    history = History(folder, {"test": msgspec.to_builtins(test)})
+    deadline = time.monotonic() + (test.time_s if test.time_s is not None else np.inf)
+    tests = steps = 0
+    try:
+        while tests < budget and time.monotonic() < deadline:
+            points = method.ask()
+            asked = len(points)
+            points = points[: budget - tests]
+            records = evaluated(test, pool, history, points, tests, deadline)
+            points = points[: len(records)]
+            archive.add(tests, points, records["fitness"])
+            rejected.update(rows.LIMITS[left] for left in records["left"] if left > 0)
+            tests += len(points)
+            steps += int(records["steps"].sum())
+            if len(points) == asked:
+                method.tell(points, records["fitness"])
+            if progress is not None:
+                progress(tests, max((c.fitness for c in archive.cases), default=0.0), budget)
+    finally:
+        history.close()
+    return tests, steps
+
+
+def evaluated(
+    test: TestFile, pool: Pool, history: History, points: Array, first: int, deadline: float
+) -> np.ndarray[tuple[int], np.dtype[np.void]]:
+    """What became of points (n, d), from the history as far as it goes, else flown and written.
+
+    Flights in the simulator go in portions; none begins after the deadline but the first.
+    """
+    length = PORTION if test.flown else len(points)
+    parts: list[np.ndarray[tuple[int], np.dtype[np.void]]] = []
+    for start in range(0, len(points), length):
+        if parts and time.monotonic() > deadline:
+            break
+        part, number = points[start : start + length], first + start
+        records = history.recall(len(part))
+        if records is None:
+            outcome = pool.evaluate(test, part, test.seed, number, test.noise_draws)
+            records = records_of(outcome)
+            history.append(records)
+        parts.append(records)
+    return np.concatenate(parts)
+
+
+def records_of(outcome: Outcome) -> np.ndarray[tuple[int], np.dtype[np.void]]:
+    """What the history keeps of a batch; the batch's steps stand with its first record."""
+    records = np.zeros(len(outcome.fitness), RECORD)
+    records["fitness"] = outcome.fitness
+    records["left"] = outcome.left
+    records["steps"][0] = outcome.steps
+    return records
+
+
+def rescored(test: TestFile, pool: Pool, cases: list[Case]) -> list[tuple[Case, Outcome]]:
+    """Candidates that stayed within the envelope by their error on fresh noise, worst first."""
+    stayed = [case for case in cases if case.fitness > 0.0]
+    if not stayed:
+        return []
+    seed, draws = test.seed + FRESH, test.rescore_draws
+    found = [
+        (case, pool.evaluate(test, case.point[None, :], seed, case.number, draws))
+        for case in stayed
+    ]
+    return sorted(found, key=lambda pair: -pair[1].fitness[0])
+
+
+def finished(test: TestFile, case: Case, outcome: Outcome) -> WorstCase:
+    """Values by name, the error without noise, and the smallest fault that still breaks."""
+    values = {k: float(v[0]) for k, v in evaluator(test).space.values(case.point[None, :]).items()}
+    error = float(outcome.fitness[0])
+    number = case.number * test.rescore_draws
+    worst = WorstCase(
+        case.number,
+        values,
+        case.fitness,
+        error,
+        float(outcome.spread_deg[0] / np.sqrt(test.rescore_draws)),
+        quiet_error(test, values),
+        tuple(outcome.rmse_deg[0].tolist()),
+        seed_of(test.seed + FRESH, number),
+        breakdown(test, values, test.seed + FRESH, number),
+    )
+    limit = test.breaks_at_deg if test.breaks_at_deg is not None else 0.5 * error
+    if not test.faults or error < limit:
+        return worst
+    errors = Errors(test, test.seed + FRESH, test.noise_draws)
+    least = shrunk(test, values, limit, errors)
+    return worst._replace(shrunk=least, shrunk_deg=float(errors([least])[0]))
+
+
+def _print(tests: int, worst: float, budget: int) -> None:
+    if sys.stderr.isatty():
+        print(f"\r{tests} of {budget} tests, worst {worst:.4g} deg ", end="", file=sys.stderr)

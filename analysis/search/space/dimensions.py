@@ -1,0 +1,180 @@
+"""The space a test file spans, and its points as flights for the kernel."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.search.lanes import rows
+from analysis.search.space.fault_range import CHANNELS, LOST
+from analysis.search.space.section import Range
+from analysis.search.space.test_file import TestFile
+from mavproxy_fault.numerics.rotation import quat_from_euler
+from simvehicle.vehicles.trim import Trim
+
+Array = NDArray[np.float64]
+SECTIONS = ("initial", "controls", "mission", "wind", "sensors")
+MISSION_ON, MISSION_OFF_PERIOD = 1.0, 1.0
+
+
+@dataclass(frozen=True)
+class Space:
+    """Names, lower and upper ends (d,) of what is searched; names and values of what is fixed.
+
+    Names are paths in the test file, such as `initial.roll_deg` or `faults[0].value`.
+    `choices` are the targets of each fault, `faults[0].target` then being searched.
+    """
+
+    names: tuple[str, ...]
+    low: Array
+    high: Array
+    fixed: dict[str, float]
+
+    @property
+    def dimension(self) -> int:
+        """How many numbers a point has."""
+        return len(self.names)
+
+    def values(self, points: Array) -> dict[str, Array]:
+        """All values by name, (n,) each, of points (n, d) in the unit cube."""
+        span = self.low + np.clip(points, 0.0, 1.0) * (self.high - self.low)
+        count = len(points)
+        fixed = {name: np.full(count, value) for name, value in self.fixed.items()}
+        return fixed | {name: span[:, i] for i, name in enumerate(self.names)}
+
+
+def space_of(entries: Mapping[str, Range]) -> Space:
+    """The space of numbers and ranges by name."""
+    names, low, high = [], [], []
+    fixed: dict[str, float] = {}
+    for name, value in entries.items():
+        if isinstance(value, tuple) and value[0] < value[1]:
+            names.append(name)
+            low.append(value[0])
+            high.append(value[1])
+        else:
+            fixed[name] = float(value[0] if isinstance(value, tuple) else value)
+    return Space(tuple(names), np.array(low), np.array(high), fixed)
+
+
+def flight_entries(test: TestFile, trim: Trim) -> dict[str, Range]:
+    """Start, controls, wind and sensors; what the test leaves open is that of the trim."""
+    state, controls = trim.state12(), trim.controls()
+    trimmed = {
+        "initial.u_mps": state[3],
+        "initial.w_mps": state[5],
+        "initial.pitch_deg": np.degrees(state[7]),
+        "controls.elevator_deg": np.degrees(controls[0]),
+        "controls.throttle": controls[3],
+        "mission.pitch_deg": np.degrees(state[7]),
+        "mission.airspeed_mps": trim.airspeed_mps,
+    }
+    found = {}
+    for section in SECTIONS:
+        part = getattr(test, section)
+        for key, value in msgspec.structs.asdict(part).items() if part is not None else ():
+            name = f"{section}.{key}"
+            found[name] = float(trimmed[name]) if value is None else value
+    return found
+
+
+def fault_entries(test: TestFile) -> dict[str, Range]:
+    """Magnitude, onset and duration of each fault, and the number that chooses its target."""
+    found: dict[str, Range] = {}
+    for i, fault in enumerate(test.faults):
+        found |= {f"faults[{i}].{key}": value for key, value in fault.ranges().items()}
+        count = len(fault.targets)
+        found[f"faults[{i}].target"] = (0.0, float(count)) if count > 1 else 0.0
+    return found
+
+
+def target_of(test: TestFile, fault: int, value: float) -> str:
+    """The target that a searched number stands for."""
+    targets = test.faults[fault].targets
+    return targets[min(int(value), len(targets) - 1)]
+
+
+def flights_of(test: TestFile, values: Mapping[str, Array]) -> Array:
+    """Columns (ROWS, n) for the kernel, estimates at the true start."""
+    count = len(values["initial.height_m"])
+    columns = np.zeros((rows.ROWS, count))
+    _start(columns, values)
+    radians = {name: np.radians(values[f"controls.{name}_deg"]) for name in SURFACES}
+    columns[rows.OPEN_LOOP : rows.OPEN_LOOP + 4] = [*radians.values(), values["controls.throttle"]]
+    columns[rows.CONTROL : rows.CONTROL + 4] = columns[rows.OPEN_LOOP : rows.OPEN_LOOP + 4]
+    columns[rows.MISSION + 2] = MISSION_OFF_PERIOD
+    if test.mission is not None:
+        columns[rows.MISSION : rows.MISSION + 5] = [
+            np.full(count, MISSION_ON),
+            np.radians(values["mission.roll_deg"]),
+            values["mission.period_s"],
+            np.radians(values["mission.pitch_deg"]),
+            values["mission.airspeed_mps"],
+        ]
+    columns[rows.WIND : rows.WIND + 3] = [
+        values[f"wind.{a}_mps"] for a in ("north", "east", "down")
+    ]
+    columns[rows.STEADY : rows.STEADY + 3] = columns[rows.WIND : rows.WIND + 3]
+    _sensors(columns, values)
+    for slot in range(rows.SLOTS):
+        columns[rows.FAULTS + slot * rows.FAULT_ROWS + rows.CHANNEL] = -1.0
+    for slot in range(len(test.faults)):
+        _fault(columns, test, slot, values)
+    columns[rows.ALIVE] = 1.0
+    return columns
+
+
+SURFACES = ("elevator", "aileron", "rudder")
+
+
+def _start(columns: Array, values: Mapping[str, Array]) -> None:
+    euler = np.radians([values[f"initial.{name}_deg"] for name in ("roll", "pitch", "yaw")])
+    velocity = [values[f"initial.{name}_mps"] for name in ("u", "v", "w")]
+    down = -values["initial.height_m"]
+    columns[rows.STATE + 2] = down
+    columns[rows.STATE + 3 : rows.STATE + 6] = velocity
+    columns[rows.STATE + 6 : rows.STATE + 10] = quat_from_euler(*euler).T
+    columns[rows.STATE + 10 : rows.STATE + 13] = np.radians(
+        [values[f"initial.{name}_dps"] for name in ("p", "q", "r")]
+    )
+    columns[rows.ESTIMATE : rows.ESTIMATE + 3] = euler
+    columns[rows.ESTIMATE + 3 : rows.ESTIMATE + 6] = velocity
+    columns[rows.ESTIMATE + 8] = down
+    columns[rows.QUATERNION : rows.QUATERNION + 4] = columns[rows.STATE + 6 : rows.STATE + 10]
+
+
+def _sensors(columns: Array, values: Mapping[str, Array]) -> None:
+    columns[rows.GYRO_SIGMA] = np.radians(values["sensors.gyro_sigma_dps"])
+    columns[rows.ACCEL_SIGMA] = values["sensors.accel_sigma_mps2"]
+    columns[rows.FIELD_SIGMA] = values["sensors.field_sigma_gauss"]
+    columns[rows.VELOCITY_SIGMA] = values["sensors.velocity_sigma_mps"]
+    columns[rows.PRESSURE_SIGMA] = values["sensors.pressure_sigma_pa"]
+    for i, axis in enumerate("xyz"):
+        columns[rows.GYRO_BIAS + i] = np.radians(values[f"sensors.gyro_bias_{axis}_dps"])
+        columns[rows.ACCEL_BIAS + i] = values[f"sensors.accel_bias_{axis}_mps2"]
+
+
+def _fault(columns: Array, test: TestFile, slot: int, values: Mapping[str, Array]) -> None:
+    """One slot: the proxy's fault of the same name on one channel."""
+    base = rows.FAULTS + slot * rows.FAULT_ROWS
+    name = f"faults[{slot}]"
+    kind = test.faults[slot].fault
+    known = LOST if kind == "drop" else CHANNELS
+    places = [known[target_of(test, slot, value)] for value in values[f"{name}.target"]]
+    channel, unit = np.array(places).T
+    at_s = values[f"{name}.at_s"]
+    zero = np.zeros_like(at_s)
+    value = values.get(f"{name}.value", zero)
+    columns[base + rows.CHANNEL] = channel
+    columns[base + rows.START] = at_s
+    columns[base + rows.END] = at_s + values.get(f"{name}.for_s", zero + np.inf)
+    columns[base + rows.FACTOR] = 0.0 if kind == "constant" else value if kind == "scale" else 1.0
+    columns[base + rows.OFFSET] = value * unit if kind in ("bias", "constant") else 0.0
+    if kind == "drop":
+        columns[base + rows.OFFSET] = np.nan  # a sample that never came
+    columns[base + rows.RATE] = value * unit if kind == "drift" else 0.0
+    columns[base + rows.SPREAD] = value * unit if kind == "noise" else 0.0
+    columns[base + rows.HOLD] = 1.0 if kind == "freeze" else 0.0
+    columns[base + rows.HELD] = np.nan

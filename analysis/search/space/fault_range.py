@@ -1,0 +1,73 @@
+"""Faults of a test file: kind, target, magnitude, onset and duration, each fixed or searched."""
+
+from typing import Any
+
+from msgspec import field
+
+from analysis.search.space.section import Range, Section
+
+# message field -> measured channel (see `rows`) and SI units per unit of the field
+CHANNELS: dict[str, tuple[int, float]] = {
+    "HIL_SENSOR.xgyro": (0, 1.0),
+    "HIL_SENSOR.ygyro": (1, 1.0),
+    "HIL_SENSOR.zgyro": (2, 1.0),
+    "HIL_SENSOR.xacc": (3, 1.0),
+    "HIL_SENSOR.yacc": (4, 1.0),
+    "HIL_SENSOR.zacc": (5, 1.0),
+    "HIL_SENSOR.xmag": (6, 1.0),
+    "HIL_SENSOR.ymag": (7, 1.0),
+    "HIL_SENSOR.zmag": (8, 1.0),
+    "HIL_GPS.vn": (9, 0.01),
+    "HIL_GPS.ve": (10, 0.01),
+    "HIL_GPS.vd": (11, 0.01),
+    "HIL_SENSOR.diff_pressure": (12, 100.0),
+}
+LOST = {"HIL_GPS": (9, 1.0)}  # what `drop` may silence, by its first channel
+COMPILED = ("bias", "constant", "drift", "drop", "freeze", "noise", "scale")
+WITHOUT_VALUE = ("drop", "freeze")
+
+
+class FaultRange(Section, frozen=True):
+    """One fault as in a schedule; units are the field's.
+
+    `any_of` searches over targets too. `also` are the fault's own further keys.
+    """
+
+    fault: str
+    target: str | None = None
+    any_of: list[str] = field(default_factory=list)
+    value: Range | None = None
+    at_s: Range = 0.0
+    for_s: Range | None = None
+    also: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.target is None) == (not self.any_of):
+            raise ValueError("exactly one of target and any_of is needed")
+
+    @property
+    def targets(self) -> list[str]:
+        """The targets there are to choose from."""
+        return [self.target] if self.target is not None else self.any_of
+
+    def ranges(self) -> dict[str, Range]:
+        """The numbers by key, those that the file gives."""
+        given = {"value": self.value, "at_s": self.at_s, "for_s": self.for_s}
+        return {key: value for key, value in given.items() if value is not None}
+
+    def check_compiled(self) -> None:
+        """Raise ValueError if this is no fault of the compiled kernels."""
+        if self.fault not in COMPILED:
+            raise ValueError(
+                f"faults.fault {self.fault!r} is not compiled; known: {', '.join(COMPILED)}"
+                " (all of the proxy's with `scenario`)"
+            )
+        if self.also:
+            raise ValueError(f"faults.also is not compiled for {self.fault!r}; leave it out")
+        if self.value is None and self.fault not in WITHOUT_VALUE:
+            raise ValueError(f"faults.value is missing for {self.fault!r}; a number or a range")
+        known = LOST if self.fault == "drop" else CHANNELS
+        for target in self.targets:
+            if target not in known:
+                raise ValueError(f"target {target!r} is unknown; known: {', '.join(known)}")

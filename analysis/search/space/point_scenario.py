@@ -1,0 +1,167 @@
+"""A point of a search as a scenario that `run` flies."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from analysis.search.space.dimensions import target_of
+from analysis.search.space.test_file import AUTOPILOT, TestFile
+from mavproxy_fault.documents.errors import ConfigError
+from simvehicle.environment.air import SEA_LEVEL_K, SEA_LEVEL_PA
+
+Document = dict[str, Any]
+# Where normal gravity at sea level is the 9.80665 m/s^2 of the search (WGS 84 formula)
+LATITUDE_DEG = 45.497
+GPS_HZ, FIELD_HZ, PRESSURE_HZ = 5.0, 25.0, 10.0
+
+
+def document_of(test: TestFile, values: Mapping[str, float], seed: int) -> Document:
+    """The scenario that flies these values, faults, monitor and all.
+
+    Parameters
+    ----------
+    test : TestFile
+    values : mapping
+        Numbers by name, as the test's space gives them.
+    seed : int
+        Of the simulator's noise.
+    """
+    if test.scenario is None:
+        document = _flight(test, values)
+    else:
+        assert isinstance(test.scenario, dict)
+        document = _varied(test.scenario, values)
+    schedule = document.get("schedule")
+    given = schedule if isinstance(schedule, dict) else {"faults": schedule or []}
+    monitor = dict(document.get("monitor") or {})
+    monitor["attitude"] = {
+        **(monitor.get("attitude") or {}),
+        "estimators": [] if test.estimator == AUTOPILOT else [test.estimator],
+        "settle_s": test.settle_s,
+    }
+    return {
+        **document,
+        "seed": seed,
+        "schedule": {**given, "faults": [*given["faults"], *faults_of(test, values)]},
+        "monitor": monitor,
+    }
+
+
+def faults_of(test: TestFile, values: Mapping[str, float]) -> list[Document]:
+    """The drawn faults as entries of a schedule; one that lasts no time is left out."""
+    entries = []
+    for i, fault in enumerate(test.faults):
+        name = f"faults[{i}]"
+        if values.get(f"{name}.for_s") == 0.0:
+            continue
+        keys = [key for key in ("value", "at_s", "for_s") if f"{name}.{key}" in values]
+        entries.append(
+            {
+                "id": f"drawn-{i}",
+                "fault": fault.fault,
+                "target": target_of(test, i, values[f"{name}.target"]),
+                **{key: float(values[f"{name}.{key}"]) for key in keys},
+                **fault.also,
+            }
+        )
+    return entries
+
+
+def _varied(scenario: Document, values: Mapping[str, float]) -> Document:
+    """A scenario with some of its numbers replaced."""
+    document = scenario
+    for name, value in values.items():
+        if name.startswith("vary."):
+            path = re.findall(r"[^.\[\]]+", name.removeprefix("vary."))
+            document = _with(document, path, float(value), name)
+    return document
+
+
+def _with(node: Any, path: list[str], value: float, name: str) -> Any:
+    """A copy of a node with the number at a path replaced."""
+    key, *rest = path
+    if isinstance(node, (list, tuple)) and key.isdigit() and int(key) < len(node):
+        items = list(node)
+        items[int(key)] = _with(items[int(key)], rest, value, name) if rest else value
+        return items
+    if isinstance(node, dict) and key in node:
+        return {**node, key: _with(node[key], rest, value, name) if rest else value}
+    known = ", ".join(node) if isinstance(node, dict) else f"0 to {len(node or ()) - 1}"
+    raise ConfigError(f"{name}: {key} is unknown; known: {known}")
+
+
+def _flight(test: TestFile, values: Mapping[str, float]) -> Document:
+    """The search's own fixed wing in the simulator: the same start, controls, air and sensors."""
+
+    def part(section: str) -> dict[str, float]:
+        head = section + "."
+        return {k.removeprefix(head): float(v) for k, v in values.items() if k.startswith(head)}
+
+    start, sensors = part("initial"), part("sensors")
+    height_m = start.pop("height_m")
+    heading_deg = start.pop("yaw_deg")
+    controls: Document = part("controls")
+    if test.mission is not None:
+        controls["weave"] = part("mission")
+    wind = part("wind")
+    return {
+        "name": "worst case",
+        "duration_s": test.duration_s,
+        "start": {
+            "lat_deg": LATITUDE_DEG,
+            "alt_m": altitude_of(test.density_kgpm3) - height_m,
+            "height_m": height_m,
+            "heading_deg": heading_deg,
+            "state": start,
+        },
+        "vehicle": {"kind": "fixedwing", "parameters": test.vehicle},
+        "controls": controls,
+        "environment": {
+            "wind_ned_mps": [wind[f"{axis}_mps"] for axis in ("north", "east", "down")],
+            "gusts": test.gusts,
+        },
+        "sensors": _sensors(test, sensors),
+        "monitor": {"attitude": {"declination_deg": test.declination_deg}},
+    }
+
+
+def _sensors(test: TestFile, values: Mapping[str, float]) -> Document:
+    dip, variation = np.radians([test.inclination_deg, test.declination_deg])
+    north, down = test.field_gauss * np.cos(dip), test.field_gauss * np.sin(dip)
+    field = [north * np.cos(variation), north * np.sin(variation), down]
+    gyro = np.radians([values[f"gyro_bias_{axis}_dps"] for axis in "xyz"])
+    return {
+        "imu": {
+            "rate_hz": 1.0 / test.dt_s,
+            "gyro": {
+                "sigma": float(np.radians(values["gyro_sigma_dps"])),
+                "bias": gyro.tolist(),
+            },
+            "accel": {
+                "sigma": values["accel_sigma_mps2"],
+                "bias": [values[f"accel_bias_{axis}_mps2"] for axis in "xyz"],
+            },
+        },
+        "mag": {
+            "rate_hz": FIELD_HZ,
+            "field_ned_gauss": [float(x) for x in field],
+            "noise": {"sigma": values["field_sigma_gauss"]},
+        },
+        "baro": {"rate_hz": FIELD_HZ, "noise": {"sigma": 10.0}},
+        "airspeed": {"rate_hz": PRESSURE_HZ, "noise": {"sigma": values["pressure_sigma_pa"]}},
+        "gps": {
+            "rate_hz": GPS_HZ,
+            "horizontal": {"kick_m": 0.03, "k_per_s": 0.01},
+            "vertical": {"kick_m": 0.05, "k_per_s": 0.01},
+            "velocity": {"sigma": values["velocity_sigma_mps"]},
+        },
+    }
+
+
+def altitude_of(density_kgpm3: float) -> float:
+    """Height above sea level [m] at which the standard troposphere is that dense."""
+    sea = SEA_LEVEL_PA / (287.05287 * SEA_LEVEL_K)
+    ratio = density_kgpm3 / sea
+    return float(SEA_LEVEL_K / 0.0065 * (1.0 - ratio ** (1.0 / 4.25588)))  # ICAO Doc 7488

@@ -1,0 +1,241 @@
+"""Test files: what a search varies, how far, and what counts (YAML).
+
+Wherever a `Range` stands, a number is fixed and a list `[low, high]` is searched. A test flies
+either the search's own fixed wing, compiled and many at once, or a scenario in the simulator.
+"""
+
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from analysis.search.space.fault_range import FaultRange
+from analysis.search.space.section import Range, Section
+from mavproxy_fault.documents.decoded import decode, read_document
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.spec import parse_spec
+from simvehicle.scenario.scenario_file import read_scenario
+
+AUTOPILOT = "autopilot"
+SIMULATED = (AUTOPILOT, "fusion")  # estimators that need the simulator's frames
+SLOTS = 4  # faults at once in the compiled kernels
+# A flight in the simulator takes a second or so, where the kernels fly thousands
+FLOWN_DEFAULTS = {"budget": 200, "keep": 3, "noise_draws": 1, "rescore_draws": 5}
+ANYWHERE = {
+    "pitch_deg": 90.0, "alpha_deg": 180.0, "beta_deg": 90.0, "airspeed_mps": [0.0, 1000.0],
+    "rate_dps": 1e5, "load_g": 1e3, "height_m": -1e4,
+}  # fmt: skip
+
+
+class Initial(Section, frozen=True):
+    """State at the start; None is that of trimmed flight at the vehicle's cruising speed."""
+
+    height_m: Range = 500.0
+    u_mps: Range | None = None
+    v_mps: Range = 0.0
+    w_mps: Range | None = None
+    roll_deg: Range = 0.0
+    pitch_deg: Range | None = None
+    yaw_deg: Range = 0.0
+    p_dps: Range = 0.0
+    q_dps: Range = 0.0
+    r_dps: Range = 0.0
+
+
+class OpenLoop(Section, frozen=True):
+    """Constant controls; None is that of the trim."""
+
+    elevator_deg: Range | None = None
+    aileron_deg: Range = 0.0
+    rudder_deg: Range = 0.0
+    throttle: Range | None = None
+
+
+class Mission(Section, frozen=True):
+    """Rolling from side to side while holding pitch and airspeed (None: the trim's)."""
+
+    roll_deg: Range = 30.0
+    period_s: Range = 20.0
+    pitch_deg: Range | None = None
+    airspeed_mps: Range | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        shortest = self.period_s[0] if isinstance(self.period_s, tuple) else self.period_s
+        if shortest <= 0.0:
+            raise ValueError(f"period_s = {shortest} is not positive; seconds above 0")
+
+
+class Wind(Section, frozen=True):
+    """Where the steady wind blows to."""
+
+    north_mps: Range = 0.0
+    east_mps: Range = 0.0
+    down_mps: Range = 0.0
+
+
+class Sensors(Section, frozen=True):
+    """Noise of each sample, one sigma, and constant biases.
+
+    Defaults: ADXRS450 and ADXL325 (Beard and McLain, Small Unmanned Aircraft, appendix H), GPS
+    speed and differential pressure from there too.
+    """
+
+    gyro_sigma_dps: Range = 0.13
+    accel_sigma_mps2: Range = 0.0245
+    field_sigma_gauss: Range = 0.002
+    velocity_sigma_mps: Range = 0.05
+    pressure_sigma_pa: Range = 2.0
+    gyro_bias_x_dps: Range = 0.0
+    gyro_bias_y_dps: Range = 0.0
+    gyro_bias_z_dps: Range = 0.0
+    accel_bias_x_mps2: Range = 0.0
+    accel_bias_y_mps2: Range = 0.0
+    accel_bias_z_mps2: Range = 0.0
+
+
+class Limits(Section, frozen=True):
+    """The flight envelope: a flight that leaves it does not count."""
+
+    pitch_deg: float = 80.0
+    alpha_deg: float = 25.0
+    beta_deg: float = 25.0
+    airspeed_mps: tuple[float, float] = (12.0, 70.0)
+    rate_dps: float = 300.0
+    load_g: float = 5.0
+    height_m: float = 0.0
+
+
+class StateScales(Section, frozen=True):
+    """Errors that count alike when all twelve states are compared."""
+
+    position_m: float = 10.0
+    velocity_mps: float = 1.0
+    angle_deg: float = 1.0
+    rate_dps: float = 1.0
+
+
+class AutopilotChoice(Section, frozen=True):
+    """An autopilot behind a MAVLink link, flown in lockstep.
+
+    It connects to `link`, is fed HIL frames and answers each HIL_SENSOR by HIL_ACTUATOR_CONTROLS.
+    Its ATTITUDE or ATTITUDE_QUATERNION may come on that link or on `telemetry`. `command` starts it
+    anew for each flight, `{port}` standing for the port of the link; without it the autopilot has
+    to come back by itself. With `flies` its actuators fly the vehicle, else the scenario does.
+    """
+
+    link: str = "tcpin:127.0.0.1:4560"
+    telemetry: str | None = None
+    command: list[str] = msgspec.field(default_factory=list)
+    folder: str | None = None
+    flies: bool = False
+    start_s: float = 60.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if parse_spec(self.link).kind not in ("tcpin", "tcp"):
+            raise ValueError(f"link = {self.link} cannot be held in lockstep; tcpin: or tcp:")
+
+
+class TestFile(Section, frozen=True):
+    """A whole test file.
+
+    `criterion` is what is to become large: the greatest of the RMSE of roll, pitch and yaw, the
+    RMSE of the angle between estimate and truth, or that of all twelve states in `state_scales`.
+    `breaks_at_deg` is the size from which an estimator counts as broken; the worst cases are shrunk
+    to the smallest fault that reaches it (None: half their own error). `noise_draws` flights with
+    their own noise make an evaluation. `settle_s` at the start of a flight is not scored.
+
+    With `scenario`, `vary` gives the intervals of its keys, and `initial`, `controls`, `mission`,
+    `wind` and `sensors` have no meaning.
+    """
+
+    __test__ = False  # not for pytest to collect
+
+    scenario: str | dict[str, Any] | None = None
+    vary: dict[str, tuple[float, float]] = msgspec.field(default_factory=dict)
+    vehicle: str = "aerosonde-2012"
+    estimator: str = "inverse-model"
+    autopilot: AutopilotChoice | None = None
+    criterion: Literal["euler", "angle", "state"] = "euler"
+    state_scales: StateScales = StateScales()
+    breaks_at_deg: float | None = None
+    duration_s: float = 60.0
+    settle_s: float = 0.0
+    dt_s: float = 0.01
+    seed: int = 1
+    method: str = "mixed"
+    budget: int | None = None
+    time_s: float | None = None
+    keep: int = 10
+    noise_draws: int = 4
+    rescore_draws: int = 100
+    initial: Initial = Initial()
+    controls: OpenLoop = OpenLoop()
+    mission: Mission | None = None
+    wind: Wind = Wind()
+    gusts: Literal["none", "light", "moderate", "light-600m", "moderate-600m"] = "none"
+    sensors: Sensors = Sensors()
+    faults: list[FaultRange] = msgspec.field(default_factory=list)
+    envelope: Limits = Limits()
+    density_kgpm3: float = 1.225
+    inclination_deg: float = 64.0
+    declination_deg: float = 3.0
+    field_gauss: float = 0.48
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("duration_s", "dt_s", "keep", "noise_draws", "rescore_draws"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} = {getattr(self, name)} is not positive; above 0")
+        if (self.estimator == AUTOPILOT) != (self.autopilot is not None):
+            raise ValueError("estimator: autopilot and the section autopilot need each other")
+        if self.vary and self.scenario is None:
+            raise ValueError("vary is for the keys of a scenario; give scenario too")
+        for name, (low, high) in self.vary.items():
+            if low > high:
+                raise ValueError(f"vary.{name} = {[low, high]} has its ends reversed; [low, high]")
+        if not self.flown:
+            self._check_compiled()
+        elif self.criterion == "state":
+            raise ValueError("criterion: state is compiled for the inverse-model only")
+
+    def _check_compiled(self) -> None:
+        if len(self.faults) > SLOTS:
+            raise ValueError(f"faults has {len(self.faults)} entries; at most {SLOTS} are possible")
+        for fault in self.faults:
+            fault.check_compiled()
+        if self.settle_s > 0.0:
+            raise ValueError("settle_s is for flights in the simulator; leave it out")
+        if self.criterion == "state" and self.estimator != "inverse-model":
+            raise ValueError(
+                f"criterion: state needs all twelve states; {self.estimator} estimates fewer"
+            )
+
+    @property
+    def flown(self) -> bool:
+        """Whether the simulator and the proxy fly it, one flight after the other."""
+        return self.scenario is not None or self.estimator in SIMULATED
+
+
+def read_test(path: Path | str) -> TestFile:
+    """Read a test file, with the scenario it names in its place.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, or a key or value is wrong.
+    """
+    document, lines = read_document(Path(path))
+    if not isinstance(document, dict):
+        raise ConfigError(f"{path}: holds no keys; a test file is a YAML mapping")
+    named = document.get("scenario")
+    if named is not None or document.get("estimator") in SIMULATED:
+        document = {**FLOWN_DEFAULTS, **document}
+    if isinstance(named, str):
+        scenario = read_scenario(Path(path).parent / named)
+        document["scenario"] = msgspec.to_builtins(scenario)
+    if named is not None:
+        duration_s = document["scenario"].get("duration_s", 120.0)
+        document = {"duration_s": duration_s, "envelope": ANYWHERE, **document}
+    return decode(document, TestFile, lines)

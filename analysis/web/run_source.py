@@ -1,0 +1,127 @@
+"""Where the page's data comes from: a run that is alive on the bus, followed over restarts."""
+
+import contextlib
+import threading
+
+import msgspec
+
+from analysis.web.feed import Feed
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.bus import DEFAULT_URL, ROOT, Bus, open_bus
+
+LOOK_S = 0.5  # between two looks at who is there
+STREAMS = ("fdi/**", "att/**", "fusion/**", "schedule/**", "proxy/**")
+PROXY, RUN = "/alive/proxy", "/alive/run"
+
+
+class Source:
+    """Feeds what the live run publishes, and carries requests to it."""
+
+    def __init__(self, feed: Feed, url: str | None) -> None:
+        self._feed = feed
+        self.url = url or DEFAULT_URL
+        self._over = threading.Event()
+        self._bus: Bus | None = None
+        self._watch: Bus | None = None
+        self._runs: list[str] = []
+        self._coming: list[str] = []  # runs, of which some are still getting ready
+        self._chosen: str | None = None
+        self._thread = threading.Thread(target=self._follow, name="bus of the page", daemon=True)
+
+    def start(self) -> None:
+        """Begin to look for a proxy or run."""
+        self._say()
+        self._thread.start()
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._over.set()
+        self._thread.join()
+
+    def choose(self, run: str) -> None:
+        """Follow another of the runs that are there.
+
+        Raises
+        ------
+        ConfigError
+            If there is none of that name.
+        """
+        if run not in self._runs:
+            there = ", ".join(self._runs) or "none"
+            raise ConfigError(f"run {run!r} is not there; there are: {there}")
+        self._chosen = run
+
+    def ask(self, what: str, payload: bytes) -> bytes:
+        """The answer of the proxy to a query below `@ctl/`.
+
+        Raises
+        ------
+        ConfigError
+            If it refuses, or there is none.
+        """
+        bus = self._bus
+        if bus is None:
+            raise ConfigError(f"{self.url}: no proxy and no run is there; start one first")
+        return bus.ask(f"@ctl/{what}", payload)[0]
+
+    def _follow(self) -> None:
+        with contextlib.ExitStack() as stack:
+            stack.callback(self._leave)
+            while not self._over.is_set():
+                self._look(stack)
+                self._wish()
+                self._over.wait(LOOK_S)
+
+    def _wish(self) -> None:
+        """Have the proxy show what the viewers want to see; it forgets in some seconds."""
+        wishes = self._feed.wishes()
+        if wishes and self._bus is not None:
+            with contextlib.suppress(ConfigError):  # a proxy that is just going
+                self._bus.ask("@ctl/watch", msgspec.json.encode(wishes))
+
+    def _look(self, stack: contextlib.ExitStack) -> None:
+        """Join the run that is alive, leave the one that is not."""
+        try:
+            if self._watch is None:
+                self._watch = stack.enter_context(open_bus(self.url, run="*"))
+            there = self._watch.who()
+            runs = [run_of(key) for key in there if key.endswith(PROXY)]
+            coming = [run_of(key) for key in there if key.endswith(RUN)]
+            joined = self._bus.run if self._bus is not None else None
+            wanted = next((run for run in (self._chosen, joined, *runs[-1:]) if run in runs), None)
+            changed = (runs, coming) != (self._runs, self._coming)
+            self._runs, self._coming = runs, coming
+            if wanted != joined:
+                self._leave()
+                if wanted is not None:
+                    self._join(wanted)
+            elif changed:
+                self._say()
+        except ConfigError:
+            self._leave()
+
+    def _join(self, run: str) -> None:
+        self._feed.forget()
+        bus = open_bus(self.url, run=run)
+        prefix = len(bus.key(""))
+        self._bus = bus
+        self._say()  # before its first sample: the page clears its plots
+        for stream in STREAMS:
+            bus.subscribe(stream, lambda key, payload: self._feed.take(key[prefix:], payload))
+
+    def _leave(self) -> None:
+        if self._bus is None:
+            return
+        bus, self._bus = self._bus, None
+        bus.close()
+        self._say()
+
+    def _say(self) -> None:
+        run = None if self._bus is None else self._bus.run
+        coming = [name for name in self._coming if name not in self._runs]
+        self._feed.status({"run": run, "runs": self._runs, "coming": coming, "url": self.url})
+
+
+def run_of(key: str) -> str:
+    """The run in the key of a component that is alive."""
+    return key.removeprefix(f"{ROOT}/").partition("/")[0]

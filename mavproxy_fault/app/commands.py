@@ -1,0 +1,124 @@
+"""The proxy's subcommands; what they need is imported when they run."""
+
+import argparse
+from collections.abc import Callable
+from typing import Any
+
+Add = Callable[[Any], None]
+
+ENDPOINT = "connection string, e.g. udpin:127.0.0.1:14550, tcpin:127.0.0.1:4560, /dev/ttyUSB0,57600"
+
+
+def add_proxy(commands: Any) -> None:
+    """`proxy`: the proxy alone, between a vehicle and any number of others."""
+    parser = commands.add_parser("proxy", help="forward MAVLink between links and apply faults")
+    parser.add_argument("--master", required=True, metavar="EP", help=f"the vehicle: {ENDPOINT}")
+    parser.add_argument(
+        "--out", action="append", required=True, metavar="EP", help="ground station, autopilot ..."
+    )
+    parser.add_argument("--schedule", metavar="FILE", help="faults to apply (YAML)")
+    parser.add_argument("--logdir", metavar="DIR", help="write tlogs and labels here")
+    parser.add_argument("--busy-poll", action="store_true", help="spin for lowest latency")
+    parser.add_argument(
+        "--zenoh", default="auto", metavar="auto|off|URL", help="control and statistics"
+    )
+    parser.add_argument("--run", default="live", metavar="NAME", help="this proxy's name on Zenoh")
+    parser.add_argument(
+        "--no-inject", dest="inject", action="store_false", help="refuse live faults"
+    )
+    parser.add_argument(
+        "--rflysim", type=int, metavar="PORT", help="take RflySim's fault packets on this UDP port"
+    )
+    parser.add_argument("--rflysim-map", metavar="FILE", help="its fault ids (YAML)")
+    _add_signing(parser)
+    parser.set_defaults(main=_proxy)
+
+
+def _add_signing(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--signing-key", metavar="FILE", help="passphrase to verify and sign changed frames with"
+    )
+    parser.add_argument("--strip-signatures", action="store_true", help="send frames unsigned")
+
+
+def _proxy(args: argparse.Namespace) -> int:
+    from mavproxy_fault.app.proxy_command import main
+
+    return main(args)
+
+
+def add_replay(commands: Any) -> None:
+    """`replay`: a log through the proxy."""
+    parser = commands.add_parser("replay", help="send a tlog through the proxy, to a log or a link")
+    parser.add_argument("log", metavar="LOG", help="a tlog")
+    parser.add_argument(
+        "--schedule", metavar="FILE", help="faults to apply (default: those of the recording)"
+    )
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument(
+        "--out", metavar="LOG", help="write the tlog that was sent, labels beside it"
+    )
+    where.add_argument("--link", metavar="EP", help=f"send in real time: {ENDPOINT}")
+    _add_signing(parser)
+    parser.set_defaults(main=_replay)
+
+
+def _replay(args: argparse.Namespace) -> int:
+    from mavproxy_fault.app.replay import main
+
+    return main(args)
+
+
+def add_inject(commands: Any) -> None:
+    """`inject`: a live fault on a running proxy."""
+    parser = commands.add_parser("inject", help="set, change or clear a fault on a running proxy")
+    parser.add_argument("fault", nargs="?", metavar="FAULT", help="fault or preset by name")
+    parser.add_argument("--target", metavar="MSG.FIELD", help="what the fault acts on")
+    parser.add_argument("--value", type=float, metavar="X", help="magnitude in the field's unit")
+    parser.add_argument("--for", dest="for_s", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument("--id", metavar="ID", help="the fault's id (default: its name)")
+    parser.add_argument("--clear", metavar="ID", help="end this fault (its id, or 'all')")
+    parser.add_argument("--run", default="*", metavar="NAME", help="the run (default: any)")
+    parser.add_argument("--zenoh", metavar="URL", help="the proxy's router")
+    parser.set_defaults(main=_inject)
+
+
+def _inject(args: argparse.Namespace) -> int:
+    from mavproxy_fault.app.inject import main
+
+    return main(args)
+
+
+def add_faults(commands: Any) -> None:
+    """`faults`: what there is, and whether a schedule is right."""
+    parser = commands.add_parser("faults", help="list faults and presets; check and plot schedules")
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    actions.add_parser("list", help="every fault and preset, a line each").set_defaults(
+        action="list"
+    )
+    show = actions.add_parser("show", help="parameters and an example of one fault or preset")
+    show.add_argument("name")
+    show.set_defaults(action="show")
+    check = actions.add_parser("check", help="check a schedule file")
+    check.add_argument("file")
+    check.set_defaults(action="check")
+    plot = actions.add_parser("plot", help="draw a schedule's fault functions to PNG")
+    plot.add_argument("file")
+    plot.add_argument("--out", metavar="PNG")
+    plot.set_defaults(action="plot")
+    actions.add_parser("schema", help="JSON Schema of schedules").set_defaults(action="schema")
+    parser.set_defaults(main=_faults)
+
+
+def _faults(args: argparse.Namespace) -> int:
+    from mavproxy_fault.schedule.catalogue import main
+
+    return main(args)
+
+
+OURS: dict[str, Add] = {
+    "proxy": add_proxy,
+    "replay": add_replay,
+    "inject": add_inject,
+    "faults": add_faults,
+}

@@ -1,0 +1,156 @@
+"""The `proxy` command: links, core, files and live control put together, and run."""
+
+import argparse
+import contextlib
+import signal
+import socket
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from threading import Thread
+from typing import TYPE_CHECKING, Any
+
+from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.app.server import Server, short_turns
+from mavproxy_fault.app.statistics import table
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.link import Link
+from mavproxy_fault.links.spec import open_link
+from mavproxy_fault.proxy.core import Core
+from mavproxy_fault.proxy.interfaces import LinkRole
+from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.wire.signing import Signing, key_of
+
+if TYPE_CHECKING:
+    from mavproxy_fault.live.session import Live
+    from mavproxy_fault.proxy.engine import Engine
+
+
+def open_links(master: str, outs: Sequence[str]) -> list[Link]:
+    """The vehicle's link and the others'; all closed again if one cannot be opened."""
+    links: list[Link] = []
+    try:
+        links.append(open_link(master, plain_udp="udpin"))
+        links += [open_link(out, plain_udp="udpout") for out in outs]
+    except ValueError:
+        for link in links:
+            link.close()
+        raise
+    return links
+
+
+def roles(links: Sequence[Link]) -> list[LinkRole]:
+    """The first link is the vehicle's."""
+    return [
+        LinkRole(link.name, "to-vehicle" if number else "from-vehicle", link.datagrams)
+        for number, link in enumerate(links)
+    ]
+
+
+@contextlib.contextmanager
+def signals(server: Server) -> Iterator[socket.socket]:
+    """Let SIGINT and SIGTERM stop the server; gives the socket that wakes it."""
+    wake, woken = socket.socketpair()
+    woken.setblocking(False)
+    names = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(name, lambda *_: server.stop()) for name in names]
+    descriptor = signal.set_wakeup_fd(woken.fileno(), warn_on_full_buffer=False)
+    try:
+        yield wake
+    finally:
+        signal.set_wakeup_fd(descriptor)
+        for name, action in zip(names, before, strict=True):
+            signal.signal(name, action)
+        wake.close()
+        woken.close()
+
+
+def signing(args: argparse.Namespace) -> Signing | None:
+    """What the options say about signed frames.
+
+    Raises
+    ------
+    ConfigError
+        If the key's file cannot be read.
+    """
+    if args.signing_key is None:
+        return Signing(strip=True) if args.strip_signatures else None
+    try:
+        phrase = Path(args.signing_key).read_text().strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(
+            f"{args.signing_key}: cannot be read ({error}); give a file with the passphrase"
+        ) from None
+    return Signing(key_of(phrase), strip=args.strip_signatures)
+
+
+def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server) -> "Live":
+    """Live control over the bus and RflySim's port; loads all that faults need, numpy too."""
+    import mavproxy_fault.compiled.plans  # noqa: F401  so that no frame waits for it later
+    from mavproxy_fault.live.control import Control
+    from mavproxy_fault.live.journal import Journal
+    from mavproxy_fault.live.rflysim import SHIPPED, read_map
+    from mavproxy_fault.live.session import Live
+    from mavproxy_fault.proxy.engine import Engine
+    from mavproxy_fault.schedule.entries import Schedule
+
+    rflysim = read_map(args.rflysim_map or SHIPPED) if args.rflysim is not None else None
+    control = Control(engine or Engine(Schedule(0, ())), allowed=args.inject, rflysim=rflysim)
+    live = Live(control, server.edit_time, Journal(server.core, server.tape))
+    if args.rflysim is not None:
+        live.open_rflysim(args.rflysim)
+    live.open_bus(args.zenoh, args.run)
+    return live
+
+
+def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server) -> None:
+    """Open live control in the background."""
+    from concurrent.futures import Future
+
+    coming: Future[Live] = Future()
+
+    def work() -> None:
+        try:
+            with short_turns():
+                coming.set_result(open_live(args, engine, server))
+        except Exception as error:
+            coming.set_exception(error)
+
+    server.coming = coming
+    Thread(target=work, daemon=True).start()
+
+
+def main(args: argparse.Namespace) -> int:
+    """`mavproxy-fault proxy`."""
+    engine = None
+    session: dict[str, Any] = {"seed": None, "schedule": None, "inject": args.inject}
+    if args.schedule:
+        from mavproxy_fault.proxy.engine import Engine
+        from mavproxy_fault.schedule.entries import read_schedule
+
+        engine = Engine(read_schedule(args.schedule))
+        session |= {"seed": engine.seed, "schedule": Path(args.schedule).read_text()}
+    signed = signing(args)
+    links = open_links(args.master, args.out)
+    tape = Tape() if args.logdir else None
+    core = Core(roles(links), engine, signing=signed, tape=tape)
+    if args.rflysim is not None and args.rflysim_map:
+        session["rflysim_map"] = str(Path(args.rflysim_map).resolve())
+    session["links"] = [{"name": role.name, "direction": role.direction} for role in core.links]
+    recorder = Recorder(Path(args.logdir), session) if args.logdir else None
+    server = Server(links, core, tape=tape, recorder=recorder, busy_poll=args.busy_poll)
+    try:
+        server.prepare()
+        by_name = args.zenoh not in ("auto", "off") or args.rflysim is not None
+        if by_name:  # what was asked for by name is there when the proxy is ready
+            server.join(open_live(args, engine, server))
+        with signals(server) as wake:
+            others = ", ".join(link.name for link in links[1:])
+            print(f"ready: {links[0].name} <-> {others}", flush=True)
+            if not by_name:
+                start_live(args, engine, server)
+            server.run(wake)
+    finally:
+        for link in links:
+            link.close()
+    print(table(server.stats()), flush=True)
+    return 0

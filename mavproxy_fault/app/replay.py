@@ -1,0 +1,181 @@
+"""Replay: a tlog through the proxy's core, to another tlog or in real time to a link.
+
+A `received.tlog` of the proxy, with its index, session and live edits beside it, gives `sent.tlog`
+again byte for byte if the schedule is the session's, as it is by default. With another schedule the
+edits are left out.
+"""
+
+import argparse
+import select
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgspec
+
+from mavproxy_fault.app.playback import Record, Source, open_log
+from mavproxy_fault.app.proxy_command import signing
+from mavproxy_fault.app.recorder import encoded
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.link import Link
+from mavproxy_fault.links.spec import open_link
+from mavproxy_fault.live.control import Control
+from mavproxy_fault.live.journal import RFLYSIM, carry_out
+from mavproxy_fault.live.rflysim import SHIPPED, read_map
+from mavproxy_fault.proxy.core import Core
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.proxy.interfaces import Send
+from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.schedule.entries import Schedule, parse_schedule, read_schedule
+from mavproxy_fault.wire.signing import Signing
+
+FLUSH_BYTES = 1 << 20
+TEND_S = 0.1
+
+
+class Playing:
+    """A core that a log is pushed through, and the edits that are still to come."""
+
+    def __init__(
+        self,
+        source: Source,
+        schedule: Schedule,
+        tape: Tape | None = None,
+        signing: Signing | None = None,
+    ) -> None:
+        self.source = source
+        self._edits = deque(source.edits if _ran_with(source, schedule) else ())
+        engine = Engine(schedule)
+        # Without a schedule of its own the session had no engine before live control took part.
+        late = bool(self._edits) and source.session["schedule"] is None
+        self.core = Core(source.roles, None if late else engine, signing=signing, tape=tape)
+        rflysim = None
+        if any(edit.what == RFLYSIM for edit in self._edits):
+            rflysim = read_map(source.session.get("rflysim_map", SHIPPED))
+        allowed = source.session.get("inject", True)
+        self._control = Control(engine, allowed=allowed, rflysim=rflysim)
+        self._count = self._newest_us = 0
+
+    def push(self, record: Record) -> list[Send]:
+        """What is sent for one record, and for the edits before it."""
+        sends = self._edit()
+        self._count += 1
+        self._newest_us = max(self._newest_us, record.t_us)
+        return sends + self.core.received(record.link, record.raw, record.t_us)
+
+    def _edit(self) -> list[Send]:
+        """Make the edits that came before as many records as were pushed."""
+        sends = []
+        while self._edits and self._edits[0].at <= self._count:
+            edit = self._edits.popleft()
+            sends += self.core.due(edit.now_us)
+            carry_out(edit, self.core, self._control)
+        return sends
+
+    def rest(self) -> Iterator[list[Send]]:
+        """What is sent after the last record: up to the recorded end, or all that is delayed."""
+        yield self._edit()
+        end_us = self.source.end_us
+        while end_us is None and (due_us := self.core.next_due_us) is not None:
+            self._newest_us = max(self._newest_us, due_us)
+            yield self.core.due(self._newest_us)
+        yield self.core.finish(end_us or self._newest_us)
+
+
+def _ran_with(source: Source, schedule: Schedule) -> bool:
+    """Whether a recorded session ran with this schedule, however it was written."""
+    return bool(source.edits) and _bare(own_schedule(source)) == _bare(schedule)
+
+
+def _bare(schedule: Schedule) -> Schedule:
+    entries = tuple(msgspec.structs.replace(entry, written={}) for entry in schedule.faults)
+    return msgspec.structs.replace(schedule, faults=entries)
+
+
+def own_schedule(source: Source) -> Schedule:
+    """The schedule that a session was recorded with.
+
+    Raises
+    ------
+    ConfigError
+        If the log is not a session's.
+    """
+    if "schedule" not in source.session:
+        raise ConfigError("replay: no session.json lies beside the log; give --schedule FILE")
+    return parse_schedule(source.session["schedule"] or {}, "session.json")
+
+
+def to_log(playing: Playing, tape: Tape, out: Path) -> Path:
+    """Write what is sent to a tlog and the labels beside it, as `NAME.labels.jsonl`."""
+    labels_path = out.with_suffix(".labels.jsonl")
+    core = playing.core
+    with out.open("wb") as log, labels_path.open("wb") as labels:
+        for record in playing.source.records:
+            playing.push(record)
+            labels.write(encoded(core.take_labels()))
+            if len(tape.sent) >= FLUSH_BYTES:
+                log.write(tape.take().sent)
+        for _ in playing.rest():
+            pass
+        labels.write(encoded(core.take_labels()))
+        log.write(tape.take().sent)
+    return labels_path
+
+
+def to_link(playing: Playing, link: Link, clock: Callable[[], float] = time.monotonic) -> int:
+    """Send at the pace of the log; gives the number of frames or datagrams sent.
+
+    A server waits for its first peer.
+    """
+    while not link.peer_count:
+        _pause(link, TEND_S)
+    core = playing.core
+    start_s, first_us, sent = clock(), -1, 0
+
+    def wait_for(t_us: int) -> None:
+        while (rest_s := start_s + (t_us - first_us) * 1e-6 - clock()) > 0:
+            _pause(link, min(rest_s, TEND_S))
+
+    def write(sends: list[Send]) -> int:
+        for send in sends:
+            wait_for(send.due_us)
+            link.write(send.data)
+        return len(sends)
+
+    for record in playing.source.records:
+        first_us = record.t_us if first_us < 0 else first_us
+        while (due_us := core.next_due_us) is not None and due_us <= record.t_us:
+            sent += write(core.due(due_us))
+        wait_for(record.t_us)
+        sent += write(playing.push(record))
+    return sent + sum(write(sends) for sends in playing.rest())
+
+
+def _pause(link: Link, wait_s: float) -> None:
+    """Wait, and drain what the peer sends meanwhile."""
+    select.select([link], (), (), wait_s)
+    link.read()
+
+
+def main(args: argparse.Namespace) -> int:
+    """`mavproxy-fault replay`."""
+    path = Path(args.log)
+    source = open_log(path)
+    schedule = read_schedule(args.schedule) if args.schedule else own_schedule(source)
+    tape = Tape() if args.out else None
+    playing = Playing(source, schedule, tape, signing(args))
+    if tape is not None:
+        out = Path(args.out)
+        if out.exists() and out.samefile(path):
+            raise ConfigError(f"{out}: is the log that is replayed; allowed: another file")
+        out.parent.mkdir(parents=True, exist_ok=True)
+        labels = to_log(playing, tape, out)
+        print(f"{out}\n{labels}")
+        return 0
+    link = open_link(args.link, plain_udp="udpout")
+    try:
+        print(f"{to_link(playing, link)} sent to {link.name}")
+    finally:
+        link.close()
+    return 0

@@ -1,0 +1,284 @@
+"""The proxy as a process: links, clock and files around the core, whose sends it carries out.
+
+One thread waits on all links and for the next due time. Links are drained in batches; nothing ever
+blocks on a slow one. Recordings are flushed each second. What is plain goes the compiled way
+(`fast`), once its machine code is there.
+"""
+
+import contextlib
+import ctypes
+import gc
+import select
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.app.statistics import Latencies, figures
+from mavproxy_fault.links.link import Link
+from mavproxy_fault.proxy.core import Core
+from mavproxy_fault.proxy.interfaces import Send
+from mavproxy_fault.proxy.tape import Tape
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+    from mavproxy_fault.compiled.forwarder import FastPath
+    from mavproxy_fault.live.session import Live
+
+TEND_S = 0.1  # how often links get a chance to reconnect
+FLUSH_S = 1.0
+AHEAD_US = 300  # so long before a frame is due the loop does nothing but prepare to send it
+EARLY_US = 250  # a sleep may end so late; the loop stays awake so long before that
+SHORT_TURN_S = 2e-4
+PR_SET_TIMERSLACK = 29  # <linux/prctl.h>; the default of 50 us makes every wait that late
+
+
+class Server:
+    """The loop; `core.links` are the roles of `links`, in the same order."""
+
+    def __init__(
+        self,
+        links: Sequence[Link],
+        core: Core,
+        *,
+        tape: Tape | None = None,
+        recorder: Recorder | None = None,
+        busy_poll: bool = False,
+    ) -> None:
+        self.links = list(links)
+        self.core = core
+        self.tape = tape
+        self.recorder = recorder
+        self.latencies = [Latencies() for _ in links]
+        self._busy_poll = busy_poll
+        self._base_ns = time.time_ns() - time.monotonic_ns()
+        self._stopping = False
+        self._by_fd = {link.fileno(): number for number, link in enumerate(links)}
+        self._tend_s = self._flush_s = 0.0
+        self._compiler: subprocess.Popen[bytes] | None = None
+        self._fast: FastPath | None = None
+        self._wake: int | None = None
+        self.live: Live | None = None
+        self.coming: Future[Live] | None = None  # live control that is still being opened
+
+    def now_us(self) -> int:
+        """Wall time that never jumps: Unix time at the start plus the monotonic clock."""
+        return (self._base_ns + time.monotonic_ns()) // 1000
+
+    def stop(self) -> None:
+        """Leave the loop at its next turn."""
+        self._stopping = True
+
+    def run(self, wake: socket.socket | None = None) -> None:
+        """Forward until stopped; `wake` becomes readable when a signal came."""
+        ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1)
+        self._wake = None if wake is None else wake.fileno()
+        try:
+            while not self._stopping:
+                if self._fast is not None:
+                    self._turn_fast(self._fast)
+                else:
+                    self._turn_plain()
+                self._keep_time()
+        finally:
+            self._finish()
+
+    def _others(self) -> list[int]:
+        """Descriptors to wait on besides the links."""
+        wake = [] if self._wake is None else [self._wake]
+        return wake + ([] if self.live is None else self.live.filenos())
+
+    def _turn_plain(self) -> None:
+        """Wait for whatever comes next and pass it on."""
+        waited = [*self._by_fd, *self._others()]
+        ready, _, _ = select.select(waited, (), (), self._patience_s())
+        for descriptor in ready:
+            if descriptor in self._by_fd:
+                self._serve(self._by_fd[descriptor])
+            elif self.live is not None:
+                self.live.serve()
+
+    def _turn_fast(self, fast: "FastPath") -> None:
+        """Let the compiled path forward until something is left to do here."""
+        tend_ns, due_us = round(self._tend_s * 1e9), self.core.next_due_us
+        due_ns = tend_ns if due_us is None else (due_us - AHEAD_US) * 1000 - self._base_ns
+        fast.forward(min(tend_ns, due_ns), spin=self._busy_poll, precise=due_ns < tend_ns)
+        if fast.pending:
+            number, data, came_ns = fast.take_datagram()
+            if data:
+                # It may have waited behind another of its batch while delayed frames left.
+                now_us = max((self._base_ns + came_ns) // 1000, self.core.left_us)
+                self._carry_out(self.core.received(number, data, now_us))
+                self.latencies[number].add(time.monotonic_ns() - came_ns)
+        for number in fast.ready():
+            self._serve(number)
+        if self.live is not None and fast.others_ready:
+            self.live.serve()
+
+    def prepare(self) -> None:
+        """Take the compiled path, or have it made by another process if this is the first time."""
+        if not any(link.datagrams for link in self.links):
+            return
+        from mavproxy_fault.compiled import object_file as machine
+
+        if machine.load() is not None:
+            self.use_fast()
+        elif self._compiler is None:
+            print("first start: machine code is being made, once, while all goes a slower way",
+                  file=sys.stderr, flush=True)  # fmt: skip
+            quiet = subprocess.DEVNULL  # it may outlive us: nobody must wait for its output to end
+            self._compiler = subprocess.Popen(
+                [sys.executable, "-m", machine.__name__], stdin=quiet, stdout=quiet, stderr=quiet
+            )
+
+    def join(self, live: "Live") -> None:
+        """Let live control take part."""
+        from mavproxy_fault.live.journal import JOIN, join
+
+        self.live = live
+        if live.journal is not None:
+            live.journal.note(JOIN, b"", self.edit_time())
+        join(self.core, live.control)
+        gc.freeze()  # all that is loaded by now stays; to look it through would hold frames up
+        if self._fast is not None and not self._fast.pending:
+            self._fast.count()
+            self.use_fast()
+
+    def edit_time(self) -> int:
+        """The vehicle's time, at which an edit may now be made; what is due leaves before."""
+        now_us = self.now_us()
+        self._carry_out(self.core.due(now_us))
+        journal = None if self.live is None else self.live.journal
+        return now_us if journal is None else journal.begin(now_us)
+
+    def use_fast(self) -> None:
+        """Let the compiled path take over."""
+        from mavproxy_fault.compiled.forwarder import FastPath
+
+        self._fast = FastPath(
+            self.links, self.core, self.tape, self.latencies, self._base_ns, self._others()
+        )
+
+    def _patience_s(self) -> float:
+        """How long the loop may sleep."""
+        if self._busy_poll:
+            return 0.0
+        due_us = self.core.next_due_us
+        if due_us is None:
+            return TEND_S
+        return min(max(due_us - self.now_us() - AHEAD_US - EARLY_US, 0) * 1e-6, TEND_S)
+
+    def _serve(self, number: int) -> None:
+        """Pass on what one link has."""
+        link, core = self.links[number], self.core
+        started_ns = time.monotonic_ns()
+        now_us = (self._base_ns + started_ns) // 1000
+        count = 0
+        for stream, data in link.read():
+            count += 1
+            self._carry_out(core.received(number, data, now_us, stream=stream))
+        if count:
+            self.latencies[number].add(time.monotonic_ns() - started_ns, count)
+
+    def _carry_out(self, sends: Sequence[Send]) -> None:
+        links = self.links
+        for send in sends:
+            links[send.link].write(send.data)
+
+    def _keep_time(self) -> None:
+        due_us = self.core.next_due_us
+        if due_us is not None and due_us <= (now_us := self.now_us()) + AHEAD_US:
+            # What is sent does not depend on when it is asked for, so only the writing waits.
+            sends = self.core.due(max(due_us, now_us))
+            due_ns = due_us * 1000 - self._base_ns
+            if self._fast is None or not sends or not self._fast.send_at(due_ns, sends):
+                while time.monotonic_ns() < due_ns:
+                    pass
+                self._carry_out(sends)
+        now_s = time.monotonic()
+        if now_s >= self._tend_s:
+            self._tend_s = now_s + TEND_S
+            self._tend()
+        if now_s >= self._flush_s:
+            self._flush_s = now_s + FLUSH_S
+            self._record()
+        if self.live is not None:
+            self.live.show(now_s)
+        if self.coming is not None and self.coming.done():
+            self.join(self.coming.result())
+            self.coming = None
+
+    def _tend(self) -> None:
+        """Let links reconnect; take over what the compiled path has counted."""
+        for number in range(len(self.links)):
+            if self._fast is None or not self._fast.takes(number):
+                self._serve(number)
+        if self._fast is not None:
+            self._fast.count()
+        elif self._compiler is not None and (code := self._compiler.poll()) is not None:
+            self._compiler = None
+            if code == 0:
+                self.prepare()
+            else:
+                print(f"no machine code ({code} from `python -m mavproxy_fault.compiled.object_file`)"
+                      "; all goes the slower way", file=sys.stderr, flush=True)  # fmt: skip
+
+    def _record(self) -> None:
+        if self.recorder is None and self.live is None:
+            return
+        labels = self.core.take_labels()
+        if self.recorder is not None and self.tape is not None:
+            edits = [] if self.live is None else self.live.edits()
+            self.recorder.write(self.tape, labels, edits)
+        if self.live is not None:
+            self.live.publish(self.stats(), labels)
+
+    def _finish(self) -> None:
+        now_us = self.now_us()
+        if self._fast is not None:
+            self._fast.count()
+        self._carry_out(self.core.finish(now_us))
+        if self.coming is not None:
+            self.live = self.coming.result()
+            self.coming = None
+        self._record()
+        if self.recorder is not None:
+            self.recorder.close(self.core.clock.t0_us, now_us)
+        if self.live is not None:
+            self.live.close()
+
+    def stats(self) -> list[dict[str, Any]]:
+        """Counters and latency percentiles of every endpoint."""
+        found = []
+        for number, link in enumerate(self.links):
+            counters = link.counters
+            found.append(
+                {
+                    **figures(self.core, number),
+                    "name": link.name,
+                    "peers": link.peer_count,
+                    "bytes_in": counters.bytes_in,
+                    "chunks_in": counters.chunks_in,
+                    "bytes_out": counters.bytes_out,
+                    "chunks_out": counters.chunks_out,
+                    "drops": counters.drops,
+                    "errors": counters.errors,
+                    **self.latencies[number].summary(),
+                }
+            )
+        return found
+
+
+@contextlib.contextmanager
+def short_turns() -> Iterator[None]:
+    """Let threads take short turns, so that one that imports does not hold up forwarding."""
+    before_s = sys.getswitchinterval()
+    sys.setswitchinterval(SHORT_TURN_S)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before_s)

@@ -1,0 +1,128 @@
+"""Machine code of the compiled path: made once by numba, kept on disk, loaded without numba.
+
+Importing numba takes a second of work in Python, during which the plain path would lose frames of
+dense traffic. So another process makes an object file, once after an installation and for this kind
+of processor, and the proxy links that into itself by llvmlite within milliseconds.
+"""
+
+import ctypes
+import fcntl
+import hashlib
+import os
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding as llvm  # type: ignore[import-untyped]
+from llvmlite import __version__ as llvmlite_version
+
+from mavproxy_fault.numerics.code_cache import place
+
+PACKAGE = Path(__file__).parents[1]
+SOURCES = (
+    "compiled/frames.py", "compiled/sockets.py", "compiled/layout.py", "compiled/object_file.py",
+    "proxy/senders.py", "proxy/vehicle_clock.py", "wire/frame.py",
+)  # fmt: skip
+NAME = "mavproxy_fault_forward"
+KINDS = {"q": "int64", "H": "uint16", "B": "uint8", "d": "float64"}
+# Order and element types of what `pump.forward` takes: 64-bit integers, bytes, doubles
+ARRAYS = {
+    "histogram": "q", "polls": "q", "turn": "q", "ports": "q", "heads": "q", "headers": "q",
+    "parts": "q", "names": "B", "peers": "B", "heard": "B", "data": "B", "memory": "q",
+    "table": "q", "plans": "q", "received": "B", "sent": "B", "index": "B", "numbers": "d",
+    "hits": "q", "steps": "d", "crc": "H", "result": "d", "pieces": "d", "draws": "d",
+}  # fmt: skip
+CALLS = frozenset({"recvfrom", "recvmmsg", "sendmmsg", "ppoll", "clock_gettime", "abort"})
+
+Forward = Callable[..., int]
+
+
+@cache
+def _target() -> tuple[Any, str, str]:
+    """The machine that code is made for: this one."""
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    machine = llvm.Target.from_default_triple().create_target_machine(
+        cpu=cpu, features=features, opt=3, reloc="pic", codemodel="jitdefault"
+    )
+    return machine, cpu, features
+
+
+def object_path() -> Path:
+    """Where the object file of these sources for this processor lies, or is to lie."""
+    _, cpu, features = _target()
+    mark = hashlib.sha256(f"{llvmlite_version} {cpu} {features}".encode())
+    for name in SOURCES:
+        mark.update((PACKAGE / name).read_bytes())
+    return place() / f"forward-{mark.hexdigest()[:16]}.o"
+
+
+def make() -> None:
+    """Compile `pump.forward` and keep the object file; takes seconds, but for those who wait."""
+    path = object_path()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not path.is_file():
+            fresh = path.with_suffix(".new")
+            fresh.write_bytes(_compiled())
+            fresh.replace(path)
+            for old in path.parent.glob("forward-*.[o]"):
+                if old != path:
+                    old.unlink(missing_ok=True)
+
+
+def _compiled() -> bytes:
+    """The object file's bytes."""
+    from numba import cfunc, types
+
+    from mavproxy_fault.compiled.sockets import forward
+
+    pointers = [types.CPointer(getattr(types, KINDS[kind])) for kind in ARRAYS.values()]
+    compiled = cfunc(types.int64(*pointers), error_model="numpy")(forward)
+    module = llvm.parse_assembly(compiled.inspect_llvm())
+    for function in module.functions:
+        if function.name == compiled.native_name:
+            function.name = NAME
+    module.link_in(llvm.parse_assembly(_without_python(module)))
+    machine, _, _ = _target()
+    data: bytes = machine.emit_object(module)
+    return data
+
+
+def _without_python(module: Any) -> str:
+    """Definitions of what numba's code calls to raise exceptions: ours never does, it aborts."""
+    lines = ["declare void @abort()"]
+    for function in module.functions:
+        if function.is_declaration and not function.name.startswith(("llvm.", *CALLS)):
+            lines.append(f"define void @{function.name}() {{ call void @abort() unreachable }}")
+    for variable in module.global_variables:
+        if variable.is_declaration:
+            lines.append(f"@{variable.name} = global ptr null")
+    return "\n".join(lines)
+
+
+@cache
+def load() -> Forward | None:
+    """The compiled `forward`, which gives up the interpreter's lock while it runs; None yet."""
+    path = object_path()
+    if not path.is_file():
+        return None
+    machine, _, _ = _target()
+    empty = llvm.parse_assembly("")
+    empty.triple = llvm.get_process_triple()
+    engine = llvm.create_mcjit_compiler(empty, machine)
+    engine.add_object_file(llvm.ObjectFileRef.from_path(str(path)))
+    engine.finalize_object()
+    address = engine.get_function_address(NAME)
+    kind = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_void_p] * len(ARRAYS))
+    found = kind(address)
+    found.engine = engine  # type: ignore[attr-defined]  # lives as long as the function
+    return found
+
+
+if __name__ == "__main__":
+    os.nice(10)
+    make()

@@ -1,0 +1,237 @@
+"""Faults written down for the compiled path: bias, scale, constant, drift, noise and freeze.
+
+The first frame that a fault changes, and with it the label, is the plain path's, as are the drawing
+of segments and the value that is held; its rows say what to do with the next ones. Noise is drawn
+ahead in blocks; before the plain path may draw again, its generator is set back to where the
+compiled path stopped, so that both give the same bytes.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mavproxy_fault.compiled import layout as k
+from mavproxy_fault.faults.driven import Bias, Constant, Drift, Driven, Scale
+from mavproxy_fault.faults.elements import Element
+from mavproxy_fault.faults.freeze import Freeze
+from mavproxy_fault.faults.noise_fault import Noise
+from mavproxy_fault.faults.value_fault import each
+from mavproxy_fault.proxy.active_entry import Running
+from mavproxy_fault.wire.dialect import Field, Layout
+
+MODES = {"add": k.ADD, "scale": k.SCALE, "replace": k.REPLACE}
+WAYS = {"to-vehicle": 0, "from-vehicle": 1}
+CODES = "bBhHiIfd"  # 64-bit integers do not fit the kernel's arithmetic
+KINDS = (Bias, Scale, Constant, Drift, Noise, Freeze)
+Values = Sequence[float]
+
+
+class Planned(NamedTuple):
+    """A fault of the compiled path: its first row (-1: none yet), and the block it draws from."""
+
+    first: int
+    running: Running
+    fault: Any
+    stage: tuple[bool, int, bool]
+    block: int | None = None
+
+
+def stage(running: Running) -> tuple[bool, int, bool]:
+    """How far a fault has come: has it begun, how many states has it, is its news untold."""
+    return running.first_us is not None, len(running.states), running.untold
+
+
+class Plans:
+    """The rows of all planned faults, and the random numbers drawn ahead for them."""
+
+    def __init__(self) -> None:
+        self.rows = np.zeros((k.MOST_PLANS, k.PLAN_SIZE), np.int64)
+        self.numbers = np.zeros((k.MOST_PLANS, 2))
+        self.hits = np.zeros((k.MOST_PLANS, 4), np.int64)
+        self.steps = np.full(k.MOST_PLANS, -1.0)
+        self.pieces = np.zeros((k.MOST_PIECES, 4))
+        self.draws = np.zeros(k.MOST_DRAWN * k.BLOCK)
+        self._planned: list[Planned] = []
+        self._states: list[Any] = []  # of the generators, where their blocks begin
+        self._rows_used = self._pieces_used = self._blocks_used = 0
+
+    def clear(self) -> None:
+        """Forget all rows."""
+        self._planned = []
+        self._rows_used = self._pieces_used = self._blocks_used = 0
+
+    @property
+    def changed(self) -> bool:
+        """Whether a fault has got other parameters, or has come further."""
+        return any(
+            one.running.fault is not one.fault or stage(one.running) != one.stage
+            for one in self._planned
+        )
+
+    def add(self, layout: Layout, acting: Sequence[Running]) -> int | None:
+        """Rows for all faults that act on a message, in turn; the first one's, None if plain."""
+        used = self._rows_used, self._pieces_used, self._blocks_used
+        found: list[Planned] = []
+        for running in acting:
+            if type(running.fault) not in KINDS or running.entry.where.id is not None:
+                return None
+            found.append(self._one(layout, running))
+        rows = [one.first for one in found]
+        if min(rows) < 0 or self._entangled(rows):
+            self._rows_used, self._pieces_used, self._blocks_used = used
+            self._planned += [one._replace(first=-1, block=None) for one in found]
+            return None
+        for row, following in itertools.pairwise(rows):
+            self.rows[row, k.NEXT] = following
+        self._planned += found
+        return rows[0]
+
+    def _entangled(self, rows: Sequence[int]) -> bool:
+        """Whether a fault that has changed nothing yet shares an element with another one."""
+        places = [{int(o) for o in self.rows[r : r + self.rows[r, k.ROWS], k.OFFSET]} for r in rows]
+        shared = len(set().union(*places)) < sum(len(one) for one in places)
+        return shared and any(self.rows[row, k.WAITS] > 0 for row in rows)
+
+    def _one(self, layout: Layout, running: Running) -> Planned:
+        """Write a fault's rows, where it can be carried out there."""
+        fault, where = running.fault, running.entry.where
+        places = fault.elements.get(layout.id, ())
+        fields = [layout.fields[name] for name, _ in places]
+        first = self._rows_used
+        none = Planned(-1, running, fault, stage(running))
+        if (
+            running.entry.probability < 1
+            or first + len(places) > k.MOST_PLANS
+            or any(field.code not in CODES for field in fields)
+        ):
+            return none
+        plan = self.rows[first]
+        plan[:] = -1
+        plan[k.ROWS], plan[k.START] = len(places), running.start_us
+        plan[k.WAITS] = running.first_us is None or running.untold
+        plan[k.SYSTEM : k.DIRECTION + 1] = [
+            -1 if one is None else one
+            for one in (where.system, where.component, WAYS.get(where.direction or ""))
+        ]
+        block = self._source(layout, running, plan, places)
+        if plan[k.SOURCE] < 0:
+            return none
+        self._elements(first, fields, places)
+        self.hits[first], self.steps[first] = 0, -1.0
+        self._rows_used += len(places)
+        return none._replace(first=first, block=block)
+
+    def _elements(self, first: int, fields: list[Field], places: tuple[Element, ...]) -> None:
+        for n, (field, (_, index)) in enumerate(zip(fields, places, strict=True)):
+            self.rows[first + n, k.OFFSET] = field.offset + index * field.size
+            self.rows[first + n, k.CODE] = ord(field.code)
+
+    # What meets the healthy value
+
+    def _source(
+        self, layout: Layout, running: Running, plan: Any, places: tuple[Element, ...]
+    ) -> int | None:
+        """Fill in mode, source and numbers; the source stays -1 if the fault cannot be planned."""
+        fault, first, count = running.fault, self._rows_used, len(places)
+        numbers = self.numbers[first : first + count]
+        plan[k.MODE] = k.ADD
+        if isinstance(fault, Freeze):
+            self._held(layout, running, plan, numbers)
+        elif isinstance(fault, Noise):
+            return self._noise(fault, plan, numbers)
+        elif isinstance(fault, Drift):
+            plan[k.SOURCE] = k.GROWS
+            numbers[:, k.VALUE] = each(fault.value, count)
+            numbers[:, k.LIMIT] = math.inf if fault.limit is None else fault.limit
+        elif fault.profile is None:
+            plan[k.MODE], plan[k.SOURCE] = MODES[fault.mode], k.NUMBER
+            numbers[:, k.VALUE] = each(fault.value, count)
+        elif fault.profile.segments is not None:
+            self._segments(fault, running, plan, numbers)
+        return None
+
+    def _known(self, running: Running, plan: Any) -> Any:
+        """The fault's state if it has only one; frames of the other direction stay plain."""
+        if len(running.states) != 1:
+            return None
+        [(way, state)] = running.states.items()
+        plan[k.KNOWN_WAY] = WAYS[way]
+        return state.memory
+
+    def _segments(self, fault: Driven, running: Running, plan: Any, numbers: Any) -> None:
+        pieces = self._known(running, plan)
+        end = self._pieces_used + len(pieces or ())
+        if not pieces or end > k.MOST_PIECES:
+            return
+        assert fault.profile is not None
+        self.pieces[self._pieces_used : end] = pieces
+        plan[k.PIECES_FROM], plan[k.PIECES_TO] = self._pieces_used, end
+        plan[k.OPEN_LEFT] = fault.profile.compat is not None
+        plan[k.MODE], plan[k.SOURCE] = MODES[fault.profile.mode or fault.mode], k.PIECES
+        otherwise = fault.profile.otherwise
+        numbers[:, k.LIMIT] = math.nan if otherwise is None else otherwise
+        self._pieces_used = end
+
+    def _held(self, layout: Layout, running: Running, plan: Any, numbers: Any) -> None:
+        """Values of one sender that are held; other senders stay plain."""
+        held = self._known(running, plan)
+        mine = {key: values for key, values in (held or {}).items() if key[2] == layout.id}
+        if len(mine) != 1:
+            return
+        [((system, component, _, instance), values)] = mine.items()
+        if instance < 0 or not all(math.isfinite(value) for value in values):
+            return
+        name = layout.instance or ("id" if "id" in layout.fields else "")
+        if name:
+            field = layout.fields[name]
+            plan[k.INSTANCE_AT], plan[k.INSTANCE_SIZE] = field.offset, field.size
+            plan[k.INSTANCE] = instance
+        plan[k.KNOWN_SENDER] = system << 8 | component
+        plan[k.MODE], plan[k.SOURCE] = k.REPLACE, k.NUMBER
+        numbers[:, k.VALUE] = values
+
+    def _noise(self, fault: Noise, plan: Any, numbers: Any) -> int | None:
+        block = self._blocks_used
+        if block == k.MOST_DRAWN or len(fault.elements) > 1:  # messages share one generator
+            return None
+        plan[k.SOURCE], plan[k.DRAWS_FROM] = k.DRAWN, block * k.BLOCK
+        numbers[:, k.VALUE] = each(fault.value, len(numbers))
+        self._blocks_used += 1
+        return block
+
+    # Before and after a stretch of forwarding
+
+    def draw_ahead(self) -> None:
+        """Fill the blocks from where the generators are now."""
+        self._states = []
+        for _, running, fault, _, block in self._planned:
+            if block is None:
+                continue
+            rng, start = running.rng, block * k.BLOCK
+            self._states.append(rng.bit_generator.state)
+            self.draws[start : start + k.BLOCK] = _drawn(fault, rng, k.BLOCK)
+
+    def settle(self) -> None:
+        """Credit the faults with what was done in their name; set back their generators."""
+        states = iter(self._states)
+        for first, running, fault, _, block in self._planned:
+            if first < 0:
+                continue
+            frames, saturated, last_us, used = (int(n) for n in self.hits[first])
+            if frames:
+                running.credit(frames, saturated, last_us, float(self.steps[first]))
+            if block is not None:
+                running.rng.bit_generator.state = next(states)
+                _drawn(fault, running.rng, used)
+            self.hits[first], self.steps[first] = 0, -1.0
+        self._states = []
+
+
+def _drawn(fault: Noise, rng: np.random.Generator, count: int) -> Any:
+    """So many of a noise fault's numbers, before they are scaled; the same one by one."""
+    if fault.distribution == "gaussian":
+        return rng.standard_normal(count)
+    return rng.uniform(-1.0, 1.0, count)

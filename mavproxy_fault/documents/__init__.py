@@ -1,0 +1,5 @@
+"""Files that people write: YAML in, checked structs out, every error with its line.
+
+`ConfigError` is the one error a user can cause. A *document* is a YAML text with the line of each
+key; it is *decoded* into msgspec structs.
+"""

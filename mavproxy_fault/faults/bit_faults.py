@@ -1,0 +1,100 @@
+"""Faults of the representation: flipped bits, not-a-number, flags cleared."""
+
+import math
+import struct
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from msgspec import Meta
+
+from mavproxy_fault.faults.elements import changed, places_of, values_at
+from mavproxy_fault.faults.fault import Outgoing
+from mavproxy_fault.faults.value_fault import Moving, ValueFault
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, Number
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+# HIL_SENSOR.fields_updated (HIL_SENSOR_UPDATED_FLAGS); PX4 takes baro only with bits 9, 11 and 12.
+GROUPS = {
+    "accel": 0x7,
+    "gyro": 0x38,
+    "mag": 0x1C0,
+    "baro": 0x1A00,
+    "airspeed": 0x400,
+}
+Group = Literal["accel", "gyro", "mag", "baro", "airspeed"]
+
+
+class BitFlip(ValueFault, frozen=True, kw_only=True):
+    """Flip bits of the elements as they stand on the wire: `value` of them at random, or `bit`."""
+
+    value: Annotated[int, Meta(ge=1, le=64)] = 1
+    bit: Annotated[int, Meta(ge=0, le=63)] | None = None
+
+    def apply(
+        self, frame: Frame, t_us: int, state: Moving, rng: "Generator"
+    ) -> tuple[list[Outgoing], Moving]:
+        """Flip in each element of one frame."""
+        places = places_of(frame.id, self.elements[frame.id])
+        before = values_at(frame, places)
+        after = [self._flipped(x, p.packer, rng) for x, p in zip(before, places, strict=True)]
+        return [changed(frame, t_us, places, before, after)], state
+
+    def _flipped(self, value: Number, packer: struct.Struct, rng: "Generator") -> Number:
+        width = 8 * packer.size
+        if self.bit is None:
+            chosen = [int(b) for b in rng.choice(width, min(self.value, width), replace=False)]
+        else:
+            chosen = [self.bit % width]
+        word = int.from_bytes(packer.pack(value), "little")
+        for bit in chosen:
+            word ^= 1 << bit
+        flipped: Number = packer.unpack(word.to_bytes(packer.size, "little"))[0]
+        return flipped
+
+
+class NotANumber(ValueFault, frozen=True, kw_only=True):
+    """Send NaN, or plus or minus infinity, in fields of type float."""
+
+    value: Literal["nan", "inf", "-inf"] = "nan"
+
+    def __post_init__(self) -> None:
+        for number, places in self.elements.items():
+            described = known(number)
+            for name, _ in places:
+                if described.fields[name].code not in "fd":
+                    raise ValueError(
+                        f"{described.name}.{name} is an integer; it holds no {self.value}"
+                    )
+
+    def after(
+        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+    ) -> tuple[list[Number], Any]:
+        """The same for all."""
+        value = math.nan if self.value == "nan" else float(self.value)
+        return [value] * len(before), None
+
+
+class ClearBits(ValueFault, frozen=True, kw_only=True):
+    """Clear flags: the bits of `value`, or those of sensor groups in HIL_SENSOR.fields_updated."""
+
+    value: Annotated[int, Meta(ge=0)] = 0
+    groups: tuple[Group, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.value and not self.groups:
+            raise ValueError("clears nothing; give value (a mask) or groups")
+        for number, places in self.elements.items():
+            for name, _ in places:
+                if known(number).fields[name].code in "fd":
+                    raise ValueError(f"{known(number).name}.{name} is no integer; it has no flags")
+
+    def after(
+        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+    ) -> tuple[list[Number], Any]:
+        """The flags without those bits."""
+        mask = self.value
+        for group in self.groups:
+            mask |= GROUPS[group]
+        return [int(x) & ~mask for x in before], None

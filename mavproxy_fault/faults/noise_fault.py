@@ -1,0 +1,46 @@
+"""Noise, and a random walk whose variance grows with time."""
+
+import math
+from typing import Any, ClassVar, Literal
+
+from mavproxy_fault.faults.profile import NotNegative
+from mavproxy_fault.faults.value_fault import ValueFault, each
+from mavproxy_fault.wire.frame import Number
+
+
+class Noise(ValueFault, frozen=True, kw_only=True):
+    """Add white noise: Gaussian with sigma `value`, or uniform in plus or minus `value`."""
+
+    value: NotNegative | tuple[NotNegative, ...]
+    distribution: Literal["gaussian", "uniform"] = "gaussian"
+
+    def after(
+        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+    ) -> tuple[list[Number], Any]:
+        """Add one draw to each element."""
+        if self.distribution == "gaussian":
+            errors = rng.standard_normal(len(before))
+        else:
+            errors = rng.uniform(-1.0, 1.0, len(before))
+        errors = errors * each(self.value, len(before))
+        return [x + float(error) for x, error in zip(before, errors, strict=True)], None
+
+
+class RandomWalk(ValueFault, frozen=True, kw_only=True):
+    """Add a Wiener process: its sigma is `value` times the square root of the seconds passed."""
+
+    by_sender: ClassVar[bool] = True
+
+    value: NotNegative
+
+    def after(
+        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+    ) -> tuple[list[Number], Any]:
+        """Take a step as long as the time since the last frame of this sender calls for."""
+        walks: dict[tuple[int, ...], tuple[float, tuple[float, ...]]] = memory or {}
+        last_s, walked = walks.get(key, (0.0, (0.0,) * len(before)))
+        sigma = self.value * math.sqrt(max(t_s - last_s, 0.0))
+        steps = rng.normal(0.0, 1.0, len(before)) * sigma
+        now = tuple(w + float(step) for w, step in zip(walked, steps, strict=True))
+        after = [x + error for x, error in zip(before, now, strict=True)]
+        return after, {**walks, key: (t_s, now)}

@@ -1,0 +1,148 @@
+"""Faults that act in the simulator: of the plant, and of satellites in its receiver.
+
+Such a fault rides on whatever the simulator sends: each such frame passes, and goes along with a
+message back that says what a parameter is now, when that has changed or a fifth of a second has
+passed. When the fault ends, the simulator is told that the parameter is healthy again.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import msgspec
+
+from mavproxy_fault.faults.fault import ActsOn, Outgoing
+from mavproxy_fault.faults.loss import Drop
+from mavproxy_fault.faults.profile import Profile
+from mavproxy_fault.faults.satellite import check_count
+from mavproxy_fault.faults.value_fault import ValueFault
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.plant_messages import SIMULATOR, PlantChange, plant_frame
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+REPEAT_US = 200_000
+STEP_US = 20_000  # a changing value is sent at 50 Hz at most
+
+Values = tuple[float | None, ...]
+
+
+class Sent(NamedTuple):
+    """When the fault began, to whom it said what last and when, and what it remembers."""
+
+    start_us: int
+    target: tuple[int, int] = SIMULATOR
+    values: Values | None = None
+    at_us: int = 0
+    memory: Any = None
+
+
+class InSimulator(msgspec.Struct, frozen=True, kw_only=True):
+    """What both kinds share: telling the simulator the values of `names`."""
+
+    names: tuple[str, ...] = ()
+
+    def new_state(self, start_us: int) -> Sent:
+        """Nothing said yet."""
+        return Sent(start_us)
+
+    def values(self, t_s: float, memory: Any, rng: "Generator") -> tuple[Values, Any]:
+        """The value of each name, `t_s` after the fault began."""
+        raise NotImplementedError
+
+    def apply(
+        self, frame: Frame, t_us: int, state: Sent, rng: "Generator"
+    ) -> tuple[list[Outgoing], Sent]:
+        """Pass the frame; answer a simulator's with the values."""
+        passed = Outgoing(t_us, frame)
+        since_us = t_us - state.at_us
+        if frame.component != SIMULATOR[1] or (state.values is not None and since_us < STEP_US):
+            return [passed], state
+        values, memory = self.values((t_us - state.start_us) / 1e6, state.memory, rng)
+        if values == state.values and since_us < REPEAT_US:
+            return [passed], state._replace(memory=memory)
+        target = (frame.system, frame.component)
+        told = self._told(values, target, t_us)
+        return [passed, *told], Sent(state.start_us, target, values, t_us, memory)
+
+    def fed(self, state: Sent, value: float, t_us: int) -> Sent:
+        """The state after a live value that came at `t_us`."""
+        return state._replace(memory=((t_us - state.start_us) / 1e6, value))
+
+    def held_until_us(self, state: Sent) -> None:
+        """It keeps nothing back."""
+
+    def release(self, t_us: int, state: Sent) -> tuple[list[Outgoing], Sent]:
+        """At the end: healthy again."""
+        if state.values is None:
+            return [], state
+        healthy = (None,) * len(self.names)
+        return self._told(healthy, state.target, t_us), state._replace(values=healthy)
+
+    def _told(
+        self, values: Sequence[float | None], target: tuple[int, int], t_us: int
+    ) -> list[Outgoing]:
+        layout = known("TUNNEL")
+        return [
+            Outgoing(
+                t_us,
+                Frame(plant_frame(PlantChange(name, value), target), layout),
+                None if value is None else abs(value),
+                back=True,
+            )
+            for name, value in zip(self.names, values, strict=True)
+        ]
+
+
+class Plant(InSimulator, frozen=True, kw_only=True):
+    """Set a parameter of the simulated plant to `value`, or to a profile of absolute values."""
+
+    acts_on: ClassVar[ActsOn] = "plant"
+
+    value: float | None = None
+    profile: Profile | None = None
+
+    def __post_init__(self) -> None:
+        if (self.value is None) == (self.profile is None):
+            raise ValueError("takes either value or profile")
+
+    def values(self, t_s: float, memory: Any, rng: "Generator") -> tuple[Values, Any]:
+        """The same value for all."""
+        if self.profile is None:
+            return (self.value,) * len(self.names), None
+        if memory is None:
+            memory = self.profile.new_state(rng)
+        return (self.profile.value(t_s, memory),) * len(self.names), memory
+
+
+class InReceiver(InSimulator, frozen=True, kw_only=True):
+    """Satellite faults that the simulated receiver carries out, so that its position follows.
+
+    Metres go to `pseudorange_m[G12]`; a lost satellite to `satellite_lost[G12]`.
+    """
+
+    acts_on: ClassVar[ActsOn] = "satellites"
+
+    fault: ValueFault | Drop
+
+    def __post_init__(self) -> None:
+        check_count(self.fault, self.names)
+        if isinstance(self.fault, Drop) and self.fault.value < 1.0:
+            raise ValueError(
+                f"value = {self.fault.value} cannot be had in the receiver, which loses a satellite"
+                " wholly; leave value out, or give `via: proxy`"
+            )
+
+    def values(self, t_s: float, memory: Any, rng: "Generator") -> tuple[Values, Any]:
+        """Metres per satellite, or 1 for lost."""
+        if isinstance(self.fault, Drop):
+            return (1.0,) * len(self.names), None
+        errors, memory = self.fault.after([0.0] * len(self.names), (), t_s, memory, rng)
+        return tuple(float(error) for error in errors), memory
+
+
+def receiver_names(satellites: Sequence[str], fault: object) -> tuple[str, ...]:
+    """The simulator's names for a fault on some satellites."""
+    kind = "satellite_lost" if isinstance(fault, Drop) else "pseudorange_m"
+    return tuple(f"{kind}[{satellite}]" for satellite in satellites)

@@ -1,0 +1,61 @@
+"""A sensor's characteristic curve gone wrong: coarse steps, too small a range, a dead band."""
+
+import math
+from typing import Any
+
+from mavproxy_fault.faults.profile import NotNegative, Positive
+from mavproxy_fault.faults.value_fault import ValueFault
+from mavproxy_fault.wire.frame import Number
+
+
+class Quantise(ValueFault, frozen=True, kw_only=True):
+    """Round to steps of `value`."""
+
+    value: Positive
+
+    def after(
+        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+    ) -> tuple[list[Number], Any]:
+        """The nearest step."""
+        step = self.value
+        return [round(x / step) * step if math.isfinite(x) else x for x in before], None
+
+
+class Saturate(ValueFault, frozen=True, kw_only=True):
+    """Limit to a range, `low` to `high` (plus and minus `value` if only that is given)."""
+
+    value: NotNegative | None = None
+    low: float | None = None
+    high: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.value is None and self.low is None and self.high is None:
+            raise ValueError("needs a range; give value, low or high")
+        low, high = self._range()
+        if low > high:
+            raise ValueError(f"low = {low} is above high = {high}; the range must not be empty")
+
+    def _range(self) -> tuple[float, float]:
+        width = math.inf if self.value is None else self.value
+        low = -width if self.low is None else self.low
+        return low, width if self.high is None else self.high
+
+    def after(
+        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+    ) -> tuple[list[Number], Any]:
+        """The nearest value within the range."""
+        low, high = self._range()
+        return [min(max(x, low), high) for x in before], None
+
+
+class DeadBand(ValueFault, frozen=True, kw_only=True):
+    """Nothing (zero) within plus or minus `value`; outside, the value less the band."""
+
+    value: NotNegative
+
+    def after(
+        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+    ) -> tuple[list[Number], Any]:
+        """What stands out of the band."""
+        band = self.value
+        return [math.copysign(max(abs(x) - band, 0.0), x) for x in before], None

@@ -1,0 +1,150 @@
+"""A time series from a CSV or Parquet file, read in blocks so that memory stays flat.
+
+This is the one fault that reads a file: a series of hours does not fit a schedule, and holding it
+whole would cost hundreds of megabytes. Only the present block is in memory.
+"""
+
+import csv
+import itertools
+import logging
+import math
+from bisect import bisect_right
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mavproxy_fault.documents.errors import ConfigError
+
+if TYPE_CHECKING:
+    from mavproxy_fault.faults.profile import Table
+
+BLOCK_ROWS = 8192
+LOG = logging.getLogger(__name__)
+Block = tuple[tuple[float, ...], tuple[float, ...]]  # times in seconds, and values
+
+
+class Series:
+    """The values of a table at times that do not go backwards (they may, at the cost of a re-read).
+
+    Before the first row it says nothing; after the last one too.
+    """
+
+    def __init__(self, table: "Table") -> None:
+        self.table = table
+        self._start()
+
+    def _start(self) -> None:
+        self._blocks = read_blocks(self.table)
+        self._times: tuple[float, ...] = ()
+        self._values: tuple[float, ...] = ()
+        self._at = 0  # no row before it is needed any more
+        self._previous: tuple[float, float] | None = None
+        self._latest_s = -math.inf
+
+    def _next(self) -> Block | None:
+        """The next block; a series that turns out broken ends there, for traffic must go on."""
+        try:
+            return next(self._blocks, None)
+        except ConfigError as error:
+            LOG.warning("the series ends early: %s", error)
+            return None
+
+    def at(self, t_s: float) -> float | None:
+        """The value at a time: that of the newest row, or between the two rows around it."""
+        if t_s < self._latest_s:
+            self._start()
+        self._latest_s = t_s
+        while not len(self._times) or t_s >= self._times[-1]:
+            block = self._next()
+            if block is None:
+                if len(self._times) and t_s == self._times[-1]:
+                    return self._values[-1]
+                return None
+            if len(self._times):
+                self._previous = (self._times[-1], self._values[-1])
+            self._times, self._values = block
+            self._at = 0
+        k = bisect_right(self._times, t_s, self._at)
+        self._at = k
+        if k > 0:
+            before = (self._times[k - 1], self._values[k - 1])
+        elif self._previous is not None:
+            before = self._previous
+        else:
+            return None
+        if self.table.interpolate == "hold":
+            return before[1]
+        share = (t_s - before[0]) / (self._times[k] - before[0])
+        return before[1] + share * (self._values[k] - before[1])
+
+
+def read_blocks(table: "Table") -> Iterator[Block]:
+    """The rows of a table, some thousand at a time.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, lacks a column, holds text, or its times go backwards.
+    """
+    last_s = -math.inf
+    source = _parquet if Path(table.file).suffix == ".parquet" else _csv
+    for times, values in source(table):
+        ascending = all(a < b for a, b in itertools.pairwise((last_s, *times)))
+        if not ascending or not all(map(math.isfinite, values)):
+            raise ConfigError(
+                f"{table.file}: near {table.time} = {times[0]} times do not grow or values are not "
+                "finite; times must ascend and every value be a number"
+            )
+        last_s = times[-1]
+        yield times, values
+
+
+def _csv(table: "Table") -> Iterator[Block]:
+    try:
+        with Path(table.file).open(newline="", encoding="utf-8") as file:
+            rows = csv.reader(file)
+            names = [name.strip() for name in next(rows, [])]
+            time, value = (_column(names, name, table.file) for name in (table.time, table.value))
+            pairs = ((float(row[time]), float(row[value])) for row in rows if row)
+            while block := list(itertools.islice(pairs, BLOCK_ROWS)):
+                times, values = zip(*block, strict=True)
+                yield times, values
+    except OSError as error:
+        raise ConfigError(f"{table.file}: cannot be read ({error}); give a CSV file") from None
+    except (ValueError, IndexError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        line = rows.line_num
+        raise ConfigError(f"{table.file}:{line}: {error}; every row needs two numbers") from None
+
+
+def _column(names: list[str], name: str, file: str) -> int:
+    if name not in names:
+        raise ConfigError(f"{file}:1: has no column {name}; there are {', '.join(names)}")
+    return names.index(name)
+
+
+def _parquet(table: "Table") -> Iterator[Block]:
+    try:
+        import pyarrow.parquet as parquet
+    except ImportError:
+        raise ConfigError(
+            f"{table.file}: reading Parquet needs pyarrow; pip install 'mavproxy-fault[parquet]'"
+        ) from None
+    try:
+        with parquet.ParquetFile(table.file) as file:
+            for name in (table.time, table.value):
+                _column(file.schema_arrow.names, name, table.file)
+            for batch in file.iter_batches(BLOCK_ROWS, columns=[table.time, table.value]):
+                if batch.num_rows:
+                    times, values = (
+                        tuple(map(float, batch.column(name).to_pylist()))
+                        for name in (table.time, table.value)
+                    )
+                    yield times, values
+    except OSError as error:
+        raise ConfigError(f"{table.file}: cannot be read ({error}); give Parquet") from None
+    except (TypeError, ValueError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        raise ConfigError(f"{table.file}: {error}; every row needs two numbers") from None

@@ -1,0 +1,97 @@
+"""Value faults: they change elements of a frame in place and say how much and whether it fitted."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import msgspec
+
+from mavproxy_fault.faults.elements import Element, changed, places_of, values_at
+from mavproxy_fault.faults.fault import ActsOn, Outgoing
+from mavproxy_fault.wire.frame import Frame, Number
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+
+class Moving(NamedTuple):
+    """The state of every value fault: when it began, and what the fault itself remembers."""
+
+    start_us: int
+    memory: Any
+
+
+class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
+    """A fault on some elements of some messages.
+
+    A concrete fault has `after`, which turns healthy values into faulty ones; with `by_sender` it
+    is told who sent them.
+    """
+
+    acts_on: ClassVar[ActsOn] = "fields"
+    by_sender: ClassVar[bool] = False
+    elements: Mapping[int, tuple[Element, ...]] = {}
+
+    def __post_init__(self) -> None:
+        value = getattr(self, "value", None)
+        if isinstance(value, tuple):
+            for places in self.elements.values():
+                each(value, len(places))
+
+    def new_state(self, start_us: int) -> Moving:
+        """The state when the fault becomes active."""
+        return Moving(start_us, None)
+
+    def apply(
+        self, frame: Frame, t_us: int, state: Moving, rng: "Generator"
+    ) -> tuple[list[Outgoing], Moving]:
+        """Change the elements of one frame."""
+        start_us, remembered = state
+        places = places_of(frame.id, self.elements[frame.id])
+        before = values_at(frame, places)
+        key = sender(frame) if self.by_sender else ()
+        after, memory = self.after(before, key, (t_us - start_us) / 1e6, remembered, rng)
+        if memory is not remembered:
+            state = Moving(start_us, memory)
+        return [changed(frame, t_us, places, before, after)], state
+
+    def after(
+        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+    ) -> tuple[Sequence[Number], Any]:
+        """The faulty values of one frame and what to remember.
+
+        Parameters
+        ----------
+        before : list of number
+            Healthy values of the elements, in the order of the target.
+        key : tuple of int
+            Who sent the frame (system, component, message id, instance), or empty.
+        t_s : float
+            Seconds since the fault became active.
+        memory
+            What the last call returned; None at first.
+        rng : numpy.random.Generator
+            The entry's own stream.
+        """
+        raise NotImplementedError
+
+
+def sender(frame: Frame) -> tuple[int, ...]:
+    """Who sent a frame: system, component, message id and instance."""
+    name = frame.layout.instance or ("id" if "id" in frame.layout.fields else "")
+    value = frame.read(name) if name else 0
+    return (frame.system, frame.component, frame.id, value if isinstance(value, int) else 0)
+
+
+def each(value: float | tuple[float, ...], count: int) -> Sequence[float]:
+    """One number for every element: the same for all, or a list of as many.
+
+    Raises
+    ------
+    ValueError
+        If a list has another length.
+    """
+    if isinstance(value, tuple):
+        if len(value) != count:
+            raise ValueError(f"has {len(value)} numbers for {count} elements; give one or {count}")
+        return value
+    return (value,) * count

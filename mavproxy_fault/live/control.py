@@ -1,0 +1,215 @@
+"""Live control: requests of ground stations, of RflySim's scripts and of the bus become edits.
+
+Everything here runs in the thread of the proxy's loop and does no I/O. `Control` looks at commands
+that pass (MAV_CMD_INJECT_FAILURE and nothing else) and answers them in the vehicle's name.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.faults.target import near
+from mavproxy_fault.live.failure_command import MESSAGES, TYPES, UNITS, faults_for, name_of
+from mavproxy_fault.live.rflysim import IdMap, Packet
+from mavproxy_fault.live.watching import View, Watched
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.schedule.entries import parse_schedule
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+
+INJECT_FAILURE = 420  # MAV_CMD
+ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3  # MAV_RESULT
+COMMANDS = frozenset(known(name).id for name in ("COMMAND_LONG", "COMMAND_INT"))
+NAMES = {known(name).id: name for name in MESSAGES}
+QUESTIONS = ("state", "schedule/save")  # these change nothing
+AUTOPILOT = 1  # component that answers a command to all
+
+
+class Control:
+    """Joins what asks for faults to the engine; with `allowed` false it denies."""
+
+    def __init__(
+        self, engine: Engine, *, allowed: bool = True, rflysim: IdMap | None = None
+    ) -> None:
+        self.engine = engine
+        self.allowed = allowed
+        self.rflysim = rflysim
+        self.view = View()
+        self._passed: set[str] = set()
+        self._latched: set[str] = set()
+        # Units are supported once one of their messages has passed; each is looked at only once.
+        self._unheard: frozenset[int] = frozenset(NAMES)
+        self.wanted: frozenset[int] = COMMANDS | self._unheard
+
+    # -- MAVLink ---------------------------------------------------------------------------------
+
+    def consume(self, frame: Frame, t_us: int) -> list[bytes] | None:
+        """The answer to a command for the proxy; None for every other frame, which goes on."""
+        if frame.id in self.view.ids:
+            self.view.received(frame, t_us)
+        if frame.id not in COMMANDS:
+            if frame.id in self._unheard:
+                self._passed.add(frame.layout.name)
+                self._unheard -= {frame.id}
+                self._want()
+            return None
+        if frame.number("command") != INJECT_FAILURE:
+            return None
+        result = self._inject([frame.number(f"param{n}") for n in (1, 2, 3)], t_us)
+        return [acknowledgement(frame, result)]
+
+    def _inject(self, parameters: list[int | float], t_us: int) -> int:
+        if not self.allowed:
+            return DENIED
+        numbers = [int(one) if math.isfinite(one) else -1 for one in parameters]
+        unit, kind = UNITS.get(numbers[0]), TYPES.get(numbers[1])
+        instance = 0 if math.isnan(parameters[2]) else numbers[2]
+        if unit is None or kind is None or instance < 0:
+            return UNSUPPORTED
+        self.engine.tell_time(t_us)
+        if kind == "ok":
+            return self._clear(unit, instance)
+        try:
+            entries = faults_for(unit, kind, instance, self._passed)
+        except ValueError:
+            return UNSUPPORTED  # no such instance, for example the seventeenth motor
+        if not entries:
+            return UNSUPPORTED
+        self.engine.clear(name_of(unit, instance))
+        for entry in entries:
+            self.engine.arm(entry)
+        return ACCEPTED
+
+    def _clear(self, unit: str, instance: int) -> int:
+        """End the failures of one instance, or of all of a unit."""
+        head = name_of(unit, instance)
+        for id in self.engine.ids():
+            if id.rpartition(".")[0] == head or (not instance and id.startswith(f"{head}-")):
+                self.engine.clear(id)
+        return ACCEPTED
+
+    # -- RflySim ---------------------------------------------------------------------------------
+
+    def packet(self, data: bytes, t_us: int) -> list[str]:
+        """Carry out one RflySim packet; the ids of the faults it set. Others are passed over."""
+        packet = Packet.read(data)
+        if packet is None or self.rflysim is None or not self.allowed:
+            return []
+        self.engine.tell_time(t_us)
+        wanted = self.rflysim.entries(packet)
+        for id in self._latched - {entry["id"] for entry in wanted} if packet.clears else ():
+            self.engine.clear(id)
+            self._latched.discard(id)
+        for entry in wanted:
+            self.engine.arm(entry)
+            self._latched.add(entry["id"])
+        return [entry["id"] for entry in wanted]
+
+    # -- viewers ---------------------------------------------------------------------------------
+
+    def sent(self, raw: bytes, t_us: int) -> None:
+        """Let viewers see what leaves."""
+        if self.view.ids:
+            self.view.sent(raw, t_us)
+
+    def watch(self, payload: bytes, now_s: float) -> Any:
+        """Watch the messages named in a JSON list, for some seconds from `now_s` on.
+
+        Raises
+        ------
+        ConfigError
+            If they are not such a list, do not exist or are too many.
+        """
+        try:
+            names = msgspec.json.decode(payload, type=list[str])
+        except msgspec.MsgspecError as error:
+            raise ConfigError(f"@ctl/watch: {error}; send a list of messages as JSON") from None
+        self.view.watch(names, now_s)
+        self._want()
+        return {"watched": len(self.view.ids)}
+
+    def watched(self, now_s: float) -> list[Watched]:
+        """What viewers have not been shown yet."""
+        if not self.view.ids:
+            return []
+        self.view.expire(now_s)
+        self._want()
+        return self.view.take()
+
+    def _want(self) -> None:
+        self.wanted = COMMANDS | self._unheard | self.view.ids
+
+    # -- the bus ---------------------------------------------------------------------------------
+
+    def answer(self, key: str, payload: bytes, t_us: int) -> Any:
+        """The answer to a query whose key ends in `@ctl/<what>`.
+
+        `fault/{id}/arm` (an entry as JSON), `fault/{id}/value` (`{"value": 1.5, "sent_us": ...}`),
+        `fault/{id}/disarm`, `schedule/load` (YAML), `schedule/save`, `schedule/stop`, `state`.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such key, or the payload is wrong; nothing has changed then.
+        """
+        _, _, what = key.partition("@ctl/")
+        head, _, action = what.rpartition("/")
+        if what == "state":
+            return {**self.engine.state(), "now_us": max(self.engine.now_us, t_us)}
+        if what == "schedule/save":
+            return {"yaml": self.engine.save()}
+        if not self.allowed:
+            raise ConfigError(f"{what}: live control is switched off; start without --no-inject")
+        self.engine.tell_time(t_us)
+        if head.startswith("fault/"):
+            return self._fault(head.removeprefix("fault/"), action, payload)
+        actions: dict[str, Callable[[bytes], Any]] = {
+            "schedule/load": self._load,
+            "schedule/stop": lambda _: {"cleared": self.engine.clear("all")},
+        }
+        if what not in actions:
+            raise ConfigError(f"@ctl: {what} is unknown; {near(what, [*actions, *QUESTIONS])}")
+        return actions[what](payload)
+
+    def _fault(self, id: str, action: str, payload: bytes) -> Any:
+        if action == "disarm":
+            if not self.engine.clear(id):
+                known_ids = near(id, self.engine.ids())
+                raise ConfigError(f"disarm: {id} is no fault; {known_ids}")
+            return {"cleared": id}
+        try:
+            data = msgspec.json.decode(payload, type=dict[str, Any])
+        except msgspec.MsgspecError as error:
+            raise ConfigError(f"@ctl/fault/{id}/{action}: {error}; send JSON") from None
+        if action == "arm":
+            return {"armed": self.engine.arm({**data, "id": id})}
+        if action != "value" or not isinstance(data.get("value"), int | float):
+            raise ConfigError(
+                f"@ctl/fault/{id}/{action}: is unknown; send arm, disarm or value with a number"
+            )
+        self.engine.update(id, data["value"], data.get("sent_us"))
+        return {"id": id, "value": data["value"]}
+
+    def _load(self, payload: bytes) -> Any:
+        schedule = parse_schedule(payload.decode("utf-8", "replace"), "schedule/load")
+        self.engine.replace(schedule)
+        return {"faults": [entry.id for entry in schedule.faults]}
+
+
+def acknowledgement(command: Frame, result: int) -> bytes:
+    """The COMMAND_ACK to whoever sent a command, from the one it was for."""
+    values = {
+        "command": int(command.number("command")),
+        "result": result,
+        "target_system": command.system,
+        "target_component": command.component,
+    }
+    return build(
+        known("COMMAND_ACK"),
+        values,
+        system=int(command.number("target_system")) or 1,
+        component=int(command.number("target_component")) or AUTOPILOT,
+    )

@@ -1,0 +1,87 @@
+"""Edits: what was asked of a running proxy, recorded so that a replay can ask it again.
+
+Commands that passed as frames (MAV_CMD_INJECT_FAILURE) are in the log already; requests of the bus
+and RflySim's packets are not, nor is the moment from which live control took part.
+"""
+
+import contextlib
+from pathlib import Path
+
+import msgspec
+
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.live.control import Control
+from mavproxy_fault.proxy.core import Core
+from mavproxy_fault.proxy.tape import Tape
+
+JOIN, RFLYSIM = "join", "rflysim"
+
+
+class Edit(msgspec.Struct, frozen=True):
+    """One request: after how many received records, when, and what.
+
+    `what` is a key of the bus, `rflysim` or `join`; `payload` is text, of a packet its digits.
+    """
+
+    at: int
+    now_us: int
+    t_us: int
+    what: str
+    payload: str = ""
+
+
+class Journal:
+    """Notes the edits of a session, for its recorder; without a tape there is nothing to note."""
+
+    def __init__(self, core: Core, tape: Tape | None) -> None:
+        self._core = core
+        self._tape = tape
+        self._edits: list[Edit] = []
+        self._now_us = 0
+
+    def begin(self, now_us: int) -> int:
+        """The vehicle's time (the wall clock before it is known), at which an edit may be made.
+
+        What was due by `now_us` must have left, as it has when the session is replayed.
+        """
+        self._now_us = now_us
+        clock = self._core.clock
+        return now_us if clock.t0_us is None else clock.t_us
+
+    def note(self, what: str, payload: bytes, t_us: int) -> None:
+        """Keep one edit, made at the vehicle's time `t_us`."""
+        if self._tape is not None:
+            text = payload.hex() if what == RFLYSIM else payload.decode("utf-8", "replace")
+            self._edits.append(Edit(self._tape.count, self._now_us, t_us, what, text))
+
+    def take(self) -> list[Edit]:
+        """The edits since the last call."""
+        taken, self._edits = self._edits, []
+        return taken
+
+
+def read_edits(path: Path) -> list[Edit]:
+    """The whole lines of a file of edits; none if there is no such file."""
+    lines = path.read_bytes().splitlines(keepends=True) if path.is_file() else []
+    return [msgspec.json.decode(line, type=Edit) for line in lines if line.endswith(b"\n")]
+
+
+def carry_out(edit: Edit, core: Core, control: Control) -> None:
+    """Do once more what was asked for; what was refused is refused again."""
+    if edit.what == JOIN:
+        join(core, control)
+        return
+    with contextlib.suppress(ConfigError):
+        if edit.what == RFLYSIM:
+            control.packet(bytes.fromhex(edit.payload), edit.t_us)
+        else:
+            control.answer(edit.what, edit.payload.encode(), edit.t_us)
+
+
+def join(core: Core, control: Control) -> None:
+    """Let live control take part; its engine takes over if there was none."""
+    if core.engine is None:
+        if core.clock.t0_us is not None:
+            control.engine.start_at(core.clock.t0_us)
+        core.engine = control.engine
+    core.control = control

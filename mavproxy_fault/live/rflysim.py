@@ -1,0 +1,155 @@
+"""RflySim's fault packets, and the map from its fault ids to ours.
+
+A `PX4SILIntFloat` is 120 bytes: checksum, CopterID, eight fault ids and twenty parameters; slot i
+of the ids owns parameters 2i and 2i + 1, and a fault with more parameters repeats its id. Faults
+latch; 123549 means "no fault". The ids differ between RflySim's models, so the map is a YAML file:
+
+    123452: {kind: sensor, target: [HIL_SENSOR.xacc, HIL_SENSOR.yacc, HIL_SENSOR.zacc], sigma: 0.5}
+    123450: {kind: motor, target: HIL_ACTUATOR_CONTROLS.controls}
+    123544: {kind: plant, target: [PLANT.wind_n_mps, PLANT.wind_e_mps]}
+"""
+
+import struct
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from mavproxy_fault.documents.checked import Check, read_yaml
+from mavproxy_fault.documents.errors import ConfigError
+
+PACKED = struct.Struct("<10i20f")
+CHECKSUM = 1234567897
+NO_FAULT = 123549
+FIRST_PORT = 30100  # of vehicle 1; two more for each further one
+SLOTS = 8
+
+# First parameter of a sensor fault.
+NOISE_AND_BIAS, SCALE_FACTOR = 3, 4
+SHIPPED = Path(__file__).parents[1] / "schedule" / "presets" / "rflysim" / "faultmodel.yaml"
+
+
+class Packet(msgspec.Struct, frozen=True):
+    """One packet: the vehicle, and the parameters of each fault id in it."""
+
+    vehicle: int
+    faults: dict[int, tuple[float, ...]]
+    clears: bool
+
+    @staticmethod
+    def read(data: bytes) -> "Packet | None":
+        """The packet in a datagram; None if it is one of RflySim's other structs."""
+        if len(data) != PACKED.size:
+            return None
+        numbers = PACKED.unpack(data)
+        if numbers[0] != CHECKSUM:
+            return None
+        ids, parameters = numbers[2:10], numbers[10:30]
+        faults: dict[int, tuple[float, ...]] = {}
+        for slot, id in enumerate(ids):
+            if id not in (0, NO_FAULT):
+                faults[id] = faults.get(id, ()) + parameters[2 * slot : 2 * slot + 2]
+        return Packet(numbers[1], faults, NO_FAULT in ids)
+
+
+class Meaning(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What an id stands for.
+
+    A motor's parameters are factors on its commands; a sensor's are a mode (3: noise and bias per
+    axis, 4: scale factor) and numbers per axis, `sigma` its noise at gain 1; a plant fault's are
+    the values of the parameters named, times `scale`, or always `value`.
+    """
+
+    kind: Literal["motor", "sensor", "plant"]
+    target: str | tuple[str, ...]
+    sigma: float = 0.0
+    floor: Annotated[float, Meta(ge=0, le=1)] = 0.2
+    scale: float = 1.0
+    value: float | None = None
+
+    @property
+    def targets(self) -> list[str]:
+        """The target as a list."""
+        return [self.target] if isinstance(self.target, str) else list(self.target)
+
+
+class IdMap(msgspec.Struct, frozen=True):
+    """RflySim's ids and their meanings."""
+
+    meanings: dict[int, Meaning]
+
+    def entries(self, packet: Packet) -> list[dict[str, Any]]:
+        """The entries of a schedule that a packet asks for; ids not in the map are passed over."""
+        found = []
+        for id, parameters in packet.faults.items():
+            meaning = self.meanings.get(id)
+            if meaning is None:
+                continue
+            make = {"motor": _motor, "sensor": _sensor, "plant": _plant}[meaning.kind]
+            for number, entry in enumerate(make(meaning, parameters), 1):
+                name = f"rflysim-{packet.vehicle}-{id}.{number}"
+                found.append({"id": name, **entry})
+        return found
+
+
+def read_map(path: Path | str = SHIPPED) -> IdMap:
+    """The id map of a YAML file.
+
+    Raises
+    ------
+    ConfigError
+        With every error of the file and its line.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error}); give a map in YAML") from None
+    data, lines = read_yaml(text, str(path))
+    check = Check(str(path), {tuple(str(p) for p in key): line for key, line in lines.items()})
+    meanings = {}
+    for id, value in (data or {}).items() if isinstance(data, dict) else ():
+        if not isinstance(id, int):
+            check.wrong((str(id),), "is no fault id; they are whole numbers such as 123450")
+            continue
+        meanings[id] = check.struct(value, Meaning, (str(id),))
+    check.finish()
+    return IdMap(meanings)
+
+
+def _motor(meaning: Meaning, parameters: tuple[float, ...]) -> list[dict[str, Any]]:
+    """A factor for each motor."""
+    return [
+        {"fault": "scale", "target": f"{target}[{motor}]", "value": factor}
+        for target in meaning.targets
+        for motor, factor in enumerate(parameters)
+    ]
+
+
+def _sensor(meaning: Meaning, parameters: tuple[float, ...]) -> list[dict[str, Any]]:
+    """Noise and bias per axis as y = (floor + (1 - floor) gain) noise + bias, or a scale factor."""
+    mode, numbers = round(parameters[0]), parameters[1:]
+    targets = meaning.targets
+    if mode == SCALE_FACTOR:
+        return [{"fault": "scale", "target": targets, "value": numbers[0]}]
+    if mode != NOISE_AND_BIAS:
+        return []
+    entries: list[dict[str, Any]] = []
+    for target, bias, gain in zip(targets, numbers[::2], (*numbers[1::2], 0.0), strict=False):
+        share = meaning.floor + (1.0 - meaning.floor) * gain
+        entries.append({"fault": "bias", "target": target, "value": bias * meaning.scale})
+        if meaning.sigma:
+            entries.append(
+                {"fault": "noise", "target": target, "value": abs(share) * meaning.sigma}
+            )
+    return entries
+
+
+def _plant(meaning: Meaning, parameters: tuple[float, ...]) -> list[dict[str, Any]]:
+    values = [value * meaning.scale for value in parameters]
+    if meaning.value is not None:
+        values = [meaning.value] * len(meaning.targets)
+    return [
+        {"fault": "plant", "target": target, "value": value}
+        for target, value in zip(meaning.targets, values, strict=False)
+    ]

@@ -1,0 +1,217 @@
+"""Live control of a running proxy: the bus and RflySim's port, joined to the loop.
+
+Zenoh answers queries on threads of its own, the engine belongs to the loop's thread. A request
+therefore waits until the loop, woken by a socket, has carried it out.
+"""
+
+import contextlib
+import logging
+import queue
+import socket
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from typing import Any
+
+import msgspec
+
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.bus import Bus, join_bus
+from mavproxy_fault.live.control import QUESTIONS, Control
+from mavproxy_fault.live.journal import RFLYSIM, Edit, Journal
+from mavproxy_fault.live.rflysim import FIRST_PORT, PACKED
+from mavproxy_fault.wire.label import Label
+
+PATIENCE_S = 3.0
+SHOW_S = 0.04  # between two looks at what viewers watch
+LABELS_KEPT = 100
+LOG = logging.getLogger(__name__)
+
+
+class Requests:
+    """Hands work of other threads to the loop, and its outcome back."""
+
+    def __init__(self) -> None:
+        self._waiting: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = (
+            queue.SimpleQueue()
+        )
+        self._reads, self._wakes = socket.socketpair()
+        self._reads.setblocking(False)
+        self._wakes.setblocking(False)
+
+    def fileno(self) -> int:
+        """Readable while something waits."""
+        return self._reads.fileno()
+
+    def ask(self, act: Callable[[], Any]) -> Any:
+        """Have the loop call `act`; its value, or what it raised.
+
+        Raises
+        ------
+        ConfigError
+            If the loop does not come to it in three seconds.
+        """
+        outcome: Future[Any] = Future()
+        self._waiting.put((act, outcome))
+        with contextlib.suppress(BlockingIOError):
+            self._wakes.send(b"!")
+        try:
+            return outcome.result(PATIENCE_S)
+        except TimeoutError:
+            outcome.cancel()
+            raise ConfigError(f"the proxy did not answer within {PATIENCE_S} s") from None
+
+    def serve(self) -> None:
+        """Carry out all that waits; called by the loop."""
+        with contextlib.suppress(BlockingIOError):
+            while self._reads.recv(4096):
+                pass
+        while not self._waiting.empty():
+            act, outcome = self._waiting.get()
+            if not outcome.set_running_or_notify_cancel():
+                continue  # whoever asked has given up
+            try:
+                outcome.set_result(act())
+            except Exception as error:
+                outcome.set_exception(error)
+
+    def close(self) -> None:
+        """Close the sockets."""
+        self._reads.close()
+        self._wakes.close()
+
+
+class Live:
+    """What a running proxy offers besides forwarding: control by the bus and by RflySim, and news.
+
+    `now_us` tells the vehicle's time; `journal` takes every request that may change something.
+    """
+
+    def __init__(
+        self,
+        control: Control,
+        now_us: Callable[[], int],
+        journal: Journal | None = None,
+    ) -> None:
+        self.control = control
+        self._now_us = now_us
+        self.journal = journal
+        self._requests = Requests()
+        self._bus: Bus | None = None
+        self._port: socket.socket | None = None
+        self._show_s = 0.0
+        self._shown = (0, 0)  # revision and turns of the engine
+
+    def open_bus(self, zenoh: str, run: str = "live") -> None:
+        """Offer control on the bus: `auto` (the router here, or another's), `off`, or a URL.
+
+        Raises
+        ------
+        ConfigError
+            If a URL was given and cannot be used.
+        """
+        if zenoh == "off":
+            return
+        try:
+            bus = join_bus(zenoh, run)
+        except ConfigError as error:
+            if zenoh != "auto":
+                raise
+            LOG.warning("no live control: %s", error)
+            return
+        self.offer(bus)
+
+    def offer(self, bus: Bus) -> None:
+        """Answer queries on a bus that is open."""
+        self._bus = bus
+        bus.answer("@ctl/**", self._answer)
+        bus.alive("proxy")
+
+    def open_rflysim(self, port: int = FIRST_PORT) -> int:
+        """Listen for RflySim's packets on loopback; the port."""
+        self._port = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._port.setblocking(False)
+        try:
+            self._port.bind(("127.0.0.1", port))
+        except OSError as error:
+            raise ConfigError(f"--rflysim {port}: {error}; give a free UDP port") from None
+        return int(self._port.getsockname()[1])
+
+    def _answer(self, key: str, payload: bytes) -> Any:
+        return self._requests.ask(lambda: self._act(key, payload))
+
+    def _act(self, key: str, payload: bytes) -> Any:
+        """Carry out one request in the loop's thread."""
+        if key.endswith("@ctl/watch"):
+            return self.control.watch(payload, time.monotonic())
+        t_us = self._now_us()
+        if self.journal is not None and not key.endswith(QUESTIONS):
+            self.journal.note(key, payload, t_us)
+        return self.control.answer(key, payload, t_us)
+
+    def filenos(self) -> list[int]:
+        """What the loop waits on besides its links."""
+        ports = [] if self._port is None else [self._port.fileno()]
+        return [self._requests.fileno(), *ports]
+
+    def serve(self) -> None:
+        """Carry out what has been asked for."""
+        self._requests.serve()
+        if self._port is None:
+            return
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                data = self._port.recv(PACKED.size + 1)
+                t_us = self._now_us()
+                if self.journal is not None:
+                    self.journal.note(RFLYSIM, data, t_us)
+                try:
+                    self.control.packet(data, t_us)
+                except ConfigError as error:
+                    LOG.warning("RflySim: %s", error)
+
+    def edits(self) -> list[Edit]:
+        """What was asked for since the last call, for a recorder."""
+        return [] if self.journal is None else self.journal.take()
+
+    def show(self, now_s: float) -> None:
+        """Tell the bus at once of faults that begin, end or change, and what viewers watch."""
+        if self._bus is None or now_s < self._show_s:
+            return
+        self._show_s = now_s + SHOW_S
+        engine = self.control.engine
+        if self._shown != (engine.revision, engine.turns):
+            self._show_faults(self._bus)
+        samples = self.control.watched(now_s)
+        if samples:
+            self._bus.put("proxy/watched", msgspec.json.encode(samples), "mavfault.v1.Watched")
+
+    def _show_faults(self, bus: Bus) -> None:
+        engine = self.control.engine
+        self._shown = (engine.revision, engine.turns)
+        bus.put("schedule/state", msgspec.json.encode(engine.state()), history=1)
+
+    def publish(self, stats: object, labels: Sequence[Label]) -> None:
+        """Tell the bus how the links and the faults are doing."""
+        if self._bus is None:
+            return
+        self._bus.put("proxy/stats", msgspec.json.encode(stats))
+        self._show_faults(self._bus)
+        for label in labels:
+            self._bus.put(
+                "proxy/labels", msgspec.json.encode(label), "mavfault.v1.Label", LABELS_KEPT
+            )
+
+    @property
+    def url(self) -> str | None:
+        """Where the bus is, once open."""
+        return None if self._bus is None else self._bus.url
+
+    def close(self) -> None:
+        """Close the bus and the port; requests that wait are given up."""
+        self._requests.serve()
+        if self._bus is not None:
+            self._bus.close()
+        if self._port is not None:
+            self._port.close()
+        self._requests.close()

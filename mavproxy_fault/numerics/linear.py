@@ -1,0 +1,104 @@
+"""Small dense linear algebra for the kernels: plain loops, which compile fast and stay in cache."""
+
+import math
+
+import numpy as np
+
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled
+
+
+@compiled
+def multiply(a: Vector, b: Vector) -> Vector:
+    """a b (n, m)."""
+    out = np.zeros((a.shape[0], b.shape[1]))
+    for i in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            factor = a[i, k]
+            if factor != 0.0:
+                for j in range(b.shape[1]):
+                    out[i, j] += factor * b[k, j]
+    return out
+
+
+@compiled
+def add_product(out: Vector, scale: float, a: Vector, b: Vector) -> None:
+    """Add scale a b to `out`, in place."""
+    for i in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            factor = scale * a[i, k]
+            for j in range(b.shape[1]):
+                out[i, j] += factor * b[k, j]
+
+
+@compiled
+def transposed(a: Vector) -> Vector:
+    """a' as an array of its own."""
+    out = np.empty((a.shape[1], a.shape[0]))
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[j, i] = a[i, j]
+    return out
+
+
+@compiled
+def apply(a: Vector, v: Vector) -> Vector:
+    """a v (n,)."""
+    out = np.zeros(a.shape[0])
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[i] += a[i, j] * v[j]
+    return out
+
+
+@compiled
+def lower(s: Vector) -> Vector:
+    """Cholesky's lower triangle of a positive definite matrix; NaN where it is not."""
+    n = s.shape[0]
+    low = np.zeros((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            total = 0.5 * (s[i, j] + s[j, i])
+            for k in range(j):
+                total -= low[i, k] * low[j, k]
+            if i == j:
+                low[i, i] = math.sqrt(total) if total > 0.0 else np.nan
+            else:
+                low[i, j] = total / low[j, j]
+    return low
+
+
+@compiled
+def lower_inverse(low: Vector) -> Vector:
+    """The inverse of a lower triangle."""
+    n = low.shape[0]
+    root = np.zeros((n, n))
+    for i in range(n):
+        root[i, i] = 1.0 / low[i, i]
+        for k in range(i):
+            factor = low[i, k]
+            for j in range(k + 1):
+                root[i, j] -= factor * root[k, j]
+        for j in range(i):
+            root[i, j] *= root[i, i]
+    return root
+
+
+@compiled
+def square(a: Vector) -> Vector:
+    """a' a (n, n)."""
+    n = a.shape[1]
+    out = np.zeros((n, n))
+    for k in range(a.shape[0]):
+        for i in range(n):
+            factor = a[k, i]
+            if factor != 0.0:
+                for j in range(n):
+                    out[i, j] += factor * a[k, j]
+    return out
+
+
+@compiled
+def inverse(s: Vector) -> Vector:
+    """The inverse of a positive definite matrix, by Cholesky; NaN where it is not."""
+    return square(lower_inverse(lower(s)))

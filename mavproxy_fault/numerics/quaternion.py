@@ -1,0 +1,158 @@
+"""Scalar quaternion kernels of the estimators; quaternions are (w, x, y, z), body to NED."""
+
+from math import asin, atan2, cos, pi, sin, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.numerics.compile import compiled
+
+Vector = NDArray[np.float64]
+Quaternion = tuple[float, float, float, float]
+Axis = tuple[float, float, float]
+Errors = tuple[float, float, float, float]
+
+
+@compiled
+def quaternion_of_turn(rx: float, ry: float, rz: float) -> Quaternion:
+    """The unit quaternion of a rotation vector in rad."""
+    angle = sqrt(rx * rx + ry * ry + rz * rz)
+    # sin(angle / 2) / angle by its series where the quotient would lose digits
+    factor = 0.5 - angle * angle / 48.0 if angle < 1e-4 else sin(0.5 * angle) / angle
+    return cos(0.5 * angle), factor * rx, factor * ry, factor * rz
+
+
+@compiled
+def turn(q: Vector, by: Quaternion) -> None:
+    """Turn the attitude in the first four places of q in place, by a turn in body axes."""
+    w, x, y, z = by
+    a, b, c, d = q[0], q[1], q[2], q[3]
+    q0 = a * w - b * x - c * y - d * z
+    q1 = a * x + b * w + c * z - d * y
+    q2 = a * y - b * z + c * w + d * x
+    q3 = a * z + b * y - c * x + d * w
+    norm = sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
+    q[0], q[1], q[2], q[3] = q0 / norm, q1 / norm, q2 / norm, q3 / norm
+
+
+@compiled
+def turned(q: Vector, rx: float, ry: float, rz: float) -> Vector:
+    """q (4,) turned by the rotation vector (rx, ry, rz) in rad, given in body axes."""
+    out = q.copy()
+    turn(out, quaternion_of_turn(rx, ry, rz))
+    return out
+
+
+@compiled
+def body_axes(q: Vector) -> tuple[Axis, Axis, Axis]:
+    """The rows of rot_nb of the attitude in the first four places of q."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    return (
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+    )
+
+
+@compiled
+def matrix(q: Vector) -> NDArray[np.float64]:
+    """rot_nb (3, 3) of q (4,)."""
+    north, east, down = body_axes(q)
+    out = np.empty((3, 3))
+    for i in range(3):
+        out[0, i], out[1, i], out[2, i] = north[i], east[i], down[i]
+    return out
+
+
+@compiled
+def euler(q: Vector | Quaternion) -> tuple[float, float, float]:
+    """Roll, pitch, yaw in rad of q (4,)."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
+    return (
+        atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        asin(sine),
+        atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+    )
+
+
+@compiled
+def quaternion_of_euler(roll: float, pitch: float, yaw: float) -> Vector:
+    """The quaternion (4,) of Euler angles 3-2-1 in rad."""
+    cr, sr = cos(0.5 * roll), sin(0.5 * roll)
+    cp, sp = cos(0.5 * pitch), sin(0.5 * pitch)
+    cy, sy = cos(0.5 * yaw), sin(0.5 * yaw)
+    out = np.empty(4)
+    out[0] = cr * cp * cy + sr * sp * sy
+    out[1] = sr * cp * cy - cr * sp * sy
+    out[2] = cr * sp * cy + sr * cp * sy
+    out[3] = cr * cp * sy - sr * sp * cy
+    return out
+
+
+@compiled
+def wrapped(angle_rad: float) -> float:
+    """The angle in (-pi, pi]."""
+    if -pi < angle_rad <= pi:
+        return angle_rad
+    return atan2(sin(angle_rad), cos(angle_rad))
+
+
+@compiled
+def heading_error(q: Vector, field: Vector, declination_rad: float) -> float:
+    """How far the estimate must turn about down for the field (3,) to lie at the declination."""
+    rot = matrix(q)
+    north = rot[0, 0] * field[0] + rot[0, 1] * field[1] + rot[0, 2] * field[2]
+    east = rot[1, 0] * field[0] + rot[1, 1] * field[1] + rot[1, 2] * field[2]
+    return wrapped(declination_rad - atan2(east, north))
+
+
+@compiled
+def gravity_error(
+    q: Vector, accel: Vector, gyro: Vector, speed_mps: float, gravity_mps2: float
+) -> Vector:
+    """Body rotation vector (3,) that would put the estimate's down on the measured one.
+
+    The specific force is freed of the centripetal part of a flight along the nose. Its sine is
+    scaled down as the force departs from one g, where it says little about down.
+    """
+    fx = accel[0]
+    fy = accel[1] - gyro[2] * speed_mps
+    fz = accel[2] + gyro[1] * speed_mps
+    norm = sqrt(fx * fx + fy * fy + fz * fz)
+    trust = max(0.0, 1.0 - abs(norm / gravity_mps2 - 1.0))
+    scale = 0.0 if norm == 0.0 else -trust / norm
+    rot = matrix(q)
+    dx, dy, dz = rot[2, 0], rot[2, 1], rot[2, 2]
+    mx, my, mz = scale * fx, scale * fy, scale * fz
+    out = np.empty(3)
+    out[0] = my * dz - mz * dy
+    out[1] = mz * dx - mx * dz
+    out[2] = mx * dy - my * dx
+    return out
+
+
+@compiled
+def errors(q_estimate: Vector | Quaternion, q_truth: Vector | Quaternion) -> Errors:
+    """Differences of roll, pitch and yaw, wrapped, and the angle of the turn between, rad."""
+    a, b = q_estimate, q_truth
+    roll_a, pitch_a, yaw_a = euler(a)
+    roll_b, pitch_b, yaw_b = euler(b)
+    w = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+    x = a[0] * b[1] - a[1] * b[0] - a[2] * b[3] + a[3] * b[2]
+    y = a[0] * b[2] + a[1] * b[3] - a[2] * b[0] - a[3] * b[1]
+    z = a[0] * b[3] - a[1] * b[2] + a[2] * b[1] - a[3] * b[0]
+    turn_rad = 2.0 * atan2(sqrt(x * x + y * y + z * z), abs(w))
+    return wrapped(roll_a - roll_b), wrapped(pitch_a - pitch_b), wrapped(yaw_a - yaw_b), turn_rad
+
+
+@compiled
+def between(q0: Quaternion, q1: Quaternion, share: float) -> Quaternion:
+    """Along the shorter way from q0 (share 0) to q1 (share 1), normalised linear."""
+    dot = q0[0] * q1[0] + q0[1] * q1[1] + q0[2] * q1[2] + q0[3] * q1[3]
+    other = share if dot >= 0.0 else -share
+    one = 1.0 - share
+    w, x = one * q0[0] + other * q1[0], one * q0[1] + other * q1[1]
+    y, z = one * q0[2] + other * q1[2], one * q0[3] + other * q1[3]
+    norm = sqrt(w * w + x * x + y * y + z * z)
+    return w / norm, x / norm, y / norm, z / norm

@@ -1,0 +1,334 @@
+"""One entry of a schedule at work: when it is active, what it did, and the labels for it."""
+
+import math
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, get_type_hints
+from zlib import crc32
+
+import msgspec
+
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.faults.fault import Outgoing
+from mavproxy_fault.schedule.entries import Entry
+from mavproxy_fault.schedule.triggers import Telemetry
+from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.label import Label
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+NEVER_US = 1 << 62
+TELL_US = 200_000  # between two labels about new values of one fault
+
+
+def after_s(t_us: int, seconds: float) -> int:
+    """A stamp so many seconds later."""
+    return t_us + round(seconds * 1e6)
+
+
+class Running:
+    """An entry, the state of its fault, and the count of what it did.
+
+    `base_us` is the stamp from which `at_s` counts; `waits` is true while a trigger other than the
+    time has still to come.
+    """
+
+    def __init__(self, entry: Entry, seed: int, base_us: int, t0_us: int) -> None:
+        self.entry = entry
+        self.fault: Any = entry.fault
+        self.seed = seed
+        self.t0_us = t0_us
+        self.base_us = base_us
+        self.condition = entry.condition
+        self.armed = True  # a condition starts the fault when it becomes true, not while it is
+        self.earliest_us = after_s(base_us, entry.at_s)
+        self.start_us = NEVER_US if entry.when or entry.after else self.earliest_us
+        self.end_us = self._end()
+        self.active = False
+        self.starts = 0
+        self.frames = self.sealed = self.saturated = self.total_frames = 0
+        self.magnitude: float | None = None
+        self.first_us: int | None = None
+        self.last_us = 0
+        self.direction = ""
+        self.states: dict[str, Any] = {}
+        self.live: tuple[float, int] | None = None  # newest streamed value and when it came
+        self.latency_us: int | None = None
+        self.value: float | None = None  # given live, constant or streamed
+        self.changed_us: int | None = None
+        self.untold = False  # no label has told the newest value
+        self._told_us = 0
+        where = entry.where
+        self._where = (where.system, where.component, where.direction, where.id)
+        self._anything = self._where == (None, None, None, None)
+        self.takes_bytes = entry.ids is None and getattr(entry.fault, "takes_bytes", False)
+        self.takes_sealed = getattr(entry.fault, "takes_sealed", False)
+        self.holds = hasattr(entry.fault, "release")
+        self.keeps_back = getattr(entry.fault, "keeps_back", False)
+
+    @cached_property
+    def rng(self) -> "Generator":
+        """The entry's own chance; numpy is loaded for what draws, and only there."""
+        from numpy.random import default_rng
+
+        return default_rng([self.seed, crc32(self.entry.id.encode())])
+
+    def _end(self) -> int:
+        for_s = self.entry.for_s
+        return NEVER_US if for_s is None or self.start_us == NEVER_US else after_s(
+            self.start_us, for_s
+        )  # fmt: skip
+
+    def trigger(self, t_us: int) -> None:
+        """Start at `t_us`, because what it waited for has come."""
+        self.start_us = t_us
+        self.end_us = self._end()
+
+    def watch(self, t_us: int, telemetry: Telemetry) -> bool:
+        """Start if the condition has become true; whether it did."""
+        if self.active or self.condition is None or t_us < self.earliest_us:
+            return False
+        if self.start_us < NEVER_US or not self._may_start_again():
+            return False
+        if not self.condition.holds(telemetry):
+            self.armed = True
+            return False
+        if not self.armed:
+            return False
+        self.armed = False
+        self.trigger(t_us)
+        return True
+
+    def _may_start_again(self) -> bool:
+        repeat = self.entry.repeat
+        if not self.starts:
+            return True
+        if repeat is None or repeat.every_s is not None:
+            return False
+        return repeat.times is None or self.starts < repeat.times
+
+    def begin(self) -> None:
+        """Become active; every direction starts with a fresh state."""
+        self.active = True
+        self.starts += 1
+        self.states = {}
+
+    def rest(self, now_us: int) -> None:
+        """End a stretch; set the next start if the entry repeats, leaving out what is long past."""
+        self.active = False
+        repeat = self.entry.repeat
+        if repeat is not None and repeat.every_s is not None:
+            missed = int((now_us - self.start_us) * 1e-6 / repeat.every_s) - 1
+            self.starts += max(missed, 0)
+            if repeat.times is None or self.starts < repeat.times:
+                self.start_us = after_s(self.start_us, repeat.every_s * (1 + max(missed, 0)))
+                self.end_us = self._end()
+                return
+        self.start_us = self.end_us = NEVER_US
+
+    @property
+    def next_us(self) -> int:
+        """When it starts or ends by the clock."""
+        return self.end_us if self.active else self.start_us
+
+    @property
+    def done(self) -> bool:
+        """Whether it has acted and will not start again by the clock."""
+        return not self.active and self.start_us == NEVER_US and self.starts > 0
+
+    def takes(self, frame: Frame, direction: str) -> bool:
+        """Whether `where` lets the frame through to the fault."""
+        if self._anything:
+            return True
+        system, component, way, instance = self._where
+        if system is not None and frame.system != system:
+            return False
+        if component is not None and frame.component != component:
+            return False
+        if way is not None and direction != way:
+            return False
+        return instance is None or self._instance(frame) == instance
+
+    @staticmethod
+    def _instance(frame: Frame) -> object:
+        name = frame.layout.instance or "id"
+        return frame.read(name) if name in frame.layout.fields else 0
+
+    def takes_junk(self, direction: str) -> bool:
+        """Whether bytes that are no frame pass through the fault."""
+        system, component, way, instance = self._where
+        if not self.takes_bytes or (system, component, instance) != (None, None, None):
+            return False
+        return way is None or way == direction
+
+    def act(self, frame: Frame | bytes, direction: str, t_us: int) -> list[Outgoing]:
+        """Put a frame through the fault and count what it did."""
+        if self.entry.probability < 1.0 and self.rng.random() >= self.entry.probability:
+            return [Outgoing(t_us, frame)]
+        state = self.states.get(direction)
+        if state is None and direction not in self.states:
+            state = self.fault.new_state(self.start_us)
+            if self.live is not None:
+                state = self.fault.fed(state, *self.live)
+        sends, self.states[direction] = self.fault.apply(frame, t_us, state, self.rng)
+        if len(sends) == 1 and sends[0].frame is frame and sends[0].due_us == t_us:
+            return sends  # type: ignore[no-any-return]
+        # What was kept back and leaves as it came was not touched; what changed has a magnitude.
+        touched = sum(out.magnitude is not None for out in sends) if self.keeps_back else 1
+        if not touched:
+            return sends  # type: ignore[no-any-return]
+        self.frames += touched
+        self.total_frames += touched
+        self.last_us = t_us
+        if self.first_us is None:
+            self.first_us = t_us
+            self.direction = direction
+        for out in sends:
+            self._measure(out)
+        return sends  # type: ignore[no-any-return]
+
+    def credit(self, frames: int, saturated: int, last_us: int, magnitude: float) -> None:
+        """Count what was done elsewhere in this fault's name; a negative magnitude is none."""
+        self.frames += frames
+        self.total_frames += frames
+        self.saturated += saturated
+        self.last_us = last_us
+        if magnitude >= 0.0:
+            self.magnitude = max(self.magnitude or 0.0, magnitude)
+
+    def _measure(self, out: Outgoing) -> None:
+        self.saturated += out.saturated
+        size = out.magnitude
+        if size is not None and math.isfinite(size):
+            self.magnitude = size if self.magnitude is None else max(self.magnitude, size)
+
+    def held_until_us(self) -> int:
+        """When the fault must let go of the oldest frame it keeps."""
+        if not self.holds:
+            return NEVER_US
+        times = [self.fault.held_until_us(state) for state in self.states.values()]
+        return min((time for time in times if time is not None), default=NEVER_US)
+
+    def release(self, t_us: int, *, overdue: bool) -> list[Outgoing]:
+        """What the fault keeps: all of it, or only where the oldest is overdue."""
+        sends: list[Outgoing] = []
+        for direction, state in self.states.items() if self.holds else ():
+            until_us = self.fault.held_until_us(state)
+            if not overdue or (until_us is not None and until_us <= t_us):
+                released, self.states[direction] = self.fault.release(t_us, state)
+                sends += released
+        return sends
+
+    def label(self, end_us: int | None) -> Label:
+        """The label of the present stretch, open or complete."""
+        entry = self.entry
+        where = {
+            key: value
+            for key in ("system", "component", "id", "direction")
+            if (value := getattr(entry.where, key)) is not None
+        }
+        return Label(
+            id=entry.id,
+            fault=entry.name,
+            preset=entry.preset,
+            targets=entry.targets,
+            direction=self.direction,
+            t0_us=self.t0_us,
+            start_us=self.first_us or 0,
+            end_us=end_us,
+            frames=self.frames,
+            magnitude=self.magnitude,
+            saturated=self.saturated,
+            where=where,
+            parameters=entry.parameters,
+            seed=self.seed,
+            value=self.value,
+            changed_us=self.changed_us,
+        )
+
+    def opened(self, t_us: int) -> Label:
+        """The label of a stretch that has just touched its first frame."""
+        self.changed_us, self.untold = None, False
+        self._told_us = t_us
+        return self.label(None)
+
+    def news(self, t_us: int) -> Label | None:
+        """A label about a value that was changed; None without one, or so soon after another."""
+        if not self.untold or self.first_us is None or t_us - self._told_us < TELL_US:
+            return None
+        self.untold = False
+        self._told_us = t_us
+        return self.label(None)
+
+    def close(self, t_us: int) -> Label | None:
+        """The complete label of a stretch that ended, and a clean count; None if it did nothing."""
+        label = self.label(t_us) if self.first_us is not None else None
+        self.frames = self.saturated = 0
+        self.magnitude = self.first_us = self.changed_us = None
+        return label
+
+    def feed(self, value: float, t_us: int, sent_us: int | None) -> None:
+        """Take a live value, or another constant one.
+
+        Raises
+        ------
+        ConfigError
+            If the fault has no value.
+        """
+        inner = getattr(self.fault, "fault", self.fault)  # what acts on satellites is wrapped
+        profile = getattr(inner, "profile", None)
+        if profile is not None and profile.live is not None:
+            self._stream(value, t_us, sent_us, profile.live.timeout_s)
+        else:
+            self._change(inner, value)
+        if value != self.value:
+            self.value, self.changed_us, self.untold = value, t_us, True
+
+    def _change(self, inner: Any, value: float) -> None:
+        """Take another constant value."""
+        if getattr(inner, "value", None) is None:
+            raise ConfigError(
+                f"update: {self.entry.id} ({self.entry.name}) has no value to change; "
+                "clear it and arm another"
+            )
+        try:
+            hints = get_type_hints(type(inner), include_extras=True)
+            changed = msgspec.structs.replace(inner, value=msgspec.convert(value, hints["value"]))
+        except (ValueError, msgspec.ValidationError) as error:
+            raise ConfigError(f"update: {self.entry.id} = {value}: {error}") from None
+        wrapped = inner is not self.fault
+        self.fault = msgspec.structs.replace(self.fault, fault=changed) if wrapped else changed
+        written = {**self.entry.written, "value": value}
+        self.entry = msgspec.structs.replace(self.entry, fault=self.fault, written=written)
+
+    def _stream(self, value: float, t_us: int, sent_us: int | None, timeout_s: float) -> None:
+        if sent_us is not None:
+            self.latency_us = t_us - sent_us
+            if self.latency_us > timeout_s * 1e6:
+                raise ConfigError(
+                    f"update: {self.entry.id} = {value} is {self.latency_us / 1e6:.3f} s old; "
+                    f"values older than {timeout_s} s are refused"
+                )
+        self.live = (value, t_us)
+        for direction, state in self.states.items():
+            self.states[direction] = self.fault.fed(state, value, t_us)
+
+    def state(self) -> dict[str, Any]:
+        """What a page shows of it."""
+        phase = "active" if self.active else "done" if self.done else "waiting"
+        return {
+            "id": self.entry.id,
+            "fault": self.entry.name,
+            "preset": self.entry.preset,
+            "targets": list(self.entry.targets),
+            "state": phase,
+            "start_us": self.start_us if self.start_us < NEVER_US else None,
+            "end_us": self.end_us if self.end_us < NEVER_US else None,
+            "frames": self.total_frames,
+            "magnitude": self.magnitude,
+            "saturated": self.saturated,
+            "signed_skipped": self.sealed,
+            "latency_us": self.latency_us,
+            "value": self.value,
+            "parameters": self.entry.parameters,
+        }

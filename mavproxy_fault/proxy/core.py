@@ -1,0 +1,359 @@
+"""Core: the proxy without sockets, files or clocks.
+
+Bytes of a link come in with the wall time they came at; sends with their due times come out. In
+between every frame is verified, recorded, given to the fault engine where it wants it, and routed.
+Frames that nothing touched keep their bytes, and their datagram where they came in one.
+
+Whatever is sent depends on the input and its stamps alone, never on when `due` was called, so a
+recording played back with the same schedule gives the same bytes.
+"""
+
+import dataclasses
+import heapq
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+from mavproxy_fault.proxy.announcements import Announcer
+from mavproxy_fault.proxy.interfaces import Control, Direction, Engine, LinkRole, Send
+from mavproxy_fault.proxy.outgoing import Pieces, source_of, together
+from mavproxy_fault.proxy.routing import LoopGuard, Routes
+from mavproxy_fault.proxy.senders import (
+    GAPS,
+    LEAD,
+    NEXT_SEQ,
+    SENDERS,
+    SPEAKER,
+    UNKNOWN,
+    new_memory,
+)
+from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.proxy.vehicle_clock import VehicleClock
+from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.parser import Junk, Parser, ParserCounters
+from mavproxy_fault.wire.signing import Signing
+
+if TYPE_CHECKING:
+    from mavproxy_fault.faults.fault import Outgoing
+    from mavproxy_fault.wire.label import Label
+
+HOLD_US = (
+    500_000  # how long a stream may owe the rest of a frame; 280 bytes at 9600 baud take 0.3 s
+)
+NEVER_US = 1 << 62
+
+
+@dataclass(slots=True)
+class LinkState:
+    """What the core counts per link, by where frames came in."""
+
+    frames: int = 0
+    junk: int = 0
+    faulted: int = 0  # frames that were changed, delayed, multiplied or dropped
+    gaps: int = 0  # frames missing by their sequence numbers
+    loops: int = 0
+    bad_signatures: int = 0
+
+
+class Arrival(NamedTuple):
+    """Where and when a piece of input came."""
+
+    link: int
+    direction: Direction
+    now_us: int
+
+
+class Core:
+    """The proxy's state between its links."""
+
+    def __init__(
+        self,
+        links: Sequence[LinkRole],
+        engine: Engine | None = None,
+        *,
+        signing: Signing | None = None,
+        control: Control | None = None,
+        tape: Tape | None = None,
+    ) -> None:
+        self.links = tuple(links)
+        self.engine = engine
+        self.control = control
+        self.memory = new_memory()
+        self.clock = VehicleClock(self.memory)
+        self.states = [LinkState() for _ in links]
+        self._signing = signing
+        self._tape = tape
+        self._routes = Routes(len(self.links), self.memory)
+        self._guard = LoopGuard()
+        self._announcer = Announcer()
+        self._labels: list[Label] = []
+        self._parsers: dict[tuple[int, int], Parser] = {}
+        self._ended = [ParserCounters() for _ in links]
+        self._held_since: dict[tuple[int, int], int] = {}
+        self._pending: list[tuple[int, int, int, bytes]] = []  # due, order, links, bytes
+        self._order = itertools.count()
+        self.left_us = 0  # when what left last was due; nothing may come before that any more
+        self._on_wall_clock = False
+        self._listeners = sum(
+            1 << number for number, role in enumerate(links) if role.direction == "to-vehicle"
+        )
+
+    # What comes in
+
+    def received(
+        self,
+        link: int,
+        data: bytes,
+        now_us: int,
+        *,
+        stream: int = 0,
+        direction: Direction | None = None,
+    ) -> list[Send]:
+        """What to send for bytes that came; empty bytes end their stream.
+
+        `direction` overrides the link's, for a log that holds both.
+        """
+        sends = self.due(now_us)
+        role = self.links[link]
+        key = (link, stream)
+        parser = self._parsers.get(key)
+        if parser is None:
+            parser = self._parsers[key] = Parser()
+        if data:
+            items = parser.push(data, datagram=role.datagrams)
+        else:
+            items = parser.release()
+            self._ended[link].add(parser.counters)
+            del self._parsers[key]
+        if not role.datagrams:
+            self._held_since.pop(key, None)
+            if parser.held:
+                self._held_since[key] = now_us
+        arrival = Arrival(link, direction or role.direction, now_us)
+        return sends + self._process(items, arrival)
+
+    def due(self, now_us: int) -> list[Send]:
+        """What falls due by `now_us`, in order."""
+        sends: list[Send] = []
+        while True:
+            engine_us = self._engine_due_us()
+            pending_us = self._pending[0][0] if self._pending else NEVER_US
+            when_us = min(engine_us, pending_us)
+            if when_us > now_us:
+                break
+            self.left_us = when_us
+            if pending_us <= engine_us:
+                _, _, mask, raw = heapq.heappop(self._pending)
+                self._record(raw, when_us)
+                sends += self._to_links(mask, raw, when_us)
+            else:
+                sends += self._release_from_engine(when_us)
+        for key, since_us in list(self._held_since.items()):
+            if now_us - since_us >= HOLD_US:
+                del self._held_since[key]
+                arrival = Arrival(key[0], self.links[key[0]].direction, now_us)
+                sends += self._process(self._parsers[key].release(), arrival)
+        return sends
+
+    @property
+    def next_due_us(self) -> int | None:
+        """Wall time at which `due` has something to do; None if nothing waits."""
+        when_us = min(
+            self._engine_due_us(),
+            self._pending[0][0] if self._pending else NEVER_US,
+            min(self._held_since.values(), default=NEVER_US) + HOLD_US,
+        )
+        return None if when_us >= NEVER_US else when_us
+
+    def finish(self, now_us: int) -> list[Send]:
+        """End every fault; what is still delayed stays unsent."""
+        sends = self.due(now_us)
+        if self.engine is not None:
+            pieces: Pieces = []
+            labels = [*self.engine.take_labels(), *self.engine.finish(self.clock.t_us)]
+            self._announce(labels, now_us, pieces)
+            sends += self._sends(pieces, now_us) + self.due(now_us)
+        return sends
+
+    def gaps(self) -> dict[tuple[int, int], int]:
+        """Frames missing by their sequence numbers, per system and component."""
+        missing = self.memory[GAPS : GAPS + SENDERS]
+        return {(n >> 8, n & 0xFF): count for n, count in enumerate(missing) if count}
+
+    def take_labels(self) -> "list[Label]":
+        """Labels begun or ended since the last call."""
+        taken, self._labels = self._labels, []
+        return taken
+
+    def parsed(self, link: int) -> ParserCounters:
+        """What the parsers of one link have counted, of streams that ended too."""
+        total = dataclasses.replace(self._ended[link])
+        for (number, _), parser in self._parsers.items():
+            if number == link:
+                total.add(parser.counters)
+        return total
+
+    # One piece of input
+
+    def _process(self, items: Iterable[Frame | Junk], arrival: Arrival) -> list[Send]:
+        pieces: Pieces = []
+        for item in items:
+            if self._tape is not None:
+                self._tape.receive(arrival.now_us, arrival.link, item.raw)
+            if isinstance(item, Frame):
+                self._frame(item, arrival, pieces)
+            else:
+                self._junk(item, arrival, pieces)
+        if self.links[arrival.link].datagrams and len(pieces) > 1:
+            pieces = together(pieces)
+        return self._sends(pieces, arrival.now_us)
+
+    def _frame(self, frame: Frame, arrival: Arrival, pieces: Pieces) -> None:
+        state = self.states[arrival.link]
+        state.frames += 1
+        if not self._admit(frame, arrival):
+            state.loops += 1
+            return
+        t_us = self._time(frame, arrival.now_us)
+        control = self.control
+        if control is not None and frame.id in control.wanted:
+            replies = control.consume(frame, t_us)
+            if replies is not None:
+                for raw in replies:
+                    self._leave(1 << arrival.link, raw, arrival.now_us, pieces)
+                return
+        sealed = frame.signed
+        if sealed and self._signing is not None:
+            frame, sealed = self._signing.receive(frame)
+            state.bad_signatures += sealed
+        mask = self._routes.find(frame, arrival.link)
+        engine = self.engine
+        if engine is None or (engine.wanted is not None and frame.id not in engine.wanted):
+            self._leave(mask, frame.raw, arrival.now_us, pieces)
+            return
+        outgoing = engine.apply(frame, arrival.direction, t_us, sealed=sealed)
+        if len(outgoing) != 1 or outgoing[0].frame is not frame or outgoing[0].due_us > t_us:
+            state.faulted += 1
+        for piece in outgoing:
+            links = 1 << arrival.link if piece.back else mask
+            self._emit(piece, frame, links, arrival.now_us - t_us, arrival.now_us, pieces)
+        self._announce(engine.take_labels(), arrival.now_us, pieces)
+
+    def _junk(self, junk: Junk, arrival: Arrival, pieces: Pieces) -> None:
+        self.states[arrival.link].junk += 1
+        mask = self._routes.everywhere & ~(1 << arrival.link)
+        now_us = arrival.now_us
+        if self.engine is None:
+            self._leave(mask, junk.raw, now_us, pieces)
+            return
+        t_us = self.clock.t_us if self.clock.t0_us is not None else now_us
+        for piece in self.engine.junk(junk.raw, arrival.direction, t_us):
+            self._emit(piece, None, mask, now_us - t_us, now_us, pieces)
+        self._announce(self.engine.take_labels(), now_us, pieces)
+
+    def _admit(self, frame: Frame, arrival: Arrival) -> bool:
+        """Learn the sender and count its gaps; False if the frame came round in a loop."""
+        source = (frame.system, frame.component)
+        on_several = self._routes.learn(*source, arrival.link)
+        if on_several:
+            from_home = self._routes.home[source] == arrival.link
+            if not self._guard.passes(frame.raw, from_home=from_home, now_us=arrival.now_us):
+                return False
+        memory, sender = self.memory, frame.system << 8 | frame.component
+        expected = memory[NEXT_SEQ + sender]
+        if frame.seq != expected and expected != UNKNOWN:
+            missing = (frame.seq - expected) & 0xFF
+            memory[GAPS + sender] += missing
+            self.states[arrival.link].gaps += missing
+        memory[NEXT_SEQ + sender] = (frame.seq + 1) & 0xFF
+        if arrival.direction == "from-vehicle":
+            memory[SPEAKER] = frame.system
+        return True
+
+    def _time(self, frame: Frame, now_us: int) -> int:
+        t_us = self.clock.read(frame, now_us)
+        if self.clock.t0_us is None:
+            self._on_wall_clock = True
+        elif self._on_wall_clock:
+            # The first stamp ever: the schedule, begun on the wall clock, begins on this one anew.
+            self._on_wall_clock = False
+            if self.engine is not None:
+                self.memory[LEAD] = now_us - t_us
+                self.engine.restart(t_us)
+        self.memory[LEAD] = now_us - t_us
+        return t_us
+
+    # What leaves
+
+    def _emit(
+        self,
+        outgoing: "Outgoing",
+        origin: Frame | None,
+        mask: int,
+        lead_us: int,
+        now_us: int,
+        pieces: Pieces,
+    ) -> None:
+        """Send or keep what the engine gave back for `origin`, which may be an earlier frame."""
+        frame = outgoing.frame
+        raw = frame if isinstance(frame, bytes) else frame.raw
+        if origin is not None and frame is not origin and source_of(raw) != source_of(origin.raw):
+            mask = self._links_of_held(frame)
+        if isinstance(frame, Frame) and frame.signed and frame is not origin and self._signing:
+            raw = self._signing.leave(frame).raw
+        due_us = outgoing.due_us + lead_us
+        if due_us <= now_us:
+            self._leave(mask, raw, now_us, pieces)
+        else:
+            heapq.heappush(self._pending, (due_us, next(self._order), mask, raw))
+
+    def _leave(self, mask: int, raw: bytes, now_us: int, pieces: Pieces) -> None:
+        if mask:
+            self._record(raw, now_us)
+            pieces.append((mask, raw))
+
+    def _record(self, raw: bytes, when_us: int) -> None:
+        if self._tape is not None:
+            self._tape.send(when_us, raw)
+        if self.control is not None:
+            self.control.sent(raw, when_us - self.memory[LEAD])
+
+    def _announce(self, labels: "list[Label]", now_us: int, pieces: Pieces) -> None:
+        for label in labels:
+            self._labels.append(label)
+            self._leave(
+                self._listeners, self._announcer.frame(label, self.memory[SPEAKER]), now_us, pieces
+            )
+
+    def _sends(self, pieces: Pieces, when_us: int) -> list[Send]:
+        return [send for mask, data in pieces for send in self._to_links(mask, data, when_us)]
+
+    def _to_links(self, mask: int, data: bytes, when_us: int) -> list[Send]:
+        return [
+            Send(number, data, when_us) for number in range(len(self.links)) if mask >> number & 1
+        ]
+
+    # What the engine holds
+
+    def _engine_due_us(self) -> int:
+        held_us = None if self.engine is None else self.engine.held_until_us
+        return NEVER_US if held_us is None else held_us + self.memory[LEAD]
+
+    def _release_from_engine(self, when_us: int) -> list[Send]:
+        assert self.engine is not None
+        pieces: Pieces = []
+        for outgoing in self.engine.due(when_us - self.memory[LEAD]):
+            mask = self._links_of_held(outgoing.frame)
+            self._emit(outgoing, None, mask, self.memory[LEAD], when_us, pieces)
+        self._announce(self.engine.take_labels(), when_us, pieces)
+        return self._sends(pieces, when_us)
+
+    def _links_of_held(self, frame: Frame | bytes) -> int:
+        """Where a frame goes that came at some earlier time, by its sender's home link."""
+        home = self._routes.home.get(source_of(frame if isinstance(frame, bytes) else frame.raw))
+        if home is None:
+            return self._routes.everywhere
+        if isinstance(frame, Frame):
+            return self._routes.find(frame, home)
+        return self._routes.everywhere & ~(1 << home)

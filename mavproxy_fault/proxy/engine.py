@@ -1,0 +1,369 @@
+"""The engine: a schedule at work on the frames that pass, without sockets, clock or files.
+
+All stamps are microseconds of the vehicle's time. Entries act in the order of the schedule, each
+on what the one before let through. Nothing here looks at a frame that no entry asks for: `wanted`
+says which messages must come by, and an entry costs nothing while it is not active.
+"""
+
+from collections.abc import Iterable
+from typing import Any
+
+import msgspec
+
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.faults.fault import Outgoing
+from mavproxy_fault.faults.target import near
+from mavproxy_fault.proxy.active_entry import NEVER_US, Running, after_s
+from mavproxy_fault.schedule.entries import Entry, Schedule, parse_entry
+from mavproxy_fault.schedule.saving import as_yaml
+from mavproxy_fault.schedule.triggers import Telemetry
+from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.label import Label
+
+
+class Engine:
+    """Applies a schedule; `revision` changes whenever `wanted` may have."""
+
+    def __init__(self, schedule: Schedule, seed: int | None = None) -> None:
+        self.seed = schedule.seed if seed is None else seed
+        self.revision = 0
+        self.turns = 0  # how often it has changed who acts on what
+        self.t0_us: int | None = None
+        self.now_us = 0
+        self.wanted: frozenset[int] | None = frozenset()
+        self._schedule = schedule
+        self._all: list[Running] = []
+        self._by_id: dict[int, tuple[Running, ...]] = {}
+        self._any: tuple[Running, ...] = ()
+        self._holders: tuple[Running, ...] = ()
+        self._watched: dict[int, tuple[Running, ...]] = {}
+        self._telemetry = Telemetry()
+        self._edge_us = 0
+        self._labels: list[Label] = []
+        self._kept: list[Outgoing] = []  # let go by a fault that ended
+        self._edited()
+
+    # -- time ------------------------------------------------------------------------------------
+
+    def start_at(self, t0_us: int) -> None:
+        """Let `at_s` count from this stamp, as the first frame does, unless it counts already."""
+        if self.t0_us is None:
+            self.restart(t0_us)
+
+    def restart(self, t0_us: int) -> None:
+        """End what acts and let the schedule begin at this stamp."""
+        for running in [r for r in self._all if r.active]:
+            self._end(running, self.now_us)
+        entries = list(self._entries())
+        self.t0_us = self.now_us = t0_us
+        self._all = [self._run(entry, t0_us) for entry in entries]
+        self._edited()
+        self._advance(t0_us)
+
+    def _run(self, entry: Entry, base_us: int) -> Running:
+        assert self.t0_us is not None
+        return Running(entry, self.seed, base_us, self.t0_us)
+
+    def tell_time(self, t_us: int) -> None:
+        """Let edits count from this stamp, whatever frame was seen last."""
+        if self.t0_us is not None:
+            self.now_us = max(self.now_us, t_us)
+
+    @property
+    def held_until_us(self) -> int | None:
+        """When frames kept back must leave, whatever the schedule does then."""
+        if self._kept:
+            return self.now_us
+        due_us = min((running.held_until_us() for running in self._holders), default=NEVER_US)
+        return due_us if due_us < NEVER_US else None
+
+    def due(self, t_us: int) -> list[Outgoing]:
+        """Frames that a fault kept back and that must leave by now."""
+        if self.t0_us is None:
+            return []
+        self.now_us = max(self.now_us, t_us)
+        if t_us >= self._edge_us:
+            self._advance(t_us)
+        sends, self._kept = self._kept, []
+        for running in self._holders:
+            if running.held_until_us() <= t_us:
+                sends += running.release(t_us, overdue=True)
+        return sends
+
+    def _advance(self, t_us: int) -> None:
+        """Start and end what the clock says; several times where one hangs on another."""
+        while True:
+            late = min((r for r in self._all if r.next_us <= t_us), key=_next, default=None)
+            if late is None:
+                break
+            at_us = late.next_us
+            if late.active:
+                self._end(late, at_us)
+            else:
+                late.begin()
+                self._follow(late, "start", at_us)
+        self._index()
+
+    def _end(self, running: Running, t_us: int) -> None:
+        self._kept += running.release(t_us, overdue=False)
+        label = running.close(t_us)
+        if label is not None:
+            self._labels.append(label)
+        running.rest(self.now_us)
+        self._follow(running, "end", t_us)
+
+    def _follow(self, leader: Running, event: str, t_us: int) -> None:
+        """Set the start of entries that wait for another one."""
+        for running in self._all:
+            after = running.entry.after
+            if after is None or running.starts or running.start_us < NEVER_US:
+                continue
+            if after.id == leader.entry.id and after.event == event:
+                running.trigger(max(after_s(t_us, after.delay_s), running.earliest_us))
+
+    def _index(self) -> None:
+        """Who acts on which message now, and when that changes by the clock."""
+        self.turns += 1
+        active = [running for running in self._all if running.active]
+        ids = {number for running in active for number in running.entry.ids or ()}
+        self._any = tuple(r for r in active if r.entry.ids is None)
+        self._holders = tuple(r for r in active if r.holds)
+        self._by_id = {
+            number: tuple(r for r in active if r.entry.ids is None or number in r.entry.ids)
+            for number in ids
+        }
+        self._edge_us = min((running.next_us for running in self._all), default=NEVER_US)
+
+    def _edited(self) -> None:
+        """Note that other messages may be wanted."""
+        self.revision += 1
+        ids: set[int] = set()
+        everything = self.t0_us is None  # whatever comes first sets the time
+        for entry in self._entries():
+            everything |= entry.ids is None
+            ids |= entry.ids or set()
+            if entry.condition is not None:
+                ids |= entry.condition.ids
+        self.wanted = None if everything else frozenset(ids)
+        self._watched = {
+            number: tuple(r for r in self._all if r.condition and number in r.condition.ids)
+            for number in {n for r in self._all if r.condition for n in r.condition.ids}
+        }
+        self._index()
+
+    @property
+    def edge_us(self) -> int:
+        """When the next fault starts or ends by the clock."""
+        return self._edge_us
+
+    def acting(self, number: int) -> tuple[Running, ...] | None:
+        """Who acts on a message now; None if a condition watches it as well."""
+        return None if number in self._watched else self._by_id.get(number, self._any)
+
+    # -- bytes -----------------------------------------------------------------------------------
+
+    def apply(
+        self, frame: Frame, direction: str, t_us: int, *, sealed: bool = False
+    ) -> list[Outgoing]:
+        """What leaves for one frame; untouched it is the same object, due at `t_us`.
+
+        With `sealed` (signed, and the key is not known) value faults let it pass and count it.
+        """
+        if self.t0_us is None:
+            self.start_at(t_us)
+        self.now_us = t_us
+        if frame.id in self._watched:
+            self._watch(frame, t_us)
+        if t_us >= self._edge_us:
+            self._advance(t_us)
+        sends: list[Outgoing] | None = None
+        for running in self._by_id.get(frame.id, self._any):
+            if not running.takes(frame, direction):
+                continue
+            if sealed and not running.takes_sealed:
+                running.sealed += 1
+                continue
+            known = running.first_us
+            if sends is None:
+                sends = running.act(frame, direction, t_us)
+            else:
+                sends = _through(running, sends, direction, t_us)
+            if known is None and running.first_us is not None:
+                self._labels.append(running.opened(t_us))
+            elif running.untold and (news := running.news(t_us)) is not None:
+                self._labels.append(news)
+        if sends is None:
+            sends = [Outgoing(t_us, frame)]
+        if self._kept:
+            sends, self._kept = self._kept + sends, []
+        return sends
+
+    def _watch(self, frame: Frame, t_us: int) -> None:
+        """Let conditions see a frame, as it came, before any fault has touched it."""
+        self._telemetry.note(frame)
+        begun = [running.watch(t_us, self._telemetry) for running in self._watched[frame.id]]
+        if any(begun):
+            self._edge_us = t_us
+
+    def junk(self, data: bytes, direction: str, t_us: int) -> list[Outgoing]:
+        """What leaves for bytes that are no frame: faults of the whole link act on them too."""
+        sends = [Outgoing(t_us, data)]
+        if self.t0_us is None:
+            return sends
+        if t_us >= self._edge_us:
+            self._advance(t_us)
+        for running in self._any:
+            if running.takes_junk(direction):
+                sends = _through(running, sends, direction, t_us)
+        return sends
+
+    def take_labels(self) -> list[Label]:
+        """The labels written since the last call."""
+        labels, self._labels = self._labels, []
+        return labels
+
+    def finish(self, t_us: int) -> list[Label]:
+        """End everything; all labels that are left. Call `due` afterwards for frames kept back."""
+        if self.t0_us is not None:
+            self._advance(t_us)
+        for running in [r for r in self._all if r.active]:
+            self._end(running, t_us)
+            running.start_us = running.end_us = NEVER_US
+        self._index()
+        return self.take_labels()
+
+    # -- live edits ------------------------------------------------------------------------------
+
+    def arm(self, entry: Entry | dict[str, Any]) -> list[str]:
+        """Add a fault, or replace the one of the same id; its `at_s` counts from now.
+
+        Returns
+        -------
+        list of str
+            The ids, several where a preset has several parts.
+
+        Raises
+        ------
+        ConfigError
+            If a mapping is no right entry.
+        """
+        entries = [entry] if isinstance(entry, Entry) else parse_entry(entry, "arm")
+        if self.t0_us is None:
+            ids = {one.id for one in entries}
+            kept = [one for one in self._schedule.faults if one.id not in ids]
+            self._schedule = Schedule(self.seed, (*kept, *entries))
+        else:
+            for one in entries:
+                self._stop(one.id)
+                self._all.append(self._run(one, self.now_us))
+            self._advance(self.now_us)
+        self._edited()
+        return [one.id for one in entries]
+
+    def clear(self, id: str) -> bool:
+        """End and forget a fault (with its parts), or `all`; whether there was one."""
+        ids = [one.id for one in self._entries() if _of(one.id, id)]
+        for one in ids:
+            self._stop(one)
+        kept = tuple(one for one in self._schedule.faults if one.id not in ids)
+        self._schedule = msgspec.structs.replace(self._schedule, faults=kept)
+        self._edited()
+        return bool(ids)
+
+    def _stop(self, id: str) -> None:
+        for running in [r for r in self._all if r.entry.id == id]:
+            if running.active:
+                self._end(running, self.now_us)
+            self._all.remove(running)
+
+    def update(self, id: str, value: float, sent_us: int | None = None) -> None:
+        """Give a fault another value; a fault with a live profile takes it as its newest.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such fault, or it has no value.
+        """
+        chosen = [running for running in self._all if running.entry.id == id]
+        if not chosen:
+            raise ConfigError(f"update: {id} is no fault; {near(id, self.ids())}")
+        chosen[0].feed(value, self.now_us, sent_us)
+        self._edited()
+
+    def replace(self, schedule: Schedule) -> None:
+        """Take another schedule; entries that stand in both as they were go on undisturbed."""
+        self._schedule = schedule
+        if self.t0_us is not None:
+            fresh = {entry.id: entry for entry in schedule.faults}
+            for running in list(self._all):
+                if running.entry != fresh.get(running.entry.id):
+                    self._stop(running.entry.id)
+            going = {running.entry.id: running for running in self._all}
+            self._all = [
+                going.get(entry.id) or self._run(entry, self.t0_us) for entry in schedule.faults
+            ]
+            self._advance(self.now_us)
+        self._edited()
+
+    # -- what there is ---------------------------------------------------------------------------
+
+    def _entries(self) -> Iterable[Entry]:
+        if self.t0_us is None:
+            return self._schedule.faults
+        return [running.entry for running in self._all]
+
+    def ids(self) -> list[str]:
+        """The ids of all faults, waiting, active or done."""
+        return [entry.id for entry in self._entries()]
+
+    @property
+    def active(self) -> list[str]:
+        """The ids of the faults that act now."""
+        return [running.entry.id for running in self._all if running.active]
+
+    def state(self) -> dict[str, Any]:
+        """What a page or a bus shows: every fault, whether it is active, and what it did."""
+        return {
+            "t0_us": self.t0_us,
+            "now_us": self.now_us,
+            "seed": self.seed,
+            "revision": self.revision,
+            "faults": [running.state() for running in self._all]
+            if self.t0_us is not None
+            else [{"id": one.id, "fault": one.name, "state": "waiting"} for one in self._entries()],
+        }
+
+    def save(self) -> str:
+        """The schedule as it stands, live edits included, as YAML that `read_schedule` takes."""
+        first_us = self.t0_us
+        if first_us is None:
+            return as_yaml(self.seed, [(entry, 0.0) for entry in self._schedule.faults])
+        late = [(one.entry, (one.base_us - first_us) * 1e-6) for one in self._all]
+        return as_yaml(self.seed, late)
+
+
+def _next(running: Running) -> int:
+    return running.next_us
+
+
+def _of(id: str, chosen: str) -> bool:
+    """Whether an id is the one chosen, or a part of it."""
+    head, _, part = id.rpartition(".")
+    return chosen == "all" or id == chosen or (head == chosen and part.isdigit())
+
+
+def _through(running: Running, sends: list[Outgoing], direction: str, t_us: int) -> list[Outgoing]:
+    """What a further entry makes of what the ones before let through; delays add up."""
+    found: list[Outgoing] = []
+    for out in sends:
+        frame = out.frame
+        if out.back or (isinstance(frame, bytes) and not running.takes_bytes):
+            found.append(out)
+            continue
+        for further in running.act(frame, direction, t_us):
+            if further.frame is frame and further.due_us == t_us:
+                found.append(out)
+                continue
+            due_us = further.due_us + out.due_us - t_us
+            found.append(msgspec.structs.replace(further, due_us=due_us))
+    return found

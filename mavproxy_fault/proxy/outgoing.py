@@ -1,0 +1,36 @@
+"""Pieces: what leaves the core at one time, and who sent it."""
+
+import itertools
+
+from mavproxy_fault.proxy.announcements import COMPONENT
+from mavproxy_fault.wire.frame import STX_V1, STX_V2
+
+LARGEST_DATAGRAM = 65_507  # bytes of payload of an IPv4 datagram
+Pieces = list[tuple[int, bytes]]  # what leaves now: the links as a bit mask, and the bytes
+
+
+def source_of(raw: bytes) -> tuple[int, int]:
+    """System and component by the header, (0, 0) where there is none."""
+    if len(raw) > 6 and raw[0] == STX_V2:
+        return raw[5], raw[6]
+    if len(raw) > 4 and raw[0] == STX_V1:
+        return raw[3], raw[4]
+    return 0, 0
+
+
+def together(pieces: Pieces) -> Pieces:
+    """Neighbours for the same links as one datagram, but for the proxy's own announcements."""
+    joined: Pieces = []
+
+    def kind(piece: tuple[int, bytes]) -> tuple[int, bool]:
+        return piece[0], source_of(piece[1])[1] == COMPONENT
+
+    for (mask, _), group in itertools.groupby(pieces, key=kind):
+        data = b""
+        for _, raw in group:
+            if len(data) + len(raw) > LARGEST_DATAGRAM:
+                joined.append((mask, data))
+                data = b""
+            data += raw
+        joined.append((mask, data))
+    return joined

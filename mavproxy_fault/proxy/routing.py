@@ -1,0 +1,98 @@
+"""Where a frame goes: MAVLink's target rules between any number of links, and a guard on loops.
+
+A frame for everybody goes to all other links. A frame for one component goes where that component
+was heard, else where its system was heard, else to all others: nothing is lost because its
+addressee has not spoken yet [1]_. Sets of links are bit masks.
+
+References
+----------
+.. [1] MAVLink developer guide, "Routing".
+"""
+
+from array import array
+from functools import cache
+
+from mavproxy_fault.proxy.senders import LINKS, SYSTEM_LINKS, new_memory
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame
+
+WINDOW_US = 1_000_000
+MOST_REMEMBERED = 4096
+
+
+@cache
+def target_places(name: str) -> tuple[int, int]:
+    """Offsets of a message's target system and component; -1 without one."""
+    fields = known(name).fields
+    system, component = fields.get("target_system"), fields.get("target_component")
+    return (system.offset if system else -1), (component.offset if component else -1)
+
+
+def target(frame: Frame) -> tuple[int, int]:
+    """System and component a frame is for; 0 stands for all."""
+    system_at, component_at = target_places(frame.layout.name)
+    if system_at < 0:
+        return 0, 0
+    start, length = frame.payload_at, frame.length
+    system = frame.raw[start + system_at] if system_at < length else 0
+    component = frame.raw[start + component_at] if 0 <= component_at < length else 0
+    return system, component
+
+
+class Routes:
+    """Who was heard on which links, kept in the memory that the compiled path shares."""
+
+    def __init__(self, link_count: int, memory: "array[int] | None" = None) -> None:
+        self.everywhere = (1 << link_count) - 1
+        self.home: dict[tuple[int, int], int] = {}  # the link each component was first heard on
+        self._memory = new_memory() if memory is None else memory
+
+    def learn(self, system: int, component: int, link: int) -> bool:
+        """Note a sender; True if it has been heard on other links too."""
+        bit = 1 << link
+        sender = system << 8 | component
+        seen = self._memory[LINKS + sender]
+        if not seen & bit:
+            self.home.setdefault((system, component), link)
+            seen |= bit
+            self._memory[LINKS + sender] = seen
+            self._memory[SYSTEM_LINKS + system] |= bit
+        return seen != bit
+
+    def find(self, frame: Frame, link: int) -> int:
+        """The links a frame from `link` goes to."""
+        others = self.everywhere & ~(1 << link)
+        system, component = target(frame)
+        if system == 0:
+            return others
+        exact = self._memory[LINKS + (system << 8 | component)]
+        if exact:
+            return exact & others
+        return self._memory[SYSTEM_LINKS + system] & others or others
+
+
+class LoopGuard:
+    """Stops bytes that come round again and again, and nothing else.
+
+    Asked only about senders heard on several links, without whom there is no loop. Bytes may come
+    back as often as they came from the sender's home link (an echo does that), and once more for
+    senders that moved; a loop brings them more often.
+    """
+
+    def __init__(self) -> None:
+        self._recent: dict[bytes, list[int]] = {}
+        self._older: dict[bytes, list[int]] = {}
+        self._since_us = 0
+
+    def passes(self, raw: bytes, *, from_home: bool, now_us: int) -> bool:
+        """Whether to forward these bytes."""
+        if now_us - self._since_us > WINDOW_US or len(self._recent) >= MOST_REMEMBERED:
+            self._older, self._recent, self._since_us = self._recent, {}, now_us
+        counts = self._recent.get(raw)
+        if counts is None:
+            counts = self._recent[raw] = self._older.pop(raw, [0, 0])
+        if from_home:
+            counts[0] += 1
+            return True
+        counts[1] += 1
+        return counts[1] <= 1 + counts[0]

@@ -1,0 +1,197 @@
+"""RTCM messages out of TUNNEL payloads by the thousand: what `rtcm.Reassembler` does, compiled.
+
+Importing this imports numba.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.numerics.compile import compiled, constant
+from mavproxy_fault.rtcm.transport import (
+    CRC24Q_TABLE,
+    FRAGMENT_BYTES,
+    FRAGMENTS_MAX,
+    HEADER,
+    MESSAGE_MAX,
+    PENDING_MAX,
+    PREAMBLE,
+    TRAILER,
+)
+
+Integers = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
+
+SENDERS_MAX = 16  # further ones share their places: what is mixed has no right CRC
+PLACES = PENDING_MAX + 1  # for incomplete messages: one is let go when all are taken
+AGE, SEQUENCE, LENGTHS = 0, 1, 2  # columns of an incomplete message; an age of 0: the place is free
+SHORTEST = HEADER + TRAILER
+ZERO = constant(0)
+_CRC_TABLE = np.array(CRC24Q_TABLE)
+
+
+class Messages(NamedTuple):
+    """Whole RTCM messages with right CRC: message i is `data[ends[i - 1] : ends[i]]`.
+
+    `row` (k,) is the payload that completed each.
+    """
+
+    data: Bytes
+    ends: Integers
+    row: Integers
+
+    @property
+    def number(self) -> Integers:
+        """The RTCM number of each (k,); 0 if its body is too short for one."""
+        begins = np.concatenate([np.zeros(1, np.int64), self.ends])[:-1]
+        high, low = self.data[begins + HEADER].astype(np.int64), self.data[begins + HEADER + 1]
+        return np.where(self.ends - begins >= HEADER + 2 + TRAILER, high << 4 | low >> 4, 0)
+
+    def bytes(self, number: int) -> bytes:
+        """One of them."""
+        begin = int(self.ends[number - 1]) if number else 0
+        return self.data[begin : int(self.ends[number])].tobytes()
+
+
+class Assembler:
+    """Puts fragments of any number of senders together; holds what is not complete yet."""
+
+    def __init__(self) -> None:
+        self._places: dict[int, int] = {}
+        self._pending = np.zeros((SENDERS_MAX, PLACES, LENGTHS + FRAGMENTS_MAX), np.int64)
+        self._kept = np.zeros((SENDERS_MAX, PLACES, FRAGMENTS_MAX, FRAGMENT_BYTES), np.uint8)
+
+    def add(self, sender: Integers, payload: Bytes, length: Integers) -> Messages:
+        """The messages that payloads (m, 128), of which `length` (m,) counts, complete.
+
+        `sender` (m,) is a number of the sender of each.
+        """
+        known = self._places
+        place = [known.setdefault(n, len(known) % SENDERS_MAX) for n in sender.tolist()]
+        room = payload.size + self._kept.size
+        data, found = np.empty(room, np.uint8), np.empty((room // SHORTEST + 1, 2), np.int64)
+        count = _assembled(
+            payload, length, np.array(place, np.int64), self._pending, self._kept,
+            data, found, _CRC_TABLE,
+        )  # fmt: skip
+        ends, row = found[:count].T.copy()
+        return Messages(data[: ends[-1] if count else 0], ends, row)
+
+
+@compiled
+def _assembled(
+    payload: Bytes,
+    length: Integers,
+    place: Integers,
+    pending: Integers,
+    kept: Bytes,
+    data: Bytes,
+    found: Integers,
+    table: Integers,
+) -> int:
+    """Fill `data`, and end and row of each message in `found`; how many there are."""
+    count = ZERO
+    whole = np.empty(MESSAGE_MAX, np.uint8)
+    for row in range(len(length)):
+        if length[row] < 1 or length[row] > payload.shape[1]:
+            continue
+        flags, mine, parts = payload[row, 0], pending[place[row]], kept[place[row]]
+        at = _place(mine, flags >> 3, flags & 1)
+        size = length[row] - 1
+        if flags & 1:
+            mine[at, LENGTHS + (flags >> 1 & 3)] = size
+            for i in range(size):
+                parts[at, flags >> 1 & 3, i] = payload[row, 1 + i]
+            size = _joined(mine[at], parts[at], whole)
+            if size < 0:
+                _let_go(mine)
+                continue
+        else:
+            for i in range(size):
+                whole[i] = payload[row, 1 + i]
+        if at >= 0:
+            mine[at, AGE] = 0
+        count = _split(whole, size, row, data, found, count, table)
+    return count
+
+
+@compiled
+def _place(mine: Integers, sequence: int, begin: int) -> int:
+    """Where the fragments of a sequence number are; if there are none a free place, made ready,
+    or -1 if none is to `begin`."""
+    free, newest = -1, 0
+    for at in range(PLACES):
+        newest = max(newest, mine[at, AGE])
+        if mine[at, AGE] == 0:
+            free = at
+        elif mine[at, SEQUENCE] == sequence:
+            return at
+    if not begin:
+        return -1
+    mine[free, AGE], mine[free, SEQUENCE] = newest + 1, sequence
+    for number in range(FRAGMENTS_MAX):
+        mine[free, LENGTHS + number] = -1
+    return free
+
+
+@compiled
+def _joined(lengths: Integers, parts: Bytes, whole: Bytes) -> int:
+    """Put fragments up to the first that is not full in `whole`; their length, -1 if one lacks."""
+    size = 0
+    for number in range(FRAGMENTS_MAX):
+        length = lengths[LENGTHS + number]
+        if length < 0:
+            return -1
+        for i in range(length):
+            whole[size + i] = parts[number, i]
+        size += length
+        if length < FRAGMENT_BYTES:
+            break
+    return size
+
+
+@compiled
+def _let_go(mine: Integers) -> None:
+    """Free the place of the oldest message if all are taken."""
+    oldest = 0
+    for at in range(PLACES):
+        if mine[at, AGE] < mine[oldest, AGE]:
+            oldest = at
+    mine[oldest, AGE] = 0
+
+
+@compiled
+def _split(
+    whole: Bytes,
+    size: int,
+    row: int,
+    data: Bytes,
+    found: Integers,
+    count: int,
+    table: Integers,
+) -> int:
+    """Add the messages with right CRC in `whole`; how many there are then."""
+    at = ZERO
+    while at <= size - SHORTEST:
+        body = (whole[at + 1] & 3) << 8 | whole[at + 2]
+        end = at + SHORTEST + body
+        if whole[at] != PREAMBLE or end > size or _crc(whole, at, end, table):
+            at += 1
+            continue
+        begin = found[count - 1, 0] if count else 0
+        for i in range(end - at):
+            data[begin + i] = whole[at + i]
+        found[count, 0], found[count, 1] = begin + end - at, row
+        count += 1
+        at = end
+    return count
+
+
+@compiled
+def _crc(data: Bytes, begin: int, end: int, table: Integers) -> int:
+    """CRC-24Q of some bytes; 0 of a message with its own CRC at the end."""
+    crc = 0
+    for i in range(begin, end):
+        crc = (crc << 8 & 0xFFFFFF) ^ table[crc >> 16 ^ data[i]]
+    return crc

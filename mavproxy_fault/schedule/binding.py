@@ -1,0 +1,90 @@
+"""How a fault and what it acts on become one: fields, whole messages, satellites or the plant."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from mavproxy_fault.faults import target as targets
+from mavproxy_fault.faults.fault import Fault
+from mavproxy_fault.faults.plant_fault import InReceiver, receiver_names
+from mavproxy_fault.faults.registry import ALIASES, ON_RANGES
+from mavproxy_fault.faults.satellite import Satellites
+from mavproxy_fault.wire.dialect import known
+
+GIVEN = ("elements", "names")  # fields of a fault that come from its target
+
+# What carries messages to the simulator along: whatever it sends regularly.
+RIDDEN = frozenset(known(name).id for name in ("HIL_SENSOR", "HIL_STATE_QUATERNION", "HIL_GPS"))
+TUNNEL = frozenset({known("TUNNEL").id})
+
+Ids = frozenset[int] | None
+
+
+class Aim(NamedTuple):
+    """A target understood: what the fault is given, the messages it must see, the satellites."""
+
+    given: dict[str, Any]
+    ids: Ids
+    satellites: tuple[str, ...] = ()
+
+
+def aim(name: str, kind: type[Any], names: Sequence[str]) -> Aim:
+    """What the target of a fault means.
+
+    Raises
+    ------
+    ValueError
+        If it fits the fault or the dialect in no way; the text starts with the target.
+    """
+    on_ranges = [one for one in names if one.startswith(targets.RANGES + ".")]
+    if on_ranges:
+        if ALIASES.get(name, name) not in ON_RANGES:
+            raise ValueError(
+                f"{on_ranges[0]} is no target for {name}; satellites take {', '.join(ON_RANGES)}"
+            )
+        return Aim({}, TUNNEL, targets.named(names, targets.RANGES))
+    if kind.acts_on == "plant":
+        if not names:
+            raise ValueError("is missing; give PLANT.<parameter>, for example PLANT.mass_kg_add")
+        return Aim({"names": targets.named(names, targets.PLANT)}, RIDDEN)
+    if kind.acts_on == "fields":
+        if not names:
+            raise ValueError("is missing; give MESSAGE.field, for example HIL_SENSOR.xgyro")
+        elements = targets.fields(names)
+        return Aim({"elements": elements}, frozenset(elements))
+    ids = targets.messages(names) or targets.messages(getattr(kind, "messages", ()))
+    return Aim({}, ids or None)
+
+
+def wrong_targets(name: str, kind: type[Any], names: Sequence[str]) -> list[str]:
+    """What is wrong with each of the targets; empty if they are right."""
+    found: list[str] = []
+    for part in [[one] for one in names] or [[]]:
+        try:
+            aim(name, kind, part)
+        except ValueError as error:
+            found.append(str(error))
+    if not found:
+        try:
+            aim(name, kind, names)
+        except ValueError as error:  # right one by one, but not together
+            found.append(str(error))
+    return found
+
+
+def bind(kind: type[Any], parameters: dict[str, Any], at: Aim, via: str) -> tuple[Fault, Ids]:
+    """The fault with its parameters and target, and the messages it must see.
+
+    Raises
+    ------
+    ValueError
+        If the parameters do not fit each other or the target.
+    """
+    fault: Any = kind(**parameters, **at.given)
+    if not at.satellites:
+        if via == "simulator" and kind.acts_on != "plant":
+            raise ValueError("via: simulator is for PSEUDORANGE and PLANT targets only")
+        return fault, at.ids
+    if via == "simulator":
+        names = receiver_names(at.satellites, fault)
+        return InReceiver(names=names, fault=fault), RIDDEN
+    return Satellites(fault=fault, names=at.satellites), at.ids

@@ -1,0 +1,181 @@
+"""`mavproxy-fault faults`: what there is, whether a schedule is right, and how it looks."""
+
+import argparse
+import inspect
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import yaml
+
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.faults.examples import EXAMPLES
+from mavproxy_fault.faults.registry import ALIASES, ON_RANGES, fault_class, known_faults
+from mavproxy_fault.faults.target import near
+from mavproxy_fault.schedule.binding import GIVEN
+from mavproxy_fault.schedule.entries import Entry, Keys, parse_schedule, read_schedule
+from mavproxy_fault.schedule.presets import preset_names, read_preset
+
+TARGETS = {
+    "fields": "MESSAGE.field, MESSAGE.field[3] or a list of them",
+    "frames": "MESSAGE or a list of them (all messages if not given)",
+    "satellites": "PSEUDORANGE.G12 or a list of them",
+    "plant": "PLANT.parameter or a list of them",
+}
+
+
+def main(args: argparse.Namespace) -> int:
+    """Carry out one of the actions."""
+    if args.action == "list":
+        print(listing())
+    elif args.action == "show":
+        print(description(args.name))
+    elif args.action == "check":
+        schedule = read_schedule(args.file)
+        print(f"{args.file}: {len(schedule.faults)} faults, all right")
+        for entry in schedule.faults:
+            print(f"  {entry.id}: {said(entry)}")
+    elif args.action == "plot":
+        _plot(args)
+    else:
+        print(json.dumps(schema(), indent=2))
+    return 0
+
+
+def listing() -> str:
+    """Every fault and preset, a line each."""
+    aliases = {name: alias for alias, name in ALIASES.items()}
+    rows = [("faults", "")]
+    for name, kind in known_faults().items():
+        also = f" (also {aliases[name]})" if name in aliases else ""
+        rows.append((f"  {name}", first_line(kind) + also))
+    rows.append(("presets", ""))
+    rows += [(f"  {name}", str(read_preset(name)["about"])) for name in preset_names()]
+    return "\n".join(f"{left:28}{right}".rstrip() for left, right in rows)
+
+
+def first_line(kind: type[Any]) -> str:
+    """The first sentence of a fault's docstring."""
+    return inspect.getdoc(kind).split("\n")[0].rstrip(".")  # type: ignore[union-attr]
+
+
+def description(name: str) -> str:
+    """What a fault takes, or what a preset is made of.
+
+    Raises
+    ------
+    ConfigError
+        If there is neither of that name.
+    """
+    if name in preset_names():
+        preset = read_preset(name)
+        parts = yaml.safe_dump(preset["faults"], sort_keys=False, default_flow_style=None)
+        use = f"use: - {{preset: {name}, at_s: 20}}"
+        return f"{name}: {preset['about']}\n\nas faults:\n{parts}\n{use}"
+    kind = fault_class(name)
+    if kind is None:
+        known = near(name, [*known_faults(), *ALIASES, *preset_names()])
+        raise ConfigError(f"faults show: {name} is neither fault nor preset; {known}")
+    lines = [f"{name}: {inspect.getdoc(kind)}", "", f"target: {TARGETS[kind.acts_on]}"]
+    if ALIASES.get(name, name) in ON_RANGES:
+        lines.append(f"   or   {TARGETS['satellites']}")
+    for field in msgspec.structs.fields(kind):
+        if field.name not in GIVEN:
+            lines.append(f"{field.name}: {spelled_type(field.type)}{_default(field)}")
+    example = EXAMPLES.get(ALIASES.get(name, name))
+    if example is not None:
+        entry = {"fault": name, "at_s": 20, **example}
+        text = yaml.safe_dump(entry, sort_keys=False, default_flow_style=True, width=1000)
+        lines += ["", f"use: - {text.rstrip()}"]
+    return "\n".join(lines)
+
+
+def spelled_type(kind: Any) -> str:
+    """A type as a reader of YAML understands it."""
+    described = msgspec.json.schema(kind)
+    choices = described.get("anyOf", [described])
+    words = []
+    for choice in choices:
+        if "$ref" in choice:
+            words.append(choice["$ref"].rsplit("/", 1)[1].lower())
+        elif "enum" in choice:
+            words.append(" | ".join(str(one) for one in choice["enum"]))
+        elif "type" in choice:
+            words.append({"array": "list", "null": "nothing"}.get(choice["type"], choice["type"]))
+    return " or ".join(words)
+
+
+def _default(field: msgspec.structs.FieldInfo) -> str:
+    if field.required:
+        return " (required)"
+    return "" if field.default is None else f" (default {field.default})"
+
+
+def said(entry: Entry) -> str:
+    """One entry in words."""
+    words = [entry.preset or entry.name, ", ".join(entry.targets) or "everything"]
+    if entry.when:
+        words.append(f"when {entry.when}")
+    elif entry.after:
+        words.append(f"after the {entry.after.event} of {entry.after.id}")
+    else:
+        words.append(f"from {entry.at_s:g} s")
+    words.append("for good" if entry.for_s is None else f"for {entry.for_s:g} s")
+    return ", ".join(words)
+
+
+def _plot(args: argparse.Namespace) -> None:
+    from mavproxy_fault.schedule.preview import draw
+
+    name = args.file
+    if name in preset_names() and not Path(name).exists():
+        schedule = parse_schedule({"faults": [{"preset": name}]})
+    else:
+        schedule = read_schedule(name)
+    out = Path(args.out or Path(name).with_suffix(".png").name)
+    draw(schedule, out)
+    print(out)
+
+
+def schema() -> dict[str, Any]:
+    """The JSON Schema of a schedule, for editors."""
+    faults = known_faults()
+    kinds = [Keys, *faults.values()]
+    found, components = msgspec.json.schema_components(kinds, ref_template="#/$defs/{name}")
+    keys = components[found[0]["$ref"].rsplit("/", 1)[1]]["properties"]
+    given = set(GIVEN)
+    choices = []
+    for name, ref in zip(faults, found[1:], strict=True):
+        own = components[ref["$ref"].rsplit("/", 1)[1]]
+        properties = {k: v for k, v in own["properties"].items() if k not in given}
+        required = [key for key in own.get("required", []) if key not in given]
+        names = [name, *(alias for alias, of in ALIASES.items() if of == name)]
+        choices.append(
+            {
+                "description": inspect.getdoc(faults[name]),
+                "properties": {**keys, **properties, "fault": {"enum": names}},
+                "required": ["fault", *required],
+                "additionalProperties": False,
+            }
+        )
+    preset = {
+        "properties": {**keys, "preset": {"enum": list(preset_names())}},
+        "required": ["preset"],
+    }
+    used = {name: part for name, part in components.items() if name not in _names(found)}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "A schedule of mavproxy-fault",
+        "type": "object",
+        "properties": {
+            "seed": {"type": "integer", "minimum": 0},
+            "faults": {"type": "array", "items": {"anyOf": [*choices, preset]}},
+        },
+        "additionalProperties": False,
+        "$defs": used,
+    }
+
+
+def _names(refs: tuple[dict[str, Any], ...]) -> set[str]:
+    return {ref["$ref"].rsplit("/", 1)[1] for ref in refs}

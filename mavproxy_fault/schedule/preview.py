@@ -1,0 +1,239 @@
+"""Pictures of faults: what an engine makes of made-up healthy data, drawn with matplotlib."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.faults.fault import Outgoing
+from mavproxy_fault.faults.satellite import Satellites
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.rtcm.msm7 import Msm7, decode_msm7, encode_msm7
+from mavproxy_fault.rtcm.transport import Reassembler, tunnel_frames, tunnel_payload
+from mavproxy_fault.schedule.entries import Entry, Schedule
+from mavproxy_fault.wire.dialect import known, layout
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.plant_messages import plant_change
+
+RATE_HZ = 50
+BEFORE_S = 2.0
+LONGEST_S = 60.0
+OPEN_S = 8.0  # drawn of a fault without an end
+COLUMNS = 5
+RANGE_M = 2.2e7
+LARGE = 1e5  # above it, a curve shows the change alone
+
+# Plausible healthy values: (mean, amplitude, Hz) in the field's own units.
+HEALTHY: dict[str, tuple[float, float, float]] = {
+    "xgyro": (0, 0.3, 0.6), "ygyro": (0, 0.2, 0.5), "zgyro": (0, 0.1, 0.3),
+    "xacc": (0, 1, 0.6), "yacc": (0, 1, 0.5), "zacc": (-9.81, 1, 0.4),
+    "xmag": (0.21, 0.02, 0.2), "ymag": (0.02, 0.02, 0.2), "zmag": (0.42, 0.01, 0.2),
+    "abs_pressure": (955, 0.5, 0.1), "pressure_alt": (500, 4, 0.1), "diff_pressure": (2, 0.3, 0.4),
+    "lat": (473977418, 100, 0.1), "lon": (85455939, 100, 0.1), "alt": (488000, 1000, 0.1),
+    "vn": (300, 200, 0.1), "ve": (100, 200, 0.1), "fix_type": (3, 0, 1),
+    "satellites_visible": (11, 0, 1), "eph": (90, 0, 1), "epv": (140, 0, 1),
+    "fields_updated": (0x1FFF, 0, 1), "controls": (0.5, 0.3, 0.7),
+    "current_distance": (800, 50, 0.3), "id": (0, 0, 1),
+    "voltage_battery": (15200, 50, 0.2), "voltages": (15200, 50, 0.2),
+}  # fmt: skip
+
+
+class Curve(NamedTuple):
+    """Something over time in seconds; lost frames stand in `lost`."""
+
+    name: str
+    t_s: list[float]
+    healthy: list[float]
+    faulty: list[float]
+    lost: list[float]
+
+
+def draw(schedule: Schedule, path: Path, columns: int = COLUMNS) -> None:
+    """One picture of every entry of a schedule.
+
+    Raises
+    ------
+    ConfigError
+        If matplotlib is not installed, or there is nothing to draw.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise ConfigError(
+            "faults plot: needs matplotlib, which is not installed; pip install matplotlib"
+        ) from None
+    entries = schedule.faults
+    if not entries:
+        raise ConfigError(f"{path}: the schedule has no faults; there is nothing to draw")
+    columns = min(columns, len(entries))
+    rows = math.ceil(len(entries) / columns)
+    figure = Figure(figsize=(3.4 * columns, 2.2 * rows), layout="constrained")
+    for i, entry in enumerate(entries):
+        _axes(figure.add_subplot(rows, columns, i + 1), entry, schedule.seed)
+    figure.savefig(path, dpi=80)
+
+
+def _axes(axes: Any, entry: Entry, seed: int) -> None:
+    found = curves(entry, seed)
+    axes.set_title(entry.id, fontsize=9)
+    axes.tick_params(labelsize=7)
+    for curve in found[:3]:
+        axes.plot(curve.t_s, curve.healthy, color="0.75", linewidth=1)
+        axes.plot(curve.t_s, curve.faulty, linewidth=1, label=curve.name)
+        if curve.lost:
+            axes.plot(curve.lost, [0] * len(curve.lost), "rx", markersize=3, label="lost")
+    axes.legend(fontsize=6, loc="best")
+
+
+def window(entry: Entry) -> tuple[float, float]:
+    """The seconds to draw: from a little before the start to a little after the end."""
+    for_s = OPEN_S if entry.for_s is None else min(entry.for_s, LONGEST_S)
+    if entry.repeat is not None and entry.repeat.every_s is not None:
+        for_s += entry.repeat.every_s * ((entry.repeat.times or 3) - 1)
+    if entry.name in ("gps-spoof", "plant", "cycle") and entry.for_s is None:
+        for_s = LONGEST_S
+    return max(entry.at_s - BEFORE_S, 0.0), entry.at_s + for_s + BEFORE_S
+
+
+def curves(entry: Entry, seed: int) -> list[Curve]:
+    """What one entry does, on its own, from the time it is due; triggers are left out."""
+    at_s = entry.at_s or BEFORE_S
+    alone = msgspec.structs.replace(entry, when=None, condition=None, after=None, at_s=at_s)
+    begin_s, end_s = window(alone)
+    engine = Engine(Schedule(seed, (alone,)))
+    engine.start_at(0)
+    if isinstance(entry.fault, Satellites):
+        return _satellite_curves(engine, entry.fault.names, begin_s, end_s)
+    elements = getattr(entry.fault, "elements", {})
+    if elements:
+        number, places = next(iter(elements.items()))
+        return _field_curves(engine, known(number).name, places, begin_s, end_s)
+    if entry.targets and entry.targets[0].startswith(("PLANT.", "PSEUDORANGE.")):
+        return _plant_curves(engine, begin_s, end_s)
+    if entry.name == "gps-spoof":
+        return _field_curves(engine, "HIL_GPS", (("lat", 0), ("vn", 0)), begin_s, end_s)
+    if entry.name.startswith("time-"):
+        return _field_curves(engine, "HIL_SENSOR", (("time_usec", 0),), begin_s, end_s)
+    return _link_curves(engine, entry, begin_s, end_s)
+
+
+def times(begin_s: float, end_s: float, rate_hz: float = RATE_HZ) -> list[float]:
+    """Stamps at a fixed rate."""
+    return [begin_s + i / rate_hz for i in range(int((end_s - begin_s) * rate_hz))]
+
+
+def sample(name: str, t_s: float) -> Frame:
+    """A healthy frame of a message, with a component that simulators have."""
+    described = known(name)
+    values: dict[str, Any] = {}
+    for field in described.fields.values():
+        mean, size, hertz = HEALTHY.get(field.name, (1, 1, 0.2))
+        value = mean + size * math.sin(2 * math.pi * hertz * t_s)
+        if field.name in ("time_usec", "usec"):
+            value = t_s * 1e6
+        if field.name == "time_boot_ms":
+            value = t_s * 1e3
+        if field.type == "char":
+            continue
+        if field.code not in "fd":
+            value = round(value)
+            value = value if field.code in "bhiq" else max(value, 0)
+            value = min(value, 2 ** (8 * field.size - 1) - 1)
+        values[field.name] = [value] * field.count if field.count else value
+    return Frame(build(described, values, component=51), described)
+
+
+def passed(engine: Engine, frame: Frame, t_s: float) -> list[Outgoing]:
+    """What leaves for one frame."""
+    return engine.apply(frame, "to-vehicle", round(t_s * 1e6))
+
+
+def _field_curves(
+    engine: Engine, name: str, places: Sequence[tuple[str, int]], begin_s: float, end_s: float
+) -> list[Curve]:
+    found = [Curve(f"{name}.{field}", [], [], [], []) for field, _ in places]
+    for t_s in times(begin_s, end_s):
+        healthy = sample(name, t_s)
+        for out in passed(engine, healthy, t_s):
+            if not isinstance(out.frame, Frame) or out.back:
+                continue
+            for curve, (field, index) in zip(found, places, strict=True):
+                curve.t_s.append(t_s)
+                curve.healthy.append(float(healthy.number(field, index)))
+                curve.faulty.append(float(out.frame.number(field, index)))
+    return [_change(curve) if max(curve.healthy, default=0) > LARGE else curve for curve in found]
+
+
+def _change(curve: Curve) -> Curve:
+    """Only what a fault adds: on a large value it could not be seen."""
+    added = [after - before for before, after in zip(curve.healthy, curve.faulty, strict=True)]
+    return curve._replace(name=f"change of {curve.name}", healthy=[0.0] * len(added), faulty=added)
+
+
+def _link_curves(engine: Engine, entry: Entry, begin_s: float, end_s: float) -> list[Curve]:
+    """Delay in milliseconds of each frame, and those that were lost."""
+    described = layout(min(entry.ids)) if entry.ids else None
+    name = described.name if described is not None else "HIL_SENSOR"
+    curve = Curve(f"delay of {name}, ms", [], [], [], [])
+    for t_s in times(begin_s, end_s):
+        outs = passed(engine, sample(name, t_s), t_s)
+        if not outs:
+            curve.lost.append(t_s)
+        for out in outs:
+            curve.t_s.append(t_s)
+            curve.healthy.append(0.0)
+            curve.faulty.append(round(out.due_us / 1e3 - t_s * 1e3, 3))
+    return [curve]
+
+
+def _plant_curves(engine: Engine, begin_s: float, end_s: float) -> list[Curve]:
+    found: dict[str, Curve] = {}
+    for t_s in times(begin_s, end_s):
+        for out in passed(engine, sample("HIL_SENSOR", t_s), t_s):
+            change = plant_change(out.frame) if isinstance(out.frame, Frame) else None
+            if change is None:
+                continue
+            curve = found.setdefault(change.name, Curve(change.name, [], [], [], []))
+            curve.t_s.append(t_s)
+            curve.faulty.append(math.nan if change.value is None else change.value)
+            curve.healthy.append(math.nan)
+    return list(found.values())
+
+
+def _satellite_curves(
+    engine: Engine, names: Sequence[str], begin_s: float, end_s: float
+) -> list[Curve]:
+    """Metres added to each satellite, two epochs a second."""
+    found = {name: Curve(f"{name}, m", [], [], [], []) for name in names}
+    together = Reassembler()
+    for number, t_s in enumerate(times(begin_s, end_s, 2)):
+        for system in sorted({name[0] for name in names}):
+            ours = sorted(name for name in names if name[0] == system)
+            for raw in tunnel_frames(epoch(system, ours, t_s), number):
+                for out in passed(engine, Frame(raw, known("TUNNEL")), t_s):
+                    payload = tunnel_payload(out.frame) if isinstance(out.frame, Frame) else None
+                    for message in together.add(payload or b""):
+                        _note(found, ours, message, t_s)
+    return list(found.values())
+
+
+def epoch(system: str, names: list[str], t_s: float) -> bytes:
+    each = (RANGE_M,) * len(names)
+    nothing = (0.0,) * len(names)
+    return encode_msm7(Msm7(system, t_s, tuple(names), each, each, nothing, nothing, nothing))
+
+
+def _note(found: dict[str, Curve], names: list[str], message: bytes, t_s: float) -> None:
+    data = decode_msm7(message)
+    ranges = dict(zip(data.satellites, data.pseudorange_m, strict=True))
+    for name in names:
+        curve = found[name]
+        if name not in ranges:
+            curve.lost.append(t_s)
+            continue
+        curve.t_s.append(t_s)
+        curve.healthy.append(0.0)
+        curve.faulty.append(ranges[name] - RANGE_M)

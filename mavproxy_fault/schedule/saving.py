@@ -1,0 +1,22 @@
+"""Schedules written back to YAML, as they stand while they run."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import msgspec
+import yaml
+
+from mavproxy_fault.schedule.entries import Entry
+
+
+def as_yaml(seed: int, entries: Iterable[tuple[Entry, float]]) -> str:
+    """What `read_schedule` takes: entries, each with the seconds after which its times count."""
+    written: dict[str, dict[str, Any]] = {}
+    for entry, late_s in entries:
+        whole = entry.id.rpartition(".")[0] if entry.preset else ""  # one part of several
+        data = {"id": whole or entry.id, **entry.written}
+        if late_s:
+            data["at_s"] = round(late_s + entry.at_s, 6)
+        written.setdefault(data["id"], data)
+    faults = msgspec.to_builtins(list(written.values()))
+    return yaml.safe_dump({"seed": seed, "faults": faults}, sort_keys=False)

@@ -1,0 +1,1 @@
+"""The simulator as a process: the `sim` subcommand, its pace, its messages and its pictures."""

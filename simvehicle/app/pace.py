@@ -1,0 +1,46 @@
+"""How fast simulated time passes: real time, N times real time, or as fast as possible."""
+
+import math
+
+from mavproxy_fault.documents.errors import ConfigError
+
+LARGEST_LAG_S = 0.5  # a simulator that fell behind further than this does not hurry after it
+
+
+def parse_speed(text: str) -> float:
+    """Times real time; `max` is infinite.
+
+    Raises
+    ------
+    ConfigError
+        If the text is neither a positive number nor `max`.
+    """
+    if text == "max":
+        return math.inf
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = math.nan
+    if not 0.0 < speed < math.inf:
+        raise ConfigError(f"--speed: {text} is not a speed; a number above 0, or max, is allowed")
+    return speed
+
+
+class Pace:
+    """When the next step is due; wall time comes in as seconds of any steady clock."""
+
+    def __init__(self, speed: float) -> None:
+        self.speed = speed
+        self._start: tuple[float, int] | None = None
+
+    def wait_s(self, t_us: int, now_s: float) -> float:
+        """How long to wait before the step at `t_us`; 0 when it is due."""
+        if math.isinf(self.speed):
+            return 0.0
+        if self._start is None:
+            self._start = (now_s, t_us)
+        wall_s, from_us = self._start
+        ahead_s = (t_us - from_us) * 1e-6 / self.speed - (now_s - wall_s)
+        if ahead_s < -LARGEST_LAG_S:
+            self._start = (now_s, t_us)
+        return max(ahead_s, 0.0)

@@ -1,0 +1,227 @@
+"""`sim`: a scenario flown in real time, faster, or in lockstep with an autopilot.
+
+With `--hil tcpin:` (or `tcp:`) an autopilot flies the vehicle in lockstep; else its own controller
+does, and HIL frames are published to whoever listens. With `--gcs` a ground station commands it;
+a mission of the scenario's own is flown until it does. Without one the scenario ends in time.
+"""
+
+import argparse
+import select
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, closing
+from typing import Any
+
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.link import Link
+from mavproxy_fault.links.spec import open_link, parse_spec
+from simvehicle.app.pace import Pace, parse_speed
+from simvehicle.app.sim_progress import Progress
+from simvehicle.autopilot.autopilot_link import AutopilotLink
+from simvehicle.autopilot.enums import MavType
+from simvehicle.autopilot.flight_goals import Flight
+from simvehicle.autopilot.mission_service import Missions
+from simvehicle.autopilot.parameter_service import Parameters
+from simvehicle.autopilot.telemetry import Home
+from simvehicle.guidance.pilot import Pilot
+from simvehicle.guidance.route import CircleTrack
+from simvehicle.hil.hil_frames import BARO_IDS, IMU_IDS, MAG_IDS, Hil
+from simvehicle.hil.inbox import Inbox
+from simvehicle.hil.lockstep_loop import LockstepLoop, serve_autopilot
+from simvehicle.hil.plant_changes import PlantChanges
+from simvehicle.scenario.scenario_file import Scenario, read_scenario
+from simvehicle.scenario.simulation import Simulation
+from simvehicle.vehicles.actuators import Mix
+
+DATAGRAM = 1400  # bytes that cross an Ethernet in one piece
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the simulator; the exit code."""
+    speed = parse_speed(args.speed)
+    scenario = read_scenario(args.scenario)
+    if args.plot:
+        from simvehicle.app.flight_plot import plot_scenario
+
+        return plot_scenario(scenario, args.seed, args.plot)
+    served = args.hil is not None and parse_spec(args.hil).kind in ("tcpin", "tcp")
+    if served and args.gcs:
+        raise ConfigError(
+            f"--gcs: {args.gcs} is not served beside --hil {args.hil}, whose autopilot answers "
+            "ground stations itself; leave one of them out"
+        )
+    if args.hil:
+        check_sensors(scenario)
+    Simulation(scenario, args.seed).step()  # compiles the kernels before anyone waits for a step
+    simulation = Simulation(scenario, args.seed)
+    progress = Progress(time.monotonic())
+    with ExitStack() as links:
+        hil, gcs = (
+            links.enter_context(closing(open_link(text, plain_udp="udpout"))) if text else None
+            for text in (args.hil, args.gcs)
+        )
+        try:
+            if served and hil is not None:
+                return _lockstep(simulation, hil, speed, progress)
+            loop = FreeLoop(simulation, hil, gcs, speed, progress)
+            loop.run(None if gcs else round(scenario.duration_s * 1e6))
+            return 0
+        except KeyboardInterrupt:
+            progress.say("stopped")
+            return 0
+        finally:
+            progress.end(simulation.truth.t_us, time.monotonic())
+
+
+def check_sensors(scenario: Scenario) -> None:
+    """Refuse more sensors of a kind than PX4 takes from HIL_SENSOR.
+
+    Raises
+    ------
+    ConfigError
+        If a list of sensors is too long, or an id too high.
+    """
+    for kind, most in (("imu", IMU_IDS), ("mag", MAG_IDS), ("baro", BARO_IDS)):
+        fitted = getattr(scenario.sensors, kind) or []
+        every = fitted if isinstance(fitted, list) else [fitted]
+        if len(every) > most:
+            raise ConfigError(
+                f"sensors.{kind}: {len(every)} are too many for a HIL link; at most {most}"
+            )
+        for sensor in every:
+            if sensor.id >= most:
+                raise ConfigError(
+                    f"sensors.{kind}.id = {sensor.id} is not read from a HIL link; 0 to {most - 1}"
+                )
+
+
+def _lockstep(simulation: Simulation, link: Link, speed: float, progress: Progress) -> int:
+    mav_type, mix = airframe(simulation)
+    packer = Hil(mav_type=mav_type)
+    loop = LockstepLoop(simulation, packer, Inbox(link), mix, speed, progress)
+    return serve_autopilot(loop, progress, None)
+
+
+def airframe(simulation: Any) -> tuple[MavType, Mix]:
+    """What the vehicle calls itself, and how PX4's channels drive it."""
+    kind, vehicle = simulation.kind, simulation.vehicle
+    return kind.mav_type(vehicle), kind.mix(vehicle)
+
+
+class FreeLoop:
+    """The vehicle flown by its own controller, published as it goes.
+
+    Parameters
+    ----------
+    simulation : Simulation
+    hil, gcs : Link or None
+        Where HIL frames go; where a ground station is.
+    speed : float
+        Times real time, infinite for as fast as possible.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        hil: Link | None,
+        gcs: Link | None,
+        speed: float,
+        progress: Progress,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.t_us = 0
+        self._simulation = simulation
+        self._hil = Inbox(hil) if hil else None
+        self._changes = PlantChanges(simulation, progress.say)
+        self._packer = Hil(mav_type=airframe(simulation)[0])
+        self._gcs = Inbox(gcs) if gcs else None
+        self._services: AutopilotLink | None = None
+        self._pilot: Pilot | None = None
+        if gcs:
+            self._services, self._pilot = services(simulation)
+        self._pace = Pace(speed)
+        self._progress = progress
+        self._clock = clock
+        self._files = [link.fileno() for link in (hil, gcs) if link is not None]
+
+    def run(self, until_us: int | None) -> None:
+        """Step until `until_us`, or for ever."""
+        while until_us is None or self.t_us < until_us:
+            self.step()
+            now_s = self._clock()
+            self._progress.step(self.t_us, now_s)
+            wait_s = self._pace.wait_s(self.t_us, now_s)
+            if wait_s > 0.0:
+                select.select(self._files, [], [], wait_s)
+
+    def step(self) -> None:
+        """One step of the simulation and of everything on the links."""
+        pilot = self._pilot
+        controls = pilot.controls() if pilot and pilot.flight.flown else None
+        self.t_us, truth, readings = self._simulation.step(controls)
+        if self._hil:
+            for chunk in datagrams(self._packer.frames(self.t_us, truth, readings)):
+                self._hil.link.write(chunk)
+            for frame in self._hil.frames():
+                self._changes.take(frame)
+        if self._gcs and self._services:
+            link = self._gcs.link
+            answers = [
+                raw
+                for frame in self._gcs.frames()
+                for raw in self._services.received(frame, self.t_us)
+            ]
+            answers += self._services.tick(self.t_us, truth, readings, throttle(self._simulation))
+            for raw in answers:
+                link.write(raw)
+
+
+def throttle(simulation: Any) -> float:
+    """The motors' command, 0 to 1."""
+    return float(simulation.kind.throttle(simulation.controls))
+
+
+def services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:
+    """The ground station's view of a simulation, and who flies what it commands."""
+    start, kind = simulation.scenario.start, simulation.kind
+    parameters, missions = Parameters(kind.parameters), Missions()
+    flight = Flight(
+        parameters,
+        missions,
+        Home(start.lat_deg, start.lon_deg, start.alt_m),
+        simulation.home.ned,
+        airborne=start.height_m > 0.0,
+        own_mission=bool(simulation.scenario.mission) or simulation.scenario.controls is not None,
+        acceptance_m=_acceptance_m(simulation, float(parameters["NAV_ACC_RAD"])),
+    )
+    count = kind.motors(simulation.vehicle)
+
+    def fail_motor(number: int, off: bool) -> bool:
+        if not 0 <= number <= count:
+            return False
+        for motor in range(count) if number == 0 else (number - 1,):
+            simulation.plant(f"motor_efficiency[{motor}]", 0.0 if off else None)
+        return True
+
+    link = AutopilotLink(flight, parameters, missions, fail_motor, airframe(simulation)[0])
+    return link, Pilot(simulation, flight)
+
+
+def _acceptance_m(simulation: Simulation, radius_m: float) -> float:
+    """What circles a waypoint is there once on the circle, whatever radius was asked for."""
+    cruise = simulation.vehicle.parameters.cruise_mps
+    wait = simulation.controller.circle(0.0, 0.0, 0.0, cruise)
+    return 1.3 * wait.radius_m if isinstance(wait, CircleTrack) else radius_m
+
+
+def datagrams(frames: list[bytes]) -> list[bytes]:
+    """Frames joined to chunks that fit a datagram."""
+    whole = b"".join(frames)
+    if len(whole) <= DATAGRAM:
+        return [whole]
+    chunks = [b""]
+    for frame in frames:
+        if len(chunks[-1]) + len(frame) > DATAGRAM:
+            chunks.append(b"")
+        chunks[-1] += frame
+    return chunks

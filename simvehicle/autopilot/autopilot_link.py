@@ -1,0 +1,177 @@
+"""What a ground station expects of a vehicle, as a core without I/O.
+
+Frames come in by `received`, time passes by `tick`; both hand back the frames to send. The vehicle
+identifies as PX4 and answers as PX4 does; what it flies is `Flight`, whose goal the simulation's
+own controller follows.
+"""
+
+from collections.abc import Callable, Iterable
+
+from mavproxy_fault.wire.frame import Frame, build
+from simvehicle.autopilot.command_service import Commands
+from simvehicle.autopilot.enums import MavType
+from simvehicle.autopilot.flight_goals import Flight
+from simvehicle.autopilot.mission_service import Missions
+from simvehicle.autopilot.outgoing_message import Message, message
+from simvehicle.autopilot.parameter_service import Parameters
+from simvehicle.autopilot.streams import Streams
+from simvehicle.autopilot.telemetry import Snapshot
+from simvehicle.hil.hil_frames import START_US
+from simvehicle.sensors.readings import BatteryReading, GpsReading, Reading
+from simvehicle.vehicles.body import Truth
+
+PARAMETER_MESSAGES = {"PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"}
+MISSION_MESSAGES = {
+    "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ITEM", "MISSION_REQUEST_LIST",
+    "MISSION_REQUEST_INT", "MISSION_REQUEST", "MISSION_CLEAR_ALL",
+}  # fmt: skip
+FTP_NAK, FTP_FAIL = 129, 1  # opcode and error of the MAVLink FTP protocol
+AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
+
+
+class AutopilotLink:
+    """The services of one vehicle on one link.
+
+    Parameters
+    ----------
+    flight, parameters, missions
+        What the services work on.
+    fail_motor : callable
+        Stops (True) or starts a motor by its number from 1, 0 for all; False if there is none.
+    mav_type : MavType
+        For the heartbeat.
+    system : int
+        The vehicle's system id; it speaks as component 1.
+    start_us : int
+        The vehicle's clock at the simulation's t_us = 0.
+    """
+
+    def __init__(
+        self,
+        flight: Flight,
+        parameters: Parameters,
+        missions: Missions,
+        fail_motor: Callable[[int, bool], bool],
+        mav_type: MavType = MavType.QUADROTOR,
+        system: int = 1,
+        start_us: int = START_US,
+    ) -> None:
+        self._flight = flight
+        self._parameters = parameters
+        self._missions = missions
+        self._streams = Streams()
+        self._commands = Commands(flight, self._streams, parameters, fail_motor)
+        self._mav_type = mav_type
+        self._system = system
+        self._start_us = start_us
+        self._seq = 0
+        self._now: Snapshot | None = None
+        self._gps: GpsReading | None = None
+        self._battery: BatteryReading | None = None
+        self._consumed_mah = 0.0
+
+    def tick(
+        self, t_us: int, truth: Truth, readings: Iterable[Reading], throttle: float
+    ) -> list[bytes]:
+        """The telemetry due at `t_us`, and what the flight has to say; throttle is 0 to 1."""
+        for reading in readings:
+            if isinstance(reading, GpsReading) and reading.id == 0:
+                self._gps = reading
+            elif isinstance(reading, BatteryReading):
+                self._draw(reading)
+        said = self._flight.advance(truth)
+        self._now = Snapshot(
+            stamp_us=t_us + self._start_us,
+            truth=truth,
+            gps=self._gps,
+            battery=self._battery,
+            consumed_mah=self._consumed_mah,
+            home=self._flight.home,
+            mode=self._flight.mode,
+            armed=self._flight.armed,
+            landed=self._flight.landed,
+            mav_type=self._mav_type,
+            throttle=throttle,
+            mission_count=len(self._missions.items),
+            mission_seq=self._flight.seq,
+        )
+        said += self._missions.tick(t_us)
+        return [self._pack(m) for m in said + self._streams.tick(self._now)]
+
+    def received(self, frame: Frame, t_us: int) -> list[bytes]:
+        """The answers to one frame; none before the first `tick`, nor to what is not for us."""
+        if self._now is None or not self._is_for_us(frame):
+            return []
+        return [self._pack(m) for m in self._answer(frame, t_us, self._now)]
+
+    def _answer(self, frame: Frame, t_us: int, now: Snapshot) -> list[Message]:
+        name = frame.layout.name
+        if name in ("COMMAND_LONG", "COMMAND_INT"):
+            return self._commands.received(frame, now)
+        if name in PARAMETER_MESSAGES:
+            return self._parameters.received(frame)
+        if name in MISSION_MESSAGES:
+            return self._missions.received(frame, t_us)
+        if name == "MISSION_SET_CURRENT":
+            self._flight.set_current(int(frame.number("seq")))
+            return [self._streams.make("MISSION_CURRENT", now)]
+        if name == "SET_MODE":
+            self._commands.set_mode(frame)
+        elif name == "REQUEST_DATA_STREAM":
+            self._streams.data_stream(
+                int(frame.number("req_stream_id")),
+                float(frame.number("req_message_rate")),
+                bool(frame.number("start_stop")),
+            )
+        elif name == "TIMESYNC":
+            return timesync(frame, now.stamp_us)
+        elif name == "FILE_TRANSFER_PROTOCOL":
+            return [refuse_ftp(frame)]
+        return []
+
+    def _is_for_us(self, frame: Frame) -> bool:
+        fields = frame.layout.fields
+        system = frame.number("target_system") if "target_system" in fields else 0
+        component = frame.number("target_component") if "target_component" in fields else 0
+        return system in (0, self._system) and component in (0, AUTOPILOT)
+
+    def _draw(self, reading: BatteryReading) -> None:
+        if self._battery is not None:
+            hours = (reading.t_us - self._battery.t_us) / 3.6e9
+            self._consumed_mah += reading.current_a * 1e3 * hours
+        self._battery = reading
+
+    def _pack(self, said: Message) -> bytes:
+        layout, values = said
+        seq = self._seq
+        self._seq = (seq + 1) & 0xFF
+        return build(layout, values, seq=seq, system=self._system, component=AUTOPILOT)
+
+
+def timesync(frame: Frame, stamp_us: int) -> list[Message]:
+    """The vehicle's clock in nanoseconds against a request (tc1 = 0); answers get none."""
+    if frame.number("tc1") != 0:
+        return []
+    return [message("TIMESYNC", tc1=stamp_us * 1000, ts1=frame.number("ts1"))]
+
+
+def refuse_ftp(frame: Frame) -> Message:
+    """A NAK to any file transfer request, so that a client goes on at once without files.
+
+    Payload: sequence (2), session, opcode, size, requested opcode, burst, padding, offset (4),
+    data; the first data byte of a NAK is the error [1]_.
+
+    References
+    ----------
+    .. [1] MAVLink developer guide, "File Transfer Protocol".
+    """
+    asked = [int(frame.number("payload", i)) for i in range(6)]
+    seq = (asked[0] | asked[1] << 8) + 1 & 0xFFFF
+    payload = [seq & 0xFF, seq >> 8, asked[2], FTP_NAK, 1, asked[3], 0, 0, 0, 0, 0, 0, FTP_FAIL]
+    return message(
+        "FILE_TRANSFER_PROTOCOL",
+        target_network=0,
+        target_system=frame.system,
+        target_component=frame.component,
+        payload=payload,
+    )

@@ -1,0 +1,217 @@
+"""The command service: every command gets exactly one COMMAND_ACK.
+
+COMMAND_LONG and COMMAND_INT come to the same handlers; what this vehicle cannot do is answered
+UNSUPPORTED at once, so that no ground station waits for it.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame as WireFrame
+from simvehicle.autopilot.enums import BaseMode, Command, Frame, Mode, Result
+from simvehicle.autopilot.flight_goals import Flight
+from simvehicle.autopilot.mode_list import available_modes
+from simvehicle.autopilot.outgoing_message import PROTOCOL_VERSION, Message, message
+from simvehicle.autopilot.parameter_service import Parameters
+from simvehicle.autopilot.streams import Streams
+from simvehicle.autopilot.telemetry import Snapshot, protocol_version
+
+FORCE = 21196  # MAV_CMD_COMPONENT_ARM_DISARM.param2: arm or disarm whatever the state
+FAILURE_MOTOR = 101  # FAILURE_UNIT_SYSTEM_MOTOR
+FAILURE_OK, FAILURE_OFF = 0, 1  # FAILURE_TYPE
+AVAILABLE_MODES = known("AVAILABLE_MODES").id
+PLACE_UNKNOWN = 0x7FFFFFFF  # COMMAND_INT.x, .y: keep the present place
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """One command, whichever message it came in; a place is in degrees, height in m."""
+
+    command: int
+    params: tuple[float, float, float, float]
+    lat_deg: float
+    lon_deg: float
+    z_m: float
+    frame: int
+
+
+Answer = tuple[Result, list[Message]]
+
+
+class Commands:
+    """Carries out commands on the flight, the streams and the parameters of one vehicle."""
+
+    def __init__(
+        self,
+        flight: Flight,
+        streams: Streams,
+        parameters: Parameters,
+        fail_motor: Callable[[int, bool], bool],
+    ) -> None:
+        self._fail_motor = fail_motor
+        self._flight = flight
+        self._streams = streams
+        self._parameters = parameters
+        self._handlers: dict[int, Callable[[Request, Snapshot], Answer]] = {
+            Command.ARM_DISARM: self._arm,
+            Command.TAKEOFF: self._take_off,
+            Command.LAND: lambda request, now: self._mode(Mode.LAND),
+            Command.RETURN_TO_LAUNCH: lambda request, now: self._mode(Mode.RETURN),
+            Command.MISSION_START: self._start_mission,
+            Command.SET_MODE: self._set_mode,
+            Command.REPOSITION: self._reposition,
+            Command.PAUSE_CONTINUE: self._pause,
+            Command.CHANGE_SPEED: self._speed,
+            Command.SET_MISSION_CURRENT: self._set_current,
+            Command.GET_HOME_POSITION: lambda request, now: self._send("HOME_POSITION", now),
+            Command.GET_MESSAGE_INTERVAL: self._get_interval,
+            Command.SET_MESSAGE_INTERVAL: self._set_interval,
+            Command.REQUEST_MESSAGE: self._request_message,
+            Command.REQUEST_PROTOCOL_VERSION: lambda request, now: (
+                Result.ACCEPTED,
+                [protocol_version()],
+            ),
+            Command.REQUEST_AUTOPILOT_CAPABILITIES: lambda request, now: self._send(
+                "AUTOPILOT_VERSION", now
+            ),
+            Command.INJECT_FAILURE: self._inject,
+        }
+
+    def received(self, frame: WireFrame, now: Snapshot) -> list[Message]:
+        """Carry out a COMMAND_LONG or COMMAND_INT: its acknowledgement, then what it asked for."""
+        request = read_request(frame)
+        handler = self._handlers.get(request.command)
+        result, messages = handler(request, now) if handler else (Result.UNSUPPORTED, [])
+        ack = message(
+            "COMMAND_ACK",
+            command=request.command,
+            result=result,
+            target_system=frame.system,
+            target_component=frame.component,
+        )
+        return [ack, *messages]
+
+    def set_mode(self, frame: WireFrame) -> None:
+        """The old SET_MODE message, which has no acknowledgement."""
+        if int(frame.number("base_mode")) & BaseMode.CUSTOM:
+            self._custom_mode(int(frame.number("custom_mode")))
+
+    def _arm(self, request: Request, now: Snapshot) -> Answer:
+        if request.params[0] == 1:
+            self._flight.arm()
+            return Result.ACCEPTED, []
+        if request.params[0] == 0 and self._flight.disarm(request.params[1] == FORCE):
+            return Result.ACCEPTED, []
+        return Result.DENIED, []
+
+    def _take_off(self, request: Request, now: Snapshot) -> Answer:
+        self._flight.take_off(self._amsl(request))
+        return Result.ACCEPTED, []
+
+    def _start_mission(self, request: Request, now: Snapshot) -> Answer:
+        first = request.params[0]
+        if math.isfinite(first) and not self._flight.set_current(whole(first)):
+            return Result.DENIED, []
+        if not self._flight.set_mode(Mode.MISSION):
+            return Result.DENIED, []
+        self._flight.arm()
+        return Result.ACCEPTED, []
+
+    def _set_mode(self, request: Request, now: Snapshot) -> Answer:
+        base, main, sub, _ = (max(whole(v), 0) for v in request.params)
+        if not base & BaseMode.CUSTOM:
+            return Result.UNSUPPORTED, []
+        return self._custom_mode(sub << 24 | main << 16)
+
+    def _custom_mode(self, custom_mode: int) -> Answer:
+        if custom_mode not in set(Mode):
+            return Result.DENIED, []
+        return self._mode(Mode(custom_mode))
+
+    def _mode(self, mode: Mode) -> Answer:
+        return (Result.ACCEPTED if self._flight.set_mode(mode) else Result.DENIED), []
+
+    def _reposition(self, request: Request, now: Snapshot) -> Answer:
+        speed = request.params[0]
+        if math.isfinite(speed) and speed > 0:
+            self._flight.set_speed(speed)
+        yaw = request.params[3]
+        accepted = self._flight.go_to(request.lat_deg, request.lon_deg, self._amsl(request), yaw)
+        return (Result.ACCEPTED if accepted else Result.DENIED), []
+
+    def _pause(self, request: Request, now: Snapshot) -> Answer:
+        return self._mode(Mode.MISSION if request.params[0] == 1 else Mode.HOLD)
+
+    def _speed(self, request: Request, now: Snapshot) -> Answer:
+        accepted = self._flight.set_speed(request.params[1])
+        return (Result.ACCEPTED if accepted else Result.DENIED), []
+
+    def _set_current(self, request: Request, now: Snapshot) -> Answer:
+        accepted = self._flight.set_current(whole(request.params[0]))
+        return (Result.ACCEPTED if accepted else Result.DENIED), []
+
+    def _get_interval(self, request: Request, now: Snapshot) -> Answer:
+        number = whole(request.params[0])
+        interval = self._streams.interval_us(number)
+        return Result.ACCEPTED, [
+            message("MESSAGE_INTERVAL", message_id=max(number, 0), interval_us=interval)
+        ]
+
+    def _set_interval(self, request: Request, now: Snapshot) -> Answer:
+        number, interval = request.params[:2]
+        if not math.isfinite(interval):
+            return Result.DENIED, []
+        known = self._streams.set_interval(whole(number), interval)
+        return (Result.ACCEPTED if known else Result.UNSUPPORTED), []
+
+    def _request_message(self, request: Request, now: Snapshot) -> Answer:
+        number, index = whole(request.params[0]), whole(request.params[1])
+        if number == PROTOCOL_VERSION.id:
+            found = [protocol_version()]
+        elif number == AVAILABLE_MODES:
+            found = available_modes(max(index, 0))
+        else:
+            found = self._streams.request(number, now)
+        return (Result.ACCEPTED if found else Result.UNSUPPORTED), found
+
+    def _send(self, name: str, now: Snapshot) -> Answer:
+        return Result.ACCEPTED, [self._streams.make(name, now)]
+
+    def _inject(self, request: Request, now: Snapshot) -> Answer:
+        """Motors can be stopped and started; other failures are for a proxy on the way.
+
+        As PX4 it denies all of it while SYS_FAILURE_EN is 0.
+        """
+        if self._parameters["SYS_FAILURE_EN"] != 1:
+            return Result.DENIED, []
+        unit, kind, instance = (whole(value) for value in request.params[:3])
+        if unit != FAILURE_MOTOR or kind not in (FAILURE_OK, FAILURE_OFF):
+            return Result.UNSUPPORTED, []
+        found = self._fail_motor(instance, kind == FAILURE_OFF)
+        return (Result.ACCEPTED if found else Result.DENIED), []
+
+    def _amsl(self, request: Request) -> float:
+        relative = request.frame in (Frame.GLOBAL_RELATIVE, Frame.GLOBAL_RELATIVE_INT)
+        return request.z_m + (self._flight.home.alt_m if relative else 0.0)
+
+
+def whole(value: float) -> int:
+    """A parameter as an integer; what is none becomes -1, which no handler knows."""
+    return int(value) if math.isfinite(value) else -1
+
+
+def read_request(frame: WireFrame) -> Request:
+    """The command in a COMMAND_LONG or COMMAND_INT."""
+    p1, p2, p3, p4 = (float(frame.number(f"param{i}")) for i in range(1, 5))
+    if frame.layout.name == "COMMAND_LONG":
+        lat_deg, lon_deg, z_m = (float(frame.number(f"param{i}")) for i in range(5, 8))
+        kind = int(Frame.GLOBAL)
+    else:
+        x, y = int(frame.number("x")), int(frame.number("y"))
+        lat_deg = math.nan if x == PLACE_UNKNOWN else x * 1e-7
+        lon_deg = math.nan if y == PLACE_UNKNOWN else y * 1e-7
+        z_m = float(frame.number("z"))
+        kind = int(frame.number("frame"))
+    return Request(int(frame.number("command")), (p1, p2, p3, p4), lat_deg, lon_deg, z_m, kind)

@@ -1,0 +1,298 @@
+"""What is flown: PX4's automatic modes as goals for the controller.
+
+`Flight` holds mode, arming and mission progress; `advance` looks at the truth once a step and sets
+`goal`, which the vehicle's own controller follows. Aborting, climbing and landing follow PX4's
+modes TAKEOFF, HOLD, MISSION, RETURN and LAND in their outlines [1]_.
+
+References
+----------
+.. [1] PX4 user guide, "Flight Modes (Multicopter)".
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from simvehicle.autopilot.enums import Command, LandedState, Mode
+from simvehicle.autopilot.mission_service import Item, Missions
+from simvehicle.autopilot.outgoing_message import Message, message, statustext
+from simvehicle.autopilot.parameter_service import Parameters
+from simvehicle.autopilot.telemetry import Home
+from simvehicle.vehicles.body import Truth, Vector
+
+HEIGHT_TOLERANCE_M = 1.0
+MIN_SPEED_MPS = 0.5
+
+Locate = Callable[[float, float, float], Vector]  # latitude, longitude in degrees, m MSL -> NED
+
+
+class Kind(Enum):
+    """What the controller does about a goal."""
+
+    IDLE = "idle"  # actuators off
+    FLY = "fly"  # to `r_ned_m` and stay there
+    LAND = "land"  # over `r_ned_m`, then down until the ground holds it
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """Where to; `speed_mps` None is the vehicle's own choice, `yaw_rad` NaN as well."""
+
+    kind: Kind
+    r_ned_m: Vector
+    speed_mps: float | None = None
+    yaw_rad: float = math.nan
+
+
+class Flight:
+    """The modes of one vehicle.
+
+    Parameters
+    ----------
+    locate : callable
+        Turns latitude, longitude (degrees) and height (m above sea level) into local NED (3,).
+    airborne : bool
+        The vehicle starts flying: armed, in HOLD.
+    own_mission : bool
+        It flies a mission of its own, by its controller, until it is commanded: armed, in MISSION.
+    acceptance_m : float
+        Horizontal distance within which a place counts as reached.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        missions: Missions,
+        home: Home,
+        locate: Locate,
+        *,
+        airborne: bool = False,
+        own_mission: bool = False,
+        acceptance_m: float = 2.0,
+    ) -> None:
+        self.home = home
+        self.mode = Mode.MISSION if own_mission else Mode.HOLD
+        self.armed = airborne or own_mission
+        self.commanded = False  # whether a ground station has taken over
+        self.landed = LandedState.IN_AIR if airborne else LandedState.ON_GROUND
+        self.goal = Goal(Kind.IDLE, np.zeros(3))  # until the first `advance`
+        self.seq = 0
+        self._own_mission = own_mission
+        self._parameters = parameters
+        self._missions = missions
+        self._mission_seen = missions.changed
+        self._locate = locate
+        self._acceptance_m = acceptance_m
+        self._speed_mps: float | None = None
+        self._truth: Truth | None = None
+        self._aimed_at: Item | None = None  # the item that the goal was made from
+        self._reached_us: int | None = None  # since when the current item is reached
+        self._ground_us: int | None = None  # since when a landing vehicle is on the ground
+
+    @property
+    def flown(self) -> bool:
+        """Whether the goal counts: not while the vehicle flies a mission of its own."""
+        return self.commanded or not self._own_mission
+
+    # -- what a ground station commands ------------------------------------------------------------
+
+    def arm(self) -> None:
+        """Motors on; the mode decides what follows. After a landing that is HOLD again."""
+        if not self.armed and self.mode in (Mode.LAND, Mode.RETURN):
+            self.mode = Mode.HOLD
+        self.armed = self.commanded = True
+        self._enter(self.mode)
+
+    def disarm(self, force: bool) -> bool:
+        """Motors off; refused in the air unless forced."""
+        if self.armed and self.landed != LandedState.ON_GROUND and not force:
+            return False
+        self.armed = False
+        self.commanded = True
+        self.goal = replace(self.goal, kind=Kind.IDLE)
+        return True
+
+    def set_mode(self, mode: Mode) -> bool:
+        """Change the mode; a mission needs items."""
+        if mode == Mode.MISSION and not self._missions.items:
+            return False
+        self.commanded = True
+        self._enter(mode)
+        return True
+
+    def take_off(self, alt_m: float) -> None:
+        """Climb over the present place to `alt_m` above sea level (NaN: MIS_TAKEOFF_ALT)."""
+        self.commanded = True
+        self._enter(Mode.TAKEOFF)
+        if math.isfinite(alt_m):
+            self.goal = replace(self.goal, r_ned_m=self._above_here(alt_m))
+
+    def go_to(self, lat_deg: float, lon_deg: float, alt_m: float, yaw_rad: float) -> bool:
+        """Fly to a place and hold there; what is NaN stays as it is. Refused on the ground."""
+        if not self.armed or self.landed == LandedState.ON_GROUND:
+            return False
+        self.commanded = True
+        self.mode = Mode.HOLD
+        here = self._here()
+        alt_m = alt_m if math.isfinite(alt_m) else self.home.alt_m - float(here[2])
+        if math.isfinite(lat_deg) and math.isfinite(lon_deg):
+            place = self._locate(lat_deg, lon_deg, alt_m)
+        else:
+            place = self._above_here(alt_m)
+        self.goal = Goal(Kind.FLY, place, self._speed_mps, yaw_rad)
+        return True
+
+    def set_speed(self, speed_mps: float) -> bool:
+        """Speed over ground from now on; -1 returns to the vehicle's own."""
+        if not math.isfinite(speed_mps) or 0 <= speed_mps < MIN_SPEED_MPS:
+            return False
+        self._speed_mps = speed_mps if speed_mps > 0 else None
+        self.goal = replace(self.goal, speed_mps=self._speed_mps)
+        return True
+
+    def set_current(self, seq: int) -> bool:
+        """Go on with another mission item."""
+        if not 0 <= seq < len(self._missions.items):
+            return False
+        self.seq = seq
+        self._reached_us = None
+        return True
+
+    # -- what happens of itself --------------------------------------------------------------------
+
+    def advance(self, truth: Truth) -> list[Message]:
+        """Look at where the vehicle is, set the goal, and tell what was reached."""
+        first = self._truth is None
+        self._truth = truth
+        if first:
+            self._enter(self.mode)
+        if self._missions.changed != self._mission_seen:
+            self._mission_seen = self._missions.changed
+            self.seq = 0
+            self._reached_us = None
+            if self.flown and self.mode == Mode.MISSION and not self._missions.items:
+                self._enter(Mode.HOLD)
+        said: list[Message] = []
+        if self.armed and self.flown:
+            said = self._fly(truth)
+        self.landed = self._landed_state(truth)
+        return said
+
+    def _fly(self, truth: Truth) -> list[Message]:
+        if self.mode == Mode.TAKEOFF:
+            if abs(self.goal.r_ned_m[2] - truth.r_ned_m[2]) < HEIGHT_TOLERANCE_M:
+                self.mode = Mode.HOLD
+                return [statustext("Takeoff complete")]
+        elif self.mode == Mode.MISSION:
+            return self._fly_mission(truth)
+        elif self.mode == Mode.RETURN:
+            if self._is_there(self.goal.r_ned_m):
+                self._enter(Mode.LAND)
+        elif self.mode == Mode.LAND:
+            return self._touch_down(truth)
+        return []
+
+    def _fly_mission(self, truth: Truth) -> list[Message]:
+        item = self._missions.items[self.seq]
+        if item.command == Command.RETURN_TO_LAUNCH:
+            self._enter(Mode.RETURN)
+            return [message("MISSION_ITEM_REACHED", seq=self.seq)]
+        if item.command == Command.CHANGE_SPEED:
+            self.set_speed(item.params[1])
+        elif item.command != Command.DELAY:
+            if self._aimed_at is not item:
+                self._aimed_at = item
+                kind = Kind.LAND if item.command == Command.LAND else Kind.FLY
+                yaw = math.radians(item.params[3])
+                self.goal = Goal(kind, self._place(item), self._speed_mps, yaw)
+            if self.goal.kind is Kind.LAND:
+                return self._touch_down(truth)
+            if self._reached_us is None and not self._is_there(self.goal.r_ned_m):
+                return []
+        if self._reached_us is None:
+            self._reached_us = truth.t_us
+        return self._finish_item(item, truth.t_us)
+
+    def _finish_item(self, item: Item, t_us: int) -> list[Message]:
+        """Wait where the item says so, then go on with the next."""
+        if item.command == Command.LOITER_UNLIMITED:
+            return []
+        waits = item.command in (Command.WAYPOINT, Command.LOITER_TIME, Command.DELAY)
+        wait_s = item.params[0] if waits and math.isfinite(item.params[0]) else 0.0
+        if self._reached_us is None or t_us - self._reached_us < wait_s * 1e6:
+            return []
+        reached = message("MISSION_ITEM_REACHED", seq=self.seq)
+        self._reached_us = None
+        if self.seq + 1 < len(self._missions.items):
+            self.seq += 1
+            return [reached]
+        self.mode = Mode.HOLD
+        return [reached, statustext("Mission finished, loitering")]
+
+    def _touch_down(self, truth: Truth) -> list[Message]:
+        """Disarm after a while on the ground."""
+        if not truth.on_ground:
+            self._ground_us = None
+            return []
+        if self._ground_us is None:
+            self._ground_us = truth.t_us
+        if truth.t_us - self._ground_us < self._parameters["COM_DISARM_LAND"] * 1e6:
+            return []
+        self.armed = False
+        self.goal = replace(self.goal, kind=Kind.IDLE)
+        said = [statustext("Landing detected"), statustext("Disarmed by landing")]
+        if self.mode == Mode.MISSION:
+            said.insert(0, message("MISSION_ITEM_REACHED", seq=self.seq))
+        return said
+
+    def _enter(self, mode: Mode) -> None:
+        """Set a mode and its goal from where the vehicle is."""
+        self.mode = mode
+        self._aimed_at = None
+        self._reached_us = self._ground_us = None
+        if not self.armed:
+            return
+        if mode == Mode.TAKEOFF:
+            height = self._parameters["MIS_TAKEOFF_ALT"]
+            place = self._above_here(self.home.alt_m + height)
+        elif mode == Mode.RETURN:
+            here = self._here()
+            height = max(float(self._parameters["RTL_RETURN_ALT"]), -float(here[2]))
+            place = self._locate(self.home.lat_deg, self.home.lon_deg, self.home.alt_m + height)
+        else:
+            place = self._here()
+        kind = Kind.LAND if mode == Mode.LAND else Kind.FLY
+        if mode == Mode.HOLD and self.landed == LandedState.ON_GROUND:
+            kind = Kind.IDLE
+        self.goal = Goal(kind, place, self._speed_mps)
+
+    def _landed_state(self, truth: Truth) -> LandedState:
+        if truth.on_ground:
+            return LandedState.ON_GROUND
+        if self.mode == Mode.TAKEOFF:
+            return LandedState.TAKEOFF
+        landing = self.mode == Mode.LAND or self.goal.kind is Kind.LAND
+        return LandedState.LANDING if landing else LandedState.IN_AIR
+
+    def _place(self, item: Item) -> Vector:
+        """Where an item lies; 0, 0 means here, as in a take-off item without a place."""
+        alt_m = item.z_m + (self.home.alt_m if item.relative else 0.0)
+        if item.x_degE7 == 0 and item.y_degE7 == 0:
+            return self._above_here(alt_m)
+        return self._locate(item.x_degE7 * 1e-7, item.y_degE7 * 1e-7, alt_m)
+
+    def _here(self) -> Vector:
+        return np.zeros(3) if self._truth is None else self._truth.r_ned_m.copy()
+
+    def _above_here(self, alt_m: float) -> Vector:
+        here = self._here()
+        here[2] = self.home.alt_m - alt_m
+        return here
+
+    def _is_there(self, place: Vector) -> bool:
+        north, east, down = (place - self._here()).tolist()
+        near = math.hypot(north, east) < self._acceptance_m
+        return near and abs(down) < max(HEIGHT_TOLERANCE_M, self._acceptance_m)

@@ -1,0 +1,216 @@
+"""The mission service: upload, download, clear [1]_; which item is flown is `flight`'s business.
+
+Only missions proper can be stored: geofences and rally points are not flown, so an upload of one
+is refused as unsupported and a download finds none.
+
+References
+----------
+.. [1] MAVLink developer guide, "Mission Protocol".
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+
+from mavproxy_fault.wire.frame import Frame as WireFrame
+from simvehicle.autopilot.enums import Command, Frame, MissionResult, MissionType
+from simvehicle.autopilot.outgoing_message import Message, message
+
+MAX_ITEMS = 1000
+RETRY_US = 500_000  # a request for an item is sent again after this
+RETRIES = 6
+
+GLOBAL_FRAMES = (Frame.GLOBAL, Frame.GLOBAL_INT)
+RELATIVE_FRAMES = (Frame.GLOBAL_RELATIVE, Frame.GLOBAL_RELATIVE_INT)
+POSITIONS = (
+    Command.WAYPOINT, Command.LOITER_UNLIMITED, Command.LOITER_TIME, Command.LAND, Command.TAKEOFF,
+)  # fmt: skip
+FLOWN = (*POSITIONS, Command.RETURN_TO_LAUNCH, Command.DELAY, Command.CHANGE_SPEED)
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One mission item; `x_degE7`, `y_degE7` are latitude and longitude, `z_m` by `frame`."""
+
+    command: int
+    frame: int
+    params: tuple[float, float, float, float]
+    x_degE7: int
+    y_degE7: int
+    z_m: float
+    autocontinue: int = 1
+
+    @property
+    def relative(self) -> bool:
+        """Whether `z_m` is above home and not above mean sea level."""
+        return self.frame in RELATIVE_FRAMES
+
+
+@dataclass(frozen=True, slots=True)
+class Upload:
+    """An upload under way: what has come of `count` items, from whom, and when it was asked for."""
+
+    system: int
+    component: int
+    count: int
+    items: tuple[Item, ...] = ()
+    asked_us: int = 0
+    retries: int = 0
+
+
+@dataclass
+class Missions:
+    """The stored mission, and the upload under way if there is one.
+
+    `changed` counts the missions taken, so that who flies one notices a new one.
+    """
+
+    items: tuple[Item, ...] = ()
+    changed: int = 0
+    upload: Upload | None = field(default=None, repr=False)
+
+    def received(self, frame: WireFrame, t_us: int) -> list[Message]:
+        """Answer one message of the mission protocol."""
+        name = frame.layout.name
+        kind = int(frame.number("mission_type"))
+        if name == "MISSION_COUNT":
+            return self._count(frame, kind, t_us)
+        if name in ("MISSION_ITEM_INT", "MISSION_ITEM"):
+            return self._item(frame, kind, t_us)
+        if name == "MISSION_REQUEST_LIST":
+            count = len(self.items) if kind == MissionType.MISSION else 0
+            return [_to(frame, "MISSION_COUNT", count=count, mission_type=kind)]
+        if name in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
+            return self._request(frame, kind)
+        if name == "MISSION_CLEAR_ALL":
+            if kind in (MissionType.MISSION, MissionType.ALL):
+                self._take(())
+            return [_ack(frame, MissionResult.ACCEPTED, kind)]
+        return []
+
+    def tick(self, t_us: int) -> list[Message]:
+        """Ask again for an item that does not come, and give up in the end."""
+        upload = self.upload
+        if upload is None or t_us - upload.asked_us < RETRY_US:
+            return []
+        if upload.retries == RETRIES:
+            self.upload = None
+            return [
+                message(
+                    "MISSION_ACK",
+                    target_system=upload.system,
+                    target_component=upload.component,
+                    type=MissionResult.OPERATION_CANCELLED,
+                )
+            ]
+        self.upload = replace(upload, asked_us=t_us, retries=upload.retries + 1)
+        return [_ask(self.upload)]
+
+    def _count(self, frame: WireFrame, kind: int, t_us: int) -> list[Message]:
+        count = int(frame.number("count"))
+        if kind != MissionType.MISSION:
+            result = MissionResult.UNSUPPORTED if count else MissionResult.ACCEPTED
+            return [_ack(frame, result, kind)]
+        if count > MAX_ITEMS:
+            return [_ack(frame, MissionResult.NO_SPACE, kind)]
+        if count == 0:
+            self._take(())
+            return [_ack(frame, MissionResult.ACCEPTED, kind)]
+        self.upload = Upload(frame.system, frame.component, count, asked_us=t_us)
+        return [_ask(self.upload)]
+
+    def _item(self, frame: WireFrame, kind: int, t_us: int) -> list[Message]:
+        upload = self.upload
+        if upload is None or kind != MissionType.MISSION:
+            return [_ack(frame, MissionResult.ERROR, kind)]
+        seq = int(frame.number("seq"))
+        if seq < len(upload.items):  # one already taken: the answer to a repeated request
+            return []
+        if seq > len(upload.items):
+            return [_ask(upload)]
+        item = read_item(frame)
+        wrong = check(item)
+        if wrong is not None:
+            self.upload = None
+            return [_ack(frame, wrong, kind)]
+        upload = replace(upload, items=(*upload.items, item), asked_us=t_us, retries=0)
+        if len(upload.items) < upload.count:
+            self.upload = upload
+            return [_ask(upload)]
+        self._take(upload.items)
+        return [_ack(frame, MissionResult.ACCEPTED, kind)]
+
+    def _request(self, frame: WireFrame, kind: int) -> list[Message]:
+        seq = int(frame.number("seq"))
+        if kind != MissionType.MISSION or seq >= len(self.items):
+            return [_ack(frame, MissionResult.INVALID_SEQUENCE, kind)]
+        item = self.items[seq]
+        whole = frame.layout.name == "MISSION_REQUEST_INT"
+        scale = 1 if whole else 1e-7
+        return [
+            _to(
+                frame,
+                "MISSION_ITEM_INT" if whole else "MISSION_ITEM",
+                seq=seq,
+                frame=item.frame,
+                command=item.command,
+                autocontinue=item.autocontinue,
+                **{f"param{i}": value for i, value in enumerate(item.params, 1)},
+                x=item.x_degE7 * scale,
+                y=item.y_degE7 * scale,
+                z=item.z_m,
+            )
+        ]
+
+    def _take(self, items: tuple[Item, ...]) -> None:
+        self.items = items
+        self.changed += 1
+        self.upload = None
+
+
+def read_item(frame: WireFrame) -> Item:
+    """The item in a MISSION_ITEM_INT, or a MISSION_ITEM with its position in degrees."""
+    x, y = frame.number("x"), frame.number("y")
+    if frame.layout.name == "MISSION_ITEM":
+        x, y = (round(v * 1e7) if math.isfinite(v) else 0 for v in (x, y))
+    return Item(
+        int(frame.number("command")),
+        int(frame.number("frame")),
+        tuple(float(frame.number(f"param{i}")) for i in range(1, 5)),  # type: ignore[arg-type]
+        int(x),
+        int(y),
+        float(frame.number("z")),
+        int(frame.number("autocontinue")),
+    )
+
+
+def check(item: Item) -> MissionResult | None:
+    """What is wrong with an item, None where it can be flown."""
+    if item.command not in FLOWN:
+        return MissionResult.UNSUPPORTED
+    if item.command not in POSITIONS:
+        return None
+    if item.frame not in GLOBAL_FRAMES + RELATIVE_FRAMES:
+        return MissionResult.UNSUPPORTED_FRAME
+    if abs(item.x_degE7) > 900_000_000:
+        return MissionResult.INVALID_PARAM5_X
+    if abs(item.y_degE7) > 1_800_000_000:
+        return MissionResult.INVALID_PARAM6_Y
+    return None if math.isfinite(item.z_m) else MissionResult.INVALID
+
+
+def _ask(upload: Upload) -> Message:
+    return message(
+        "MISSION_REQUEST_INT",
+        target_system=upload.system,
+        target_component=upload.component,
+        seq=len(upload.items),
+    )
+
+
+def _ack(frame: WireFrame, result: MissionResult, kind: int) -> Message:
+    return _to(frame, "MISSION_ACK", type=result, mission_type=kind)
+
+
+def _to(to: WireFrame, name: str, /, **values: object) -> Message:
+    """A message to the sender of a frame."""
+    return message(name, target_system=to.system, target_component=to.component, **values)

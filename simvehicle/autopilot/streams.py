@@ -1,0 +1,94 @@
+"""Which message leaves how often, and on request."""
+
+from collections.abc import Callable
+
+from mavproxy_fault.wire.dialect import known, layout
+from simvehicle.autopilot import telemetry
+from simvehicle.autopilot.outgoing_message import Message
+from simvehicle.autopilot.telemetry import Snapshot
+
+S = 1_000_000
+# Name -> what makes it and how often it leaves unasked, in microseconds (0: on request only)
+SOURCES: dict[str, tuple[Callable[[Snapshot], Message], int]] = {
+    "HEARTBEAT": (telemetry.heartbeat, S),
+    "SYS_STATUS": (telemetry.sys_status, S // 2),
+    "ATTITUDE": (telemetry.attitude, S // 20),
+    "ATTITUDE_QUATERNION": (telemetry.attitude_quaternion, S // 20),
+    "GLOBAL_POSITION_INT": (telemetry.global_position_int, S // 10),
+    "LOCAL_POSITION_NED": (telemetry.local_position_ned, S // 10),
+    "GPS_RAW_INT": (telemetry.gps_raw_int, S // 5),
+    "VFR_HUD": (telemetry.vfr_hud, S // 5),
+    "ALTITUDE": (telemetry.altitude, S // 5),
+    "HOME_POSITION": (telemetry.home_position, S),
+    "EXTENDED_SYS_STATE": (telemetry.extended_sys_state, S // 2),
+    "BATTERY_STATUS": (telemetry.battery_status, S),
+    "SYSTEM_TIME": (telemetry.system_time, S),
+    "MISSION_CURRENT": (telemetry.mission_current, S),
+    "AUTOPILOT_VERSION": (telemetry.autopilot_version, 0),
+    "CURRENT_MODE": (telemetry.current_mode, 0),
+}
+# MAV_DATA_STREAM of REQUEST_DATA_STREAM -> the messages it stands for
+DATA_STREAMS = {
+    0: ("ATTITUDE", "GLOBAL_POSITION_INT", "GPS_RAW_INT", "VFR_HUD", "SYS_STATUS"),
+    2: ("SYS_STATUS", "GPS_RAW_INT", "MISSION_CURRENT"),
+    6: ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED"),
+    10: ("ATTITUDE",),
+    11: ("VFR_HUD",),
+}
+FASTEST_US = 4_000  # one message per simulation step
+
+
+class Streams:
+    """The intervals in force and when each message is due; the state of one link."""
+
+    def __init__(self) -> None:
+        self._interval_us = {name: interval for name, (_, interval) in SOURCES.items()}
+        self._due_us = {name: 0 for name, interval in self._interval_us.items() if interval}
+
+    def tick(self, now: Snapshot) -> list[Message]:
+        """What is due; a message that fell behind leaves once."""
+        out = []
+        for name, due_us in self._due_us.items():
+            if now.stamp_us >= due_us:
+                interval = self._interval_us[name]
+                due_us += interval
+                self._due_us[name] = due_us if due_us > now.stamp_us else now.stamp_us + interval
+                out.append(SOURCES[name][0](now))
+        return out
+
+    def interval_us(self, number: int) -> int:
+        """The interval of a message in microseconds, -1 where off, 0 where not available."""
+        found = layout(number)
+        if found is None or found.name not in SOURCES:
+            return 0
+        return self._interval_us[found.name] or -1
+
+    def set_interval(self, number: int, interval_us: float) -> bool:
+        """Set, reset (0) or stop (-1) a stream; whether the message is one of ours."""
+        found = layout(number)
+        if found is None or found.name not in SOURCES:
+            return False
+        name = found.name
+        if interval_us == 0:
+            interval_us = SOURCES[name][1]
+        self._interval_us[name] = max(round(interval_us), FASTEST_US) if interval_us > 0 else 0
+        if self._interval_us[name]:
+            self._due_us[name] = 0
+        else:
+            self._due_us.pop(name, None)
+        return True
+
+    def request(self, number: int, now: Snapshot) -> list[Message]:
+        """A message once; nothing where it is not one of ours."""
+        found = layout(number)
+        source = SOURCES.get(found.name) if found else None
+        return [source[0](now)] if source else []
+
+    def make(self, name: str, now: Snapshot) -> Message:
+        """A message of ours by name."""
+        return SOURCES[name][0](now)
+
+    def data_stream(self, stream: int, rate_hz: float, start: bool) -> None:
+        """The old way to set rates: REQUEST_DATA_STREAM, which has no answer."""
+        for name in DATA_STREAMS.get(stream, ()):
+            self.set_interval(known(name).id, S / rate_hz if start and rate_hz > 0 else -1)

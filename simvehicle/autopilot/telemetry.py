@@ -1,0 +1,274 @@
+"""What the vehicle tells of itself: one function per message, from the snapshot of one instant."""
+
+import math
+from dataclasses import dataclass
+
+from simvehicle.autopilot.enums import (
+    AUTOPILOT_PX4,
+    BaseMode,
+    Capability,
+    LandedState,
+    Mode,
+    Sensor,
+    SystemState,
+)
+from simvehicle.autopilot.mode_list import LISTED
+from simvehicle.autopilot.outgoing_message import PROTOCOL_VERSION, Message, message
+from simvehicle.hil import hil_messages
+from simvehicle.sensors.readings import BatteryReading, GpsReading
+from simvehicle.vehicles.body import Truth
+
+DENSITY_SEA_LEVEL_KGPM3 = 1.225  # ISA
+NO_GPS_FIX = 1  # GPS_FIX_TYPE_NO_FIX
+# major, minor, patch, FIRMWARE_VERSION_TYPE_OFFICIAL: the PX4 release whose ways are followed
+FIRMWARE = 1 << 24 | 18 << 16 | 0 << 8 | 255
+SENSORS = (
+    Sensor.GYRO | Sensor.ACCEL | Sensor.MAG | Sensor.ABSOLUTE_PRESSURE | Sensor.GPS
+    | Sensor.GEOFENCE | Sensor.AHRS | Sensor.BATTERY | Sensor.PREARM_CHECK
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    """Where the vehicle started."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """Everything telemetry is made of; `stamp_us` is the vehicle's clock."""
+
+    stamp_us: int
+    truth: Truth
+    gps: GpsReading | None
+    battery: BatteryReading | None
+    consumed_mah: float
+    home: Home
+    mode: Mode
+    armed: bool
+    landed: LandedState
+    mav_type: int
+    throttle: float
+    mission_count: int
+    mission_seq: int
+
+    @property
+    def boot_ms(self) -> int:
+        """Milliseconds on the vehicle's clock."""
+        return self.stamp_us // 1000 & 0xFFFFFFFF
+
+    @property
+    def euler_rad(self) -> tuple[float, float, float]:
+        """Roll, pitch and yaw."""
+        w, x, y, z = self.truth.q_nb.tolist()
+        return (
+            math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+            math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x)))),
+            math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+        )
+
+
+def heartbeat(now: Snapshot) -> Message:
+    """PX4's modes as PX4 packs them."""
+    base = BaseMode.CUSTOM | BaseMode.AUTO | BaseMode.GUIDED | BaseMode.STABILIZED
+    return message(
+        "HEARTBEAT",
+        type=now.mav_type,
+        autopilot=AUTOPILOT_PX4,
+        base_mode=base | (BaseMode.ARMED if now.armed else 0),
+        custom_mode=now.mode,
+        system_status=SystemState.ACTIVE if now.armed else SystemState.STANDBY,
+        mavlink_version=3,
+    )
+
+
+def sys_status(now: Snapshot) -> Message:
+    """All sensors healthy: whoever breaks one is the proxy, and it says so itself."""
+    battery = now.battery
+    return message(
+        "SYS_STATUS",
+        onboard_control_sensors_present=SENSORS,
+        onboard_control_sensors_enabled=SENSORS,
+        onboard_control_sensors_health=SENSORS,
+        voltage_battery=round((battery.voltage_v if battery else now.truth.battery_v) * 1e3),
+        current_battery=round((battery.current_a if battery else now.truth.battery_a) * 100),
+        battery_remaining=round(
+            (battery.remaining if battery else now.truth.battery_remaining) * 100
+        ),
+    )
+
+
+def attitude(now: Snapshot) -> Message:
+    """Euler angles and body rates."""
+    roll, pitch, yaw = now.euler_rad
+    p, q, r = now.truth.omega_b_rps.tolist()
+    return message(
+        "ATTITUDE",
+        time_boot_ms=now.boot_ms,
+        roll=roll, pitch=pitch, yaw=yaw, rollspeed=p, pitchspeed=q, yawspeed=r,
+    )  # fmt: skip
+
+
+def attitude_quaternion(now: Snapshot) -> Message:
+    """The same as a quaternion."""
+    w, x, y, z = now.truth.q_nb.tolist()
+    p, q, r = now.truth.omega_b_rps.tolist()
+    return message(
+        "ATTITUDE_QUATERNION",
+        time_boot_ms=now.boot_ms,
+        q1=w, q2=x, q3=y, q4=z, rollspeed=p, pitchspeed=q, yawspeed=r,
+    )  # fmt: skip
+
+
+def global_position_int(now: Snapshot) -> Message:
+    """Position and velocity over ground."""
+    truth = now.truth
+    north, east, down = truth.v_ned_mps.tolist()
+    return message(
+        "GLOBAL_POSITION_INT",
+        time_boot_ms=now.boot_ms,
+        lat=round(math.degrees(truth.lat_rad) * 1e7),
+        lon=round(math.degrees(truth.lon_rad) * 1e7),
+        alt=round(truth.alt_msl_m * 1e3),
+        relative_alt=round((truth.alt_msl_m - now.home.alt_m) * 1e3),
+        vx=hil_messages.limited(north * 100, -0x8000, 0x7FFF),
+        vy=hil_messages.limited(east * 100, -0x8000, 0x7FFF),
+        vz=hil_messages.limited(down * 100, -0x8000, 0x7FFF),
+        hdg=_heading_cdeg(now),
+    )
+
+
+def local_position_ned(now: Snapshot) -> Message:
+    """Position and velocity against home."""
+    x, y, z = now.truth.r_ned_m.tolist()
+    vx, vy, vz = now.truth.v_ned_mps.tolist()
+    return message(
+        "LOCAL_POSITION_NED",
+        time_boot_ms=now.boot_ms,
+        x=x, y=y, z=z, vx=vx, vy=vy, vz=vz,
+    )  # fmt: skip
+
+
+def gps_raw_int(now: Snapshot) -> Message:
+    """The receiver's last solution; no fix before the first."""
+    if now.gps is None:
+        return message(
+            "GPS_RAW_INT",
+            time_usec=now.stamp_us,
+            fix_type=NO_GPS_FIX,
+            eph=0xFFFF, epv=0xFFFF, vel=0xFFFF, cog=0xFFFF, satellites_visible=0,
+        )  # fmt: skip
+    values = hil_messages.gps(now.gps, now.stamp_us)[1]
+    shared = ("time_usec", "fix_type", "lat", "lon", "alt", "vel", "cog", "satellites_visible")
+    return message(
+        "GPS_RAW_INT",
+        **{name: values[name] for name in shared},
+        eph=0xFFFF,  # dilution of precision, which the receiver does not tell
+        epv=0xFFFF,
+        h_acc=round(now.gps.eph_m * 1e3),
+        v_acc=round(now.gps.epv_m * 1e3),
+    )
+
+
+def vfr_hud(now: Snapshot) -> Message:
+    """What a head-up display shows; airspeed is indicated."""
+    truth = now.truth
+    north, east, down = truth.v_ned_mps.tolist()
+    airspeed = math.hypot(*truth.v_air_b_mps.tolist())
+    return message(
+        "VFR_HUD",
+        airspeed=airspeed * math.sqrt(truth.density_kgpm3 / DENSITY_SEA_LEVEL_KGPM3),
+        groundspeed=math.hypot(north, east),
+        heading=_heading_cdeg(now) // 100,
+        throttle=round(now.throttle * 100),
+        alt=truth.alt_msl_m,
+        climb=-down,
+    )
+
+
+def altitude(now: Snapshot) -> Message:
+    """The same height against its several references."""
+    truth = now.truth
+    above_home = truth.alt_msl_m - now.home.alt_m
+    return message(
+        "ALTITUDE",
+        time_usec=now.stamp_us,
+        altitude_monotonic=truth.alt_msl_m,
+        altitude_amsl=truth.alt_msl_m,
+        altitude_local=above_home,
+        altitude_relative=above_home,
+        altitude_terrain=truth.height_agl_m,
+        bottom_clearance=truth.height_agl_m,
+    )
+
+
+def home_position(now: Snapshot) -> Message:
+    """Where the vehicle started, level and facing north."""
+    home = now.home
+    return message(
+        "HOME_POSITION",
+        latitude=round(home.lat_deg * 1e7),
+        longitude=round(home.lon_deg * 1e7),
+        altitude=round(home.alt_m * 1e3),
+        q=(1.0, 0.0, 0.0, 0.0),
+        time_usec=now.stamp_us,
+    )
+
+
+def extended_sys_state(now: Snapshot) -> Message:
+    """On the ground or in the air."""
+    return message("EXTENDED_SYS_STATE", landed_state=now.landed)
+
+
+def battery_status(now: Snapshot) -> Message:
+    """The pack as one cell."""
+    truth = now.truth
+    reading = now.battery or BatteryReading(
+        truth.t_us, truth.battery_v, truth.battery_a, truth.battery_remaining
+    )
+    return hil_messages.battery(reading, now.consumed_mah)
+
+
+def system_time(now: Snapshot) -> Message:
+    """Time since start; the simulated vehicle knows no calendar."""
+    return message("SYSTEM_TIME", time_boot_ms=now.boot_ms)
+
+
+def mission_current(now: Snapshot) -> Message:
+    """Which item is flown."""
+    return message("MISSION_CURRENT", seq=now.mission_seq, total=now.mission_count)
+
+
+def autopilot_version(now: Snapshot) -> Message:
+    """Capabilities the services really have."""
+    return message(
+        "AUTOPILOT_VERSION",
+        capabilities=Capability.MISSION_INT
+        | Capability.COMMAND_INT
+        | Capability.PARAM_ENCODE_BYTEWISE
+        | Capability.MAVLINK2,
+        flight_sw_version=FIRMWARE,
+        uid=1,
+    )
+
+
+def current_mode(now: Snapshot) -> Message:
+    """The mode flown, by its standard and by PX4's number."""
+    return message(
+        "CURRENT_MODE",
+        standard_mode=LISTED[now.mode][1],
+        custom_mode=now.mode,
+        intended_custom_mode=now.mode,
+    )
+
+
+def protocol_version() -> Message:
+    """MAVLink 1 and 2 are understood, 2 is spoken."""
+    return PROTOCOL_VERSION, {"version": 200, "min_version": 100, "max_version": 200}
+
+
+def _heading_cdeg(now: Snapshot) -> int:
+    return round(math.degrees(now.euler_rad[2]) * 100) % 36000

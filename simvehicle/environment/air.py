@@ -1,0 +1,139 @@
+"""The air: standard atmosphere, steady wind with shear, and Dryden gusts.
+
+Sources: ICAO Doc 7488 (standard atmosphere to 20 km); MIL-F-8785C (Dryden spectra); turbulence
+intensities from Beard and McLain, Small Unmanned Aircraft, 2012, table 4.1.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.numerics.compile import compiled, inlined
+from simvehicle.vehicles.rigidbody_kernel import to_ned
+
+Array = NDArray[np.float64]
+
+SEA_LEVEL_PA = 101325.0
+SEA_LEVEL_K = 288.15
+_LAPSE_KPM = 0.0065
+_GAS = 287.05287  # J/(kg K)
+_G0 = 9.80665
+_EARTH_M = 6356766.0  # radius that turns geometric into geopotential height
+_TROPOPAUSE_M = 11000.0
+_SLOWEST_MPS = 1.0  # the spectra are of frozen turbulence, so a hovering vehicle needs a floor
+
+
+@inlined
+def standard_air(alt_msl_m: float) -> tuple[float, float, float]:
+    """Pressure [Pa], temperature [K] and density [kg/m^3] at a height above mean sea level."""
+    h = _EARTH_M * alt_msl_m / (_EARTH_M + alt_msl_m)
+    exponent = _G0 / (_GAS * _LAPSE_KPM)
+    if h < _TROPOPAUSE_M:
+        temperature = SEA_LEVEL_K - _LAPSE_KPM * h
+        pressure = SEA_LEVEL_PA * (temperature / SEA_LEVEL_K) ** exponent
+    else:
+        temperature = SEA_LEVEL_K - _LAPSE_KPM * _TROPOPAUSE_M
+        edge = SEA_LEVEL_PA * (temperature / SEA_LEVEL_K) ** exponent
+        pressure = edge * math.exp(-_G0 * (h - _TROPOPAUSE_M) / (_GAS * temperature))
+    return pressure, temperature, pressure / (_GAS * temperature)
+
+
+def pressure_altitude(pressure_pa: float) -> float:
+    """Height above mean sea level [m] at which the standard troposphere has this pressure."""
+    ratio = math.pow(pressure_pa / SEA_LEVEL_PA, _GAS * _LAPSE_KPM / _G0)
+    h = (1.0 - ratio) * SEA_LEVEL_K / _LAPSE_KPM
+    return _EARTH_M * h / (_EARTH_M - h)
+
+
+@dataclass(frozen=True, slots=True)
+class Gusts:
+    """Dryden turbulence along the body's axes: standard deviations and length scales."""
+
+    sigma_mps: tuple[float, float, float]
+    length_m: tuple[float, float, float]
+
+
+GUSTS = {
+    "none": Gusts((0.0, 0.0, 0.0), (200.0, 200.0, 50.0)),
+    "light": Gusts((1.06, 1.06, 0.7), (200.0, 200.0, 50.0)),
+    "moderate": Gusts((2.12, 2.12, 1.4), (200.0, 200.0, 50.0)),
+    "light-600m": Gusts((1.5, 1.5, 1.5), (533.0, 533.0, 533.0)),
+    "moderate-600m": Gusts((3.0, 3.0, 3.0), (533.0, 533.0, 533.0)),
+}
+
+
+@inlined
+def _second_order(
+    x1: float, x2: float, a: float, sigma: float, dt: float, n1: float, n2: float
+) -> tuple[float, float, float]:
+    """One exact step of the lateral Dryden filter; returns its states and the gust.
+
+    H(s) = sigma sqrt(3 a) (s + a / sqrt(3)) / (s + a)^2 for white noise of unit density, a = V / L.
+    """
+    e = math.exp(-a * dt)
+    ad = a * dt
+    q11 = (1.0 - e * e) / (2.0 * a)
+    q12 = (1.0 - e * e * (1.0 + 2.0 * ad)) / (4.0 * a * a)
+    q22 = (1.0 - e * e * (1.0 + 2.0 * ad + 2.0 * ad * ad)) / (4.0 * a * a * a)
+    l11 = math.sqrt(q11)
+    l21 = q12 / l11
+    l22 = math.sqrt(max(q22 - l21 * l21, 0.0))
+    x2 = e * (x2 + dt * x1) + l21 * n1 + l22 * n2
+    x1 = e * x1 + l11 * n1
+    gust = sigma * math.sqrt(3.0 * a) * (x1 + (a / math.sqrt(3.0) - a) * x2)
+    return x1, x2, gust
+
+
+@compiled
+def wind_step(
+    filters: Array,
+    noise: Array,
+    steady: Array,
+    weather: Array,
+    x: Array,
+    v_air: Array,
+    height: float,
+    dt: float,
+    out: Array,
+) -> None:
+    """Wind of the next `dt` seconds; moves the gust filters on.
+
+    Parameters
+    ----------
+    filters : array, shape (5,)
+        States, replaced by those after the step; a standard-normal draw makes a good start of the
+        first, zeros of the rest.
+    noise : array, shape (5,)
+        Standard-normal draws of this step.
+    steady : array, shape (3,)
+        Wind at the reference height, NED [m/s].
+    weather : array, shape (8,)
+        Standard deviations (3) [m/s] and lengths (3) [m] of the gusts, reference height [m] and
+        exponent of the shear's power law.
+    x : array, shape (>= 10,)
+        The vehicle's state; the gusts act along the body's axes.
+    v_air : array, shape (3,)
+        Velocity through the frozen turbulence [m/s].
+    height : float
+        Above ground [m].
+    out : array, shape (3,)
+        Becomes the wind, NED [m/s].
+    """
+    airspeed = math.sqrt(v_air[0] * v_air[0] + v_air[1] * v_air[1] + v_air[2] * v_air[2])
+    speed = max(airspeed, _SLOWEST_MPS)
+    e = math.exp(-speed / weather[3] * dt)
+    filters[0] = e * filters[0] + math.sqrt(1.0 - e * e) * noise[0]
+    filters[1], filters[2], v = _second_order(
+        filters[1], filters[2], speed / weather[4], weather[1], dt, noise[1], noise[2]
+    )
+    filters[3], filters[4], w = _second_order(
+        filters[3], filters[4], speed / weather[5], weather[2], dt, noise[3], noise[4]
+    )
+    north, east, down = to_ned(x[6], x[7], x[8], x[9], weather[0] * filters[0], v, w)
+    reference = weather[6]
+    grown = (max(height, 0.01 * reference) / reference) ** weather[7]
+    out[0] = steady[0] * grown + north
+    out[1] = steady[1] * grown + east
+    out[2] = steady[2] * grown + down

@@ -1,0 +1,290 @@
+"""The GNSS sensor: signals with their errors, a receiver that tracks them, and what it reports."""
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.rtcm.ephemeris_messages import encode_ephemeris
+from simvehicle.gnss.constellation import Constellation, constellation_of
+from simvehicle.gnss.gnss_config import GnssConfig
+from simvehicle.gnss.gnss_state import Broadcast, Faults, GnssState
+from simvehicle.gnss.navigation_file import WEEK_S
+from simvehicle.gnss.pseudorange import Atmosphere
+from simvehicle.gnss.receiver import Fix, solve
+from simvehicle.gnss.satellite_orbits import orbits_at, orbits_of
+from simvehicle.gnss.signal_errors import CN0_S, Clock, next_clock, next_wander
+from simvehicle.gnss.signal_kernel import signals
+from simvehicle.gnss.tracking import LONG_AGO_US, Stamps, Tracking, next_tracking, power_off
+from simvehicle.sensors.readings import EphemerisReading, GpsReading, PseudorangeReading, Reading
+from simvehicle.vehicles.body import Truth
+
+Vector = NDArray[np.float64]
+
+US = 1e-6
+BROADCAST_US = 30_000_000  # every ephemeris goes out again this often
+PLANT = ("pseudorange_m", "cn0_drop_db", "satellite_lost")  # the rows of `Faults.signals`
+LOST = 2
+PLANT_NAME = re.compile(rf"({'|'.join(PLANT)})\[([GE]\d\d|all)\]")
+
+
+def gnss_sensor(
+    config: GnssConfig, home_lat_rad: float, home_lon_rad: float, folder: Path | None = None
+) -> "GnssSensor":
+    """The sensor of a scenario; `folder` is what a relative navigation file counts from.
+
+    Raises
+    ------
+    ConfigError
+        If the navigation file is wrong, or has no valid satellite at the start.
+    """
+    return GnssSensor(config, constellation_of(config, home_lat_rad, home_lon_rad, folder))
+
+
+@dataclass(frozen=True)
+class GnssSensor:
+    """Pseudoranges, ephemerides and the receiver's solution of one antenna."""
+
+    config: GnssConfig
+    constellation: Constellation
+
+    @property
+    def rate_hz(self) -> float:
+        """Epochs per second."""
+        return self.config.rate_hz
+
+    @property
+    def latency_s(self) -> float:
+        """From measurement to delivery."""
+        return self.config.latency_s
+
+    @cached_property
+    def _atmosphere(self) -> Atmosphere:
+        klobuchar = np.array(self.constellation.klobuchar) if self.config.ionosphere else None
+        return Atmosphere(klobuchar, self.config.troposphere)
+
+    @cached_property
+    def _levels(self) -> Vector:
+        """Sizes of the errors as `signals` wants them."""
+        c = self.config
+        rise = c.cn0_zenith_dbhz - c.cn0_horizon_dbhz
+        sizes = (c.thermal, c.multipath, c.orbit_m, c.clock.galileo_offset_m)
+        return np.array([c.cn0_horizon_dbhz, rise, c.cn0_sigma_db, *sizes])
+
+    @cached_property
+    def _wander_s(self) -> Vector:
+        """Correlation times (3, 1) of multipath, orbit and C/N0."""
+        return np.array([[self.config.multipath_s], [self.config.orbit_s], [CN0_S]])
+
+    @cached_property
+    def _unsent(self) -> Stamps:
+        return np.full(len(self.constellation.satellites), LONG_AGO_US)
+
+    @cached_property
+    def _galileo(self) -> Vector:
+        return np.array([name[0] == "E" for name in self.constellation.satellites], dtype=float)
+
+    def new_state(self, rng: np.random.Generator) -> GnssState:
+        """The state at power-on."""
+        clock, receiver = self.config.clock, self.config.receiver
+        n = len(self.constellation.satellites)
+        drawn = rng.standard_normal((3, n))
+        return GnssState(
+            t_us=None,
+            clock=Clock(
+                clock.offset_s * float(rng.standard_normal()),
+                clock.drift * float(rng.standard_normal()),
+            ),
+            wander=drawn,
+            search_s=receiver.search_s * rng.standard_exponential(n),
+            message_s=rng.uniform(*receiver.message_s, n),
+            broadcast=self._broadcast(self.constellation.start_s, [None] * n),
+            tracking=power_off(n, cold=receiver.start == "cold"),
+            sent_us=self._unsent,
+            faults=Faults(np.zeros((3, n))),
+        )
+
+    def sample(
+        self, truth: Truth, state: GnssState, rng: np.random.Generator
+    ) -> tuple[list[Reading], GnssState]:
+        """The readings of one epoch: pseudoranges, the solution, and ephemerides that are due.
+
+        The receiver takes its epoch when its own clock shows `truth.t_us` after the start, so the
+        place it measures at is that of the truth, moved by the clock's offset.
+        """
+        t_us = truth.t_us
+        state = self._advanced(state, t_us, rng)
+        count = len(self.constellation.satellites)
+        noise = rng.standard_normal((2, count))
+        if state.faults.off:
+            off = power_off(count, cold=True)
+            return [], replace(state, tracking=off, fix=None, sent_us=self._unsent)
+        tow_s = self.constellation.start_s + t_us * US
+        elevation, cn0, code, rate = self._signals(truth, tow_s, state, noise)
+        tracking = self._tracking(elevation, cn0, state, t_us)
+        usable = np.flatnonzero(tracking.usable(t_us))
+        orbits = orbits_at(state.broadcast.orbits, usable)
+        fix = solve(orbits, tow_s, code[usable], rate[usable], self._atmosphere, state.fix)
+        due = self._due(usable, state.sent_us, t_us)
+        sent_us = state.sent_us.copy()
+        sent_us[due] = t_us
+        tracked = np.flatnonzero(tracking.tracked(t_us))
+        readings: list[Reading] = [
+            *(self._ephemeris(t_us, k, state) for k in due),
+            self._pseudoranges(t_us, tow_s, tracked, code, rate, cn0),
+            self._position(truth, fix),
+        ]
+        return readings, replace(state, tracking=tracking, sent_us=sent_us, fix=fix)
+
+    def with_plant(self, state: GnssState, name: str, value: float | None) -> GnssState:
+        """The state with one of the plant's parameters set, before the receiver; None is healthy.
+
+        `pseudorange_m[G12]` adds to the range, `cn0_drop_db[G12]` weakens the signal,
+        `satellite_lost[G12]` takes it away if not 0; `[all]` stands for every satellite.
+        `receiver_off` switches the receiver off if not 0, and its end starts it again, cold.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such parameter or satellite.
+        """
+        number = 0.0 if value is None else value
+        faults = state.faults
+        if name == "receiver_off":
+            return replace(state, faults=replace(faults, off=number))
+        match = PLANT_NAME.fullmatch(name)
+        names = self.constellation.satellites
+        if match is None or (match[2] != "all" and match[2] not in names):
+            raise ConfigError(
+                f"plant: {name!r} is unknown; receiver_off, or {', '.join(PLANT)} with "
+                f"[all] or one of [{'], ['.join(names)}]"
+            )
+        at = np.array([match[2] in ("all", satellite) for satellite in names])
+        changed = faults.signals.copy()
+        changed[PLANT.index(match[1]), at] = number
+        return replace(state, faults=replace(faults, signals=changed))
+
+    def _signals(self, truth: Truth, tow_s: float, state: GnssState, noise: Vector) -> Vector:
+        """What the antenna receives when the receiver's clock shows `tow_s`; rows of `signals`."""
+        place = (truth.lat_rad, truth.lon_rad, truth.height_m)
+        return signals(
+            state.broadcast.orbits.table,
+            tow_s,
+            np.array([*place, *truth.v_ned_mps.tolist()]),
+            (state.clock.offset_s, state.clock.drift),
+            self._atmosphere.coefficients,
+            self._atmosphere.troposphere,
+            self._levels,
+            self._galileo,
+            state.wander,
+            state.faults.signals,
+            noise,
+        )
+
+    def _broadcast(self, tow_s: float, present: Sequence[int | None]) -> Broadcast:
+        """The ephemerides in use; a satellite without one stands where its first would have it."""
+        constellation = self.constellation
+        chosen = constellation.choose(tow_s, present)
+        sets = zip(constellation.ephemerides, chosen, strict=True)
+        return Broadcast(
+            chosen,
+            np.array([k is not None for k in chosen]),
+            orbits_of([every[k or 0] for every, k in sets], constellation.week),
+            constellation.holds_until_s(tow_s, chosen),
+        )
+
+    def _advanced(self, state: GnssState, t_us: int, rng: np.random.Generator) -> GnssState:
+        """Clock, processes and the choice of ephemerides at `t_us`."""
+        config = self.config
+        n = len(self.constellation.satellites)
+        draws = rng.standard_normal(3 * n + 2)
+        tow_s = self.constellation.start_s + t_us * US
+        if tow_s > state.broadcast.until_s:
+            old = state.broadcast
+            new = self._broadcast(tow_s, old.chosen)
+            renewed = [a != b for a, b in zip(new.chosen, old.chosen, strict=True)]
+            sent_us = np.where(renewed, LONG_AGO_US, state.sent_us)
+            state = replace(state, broadcast=new, sent_us=sent_us)
+        if state.t_us is None:
+            return replace(state, t_us=t_us)
+        step_s = (t_us - state.t_us) * US
+        return replace(
+            state,
+            t_us=t_us,
+            clock=next_clock(state.clock, config.clock, step_s, draws[:2]),
+            wander=next_wander(state.wander, self._wander_s, step_s, draws[2:].reshape(3, n)),
+        )
+
+    def _tracking(
+        self, elevation_rad: Vector, cn0_dbhz: Vector, state: GnssState, t_us: int
+    ) -> Tracking:
+        """The receiver's search among signals above the mask and the threshold."""
+        receiver = self.config.receiver
+        signal = (
+            (elevation_rad >= math.radians(self.config.mask_deg))
+            & (cn0_dbhz >= receiver.lock_dbhz)
+            & (state.faults.signals[LOST] == 0.0)
+            & state.broadcast.valid
+        )
+        return next_tracking(
+            state.tracking, signal, t_us, receiver, state.search_s, state.message_s
+        )
+
+    def _due(self, usable: NDArray[np.intp], sent_us: Stamps, t_us: int) -> list[int]:
+        """Satellites whose ephemeris is news, or else the one that has waited longest, if due."""
+        new = [int(k) for k in usable if sent_us[k] == LONG_AGO_US]
+        if new or not len(usable):
+            return new
+        oldest = int(usable[np.argmin(sent_us[usable])])
+        return [oldest] if t_us - sent_us[oldest] >= BROADCAST_US else []
+
+    def _ephemeris(self, t_us: int, satellite: int, state: GnssState) -> EphemerisReading:
+        ephemeris = self.constellation.ephemerides[satellite][
+            state.broadcast.chosen[satellite] or 0
+        ]
+        return EphemerisReading(t_us, ephemeris.satellite, encode_ephemeris(ephemeris))
+
+    def _pseudoranges(
+        self,
+        t_us: int,
+        tow_s: float,
+        pick: NDArray[np.intp],
+        code: Vector,
+        rate: Vector,
+        cn0: Vector,
+    ) -> PseudorangeReading:
+        weeks, tow_s = divmod(tow_s, WEEK_S)
+        return PseudorangeReading(
+            t_us,
+            self.constellation.week + int(weeks),
+            tow_s,
+            tuple(self.constellation.satellites[k] for k in pick),
+            code[pick],
+            rate[pick],
+            cn0[pick],
+        )
+
+    def _position(self, truth: Truth, fix: Fix) -> GpsReading:
+        """The solution as a receiver reports it; mean sea level is taken as known."""
+        known = bool(fix.r_ecef_m.any())
+        undulation_m = truth.height_m - truth.alt_msl_m
+        north, east, down = fix.sigma_ned_m
+        return GpsReading(
+            truth.t_us,
+            math.degrees(fix.lat_rad),
+            math.degrees(fix.lon_rad),
+            fix.height_m - undulation_m if known else 0.0,
+            tuple(fix.v_ned_mps.tolist()),
+            fix.fix_type,
+            fix.satellites,
+            math.hypot(north, east),
+            float(down),
+            self.config.id,
+        )

@@ -1,0 +1,55 @@
+"""What moves in the GNSS sensor from one epoch to the next."""
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from simvehicle.gnss.receiver import Fix
+from simvehicle.gnss.satellite_orbits import Orbits
+from simvehicle.gnss.signal_errors import Clock
+from simvehicle.gnss.tracking import Stamps, Tracking
+
+Vector = NDArray[np.float64]
+
+
+class Faults(msgspec.Struct, frozen=True):
+    """What a scenario does to the signals before the receiver.
+
+    The rows of `signals` (3, n) are metres added to the range, decibels taken from the signal, and
+    whether it is lost (not 0); `off` is not 0 where the receiver is.
+    """
+
+    signals: Vector
+    off: float = 0.0
+
+
+class Broadcast(msgspec.Struct, frozen=True):
+    """Which ephemerides are in use: their indices, which satellites have one, and their orbits.
+
+    It is the right choice up to and including `until_s` (seconds of the constellation's week).
+    """
+
+    chosen: tuple[int | None, ...]
+    valid: NDArray[np.bool_]
+    orbits: Orbits
+    until_s: float
+
+
+class GnssState(msgspec.Struct, frozen=True):
+    """State of `GnssSensor`; arrays (n,) run along its constellation's satellites.
+
+    The rows of `wander` (3, n) are the unit-variance processes of multipath, orbit and C/N0.
+    `search_s`, `message_s` are what a cold
+    start takes for each satellite. `sent_us` is when the ephemerides last went out.
+    """
+
+    t_us: int | None
+    clock: Clock
+    wander: Vector
+    search_s: Vector
+    message_s: Vector
+    broadcast: Broadcast
+    tracking: Tracking
+    sent_us: Stamps
+    faults: Faults
+    fix: Fix | None = None

@@ -1,0 +1,223 @@
+"""RINEX 3 navigation files: GPS LNAV and Galileo I/NAV ephemerides and Klobuchar's coefficients.
+
+Records of other systems are passed over, and so is Galileo's F/NAV, whose clock is for E1/E5a. The
+layout of the columns is that of RINEX 3.05, tables A5 (header), A6 (GPS) and A8 (Galileo).
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris, decode_ephemeris, encode_ephemeris
+
+SHIPPED = Path(__file__).with_name("constellation.nav")
+
+GPS_EPOCH = datetime(1980, 1, 6)
+WEEK_S = 604_800.0
+INAV_CLOCK = 1 << 9  # data sources, bit 9: af0 to af2, toc and SISA are for E5b, E1
+UNKNOWN_SISA = 255
+LINES = {"R": 4, "S": 4}  # lines of a record; 8 for every other system
+# IS-GPS-200N 20.3.3.3.1.3: upper limits of the user range accuracy, index 0 to 14
+URA_M = (2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24, 48, 96, 192, 384, 768, 1536, 3072, 6144)
+
+
+@dataclass(frozen=True, slots=True)
+class Navigation:
+    """What a navigation file says; each satellite's ephemerides are in order of `toe`.
+
+    `alpha`, `beta` are Klobuchar's coefficients in s, s/semicircle, ... (four each), all zero if
+    the file has none.
+    """
+
+    ephemerides: dict[str, tuple[Ephemeris, ...]]
+    alpha: tuple[float, ...]
+    beta: tuple[float, ...]
+
+
+def gps_time(moment: datetime) -> tuple[int, float]:
+    """GPS week and seconds of week of a moment in GPS time."""
+    seconds = (moment - GPS_EPOCH) / timedelta(seconds=1)
+    week = int(seconds // WEEK_S)
+    return week, seconds - week * WEEK_S
+
+
+def read_navigation(path: Path) -> Navigation:
+    """The navigation file at `path`.
+
+    Ephemerides come with the resolution of their RTCM messages, so that what is broadcast and what
+    the simulator uses are the same numbers.
+
+    Raises
+    ------
+    ConfigError
+        If it is not a RINEX 3 navigation file, a record is broken, or it has no ephemeris of a
+        healthy GPS or Galileo satellite.
+    """
+    try:
+        lines = path.read_text(encoding="ascii").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error}); a RINEX 3 navigation file") from error
+    return parse_navigation(lines, str(path))
+
+
+def parse_navigation(lines: list[str], where: str) -> Navigation:
+    """The navigation file with these lines; `where` names it in errors (see `read_navigation`)."""
+    end, alpha, beta = _header(lines, where)
+    found: dict[str, dict[float, Ephemeris]] = {}
+    for number, record in _records(lines, end, where):
+        ephemeris = _ephemeris(record, number, where)
+        if ephemeris is not None and ephemeris.health == 0:
+            when = ephemeris.week * WEEK_S + ephemeris.toe_s
+            found.setdefault(ephemeris.satellite, {})[when] = ephemeris
+    if not found:
+        raise ConfigError(
+            f"{where}: holds no ephemeris of a healthy GPS or Galileo (I/NAV) satellite; "
+            "at least one, better those of all in view"
+        )
+    ephemerides = {name: tuple(e for _, e in sorted(found[name].items())) for name in sorted(found)}
+    return Navigation(ephemerides, alpha, beta)
+
+
+def _header(lines: list[str], where: str) -> tuple[int, tuple[float, ...], tuple[float, ...]]:
+    """Index of the first line after the header, alpha and beta."""
+    first = lines[0] if lines else ""
+    if first[60:80].strip() != "RINEX VERSION / TYPE" or first[20:21] != "N":
+        raise ConfigError(f"{where}:1: is not a RINEX navigation file; RINEX 3, type N")
+    if first[:9].strip()[:2] != "3.":
+        raise ConfigError(f"{where}:1: RINEX version {first[:9].strip()} is not read; 3.00 to 3.05")
+    coefficients: dict[str, tuple[float, ...]] = {label: (0.0,) * 4 for label in ("GPSA", "GPSB")}
+    for i, line in enumerate(lines):
+        label = line[60:80].strip()
+        if label == "END OF HEADER":
+            return i + 1, coefficients["GPSA"], coefficients["GPSB"]
+        if label == "IONOSPHERIC CORR" and line[:4] in coefficients:
+            coefficients[line[:4]] = tuple(
+                _number(line[5 + 12 * k : 17 + 12 * k], i + 1, where) for k in range(4)
+            )
+    raise ConfigError(f"{where}:{len(lines)}: the header does not end; END OF HEADER")
+
+
+def _records(lines: list[str], start: int, where: str) -> Iterator[tuple[int, list[str]]]:
+    """Line numbers (from 1) and lines of the GPS and Galileo records."""
+    at = start
+    while at < len(lines):
+        system = lines[at][:1]
+        if not lines[at].strip():
+            at += 1
+            continue
+        if not system.isalpha():
+            raise ConfigError(
+                f"{where}:{at + 1}: {lines[at][:23]!r} does not start a record; "
+                "a satellite like G12 and its time"
+            )
+        count = LINES.get(system, 8)
+        record = lines[at : at + count]
+        cut = next((i for i, line in enumerate(record[1:], 1) if line[:1].strip()), len(record))
+        if cut < count:
+            raise ConfigError(
+                f"{where}:{at + 1 + cut}: the record of {record[0][:3]} ends after {cut} lines; "
+                f"{count} lines"
+            )
+        if system in "GE":
+            yield at + 1, record
+        at += count
+
+
+def _ephemeris(record: list[str], line: int, where: str) -> Ephemeris | None:
+    """The ephemeris of one record; None for Galileo's F/NAV."""
+    name = record[0][:3].replace(" ", "0")
+    toc_s = _clock_time(record[0][4:23], line, where)
+    clock = [_number(record[0][23 + 19 * k : 42 + 19 * k], line, where) for k in range(3)]
+    v = [
+        [_number(text[4 + 19 * k : 23 + 19 * k], line + i, where) for k in range(4)]
+        for i, text in enumerate(record[1:], 1)
+    ]
+    galileo = name[0] == "E"
+    if galileo and v[4][1] and not int(v[4][1]) & INAV_CLOCK:
+        return None
+    ephemeris = Ephemeris(
+        satellite=name,
+        week=int(v[4][2]),
+        toe_s=v[2][0],
+        toc_s=toc_s,
+        af0_s=clock[0],
+        af1=clock[1],
+        af2_per_s=clock[2],
+        iode=int(v[0][0]),
+        iodc=int(v[0][0]) if galileo else int(v[5][3]),
+        sqrt_a=v[1][3],
+        eccentricity=v[1][1],
+        i0_rad=v[3][0],
+        omega0_rad=v[2][2],
+        omega_rad=v[3][2],
+        m0_rad=v[0][3],
+        delta_n_rps=v[0][2],
+        omega_dot_rps=v[3][3],
+        idot_rps=v[4][0],
+        crs_m=v[0][1],
+        crc_m=v[3][1],
+        cus_rad=v[1][2],
+        cuc_rad=v[1][0],
+        cis_rad=v[2][3],
+        cic_rad=v[2][1],
+        group_delay_s=v[5][3] if galileo else v[5][2],
+        group_delay_e5a_s=v[5][2] if galileo else 0.0,
+        accuracy=sisa_index(v[5][0]) if galileo else ura_index(v[5][0]),
+        health=_galileo_health(int(v[5][1])) if galileo else int(v[5][1]),
+        codes=(0, 0) if galileo else (int(v[4][1]), int(v[4][3])),
+        long_fit=not galileo and v[6][1] > 4.0,
+    )
+    try:
+        return decode_ephemeris(encode_ephemeris(ephemeris), ephemeris.week // 1024 * 1024)
+    except ValueError as error:
+        raise ConfigError(
+            f"{where}:{line}: the record of {name} cannot be broadcast ({error}); "
+            "values in the range of the navigation message"
+        ) from error
+
+
+def _clock_time(text: str, line: int, where: str) -> float:
+    """Seconds of week of the clock's reference time."""
+    try:
+        return gps_time(datetime(*(int(part) for part in text.split())))[1]  # type: ignore[arg-type]
+    except (ValueError, TypeError) as error:
+        raise ConfigError(
+            f"{where}:{line}: {text.strip()!r} is no time; year month day hour minute second"
+        ) from error
+
+
+def _number(text: str, line: int, where: str) -> float:
+    """A number in FORTRAN's notation; blank is zero."""
+    try:
+        value = float(text.replace("D", "E").replace("d", "e")) if text.strip() else 0.0
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ConfigError(f"{where}:{line}: {text.strip()!r} is no number; like -.123456789012D-03")
+    return value
+
+
+def ura_index(accuracy_m: float) -> int:
+    """GPS's index of a user range accuracy in metres; 15 where none is predicted."""
+    return next((i for i, limit in enumerate(URA_M) if accuracy_m <= limit), 15)
+
+
+def sisa_index(accuracy_m: float) -> int:
+    """Galileo's index of a signal-in-space accuracy (OS SIS ICD table 91); 255 where none is."""
+    for start, first, step in ((0.0, 0, 0.01), (0.5, 50, 0.02), (1.0, 75, 0.04), (2.0, 100, 0.16)):
+        index = first + round((accuracy_m - start) / step)
+        if accuracy_m >= start and index < {0: 50, 50: 75, 75: 100, 100: 126}[first]:
+            return index
+    return UNKNOWN_SISA
+
+
+def _galileo_health(bits: int) -> int:
+    """RINEX's health word (bits 6 to 8 are E5b's, 0 to 2 E1B's) as 1046 has it."""
+
+    def status_and_validity(word: int) -> int:
+        return (word >> 1 & 3) << 1 | word & 1
+
+    return status_and_validity(bits >> 6) << 3 | status_and_validity(bits)

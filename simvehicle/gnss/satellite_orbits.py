@@ -1,0 +1,159 @@
+"""Positions, velocities and clocks of GPS and Galileo satellites from broadcast ephemerides.
+
+The user algorithm of IS-GPS-200N, table 20-IV, and of the Galileo OS SIS ICD 2.1, table 66, which
+differ in one constant; velocities are its derivatives.
+"""
+
+from collections.abc import Sequence
+from math import atan2, cos, sin, sqrt
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
+
+Vector = NDArray[np.float64]
+State8 = tuple[float, float, float, float, float, float, float, float]
+
+MU_M3PS2 = {"G": 3.986005e14, "E": 3.986004418e14}
+EARTH_RATE_RPS = 7.2921151467e-5
+SPEED_OF_LIGHT_MPS = 299_792_458.0
+WEEK_S = 604_800.0
+KEPLER_STEPS = 4  # Newton from E = M leaves under 1e-14 rad at the eccentricity 0.16 of E14, E18
+
+
+class Orbits(msgspec.Struct, frozen=True):
+    """The ephemerides of n satellites as one table.
+
+    `table` (n, 20) holds what `satellite_state` reads, times in seconds of the GPS week `week`.
+    """
+
+    satellites: tuple[str, ...]
+    week: int
+    table: Vector
+
+
+def orbits_of(ephemerides: Sequence[Ephemeris], week: int) -> Orbits:
+    """Ephemerides as a table, with their times counted in GPS week `week`."""
+    table = np.array([_row(e, week) for e in ephemerides], dtype=float).reshape(-1, 20)
+    return Orbits(tuple(e.satellite for e in ephemerides), week, table)
+
+
+def orbits_at(orbits: Orbits, pick: NDArray[np.intp]) -> Orbits:
+    """Some of the satellites."""
+    names = tuple(orbits.satellites[k] for k in pick)
+    return Orbits(names, orbits.week, orbits.table[pick])
+
+
+def _row(e: Ephemeris, week: int) -> tuple[float, ...]:
+    """Elements in the order of `satellite_state`, with what they give once and for all."""
+    shift_s = (e.week - week) * WEEK_S
+    toc_s = e.toc_s - round((e.toc_s - e.toe_s) / WEEK_S) * WEEK_S  # of the nearest week
+    mu = MU_M3PS2[e.satellite[0]]
+    a_m = e.sqrt_a**2
+    return (
+        e.toe_s + shift_s,
+        e.m0_rad,
+        sqrt(mu / a_m**3) + e.delta_n_rps,
+        e.eccentricity,
+        a_m,
+        e.omega_rad,
+        e.cus_rad,
+        e.cuc_rad,
+        e.crs_m,
+        e.crc_m,
+        e.cis_rad,
+        e.cic_rad,
+        e.i0_rad,
+        e.idot_rps,
+        e.omega0_rad - EARTH_RATE_RPS * e.toe_s,
+        e.omega_dot_rps - EARTH_RATE_RPS,
+        toc_s + shift_s,
+        e.af0_s - e.group_delay_s,
+        e.af1,
+        e.af2_per_s,
+    )
+
+
+@inlined
+def satellite_state(row: Vector, tow_s: float) -> State8:
+    """Position (3) and velocity (3), Earth-fixed at `tow_s`, clock and clock rate of one satellite.
+
+    The clock is the satellite's minus GPS time as L1 or E1 shows it [s]: polynomial, relativity and
+    group delay.
+    """
+    toe, m0, motion, e, a, omega, cus, cuc, crs, crc, cis, cic, i0, idot, node0, node_rate, toc = (
+        row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10],
+        row[11], row[12], row[13], row[14], row[15], row[16],
+    )  # fmt: skip
+    t = tow_s - toe
+    mean = m0 + motion * t
+    anomaly = mean + e * sin(mean)
+    for _ in range(KEPLER_STEPS):
+        anomaly -= (anomaly - e * sin(anomaly) - mean) / (1.0 - e * cos(anomaly))
+    se, ce = sin(anomaly), cos(anomaly)
+    scale = 1.0 - e * ce
+    anomaly_rate = motion / scale
+    root = sqrt(1.0 - e * e)
+
+    argument = atan2(root * se, ce - e) + omega
+    argument_rate = anomaly_rate * root / scale
+    s2, c2 = sin(2.0 * argument), cos(2.0 * argument)
+    u = argument + cus * s2 + cuc * c2
+    r = a * scale + crs * s2 + crc * c2
+    i = i0 + idot * t + cis * s2 + cic * c2
+    u_rate = argument_rate * (1.0 + 2.0 * (cus * c2 - cuc * s2))
+    r_rate = a * e * se * anomaly_rate + 2.0 * argument_rate * (crs * c2 - crc * s2)
+    i_rate = idot + 2.0 * argument_rate * (cis * c2 - cic * s2)
+
+    x, y = r * cos(u), r * sin(u)
+    x_rate = r_rate * cos(u) - y * u_rate
+    y_rate = r_rate * sin(u) + x * u_rate
+    si, ci = sin(i), cos(i)
+    node = node0 + node_rate * t
+    sn, cn = sin(node), cos(node)
+    flat = y * ci
+    flat_rate = y_rate * ci - y * si * i_rate
+    px, py, pz = x * cn - flat * sn, x * sn + flat * cn, y * si
+    vx = x_rate * cn - flat_rate * sn - node_rate * py
+    vy = x_rate * sn + flat_rate * cn + node_rate * px
+    vz = y_rate * si + flat * i_rate
+
+    age = tow_s - toc
+    relativity = -2.0 * motion * a * a * e / SPEED_OF_LIGHT_MPS**2
+    clock = row[17] + age * (row[18] + age * row[19]) + relativity * se
+    clock_rate = row[18] + 2.0 * age * row[19] + relativity * ce * anomaly_rate
+    return px, py, pz, vx, vy, vz, clock, clock_rate
+
+
+@compiled
+def _states(table: Vector, tow_s: Vector) -> Vector:
+    out = np.empty((len(table), 8))
+    for k in range(len(table)):
+        px, py, pz, vx, vy, vz, clock, clock_rate = satellite_state(table[k], tow_s[k])
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4], out[k, 5] = px, py, pz, vx, vy, vz
+        out[k, 6], out[k, 7] = clock, clock_rate
+    return out
+
+
+def satellite_states(orbits: Orbits, tow_s: Vector) -> tuple[Vector, Vector, Vector, Vector]:
+    """Where the satellites are, and how wrong their clocks.
+
+    Parameters
+    ----------
+    orbits : Orbits
+        Of n satellites.
+    tow_s : (n,) array
+        GPS time, in seconds of the week `orbits.week`, for each of them.
+
+    Returns
+    -------
+    r_ecef_m, v_ecef_mps : (n, 3) arrays
+        Earth-fixed at that time (of the antenna's phase centre).
+    clock_s, clock_rate : (n,) arrays
+        See `satellite_state`.
+    """
+    out = _states(orbits.table, tow_s)
+    return out[:, :3], out[:, 3:6], out[:, 6], out[:, 7]

@@ -1,0 +1,198 @@
+"""A plain autopilot for the multirotor: path following, height, attitude and motor mixing.
+
+It works on the true state, as it is there to fly missions without an autopilot, not to be tested.
+Velocity errors become a wanted acceleration, that a wanted attitude and thrust (Mellinger and
+Kumar, ICRA 2011), and those motor commands by the inverse of the rotors' geometry.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.rotation import euler_angles
+from simvehicle.guidance.fixedwing_controller import GRAVITY_MPS2
+from simvehicle.guidance.route import Aim, HoldTrack, PathTrack, Track
+from simvehicle.sensors.readings import Triple
+from simvehicle.vehicles.body import Controls, Truth
+from simvehicle.vehicles.multirotor import Multirotor
+from simvehicle.vehicles.multirotor_flight import SEA_LEVEL_KGPM3
+from simvehicle.vehicles.rigidbody_kernel import to_body, to_ned
+
+Array = NDArray[np.float64]
+_TRACK_GAIN = 1.0  # 1/s, cross-track error to closing speed
+_SPEED_GAIN = 2.5  # 1/s, velocity error to acceleration
+_INTEGRAL_GAIN = 0.8  # 1/s^2
+_HEIGHT_GAIN = 1.2  # 1/s
+_CLIMB_MPS, _SINK_MPS = 3.0, 2.0
+_LANDING_MPS = 0.7
+_TILT_MPS2 = 0.7 * GRAVITY_MPS2  # largest horizontal acceleration, 35 degrees of tilt
+_YAW_RATE_RPS = 1.0
+_ATTITUDE_GAIN = 8.0  # 1/s
+_RATE_GAIN = 22.0  # 1/s
+_CLEAR_M = 2.0  # of height to gather speed in
+_CLOSE_M = 1.0  # from the place to land on
+_TURN_LEAD_S = 0.15
+
+
+@inlined
+def _cross(a: Triple, b: Triple) -> Triple:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inlined
+def _unit(v: Triple) -> Triple:
+    size = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    return v[0] / size, v[1] / size, v[2] / size
+
+
+@compiled
+def _motors(
+    q: Array,
+    rates: Array,
+    accel: Triple,
+    yaw: float,
+    body: Array,
+    allocation: Array,
+    limits: Triple,
+    out: Array,
+) -> None:
+    """Fill in commands (n,) for a wanted acceleration (NED, without gravity) and heading.
+
+    `body` is mass and jx, jy, jz; `allocation` (n, 4) gives rotor thrusts for thrust and moments;
+    `limits` is the thrust coefficient at this density, idle and full speed [rad/s].
+    """
+    push = (-accel[0], -accel[1], GRAVITY_MPS2 - accel[2])  # down axis of the wanted attitude
+    size = math.sqrt(push[0] ** 2 + push[1] ** 2 + push[2] ** 2)
+    z = _unit(push)
+    x = _unit(_cross((-math.sin(yaw), math.cos(yaw), 0.0), z))
+    y = _cross(z, x)
+    # Half the antisymmetric part of now^T wanted: the attitude error, turned into body axes.
+    now_z = to_ned(q[0], q[1], q[2], q[3], 0.0, 0.0, 1.0)
+    a = _cross(to_ned(q[0], q[1], q[2], q[3], 1.0, 0.0, 0.0), x)
+    b = _cross(to_ned(q[0], q[1], q[2], q[3], 0.0, 1.0, 0.0), y)
+    c = _cross(now_z, z)
+    error = (0.5 * (a[0] + b[0] + c[0]), 0.5 * (a[1] + b[1] + c[1]), 0.5 * (a[2] + b[2] + c[2]))
+    turn = to_body(q[0], q[1], q[2], q[3], error[0], error[1], error[2])
+    along = max(0.3, now_z[0] * z[0] + now_z[1] * z[1] + now_z[2] * z[2])
+    for i in range(allocation.shape[0]):
+        thrust = allocation[i, 0] * body[0] * size * along
+        for axis in range(3):
+            gain = 1.0 if axis < 2 else 0.3  # the heading is the least urgent
+            rate = gain * _ATTITUDE_GAIN * turn[axis]
+            moment = body[1 + axis] * gain * _RATE_GAIN * (rate - rates[axis])
+            thrust += allocation[i, 1 + axis] * moment
+        speed = math.sqrt(max(thrust, 0.0) / limits[0])
+        out[i] = min(1.0, max(0.01, (speed - limits[1]) / (limits[2] - limits[1])))
+
+
+class MultirotorController:
+    """Flies a track; `track`, `landing` and `yaw_rad` may be changed at any time."""
+
+    rate_hz: float = 125.0
+    drifts: bool = False  # it holds its speed over ground
+    lateral_mps2: float = 3.0
+
+    def __init__(self, vehicle: Multirotor, home_alt_m: float) -> None:
+        self.vehicle = vehicle
+        self.home_alt_m = home_alt_m
+        self.track: Track | None = None
+        self.landing = False
+        self.yaw_rad = math.nan
+        self._heading: float | None = None
+        self._integral = [0.0, 0.0, 0.0]
+        motor, rotors = vehicle.parameters.motor, vehicle.rotors
+        moments = vehicle.parameters.inertia_kgm2
+        self._body = np.array([vehicle.parameters.mass_kg, moments.jx, moments.jy, moments.jz])
+        effect = np.array(
+            [
+                np.ones(len(rotors)),
+                -rotors[:, 1],
+                rotors[:, 0],
+                rotors[:, 2] * motor.torque_per_thrust_m,
+            ]
+        )
+        self._allocation = np.ascontiguousarray(np.linalg.pinv(effect))
+
+    def circle(self, north_m: float, east_m: float, height_m: float, speed_mps: float) -> Track:
+        """A track that waits at a point."""
+        return HoldTrack(north_m, east_m, height_m, speed_mps)
+
+    def update(self, truth: Truth) -> Controls:
+        """Controls for the next control period."""
+        if self.landing and truth.on_ground:
+            self._integral = [0.0, 0.0, 0.0]
+            return Controls(np.zeros(self.vehicle.controls_count))
+        north, east, _ = truth.r_ned_m.tolist()
+        height = truth.alt_msl_m - self.home_alt_m
+        if self.track is None:
+            self.track = self.circle(north, east, height, self.vehicle.parameters.cruise_mps)
+        if isinstance(self.track, PathTrack) and self.track.finished:
+            end = self.track.look(north, east, 0.0)
+            self.track = self.circle(north, east, end.height_m, end.speed_mps)
+        vn, ve, vd = truth.v_ned_mps.tolist()
+        aim = self.track.look(north, east, math.hypot(vn, ve) * _TURN_LEAD_S)
+        # Near the ground it climbs before it goes anywhere, unless that is as high as it shall go.
+        room = max(0.0, min(1.0, (truth.height_agl_m - 1.0) / _CLEAR_M))
+        room = max(room, 1.0 if aim.height_m - height < 0.5 or self.landing else 0.0)
+        accel = self._acceleration(aim, height, (vn, ve, vd), room)
+        yaw = self._yaw(aim, truth)
+        motor = self.vehicle.parameters.motor
+        thrust = motor.thrust_n_per_rps2 * truth.density_kgpm3 / SEA_LEVEL_KGPM3
+        values = np.empty(self.vehicle.controls_count)
+        _motors(
+            truth.q_nb,
+            truth.omega_b_rps,
+            accel,
+            yaw,
+            self._body,
+            self._allocation,
+            (thrust, motor.idle_rps, motor.full_rps),
+            values,
+        )
+        return Controls(values)
+
+    def _acceleration(
+        self, aim: Aim, height: float, velocity: tuple[float, float, float], room: float
+    ) -> Triple:
+        """Wanted acceleration without gravity, NED [m/s^2]; `room` scales the speed ahead."""
+        c, s = math.cos(aim.course_rad), math.sin(aim.course_rad)
+        closing = max(
+            -aim.speed_mps - 1.0, min(aim.speed_mps + 1.0, _TRACK_GAIN * aim.cross_track_m)
+        )
+        climb = _HEIGHT_GAIN * (aim.height_m - height)
+        if self.landing and math.hypot(aim.cross_track_m, aim.distance_m) < _CLOSE_M:
+            climb = -_LANDING_MPS if height < 5.0 else -_SINK_MPS
+        climb = max(-_SINK_MPS, min(_CLIMB_MPS, climb))
+        ahead = aim.speed_mps * room
+        wanted = (
+            ahead * c + closing * s,
+            ahead * s - closing * c,
+            -climb,
+        )
+        bend = aim.curvature_pm * aim.speed_mps**2
+        forward = (-bend * s, bend * c, 0.0)
+        dt = 1.0 / self.rate_hz
+        out = []
+        for axis in range(3):
+            error = wanted[axis] - velocity[axis]
+            if abs(error) < 2.0:  # larger ones are manoeuvres, not disturbances
+                held = self._integral[axis] + _INTEGRAL_GAIN * error * dt
+                self._integral[axis] = max(-5.0, min(5.0, held))
+            out.append(_SPEED_GAIN * error + self._integral[axis] + forward[axis])
+        size = math.hypot(out[0], out[1])
+        scale = min(1.0, _TILT_MPS2 / max(size, 1e-9))
+        return out[0] * scale, out[1] * scale, max(-6.0, min(6.0, out[2]))
+
+    def _yaw(self, aim: Aim, truth: Truth) -> float:
+        """Heading to hold: the one asked for, else along the track, turned at a limited rate."""
+        if self._heading is None:
+            self._heading = euler_angles(truth.q_nb.tolist())[2]
+        wanted = self.yaw_rad
+        if not math.isfinite(wanted):
+            wanted = aim.course_rad if aim.distance_m > 2.0 else self._heading
+        turn = math.remainder(wanted - self._heading, 2.0 * math.pi)
+        limit = _YAW_RATE_RPS / self.rate_hz
+        self._heading += max(-limit, min(limit, turn))
+        return self._heading

@@ -1,0 +1,55 @@
+"""Constant controls instead of a mission, with or without weaving from side to side."""
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.rotation import euler_angles
+from simvehicle.guidance.fixedwing_controller import FixedWingController
+from simvehicle.vehicles.body import Controls, Truth
+from simvehicle.vehicles.fixedwing import FixedWing
+from simvehicle.vehicles.weave_kernel import Four, Motion, weave
+
+if TYPE_CHECKING:
+    from simvehicle.scenario.scenario_file import OpenLoop
+
+
+@compiled
+def _woven(motion: Motion, aim: Four, open_loop: Four, t_s: float) -> Four:
+    return weave(motion, aim, open_loop, t_s)
+
+
+class OpenLoopController(FixedWingController):
+    """Holds the controls as they are told; given a track, it flies that."""
+
+    rate_hz = math.inf  # anew at every step
+
+    def __init__(
+        self, vehicle: FixedWing, density: float, home_alt_m: float, told: "OpenLoop"
+    ) -> None:
+        super().__init__(vehicle, density, home_alt_m)
+        elevator, aileron, rudder = np.radians(
+            [told.elevator_deg, told.aileron_deg, told.rudder_deg]
+        )
+        self._told = (float(elevator), float(aileron), float(rudder), told.throttle)
+        self._aim: Four | None = None
+        if told.weave is not None:
+            roll, pitch = np.radians([told.weave.roll_deg, told.weave.pitch_deg])
+            self._aim = (float(roll), told.weave.period_s, float(pitch), told.weave.airspeed_mps)
+
+    def update(self, truth: Truth) -> Controls:
+        """Controls for the next step."""
+        if self.track is not None:
+            self.rate_hz = FixedWingController.rate_hz
+            return super().update(truth)
+        now = self._told
+        if self._aim is not None:
+            roll, pitch, _ = euler_angles(truth.q_nb.tolist())
+            p, q, _ = truth.omega_b_rps.tolist()
+            airspeed = math.hypot(*truth.v_air_b_mps.tolist())
+            motion = Motion(float(roll), float(pitch), p, q, airspeed)
+            now = _woven(motion, self._aim, self._told, truth.t_us * 1e-6)
+        throws = (*self.vehicle.throw_rad, 1.0)
+        return Controls(np.array([value / throw for value, throw in zip(now, throws, strict=True)]))

@@ -1,0 +1,231 @@
+"""Readings and truth -> the frames a HIL simulator sends, as PX4 1.18 expects them; no I/O.
+
+Per step: HIL_SENSOR of id 0 (the one that sets PX4's clock), those of further ids, then what else
+was measured (raw GNSS observations as RTCM in TUNNEL), HEARTBEAT once a second, and the truth as
+HIL_STATE_QUATERNION. HIL_SENSOR carries
+the last value of every field; `fields_updated` says which are new. All bits of a group must be set
+for PX4 to use it, and pressure takes three of them.
+
+HIL_SENSOR and HIL_STATE_QUATERNION are packed here and not by `wire.frame.build`, because they
+make up nearly all of the traffic.
+"""
+
+import struct
+from collections.abc import Iterable, Mapping
+
+from mavproxy_fault.rtcm.msm7 import encode_epoch
+from mavproxy_fault.rtcm.transport import tunnel_frames
+from mavproxy_fault.wire.dialect import Layout, known
+from mavproxy_fault.wire.frame import build, framed
+from simvehicle.autopilot.outgoing_message import Message
+from simvehicle.hil import hil_messages
+from simvehicle.hil.state_kernel import TruthPayload, fill
+from simvehicle.sensors.readings import (
+    AirspeedReading,
+    BatteryReading,
+    EphemerisReading,
+    FlowReading,
+    GpsReading,
+    ImuReading,
+    MagReading,
+    PressureReading,
+    PseudorangeReading,
+    RangeReading,
+    Reading,
+    VisionReading,
+)
+from simvehicle.vehicles.body import Truth
+
+HIL_SENSOR = known("HIL_SENSOR")
+HIL_STATE_QUATERNION = known("HIL_STATE_QUATERNION")
+HEARTBEAT = known("HEARTBEAT")
+
+# HIL_SENSOR_UPDATED_*: the bits of one group belong together
+ACCEL, GYRO, MAG, BARO, DIFF_PRESSURE = 0x7, 0x38, 0x1C0, 0x1A00, 0x400
+IMU_IDS, MAG_IDS, BARO_IDS = 3, 2, 2  # PX4 drops the rest of a message beyond these
+
+START_US = 1_000_000  # stamp of t_us = 0: PX4 refuses 0
+HEARTBEAT_US = 1_000_000
+AUTOPILOT_INVALID = 8  # MAV_AUTOPILOT_INVALID: the simulator flies nothing itself
+TYPE_QUADROTOR = 2  # MAV_TYPE_QUADROTOR
+
+PA_PER_HPA = 100.0
+
+_SENSOR = struct.Struct("<Q13fIB")
+
+
+class Hil:
+    """The simulator's end of a HIL link: packs frames and counts them.
+
+    Parameters
+    ----------
+    system, component : int
+        Whom the frames come from.
+    start_us : int
+        Stamp on the wire of the simulation's t_us = 0.
+    mav_type : int
+        MAV_TYPE of the heartbeat.
+    """
+
+    def __init__(
+        self,
+        system: int = 1,
+        component: int = 51,
+        start_us: int = START_US,
+        mav_type: int = TYPE_QUADROTOR,
+    ) -> None:
+        self.start_us = start_us
+        self._system = system
+        self._component = component
+        self._mav_type = mav_type
+        self._seq = 0
+        self._rtcm = 0  # RTCM messages sent
+        self._heartbeat_us = 0
+        self._held = [[0.0] * 13 for _ in range(IMU_IDS)]  # HIL_SENSOR's floats, by id
+        self._truth = TruthPayload()
+        self._consumed_mah = 0.0
+        self._battery_us: int | None = None
+
+    def frames(self, t_us: int, truth: Truth, readings: Iterable[Reading]) -> list[bytes]:
+        """The frames of one step.
+
+        Parameters
+        ----------
+        t_us : int
+            The step's instant on the simulation's clock; HIL_SENSOR is stamped with it.
+        truth : Truth
+            Sent as HIL_STATE_QUATERNION.
+        readings : iterable of Reading
+            What the sensors delivered at this step; their own stamps may lie in the past.
+        """
+        stamp = t_us + self.start_us
+        updated = [0] * IMU_IDS
+        others = []
+        for reading in readings:
+            if isinstance(reading, (ImuReading, MagReading, PressureReading, AirspeedReading)):
+                self._hold(reading, updated)
+            else:
+                others.append(reading)
+        out = [self._sensor(stamp, bits, number) for number, bits in enumerate(updated) if bits]
+        for reading in others:
+            if isinstance(reading, (PseudorangeReading, EphemerisReading)):
+                for message in rtcm(reading):
+                    out += self._tunnel(message)
+            else:
+                out.append(self._build(*self._message(reading)))
+        if t_us >= self._heartbeat_us:
+            self._heartbeat_us = t_us - t_us % HEARTBEAT_US + HEARTBEAT_US
+            out.append(self._build(*self._heartbeat()))
+        out.append(self.truth(stamp, truth))
+        return out
+
+    def truth(self, stamp_us: int, truth: Truth) -> bytes:
+        """HIL_STATE_QUATERNION: attitude, position and velocity as they really are."""
+        payload = self._truth
+        payload.stamp[0] = stamp_us
+        fill(
+            truth.q_nb,
+            truth.omega_b_rps,
+            truth.v_ned_mps,
+            truth.specific_force_b_mps2,
+            truth.v_air_b_mps,
+            (truth.lat_rad, truth.lon_rad, truth.alt_msl_m, truth.density_kgpm3),
+            payload.floats,
+            payload.places,
+            payload.shorts,
+        )
+        return self._frame(HIL_STATE_QUATERNION, payload.bytes.tobytes())
+
+    def _hold(
+        self,
+        reading: ImuReading | MagReading | PressureReading | AirspeedReading,
+        updated: list[int],
+    ) -> None:
+        """Take a reading into the fields of its HIL_SENSOR and mark them as new."""
+        if isinstance(reading, ImuReading):
+            held = self._held[reading.id]
+            held[0:3] = reading.accel_b_mps2
+            held[3:6] = reading.gyro_b_rps
+            updated[reading.id] |= ACCEL | GYRO
+        elif isinstance(reading, MagReading):
+            self._held[reading.id][6:9] = reading.field_b_gauss
+            updated[reading.id] |= MAG
+        elif isinstance(reading, PressureReading):
+            held = self._held[reading.id]
+            held[9] = reading.pressure_pa / PA_PER_HPA
+            held[11] = reading.pressure_alt_m
+            held[12] = reading.temperature_c
+            updated[reading.id] |= BARO
+        else:
+            self._held[0][10] = reading.diff_pressure_pa / PA_PER_HPA
+            updated[0] |= DIFF_PRESSURE
+
+    def _message(
+        self, reading: GpsReading | RangeReading | FlowReading | VisionReading | BatteryReading
+    ) -> Message:
+        """What carries a reading that has a message of its own."""
+        stamp = reading.t_us + self.start_us
+        if isinstance(reading, GpsReading):
+            return hil_messages.gps(reading, stamp)
+        if isinstance(reading, RangeReading):
+            return hil_messages.distance(reading, stamp)
+        if isinstance(reading, FlowReading):
+            return hil_messages.flow(reading, stamp)
+        if isinstance(reading, VisionReading):
+            return hil_messages.vision(reading, stamp)
+        return hil_messages.battery(reading, self._consume(reading))
+
+    def _tunnel(self, message: bytes) -> list[bytes]:
+        """TUNNEL frames around one RTCM message."""
+        frames = tunnel_frames(
+            message, self._rtcm, seq=self._seq, system=self._system, component=self._component
+        )
+        self._rtcm += 1
+        self._seq = (self._seq + len(frames)) & 0xFF
+        return frames
+
+    def _consume(self, reading: BatteryReading) -> float:
+        """Charge drawn until this reading in mAh."""
+        if self._battery_us is not None:
+            hours = (reading.t_us - self._battery_us) / 3.6e9
+            self._consumed_mah += reading.current_a * 1e3 * hours
+        self._battery_us = reading.t_us
+        return self._consumed_mah
+
+    def _heartbeat(self) -> Message:
+        return HEARTBEAT, {
+            "type": self._mav_type,
+            "autopilot": AUTOPILOT_INVALID,
+            "mavlink_version": 3,
+        }
+
+    def _sensor(self, stamp_us: int, updated: int, number: int) -> bytes:
+        return self._frame(HIL_SENSOR, _SENSOR.pack(stamp_us, *self._held[number], updated, number))
+
+    def _frame(self, layout: Layout, payload: bytes) -> bytes:
+        return framed(
+            layout, payload, seq=self._next(), system=self._system, component=self._component
+        )
+
+    def _build(self, layout: Layout, values: Mapping[str, object]) -> bytes:
+        return build(
+            layout, values, seq=self._next(), system=self._system, component=self._component
+        )
+
+    def _next(self) -> int:
+        seq = self._seq
+        self._seq = (seq + 1) & 0xFF
+        return seq
+
+
+def rtcm(reading: PseudorangeReading | EphemerisReading) -> list[bytes]:
+    """MSM7 messages of one epoch, or the message of one ephemeris."""
+    if isinstance(reading, EphemerisReading):
+        return [reading.rtcm]
+    return encode_epoch(
+        reading.tow_s,
+        reading.satellites,
+        reading.pseudorange_m.tolist(),
+        reading.doppler_mps.tolist(),
+        reading.cn0_dbhz.tolist(),
+    )

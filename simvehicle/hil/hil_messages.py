@@ -1,0 +1,168 @@
+"""Readings in SI units -> the fields of the HIL messages that are not sent at full rate.
+
+Each function returns the values for `mavproxy_fault.wire.frame.build`. Scalings are those of the
+MAVLink definitions, except HIL_GPS.eph and .epv, which PX4 reads as centimetres of position error.
+"""
+
+import math
+from functools import lru_cache
+
+from mavproxy_fault.numerics.rotation import euler_angles, into_body
+from mavproxy_fault.wire.dialect import known
+from simvehicle.autopilot.outgoing_message import Message
+from simvehicle.sensors.readings import (
+    BatteryReading,
+    FlowReading,
+    GpsReading,
+    RangeReading,
+    VisionReading,
+)
+
+COURSE_UNKNOWN = 0xFFFF  # HIL_GPS.cog
+COURSE_SPEED_MPS = 0.5  # below this the course over ground is noise
+PITCH_270 = 25  # MAV_SENSOR_ROTATION_PITCH_270: looking down
+LASER = 0  # MAV_DISTANCE_SENSOR_LASER
+LOCAL_NED = 1  # MAV_FRAME_LOCAL_NED
+BODY_FRD = 12  # MAV_FRAME_BODY_FRD
+VISION = 2  # MAV_ESTIMATOR_TYPE_VISION
+CELLS_UNUSED = (0xFFFF,) * 9  # BATTERY_STATUS.voltages beyond the first: the pack as one cell
+TEMPERATURE_UNKNOWN = 0x7FFF
+
+HIL_GPS = known("HIL_GPS")
+DISTANCE_SENSOR = known("DISTANCE_SENSOR")
+HIL_OPTICAL_FLOW = known("HIL_OPTICAL_FLOW")
+ODOMETRY = known("ODOMETRY")
+VISION_POSITION_ESTIMATE = known("VISION_POSITION_ESTIMATE")
+BATTERY_STATUS = known("BATTERY_STATUS")
+
+
+def limited(value: float, low: int, high: int) -> int:
+    """The integer nearest to `value` within the limits of its field."""
+    return round(min(max(value, low), high))
+
+
+def gps(reading: GpsReading, t_us: int) -> Message:
+    """HIL_GPS: a receiver's solution."""
+    north, east, down = reading.v_ned_mps
+    speed = math.hypot(north, east)
+    moving = speed >= COURSE_SPEED_MPS
+    course = math.degrees(math.atan2(east, north)) % 360.0
+    return HIL_GPS, {
+        "time_usec": t_us,
+        "fix_type": reading.fix_type,
+        "lat": round(reading.lat_deg * 1e7),
+        "lon": round(reading.lon_deg * 1e7),
+        "alt": round(reading.alt_m * 1e3),
+        "eph": limited(reading.eph_m * 100, 0, 0xFFFF),
+        "epv": limited(reading.epv_m * 100, 0, 0xFFFF),
+        "vel": limited(speed * 100, 0, 0xFFFF),
+        "vn": limited(north * 100, -0x8000, 0x7FFF),
+        "ve": limited(east * 100, -0x8000, 0x7FFF),
+        "vd": limited(down * 100, -0x8000, 0x7FFF),
+        "cog": round(course * 100) % 36000 if moving else COURSE_UNKNOWN,
+        "satellites_visible": reading.satellites,
+        "id": reading.id,
+    }
+
+
+def distance(reading: RangeReading, t_us: int) -> Message:
+    """DISTANCE_SENSOR: a laser that looks down."""
+    return DISTANCE_SENSOR, {
+        "time_boot_ms": t_us // 1000 & 0xFFFFFFFF,
+        "min_distance": limited(reading.min_m * 100, 0, 0xFFFF),
+        "max_distance": limited(reading.max_m * 100, 0, 0xFFFF),
+        "current_distance": limited(reading.distance_m * 100, 0, 0xFFFF),
+        "type": LASER,
+        "id": reading.id,
+        "orientation": PITCH_270,
+        "covariance": 0xFF,  # unknown
+    }
+
+
+def flow(reading: FlowReading, t_us: int) -> Message:
+    """HIL_OPTICAL_FLOW: what a downward camera integrated since its last message."""
+    flow_x, flow_y = reading.flow_xy_rad
+    gyro_x, gyro_y, gyro_z = reading.gyro_xyz_rad
+    return HIL_OPTICAL_FLOW, {
+        "time_usec": t_us,
+        "integration_time_us": round(reading.integration_s * 1e6),
+        "integrated_x": flow_x,
+        "integrated_y": flow_y,
+        "integrated_xgyro": gyro_x,
+        "integrated_ygyro": gyro_y,
+        "integrated_zgyro": gyro_z,
+        "time_delta_distance_us": 0,
+        "distance": reading.distance_m,
+        "quality": reading.quality,
+    }
+
+
+def vision(reading: VisionReading, t_us: int) -> Message:
+    """ODOMETRY or VISION_POSITION_ESTIMATE, as the sensor is configured."""
+    return odometry(reading, t_us) if reading.odometry else vision_position(reading, t_us)
+
+
+def odometry(reading: VisionReading, t_us: int) -> Message:
+    """ODOMETRY from vision: pose in local NED, velocity in body axes.
+
+    The covariances are upper triangles of 6x6 matrices, row by row; attitude's is unknown (NaN).
+    """
+    x, y, z = reading.r_ned_m
+    vx, vy, vz = into_body(reading.q_nb, reading.v_ned_mps)
+    return ODOMETRY, {
+        "time_usec": t_us,
+        "frame_id": LOCAL_NED,
+        "child_frame_id": BODY_FRD,
+        "x": x,
+        "y": y,
+        "z": z,
+        "q": reading.q_nb,
+        "vx": vx,
+        "vy": vy,
+        "vz": vz,
+        "rollspeed": math.nan,
+        "pitchspeed": math.nan,
+        "yawspeed": math.nan,
+        "pose_covariance": _triangle(reading.sigma_r_m**2, math.nan),
+        "velocity_covariance": _triangle(reading.sigma_v_mps**2, math.nan),
+        "estimator_type": VISION,
+        "quality": 100,
+    }
+
+
+def vision_position(reading: VisionReading, t_us: int) -> Message:
+    """VISION_POSITION_ESTIMATE: the pose alone, with Euler angles."""
+    x, y, z = reading.r_ned_m
+    roll, pitch, yaw = euler_angles(reading.q_nb)
+    return VISION_POSITION_ESTIMATE, {
+        "usec": t_us,
+        "x": x,
+        "y": y,
+        "z": z,
+        "roll": roll,
+        "pitch": pitch,
+        "yaw": yaw,
+        "covariance": _triangle(reading.sigma_r_m**2, math.nan),
+    }
+
+
+def battery(reading: BatteryReading, consumed_mah: float) -> Message:
+    """BATTERY_STATUS: the pack as one cell."""
+    return BATTERY_STATUS, {
+        "current_consumed": round(consumed_mah),
+        "energy_consumed": -1,
+        "temperature": TEMPERATURE_UNKNOWN,
+        "voltages": (limited(reading.voltage_v * 1e3, 0, 0xFFFE), *CELLS_UNUSED),
+        "current_battery": limited(reading.current_a * 100, -0x8000, 0x7FFF),
+        "battery_remaining": limited(reading.remaining * 100, 0, 100),
+    }
+
+
+@lru_cache(maxsize=8)
+def _triangle(first: float, second: float) -> tuple[float, ...]:
+    """Upper triangle of diag(first, first, first, second, second, second)."""
+    return tuple(
+        (first if row < 3 else second) if row == column else 0.0
+        for row in range(6)
+        for column in range(row, 6)
+    )

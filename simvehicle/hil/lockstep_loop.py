@@ -1,0 +1,182 @@
+"""The loop that flies the simulation under an autopilot on the HIL link, in lockstep."""
+
+import select
+import time
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from mavproxy_fault.links.link import Link
+from mavproxy_fault.wire.frame import Frame
+from simvehicle.app.pace import Pace
+from simvehicle.app.sim_progress import Progress
+from simvehicle.hil.lockstep import AutopilotSilentError, Lockstep
+from simvehicle.hil.plant_changes import Plant, PlantChanges
+from simvehicle.sensors.readings import Reading
+from simvehicle.vehicles.actuators import CHANNELS, Mix, read_controls
+from simvehicle.vehicles.body import Controls, Truth
+
+FIRST_WORD_S = 5.0  # after which a peer that only listens is served too
+
+
+class Simulated(Plant, Protocol):
+    """What the loop needs of a simulation."""
+
+    def step(self, controls: Controls) -> tuple[int, Truth, Sequence[Reading]]:
+        """One step: its instant, the truth and what was measured."""
+
+
+class Packer(Protocol):
+    """What the loop needs to tell of a step; `simvehicle.hil.hil_frames.Hil` is one."""
+
+    start_us: int
+
+    def frames(self, t_us: int, truth: Truth, readings: Sequence[Reading]) -> list[bytes]:
+        """The frames of a step."""
+
+
+class Incoming(Protocol):
+    """What the loop needs to hear an autopilot; `Inbox` is one."""
+
+    link: Link
+
+    def frames(self) -> list[Frame]:
+        """What has come since the last call."""
+
+
+class PeerGoneError(RuntimeError):
+    """The autopilot closed the link."""
+
+
+class LockstepLoop:
+    """One autopilot flown from its first word to its last.
+
+    Parameters
+    ----------
+    simulation : Simulated
+    hil : Packer
+        Packs the frames.
+    inbox : Incoming
+        The HIL link.
+    mix : Mix
+        Channels to actuators.
+    speed : float
+        Times real time, infinite for as fast as the autopilot answers.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulated,
+        hil: Packer,
+        inbox: Incoming,
+        mix: Mix,
+        speed: float,
+        progress: Progress,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.t_us = 0
+        self.lockstep = Lockstep()
+        self._simulation = simulation
+        self._hil = hil
+        self._inbox = inbox
+        self._changes = PlantChanges(simulation, progress.say)
+        self._mix = mix
+        self._progress = progress
+        self._clock = clock
+        self._controls = Controls(mix([0.0] * CHANNELS), armed=False)  # until PX4's first answer
+        self._speed = speed
+        self._locked = False
+        self._pace = Pace(min(speed, 1.0))
+
+    def run(self, until_us: int | None = None) -> None:
+        """Step until the autopilot goes away or `until_us` is reached.
+
+        Raises
+        ------
+        PeerGoneError, AutopilotSilentError
+            The autopilot closed the link, or no longer answers.
+        """
+        self._await_autopilot()
+        while until_us is None or self.t_us < until_us:
+            self._check_peer()
+            self._step()
+
+    def _await_autopilot(self) -> None:
+        """Wait for a peer and its first frame: PX4 speaks first."""
+        link = self._inbox.link
+        self._progress.say(f"{link.name}: waiting for an autopilot")
+        connected_s: float | None = None
+        while True:
+            frames = self._inbox.frames()
+            if frames:
+                for frame in frames:
+                    self._take(frame)
+                break
+            now_s = self._clock()
+            if link.peer_count and connected_s is None:
+                connected_s = now_s
+            if connected_s is not None and now_s - connected_s > FIRST_WORD_S:
+                break
+            select.select([link.fileno()], [], [], 0.2)
+        self._progress.say(f"{link.name}: connected")
+
+    def _step(self) -> None:
+        self.t_us, truth, readings = self._simulation.step(self._controls)
+        # Sent in one piece: an autopilot must not be woken by half a step.
+        self._inbox.link.write(b"".join(self._hil.frames(self.t_us, truth, readings)))
+        now_s = self._clock()
+        self.lockstep.sent(self.t_us + self._hil.start_us, now_s)
+        self._await_answer()
+        self._progress.step(self.t_us, now_s, "" if self._locked else ", not in lockstep")
+
+    def _await_answer(self) -> None:
+        """Take what comes until the step is answered, its time-out is over and the pace allows."""
+        link = self._inbox.link
+        waiting = self.lockstep.locked
+        while True:
+            if waiting:
+                select.select([link.fileno()], [], [], self._wait_s())
+            for frame in self._inbox.frames():
+                self._take(frame)
+            if self._wait_s() == 0.0:
+                return
+            self._check_peer()
+            waiting = True
+
+    def _check_peer(self) -> None:
+        link = self._inbox.link
+        if not link.peer_count:
+            raise PeerGoneError(f"{link.name}: the autopilot closed the link")
+
+    def _wait_s(self) -> float:
+        now_s = self._clock()
+        answer_s = self.lockstep.wait_s(now_s)
+        if self.lockstep.locked != self._locked:
+            self._change_pace(self.lockstep.locked)
+        return max(answer_s, self._pace.wait_s(self.t_us, now_s))
+
+    def _change_pace(self, locked: bool) -> None:
+        """At most real time while nobody is waited for, and a new start of the clock."""
+        self._locked = locked
+        self._pace = Pace(self._speed if locked else min(self._speed, 1.0))
+        stamp_s = (self.t_us + self._hil.start_us) * 1e-6
+        if locked:
+            self._progress.say(f"in lockstep from {stamp_s:.3f} s")
+        else:
+            self._progress.say(f"no answer to the step at {stamp_s:.3f} s; going on in real time")
+
+    def _take(self, frame: Frame) -> None:
+        if frame.layout.name == "HIL_ACTUATOR_CONTROLS":
+            stamp_us, self._controls = read_controls(frame, self._mix)
+            self.lockstep.received(stamp_us, self._clock())
+            return
+        self._changes.take(frame)
+
+
+def serve_autopilot(loop: LockstepLoop, progress: Progress, until_us: int | None) -> int:
+    """Run the loop; the exit code, 1 when the autopilot went away while it was needed."""
+    try:
+        loop.run(until_us)
+    except (PeerGoneError, AutopilotSilentError) as gone:
+        progress.say(f"{gone} after {loop.t_us * 1e-6:.3f} s of flight")
+        return 0 if until_us is None and isinstance(gone, PeerGoneError) else 1
+    return 0

@@ -1,0 +1,77 @@
+"""The payload of HIL_STATE_QUATERNION by one compiled call, as it leaves at every step."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.numerics.compile import compiled, inlined
+
+Array = NDArray[np.float64]
+
+MPS2_TO_MILLI_G = 1000.0 / 9.80665
+RAD_TO_DEGE7 = 1e7 * 180.0 / math.pi
+DENSITY_SEA_LEVEL_KGPM3 = 1.225  # ISA
+CM = 100.0
+
+
+class TruthPayload:
+    """The bytes of one payload and its fields: time, then floats, places and shorts [1]_.
+
+    References
+    ----------
+    .. [1] MAVLink common message set, HIL_STATE_QUATERNION, fields in the order of the wire.
+    """
+
+    def __init__(self) -> None:
+        self.bytes = np.zeros(64, dtype=np.uint8)
+        self.stamp = self.bytes[:8].view(np.uint64)
+        self.floats = self.bytes[8:36].view(np.float32)
+        self.places = self.bytes[36:48].view(np.int32)
+        self.shorts = self.bytes[48:64].view(np.int16)
+
+
+@inlined
+def _short(value: float) -> int:
+    return int(min(max(np.rint(value), -32768.0), 32767.0))
+
+
+@inlined
+def _speed(value: float) -> int:
+    """An unsigned short as the signed one of the same bits."""
+    whole = int(min(max(np.rint(value), 0.0), 65535.0))
+    return whole if whole < 32768 else whole - 65536
+
+
+@compiled
+def fill(
+    q_nb: Array,
+    omega_b_rps: Array,
+    v_ned_mps: Array,
+    force_b_mps2: Array,
+    v_air_b_mps: Array,
+    place: tuple[float, float, float, float],
+    floats: NDArray[np.float32],
+    places: NDArray[np.int32],
+    shorts: NDArray[np.int16],
+) -> None:
+    """Fill in the fields of a `TruthPayload` but its time.
+
+    `place` is latitude and longitude [rad], height above mean sea level [m] and air density
+    [kg/m^3]. Accelerations are the specific force in mG, as other simulators do (-1000 at rest);
+    what lies beyond the wire's range saturates.
+    """
+    for i in range(4):
+        floats[i] = q_nb[i]
+    square = 0.0
+    for i in range(3):
+        floats[4 + i] = omega_b_rps[i]
+        shorts[i] = _short(v_ned_mps[i] * CM)
+        shorts[5 + i] = _short(force_b_mps2[i] * MPS2_TO_MILLI_G)
+        square += v_air_b_mps[i] * v_air_b_mps[i]
+    places[0] = int(np.rint(place[0] * RAD_TO_DEGE7))
+    places[1] = int(np.rint(place[1] * RAD_TO_DEGE7))
+    places[2] = int(np.rint(place[2] * 1e3))
+    airspeed = math.sqrt(square) * CM
+    shorts[3] = _speed(airspeed * math.sqrt(place[3] / DENSITY_SEA_LEVEL_KGPM3))
+    shorts[4] = _speed(airspeed)

@@ -1,0 +1,272 @@
+"""The scenario file: one flight with its vehicle, weather and sensors.
+
+The sections `schedule`, `monitor` and `criteria` belong to other parts and pass through as they
+are. Lengths in m, speeds in m/s, angles in degrees; the keys carry their units.
+"""
+
+from datetime import UTC, datetime
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import yaml
+
+from mavproxy_fault.documents.decoded import Lines, decode, read_document
+from mavproxy_fault.documents.errors import ConfigError
+from simvehicle.gnss.gnss_config import GnssConfig
+from simvehicle.sensors.airspeed import Airspeed
+from simvehicle.sensors.barometer import Barometer
+from simvehicle.sensors.battery import BatteryMonitor
+from simvehicle.sensors.flow import OpticalFlow
+from simvehicle.sensors.gps import Gps
+from simvehicle.sensors.imu import Imu
+from simvehicle.sensors.magnetometer import Magnetometer
+from simvehicle.sensors.rangefinder import Rangefinder
+from simvehicle.sensors.vision import Vision
+
+Shape = Literal["triangle", "diamond", "s", "eight", "trapezoid", "circle", "line"]
+
+
+class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Base of the sections: unknown keys are errors."""
+
+
+class StartState(_Section, frozen=True):
+    """Motion at the start of a flight in the air, along and about the body's axes."""
+
+    u_mps: float
+    v_mps: float = 0.0
+    w_mps: float = 0.0
+    roll_deg: float = 0.0
+    pitch_deg: float = 0.0
+    p_dps: float = 0.0
+    q_dps: float = 0.0
+    r_dps: float = 0.0
+
+
+class Start(_Section, frozen=True):
+    """Home and the beginning of the flight.
+
+    `alt_m` is the ground's height above mean sea level at home, `geoid_m` the geoid's above the
+    ellipsoid there; `height_m` above ground is where the vehicle starts, 0 means standing. In the
+    air it starts in trimmed flight, or with `state`.
+    """
+
+    lat_deg: float = 47.397742
+    lon_deg: float = 8.545594
+    alt_m: float = 488.0
+    geoid_m: float = 0.0
+    height_m: float = 0.0
+    heading_deg: float = 0.0
+    state: StartState | None = None
+    time: datetime = datetime(2024, 3, 7, 12, 0, tzinfo=UTC)
+
+    def __post_init__(self) -> None:
+        if not -90.0 <= self.lat_deg <= 90.0:
+            raise ValueError(f"lat_deg = {self.lat_deg} is out of range; -90 to 90 is allowed")
+        if not -180.0 <= self.lon_deg <= 180.0:
+            raise ValueError(f"lon_deg = {self.lon_deg} is out of range; -180 to 180 is allowed")
+        if self.height_m < 0.0:
+            raise ValueError(f"height_m = {self.height_m} is below ground; 0 or more is allowed")
+        if self.state is not None and self.height_m == 0.0:
+            raise ValueError("state needs a start in the air; height_m above 0")
+        if self.time.tzinfo is None:
+            raise ValueError("time has no time zone; write it like 2024-03-07T12:00:00Z")
+
+
+class VehicleChoice(_Section, frozen=True):
+    """Kind of vehicle (`kinds`) and its parameter set: a shipped name or a YAML file's path."""
+
+    kind: str = "fixedwing"
+    parameters: str = "aerosonde-2025"
+
+
+class Leg(_Section, frozen=True):
+    """One shape of the mission; it begins where the last one ended, in the same direction."""
+
+    shape: Shape
+    size_m: float = 600.0
+    height_m: float = 100.0
+    speed_mps: float | None = None
+    laps: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("size_m", "height_m", "laps"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} = {getattr(self, name)} is not positive; above 0")
+        if self.speed_mps is not None and self.speed_mps <= 0.0:
+            raise ValueError(f"speed_mps = {self.speed_mps} is not positive; above 0")
+
+
+class WeaveChoice(_Section, frozen=True):
+    """Rolling from side to side by `roll_deg` while holding pitch and airspeed."""
+
+    roll_deg: float
+    period_s: float
+    pitch_deg: float
+    airspeed_mps: float
+
+    def __post_init__(self) -> None:
+        if self.period_s <= 0.0:
+            raise ValueError(f"period_s = {self.period_s} is not positive; seconds above 0")
+
+
+class OpenLoop(_Section, frozen=True):
+    """Constant controls of a fixed wing in the place of a mission; `weave` adds feedback."""
+
+    elevator_deg: float = 0.0
+    aileron_deg: float = 0.0
+    rudder_deg: float = 0.0
+    throttle: float = 0.0
+    weave: WeaveChoice | None = None
+
+
+class GustChoice(_Section, frozen=True):
+    """Dryden gusts by their own numbers, along the body's axes."""
+
+    sigma_mps: tuple[float, float, float]
+    length_m: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        if min(self.sigma_mps) < 0.0:
+            raise ValueError(f"sigma_mps = {list(self.sigma_mps)} is negative; 0 or more")
+        if min(self.length_m) <= 0.0:
+            raise ValueError(f"length_m = {list(self.length_m)} is not positive; metres above 0")
+
+
+class ShearChoice(_Section, frozen=True):
+    """Power law of the wind over height; `wind_ned_mps` is that at `reference_m`."""
+
+    reference_m: float = 10.0
+    exponent: float = 1.0 / 7.0
+
+    def __post_init__(self) -> None:
+        if self.reference_m <= 0.0:
+            raise ValueError(f"reference_m = {self.reference_m} is not positive; metres above 0")
+
+
+class Environment(_Section, frozen=True):
+    """Weather and ground.
+
+    `terrain` is an ASCII raster of heights in m over degrees; without it the ground is level at
+    `start.alt_m`, with it the raster says how high home is.
+    """
+
+    wind_ned_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gusts: Literal["none", "light", "moderate", "light-600m", "moderate-600m"] | GustChoice = "none"
+    shear: ShearChoice | None = None
+    terrain: str | None = None
+
+
+class Sensors(_Section, frozen=True):
+    """The sensors on board; a list stands for several of a kind, with ids 0, 1, ..."""
+
+    imu: Imu | list[Imu] = Imu()
+    mag: Magnetometer | list[Magnetometer] | None = None
+    baro: Barometer | list[Barometer] | None = None
+    airspeed: Airspeed | None = None
+    gps: Gps | list[Gps] | None = None
+    range: Rangefinder | list[Rangefinder] | None = None
+    flow: OpticalFlow | None = None
+    vision: Vision | None = None
+    battery: BatteryMonitor | None = None
+
+
+class Scenario(_Section, frozen=True):
+    """A whole scenario file."""
+
+    name: str = "scenario"
+    seed: int = 1
+    duration_s: float = 120.0
+    start: Start = Start()
+    vehicle: VehicleChoice = VehicleChoice()
+    mission: list[Leg] = []
+    controls: OpenLoop | None = None
+    environment: Environment = Environment()
+    sensors: Sensors = Sensors()
+    gnss: GnssConfig | None = None
+    schedule: Any = None
+    monitor: Any = None
+    criteria: Any = None
+
+    def __post_init__(self) -> None:
+        if self.duration_s <= 0.0:
+            raise ValueError(f"duration_s = {self.duration_s} is not positive; seconds above 0")
+        if self.seed < 0:
+            raise ValueError(f"seed = {self.seed} is negative; 0 or more is allowed")
+        if self.controls is not None and (self.mission or self.vehicle.kind != "fixedwing"):
+            raise ValueError("controls are those of a fixed wing without a mission; leave one out")
+
+
+def read_scenario(path: str | Path | None) -> Scenario:
+    """Read a scenario file; None gives the built-in demo.
+
+    Raises
+    ------
+    ConfigError
+        If something in the file is wrong; the text names file, line and what is allowed.
+    """
+    if path is None:
+        path = Path(str(resources.files("simvehicle.scenario").joinpath("demo.yaml")))
+    document, lines = read_document(Path(path))
+    if not isinstance(document, dict):
+        raise ConfigError(f"{lines.where('$')}: is no scenario; a mapping with keys is expected")
+    sensors = document.get("sensors")
+    if isinstance(sensors, str):
+        document = {**document, "sensors": _sensor_file(Path(path).parent / sensors)}
+    elif isinstance(sensors, dict):
+        document = {**document, "sensors": _with_presets(sensors, lines, "$.sensors")}
+    return _beside(decode(document, Scenario, lines), Path(path).parent)
+
+
+def _beside(scenario: Scenario, folder: Path) -> Scenario:
+    """Names of files in a scenario count from the scenario's own folder."""
+    vehicle, gnss, weather = scenario.vehicle, scenario.gnss, scenario.environment
+    if vehicle.parameters.endswith((".yaml", ".yml")):
+        parameters = str(folder / vehicle.parameters)
+        vehicle = msgspec.structs.replace(vehicle, parameters=parameters)
+    if gnss is not None and gnss.navigation is not None:
+        gnss = msgspec.structs.replace(gnss, navigation=str(folder / gnss.navigation))
+    if weather.terrain is not None:
+        weather = msgspec.structs.replace(weather, terrain=str(folder / weather.terrain))
+    return msgspec.structs.replace(scenario, vehicle=vehicle, gnss=gnss, environment=weather)
+
+
+def _sensor_file(path: Path) -> dict[str, Any]:
+    """The `sensors` of a scenario from a file of their own, checked there."""
+    document, lines = read_document(path)
+    if not isinstance(document, dict):
+        raise ConfigError(f"{lines.where('$')}: holds no sensors; a mapping like imu: {{...}}")
+    sensors = _with_presets(document, lines, "$")
+    decode(sensors, Sensors, lines)
+    return sensors
+
+
+def _with_presets(sensors: dict[str, Any], lines: Lines, at: str) -> dict[str, Any]:
+    """Replace each `preset: name` by the preset's values, under those given beside it.
+
+    `at` is where the sensors stand in their document.
+    """
+    text = resources.files("simvehicle.sensors").joinpath("presets.yaml").read_text("utf-8")
+    presets: dict[str, dict[str, dict[str, Any]]] = yaml.load(text, yaml.CSafeLoader)
+    out: dict[str, Any] = {}
+    for kind, value in sensors.items():
+        entries = value if isinstance(value, list) else [value]
+        filled = []
+        for index, entry in enumerate(entries):
+            if isinstance(entry, dict) and "preset" in entry:
+                name = entry["preset"]
+                known = presets.get(kind, {})
+                if name not in known:
+                    place = f"{at}.{kind}" + (f"[{index}]" if isinstance(value, list) else "")
+                    raise ConfigError(
+                        f"{lines.where(place + '.preset')}: {place[2:]}.preset = {name} is "
+                        f"unknown; known: {', '.join(known) or 'none'}"
+                    )
+                entry = {**known[name], **{k: v for k, v in entry.items() if k != "preset"}}
+            if isinstance(value, list) and isinstance(entry, dict):
+                entry = {"id": index, **entry}
+            filled.append(entry)
+        out[kind] = filled if isinstance(value, list) else filled[0]
+    return out

@@ -1,0 +1,311 @@
+"""One flight: the vehicle in its air, the sensors on board, the controller or someone else's.
+
+Time is simulated; nothing here reads a clock or does I/O. The same scenario and seed give the same
+readings, and each part draws from a stream of its own, so adding a sensor changes no other.
+"""
+
+import heapq
+import itertools
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.rotation import quat_from_euler
+from simvehicle.environment.geolocation import Home, locate
+from simvehicle.environment.terrain import Grid, Level, read_grid
+from simvehicle.environment.weather import Weather
+from simvehicle.guidance.mission import plan
+from simvehicle.guidance.open_loop import OpenLoopController
+from simvehicle.guidance.route import PathTrack
+from simvehicle.scenario.kinds import Controller, kind_of
+from simvehicle.scenario.onboard import fit
+from simvehicle.scenario.scenario_file import Scenario
+from simvehicle.sensors.readings import Reading
+from simvehicle.vehicles.body import Controls, Truth
+from simvehicle.vehicles.fixedwing import FixedWing
+
+Array = NDArray[np.float64]
+_LONGEST_STEP_S = 0.005  # a ground contact is stiff
+_PLACE = 19  # entries of what `locate` fills in
+_WINDS = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
+
+
+class Simulation:
+    """A flight that goes on step by step, at the rate of the first inertial unit.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    terrain : Grid or Level
+    home : Home
+        Origin of the local frame, on the ground.
+    kind, vehicle, controller
+        Its kind, what flies, and what flies it when `step` gets no controls. The controller's
+        `track` may be replaced in flight.
+    truth : Truth
+        The last one.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int | None = None) -> None:
+        self.terrain = _terrain(scenario)
+        scenario = _grounded(scenario, self.terrain)
+        self.scenario = scenario
+        self.seed = scenario.seed if seed is None else seed
+        start = scenario.start
+        self.home = Home.at(start.lat_deg, start.lon_deg, start.alt_m, start.geoid_m)
+        self.kind = kind_of(scenario.vehicle.kind)
+        self.vehicle = self.kind.read(scenario.vehicle.parameters)
+        self._plant: dict[str, float] = {}
+        self._weather = Weather(scenario.environment, self.seed)
+        self._fitted = fit(scenario, self.seed)
+        self._rate_hz = self._fitted[0].sensor.rate_hz
+        self._count = 0
+        self._t_us = 0
+        self._late: list[tuple[int, int, Reading]] = []
+        self._order = itertools.count()
+        self._controls = np.zeros(self.vehicle.controls_count)
+        self._place = self.home.packed
+        self._x = self._begin()
+        self.truth = self._observe(np.zeros(6), self._weather.steady_mps)
+        self.controller = self._controller()
+        self._next_control_us = 0.0
+        if scenario.mission:
+            self.controller.track = self._mission()
+
+    @property
+    def controls(self) -> Array:
+        """The actuator commands now in force, in the vehicle's order."""
+        return self._controls
+
+    def step(self, controls: Controls | None = None) -> tuple[int, Truth, list[Reading]]:
+        """Go on to the next sample of the inertial unit.
+
+        Parameters
+        ----------
+        controls : Controls, optional
+            Someone else's, for example an autopilot's; without them the controller flies.
+
+        Returns
+        -------
+        t_us : int
+            Since the start of the simulation, above 0.
+        truth : Truth
+        readings : list of Reading
+            What the sensors delivered by now; the inertial unit's comes first.
+        """
+        if controls is None:
+            if self._t_us >= self._next_control_us:
+                self._controls = self.controller.update(self.truth).values
+                self._next_control_us += 1e6 / self.controller.rate_hz
+        else:
+            self._controls = self._checked(controls)
+        self._count += 1
+        t_us = round(self._count * 1e6 / self._rate_hz)
+        dt = (t_us - self._t_us) * 1e-6
+        self._t_us = t_us
+        truth = self.truth
+        steps = max(1, math.ceil(dt / _LONGEST_STEP_S - 1e-9))
+        wind = self._weather.wind(self._x, truth, dt)
+        self._x, load = self.vehicle.advance(
+            self._x,
+            self._controls,
+            wind,
+            self._gravity,
+            truth.density_kgpm3,
+            float(self._x[2]) + truth.height_agl_m,
+            steps,
+            dt / steps,
+        )
+        self.truth = self._observe(load, wind)
+        return t_us, self.truth, self._read()
+
+    def _checked(self, controls: Controls) -> Array:
+        values = controls.values
+        count = self.vehicle.controls_count
+        if len(values) != count or not math.isfinite(sum(values.tolist())):
+            raise ConfigError(
+                f"controls: {values.tolist()} at {self._t_us * 1e-6:.3f} s cannot be used; "
+                f"{count} finite numbers are needed"
+            )
+        return values if controls.armed else np.zeros(count)
+
+    def plant(self, name: str, value: float | None) -> None:
+        """Switch a plant fault on, or off with None.
+
+        Names: the vehicle's `plant_names`, `wind_n_mps`, `wind_e_mps`,
+        `wind_d_mps`, and those of the satellite sensor.
+
+        Raises
+        ------
+        ConfigError
+            If the name is unknown or the value makes no vehicle.
+        """
+        if name in _WINDS:
+            axis = _WINDS.index(name)
+            healthy = self.scenario.environment.wind_ned_mps[axis]
+            steady = self._weather.steady_mps.copy()
+            steady[axis] = healthy if value is None else value
+            self._weather.steady_mps = steady
+        elif name in self.vehicle.plant_names:
+            changed = {k: v for k, v in self._plant.items() if k != name}
+            if value is not None:
+                changed[name] = value
+            try:
+                self.vehicle = self.vehicle.with_plant(changed)
+            except ValueError as error:
+                raise ConfigError(f"plant: {name} = {value} is impossible; {error}") from None
+            self._plant = changed
+        else:
+            self._satellite_plant(name, value)
+
+    def _satellite_plant(self, name: str, value: float | None) -> None:
+        for fitted in self._fitted:
+            sensor: Any = fitted.sensor
+            if hasattr(sensor, "with_plant"):
+                fitted.state = sensor.with_plant(fitted.state, name, value)
+                return
+        known = ", ".join((*self.vehicle.plant_names, *_WINDS))
+        raise ConfigError(f"plant: {name} is unknown; known: {known}")
+
+    def _begin(self) -> Array:
+        """The vehicle's first state: trimmed flight at height, or standing on the ground."""
+        start, scenario = self.scenario.start, self.scenario
+        heading = math.radians(start.heading_deg)
+        vehicle = self.vehicle
+        zero = np.zeros(3)
+        self._gravity = np.array([0.0, 0.0, 9.81])
+        if start.height_m == 0.0:
+            height = vehicle.standing_height_m
+            return vehicle.start(
+                np.array([0.0, 0.0, -height]), zero, quat_from_euler(0.0, 0.0, heading)
+            )
+        r = np.array([0.0, 0.0, -start.height_m])
+        if start.state is not None:
+            s = start.state
+            turn = quat_from_euler(math.radians(s.roll_deg), math.radians(s.pitch_deg), heading)
+            x = vehicle.start(r, np.array([s.u_mps, s.v_mps, s.w_mps]), turn)
+            x[10:13] = np.radians([s.p_dps, s.q_dps, s.r_dps])
+            return x
+        level = vehicle.start(r, zero, quat_from_euler(0.0, 0.0, heading))
+        place = np.empty(_PLACE)
+        locate(level, zero, self._place, place)
+        density, self._gravity = float(place[5]), place[16:]
+        pull = float(np.linalg.norm(self._gravity))
+        speeds = [leg.speed_mps or vehicle.parameters.cruise_mps for leg in scenario.mission]
+        states, wind = [], self._weather.steady_mps
+        for number, speed in enumerate(speeds or [vehicle.parameters.cruise_mps]):
+            try:
+                states.append(vehicle.cruise(r, heading, wind, speed, density, pull))
+            except ValueError as error:
+                raise ConfigError(
+                    f"mission[{number}].speed_mps = {speed:g} cannot be flown; {error}"
+                ) from None
+        return states[0]
+
+    def _controller(self) -> Controller:
+        scenario, density = self.scenario, self.truth.density_kgpm3
+        if scenario.controls is None:
+            return self.kind.controller(self.vehicle, density, scenario.start.alt_m)
+        assert isinstance(self.vehicle, FixedWing)  # as `Scenario` checks
+        return OpenLoopController(self.vehicle, density, scenario.start.alt_m, scenario.controls)
+
+    def _mission(self) -> PathTrack:
+        scenario, controller = self.scenario, self.controller
+        north_mps, east_mps, _ = self._weather.steady_mps.tolist()
+        path = plan(
+            scenario.mission,
+            (float(self._x[0]), float(self._x[1]), math.radians(scenario.start.heading_deg)),
+            self.vehicle.parameters.cruise_mps,
+            math.hypot(north_mps, east_mps) if controller.drifts else 0.0,
+            controller.lateral_mps2,
+        )
+        return PathTrack(path)
+
+    def _observe(self, load: Array, wind: Array) -> Truth:
+        """The truth of the state now."""
+        x, place = self._x, np.empty(_PLACE)
+        locate(x, wind, self._place, place)
+        lat, lon, height, pressure, temperature, density = place[:6].tolist()
+        if not math.isfinite(height):
+            raise ConfigError(
+                f"the simulation left the numbers at {self._t_us * 1e-6:.3f} s; the vehicle's "
+                "parameters, controls or faults let it diverge"
+            )
+        self._gravity = place[16:]
+        alt = height - self.home.geoid_m
+        agl = alt - self.terrain.ground(lat, lon)
+        volts, amperes, left = load[3:].tolist()
+        return Truth(
+            self._t_us,
+            lat,
+            lon,
+            height,
+            alt,
+            agl,
+            x[:3],
+            place[6:9],
+            place[9:13],
+            x[10:13],
+            load[:3],
+            place[13:16],
+            wind,
+            pressure,
+            temperature,
+            density,
+            volts,
+            amperes,
+            left,
+            agl < self.vehicle.standing_height_m + 0.02,
+        )
+
+    def _read(self) -> list[Reading]:
+        """Readings delivered by now, late ones of earlier samples included."""
+        truth, t_us = self.truth, self._t_us
+        out: list[Reading] = []
+        for fitted in self._fitted:
+            if t_us < fitted.due_us:
+                continue
+            if fitted.latency_us == 0:
+                out += fitted.sample(truth)
+                continue
+            for reading in fitted.sample(truth):
+                heapq.heappush(self._late, (t_us + fitted.latency_us, next(self._order), reading))
+        while self._late and self._late[0][0] <= t_us:
+            out.append(msgspec.structs.replace(heapq.heappop(self._late)[2], t_us=t_us))
+        return out
+
+
+def simulate(
+    scenario: Scenario, seed: int | None = None
+) -> Iterator[tuple[int, Truth, list[Reading]]]:
+    """Fly a scenario from start to end with the built-in controller.
+
+    Yields
+    ------
+    t_us, truth, readings
+        At each sample of the inertial unit.
+    """
+    simulation = Simulation(scenario, seed)
+    end_us = round(scenario.duration_s * 1e6)
+    while True:
+        found = simulation.step()
+        if found[0] > end_us:
+            return
+        yield found
+
+
+def _terrain(scenario: Scenario) -> Grid | Level:
+    path = scenario.environment.terrain
+    return read_grid(path) if path is not None else Level(scenario.start.alt_m)
+
+
+def _grounded(scenario: Scenario, terrain: Grid | Level) -> Scenario:
+    """The scenario with home on the terrain."""
+    start = scenario.start
+    alt = terrain.ground(math.radians(start.lat_deg), math.radians(start.lon_deg))
+    return msgspec.structs.replace(scenario, start=msgspec.structs.replace(start, alt_m=alt))

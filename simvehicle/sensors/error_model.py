@@ -1,0 +1,122 @@
+"""The error model that all sensors share: white noise, bias, drift, random walk and scale.
+
+A measured value is (1 + scale) * true + bias + drift + walk + white. The drift is a first-order
+Gauss-Markov process. Errors are made in blocks, as drawing them one by one costs too much time.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.numerics.compile import compiled
+
+Array = NDArray[np.float64]
+_BLOCK = 512
+
+
+@compiled
+def _gauss_markov(start: Array, phi: float, draws: Array) -> Array:
+    """x[k+1] = phi x[k] + draws[k], for each column of `draws` (n, m)."""
+    out = np.empty_like(draws)
+    last = start.copy()
+    for k in range(draws.shape[0]):
+        for i in range(draws.shape[1]):
+            last[i] = phi * last[i] + draws[k, i]
+            out[k, i] = last[i]
+    return out
+
+
+class NoiseState(NamedTuple):
+    """Errors to come, m at a time, and where bias, drift and walk stand after them (m,).
+
+    Taking from `rows` moves it on, as drawing does a generator; a tuple made anew for each sample
+    would cost more than the sample.
+    """
+
+    rows: Iterator[list[float]]
+    bias: Array
+    drift: Array
+    walk: Array
+
+
+class Noise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Errors of one channel or of several alike ones, in the unit of the sensor.
+
+    Parameters
+    ----------
+    sigma : float
+        White noise per sample.
+    density : float
+        White noise per root hertz (an angle or velocity random walk); adds to `sigma`.
+    bias : float or list
+        Constant error, for all channels or one by one.
+    bias_sigma : float
+        Standard deviation of a constant error drawn anew for each flight and channel.
+    drift_sigma, drift_time_s : float
+        Stationary standard deviation and time constant of the Gauss-Markov drift.
+    walk : float
+        Random walk of the error per root second.
+    scale : float
+        Relative error of the scale.
+    """
+
+    sigma: float = 0.0
+    density: float = 0.0
+    bias: float | list[float] = 0.0
+    bias_sigma: float = 0.0
+    drift_sigma: float = 0.0
+    drift_time_s: float = 100.0
+    walk: float = 0.0
+    scale: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("sigma", "density", "bias_sigma", "drift_sigma", "walk"):
+            if getattr(self, name) < 0.0:
+                raise ValueError(
+                    f"{name} = {getattr(self, name)} is negative; 0 or more is allowed"
+                )
+        if self.drift_time_s <= 0.0:
+            raise ValueError(f"drift_time_s = {self.drift_time_s} is not positive; seconds > 0")
+
+    def new_state(self, rng: np.random.Generator, channels: int, rate_hz: float) -> NoiseState:
+        """Draw the constant errors and the first block."""
+        bias = np.broadcast_to(np.asarray(self.bias, dtype=float), (channels,)).copy()
+        if self.bias_sigma > 0.0:
+            bias = bias + self.bias_sigma * rng.standard_normal(channels)
+        drift = np.zeros(channels)
+        if self.drift_sigma > 0.0:
+            drift = self.drift_sigma * rng.standard_normal(channels)
+        return self._refill(bias, drift, np.zeros(channels), rng, rate_hz)
+
+    def next(
+        self, state: NoiseState, rng: np.random.Generator, rate_hz: float
+    ) -> tuple[list[float], NoiseState]:
+        """Additive errors, one for each of the m channels, of the next sample."""
+        for row in state.rows:
+            return row, state
+        state = self._refill(state.bias, state.drift, state.walk, rng, rate_hz)
+        return next(state.rows), state
+
+    def _refill(
+        self, bias: Array, drift: Array, walk: Array, rng: np.random.Generator, rate_hz: float
+    ) -> NoiseState:
+        shape = (_BLOCK, len(bias))
+        block = np.broadcast_to(bias, shape).copy()
+        white = math.hypot(self.sigma, self.density * math.sqrt(rate_hz))
+        if white > 0.0:
+            block += white * rng.standard_normal(shape)
+        if self.drift_sigma > 0.0:
+            phi = math.exp(-1.0 / (self.drift_time_s * rate_hz))
+            kick = self.drift_sigma * math.sqrt(1.0 - phi * phi)
+            path = _gauss_markov(drift, phi, kick * rng.standard_normal(shape))
+            block += path
+            drift = path[-1]
+        if self.walk > 0.0:
+            path = walk + np.cumsum(self.walk / math.sqrt(rate_hz) * rng.standard_normal(shape), 0)
+            block += path
+            walk = path[-1]
+        return NoiseState(iter(block.tolist()), bias, drift, walk)

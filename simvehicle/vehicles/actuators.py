@@ -1,0 +1,62 @@
+"""HIL_ACTUATOR_CONTROLS -> Controls: which channel of PX4 drives which actuator.
+
+PX4 numbers the outputs by the airframe that flies: `none_iris` and the generic hexa for
+multirotors, the plane (1030) for fixed wings [1]_. A positive surface channel turns the trailing
+edge up or to the right; Controls follow Beard and McLain, where elevator down and rudder left are
+positive.
+
+References
+----------
+.. [1] PX4, `ROMFS/px4fmu_common/init.d-posix/airframes`, and the user guide's "Control Surfaces".
+"""
+
+import struct
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from mavproxy_fault.wire.frame import Frame
+from simvehicle.vehicles.body import Controls, Vector
+
+ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED in HIL_ACTUATOR_CONTROLS.mode
+CHANNELS = 16
+RUDDER, THROTTLE, LEFT_AILERON, RIGHT_AILERON, ELEVATOR = 2, 4, 5, 6, 7
+
+Mix = Callable[[Sequence[float]], Vector]
+_PAYLOAD = struct.Struct("<QQ16fB")
+
+
+def motors(count: int) -> Mix:
+    """The first `count` channels are the motors, in PX4's order."""
+
+    def mix(channels: Sequence[float]) -> Vector:
+        return np.array([_limited(value, 0.0) for value in channels[:count]])
+
+    return mix
+
+
+def plane(channels: Sequence[float]) -> Vector:
+    """Elevator, aileron, rudder (-1 to 1) and throttle (0 to 1)."""
+    return np.array(
+        [
+            -_limited(channels[ELEVATOR], -1.0),
+            0.5
+            * (_limited(channels[RIGHT_AILERON], -1.0) - _limited(channels[LEFT_AILERON], -1.0)),
+            -_limited(channels[RUDDER], -1.0),
+            _limited(channels[THROTTLE], 0.0),
+        ]
+    )
+
+
+def read_controls(frame: Frame, mix: Mix) -> tuple[int, Controls]:
+    """The stamp of the HIL_SENSOR a HIL_ACTUATOR_CONTROLS answers, and what it commands.
+
+    Channels that are not finite stand for actuators that are off, and count as 0.
+    """
+    stamp_us, _, *rest = _PAYLOAD.unpack(frame.payload.ljust(_PAYLOAD.size, b"\0"))
+    channels = [value if value - value == 0.0 else 0.0 for value in rest[:CHANNELS]]
+    return stamp_us, Controls(mix(channels), armed=bool(rest[CHANNELS] & ARMED))
+
+
+def _limited(value: float, low: float) -> float:
+    return min(max(value, low), 1.0)
