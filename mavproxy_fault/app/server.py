@@ -224,8 +224,9 @@ class Server:
             if code == 0:
                 self.prepare()
             else:
-                print(f"no machine code ({code} from `python -m mavproxy_fault.compiled.object_file`)"
-                      "; all goes the slower way", file=sys.stderr, flush=True)  # fmt: skip
+                maker = "python -m mavproxy_fault.compiled.object_file"
+                print(f"no machine code ({code} from `{maker}`); all goes the slower way",
+                      file=sys.stderr, flush=True)  # fmt: skip
 
     def _record(self) -> None:
         if self.recorder is None and self.live is None:

@@ -26,7 +26,7 @@ from analysis.samples.rinex_observations import read_observations
 from analysis.samples.sample import EphemerisSample, Epoch
 from mavproxy_fault.documents.errors import ConfigError
 
-AUTHORITY = Path(__file__).parents[1] / "authorities/rtklib_states"
+AUTHORITY = Path(__file__).parents[2] / "authorities/rtklib_states"
 NUMBERS = {"39": "R07", "106": "C01", "126": "C21"}
 
 

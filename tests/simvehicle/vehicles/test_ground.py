@@ -81,7 +81,7 @@ def test_a_fixed_wing_takes_off_circles_and_lands() -> None:
 
 
 def test_the_example_mission_takes_off_and_flies_its_first_leg() -> None:
-    example = Path(__file__).parents[2] / "examples" / "quad_mission.yaml"
+    example = Path(__file__).parents[3] / "examples" / "quad_mission.yaml"
     scenario = msgspec.structs.replace(read_scenario(example), gnss=None)
     simulation = Simulation(scenario)
     assert simulation.truth.height_agl_m < 0.2

@@ -42,7 +42,7 @@ def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_documented_scenario_reads(tmp_path: Path) -> None:
-    page = Path(__file__).parents[2] / "docs" / "simulator.md"
+    page = Path(__file__).parents[3] / "docs" / "simulator.md"
     found = re.search(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
     assert found is not None
     path = tmp_path / "documented.yaml"

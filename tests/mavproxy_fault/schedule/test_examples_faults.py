@@ -7,7 +7,7 @@ from mavproxy_fault.faults.registry import known_faults
 from mavproxy_fault.schedule.entries import read_schedule
 from mavproxy_fault.schedule.presets import preset_names
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 SCHEDULES = [
     path
     for path in sorted(EXAMPLES.glob("*.yaml"))
