@@ -71,7 +71,7 @@ def add_monitor(commands: Any) -> None:
 
 
 def _monitor(args: argparse.Namespace) -> int:
-    from analysis.monitor.monitor_command import main
+    from analysis.run.monitor_command import main
 
     return main(args)
 

@@ -19,12 +19,12 @@ from simvehicle.scenario.scenario_file import (
     VehicleChoice,
     read_scenario,
 )
-from simvehicle.scenario.simulation import Simulation
 from simvehicle.sensors.battery import BatteryMonitor
 from simvehicle.sensors.error_model import Noise
 from simvehicle.sensors.flow import OpticalFlow
 from simvehicle.sensors.rangefinder import Rangefinder
 from simvehicle.sensors.vision import Vision
+from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.fixedwing_kernel import Aero, step
 from simvehicle.vehicles.fixedwing_parameters import aero_of, read_fixedwing
 from simvehicle.vehicles.parameter_file import body_of

@@ -13,8 +13,8 @@ from analysis.detection import Detector
 from analysis.detection.filter.inertial import propagate_inertial
 from analysis.detection.filter.measurement import model, observe
 from analysis.detection.isolation.hypotheses import judge
+from analysis.recordings.recordings import read_rinex, read_rinex_samples
 from analysis.samples.block import EPOCH, IMU, block_of
-from analysis.samples.recordings import read_rinex, read_rinex_samples
 from analysis.samples.sample import Epoch, Sample
 
 REPEATS = 7  # the least of so many: what the machine does beside is not the detector's

@@ -29,12 +29,12 @@ from analysis.fusion.local_frame import frame_at
 from analysis.fusion.smoother import Fusion
 from analysis.monitor.pipeline import Pipeline, monitor_config
 from analysis.orbits.broadcast import ned_axes
+from analysis.recordings.recordings import read_log, read_rinex_samples
 from analysis.results import Decision, FusedState, Result
 from analysis.run.proxied_flight import Flight
 from analysis.run.setup import read_setup
 from analysis.samples.block import TRUTH, Block, block_of, pieces
 from analysis.samples.decoder import Decoder
-from analysis.samples.recordings import read_log, read_rinex_samples
 from analysis.samples.sample import (
     AirspeedSample,
     BaroSample,

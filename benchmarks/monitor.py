@@ -24,11 +24,11 @@ import numpy as np
 from analysis.detection import Detector
 from analysis.detection.sensors.sensor_tests import References
 from analysis.monitor.monitor import Monitor
-from analysis.monitor.monitor_command import settings
 from analysis.monitor.pipeline import MonitorConfig
+from analysis.recordings.recordings import read_log
 from analysis.results import encode_lines
+from analysis.run.monitor_command import settings
 from analysis.samples.block import EPHEMERIS, EPOCH, FIX, IMU, IONOSPHERE, Block
-from analysis.samples.recordings import read_log
 from analysis.scoring.attitude_scoring import AttitudeConfig, AttitudeScorer
 from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.tlog import read_columns, read_records

@@ -18,7 +18,7 @@ from mavproxy_fault.links.spec import open_link
 from simvehicle.app.sim_server import datagrams
 from simvehicle.hil.hil_frames import Hil
 from simvehicle.scenario.scenario_file import read_scenario
-from simvehicle.scenario.simulation import Simulation
+from simvehicle.simulation.simulation import Simulation
 
 SENSORS = """
   imu: {preset: consumer-mems, rate_hz: 250}

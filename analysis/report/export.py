@@ -14,9 +14,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.recordings.dataflash import is_dataflash, read_dataflash
+from analysis.recordings.ulog import is_ulog, read_ulog
 from analysis.results import encode, read_results
-from analysis.samples.dataflash import is_dataflash, read_dataflash
-from analysis.samples.ulog import is_ulog, read_ulog
 from mavproxy_fault.wire import tlog
 
 Table = dict[str, NDArray[Any]]

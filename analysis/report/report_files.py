@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from analysis.report.judging.checks import FAIL, NONE, Check
-from analysis.run.run_folder import finite
+from analysis.report.run_folder import finite
 
 
 def write_json(path: Path, summary: dict[str, Any]) -> None:

@@ -7,11 +7,11 @@ sends on and publishes what comes of it.
 import logging
 from typing import Any, NamedTuple
 
-from mavproxy_fault.app.statistics import figures
 from mavproxy_fault.live.control import Control
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import LinkRole, Send
+from mavproxy_fault.proxy.statistics import figures
 from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.schedule.entries import Schedule
 from mavproxy_fault.wire.frame import STX_V2, Frame
@@ -21,7 +21,7 @@ from simvehicle.app.sim_server import airframe, check_sensors, services, throttl
 from simvehicle.hil.hil_frames import Hil
 from simvehicle.hil.plant_changes import PlantChanges
 from simvehicle.scenario.scenario_file import Scenario
-from simvehicle.scenario.simulation import Simulation
+from simvehicle.simulation.simulation import Simulation
 
 SIMULATOR, MONITOR, VEHICLE, GROUND = range(4)
 LINKS = (

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from analysis.monitor.publish import Publisher
+from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result, read_results
 from analysis.run.proxied_flight import Flight
-from analysis.run.run_folder import ResultFile, make_folder, write_summary
 from analysis.run.run_progress import RunProgress
 from analysis.run.setup import Setup, read_setup
 from analysis.run.stop import stop_requests

@@ -10,8 +10,8 @@ from analysis.scoring.criteria import Criteria
 from mavproxy_fault.documents.checked import Lines, read_yaml
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule, read_schedule
-from simvehicle.scenario.kinds import kind_of
 from simvehicle.scenario.scenario_file import Scenario, read_scenario
+from simvehicle.simulation.kinds import kind_of
 
 
 @dataclass(frozen=True, slots=True)

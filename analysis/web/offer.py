@@ -6,12 +6,12 @@ from typing import Any
 
 import msgspec
 
+from mavproxy_fault.app.catalogue import first_line, schema
+from mavproxy_fault.app.preview import Curve, curves
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.faults.registry import ON_RANGES, known_faults
-from mavproxy_fault.schedule.catalogue import first_line, schema
 from mavproxy_fault.schedule.entries import parse_entry
 from mavproxy_fault.schedule.presets import preset_names, read_preset
-from mavproxy_fault.schedule.preview import Curve, curves
 from mavproxy_fault.wire.dialect import known
 
 # Messages whose fields are suggested as targets; any other of the dialect may be typed.

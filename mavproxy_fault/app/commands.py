@@ -111,7 +111,7 @@ def add_faults(commands: Any) -> None:
 
 
 def _faults(args: argparse.Namespace) -> int:
-    from mavproxy_fault.schedule.catalogue import main
+    from mavproxy_fault.app.catalogue import main
 
     return main(args)
 

@@ -7,8 +7,8 @@ from typing import Any
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.faults.registry import fault_class, known_faults
-from mavproxy_fault.faults.target import near
 from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.schedule.entries import parse_entry
 from mavproxy_fault.schedule.presets import preset_names

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.app.server import Server, short_turns
-from mavproxy_fault.app.statistics import table
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.interfaces import LinkRole
+from mavproxy_fault.proxy.statistics import table
 from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.wire.signing import Signing, key_of
 

@@ -2,7 +2,7 @@
 
 One thread waits on all links and for the next due time. Links are drained in batches; nothing ever
 blocks on a slow one. Recordings are flushed each second. What is plain goes the compiled way
-(`fast`), once its machine code is there.
+(`compiled.forwarder`), once its machine code is there.
 """
 
 import contextlib
@@ -17,10 +17,10 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.app.recorder import Recorder
-from mavproxy_fault.app.statistics import Latencies, figures
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.interfaces import Send
+from mavproxy_fault.proxy.statistics import Latencies, figures
 from mavproxy_fault.proxy.tape import Tape
 
 if TYPE_CHECKING:

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from ctypes import c_void_p
 from typing import TYPE_CHECKING, Any
 
-from mavproxy_fault.app.statistics import Latencies
 from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled.object_file import ARRAYS, load
 from mavproxy_fault.links.link import Link
@@ -18,6 +17,7 @@ from mavproxy_fault.links.udp import UdpClient, UdpServer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.proxy.routing import target_places
+from mavproxy_fault.proxy.statistics import Latencies
 from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.proxy.vehicle_clock import stamp_place
 from mavproxy_fault.wire.dialect import Layout, layout

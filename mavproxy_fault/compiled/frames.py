@@ -2,9 +2,9 @@
 
 It takes only what is plain: known senders on UDP links, whole frames with right CRCs and no
 signature, messages that no fault acts on or only those that `plans` can write down. At anything
-else it stops and hands that datagram to the plain path; both work on the same memory (`memory`),
-so order and state stay exact. Here are the frames, in `pump` the sockets; `machine` makes the
-machine code of both. Importing this file imports numba.
+else it stops and hands that datagram to the plain path; both work on the same memory
+(`proxy.senders`), so order and state stay exact. Here are the frames, in `sockets` the system
+calls; `object_file` makes the machine code of both. Importing this file imports numba.
 
 Arrays travel in two tuples, `wire` (data, memory, table, plans, three logs, numbers, hits, steps,
 CRC tables, result, pieces, draws) and `net` (ports, heads, headers, parts, names, peers, heard).

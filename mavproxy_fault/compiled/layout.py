@@ -1,7 +1,7 @@
 """The compiled path's tables: what the columns of its arrays mean, for both of its sides.
 
-`fast` fills the arrays, `kernel` and `pump` work on them. Nothing here imports numba, or numpy,
-which a proxy without faults need not wait for.
+`forwarder` fills the arrays, `frames` and `sockets` work on them. Nothing here imports numba, or
+numpy, which a proxy without faults need not wait for.
 """
 
 import ctypes

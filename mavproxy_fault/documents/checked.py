@@ -10,7 +10,7 @@ import msgspec
 import yaml
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.faults.target import near
+from mavproxy_fault.documents.suggestion import near
 
 Path = tuple[str | int, ...]
 Lines = dict[Path, int]

@@ -3,10 +3,10 @@
 HIL_SENSOR.xgyro   HIL_ACTUATOR_CONTROLS.controls[3]   HIL_GPS   PSEUDORANGE.G12   PLANT.wind_n_mps
 """
 
-import difflib
 import re
 from collections.abc import Iterable
 
+from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.faults.elements import Element
 from mavproxy_fault.wire.dialect import Layout, layout, message_names
 
@@ -14,17 +14,6 @@ SATELLITE = re.compile(r"[A-Z]\d\d")
 ELEMENT = re.compile(r"(\w+)(?:\[(\d+)\])?")
 RANGES = "PSEUDORANGE"
 PLANT = "PLANT"
-
-
-def near(name: str, known: Iterable[str]) -> str:
-    """A sentence about the known names nearest to a wrong one."""
-    names = sorted(known)
-    close = difflib.get_close_matches(name, names, 3, 0.5) or difflib.get_close_matches(
-        name.upper(), names, 3, 0.5
-    )
-    if close:
-        return f"did you mean {' or '.join(close)}?"
-    return f"known: {', '.join(names[:40])}{', ...' if len(names) > 40 else ''}"
 
 
 def message(name: str) -> Layout:

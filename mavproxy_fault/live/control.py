@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.faults.target import near
+from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.live.failure_command import MESSAGES, TYPES, UNITS, faults_for, name_of
 from mavproxy_fault.live.rflysim import IdMap, Packet
 from mavproxy_fault.live.watching import View, Watched

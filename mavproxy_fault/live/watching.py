@@ -106,7 +106,9 @@ class View:
         wanted = set(names)
         for name in wanted - {RANGES}:
             if layout(name) is None:
-                from mavproxy_fault.faults.target import near  # who only shows need not load it
+                from mavproxy_fault.documents.suggestion import (
+                    near,  # who only shows need not load it
+                )
 
                 raise ConfigError(f"watch: {name} is no message; {near(name, message_names())}")
         count = len(wanted | self._until_s.keys())

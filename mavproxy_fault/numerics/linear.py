@@ -3,9 +3,11 @@
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
+
+Vector = NDArray[np.float64]
 
 
 @compiled

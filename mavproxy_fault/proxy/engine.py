@@ -11,8 +11,8 @@ from typing import Any
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.faults.fault import Outgoing
-from mavproxy_fault.faults.target import near
 from mavproxy_fault.proxy.active_entry import NEVER_US, Running, after_s
 from mavproxy_fault.schedule.entries import Entry, Schedule, parse_entry
 from mavproxy_fault.schedule.saving import as_yaml

@@ -1,7 +1,8 @@
 """What the proxy remembers of every sender, as one flat array of 64-bit integers.
 
-The plain path and the compiled one (`fast`) work on the same memory, so they can take turns at any
-frame. A sender is `system << 8 | component`; its clocks are two, counting from boot and from 1970.
+The plain path and the compiled one (`compiled`) work on the same memory, so they can take turns at
+any frame. A sender is `system << 8 | component`; its clocks are two, counting from boot and from
+1970.
 """
 
 from array import array

@@ -8,7 +8,7 @@ from msgspec import Meta
 
 from mavproxy_fault.documents.checked import Check, Lines, Path, read_yaml
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.faults import target as targets
+from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.faults.fault import Fault
 from mavproxy_fault.faults.profile import NotNegative, Positive, Profile
 from mavproxy_fault.faults.registry import ALIASES, fault_class, known_faults
@@ -174,7 +174,7 @@ def _check_ids(entries: list[Entry], check: Check) -> None:
             check.wrong(("faults", i, "id"), f"= {entry.id} stands twice; ids must differ")
         seen.add(entry.id)
         if entry.after is not None and entry.after.id not in ids - {entry.id}:
-            known = targets.near(entry.after.id, ids - {entry.id})
+            known = near(entry.after.id, ids - {entry.id})
             check.wrong(("faults", i, "after"), f"= {entry.after.id} is no other fault; {known}")
 
 
@@ -211,9 +211,7 @@ def _from_preset(data: dict[str, Any], number: int, check: Check, path: Path) ->
     if "fault" in data:
         check.wrong((*path, "fault"), "stands beside preset; give one of them")
     if name not in preset_names():
-        check.wrong(
-            (*path, "preset"), f"= {name} is unknown; {targets.near(str(name), preset_names())}"
-        )
+        check.wrong((*path, "preset"), f"= {name} is unknown; {near(str(name), preset_names())}")
         return []
     entries = []
     parts = preset_parts(name)
@@ -235,7 +233,7 @@ def _entry(data: dict[str, Any], number: int, check: Check, path: Path) -> Entry
     if name is None or kind is None:
         known = [*known_faults(), *ALIASES]
         if name is not None:
-            check.wrong((*path, "fault"), f"= {name} is unknown; {targets.near(name, known)}")
+            check.wrong((*path, "fault"), f"= {name} is unknown; {near(name, known)}")
         elif "fault" not in data:
             check.wrong(path, "lacks fault; give `fault` or `preset`")
         return None

@@ -12,7 +12,7 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.rotation import euler_from_quat
 from simvehicle.guidance.route import PathTrack
 from simvehicle.scenario.scenario_file import Scenario
-from simvehicle.scenario.simulation import Simulation
+from simvehicle.simulation.simulation import Simulation
 
 Array = NDArray[np.float64]
 _PICTURES = (".png", ".svg", ".pdf")

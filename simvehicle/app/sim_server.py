@@ -15,6 +15,7 @@ from typing import Any
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link, parse_spec
+from simvehicle.app.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.app.pace import Pace, parse_speed
 from simvehicle.app.sim_progress import Progress
 from simvehicle.autopilot.autopilot_link import AutopilotLink
@@ -22,15 +23,14 @@ from simvehicle.autopilot.enums import MavType
 from simvehicle.autopilot.flight_goals import Flight
 from simvehicle.autopilot.mission_service import Missions
 from simvehicle.autopilot.parameter_service import Parameters
+from simvehicle.autopilot.pilot import Pilot
 from simvehicle.autopilot.telemetry import Home
-from simvehicle.guidance.pilot import Pilot
 from simvehicle.guidance.route import CircleTrack
 from simvehicle.hil.hil_frames import BARO_IDS, IMU_IDS, MAG_IDS, Hil
 from simvehicle.hil.inbox import Inbox
-from simvehicle.hil.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.hil.plant_changes import PlantChanges
 from simvehicle.scenario.scenario_file import Scenario, read_scenario
-from simvehicle.scenario.simulation import Simulation
+from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.actuators import Mix
 
 DATAGRAM = 1400  # bytes that cross an Ethernet in one piece

@@ -12,11 +12,11 @@ from simvehicle.autopilot.command_service import Commands
 from simvehicle.autopilot.enums import MavType
 from simvehicle.autopilot.flight_goals import Flight
 from simvehicle.autopilot.mission_service import Missions
-from simvehicle.autopilot.outgoing_message import Message, message
 from simvehicle.autopilot.parameter_service import Parameters
 from simvehicle.autopilot.streams import Streams
 from simvehicle.autopilot.telemetry import Snapshot
 from simvehicle.hil.hil_frames import START_US
+from simvehicle.hil.outgoing_message import Message, message
 from simvehicle.sensors.readings import BatteryReading, GpsReading, Reading
 from simvehicle.vehicles.body import Truth
 

@@ -13,10 +13,10 @@ from mavproxy_fault.wire.frame import Frame as WireFrame
 from simvehicle.autopilot.enums import BaseMode, Command, Frame, Mode, Result
 from simvehicle.autopilot.flight_goals import Flight
 from simvehicle.autopilot.mode_list import available_modes
-from simvehicle.autopilot.outgoing_message import PROTOCOL_VERSION, Message, message
 from simvehicle.autopilot.parameter_service import Parameters
 from simvehicle.autopilot.streams import Streams
 from simvehicle.autopilot.telemetry import Snapshot, protocol_version
+from simvehicle.hil.outgoing_message import PROTOCOL_VERSION, Message, message
 
 FORCE = 21196  # MAV_CMD_COMPONENT_ARM_DISARM.param2: arm or disarm whatever the state
 FAILURE_MOTOR = 101  # FAILURE_UNIT_SYSTEM_MOTOR

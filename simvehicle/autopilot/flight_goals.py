@@ -18,9 +18,9 @@ import numpy as np
 
 from simvehicle.autopilot.enums import Command, LandedState, Mode
 from simvehicle.autopilot.mission_service import Item, Missions
-from simvehicle.autopilot.outgoing_message import Message, message, statustext
 from simvehicle.autopilot.parameter_service import Parameters
 from simvehicle.autopilot.telemetry import Home
+from simvehicle.hil.outgoing_message import Message, message, statustext
 from simvehicle.vehicles.body import Truth, Vector
 
 HEIGHT_TOLERANCE_M = 1.0

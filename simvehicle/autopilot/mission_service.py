@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 from mavproxy_fault.wire.frame import Frame as WireFrame
 from simvehicle.autopilot.enums import Command, Frame, MissionResult, MissionType
-from simvehicle.autopilot.outgoing_message import Message, message
+from simvehicle.hil.outgoing_message import Message, message
 
 MAX_ITEMS = 1000
 RETRY_US = 500_000  # a request for an item is sent again after this

@@ -6,7 +6,7 @@ References
 """
 
 from simvehicle.autopilot.enums import Mode, StandardMode
-from simvehicle.autopilot.outgoing_message import Message, message
+from simvehicle.hil.outgoing_message import Message, message
 
 # Name and standard mode of each, in the order in which they are listed
 LISTED = {

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 
 from mavproxy_fault.wire.frame import Frame
 from simvehicle.autopilot.enums import PARAM_INT32, PARAM_REAL32
-from simvehicle.autopilot.outgoing_message import Message, message
+from simvehicle.hil.outgoing_message import Message, message
 
 # Meaning and defaults are those of PX4's parameter reference, scaled to this vehicle.
 COMMON: dict[str, int | float] = {

@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 from mavproxy_fault.wire.dialect import known, layout
 from simvehicle.autopilot import telemetry
-from simvehicle.autopilot.outgoing_message import Message
 from simvehicle.autopilot.telemetry import Snapshot
+from simvehicle.hil.outgoing_message import Message
 
 S = 1_000_000
 # Name -> what makes it and how often it leaves unasked, in microseconds (0: on request only)

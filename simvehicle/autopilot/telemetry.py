@@ -13,8 +13,8 @@ from simvehicle.autopilot.enums import (
     SystemState,
 )
 from simvehicle.autopilot.mode_list import LISTED
-from simvehicle.autopilot.outgoing_message import PROTOCOL_VERSION, Message, message
 from simvehicle.hil import hil_messages
+from simvehicle.hil.outgoing_message import PROTOCOL_VERSION, Message, message
 from simvehicle.sensors.readings import BatteryReading, GpsReading
 from simvehicle.vehicles.body import Truth
 

@@ -17,8 +17,8 @@ from mavproxy_fault.rtcm.msm7 import encode_epoch
 from mavproxy_fault.rtcm.transport import tunnel_frames
 from mavproxy_fault.wire.dialect import Layout, known
 from mavproxy_fault.wire.frame import build, framed
-from simvehicle.autopilot.outgoing_message import Message
 from simvehicle.hil import hil_messages
+from simvehicle.hil.outgoing_message import Message
 from simvehicle.hil.state_kernel import TruthPayload, fill
 from simvehicle.sensors.readings import (
     AirspeedReading,

@@ -9,7 +9,7 @@ from functools import lru_cache
 
 from mavproxy_fault.numerics.rotation import euler_angles, into_body
 from mavproxy_fault.wire.dialect import known
-from simvehicle.autopilot.outgoing_message import Message
+from simvehicle.hil.outgoing_message import Message
 from simvehicle.sensors.readings import (
     BatteryReading,
     FlowReading,

@@ -1,6 +1,1 @@
-"""A scenario and the flight it describes.
-
-The *scenario file* is one YAML document: vehicle, mission, weather, sensors, GNSS, schedule. A
-*kind* is a vehicle model with its controller and its parameters. The *simulation* steps truth and
-the sensors *on board*, without I/O.
-"""
+"""The scenario file: one YAML document with vehicle, mission, weather, sensors and GNSS."""

@@ -1,4 +1,4 @@
-"""The windows of `memory` kept over a flight, and what they say."""
+"""The windows of `ramp_windows` kept over a flight, and what they say."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ LATE = 9.0  # a ramp's likelihood ratio that dates the fault of a satellite foun
 
 class Memory(Value, frozen=True):
     """Windows over `names` (n satellites), each since `starts_us` (w,) (0: not begun yet), the next
-    to begin at `due_us`; d and sums as in `memory`.
+    to begin at `due_us`; d and sums as in `ramp_windows`.
 
     The satellites are those at `places` (n,) among all of an epoch, `among`.
 

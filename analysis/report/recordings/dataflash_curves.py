@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.samples.dataflash import Topic
+from analysis.recordings.dataflash import Topic
 
 Values = NDArray[np.float64]
 Curve = tuple[str, str, str, Callable[[Topic], Values | None], bool]

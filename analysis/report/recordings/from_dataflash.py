@@ -6,6 +6,7 @@ Messages and fields as ArduPilot's log reference names them (old logs: as they w
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.recordings.dataflash import DataflashFile, Topic
 from analysis.report.recordings.dataflash_curves import CURVES
 from analysis.report.recordings.mode_names import (
     ARDUPILOT,
@@ -16,7 +17,6 @@ from analysis.report.recordings.mode_names import (
     mode_name,
 )
 from analysis.report.recordings.recording import Event, Recording, Signal, Span, Track, Vector, runs
-from analysis.samples.dataflash import DataflashFile, Topic
 
 ARMED, DISARMED = 10, 11  # EV.Id
 COPTER = 2  # MAV_TYPE of a quadrotor

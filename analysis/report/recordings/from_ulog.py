@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.recordings.ulog import Topic, ULogFile
 from analysis.report.recordings.curves import euler_deg
 from analysis.report.recordings.recording import Event, Recording, Signal, Span, Track, runs
-from analysis.samples.ulog import Topic, ULogFile
 
 Values = NDArray[np.float64]
 NAV_STATES = {

@@ -8,6 +8,8 @@ from typing import Any
 
 import msgspec
 
+from analysis.recordings.dataflash import is_dataflash, read_dataflash
+from analysis.recordings.ulog import is_ulog, read_ulog
 from analysis.report.recordings.from_dataflash import recording_of_dataflash
 from analysis.report.recordings.from_results import recording_of_results
 from analysis.report.recordings.from_tlog import merged, recording_of
@@ -15,8 +17,6 @@ from analysis.report.recordings.from_ulog import recording_of_ulog
 from analysis.report.recordings.recording import Recording, joined
 from analysis.report.recordings.thinning import contents
 from analysis.results import Result, decode, read_results
-from analysis.samples.dataflash import is_dataflash, read_dataflash
-from analysis.samples.ulog import is_ulog, read_ulog
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.label import Label, read_labels

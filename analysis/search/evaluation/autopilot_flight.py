@@ -19,12 +19,12 @@ from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.schedule.entries import Schedule
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
+from simvehicle.app.lockstep_loop import LockstepLoop, PeerGoneError
 from simvehicle.app.sim_progress import Progress
 from simvehicle.app.sim_server import airframe
 from simvehicle.hil.hil_frames import Hil
 from simvehicle.hil.inbox import Inbox
 from simvehicle.hil.lockstep import AutopilotSilentError
-from simvehicle.hil.lockstep_loop import LockstepLoop, PeerGoneError
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.sensors.readings import Reading
 from simvehicle.vehicles.body import Controls, Truth

@@ -10,9 +10,9 @@ import pytest
 from analysis.detection import Detector, DetectorConfig
 from analysis.detection.detector import run
 from analysis.detection.sensors.sensor_tests import References
+from analysis.recordings.recordings import read_log
 from analysis.results import Decision, SensorDecision
 from analysis.samples.block import block_of
-from analysis.samples.recordings import read_log
 from analysis.samples.sample import (
     AirspeedSample,
     BaroSample,

@@ -19,10 +19,10 @@ from analysis.orbits.broadcast import (
 )
 from analysis.orbits.glonass import leap_seconds
 from analysis.orbits.snapshot import Fix, solve
+from analysis.recordings.recordings import read_rinex_samples
+from analysis.recordings.rinex_navigation import read_navigation
+from analysis.recordings.rinex_observations import read_observations
 from analysis.results import Decision
-from analysis.samples.recordings import read_rinex_samples
-from analysis.samples.rinex_navigation import read_navigation
-from analysis.samples.rinex_observations import read_observations
 from analysis.samples.sample import EphemerisSample, Epoch
 from mavproxy_fault.documents.errors import ConfigError
 

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
+from analysis.recordings.dataflash import read_dataflash
+from analysis.recordings.ulog import read_ulog
 from analysis.report.export import tables_of
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.flight_verdict import judged
 from analysis.report.recordings.from_dataflash import recording_of_dataflash
 from analysis.report.recordings.sources import read_flight
-from analysis.samples.dataflash import read_dataflash
-from analysis.samples.ulog import read_ulog
 from mavproxy_fault.documents.errors import ConfigError
 
 HEAD = b"\xa3\x95"

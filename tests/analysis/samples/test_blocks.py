@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig, monitor_config
+from analysis.recordings.recordings import read_log
 from analysis.results import Result, encode
 from analysis.run.proxied_flight import Flight
 from analysis.run.setup import read_setup
 from analysis.samples.block import block_of, pieces
-from analysis.samples.recordings import read_log
 from analysis.samples.sample import GpsFix, IonosphereSample
 from mavproxy_fault.wire import tlog
 

@@ -12,13 +12,13 @@ import pytest
 from analysis.monitor.publish import Publisher
 from analysis.results import AttitudeError, Decision
 from analysis.web.page_server import serve
-from mavproxy_fault.app.statistics import figures
 from mavproxy_fault.links.bus import Bus, open_bus
 from mavproxy_fault.live.control import Control
 from mavproxy_fault.live.session import Live
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import LinkRole
+from mavproxy_fault.proxy.statistics import figures
 from mavproxy_fault.schedule.entries import Schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build

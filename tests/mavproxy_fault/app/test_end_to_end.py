@@ -8,6 +8,7 @@ import pytest
 import yaml
 from pymavlink import mavutil
 
+from mavproxy_fault.app.preview import epoch, sample
 from mavproxy_fault.app.replay import main
 from mavproxy_fault.faults.examples import EXAMPLES
 from mavproxy_fault.faults.registry import known_faults
@@ -16,7 +17,6 @@ from mavproxy_fault.proxy.announcements import COMPONENT
 from mavproxy_fault.rtcm.transport import tunnel_frames
 from mavproxy_fault.schedule.entries import Entry, parse_schedule
 from mavproxy_fault.schedule.presets import preset_names
-from mavproxy_fault.schedule.preview import epoch, sample
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import read_labels

@@ -5,12 +5,12 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import all as pymavlink
 
+from mavproxy_fault.app.preview import epoch, sample
 from mavproxy_fault.faults.satellite import Satellites
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.rtcm.transport import tunnel_frames
 from mavproxy_fault.schedule.entries import Entry, parse_schedule
 from mavproxy_fault.schedule.presets import preset_names, read_preset
-from mavproxy_fault.schedule.preview import epoch, sample
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.plant_messages import plant_change

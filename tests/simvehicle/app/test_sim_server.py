@@ -18,7 +18,7 @@ from simvehicle.app import sim_server as server
 from simvehicle.app.pace import Pace
 from simvehicle.app.sim_progress import Progress
 from simvehicle.scenario.scenario_file import read_scenario
-from simvehicle.scenario.simulation import Simulation
+from simvehicle.simulation.simulation import Simulation
 
 SCENARIO = """
 duration_s: 2.0

@@ -14,7 +14,7 @@ from simvehicle.scenario.scenario_file import (
     VehicleChoice,
     WeaveChoice,
 )
-from simvehicle.scenario.simulation import Simulation
+from simvehicle.simulation.simulation import Simulation
 
 STATE = StartState(u_mps=35.0, w_mps=0.1, roll_deg=25.0, pitch_deg=3.0, q_dps=-7.0)
 WEAVE = WeaveChoice(roll_deg=30.0, period_s=10.0, pitch_deg=0.0, airspeed_mps=35.0)

@@ -19,8 +19,8 @@ from simvehicle.scenario.scenario_file import (
     Start,
     VehicleChoice,
 )
-from simvehicle.scenario.simulation import Simulation
 from simvehicle.sensors.imu import Imu
+from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.fixedwing import FixedWing
 
 WIND = Environment(wind_ned_mps=(3.0, 3.0, 0.0), gusts="light")

@@ -19,8 +19,8 @@ from simvehicle.scenario.scenario_file import (
     Start,
     VehicleChoice,
 )
-from simvehicle.scenario.simulation import Simulation
 from simvehicle.sensors.imu import Imu
+from simvehicle.simulation.simulation import Simulation
 
 SHAPES = ["triangle", "diamond", "trapezoid", "s", "eight", "circle", "line"]
 WIND = Environment(wind_ned_mps=(5.657, 5.657, 0.0), gusts="light")

@@ -7,7 +7,7 @@ from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.plant_messages import PlantChange, plant_frame
 from simvehicle.hil.plant_changes import PlantChanges
 from simvehicle.scenario.scenario_file import read_scenario
-from simvehicle.scenario.simulation import Simulation
+from simvehicle.simulation.simulation import Simulation
 
 
 @pytest.fixture

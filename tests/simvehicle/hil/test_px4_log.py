@@ -23,13 +23,13 @@ from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame
+from simvehicle.app.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.app.sim_progress import Progress
 from simvehicle.hil.hil_frames import Hil
 from simvehicle.hil.inbox import Inbox
 from simvehicle.hil.lockstep import Lockstep
-from simvehicle.hil.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.scenario.scenario_file import read_scenario
-from simvehicle.scenario.simulation import Simulation
+from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.actuators import motors, read_controls
 from simvehicle.vehicles.body import Controls
 from simvehicle.vehicles.multirotor import Multirotor

@@ -13,8 +13,8 @@ from simvehicle.scenario.scenario_file import (
     VehicleChoice,
     read_scenario,
 )
-from simvehicle.scenario.simulation import Simulation
 from simvehicle.sensors.imu import Imu
+from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.body import Controls
 
 QUAD = VehicleChoice(kind="multirotor", parameters="iris")

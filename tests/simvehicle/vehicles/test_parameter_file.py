@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
-from simvehicle.scenario.kinds import kind_of
 from simvehicle.scenario.scenario_file import Scenario, VehicleChoice, read_scenario
-from simvehicle.scenario.simulation import Simulation
+from simvehicle.simulation.kinds import kind_of
+from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing_parameters import read_fixedwing
 from simvehicle.vehicles.multirotor import Multirotor

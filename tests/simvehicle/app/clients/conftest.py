@@ -15,7 +15,7 @@ from mavproxy_fault.links.spec import open_link
 from simvehicle.app.sim_progress import Progress
 from simvehicle.app.sim_server import FreeLoop
 from simvehicle.scenario.scenario_file import read_scenario
-from simvehicle.scenario.simulation import Simulation
+from simvehicle.simulation.simulation import Simulation
 
 SCENARIO = """
 vehicle: {kind: multirotor, parameters: iris}

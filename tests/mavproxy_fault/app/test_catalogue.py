@@ -5,9 +5,9 @@ import jsonschema
 import pytest
 import yaml
 
+from mavproxy_fault.app.catalogue import listing, schema
 from mavproxy_fault.cli import main
 from mavproxy_fault.faults.registry import known_faults
-from mavproxy_fault.schedule.catalogue import listing, schema
 from mavproxy_fault.schedule.presets import preset_names
 
 SCHEDULE = """\

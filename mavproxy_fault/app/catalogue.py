@@ -10,9 +10,9 @@ import msgspec
 import yaml
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.faults.examples import EXAMPLES
 from mavproxy_fault.faults.registry import ALIASES, ON_RANGES, fault_class, known_faults
-from mavproxy_fault.faults.target import near
 from mavproxy_fault.schedule.binding import GIVEN
 from mavproxy_fault.schedule.entries import Entry, Keys, parse_schedule, read_schedule
 from mavproxy_fault.schedule.presets import preset_names, read_preset
@@ -126,7 +126,7 @@ def said(entry: Entry) -> str:
 
 
 def _plot(args: argparse.Namespace) -> None:
-    from mavproxy_fault.schedule.preview import draw
+    from mavproxy_fault.app.preview import draw
 
     name = args.file
     if name in preset_names() and not Path(name).exists():

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from analysis.run.run_folder import write_summary
+from analysis.report.run_folder import write_summary
 
 
 def test_a_number_that_is_not_finite_is_null_in_a_summary(tmp_path: Path):

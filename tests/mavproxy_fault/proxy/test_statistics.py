@@ -1,6 +1,6 @@
 import random
 
-from mavproxy_fault.app.statistics import Latencies, table
+from mavproxy_fault.proxy.statistics import Latencies, table
 
 
 def test_percentiles_are_right_to_a_tenth() -> None:

@@ -16,12 +16,12 @@ from simvehicle.scenario.scenario_file import (
     Start,
     read_scenario,
 )
-from simvehicle.scenario.simulation import Simulation, simulate
 from simvehicle.sensors.barometer import Barometer
 from simvehicle.sensors.error_model import Noise
 from simvehicle.sensors.gps import Gps
 from simvehicle.sensors.imu import Imu
 from simvehicle.sensors.readings import GpsReading, ImuReading, PressureReading
+from simvehicle.simulation.simulation import Simulation, simulate
 from simvehicle.vehicles.body import Controls
 
 IN_THE_AIR = Start(height_m=100.0)

@@ -8,10 +8,10 @@ import pytest
 from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.app.sim_server import airframe, throttle
 from simvehicle.autopilot.enums import MavType
-from simvehicle.scenario import kinds
-from simvehicle.scenario.kinds import Kind, kind_of
 from simvehicle.scenario.scenario_file import Scenario, Start, VehicleChoice
-from simvehicle.scenario.simulation import Simulation
+from simvehicle.simulation import kinds
+from simvehicle.simulation.kinds import Kind, kind_of
+from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.body import Controls, Truth
 
 

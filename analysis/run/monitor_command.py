@@ -14,13 +14,13 @@ from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.monitor.publish import Publisher
 from analysis.monitor.watch import Watch
+from analysis.recordings.recordings import read_log, read_rinex
+from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result
-from analysis.run.run_folder import ResultFile, make_folder, write_summary
 from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary
 from analysis.samples.block import Block
 from analysis.samples.intake import Intake
-from analysis.samples.recordings import read_log, read_rinex
 from analysis.scoring.criteria import Criteria
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import open_run_bus

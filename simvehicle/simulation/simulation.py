@@ -18,14 +18,14 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.rotation import quat_from_euler
 from simvehicle.environment.geolocation import Home, locate
 from simvehicle.environment.terrain import Grid, Level, read_grid
-from simvehicle.environment.weather import Weather
 from simvehicle.guidance.mission import plan
 from simvehicle.guidance.open_loop import OpenLoopController
 from simvehicle.guidance.route import PathTrack
-from simvehicle.scenario.kinds import Controller, kind_of
-from simvehicle.scenario.onboard import fit
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.sensors.readings import Reading
+from simvehicle.simulation.kinds import Controller, kind_of
+from simvehicle.simulation.onboard import fit
+from simvehicle.simulation.weather import Weather
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.fixedwing import FixedWing
 

@@ -21,13 +21,13 @@ from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
+from simvehicle.app.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.app.sim_progress import Progress
 from simvehicle.hil.hil_frames import Hil
 from simvehicle.hil.inbox import Inbox
 from simvehicle.hil.lockstep import Lockstep
-from simvehicle.hil.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.scenario.scenario_file import read_scenario
-from simvehicle.scenario.simulation import Simulation
+from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.actuators import motors
 
 SCENARIO = """

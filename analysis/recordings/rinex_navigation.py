@@ -16,7 +16,7 @@ from pathlib import Path
 
 from analysis.orbits.broadcast import BEIDOU_BEHIND_S, SYSTEMS, WEEK_S
 from analysis.orbits.glonass import leap_seconds
-from analysis.samples.rinex_observations import gps_time, read_text
+from analysis.recordings.rinex_observations import gps_time, read_text
 from analysis.samples.sample import EphemerisSample, IonosphereSample, StateVector
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris

@@ -9,9 +9,9 @@ import pytest
 from simvehicle.app.sim_server import services
 from simvehicle.autopilot.enums import Mode
 from simvehicle.autopilot.flight_goals import Flight
-from simvehicle.guidance.pilot import Pilot
+from simvehicle.autopilot.pilot import Pilot
 from simvehicle.scenario.scenario_file import read_scenario
-from simvehicle.scenario.simulation import Simulation
+from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.body import Truth
 
 Holds = Callable[[Truth], bool]

@@ -40,8 +40,8 @@ def read_rinex(observations: Path, navigation: Path, imu: Path | None = None) ->
     ConfigError
         If a file cannot be read as what it should be.
     """
-    from analysis.samples.rinex_navigation import read_navigation
-    from analysis.samples.rinex_observations import read_observations
+    from analysis.recordings.rinex_navigation import read_navigation
+    from analysis.recordings.rinex_observations import read_observations
 
     epochs = read_observations(observations)
     parts = [] if imu is None else [_read_imu(imu)]

@@ -1,0 +1,15 @@
+"""What a misspelt name may have meant."""
+
+import difflib
+from collections.abc import Iterable
+
+
+def near(name: str, known: Iterable[str]) -> str:
+    """A sentence about the known names nearest to a wrong one."""
+    names = sorted(known)
+    close = difflib.get_close_matches(name, names, 3, 0.5) or difflib.get_close_matches(
+        name.upper(), names, 3, 0.5
+    )
+    if close:
+        return f"did you mean {' or '.join(close)}?"
+    return f"known: {', '.join(names[:40])}{', ...' if len(names) > 40 else ''}"
