@@ -11,7 +11,7 @@ References
 """
 
 import math
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import msgspec
 
@@ -40,6 +40,8 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
     LOCAL_POSITION_NED and ODOMETRY, or those named as target.
     """
 
+    name: ClassVar[str] = "gps-spoof"
+    example: ClassVar[dict[str, Any]] = {"offset_m": [100, 0, 0]}
     acts_on: ClassVar[ActsOn] = "frames"
     messages: ClassVar[tuple[str, ...]] = tuple(MOVERS)
 

@@ -1,6 +1,6 @@
 """Frames at the wrong time: late, jittered, out of order, twice."""
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 class Delay(LinkFault, frozen=True, kw_only=True):
     """Hold every frame back by `value` seconds."""
+
+    name: ClassVar[str] = "delay"
+    example: ClassVar[dict[str, Any]] = {"value": 0.02}
 
     value: NotNegative
 
@@ -35,6 +38,9 @@ class Jitter(LinkFault, frozen=True, kw_only=True):
     distribution (cut at zero), or the scale of the Pareto one (of `shape`, heavy-tailed). With
     `keep_order` no frame overtakes another.
     """
+
+    name: ClassVar[str] = "jitter"
+    example: ClassVar[dict[str, Any]] = {"value": 0.02}
 
     value: NotNegative
     distribution: Literal["uniform", "normal", "exponential", "pareto"] = "uniform"
@@ -68,6 +74,9 @@ class Jitter(LinkFault, frozen=True, kw_only=True):
 class Reorder(LinkFault, frozen=True, kw_only=True):
     """Hold a share `value` of the frames back by `by_s`, so that later ones overtake them."""
 
+    name: ClassVar[str] = "reorder"
+    example: ClassVar[dict[str, Any]] = {"value": 0.2, "by_s": 0.02}
+
     value: Share = 0.1
     by_s: NotNegative = 0.05
 
@@ -83,6 +92,9 @@ class Reorder(LinkFault, frozen=True, kw_only=True):
 
 class Duplicate(LinkFault, frozen=True, kw_only=True):
     """Send a share `value` of the frames more than once: `copies` more, the last `by_s` later."""
+
+    name: ClassVar[str] = "duplicate"
+    example: ClassVar[dict[str, Any]] = {"copies": 2, "by_s": 0.01}
 
     value: Share = 1.0
     copies: Annotated[int, Meta(ge=1, le=100)] = 1

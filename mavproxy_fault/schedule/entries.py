@@ -11,7 +11,7 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.faults.fault import Fault
 from mavproxy_fault.faults.profile import NotNegative, Positive, Profile
-from mavproxy_fault.faults.registry import ALIASES, fault_class, known_faults
+from mavproxy_fault.faults.registry import fault_class, known_aliases, known_faults
 from mavproxy_fault.schedule.binding import GIVEN, aim, bind, wrong_targets
 from mavproxy_fault.schedule.triggers import Condition
 
@@ -231,7 +231,7 @@ def _entry(data: dict[str, Any], number: int, check: Check, path: Path) -> Entry
     name = keys.pop("fault", None)
     kind = fault_class(name) if name is not None else None
     if name is None or kind is None:
-        known = [*known_faults(), *ALIASES]
+        known = [*known_faults(), *known_aliases()]
         if name is not None:
             check.wrong((*path, "fault"), f"= {name} is unknown; {near(name, known)}")
         elif "fault" not in data:
