@@ -161,9 +161,10 @@ def _step_rows(link: int, now_us: int, shared: Shared) -> Any:
 def _drain(link: int, shared: Shared) -> bool:
     """Pass on one batch of a link; False if it stopped at a datagram to be handed over."""
     loop = shared.loop
-    started = loop[k.CAME] = _now_ns(loop)
+    started = _now_ns(loop)
     if loop[k.AT] >= loop[k.COUNT] and not _receive(link, shared):
         return True
+    loop[k.CAME] = started
     begun = loop[k.AT]
     goes_on = True
     while goes_on and loop[k.AT] < loop[k.COUNT]:
