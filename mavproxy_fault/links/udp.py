@@ -138,3 +138,6 @@ def _send(
             return
     counters.chunks_out += 1
     counters.bytes_out += len(data)
+
+
+OPENERS = {"udpin": UdpServer, "udpout": UdpClient}
