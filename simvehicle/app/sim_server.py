@@ -27,7 +27,7 @@ from simvehicle.autopilot.pilot import Pilot
 from simvehicle.autopilot.telemetry import Home
 from simvehicle.guidance.route import CircleTrack
 from simvehicle.hil.hil_frames import BARO_IDS, IMU_IDS, MAG_IDS, Hil
-from simvehicle.hil.inbox import Inbox
+from mavproxy_fault.links.inbox import Inbox
 from simvehicle.hil.plant_changes import PlantChanges
 from simvehicle.scenario.scenario_file import Scenario, read_scenario
 from simvehicle.simulation.simulation import Simulation

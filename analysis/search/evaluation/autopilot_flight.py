@@ -23,7 +23,7 @@ from simvehicle.app.lockstep_loop import LockstepLoop, PeerGoneError
 from simvehicle.app.sim_progress import Progress
 from simvehicle.app.sim_server import airframe
 from simvehicle.hil.hil_frames import Hil
-from simvehicle.hil.inbox import Inbox
+from mavproxy_fault.links.inbox import Inbox
 from simvehicle.hil.lockstep import AutopilotSilentError
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.sensors.readings import Reading

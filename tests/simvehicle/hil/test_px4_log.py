@@ -26,7 +26,7 @@ from mavproxy_fault.wire.frame import Frame
 from simvehicle.app.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.app.sim_progress import Progress
 from simvehicle.hil.hil_frames import Hil
-from simvehicle.hil.inbox import Inbox
+from mavproxy_fault.links.inbox import Inbox
 from simvehicle.hil.lockstep import Lockstep
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
