@@ -12,6 +12,7 @@ from mavproxy_fault.wire.frame import framed
 
 HIL_ACTUATOR_CONTROLS = known("HIL_ACTUATOR_CONTROLS")
 CHANNELS = 16
+COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER: ArduPilot counts its own frames as component 1
 MODE_ENABLED, MODE_ARMED = 1, 128  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, _SAFETY_ARMED
 FLAG_LOCKSTEP = 1
 LOW_US, MIDDLE_US, SPAN_US = 1000, 1500, 1000
@@ -57,4 +58,4 @@ def actuator_frame(
     """The answer to the step of this stamp."""
     mode = MODE_ENABLED | (MODE_ARMED if armed else 0)
     payload = _PAYLOAD.pack(stamp_us, FLAG_LOCKSTEP, *channels, mode)
-    return framed(HIL_ACTUATOR_CONTROLS, payload, seq=seq, system=system, component=1)
+    return framed(HIL_ACTUATOR_CONTROLS, payload, seq=seq, system=system, component=COMPONENT)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from mavproxy_fault.ardupilot.hil_readings import TrueState
+from mavproxy_fault.ardupilot.outputs import COMPONENT
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
@@ -17,7 +18,7 @@ PREFLIGHT_CALIBRATION, FIXED_MAG_CAL_YAW = 241, 42006  # MAV_CMD_
 SIMPLE_ACCEL = 4.0  # PREFLIGHT_CALIBRATION.param5
 ACCEPTED = 0  # MAV_RESULT_
 AGAIN_US = 1_000_000
-COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+
 REQUIRED = {"AHRS_EKF_TYPE": 3.0, "EAHRS_TYPE": 1.0}
 
 
