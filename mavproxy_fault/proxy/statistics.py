@@ -58,6 +58,7 @@ def figures(core: "Core", number: int) -> dict[str, Any]:
         "gaps": state.gaps,
         "faulted": state.faulted,
         "loops": state.loops,
+        "doubted_stamps": state.doubted,
         "bad_signatures": state.bad_signatures,
     }
 
