@@ -269,6 +269,8 @@ class Server:
                     "chunks_out": counters.chunks_out,
                     "drops": counters.drops,
                     "errors": counters.errors,
+                    "refused": counters.refused,
+                    "lost_in_kernel": getattr(link, "lost_in_kernel", 0),  # datagrams only
                     **self.latencies[number].summary(),
                 }
             )
