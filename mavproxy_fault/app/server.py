@@ -208,7 +208,7 @@ class Server:
             self._tend()
         if now_s >= self._flush_s:
             self._flush_s = now_s + FLUSH_S
-            self._record()
+            self.record()
         if self.live is not None:
             self.live.show(now_s)
         if self.coming is not None and self.coming.done():
@@ -231,7 +231,8 @@ class Server:
                 print(f"no machine code ({code} from `{maker}`); all goes the slower way",
                       file=sys.stderr, flush=True)  # fmt: skip
 
-    def _record(self) -> None:
+    def record(self) -> None:
+        """Write and publish what has been gathered since the last time."""
         if self.recorder is None and self.live is None:
             return
         labels = self.core.take_labels()
@@ -251,7 +252,7 @@ class Server:
         if self.coming is not None:
             self.live = self.coming.result()
             self.coming = None
-        self._record()
+        self.record()
         if self.recorder is not None:
             self.recorder.close(self.core.clock.t0_us, now_us)
         if self.live is not None:

@@ -73,8 +73,11 @@ class Engine:
 
     @property
     def held_until_us(self) -> int | None:
-        """When frames kept back must leave, whatever the schedule does then."""
-        if self._kept:
+        """When frames kept back must leave, whatever the schedule does then.
+
+        At once too where an edit has ended a fault: its label must not wait for the next frame.
+        """
+        if self._kept or self._labels:
             return self.now_us
         due_us = min((running.held_until_us() for running in self._holders), default=NEVER_US)
         return due_us if due_us < NEVER_US else None
