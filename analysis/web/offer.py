@@ -9,7 +9,7 @@ import msgspec
 from mavproxy_fault.app.catalogue import first_line, schema
 from mavproxy_fault.app.preview import Curve, curves
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.faults.registry import ON_RANGES, known_faults
+from mavproxy_fault.faults.registry import acts_on_ranges, known_faults
 from mavproxy_fault.schedule.entries import parse_entry
 from mavproxy_fault.schedule.presets import preset_names, read_preset
 from mavproxy_fault.wire.dialect import known
@@ -33,7 +33,7 @@ def catalogue() -> bytes:
             "about": first_line(kind),
             "acts_on": kind.acts_on,
             "messages": list(getattr(kind, "messages", ())),
-            "on_ranges": name in ON_RANGES,
+            "on_ranges": acts_on_ranges(kind),
             "schema": choice,
         }
         for (name, kind), choice in zip(known_faults().items(), choices, strict=True)

@@ -7,12 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import yaml
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
-from mavproxy_fault.faults.examples import EXAMPLES
-from mavproxy_fault.faults.registry import ALIASES, ON_RANGES, fault_class, known_faults
+from mavproxy_fault.documents.yaml_document import write_yaml
+from mavproxy_fault.faults.registry import (
+    acts_on_ranges,
+    fault_class,
+    known_aliases,
+    known_faults,
+)
 from mavproxy_fault.schedule.binding import GIVEN
 from mavproxy_fault.schedule.entries import Entry, Keys, parse_schedule, read_schedule
 from mavproxy_fault.schedule.presets import preset_names, read_preset
@@ -45,10 +49,10 @@ def main(args: argparse.Namespace) -> int:
 
 def listing() -> str:
     """Every fault and preset, a line each."""
-    aliases = {name: alias for alias, name in ALIASES.items()}
     rows = [("faults", "")]
     for name, kind in known_faults().items():
-        also = f" (also {aliases[name]})" if name in aliases else ""
+        aliases = ", ".join(getattr(kind, "aliases", ()))
+        also = f" (also {aliases})" if aliases else ""
         rows.append((f"  {name}", first_line(kind) + also))
     rows.append(("presets", ""))
     rows += [(f"  {name}", str(read_preset(name)["about"])) for name in preset_names()]
@@ -70,23 +74,22 @@ def description(name: str) -> str:
     """
     if name in preset_names():
         preset = read_preset(name)
-        parts = yaml.safe_dump(preset["faults"], sort_keys=False, default_flow_style=None)
+        parts = write_yaml(preset["faults"], flow=None)
         use = f"use: - {{preset: {name}, at_s: 20}}"
         return f"{name}: {preset['about']}\n\nas faults:\n{parts}\n{use}"
     kind = fault_class(name)
     if kind is None:
-        known = near(name, [*known_faults(), *ALIASES, *preset_names()])
+        known = near(name, [*known_faults(), *known_aliases(), *preset_names()])
         raise ConfigError(f"faults show: {name} is neither fault nor preset; {known}")
     lines = [f"{name}: {inspect.getdoc(kind)}", "", f"target: {TARGETS[kind.acts_on]}"]
-    if ALIASES.get(name, name) in ON_RANGES:
+    if acts_on_ranges(kind):
         lines.append(f"   or   {TARGETS['satellites']}")
     for field in msgspec.structs.fields(kind):
         if field.name not in GIVEN:
             lines.append(f"{field.name}: {spelled_type(field.type)}{_default(field)}")
-    example = EXAMPLES.get(ALIASES.get(name, name))
-    if example is not None:
-        entry = {"fault": name, "at_s": 20, **example}
-        text = yaml.safe_dump(entry, sort_keys=False, default_flow_style=True, width=1000)
+    if hasattr(kind, "example"):
+        entry = {"fault": name, "at_s": 20, **kind.example}
+        text = write_yaml(entry, flow=True, width=1000)
         lines += ["", f"use: - {text.rstrip()}"]
     return "\n".join(lines)
 
@@ -150,7 +153,7 @@ def schema() -> dict[str, Any]:
         own = components[ref["$ref"].rsplit("/", 1)[1]]
         properties = {k: v for k, v in own["properties"].items() if k not in given}
         required = [key for key in own.get("required", []) if key not in given]
-        names = [name, *(alias for alias, of in ALIASES.items() if of == name)]
+        names = [name, *getattr(faults[name], "aliases", ())]
         choices.append(
             {
                 "description": inspect.getdoc(faults[name]),

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 from mavproxy_fault.faults.value_fault import ValueFault
 from mavproxy_fault.wire.frame import Number
@@ -13,6 +13,11 @@ Matrix = tuple[Three, Three, Three]
 
 class AxisSwap(ValueFault, frozen=True, kw_only=True):
     """Put the elements in another order (the last first by default); `signs` may turn them."""
+
+    name: ClassVar[str] = "axis-swap"
+    example: ClassVar[dict[str, Any]] = {
+        "target": ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"]
+    }
 
     order: tuple[int, ...] | None = None
     signs: tuple[float, ...] | None = None
@@ -39,6 +44,12 @@ class AxisSwap(ValueFault, frozen=True, kw_only=True):
 class Rotation(ValueFault, frozen=True, kw_only=True):
     """Turn three elements as one vector by roll, pitch and yaw (a misaligned sensor)."""
 
+    name: ClassVar[str] = "rotation"
+    example: ClassVar[dict[str, Any]] = {
+        "target": ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"],
+        "angles_deg": [0, 0, 90],
+    }
+
     angles_deg: Three
 
     def __post_init__(self) -> None:
@@ -53,6 +64,12 @@ class Rotation(ValueFault, frozen=True, kw_only=True):
 
 class Iron(ValueFault, frozen=True, kw_only=True):
     """Magnetic surroundings: soft iron (a 3 x 3 matrix) times the field plus hard iron (offset)."""
+
+    name: ClassVar[str] = "iron"
+    example: ClassVar[dict[str, Any]] = {
+        "target": ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"],
+        "hard": [0.1, 0, 0],
+    }
 
     hard: Three = (0.0, 0.0, 0.0)
     soft: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

@@ -2,13 +2,13 @@
 
 import math
 import struct
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
 from mavproxy_fault.faults.elements import changed, places_of, values_at
 from mavproxy_fault.faults.fault import Outgoing
-from mavproxy_fault.faults.value_fault import Moving, ValueFault
+from mavproxy_fault.faults.value_fault import GYRO, Moving, ValueFault
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, Number
 
@@ -28,6 +28,9 @@ Group = Literal["accel", "gyro", "mag", "baro", "airspeed"]
 
 class BitFlip(ValueFault, frozen=True, kw_only=True):
     """Flip bits of the elements as they stand on the wire: `value` of them at random, or `bit`."""
+
+    name: ClassVar[str] = "bit-flip"
+    example: ClassVar[dict[str, Any]] = {"target": GYRO}
 
     value: Annotated[int, Meta(ge=1, le=64)] = 1
     bit: Annotated[int, Meta(ge=0, le=63)] | None = None
@@ -57,6 +60,10 @@ class BitFlip(ValueFault, frozen=True, kw_only=True):
 class NotANumber(ValueFault, frozen=True, kw_only=True):
     """Send NaN, or plus or minus infinity, in fields of type float."""
 
+    name: ClassVar[str] = "not-a-number"
+    example: ClassVar[dict[str, Any]] = {"target": GYRO}
+    aliases: ClassVar[tuple[str, ...]] = ("nan",)
+
     value: Literal["nan", "inf", "-inf"] = "nan"
 
     def __post_init__(self) -> None:
@@ -78,6 +85,9 @@ class NotANumber(ValueFault, frozen=True, kw_only=True):
 
 class ClearBits(ValueFault, frozen=True, kw_only=True):
     """Clear flags: the bits of `value`, or those of sensor groups in HIL_SENSOR.fields_updated."""
+
+    name: ClassVar[str] = "clear-bits"
+    example: ClassVar[dict[str, Any]] = {"target": "HIL_SENSOR.fields_updated", "groups": ["baro"]}
 
     value: Annotated[int, Meta(ge=0)] = 0
     groups: tuple[Group, ...] = ()

@@ -18,6 +18,9 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
     The CRC is left, so that receivers refuse the frame, or `redone`, so that they believe it.
     """
 
+    name: ClassVar[str] = "corrupt"
+    example: ClassVar[dict[str, Any]] = {"crc": "redone", "target": "HIL_SENSOR"}
+
     value: Share = 1.0
     count: Annotated[int, Meta(ge=1)] = 1
     crc: Literal["left", "redone"] = "left"
@@ -51,6 +54,9 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
 class Truncate(LinkFault, frozen=True, kw_only=True):
     """Cut the last `count` bytes off a share `value` of the frames."""
 
+    name: ClassVar[str] = "truncate"
+    example: ClassVar[dict[str, Any]] = {}
+
     value: Share = 1.0
     count: Annotated[int, Meta(ge=1)] = 4
 
@@ -70,6 +76,8 @@ class Truncate(LinkFault, frozen=True, kw_only=True):
 class SequenceGap(LinkFault, frozen=True, kw_only=True):
     """Add `count` to the sequence number at a share `value` of the frames, as if some were lost."""
 
+    name: ClassVar[str] = "sequence-gap"
+    example: ClassVar[dict[str, Any]] = {"value": 0.2}
     takes_bytes: ClassVar[bool] = False
     takes_sealed: ClassVar[bool] = False
 

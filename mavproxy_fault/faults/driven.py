@@ -2,8 +2,9 @@
 
 from typing import Any, ClassVar
 
+from mavproxy_fault.documents.document_check import NotFinite
 from mavproxy_fault.faults.profile import Mode, Profile
-from mavproxy_fault.faults.value_fault import Moving, ValueFault, each
+from mavproxy_fault.faults.value_fault import GYRO, Moving, ValueFault, each
 from mavproxy_fault.wire.frame import Number
 
 
@@ -12,7 +13,7 @@ class Driven(ValueFault, frozen=True, kw_only=True):
 
     mode: ClassVar[Mode]
 
-    value: float | tuple[float, ...] | None = None
+    value: NotFinite | tuple[NotFinite, ...] | None = None
     profile: Profile | None = None
 
     def __post_init__(self) -> None:
@@ -53,23 +54,35 @@ def meet(mode: Mode, healthy: Number, value: float) -> Number:
 class Bias(Driven, frozen=True, kw_only=True):
     """Add a constant, or a profile, to the healthy value."""
 
+    name: ClassVar[str] = "bias"
+    example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 1.0}
+    on_ranges: ClassVar[bool] = True
     mode: ClassVar[Mode] = "add"
 
 
 class Scale(Driven, frozen=True, kw_only=True):
     """Multiply the healthy value by a factor, or by a profile."""
 
+    name: ClassVar[str] = "scale"
+    example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 2.0}
     mode: ClassVar[Mode] = "scale"
 
 
 class Constant(Driven, frozen=True, kw_only=True):
     """Replace the healthy value by a constant, or by a profile."""
 
+    name: ClassVar[str] = "constant"
+    example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 3.0}
     mode: ClassVar[Mode] = "replace"
 
 
 class Drift(ValueFault, frozen=True, kw_only=True):
     """Add an error that grows by `value` units per second, up to `limit`."""
+
+    name: ClassVar[str] = "drift"
+    example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 10.0}
+    aliases: ClassVar[tuple[str, ...]] = ("ramp",)
+    on_ranges: ClassVar[bool] = True
 
     value: float | tuple[float, ...]
     limit: float | None = None

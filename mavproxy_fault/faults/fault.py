@@ -38,6 +38,11 @@ class Fault(Protocol):
 
     `acts_on` says what `target` names: fields of messages (handed over as `elements`), whole
     frames, satellites or plant parameters (handed over as `names`).
+
+    A fault of a schedule also has a `name`, which the registry finds it by, and an `example`: what
+    stands beside `fault: NAME` in the entry that `faults show` prints and the tests run. It may
+    have `aliases`, further names, and `on_ranges`, true if its error does not depend on the healthy
+    value, so that it acts on PSEUDORANGE targets too.
     """
 
     acts_on: ClassVar[ActsOn]

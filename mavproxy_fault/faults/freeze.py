@@ -3,8 +3,8 @@
 import math
 from typing import Any, ClassVar
 
-from mavproxy_fault.faults.profile import NotNegative, Positive
-from mavproxy_fault.faults.value_fault import ValueFault
+from mavproxy_fault.faults.profile import Duration, NotNegative
+from mavproxy_fault.faults.value_fault import GYRO, ValueFault
 from mavproxy_fault.wire.frame import Number
 
 Key = tuple[int, ...]
@@ -13,6 +13,9 @@ Key = tuple[int, ...]
 class Freeze(ValueFault, frozen=True, kw_only=True):
     """Hold the values of the first frame after the fault began (a stuck sensor)."""
 
+    name: ClassVar[str] = "freeze"
+    example: ClassVar[dict[str, Any]] = {"target": GYRO}
+    aliases: ClassVar[tuple[str, ...]] = ("stuck",)
     by_sender: ClassVar[bool] = True
 
     def after(
@@ -28,9 +31,11 @@ class Freeze(ValueFault, frozen=True, kw_only=True):
 class Replay(ValueFault, frozen=True, kw_only=True):
     """Let the first `value` seconds pass, then play them again and again."""
 
+    name: ClassVar[str] = "replay"
+    example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1}
     by_sender: ClassVar[bool] = True
 
-    value: Positive
+    value: Duration
 
     def after(
         self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any
@@ -54,6 +59,8 @@ def _appended(tape: list[list[Number]], values: list[Number]) -> list[list[Numbe
 class SlewLimit(ValueFault, frozen=True, kw_only=True):
     """Follow the healthy value by at most `value` units per second (a weak servo)."""
 
+    name: ClassVar[str] = "slew-limit"
+    example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.01}
     by_sender: ClassVar[bool] = True
 
     value: NotNegative
@@ -72,10 +79,12 @@ class SlewLimit(ValueFault, frozen=True, kw_only=True):
 class Float(ValueFault, frozen=True, kw_only=True):
     """Let go of the value: it falls back to `neutral` with the time constant `settle_s`."""
 
+    name: ClassVar[str] = "float"
+    example: ClassVar[dict[str, Any]] = {"target": GYRO, "settle_s": 0.05}
     by_sender: ClassVar[bool] = True
 
     neutral: float = 0.0
-    settle_s: Positive = 0.2
+    settle_s: Duration = 0.2
 
     def after(
         self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any

@@ -6,8 +6,8 @@ late or slow by delaying or losing the frame.
 
 from typing import Any, ClassVar
 
-from mavproxy_fault.faults.profile import CLOSE_S, Positive
-from mavproxy_fault.faults.value_fault import ValueFault
+from mavproxy_fault.faults.profile import CLOSE_S, Duration
+from mavproxy_fault.faults.value_fault import GYRO, ValueFault
 from mavproxy_fault.wire.frame import Number
 
 Key = tuple[int, ...]
@@ -18,9 +18,11 @@ Row = tuple[float, list[Number]]
 class Lag(ValueFault, frozen=True, kw_only=True):
     """Send the values of `value` seconds ago; until then those of the fault's first frame."""
 
+    name: ClassVar[str] = "lag"
+    example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.05}
     by_sender: ClassVar[bool] = True
 
-    value: Positive
+    value: Duration
 
     def after(
         self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any
@@ -37,9 +39,11 @@ class Lag(ValueFault, frozen=True, kw_only=True):
 class SampleHold(ValueFault, frozen=True, kw_only=True):
     """Take new values only every `value` seconds (a slow sensor)."""
 
+    name: ClassVar[str] = "sample-hold"
+    example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1}
     by_sender: ClassVar[bool] = True
 
-    value: Positive
+    value: Duration
 
     def after(
         self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any

@@ -1,10 +1,11 @@
 """Lost frames: at random, in bursts, or all of them."""
 
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
 
 from msgspec import Meta
 
 from mavproxy_fault.faults.fault import LinkFault, Outgoing
+from mavproxy_fault.faults.profile import Seconds
 from mavproxy_fault.wire.frame import Frame
 
 if TYPE_CHECKING:
@@ -15,6 +16,10 @@ Share = Annotated[float, Meta(ge=0, le=1)]
 
 class Drop(LinkFault, frozen=True, kw_only=True):
     """Lose frames at random; `value` is the share that is lost, all by default."""
+
+    name: ClassVar[str] = "drop"
+    example: ClassVar[dict[str, Any]] = {"value": 0.5}
+    on_ranges: ClassVar[bool] = True
 
     value: Share = 1.0
 
@@ -33,6 +38,9 @@ class Drop(LinkFault, frozen=True, kw_only=True):
 class Outage(LinkFault, frozen=True, kw_only=True):
     """Lose everything: communication is interrupted."""
 
+    name: ClassVar[str] = "outage"
+    example: ClassVar[dict[str, Any]] = {}
+
     def new_state(self, start_us: int) -> None:
         """Nothing to remember."""
 
@@ -50,6 +58,9 @@ class GilbertElliott(LinkFault, frozen=True, kw_only=True):
     the shares lost in each. In the long run to_bad / (to_bad + to_good) of the frames meet the bad
     state (E. O. Elliott, Bell System Technical Journal 42(5), 1963).
     """
+
+    name: ClassVar[str] = "gilbert-elliott"
+    example: ClassVar[dict[str, Any]] = {"to_bad": 0.2, "to_good": 0.2}
 
     to_bad: Share = 0.01
     to_good: Share = 0.2
@@ -71,6 +82,9 @@ class GilbertElliott(LinkFault, frozen=True, kw_only=True):
 
 class Burst(LinkFault, frozen=True, kw_only=True):
     """Now and then lose `frames` in a row; `value` is the chance that a burst begins at a frame."""
+
+    name: ClassVar[str] = "burst-loss"
+    example: ClassVar[dict[str, Any]] = {"value": 0.2, "frames": 3}
 
     value: Share = 0.01
     frames: Annotated[int, Meta(ge=1)] = 10
@@ -96,8 +110,11 @@ class Bucket(NamedTuple):
 class RateLimit(LinkFault, frozen=True, kw_only=True):
     """Let `value` frames per second pass; what is too much is lost, or queued up to `queue_s`."""
 
-    value: Annotated[float, Meta(gt=0)]
-    queue_s: Annotated[float, Meta(ge=0)] = 0.0
+    name: ClassVar[str] = "rate-limit"
+    example: ClassVar[dict[str, Any]] = {"value": 20}
+
+    value: Annotated[float, Meta(ge=1e-6)]
+    queue_s: Seconds = 0.0
 
     def new_state(self, start_us: int) -> Bucket:
         """The first frame may leave at once."""

@@ -4,12 +4,16 @@ import math
 from typing import Any, ClassVar, Literal
 
 from mavproxy_fault.faults.profile import NotNegative
-from mavproxy_fault.faults.value_fault import ValueFault, each
+from mavproxy_fault.faults.value_fault import GYRO, ValueFault, each
 from mavproxy_fault.wire.frame import Number
 
 
 class Noise(ValueFault, frozen=True, kw_only=True):
     """Add white noise: Gaussian with sigma `value`, or uniform in plus or minus `value`."""
+
+    name: ClassVar[str] = "noise"
+    example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1}
+    on_ranges: ClassVar[bool] = True
 
     value: NotNegative | tuple[NotNegative, ...]
     distribution: Literal["gaussian", "uniform"] = "gaussian"
@@ -29,6 +33,9 @@ class Noise(ValueFault, frozen=True, kw_only=True):
 class RandomWalk(ValueFault, frozen=True, kw_only=True):
     """Add a Wiener process: its sigma is `value` times the square root of the seconds passed."""
 
+    name: ClassVar[str] = "random-walk"
+    example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1}
+    on_ranges: ClassVar[bool] = True
     by_sender: ClassVar[bool] = True
 
     value: NotNegative

@@ -98,6 +98,8 @@ class InSimulator(msgspec.Struct, frozen=True, kw_only=True):
 class Plant(InSimulator, frozen=True, kw_only=True):
     """Set a parameter of the simulated plant to `value`, or to a profile of absolute values."""
 
+    name: ClassVar[str] = "plant"
+    example: ClassVar[dict[str, Any]] = {"target": "PLANT.mass_kg_add", "value": 0.5}
     acts_on: ClassVar[ActsOn] = "plant"
 
     value: float | None = None

@@ -1,72 +1,28 @@
-"""All faults by name; other packages add theirs by entry point (group `mavproxy_fault.faults`)."""
+"""All faults by name: every class with a `name` in the files of this folder, and others' plugins.
 
+Other packages add theirs by entry point (group `mavproxy_fault.faults`); ours win over plugins of
+the same name.
+"""
+
+import pkgutil
 from functools import cache
+from importlib import import_module
 from typing import Any
 
-from mavproxy_fault.faults import (
-    axes,
-    damage,
-    driven,
-    freeze,
-    late,
-    loss,
-    spoof,
-    stamps,
-    timing,
-    waves,
-)
-from mavproxy_fault.faults import bit_faults as bits
-from mavproxy_fault.faults import noise_fault as noise
-from mavproxy_fault.faults import plant_fault as plant
-from mavproxy_fault.faults import sensor_curve as shape
+from mavproxy_fault import faults
 
-OURS: dict[str, type[Any]] = {
-    "axis-swap": axes.AxisSwap,
-    "bias": driven.Bias,
-    "bit-flip": bits.BitFlip,
-    "burst-loss": loss.Burst,
-    "clear-bits": bits.ClearBits,
-    "constant": driven.Constant,
-    "corrupt": damage.Corrupt,
-    "cycle": waves.Cycle,
-    "dead-band": shape.DeadBand,
-    "delay": timing.Delay,
-    "drift": driven.Drift,
-    "drop": loss.Drop,
-    "duplicate": timing.Duplicate,
-    "float": freeze.Float,
-    "freeze": freeze.Freeze,
-    "gilbert-elliott": loss.GilbertElliott,
-    "gps-spoof": spoof.GpsSpoof,
-    "impulse": waves.Impulse,
-    "iron": axes.Iron,
-    "jitter": timing.Jitter,
-    "lag": late.Lag,
-    "noise": noise.Noise,
-    "not-a-number": bits.NotANumber,
-    "outage": loss.Outage,
-    "plant": plant.Plant,
-    "quantise": shape.Quantise,
-    "random-walk": noise.RandomWalk,
-    "rate-limit": loss.RateLimit,
-    "reorder": timing.Reorder,
-    "replay": freeze.Replay,
-    "rotation": axes.Rotation,
-    "sample-hold": late.SampleHold,
-    "saturate": shape.Saturate,
-    "scale": driven.Scale,
-    "sequence-gap": damage.SequenceGap,
-    "sine": waves.Sine,
-    "slew-limit": freeze.SlewLimit,
-    "time-backwards": stamps.TimeBackwards,
-    "time-drift": stamps.TimeDrift,
-    "time-jump": stamps.TimeJump,
-    "truncate": damage.Truncate,
-}
-ALIASES = {"stuck": "freeze", "ramp": "drift", "nan": "not-a-number", "quantize": "quantise"}
 
-# Faults whose error does not depend on the healthy value: these act on PSEUDORANGE targets too.
-ON_RANGES = ("bias", "cycle", "drift", "drop", "impulse", "noise", "random-walk", "sine")
+@cache
+def our_faults() -> dict[str, type[Any]]:
+    """Name to class of the faults in this folder."""
+    found: dict[str, type[Any]] = {}
+    for file in pkgutil.iter_modules(faults.__path__):
+        module = import_module(f"{faults.__name__}.{file.name}")
+        for kind in vars(module).values():
+            own = isinstance(kind, type) and kind.__module__ == module.__name__
+            if own and isinstance(vars(kind).get("name"), str):
+                found[kind.name] = kind
+    return found
 
 
 @cache
@@ -74,11 +30,23 @@ def known_faults() -> dict[str, type[Any]]:
     """Name to class, sorted by name; aliases are left out."""
     from importlib.metadata import entry_points  # a twentieth of a second, for what few have
 
-    others = {point.name: point.load() for point in entry_points(group="mavproxy_fault.faults")}
-    return dict(sorted({**others, **OURS}.items()))
+    plugins = {point.name: point.load() for point in entry_points(group="mavproxy_fault.faults")}
+    return dict(sorted({**plugins, **our_faults()}.items()))
+
+
+@cache
+def known_aliases() -> dict[str, str]:
+    """Further name to name."""
+    kinds = known_faults().items()
+    return {alias: name for name, kind in kinds for alias in getattr(kind, "aliases", ())}
 
 
 def fault_class(name: str) -> type[Any] | None:
     """The class of a fault by its name or alias; None if there is none."""
-    name = ALIASES.get(name, name)
-    return OURS.get(name) or known_faults().get(name)
+    found = our_faults().get(name)
+    return found or known_faults().get(known_aliases().get(name, name))
+
+
+def acts_on_ranges(kind: type[Any]) -> bool:
+    """Whether a fault takes PSEUDORANGE targets."""
+    return bool(getattr(kind, "on_ranges", False))

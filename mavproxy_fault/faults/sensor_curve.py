@@ -1,15 +1,19 @@
 """A sensor's characteristic curve gone wrong: coarse steps, too small a range, a dead band."""
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 from mavproxy_fault.faults.profile import NotNegative, Positive
-from mavproxy_fault.faults.value_fault import ValueFault
+from mavproxy_fault.faults.value_fault import GYRO, ValueFault
 from mavproxy_fault.wire.frame import Number
 
 
 class Quantise(ValueFault, frozen=True, kw_only=True):
     """Round to steps of `value`."""
+
+    name: ClassVar[str] = "quantise"
+    example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.25}
+    aliases: ClassVar[tuple[str, ...]] = ("quantize",)
 
     value: Positive
 
@@ -23,6 +27,9 @@ class Quantise(ValueFault, frozen=True, kw_only=True):
 
 class Saturate(ValueFault, frozen=True, kw_only=True):
     """Limit to a range, `low` to `high` (plus and minus `value` if only that is given)."""
+
+    name: ClassVar[str] = "saturate"
+    example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.05}
 
     value: NotNegative | None = None
     low: float | None = None
@@ -50,6 +57,9 @@ class Saturate(ValueFault, frozen=True, kw_only=True):
 
 class DeadBand(ValueFault, frozen=True, kw_only=True):
     """Nothing (zero) within plus or minus `value`; outside, the value less the band."""
+
+    name: ClassVar[str] = "dead-band"
+    example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.05}
 
     value: NotNegative
 

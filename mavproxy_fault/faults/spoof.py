@@ -11,13 +11,13 @@ References
 """
 
 import math
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import msgspec
 
 from mavproxy_fault.faults.elements import rewritten
 from mavproxy_fault.faults.fault import ActsOn, Outgoing
-from mavproxy_fault.faults.profile import NotNegative
+from mavproxy_fault.faults.profile import Seconds
 from mavproxy_fault.faults.spoofed_messages import MOVERS, Move, Three
 from mavproxy_fault.wire.frame import Frame
 
@@ -40,13 +40,15 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
     LOCAL_POSITION_NED and ODOMETRY, or those named as target.
     """
 
+    name: ClassVar[str] = "gps-spoof"
+    example: ClassVar[dict[str, Any]] = {"offset_m": [100, 0, 0]}
     acts_on: ClassVar[ActsOn] = "frames"
     messages: ClassVar[tuple[str, ...]] = tuple(MOVERS)
 
     value: float | None = None
     offset_m: Three = (0.0, 0.0, 0.0)
     velocity_mps: Three = (0.0, 0.0, 0.0)
-    ramp_s: NotNegative = 0.0
+    ramp_s: Seconds = 0.0
 
     def __post_init__(self) -> None:
         if self.value is None and not any(self.offset_m) and not any(self.velocity_mps):

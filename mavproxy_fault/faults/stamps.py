@@ -4,7 +4,7 @@ Every field that holds the sender's time is changed, whatever its unit: `time_us
 `time_boot_us`, `timestamp`, `time_boot_ms`.
 """
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from mavproxy_fault.faults.elements import rewritten
 from mavproxy_fault.faults.fault import LinkFault, Outgoing
@@ -61,6 +61,9 @@ def stamp_fields(layout: Layout) -> dict[str, float]:
 class TimeJump(Stamps, frozen=True, kw_only=True):
     """Stamps jump by `value` seconds, forwards or backwards, and stay off."""
 
+    name: ClassVar[str] = "time-jump"
+    example: ClassVar[dict[str, Any]] = {"value": 5.0}
+
     value: float
 
     def off_s(self, t_s: float) -> float:
@@ -71,6 +74,9 @@ class TimeJump(Stamps, frozen=True, kw_only=True):
 class TimeDrift(Stamps, frozen=True, kw_only=True):
     """The sender's clock runs `value` seconds per second too fast (or, negative, too slow)."""
 
+    name: ClassVar[str] = "time-drift"
+    example: ClassVar[dict[str, Any]] = {"value": 0.5}
+
     value: float
 
     def off_s(self, t_s: float) -> float:
@@ -80,6 +86,9 @@ class TimeDrift(Stamps, frozen=True, kw_only=True):
 
 class TimeBackwards(Stamps, frozen=True, kw_only=True):
     """Stamps run backwards, `value` seconds per second, from where the fault found them."""
+
+    name: ClassVar[str] = "time-backwards"
+    example: ClassVar[dict[str, Any]] = {}
 
     value: Positive = 1.0
 

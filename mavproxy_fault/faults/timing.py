@@ -1,12 +1,12 @@
 """Frames at the wrong time: late, jittered, out of order, twice."""
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
 from mavproxy_fault.faults.fault import LinkFault, Outgoing
 from mavproxy_fault.faults.loss import Share
-from mavproxy_fault.faults.profile import NotNegative
+from mavproxy_fault.faults.profile import Seconds
 from mavproxy_fault.wire.frame import Frame
 
 if TYPE_CHECKING:
@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 class Delay(LinkFault, frozen=True, kw_only=True):
     """Hold every frame back by `value` seconds."""
 
-    value: NotNegative
+    name: ClassVar[str] = "delay"
+    example: ClassVar[dict[str, Any]] = {"value": 0.02}
+
+    value: Seconds
 
     def new_state(self, start_us: int) -> None:
         """Nothing to remember."""
@@ -36,9 +39,12 @@ class Jitter(LinkFault, frozen=True, kw_only=True):
     `keep_order` no frame overtakes another.
     """
 
-    value: NotNegative
+    name: ClassVar[str] = "jitter"
+    example: ClassVar[dict[str, Any]] = {"value": 0.02}
+
+    value: Seconds
     distribution: Literal["uniform", "normal", "exponential", "pareto"] = "uniform"
-    base_s: NotNegative = 0.0
+    base_s: Seconds = 0.0
     shape: Annotated[float, Meta(gt=1)] = 3.0
     keep_order: bool = True
 
@@ -68,8 +74,11 @@ class Jitter(LinkFault, frozen=True, kw_only=True):
 class Reorder(LinkFault, frozen=True, kw_only=True):
     """Hold a share `value` of the frames back by `by_s`, so that later ones overtake them."""
 
+    name: ClassVar[str] = "reorder"
+    example: ClassVar[dict[str, Any]] = {"value": 0.2, "by_s": 0.02}
+
     value: Share = 0.1
-    by_s: NotNegative = 0.05
+    by_s: Seconds = 0.05
 
     def new_state(self, start_us: int) -> None:
         """Nothing to remember."""
@@ -84,9 +93,12 @@ class Reorder(LinkFault, frozen=True, kw_only=True):
 class Duplicate(LinkFault, frozen=True, kw_only=True):
     """Send a share `value` of the frames more than once: `copies` more, the last `by_s` later."""
 
+    name: ClassVar[str] = "duplicate"
+    example: ClassVar[dict[str, Any]] = {"copies": 2, "by_s": 0.01}
+
     value: Share = 1.0
     copies: Annotated[int, Meta(ge=1, le=100)] = 1
-    by_s: NotNegative = 0.0
+    by_s: Seconds = 0.0
 
     def new_state(self, start_us: int) -> None:
         """Nothing to remember."""

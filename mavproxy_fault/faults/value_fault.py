@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
 
+GYRO = "HIL_SENSOR.xgyro"  # what the faults' examples act on
+GYROS = ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"]
+
+
 class Moving(NamedTuple):
     """The state of every value fault: when it began, and what the fault itself remembers."""
 

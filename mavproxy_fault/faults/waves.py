@@ -1,16 +1,24 @@
 """Errors that come and go by the clock: a sine, a train of impulses, one element after another."""
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 from mavproxy_fault.faults.driven import meet
-from mavproxy_fault.faults.profile import CLOSE_S, Mode, Positive, since_last
+from mavproxy_fault.faults.profile import CLOSE_S, Duration, Mode, Positive, since_last
 from mavproxy_fault.faults.value_fault import ValueFault
 from mavproxy_fault.wire.frame import Number
 
 
 class Sine(ValueFault, frozen=True, kw_only=True):
     """Add a sine of amplitude `value` and `frequency_hz` (vibration)."""
+
+    name: ClassVar[str] = "sine"
+    example: ClassVar[dict[str, Any]] = {
+        "target": "HIL_SENSOR.xgyro",
+        "value": 0.1,
+        "frequency_hz": 10,
+    }
+    on_ranges: ClassVar[bool] = True
 
     value: float
     frequency_hz: Positive
@@ -27,9 +35,18 @@ class Sine(ValueFault, frozen=True, kw_only=True):
 class Impulse(ValueFault, frozen=True, kw_only=True):
     """A train of impulses of height `value`: `width_s` long, every `period_s`."""
 
+    name: ClassVar[str] = "impulse"
+    example: ClassVar[dict[str, Any]] = {
+        "target": "HIL_SENSOR.xgyro",
+        "value": 5.0,
+        "period_s": 0.1,
+        "width_s": 0.02,
+    }
+    on_ranges: ClassVar[bool] = True
+
     value: float
-    period_s: Positive
-    width_s: Positive
+    period_s: Duration
+    width_s: Duration
     mode: Mode = "add"
 
     def __post_init__(self) -> None:
@@ -50,8 +67,16 @@ class Impulse(ValueFault, frozen=True, kw_only=True):
 class Cycle(ValueFault, frozen=True, kw_only=True):
     """Add `value` to one element (or satellite) after another, each for `period_s`."""
 
+    name: ClassVar[str] = "cycle"
+    example: ClassVar[dict[str, Any]] = {
+        "target": ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"],
+        "value": 1.0,
+        "period_s": 0.1,
+    }
+    on_ranges: ClassVar[bool] = True
+
     value: float
-    period_s: Positive
+    period_s: Duration
 
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any

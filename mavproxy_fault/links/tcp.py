@@ -176,3 +176,6 @@ class TcpClient:
             self._peer[0].close()
             self._peer = None
         self._epoll.close()
+
+
+OPENERS = {"tcp": TcpClient, "tcpin": TcpServer}

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from mavproxy_fault.faults import target as targets
 from mavproxy_fault.faults.fault import Fault
 from mavproxy_fault.faults.plant_fault import InReceiver, receiver_names
-from mavproxy_fault.faults.registry import ALIASES, ON_RANGES
+from mavproxy_fault.faults.registry import acts_on_ranges, known_faults
 from mavproxy_fault.faults.satellite import Satellites
 from mavproxy_fault.wire.dialect import known
 
@@ -37,10 +37,9 @@ def aim(name: str, kind: type[Any], names: Sequence[str]) -> Aim:
     """
     on_ranges = [one for one in names if one.startswith(targets.RANGES + ".")]
     if on_ranges:
-        if ALIASES.get(name, name) not in ON_RANGES:
-            raise ValueError(
-                f"{on_ranges[0]} is no target for {name}; satellites take {', '.join(ON_RANGES)}"
-            )
+        if not acts_on_ranges(kind):
+            able = ", ".join(one for one, kind in known_faults().items() if acts_on_ranges(kind))
+            raise ValueError(f"{on_ranges[0]} is no target for {name}; satellites take {able}")
         return Aim({}, TUNNEL, targets.named(names, targets.RANGES))
     if kind.acts_on == "plant":
         if not names:
