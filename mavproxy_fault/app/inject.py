@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -36,18 +37,35 @@ def request(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
     if args.clear is not None:
         what = "schedule/stop" if args.clear == "all" else f"fault/{args.clear}/disarm"
         return what, {}
-    if fault_class(args.fault) is None and args.fault not in preset_names():
-        known = near(args.fault, [*known_faults(), *preset_names()])
-        raise ConfigError(f"inject: {args.fault} is neither fault nor preset; {known}")
-    plain = args.target is None and args.value is None
-    as_preset = args.fault in preset_names() and (plain or fault_class(args.fault) is None)
-    entry: dict[str, Any] = {"preset" if as_preset else "fault": args.fault}
-    if args.target is not None:
-        several = args.target.split(",")
-        entry["target"] = several if len(several) > 1 else several[0]
-    if args.value is not None:
-        entry["value"] = int(args.value) if args.value.is_integer() else args.value
-    if args.for_s is not None:
-        entry["for_s"] = args.for_s
-    parse_entry(entry, "inject")
+    several = args.target.split(",") if args.target is not None else None
+    entry = live_entry(args.fault, several, args.value, {"for_s": args.for_s})
     return f"fault/{args.id or args.fault}/arm", entry
+
+
+def live_entry(
+    fault: str,
+    target: str | Sequence[str] | None,
+    value: float | None,
+    keys: Mapping[str, Any],
+) -> dict[str, Any]:
+    """A fault or preset by name as the entry of a schedule, checked; `keys` are its further ones.
+
+    Raises
+    ------
+    ConfigError
+        If the fault does not exist, or lacks something.
+    """
+    if fault_class(fault) is None and fault not in preset_names():
+        known = near(fault, [*known_faults(), *preset_names()])
+        raise ConfigError(f"inject: {fault} is neither fault nor preset; {known}")
+    unchanged = target is None and value is None
+    as_preset = fault in preset_names() and (unchanged or fault_class(fault) is None)
+    entry: dict[str, Any] = {"preset" if as_preset else "fault": fault}
+    if target is not None:
+        several = [target] if isinstance(target, str) else list(target)
+        entry["target"] = several if len(several) > 1 else several[0]
+    if value is not None:
+        entry["value"] = int(value) if float(value).is_integer() else value
+    entry |= {key: given for key, given in keys.items() if given is not None}
+    parse_entry(entry, "inject")
+    return entry

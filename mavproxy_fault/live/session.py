@@ -11,7 +11,7 @@ import socket
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 
@@ -20,12 +20,23 @@ from mavproxy_fault.links.bus import Bus, join_bus
 from mavproxy_fault.live.control import QUESTIONS, Control
 from mavproxy_fault.live.journal import RFLYSIM, Edit, Journal
 from mavproxy_fault.live.rflysim import FIRST_PORT, PACKED
+from mavproxy_fault.live.watching import Watched
 from mavproxy_fault.wire.label import Label
 
 PATIENCE_S = 3.0
 SHOW_S = 0.04  # between two looks at what viewers watch
 LABELS_KEPT = 100
 LOG = logging.getLogger(__name__)
+
+
+class Listener(Protocol):
+    """Who is shown what a proxy says of itself; called in the loop's thread."""
+
+    def add_labels(self, labels: Sequence[Label]) -> None:
+        """Labels that began or ended."""
+
+    def add_samples(self, samples: Sequence[Watched]) -> None:
+        """Samples of watched messages."""
 
 
 class Requests:
@@ -84,7 +95,8 @@ class Requests:
 class Live:
     """What a running proxy offers besides forwarding: control by the bus and by RflySim, and news.
 
-    `now_us` tells the vehicle's time; `journal` takes every request that may change something.
+    `now_us` tells the vehicle's time; `journal` takes every request that may change something;
+    `listener` is shown, in this process, what the bus is told of labels and watched messages.
     """
 
     def __init__(
@@ -92,8 +104,10 @@ class Live:
         control: Control,
         now_us: Callable[[], int],
         journal: Journal | None = None,
+        listener: Listener | None = None,
     ) -> None:
         self.control = control
+        self._listener = listener
         self._now_us = now_us
         self.journal = journal
         self._requests = Requests()
@@ -124,7 +138,7 @@ class Live:
     def offer(self, bus: Bus) -> None:
         """Answer queries on a bus that is open."""
         self._bus = bus
-        bus.answer("@ctl/**", self._answer)
+        bus.answer("@ctl/**", self.ask)
         bus.alive("proxy")
 
     def open_rflysim(self, port: int = FIRST_PORT) -> int:
@@ -137,8 +151,19 @@ class Live:
             raise ConfigError(f"--rflysim {port}: {error}; give a free UDP port") from None
         return int(self._port.getsockname()[1])
 
-    def _answer(self, key: str, payload: bytes) -> Any:
-        return self._requests.ask(lambda: self._act(key, payload))
+    def ask(self, key: str, payload: bytes) -> Any:
+        """The answer to a request of another thread, whose key ends in `@ctl/<what>`.
+
+        Raises
+        ------
+        ConfigError
+            If it is refused.
+        """
+        return self.do(lambda: self._act(key, payload))
+
+    def do(self, act: Callable[[], Any]) -> Any:
+        """Have the loop's thread call `act`; its value, or what it raised."""
+        return self._requests.ask(act)
 
     def _act(self, key: str, payload: bytes) -> Any:
         """Carry out one request in the loop's thread."""
@@ -176,14 +201,16 @@ class Live:
 
     def show(self, now_s: float) -> None:
         """Tell the bus at once of faults that begin, end or change, and what viewers watch."""
-        if self._bus is None or now_s < self._show_s:
+        if now_s < self._show_s:
             return
         self._show_s = now_s + SHOW_S
         engine = self.control.engine
-        if self._shown != (engine.revision, engine.turns):
+        if self._bus is not None and self._shown != (engine.revision, engine.turns):
             self._show_faults(self._bus)
         samples = self.control.watched(now_s)
-        if samples:
+        if samples and self._listener is not None:
+            self._listener.add_samples(samples)
+        if samples and self._bus is not None:
             self._bus.put("proxy/watched", msgspec.json.encode(samples), "mavfault.v1.Watched")
 
     def _show_faults(self, bus: Bus) -> None:
@@ -193,6 +220,8 @@ class Live:
 
     def publish(self, stats: object, labels: Sequence[Label]) -> None:
         """Tell the bus how the links and the faults are doing."""
+        if self._listener is not None:
+            self._listener.add_labels(labels)
         if self._bus is None:
             return
         self._bus.put("proxy/stats", msgspec.json.encode(stats))
@@ -201,6 +230,12 @@ class Live:
             self._bus.put(
                 "proxy/labels", msgspec.json.encode(label), "mavfault.v1.Label", LABELS_KEPT
             )
+
+    def publish_recording(self, failing: str | None, lost: int) -> None:
+        """Tell the bus whether what passes is being recorded."""
+        if self._bus is not None:
+            state = {"failing": failing, "lost_records": lost}
+            self._bus.put("proxy/recording", msgspec.json.encode(state))
 
     @property
     def url(self) -> str | None:

@@ -21,6 +21,7 @@ from analysis.report.recordings.mode_names import (
     mode_name,
 )
 from analysis.report.recordings.recording import (
+    UNGRADED,
     Event,
     Message,
     Recording,
@@ -172,7 +173,7 @@ def _add_said(found: Recording, log: DataflashFile, start_us: int) -> None:
     """Texts and errors."""
     if (topic := log.topics.get(("MSG", 0))) is not None:
         for t_s, text in zip(_seconds(topic, start_us).tolist(), topic["Message"], strict=True):
-            found.events.append(Event(t_s, "text", _text(text)))
+            found.events.append(Event(t_s, "text", _text(text), UNGRADED))
     if (topic := log.topics.get(("ERR", 0))) is not None:
         rows = zip(_seconds(topic, start_us).tolist(), topic["Subsys"], topic["ECode"], strict=True)
         for t_s, subsystem, code in rows:

@@ -14,6 +14,7 @@ from contextlib import ExitStack, closing, contextmanager
 from analysis.run.proxied_flight import MONITOR, SIMULATOR, VEHICLE, Flight
 from analysis.search.space.test_file import AutopilotChoice
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.schedule.entries import Schedule
@@ -23,7 +24,6 @@ from simvehicle.app.lockstep_loop import LockstepLoop, PeerGoneError
 from simvehicle.app.sim_progress import Progress
 from simvehicle.app.sim_server import airframe
 from simvehicle.hil.hil_frames import Hil
-from simvehicle.hil.inbox import Inbox
 from simvehicle.hil.lockstep import AutopilotSilentError
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.sensors.readings import Reading
