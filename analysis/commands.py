@@ -134,6 +134,12 @@ def add_report(commands: Any) -> None:
     parser.add_argument("--out", metavar="DIR", help="default: LOG's name and -report")
     parser.add_argument("--figures", action="store_true", help="every plot as PNG and SVG too")
     parser.add_argument("--export", choices=("csv", "parquet", "mcap"), help="the data as tables")
+    parser.add_argument(
+        "--data",
+        default="2",
+        metavar="MB|beside",
+        help="any field for the page's search: so many MB in the file (2), or all beside it",
+    )
     parser.set_defaults(main=_report)
 
 
