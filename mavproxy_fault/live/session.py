@@ -293,6 +293,16 @@ class Live:
         """Where the bus is, once open."""
         return None if self._bus is None else self._bus.url
 
+    @property
+    def run(self) -> str | None:
+        """What this proxy is called there."""
+        return None if self._bus is None else self._bus.run
+
+    @property
+    def is_router(self) -> bool:
+        """Whether the others hang on this proxy."""
+        return self._bus is not None and self._bus.is_router
+
     def close(self) -> None:
         """Close the bus and the port; requests that wait are given up."""
         while self._heir.is_alive():
