@@ -146,7 +146,7 @@ def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server
             coming.set_exception(error)
 
     server.coming = coming
-    Thread(target=work, daemon=True).start()
+    Thread(target=work).start()  # no daemon: what outlives the interpreter aborts the process
 
 
 def main(args: argparse.Namespace) -> int:

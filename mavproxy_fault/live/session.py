@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from typing import Any, Protocol
 
 import msgspec
@@ -64,6 +64,9 @@ class Requests:
         self._waiting: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = (
             queue.SimpleQueue()
         )
+        self._asking = 0  # threads that wait for an outcome
+        self._changed = threading.Condition()
+        self._closed = False
         self._reads, self._wakes = socket.socketpair()
         self._reads.setblocking(False)
         self._wakes.setblocking(False)
@@ -78,10 +81,14 @@ class Requests:
         Raises
         ------
         ConfigError
-            If the loop does not come to it in three seconds.
+            If the loop does not come to it in three seconds, or ends.
         """
         outcome: Future[Any] = Future()
-        self._waiting.put((act, outcome))
+        with self._changed:
+            if self._closed:
+                raise ConfigError("the proxy is ending; ask another")
+            self._asking += 1
+            self._waiting.put((act, outcome))
         with contextlib.suppress(BlockingIOError):
             self._wakes.send(b"!")
         try:
@@ -89,7 +96,12 @@ class Requests:
         except TimeoutError:
             outcome.cancel()
             raise ConfigError(f"the proxy did not answer within {PATIENCE_S} s") from None
+        except CancelledError:
+            raise ConfigError("the proxy has ended; ask another") from None
         finally:
+            with self._changed:
+                self._asking -= 1
+                self._changed.notify_all()
             del outcome  # it holds the exception, which holds this frame and all that it refers to
 
     def serve(self) -> None:
@@ -107,7 +119,17 @@ class Requests:
                 outcome.set_exception(error)
 
     def close(self) -> None:
-        """Close the sockets."""
+        """Refuse what still waits, and let those go who asked.
+
+        Their threads are Zenoh's: one that came back to Python after the interpreter has ended
+        would abort the process.
+        """
+        with self._changed:
+            self._closed = True
+        while not self._waiting.empty():
+            self._waiting.get()[1].cancel()
+        with self._changed:
+            self._changed.wait_for(lambda: not self._asking, PATIENCE_S)
         self._reads.close()
         self._wakes.close()
 
@@ -309,8 +331,8 @@ class Live:
             self._requests.serve()
             self._heir.join(0.01)
         self._requests.serve()
+        self._requests.close()
         if self._bus is not None:
             self._bus.close()
         if self._port is not None:
             self._port.close()
-        self._requests.close()

@@ -180,3 +180,23 @@ def test_a_proxy_takes_over_when_the_router_ends() -> None:
     asker.join()
     assert answers == [0]
     second.close()
+
+
+def test_who_asks_a_proxy_that_ends_is_told_so_at_once() -> None:
+    live = Live(Control(Engine(Schedule(1))), lambda: 0)
+    told: list[str] = []
+
+    def ask() -> None:
+        try:
+            live.ask("@ctl/state", b"")
+        except ConfigError as error:
+            told.append(str(error))
+
+    asker = threading.Thread(target=ask)
+    asker.start()
+    assert select.select(live.filenos(), (), (), 10)[0]  # nobody serves it
+    live._requests.serve = lambda: None  # type: ignore[method-assign]
+    live.close()
+    asker.join(1)
+    assert not asker.is_alive()
+    assert "ended" in told[0]
