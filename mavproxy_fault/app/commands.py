@@ -18,6 +18,14 @@ def add_proxy(commands: Any) -> None:
     )
     parser.add_argument("--schedule", metavar="FILE", help="faults to apply (YAML)")
     parser.add_argument("--logdir", metavar="DIR", help="write tlogs and labels here")
+    parser.add_argument(
+        "--allow-peer", action="append", default=[], metavar="NET",
+        help="who may speak to udpin: an address or network; may be given again (default: anybody)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--lock-peer", action="store_true",
+        help="let a udpin hear and answer only the first to send a verified frame",
+    )  # fmt: skip
     parser.add_argument("--busy-poll", action="store_true", help="spin for lowest latency")
     parser.add_argument(
         "--zenoh", default="auto", metavar="auto|off|URL", help="control and statistics"

@@ -13,11 +13,14 @@ from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.app.server import Server, short_turns
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.link import Link
+from mavproxy_fault.links.peers import Admission, networks
 from mavproxy_fault.links.spec import open_link
+from mavproxy_fault.links.udp import UdpServer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.interfaces import LinkRole
 from mavproxy_fault.proxy.statistics import table
 from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.wire.parser import begins_with_frame
 from mavproxy_fault.wire.signing import Signing, key_of
 
 if TYPE_CHECKING:
@@ -36,6 +39,25 @@ def open_links(master: str, outs: Sequence[str]) -> list[Link]:
             link.close()
         raise
     return links
+
+
+def admit(links: Sequence[Link], allowed: Sequence[str], *, lock: bool) -> None:
+    """Let listening UDP links answer only whom the command line lets in.
+
+    Raises
+    ------
+    ConfigError
+        If one of `allowed` is no network.
+    """
+    try:
+        admission = Admission(networks(allowed), lock, begins_with_frame)
+    except ValueError as error:
+        raise ConfigError(
+            f"--allow-peer: {error}; give an address or network such as 192.168.1.0/24"
+        ) from None
+    for link in links:
+        if isinstance(link, UdpServer):
+            link.peers.admission = admission
 
 
 def roles(links: Sequence[Link]) -> list[LinkRole]:
@@ -131,6 +153,7 @@ def main(args: argparse.Namespace) -> int:
         session |= {"seed": engine.seed, "schedule": Path(args.schedule).read_text()}
     signed = signing(args)
     links = open_links(args.master, args.out)
+    admit(links, args.allow_peer, lock=args.lock_peer)
     tape = Tape() if args.logdir else None
     core = Core(roles(links), engine, signing=signed, tape=tape)
     if args.rflysim is not None and args.rflysim_map:

@@ -132,8 +132,10 @@ class Server:
                   file=sys.stderr, flush=True)  # fmt: skip
             quiet = subprocess.DEVNULL  # it may outlive us: nobody must wait for its output to end
             self._compiler = subprocess.Popen(
-                [sys.executable, "-m", machine.__name__], stdin=quiet, stdout=quiet, stderr=quiet
-            )
+                [sys.executable, "-m", machine.__name__],
+                stdin=quiet, stdout=quiet, stderr=quiet,
+                start_new_session=True,  # Ctrl-C ends us, not what the next start will need
+            )  # fmt: skip
 
     def join(self, live: "Live") -> None:
         """Let live control take part."""
@@ -239,6 +241,8 @@ class Server:
             self.recorder.write(self.tape, labels, edits)
         if self.live is not None:
             self.live.publish(self.stats(), labels)
+            if self.recorder is not None:
+                self.live.publish_recording(self.recorder.failing, self.recorder.lost)
 
     def _finish(self) -> None:
         now_us = self.now_us()
@@ -270,6 +274,8 @@ class Server:
                     "chunks_out": counters.chunks_out,
                     "drops": counters.drops,
                     "errors": counters.errors,
+                    "refused": counters.refused,
+                    "lost_in_kernel": getattr(link, "lost_in_kernel", 0),  # datagrams only
                     **self.latencies[number].summary(),
                 }
             )

@@ -231,6 +231,12 @@ class Live:
                 "proxy/labels", msgspec.json.encode(label), "mavfault.v1.Label", LABELS_KEPT
             )
 
+    def publish_recording(self, failing: str | None, lost: int) -> None:
+        """Tell the bus whether what passes is being recorded."""
+        if self._bus is not None:
+            state = {"failing": failing, "lost_records": lost}
+            self._bus.put("proxy/recording", msgspec.json.encode(state))
+
     @property
     def url(self) -> str | None:
         """Where the bus is, once open."""

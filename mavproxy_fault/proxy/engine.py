@@ -20,6 +20,8 @@ from mavproxy_fault.schedule.triggers import Telemetry
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import Label
 
+ENDED_KEPT = 32  # injected faults that are over
+
 
 class Engine:
     """Applies a schedule; `revision` changes whenever `wanted` may have."""
@@ -213,6 +215,7 @@ class Engine:
         sends = [Outgoing(t_us, data)]
         if self.t0_us is None:
             return sends
+        self.now_us = t_us  # repetitions that were missed by then are passed over at once
         if t_us >= self._edge_us:
             self._advance(t_us)
         for running in self._any:
@@ -258,10 +261,18 @@ class Engine:
         else:
             for one in entries:
                 self._stop(one.id)
-                self._all.append(self._run(one, self.now_us))
+                running = Running(one, self.seed, self.now_us, self.t0_us, injected=True)
+                self._all.append(running)
             self._advance(self.now_us)
+            self._forget()
         self._edited()
         return [one.id for one in entries]
+
+    def _forget(self) -> None:
+        """Let go of the injected faults that ended first, beyond some that a page may show."""
+        ended = [running for running in self._all if running.injected and running.done]
+        for running in ended[: -ENDED_KEPT or None]:
+            self._all.remove(running)
 
     def clear(self, id: str) -> bool:
         """End and forget a fault (with its parts), or `all`; whether there was one."""

@@ -48,7 +48,17 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
     tables = []
     rows = summary.get("faults") or []
     if rows:
-        head = ("fault", "target", "from, s", "to, s", "frames", "delay, s", "blamed", "verdict")
+        head = (
+            "fault",
+            "target",
+            "from, s",
+            "to, s",
+            "frames",
+            "delay, s",
+            "blamed",
+            "verdict",
+            "",
+        )
         cells = [
             (
                 str(row["id"]),
@@ -59,10 +69,14 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
                 _short(row["delay_s"]),
                 ", ".join(row["isolated"]),
                 (str(row["verdict"]), str(row["verdict"])),
+                _remark(row),
             )
             for row in rows
         ]
         tables.append((TIMELINE, Table("Injected against detected", head, cells)))
+    false = summary.get("false_by_channel") or []
+    if false:
+        tables.append((TIMELINE, _false_table(false)))
     checks = summary.get("criteria") or []
     if checks:
         words = {True: "PASS", False: "FAIL", None: "not judged"}
@@ -78,6 +92,29 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
         head_ = ("criterion", "found", "limit", "verdict")
         tables.append((CHECKS, Table("Criteria", head_, cells_)))
     return tables + attitude_tables(summary)
+
+
+def _remark(row: Mapping[str, Any]) -> str:
+    """What the word of the verdict leaves open."""
+    wrongly = (
+        f"{blame['who']} blamed wrongly from {blame['from_s']:.1f} s for {blame['for_s']:.1f} s"
+        for blame in row.get("wrongly", ())
+    )
+    return "; ".join(filter(None, (str(row.get("reason", "")), *wrongly)))
+
+
+def _false_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    head = ("channel", "outside faults", "inside faults", "an hour", "blamed", "for, s")
+    cells = [
+        (
+            str(row["channel"]),
+            *(str(row["outside"]), str(row["inside"]), f"{row['per_hour']:g}"),
+            *(", ".join(row["blamed"]), f"{row['seconds']:.1f}"),
+        )
+        for row in rows
+    ]
+    note = "Alarms that no fault explains; inside a fault only those that left somebody out."
+    return Table("False alarms", head, cells, note)
 
 
 def attitude_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:

@@ -16,7 +16,16 @@ from analysis.report.recordings.mode_names import (
     ROVERS,
     mode_name,
 )
-from analysis.report.recordings.recording import Event, Recording, Signal, Span, Track, Vector, runs
+from analysis.report.recordings.recording import (
+    UNGRADED,
+    Event,
+    Recording,
+    Signal,
+    Span,
+    Track,
+    Vector,
+    runs,
+)
 
 ARMED, DISARMED = 10, 11  # EV.Id
 COPTER = 2  # MAV_TYPE of a quadrotor
@@ -128,7 +137,7 @@ def _add_said(found: Recording, log: DataflashFile, start_us: int) -> None:
     """Texts and errors."""
     if (topic := log.topics.get(("MSG", 0))) is not None:
         for t_s, text in zip(_seconds(topic, start_us).tolist(), topic["Message"], strict=True):
-            found.events.append(Event(t_s, "text", _text(text)))
+            found.events.append(Event(t_s, "text", _text(text), UNGRADED))
     if (topic := log.topics.get(("ERR", 0))) is not None:
         rows = zip(_seconds(topic, start_us).tolist(), topic["Subsys"], topic["ECode"], strict=True)
         for t_s, subsystem, code in rows:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
+UNGRADED = 8  # severity of a text in a log that gives none
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,7 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something said or done at one instant; `severity` is MAVLink's, 0 (worst) to 7."""
+    """What was said or done at an instant; `severity` is MAVLink's, 0 (worst) to 7, or UNGRADED."""
 
     t_s: float
     kind: str
