@@ -53,6 +53,7 @@ START_S = 60.0  # wall time for the autopilot's program to come
 END_S = 10.0  # for the bridge to end its autopilot
 HEIGHT_M = 10.0  # where no mission names one
 CORNER_M = 20.0  # between the corners that a mission's path is flown by
+LOAD = "@ctl/schedule/load"
 MOMENTS = ("first-stamp", "arming", "take-off", "landing")
 
 
@@ -183,7 +184,7 @@ class AutopilotRun:
     def _commands(self) -> list[bytes]:
         """Called before each step: what the operator sends, and what has to be written."""
         t_us = self.flight.vehicle_us
-        frames = self._operator.step(t_us)
+        frames = self._operator.step(t_us) if t_us else []  # the first stamp is still to come
         if not self._scheduled and self._count_from in self._operator.moments_us:
             self._begin_schedule(t_us)
         if self._phase != self._operator.phase:
@@ -204,8 +205,8 @@ class AutopilotRun:
         entries = [(entry, late_s) for entry in self._schedule.faults]
         text = as_yaml(self._schedule.seed, entries).encode()
         at_us = self._journal.begin(self.flight.now_us)
-        self.flight.control.answer("schedule/load", text, at_us)
-        self._journal.note("schedule/load", text, at_us)
+        self.flight.control.answer(LOAD, text, at_us)
+        self._journal.note(LOAD, text, at_us)
 
     def _record(self) -> None:
         self._recorded_us = self.flight.t_us

@@ -123,7 +123,7 @@ class Operator:
             self._height_m = frame.number("relative_alt") * 1e-3
             if self._armed and self._height_m > OFF_THE_GROUND_M:
                 self._note("take-off")
-        elif name in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
+        elif name in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and self._plan.waypoints:
             self._asked_items.append(int(frame.number("seq")))
         elif name == "MISSION_ACK":
             self._uploaded = frame.number("type") == 0
@@ -152,21 +152,24 @@ class Operator:
 
     def _go_on(self) -> None:
         """The next phase, where this one has done its work or cannot."""
-        done = {
+        while self._done():
+            self._enter(list(Phase)[list(Phase).index(self.phase) + 1])
+        waited_s = (self._t_us - self._since_us) * 1e-6
+        if self.phase in (Phase.CLIMBING, Phase.FLYING) and not self._armed:
+            self.gave_up = f"disarmed while {self.phase}"
+        elif waited_s > PATIENCE_S.get(self.phase, float("inf")):
+            self.gave_up = f"still {self.phase} after {waited_s:.0f} s"
+
+    def _done(self) -> bool:
+        return {
             Phase.WAITING: self._positioned,
             Phase.UPLOADING: self._uploaded or not self._plan.waypoints,
             Phase.ARMING: self._armed,
             Phase.CLIMBING: self._height_m > REACHED * self._plan.height_m,
             Phase.FLYING: self._flown_s() >= self._plan.duration_s,
             Phase.LANDING: not self._armed,
-        }
-        waited_s = (self._t_us - self._since_us) * 1e-6
-        if done.get(self.phase, False):
-            self._enter(list(Phase)[list(Phase).index(self.phase) + 1])
-        elif self.phase in (Phase.CLIMBING, Phase.FLYING) and not self._armed:
-            self.gave_up = f"disarmed while {self.phase}"
-        elif waited_s > PATIENCE_S.get(self.phase, float("inf")):
-            self.gave_up = f"still {self.phase} after {waited_s:.0f} s"
+            Phase.LANDED: False,
+        }[self.phase]
 
     def _enter(self, phase: Phase) -> None:
         self.phase = phase
