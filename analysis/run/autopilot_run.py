@@ -8,6 +8,7 @@ flight, by default from leaving the ground.
 import argparse
 import contextlib
 import math
+import shlex
 import subprocess
 import sys
 import time
@@ -63,8 +64,7 @@ class FlightOverError(Exception):
 
 def main(args: argparse.Namespace) -> int:
     """Fly, report, and return the exit code: 1 too where the flight was not flown to its end."""
-    words = [args.binary or "arducopter"]
-    check_command(words[0], option="--binary")
+    words = check_command(args.binary or "arducopter", option="--binary")
     check_moment(args.count_from)
     setup = read_setup(args.scenario, args.schedule, args.seed)
     if setup.scenario.start.height_m > 0.0:
@@ -225,7 +225,7 @@ class AutopilotRun:
 def bridged(words: Sequence[str], port: int, folder: Path) -> Iterator[Process]:
     """The bridge's process, which starts the autopilot; both end with the flight."""
     command = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot"]
-    command += ["--hil", f"tcp:127.0.0.1:{port}", "--command", *words]
+    command += ["--hil", f"tcp:127.0.0.1:{port}", "--command", shlex.join(words)]
     command += ["--dir", str(folder / "autopilot")]
     with (folder / "bridge.log").open("wb") as log:
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
