@@ -1,11 +1,10 @@
 """The proxy as a process: links, clock and files around the core, whose sends it carries out.
 
 One thread waits on all links and for the next due time. Links are drained in batches; nothing ever
-blocks on a slow one. Recordings are flushed each second. What is plain goes the compiled way
+blocks on a slow one. Recordings are flushed each second. Most goes the compiled way
 (`compiled.forwarder`), once its machine code is there.
 """
 
-import contextlib
 import ctypes
 import gc
 import select
@@ -13,7 +12,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.app.recorder import Recorder
@@ -26,14 +25,13 @@ from mavproxy_fault.proxy.tape import Tape
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
-    from mavproxy_fault.compiled.forwarder import FastPath
+    from mavproxy_fault.compiled.forwarder import Forwarder
     from mavproxy_fault.live.session import Live
 
 TEND_S = 0.1  # how often links get a chance to reconnect
 FLUSH_S = 1.0
 AHEAD_US = 300  # so long before a frame is due the loop does nothing but prepare to send it
 EARLY_US = 250  # a sleep may end so late; the loop stays awake so long before that
-SHORT_TURN_S = 2e-4
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>; the default of 50 us makes every wait that late
 
 
@@ -60,7 +58,7 @@ class Server:
         self._by_fd = {link.fileno(): number for number, link in enumerate(links)}
         self._tend_s = self._flush_s = 0.0
         self._compiler: subprocess.Popen[bytes] | None = None
-        self._fast: FastPath | None = None
+        self._forwarder: Forwarder | None = None
         self._wake: int | None = None
         self.live: Live | None = None
         self.coming: Future[Live] | None = None  # live control that is still being opened
@@ -79,22 +77,22 @@ class Server:
         self._wake = None if wake is None else wake.fileno()
         try:
             while not self._stopping:
-                if self._fast is not None:
-                    self._turn_fast(self._fast)
+                if self._forwarder is not None:
+                    self._step_compiled(self._forwarder)
                 else:
-                    self._turn_plain()
+                    self._step_interpreted()
                 self._keep_time()
         finally:
             self._finish()
 
-    def _others(self) -> list[int]:
+    def _waited(self) -> list[int]:
         """Descriptors to wait on besides the links."""
         wake = [] if self._wake is None else [self._wake]
         return wake + ([] if self.live is None else self.live.filenos())
 
-    def _turn_plain(self) -> None:
+    def _step_interpreted(self) -> None:
         """Wait for whatever comes next and pass it on."""
-        waited = [*self._by_fd, *self._others()]
+        waited = [*self._by_fd, *self._waited()]
         ready, _, _ = select.select(waited, (), (), self._patience_s())
         for descriptor in ready:
             if descriptor in self._by_fd:
@@ -102,38 +100,40 @@ class Server:
             elif self.live is not None:
                 self.live.serve()
 
-    def _turn_fast(self, fast: "FastPath") -> None:
-        """Let the compiled path forward until something is left to do here."""
+    def _step_compiled(self, forwarder: "Forwarder") -> None:
+        """Let the compiled form forward until something is left to do here."""
         tend_ns, due_us = round(self._tend_s * 1e9), self.core.next_due_us
         due_ns = tend_ns if due_us is None else (due_us - AHEAD_US) * 1000 - self._base_ns
-        fast.forward(min(tend_ns, due_ns), spin=self._busy_poll, precise=due_ns < tend_ns)
-        if fast.pending:
-            number, data, came_ns = fast.take_datagram()
+        forwarder.forward(min(tend_ns, due_ns), spin=self._busy_poll, precise=due_ns < tend_ns)
+        if forwarder.pending:
+            number, data, came_ns = forwarder.handed_over()
             if data:
                 # It may have waited behind another of its batch while delayed frames left.
                 now_us = max((self._base_ns + came_ns) // 1000, self.core.left_us)
                 self._carry_out(self.core.received(number, data, now_us))
                 self.latencies[number].add(time.monotonic_ns() - came_ns)
-        for number in fast.ready():
+        for number in forwarder.ready():
             self._serve(number)
-        if self.live is not None and fast.others_ready:
+        if self.live is not None and forwarder.wakes_ready:
             self.live.serve()
 
     def prepare(self) -> None:
-        """Take the compiled path, or have it made by another process if this is the first time."""
+        """Take the compiled form, or have it made by another process if this is the first time."""
         if not any(link.datagrams for link in self.links):
             return
         from mavproxy_fault.compiled import object_file as machine
 
         if machine.load() is not None:
-            self.use_fast()
+            self.use_compiled()
         elif self._compiler is None:
             print("first start: machine code is being made, once, while all goes a slower way",
                   file=sys.stderr, flush=True)  # fmt: skip
             quiet = subprocess.DEVNULL  # it may outlive us: nobody must wait for its output to end
             self._compiler = subprocess.Popen(
-                [sys.executable, "-m", machine.__name__], stdin=quiet, stdout=quiet, stderr=quiet
-            )
+                [sys.executable, "-m", machine.__name__],
+                stdin=quiet, stdout=quiet, stderr=quiet,
+                start_new_session=True,  # Ctrl-C ends us, not what the next start will need
+            )  # fmt: skip
 
     def join(self, live: "Live") -> None:
         """Let live control take part."""
@@ -144,9 +144,9 @@ class Server:
             live.journal.note(JOIN, b"", self.edit_time())
         join(self.core, live.control)
         gc.freeze()  # all that is loaded by now stays; to look it through would hold frames up
-        if self._fast is not None and not self._fast.pending:
-            self._fast.count()
-            self.use_fast()
+        if self._forwarder is not None and not self._forwarder.pending:
+            self._forwarder.count()
+            self.use_compiled()
 
     def edit_time(self) -> int:
         """The vehicle's time, at which an edit may now be made; what is due leaves before."""
@@ -155,13 +155,14 @@ class Server:
         journal = None if self.live is None else self.live.journal
         return now_us if journal is None else journal.begin(now_us)
 
-    def use_fast(self) -> None:
-        """Let the compiled path take over."""
-        from mavproxy_fault.compiled.forwarder import FastPath
+    def use_compiled(self) -> None:
+        """Let the compiled form take over."""
+        from mavproxy_fault.compiled.forwarder import Forwarder
 
-        self._fast = FastPath(
-            self.links, self.core, self.tape, self.latencies, self._base_ns, self._others()
-        )
+        self._forwarder = Forwarder(
+            self.links, self.core, self.latencies, self._base_ns,
+            tape=self.tape, waited=self._waited(),
+        )  # fmt: skip
 
     def _patience_s(self) -> float:
         """How long the loop may sleep."""
@@ -195,7 +196,7 @@ class Server:
             # What is sent does not depend on when it is asked for, so only the writing waits.
             sends = self.core.due(max(due_us, now_us))
             due_ns = due_us * 1000 - self._base_ns
-            if self._fast is None or not sends or not self._fast.send_at(due_ns, sends):
+            if self._forwarder is None or not sends or not self._forwarder.send_at(due_ns, sends):
                 while time.monotonic_ns() < due_ns:
                     pass
                 self._carry_out(sends)
@@ -205,7 +206,7 @@ class Server:
             self._tend()
         if now_s >= self._flush_s:
             self._flush_s = now_s + FLUSH_S
-            self._record()
+            self.record()
         if self.live is not None:
             self.live.show(now_s)
         if self.coming is not None and self.coming.done():
@@ -213,12 +214,12 @@ class Server:
             self.coming = None
 
     def _tend(self) -> None:
-        """Let links reconnect; take over what the compiled path has counted."""
+        """Let links reconnect; take over what the compiled form has counted."""
         for number in range(len(self.links)):
-            if self._fast is None or not self._fast.takes(number):
+            if self._forwarder is None or not self._forwarder.serves(number):
                 self._serve(number)
-        if self._fast is not None:
-            self._fast.count()
+        if self._forwarder is not None:
+            self._forwarder.count()
         elif self._compiler is not None and (code := self._compiler.poll()) is not None:
             self._compiler = None
             if code == 0:
@@ -228,7 +229,8 @@ class Server:
                 print(f"no machine code ({code} from `{maker}`); all goes the slower way",
                       file=sys.stderr, flush=True)  # fmt: skip
 
-    def _record(self) -> None:
+    def record(self) -> None:
+        """Write and publish what has been gathered since the last time."""
         if self.recorder is None and self.live is None:
             return
         labels = self.core.take_labels()
@@ -237,16 +239,18 @@ class Server:
             self.recorder.write(self.tape, labels, edits)
         if self.live is not None:
             self.live.publish(self.stats(), labels)
+            if self.recorder is not None:
+                self.live.publish_recording(self.recorder.failing, self.recorder.lost)
 
     def _finish(self) -> None:
         now_us = self.now_us()
-        if self._fast is not None:
-            self._fast.count()
+        if self._forwarder is not None:
+            self._forwarder.count()
         self._carry_out(self.core.finish(now_us))
         if self.coming is not None:
             self.live = self.coming.result()
             self.coming = None
-        self._record()
+        self.record()
         if self.recorder is not None:
             self.recorder.close(self.core.clock.t0_us, now_us)
         if self.live is not None:
@@ -268,18 +272,9 @@ class Server:
                     "chunks_out": counters.chunks_out,
                     "drops": counters.drops,
                     "errors": counters.errors,
+                    "refused": counters.refused,
+                    "lost_in_kernel": getattr(link, "lost_in_kernel", 0),  # datagrams only
                     **self.latencies[number].summary(),
                 }
             )
         return found
-
-
-@contextlib.contextmanager
-def short_turns() -> Iterator[None]:
-    """Let threads take short turns, so that one that imports does not hold up forwarding."""
-    before_s = sys.getswitchinterval()
-    sys.setswitchinterval(SHORT_TURN_S)
-    try:
-        yield
-    finally:
-        sys.setswitchinterval(before_s)

@@ -1,17 +1,18 @@
-"""The compiled path's owner: gives it its tables, and takes over what it counted.
+"""The compiled form's owner: gives it its tables, and takes over what it counted.
 
-What may go the compiled way is decided here, message by message: nothing that the control path
-wants, and only faults that can be written down as `plans`. Everything else stays with the plain
-path, frame by frame, in order.
+What may go this way is decided here, message by message: nothing that the control path wants, and
+only faults that can be written down as `plans`. Everything else goes the interpreted way, datagram
+by datagram, in order.
 """
 
 import socket
+import time
 from collections.abc import Sequence
 from ctypes import c_void_p
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.compiled import layout as k
-from mavproxy_fault.compiled.object_file import ARRAYS, load
+from mavproxy_fault.compiled.object_file import load
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.udp import UdpClient, UdpServer
 from mavproxy_fault.proxy.core import Core
@@ -28,17 +29,18 @@ if TYPE_CHECKING:
 POLLIN = 1
 
 
-class FastPath:
-    """Arrays that the machine code works on; `core.memory` is shared with the plain path."""
+class Forwarder:
+    """Arrays that the machine code works on; `core.senders` is shared with the interpreted way."""
 
     def __init__(
         self,
         links: Sequence[Link],
         core: Core,
-        tape: Tape | None,
         latencies: Sequence[Latencies],
         base_ns: int,
-        others: Sequence[int],
+        *,
+        tape: Tape | None = None,
+        waited: Sequence[int] = (),
     ) -> None:
         forward = load()
         assert forward is not None
@@ -47,81 +49,66 @@ class FastPath:
         self._core = core
         self._tape = tape
         self._latencies = latencies
-        count = len(links)
-        descriptors = [*(link.fileno() for link in links), *others]
-        self.ports = k.table("q", count, k.PORT_SIZE)
-        self._data = k.table("B", (count + 1) * k.BATCH * k.ROW)
-        self._heads = k.table("q", count + 1, k.BATCH, 8)
-        self._headers = k.table("q", count + 1, k.BATCH, 8)
-        self._parts = k.table("q", count + 1, k.BATCH, 2)
-        self._read_parts = k.table("q", count + 1, k.BATCH, 2)
-        self._names = k.table("B", (count + 1) * k.BATCH * k.NAME)
-        self._peers = k.table("B", count * k.PEERS * k.NAME)
-        self._heard = k.table("B", count, k.PEERS)
+        descriptors = [*(link.fileno() for link in links), *waited]
+        arrays = k.new_arrays(len(links), len(descriptors), keep=tape is not None)
+        self._arrays = {**arrays, "senders": core.senders}
+        self.loop, self.ports, self.polls = arrays["loop"], arrays["ports"], arrays["polls"]
+        self._read_parts = k.table("q", len(links) + 1, k.BATCH, 2)
         self._known_peers: list[list[Any]] = [[] for _ in links]
-        self._table = k.table("q", k.IDS, 8)
         self._learned: dict[int, Layout] = {}
         self._plans: Plans | None = None
-        self._histogram = k.table("q", count * k.LATENCY_STEPS)
-        self._logs = [k.table("B", k.LOG_SIZE if tape is not None else 1) for _ in range(3)]
-        self.turn = k.table("q", k.TURN_SIZE)
-        self.polls = k.table("q", len(descriptors))
         for n, descriptor in enumerate(descriptors):
             self.polls[n] = descriptor | POLLIN << 32
-        self.turn[k.BASE], self.turn[k.KEEP] = base_ns, tape is not None
-        self.turn[k.LINK_COUNT], self.turn[k.POLLS] = count, len(descriptors)
+        self.loop[k.BASE], self.loop[k.KEEP] = base_ns, tape is not None
+        self.loop[k.LINK_COUNT], self.loop[k.POLLS] = len(links), len(descriptors)
         self._seen: tuple[Any, ...] = ()
         self._point()
         self._tie()
 
     def _tie(self) -> None:
         """Give the machine code the addresses of all arrays."""
-        plans = self._plans
-        arrays = {
-            "histogram": self._histogram, "polls": self.polls, "turn": self.turn,
-            "ports": self.ports, "heads": self._heads, "headers": self._headers,
-            "parts": self._parts, "names": self._names, "peers": self._peers,
-            "heard": self._heard, "data": self._data, "memory": self._core.memory,
-            "table": self._table, "received": self._logs[0], "sent": self._logs[1],
-            "index": self._logs[2], "crc": k.crc_tables(), "result": k.table("d", 2),
-        }  # fmt: skip
-        if plans is not None:
-            arrays |= {
-                "plans": plans.rows, "numbers": plans.numbers, "hits": plans.hits,
-                "steps": plans.steps, "pieces": plans.pieces, "draws": plans.draws,
-            }  # fmt: skip
-        self._arrays = arrays  # keeps them alive
-        self._addresses = [
-            c_void_p(k.address(arrays[name])) if name in arrays else None for name in ARRAYS
-        ]
+        if self._plans is not None:
+            self._arrays |= self._plans.arrays
+        self._addresses = (c_void_p * len(k.Shared._fields))(
+            *(
+                k.address(self._arrays[name]) if name in self._arrays else None
+                for name in k.Shared._fields
+            )
+        )
 
     def _point(self) -> None:
         """Let the headers of both kinds of system call point to the rows of data."""
-        turn = self.turn
-        turn[k.TIME_AT] = k.address(turn) + 8 * k.SECONDS
-        turn[k.POLLS_AT], turn[k.PEERS_AT] = k.address(self.polls), k.address(self._peers)
-        turn[k.HEADS_AT], turn[k.HEADERS_AT] = k.address(self._heads), k.address(self._headers)
-        rows, names = k.address(self._data), k.address(self._names)
+        arrays, loop = self._arrays, self.loop
+        loop[k.TIME_AT] = k.address(loop) + 8 * k.SECONDS
+        for place, name in (
+            (k.POLLS_AT, "polls"), (k.PEERS_AT, "peers"), (k.HEADS_AT, "heads"),
+            (k.HEADERS_AT, "headers"),
+        ):  # fmt: skip
+            loop[place] = k.address(arrays[name])
+        rows, names = k.address(arrays["data"]), k.address(arrays["names"])
+        heads = arrays["heads"]
         for number in range(len(self._links) + 1):
             for at in range(k.BATCH):
                 row = number * k.BATCH + at
                 for parts, headers in (
-                    (self._read_parts, self._heads),
-                    (self._parts, self._headers),
+                    (self._read_parts, heads),
+                    (arrays["parts"], arrays["headers"]),
                 ):
-                    parts[number, at, 0], parts[number, at, 1] = rows + k.ROW * row, k.ROW
-                    headers[number, at, 2] = k.address(parts) + 16 * row
-                    headers[number, at, 3] = 1
-                self._heads[number, at, 0] = names + k.NAME * row
-                self._heads[number, at, 1] = k.NAME
+                    parts[number, at, k.DATA_AT] = rows + k.ROW * row
+                    parts[number, at, k.DATA_LENGTH] = k.ROW
+                    headers[number, at, k.PARTS_AT] = k.address(parts) + 16 * row
+                    headers[number, at, k.PART_COUNT] = 1
+                heads[number, at, k.NAME_AT] = names + k.NAME * row
+                heads[number, at, k.NAME_LENGTH] = k.NAME
         for number, link in enumerate(self._links):
             self._describe_port(number, link)
+            loop[k.COMPILED_LINKS] |= self.ports[number, k.COMPILED] << number
 
     def _describe_port(self, number: int, link: Link) -> None:
         ports = self.ports
         ports[number, k.FD] = link.fileno()
         ports[number, k.LISTENS] = isinstance(link, UdpServer)
-        ports[number, k.FAST] = (
+        ports[number, k.COMPILED] = (
             isinstance(link, UdpServer | UdpClient) and link.sock.family == socket.AF_INET
         )
         from_vehicle = self._core.links[number].direction == "from-vehicle"
@@ -130,70 +117,76 @@ class FastPath:
     # A stretch of forwarding
 
     def forward(self, deadline_ns: int, *, spin: bool, precise: bool = False) -> int:
-        """Forward until `deadline_ns` of the monotonic clock or until the plain path is needed.
+        """Forward until `deadline_ns` of the monotonic clock or until it hands something over.
 
         With `precise` the deadline is met to some microseconds, at the cost of processor time.
         """
         self._refresh()
-        turn = self.turn
-        turn[k.DEADLINE], turn[k.SPIN], turn[k.PRECISE] = deadline_ns, spin, precise
+        loop = self.loop
+        loop[k.DEADLINE], loop[k.SPIN], loop[k.PRECISE] = deadline_ns, spin, precise
         while True:
-            turn[k.DRY] = 0
+            loop[k.DRY] = 0
             if self._plans is not None:
                 self._plans.draw_ahead()
-            reason = self._forward(*self._addresses)
+            reason = self._forward(self._addresses)
             self._settle()
-            if not turn[k.DRY]:
+            if not loop[k.DRY]:
                 return reason
 
     def send_at(self, due_ns: int, sends: Sequence[Send]) -> bool:
         """Wait for a time of the monotonic clock, and send at once; False if not all can go so."""
         rows = len(self._links)
-        if len(sends) > k.BATCH or not all(self.takes(send.link) for send in sends):
+        if len(sends) > k.BATCH or not all(self.serves(send.link) for send in sends):
             return False
         for at, send in enumerate(sends):
             start = (rows * k.BATCH + at) * k.ROW
-            self._data[start : start + len(send.data)] = send.data
-            self._parts[rows, at, 1], self._heads[rows, at, 7] = len(send.data), send.link
+            self._arrays["data"][start : start + len(send.data)] = send.data
+            (
+                self._arrays["parts"][rows, at, k.DATA_LENGTH],
+                self._arrays["heads"][rows, at, k.LENGTH],
+            ) = len(send.data), send.link
         self._refresh()
-        self.turn[k.DUE_COUNT], self.turn[k.DUE_AT] = len(sends), due_ns
-        self._forward(*self._addresses)
+        self.loop[k.DUE_COUNT], self.loop[k.DUE_AT] = len(sends), due_ns
+        self._forward(self._addresses)
         return True
 
-    def takes(self, number: int) -> bool:
-        """Whether a link goes the compiled way."""
-        return bool(self.ports[number, k.FAST])
+    def serves(self, number: int) -> bool:
+        """Whether a link goes this way."""
+        return bool(self.ports[number, k.COMPILED])
 
     @property
     def pending(self) -> bool:
         """Whether received datagrams still wait in the rows."""
-        return bool(self.turn[k.AT] < self.turn[k.COUNT])
+        return bool(self.loop[k.AT] < self.loop[k.COUNT])
 
-    def take_datagram(self) -> tuple[int, bytes, int]:
-        """The datagram that was not plain: link, bytes, and when it came by the monotonic clock.
+    def handed_over(self) -> tuple[int, bytes, int]:
+        """The datagram handed over: link, bytes, and when it came by the monotonic clock.
 
-        Its sender becomes a peer.
+        Its sender becomes a peer; of one that may not speak there are no bytes.
         """
-        number, at = int(self.turn[k.LINK]), int(self.turn[k.AT])
-        self.turn[k.AT] += 1
+        number, at = int(self.loop[k.LINK]), int(self.loop[k.AT])
+        self.loop[k.AT] += 1
         row = number * k.BATCH + at
-        length = self._heads[number, at, 7] & 0xFFFFFFFF
-        data = bytes(self._data[row * k.ROW : row * k.ROW + length])
+        length = self._arrays["heads"][number, at, k.LENGTH] & 0xFFFFFFFF
+        data = bytes(self._arrays["data"][row * k.ROW : row * k.ROW + length])
         link = self._links[number]
         if isinstance(link, UdpServer):
-            link.hear(bytes(self._names[row * k.NAME : row * k.NAME + k.SOCKADDR_IN]))
+            name = self._arrays["names"][row * k.NAME : row * k.NAME + k.SOCKADDR_IN]
+            if not link.hear(bytes(name), data):
+                link.counters.refused += 1
+                return number, b"", self.loop[k.CAME]
         self._learn(data)
-        return number, data, self.turn[k.CAME]
+        return number, data, self.loop[k.CAME]
 
     @property
-    def others_ready(self) -> bool:
+    def wakes_ready(self) -> bool:
         """Whether something that is no link wants service."""
         return any(word >> 48 for word in self.polls[len(self._links) :])
 
     def ready(self) -> list[int]:
-        """Links outside the compiled path that have something."""
+        """Links outside the compiled form that have something."""
         count = range(len(self._links))
-        return [n for n in count if self.polls[n] >> 48 and not self.ports[n, k.FAST]]
+        return [n for n in count if self.polls[n] >> 48 and not self.ports[n, k.COMPILED]]
 
     # Tables
 
@@ -214,7 +207,7 @@ class FastPath:
         places = stamp_place(described.name) or (-1, 0, 0)
         values = (described.crc_extra, *places, *target_places(described.name))
         for column, value in zip(range(k.EXTRA, k.PLAN), values, strict=True):
-            self._table[number, column] = value
+            self._arrays["table"][number, column] = value
 
     def _refresh(self) -> None:
         """Follow the engine, the control path and the peers."""
@@ -222,7 +215,7 @@ class FastPath:
         control = self._core.control
         seen: tuple[Any, ...] = (control and control.wanted,)
         if engine is not None:
-            self.turn[k.EDGE] = engine.edge_us
+            self.loop[k.EDGE] = engine.edge_us
             seen += (engine.turns, engine.revision, engine.t0_us)
         plans = self._plans
         if seen != self._seen or (plans is not None and plans.changed):
@@ -232,34 +225,34 @@ class FastPath:
             for number in self._learned:
                 self._classify(number)
         for number, link in enumerate(self._links):
-            if isinstance(link, UdpServer) and [*link.peers] != self._known_peers[number]:
-                self._known_peers[number] = [*link.peers]
-                self.ports[number, k.PEER_COUNT] = len(link.peers)
-                for row, name in enumerate(link.peers):
+            if isinstance(link, UdpServer) and [*link.peers.known] != self._known_peers[number]:
+                self._known_peers[number] = [*link.peers.known]
+                self.ports[number, k.PEER_COUNT] = len(link.peers.known)
+                for row, name in enumerate(link.peers.known):
                     start = (number * k.PEERS + row) * k.NAME
-                    self._peers[start : start + len(name)] = name
-                    self._heard[number, row] = 0
+                    self._arrays["peers"][start : start + len(name)] = name
+                    self._arrays["heard"][number, row] = 0
 
     def _classify(self, number: int) -> None:
         """Say how a message goes."""
         kind, first = self._way(number)
-        self._table[number, k.KIND], self._table[number, k.PLAN] = kind, first
+        self._arrays["table"][number, k.KIND], self._arrays["table"][number, k.PLAN] = kind, first
 
     def _way(self, number: int) -> tuple[int, int]:
         """The kind of a message, and the first row of its faults."""
         engine: Any = self._core.engine
         control = self._core.control
         if control is not None and number in control.wanted:
-            return k.PLAIN, -1
+            return k.INTERPRETED, -1
         if engine is None or (engine.wanted is not None and number not in engine.wanted):
             return k.PASS, -1
         acting = None if engine.t0_us is None else engine.acting(number)
         if acting is None:
-            return k.PLAIN, -1
+            return k.INTERPRETED, -1
         if not acting:
             return k.PASS_UNTIL_EDGE, -1
         first = self._planned().add(self._learned[number], acting)
-        return (k.PLAIN, -1) if first is None else (k.PLANNED, first)
+        return (k.INTERPRETED, -1) if first is None else (k.PLANNED, first)
 
     def _planned(self) -> "Plans":
         """The rows of faults, which a proxy without faults does without."""
@@ -274,25 +267,25 @@ class FastPath:
 
     def _settle(self) -> None:
         """Give the engine what its faults did, and the tape what passed."""
-        turn = self.turn
+        loop = self.loop
         engine: Any = self._core.engine
-        if engine is not None and turn[k.WANTED_AT]:
-            engine.now_us = max(engine.now_us, int(turn[k.WANTED_AT]))
-            turn[k.WANTED_AT] = 0
+        if engine is not None and loop[k.WANTED_AT]:
+            engine.now_us = max(engine.now_us, int(loop[k.WANTED_AT]))
+            loop[k.WANTED_AT] = 0
         if self._plans is not None:
             self._plans.settle()
-        if self._tape is not None and turn[k.RECEIVED_AT]:
-            received, sent, index = self._logs
-            self._tape.received += received[: turn[k.RECEIVED_AT]]
-            self._tape.sent += sent[: turn[k.SENT_AT]]
-            self._tape.index += index[: turn[k.INDEX_AT]]
-            turn[k.RECEIVED_AT] = turn[k.SENT_AT] = turn[k.INDEX_AT] = 0
+        if self._tape is not None and loop[k.RECEIVED_AT]:
+            received, sent, index = (self._arrays[one] for one in ("received", "sent", "index"))
+            self._tape.received += received[: loop[k.RECEIVED_AT]]
+            self._tape.sent += sent[: loop[k.SENT_AT]]
+            self._tape.index += index[: loop[k.INDEX_AT]]
+            loop[k.RECEIVED_AT] = loop[k.SENT_AT] = loop[k.INDEX_AT] = 0
 
     def count(self) -> None:
-        """Add the kernel's counts to the links', the core's and the latencies."""
-        ports, heard = self.ports, self._heard
+        """Add the machine code's counts to the links', the core's and the latencies."""
+        ports, heard = self.ports, self._arrays["heard"]
         for number, link in enumerate(self._links):
-            if not ports[number, k.DATAGRAMS] and not ports[number, k.SENT]:
+            if not any(ports[number, column] for column in range(k.DATAGRAMS, k.LONE)):
                 continue
             counters, state = link.counters, self._core.states[number]
             counters.chunks_in += ports[number, k.DATAGRAMS]
@@ -307,11 +300,13 @@ class FastPath:
             for column in range(k.DATAGRAMS, k.LONE):
                 ports[number, column] = 0
             start = number * k.LATENCY_STEPS
-            for step, count in enumerate(self._histogram[start : start + k.LATENCY_STEPS].tolist()):
+            for step, count in enumerate(
+                self._arrays["histogram"][start : start + k.LATENCY_STEPS].tolist()
+            ):
                 if count:
                     self._latencies[number].add_step(step, count)
-                    self._histogram[start + step] = 0
+                    self._arrays["histogram"][start + step] = 0
             for row, name in enumerate(self._known_peers[number]):
                 if heard[number, row] and isinstance(link, UdpServer):
-                    link.hear(name)
+                    link.peers.touch(name, time.monotonic())
                 heard[number, row] = 0

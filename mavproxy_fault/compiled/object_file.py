@@ -1,14 +1,15 @@
-"""Machine code of the compiled path: made once by numba, kept on disk, loaded without numba.
+"""Machine code of the compiled form: made once by numba, kept on disk, loaded without numba.
 
-Importing numba takes a second of work in Python, during which the plain path would lose frames of
-dense traffic. So another process makes an object file, once after an installation and for this kind
-of processor, and the proxy links that into itself by llvmlite within milliseconds.
+Importing numba takes a second of work in Python, during which the interpreted way would lose frames
+of dense traffic. So another process makes an object file, once after an installation and for this
+kind of processor, and the proxy links that into itself by llvmlite within milliseconds.
 """
 
 import ctypes
 import fcntl
 import hashlib
 import os
+import re
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -20,22 +21,29 @@ from llvmlite import __version__ as llvmlite_version
 from mavproxy_fault.numerics.code_cache import place
 
 PACKAGE = Path(__file__).parents[1]
-SOURCES = (
-    "compiled/frames.py", "compiled/sockets.py", "compiled/layout.py", "compiled/object_file.py",
-    "proxy/senders.py", "proxy/vehicle_clock.py", "wire/frame.py",
-)  # fmt: skip
+ENTRY = "compiled/sockets.py"
+IMPORTED = re.compile(r"^from mavproxy_fault\.(\w+(?:\.\w+)*) import (.+?)$", re.MULTILINE)
 NAME = "mavproxy_fault_forward"
-KINDS = {"q": "int64", "H": "uint16", "B": "uint8", "d": "float64"}
-# Order and element types of what `pump.forward` takes: 64-bit integers, bytes, doubles
-ARRAYS = {
-    "histogram": "q", "polls": "q", "turn": "q", "ports": "q", "heads": "q", "headers": "q",
-    "parts": "q", "names": "B", "peers": "B", "heard": "B", "data": "B", "memory": "q",
-    "table": "q", "plans": "q", "received": "B", "sent": "B", "index": "B", "numbers": "d",
-    "hits": "q", "steps": "d", "crc": "H", "result": "d", "pieces": "d", "draws": "d",
-}  # fmt: skip
 CALLS = frozenset({"recvfrom", "recvmmsg", "sendmmsg", "ppoll", "clock_gettime", "abort"})
 
 Forward = Callable[..., int]
+
+
+@cache
+def sources() -> tuple[str, ...]:
+    """The files that are compiled in, by what they import; this one too, which compiles them."""
+    found: list[str] = []
+    waiting = [ENTRY, f"compiled/{Path(__file__).name}"]
+    while waiting:
+        name = waiting.pop()
+        if name in found:
+            continue
+        found.append(name)
+        for module, names in IMPORTED.findall((PACKAGE / name).read_text()):
+            place = module.replace(".", "/")
+            inside = [f"{place}/{one.split()[0].strip('(,')}.py" for one in names.split(", ")]
+            waiting += [one for one in (f"{place}.py", *inside) if (PACKAGE / one).is_file()]
+    return tuple(sorted(found))
 
 
 @cache
@@ -54,13 +62,13 @@ def object_path() -> Path:
     """Where the object file of these sources for this processor lies, or is to lie."""
     _, cpu, features = _target()
     mark = hashlib.sha256(f"{llvmlite_version} {cpu} {features}".encode())
-    for name in SOURCES:
+    for name in sources():
         mark.update((PACKAGE / name).read_bytes())
     return place() / f"forward-{mark.hexdigest()[:16]}.o"
 
 
 def make() -> None:
-    """Compile `pump.forward` and keep the object file; takes seconds, but for those who wait."""
+    """Compile `sockets.forward` and keep the object file; takes seconds, but for those who wait."""
     path = object_path()
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.with_suffix(".lock").open("w") as lock:
@@ -80,8 +88,8 @@ def _compiled() -> bytes:
 
     from mavproxy_fault.compiled.sockets import forward
 
-    pointers = [types.CPointer(getattr(types, KINDS[kind])) for kind in ARRAYS.values()]
-    compiled = cfunc(types.int64(*pointers), error_model="numpy")(forward)
+    addresses = types.CPointer(types.voidptr)
+    compiled = cfunc(types.int64(addresses), error_model="numpy")(forward)
     module = llvm.parse_assembly(compiled.inspect_llvm())
     for function in module.functions:
         if function.name == compiled.native_name:
@@ -104,12 +112,15 @@ def _without_python(module: Any) -> str:
     return "\n".join(lines)
 
 
-@cache
 def load() -> Forward | None:
     """The compiled `forward`, which gives up the interpreter's lock while it runs; None yet."""
     path = object_path()
-    if not path.is_file():
-        return None
+    return _linked(path) if path.is_file() else None
+
+
+@cache
+def _linked(path: Path) -> Forward:
+    """The function of an object file, part of this process for good."""
     machine, _, _ = _target()
     empty = llvm.parse_assembly("")
     empty.triple = llvm.get_process_triple()
@@ -117,7 +128,7 @@ def load() -> Forward | None:
     engine.add_object_file(llvm.ObjectFileRef.from_path(str(path)))
     engine.finalize_object()
     address = engine.get_function_address(NAME)
-    kind = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_void_p] * len(ARRAYS))
+    kind = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)
     found = kind(address)
     found.engine = engine  # type: ignore[attr-defined]  # lives as long as the function
     return found

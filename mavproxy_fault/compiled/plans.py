@@ -1,9 +1,9 @@
-"""Faults written down for the compiled path: bias, scale, constant, drift, noise and freeze.
+"""Faults written down for the compiled form: bias, scale, constant, drift, noise and freeze.
 
-The first frame that a fault changes, and with it the label, is the plain path's, as are the drawing
-of segments and the value that is held; its rows say what to do with the next ones. Noise is drawn
-ahead in blocks; before the plain path may draw again, its generator is set back to where the
-compiled path stopped, so that both give the same bytes.
+The first frame that a fault changes, and with it the label, goes the interpreted way, as do the
+drawing of segments and the value that is frozen; its rows say what to do with the next ones. Noise
+is drawn ahead in blocks; before the interpreted way may draw again, its generator is set back to
+where the compiled form stopped, so that both give the same bytes.
 """
 
 import itertools
@@ -30,7 +30,7 @@ Values = Sequence[float]
 
 
 class Planned(NamedTuple):
-    """A fault of the compiled path: its first row (-1: none yet), and the block it draws from."""
+    """A fault of the compiled form: its first row (-1: none yet), and the block it draws from."""
 
     first: int
     running: Running
@@ -52,16 +52,24 @@ class Plans:
         self.numbers = np.zeros((k.MOST_PLANS, 2))
         self.hits = np.zeros((k.MOST_PLANS, 4), np.int64)
         self.steps = np.full(k.MOST_PLANS, -1.0)
-        self.pieces = np.zeros((k.MOST_PIECES, 4))
+        self.segments = np.zeros((k.MOST_SEGMENTS, 4))
         self.draws = np.zeros(k.MOST_DRAWN * k.BLOCK)
         self._planned: list[Planned] = []
         self._states: list[Any] = []  # of the generators, where their blocks begin
-        self._rows_used = self._pieces_used = self._blocks_used = 0
+        self._rows_used = self._segments_used = self._blocks_used = 0
+
+    @property
+    def arrays(self) -> dict[str, Any]:
+        """The arrays that the machine code works on, by name."""
+        return {
+            "plans": self.rows, "numbers": self.numbers, "hits": self.hits, "steps": self.steps,
+            "segments": self.segments, "draws": self.draws,
+        }  # fmt: skip
 
     def clear(self) -> None:
         """Forget all rows."""
         self._planned = []
-        self._rows_used = self._pieces_used = self._blocks_used = 0
+        self._rows_used = self._segments_used = self._blocks_used = 0
 
     @property
     def changed(self) -> bool:
@@ -72,8 +80,8 @@ class Plans:
         )
 
     def add(self, layout: Layout, acting: Sequence[Running]) -> int | None:
-        """Rows for all faults that act on a message, in turn; the first one's, None if plain."""
-        used = self._rows_used, self._pieces_used, self._blocks_used
+        """Rows for all faults that act on a message, in turn; the first row, None if one cannot."""
+        used = self._rows_used, self._segments_used, self._blocks_used
         found: list[Planned] = []
         for running in acting:
             if type(running.fault) not in KINDS or running.entry.where.id is not None:
@@ -81,7 +89,7 @@ class Plans:
             found.append(self._one(layout, running))
         rows = [one.first for one in found]
         if min(rows) < 0 or self._entangled(rows):
-            self._rows_used, self._pieces_used, self._blocks_used = used
+            self._rows_used, self._segments_used, self._blocks_used = used
             self._planned += [one._replace(first=-1, block=None) for one in found]
             return None
         for row, following in itertools.pairwise(rows):
@@ -139,7 +147,7 @@ class Plans:
         numbers = self.numbers[first : first + count]
         plan[k.MODE] = k.ADD
         if isinstance(fault, Freeze):
-            self._held(layout, running, plan, numbers)
+            self._frozen(layout, running, plan, numbers)
         elif isinstance(fault, Noise):
             return self._noise(fault, plan, numbers)
         elif isinstance(fault, Drift):
@@ -154,7 +162,7 @@ class Plans:
         return None
 
     def _known(self, running: Running, plan: Any) -> Any:
-        """The fault's state if it has only one; frames of the other direction stay plain."""
+        """The fault's state if it has only one; frames of the other direction are handed over."""
         if len(running.states) != 1:
             return None
         [(way, state)] = running.states.items()
@@ -162,23 +170,23 @@ class Plans:
         return state.memory
 
     def _segments(self, fault: Driven, running: Running, plan: Any, numbers: Any) -> None:
-        pieces = self._known(running, plan)
-        end = self._pieces_used + len(pieces or ())
-        if not pieces or end > k.MOST_PIECES:
+        drawn = self._known(running, plan)
+        end = self._segments_used + len(drawn or ())
+        if not drawn or end > k.MOST_SEGMENTS:
             return
         assert fault.profile is not None
-        self.pieces[self._pieces_used : end] = pieces
-        plan[k.PIECES_FROM], plan[k.PIECES_TO] = self._pieces_used, end
+        self.segments[self._segments_used : end] = drawn
+        plan[k.SEGMENTS_FROM], plan[k.SEGMENTS_TO] = self._segments_used, end
         plan[k.OPEN_LEFT] = fault.profile.compat is not None
-        plan[k.MODE], plan[k.SOURCE] = MODES[fault.profile.mode or fault.mode], k.PIECES
+        plan[k.MODE], plan[k.SOURCE] = MODES[fault.profile.mode or fault.mode], k.SEGMENTS
         otherwise = fault.profile.otherwise
         numbers[:, k.LIMIT] = math.nan if otherwise is None else otherwise
-        self._pieces_used = end
+        self._segments_used = end
 
-    def _held(self, layout: Layout, running: Running, plan: Any, numbers: Any) -> None:
-        """Values of one sender that are held; other senders stay plain."""
-        held = self._known(running, plan)
-        mine = {key: values for key, values in (held or {}).items() if key[2] == layout.id}
+    def _frozen(self, layout: Layout, running: Running, plan: Any, numbers: Any) -> None:
+        """Frozen values of one sender; other senders are handed over."""
+        frozen = self._known(running, plan)
+        mine = {key: values for key, values in (frozen or {}).items() if key[2] == layout.id}
         if len(mine) != 1:
             return
         [((system, component, _, instance), values)] = mine.items()

@@ -1,78 +1,26 @@
-"""The compiled path's sockets: wait, receive in batches, send in batches, all from within.
+"""The compiled form's sockets: wait, receive in batches, send in batches, all from within.
 
 System calls are made from compiled code, so a busy stretch never returns to the interpreter. The
 structures are those of 64-bit Linux: `mmsghdr` is eight 64-bit words, `pollfd` and `timespec` are
 one and two.
 """
 
-# mypy: allow-untyped-defs, allow-untyped-decorators, no-check-untyped-defs
-import numpy as np
-from numba import carray, njit, types
+from typing import Any
 
-from mavproxy_fault.compiled.frames import check, take
-from mavproxy_fault.compiled.layout import (
-    AT,
-    BASE,
-    BATCH,
-    BLOCK,
-    BYTES,
-    BYTES_SENT,
-    CAME,
-    COUNT,
-    DATAGRAMS,
-    DEADLINE,
-    DROPS,
-    DUE_AT,
-    DUE_COUNT,
-    DUE_SENT,
-    ERRORS,
-    FAST,
-    FD,
-    FROM_VEHICLE,
-    HEADERS_AT,
-    HEADS_AT,
-    IDS,
-    KEEP,
-    LATENCY_STEPS,
-    LINK,
-    LINK_COUNT,
-    LISTENS,
-    LOG_FULL,
-    LOG_MARGIN,
-    LOG_SIZE,
-    LONE,
-    MOST_DRAWN,
-    MOST_PIECES,
-    MOST_PLANS,
-    NAME,
-    NANOSECONDS,
-    NOT_PLAIN,
-    OTHER_READY,
-    PEER_COUNT,
-    PEERS,
-    PEERS_AT,
-    PLAN_SIZE,
-    POLLS,
-    POLLS_AT,
-    PORT_SIZE,
-    PRECISE,
-    RECEIVED_AT,
-    ROW,
-    SECONDS,
-    SENT,
-    SENT_AT,
-    SOCKADDR_IN,
-    SPIN,
-    TIME_AT,
-    TIME_IS_UP,
-    TURN_SIZE,
-)
-from mavproxy_fault.proxy.senders import SIZE
+import numpy as np
+from numba import carray, types
+
+from mavproxy_fault.compiled import layout as k
+from mavproxy_fault.compiled.frames import links_of, step
+from mavproxy_fault.compiled.kernel import i64, kernel
+from mavproxy_fault.compiled.layout import ORDER, Shared
+from mavproxy_fault.numerics.crc import SLICES
+from mavproxy_fault.proxy import senders as cells
 
 DONTWAIT = 0x40
 MONOTONIC = 1  # clock
 EARLY_NS = 250_000  # a sleep may end so late
-LOOK_EVERY = 63  # turns of a spinning loop between looks at what is no UDP link
+LOOK_EVERY = 63  # rounds of a spinning loop between looks at what is no UDP link
 
 _recvfrom = types.ExternalFunction(
     "recvfrom",
@@ -90,19 +38,20 @@ _ppoll = types.ExternalFunction(
 _clock_gettime = types.ExternalFunction("clock_gettime", types.intc(types.intc, types.intp))
 
 
-@njit(error_model="numpy", forceinline=True)
-def _now_ns(turn):
-    _clock_gettime(MONOTONIC, turn[TIME_AT])
-    return turn[SECONDS] * 1_000_000_000 + turn[NANOSECONDS]
+@kernel
+def _now_ns(loop: k.Integers) -> Any:
+    _clock_gettime(MONOTONIC, loop[k.TIME_AT])
+    return loop[k.SECONDS] * 1_000_000_000 + loop[k.NANOSECONDS]
 
 
-@njit(error_model="numpy", forceinline=True)
-def _peer(names, peers, count):
-    """Which known peer a datagram came from, -1 if from none."""
-    for peer in range(count):
+@kernel
+def _peer(link: int, row: int, shared: Shared) -> int:
+    """Which known peer of a link a datagram came from, -1 if from none."""
+    names, peers = shared.names[link, row], shared.peers[link]
+    for peer in range(shared.ports[link, k.PEER_COUNT]):
         same = True
-        for k in range(SOCKADDR_IN):
-            if names[k] != peers[peer, k]:
+        for n in range(k.SOCKADDR_IN):
+            if names[n] != peers[peer, n]:
                 same = False
                 break
         if same:
@@ -110,213 +59,234 @@ def _peer(names, peers, count):
     return -1
 
 
-@njit(error_model="numpy", forceinline=True)
-def _send(first, last, source, link, turn, net):
+@kernel
+def _send_to(first: int, last: int, source: int, link: int, shared: Shared) -> None:
+    """Hand rows of `source`, whose addresses are set, to the kernel; what it refuses is dropped."""
+    ports = shared.ports
+    headers_at = shared.loop[k.HEADERS_AT] + 8 * k.HEADER * k.BATCH * source
+    done = first
+    refused = False
+    while done < last:
+        at = headers_at + 8 * k.HEADER * done
+        went = _sendmmsg(ports[link, k.FD], at, last - done, DONTWAIT)
+        if went > 0:
+            done += went
+            ports[link, k.SENT] += went
+        elif not refused:  # an error of an earlier datagram, now reported: try again
+            refused = True
+            ports[link, k.ERRORS] += 1
+        else:
+            ports[link, k.DROPS] += 1
+            refused = False
+            done += 1
+
+
+@kernel
+def _send(first: int, last: int, source: int, link: int, shared: Shared) -> None:
     """Send rows of `source` to all peers of a link."""
-    ports, headers, parts = net[0], net[2], net[3]
-    headers_at = turn[HEADERS_AT] + 64 * BATCH * source
-    count = last - first
-    length = np.int64(0)
-    for k in range(first, last):
-        length += parts[source, k, 1]
-    listens = ports[link, LISTENS]
-    if listens and ports[link, PEER_COUNT] == 0:
-        ports[link, DROPS] += count
+    ports, headers = shared.ports, shared.headers
+    length = i64(0)
+    for row in range(first, last):
+        length += shared.parts[source, row, k.DATA_LENGTH]
+    listens = ports[link, k.LISTENS]
+    if listens and ports[link, k.PEER_COUNT] == 0:
+        ports[link, k.DROPS] += last - first
         return
-    for peer in range(ports[link, PEER_COUNT] if listens else 1):
-        for k in range(first, last):
-            headers[source, k, 0] = turn[PEERS_AT] + NAME * (PEERS * link + peer) if listens else 0
-            headers[source, k, 1] = SOCKADDR_IN if listens else 0
-        done = first
-        refused = False
-        while done < last:
-            went = _sendmmsg(ports[link, FD], headers_at + 64 * done, last - done, DONTWAIT)
-            if went > 0:
-                done += went
-                ports[link, SENT] += went
-            elif not refused:  # an error of an earlier datagram, now reported: try again
-                refused = True
-                ports[link, ERRORS] += 1
-            else:
-                ports[link, DROPS] += 1
-                refused = False
-                done += 1
-        ports[link, BYTES_SENT] += length
+    for peer in range(ports[link, k.PEER_COUNT] if listens else 1):
+        name_at = shared.loop[k.PEERS_AT] + k.NAME * (k.PEERS * link + peer)
+        for row in range(first, last):
+            headers[source, row, k.NAME_AT] = name_at if listens else 0
+            headers[source, row, k.NAME_LENGTH] = k.SOCKADDR_IN if listens else 0
+        _send_to(first, last, source, link, shared)
+        ports[link, k.BYTES_SENT] += length
 
 
-@njit(error_model="numpy", forceinline=True)
-def _receive(link, turn, net):
+@kernel
+def _receive(link: int, shared: Shared) -> bool:
     """Fill a link's rows; whether anything came.
 
     After a lone datagram the next is likely to be alone too, and is had sooner without an attempt
     at a second one; the call after that looks whether there is a batch.
     """
-    ports, heads, parts = net[0], net[1], net[3]
-    heads_at = turn[HEADS_AT] + 64 * BATCH * link
-    count = np.int64(1)
-    if ports[link, LONE]:
-        name, name_size = heads[link, 0, 0], heads_at + 8
-        length = _recvfrom(ports[link, FD], parts[link, 0, 0], ROW, DONTWAIT, name, name_size)
+    loop, ports, heads = shared.loop, shared.ports, shared.heads[link]
+    heads_at = loop[k.HEADS_AT] + 8 * k.HEADER * k.BATCH * link
+    count = i64(1)
+    if ports[link, k.LONE]:
+        data_at, name_at = shared.parts[link, 0, k.DATA_AT], heads[0, k.NAME_AT]
+        length_at = heads_at + 8 * k.NAME_LENGTH
+        length = _recvfrom(ports[link, k.FD], data_at, k.ROW, DONTWAIT, name_at, length_at)
         if length < 0:
             return False
-        heads[link, 0, 7] = length
-        ports[link, LONE] = 0
+        heads[0, k.LENGTH] = length
+        ports[link, k.LONE] = 0
     else:
-        count = np.int64(_recvmmsg(ports[link, FD], heads_at, BATCH, DONTWAIT, 0))
-        ports[link, LONE] = count <= 1
+        count = i64(_recvmmsg(ports[link, k.FD], heads_at, k.BATCH, DONTWAIT, 0))
+        ports[link, k.LONE] = count <= 1
         if count <= 0:
             return False
-    turn[LINK], turn[AT], turn[COUNT] = link, 0, count
-    ports[link, DATAGRAMS] += count
-    for k in range(count):
-        ports[link, BYTES] += heads[link, k, 7] & 0xFFFFFFFF
-        heads[link, k, 1] = NAME  # room for the next name; the kernel wrote the length of this one
+    loop[k.LINK], loop[k.AT], loop[k.COUNT] = link, 0, count
+    ports[link, k.DATAGRAMS] += count
+    for row in range(count):
+        ports[link, k.BYTES] += heads[row, k.LENGTH] & 0xFFFFFFFF
+        heads[row, k.NAME_LENGTH] = k.NAME  # the kernel wrote the length of this name there
     return True
 
 
-@njit(error_model="numpy", forceinline=True)
-def _run(link, fast, now_us, turn, net, wire):
-    """Take rows as long as they go to the same links; those, and whether the next row is plain."""
-    ports, heads, parts, names, peers, heard = net[0], net[1], net[3], net[4], net[5], net[6]
-    everywhere = (np.int64(1) << ports.shape[0]) - 1
-    found = np.int64(-1)
-    while turn[AT] < turn[COUNT]:
-        at = turn[AT]
-        length = heads[link, at, 7] & 0xFFFFFFFF
-        start = (link * BATCH + at) * ROW
+@kernel
+def _step_rows(link: int, now_us: int, shared: Shared) -> Any:
+    """Step rows as long as they go to the same links; those, and whether the next can go on."""
+    loop, ports = shared.loop, shared.ports
+    found = i64(-1)
+    while loop[k.AT] < loop[k.COUNT]:
+        row = loop[k.AT]
+        length = shared.heads[link, row, k.LENGTH] & 0xFFFFFFFF
+        start = (link * k.BATCH + row) * k.ROW
         peer = 0
-        if ports[link, LISTENS]:
-            peer = _peer(names[link, at], peers[link], ports[link, PEER_COUNT])
-        mask = np.int64(-1)
+        if ports[link, k.LISTENS]:
+            peer = _peer(link, row, shared)
+        mask = i64(-1)
         if peer >= 0 and length > 0:
-            bit, way = np.int64(1) << link, ports[link, FROM_VEHICLE]
-            mask = check(start, length, bit, fast, way, everywhere, turn, wire)
+            mask = links_of(start, length, link, now_us, shared)
         if mask < 0 or (found >= 0 and mask != found):
             return found, mask >= 0
         found = mask
-        heard[link, peer] = 1
-        take(start, length, link, mask, now_us, ports, turn, wire)
-        parts[link, at, 1] = length
-        turn[AT] = at + 1
+        shared.heard[link, peer] = 1
+        step(start, length, link, mask, now_us, shared)
+        shared.parts[link, row, k.DATA_LENGTH] = length
+        loop[k.AT] = row + 1
     return found, True
 
 
-@njit(error_model="numpy", forceinline=True)
-def _drain(link, histogram, turn, net, wire):
-    """Pass on one batch of a link; False if it stopped at a datagram that is not plain."""
-    ports = net[0]
-    started = turn[CAME] = _now_ns(turn)
-    if turn[AT] >= turn[COUNT] and not _receive(link, turn, net):
+@kernel
+def _drain(link: int, shared: Shared) -> bool:
+    """Pass on one batch of a link; False if it stopped at a datagram to be handed over."""
+    loop = shared.loop
+    started = _now_ns(loop)
+    if loop[k.AT] >= loop[k.COUNT] and not _receive(link, shared):
         return True
-    fast = np.int64(0)
-    for other in range(ports.shape[0]):
-        fast |= ports[other, FAST] << other
-    begun = turn[AT]
-    plain = True
-    while plain and turn[AT] < turn[COUNT]:
-        first = turn[AT]
-        mask, plain = _run(link, fast, (turn[BASE] + started) // 1000, turn, net, wire)
+    loop[k.CAME] = started
+    begun = loop[k.AT]
+    goes_on = True
+    while goes_on and loop[k.AT] < loop[k.COUNT]:
+        first = loop[k.AT]
+        mask, goes_on = _step_rows(link, (loop[k.BASE] + started) // 1000, shared)
         if mask > 0:
-            for other in range(ports.shape[0]):
-                if mask >> other & 1:
-                    _send(first, turn[AT], link, other, turn, net)
-    spent = max(_now_ns(turn) - started, 16)
-    octave = np.int64(0)
+            for towards in range(loop[k.LINK_COUNT]):
+                if mask >> towards & 1:
+                    _send(first, loop[k.AT], link, towards, shared)
+    spent = max(_now_ns(loop) - started, 16)
+    octave = i64(0)
     while spent >> octave:
         octave += 1
-    histogram[link, octave << 3 | spent >> (octave - 4) & 7] += turn[AT] - begun
-    return plain
+    shared.histogram[link, octave << 3 | spent >> (octave - 4) & 7] += loop[k.AT] - begun
+    return goes_on
 
 
-@njit(error_model="numpy", forceinline=True)
-def _wait(left, turn):
+@kernel
+def _wait(remaining_ns: int, loop: k.Integers) -> bool:
     """Look at all descriptors, and sleep until one has something; False if a signal came."""
-    turn[SECONDS], turn[NANOSECONDS] = left // 1_000_000_000, left % 1_000_000_000
-    return _ppoll(turn[POLLS_AT], turn[POLLS], turn[TIME_AT], 0) >= 0
+    loop[k.SECONDS] = remaining_ns // 1_000_000_000
+    loop[k.NANOSECONDS] = remaining_ns % 1_000_000_000
+    return bool(_ppoll(loop[k.POLLS_AT], loop[k.POLLS], loop[k.TIME_AT], 0) >= 0)
 
 
-@njit(error_model="numpy", forceinline=True)
-def _forward(histogram, polls, turn, net, wire):
-    """Forward until the deadline, or until something is left to the plain path; says which."""
-    ports, heads = net[0], net[1]
-    count = ports.shape[0]
-    turns = np.int64(0)
-    if turn[DUE_COUNT]:
-        while _now_ns(turn) < turn[DUE_AT]:
-            pass
-        for at in range(turn[DUE_COUNT]):
-            _send(at, at + 1, count, heads[count, at, 7], turn, net)
-        turn[DUE_COUNT] = 0
-        return DUE_SENT
+@kernel
+def _send_due(shared: Shared) -> None:
+    """Send the rows after the links' at the time that was asked for."""
+    loop, rows = shared.loop, shared.loop[k.LINK_COUNT]
+    while _now_ns(loop) < loop[k.DUE_AT]:
+        pass
+    for at in range(loop[k.DUE_COUNT]):
+        _send(at, at + 1, rows, shared.heads[rows, at, k.LENGTH], shared)
+    loop[k.DUE_COUNT] = 0
+
+
+@kernel
+def _drain_links(first: int, look: bool, shared: Shared) -> int:
+    """Drain the links from `first` on; the reason to return, -1 for none."""
+    loop, ports, polls = shared.loop, shared.ports, shared.polls
+    reason = -1
+    for link in range(first, loop[k.LINK_COUNT]):
+        if ports[link, k.COMPILED]:
+            ready = loop[k.AT] < loop[k.COUNT] or loop[k.SPIN] != 0 or polls[link] >> 48 != 0
+            while ready:
+                ready = ports[link, k.LONE] != 0
+                if not _drain(link, shared):
+                    return k.HANDED_OVER
+                ready &= ports[link, k.LONE] == 0  # it was a lone one: look for more
+        elif look and polls[link] >> 48 != 0:
+            reason = k.OTHER_READY
+    return reason
+
+
+@kernel
+def _forward(shared: Shared) -> int:
+    """Forward until the deadline, or until something is to be handed over; says which."""
+    loop = shared.loop
+    rounds = i64(0)
+    if loop[k.DUE_COUNT]:
+        _send_due(shared)
+        return k.DUE_SENT
     while True:
-        if turn[KEEP] and max(turn[RECEIVED_AT], turn[SENT_AT]) > LOG_SIZE - LOG_MARGIN:
-            return LOG_FULL
-        left = turn[DEADLINE] - _now_ns(turn)
-        if left <= 0:
-            return TIME_IS_UP
-        link = turn[LINK]
-        other_ready = False
-        look = turn[SPIN] == 0 or turns & LOOK_EVERY == 0
-        turns += 1
-        if turn[AT] >= turn[COUNT]:
-            link = np.int64(0)
+        if loop[k.KEEP] and max(loop[k.RECEIVED_AT], loop[k.SENT_AT]) > k.LOG_SIZE - k.LOG_MARGIN:
+            return k.LOG_FULL
+        remaining_ns = loop[k.DEADLINE] - _now_ns(loop)
+        if remaining_ns <= 0:
+            return k.TIME_IS_UP
+        first = loop[k.LINK]
+        reason = -1
+        look = loop[k.SPIN] == 0 or rounds & LOOK_EVERY == 0
+        rounds += 1
+        if loop[k.AT] >= loop[k.COUNT]:
+            first = i64(0)
             if look:
                 # A processor takes its time to wake: before a due frame sleep less, then stay up.
-                early = EARLY_NS if turn[PRECISE] else 0
-                if not _wait(0 if turn[SPIN] else max(left - early, 0), turn):
-                    return TIME_IS_UP
-                for k in range(count, turn[POLLS]):
-                    other_ready |= polls[k] >> 48 != 0
-        while link < count:
-            if ports[link, FAST]:
-                ready = turn[AT] < turn[COUNT] or turn[SPIN] != 0 or polls[link] >> 48 != 0
-                while ready:
-                    ready = ports[link, LONE] != 0
-                    if not _drain(link, histogram, turn, net, wire):
-                        return NOT_PLAIN
-                    ready &= ports[link, LONE] == 0  # it was a lone one: look for more
-            elif look and polls[link] >> 48 != 0:
-                other_ready = True
-            link += 1
-        if other_ready:
-            return OTHER_READY
+                early = EARLY_NS if loop[k.PRECISE] else 0
+                if not _wait(0 if loop[k.SPIN] else max(remaining_ns - early, 0), loop):
+                    return k.TIME_IS_UP
+                for n in range(loop[k.LINK_COUNT], loop[k.POLLS]):
+                    if shared.polls[n] >> 48 != 0:
+                        reason = k.OTHER_READY
+        drained = _drain_links(first, look, shared)
+        if drained >= 0:
+            reason = drained
+        if reason >= 0:
+            return reason
 
 
-def forward(
-    histogram, polls, turn, ports, heads, headers, parts, names, peers, heard, data, memory, table,
-    plans, received, sent, index, numbers, hits, steps, crc, result, pieces, draws,
-):  # fmt: skip
-    """`_forward` on arrays given by their addresses, in the order of `fast.ARRAYS`."""
-    links = carray(turn, (TURN_SIZE,))[LINK_COUNT]
-    net = (
-        carray(ports, (links, PORT_SIZE)),
-        carray(heads, (links + 1, BATCH, 8)),
-        carray(headers, (links + 1, BATCH, 8)),
-        carray(parts, (links + 1, BATCH, 2)),
-        carray(names, (links, BATCH, NAME)),
-        carray(peers, (links, PEERS, NAME)),
-        carray(heard, (links, PEERS)),
-    )
-    wire = (
-        carray(data, (links * BATCH * ROW,)),
-        carray(memory, (SIZE,)),
-        carray(table, (IDS, 8)),
-        carray(plans, (MOST_PLANS, PLAN_SIZE)),
-        carray(received, (LOG_SIZE,)),
-        carray(sent, (LOG_SIZE,)),
-        carray(index, (LOG_SIZE // 2,)),
-        carray(numbers, (MOST_PLANS, 2)),
-        carray(hits, (MOST_PLANS, 4)),
-        carray(steps, (MOST_PLANS,)),
-        carray(crc, (8, 256)),
-        carray(result, (2,)),
-        carray(pieces, (MOST_PIECES, 4)),
-        carray(draws, (MOST_DRAWN * BLOCK,)),
-    )
+def forward(addresses: Any) -> int:
+    """`_forward` on arrays given by their addresses, in the order of `layout.ORDER`."""
+    u8, f64 = np.uint8, np.float64
+    loop = carray(addresses[ORDER.loop], (k.LOOP_SIZE,), i64)
+    links = loop[k.LINK_COUNT]
+    rows = links + 1
     return _forward(
-        carray(histogram, (links, LATENCY_STEPS)),
-        carray(polls, (carray(turn, (TURN_SIZE,))[POLLS],)),
-        carray(turn, (TURN_SIZE,)),
-        net,
-        wire,
+        Shared(
+            loop,
+            carray(addresses[ORDER.polls], (loop[k.POLLS],), i64),
+            carray(addresses[ORDER.ports], (links, k.PORT_SIZE), i64),
+            carray(addresses[ORDER.heads], (rows, k.BATCH, k.HEADER), i64),
+            carray(addresses[ORDER.headers], (rows, k.BATCH, k.HEADER), i64),
+            carray(addresses[ORDER.parts], (rows, k.BATCH, 2), i64),
+            carray(addresses[ORDER.names], (links, k.BATCH, k.NAME), u8),
+            carray(addresses[ORDER.peers], (links, k.PEERS, k.NAME), u8),
+            carray(addresses[ORDER.heard], (links, k.PEERS), u8),
+            carray(addresses[ORDER.histogram], (links, k.LATENCY_STEPS), i64),
+            carray(addresses[ORDER.data], (rows * k.BATCH * k.ROW,), u8),
+            carray(addresses[ORDER.senders], (cells.SIZE,), i64),
+            carray(addresses[ORDER.table], (k.IDS, k.TABLE_SIZE), i64),
+            carray(addresses[ORDER.crc], (SLICES, 256), np.uint16),
+            carray(addresses[ORDER.times], (k.MOST_FRAMES,), i64),
+            carray(addresses[ORDER.undo], (k.MOST_FRAMES * k.CLOCK_CELLS, 2), i64),
+            carray(addresses[ORDER.received], (k.LOG_SIZE,), u8),
+            carray(addresses[ORDER.sent], (k.LOG_SIZE,), u8),
+            carray(addresses[ORDER.index], (k.LOG_SIZE,), u8),
+            carray(addresses[ORDER.plans], (k.MOST_PLANS, k.PLAN_SIZE), i64),
+            carray(addresses[ORDER.numbers], (k.MOST_PLANS, 2), f64),
+            carray(addresses[ORDER.hits], (k.MOST_PLANS, 4), i64),
+            carray(addresses[ORDER.steps], (k.MOST_PLANS,), f64),
+            carray(addresses[ORDER.segments], (k.MOST_SEGMENTS, 4), f64),
+            carray(addresses[ORDER.draws], (k.MOST_DRAWN * k.BLOCK,), f64),
+            carray(addresses[ORDER.outcome], (2,), f64),
+        )
     )

@@ -89,3 +89,6 @@ class SerialPort:
             self._port[0].close()
             self._port = None
         self._epoll.close()
+
+
+OPENERS = {"serial": SerialPort}

@@ -4,26 +4,26 @@
     tcp:HOST:PORT      TCP client                       tcpin:HOST:PORT    TCP server
     /dev/ttyACM0,57600 serial device and baud rate      serial:///dev/ttyACM0:57600
 
+Any other `scheme:ADDRESS` is for the file of that name in this folder, if there is one.
 `udp:HOST:PORT` and a bare `HOST:PORT` mean what they mean to MAVProxy: listen for a master, send
 for an output. An empty host is 127.0.0.1; to listen on all interfaces say 0.0.0.0.
 """
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Literal
 
+from mavproxy_fault import links
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.link import Link
 
-Kind = Literal["udpin", "udpout", "tcp", "tcpin", "serial"]
-SCHEMES: dict[str, Kind] = {
-    "udpin": "udpin",
-    "udpout": "udpout",
-    "tcp": "tcp",
-    "tcpout": "tcp",
-    "tcpin": "tcpin",
-    "serial": "serial",
-}
+# Scheme to kind of link, and kind to the file of this folder whose OPENERS open it. A further
+# kind is found in the file of its own name.
+SCHEMES = {"udpin": "udpin", "udpout": "udpout", "tcp": "tcp", "tcpout": "tcp", "tcpin": "tcpin"}
+FILES = {"udpin": "udp", "udpout": "udp", "tcpin": "tcp", "serial": "serial_port"}
 ALLOWED = (
     "allowed: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, "
     "DEVICE,BAUD or scheme://"
@@ -35,10 +35,11 @@ DEFAULT_BAUD = 115_200  # pymavlink's
 class LinkSpec:
     """What a connection string says; `host` is the device of a serial link, `port` its baud rate.
 
+    For kinds of link that have a file of their own, `host` is all that follows the scheme.
     `text` is the string as the user wrote it, for messages.
     """
 
-    kind: Kind
+    kind: str
     host: str
     port: int
     text: str
@@ -60,13 +61,15 @@ def parse_spec(text: str, *, plain_udp: Literal["udpin", "udpout"] = "udpin") ->
     if kind is None and re.fullmatch(r"[^:,/]+:\d+", text):
         kind, rest = plain_udp, text
     if kind is None:
+        if scheme and scheme in _openers(scheme):
+            return LinkSpec(scheme, rest, 0, text)
         if text.startswith("/") or re.fullmatch(r"COM\d+(,\d+)?", text):
             return _serial(text, text.replace(",", ":"))
         raise ConfigError(f"{text or repr(text)}: is not a connection string; {ALLOWED}")
     return _socket(kind, text, rest)
 
 
-def _socket(kind: Kind, text: str, rest: str) -> LinkSpec:
+def _socket(kind: str, text: str, rest: str) -> LinkSpec:
     found = re.fullmatch(r"(?:\[(?P<six>[^\]]+)\]|(?P<host>[^:]*)):(?P<port>\d{1,5})", rest)
     if found is None:
         raise ConfigError(f"{text}: has no HOST:PORT after its scheme; {ALLOWED}")
@@ -105,22 +108,14 @@ def open_link(spec: str | LinkSpec, *, plain_udp: Literal["udpin", "udpout"] = "
 
 
 def _open(spec: LinkSpec) -> Link:
-    if spec.kind == "udpin":
-        from mavproxy_fault.links.udp import UdpServer
+    opener = _openers(FILES.get(spec.kind, spec.kind))[spec.kind]
+    return opener(spec.host, spec.port)
 
-        return UdpServer(spec.host, spec.port)
-    if spec.kind == "udpout":
-        from mavproxy_fault.links.udp import UdpClient
 
-        return UdpClient(spec.host, spec.port)
-    if spec.kind == "tcp":
-        from mavproxy_fault.links.tcp import TcpClient
-
-        return TcpClient(spec.host, spec.port)
-    if spec.kind == "tcpin":
-        from mavproxy_fault.links.tcp import TcpServer
-
-        return TcpServer(spec.host, spec.port)
-    from mavproxy_fault.links.serial_port import SerialPort
-
-    return SerialPort(spec.host, spec.port)
+def _openers(file: str) -> dict[str, Callable[[str, int], Link]]:
+    """What opens the kinds of link of one file of this folder; empty where there is no such."""
+    name = f"{links.__name__}.{file}"
+    if find_spec(name) is None:
+        return {}
+    found: dict[str, Callable[[str, int], Link]] = getattr(import_module(name), "OPENERS", {})
+    return found

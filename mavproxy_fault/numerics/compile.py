@@ -16,7 +16,7 @@ config.CACHE_DIR = str(folder())
 config.OPT = type(config.OPT)(1)
 
 # Without the entry points for C, which nobody calls: they take a seventh of the time to compile.
-_OPTIONS = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_OPTIONS = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True, "nogil": True}
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -19,15 +19,8 @@ from mavproxy_fault.proxy.announcements import Announcer
 from mavproxy_fault.proxy.interfaces import Control, Direction, Engine, LinkRole, Send
 from mavproxy_fault.proxy.outgoing import Pieces, source_of, together
 from mavproxy_fault.proxy.routing import LoopGuard, Routes
-from mavproxy_fault.proxy.senders import (
-    GAPS,
-    LEAD,
-    NEXT_SEQ,
-    SENDERS,
-    SPEAKER,
-    UNKNOWN,
-    new_memory,
-)
+from mavproxy_fault.proxy.sender_rules import missing_before
+from mavproxy_fault.proxy.senders import DOUBTED, GAPS, LEAD, SENDERS, SPEAKER, new_senders
 from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.proxy.vehicle_clock import VehicleClock
 from mavproxy_fault.wire.frame import Frame
@@ -53,6 +46,7 @@ class LinkState:
     faulted: int = 0  # frames that were changed, delayed, multiplied or dropped
     gaps: int = 0  # frames missing by their sequence numbers
     loops: int = 0
+    doubted: int = 0  # stamps that leapt and were not followed
     bad_signatures: int = 0
 
 
@@ -79,12 +73,12 @@ class Core:
         self.links = tuple(links)
         self.engine = engine
         self.control = control
-        self.memory = new_memory()
-        self.clock = VehicleClock(self.memory)
+        self.senders = new_senders()
+        self.clock = VehicleClock(self.senders)
         self.states = [LinkState() for _ in links]
         self._signing = signing
         self._tape = tape
-        self._routes = Routes(len(self.links), self.memory)
+        self._routes = Routes(len(self.links), self.senders)
         self._guard = LoopGuard()
         self._announcer = Announcer()
         self._labels: list[Label] = []
@@ -128,7 +122,7 @@ class Core:
             del self._parsers[key]
         if not role.datagrams:
             self._held_since.pop(key, None)
-            if parser.held:
+            if parser.incomplete:
                 self._held_since[key] = now_us
         arrival = Arrival(link, direction or role.direction, now_us)
         return sends + self._process(items, arrival)
@@ -178,7 +172,7 @@ class Core:
 
     def gaps(self) -> dict[tuple[int, int], int]:
         """Frames missing by their sequence numbers, per system and component."""
-        missing = self.memory[GAPS : GAPS + SENDERS]
+        missing = self.senders[GAPS : GAPS + SENDERS]
         return {(n >> 8, n & 0xFF): count for n, count in enumerate(missing) if count}
 
     def take_labels(self) -> "list[Label]":
@@ -215,7 +209,7 @@ class Core:
         if not self._admit(frame, arrival):
             state.loops += 1
             return
-        t_us = self._time(frame, arrival.now_us)
+        t_us = self._time(frame, arrival.now_us, state)
         control = self.control
         if control is not None and frame.id in control.wanted:
             replies = control.consume(frame, t_us)
@@ -260,28 +254,25 @@ class Core:
             from_home = self._routes.home[source] == arrival.link
             if not self._guard.passes(frame.raw, from_home=from_home, now_us=arrival.now_us):
                 return False
-        memory, sender = self.memory, frame.system << 8 | frame.component
-        expected = memory[NEXT_SEQ + sender]
-        if frame.seq != expected and expected != UNKNOWN:
-            missing = (frame.seq - expected) & 0xFF
-            memory[GAPS + sender] += missing
-            self.states[arrival.link].gaps += missing
-        memory[NEXT_SEQ + sender] = (frame.seq + 1) & 0xFF
+        sender = frame.system << 8 | frame.component
+        self.states[arrival.link].gaps += missing_before(self.senders, sender, frame.seq)
         if arrival.direction == "from-vehicle":
-            memory[SPEAKER] = frame.system
+            self.senders[SPEAKER] = frame.system
         return True
 
-    def _time(self, frame: Frame, now_us: int) -> int:
+    def _time(self, frame: Frame, now_us: int, state: LinkState) -> int:
+        doubted = self.senders[DOUBTED]
         t_us = self.clock.read(frame, now_us)
+        state.doubted += self.senders[DOUBTED] - doubted
         if self.clock.t0_us is None:
             self._on_wall_clock = True
         elif self._on_wall_clock:
             # The first stamp ever: the schedule, begun on the wall clock, begins on this one anew.
             self._on_wall_clock = False
             if self.engine is not None:
-                self.memory[LEAD] = now_us - t_us
+                self.senders[LEAD] = now_us - t_us
                 self.engine.restart(t_us)
-        self.memory[LEAD] = now_us - t_us
+        self.senders[LEAD] = now_us - t_us
         return t_us
 
     # What leaves
@@ -317,13 +308,13 @@ class Core:
         if self._tape is not None:
             self._tape.send(when_us, raw)
         if self.control is not None:
-            self.control.sent(raw, when_us - self.memory[LEAD])
+            self.control.sent(raw, when_us - self.senders[LEAD])
 
     def _announce(self, labels: "list[Label]", now_us: int, pieces: Pieces) -> None:
         for label in labels:
             self._labels.append(label)
             self._leave(
-                self._listeners, self._announcer.frame(label, self.memory[SPEAKER]), now_us, pieces
+                self._listeners, self._announcer.frame(label, self.senders[SPEAKER]), now_us, pieces
             )
 
     def _sends(self, pieces: Pieces, when_us: int) -> list[Send]:
@@ -338,14 +329,14 @@ class Core:
 
     def _engine_due_us(self) -> int:
         held_us = None if self.engine is None else self.engine.held_until_us
-        return NEVER_US if held_us is None else held_us + self.memory[LEAD]
+        return NEVER_US if held_us is None else held_us + self.senders[LEAD]
 
     def _release_from_engine(self, when_us: int) -> list[Send]:
         assert self.engine is not None
         pieces: Pieces = []
-        for outgoing in self.engine.due(when_us - self.memory[LEAD]):
+        for outgoing in self.engine.due(when_us - self.senders[LEAD]):
             mask = self._links_of_held(outgoing.frame)
-            self._emit(outgoing, None, mask, self.memory[LEAD], when_us, pieces)
+            self._emit(outgoing, None, mask, self.senders[LEAD], when_us, pieces)
         self._announce(self.engine.take_labels(), when_us, pieces)
         return self._sends(pieces, when_us)
 

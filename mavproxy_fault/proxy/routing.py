@@ -1,8 +1,7 @@
 """Where a frame goes: MAVLink's target rules between any number of links, and a guard on loops.
 
-A frame for everybody goes to all other links. A frame for one component goes where that component
-was heard, else where its system was heard, else to all others: nothing is lost because its
-addressee has not spoken yet [1]_. Sets of links are bit masks.
+A frame for everybody goes to all other links, a frame for one component where that component was
+heard [1]_; `sender_rules.links_towards` holds the rule. Sets of links are bit masks.
 
 References
 ----------
@@ -12,7 +11,8 @@ References
 from array import array
 from functools import cache
 
-from mavproxy_fault.proxy.senders import LINKS, SYSTEM_LINKS, new_memory
+from mavproxy_fault.proxy.sender_rules import addressee, links_towards
+from mavproxy_fault.proxy.senders import LINKS, SYSTEM_LINKS, new_senders
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame
 
@@ -28,47 +28,34 @@ def target_places(name: str) -> tuple[int, int]:
     return (system.offset if system else -1), (component.offset if component else -1)
 
 
-def target(frame: Frame) -> tuple[int, int]:
-    """System and component a frame is for; 0 stands for all."""
-    system_at, component_at = target_places(frame.layout.name)
-    if system_at < 0:
-        return 0, 0
-    start, length = frame.payload_at, frame.length
-    system = frame.raw[start + system_at] if system_at < length else 0
-    component = frame.raw[start + component_at] if 0 <= component_at < length else 0
-    return system, component
-
-
 class Routes:
-    """Who was heard on which links, kept in the memory that the compiled path shares."""
+    """Who was heard on which links, kept in the array of senders that the compiled form shares."""
 
-    def __init__(self, link_count: int, memory: "array[int] | None" = None) -> None:
+    def __init__(self, link_count: int, senders: "array[int] | None" = None) -> None:
         self.everywhere = (1 << link_count) - 1
         self.home: dict[tuple[int, int], int] = {}  # the link each component was first heard on
-        self._memory = new_memory() if memory is None else memory
+        self._senders = new_senders() if senders is None else senders
 
     def learn(self, system: int, component: int, link: int) -> bool:
         """Note a sender; True if it has been heard on other links too."""
         bit = 1 << link
         sender = system << 8 | component
-        seen = self._memory[LINKS + sender]
+        seen = self._senders[LINKS + sender]
         if not seen & bit:
             self.home.setdefault((system, component), link)
             seen |= bit
-            self._memory[LINKS + sender] = seen
-            self._memory[SYSTEM_LINKS + system] |= bit
+            self._senders[LINKS + sender] = seen
+            self._senders[SYSTEM_LINKS + system] |= bit
         return seen != bit
 
     def find(self, frame: Frame, link: int) -> int:
         """The links a frame from `link` goes to."""
-        others = self.everywhere & ~(1 << link)
-        system, component = target(frame)
-        if system == 0:
-            return others
-        exact = self._memory[LINKS + (system << 8 | component)]
-        if exact:
-            return exact & others
-        return self._memory[SYSTEM_LINKS + system] & others or others
+        elsewhere = self.everywhere & ~(1 << link)
+        places = target_places(frame.layout.name)
+        if places[0] < 0:
+            return elsewhere
+        target = addressee(frame.raw, frame.payload_at, frame.length, places)
+        return links_towards(self._senders, target, elsewhere)
 
 
 class LoopGuard:

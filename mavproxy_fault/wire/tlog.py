@@ -14,16 +14,20 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.crc import SLICES, slicing_tables
 from mavproxy_fault.wire.dialect import Layout, known, message_names
 from mavproxy_fault.wire.frame import HEADER_V1, HEADER_V2, SIGNATURE_LENGTH, SIGNED, Frame
 
+if TYPE_CHECKING:  # numba is loaded when a log is read, not before
+    from mavproxy_fault.wire.log_walk import LogFrames, LogMessages
+
 Columns = dict[str, NDArray[np.void]]
-_Frames = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int16]]  # start, stamp, slot
 
 BLOCK_FRAMES = 1 << 17
 ORDERED_FRAMES = 1 << 15  # of `read_ordered`: fewer cost calls, more the processor's cache
@@ -96,15 +100,18 @@ def row_dtype(name: str) -> np.dtype[np.void]:
 
 
 @cache
-def _tables() -> tuple[NDArray[np.int16], NDArray[np.uint64], NDArray[np.int64]]:
-    """Slot by message id; CRC extra and payload length by slot."""
+def _messages() -> "LogMessages":
+    """The dialect as the compiled walk takes it."""
+    from mavproxy_fault.wire.log_walk import LogMessages
+
     layouts = [known(name) for name in message_names()]
     slots = np.full(max(item.id for item in layouts) + 1, -1, np.int16)
     for slot, item in enumerate(layouts):
         slots[item.id] = slot
     extras = np.array([item.crc_extra for item in layouts], np.uint64)
     lengths = np.array([item.length for item in layouts], np.int64)
-    return slots, extras, lengths
+    tables = np.array(slicing_tables(), np.uint16).reshape(SLICES, 256)
+    return LogMessages(slots, extras, lengths, tables)
 
 
 def map_bytes(path: Path) -> NDArray[np.uint8]:
@@ -126,15 +133,14 @@ def map_bytes(path: Path) -> NDArray[np.uint8]:
 
 def _blocks(data: NDArray[np.uint8], frames: int) -> Iterator[_Block]:
     """The frames of a log, so many at a time."""
-    from mavproxy_fault.wire.log_walk import crc_tables, walk
+    from mavproxy_fault.wire.log_walk import walk
 
-    slots, extras, lengths = _tables()
-    tables = crc_tables()
+    messages = _messages()
     runs = np.empty((frames, 2), np.int64)
     start = 0
     while start < len(data):
-        counts = np.zeros(len(lengths), np.int64)
-        found, start, junk = walk(data, start, slots, extras, tables, runs, counts)
+        counts = np.zeros(len(messages.lengths), np.int64)
+        found, start, junk = walk(data, start, messages, runs, counts)
         yield _Block(runs[:found].copy(), counts, junk)
 
 
@@ -148,32 +154,30 @@ def _whole(data: NDArray[np.uint8]) -> _Block:
     )
 
 
-def _unrolled(data: NDArray[np.uint8], block: _Block) -> Iterator[_Frames]:
+def _unrolled(data: NDArray[np.uint8], block: _Block) -> Iterator["LogFrames"]:
     """Start, stamp and slot of every frame, some at a time in arrays that are used again."""
-    from mavproxy_fault.wire.log_walk import first_stamp, unroll
+    from mavproxy_fault.wire.log_walk import LogFrames, first_stamp, unroll
 
-    slots = _tables()[0]
-    at = np.empty(CACHED_FRAMES, np.int64)
-    t_us = np.empty(CACHED_FRAMES, np.int64)
-    slot = np.empty(CACHED_FRAMES, np.int16)
-    state = (0, 0, 0, first_stamp(data, block.runs))
+    at, t_us = np.empty(CACHED_FRAMES, np.int64), np.empty(CACHED_FRAMES, np.int64)
+    frames = LogFrames(at, t_us, np.empty(CACHED_FRAMES, np.int16))
+    resume = (0, 0, 0, first_stamp(data, block.runs))
     filled = CACHED_FRAMES
     while filled == CACHED_FRAMES:
-        filled, state = unroll(data, block.runs, slots, state, at, t_us, slot)
-        yield at[:filled], t_us[:filled], slot[:filled]
+        filled, resume = unroll(data, block.runs, _messages(), resume, frames)
+        yield LogFrames(at[:filled], t_us[:filled], frames.slot[:filled])
 
 
 def _columns(
     data: NDArray[np.uint8],
     counts: NDArray[np.int64],
-    parts: Iterable[_Frames],
+    parts: Iterable["LogFrames"],
     only: Collection[str] | None = None,
 ) -> Columns:
     """The columns of frames, so many of each message, given part by part."""
     from mavproxy_fault.wire.log_walk import HEAD, SLACK, scatter
 
     names = message_names()
-    lengths = _tables()[2]
+    lengths = _messages().lengths
     wanted = counts > 0
     if only is not None:
         wanted &= np.array([name in only for name in names])
@@ -182,8 +186,8 @@ def _columns(
     rows = np.zeros(int(begins[-1]), np.uint8)
     wanted_lengths = np.where(wanted, lengths, -1)
     nexts = begins[:-1].copy()
-    for at, t_us, slot in parts:
-        scatter(data, at, t_us, slot, wanted_lengths, nexts, rows)
+    for frames in parts:
+        scatter(data, frames, wanted_lengths, nexts, rows)
     columns = {}
     for slot_ in np.flatnonzero(wanted):
         dtype = row_dtype(names[slot_])
@@ -193,7 +197,7 @@ def _columns(
     return columns
 
 
-def _frames(data: NDArray[np.uint8], some: _Frames) -> NDArray[np.void]:
+def _frames(data: NDArray[np.uint8], some: "LogFrames") -> NDArray[np.void]:
     at, t_us, slot = some
     second = data[at] == 0xFD
     frames = np.empty(len(at), FRAMES)
@@ -260,9 +264,12 @@ def read_ordered(
     data = map_bytes(Path(path))
     slots = {name: slot for slot, name in enumerate(message_names())}
     for block in _blocks(data, frames):
-        parts = [(at.copy(), t_us.copy(), slot.copy()) for at, t_us, slot in _unrolled(data, block)]
+        parts = [
+            type(some)(some.at.copy(), some.t_us.copy(), some.slot.copy())
+            for some in _unrolled(data, block)
+        ]
         columns = _columns(data, block.counts, parts, only)
-        slot = np.concatenate([slot for _, _, slot in parts])
+        slot = np.concatenate([frames.slot for frames in parts])
         yield columns, {name: np.flatnonzero(slot == slots[name]) for name in columns}
 
 

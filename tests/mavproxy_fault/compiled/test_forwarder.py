@@ -118,7 +118,7 @@ def run(
         core = Core(roles(links), Engine(parse_schedule(schedule)), tape=kept)
         server = Server(links, core, tape=kept, busy_poll=spin)
         if fast:
-            server.use_fast()
+            server.use_compiled()
         loop = threading.Thread(target=server.run)
         loop.start()
         got = []

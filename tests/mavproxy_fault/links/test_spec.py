@@ -1,3 +1,7 @@
+import sys
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
@@ -58,3 +62,15 @@ def test_an_address_in_use_is_the_users_error() -> None:
             open_link(first.name)
     finally:
         first.close()
+
+
+def test_a_further_kind_of_link_is_found_in_the_file_of_its_name(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    opened = []
+    file = ModuleType("mavproxy_fault.links.carrier")
+    file.__spec__ = ModuleSpec(file.__name__, None)
+    file.OPENERS = {"carrier": lambda address, _: opened.append(address)}  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, file.__name__, file)
+    open_link("carrier:pigeon/7")
+    assert opened == ["pigeon/7"]

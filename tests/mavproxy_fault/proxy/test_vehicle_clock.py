@@ -55,3 +55,29 @@ def test_time_goes_on_after_a_reboot() -> None:
     clock.read(frame("ATTITUDE", time_boot_ms=60_000), 0)
     assert clock.read(frame("ATTITUDE", time_boot_ms=1_000), 0) == 60_000_000
     assert clock.read(frame("ATTITUDE", time_boot_ms=3_000), 0) == 62_000_000
+
+
+def test_one_wrong_stamp_moves_nothing() -> None:
+    for wrong_ms in (80_001, 120_000, 4_000_000_000, 1_000):
+        clock = VehicleClock()
+        clock.read(frame("ATTITUDE", time_boot_ms=60_000), 0)
+        assert clock.read(frame("ATTITUDE", time_boot_ms=wrong_ms), 10_000) == 60_000_000
+        assert clock.read(frame("ATTITUDE", time_boot_ms=60_020), 20_000) == 60_020_000
+        assert clock.read(frame("ATTITUDE", time_boot_ms=wrong_ms), 30_000) == 60_020_000
+
+
+def test_a_leap_that_a_second_stamp_or_the_wall_clock_bears_out_is_followed() -> None:
+    clock = VehicleClock()
+    clock.read(frame("ATTITUDE", time_boot_ms=60_000), 0)
+    assert clock.read(frame("ATTITUDE", time_boot_ms=90_000), 10_000) == 60_000_000
+    assert clock.read(frame("ATTITUDE", time_boot_ms=90_010), 20_000) == 90_010_000
+    after_a_break_us = 25_000_000
+    assert clock.read(frame("ATTITUDE", time_boot_ms=120_000), after_a_break_us) == 120_000_000
+
+
+def test_a_stamp_that_no_clock_can_show_is_read_as_none() -> None:
+    for stamp in (1 << 53, (1 << 63) - 1, 1 << 63, (1 << 64) - 1):
+        clock = VehicleClock()
+        assert clock.read(frame("HIL_SENSOR", time_usec=stamp), 55) == 55
+        clock.read(frame("HIL_SENSOR", time_usec=1_000), 60)
+        assert clock.read(frame("HIL_SENSOR", time_usec=stamp), 65) == 1_000

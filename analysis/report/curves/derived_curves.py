@@ -1,0 +1,160 @@
+"""Curves that follow from others: steps of a track, distances and angles to the truth."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from analysis.report.curves.fused_curves import fused_errors
+from analysis.report.recordings.recording import Event, Recording, Signal, Track, Vector
+
+EARTH_RADIUS_M = 6_371_000.0
+OWN_ATTITUDE = ("ATTITUDE", "ATTITUDE_QUATERNION")
+LONG_STEP_S = 3.0  # fixes further apart than this say nothing about a jump
+BALANCE_S = 1.0
+ACCEPTED_M = 5.0  # an estimate that moves so far between two samples was reset
+
+
+def with_derived(recording: Recording) -> Recording:
+    """A recording and the signals and events computed from its own."""
+    signals, events = derived(recording)
+    return replace(
+        recording,
+        signals=recording.signals + signals,
+        events=sorted(recording.events + events, key=lambda event: event.t_s),
+    )
+
+
+def derived(recording: Recording) -> tuple[list[Signal], list[Event]]:
+    """Signals and events computed from a recording's own."""
+    signals, events = [], []
+    for track in recording.tracks:
+        if track.name.startswith("truth") or len(track.t_s) < 3:
+            continue
+        step = step_beyond_speed(track, _speed_of(recording, track))
+        is_gps = "GPS" in track.name or "GNSS" in track.name
+        panel = "gps-jump" if is_gps else "estimate-jump"
+        signals.append(Signal(panel, track.name, track.t_s[1:], step))
+        if not is_gps:
+            events.extend(_resets(track, step))
+    signals.extend(_position_errors(recording))
+    signals.extend(fused_errors(recording))
+    signals.extend(_attitude_errors(recording))
+    signals.extend(_divergence(recording))
+    signals.extend(_balance(recording))
+    return signals, events
+
+
+def step_beyond_speed(track: Track, speed_mps: Signal | None) -> Vector:
+    """How much further each step of a track is than its speed explains, m; shape (n - 1,)."""
+    north = np.radians(np.diff(track.lat_deg)) * EARTH_RADIUS_M
+    east = np.radians(np.diff(track.lon_deg)) * EARTH_RADIUS_M
+    east *= np.cos(np.radians(track.lat_deg[1:]))
+    length = np.hypot(north, east)
+    dt = np.diff(track.t_s)
+    flown = np.zeros_like(length)
+    if speed_mps is not None:
+        good = np.isfinite(speed_mps.value)
+        if good.any():
+            at = np.interp(track.t_s, speed_mps.t_s[good], speed_mps.value[good])
+            flown = np.maximum(at[1:], at[:-1]) * dt
+    beyond: Vector = np.maximum(length - flown, 0.0)
+    beyond[dt > LONG_STEP_S] = np.nan
+    return beyond
+
+
+def _speed_of(recording: Recording, track: Track) -> Signal | None:
+    speeds = {signal.name: signal for signal in recording.of("speed")}
+    return speeds.get(track.name) or speeds.get("ground")
+
+
+def _resets(track: Track, step: Vector) -> list[Event]:
+    far = np.flatnonzero(np.nan_to_num(step) > ACCEPTED_M)
+    return [
+        Event(
+            float(track.t_s[i + 1]),
+            "reset",
+            f"position {track.name} moves {step[i]:.0f} m at once",
+            4,
+        )
+        for i in far.tolist()
+    ]
+
+
+def _position_errors(recording: Recording) -> list[Signal]:
+    truth = next((track for track in recording.tracks if track.name == "truth"), None)
+    if truth is None:
+        return []
+    found = []
+    for track in recording.tracks:
+        if track is truth:
+            continue
+        inside = (track.t_s >= truth.t_s[0]) & (track.t_s <= truth.t_s[-1])
+        if inside.sum() < 2:
+            continue
+        t_s = track.t_s[inside]
+        north = track.lat_deg[inside] - np.interp(t_s, truth.t_s, truth.lat_deg)
+        east = track.lon_deg[inside] - np.interp(t_s, truth.t_s, truth.lon_deg)
+        east = east * np.cos(np.radians(track.lat_deg[inside]))
+        error = np.radians(np.hypot(north, east)) * EARTH_RADIUS_M
+        found.append(Signal("position-error", track.name, t_s, error))
+    return found
+
+
+def _attitude_errors(recording: Recording) -> list[Signal]:
+    """The autopilot's estimate minus the truth, and minus what its controller asked for."""
+    found = []
+    for part in ("roll", "pitch", "yaw"):
+        curves = {signal.name: signal for signal in recording.of(part)}
+        own = next((curves[name] for name in OWN_ATTITUDE if name in curves), None)
+        if own is None:
+            continue
+        if "truth" in curves:
+            found.append(_difference(f"error-{part}", "autopilot", own, curves["truth"]))
+        if "desired" in curves and part != "yaw":
+            found.append(_difference("control-error", part, own, curves["desired"]))
+    found = [signal for signal in found if len(signal.t_s) > 1]
+    control = [signal for signal in found if signal.panel == "control-error"]
+    if len(control) == 2:
+        roll, pitch = control
+        there = np.interp(roll.t_s, pitch.t_s, pitch.value)
+        found.append(Signal("control-error", "tilt", roll.t_s, np.hypot(roll.value, there)))
+    return found
+
+
+def _difference(panel: str, name: str, own: Signal, other: Signal) -> Signal:
+    """One angle minus another where both are known, degrees wrapped to (-180, 180]."""
+    inside = (own.t_s >= other.t_s[0]) & (own.t_s <= other.t_s[-1])
+    t_s = own.t_s[inside]
+    there = np.interp(t_s, other.t_s, np.unwrap(other.value, period=360))
+    return Signal(panel, name, t_s, 180 - (180 - (own.value[inside] - there)) % 360)
+
+
+def _divergence(recording: Recording) -> list[Signal]:
+    """How far each further instance of the estimator leans from the first, degrees."""
+    angles = [recording.of(f"instance-{part}") for part in ("roll", "pitch")]
+    found = []
+    for roll, pitch in list(zip(*angles, strict=False))[1:]:
+        apart = []
+        for first, further in zip((angles[0][0], angles[1][0]), (roll, pitch), strict=True):
+            there = np.interp(further.t_s, first.t_s, first.value)
+            apart.append(further.value - there)
+        found.append(Signal("divergence", roll.name, roll.t_s, np.hypot(*apart)))
+    return found
+
+
+def _balance(recording: Recording) -> list[Signal]:
+    """Each motor's output less the mean of all, smoothed: a motor that is weak works more."""
+    motors = [signal for signal in recording.of("actuators") if signal.name.startswith("motor")]
+    if len(motors) < 3 or any(len(s.t_s) != len(motors[0].t_s) for s in motors):
+        return []
+    outputs = np.stack([signal.value for signal in motors])
+    t_s = motors[0].t_s
+    samples = max(1, round(BALANCE_S * len(t_s) / max(float(np.ptp(t_s)), 1e-6)))
+    if len(t_s) < 2 * samples:
+        return []
+    window = np.full(samples, 1 / samples)
+    off = np.nan_to_num(outputs - outputs.mean(axis=0))
+    smooth = [np.convolve(row, window, "same") for row in off]
+    return [
+        Signal("balance", motor.name, t_s, row) for motor, row in zip(motors, smooth, strict=True)
+    ]

@@ -1,0 +1,143 @@
+"""Whole flights from Python: one `mavproxy-fault run`, and what it left in its folder."""
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections import defaultdict
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from mavproxy_fault.app.recorder import LABELS, RECEIVED, SENT
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.wire.label import Label, read_labels
+from mavproxy_fault.wire.tlog import Columns, read_columns
+
+WRONG_INPUT = 2  # exit code of the command
+Table = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A flight that is over: the files of its folder, read when they are asked for.
+
+    `report` is the page to look at when a test fails.
+    """
+
+    folder: Path
+
+    @property
+    def report(self) -> Path:
+        """The self-contained HTML page."""
+        return self.folder / "report.html"
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """`summary.json`: the verdict, the faults and the scores."""
+        found: dict[str, Any] = json.loads((self.folder / "summary.json").read_text())
+        return found
+
+    @property
+    def verdict(self) -> str:
+        """PASS, FAIL or NO VERDICT."""
+        return str(self.summary["verdict"])
+
+    @cached_property
+    def labels(self) -> list[Label]:
+        """What every fault really did."""
+        return read_labels(self.folder / LABELS)
+
+    @cached_property
+    def results(self) -> dict[str, Table]:
+        """The monitor's results by type: the column of each key, one entry a result.
+
+        Numbers are float arrays (NaN where there is none); what is no number is an object array.
+        """
+        rows: dict[str, list[dict[str, Any]]] = defaultdict(list)
+        for line in (self.folder / "results.jsonl").read_text().splitlines():
+            row = json.loads(line)
+            rows[row.pop("type")].append(row)
+        return {kind: table_of(found) for kind, found in rows.items()}
+
+    @cached_property
+    def columns(self) -> Columns:
+        """Every message as it left the proxy: a structured array by name."""
+        return read_columns(self.folder / SENT)
+
+    @cached_property
+    def received_columns(self) -> Columns:
+        """Every message before the faults."""
+        return read_columns(self.folder / RECEIVED)
+
+
+def run(
+    scenario: str | Path | dict[str, Any] | None = None,
+    *,
+    schedule: str | Path | dict[str, Any] | None = None,
+    seed: int | None = None,
+    out: str | Path | None = None,
+) -> Run:
+    """Fly a scenario through proxy and monitor as fast as it goes.
+
+    The flight is a process of its own, so that it may be asked for from any thread, and its
+    workers never import the caller's module.
+
+    Parameters
+    ----------
+    scenario, schedule : str, Path, dict or None
+        Files, or what stands in them; without a scenario the demo, without a schedule its own.
+    seed : int, optional
+        Instead of the scenario's.
+    out : str or Path, optional
+        The run folder; by default a new one in the system's folder for temporary files.
+
+    Raises
+    ------
+    ConfigError
+        If the scenario or the schedule is wrong.
+    RuntimeError
+        If the flight ended without a result.
+    """
+    folder = Path(out) if out is not None else Path(tempfile.mkdtemp(prefix="mavproxy-fault-"))
+    folder.mkdir(parents=True, exist_ok=True)
+    words = [] if scenario is None else [file_of(scenario, folder / "scenario.yaml")]
+    if schedule is not None:
+        words += ["--schedule", file_of(schedule, folder / "schedule.yaml")]
+    if seed is not None:
+        words += ["--seed", str(seed)]
+    command = [sys.executable, "-m", "mavproxy_fault.cli", "run", *words]
+    command += ["--out", str(folder), "--zenoh", "off", "--speed", "max"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode == WRONG_INPUT:
+        raise ConfigError(done.stderr.strip().removeprefix("mavproxy-fault: "))
+    if not (folder / "summary.json").exists():
+        raise RuntimeError(f"the flight in {folder} ended without a result:\n{done.stderr}")
+    return Run(folder)
+
+
+def file_of(given: str | Path | dict[str, Any], path: Path) -> str:
+    """The name of a file with this content, written to `path` where it is a dictionary."""
+    if not isinstance(given, dict):
+        return str(given)
+    path.write_text(yaml.safe_dump(given, sort_keys=False))
+    return str(path)
+
+
+def table_of(rows: list[dict[str, Any]]) -> Table:
+    """Columns by key of rows that have the same keys."""
+    return {key: column_of([row[key] for row in rows]) for key in rows[0]}
+
+
+def column_of(values: list[Any]) -> NDArray[Any]:
+    """One column: of floats if all are numbers or missing, else of objects."""
+    if all(value is None or type(value) in (int, float) for value in values):
+        return np.array([np.nan if value is None else value for value in values], float)
+    column = np.empty(len(values), dtype=object)
+    column[:] = values
+    return column

@@ -1,0 +1,108 @@
+"""A proxy in this process: its loop runs in a thread of its own."""
+
+import contextlib
+import socket
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from mavproxy_fault.api.observed import Observed
+from mavproxy_fault.app.proxy_command import open_links, roles
+from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.app.server import Server
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.live.control import Control
+from mavproxy_fault.live.journal import Journal
+from mavproxy_fault.live.session import Live
+from mavproxy_fault.proxy.core import Core
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.schedule.entries import Schedule
+
+ENDS_S = 10.0
+
+
+class LocalProxy:
+    """Serves its links until it is closed.
+
+    Parameters
+    ----------
+    master, outs : str and sequence of str
+        Connection strings of the vehicle and of the others.
+    schedule : Schedule
+        Faults that act by themselves.
+    logdir : Path or None
+        Where the tlogs and labels go.
+    zenoh : str
+        `off`, `auto` or an address, as of `mavproxy-fault proxy`.
+    """
+
+    def __init__(
+        self,
+        master: str,
+        outs: Sequence[str],
+        schedule: Schedule,
+        logdir: Path | None = None,
+        zenoh: str = "off",
+    ) -> None:
+        self.observed = Observed()
+        self._links = open_links(master, outs)
+        self.addresses = [link.name for link in self._links]
+        engine, tape = Engine(schedule), Tape() if logdir else None
+        core = Core(roles(self._links), engine, tape=tape)
+        named = [{"name": role.name, "direction": role.direction} for role in core.links]
+        session = {"seed": schedule.seed, "schedule": engine.save(), "inject": True, "links": named}
+        recorder = Recorder(logdir, session) if logdir else None
+        self._server = Server(self._links, core, tape=tape, recorder=recorder)
+        journal = Journal(core, tape)
+        control = Control(engine, folders=None if zenoh == "off" else ())  # None: any file
+        self._live = Live(control, self._server.edit_time, journal, self.observed)
+        self._live.open_bus(zenoh)
+        self._server.prepare()
+        self._server.join(self._live)
+        self._failure: BaseException | None = None
+        self._wake, self._woken = socket.socketpair()
+        self._thread = threading.Thread(target=self._run, name="mavproxy-fault", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            self._server.run(self._woken)
+        except Exception as error:  # told to whoever asks next, in their own thread
+            self._failure = error
+
+    def ask(self, what: str, payload: bytes = b"") -> Any:
+        """The answer to a request for `@ctl/<what>`.
+
+        Raises
+        ------
+        ConfigError
+            If the request is refused.
+        """
+        self._check()
+        return self._live.ask(f"@ctl/{what}", payload)
+
+    def refresh(self) -> None:
+        """Bring labels up to this moment."""
+        self._check()
+        self._live.do(self._server.record)
+
+    def _check(self) -> None:
+        if self._failure is not None:
+            raise RuntimeError("the proxy's loop has failed") from self._failure
+        if not self._thread.is_alive():
+            raise ConfigError("the proxy is closed; ask while its `with` block runs")
+
+    def close(self) -> None:
+        """End the loop, the recording and the links."""
+        self._server.stop()
+        with contextlib.suppress(OSError):
+            self._wake.send(b"!")
+        self._thread.join(ENDS_S)
+        for link in self._links:
+            link.close()
+        self._wake.close()
+        self._woken.close()
+        if self._failure is not None:
+            raise RuntimeError("the proxy's loop has failed") from self._failure

@@ -1,0 +1,48 @@
+"""A proxy of another process, reached over the bus."""
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from mavproxy_fault.api.observed import Observed
+from mavproxy_fault.links.bus import open_bus
+from mavproxy_fault.live.watching import Watched
+from mavproxy_fault.wire.label import Label
+
+
+class RemoteProxy:
+    """A client of a running proxy; closing it leaves the proxy as it is."""
+
+    def __init__(self, zenoh: str | None, run: str) -> None:
+        self.observed = Observed()
+        self.addresses: list[str] = []
+        self._bus = open_bus(zenoh, run=run)
+        self._bus.subscribe("proxy/watched", _decoded(list[Watched], self.observed.add_samples))
+        self._bus.subscribe(
+            "proxy/labels", _decoded(Label, lambda label: self.observed.add_labels([label]))
+        )
+
+    def ask(self, what: str, payload: bytes = b"") -> Any:
+        """The answer to a request for `@ctl/<what>`.
+
+        Raises
+        ------
+        ConfigError
+            If the request is refused, or nobody answers.
+        """
+        return json.loads(self._bus.ask(f"@ctl/{what}", payload)[0])
+
+    def refresh(self) -> None:
+        """Nothing to do: the proxy publishes its labels once a second."""
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._bus.close()
+
+
+def _decoded(kind: Any, take: Callable[[Any], None]) -> Callable[[str, bytes], None]:
+    """A subscriber that decodes JSON of a type."""
+    decoder = msgspec.json.Decoder(kind)
+    return lambda key, payload: take(decoder.decode(payload))

@@ -1,0 +1,37 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mavproxy_fault
+
+SHORT = {
+    "name": "short",
+    "duration_s": 8,
+    "start": {"lat_deg": 47.4, "lon_deg": 8.5, "alt_m": 488.0, "height_m": 100.0},
+    "mission": [{"shape": "eight", "size_m": 800, "height_m": 100, "speed_mps": 25}],
+    "schedule": {"faults": []},
+}
+
+
+def test_a_run_gives_labels_results_and_columns_as_arrays(tmp_path: Path) -> None:
+    step = {"id": "step", "fault": "bias", "target": "HIL_SENSOR.xgyro", "value": 0.3, "at_s": 3}
+    run = mavproxy_fault.run(
+        SHORT, schedule={"faults": [{**step, "for_s": 2}]}, seed=4, out=tmp_path / "flight"
+    )
+    (label,) = run.labels
+    assert (label.id, label.frames) == ("step", 500)
+    sent, received = run.columns["HIL_SENSOR"], run.received_columns["HIL_SENSOR"]
+    change = sent["xgyro"] - received["xgyro"]
+    assert np.count_nonzero(change) == 500
+    assert change.max() == pytest.approx(0.3, abs=1e-6)
+    errors = run.results["AttitudeError"]
+    assert errors["angle"].dtype == float
+    assert len(errors["angle"]) == len(errors["t_s"]) > 50
+    assert run.summary["sim_s"] == pytest.approx(8, abs=0.1)
+    assert run.report.is_file()
+
+
+def test_a_wrong_scenario_is_told() -> None:
+    with pytest.raises(mavproxy_fault.ConfigError, match="mision"):
+        mavproxy_fault.run({**SHORT, "mision": []})

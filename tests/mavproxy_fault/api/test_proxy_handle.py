@@ -1,0 +1,163 @@
+import asyncio
+import contextlib
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+import mavproxy_fault
+from mavproxy_fault.links.bus import with_port
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.parser import Parser
+from mavproxy_fault.wire.tlog import read_columns
+
+ANY = "udpin:127.0.0.1:0"
+GPS = known("GPS_RAW_INT")
+
+
+class Ends:
+    """A vehicle that sends GPS_RAW_INT to a proxy, and the station that hears what left."""
+
+    def __init__(self, vehicle: socket.socket, station: socket.socket) -> None:
+        self.vehicle, self.station = vehicle, station
+        self.count = 0
+
+    def fix_type(self, sent: int = 3) -> int:
+        """Send one more frame; the fix type that came out."""
+        self.count += 1
+        values = {"time_usec": 1_000_000 + self.count * 20_000, "fix_type": sent}
+        self.vehicle.send(build(GPS, values, seq=self.count & 255))
+        while True:
+            for item in Parser().push(self.station.recv(999), datagram=True):
+                if isinstance(item, Frame) and item.id == GPS.id:
+                    return int(item.number("fix_type"))
+
+    def while_sending(self, call, *arguments):
+        """The outcome of a call during which the vehicle goes on sending."""
+        with ThreadPoolExecutor(1) as pool:
+            outcome = pool.submit(call, *arguments)
+            while not outcome.done():
+                self.fix_type()
+            return outcome.result()
+
+
+@contextlib.contextmanager
+def ends(addresses: list[str]) -> Iterator[Ends]:
+    with contextlib.ExitStack() as stack:
+        socks = []
+        for address in addresses:
+            sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            stack.enter_context(contextlib.closing(sock))
+            sock.settimeout(10)
+            sock.connect(("127.0.0.1", int(address.rsplit(":", 1)[1])))
+            socks.append(sock)
+        vehicle, station = socks
+        heartbeat = build(known("HEARTBEAT"), {"type": 6}, system=255)
+        vehicle.send(build(known("HEARTBEAT"), {"type": 2}))
+        station.send(heartbeat)
+        assert vehicle.recv(999) == heartbeat
+        yield Ends(vehicle, station)
+
+
+def test_a_fault_acts_as_long_as_its_block_and_is_labelled() -> None:
+    with mavproxy_fault.Proxy(ANY, ANY) as proxy, ends(proxy.addresses) as both:
+        assert both.fix_type() == 3
+        with proxy.fault("constant", target="GPS_RAW_INT.fix_type", value=1, id="no-fix") as fault:
+            assert fault.id == "no-fix"
+            assert both.fix_type() == 1
+            fault.update(2)
+            assert both.fix_type() == 2
+        assert both.fix_type() == 3
+        (label,) = proxy.labels
+    assert (label.id, label.frames, label.magnitude) == ("no-fix", 2, 2)
+    assert label.end_us is not None
+
+
+def test_a_fault_that_was_cleared_already_may_be_left() -> None:
+    with mavproxy_fault.Proxy(ANY, ANY) as proxy, ends(proxy.addresses) as both:
+        both.fix_type()
+        with proxy.fault("constant", target="GPS_RAW_INT.fix_type", value=1):
+            proxy.clear()
+            assert both.fix_type() == 3
+
+
+def test_a_wait_ends_when_what_left_the_proxy_meets_it() -> None:
+    with mavproxy_fault.Proxy(ANY, ANY) as proxy, ends(proxy.addresses) as both:
+        both.while_sending(proxy.wait_for, "GPS_RAW_INT.fix_type == 3")
+        with proxy.fault("constant", target="GPS_RAW_INT.fix_type", value=1):
+            both.while_sending(proxy.wait_for, "GPS_RAW_INT.fix_type < 3")
+            with pytest.raises(TimeoutError, match="fix_type == 3"):
+                both.while_sending(proxy.wait_for, "GPS_RAW_INT.fix_type == 3", 0.2)
+
+
+def test_what_is_wrong_is_told_as_on_the_command_line() -> None:
+    with mavproxy_fault.Proxy(ANY, ANY) as proxy:
+        with pytest.raises(mavproxy_fault.ConfigError, match="nonsense is neither fault"):
+            proxy.fault("nonsense")
+        with pytest.raises(mavproxy_fault.ConfigError, match="fix_typ"):
+            proxy.wait_for("GPS_RAW_INT.fix_typ < 3")
+    with pytest.raises(mavproxy_fault.ConfigError, match="is closed"):
+        proxy.fault("drop", target="GPS_RAW_INT")
+    with pytest.raises(mavproxy_fault.ConfigError, match="connection string"):
+        mavproxy_fault.Proxy("nowhere", ANY)
+
+
+def test_a_schedule_given_as_a_dictionary_acts_and_the_recording_is_whole(tmp_path: Path) -> None:
+    bias = {"fault": "bias", "target": "GPS_RAW_INT.fix_type", "value": 2, "at_s": 0.05}
+    schedule = {"seed": 1, "faults": [bias]}
+    with (
+        mavproxy_fault.Proxy(ANY, ANY, schedule=schedule, logdir=tmp_path) as proxy,
+        ends(proxy.addresses) as both,
+    ):
+        seen = [both.fix_type() for _ in range(6)]
+    assert seen == [3, 3, 3, 5, 5, 5]
+    assert read_columns(tmp_path / "sent.tlog")["GPS_RAW_INT"]["fix_type"].tolist() == seen
+
+
+def test_the_same_with_asyncio() -> None:
+    async def script() -> list[object]:
+        async with mavproxy_fault.AsyncProxy(ANY, ANY) as proxy:
+            with ends(proxy.addresses) as both:
+                both.fix_type()
+                fault = await proxy.fault("constant", target="GPS_RAW_INT.fix_type", value=1)
+                async with fault:
+                    waiting = asyncio.create_task(proxy.wait_for("GPS_RAW_INT.fix_type < 3"))
+                    while not waiting.done():
+                        await asyncio.to_thread(both.fix_type)
+                    await waiting
+                return [both.fix_type(), len(await proxy.labels())]
+
+    assert asyncio.run(script()) == [3, 1]
+
+
+def test_a_proxy_of_another_owner_can_be_joined() -> None:
+    url = with_port("tcp/127.0.0.1:0")
+    with (
+        mavproxy_fault.Proxy(ANY, ANY, zenoh=url) as owner,
+        ends(owner.addresses) as both,
+        mavproxy_fault.Proxy.attach(url) as guest,
+    ):
+        both.fix_type()
+        with guest.fault("constant", target="GPS_RAW_INT.fix_type", value=1):
+            assert both.fix_type() == 1
+            both.while_sending(guest.wait_for, "GPS_RAW_INT.fix_type == 1")
+        assert both.fix_type() == 3
+        assert owner.labels[0].frames >= 2
+
+
+def test_nobody_to_join_is_told() -> None:
+    with pytest.raises(mavproxy_fault.ConfigError, match="no router"):
+        mavproxy_fault.Proxy.attach(with_port("tcp/127.0.0.1:0"))
+
+
+def test_to_import_the_package_loads_nothing_heavy() -> None:
+    code = "import mavproxy_fault, sys; print('numpy' in sys.modules, 'msgspec' in sys.modules)"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.split() == ["False", "False"]
+    with pytest.raises(AttributeError, match="nothing"):
+        _ = mavproxy_fault.nothing  # type: ignore[attr-defined]

@@ -1,0 +1,34 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mavproxy_fault.compiled import object_file
+from mavproxy_fault.compiled.object_file import PACKAGE, load, make, sources
+
+
+def test_machine_code_that_is_made_later_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make()
+    there = object_file.object_path()
+    path = tmp_path / "forward.o"
+    monkeypatch.setattr(object_file, "object_path", lambda: path)
+    assert load() is None
+    path.write_bytes(there.read_bytes())
+    assert load() is not None
+
+
+def test_every_file_that_is_compiled_in_is_among_the_sources() -> None:
+    script = (
+        "import sys, mavproxy_fault.compiled.sockets\n"
+        "for module in list(sys.modules.values()):\n"
+        "    print(getattr(module, '__file__', None))\n"
+    )
+    told = subprocess.run([sys.executable, "-c", script], capture_output=True, check=True)
+    files = {Path(line) for line in told.stdout.decode().splitlines()}
+    ours = {str(file.relative_to(PACKAGE)) for file in files if file.is_relative_to(PACKAGE)}
+    compiled_in = {name for name in ours if not name.endswith("__init__.py")}
+    assert "proxy/sender_rules.py" in compiled_in
+    assert compiled_in <= set(sources())

@@ -1,0 +1,47 @@
+"""The drawing of the rooms, and what the house rules say of files, against the sources."""
+
+import runpy
+from collections import Counter
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("mavproxy_fault", "simvehicle", "analysis")
+SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+ONE_CONCEPT = {"__init__.py", "commands.py"}  # names that may stand in every package
+MANY_OF_A_KIND = {ROOT / "mavproxy_fault" / "faults"}
+MOST_FILES, MOST_IN_A_ROOT = 16, 5
+
+
+def test_the_drawing_shows_the_rooms_as_they_are() -> None:
+    drawing = runpy.run_path(str(ROOT / "docs" / "draw_architecture.py"))
+    shown = (ROOT / "docs" / "architecture.svg").read_text(encoding="utf-8")
+    assert drawing["picture"]() == shown, "run python docs/draw_architecture.py"
+
+
+def test_every_room_is_in_a_layer_and_says_what_it_is() -> None:
+    drawing = runpy.run_path(str(ROOT / "docs" / "draw_architecture.py"))
+    placed = {
+        (package, room)
+        for package, rooms in drawing["layers"]().items()
+        for layer in rooms
+        for room in layer
+    }
+    folders = {
+        (package, path.parent.name)
+        for package in PACKAGES
+        for path in (ROOT / package).glob("*/__init__.py")
+    }
+    assert folders <= placed
+    assert all(len(drawing["sentence"](room)) > 20 for room in placed)
+
+
+def test_no_folder_is_full() -> None:
+    files = Counter(path.parent for path in SOURCES if path.name != "__init__.py")
+    for folder, count in files.items():
+        most = MOST_IN_A_ROOT if folder.parent == ROOT else MOST_FILES
+        assert count <= most or folder in MANY_OF_A_KIND, f"{folder} holds {count} files"
+
+
+def test_file_names_are_unique() -> None:
+    names = Counter(path.name for path in SOURCES if path.name not in ONE_CONCEPT)
+    assert [name for name, count in names.items() if count > 1] == []
