@@ -5,7 +5,6 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -14,6 +13,7 @@ from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.monitor.publish import Publisher
 from analysis.monitor.watch import Watch
+from analysis.recordings.autopilot_logs import is_autopilot_log
 from analysis.recordings.recordings import read_log, read_rinex
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result
@@ -79,7 +79,7 @@ def settings(scenario: str | None, sigma: str | None) -> tuple[MonitorConfig, Cr
     if sigma is not None:
         from analysis.detection.calibrate import read_sigma
 
-        detector = replace(config.detector, sigma=read_sigma(Path(sigma)))
+        detector = msgspec.structs.replace(config.detector, sigma=read_sigma(Path(sigma)))
         config = msgspec.structs.replace(config, detector=detector)
     return config, criteria
 
@@ -157,6 +157,6 @@ def _report(
         summary=summary,
         labels=labels,
         results=read_results(folder / "results.jsonl"),
-        columns=read_columns(args.log) if args.log else {},
+        columns=read_columns(args.log) if args.log and not is_autopilot_log(Path(args.log)) else {},
         title=Path(args.log).name if args.log else folder.name,
     )

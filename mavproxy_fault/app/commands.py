@@ -132,7 +132,31 @@ def _faults(args: argparse.Namespace) -> int:
     return main(args)
 
 
+def add_ardupilot(commands: Any) -> None:
+    """`ardupilot`: the bridge that lets ArduPilot fly a HIL simulator."""
+    parser = commands.add_parser("ardupilot", help="let ArduPilot fly a HIL simulator, as PX4 does")
+    parser.add_argument(
+        "--hil", default="tcp:127.0.0.1:4560", metavar="EP", help="simulator or proxy (4560)"
+    )
+    parser.add_argument(
+        "--command", required=True, metavar="PATH", help="ArduPilot's SITL binary, with options"
+    )
+    parser.add_argument("--vehicle", choices=("copter", "plane"), default="copter")
+    parser.add_argument("--parameters", metavar="FILE", help="your own, after the bridge's")
+    parser.add_argument(
+        "--dir", default="ardupilot", metavar="DIR", help="where ArduPilot runs and logs"
+    )
+    parser.set_defaults(main=_ardupilot)
+
+
+def _ardupilot(args: argparse.Namespace) -> int:
+    from mavproxy_fault.ardupilot.bridge_command import main
+
+    return main(args)
+
+
 OURS: dict[str, Add] = {
+    "ardupilot": add_ardupilot,
     "proxy": add_proxy,
     "replay": add_replay,
     "inject": add_inject,

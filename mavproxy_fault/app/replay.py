@@ -28,6 +28,7 @@ from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule, read_schedule
+from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.signing import Signing
 
 FLUSH_BYTES = 1 << 20
@@ -113,14 +114,19 @@ def to_log(playing: Playing, tape: Tape, out: Path) -> Path:
     with out.open("wb") as log, labels_path.open("wb") as labels:
         for record in playing.source.records:
             playing.push(record)
-            labels.write(encoded(core.take_labels()))
+            labels.write(encoded(_recorded(core)))
             if len(tape.sent) >= FLUSH_BYTES:
                 log.write(tape.take().sent)
         for _ in playing.rest():
             pass
-        labels.write(encoded(core.take_labels()))
+        labels.write(encoded(_recorded(core)))
         log.write(tape.take().sent)
     return labels_path
+
+
+def _recorded(core: Core) -> list[Label]:
+    """The labels since the last call: what they tell was done to a recording."""
+    return [msgspec.structs.replace(label, recorded=True) for label in core.take_labels()]
 
 
 def to_link(playing: Playing, link: Link, clock: Callable[[], float] = time.monotonic) -> int:
