@@ -36,7 +36,7 @@ class Monitor:
     def block(self, block: Block) -> list[Result]:
         """Results of samples in order."""
         found = self._pipeline.judge(block)
-        self._tally.take(block, found)
+        self._tally.add(block, found)
         return [result for _, result in found]
 
     def summary(

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from analysis.recordings.autopilot_logs import is_autopilot_log, read_autopilot_log
 from analysis.samples.block import IMU, Block, Part, joined
 from analysis.samples.decoder import MESSAGES, Decoder
 from analysis.samples.message_readers import STANDARD_GRAVITY
@@ -16,13 +17,16 @@ UNIX_TO_GPS_S = 315_964_800  # 1980-01-06 on Unix's count
 
 
 def read_log(path: Path | str) -> Iterator[Block]:
-    """What `Decoder` makes of a tlog, block by block.
+    """What `Decoder` makes of a tlog, block by block; a ULog or dataflash log as one.
 
     Raises
     ------
     ConfigError
-        If there is no such log.
+        If there is no such log, or it holds nothing to test.
     """
+    if Path(path).is_file() and is_autopilot_log(Path(path)):
+        yield read_autopilot_log(Path(path))
+        return
     decoder = Decoder()
     for columns, orders in read_ordered(path, MESSAGES):
         yield decoder.columns(columns, orders)

@@ -13,6 +13,7 @@ from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.monitor.publish import Publisher
 from analysis.monitor.watch import Watch
+from analysis.recordings.autopilot_logs import is_autopilot_log
 from analysis.recordings.recordings import read_log, read_rinex
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result
@@ -156,6 +157,6 @@ def _report(
         summary=summary,
         labels=labels,
         results=read_results(folder / "results.jsonl"),
-        columns=read_columns(args.log) if args.log else {},
+        columns=read_columns(args.log) if args.log and not is_autopilot_log(Path(args.log)) else {},
         title=Path(args.log).name if args.log else folder.name,
     )

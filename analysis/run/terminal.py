@@ -1,13 +1,14 @@
 """A run's summary for people, on the terminal."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-COLOURS = {"PASS": "green", "FAIL": "red", "isolated": "green", "wrong": "red", "missed": "red"}
+GOOD, BAD = ("PASS", "isolated"), ("FAIL", "wrong", "missed", "late")
+COLOURS = dict.fromkeys(GOOD, "green") | dict.fromkeys(BAD, "red")
 
 
 def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
@@ -15,6 +16,8 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
     console = Console()
     if summary["faults"]:
         console.print(_faults(summary["faults"]))
+        for line in remarks(summary["faults"]):
+            console.print(f"                {line}", soft_wrap=True)
     attitude = summary["attitude_rmse_deg"]
     if attitude:
         axes = ", ".join(f"{axis} {attitude[axis]:.2f}" for axis in ("roll", "pitch", "yaw"))
@@ -25,6 +28,12 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
         f"epochs          {summary['epochs']}, untestable {summary['untestable_epochs']}, "
         f"alarms {summary['alarms']}, of them false {_known(summary['false_alarms'])}"
     )
+    for row in summary["false_by_channel"] or ():
+        who = ", ".join(row["blamed"]) or "nobody"
+        console.print(
+            f"false alarms    {row['channel']}: {row['outside']} outside faults, {row['inside']}"
+            f" inside, {row['per_hour']:g} an hour; blamed: {who}, {row['seconds']:.1f} s"
+        )
     speed = summary["sim_s"] / summary["wall_s"] if summary["wall_s"] else 0.0
     console.print(
         f"time            {summary['sim_s']:.1f} s of flight in {summary['wall_s']:.1f} s"
@@ -40,6 +49,18 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
     console.print(f"verdict         [{COLOURS.get(verdict, 'yellow')}]{verdict}[/]")
     if folder is not None:
         console.print(f"report          {folder / 'report.html'}", soft_wrap=True)
+
+
+def remarks(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What the words of the verdicts leave open: reasons, and who was blamed wrongly and when."""
+    lines = [f"{row['id']}: {row['reason']}" for row in rows if row["reason"]]
+    lines += [
+        f"{row['id']}: {blame['who']} blamed wrongly from {blame['from_s']:.1f} s"
+        f" for {blame['for_s']:.1f} s"
+        for row in rows
+        for blame in row["wrongly"]
+    ]
+    return lines
 
 
 def _known(count: int | None) -> str:

@@ -1,16 +1,27 @@
-"""Pass and fail: the limits a scenario sets on its own summary."""
+"""Pass and fail: what every flight is held against, and the limits a scenario sets on top.
+
+Unless a scenario loosens it, a flight fails that has a fault missed which can be seen, or somebody
+blamed with whom nothing was wrong.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
 
+from analysis.scoring.outcome import ISOLATED, LATE, MISSED, NOT_JUDGED
+
 
 class Criteria(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Limits; what is not given is not judged. Faults are named by their ids in the schedule."""
+    """Limits; what is not given is not judged. Faults are named by their ids in the schedule.
+
+    `may_miss` loosens by id, fault or preset; `may_blame` by channel or by who was blamed.
+    """
 
     must_detect: tuple[str, ...] = ()
     must_isolate: tuple[str, ...] = ()
+    may_miss: tuple[str, ...] = ()
+    may_blame: tuple[str, ...] = ()
     max_delay_s: float | None = None
     max_false_alarms: int | None = None
     max_untestable_epochs: int | None = None
@@ -29,22 +40,27 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
 
 def judge(criteria: Criteria, summary: Mapping[str, Any]) -> list[Check]:
     """Hold a summary against the criteria, one check per limit that was given."""
-    rows = {row["id"]: row for row in summary["faults"]}
-    checks = [
-        Check(name=f"{id} detected", limit="detected", value=_verdict(rows, id), passed=found)
+    rows = summary["faults"]
+    checks = [] if summary["false_by_channel"] is None else _always(criteria, summary)
+    checks += [
+        Check(
+            name=f"{id} detected",
+            limit="detected",
+            value=_verdicts(rows, id),
+            passed=_all(rows, id, "detected", True),
+        )
         for id in criteria.must_detect
-        for found in [bool(id in rows and rows[id]["detected"])]
     ]
     checks += [
         Check(
             name=f"{id} isolated",
             limit="isolated",
-            value=_verdict(rows, id),
-            passed=_verdict(rows, id) == "isolated",
+            value=_verdicts(rows, id),
+            passed=_all(rows, id, "verdict", ISOLATED),
         )
         for id in criteria.must_isolate
     ]
-    delays = [row["delay_s"] for row in rows.values() if row["delay_s"] is not None]
+    delays = [row["delay_s"] for row in rows if row["delay_s"] is not None]
     attitude = summary["attitude_rmse_deg"]
     limits = (
         ("largest detection delay, s", criteria.max_delay_s, max(delays, default=None)),
@@ -64,6 +80,39 @@ def judge(criteria: Criteria, summary: Mapping[str, Any]) -> list[Check]:
     ]
 
 
+def _always(criteria: Criteria, summary: Mapping[str, Any]) -> list[Check]:
+    """What holds for every flight whose faults are known."""
+    blamed = [
+        name
+        for row in summary["false_by_channel"]
+        for name in row["blamed"]
+        if not {name, row["channel"]} & set(criteria.may_blame)
+    ]
+    found = _none_or(dict.fromkeys(blamed))
+    nobody = Check(name="blamed wrongly", limit="nobody", value=found, passed=not blamed)
+    return [*faults_missed(criteria, summary["faults"]), nobody]
+
+
+def faults_missed(criteria: Criteria, rows: Sequence[Mapping[str, Any]]) -> list[Check]:
+    """Whether a fault was missed that can be seen; nothing where no fault acted."""
+    if not rows:
+        return []
+    missed = [
+        row["id"]
+        for row in rows
+        if row["verdict"] in (MISSED, LATE)
+        and not {row["id"], row["fault"], row["preset"]} & set(criteria.may_miss)
+    ]
+    judged = any(row["verdict"] != NOT_JUDGED for row in rows)
+    found = _none_or(dict.fromkeys(missed)) if judged else None
+    passed = not missed if judged else None
+    return [Check(name="faults missed", limit="none", value=found, passed=passed)]
+
+
+def _none_or(names: Mapping[str, None]) -> str:
+    return ", ".join(names) or "none"
+
+
 def verdict(checks: Sequence[Check]) -> str:
     """FAIL if any check failed, PASS if all held, NO VERDICT if there is nothing to go by."""
     if any(check.passed is False for check in checks):
@@ -72,5 +121,12 @@ def verdict(checks: Sequence[Check]) -> str:
     return "PASS" if held else "NO VERDICT"
 
 
-def _verdict(rows: Mapping[str, Mapping[str, Any]], id: str) -> str:
-    return str(rows[id]["verdict"]) if id in rows else "never acted"
+def _all(rows: Sequence[Mapping[str, Any]], id: str, key: str, value: object) -> bool:
+    """Whether every stretch in which a fault acted has this value; one that never acted has not."""
+    own = [row[key] == value for row in rows if row["id"] == id]
+    return bool(own) and all(own)
+
+
+def _verdicts(rows: Sequence[Mapping[str, Any]], id: str) -> str:
+    words = dict.fromkeys(str(row["verdict"]) for row in rows if row["id"] == id)
+    return ", ".join(words) or "never acted"

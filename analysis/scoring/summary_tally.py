@@ -12,13 +12,15 @@ import numpy as np
 from analysis.results import AttitudeError, Decision, FusedState, Result
 from analysis.samples.block import EPHEMERIS, TRUTH, Block
 from analysis.samples.sample import Vector
+from analysis.scoring.alarm_windows import Alarm, alarms_of, channel_of, windows_of
 from analysis.scoring.attitude_scores import REPEATED
 from analysis.scoring.criteria import Criteria, judge, verdict
-from analysis.scoring.fault_scores import Alarm, alarm_of, false_alarms, risen, score_faults
+from analysis.scoring.outcome import false_alarms, outcomes
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.wire.label import Label
 
 PLACED = (Decision, FusedState)  # results that tell a position
+EPOCH_US = 1_000_000  # between epochs, where too few came to tell
 
 
 class Tally:
@@ -30,6 +32,8 @@ class Tally:
         self.first_us: int | None = None
         self.last_us = 0
         self.alarms: list[Alarm] = []
+        self._watched = {"link"}  # channels that tested something
+        self._epochs_us: tuple[int, int] = (0, 0)  # the first and the last
         self._truth: Vector | None = None  # latitude, longitude in degrees, altitude (3,)
         self._errors = 0
         self._square_m2 = 0.0
@@ -40,16 +44,26 @@ class Tally:
         """Time from the first sample to the last, in seconds."""
         return (self.last_us - (self.first_us or 0)) * 1e-6
 
-    def take(self, block: Block, found: Sequence[tuple[int, Result]]) -> None:
-        """Take a block of samples, and its results with the rows that led to them."""
+    @property
+    def epoch_us(self) -> int:
+        """The mean time between epochs, in microseconds."""
+        first_us, last_us = self._epochs_us
+        return (last_us - first_us) // (self.epochs - 1) if self.epochs > 1 else EPOCH_US
+
+    def add(self, block: Block, found: Sequence[tuple[int, Result]]) -> None:
+        """Count a block of samples, and its results with the rows that led to them."""
         stamps = block.t_us[block.kind < EPHEMERIS]
         if len(stamps):
             if self.first_us is None:
                 self.first_us = int(stamps[0])
             self.last_us = max(self.last_us, int(stamps.max()))
-        said = [pair for pair in found if not isinstance(pair[1], AttitudeError)]
-        self.alarms += filter(None, (alarm_of(result) for _, result in said))
-        placed = [pair for pair in said if isinstance(pair[1], PLACED)]
+        for _, result in found:
+            if not isinstance(result, AttitudeError):
+                self.alarms += alarms_of(result)
+                channel = channel_of(result)
+                if channel is not None:
+                    self._watched.add(channel)
+        placed = [pair for pair in found if isinstance(pair[1], PLACED)]
         for (_, result), true_m in zip(placed, self._true_positions(block, placed), strict=True):
             self._add(result, true_m)
 
@@ -74,6 +88,8 @@ class Tally:
             self._fused[result.name] = count + 1, total_m2 + error_m2
         if not isinstance(result, Decision):
             return
+        first_us = self._epochs_us[0] if self.epochs else result.t_us
+        self._epochs_us = first_us, result.t_us
         self.epochs += 1
         self.untestable += result.hypothesis == "untestable"
         if result.position_ecef_m is not None and true_m is not None:
@@ -108,23 +124,25 @@ class Tally:
         wall_s : float
             How long the run took.
         """
+        windows = windows_of(self.alarms)
+        false = None if labels is None else false_alarms(labels, windows, self.span_s)
+        found_faults = outcomes(labels or (), windows, self._watched, self.epoch_us)
         first = next((attitude[name] for name in attitude if not name.endswith(REPEATED)), None)
         found: dict[str, Any] = {
             "verdict": "NO VERDICT",
             "sim_s": round(self.span_s, 3),
             "wall_s": round(wall_s, 2),
             "epochs": self.epochs,
-            "false_alarms": None if labels is None else false_alarms(labels, self.alarms),
-            "alarms": len(risen(self.alarms)),
+            "false_alarms": None if false is None else sum(r.outside + r.inside for r in false),
+            "false_by_channel": None if false is None else msgspec.to_builtins(false),
+            "alarms": len(windows),
             "untestable_epochs": self.untestable,
             "attitude_rmse_deg": first["rmse_deg"] if first else None,
             "position_rmse_m": round(math.sqrt(self._square_m2 / self._errors), 3)
             if self._errors
             else None,
             **self._fused_summary(),
-            "faults": [
-                msgspec.structs.asdict(row) for row in score_faults(labels or (), self.alarms)
-            ],
+            "faults": msgspec.to_builtins(found_faults),
             "attitude": dict(attitude),
         }
         checks = judge(criteria, found)

@@ -28,6 +28,7 @@ from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule, read_schedule
+from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.signing import Signing
 
 FLUSH_BYTES = 1 << 20
@@ -54,7 +55,7 @@ class Playing:
         if any(edit.what == RFLYSIM for edit in self._edits):
             rflysim = read_map(source.session.get("rflysim_map", SHIPPED))
         allowed = source.session.get("inject", True)
-        self._control = Control(engine, allowed=allowed, rflysim=rflysim)
+        self._control = Control(engine, allowed=allowed, rflysim=rflysim, folders=None)
         self._count = self._newest_us = 0
 
     def push(self, record: Record) -> list[Send]:
@@ -113,14 +114,19 @@ def to_log(playing: Playing, tape: Tape, out: Path) -> Path:
     with out.open("wb") as log, labels_path.open("wb") as labels:
         for record in playing.source.records:
             playing.push(record)
-            labels.write(encoded(core.take_labels()))
+            labels.write(encoded(_recorded(core)))
             if len(tape.sent) >= FLUSH_BYTES:
                 log.write(tape.take().sent)
         for _ in playing.rest():
             pass
-        labels.write(encoded(core.take_labels()))
+        labels.write(encoded(_recorded(core)))
         log.write(tape.take().sent)
     return labels_path
+
+
+def _recorded(core: Core) -> list[Label]:
+    """The labels since the last call: what they tell was done to a recording."""
+    return [msgspec.structs.replace(label, recorded=True) for label in core.take_labels()]
 
 
 def to_link(playing: Playing, link: Link, clock: Callable[[], float] = time.monotonic) -> int:

@@ -30,6 +30,7 @@ class Label(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
     where: dict[str, int | str] = {}
     parameters: dict[str, object] = {}
     seed: int = 0
+    recorded: bool = False  # done to a recording: nobody could react
     value: float | None = None  # given live
     changed_us: int | None = None
 

@@ -16,6 +16,7 @@ from analysis.report.recordings.recording import Recording, Signal, Vector, runs
 
 PASS, WARN, FAIL, NONE = "PASS", "WARN", "FAIL", "not judged"
 RANK = {NONE: 0, PASS: 1, WARN: 2, FAIL: 3}
+Windows = Sequence[tuple[float, float]]  # seconds
 FEWEST = 5  # samples below which a curve bears no verdict
 LONG_GAP_S = 5.0
 FORMAL = {  # checks that may pass without a flight
@@ -163,6 +164,11 @@ def merged_windows(windows: Sequence[tuple[float, float]]) -> list[tuple[float, 
         else:
             found.append((start, end))
     return found
+
+
+def within(t_s: float, windows: Windows | None) -> bool:
+    """Whether an instant lies in one of some windows (None: everywhere)."""
+    return windows is None or any(start <= t_s <= end for start, end in windows)
 
 
 def armed_windows(recording: Recording) -> list[tuple[float, float]] | None:

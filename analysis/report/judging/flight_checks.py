@@ -4,9 +4,6 @@ Nothing here needs labels: GPS glitches, EKF variance, vibration, battery and co
 any log that carries them.
 """
 
-import re
-from collections.abc import Sequence
-
 import numpy as np
 
 from analysis.report.judging.check_limits import Thresholds
@@ -17,26 +14,18 @@ from analysis.report.judging.checks import (
     WARN,
     Check,
     Limits,
+    Windows,
     armed_windows,
     level,
+    within,
 )
-from analysis.report.recordings.recording import Event, Recording, Signal
+from analysis.report.judging.texts import texts_check
+from analysis.report.recordings.recording import Recording, Signal
 
-ALARMING = re.compile(
-    r"failsafe|crash|emergency|parachute|terminat|thrust loss|lost position|gps glitch"
-    r"|ekf .*(variance|lane switch)|compass.*(variance|inconsistent)|unhealthy|timeout"
-    r"|low battery|battery .*(low|critical)|failure|interference",
-    re.IGNORECASE,
-)
 FIX_2D = 2
-NOTICE = 5  # severity of what is no error
 CONTROL_HOLD_S = 0.3  # out of control, a vehicle swings: no error stays large for long
 MOST_LOST = 0.9  # beyond, the sequence numbers of several links stand in one log
 FEWEST_FRAMES = 500  # of a sender, for its losses to be judged
-GRAVE = re.compile(r"crash|emergency|parachute|terminat|failsafe", re.IGNORECASE)
-
-
-Windows = Sequence[tuple[float, float]]
 
 
 def flight_checks(recording: Recording, thresholds: Thresholds) -> list[Check]:
@@ -49,7 +38,7 @@ def flight_checks(recording: Recording, thresholds: Thresholds) -> list[Check]:
         *_gps(recording, thresholds, armed),
         *_estimate(recording, thresholds, armed),
         _flags(recording, armed),
-        _texts(recording, armed),
+        texts_check(recording, armed),
         _status(recording, armed),
     ]
 
@@ -201,39 +190,13 @@ def _tilt_errors(recording: Recording) -> list[Signal]:
     return found
 
 
-def _alarming(event: Event) -> bool:
-    if event.kind == "error":
-        return event.severity < NOTICE
-    return bool(ALARMING.search(event.text))
-
-
-def _texts(recording: Recording, armed: Windows | None) -> Check:
-    texts = [event for event in recording.events if event.kind in ("text", "error")]
-    name = "messages of the autopilot"
-    if not texts:
-        return Check(name=name, verdict=NONE, evidence="no messages in the log")
-    loud = [event for event in texts if _alarming(event)]
-    if not loud:
-        return Check(name=name, verdict=PASS, evidence=f"{len(texts)} messages, none alarming")
-    grave = any(GRAVE.search(event.text) and _within(event.t_s, armed) for event in loud)
-    words = dict.fromkeys(f"{event.text!r} at {event.t_s:.1f} s" for event in loud)
-    shown = ", ".join(list(words)[:4]) + (f" and {len(words) - 4} more" if len(words) > 4 else "")
-    return Check(
-        name=name,
-        verdict=FAIL if grave else WARN,
-        evidence=shown,
-        limit="warn: an alarming text; fail: crash, emergency, failsafe while armed",
-        windows=tuple((event.t_s, event.t_s + 0.5) for event in loud),
-    )
-
-
 def _flags(recording: Recording, armed: Windows | None) -> Check:
     """Flags by which the autopilot itself says that something is wrong."""
     name = "flags of the autopilot"
     if armed == []:
         return Check(name=name, verdict=NONE, evidence="never armed")
     spans = [s for s in recording.spans if s.kind == "flag"]
-    spans = [s for s in spans if _within(s.start_s, armed) or _within(s.end_s, armed)]
+    spans = [s for s in spans if within(s.start_s, armed) or within(s.end_s, armed)]
     if not spans:
         known = recording.of("ratio") or recording.of("variance")
         evidence = "none raised while armed" if known else "no estimator status in the log"
@@ -245,10 +208,6 @@ def _flags(recording: Recording, armed: Windows | None) -> Check:
     return Check(name=name, verdict=WARN, evidence=shown, limit="warn: any", windows=windows)
 
 
-def _within(t_s: float, windows: Windows | None) -> bool:
-    return windows is None or any(start <= t_s <= end for start, end in windows)
-
-
 def _status(recording: Recording, armed: Windows | None) -> Check:
     name = "system status of the autopilot"
     if not any(span.lane.startswith("mode") for span in recording.spans):
@@ -256,7 +215,7 @@ def _status(recording: Recording, armed: Windows | None) -> Check:
     if armed == []:
         return Check(name=name, verdict=NONE, evidence="never armed")
     spans = [s for s in recording.spans if s.lane.startswith("system status")]
-    spans = [s for s in spans if _within(s.start_s, armed) or _within(s.end_s, armed)]
+    spans = [s for s in spans if within(s.start_s, armed) or within(s.end_s, armed)]
     limit = "warn: CRITICAL while armed; fail: EMERGENCY"
     if not spans:
         return Check(name=name, verdict=PASS, evidence="never critical while armed", limit=limit)

@@ -7,14 +7,15 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from analysis.report.curves.derived_curves import with_derived
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, Check, verdict_of
 from analysis.report.judging.flight_checks import flight_checks
 from analysis.report.judging.reaction import ECHO_S, reactions
 from analysis.report.page.panels import BY_KEY
-from analysis.report.recordings.derived_curves import with_derived
 from analysis.report.recordings.recording import Recording, Span
 from analysis.report.recordings.sources import Flight
+from analysis.scoring.criteria import Criteria, faults_missed
 
 # Checks that hold the autopilot's own alarms: where a fault was injected they ought to speak.
 ALARMS = {
@@ -37,12 +38,14 @@ class Outcome:
 def judged(flight: Flight, thresholds: Thresholds) -> Outcome:
     """Derive what follows from the recording, check it, and sum up."""
     recording = with_derived(flight.recording)
-    checks = [_expected(check, recording) for check in flight_checks(recording, thresholds)]
-    checks += [_criterion(row) for row in flight.summary.get("criteria", ())]
+    raw = flight_checks(recording, thresholds)
+    checks = [_expected(check, recording) for check in raw]
+    faults = flight.summary.get("faults") or reactions(flight.labels, recording, raw)
+    checks += [_criterion(row) for row in flight.summary.get("criteria", ()) or _missed(faults)]
     recording = replace(recording, spans=recording.spans + _found(checks))
     flight = replace(flight, recording=recording)
     verdict = verdict_of(checks)
-    return Outcome(flight, checks, verdict, _summary(flight, checks, verdict))
+    return Outcome(flight, checks, verdict, _summary(flight, checks, verdict, faults))
 
 
 def _expected(check: Check, recording: Recording) -> Check:
@@ -80,7 +83,14 @@ def _found(checks: Sequence[Check]) -> list[Span]:
     ]
 
 
-def _summary(flight: Flight, checks: Sequence[Check], verdict: str) -> dict[str, Any]:
+def _missed(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """What is asked of every log whose faults are known: that none was missed."""
+    return [msgspec.structs.asdict(row) for row in faults_missed(Criteria(), faults)]
+
+
+def _summary(
+    flight: Flight, checks: Sequence[Check], verdict: str, faults: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
     recording, run = flight.recording, flight.summary
     position = [s for s in recording.of("position-error") if s.name in ("fused", "estimate")]
     position_rmse_m = _rms(position[0].value) if position else None
@@ -95,7 +105,7 @@ def _summary(flight: Flight, checks: Sequence[Check], verdict: str) -> dict[str,
         "untestable_epochs": run.get("untestable_epochs", 0),
         "attitude_rmse_deg": run.get("attitude_rmse_deg", _attitude_rmse(recording)),
         "position_rmse_m": run.get("position_rmse_m", position_rmse_m),
-        "faults": run.get("faults") or reactions(flight.labels, recording),
+        "faults": faults,
         "checks": [msgspec.structs.asdict(check) for check in checks],
         "signals": _numbers(recording),
         "links": [

@@ -1,50 +1,116 @@
-"""How the autopilot reacted to what was injected, where nobody else judged it.
+"""What a log without results of the monitor tells of a fault: the autopilot's reaction, our checks.
 
-Its flags, its messages and its steps of position are taken as its voice. What it says while a fault
-acts, and shortly after, is put down to that fault: a log alone cannot tell more.
+The autopilot speaks by its flags, its messages and the steps of its position; the checks by their
+windows. What names a sensor blames it. The outcome follows from the same rules as a run's. In a
+recording that was edited afterwards the autopilot could not react: there only checks count.
 """
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
-from analysis.report.judging.flight_checks import ALARMING
+import msgspec
+
+from analysis.report.judging.checks import Check
+from analysis.report.judging.texts import alarming
 from analysis.report.recordings.recording import Event, Recording
+from analysis.scoring.alarm_windows import Window
+from analysis.scoring.outcome import MISSED, NOT_JUDGED, FaultOutcome, outcomes
 from mavproxy_fault.wire.label import Label
 
 ECHO_S = 15.0  # what follows a fault's end so soon is its echo
+REACTION_US = 10_000_000  # how long an estimator may hold out against its sensors
+AUTOPILOT = "autopilot"  # the channel of what names no sensor
+NAMED = (
+    ("gps-position", re.compile(r"gps|gnss", re.IGNORECASE)),
+    ("mag", re.compile(r"compass|\bmag\b|magnet", re.IGNORECASE)),
+    ("baro", re.compile(r"\bbaro", re.IGNORECASE)),
+    ("airspeed", re.compile(r"airspeed|\btas\b", re.IGNORECASE)),
+    ("imu", re.compile(r"gyro|accel|\bimu\b|\bins\b", re.IGNORECASE)),
+    ("range", re.compile(r"range ?finder|distance sensor", re.IGNORECASE)),
+    ("vision", re.compile(r"vision|visual|odometry|flow", re.IGNORECASE)),
+)
+CHECKED = {
+    **dict.fromkeys(("GPS fix", "GPS satellites", "GPS dilution of precision"), "gps-position"),
+    **dict.fromkeys(("GPS jumps", "GPS jamming indicator"), "gps-position"),
+    "compass field strength": "mag",
+    "vibration": "imu",
+    "accelerometer clipping": "imu",
+    "gyroscopes agree": "imu",
+    "accelerometers agree": "imu",
+}
 
 
-def reactions(labels: Sequence[Label], recording: Recording) -> list[dict[str, Any]]:
+def reactions(
+    labels: Sequence[Label], recording: Recording, checks: Sequence[Check]
+) -> list[dict[str, Any]]:
     """One row per label, in the form of `summary.json`'s `faults`, with what was said and when."""
-    return [_row(label, labels, recording) for label in labels]
+    edited = [label for label in labels if label.recorded]
+    spoken = [event for event in recording.events if _speaks(event)]
+    raised = [e for e in spoken if not (e.kind == "flag" and e.text.endswith("cleared"))]
+    heard = [_of_event(e, recording) for e in raised]
+    if edited:
+        heard = _of_checks(checks, recording)
+    heard.sort(key=lambda window: window.start_us)
+    watched = {CHECKED[check.name] for check in checks if _held(check)} if edited else set()
+    if edited or recording.autopilot:
+        watched |= {AUTOPILOT, *(name for name, _ in NAMED)}
+    rows = outcomes(labels, heard, watched, REACTION_US, witnesses=frozenset({AUTOPILOT}))
+    return [
+        _row(row, label, labels, [] if label.recorded else spoken, recording)
+        for row, label in zip(rows, labels, strict=True)
+    ]
 
 
-def _row(label: Label, labels: Sequence[Label], recording: Recording) -> dict[str, Any]:
+def _held(check: Check) -> bool:
+    return check.name in CHECKED and check.verdict != "not judged"
+
+
+def _of_checks(checks: Sequence[Check], recording: Recording) -> list[Window]:
+    return [
+        Window(CHECKED[check.name], CHECKED[check.name], begin, end, 1, True)
+        for check in checks
+        if _held(check)
+        for begin, end in (
+            (_stamp(t_s, recording), _stamp(end_s, recording)) for t_s, end_s in check.windows
+        )
+    ]
+
+
+def _stamp(t_s: float, recording: Recording) -> int:
+    return recording.t0_us + round(t_s * 1e6)
+
+
+def _of_event(event: Event, recording: Recording) -> Window:
+    t_us = _stamp(event.t_s, recording)
+    name = next((sensor for sensor, words in NAMED if words.search(event.text)), "")
+    return Window(name or AUTOPILOT, name, t_us, t_us, 1, bool(name))
+
+
+def _row(
+    row: FaultOutcome,
+    label: Label,
+    labels: Sequence[Label],
+    spoken: Sequence[Event],
+    recording: Recording,
+) -> dict[str, Any]:
+    found: dict[str, Any] = msgspec.to_builtins(row)
+    if label.recorded and row.verdict == MISSED:
+        found |= {"verdict": NOT_JUDGED, "reason": "the autopilot could not react (recorded)"}
     start_s = (label.start_us - recording.t0_us) * 1e-6
-    end_s = None if label.end_us is None else (label.end_us - recording.t0_us) * 1e-6
+    end_us = label.end_us
+    end_s = recording.duration_s if end_us is None else (end_us - recording.t0_us) * 1e-6
     later = [(other.start_us - recording.t0_us) * 1e-6 for other in labels]
-    until = (end_s if end_s is not None else recording.duration_s) + ECHO_S
-    until = min([until, *(t_s for t_s in later if t_s > start_s)])
-    said = [e for e in recording.events if start_s <= e.t_s <= until and _speaks(e)]
-    return {
-        "id": label.id,
-        "preset": label.preset,
-        "target": ", ".join(label.targets),
-        "start_s": round(start_s, 3),
-        "end_s": None if end_s is None else round(end_s, 3),
-        "frames": label.frames,
-        "detected": bool(said),
-        "delay_s": round(said[0].t_s - start_s, 3) if said else None,
-        "isolated": [],
-        "verdict": "detected" if said else "missed",
-        "reaction": [
-            {"t_s": round(e.t_s, 3), "after_s": round(e.t_s - start_s, 3), "text": e.text}
-            for e in said
-        ],
-    }
+    until = min([end_s + ECHO_S, *(t_s for t_s in later if t_s > start_s)])
+    found["reaction"] = [
+        {"t_s": round(e.t_s, 3), "after_s": round(e.t_s - start_s, 3), "text": e.text}
+        for e in spoken
+        if start_s <= e.t_s <= until
+    ]
+    return found
 
 
 def _speaks(event: Event) -> bool:
-    if event.kind in ("flag", "reset", "error"):
-        return True
-    return event.kind == "text" and bool(ALARMING.search(event.text))
+    if event.kind in ("text", "error"):
+        return alarming(event)
+    return event.kind in ("flag", "reset")

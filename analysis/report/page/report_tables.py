@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from analysis.report.judging.checks import FAIL, NONE, PASS, RANK, WARN, Check
-from analysis.report.page.page_file import Table
+from analysis.report.page.page_parts import Cell, Moments, Table
 from analysis.report.page.panels import ATTITUDE, CHECKS, TIMELINE
 from analysis.report.recordings.from_results import isolation_matrix
 from analysis.report.recordings.recording import Recording
@@ -48,7 +48,17 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
     tables = []
     rows = summary.get("faults") or []
     if rows:
-        head = ("fault", "target", "from, s", "to, s", "frames", "delay, s", "blamed", "verdict")
+        head = (
+            "fault",
+            "target",
+            "from, s",
+            "to, s",
+            "frames",
+            "delay, s",
+            "blamed",
+            "verdict",
+            "",
+        )
         cells = [
             (
                 str(row["id"]),
@@ -59,10 +69,14 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
                 _short(row["delay_s"]),
                 ", ".join(row["isolated"]),
                 (str(row["verdict"]), str(row["verdict"])),
+                _remark(row),
             )
             for row in rows
         ]
         tables.append((TIMELINE, Table("Injected against detected", head, cells)))
+    false = summary.get("false_by_channel") or []
+    if false:
+        tables.append((TIMELINE, _false_table(false)))
     checks = summary.get("criteria") or []
     if checks:
         words = {True: "PASS", False: "FAIL", None: "not judged"}
@@ -78,6 +92,29 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
         head_ = ("criterion", "found", "limit", "verdict")
         tables.append((CHECKS, Table("Criteria", head_, cells_)))
     return tables + attitude_tables(summary)
+
+
+def _remark(row: Mapping[str, Any]) -> str:
+    """What the word of the verdict leaves open."""
+    wrongly = (
+        f"{blame['who']} blamed wrongly from {blame['from_s']:.1f} s for {blame['for_s']:.1f} s"
+        for blame in row.get("wrongly", ())
+    )
+    return "; ".join(filter(None, (str(row.get("reason", "")), *wrongly)))
+
+
+def _false_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    head = ("channel", "outside faults", "inside faults", "an hour", "blamed", "for, s")
+    cells = [
+        (
+            str(row["channel"]),
+            *(str(row["outside"]), str(row["inside"]), f"{row['per_hour']:g}"),
+            *(", ".join(row["blamed"]), f"{row['seconds']:.1f}"),
+        )
+        for row in rows
+    ]
+    note = "Alarms that no fault explains; inside a fault only those that left somebody out."
+    return Table("False alarms", head, cells, note)
 
 
 def attitude_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
@@ -140,14 +177,14 @@ def matrix_table(labels: Sequence[Label], results: Sequence[Result]) -> Table | 
 def checks_tables(checks: Sequence[Check]) -> list[Table]:
     """What did not pass, then what did and what had no data, folded."""
     head = ("verdict", "check", "found", "limit", "when")
-    rows: dict[str, list[Sequence[str | tuple[str, str]]]] = {}
+    rows: dict[str, list[Sequence[Cell]]] = {}
     for check in sorted(checks, key=lambda check: -RANK[check.verdict]):
         group = check.verdict if check.verdict in (PASS, NONE) else ""
         cells = ((check.verdict, check.verdict), check.name, check.evidence, check.limit)
-        rows.setdefault(group, []).append((*cells, _when(check)))
+        rows.setdefault(group, []).append((*cells, Moments(check.windows, check.panel)))
     titles = {"": "Did not pass", PASS: "Passed ({})", NONE: "Not judged ({})"}
     return [
-        Table(titles[group].format(len(some)), head, some, folded=group != "")
+        Table(titles[group].format(len(some)), head, some, folded=group != "", style="cards")
         for group, some in rows.items()
     ]
 
@@ -160,11 +197,6 @@ def reasons(checks: Sequence[Check]) -> list[tuple[str, str]]:
     if len(bad) > REASONS:
         lines.append((bad[REASONS].verdict, f"and {len(bad) - REASONS} more, see Checks"))
     return lines
-
-
-def _when(check: Check) -> str:
-    shown = ", ".join(f"{start:.1f}–{end:.1f} s" for start, end in check.windows[:3])
-    return shown + (f" and {len(check.windows) - 3} more" if len(check.windows) > 3 else "")
 
 
 def reaction_table(faults: Sequence[Mapping[str, Any]]) -> Table | None:
@@ -198,8 +230,13 @@ def links_table(recording: Recording) -> Table:
     return Table("Senders", head, rows, note)
 
 
+def _differs(value: float, default: float) -> bool:
+    """Whether two float32 of a log are not the same number."""
+    return abs(value - default) > 1e-6 * max(abs(value), abs(default))
+
+
 def parameters_table(recording: Recording) -> list[Table]:
-    """Parameters that changed, then all of them, folded."""
+    """Parameters that changed, those that are not at their default, then all of them, folded."""
     changed = [
         (name, f"{t_s:.2f}", f"{before:.7g}", f"{value:.7g}")
         for name, history in recording.parameters.items()
@@ -208,7 +245,16 @@ def parameters_table(recording: Recording) -> list[Table]:
     every = [(name, f"{h[-1][1]:.7g}") for name, h in sorted(recording.parameters.items())]
     title = f"All parameters ({len(every)})"
     tables = [Table(title, ("parameter", "value"), every, folded=True)]
+    unusual = [
+        (name, f"{history[-1][1]:.7g}", f"{recording.defaults[name]:.7g}")
+        for name, history in sorted(recording.parameters.items())
+        if name in recording.defaults and _differs(history[-1][1], recording.defaults[name])
+    ]
+    if unusual:
+        title = f"Parameters that are not at their default ({len(unusual)})"
+        head = ("parameter", "value", "default")
+        tables.insert(0, Table(title, head, unusual, folded=len(unusual) > 40))
     if changed:
-        head = ("parameter", "t, s", "before", "after")
-        tables.insert(0, Table("Parameters changed", head, changed[:200]))
+        moves = ("parameter", "t, s", "before", "after")
+        tables.insert(0, Table("Parameters changed", moves, changed[:200]))
     return tables

@@ -7,7 +7,7 @@ import numpy as np
 
 from analysis.report.recordings.recording import Event, Recording, Signal, Span, Track, Vector, runs
 from analysis.results import AttitudeError, Decision, FusedState, Result, SensorDecision
-from analysis.scoring.fault_scores import RECOVERY_S
+from analysis.scoring.outcome import RECOVERY_S
 from mavproxy_fault.numerics import earth
 from mavproxy_fault.wire.label import Label
 

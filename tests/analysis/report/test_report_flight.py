@@ -3,13 +3,15 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from analysis.report.judging.check_limits import Thresholds, read_thresholds
 from analysis.report.judging.checks import Check, Limits, held, level, verdict_of
 from analysis.report.judging.flight_verdict import Outcome, judged
-from analysis.report.recordings.recording import Recording, Signal
+from analysis.report.judging.texts import texts_check
+from analysis.report.recordings.recording import UNGRADED, Event, Recording, Signal
 from analysis.report.recordings.sources import Flight as Source
 from analysis.report.recordings.sources import group, read_flight
 from mavproxy_fault.documents.errors import ConfigError
@@ -211,3 +213,92 @@ def test_px4s_glitch_flag_and_the_accepted_jump_show_in_the_real_log(shared_data
     assert said[1]["text"] == "position estimate moves 200 m at once"
     assert said[1]["after_s"] == pytest.approx(7.15, abs=0.05)
     assert said[2]["text"] == "estimator: GPS glitch cleared"
+
+
+def jump(id: str = "jump", **changes: object) -> Label:
+    label = Label(
+        id=id, fault="bias", targets=("GPS_RAW_INT.lat",), t0_us=1_000_000,
+        start_us=10_900_000, end_us=21_000_000,
+    )  # fmt: skip
+    return msgspec.structs.replace(label, **changes)
+
+
+def fault_rows(found: Outcome) -> dict[str, tuple[str, str]]:
+    return {row["id"]: (row["verdict"], row["reason"]) for row in found.summary["faults"]}
+
+
+def test_in_an_edited_recording_the_checks_detect_and_the_autopilot_could_not(
+    flight: Flight,
+) -> None:
+    seen = outcome(flight("seen", jump_at_s=10.0), jump(recorded=True))
+    assert fault_rows(seen) == {"jump": ("isolated", "")}
+    unseen = outcome(flight("unseen"), jump(recorded=True))
+    reason = "the autopilot could not react (recorded)"
+    assert fault_rows(unseen) == {"jump": ("not judged", reason)}
+    assert unseen.verdict == "PASS"
+
+
+def test_an_edit_does_not_prove_another(flight: Flight) -> None:
+    compass = jump("compass", targets=("RAW_IMU.xmag",), recorded=True)
+    found = outcome(flight(jump_at_s=10.0), jump(recorded=True), compass)
+    assert fault_rows(found)["jump"][0] == "isolated"
+    assert fault_rows(found)["compass"][0] == "not judged"
+
+
+def test_a_log_with_labels_needs_no_criteria_for_a_verdict(flight: Flight) -> None:
+    found = outcome(flight(), jump())
+    assert fault_rows(found)["jump"] == ("missed", "")
+    assert verdicts(found)["criterion: faults missed"] == "FAIL"
+    assert found.verdict == "FAIL"
+
+
+def test_a_log_without_an_autopilot_calls_no_fault_missed() -> None:
+    recording = Recording("x", signals=[signal([0.0] * 50)])
+    found = judged(Source(recording, (Path("x"),), [jump()]), Thresholds())
+    assert fault_rows(found)["jump"][0] == "not judged"
+
+
+def text(t_s: float, text: str, severity: int = UNGRADED, kind: str = "text") -> Event:
+    return Event(t_s, kind, text, severity)
+
+
+ARMED = [(10.0, 100.0)]
+TEXTS = {
+    "said when it is over": ([text(20, "GPS Glitch cleared", 3)], "PASS", ""),
+    "said on the bench": ([text(5, "PreArm: Compass not healthy", 2)], "PASS", ""),
+    "for information": ([text(20, "primary EKF changed (timeout)", 6)], "PASS", ""),
+    "an emergency without an alarming word": (
+        [text(20, "BARO #0: no data", 0)],
+        "FAIL",
+        "'BARO #0: no data' at 20.0 s",
+    ),
+    "sixty times": (
+        [text(20 + 0.5 * i, "Throttle saturated", 2) for i in range(60)],
+        "WARN",
+        "'Throttle saturated' at 20.0 s, 60 times",
+    ),
+    "begins and ends": (
+        [text(20, "GPS Glitch", 2), text(26, "GPS Glitch cleared", 2)],
+        "WARN",
+        "'GPS Glitch' at 20.0 to 26.0 s",
+    ),
+    "an error and its end": (
+        [text(20, "GPS: error 2", 3, "error"), text(23, "GPS: resolved", 6, "error")],
+        "WARN",
+        "'GPS: error 2' at 20.0 to 23.0 s",
+    ),
+    "the grave one first": (
+        [*(text(11 + i, w, 4) for i, w in enumerate(("a failure", "b failure", "c failure",
+         "d failure", "e failure", "f failure"))), text(30, "Crash: Disarming", 0)],
+        "FAIL",
+        "'Crash: Disarming' at 30.0 s, 'a failure' at 11.0 s",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", TEXTS.values(), ids=TEXTS.keys())
+def test_texts_count_by_severity_time_and_end(case: tuple[list[Event], str, str]) -> None:
+    events, verdict, evidence = case
+    check = texts_check(Recording("x", events=events), ARMED)
+    assert check.verdict == verdict
+    assert check.evidence.startswith(evidence)

@@ -8,11 +8,20 @@ import pytest
 from analysis.scoring.criteria import Criteria, judge, verdict
 
 
+def fault(**changes: Any) -> dict[str, Any]:
+    base = {"id": "step", "fault": "bias", "preset": "satellite-step"}
+    return base | {"detected": True, "delay_s": 0.2, "verdict": "isolated"} | changes
+
+
+def blamed(name: str) -> dict[str, Any]:
+    return {"channel": "baro", "outside": 0, "inside": 1, "blamed": [name]}
+
+
 def summary(**changes: Any) -> dict[str, Any]:
-    fault = {"id": "step", "detected": True, "delay_s": 0.2, "verdict": "isolated"}
     base = {
-        "faults": [fault],
+        "faults": [fault()],
         "false_alarms": 0,
+        "false_by_channel": [],
         "untestable_epochs": 0,
         "attitude_rmse_deg": {"roll": 1.0, "pitch": 0.5, "yaw": 2.0, "max": 2.0},
         "position_rmse_m": 1.5,
@@ -33,7 +42,7 @@ ALL = Criteria(
 
 def test_a_summary_inside_every_limit_passes() -> None:
     checks = judge(ALL, summary())
-    assert len(checks) == 7
+    assert len(checks) == 9
     assert verdict(checks) == "PASS"
 
 
@@ -41,8 +50,10 @@ def test_a_summary_inside_every_limit_passes() -> None:
     "change",
     [
         {"faults": []},
-        {"faults": [{"id": "step", "detected": True, "delay_s": 3.0, "verdict": "isolated"}]},
-        {"faults": [{"id": "step", "detected": True, "delay_s": 0.2, "verdict": "wrong"}]},
+        {"faults": [fault(delay_s=3.0)]},
+        {"faults": [fault(verdict="wrong")]},
+        {"faults": [fault(detected=False, verdict="missed"), fault()]},
+        {"false_by_channel": [blamed("baro")]},
         {"false_alarms": 1},
         {"untestable_epochs": 1},
         {"attitude_rmse_deg": {"max": 5.1}},
@@ -53,13 +64,34 @@ def test_each_limit_can_fail_the_run(change: dict[str, Any]) -> None:
     assert verdict(judge(ALL, summary(**change))) == "FAIL"
 
 
-def test_without_criteria_there_is_no_verdict() -> None:
-    assert verdict(judge(Criteria(), summary())) == "NO VERDICT"
+@pytest.mark.parametrize(
+    ("change", "loosened"),
+    [
+        ({"faults": [fault(verdict="missed")]}, {"may_miss": ("step",)}),
+        ({"faults": [fault(verdict="missed")]}, {"may_miss": ("bias",)}),
+        ({"faults": [fault(verdict="late")]}, {"may_miss": ("satellite-step",)}),
+        ({"false_by_channel": [blamed("baro")]}, {"may_blame": ("baro",)}),
+    ],
+)
+def test_a_miss_or_a_wrong_blame_fails_by_default_and_can_be_let_pass(
+    change: dict[str, Any], loosened: dict[str, Any]
+) -> None:
+    assert verdict(judge(Criteria(), summary(**change))) == "FAIL"
+    assert verdict(judge(Criteria(**loosened), summary(**change))) == "PASS"
+
+
+def test_what_nothing_can_see_bears_no_verdict() -> None:
+    unseen = summary(faults=[fault(verdict="not judged")])
+    assert verdict(judge(Criteria(), unseen)) == "NO VERDICT"
+
+
+def test_without_labels_and_criteria_there_is_no_verdict() -> None:
+    assert verdict(judge(Criteria(), summary(faults=[], false_by_channel=None))) == "NO VERDICT"
 
 
 def test_what_was_not_measured_bears_no_verdict() -> None:
     checks = judge(Criteria(max_position_rmse_m=1.0), summary(position_rmse_m=None))
-    assert [check.passed for check in checks] == [None]
+    assert [check.passed for check in checks] == [True, True, None]
     assert verdict(checks) == "NO VERDICT"
 
 

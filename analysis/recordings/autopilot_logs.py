@@ -1,0 +1,181 @@
+"""PX4's ULog and ArduPilot's dataflash logs as samples: what the autopilot's sensors measured.
+
+Of each kind of sensor the first is read: IMU, magnetometer, barometer, airspeed, range finder, GPS;
+and the autopilot's own attitude beside them.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.recordings.dataflash import is_dataflash, read_dataflash
+from analysis.recordings.ulog import is_ulog, read_ulog
+from analysis.samples.block import (
+    AIRSPEED,
+    ATTITUDE,
+    BARO,
+    FIX,
+    IMU,
+    MAG,
+    RANGE,
+    SOURCES,
+    WIDTH,
+    Block,
+    Part,
+    joined,
+)
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.rotation import quat_from_euler
+
+Topic = Mapping[str, NDArray[Any]]
+Columns = Callable[[Topic], list[NDArray[Any]]]
+Topics = Mapping[tuple[str, int], Topic]
+HEAD = 16
+SYSTEM = 1  # whose attitude it is
+MILLIGAUSS = 1e-3
+MOST_HECTOPASCAL = 2000.0
+GPS_SOURCE, ATTITUDE_SOURCE = SOURCES.index("GPS_RAW_INT"), SOURCES.index("ATTITUDE_QUATERNION")
+
+
+def is_autopilot_log(path: Path) -> bool:
+    """Whether a file is a ULog or a dataflash log."""
+    with path.open("rb") as file:
+        head = file.read(HEAD)
+    return is_ulog(head) or is_dataflash(head)
+
+
+def read_autopilot_log(path: Path) -> Block:
+    """The samples of a ULog or a dataflash log, in the order of their stamps.
+
+    Raises
+    ------
+    ConfigError
+        If the log holds neither an IMU nor a GPS, without which nothing can be tested.
+    """
+    with path.open("rb") as file:
+        ulog = is_ulog(file.read(HEAD))
+    topics: Topics = read_ulog(path).topics if ulog else read_dataflash(path).topics
+    stamp = "timestamp" if ulog else "TimeUS"
+    found = list(_parts(topics, ULOG if ulog else DATAFLASH, stamp))
+    missing = [name for kind, name in ((IMU, "IMU"), (FIX, "GPS")) if not _holds(found, kind)]
+    if missing:
+        raise ConfigError(
+            f"{path}: holds no samples of {' and '.join(missing)}; the monitor needs a log in "
+            "which both are logged"
+        )
+    stamps = np.concatenate([t_us for _, t_us, _ in found])
+    rank = np.empty(len(stamps), np.int64)
+    rank[np.argsort(stamps, kind="stable")] = np.arange(len(stamps))
+    ends = np.cumsum([len(t_us) for _, t_us, _ in found])
+    orders = np.split(rank, ends[:-1])
+    return joined([Part(k, o, t, v) for (k, t, v), o in zip(found, orders, strict=True)], ())
+
+
+def _holds(found: Iterable[tuple[int, Any, Any]], kind: int) -> bool:
+    return any(number == kind for number, _, _ in found)
+
+
+def _parts(
+    topics: Topics, table: Iterable[tuple[str, int, Columns]], stamp: str
+) -> Iterable[tuple[int, NDArray[np.int64], NDArray[np.float64]]]:
+    """Kind, stamps and numbers of each topic that is there; the first of a kind is enough."""
+    done: set[int] = set()
+    for name, kind, columns in table:
+        topic = topics.get((name, 0))
+        if topic is None or kind in done:
+            continue
+        try:
+            values = np.column_stack(columns(topic)).astype(float)
+        except KeyError:  # another version of the autopilot; the next line may be its form
+            continue
+        done.add(kind)
+        yield kind, topic[stamp].astype(np.int64), values[:, :WIDTH]
+
+
+def _each(*names: str, scale: float = 1.0) -> Columns:
+    return lambda topic: [topic[name] * scale for name in names]
+
+
+def _filled(topic: Topic, value: float) -> NDArray[np.float64]:
+    return np.full(len(next(iter(topic.values()))), value)
+
+
+def _pressure(name: str) -> Columns:
+    return lambda topic: [topic[name], _filled(topic, np.nan)]
+
+
+def _sensor_pressure(topic: Topic) -> list[NDArray[Any]]:
+    """Pascal in PX4 from 1.14 on, hectopascal before."""
+    pressure = topic["pressure"].astype(float)
+    scale = 100.0 if np.nanmedian(pressure) < MOST_HECTOPASCAL else 1.0
+    return [pressure * scale, _filled(topic, np.nan)]
+
+
+def _px4_fix(topic: Topic) -> list[NDArray[Any]]:
+    names = ("latitude_deg", "longitude_deg", "altitude_msl_m", "vel_n_m_s", "vel_e_m_s")
+    more = ("vel_d_m_s", "fix_type", "satellites_used", "eph", "epv")
+    return [*(topic[name] for name in (*names, *more)), _filled(topic, GPS_SOURCE)]
+
+
+def _ardupilot_fix(topic: Topic) -> list[NDArray[Any]]:
+    course = np.radians(topic["GCrs"])
+    v_ned = [topic["Spd"] * np.cos(course), topic["Spd"] * np.sin(course), topic["VZ"]]
+    place = [topic[name] for name in ("Lat", "Lng", "Alt")]
+    unknown = _filled(topic, np.nan)
+    state = [topic["Status"], topic["NSats"], unknown, unknown]
+    return [*place, *v_ned, *state, _filled(topic, GPS_SOURCE)]
+
+
+def _px4_attitude(topic: Topic) -> list[NDArray[Any]]:
+    q_nb = [topic[f"q[{i}]"] for i in range(4)]
+    return [*q_nb, _filled(topic, SYSTEM), _filled(topic, ATTITUDE_SOURCE)]
+
+
+def _ardupilot_attitude(topic: Topic) -> list[NDArray[Any]]:
+    angles = (np.radians(topic[name].astype(float)) for name in ("Roll", "Pitch", "Yaw"))
+    q_nb = list(quat_from_euler(*angles).T)
+    return [*q_nb, _filled(topic, SYSTEM), _filled(topic, ATTITUDE_SOURCE)]
+
+
+_AXES = range(3)
+ULOG: tuple[tuple[str, int, Columns], ...] = (
+    (
+        "sensor_combined",
+        IMU,
+        lambda topic: [
+            *(topic[f"gyro_rad[{i}]"] for i in _AXES),
+            *(topic[f"accelerometer_m_s2[{i}]"] for i in _AXES),
+            _filled(topic, 0),
+        ],
+    ),
+    ("vehicle_magnetometer", MAG, _each(*(f"magnetometer_ga[{i}]" for i in _AXES))),
+    ("sensor_mag", MAG, _each("x", "y", "z")),
+    ("sensor_combined", MAG, _each(*(f"magnetometer_ga[{i}]" for i in _AXES))),
+    ("vehicle_air_data", BARO, _pressure("baro_pressure_pa")),
+    ("sensor_baro", BARO, _sensor_pressure),
+    ("differential_pressure", AIRSPEED, _each("differential_pressure_pa")),
+    ("differential_pressure", AIRSPEED, _each("differential_pressure_filtered_pa")),
+    ("distance_sensor", RANGE, _each("current_distance")),
+    ("vehicle_gps_position", FIX, _px4_fix),
+    ("sensor_gps", FIX, _px4_fix),
+    ("vehicle_attitude", ATTITUDE, _px4_attitude),
+)
+DATAFLASH: tuple[tuple[str, int, Columns], ...] = (
+    (
+        "IMU",
+        IMU,
+        lambda topic: [
+            *(topic[name] for name in ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ")),
+            _filled(topic, 0),
+        ],
+    ),
+    ("MAG", MAG, _each("MagX", "MagY", "MagZ", scale=MILLIGAUSS)),
+    ("BARO", BARO, _pressure("Press")),
+    ("ARSP", AIRSPEED, _each("DiffPress")),
+    ("RFND", RANGE, _each("Dist")),
+    ("GPS", FIX, _ardupilot_fix),
+    ("ATT", ATTITUDE, _ardupilot_attitude),
+)

@@ -1,0 +1,102 @@
+"""Alarms of the monitor as windows of time: who was blamed, from when to when.
+
+A detector speaks once an epoch; what it says without a pause is one window.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import msgspec
+
+from analysis.results import Decision, Result, SensorDecision
+
+PAUSE_US = 1_000_000  # alarms further apart are two
+EITHER = "-or-"  # joins those between whom a detector cannot tell
+
+
+class Alarm(NamedTuple):
+    """An alarm of one channel at one instant.
+
+    `name` is who is suspected: a satellite, a sensor, several joined by `-or-`, or "" for nobody;
+    `blamed` says that the detector left it out.
+    """
+
+    t_us: int
+    channel: str
+    name: str
+    blamed: bool
+
+
+class Window(msgspec.Struct, frozen=True):
+    """What one channel held against one name without a pause; `blamed` if it ever blamed it."""
+
+    channel: str
+    name: str
+    start_us: int
+    end_us: int
+    count: int
+    blamed: bool
+
+
+def alarms_of(result: Result) -> list[Alarm]:
+    """The alarms a result raises: one for everybody it holds something against."""
+    if isinstance(result, SensorDecision):
+        if not result.alarm:
+            return []
+        return [Alarm(result.t_us, result.sensor, result.sensor, result.isolated)]
+    if not isinstance(result, Decision):
+        return []
+    channel = "gps-position" if result.mode.startswith("position") else "satellites"
+    found = [Alarm(result.t_us, channel, name, True) for name in result.excluded]
+    if not result.alarm:
+        return found
+    if result.hypothesis == "imu":
+        found.append(Alarm(result.t_us, "imu", "imu", True))
+    elif result.hypothesis == "clock":
+        found.append(Alarm(result.t_us, channel, "clock", True))
+    elif EITHER in result.hypothesis:
+        found.append(Alarm(result.t_us, channel, result.hypothesis, False))
+    elif not found or result.hypothesis == "multiple-unknown":
+        found.append(Alarm(result.t_us, channel, "", False))
+    return found
+
+
+def channel_of(result: Result) -> str | None:
+    """The channel that a result comes from, None where it tested nothing."""
+    if isinstance(result, SensorDecision):
+        return result.sensor if result.statistic is not None or result.alarm else None
+    if not isinstance(result, Decision) or result.hypothesis == "untestable":
+        return None
+    return "gps-position" if result.mode.startswith("position") else "satellites"
+
+
+def windows_of(alarms: Iterable[Alarm]) -> list[Window]:
+    """Alarms joined to windows, in order of start."""
+    found: list[Window] = []
+    newest: dict[tuple[str, str], int] = {}
+    for alarm in sorted(alarms, key=lambda alarm: alarm.t_us):
+        key = alarm.channel, alarm.name
+        at = newest.get(key)
+        if at is not None and alarm.t_us - found[at].end_us <= PAUSE_US:
+            window = found[at]
+            found[at] = Window(
+                *key, window.start_us, alarm.t_us, window.count + 1, window.blamed or alarm.blamed
+            )
+        else:
+            newest[key] = len(found)
+            found.append(Window(*key, alarm.t_us, alarm.t_us, 1, alarm.blamed))
+    return found
+
+
+def without(window: Window, stretches: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """What remains of a window outside some stretches of time, in microseconds."""
+    rest, at = [], window.start_us
+    for start, end in sorted(stretches):
+        if end < at or start > window.end_us:
+            continue
+        if start > at:
+            rest.append((at, min(start, window.end_us)))
+        at = max(at, end + 1)
+    if at <= window.end_us:
+        rest.append((at, window.end_us))
+    return rest

@@ -1,0 +1,161 @@
+"""Which channels of the monitor can see a fault, and whom they may rightly blame for it.
+
+A *channel* is what one test of the monitor watches: the satellites, the receiver's own position and
+velocity, the IMU, another sensor, the link. What a fault falsifies follows from its targets, and
+where it names none from its kind.
+"""
+
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from mavproxy_fault.wire.label import Label
+
+SATELLITES, POSITION, VELOCITY = "satellites", "gps-position", "gps-velocity"
+IMU, MAG, BARO, AIRSPEED, RANGE, VISION, LINK = (
+    *("imu", "mag", "baro", "airspeed", "range", "vision", "link"),
+)
+RECEIVER = frozenset({POSITION, VELOCITY, "GPS", "clock"})  # names by which a receiver is blamed
+EVERY_SATELLITE = "every satellite"
+SATELLITE = re.compile(r"[GRECJSI]\d\d")
+
+
+class Sight(NamedTuple):
+    """Who can see a fault and who is to blame.
+
+    `channels` can see it; of each set in `culprits` one name must be blamed, and whoever is in
+    `suspects` is blamed rightly. Without channels `reason` says why nothing can see it.
+    """
+
+    channels: frozenset[str]
+    culprits: tuple[frozenset[str], ...] = ()
+    suspects: frozenset[str] = frozenset()
+    reason: str = ""
+
+    def suspected(self, name: str) -> bool:
+        """Whether a name is blamed rightly."""
+        if EVERY_SATELLITE in self.suspects and SATELLITE.fullmatch(name):
+            return True
+        return name in self.suspects
+
+
+def _sensor(name: str) -> Sight:
+    own = frozenset({name})
+    return Sight(own, (own,), own)
+
+
+def _together(*sights: Sight) -> Sight:
+    """One source of all of these: it is enough that one of them is blamed."""
+    names = frozenset().union(*(sight.suspects for sight in sights))
+    return Sight(frozenset().union(*(sight.channels for sight in sights)), (names,), names)
+
+
+# The test of an epoch or a fix holds it against the IMU: its alarm may be the IMU's.
+IMU_SIGHT = Sight(frozenset({IMU, SATELLITES, POSITION}), (frozenset({IMU}),), frozenset({IMU}))
+FIX_SIGHT = Sight(frozenset({POSITION, VELOCITY}), (RECEIVER,), RECEIVER)
+RECEIVER_SIGHT = Sight(
+    frozenset({SATELLITES, POSITION, VELOCITY}),
+    (RECEIVER | {EVERY_SATELLITE},),
+    RECEIVER | {EVERY_SATELLITE},
+)
+BY_NAME = {name: _sensor(name) for name in (MAG, BARO, AIRSPEED, RANGE, VISION, LINK)}
+BY_NAME |= {IMU: IMU_SIGHT}
+
+MAG_FIELDS = re.compile(r"[xyz]mag")
+IMU_FIELDS = re.compile(r"[xyz](gyro|acc)")
+BARO_FIELDS = ("abs_pressure", "press_abs", "pressure_alt")
+AIR_FIELDS = ("diff_pressure", "press_diff")
+MESSAGES = {
+    **dict.fromkeys(("HIL_SENSOR", "HIGHRES_IMU"), (IMU, MAG, BARO, AIRSPEED)),
+    **dict.fromkeys(("RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3"), (IMU, MAG)),
+    **dict.fromkeys(
+        ("SCALED_PRESSURE", "SCALED_PRESSURE2", "SCALED_PRESSURE3", "RAW_PRESSURE"),
+        (BARO, AIRSPEED),
+    ),
+    "DISTANCE_SENSOR": (RANGE,),
+    **dict.fromkeys(("ODOMETRY", "VISION_POSITION_ESTIMATE", "VISION_SPEED_ESTIMATE"), (VISION,)),
+}
+FIXES = ("HIL_GPS", "GPS_RAW_INT", "GPS2_RAW", "GPS_INPUT", "GLOBAL_POSITION_INT")
+GROUPS = {"accel": IMU, "gyro": IMU, "mag": MAG, "baro": BARO, "airspeed": AIRSPEED}
+# Faults that act on the link's bytes and frames, whatever is in them
+LOSSES = (
+    *("outage", "drop", "burst-loss", "gilbert-elliott", "rate-limit", "corrupt", "truncate"),
+    "sequence-gap",
+)
+IN_RECEIVER = re.compile(r"(receiver_off|cn0_drop_db\[all\]|pseudorange_m\[all\]|.*_lost\[all\])")
+
+
+def sight(label: Label) -> Sight:
+    """Who can see the fault of a label."""
+    if label.fault == "gps-spoof":
+        return RECEIVER_SIGHT
+    if not label.targets:
+        return _of_link(label.fault)
+    found = [_of_target(target, label.parameters) for target in label.targets]
+    seen = [one for one in found if one.channels]
+    if not seen:
+        return found[0]
+    merged = Sight(
+        frozenset().union(*(one.channels for one in seen)),
+        tuple(dict.fromkeys(culprit for one in seen for culprit in one.culprits)),
+        frozenset().union(*(one.suspects for one in seen)),
+    )
+    if label.fault in LOSSES:  # the frames that are lost are missing in the link's count as well
+        merged = merged._replace(
+            channels=merged.channels | {LINK}, suspects=merged.suspects | {LINK}
+        )
+    return merged
+
+
+def _of_link(fault: str) -> Sight:
+    """A fault of the whole link falsifies nobody, but everybody may fall silent."""
+    if fault not in LOSSES:
+        return Sight(frozenset(), reason=f"{fault} on a link leaves every value as it was")
+    everybody = frozenset({*BY_NAME, *RECEIVER, EVERY_SATELLITE})
+    return Sight(frozenset({LINK}), (everybody,), everybody)
+
+
+def _of_target(target: str, parameters: Mapping[str, object]) -> Sight:
+    message, _, path = target.partition(".")
+    name = path.partition("[")[0]
+    if message in ("PSEUDORANGE", "TUNNEL"):
+        return _of_satellite(path)
+    if message == "PLANT":
+        satellite = SATELLITE.search(path)
+        if satellite is not None:
+            return _of_satellite(satellite.group())
+        if IN_RECEIVER.fullmatch(path):
+            return RECEIVER_SIGHT
+        return Sight(frozenset(), reason=f"no channel watches the plant ({path})")
+    if message in FIXES:
+        return FIX_SIGHT
+    devices = _devices(message, name, parameters)
+    if not devices:
+        return Sight(frozenset(), reason=f"no channel watches {target}")
+    return _together(*(BY_NAME[device] for device in devices))
+
+
+def _of_satellite(name: str) -> Sight:
+    """One satellite; a receiver that uses it drags its own position along."""
+    if not SATELLITE.fullmatch(name):
+        return RECEIVER_SIGHT
+    own = frozenset({name})
+    return Sight(frozenset({SATELLITES, POSITION, VELOCITY}), (own,), own | RECEIVER)
+
+
+def _devices(message: str, name: str, parameters: Mapping[str, object]) -> tuple[str, ...]:
+    """The sensors that a field of a message belongs to; without a field all that speak in it."""
+    every = MESSAGES.get(message, ())
+    if name == "fields_updated":
+        groups = parameters.get("groups")
+        named = [GROUPS[g] for g in groups if g in GROUPS] if isinstance(groups, list) else []
+        return tuple(dict.fromkeys(named)) or every
+    if not name or name.startswith("time") or len(every) == 1:
+        return every
+    for device, fields in ((IMU, IMU_FIELDS), (MAG, MAG_FIELDS)):
+        if device in every and fields.fullmatch(name):
+            return (device,)
+    for device, names in ((BARO, BARO_FIELDS), (AIRSPEED, AIR_FIELDS)):
+        if device in every and name in names:
+            return (device,)
+    return ()

@@ -1,0 +1,79 @@
+"""ULog and dataflash logs as samples for the monitor."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.recordings.recordings import read_log
+from analysis.samples.block import ATTITUDE, BARO, FIX, IMU, MAG
+from analysis.samples.sample import GpsFix, ImuSample, MagSample
+from mavproxy_fault.documents.errors import ConfigError
+
+HEAD = b"\xa3\x95"
+FORMATS = {  # name: (type, struct code, dataflash code, columns)
+    "FMT": (128, "BB4s16s64s", "BBnNZ", "Type,Length,Name,Format,Columns"),
+    "IMU": (10, "Qffffff", "Qffffff", "TimeUS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+    "MAG": (11, "Qhhh", "Qhhh", "TimeUS,MagX,MagY,MagZ"),
+    "BARO": (12, "Qff", "Qff", "TimeUS,Alt,Press"),
+    "GPS": (13, "QBBfiiffff", "QBBfLLffff", "TimeUS,Status,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ"),
+    "ATT": (14, "Qfff", "Qfff", "TimeUS,Roll,Pitch,Yaw"),
+}
+
+
+def row(name: str, *values: object) -> bytes:
+    number, code, _, _ = FORMATS[name]
+    return HEAD + bytes((number,)) + struct.pack("<" + code, *values)
+
+
+def dataflash(path: Path, *names: str) -> Path:
+    """A second of a flight to the east, with messages of some names."""
+    data = b"".join(
+        row("FMT", n, 3 + struct.calcsize("<" + code), name.encode(), form.encode(), cols.encode())
+        for name, (n, code, form, cols) in FORMATS.items()
+    )
+    for tick in range(10):
+        t_us = 1_000_000 + tick * 100_000
+        rows = {
+            "GPS": (t_us + 3, 3, 12, 0.8, 470_000_000, 80_000_000 + tick, 500.0, 5.0, 90.0, -1.0),
+            "IMU": (t_us, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8),
+            "MAG": (t_us + 1, 200, 0, 400),
+            "BARO": (t_us + 2, 0.0, 95_000.0),
+            "ATT": (t_us + 4, 0.0, 0.0, 90.0),
+        }
+        data += b"".join(row(name, *rows[name]) for name in names)
+    path.write_bytes(data)
+    return path
+
+
+def test_a_dataflash_log_holds_what_the_monitor_needs(tmp_path: Path) -> None:
+    (block,) = read_log(dataflash(tmp_path / "a.bin", "GPS", "IMU", "MAG", "BARO", "ATT"))
+    assert np.all(np.diff(block.t_us) > 0)
+    assert block.kind[:5].tolist() == [IMU, MAG, BARO, FIX, ATTITUDE]
+    imu, mag, fix = (block.sample(at) for at in (0, 1, 3))
+    assert isinstance(imu, ImuSample)
+    assert imu.gyro_b_rps == pytest.approx([0.1, 0.2, 0.3])
+    assert isinstance(mag, MagSample)
+    assert mag.field_b_gauss == pytest.approx([0.2, 0.0, 0.4])
+    assert isinstance(fix, GpsFix)
+    assert (fix.lat_deg, fix.fix_type, fix.satellites) == (pytest.approx(47.0), 3, 12)
+    assert fix.v_ned_mps == pytest.approx([0.0, 5.0, -1.0], abs=1e-6)
+    assert block.sample(4).q_nb == pytest.approx([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
+
+
+@pytest.mark.parametrize(("names", "missing"), [(("IMU", "MAG"), "GPS"), (("GPS",), "IMU")])
+def test_a_log_that_cannot_be_tested_is_refused(
+    tmp_path: Path, names: tuple[str, ...], missing: str
+) -> None:
+    with pytest.raises(ConfigError, match=f"no samples of {missing}; the monitor needs"):
+        list(read_log(dataflash(tmp_path / "a.bin", *names)))
+
+
+def test_a_real_ulog_is_read_with_all_its_sensors(shared_data: Path) -> None:
+    (block,) = read_log(shared_data / "ulog" / "gps_interference.ulg")
+    assert {IMU, MAG, BARO, FIX, ATTITUDE} <= set(block.kind.tolist())
+    force = np.median(block.values[block.rows(IMU), 5])
+    assert force == pytest.approx(-9.8, abs=0.5)
+    strength = np.linalg.norm(block.values[block.rows(MAG), :3], axis=1)
+    assert 0.2 < np.median(strength) < 0.7

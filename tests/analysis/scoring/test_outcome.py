@@ -1,0 +1,264 @@
+"""The truth table of verdicts, as docs/verdicts.md tells it."""
+
+from collections.abc import Iterable, Sequence
+
+import pytest
+
+from analysis.results import Decision, Result, SensorDecision
+from analysis.scoring.alarm_windows import Window, alarms_of, channel_of, windows_of
+from analysis.scoring.fault_channels import sight
+from analysis.scoring.outcome import FaultOutcome, false_alarms, outcomes
+from mavproxy_fault.wire.label import Label
+
+T0_US = 1_000_000
+
+
+def stamp(t_s: float) -> int:
+    return T0_US + round(t_s * 1e6)
+
+
+def label(
+    id: str, targets: str, start_s: float = 10, end_s: float | None = 20, fault: str = "bias"
+) -> Label:
+    return Label(
+        id=id,
+        fault=fault,
+        targets=tuple(targets.split()),
+        t0_us=T0_US,
+        start_us=stamp(start_s),
+        end_us=None if end_s is None else stamp(end_s),
+        frames=10,
+    )
+
+
+def decision(t_s: float, excluded: Sequence[str] = (), hypothesis: str = "") -> Decision:
+    return Decision(
+        t_s=t_s,
+        t_us=stamp(t_s),
+        statistic=99.0,
+        threshold=25.0,
+        dof=6,
+        p_value=0.0,
+        alarm=bool(excluded or hypothesis),
+        hypothesis=hypothesis or ("satellites" if excluded else "none"),
+        excluded=tuple(excluded),
+    )
+
+
+def sensor(t_s: float, name: str, isolated: bool = True, alarm: bool = True) -> SensorDecision:
+    return SensorDecision(
+        t_s=t_s,
+        t_us=stamp(t_s),
+        sensor=name,
+        statistic=50.0 if alarm else 1.0,
+        threshold=10.0,
+        dof=1,
+        alarm=alarm,
+        isolated=isolated and alarm,
+    )
+
+
+def from_to(start_s: float, end_s: float) -> list[float]:
+    return [start_s + 0.2 * i for i in range(round((end_s - start_s) / 0.2) + 1)]
+
+
+def windows(results: Iterable[Result]) -> list[Window]:
+    return windows_of(alarm for result in results for alarm in alarms_of(result))
+
+
+def judged(labels: Sequence[Label], results: Sequence[Result]) -> list[FaultOutcome]:
+    quiet = [sensor(0, name, alarm=False) for name in ("imu", "mag", "baro", "gps-position")]
+    watched = {channel_of(result) for result in [decision(0), *quiet, *results]} - {None}
+    return outcomes(labels, windows(results), {str(name) for name in watched}, 200_000)
+
+
+G12, GYRO, FIX = "PSEUDORANGE.G12", "HIL_SENSOR.xgyro", "HIL_GPS.lat"
+BLAMED = [decision(t, ["G12"]) for t in from_to(10.2, 22)]
+
+# what was done, what was said -> verdict, who was blamed rightly, who wrongly, what is left open
+TRUTH = {
+    "the right one and nobody else": (G12, BLAMED, "isolated", ("G12",), (), ""),
+    "another satellite": (
+        G12,
+        [decision(12, ["E05"])],
+        *("wrong", (), ("E05",), "in truth missed"),
+    ),
+    "the right one, and a healthy one on another channel": (
+        G12,
+        [*BLAMED, *(sensor(t, "imu") for t in from_to(12, 15))],
+        *("wrong", ("G12",), ("imu",), "in truth isolated"),
+    ),
+    "healthy ones inside, and the right one only after the end": (
+        G12,
+        [
+            *(sensor(t, name) for name in ("imu", "mag", "baro") for t in from_to(11, 14)),
+            decision(20.9, ["G12"]),
+        ],
+        *("wrong", (), ("imu", "mag", "baro"), "in truth found 0.9 s after its end"),
+    ),
+    "an alarm that blames nobody": (
+        G12,
+        [decision(11, hypothesis="multiple-unknown")],
+        *("detected", (), (), "nobody was blamed"),
+    ),
+    "the same for an IMU, which the epoch's test can see": (
+        GYRO,
+        [decision(11, hypothesis="multiple-unknown")],
+        *("detected", (), (), "nobody was blamed"),
+    ),
+    "an alarm that cannot tell between two": (
+        GYRO,
+        [decision(11, hypothesis="GPS-or-imu")],
+        *("ambiguous", (), (), "GPS-or-imu"),
+    ),
+    "between two of which none is it": (
+        "HIL_SENSOR.xmag",
+        [decision(11, hypothesis="GPS-or-imu")],
+        *("missed", (), (), ""),
+    ),
+    "a sensor suspected, not left out": (
+        "HIL_SENSOR.xmag",
+        [sensor(11, "mag", isolated=False)],
+        *("detected", (), (), "nobody was blamed"),
+    ),
+    "one of two satellites": (
+        f"{G12} PSEUDORANGE.E05",
+        BLAMED,
+        *("detected", ("G12",), (), "not blamed: E05"),
+    ),
+    "a receiver's velocity for its position": (
+        FIX,
+        [sensor(12, "gps-velocity")],
+        *("isolated", ("gps-velocity",), (), ""),
+    ),
+    "a receiver's position beside its satellite": (
+        G12,
+        [*BLAMED, sensor(12, "gps-position")],
+        *("isolated", ("G12", "gps-position"), (), ""),
+    ),
+    "one sensor of a message that is lost": (
+        "HIL_SENSOR",
+        [sensor(12, "imu"), sensor(12, "baro")],
+        *("isolated", ("baro", "imu"), (), ""),
+    ),
+    "one epoch after the end": (
+        G12,
+        [decision(20.1, ["G12"])],
+        *("isolated", ("G12",), (), ""),
+    ),
+    "later": (G12, [decision(23, ["G12"])], "late", (), (), "found 3.0 s after its end"),
+    "after its echo": (G12, [decision(31, ["G12"])], "missed", (), (), ""),
+    "nothing": (G12, [], "missed", (), (), ""),
+    "an alarm from before": (
+        G12,
+        [decision(t, ["G12"]) for t in from_to(8, 12)],
+        *("not judged", (), (), "G12 was under alarm from before"),
+    ),
+    "no channel": (
+        "BATTERY_STATUS.voltages[0]",
+        [],
+        *("not judged", (), (), "no channel watches BATTERY_STATUS.voltages[0]"),
+    ),
+    "no such sensor": (
+        "HIL_SENSOR.diff_pressure",
+        [],
+        *("not judged", (), (), "no airspeed in this flight"),
+    ),
+    "a healthy sensor while the plant is at fault": (
+        "PLANT.motor_efficiency[0]",
+        [sensor(12, "mag")],
+        *(
+            *("wrong", (), ("mag",)),
+            "in truth no channel watches the plant (motor_efficiency[0])",
+        ),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", TRUTH.values(), ids=TRUTH.keys())
+def test_truth_table(case: tuple) -> None:
+    targets, results, verdict, isolated, wrongly, reason = case
+    (row,) = judged([label("f", targets)], results)
+    found = row.verdict, row.isolated, tuple(blame.who for blame in row.wrongly), row.reason
+    assert found == (verdict, isolated, wrongly, reason)
+
+
+def test_a_wrong_blame_is_told_with_its_time() -> None:
+    results = [sensor(t, "imu") for t in from_to(12, 15)]
+    (row,) = judged([label("f", G12)], results)
+    (blame,) = row.wrongly
+    assert (blame.from_s, blame.for_s) == (12.0, 3.0)
+
+
+def test_the_delay_counts_to_the_first_alarm_on_a_channel_that_can_see_it() -> None:
+    results = [sensor(10.4, "baro", isolated=False), *BLAMED]
+    (row,) = judged([label("f", G12)], results)
+    assert (row.detected, row.delay_s) == (True, 0.2)
+
+
+def test_two_faults_at_once_each_have_their_own() -> None:
+    labels = [label("a", G12), label("b", "PSEUDORANGE.E05")]
+    rows = judged(labels, [decision(t, ["E05", "G12"]) for t in from_to(10.2, 20)])
+    assert [row.verdict for row in rows] == ["isolated", "isolated"]
+
+
+def test_a_later_fault_proves_no_earlier_one() -> None:
+    labels = [label("a", G12, 10, 12), label("b", G12, 15, 18)]
+    rows = judged(labels, [decision(t, ["G12"]) for t in from_to(15.2, 18)])
+    assert [row.verdict for row in rows] == ["missed", "isolated"]
+
+
+def test_false_alarms_are_counted_by_channel_outside_and_inside_faults() -> None:
+    results = [
+        *(sensor(t, "baro", isolated=False) for t in (5.0, 5.2)),
+        *(sensor(t, "imu") for t in from_to(12, 15)),
+        sensor(14, "mag", isolated=False),  # a suspicion while something was wrong
+        *(sensor(t, "mag") for t in from_to(40, 42)),
+    ]
+    rows = false_alarms([label("f", G12)], windows(results), 100.0)
+    found = [(r.channel, r.outside, r.inside, r.blamed, r.seconds, r.per_hour) for r in rows]
+    assert found == [
+        ("baro", 1, 0, (), 0.0, 36.0),
+        ("imu", 0, 1, ("imu",), 3.0, 36.0),
+        ("mag", 1, 0, ("mag",), 2.0, 36.0),
+    ]
+
+
+def test_a_right_blame_that_outlasts_the_echo_is_false_from_there() -> None:
+    (row,) = false_alarms(
+        [label("f", G12)], windows(decision(t, ["G12"]) for t in from_to(11, 35)), 60
+    )
+    assert (row.outside, row.inside, row.blamed) == (1, 0, ("G12",))
+    assert row.seconds == pytest.approx(5.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("fault", "targets", "channels"),
+    [
+        ("bias", "HIL_SENSOR.xgyro", "gps-position imu satellites"),
+        ("bias", "SCALED_IMU2.zmag", "mag"),
+        ("bias", "HIGHRES_IMU.abs_pressure", "baro"),
+        ("bias", "SCALED_PRESSURE.press_diff", "airspeed"),
+        ("bias", "GPS2_RAW.lat", "gps-position gps-velocity"),
+        ("plant", "PLANT.receiver_off", "gps-position gps-velocity satellites"),
+        ("plant", "PLANT.pseudorange_m[G12]", "gps-position gps-velocity satellites"),
+        ("plant", "PLANT.wind_n_mps", ""),
+        ("drop", "DISTANCE_SENSOR", "link range"),
+        ("outage", "", "link"),
+        ("jitter", "", ""),
+        ("gps-spoof", "", "gps-position gps-velocity satellites"),
+        ("bias", "ODOMETRY.x", "vision"),
+    ],
+)
+def test_channels_follow_from_target_and_kind(fault: str, targets: str, channels: str) -> None:
+    found = sight(label("f", targets, fault=fault))
+    assert sorted(found.channels) == channels.split()
+    assert bool(found.reason) is not bool(channels)
+
+
+def test_bits_cleared_by_group_belong_to_that_sensor() -> None:
+    off = Label(
+        id="f", fault="clear-bits", targets=("HIL_SENSOR.fields_updated",), t0_us=0, start_us=0,
+        parameters={"groups": ["baro"]},
+    )  # fmt: skip
+    assert sight(off).channels == {"baro"}
