@@ -8,10 +8,12 @@ off meanwhile: the noise is that of the raw ranges.
 """
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 from scipy.optimize import nnls
 from scipy.special import chdtri
 
@@ -21,7 +23,9 @@ from analysis.detection.detector_state import State
 from analysis.detection.filter.measurement import model, observe
 from analysis.results import Decision, SensorDecision
 from analysis.samples.sample import Epoch, Sample, Vector
+from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.yaml_document import read_document, write_yaml
 
 EPOCHS_MIN = 60
 FLOOR_M = 0.05
@@ -132,12 +136,16 @@ def _shape(rows: list[Vector], before: SigmaModel) -> SigmaModel:
     )
 
 
+class SigmaFile(msgspec.Struct, frozen=True):
+    """A file with a sigma model, as the monitor's section of a scenario may have it too."""
+
+    sigma: SigmaModel
+
+
 def write_sigma(path: Path, calibration: Calibration) -> None:
     """The sigma model as YAML, as the `sigma` of a monitor's configuration."""
-    import yaml
-
-    numbers = {name: round(value, 4) for name, value in asdict(calibration.sigma).items()}
-    text = yaml.safe_dump({"sigma": numbers}, sort_keys=False)
+    numbers = msgspec.structs.asdict(calibration.sigma).items()
+    text = write_yaml({"sigma": {name: round(value, 4) for name, value in numbers}})
     made = f"{calibration.epochs} epochs, chi-square per dof {calibration.chi_square_per_dof:.3f}"
     path.write_text(f"# Pseudorange noise fitted to a clean recording: {made}\n{text}")
 
@@ -150,12 +158,7 @@ def read_sigma(path: Path) -> SigmaModel:
     ConfigError
         If the file cannot be read or holds something else.
     """
-    import yaml
-
-    try:
-        values = yaml.safe_load(path.read_text())
-    except (OSError, yaml.YAMLError) as error:
-        raise ConfigError(f"{path}: cannot be read as YAML ({error})") from error
-    if not isinstance(values, dict) or not isinstance(values.get("sigma"), dict):
+    document = read_document(path)
+    if not isinstance(document.data, dict) or "sigma" not in document.data:
         raise ConfigError(f"{path}: has no `sigma`; a file of `monitor --calibrate` has one")
-    return DetectorConfig.from_mapping({"sigma": values["sigma"]}).sigma
+    return decode(document, SigmaFile).sigma

@@ -1,24 +1,29 @@
 """Parameters of the detector."""
 
 import math
-from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Annotated
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.isolation.hypotheses import RULES
 from analysis.orbits.broadcast import SYSTEMS, TYPICAL_ALPHA, TYPICAL_BETA
 from analysis.samples.sample import Vector
-from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.compile import compiled
 
 MOST = 64  # satellites whose thresholds are kept in a table
 
+Probability = Annotated[float, Meta(gt=0, lt=0.5)]
+NotNegative = Annotated[float, Meta(ge=0)]
+Seconds = Annotated[float, Meta(ge=0, le=1e6)]
+Axes = tuple[float, float, float]
+Klobuchar = tuple[float, float, float, float, float, float, float, float]
 
-@dataclass(frozen=True, kw_only=True)
-class SigmaModel:
+
+class SigmaModel(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     """One sigma of a pseudorange from elevation and C/N0.
 
     sigma^2 = scale^2 (floor^2 + (zenith / sin(elevation))^2 + thermal^2 10^((45 - C/N0) / 10))
@@ -28,14 +33,14 @@ class SigmaModel:
     `slow_s`, and a slope of `slow_mps`. `rate_mps` is one sigma of a Doppler rate in the zenith.
     """
 
-    scale: float = 1.0
-    floor_m: float = 0.3
-    zenith_m: float = 0.4
-    thermal_m: float = 0.3
-    slow: float = 1.0
-    slow_s: float = 300.0
-    slow_mps: float = 0.02
-    rate_mps: float = 0.15
+    scale: Annotated[float, Meta(gt=0)] = 1.0
+    floor_m: Annotated[float, Meta(gt=0)] = 0.3
+    zenith_m: NotNegative = 0.4
+    thermal_m: NotNegative = 0.3
+    slow: NotNegative = 1.0
+    slow_s: Annotated[float, Meta(gt=0)] = 300.0
+    slow_mps: NotNegative = 0.02
+    rate_mps: Annotated[float, Meta(gt=0)] = 0.15
 
     def sigma_m(self, elevation_rad: Vector, cn0_dbhz: Vector) -> Vector:
         """One sigma (n,) of each pseudorange; 45 dBHz where C/N0 is not given."""
@@ -62,31 +67,29 @@ def range_variance(elevation_rad: Vector, cn0_dbhz: Vector, sigma: Vector) -> Ve
     return out
 
 
-@dataclass(frozen=True, kw_only=True)
-class Noise:
+class Noise(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     """Process noise: densities of the IMU, the receiver's clock, and motion without an IMU.
 
     The densities of the IMU are those of a small MEMS part with room for vibration and timing.
     """
 
-    gyro_rps: float = 2e-3  # rad/s/sqrt(Hz)
-    accel_mps2: float = 2e-2  # m/s^2/sqrt(Hz)
-    gyro_walk: float = 2e-5  # rad/s^2/sqrt(Hz)
-    accel_walk: float = 5e-4  # m/s^3/sqrt(Hz)
-    clock_m: float = 0.3  # m/sqrt(s)
-    drift_mps: float = 0.3  # m/s/sqrt(s)
-    isb_m: float = 0.005  # m/sqrt(s)
-    motion_mps2: float = 3.0  # m/s^2/sqrt(Hz), where no IMU tells of the motion
+    gyro_rps: NotNegative = 2e-3  # rad/s/sqrt(Hz)
+    accel_mps2: NotNegative = 2e-2  # m/s^2/sqrt(Hz)
+    gyro_walk: NotNegative = 2e-5  # rad/s^2/sqrt(Hz)
+    accel_walk: NotNegative = 5e-4  # m/s^3/sqrt(Hz)
+    clock_m: NotNegative = 0.3  # m/sqrt(s)
+    drift_mps: NotNegative = 0.3  # m/s/sqrt(s)
+    isb_m: NotNegative = 0.005  # m/sqrt(s)
+    motion_mps2: NotNegative = 3.0  # m/s^2/sqrt(Hz), where no IMU tells of the motion
 
     @cached_property
     def densities(self) -> Vector:
         """Squares (8,) in the order of the fields, as the kernels take them."""
-        values = [getattr(self, name) for name in self.__dataclass_fields__]
+        values = [getattr(self, name) for name in self.__struct_fields__]
         return np.array(values, dtype=float) ** 2
 
 
-@dataclass(frozen=True, kw_only=True)
-class DetectorConfig:
+class DetectorConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     """What the detector may assume and how often it may cry wolf.
 
     `p_false_alarm` is per GNSS epoch for the main test F00; `p_slow` per epoch for the tests with
@@ -100,57 +103,40 @@ class DetectorConfig:
     filter can be repaired. `ionosphere` holds Klobuchar's coefficients until some are received.
     """
 
-    p_false_alarm: float = 1e-4
-    p_slow: float = 1e-4
-    p_other: float = 1e-5
+    p_false_alarm: Probability = 1e-4
+    p_slow: Probability = 1e-4
+    p_other: Probability = 1e-5
     rule: str = "explicit"
-    left_out: int = 3
+    left_out: Annotated[int, Meta(ge=0, le=MOST)] = 3
     systems: str = "GE"
-    antenna_b_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    mask_deg: float = 10.0
-    readmit_s: float = 10.0
-    imu_hold_s: float = 10.0
-    gap_s: float = 0.15
-    reset_s: float = 10.0
-    history_s: float = 30.0
-    slow_accel_mps2: float = 0.1
+    antenna_b_m: Axes = (0.0, 0.0, 0.0)
+    mask_deg: Annotated[float, Meta(ge=0, lt=90)] = 10.0
+    readmit_s: Seconds = 10.0
+    imu_hold_s: Seconds = 10.0
+    gap_s: Seconds = 0.15
+    reset_s: Seconds = 10.0
+    history_s: Seconds = 30.0
+    slow_accel_mps2: NotNegative = 0.1
     doppler: bool = True
-    sigma: SigmaModel = field(default_factory=SigmaModel)
-    noise: Noise = field(default_factory=Noise)
-    ionosphere: tuple[float, ...] = TYPICAL_ALPHA + TYPICAL_BETA
+    sigma: SigmaModel = SigmaModel()
+    noise: Noise = Noise()
+    ionosphere: Klobuchar = (*TYPICAL_ALPHA, *TYPICAL_BETA)
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be meant.
+        """Refuse names that there are not.
 
         Raises
         ------
-        ConfigError
+        ValueError
             Naming the field, its value and what is allowed.
         """
-        for name in ("p_false_alarm", "p_slow", "p_other"):
-            value = getattr(self, name)
-            if not 0.0 < value < 0.5:
-                raise ConfigError(f"monitor.{name} = {value} is no probability; 0 to 0.5 is")
         if self.rule not in RULES:
-            raise ConfigError(
-                f"monitor.rule = {self.rule!r} is unknown; known: {', '.join(sorted(RULES))}"
-            )
-        if len(self.antenna_b_m) != 3 or not np.isfinite(self.antenna_b_m).all():
-            raise ConfigError(
-                f"monitor.antenna_b_m = {self.antenna_b_m} is no place;"
-                " three lengths in m are: forward, right, down"
-            )
+            raise ValueError(f"rule = {self.rule!r} is unknown; known: {', '.join(sorted(RULES))}")
         if not self.systems or not set(self.systems) <= set(SYSTEMS):
-            raise ConfigError(
-                f"monitor.systems = {self.systems!r} names no or other systems;"
-                f" letters of {SYSTEMS} are known"
+            raise ValueError(
+                f"systems = {self.systems!r} names no or other systems; letters of {SYSTEMS} are"
+                " known"
             )
-        for name in ("left_out", "readmit_s", "imu_hold_s", "gap_s", "reset_s", "history_s"):
-            value = getattr(self, name)
-            if not value >= 0:
-                raise ConfigError(f"monitor.{name} = {value} is negative; it must be 0 or more")
-        if len(self.ionosphere) != 8:
-            raise ConfigError("monitor.ionosphere must hold Klobuchar's four alpha and four beta")
 
     @cached_property
     def mask_rad(self) -> float:
@@ -176,30 +162,3 @@ class DetectorConfig:
         sigma = self.sigma
         spread = sigma.slow**2, sigma.slow_s, sigma.slow_mps**2, self.slow_accel_mps2**2
         return np.array(spread, dtype=float)
-
-    @classmethod
-    def from_mapping(cls, values: dict[str, Any]) -> "DetectorConfig":
-        """A configuration from the names of a scenario or a calibration file.
-
-        Raises
-        ------
-        ConfigError
-            For a name or value that is not allowed.
-        """
-        parts: dict[str, Any] = dict(values)
-        for name, kind in (("sigma", SigmaModel), ("noise", Noise)):
-            if name in parts:
-                parts[name] = _build(f"monitor.{name}", kind, parts[name])
-        for name in ("ionosphere", "antenna_b_m"):
-            if name in parts:
-                parts[name] = tuple(float(x) for x in parts[name])
-        built: DetectorConfig = _build("monitor", cls, parts)
-        return built
-
-
-def _build(where: str, kind: Any, values: dict[str, Any]) -> Any:
-    known = kind.__dataclass_fields__
-    for name in values:
-        if name not in known:
-            raise ConfigError(f"{where}.{name} is unknown; known: {', '.join(sorted(known))}")
-    return kind(**values)

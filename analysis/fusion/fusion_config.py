@@ -2,8 +2,6 @@
 
 import msgspec
 
-from mavproxy_fault.documents.errors import ConfigError
-
 ROBUST = ("none", "huber", "geman-mcclure", "gnc")
 
 
@@ -46,19 +44,17 @@ class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
 
         Raises
         ------
-        ConfigError
+        ValueError
             Naming the field, its value and what is allowed.
         """
         for name in self.__struct_fields__:
             value = getattr(self, name)
             if isinstance(value, float) and not value > 0.0:
-                raise ConfigError(f"monitor.fusion.{name} = {value} is not positive; it must be")
+                raise ValueError(f"{name} = {value} is not positive; it must be")
         if not self.suspicious < self.hopeless:
-            raise ConfigError(
-                f"monitor.fusion.hopeless = {self.hopeless} is not above suspicious = "
+            raise ValueError(
+                f"hopeless = {self.hopeless} is not above suspicious = "
                 f"{self.suspicious}; it must be"
             )
         if self.robust not in ROBUST:
-            raise ConfigError(
-                f"monitor.fusion.robust = {self.robust!r} is unknown; known: {', '.join(ROBUST)}"
-            )
+            raise ValueError(f"robust = {self.robust!r} is unknown; known: {', '.join(ROBUST)}")

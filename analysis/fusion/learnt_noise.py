@@ -9,9 +9,10 @@ What a detector may assume is a worst case; a covariance is to be right. From so
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec.structs import replace
 
 from analysis.detection.detection_config import Noise
 from analysis.samples.sample import Vector

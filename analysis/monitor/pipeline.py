@@ -4,7 +4,7 @@ A step is a frozen set of parameters with `new_state()` and `step(samples, state
 results and the next state; samples come in blocks of any length, one or a whole log.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from operator import itemgetter
 from typing import Any
@@ -22,7 +22,8 @@ from analysis.samples.block import EPHEMERIS, Block, Piece, block_of, pieces
 from analysis.samples.sample import Sample
 from analysis.scoring.attitude_scores import with_repeaters_last
 from analysis.scoring.attitude_scoring import AUTOPILOTS, AttitudeConfig, AttitudeScorer
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.document_check import decode
+from mavproxy_fault.documents.yaml_document import Document, Lines
 from mavproxy_fault.wire.label import Label
 
 WITHOUT_ISOLATION = "fused without isolation"
@@ -31,40 +32,35 @@ WITHOUT_ISOLATION = "fused without isolation"
 class MonitorConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The detector with the checks of other sensors, attitude scores, and fusion where wanted."""
 
-    detector: DetectorConfig = msgspec.field(default_factory=DetectorConfig)
+    detector: DetectorConfig = DetectorConfig()
     attitude: AttitudeConfig = AttitudeConfig()
     fusion: FusionConfig | None = None
 
 
-def monitor_config(values: Mapping[str, Any] | None, where: str) -> MonitorConfig:
-    """The `monitor` section of a scenario: the detector's keys, and mappings `attitude` and
-    `fusion` (which switches it on).
+class MonitorSection(DetectorConfig, frozen=True, kw_only=True):
+    """The `monitor` section of a scenario: the detector's keys, and what else the monitor does.
+
+    A mapping `fusion`, empty or not, switches the fusion on.
+    """
+
+    attitude: AttitudeConfig = AttitudeConfig()
+    fusion: FusionConfig | None = None
+
+
+def monitor_config(values: Any, where: str, lines: Lines | None = None) -> MonitorConfig:
+    """The `monitor` section of a scenario; `where` and `lines` are those of its file.
 
     Raises
     ------
     ConfigError
-        For a name or value that is not allowed.
+        With every name and value that is not allowed.
     """
-    detector = dict(values or {})
-    attitude = detector.pop("attitude", {})
-    fusion = detector.pop("fusion", None)
-    try:
-        return MonitorConfig(
-            detector=DetectorConfig.from_mapping(detector),
-            attitude=msgspec.convert(attitude, AttitudeConfig),
-            fusion=None if fusion is None else _fusion_config(fusion),
-        )
-    except (ConfigError, msgspec.ValidationError) as error:
-        raise ConfigError(f"{where}: {error}") from error
-
-
-def _fusion_config(values: Any) -> FusionConfig:
-    if isinstance(values, dict):
-        known = FusionConfig.__struct_fields__
-        for name in values:
-            if name not in known:
-                raise ConfigError(f"monitor.fusion.{name} is unknown; known: {', '.join(known)}")
-    return msgspec.convert(values, FusionConfig)
+    document = Document({"monitor": {} if values is None else values}, where, lines or {})
+    section = decode(document, MonitorSection, ("monitor",))
+    detector = {name: getattr(section, name) for name in DetectorConfig.__struct_fields__}
+    return MonitorConfig(
+        detector=DetectorConfig(**detector), attitude=section.attitude, fusion=section.fusion
+    )
 
 
 class Pipeline:

@@ -5,7 +5,6 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -80,7 +79,7 @@ def settings(scenario: str | None, sigma: str | None) -> tuple[MonitorConfig, Cr
     if sigma is not None:
         from analysis.detection.calibrate import read_sigma
 
-        detector = replace(config.detector, sigma=read_sigma(Path(sigma)))
+        detector = msgspec.structs.replace(config.detector, sigma=read_sigma(Path(sigma)))
         config = msgspec.structs.replace(config, detector=detector)
     return config, criteria
 

@@ -7,10 +7,12 @@ import msgspec
 
 from analysis.monitor.pipeline import MonitorConfig, monitor_config
 from analysis.scoring.criteria import Criteria
-from mavproxy_fault.documents.checked import Lines, read_yaml
+from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.yaml_document import Document, Lines
+from mavproxy_fault.documents.yaml_document import Path as DocumentPath
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule, read_schedule
-from simvehicle.scenario.scenario_file import Scenario, read_scenario
+from simvehicle.scenario.scenario_file import Scenario, decode_scenario, open_scenario
 from simvehicle.simulation.kinds import kind_of
 
 
@@ -32,22 +34,21 @@ def read_setup(path: str | None, schedule: str | None = None, seed: int | None =
     ConfigError
         If a section is wrong; nothing has been started then.
     """
-    where = path or "the demo scenario"
-    scenario = read_scenario(path)
+    document = open_scenario(path)
+    scenario = decode_scenario(document)
     if seed is not None:
         if seed < 0:
             raise ConfigError(f"--seed: {seed} is negative; 0 or more is allowed")
         scenario = msgspec.structs.replace(scenario, seed=seed)
     kind_of(scenario.vehicle.kind).read(scenario.vehicle.parameters)
-    faults = _schedule(scenario, path, schedule)
-    try:
-        criteria = msgspec.convert(scenario.criteria or {}, Criteria)
-    except msgspec.ValidationError as error:
-        known = ", ".join(field.name for field in msgspec.structs.fields(Criteria))
-        raise ConfigError(f"{where}: criteria: {error}; known: {known}") from error
+    faults = read_schedule(schedule) if schedule is not None else _schedule(scenario, document)
+    criteria = Criteria()
+    if scenario.criteria is not None:
+        criteria = decode(document, Criteria, ("criteria",))
     if schedule is not None:
         criteria = _about(criteria, faults)
-    return Setup(scenario, faults, monitor_config(scenario.monitor, where), criteria)
+    monitor = monitor_config(scenario.monitor, document.where, document.lines)
+    return Setup(scenario, faults, monitor, criteria)
 
 
 def _about(criteria: Criteria, faults: Schedule) -> Criteria:
@@ -60,22 +61,16 @@ def _about(criteria: Criteria, faults: Schedule) -> Criteria:
     return msgspec.structs.replace(criteria, **asked)
 
 
-def _schedule(scenario: Scenario, path: str | None, other: str | None) -> Schedule:
-    """The schedule: another file's, one named in the scenario, or the one written there."""
-    if other is not None:
-        return read_schedule(other)
+def _schedule(scenario: Scenario, document: Document) -> Schedule:
+    """The schedule that a scenario names, or the one written in it."""
     section = scenario.schedule
     if isinstance(section, str):
-        return read_schedule(Path(path or ".").parent / section)
+        return read_schedule(Path(document.where).parent / section)
     data = section if isinstance(section, dict) else {"faults": section or []}
-    where = path or "the demo scenario"
-    return parse_schedule({"seed": scenario.seed, **data}, where, _lines(path, section))
+    lines = _below(document.lines, () if isinstance(section, dict) else ("faults",))
+    return parse_schedule(Document({"seed": scenario.seed, **data}, document.where, lines))
 
 
-def _lines(path: str | None, section: object) -> Lines | None:
-    """The lines of the scenario's file on which the parts of its schedule stand."""
-    if path is None:
-        return None
-    _, lines = read_yaml(Path(path).read_text(encoding="utf-8"), path)
-    head = () if isinstance(section, dict) else ("faults",)
+def _below(lines: Lines, head: DocumentPath) -> Lines:
+    """The lines of the section `schedule`, by the paths of the schedule that it becomes."""
     return {(*head, *at[1:]): line for at, line in lines.items() if at[:1] == ("schedule",)}

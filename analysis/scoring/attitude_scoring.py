@@ -9,10 +9,11 @@ or a magnetometer that are no measurement (NaN, 1e20) are not shown to estimator
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from analysis.estimators import Estimator, Prior, follow, make
@@ -46,9 +47,9 @@ class AttitudeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     """
 
     estimators: tuple[str, ...] = ("ekf",)
-    rate_hz: float = 10.0
-    imu: int = 0
-    settle_s: float = 0.0
+    rate_hz: Annotated[float, Meta(gt=0, le=1000)] = 10.0
+    imu: Annotated[int, Meta(ge=0, le=255)] = 0
+    settle_s: Annotated[float, Meta(ge=0)] = 0.0
     declination_deg: float | None = None
 
 

@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
-import yaml
 
 from analysis.search.evaluation.compiled_batch import Batch, ned_velocity
 from analysis.search.shrink import pinned
 from analysis.search.space.point_scenario import document_of, faults_of
 from analysis.search.space.test_file import AUTOPILOT, TestFile
+from mavproxy_fault.documents.yaml_document import write_yaml
 from mavproxy_fault.numerics.rotation import quat_from_euler
 
 
@@ -71,7 +71,7 @@ def write_cases(folder: Path, test: TestFile, cases: Sequence[WorstCase]) -> lis
 
 def scenario_yaml(test: TestFile, scenario: Mapping[str, Any]) -> str:
     """A scenario file; what is left out (None) has its default."""
-    text = yaml.safe_dump(_given(scenario), sort_keys=False)
+    text = write_yaml(_given(scenario))
     if test.estimator == AUTOPILOT:
         return (
             "# The autopilot is not in here; `search` flies the test beside it with one.\n" + text
@@ -92,7 +92,7 @@ def yaml_of(test: TestFile) -> str:
     for fault in plain["faults"]:
         if "target" in fault:
             del fault["any_of"]
-    return yaml.safe_dump(plain, sort_keys=False)
+    return write_yaml(plain)
 
 
 def log_text(test: TestFile, cases: Sequence[WorstCase], totals: Totals) -> str:

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import yaml
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.documents.yaml_document import write_yaml
 from mavproxy_fault.faults.registry import (
     acts_on_ranges,
     fault_class,
@@ -74,7 +74,7 @@ def description(name: str) -> str:
     """
     if name in preset_names():
         preset = read_preset(name)
-        parts = yaml.safe_dump(preset["faults"], sort_keys=False, default_flow_style=None)
+        parts = write_yaml(preset["faults"], flow=None)
         use = f"use: - {{preset: {name}, at_s: 20}}"
         return f"{name}: {preset['about']}\n\nas faults:\n{parts}\n{use}"
     kind = fault_class(name)
@@ -89,7 +89,7 @@ def description(name: str) -> str:
             lines.append(f"{field.name}: {spelled_type(field.type)}{_default(field)}")
     if hasattr(kind, "example"):
         entry = {"fault": name, "at_s": 20, **kind.example}
-        text = yaml.safe_dump(entry, sort_keys=False, default_flow_style=True, width=1000)
+        text = write_yaml(entry, flow=True, width=1000)
         lines += ["", f"use: - {text.rstrip()}"]
     return "\n".join(lines)
 

@@ -18,11 +18,26 @@ def add_proxy(commands: Any) -> None:
     )
     parser.add_argument("--schedule", metavar="FILE", help="faults to apply (YAML)")
     parser.add_argument("--logdir", metavar="DIR", help="write tlogs and labels here")
+    parser.add_argument(
+        "--allow-peer", action="append", default=[], metavar="NET",
+        help="who may speak to udpin: an address or network; may be given again (default: anybody)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--lock-peer", action="store_true",
+        help="let a udpin hear and answer only the first to send a verified frame",
+    )  # fmt: skip
     parser.add_argument("--busy-poll", action="store_true", help="spin for lowest latency")
     parser.add_argument(
         "--zenoh", default="auto", metavar="auto|off|URL", help="control and statistics"
     )
-    parser.add_argument("--run", default="live", metavar="NAME", help="this proxy's name on Zenoh")
+    parser.add_argument("--run", metavar="NAME", help="this proxy's name on Zenoh (default: live)")
+    parser.add_argument(
+        "--zenoh-config", default="", metavar="FILE", help="Zenoh's own: TLS, users, access control"
+    )
+    parser.add_argument(
+        "--files", action="append", default=[], metavar="DIR",
+        help="let requests name tables of this folder; may be given again (default: none)",
+    )  # fmt: skip
     parser.add_argument(
         "--no-inject", dest="inject", action="store_false", help="refuse live faults"
     )
@@ -78,8 +93,9 @@ def add_inject(commands: Any) -> None:
     parser.add_argument("--for", dest="for_s", type=float, metavar="S", help="end after S seconds")
     parser.add_argument("--id", metavar="ID", help="the fault's id (default: its name)")
     parser.add_argument("--clear", metavar="ID", help="end this fault (its id, or 'all')")
-    parser.add_argument("--run", default="*", metavar="NAME", help="the run (default: any)")
+    parser.add_argument("--run", metavar="NAME", help="the run (default: the only one there is)")
     parser.add_argument("--zenoh", metavar="URL", help="the proxy's router")
+    parser.add_argument("--zenoh-config", default="", metavar="FILE", help="Zenoh's own")
     parser.set_defaults(main=_inject)
 
 
@@ -116,7 +132,31 @@ def _faults(args: argparse.Namespace) -> int:
     return main(args)
 
 
+def add_ardupilot(commands: Any) -> None:
+    """`ardupilot`: the bridge that lets ArduPilot fly a HIL simulator."""
+    parser = commands.add_parser("ardupilot", help="let ArduPilot fly a HIL simulator, as PX4 does")
+    parser.add_argument(
+        "--hil", default="tcp:127.0.0.1:4560", metavar="EP", help="simulator or proxy (4560)"
+    )
+    parser.add_argument(
+        "--command", required=True, metavar="PATH", help="ArduPilot's SITL binary, with options"
+    )
+    parser.add_argument("--vehicle", choices=("copter", "plane"), default="copter")
+    parser.add_argument("--parameters", metavar="FILE", help="your own, after the bridge's")
+    parser.add_argument(
+        "--dir", default="ardupilot", metavar="DIR", help="where ArduPilot runs and logs"
+    )
+    parser.set_defaults(main=_ardupilot)
+
+
+def _ardupilot(args: argparse.Namespace) -> int:
+    from mavproxy_fault.ardupilot.bridge_command import main
+
+    return main(args)
+
+
 OURS: dict[str, Add] = {
+    "ardupilot": add_ardupilot,
     "proxy": add_proxy,
     "replay": add_replay,
     "inject": add_inject,

@@ -10,14 +10,18 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.app.recorder import Recorder
-from mavproxy_fault.app.server import Server, short_turns
+from mavproxy_fault.app.server import Server
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.bus import check_run
 from mavproxy_fault.links.link import Link
+from mavproxy_fault.links.peers import Admission, networks
 from mavproxy_fault.links.spec import open_link
+from mavproxy_fault.links.udp import UdpServer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.interfaces import LinkRole
 from mavproxy_fault.proxy.statistics import table
 from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.wire.parser import begins_with_frame
 from mavproxy_fault.wire.signing import Signing, key_of
 
 if TYPE_CHECKING:
@@ -36,6 +40,25 @@ def open_links(master: str, outs: Sequence[str]) -> list[Link]:
             link.close()
         raise
     return links
+
+
+def admit(links: Sequence[Link], allowed: Sequence[str], *, lock: bool) -> None:
+    """Let listening UDP links answer only whom the command line lets in.
+
+    Raises
+    ------
+    ConfigError
+        If one of `allowed` is no network.
+    """
+    try:
+        admission = Admission(networks(allowed), lock, begins_with_frame)
+    except ValueError as error:
+        raise ConfigError(
+            f"--allow-peer: {error}; give an address or network such as 192.168.1.0/24"
+        ) from None
+    for link in links:
+        if isinstance(link, UdpServer):
+            link.peers.admission = admission
 
 
 def roles(links: Sequence[Link]) -> list[LinkRole]:
@@ -94,17 +117,24 @@ def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server)
     from mavproxy_fault.schedule.entries import Schedule
 
     rflysim = read_map(args.rflysim_map or SHIPPED) if args.rflysim is not None else None
-    control = Control(engine or Engine(Schedule(0, ())), allowed=args.inject, rflysim=rflysim)
+    control = Control(
+        engine or Engine(Schedule(0, ())),
+        allowed=args.inject,
+        rflysim=rflysim,
+        folders=[Path(one) for one in args.files],
+    )
     live = Live(control, server.edit_time, Journal(server.core, server.tape))
     if args.rflysim is not None:
         live.open_rflysim(args.rflysim)
-    live.open_bus(args.zenoh, args.run)
+    live.open_bus(args.zenoh, args.run, args.zenoh_config)
     return live
 
 
 def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server) -> None:
     """Open live control in the background."""
     from concurrent.futures import Future
+
+    from mavproxy_fault.live.session import short_turns
 
     coming: Future[Live] = Future()
 
@@ -116,11 +146,13 @@ def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server
             coming.set_exception(error)
 
     server.coming = coming
-    Thread(target=work, daemon=True).start()
+    Thread(target=work).start()  # no daemon: what outlives the interpreter aborts the process
 
 
 def main(args: argparse.Namespace) -> int:
     """`mavproxy-fault proxy`."""
+    if args.run is not None:
+        check_run(args.run)
     engine = None
     session: dict[str, Any] = {"seed": None, "schedule": None, "inject": args.inject}
     if args.schedule:
@@ -131,6 +163,7 @@ def main(args: argparse.Namespace) -> int:
         session |= {"seed": engine.seed, "schedule": Path(args.schedule).read_text()}
     signed = signing(args)
     links = open_links(args.master, args.out)
+    admit(links, args.allow_peer, lock=args.lock_peer)
     tape = Tape() if args.logdir else None
     core = Core(roles(links), engine, signing=signed, tape=tape)
     if args.rflysim is not None and args.rflysim_map:

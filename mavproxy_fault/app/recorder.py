@@ -12,11 +12,16 @@ Files are written whole and in order, so that a process killed at any time leave
 to the last write.
 """
 
+import contextlib
 import json
+import logging
+import os
 from collections.abc import Sequence
+from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.proxy.tape import Tape
 
 if TYPE_CHECKING:
@@ -26,50 +31,125 @@ if TYPE_CHECKING:
 RECEIVED, SENT, LABELS = "received.tlog", "sent.tlog", "labels.jsonl"
 RECEIVED_OTHER, SENT_OTHER = "received.other", "sent.other"
 INDEX, EDITS, SESSION = "received.index", "edits.jsonl", "session.json"
+LOG = logging.getLogger(__name__)
 APPENDED = (RECEIVED, RECEIVED_OTHER, INDEX, SENT, SENT_OTHER, LABELS, EDITS)
 
 
 class Recorder:
-    """Open files of one session; `session` is what `session.json` says besides the time base."""
+    """Open files of one session; `session` is what `session.json` says besides the time base.
+
+    Where the disk is full or the folder gone, nothing is half written: what came then is left out
+    and counted in `lost`, labels and edits wait, and recording begins again when it can.
+    `failing` says why it stands still.
+    """
 
     def __init__(self, folder: Path, session: dict[str, Any]) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
-        _set_aside(folder)
         self.folder = folder
+        self.lost = 0  # received records that were not written
+        self.failing: str | None = None
         self._session = session
-        self._files = {name: (folder / name).open("wb", buffering=0) for name in APPENDED}
-        self._write_session()
+        self._files: dict[str, FileIO] = {}
+        self._labels: list[Label] = []
+        self._edits: list[Edit] = []
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            _set_aside(folder)
+            self._open()
+        except OSError as error:
+            raise ConfigError(f"{folder}: {error}; give a folder that can be written") from None
+
+    def _open(self) -> None:
+        with contextlib.ExitStack() as opened:
+            files = {
+                name: opened.enter_context((self.folder / name).open("wb", buffering=0))
+                for name in APPENDED
+            }
+            self._write_session()
+            opened.pop_all()
+        for file in self._files.values():
+            file.close()
+        self._files, self._sizes = files, dict.fromkeys(APPENDED, 0)
 
     def write(
         self, tape: Tape, labels: "Sequence[Label]" = (), edits: "Sequence[Edit]" = ()
     ) -> None:
-        """Append and empty a tape, and append labels and edits."""
+        """Append and empty a tape, and append labels and edits: all of it, or what can wait later.
+
+        Raises nothing where files cannot be written: forwarding must go on.
+        """
+        before = tape.taken
         taken = tape.take()
-        for name, data in (
-            (RECEIVED, taken.received),
-            (RECEIVED_OTHER, taken.received_other),
-            (INDEX, taken.index),
-            (SENT, taken.sent),
-            (SENT_OTHER, taken.sent_other),
-        ):
-            if data:
-                self._files[name].write(data)
-        if labels:
-            self._files[LABELS].write(encoded(labels))
-        if edits:
-            self._files[EDITS].write(encoded(edits))
+        self._labels += labels
+        self._edits += edits
+        data = {
+            RECEIVED: taken.received,
+            RECEIVED_OTHER: taken.received_other,
+            INDEX: taken.index,
+            SENT: taken.sent,
+            SENT_OTHER: taken.sent_other,
+            LABELS: encoded(self._labels) if self._labels else b"",
+            EDITS: encoded(self._edits) if self._edits else b"",
+        }
+        try:
+            if self._is_gone():
+                self.folder.mkdir(parents=True, exist_ok=True)
+                self._open()
+                before = tape.start_again(tape.count - before)
+            self._append(data)
+        except OSError as error:
+            self.lost += tape.count - before
+            tape.start_again(before)
+            self._edits = [edit.at_record(before) for edit in self._edits]
+            if self.failing is None:
+                LOG.warning("recording stops, forwarding goes on: %s", error)
+            self.failing = str(error)
+            return
+        self._labels, self._edits = [], []
+        if self.failing is not None:
+            LOG.warning("recording goes on; %d records are missing", self.lost)
+            self.failing = None
+
+    def _is_gone(self) -> bool:
+        """Whether somebody removed the files."""
+        return os.fstat(self._files[RECEIVED].fileno()).st_nlink == 0
+
+    def _append(self, data: dict[str, bytes]) -> None:
+        """Append to all files, or to none."""
+        try:
+            for name, added in data.items():
+                _write_whole(self._files[name], added)
+        except OSError:
+            for name, size in self._sizes.items():
+                with contextlib.suppress(OSError):
+                    self._files[name].truncate(size)
+                    self._files[name].seek(size)
+            raise
+        for name, added in data.items():
+            self._sizes[name] += len(added)
 
     def close(self, t0_us: int | None, end_us: int) -> None:
         """Close the files; note the first vehicle stamp and the wall time of the end."""
-        for file in self._files.values():
-            file.close()
         self._session |= {"t0_us": t0_us, "end_us": end_us}
-        self._write_session()
+        if self.lost:
+            self._session["lost_records"] = self.lost
+        try:
+            for file in self._files.values():
+                file.close()
+            self._write_session()
+        except OSError as error:
+            LOG.warning("the session's end was not recorded: %s", error)
 
     def _write_session(self) -> None:
         fresh = self.folder / (SESSION + ".new")
         fresh.write_text(json.dumps(self._session, indent=1) + "\n")
         fresh.replace(self.folder / SESSION)
+
+
+def _write_whole(file: FileIO, data: bytes) -> None:
+    """Write all of it; a file that is nearly full takes a part and raises at the next attempt."""
+    rest = memoryview(data)
+    while rest:
+        rest = rest[file.write(rest) :]
 
 
 def encoded(lines: "Sequence[Label | Edit]") -> bytes:

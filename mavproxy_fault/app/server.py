@@ -5,7 +5,6 @@ blocks on a slow one. Recordings are flushed each second. Most goes the compiled
 (`compiled.forwarder`), once its machine code is there.
 """
 
-import contextlib
 import ctypes
 import gc
 import select
@@ -13,7 +12,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.app.recorder import Recorder
@@ -33,7 +32,6 @@ TEND_S = 0.1  # how often links get a chance to reconnect
 FLUSH_S = 1.0
 AHEAD_US = 300  # so long before a frame is due the loop does nothing but prepare to send it
 EARLY_US = 250  # a sleep may end so late; the loop stays awake so long before that
-SHORT_TURN_S = 2e-4
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>; the default of 50 us makes every wait that late
 
 
@@ -132,8 +130,10 @@ class Server:
                   file=sys.stderr, flush=True)  # fmt: skip
             quiet = subprocess.DEVNULL  # it may outlive us: nobody must wait for its output to end
             self._compiler = subprocess.Popen(
-                [sys.executable, "-m", machine.__name__], stdin=quiet, stdout=quiet, stderr=quiet
-            )
+                [sys.executable, "-m", machine.__name__],
+                stdin=quiet, stdout=quiet, stderr=quiet,
+                start_new_session=True,  # Ctrl-C ends us, not what the next start will need
+            )  # fmt: skip
 
     def join(self, live: "Live") -> None:
         """Let live control take part."""
@@ -239,6 +239,8 @@ class Server:
             self.recorder.write(self.tape, labels, edits)
         if self.live is not None:
             self.live.publish(self.stats(), labels)
+            if self.recorder is not None:
+                self.live.publish_recording(self.recorder.failing, self.recorder.lost)
 
     def _finish(self) -> None:
         now_us = self.now_us()
@@ -270,18 +272,9 @@ class Server:
                     "chunks_out": counters.chunks_out,
                     "drops": counters.drops,
                     "errors": counters.errors,
+                    "refused": counters.refused,
+                    "lost_in_kernel": getattr(link, "lost_in_kernel", 0),  # datagrams only
                     **self.latencies[number].summary(),
                 }
             )
         return found
-
-
-@contextlib.contextmanager
-def short_turns() -> Iterator[None]:
-    """Let threads take short turns, so that one that imports does not hold up forwarding."""
-    before_s = sys.getswitchinterval()
-    sys.setswitchinterval(SHORT_TURN_S)
-    try:
-        yield
-    finally:
-        sys.setswitchinterval(before_s)

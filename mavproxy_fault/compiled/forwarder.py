@@ -6,6 +6,7 @@ by datagram, in order.
 """
 
 import socket
+import time
 from collections.abc import Sequence
 from ctypes import c_void_p
 from typing import TYPE_CHECKING, Any
@@ -161,7 +162,7 @@ class Forwarder:
     def handed_over(self) -> tuple[int, bytes, int]:
         """The datagram handed over: link, bytes, and when it came by the monotonic clock.
 
-        Its sender becomes a peer.
+        Its sender becomes a peer; of one that may not speak there are no bytes.
         """
         number, at = int(self.loop[k.LINK]), int(self.loop[k.AT])
         self.loop[k.AT] += 1
@@ -170,7 +171,10 @@ class Forwarder:
         data = bytes(self._arrays["data"][row * k.ROW : row * k.ROW + length])
         link = self._links[number]
         if isinstance(link, UdpServer):
-            link.hear(bytes(self._arrays["names"][row * k.NAME : row * k.NAME + k.SOCKADDR_IN]))
+            name = self._arrays["names"][row * k.NAME : row * k.NAME + k.SOCKADDR_IN]
+            if not link.hear(bytes(name), data):
+                link.counters.refused += 1
+                return number, b"", self.loop[k.CAME]
         self._learn(data)
         return number, data, self.loop[k.CAME]
 
@@ -221,10 +225,10 @@ class Forwarder:
             for number in self._learned:
                 self._classify(number)
         for number, link in enumerate(self._links):
-            if isinstance(link, UdpServer) and [*link.peers] != self._known_peers[number]:
-                self._known_peers[number] = [*link.peers]
-                self.ports[number, k.PEER_COUNT] = len(link.peers)
-                for row, name in enumerate(link.peers):
+            if isinstance(link, UdpServer) and [*link.peers.known] != self._known_peers[number]:
+                self._known_peers[number] = [*link.peers.known]
+                self.ports[number, k.PEER_COUNT] = len(link.peers.known)
+                for row, name in enumerate(link.peers.known):
                     start = (number * k.PEERS + row) * k.NAME
                     self._arrays["peers"][start : start + len(name)] = name
                     self._arrays["heard"][number, row] = 0
@@ -281,7 +285,7 @@ class Forwarder:
         """Add the machine code's counts to the links', the core's and the latencies."""
         ports, heard = self.ports, self._arrays["heard"]
         for number, link in enumerate(self._links):
-            if not ports[number, k.DATAGRAMS] and not ports[number, k.SENT]:
+            if not any(ports[number, column] for column in range(k.DATAGRAMS, k.LONE)):
                 continue
             counters, state = link.counters, self._core.states[number]
             counters.chunks_in += ports[number, k.DATAGRAMS]
@@ -304,5 +308,5 @@ class Forwarder:
                     self._arrays["histogram"][start + step] = 0
             for row, name in enumerate(self._known_peers[number]):
                 if heard[number, row] and isinstance(link, UdpServer):
-                    link.hear(name)
+                    link.peers.touch(name, time.monotonic())
                 heard[number, row] = 0

@@ -112,12 +112,15 @@ def _without_python(module: Any) -> str:
     return "\n".join(lines)
 
 
-@cache
 def load() -> Forward | None:
     """The compiled `forward`, which gives up the interpreter's lock while it runs; None yet."""
     path = object_path()
-    if not path.is_file():
-        return None
+    return _linked(path) if path.is_file() else None
+
+
+@cache
+def _linked(path: Path) -> Forward:
+    """The function of an object file, part of this process for good."""
     machine, _, _ = _target()
     empty = llvm.parse_assembly("")
     empty.triple = llvm.get_process_triple()

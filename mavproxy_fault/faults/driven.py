@@ -2,6 +2,7 @@
 
 from typing import Any, ClassVar
 
+from mavproxy_fault.documents.document_check import NotFinite
 from mavproxy_fault.faults.profile import Mode, Profile
 from mavproxy_fault.faults.value_fault import GYRO, Moving, ValueFault, each
 from mavproxy_fault.wire.frame import Number
@@ -12,7 +13,7 @@ class Driven(ValueFault, frozen=True, kw_only=True):
 
     mode: ClassVar[Mode]
 
-    value: float | tuple[float, ...] | None = None
+    value: NotFinite | tuple[NotFinite, ...] | None = None
     profile: Profile | None = None
 
     def __post_init__(self) -> None:

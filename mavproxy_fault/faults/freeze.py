@@ -3,7 +3,7 @@
 import math
 from typing import Any, ClassVar
 
-from mavproxy_fault.faults.profile import NotNegative, Positive
+from mavproxy_fault.faults.profile import Duration, NotNegative
 from mavproxy_fault.faults.value_fault import GYRO, ValueFault
 from mavproxy_fault.wire.frame import Number
 
@@ -35,7 +35,7 @@ class Replay(ValueFault, frozen=True, kw_only=True):
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1}
     by_sender: ClassVar[bool] = True
 
-    value: Positive
+    value: Duration
 
     def after(
         self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any
@@ -84,7 +84,7 @@ class Float(ValueFault, frozen=True, kw_only=True):
     by_sender: ClassVar[bool] = True
 
     neutral: float = 0.0
-    settle_s: Positive = 0.2
+    settle_s: Duration = 0.2
 
     def after(
         self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any

@@ -6,7 +6,7 @@ late or slow by delaying or losing the frame.
 
 from typing import Any, ClassVar
 
-from mavproxy_fault.faults.profile import CLOSE_S, Positive
+from mavproxy_fault.faults.profile import CLOSE_S, Duration
 from mavproxy_fault.faults.value_fault import GYRO, ValueFault
 from mavproxy_fault.wire.frame import Number
 
@@ -22,7 +22,7 @@ class Lag(ValueFault, frozen=True, kw_only=True):
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.05}
     by_sender: ClassVar[bool] = True
 
-    value: Positive
+    value: Duration
 
     def after(
         self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any
@@ -43,7 +43,7 @@ class SampleHold(ValueFault, frozen=True, kw_only=True):
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1}
     by_sender: ClassVar[bool] = True
 
-    value: Positive
+    value: Duration
 
     def after(
         self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any

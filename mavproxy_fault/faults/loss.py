@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
 from msgspec import Meta
 
 from mavproxy_fault.faults.fault import LinkFault, Outgoing
+from mavproxy_fault.faults.profile import Seconds
 from mavproxy_fault.wire.frame import Frame
 
 if TYPE_CHECKING:
@@ -112,8 +113,8 @@ class RateLimit(LinkFault, frozen=True, kw_only=True):
     name: ClassVar[str] = "rate-limit"
     example: ClassVar[dict[str, Any]] = {"value": 20}
 
-    value: Annotated[float, Meta(gt=0)]
-    queue_s: Annotated[float, Meta(ge=0)] = 0.0
+    value: Annotated[float, Meta(ge=1e-6)]
+    queue_s: Seconds = 0.0
 
     def new_state(self, start_us: int) -> Bucket:
         """The first frame may leave at once."""

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from mavproxy_fault.documents.document_check import NotFinite
+
 if TYPE_CHECKING:
     from numpy.random import Generator
 
@@ -21,6 +23,9 @@ OVERLAP_TOLERANCE_S = 1e-6  # stamps are microseconds: what is closer than one i
 CLOSE_S = 1e-7  # nor do a sum of steps and a multiple of them differ that are closer
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
+LONGEST_S = 1e9  # thirty years; microseconds then still fit a stamp of 64 bits with room for sums
+Seconds = Annotated[float, Meta(ge=0, le=LONGEST_S)]
+Duration = Annotated[float, Meta(gt=0, le=LONGEST_S)]
 
 
 class Draw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -44,9 +49,9 @@ class Draw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One straight piece; times in seconds from the start of the fault, rate per second."""
 
-    at_s: float
-    for_s: float
-    start: float | Draw
+    at_s: Annotated[float, Meta(ge=-LONGEST_S, le=LONGEST_S)]
+    for_s: Annotated[float, Meta(le=LONGEST_S)]
+    start: NotFinite | Draw
     rate: float | Draw = 0.0
 
 
@@ -63,14 +68,14 @@ class Impulses(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Rectangles of one height: `width_s` long, every `period_s`."""
 
     amplitude: float
-    period_s: Positive
-    width_s: Positive
+    period_s: Duration
+    width_s: Duration
 
 
 class Live(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Values streamed from outside; one older than the time-out is refused."""
 
-    timeout_s: Positive = 0.5
+    timeout_s: Duration = 0.5
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -96,7 +101,7 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     impulses: Impulses | None = None
     table: Table | None = None
     live: Live | None = None
-    otherwise: float | None = None
+    otherwise: NotFinite | None = None
     compat: Literal["param_gen"] | None = None
     time_sim_s: float | None = None
 

@@ -17,7 +17,7 @@ import msgspec
 
 from mavproxy_fault.faults.elements import rewritten
 from mavproxy_fault.faults.fault import ActsOn, Outgoing
-from mavproxy_fault.faults.profile import NotNegative
+from mavproxy_fault.faults.profile import Seconds
 from mavproxy_fault.faults.spoofed_messages import MOVERS, Move, Three
 from mavproxy_fault.wire.frame import Frame
 
@@ -48,7 +48,7 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
     value: float | None = None
     offset_m: Three = (0.0, 0.0, 0.0)
     velocity_mps: Three = (0.0, 0.0, 0.0)
-    ramp_s: NotNegative = 0.0
+    ramp_s: Seconds = 0.0
 
     def __post_init__(self) -> None:
         if self.value is None and not any(self.offset_m) and not any(self.velocity_mps):

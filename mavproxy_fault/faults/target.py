@@ -9,8 +9,8 @@ from collections.abc import Iterable
 from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.faults.elements import Element
 from mavproxy_fault.wire.dialect import Layout, layout, message_names
+from mavproxy_fault.wire.plant_names import SATELLITE_NAME, check_plant_name
 
-SATELLITE = re.compile(r"[A-Z]\d\d")
 ELEMENT = re.compile(r"(\w+)(?:\[(\d+)\])?")
 RANGES = "PSEUDORANGE"
 PLANT = "PLANT"
@@ -42,7 +42,10 @@ def fields(targets: Iterable[str]) -> dict[int, tuple[Element, ...]]:
     for target in targets:
         name, _, rest = target.partition(".")
         described = message(name)
-        found[described.id] = found.get(described.id, ()) + _elements(described, target, rest)
+        before, more = found.get(described.id, ()), _elements(described, target, rest)
+        if set(before) & set(more):
+            raise ValueError(f"{target} is named twice; once is enough")
+        found[described.id] = before + more
     return found
 
 
@@ -67,10 +70,12 @@ def messages(targets: Iterable[str]) -> frozenset[int]:
     ValueError
         If a target is not the name of a message.
     """
-    ids = set()
+    ids: set[int] = set()
     for target in targets:
         if "." in target:
             raise ValueError(f"{target} names a field; this fault acts on whole messages")
+        if message(target).id in ids:
+            raise ValueError(f"{target} is named twice; once is enough")
         ids.add(message(target).id)
     return frozenset(ids)
 
@@ -81,14 +86,18 @@ def named(targets: Iterable[str], prefix: str) -> tuple[str, ...]:
     Raises
     ------
     ValueError
-        If a target has another prefix, or a satellite's name is not like G12.
+        If a target has another prefix, or names no satellite or parameter that there is.
     """
-    names = []
+    names: list[str] = []
     for target in targets:
         head, _, rest = target.partition(".")
         if head != prefix or not rest:
             raise ValueError(f"{target} is wrong here; it must be {prefix}.<name>")
-        if prefix == RANGES and not SATELLITE.fullmatch(rest):
-            raise ValueError(f"{target} names no satellite; they are like {RANGES}.G12")
+        if prefix == RANGES and not SATELLITE_NAME.fullmatch(rest):
+            raise ValueError(f"{target} names no satellite; {RANGES}.G01 to G32 and E01 to E36 do")
+        if prefix == PLANT:
+            check_plant_name(rest)
+        if rest in names:
+            raise ValueError(f"{target} is named twice; once is enough")
         names.append(rest)
     return tuple(names)

@@ -6,7 +6,7 @@ from msgspec import Meta
 
 from mavproxy_fault.faults.fault import LinkFault, Outgoing
 from mavproxy_fault.faults.loss import Share
-from mavproxy_fault.faults.profile import NotNegative
+from mavproxy_fault.faults.profile import Seconds
 from mavproxy_fault.wire.frame import Frame
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ class Delay(LinkFault, frozen=True, kw_only=True):
     name: ClassVar[str] = "delay"
     example: ClassVar[dict[str, Any]] = {"value": 0.02}
 
-    value: NotNegative
+    value: Seconds
 
     def new_state(self, start_us: int) -> None:
         """Nothing to remember."""
@@ -42,9 +42,9 @@ class Jitter(LinkFault, frozen=True, kw_only=True):
     name: ClassVar[str] = "jitter"
     example: ClassVar[dict[str, Any]] = {"value": 0.02}
 
-    value: NotNegative
+    value: Seconds
     distribution: Literal["uniform", "normal", "exponential", "pareto"] = "uniform"
-    base_s: NotNegative = 0.0
+    base_s: Seconds = 0.0
     shape: Annotated[float, Meta(gt=1)] = 3.0
     keep_order: bool = True
 
@@ -78,7 +78,7 @@ class Reorder(LinkFault, frozen=True, kw_only=True):
     example: ClassVar[dict[str, Any]] = {"value": 0.2, "by_s": 0.02}
 
     value: Share = 0.1
-    by_s: NotNegative = 0.05
+    by_s: Seconds = 0.05
 
     def new_state(self, start_us: int) -> None:
         """Nothing to remember."""
@@ -98,7 +98,7 @@ class Duplicate(LinkFault, frozen=True, kw_only=True):
 
     value: Share = 1.0
     copies: Annotated[int, Meta(ge=1, le=100)] = 1
-    by_s: NotNegative = 0.0
+    by_s: Seconds = 0.0
 
     def new_state(self, start_us: int) -> None:
         """Nothing to remember."""

@@ -4,7 +4,7 @@ import math
 from typing import Any, ClassVar
 
 from mavproxy_fault.faults.driven import meet
-from mavproxy_fault.faults.profile import CLOSE_S, Mode, Positive, since_last
+from mavproxy_fault.faults.profile import CLOSE_S, Duration, Mode, Positive, since_last
 from mavproxy_fault.faults.value_fault import ValueFault
 from mavproxy_fault.wire.frame import Number
 
@@ -45,8 +45,8 @@ class Impulse(ValueFault, frozen=True, kw_only=True):
     on_ranges: ClassVar[bool] = True
 
     value: float
-    period_s: Positive
-    width_s: Positive
+    period_s: Duration
+    width_s: Duration
     mode: Mode = "add"
 
     def __post_init__(self) -> None:
@@ -76,7 +76,7 @@ class Cycle(ValueFault, frozen=True, kw_only=True):
     on_ranges: ClassVar[bool] = True
 
     value: float
-    period_s: Positive
+    period_s: Duration
 
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any

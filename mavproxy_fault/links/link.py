@@ -27,6 +27,7 @@ class LinkCounters:
     chunks_out: int = 0
     bytes_out: int = 0
     drops: int = 0  # chunks that were not sent: no peer, a full queue, a lost connection
+    refused: int = 0  # chunks of addresses that may not speak here
     errors: int = 0  # refused datagrams, lost connections, vanished devices
 
 

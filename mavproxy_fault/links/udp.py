@@ -1,14 +1,15 @@
 """UDP: a server that answers everyone it has heard, and a client that sends to one address."""
 
 import socket
+import struct
 import time
 from typing import Any
 
 from mavproxy_fault.links.datagram_batch import Receiver, send
 from mavproxy_fault.links.link import Chunk, LinkCounters, enlarge_buffers
+from mavproxy_fault.links.peers import Peers
 
-FORGET_S = 60.0  # a silent peer is forgotten, unless it was the last to speak
-MOST_PEERS = 32
+SO_MEMINFO, DROPPED = 55, 8  # Linux <asm-generic/socket.h>; nine words, the last counts losses
 
 
 def _open(host: str, port: int, *, listen: bool) -> tuple[socket.socket, Any]:
@@ -40,14 +41,18 @@ class UdpServer:
         self.port: int = self.sock.getsockname()[1]
         self.name = f"udpin:{host}:{self.port}"
         self.counters = LinkCounters()
-        self.peers: dict[bytes, float] = {}  # raw address -> when it last spoke, monotonic seconds
-        self._latest = b""
+        self.peers = Peers()
         self._receiver = Receiver(self.sock.fileno())
 
     @property
     def peer_count(self) -> int:
         """How many peers are written to."""
-        return len(self.peers)
+        return len(self.peers.known)
+
+    @property
+    def lost_in_kernel(self) -> int:
+        """Datagrams that came while the kernel's buffer was full."""
+        return lost_in_kernel(self.sock)
 
     def fileno(self) -> int:
         """The socket's descriptor."""
@@ -59,31 +64,23 @@ class UdpServer:
         counters = self.counters
         now_s = time.monotonic()
         for address, data in self._receiver.receive():
-            self.hear(address, now_s)
             counters.chunks_in += 1
             counters.bytes_in += len(data)
-            if data:
+            if not self.hear(address, data, now_s):
+                counters.refused += 1
+            elif data:
                 chunks.append((0, data))
         return chunks
 
-    def hear(self, address: bytes, now_s: float | None = None) -> None:
-        """Note that a peer spoke; forget those silent for long."""
-        peers = self.peers
-        now_s = time.monotonic() if now_s is None else now_s
-        if address not in peers:
-            for known, spoke_s in list(peers.items()):
-                if now_s - spoke_s > FORGET_S and known != self._latest:
-                    del peers[known]
-            if len(peers) >= MOST_PEERS:
-                del peers[min(peers, key=lambda known: peers[known])]
-        peers[address] = now_s
-        self._latest = address
+    def hear(self, address: bytes, data: bytes, now_s: float | None = None) -> bool:
+        """Note that an address spoke; whether it may be listened to."""
+        return self.peers.hear(address, data, time.monotonic() if now_s is None else now_s)
 
     def write(self, data: bytes) -> None:
         """Send a datagram to every peer; without peers it is dropped."""
-        if not self.peers:
+        if not self.peers.known:
             self.counters.drops += 1
-        for address in self.peers:
+        for address in self.peers.known:
             _send(self.sock, data, self.counters, address)
 
     def close(self) -> None:
@@ -102,6 +99,11 @@ class UdpClient:
         self.counters = LinkCounters()
         self.peer_count = 1
         self._receiver = Receiver(self.sock.fileno())
+
+    @property
+    def lost_in_kernel(self) -> int:
+        """Datagrams that came while the kernel's buffer was full."""
+        return lost_in_kernel(self.sock)
 
     def fileno(self) -> int:
         """The socket's descriptor."""
@@ -125,6 +127,15 @@ class UdpClient:
     def close(self) -> None:
         """Close the socket."""
         self.sock.close()
+
+
+def lost_in_kernel(sock: socket.socket) -> int:
+    """What the kernel has dropped on a socket since it was opened; 0 where it does not say."""
+    try:
+        words = struct.unpack("9I", sock.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, 36))
+    except (OSError, struct.error):
+        return 0
+    return int(words[DROPPED])
 
 
 def _send(

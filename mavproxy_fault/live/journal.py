@@ -29,6 +29,10 @@ class Edit(msgspec.Struct, frozen=True):
     what: str
     payload: str = ""
 
+    def at_record(self, count: int) -> "Edit":
+        """The same after no more than so many records, where later ones were not kept."""
+        return msgspec.structs.replace(self, at=min(self.at, count))
+
 
 class Journal:
     """Notes the edits of a session, for its recorder; without a tape there is nothing to note."""

@@ -16,8 +16,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from mavproxy_fault.documents.checked import Check, read_yaml
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.document_check import DocumentCheck
+from mavproxy_fault.documents.yaml_document import read_document
 
 PACKED = struct.Struct("<10i20f")
 CHECKSUM = 1234567897
@@ -101,18 +101,14 @@ def read_map(path: Path | str = SHIPPED) -> IdMap:
     ConfigError
         With every error of the file and its line.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error}); give a map in YAML") from None
-    data, lines = read_yaml(text, str(path))
-    check = Check(str(path), {tuple(str(p) for p in key): line for key, line in lines.items()})
+    document = read_document(path)
+    check = DocumentCheck(document.where, document.lines)
     meanings = {}
-    for id, value in (data or {}).items() if isinstance(data, dict) else ():
-        if not isinstance(id, int):
-            check.wrong((str(id),), "is no fault id; they are whole numbers such as 123450")
+    for id, value in document.data.items() if isinstance(document.data, dict) else ():
+        if not (id.isascii() and id.isdigit()):
+            check.wrong((id,), "is no fault id; they are whole numbers such as 123450")
             continue
-        meanings[id] = check.struct(value, Meaning, (str(id),))
+        meanings[int(id)] = check.struct(value, Meaning, (id,))
     check.finish()
     return IdMap(meanings)
 

@@ -22,19 +22,23 @@ TELL_US = 200_000  # between two labels about new values of one fault
 
 
 def after_s(t_us: int, seconds: float) -> int:
-    """A stamp so many seconds later."""
-    return t_us + round(seconds * 1e6)
+    """A stamp so many seconds later; NEVER_US where no clock gets there."""
+    later_us = t_us + seconds * 1e6
+    return t_us + round(seconds * 1e6) if later_us < NEVER_US else NEVER_US
 
 
 class Running:
     """An entry, the state of its fault, and the count of what it did.
 
-    `base_us` is the stamp from which `at_s` counts; `waits` is true while a trigger other than the
-    time has still to come.
+    `base_us` is the stamp from which `at_s` counts; an `injected` entry stands in no schedule, and
+    is forgotten some time after it ended.
     """
 
-    def __init__(self, entry: Entry, seed: int, base_us: int, t0_us: int) -> None:
+    def __init__(
+        self, entry: Entry, seed: int, base_us: int, t0_us: int, *, injected: bool = False
+    ) -> None:
         self.entry = entry
+        self.injected = injected
         self.fault: Any = entry.fault
         self.seed = seed
         self.t0_us = t0_us
@@ -121,7 +125,8 @@ class Running:
             missed = int((now_us - self.start_us) * 1e-6 / repeat.every_s) - 1
             self.starts += max(missed, 0)
             if repeat.times is None or self.starts < repeat.times:
-                self.start_us = after_s(self.start_us, repeat.every_s * (1 + max(missed, 0)))
+                next_us = after_s(self.start_us, repeat.every_s * (1 + max(missed, 0)))
+                self.start_us = max(next_us, self.start_us + 1)  # it cannot stand still
                 self.end_us = self._end()
                 return
         self.start_us = self.end_us = NEVER_US

@@ -122,7 +122,7 @@ class Core:
             del self._parsers[key]
         if not role.datagrams:
             self._held_since.pop(key, None)
-            if parser.held:
+            if parser.incomplete:
                 self._held_since[key] = now_us
         arrival = Arrival(link, direction or role.direction, now_us)
         return sends + self._process(items, arrival)

@@ -5,7 +5,7 @@ on what the one before let through. Nothing here looks at a frame that no entry 
 says which messages must come by, and an entry costs nothing while it is not active.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import msgspec
@@ -19,6 +19,8 @@ from mavproxy_fault.schedule.saving import as_yaml
 from mavproxy_fault.schedule.triggers import Telemetry
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import Label
+
+ENDED_KEPT = 32  # injected faults that are over
 
 
 class Engine:
@@ -213,6 +215,7 @@ class Engine:
         sends = [Outgoing(t_us, data)]
         if self.t0_us is None:
             return sends
+        self.now_us = t_us  # repetitions that were missed by then are passed over at once
         if t_us >= self._edge_us:
             self._advance(t_us)
         for running in self._any:
@@ -237,7 +240,7 @@ class Engine:
 
     # -- live edits ------------------------------------------------------------------------------
 
-    def arm(self, entry: Entry | dict[str, Any]) -> list[str]:
+    def arm(self, entry: Entry | Sequence[Entry] | dict[str, Any]) -> list[str]:
         """Add a fault, or replace the one of the same id; its `at_s` counts from now.
 
         Returns
@@ -250,7 +253,9 @@ class Engine:
         ConfigError
             If a mapping is no right entry.
         """
-        entries = [entry] if isinstance(entry, Entry) else parse_entry(entry, "arm")
+        if isinstance(entry, dict):
+            entry = parse_entry(entry, "arm")
+        entries = [entry] if isinstance(entry, Entry) else entry
         if self.t0_us is None:
             ids = {one.id for one in entries}
             kept = [one for one in self._schedule.faults if one.id not in ids]
@@ -258,10 +263,18 @@ class Engine:
         else:
             for one in entries:
                 self._stop(one.id)
-                self._all.append(self._run(one, self.now_us))
+                running = Running(one, self.seed, self.now_us, self.t0_us, injected=True)
+                self._all.append(running)
             self._advance(self.now_us)
+            self._forget()
         self._edited()
         return [one.id for one in entries]
+
+    def _forget(self) -> None:
+        """Let go of the injected faults that ended first, beyond some that a page may show."""
+        ended = [running for running in self._all if running.injected and running.done]
+        for running in ended[: -ENDED_KEPT or None]:
+            self._all.remove(running)
 
     def clear(self, id: str) -> bool:
         """End and forget a fault (with its parts), or `all`; whether there was one."""

@@ -10,8 +10,9 @@ PERCENTILES = (50, 99, 99.9)
 COLUMNS = (
     ("endpoint", "name"), ("peers", "peers"), ("in", "frames_in"), ("bytes in", "bytes_in"),
     ("out", "chunks_out"), ("bytes out", "bytes_out"), ("junk", "junk_in"),
-    ("crc", "crc_errors"), ("gaps", "gaps"), ("faulted", "faulted"), ("drops", "drops"),
-    ("errors", "errors"), ("p50 us", "p50_us"), ("p99 us", "p99_us"), ("p99.9", "p99.9_us"),
+    ("crc", "crc_errors"), ("gaps", "gaps"), ("lost", "lost_in_kernel"),
+    ("faulted", "faulted"), ("drops", "drops"), ("errors", "errors"),
+    ("p50 us", "p50_us"), ("p99 us", "p99_us"), ("p99.9", "p99.9_us"),
 )  # fmt: skip
 
 

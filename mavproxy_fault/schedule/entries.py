@@ -1,18 +1,22 @@
 """Schedules: which faults, when, on which frames; read from YAML with every error and its line."""
 
+import reprlib
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
-from mavproxy_fault.documents.checked import Check, Lines, Path, read_yaml
+from mavproxy_fault.documents.document_check import DocumentCheck
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.documents.yaml_document import Document, Path, read_document, read_yaml
 from mavproxy_fault.faults.fault import Fault
-from mavproxy_fault.faults.profile import NotNegative, Positive, Profile
+from mavproxy_fault.faults.profile import Duration, Profile, Seconds
 from mavproxy_fault.faults.registry import fault_class, known_aliases, known_faults
 from mavproxy_fault.schedule.binding import GIVEN, aim, bind, wrong_targets
+from mavproxy_fault.schedule.presets import preset_names, preset_parts
+from mavproxy_fault.schedule.together import check_together, default_id, entry_ids
 from mavproxy_fault.schedule.triggers import Condition
 
 Via = Literal["proxy", "simulator"]
@@ -33,7 +37,7 @@ class After(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     id: str
     event: Literal["start", "end"] = "end"
-    delay_s: NotNegative = 0.0
+    delay_s: Seconds = 0.0
 
 
 class Repeat(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -42,7 +46,7 @@ class Repeat(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     Without `every_s`, which needs a `when`: each time the condition becomes true again.
     """
 
-    every_s: Positive | None = None
+    every_s: Duration | None = None
     times: Annotated[int, Meta(ge=1)] | None = None
 
 
@@ -56,8 +60,8 @@ class Keys(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     fault: str | None = None
     preset: str | None = None
     target: str | tuple[str, ...] = ()
-    at_s: NotNegative = 0.0
-    for_s: Positive | None = None
+    at_s: Seconds = 0.0
+    for_s: Duration | None = None
     when: str | None = None
     after: str | After | None = None
     repeat: Repeat | None = None
@@ -112,30 +116,23 @@ def read_schedule(path: FilePath | str, via: Via = "proxy") -> Schedule:
     ConfigError
         With every error of the file and its line, or if it cannot be read.
     """
-    try:
-        text = FilePath(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error}); give a schedule in YAML") from None
-    return parse_schedule(text, str(path), via=via)
+    return parse_schedule(read_document(path), via=via)
 
 
 def parse_schedule(
-    data: dict[str, Any] | str,
-    where: str = "schedule",
-    lines: Lines | None = None,
-    via: Via = "proxy",
+    source: Document | dict[str, Any] | str, where: str = "schedule", via: Via = "proxy"
 ) -> Schedule:
-    """The schedule of a YAML text, or of data already read; `where` names it in errors.
+    """The schedule of a document, of a YAML text, or of data; `where` names those in errors.
 
     Raises
     ------
     ConfigError
         With every error, each with its line where it is known.
     """
-    if isinstance(data, str):
-        data, lines = read_yaml(data, where)
-    check = Check(where, lines)
-    check.via = via
+    if isinstance(source, str):
+        source = read_yaml(source, where)
+    data, where, lines = source if isinstance(source, Document) else (source, where, None)
+    check = DocumentCheck(where, lines)
     if not isinstance(data, dict):
         raise ConfigError(f"{where}: is no schedule; give `seed` and a list of `faults`")
     check.keys(data, ("seed", "faults"), ())
@@ -144,10 +141,10 @@ def parse_schedule(
     entries: list[Entry] = []
     if isinstance(listed, list):
         for i, item in enumerate(listed):
-            entries += _entries(item, i, check, ("faults", i))
+            entries += _entries(item, i, check, ("faults", i), via)
+        check_together(listed, check)
     else:
         check.wrong(("faults",), "is no list; give `- id: ...` items")
-    _check_ids(entries, check)
     check.finish()
     return Schedule(seed, tuple(entries))
 
@@ -160,35 +157,24 @@ def parse_entry(data: dict[str, Any], where: str) -> list[Entry]:
     ConfigError
         With every error.
     """
-    check = Check(where)
-    entries = _entries(data, 0, check, ())
+    check = DocumentCheck(where)
+    entries = _entries(data, 0, check, (), "proxy")
     check.finish()
     return entries
 
 
-def _check_ids(entries: list[Entry], check: Check) -> None:
-    seen: set[str] = set()
-    ids = {entry.id for entry in entries}
-    for i, entry in enumerate(entries):
-        if entry.id in seen:
-            check.wrong(("faults", i, "id"), f"= {entry.id} stands twice; ids must differ")
-        seen.add(entry.id)
-        if entry.after is not None and entry.after.id not in ids - {entry.id}:
-            known = near(entry.after.id, ids - {entry.id})
-            check.wrong(("faults", i, "after"), f"= {entry.after.id} is no other fault; {known}")
-
-
-def _entries(data: Any, number: int, check: Check, path: Path) -> list[Entry]:
+def _entries(data: Any, number: int, check: DocumentCheck, path: Path, via: Via) -> list[Entry]:
     if not isinstance(data, dict):
-        check.wrong(path, f"= {data!r} is no fault; give keys such as `fault`, `target`, `at_s`")
+        text = f"= {reprlib.repr(data)} is no fault; give keys such as `fault`, `target`, `at_s`"
+        check.wrong(path, text)
         return []
     if "preset" in data:
-        return _from_preset(data, number, check, path)
-    entry = _entry(data, number, check, path)
+        return _from_preset(data, number, check, path, via)
+    entry = _entry(data, number, check, path, via)
     return [] if entry is None else [entry]
 
 
-def _open_table(found: dict[str, Any], check: Check, path: Path) -> None:
+def _open_table(found: dict[str, Any], check: DocumentCheck, path: Path) -> None:
     """Let a table's file lie beside the schedule, and see that it begins as it should."""
     profile = found.get("profile")
     if not isinstance(profile, Profile) or profile.table is None:
@@ -204,70 +190,95 @@ def _open_table(found: dict[str, Any], check: Check, path: Path) -> None:
         check.wrong((*path, "profile", "table", "file"), f"= {profile.table.file}: {error}")
 
 
-def _from_preset(data: dict[str, Any], number: int, check: Check, path: Path) -> list[Entry]:
-    from mavproxy_fault.schedule.presets import preset_names, preset_parts
-
+def _from_preset(
+    data: dict[str, Any], number: int, check: DocumentCheck, path: Path, via: Via
+) -> list[Entry]:
     name = data["preset"]
     if "fault" in data:
         check.wrong((*path, "fault"), "stands beside preset; give one of them")
     if name not in preset_names():
-        check.wrong((*path, "preset"), f"= {name} is unknown; {near(str(name), preset_names())}")
+        text = f"= {reprlib.repr(name)} is unknown; {near(str(name), preset_names())}"
+        check.wrong((*path, "preset"), text)
         return []
     entries = []
     parts = preset_parts(name)
     own = {key: value for key, value in data.items() if key != "fault"}
-    for i, part in enumerate(parts):
-        merged = {**part, **own}
-        merged["id"] = data.get("id", name) + (f".{i + 1}" if len(parts) > 1 else "")
-        entry = _entry(merged, number, check, path)
+    before = len(check.errors)
+    check.value(data.get("id"), str | None, (*path, "id"))
+    for part, id in zip(parts, entry_ids(data, number), strict=True):
+        entry = _entry({**part, **own, "id": id}, number, check, path, via)
         if entry is not None:
             entries.append(msgspec.structs.replace(entry, preset=name, written=data))
+        if len(check.errors) > before:  # the same would be wrong in each part
+            break
     return entries
 
 
-def _entry(data: dict[str, Any], number: int, check: Check, path: Path) -> Entry | None:
+def _entry(
+    data: dict[str, Any], number: int, check: DocumentCheck, path: Path, via: Via
+) -> Entry | None:
     before = len(check.errors)
     keys = check.arguments({k: v for k, v in data.items() if k in KEYS}, Keys, path, ())
+    _check_repeat(keys, check, path)
+    condition = _condition(keys.get("when"), check, path)
     name = keys.pop("fault", None)
-    kind = fault_class(name) if name is not None else None
-    if name is None or kind is None:
-        known = [*known_faults(), *known_aliases()]
-        if name is not None:
-            check.wrong((*path, "fault"), f"= {name} is unknown; {near(name, known)}")
-        elif "fault" not in data:
-            check.wrong(path, "lacks fault; give `fault` or `preset`")
+    kind = _kind(name, data, check, path)
+    if kind is None:
         return None
     own = [field.name for field in msgspec.structs.fields(kind) if field.name not in GIVEN]
     check.keys(data, (*KEYS, *own), path)
     found = check.arguments(data, kind, path, GIVEN)
+    _open_table(found, check, path)
     names = keys.pop("target", None) or ()
     names = (names,) if isinstance(names, str) else tuple(names)
-    for text in wrong_targets(name, kind, names):
+    for text in wrong_targets(name, kind, names) if None not in names else ():
         check.wrong((*path, "target"), f"= {text}" if names else text)
-    if keys.get("repeat") is not None and data.get("for_s") is None:
-        check.wrong((*path, "repeat"), "needs for_s; a fault that never ends cannot start again")
-    repeat = keys.get("repeat")
-    if repeat is not None and repeat.every_s is None and keys.get("when") is None:
-        check.wrong((*path, "repeat"), "lacks every_s; only a fault with `when` can do without")
     if len(check.errors) > before:
         return None
-    _open_table(found, check, path)
+    at = aim(name, kind, names)
+    wanted = keys.pop("via", None) or (via if at.satellites else "proxy")
     try:
-        via = keys.pop("via", None)
-        at = aim(name, kind, names)
-        if via is None and at.satellites:
-            via = check.via
-        fault, ids = bind(kind, found, at, via or "proxy")
+        fault, ids = bind(kind, found, at, wanted)
     except ValueError as error:
-        check.wrong(path, f"({name}) {error}")
+        check.refused(kind, str(error), path)
         return None
-    if keys.get("when") is not None:
-        try:
-            keys["condition"] = Condition(keys["when"])
-        except ValueError as error:
-            check.wrong((*path, "when"), str(error))
-            return None
     after = keys.pop("after", None)
     keys["after"] = After(id=after) if isinstance(after, str) else after
-    keys["id"] = keys.get("id") or f"{name}-{number + 1}"
+    keys["id"] = keys.get("id") or default_id(name, number)
+    keys["condition"] = condition
     return Entry(name=name, fault=fault, ids=ids, targets=names, written=data, **keys)
+
+
+def _kind(
+    name: str | None, data: dict[str, Any], check: DocumentCheck, path: Path
+) -> type[Any] | None:
+    """The class of the fault; None with the error noted if there is none of that name."""
+    kind = fault_class(name) if name is not None else None
+    if name is not None and kind is None:
+        known = [*known_faults(), *known_aliases()]
+        check.wrong((*path, "fault"), f"= {name} is unknown; {near(name, known)}")
+    elif "fault" not in data:
+        check.wrong(path, "lacks fault; give `fault` or `preset`")
+    return kind
+
+
+def _check_repeat(keys: dict[str, Any], check: DocumentCheck, path: Path) -> None:
+    repeat, for_s = keys.get("repeat"), keys.get("for_s")
+    if repeat is None:
+        return
+    if "for_s" not in keys:
+        check.wrong((*path, "repeat"), "needs for_s; a fault that never ends cannot start again")
+    if repeat.every_s is None and keys.get("when") is None:
+        check.wrong((*path, "repeat"), "lacks every_s; only a fault with `when` can do without")
+    if repeat.every_s is not None and for_s is not None and repeat.every_s < for_s:
+        text = f"= {repeat.every_s:g} is shorter than for_s = {for_s:g}; give that or more"
+        check.wrong((*path, "repeat", "every_s"), text)
+
+
+def _condition(text: str | None, check: DocumentCheck, path: Path) -> Condition | None:
+    """The trigger; None without one, or with the error noted."""
+    try:
+        return None if text is None else Condition(text)
+    except ValueError as error:
+        check.wrong((*path, "when"), str(error))
+        return None

@@ -4,8 +4,8 @@ from collections.abc import Iterable
 from typing import Any
 
 import msgspec
-import yaml
 
+from mavproxy_fault.documents.yaml_document import write_yaml
 from mavproxy_fault.schedule.entries import Entry
 
 
@@ -19,4 +19,4 @@ def as_yaml(seed: int, entries: Iterable[tuple[Entry, float]]) -> str:
             data["at_s"] = round(late_s + entry.at_s, 6)
         written.setdefault(data["id"], data)
     faults = msgspec.to_builtins(list(written.values()))
-    return yaml.safe_dump({"seed": seed, "faults": faults}, sort_keys=False)
+    return write_yaml({"seed": seed, "faults": faults})

@@ -66,25 +66,25 @@ class Parser:
 
     def __init__(self) -> None:
         self.counters = ParserCounters()
-        self._held = b""
+        self._incomplete = b""
         self._layouts: dict[int, Layout | None] = {}
 
     @property
-    def held(self) -> int:
+    def incomplete(self) -> int:
         """Bytes of an incomplete frame that wait for more of the stream."""
-        return len(self._held)
+        return len(self._incomplete)
 
     def push(self, data: bytes, *, datagram: bool = False) -> list[Frame | Junk]:
         """What the bytes complete; of a datagram, everything."""
         self.counters.bytes += len(data)
-        if self._held:
-            data = self._held + data
-            self._held = b""
+        if self._incomplete:
+            data = self._incomplete + data
+            self._incomplete = b""
         return self._parse(data, final=datagram)
 
     def release(self) -> list[Frame | Junk]:
-        """Give up waiting: what is held is taken apart as if the stream had ended."""
-        data, self._held = self._held, b""
+        """Give up waiting: what is incomplete is parsed as if the stream had ended."""
+        data, self._incomplete = self._incomplete, b""
         return self._parse(data, final=True)
 
     def _parse(self, data: bytes, *, final: bool) -> list[Frame | Junk]:
@@ -114,7 +114,7 @@ class Parser:
         if at > junk_from:
             kind = "crc" if counters.crc_errors > crc_errors else "foreign"
             found.append(self._junk(data[junk_from:at], kind))
-        self._held = data[at:]
+        self._incomplete = data[at:]
         return found
 
     def _junk(self, raw: bytes, kind: JunkKind) -> Junk:
@@ -161,6 +161,11 @@ def span(data: bytes, at: int) -> tuple[int, int, int] | None:
         return None
     checked = HEADER_V1 + data[at + 1]
     return checked + CRC_LENGTH, data[at + 5], checked
+
+
+def begins_with_frame(data: bytes) -> bool:
+    """Whether verified bytes of a known message stand at the beginning."""
+    return bool(data) and isinstance(next(iter(Parser().push(data, datagram=True))), Frame)
 
 
 def _possible(body: bytes, crc: int) -> bool:

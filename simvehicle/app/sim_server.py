@@ -13,6 +13,7 @@ from contextlib import ExitStack, closing
 from typing import Any
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link, parse_spec
 from simvehicle.app.lockstep_loop import LockstepLoop, serve_autopilot
@@ -27,7 +28,6 @@ from simvehicle.autopilot.pilot import Pilot
 from simvehicle.autopilot.telemetry import Home
 from simvehicle.guidance.route import CircleTrack
 from simvehicle.hil.hil_frames import BARO_IDS, IMU_IDS, MAG_IDS, Hil
-from simvehicle.hil.inbox import Inbox
 from simvehicle.hil.plant_changes import PlantChanges
 from simvehicle.scenario.scenario_file import Scenario, read_scenario
 from simvehicle.simulation.simulation import Simulation

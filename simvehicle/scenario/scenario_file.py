@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
-import yaml
 
-from mavproxy_fault.documents.decoded import Lines, decode, read_document
+from mavproxy_fault.documents.document_check import DocumentCheck, decode
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.yaml_document import Document, read_document
+from mavproxy_fault.documents.yaml_document import Path as DocumentPath
 from simvehicle.gnss.gnss_config import GnssConfig
 from simvehicle.sensors.airspeed import Airspeed
 from simvehicle.sensors.barometer import Barometer
@@ -199,6 +200,29 @@ class Scenario(_Section, frozen=True):
             raise ValueError("controls are those of a fixed wing without a mission; leave one out")
 
 
+def open_scenario(path: str | Path | None) -> Document:
+    """The document of a scenario file, presets of sensors filled in; None gives the built-in demo.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, is no YAML, or names sensors that there are not.
+    """
+    if path is None:
+        path = Path(str(resources.files("simvehicle.scenario").joinpath("demo.yaml")))
+    document = read_document(path)
+    if not isinstance(document.data, dict):
+        raise ConfigError(f"{document.where}:1: is no scenario; a mapping with keys is expected")
+    sensors = document.data.get("sensors")
+    if isinstance(sensors, str):
+        sensors = _sensor_file(Path(path).parent / sensors)
+    elif isinstance(sensors, dict):
+        sensors = _with_presets(document, ("sensors",))
+    else:
+        return document
+    return document._replace(data={**document.data, "sensors": sensors})
+
+
 def read_scenario(path: str | Path | None) -> Scenario:
     """Read a scenario file; None gives the built-in demo.
 
@@ -207,17 +231,18 @@ def read_scenario(path: str | Path | None) -> Scenario:
     ConfigError
         If something in the file is wrong; the text names file, line and what is allowed.
     """
-    if path is None:
-        path = Path(str(resources.files("simvehicle.scenario").joinpath("demo.yaml")))
-    document, lines = read_document(Path(path))
-    if not isinstance(document, dict):
-        raise ConfigError(f"{lines.where('$')}: is no scenario; a mapping with keys is expected")
-    sensors = document.get("sensors")
-    if isinstance(sensors, str):
-        document = {**document, "sensors": _sensor_file(Path(path).parent / sensors)}
-    elif isinstance(sensors, dict):
-        document = {**document, "sensors": _with_presets(sensors, lines, "$.sensors")}
-    return _beside(decode(document, Scenario, lines), Path(path).parent)
+    return decode_scenario(open_scenario(path))
+
+
+def decode_scenario(document: Document) -> Scenario:
+    """The scenario of a document that `open_scenario` gave.
+
+    Raises
+    ------
+    ConfigError
+        With every key and value that is wrong.
+    """
+    return _beside(decode(document, Scenario), Path(document.where).parent)
 
 
 def _beside(scenario: Scenario, folder: Path) -> Scenario:
@@ -235,38 +260,47 @@ def _beside(scenario: Scenario, folder: Path) -> Scenario:
 
 def _sensor_file(path: Path) -> dict[str, Any]:
     """The `sensors` of a scenario from a file of their own, checked there."""
-    document, lines = read_document(path)
-    if not isinstance(document, dict):
-        raise ConfigError(f"{lines.where('$')}: holds no sensors; a mapping like imu: {{...}}")
-    sensors = _with_presets(document, lines, "$")
-    decode(sensors, Sensors, lines)
+    document = read_document(path)
+    if not isinstance(document.data, dict):
+        raise ConfigError(f"{path}:1: holds no sensors; a mapping like imu: {{...}} is expected")
+    sensors = _with_presets(document, ())
+    decode(document._replace(data=sensors), Sensors)
     return sensors
 
 
-def _with_presets(sensors: dict[str, Any], lines: Lines, at: str) -> dict[str, Any]:
-    """Replace each `preset: name` by the preset's values, under those given beside it.
+def _with_presets(document: Document, at: DocumentPath) -> dict[str, Any]:
+    """The sensors at a path of a document, each `preset: name` replaced by the preset's values.
 
-    `at` is where the sensors stand in their document.
+    What is given beside a preset has precedence. Several sensors of a kind get their ids.
     """
-    text = resources.files("simvehicle.sensors").joinpath("presets.yaml").read_text("utf-8")
-    presets: dict[str, dict[str, dict[str, Any]]] = yaml.load(text, yaml.CSafeLoader)
+    presets = read_document(Path(str(resources.files("simvehicle.sensors"))) / "presets.yaml").data
+    check = DocumentCheck(document.where, document.lines)
+    sensors = document.data[at[0]] if at else document.data
     out: dict[str, Any] = {}
     for kind, value in sensors.items():
-        entries = value if isinstance(value, list) else [value]
-        filled = []
-        for index, entry in enumerate(entries):
-            if isinstance(entry, dict) and "preset" in entry:
-                name = entry["preset"]
-                known = presets.get(kind, {})
-                if name not in known:
-                    place = f"{at}.{kind}" + (f"[{index}]" if isinstance(value, list) else "")
-                    raise ConfigError(
-                        f"{lines.where(place + '.preset')}: {place[2:]}.preset = {name} is "
-                        f"unknown; known: {', '.join(known) or 'none'}"
-                    )
-                entry = {**known[name], **{k: v for k, v in entry.items() if k != "preset"}}
-            if isinstance(value, list) and isinstance(entry, dict):
-                entry = {"id": index, **entry}
-            filled.append(entry)
-        out[kind] = filled if isinstance(value, list) else filled[0]
+        known = presets.get(kind, {})
+        if isinstance(value, list):
+            filled = [
+                _filled(entry, known, check, (*at, kind, index))
+                for index, entry in enumerate(value)
+            ]
+            out[kind] = [
+                {"id": index, **entry} if isinstance(entry, dict) else entry
+                for index, entry in enumerate(filled)
+            ]
+        else:
+            out[kind] = _filled(value, known, check, (*at, kind))
+    check.finish()
     return out
+
+
+def _filled(entry: Any, known: dict[str, Any], check: DocumentCheck, path: DocumentPath) -> Any:
+    """A sensor with the values of its preset under its own."""
+    if not isinstance(entry, dict) or "preset" not in entry:
+        return entry
+    name = entry["preset"]
+    if not isinstance(name, str) or name not in known:
+        names = ", ".join(known) or "none"
+        check.wrong((*path, "preset"), f"= {name} is unknown; known: {names}")
+        return entry
+    return {**known[name], **{key: value for key, value in entry.items() if key != "preset"}}

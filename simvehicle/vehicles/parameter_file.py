@@ -7,8 +7,9 @@ from typing import Protocol, TypeVar
 
 import msgspec
 
-from mavproxy_fault.documents.decoded import decode, read_document
+from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.yaml_document import read_document
 from simvehicle.vehicles.rigidbody_kernel import Inertia, inertia
 
 T = TypeVar("T")
@@ -81,5 +82,4 @@ def read_parameters(name: str | Path, kind: type[T]) -> T:
             raise ConfigError(
                 f"vehicle.parameters: {name} is unknown; known: {known}, or the path of a YAML file"
             )
-    document, lines = read_document(path)
-    return decode(document, kind, lines)
+    return decode(read_document(path), kind)

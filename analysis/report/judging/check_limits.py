@@ -8,12 +8,10 @@ ArduPilot's crash check begins to count; innovation ratios from MAVLink's ESTIMA
 where a measurement is refused). The others are judgement, set so that an uneventful flight passes.
 """
 
-from pathlib import Path
-
 import msgspec
-import yaml
 
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.document_check import decode
+from mavproxy_fault.documents.yaml_document import read_document
 
 
 class Thresholds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -55,11 +53,5 @@ def read_thresholds(path: str | None) -> Thresholds:
     """
     if path is None:
         return Thresholds()
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        return msgspec.convert(content or {}, Thresholds)
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; give a YAML file of thresholds") from error
-    except (yaml.YAMLError, msgspec.ValidationError) as error:
-        allowed = ", ".join(Thresholds.__struct_fields__)
-        raise ConfigError(f"{path}: {error}; known thresholds: {allowed}") from error
+    document = read_document(path)
+    return decode(document._replace(data=document.data or {}), Thresholds)

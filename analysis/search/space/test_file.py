@@ -11,8 +11,9 @@ import msgspec
 
 from analysis.search.space.fault_range import FaultRange
 from analysis.search.space.section import Range, Section
-from mavproxy_fault.documents.decoded import decode, read_document
+from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.links.spec import parse_spec
 from simvehicle.scenario.scenario_file import read_scenario
 
@@ -226,16 +227,16 @@ def read_test(path: Path | str) -> TestFile:
     ConfigError
         If it cannot be read, or a key or value is wrong.
     """
-    document, lines = read_document(Path(path))
-    if not isinstance(document, dict):
-        raise ConfigError(f"{path}: holds no keys; a test file is a YAML mapping")
-    named = document.get("scenario")
-    if named is not None or document.get("estimator") in SIMULATED:
-        document = {**FLOWN_DEFAULTS, **document}
+    document = read_document(path)
+    data = document.data
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path}:1: holds no keys; a test file is a YAML mapping")
+    named = data.get("scenario")
+    if named is not None or data.get("estimator") in SIMULATED:
+        data = {**FLOWN_DEFAULTS, **data}
     if isinstance(named, str):
-        scenario = read_scenario(Path(path).parent / named)
-        document["scenario"] = msgspec.to_builtins(scenario)
-    if named is not None:
-        duration_s = document["scenario"].get("duration_s", 120.0)
-        document = {"duration_s": duration_s, "envelope": ANYWHERE, **document}
-    return decode(document, TestFile, lines)
+        data["scenario"] = msgspec.to_builtins(read_scenario(Path(path).parent / named))
+    if isinstance(named, str | dict):
+        duration_s = data["scenario"].get("duration_s", 120.0)
+        data = {"duration_s": duration_s, "envelope": ANYWHERE, **data}
+    return decode(document._replace(data=data), TestFile)

@@ -4,7 +4,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import yaml
+from mavproxy_fault.documents.yaml_document import read_document
 
 HERE = Path(__file__).parent
 
@@ -18,8 +18,7 @@ def preset_names() -> tuple[str, ...]:
 @cache
 def read_preset(name: str) -> dict[str, Any]:
     """A preset as written: `about` (one line) and `faults` (entries without times)."""
-    text = (HERE / f"{name}.yaml").read_text(encoding="utf-8")
-    data: dict[str, Any] = yaml.load(text, yaml.CSafeLoader)
+    data: dict[str, Any] = read_document(HERE / f"{name}.yaml").data
     return data
 
 

@@ -84,7 +84,7 @@ def test_isolated_and_alarmed_sensors_are_left_out():
         ({"hopeless": 2.0}, "is not above suspicious"),
         ({"robust": "cauchy"}, "known: none, huber, geman-mcclure"),
         ({"lag": 5.0}, "monitor.fusion.lag is unknown"),
-        ({"lag_s": "five"}, "Expected `float`"),
+        ({"lag_s": "five"}, "expected `float`"),
     ],
 )
 def test_a_wrong_setting_is_refused_by_name(values, told):

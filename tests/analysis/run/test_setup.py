@@ -22,3 +22,41 @@ def test_another_schedule_is_not_asked_for_the_scenarios_own_faults(tmp_path: Pa
     path.write_text(f"faults: [{entries % 'gyro-step'}, {entries % 'mine'}]\n")
     assert "imu-dropout" in read_setup(None).criteria.must_detect
     assert read_setup(None, str(path)).criteria.must_detect == ("gyro-step",)
+
+
+@pytest.mark.parametrize(
+    ("section", "error"),
+    [
+        ("monitor: 5", "scenario.yaml:2: monitor = 5 does not fit"),
+        ("monitor: {mask_deg: ten}", "scenario.yaml:2: monitor.mask_deg = 'ten' does not fit"),
+        ("monitor: {attitude: {rate_hz: 0}}", "monitor.attitude.rate_hz = 0 does not fit"),
+        ("monitor: {doppler: maybe}", "monitor.doppler = 'maybe' does not fit"),
+        ("monitor: {left_out: 2.5}", "monitor.left_out = 2.5 does not fit"),
+        ("monitor:\n  p_false_alarm: 1", "scenario.yaml:3: monitor.p_false_alarm = 1 does not fit"),
+        ("monitor: {sigma: {floor_m: .nan}}", "monitor.sigma.floor_m = nan is not finite"),
+        ("monitor: {rule: best}", "monitor.rule = 'best' is unknown; known: explicit"),
+        ("monitor: {systems: X}", "monitor.systems = 'X' names no or other systems"),
+        ("monitor: {fusion: {lag_s: -1}}", "monitor.fusion.lag_s = -1.0 is not positive"),
+        ("criteria: {must_detect: 3}", "scenario.yaml:2: criteria.must_detect = 3 does not fit"),
+        ("criteria: {must: [a]}", "criteria.must is unknown; did you mean must_"),
+        ("criteria: [a]", "scenario.yaml:2: criteria = ['a'] does not fit"),
+    ],
+)
+def test_each_section_is_checked_before_anything_starts(
+    section: str, error: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "scenario.yaml"
+    path.write_text(f"seed: 1\n{section}\n")
+    with pytest.raises(ConfigError) as caught:
+        read_setup(str(path))
+    assert error in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_numbers_with_an_exponent_are_numbers_in_every_section(tmp_path: Path) -> None:
+    path = tmp_path / "scenario.yaml"
+    path.write_text("duration_s: 1e1\nmonitor: {p_false_alarm: 1e-4, sigma: {slow_s: 3E2}}\n")
+    setup = read_setup(str(path))
+    assert setup.scenario.duration_s == 10.0
+    assert setup.monitor.detector.p_false_alarm == 1e-4
+    assert setup.monitor.detector.sigma.slow_s == 300.0

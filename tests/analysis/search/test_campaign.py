@@ -160,7 +160,7 @@ def test_a_test_file_that_is_written_reads_back_the_same(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("initial: {rol_deg: 3}", "rol_deg is unknown; known: height_m"),
+        ("initial: {rol_deg: 3}", "initial.rol_deg is unknown; did you mean roll_deg"),
         ("initial: {roll_deg: [30, -30]}", "roll_deg = .* ends reversed"),
         (
             "faults: [{fault: melt, target: HIL_SENSOR.xgyro}]",

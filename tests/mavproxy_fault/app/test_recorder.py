@@ -1,9 +1,17 @@
+import contextlib
 import json
+import resource
+import shutil
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
+
+import pytest
 
 from mavproxy_fault.app.playback import split
 from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.live.journal import Edit, read_edits
 from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import build
@@ -61,3 +69,61 @@ def test_bytes_that_are_no_frame_hide_no_frame_from_readers_of_the_log(tmp_path:
         theirs += message.get_type() == "HEARTBEAT"
     log.close()
     assert theirs == 40
+
+
+@contextlib.contextmanager
+def files_no_larger_than(size: int) -> Iterator[None]:
+    """As on a disk that is nearly full: a write that goes beyond is cut, the next one refused."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_full_disk_stops_recording_whole_and_not_for_ever(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, {})
+    tape = Tape()
+    label = Label(id="a", fault="bias", t0_us=0, start_us=1)
+    edit = Edit(3, 0, 0, "rflysim")
+    for n in range(3):
+        tape.receive(WALL_US + n, 0, heartbeat(n))
+    with files_no_larger_than(200):
+        recorder.write(tape, [], [edit])
+        for n in range(3, 100):
+            tape.receive(WALL_US + n, 0, heartbeat(n))
+        recorder.write(tape, [label], [edit.at_record(50)])
+        assert recorder.failing
+    assert len((tmp_path / "received.tlog").read_bytes()) % (8 + len(heartbeat(0))) == 0
+    tape.receive(WALL_US + 100, 0, heartbeat(100))
+    recorder.write(tape)
+    recorder.close(None, 0)
+    assert recorder.failing is None
+    kept = [n for _, raw in split((tmp_path / "received.tlog").read_bytes()) for n in [raw[4]]]
+    assert kept == [0, 1, 2, 100]
+    assert len((tmp_path / "received.index").read_bytes()) == 4 * 6
+    assert [one.id for one in read_labels(tmp_path / "labels.jsonl")] == ["a"]
+    assert [one.at for one in read_edits(tmp_path / "edits.jsonl")] == [3, 3]
+    assert json.loads((tmp_path / "session.json").read_text())["lost_records"] == 97
+
+
+def test_a_folder_that_was_removed_is_made_again(tmp_path: Path) -> None:
+    folder = tmp_path / "log"
+    recorder = Recorder(folder, {})
+    tape = Tape()
+    tape.receive(WALL_US, 0, heartbeat(0))
+    recorder.write(tape)
+    shutil.rmtree(folder)
+    tape.receive(WALL_US + 1, 0, heartbeat(1))
+    recorder.write(tape)
+    shutil.rmtree(folder)
+    recorder.close(None, 0)  # and where it cannot end well, it ends
+    assert not folder.exists()
+    assert tape.count == 1
+
+
+def test_a_folder_that_cannot_be_written_is_the_users_mistake(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="give a folder"):
+        Recorder(tmp_path / "file" / "log", {})

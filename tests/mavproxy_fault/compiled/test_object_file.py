@@ -2,7 +2,22 @@ import subprocess
 import sys
 from pathlib import Path
 
-from mavproxy_fault.compiled.object_file import PACKAGE, sources
+import pytest
+
+from mavproxy_fault.compiled import object_file
+from mavproxy_fault.compiled.object_file import PACKAGE, load, make, sources
+
+
+def test_machine_code_that_is_made_later_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make()
+    there = object_file.object_path()
+    path = tmp_path / "forward.o"
+    monkeypatch.setattr(object_file, "object_path", lambda: path)
+    assert load() is None
+    path.write_bytes(there.read_bytes())
+    assert load() is not None
 
 
 def test_every_file_that_is_compiled_in_is_among_the_sources() -> None:

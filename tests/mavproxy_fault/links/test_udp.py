@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from mavproxy_fault.links.udp import FORGET_S, MOST_PEERS, UdpClient, UdpServer
+from mavproxy_fault.links.peers import FORGET_S, MOST_PEERS
+from mavproxy_fault.links.udp import UdpClient, UdpServer
 
 
 @pytest.fixture
@@ -57,18 +58,18 @@ def test_a_server_without_peers_counts_what_it_drops(server: UdpServer) -> None:
 
 
 def test_a_server_forgets_the_silent_but_never_the_latest(server: UdpServer) -> None:
-    server.hear(b"old", 0.0)
-    server.hear(b"newer", 1.0)
-    server.hear(b"new", FORGET_S + 0.5)
-    assert list(server.peers) == [b"newer", b"new"]
-    server.hear(b"late", 10 * FORGET_S)
-    assert list(server.peers) == [b"new", b"late"]
+    server.hear(b"old", b"", 0.0)
+    server.hear(b"newer", b"", 1.0)
+    server.hear(b"new", b"", FORGET_S + 0.5)
+    assert list(server.peers.known) == [b"newer", b"new"]
+    server.hear(b"late", b"", 10 * FORGET_S)
+    assert list(server.peers.known) == [b"new", b"late"]
 
 
 def test_a_server_keeps_a_bounded_number_of_peers(server: UdpServer) -> None:
     for number in range(2 * MOST_PEERS):
-        server.hear(b"%d" % number, float(number) / 1000)
-    assert list(server.peers) == [b"%d" % n for n in range(MOST_PEERS, 2 * MOST_PEERS)]
+        server.hear(b"%d" % number, b"", float(number) / 1000)
+    assert list(server.peers.known) == [b"%d" % n for n in range(MOST_PEERS, 2 * MOST_PEERS)]
 
 
 def test_a_client_survives_a_peer_that_comes_and_goes() -> None:
@@ -102,3 +103,15 @@ def test_links_count_chunks_and_bytes(server: UdpServer) -> None:
     assert (client.counters.chunks_out, client.counters.bytes_out) == (1, 5)
     assert (server.counters.chunks_in, server.counters.bytes_in) == (1, 5)
     client.close()
+
+
+def test_what_the_kernel_could_not_keep_is_counted(
+    server: UdpServer, sockets: list[socket.socket]
+) -> None:
+    server.sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    for _ in range(100):
+        sockets[0].sendto(bytes(1000), ("127.0.0.1", server.port))
+    came = 0
+    while chunks := server.read():
+        came += len(chunks)
+    assert server.lost_in_kernel == 100 - came > 0

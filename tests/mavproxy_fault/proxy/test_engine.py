@@ -1,3 +1,4 @@
+import msgspec
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
@@ -268,3 +269,39 @@ def test_a_value_changed_while_the_fault_acts_is_told_by_a_label() -> None:
     (done,) = it.finish(2_000_000)
     assert [label.value for label in said] == [None, 20.5, 40.5, 60.5, 80.5]
     assert (done.value, done.start_us, done.frames) == (100.5, said[0].start_us, 100)
+
+
+def test_foreign_bytes_after_a_stamp_far_ahead_cost_no_more_than_a_frame() -> None:
+    it = engine("""
+  - {id: again, fault: bias, target: HIL_SENSOR.xgyro, value: 1, for_s: 0.01,
+     repeat: {every_s: 0.02}}
+""")
+    steps = []
+    follow = it._follow
+    it._follow = lambda *given: (steps.append(given), follow(*given))[1]  # type: ignore[method-assign]
+    it.apply(sensor(1_000_000), "to-vehicle", 1_000_000)
+    it.junk(b"x", "to-vehicle", 10**15 - 1)
+    it.apply(sensor(10**15), "to-vehicle", 10**15 + 7_000_000)
+    assert len(steps) < 20
+
+
+@pytest.mark.parametrize("seconds", [float("inf"), 1e300, 1e15])
+def test_a_time_that_no_clock_reaches_never_comes(seconds: float) -> None:
+    entry = parse_schedule("faults: [{id: a, fault: drop, target: HIL_SENSOR}]").faults[0]
+    it = engine(BIAS)
+    run(it, 0.1)
+    it.arm(msgspec.structs.replace(entry, at_s=seconds))
+    it.arm(msgspec.structs.replace(entry, id="b", for_s=seconds))
+    assert len(run(it, 0.1, 2_000_000)) == 0
+    assert it.active == ["b"]
+
+
+def test_injected_faults_that_ended_are_forgotten_after_a_while() -> None:
+    it = engine(BIAS)
+    for n in range(100):
+        it.arm({"id": f"live-{n}", "fault": "bias", "target": "HIL_SENSOR.xgyro", "value": 1,
+                "for_s": 0.004})  # fmt: skip
+        run(it, 0.02, 1_000_000 + n * 20_000)
+    assert "step" in it.ids()
+    assert len(it.ids()) < 40
+    assert it.ids()[-1] == "live-99"

@@ -74,7 +74,7 @@ other: 1
         "night.yaml:10: faults[2].target = HIL_SENSR is no message; did you mean HIL_SENSOR",
         "night.yaml:11: faults[2].for_s = 0",
         "night.yaml:12: faults[2].where.sytem is unknown; did you mean system",
-        "night.yaml:12: faults[2].where.direction = 'up' does not fit",
+        "night.yaml:12: faults[2].where.direction = 'up' is unknown",
         "night.yaml:15: faults[3].profile.segments[0].start = 'a' does not fit",
         "night.yaml:15: faults[3].profile.segments[1].fr_s is unknown; did you mean for_s",
         "night.yaml:15: faults[3].profile.segments[1] lacks for_s",
@@ -112,6 +112,24 @@ def test_a_key_given_twice_is_refused() -> None:
         ("{fault: freeze, target: PSEUDORANGE.G12}", "is no target for freeze"),
         ("{fault: bias, target: PSEUDORANGE.12, value: 1}", "names no satellite"),
         ("{fault: plant, target: HIL_GPS, value: 1}", "must be PLANT.<name>"),
+        ("{fault: plant, target: PLANT.mas_kg_add, value: 1}", "did you mean mass_kg_add"),
+        ("{fault: plant, target: 'PLANT.motor_efficiency[a]', value: 1}", "names no motor"),
+        ("{fault: plant, target: 'PLANT.cn0_drop_db[R01]', value: 1}", "names no satellite"),
+        ("{fault: plant, target: PLANT.mass_kg_add, value: .inf}", "value = inf is not finite"),
+        ("{fault: bias, target: PSEUDORANGE.G33, value: 1}", "names no satellite"),
+        ("{fault: bias, target: PSEUDORANGE.R01, value: 1}", "names no satellite"),
+        (
+            "{fault: bias, target: [HIL_SENSOR.xacc, HIL_SENSOR.xacc], value: 1}",
+            "HIL_SENSOR.xacc is named twice",
+        ),
+        ("{fault: drop, target: [HIL_GPS, HIL_GPS]}", "HIL_GPS is named twice"),
+        ("{fault: drop, at_s: .inf}", "at_s = inf is not finite"),
+        ("{fault: drop, at_s: 1e300}", "at_s = 1e+300 does not fit: expected `float` <="),
+        ("{fault: delay, value: 1e300}", "value = 1e+300 does not fit"),
+        ("{fault: drop, at_s: 1:30}", "at_s = '1:30' does not fit: expected `float`"),
+        ("{fault: drop, at_s: 010}", "at_s = 010 is octal to some; write 10"),
+        ("{fault: drop, for_s: 2, repeat: {every_s: 1}}", "every_s = 1 is shorter than for_s = 2"),
+        ("{fault: drop, when: 'armed and'}", "when "),
         ("{fault: bias, target: HIL_GPS.alt, value: 1, via: simulator}", "via: simulator is for"),
         ("{fault: drop, repeat: {every_s: 1}}", "needs for_s"),
         ("{fault: drop, after: nothing}", "is no other fault"),
@@ -143,3 +161,44 @@ def test_satellite_faults_act_where_the_reader_says_unless_they_say_themselves()
     kinds = [type(e.fault).__name__ for e in parse_schedule(data, via="simulator").faults]
     assert kinds == ["InReceiver", "Satellites", "Bias"]
     assert type(parse_schedule(data).faults[0].fault).__name__ == "Satellites"
+
+
+def test_an_invalid_entry_hides_and_shifts_no_error_of_the_others() -> None:
+    found = errors("""\
+faults:
+  - {id: a, fault: bais}
+  - {id: b, fault: drop, after: a}
+  - {id: c, fault: drop, after: nobody}
+  - {id: b, fault: drop}
+  - {id: d, fault: bias, value: x, target: HIL_SENSOR.xacc, when: 'and', at: 3}
+""")
+    places = [":".join(error.split(" ")[:2]) for error in found]
+    assert places == [
+        "night.yaml:2::faults[0].fault",
+        "night.yaml:4::faults[2].after",
+        "night.yaml:5::faults[3].id",
+        "night.yaml:6::faults[4].when",
+        "night.yaml:6::faults[4].at",
+        "night.yaml:6::faults[4].value",
+    ]
+
+
+def test_faults_that_wait_for_each_other_are_refused_once() -> None:
+    found = errors("""\
+faults:
+  - {id: a, fault: drop, after: {id: b}}
+  - {id: b, fault: drop, after: c}
+  - {id: c, fault: drop, after: b}
+  - {id: d, fault: drop, after: d}
+""")
+    assert found == [
+        "night.yaml:3: faults[1].after goes in a circle (b after c after b); one of them must "
+        "begin by itself",
+        "night.yaml:5: faults[3].after = d is no other fault; known: a, b, c",
+    ]
+
+
+def test_a_number_that_is_none_may_replace_a_value() -> None:
+    text = "{fault: constant, target: HIL_SENSOR.xacc, value: %s}"
+    for value in (".nan", "-.inf"):
+        assert len(parse_schedule(f"faults: [{text % value}]").faults) == 1

@@ -86,7 +86,7 @@ def test_a_length_too_large_does_not_swallow_the_next_frame() -> None:
     parser = Parser()
     items = parser.push(bytes(broken) + HEARTBEAT * 3, datagram=True)
     assert shape(items) == ["foreign", "HEARTBEAT", "HEARTBEAT", "HEARTBEAT"]
-    assert parser.held == 0
+    assert parser.incomplete == 0
 
 
 def test_an_unknown_message_passes_as_a_whole() -> None:
@@ -130,7 +130,7 @@ def test_a_payload_longer_than_the_layout_is_kept() -> None:
 def test_an_incomplete_frame_waits_in_a_stream_but_not_in_a_datagram() -> None:
     parser = Parser()
     assert parser.push(HEARTBEAT[:11]) == []
-    assert parser.held == 11
+    assert parser.incomplete == 11
     assert shape(parser.push(HEARTBEAT[11:])) == ["HEARTBEAT"]
     assert shape(parser.push(HEARTBEAT[:11], datagram=True)) == ["foreign"]
 
@@ -139,7 +139,7 @@ def test_release_gives_up_an_incomplete_frame_and_finds_what_it_held_back() -> N
     parser = Parser()
     assert parser.push(b"\xfd\xff\0\0" + HEARTBEAT) == []
     assert shape(parser.release()) == ["foreign", "HEARTBEAT"]
-    assert parser.held == 0
+    assert parser.incomplete == 0
 
 
 PIECES = st.one_of(

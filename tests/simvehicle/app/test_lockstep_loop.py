@@ -11,13 +11,13 @@ from itertools import pairwise
 import numpy as np
 from pymavlink.dialects.v20 import all as dialect
 
+from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.wire.plant_messages import PlantChange, plant_frame
 from simvehicle.app.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.app.sim_progress import Progress
 from simvehicle.hil.hil_frames import Hil
-from simvehicle.hil.inbox import Inbox
 from simvehicle.hil.lockstep import Lockstep
 from simvehicle.sensors.readings import ImuReading, Reading
 from simvehicle.vehicles.actuators import motors

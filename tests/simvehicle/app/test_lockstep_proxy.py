@@ -14,6 +14,7 @@ import pytest
 
 from mavproxy_fault.app.proxy_command import roles
 from mavproxy_fault.app.server import Server
+from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.proxy.core import Core
@@ -24,7 +25,6 @@ from mavproxy_fault.wire.parser import Parser
 from simvehicle.app.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.app.sim_progress import Progress
 from simvehicle.hil.hil_frames import Hil
-from simvehicle.hil.inbox import Inbox
 from simvehicle.hil.lockstep import Lockstep
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.wire.dialect import known
@@ -26,7 +27,6 @@ from mavproxy_fault.wire.frame import Frame
 from simvehicle.app.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.app.sim_progress import Progress
 from simvehicle.hil.hil_frames import Hil
-from simvehicle.hil.inbox import Inbox
 from simvehicle.hil.lockstep import Lockstep
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation

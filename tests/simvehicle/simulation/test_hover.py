@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.links.tcp import TcpServer
 from simvehicle.app.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.app.sim_progress import Progress
 from simvehicle.hil.hil_frames import Hil
-from simvehicle.hil.inbox import Inbox
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.actuators import motors

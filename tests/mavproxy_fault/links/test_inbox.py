@@ -1,9 +1,9 @@
 from contextlib import closing
 
+from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Chunk
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import build
-from simvehicle.hil.inbox import Inbox
 
 HEARTBEAT = known("HEARTBEAT")
 

@@ -1,0 +1,73 @@
+"""ArduPilot's SITL program, started with the bridge's ports and parameters, and ended with it."""
+
+import shlex
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from mavproxy_fault.ardupilot.hil_readings import TrueState
+from mavproxy_fault.documents.errors import ConfigError
+
+OUTPUT = "autopilot.log"
+PARAMETERS = "bridge.parm"
+SPEEDUP = 100  # above what any machine reaches: the HIL link sets the pace, not ArduPilot's sleep
+
+
+@dataclass(frozen=True, slots=True)
+class Ports:
+    """Where the bridge listens on the loopback address."""
+
+    physics: int  # UDP
+    mavlink: int  # UDP
+    vectornav: int  # TCP
+
+
+def check_command(command: str, option: str = "--command") -> list[str]:
+    """The words of a command, its program found.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such program.
+    """
+    words = shlex.split(command)
+    found = shutil.which(words[0]) if words else None
+    if found is None:
+        raise ConfigError(
+            f"{option}: {command!r} is no program; give ArduPilot's SITL binary, which "
+            "`./waf configure --board sitl && ./waf copter` leaves in build/sitl/bin/arducopter"
+        )
+    return [str(Path(found).resolve()), *words[1:]]
+
+
+def start(
+    words: list[str], folder: Path, ports: Ports, home: TrueState, defaults: list[Path]
+) -> "subprocess.Popen[bytes]":
+    """Start the program in `folder`; later files of `defaults` win."""
+    place = f"{home.lat_e7 * 1e-7:.7f},{home.lon_e7 * 1e-7:.7f},{home.alt_mm * 1e-3:.3f}"
+    options = {
+        "--model": "JSON:127.0.0.1",
+        "--home": f"{place},{home.yaw_deg:.2f}",
+        "--defaults": ",".join(str(path.resolve()) for path in defaults),
+        "--speedup": str(SPEEDUP),
+        "--sim-port-out": str(ports.physics),
+        "--serial0": f"udpclient:127.0.0.1:{ports.mavlink}",
+        "--serial1": "none:",
+        "--serial2": "none:",
+        "--serial3": "none:",
+        "--serial4": "none:",
+        "--serial5": "none:",
+        "--serial6": f"tcpclient:127.0.0.1:{ports.vectornav}",
+        "--serial7": "none:",
+        "--serial8": "none:",
+    }
+    arguments = [word for option in options.items() for word in option]
+    with (folder / OUTPUT).open("wb") as output:
+        return subprocess.Popen(
+            [*words, "-w", *arguments],
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+        )

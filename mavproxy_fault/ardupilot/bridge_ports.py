@@ -1,0 +1,80 @@
+"""The bridge's sockets towards ArduPilot, all on the loopback address."""
+
+import contextlib
+import socket
+
+from mavproxy_fault.ardupilot.vectornav_handshake import Handshake
+from mavproxy_fault.links.link import Link, enlarge_buffers
+from mavproxy_fault.links.tcp import TcpServer
+
+LOOPBACK = "127.0.0.1"
+DATAGRAM = 65_536
+
+
+class Datagrams:
+    """A UDP port with one peer, whoever spoke last."""
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind((LOOPBACK, 0))
+        self._socket.setblocking(False)
+        enlarge_buffers(self._socket)
+        self.port: int = self._socket.getsockname()[1]
+        self._peer: tuple[str, int] | None = None
+
+    def fileno(self) -> int:
+        """For `select`."""
+        return self._socket.fileno()
+
+    def read(self) -> list[bytes]:
+        """The datagrams that wait."""
+        found = []
+        with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+            while True:
+                data, self._peer = self._socket.recvfrom(DATAGRAM)
+                found.append(data)
+        return found
+
+    def write(self, data: bytes) -> None:
+        """Send to the peer; before it spoke the datagram is dropped."""
+        if self._peer is not None:
+            with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+                self._socket.sendto(data, self._peer)
+
+    def close(self) -> None:
+        """Close the port."""
+        self._socket.close()
+
+
+class SensorPort:
+    """The serial device of the VectorNav: answers its configuration, then carries its outputs."""
+
+    def __init__(self, link: Link | None = None) -> None:
+        self._link = link or TcpServer(LOOPBACK, 0)
+        self._handshake = Handshake()
+
+    @property
+    def port(self) -> int:
+        """The TCP port; 0 where the device is a serial one."""
+        return getattr(self._link, "port", 0)
+
+    def fileno(self) -> int:
+        """For `select`."""
+        return self._link.fileno()
+
+    def serve(self) -> None:
+        """Answer what the driver asks."""
+        for _, data in self._link.read():
+            if data:
+                self._link.write(self._handshake.received(data))
+            else:
+                self._handshake = Handshake()  # a new connection configures the sensor anew
+
+    def write(self, data: bytes) -> None:
+        """Send outputs, once they are wanted."""
+        if self._handshake.streaming:
+            self._link.write(data)
+
+    def close(self) -> None:
+        """Close the device."""
+        self._link.close()

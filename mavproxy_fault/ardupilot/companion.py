@@ -1,0 +1,60 @@
+"""Frames of the HIL link that ArduPilot takes as MAVLink, in the form that it takes; no I/O.
+
+A second receiver becomes GPS_INPUT. ArduPilot reads an ODOMETRY in MAV_FRAME_LOCAL_FRD alone. What
+is no sensor of a HIL simulator (commands, missions, a companion's messages) passes as it is.
+HIL_OPTICAL_FLOW is left out: ArduPilot's driver counts flow in whole numbers too coarse for it.
+"""
+
+from mavproxy_fault.ardupilot.hil_readings import ID_GPS
+from mavproxy_fault.ardupilot.sensor_feed import (
+    DOP_PER_M,
+    GPS_EPOCH_US,
+    SPEED_SIGMA_MPS,
+    WORST_DOP,
+)
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+
+GPS_INPUT = known("GPS_INPUT")
+WEEK_US = 604_800_000_000
+LOCAL_NED, LOCAL_FRD = 1, 20  # MAV_FRAME_
+UNREAD = ("HIL_", "TUNNEL")  # raw ranges go to the monitor, not to the autopilot
+
+
+def for_ardupilot(frame: Frame) -> bytes | None:
+    """The frame to send to ArduPilot; None where it takes nothing of the kind."""
+    name = frame.layout.name
+    if name == "HIL_GPS":
+        return gps_input(frame) if frame.number("id") != ID_GPS else None
+    if name.startswith(UNREAD):
+        return None
+    if name == "ODOMETRY" and frame.number("frame_id") == LOCAL_NED:
+        return frame.patched({("frame_id", 0): LOCAL_FRD}).raw
+    return frame.raw
+
+
+def gps_input(frame: Frame) -> bytes:
+    """GPS_INPUT of the receiver's own number."""
+    read = frame.number
+    week, within_us = divmod(GPS_EPOCH_US + int(read("time_usec")), WEEK_US)
+    horizontal_m, vertical_m = read("eph") * 0.01, read("epv") * 0.01
+    values = {
+        "time_usec": read("time_usec"),
+        "time_week": week,
+        "time_week_ms": within_us // 1000,
+        "gps_id": read("id"),
+        "fix_type": read("fix_type"),
+        "satellites_visible": read("satellites_visible"),
+        "lat": read("lat"),
+        "lon": read("lon"),
+        "alt": read("alt") * 1e-3,
+        "hdop": min(horizontal_m * DOP_PER_M, WORST_DOP),
+        "vdop": min(vertical_m * DOP_PER_M, WORST_DOP),
+        "vn": read("vn") * 0.01,
+        "ve": read("ve") * 0.01,
+        "vd": read("vd") * 0.01,
+        "speed_accuracy": SPEED_SIGMA_MPS,
+        "horiz_accuracy": horizontal_m,
+        "vert_accuracy": vertical_m,
+    }
+    return build(GPS_INPUT, values, seq=frame.seq, system=frame.system, component=frame.component)

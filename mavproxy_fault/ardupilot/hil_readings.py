@@ -1,0 +1,115 @@
+"""What the HIL link has told of the vehicle, in SI units; no I/O.
+
+A simulator ends each step by the truth, HIL_STATE_QUATERNION, so that its stamp closes the step
+whatever a fault did to the sensors' frames before.
+"""
+
+import math
+import struct
+from typing import NamedTuple
+
+from mavproxy_fault.wire.frame import Frame
+
+INERTIAL, MAG, BARO, DIFF_PRESSURE = 0x3F, 0x1C0, 0x1A00, 0x400  # HIL_SENSOR_UPDATED_*
+PA_PER_HPA = 100.0
+ZERO_CELSIUS_K = 273.15
+AIR_J_PER_KG_K = 287.05287  # gas constant of dry air, ISO 2533
+ID_GPS = 0  # the receiver that is part of the VectorNav
+
+_SENSOR = struct.Struct("<Q13fIB")
+_TRUTH = struct.Struct("<Q4f3f3i3h")
+Triple = tuple[float, float, float]
+
+
+class Imu(NamedTuple):
+    """One HIL_SENSOR."""
+
+    accel_b_mps2: Triple
+    gyro_b_rps: Triple
+    field_b_gauss: Triple
+    pressure_pa: float
+    diff_pressure_pa: float
+    temperature_c: float
+
+
+class TrueState(NamedTuple):
+    """One HIL_STATE_QUATERNION."""
+
+    t_us: int
+    q_nb: tuple[float, float, float, float]
+    lat_e7: int
+    lon_e7: int
+    alt_mm: int
+    v_ned_mps: Triple
+
+    @property
+    def yaw_deg(self) -> float:
+        """Heading from true north, 0 to 360."""
+        w, x, y, z = self.q_nb
+        return math.degrees(math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))) % 360.0
+
+
+class Readings:
+    """The newest values of each sensor, and which came since the last step.
+
+    Attributes
+    ----------
+    imus : dict of int to Imu
+        By HIL_SENSOR.id.
+    truth : TrueState or None
+    fresh_imu : bool
+        An HIL_SENSOR of id 0 with new samples came since `begin_step`.
+    fixes : list of Frame
+        HIL_GPS since `begin_step`.
+    updated : int
+        Every bit of HIL_SENSOR.fields_updated seen so far.
+    """
+
+    def __init__(self) -> None:
+        self.imus: dict[int, Imu] = {}
+        self.truth: TrueState | None = None
+        self.fresh_imu = False
+        self.fixes: list[Frame] = []
+        self.updated = 0
+
+    def begin_step(self) -> None:
+        """Forget what is new."""
+        self.fresh_imu = False
+        self.fixes = []
+
+    def update(self, frame: Frame) -> bool:
+        """Read a frame; True when it ends a step."""
+        name = frame.layout.name
+        if name == "HIL_SENSOR":
+            self._sensor(frame)
+        elif name == "HIL_GPS":
+            self.fixes.append(frame)
+        elif name == "HIL_STATE_QUATERNION":
+            t_us, w, x, y, z, _, _, _, lat, lon, alt, vx, vy, vz = _TRUTH.unpack_from(
+                frame.payload.ljust(_TRUTH.size, b"\0")
+            )
+            velocity = (vx * 0.01, vy * 0.01, vz * 0.01)
+            self.truth = TrueState(t_us, (w, x, y, z), lat, lon, alt, velocity)
+            return True
+        return False
+
+    def _sensor(self, frame: Frame) -> None:
+        _, *values, updated, number = _SENSOR.unpack(frame.payload.ljust(_SENSOR.size, b"\0"))
+        self.imus[number] = Imu(
+            (values[0], values[1], values[2]),
+            (values[3], values[4], values[5]),
+            (values[6], values[7], values[8]),
+            values[9] * PA_PER_HPA,
+            values[10] * PA_PER_HPA,
+            values[12],
+        )
+        self.updated |= updated
+        self.fresh_imu |= number == 0 and updated & INERTIAL == INERTIAL
+
+
+def true_airspeed(imu: Imu) -> float:
+    """True airspeed in m/s from a pitot tube's pressure and the air's density around it."""
+    density_kgpm3 = imu.pressure_pa / (AIR_J_PER_KG_K * (imu.temperature_c + ZERO_CELSIUS_K))
+    if not density_kgpm3 > 0.0:
+        return 0.0
+    return math.sqrt(max(2.0 * imu.diff_pressure_pa / density_kgpm3, 0.0))

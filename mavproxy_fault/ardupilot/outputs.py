@@ -1,0 +1,61 @@
+"""ArduPilot's servo outputs -> HIL_ACTUATOR_CONTROLS in PX4's order of channels; no I/O.
+
+A quad X of ArduPilot has the motor order of PX4's `none_iris`: front right, rear left, front left,
+rear right. A plane's first four outputs are aileron, elevator, throttle and rudder.
+"""
+
+import struct
+from collections.abc import Callable, Sequence
+
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import framed
+
+HIL_ACTUATOR_CONTROLS = known("HIL_ACTUATOR_CONTROLS")
+CHANNELS = 16
+COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER: ArduPilot counts its own frames as component 1
+MODE_ENABLED, MODE_ARMED = 1, 128  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, _SAFETY_ARMED
+FLAG_LOCKSTEP = 1
+LOW_US, MIDDLE_US, SPAN_US = 1000, 1500, 1000
+RUDDER, THROTTLE, LEFT_AILERON, RIGHT_AILERON, ELEVATOR = 2, 4, 5, 6, 7
+
+Channels = Callable[[Sequence[int]], list[float]]
+_PAYLOAD = struct.Struct("<QQ16fB")
+
+
+def motor_channels(pwm_us: Sequence[int]) -> list[float]:
+    """Every output as a motor: 0 at 1000 us, 1 at 2000 us."""
+    return [throttle(pwm) for pwm in pwm_us[:CHANNELS]]
+
+
+def plane_channels(pwm_us: Sequence[int]) -> list[float]:
+    """Aileron, elevator, throttle, rudder to the channels of PX4's plane.
+
+    Positive channels turn a trailing edge up or to the right, and so do ArduPilot's outputs above
+    1500 us for elevator and rudder; its aileron there rolls to the right.
+    """
+    roll, pitch, yaw = (surface(pwm_us[output]) for output in (0, 1, 3))
+    channels = [0.0] * CHANNELS
+    channels[RUDDER] = yaw
+    channels[THROTTLE] = throttle(pwm_us[2])
+    channels[LEFT_AILERON], channels[RIGHT_AILERON] = -roll, roll
+    channels[ELEVATOR] = pitch
+    return channels
+
+
+def throttle(pwm_us: int) -> float:
+    """0 to 1."""
+    return min(max((pwm_us - LOW_US) / SPAN_US, 0.0), 1.0)
+
+
+def surface(pwm_us: int) -> float:
+    """-1 to 1; an output that is not in use (0 us) stands in the middle."""
+    return min(max((pwm_us - MIDDLE_US) / (SPAN_US / 2), -1.0), 1.0) if pwm_us else 0.0
+
+
+def actuator_frame(
+    stamp_us: int, channels: Sequence[float], seq: int, *, armed: bool, system: int = 1
+) -> bytes:
+    """The answer to the step of this stamp."""
+    mode = MODE_ENABLED | (MODE_ARMED if armed else 0)
+    payload = _PAYLOAD.pack(stamp_us, FLAG_LOCKSTEP, *channels, mode)
+    return framed(HIL_ACTUATOR_CONTROLS, payload, seq=seq, system=system, component=COMPONENT)

@@ -1,0 +1,125 @@
+"""One step of the HIL link -> what ArduPilot's drivers are fed: VectorNav bytes, a line of physics.
+
+HIL_SENSOR of id 0 and HIL_GPS of id 0 are the VectorNav, HIL_SENSOR of id 1 is the IMU of the JSON
+backend. A sample that a fault withheld is a packet that is not sent; the JSON backend cannot leave
+one out and repeats its last.
+"""
+
+import math
+from typing import NamedTuple
+
+from mavproxy_fault.ardupilot.hil_readings import (
+    DIFF_PRESSURE,
+    ID_GPS,
+    Imu,
+    Readings,
+    TrueState,
+    true_airspeed,
+)
+from mavproxy_fault.ardupilot.json_physics import BodyState, state_line
+from mavproxy_fault.ardupilot.vectornav import (
+    GnssOutput,
+    ImuOutput,
+    gnss_packet,
+    imu_packet,
+    ins_packet,
+)
+from mavproxy_fault.wire.frame import Frame
+
+GPS_EPOCH_US = 2348 * 604_800_000_000  # 5 January 2025, for simulators that do not tell the date
+INS_PERIOD_US = 20_000
+SPEED_SIGMA_MPS = 0.3  # HIL_GPS has no figure for it; a consumer receiver's
+M_PER_E7_DEG = 0.011131884502145034  # ArduPilot's scale of --home, Location.h
+DOP_PER_M = 1 / 2.5  # dilution of precision for a receiver with a range error of 2.5 m
+WORST_DOP = 99.0
+
+
+class Fed(NamedTuple):
+    """What a step feeds."""
+
+    vectornav: bytes
+    physics: bytes
+
+
+class SensorFeed:
+    """The sensors of one flight.
+
+    Parameters
+    ----------
+    home : TrueState
+        Where ArduPilot's `--home` is.
+    """
+
+    def __init__(self, home: TrueState) -> None:
+        self._home = home
+        self._fix: GnssOutput | None = None
+        self._ins_us = 0
+
+    def step(self, readings: Readings, truth: TrueState) -> Fed:
+        """The bytes of a step that the truth has closed."""
+        packets = []
+        first = readings.imus[0]
+        if readings.fresh_imu:
+            packets.append(
+                imu_packet(
+                    ImuOutput(
+                        truth.t_us,
+                        first.gyro_b_rps,
+                        first.accel_b_mps2,
+                        first.field_b_gauss,
+                        first.temperature_c,
+                        first.pressure_pa,
+                    )
+                )
+            )
+        for frame in readings.fixes:
+            if frame.number("id") == ID_GPS:
+                self._fix = gnss_output(frame, truth.t_us)
+                packets.append(gnss_packet(self._fix))
+        if self._fix is not None and truth.t_us - self._ins_us >= INS_PERIOD_US:
+            self._ins_us = truth.t_us
+            packets.append(ins_packet(self._fix, truth.t_us))
+        second = readings.imus.get(1, first)
+        airspeed = true_airspeed(first) if readings.updated & DIFF_PRESSURE else None
+        return Fed(b"".join(packets), self._line(truth, second, airspeed))
+
+    def _line(self, truth: TrueState, imu: Imu, airspeed_mps: float | None) -> bytes:
+        home = self._home
+        north_m = (truth.lat_e7 - home.lat_e7) * M_PER_E7_DEG
+        east_m = (truth.lon_e7 - home.lon_e7) * M_PER_E7_DEG * longitude_scale(home.lat_e7)
+        down_m = (home.alt_mm - truth.alt_mm) * 1e-3
+        return state_line(
+            BodyState(
+                truth.t_us,
+                imu.gyro_b_rps,
+                imu.accel_b_mps2,
+                (north_m, east_m, down_m),
+                truth.q_nb,
+                truth.v_ned_mps,
+                airspeed_mps,
+            )
+        )
+
+
+def longitude_scale(lat_e7: int) -> float:
+    """Length of a degree of longitude over one of latitude, on a sphere."""
+    return max(math.cos(math.radians(lat_e7 * 1e-7)), 0.01)
+
+
+def gnss_output(frame: Frame, t_us: int) -> GnssOutput:
+    """A HIL_GPS as the VectorNav's receiver tells it; eph and epv are centimetres of error."""
+    read = frame.number
+    horizontal_m, vertical_m = read("eph") * 0.01, read("epv") * 0.01
+    return GnssOutput(
+        t_us,
+        GPS_EPOCH_US + t_us,
+        int(read("satellites_visible")),
+        int(read("fix_type")),
+        read("lat") * 1e-7,
+        read("lon") * 1e-7,
+        read("alt") * 1e-3,
+        (read("vn") * 0.01, read("ve") * 0.01, read("vd") * 0.01),
+        (horizontal_m, horizontal_m, vertical_m),
+        SPEED_SIGMA_MPS,
+        min(horizontal_m * DOP_PER_M, WORST_DOP),
+    )

@@ -1,0 +1,114 @@
+"""Who a listening UDP link answers: the addresses heard of late, within what was allowed.
+
+A peer is proven once it has sent a verified frame. Those that are not never displace those that
+are, so that strangers cannot cut off a vehicle that is silent for a while.
+"""
+
+import ipaddress
+import socket
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+FORGET_S = 60.0  # a silent peer makes room for a newcomer, unless it was the last to speak
+MOST_PEERS = 32
+
+Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+
+
+def nothing_is_a_frame(_: bytes) -> bool:
+    """What a link believes that was given no way to tell."""
+    return False
+
+
+@dataclass(frozen=True, slots=True)
+class Admission:
+    """Which addresses may be peers.
+
+    `allowed` are networks (none: every address). With `lock` nobody is heard any more but the first
+    peer that was proven. `is_frame` tells whether a datagram proves its sender.
+    """
+
+    allowed: tuple[Network, ...] = ()
+    lock: bool = False
+    is_frame: Callable[[bytes], bool] = nothing_is_a_frame
+
+
+@dataclass(slots=True)
+class Peer:
+    """When an address last spoke (monotonic seconds), and whether it is proven."""
+
+    spoke_s: float
+    proven: bool = False
+
+
+class Peers:
+    """The peers of one link by raw socket address."""
+
+    def __init__(self) -> None:
+        self.admission = Admission()
+        self.known: dict[bytes, Peer] = {}
+        self._latest = b""
+
+    def hear(self, address: bytes, data: bytes, now_s: float) -> bool:
+        """Note that an address spoke; whether it may be listened to."""
+        peer = self.known.get(address)
+        proven = peer is not None and peer.proven
+        if not proven and not self._admits(address):
+            return False
+        proven = proven or self.admission.is_frame(data)
+        if peer is None:
+            if not self._make_room(proven, now_s):
+                return True  # heard, but not answered
+            peer = self.known[address] = Peer(now_s)
+        peer.spoke_s, peer.proven = now_s, proven
+        self._latest = address
+        if proven and self.admission.lock:
+            self.known = {address: peer}
+        return True
+
+    def touch(self, address: bytes, now_s: float) -> None:
+        """Note that a peer sent verified frames."""
+        peer = self.known.get(address)
+        if peer is not None:
+            peer.spoke_s, peer.proven = now_s, True
+            self._latest = address
+
+    def _admits(self, address: bytes) -> bool:
+        if self.admission.lock and any(peer.proven for peer in self.known.values()):
+            return False
+        allowed = self.admission.allowed
+        return not allowed or any(host_of(address) in network for network in allowed)
+
+    def _make_room(self, proven: bool, now_s: float) -> bool:
+        """Forget whom a newcomer may displace; whether there is room for it."""
+        weaker = {a: peer for a, peer in self.known.items() if proven or not peer.proven}
+        for address, peer in weaker.items():
+            if now_s - peer.spoke_s > FORGET_S and address != self._latest:
+                del self.known[address]
+        if len(self.known) < MOST_PEERS:
+            return True
+        remaining = [address for address in weaker if address in self.known]
+        if not remaining:
+            return False
+        del self.known[min(remaining, key=lambda one: (weaker[one].proven, weaker[one].spoke_s))]
+        return True
+
+
+def host_of(address: bytes) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
+    """The host of a raw `sockaddr_in` or `sockaddr_in6`."""
+    family = int.from_bytes(address[:2], "little")
+    if family == socket.AF_INET:
+        return ipaddress.IPv4Address(address[4:8])
+    found = ipaddress.IPv6Address(address[8:24])
+    return found.ipv4_mapped or found
+
+
+def networks(texts: Sequence[str]) -> tuple[Network, ...]:
+    """Networks by their text, such as 10.0.0.7 or 192.168.1.0/24.
+
+    Raises
+    ------
+    ValueError
+        If one is no network.
+    """
+    return tuple(ipaddress.ip_network(text) for text in texts)

@@ -1,0 +1,68 @@
+"""What the entries of a schedule have to do with each other: their ids, and who waits for whom.
+
+It looks at the data as written, so that an entry which is wrong in itself still counts as there.
+"""
+
+from typing import Any
+
+from mavproxy_fault.documents.document_check import DocumentCheck
+from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.schedule.presets import preset_names, preset_parts
+
+
+def default_id(name: str, number: int) -> str:
+    """The id of the fault in place `number` of the list (from 0) that gives none itself."""
+    return f"{name}-{number + 1}"
+
+
+def entry_ids(data: dict[str, Any], number: int) -> list[str]:
+    """The ids of the entries that one item of the list becomes: several with some presets."""
+    preset = data.get("preset")
+    if preset not in preset_names():
+        return [str(data.get("id") or default_id(str(data.get("fault")), number))]
+    whole, parts = data.get("id", preset), len(preset_parts(str(preset)))
+    return [f"{whole}.{i + 1}" for i in range(parts)] if parts > 1 else [str(whole)]
+
+
+def check_together(listed: list[Any], check: DocumentCheck) -> None:
+    """Note ids that stand twice, and `after` that names no other fault or goes in a circle."""
+    places: dict[str, int] = {}
+    for i, item in enumerate(listed):
+        for id in entry_ids(item, i) if isinstance(item, dict) else ():
+            if id in places:
+                check.wrong(("faults", i, "id"), f"= {id} stands twice; ids must differ")
+            places.setdefault(id, i)
+    waits: dict[str, str] = {}
+    for id, i in places.items():
+        awaited = _awaited(listed[i].get("after"))
+        if awaited is None:
+            continue
+        if awaited not in places or places[awaited] == i:
+            others = [name for name, place in places.items() if place != i]
+            text = f"= {awaited} is no other fault; {near(awaited, others)}"
+            if id == entry_ids(listed[i], i)[0]:  # once for a preset's parts
+                check.wrong(("faults", i, "after"), text)
+        else:
+            waits[id] = awaited
+    _check_circles(waits, places, check)
+
+
+def _awaited(after: Any) -> str | None:
+    """The id that an `after` names; None if there is none that could be looked for."""
+    name = after.get("id") if isinstance(after, dict) else after
+    return name if isinstance(name, str) else None
+
+
+def _check_circles(waits: dict[str, str], places: dict[str, int], check: DocumentCheck) -> None:
+    done: set[str] = set()
+    for first in waits:
+        chain: list[str] = []
+        id = first
+        while id in waits and id not in done:
+            done.add(id)
+            chain.append(id)
+            id = waits[id]
+        if id in chain:
+            circle = " after ".join([*chain[chain.index(id) :], id])
+            text = f"goes in a circle ({circle}); one of them must begin by itself"
+            check.wrong(("faults", places[id], "after"), text)

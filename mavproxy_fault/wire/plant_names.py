@@ -1,0 +1,44 @@
+"""The parameters that a plant fault can set in the simulator, by the names behind `PLANT.`.
+
+`[i]` is a motor, `[G12]` a satellite, `[all]` every satellite. Which of them a vehicle has is for
+the simulator to say: a fixed wing has no second motor.
+"""
+
+import re
+
+from mavproxy_fault.documents.suggestion import near
+
+AIRFRAME = ("mass_kg_add", "inertia_scale", "load_shift_x_m", "load_shift_y_m")
+MOTOR = ("motor_efficiency", "propeller_efficiency")
+SURFACE = ("elevator_efficiency", "aileron_efficiency", "rudder_efficiency")
+BATTERY = ("battery_voltage_scale", "battery_resistance_scale")
+WIND = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
+RECEIVER = ("receiver_off",)
+SATELLITE = ("pseudorange_m", "cn0_drop_db", "satellite_lost")
+
+# Numbers that GPS and Galileo give their satellites (RTCM 10403.3, MSM satellite masks).
+SATELLITE_NAME = re.compile(r"G(0[1-9]|[12]\d|3[0-2])|E(0[1-9]|[12]\d|3[0-6])")
+INDEXED = re.compile(r"(\w+)\[(\w+)\]")
+
+
+def check_plant_name(name: str) -> None:
+    """Refuse a name that no simulated vehicle knows.
+
+    Raises
+    ------
+    ValueError
+        With the names that are near it.
+    """
+    parts = INDEXED.fullmatch(name)
+    if parts is None:
+        if name in (single := (*AIRFRAME, *SURFACE, *BATTERY, *WIND, *RECEIVER)):
+            return
+        known = [*single, *(f"{one}[0]" for one in MOTOR), *(f"{one}[all]" for one in SATELLITE)]
+        raise ValueError(f"{name} is no parameter of the plant; {near(name, known)}")
+    base, index = parts.groups()
+    if base not in (*MOTOR, *SATELLITE):
+        raise ValueError(f"{name} is no parameter of the plant; {near(base, (*MOTOR, *SATELLITE))}")
+    if base in MOTOR and not (index.isascii() and index.isdigit()):
+        raise ValueError(f"{name} names no motor; they are like {base}[0]")
+    if base in SATELLITE and index != "all" and not SATELLITE_NAME.fullmatch(index):
+        raise ValueError(f"{name} names no satellite; [all], or like {base}[G12]")

@@ -1,0 +1,50 @@
+from mavproxy_fault.ardupilot.companion import for_ardupilot
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.parser import Parser
+
+
+def frame(name, **values):
+    layout = known(name)
+    return Frame(build(layout, values, seq=9), layout)
+
+
+def sent(one):
+    raw = for_ardupilot(one)
+    assert raw is not None
+    (found,) = Parser().push(raw)
+    assert isinstance(found, Frame)
+    return found
+
+
+def test_a_command_passes_as_it_is():
+    command = frame("COMMAND_LONG", command=400, param1=1)
+    assert for_ardupilot(command) == command.raw
+
+
+def test_what_the_bridge_itself_reads_does_not_pass():
+    for name in ("HIL_SENSOR", "HIL_STATE_QUATERNION", "HIL_OPTICAL_FLOW", "HIL_GPS", "TUNNEL"):
+        assert for_ardupilot(frame(name)) is None
+
+
+def test_a_second_receiver_becomes_gps_input():
+    fix = frame("HIL_GPS", id=1, time_usec=604_800_000_000 + 5_000_000, fix_type=3, lat=474_000_000,
+                lon=85_000_000, alt=488_000, eph=250, vn=-120, satellites_visible=11)  # fmt: skip
+    found = sent(fix)
+    assert found.layout.name == "GPS_INPUT"
+    assert found.number("gps_id") == 1
+    assert found.number("time_week") == 2349
+    assert found.number("time_week_ms") == 5_000
+    assert found.number("lat") == 474_000_000
+    assert found.number("alt") == 488.0
+    assert found.number("hdop") == 1.0
+    assert round(found.number("vn"), 5) == -1.2
+
+
+def test_odometry_comes_in_the_frame_that_ardupilot_reads():
+    odometry = frame("ODOMETRY", frame_id=1, child_frame_id=12, x=1.5)
+    found = sent(odometry)
+    assert found.number("frame_id") == 20
+    assert found.number("x") == 1.5
+    already = frame("ODOMETRY", frame_id=20, child_frame_id=12)
+    assert for_ardupilot(already) == already.raw

@@ -1,0 +1,61 @@
+import json
+import struct
+
+import pytest
+
+from mavproxy_fault.ardupilot.json_physics import BodyState, read_servos, state_line
+
+STATE = BodyState(
+    t_us=1_002_500,
+    gyro_b_rps=(0.0, -0.25, 1e-9),
+    accel_b_mps2=(0.0, 0.0, -9.8),
+    r_ned_m=(1.5, 0.0, -10.0),
+    q_nb=(1.0, 0.0, 0.0, 0.0),
+    v_ned_mps=(0.0, 0.0, 0.0),
+)
+
+
+def test_a_line_is_what_sitl_parses_byte_for_byte():
+    assert state_line(STATE) == (
+        b'\n{"timestamp":1.002500,"imu":{"gyro":[0,-0.25,1e-09],"accel_body":[0,0,-9.8]},'
+        b'"position":[1.5,0,-10],"quaternion":[1,0,0,0],"velocity":[0,0,0]}\n'
+    )
+
+
+def test_airspeed_is_told_only_where_it_is_measured():
+    line = json.loads(state_line(STATE._replace(airspeed_mps=18.25)))
+    assert line["airspeed"] == 18.25
+    assert b"airspeed" not in state_line(STATE)
+
+
+def test_no_blank_stands_between_a_key_and_its_vector():
+    assert b" " not in state_line(STATE)
+
+
+def test_a_day_of_microseconds_keeps_every_one_of_them():
+    line = json.loads(state_line(STATE._replace(t_us=86_400_000_001)))
+    assert round(line["timestamp"] * 1e6) == 86_400_000_001
+
+
+def test_the_packets_of_a_real_autopilot_are_read(servo_packets):
+    packets = [read_servos(data) for data in servo_packets]
+    assert all(packet is not None for packet in packets)
+    assert packets[0].accepted == 0
+    assert packets[0].rate_hz == 1200
+    assert packets[-1].rate_hz in (399, 400)  # what it sees
+    assert min(packets[-1].pwm_us[:4]) > 1600  # lift-off
+    assert all(len(packet.pwm_us) == 16 for packet in packets)
+
+
+def test_thirty_two_outputs_are_read_too():
+    data = struct.pack("<HHI32H", 29569, 400, 7, *range(32))
+    packet = read_servos(data)
+    assert packet is not None
+    assert packet.pwm_us == tuple(range(32))
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"\x1a\x48", struct.pack("<HHI16H", 1, 0, 0, *[0] * 16), b"\x1a\x48" + bytes(39)]
+)
+def test_what_is_no_servo_packet_is_none(data):
+    assert read_servos(data) is None

@@ -1,0 +1,61 @@
+import pytest
+
+from mavproxy_fault.ardupilot.hil_readings import TrueState
+from mavproxy_fault.ardupilot.preparation import AGAIN_US, Preparation
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.parser import Parser
+
+EAST = TrueState(0, (0.5**0.5, 0.0, 0.0, 0.5**0.5), 474_000_000, 85_000_000, 0, (0.0, 0.0, 0.0))
+
+
+def frame(name, **values):
+    layout = known(name)
+    return Frame(build(layout, values), layout)
+
+
+def asked(raw):
+    (found,) = Parser().push(raw)
+    assert isinstance(found, Frame)
+    return found
+
+
+def test_what_a_real_autopilot_said_completes_it(mavlink_bytes):
+    preparation, t_us, requests = Preparation(EAST), 0, []
+    for item in Parser().push(mavlink_bytes):
+        t_us += 2 * AGAIN_US
+        if (raw := preparation.due(t_us)) is not None:
+            requests.append(asked(raw).layout.name)
+        preparation.received(item)
+    assert preparation.pending == ""
+    assert preparation.due(10**12) is None
+    assert requests[0] == "PARAM_REQUEST_READ"
+    assert requests[-1] == "COMMAND_LONG"
+
+
+def test_a_request_is_repeated_each_second_until_it_is_answered():
+    preparation = Preparation(EAST)
+    assert preparation.due(0) is not None
+    assert preparation.due(AGAIN_US - 1) is None
+    assert preparation.due(AGAIN_US) is not None
+
+
+def test_an_autopilot_on_another_estimator_is_refused():
+    with pytest.raises(ConfigError, match="AHRS_EKF_TYPE: ArduPilot flies with 10"):
+        Preparation(EAST).received(
+            frame("PARAM_VALUE", param_id=b"AHRS_EKF_TYPE", param_value=10.0)
+        )
+
+
+def test_a_rejected_calibration_is_asked_for_again_and_the_compass_with_the_heading():
+    preparation = Preparation(EAST)
+    for name, value in ((b"AHRS_EKF_TYPE", 3.0), (b"EAHRS_TYPE", 1.0)):
+        preparation.received(frame("PARAM_VALUE", param_id=name, param_value=value))
+    preparation.received(frame("COMMAND_ACK", command=241, result=1))
+    assert preparation.pending == "accelerometer calibration"
+    preparation.received(frame("COMMAND_ACK", command=241, result=0))
+    command = asked(preparation.due(0))
+    assert command.number("command") == 42006
+    assert command.number("param1") == pytest.approx(90.0)
+    assert command.number("param3") == pytest.approx(47.4, abs=1e-5)
