@@ -154,8 +154,10 @@ class Operator:
         """The next phase, where this one has done its work or cannot."""
         while self._done():
             self._enter(list(Phase)[list(Phase).index(self.phase) + 1])
+        if self.phase is Phase.FLYING and not self._armed:  # a failsafe of its own has landed it
+            self._enter(Phase.LANDED)
         waited_s = (self._t_us - self._since_us) * 1e-6
-        if self.phase in (Phase.CLIMBING, Phase.FLYING) and not self._armed:
+        if self.phase is Phase.CLIMBING and not self._armed:
             self.gave_up = f"disarmed while {self.phase}"
         elif waited_s > PATIENCE_S.get(self.phase, float("inf")):
             self.gave_up = f"still {self.phase} after {waited_s:.0f} s"
