@@ -9,9 +9,10 @@ import msgspec
 from analysis.campaign.cell import MONITOR
 from analysis.campaign.outcomes import Limits
 from analysis.estimators import names
-from mavproxy_fault.documents.decoded import decode, read_document
+from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.schedule.entries import parse_entry
 
 MAGNITUDE = "value"  # the key of a fault that a magnitude sets, unless it says otherwise
@@ -172,21 +173,21 @@ def read_campaign(path: Path | str) -> CampaignFile:
     ConfigError
         If it cannot be read, or a key or value is wrong.
     """
-    document, lines = read_document(Path(path))
-    if not isinstance(document, dict):
+    document = read_document(path)
+    if not isinstance(document.data, dict):
         raise ConfigError(f"{path}: holds no keys; a campaign file is a YAML mapping")
-    campaign = decode({**document, "folder": str(Path(path).parent)}, CampaignFile, lines)
-    kinds = {isinstance(scenario, CompiledScenario) for scenario in campaign.scenarios}
-    if len(kinds) > 1:
+    data = {**document.data, "folder": str(Path(path).parent)}
+    campaign = decode(document._replace(data=data), CampaignFile)
+    if len({isinstance(scenario, CompiledScenario) for scenario in campaign.scenarios}) > 1:
         raise ConfigError(f"{path}: scenarios mix compiled ones and files; one kind in a campaign")
     known = [MONITOR, *names()]
     for i, subject in enumerate(campaign.subjects):
         if isinstance(subject, str) and subject not in known:
-            where = lines.where(f"$.subjects[{i}]")
+            line = document.lines.get(("subjects", i), 1)
             raise ConfigError(
-                f"{where}: subjects[{i}] = {subject} is unknown; {near(subject, known)}"
+                f"{path}:{line}: subjects[{i}] = {subject} is unknown; {near(subject, known)}"
             )
     for i, fault in enumerate(campaign.faults):
-        where = lines.where(f"$.faults[{i}]")
-        parse_entry(fault.entry(fault.listed()[0], 0.0, 1.0), f"{where}: faults[{i}]")
+        line = document.lines.get(("faults", i), 1)
+        parse_entry(fault.entry(fault.listed()[0], 0.0, 1.0), f"{path}:{line}: faults[{i}]")
     return campaign
