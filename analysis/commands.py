@@ -31,10 +31,26 @@ def add_run(commands: Any) -> None:
     parser.add_argument(
         "--zenoh", default="auto", metavar="auto|off|URL", help="where results are published"
     )
+    parser.add_argument(
+        "--autopilot", choices=("ardupilot",), help="who flies, instead of the built-in controller"
+    )
+    parser.add_argument("--binary", metavar="PATH", help="its SITL program (default: arducopter)")
+    parser.add_argument(
+        "--from",
+        dest="count_from",
+        default="take-off",
+        metavar="MOMENT",
+        help="what at_s counts from under an autopilot: first-stamp, arming, take-off, "
+        "mission-item:N, landing",
+    )
     parser.set_defaults(main=_run)
 
 
 def _run(args: argparse.Namespace) -> int:
+    if args.autopilot:
+        from analysis.run.autopilot_run import main as fly
+
+        return fly(args)
     with contextlib.ExitStack() as stack:
         if args.ui:
             from analysis.web.page_server import serve_beside
@@ -134,6 +150,12 @@ def add_report(commands: Any) -> None:
     parser.add_argument("--out", metavar="DIR", help="default: LOG's name and -report")
     parser.add_argument("--figures", action="store_true", help="every plot as PNG and SVG too")
     parser.add_argument("--export", choices=("csv", "parquet", "mcap"), help="the data as tables")
+    parser.add_argument(
+        "--data",
+        default="2",
+        metavar="MB|beside",
+        help="any field for the page's search: so many MB in the file (2), or all beside it",
+    )
     parser.set_defaults(main=_report)
 
 
