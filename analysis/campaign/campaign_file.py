@@ -9,7 +9,7 @@ import msgspec
 from analysis.campaign.cell import MONITOR
 from analysis.campaign.outcomes import Limits
 from analysis.estimators import names
-from mavproxy_fault.documents.document_check import decode
+from mavproxy_fault.documents.document_check import DocumentCheck, decode
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.documents.yaml_document import read_document
@@ -178,16 +178,16 @@ def read_campaign(path: Path | str) -> CampaignFile:
         raise ConfigError(f"{path}: holds no keys; a campaign file is a YAML mapping")
     data = {**document.data, "folder": str(Path(path).parent)}
     campaign = decode(document._replace(data=data), CampaignFile)
-    if len({isinstance(scenario, CompiledScenario) for scenario in campaign.scenarios}) > 1:
+    kinds = {isinstance(scenario, CompiledScenario) for scenario in campaign.scenarios}
+    if len(kinds) > 1:
         raise ConfigError(f"{path}: scenarios mix compiled ones and files; one kind in a campaign")
     known = [MONITOR, *names()]
+    check = DocumentCheck(document.where, document.lines)
     for i, subject in enumerate(campaign.subjects):
         if isinstance(subject, str) and subject not in known:
-            line = document.lines.get(("subjects", i), 1)
-            raise ConfigError(
-                f"{path}:{line}: subjects[{i}] = {subject} is unknown; {near(subject, known)}"
-            )
+            check.wrong(("subjects", i), f"= {subject} is unknown; {near(subject, known)}")
+    check.finish()
     for i, fault in enumerate(campaign.faults):
-        line = document.lines.get(("faults", i), 1)
-        parse_entry(fault.entry(fault.listed()[0], 0.0, 1.0), f"{path}:{line}: faults[{i}]")
+        where = f"{path}:{document.lines.get(('faults', i), 1)}: faults[{i}]"
+        parse_entry(fault.entry(fault.listed()[0], 0.0, 1.0), where)
     return campaign
