@@ -1,5 +1,6 @@
 """Jobs: what one worker does at a time, and the answers that come back."""
 
+import shutil
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +10,7 @@ import msgspec
 from analysis.campaign.campaign_file import CampaignFile
 from analysis.campaign.cell import HEALTHY, MONITOR, Cell, CellResult, Evidence, Flown
 from analysis.campaign.flying.internal_flight import fly
-from analysis.campaign.outcomes import ABORTED, judged
+from analysis.campaign.outcomes import ABORTED, judged, rank
 from analysis.run.setup import Setup, read_setup
 from mavproxy_fault.schedule.entries import parse_schedule
 
@@ -79,7 +80,14 @@ def answer(job: Job) -> Answer:
         )
         for cell in job.cells
     ]
+    if job.keep is not None and job.campaign.keep == "interesting" and not _interesting(results):
+        shutil.rmtree(job.keep)
     return Answer(results, flown)
+
+
+def _interesting(results: list[CellResult]) -> bool:
+    """Whether a fault did something to a subject."""
+    return any(rank(result.outcome) > rank("detected") for result in results)
 
 
 def failed(job: Job, reason: str) -> Answer:
