@@ -31,10 +31,26 @@ def add_run(commands: Any) -> None:
     parser.add_argument(
         "--zenoh", default="auto", metavar="auto|off|URL", help="where results are published"
     )
+    parser.add_argument(
+        "--autopilot", choices=("ardupilot",), help="who flies, instead of the built-in controller"
+    )
+    parser.add_argument("--binary", metavar="PATH", help="its SITL program (default: arducopter)")
+    parser.add_argument(
+        "--from",
+        dest="count_from",
+        default="take-off",
+        metavar="MOMENT",
+        help="what at_s counts from under an autopilot: first-stamp, arming, take-off, "
+        "mission-item:N, landing",
+    )
     parser.set_defaults(main=_run)
 
 
 def _run(args: argparse.Namespace) -> int:
+    if args.autopilot:
+        from analysis.run.autopilot_run import main as fly
+
+        return fly(args)
     with contextlib.ExitStack() as stack:
         if args.ui:
             from analysis.web.page_server import serve_beside
@@ -95,6 +111,29 @@ def add_search(commands: Any) -> None:
 
 def _search(args: argparse.Namespace) -> int:
     from analysis.search.search_command import main
+
+    return main(args)
+
+
+def add_campaign(commands: Any) -> None:
+    """`campaign`: many flights with faults, and what becomes of them."""
+    parser = commands.add_parser(
+        "campaign", help="which faults, how large and when, break an estimator or autopilot"
+    )
+    parser.add_argument(
+        "file", nargs="+", metavar="FILE", help="campaign (YAML); or: compare BEFORE AFTER"
+    )
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=int, metavar="N", help="processes (default: all cores)")
+    where.add_argument("--ray", metavar="ADDRESS", help="a Ray cluster")
+    parser.add_argument("--out", metavar="DIR", help="its folder; one that was begun goes on")
+    parser.add_argument("--export", metavar="DIR", help="the flights as a labelled data set")
+    parser.add_argument("--dry-run", action="store_true", help="tell the size and the time only")
+    parser.set_defaults(main=_campaign)
+
+
+def _campaign(args: argparse.Namespace) -> int:
+    from analysis.campaign.campaign_command import main
 
     return main(args)
 

@@ -23,7 +23,7 @@ class Ports:
     vectornav: int  # TCP
 
 
-def check_command(command: str) -> list[str]:
+def check_command(command: str, option: str = "--command") -> list[str]:
     """The words of a command, its program found.
 
     Raises
@@ -35,7 +35,7 @@ def check_command(command: str) -> list[str]:
     found = shutil.which(words[0]) if words else None
     if found is None:
         raise ConfigError(
-            f"--command: {command!r} is no program; give ArduPilot's SITL binary, which "
+            f"{option}: {command!r} is no program; give ArduPilot's SITL binary, which "
             "`./waf configure --board sitl && ./waf copter` leaves in build/sitl/bin/arducopter"
         )
     return [str(Path(found).resolve()), *words[1:]]

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from mavproxy_fault.wire.frame import Frame
 
-MAG, BARO, DIFF_PRESSURE = 0x1C0, 0x1A00, 0x400  # HIL_SENSOR_UPDATED_*
+INERTIAL, MAG, BARO, DIFF_PRESSURE = 0x3F, 0x1C0, 0x1A00, 0x400  # HIL_SENSOR_UPDATED_*
 PA_PER_HPA = 100.0
 ZERO_CELSIUS_K = 273.15
 AIR_J_PER_KG_K = 287.05287  # gas constant of dry air, ISO 2533
@@ -58,7 +58,7 @@ class Readings:
         By HIL_SENSOR.id.
     truth : TrueState or None
     fresh_imu : bool
-        An HIL_SENSOR of id 0 came since `begin_step`.
+        An HIL_SENSOR of id 0 with new samples came since `begin_step`.
     fixes : list of Frame
         HIL_GPS since `begin_step`.
     updated : int
@@ -104,7 +104,7 @@ class Readings:
             values[12],
         )
         self.updated |= updated
-        self.fresh_imu |= number == 0
+        self.fresh_imu |= number == 0 and updated & INERTIAL == INERTIAL
 
 
 def true_airspeed(imu: Imu) -> float:

@@ -11,15 +11,14 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 
-from analysis.run.proxied_flight import MONITOR, SIMULATOR, VEHICLE, Flight
+from analysis.run.hil_exchange import FromAutopilot, Patience, Process, ToAutopilot
+from analysis.run.proxied_flight import MONITOR, Flight
 from analysis.search.space.test_file import AutopilotChoice
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
+from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.schedule.entries import Schedule
-from mavproxy_fault.wire.frame import Frame
-from mavproxy_fault.wire.parser import Parser
 from simvehicle.app.lockstep_loop import LockstepLoop, PeerGoneError
 from simvehicle.app.sim_progress import Progress
 from simvehicle.app.sim_server import airframe
@@ -31,7 +30,6 @@ from simvehicle.vehicles.body import Controls, Truth
 
 ENDS_S = 5.0  # how long a process may take to end
 Step = tuple[int, Truth, Sequence[Reading]]
-Process = subprocess.Popen[bytes]
 
 
 class LeftError(Exception):
@@ -63,75 +61,6 @@ class _Plane:
         self._flight.simulation.plant(name, value)
 
 
-class _ToAutopilot:
-    """The loop's packer: frames as they leave the proxy."""
-
-    def __init__(self, flight: Flight, packer: Hil, hear: Callable[[bytes], None]) -> None:
-        self.start_us = packer.start_us
-        self._flight, self._packer, self._hear = flight, packer, hear
-
-    def frames(self, t_us: int, truth: Truth, readings: Sequence[Reading]) -> list[bytes]:
-        """The frames of a step, with faults."""
-        out = []
-        for raw in self._packer.frames(t_us, truth, readings):
-            for send in self._flight.core.received(SIMULATOR, raw, self._flight.now_us):
-                if send.link == VEHICLE:
-                    out.append(send.data)
-                elif send.link == MONITOR:
-                    self._hear(send.data)
-        return out
-
-
-class Patience:
-    """Gives up where no autopilot comes."""
-
-    def __init__(self, link: Link, process: Process | None, seconds: float) -> None:
-        self._link, self._process, self._seconds = link, process, seconds
-        self._deadline = time.monotonic() + seconds
-
-    def check(self) -> None:
-        """Raise ConfigError where nobody is there and nobody will come."""
-        if self._link.peer_count:
-            return
-        if self._process is not None and self._process.poll() is not None:
-            code = self._process.returncode
-            raise ConfigError(f"autopilot.command: it ended with code {code}; it has to connect")
-        if time.monotonic() > self._deadline:
-            raise ConfigError(
-                f"autopilot: nobody came to {self._link.name} within {self._seconds:g} s"
-            )
-
-
-class _FromAutopilot:
-    """The loop's inbox: what the autopilot says, on the HIL link and on its telemetry."""
-
-    def __init__(
-        self,
-        flight: Flight,
-        links: Sequence[Link],
-        patience: Patience,
-        hear: Callable[[bytes], None],
-    ) -> None:
-        self.link = links[0]
-        self._flight, self._patience, self._hear = flight, patience, hear
-        self._inboxes = [Inbox(link) for link in links]
-        self._parser = Parser()
-
-    def frames(self) -> list[Frame]:
-        """What came and left the proxy for the simulator."""
-        self._patience.check()
-        found = []
-        for inbox in self._inboxes:
-            for frame in inbox.frames():
-                for send in self._flight.core.received(VEHICLE, frame.raw, self._flight.now_us):
-                    if send.link == SIMULATOR:
-                        items = self._parser.push(send.data, datagram=True)
-                        found += [item for item in items if isinstance(item, Frame)]
-                    elif send.link == MONITOR:
-                        self._hear(send.data)
-        return found
-
-
 class AutopilotFlight(Flight):
     """A scenario flown once with an autopilot on the link."""
 
@@ -158,8 +87,8 @@ class AutopilotFlight(Flight):
         with self._served() as (links, patience):
             loop = LockstepLoop(
                 plane,
-                _ToAutopilot(self, Hil(mav_type=mav_type), self._hear),
-                _FromAutopilot(self, links, patience, self._hear),
+                ToAutopilot(self, Hil(mav_type=mav_type), self._heard),
+                FromAutopilot(self, links, patience, self._heard),
                 mix,
                 math.inf,
                 Progress(time.monotonic(), io.StringIO()),
@@ -171,6 +100,10 @@ class AutopilotFlight(Flight):
             except (PeerGoneError, AutopilotSilentError) as gone:
                 raise ConfigError(f"autopilot: {gone}, {self.t_us * 1e-6:.1f} s on") from gone
         return 0, plane.steps
+
+    def _heard(self, send: Send) -> None:
+        if send.link == MONITOR:
+            self._hear(send.data)
 
     @contextmanager
     def _served(self) -> Iterator[tuple[list[Link], Patience]]:

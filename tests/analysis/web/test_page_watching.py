@@ -123,7 +123,8 @@ def test_all_plots_show_the_same_stretch_of_time(page: Any, loop: Any) -> None:
     page.wait_for_selector(".signal canvas")
     page.select_option("#span", "30")
     ranges = """() => {
-      const plots = [statistic.plot, attitude.plot, ...[...signals.shown.values()].map((s) => s.plot)];
+      const fields = [...signals.shown.values()].map((signal) => signal.plot);
+      const plots = [statistic.plot, attitude.plot, ...fields];
       const found = plots.map((plot) => [plot.scales.x.min, plot.scales.x.max]);
       return found.every(([from, to]) => Math.abs(to - found[0][1]) < 0.3 && to - from === 30);
     }"""

@@ -35,8 +35,9 @@ def test_the_truth_ends_a_step():
 
 def test_a_new_step_knows_what_did_not_come():
     readings = Readings()
-    readings.update(frame("HIL_SENSOR"))
+    readings.update(frame("HIL_SENSOR", fields_updated=0x1FFF))
     readings.update(frame("HIL_GPS", fix_type=3))
+    assert readings.fresh_imu
     readings.begin_step()
     assert not readings.fresh_imu
     assert not readings.fixes
@@ -44,7 +45,13 @@ def test_a_new_step_knows_what_did_not_come():
 
 def test_the_second_imu_alone_is_no_sample_of_the_first():
     readings = Readings()
-    readings.update(frame("HIL_SENSOR", id=1))
+    readings.update(frame("HIL_SENSOR", fields_updated=0x1FFF, id=1))
+    assert not readings.fresh_imu
+
+
+def test_an_imu_without_power_gives_no_sample():
+    readings = Readings()
+    readings.update(frame("HIL_SENSOR", fields_updated=0x1FC0))
     assert not readings.fresh_imu
 
 

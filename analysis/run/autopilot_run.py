@@ -1,0 +1,268 @@
+"""`run --autopilot`: a scenario flown by a real autopilot, watched, recorded and reported.
+
+Simulator and proxy run here in one process, the monitor in one of its own; the autopilot's program
+and its bridge are started and ended with the flight. The schedule counts from a moment of the
+flight, by default from leaving the ground.
+"""
+
+import argparse
+import contextlib
+import math
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from analysis.report.run_folder import ResultFile, make_folder, write_summary
+from analysis.run.flight_operator import FlightPlan, Operator, Waypoint
+from analysis.run.hil_exchange import FromAutopilot, Patience, Process, ToAutopilot
+from analysis.run.proxied_flight import GROUND, MONITOR, Flight
+from analysis.run.run_command import EXIT_CODES, report, session
+from analysis.run.setup import Setup, read_setup
+from analysis.run.stop import Stop, stop_requests
+from analysis.run.terminal import print_summary
+from analysis.run.worker import MonitorProcess
+from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.ardupilot.autopilot_process import check_command
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.tcp import TcpServer
+from mavproxy_fault.live.journal import JOIN, Journal
+from mavproxy_fault.numerics.earth import radii
+from mavproxy_fault.proxy.interfaces import Send
+from mavproxy_fault.schedule.entries import Schedule
+from mavproxy_fault.schedule.saving import as_yaml
+from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.parser import Parser
+from mavproxy_fault.wire.tlog import read_columns
+from simvehicle.app.lockstep_loop import LockstepLoop, PeerGoneError
+from simvehicle.app.pace import parse_speed
+from simvehicle.app.sim_progress import Progress
+from simvehicle.app.sim_server import airframe
+from simvehicle.guidance.route import PathTrack
+from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.lockstep import AutopilotSilentError
+from simvehicle.scenario.scenario_file import Scenario
+from simvehicle.simulation.simulation import Simulation
+
+RECORD_US = 200_000  # simulated time between writes to the logs
+START_S = 60.0  # wall time for the autopilot's program to come
+END_S = 10.0  # for the bridge to end its autopilot
+HEIGHT_M = 10.0  # where no mission names one
+CORNER_M = 20.0  # between the corners that a mission's path is flown by
+LOAD = "@ctl/schedule/load"
+MOMENTS = ("first-stamp", "arming", "take-off", "landing")
+
+
+class FlightOverError(Exception):
+    """The operator has nothing more to do, or somebody wants the flight to end."""
+
+
+def main(args: argparse.Namespace) -> int:
+    """Fly, report, and return the exit code: 1 too where the flight was not flown to its end."""
+    words = check_command(args.binary or "arducopter", option="--binary")
+    check_moment(args.count_from)
+    setup = read_setup(args.scenario, args.schedule, args.seed)
+    if setup.scenario.start.height_m > 0.0:
+        raise ConfigError(
+            f"start.height_m = {setup.scenario.start.height_m:g} is in the air; an autopilot "
+            "takes off by itself, so leave it out"
+        )
+    folder = make_folder(args.out, setup.scenario.name)
+    started_s = time.monotonic()
+    with contextlib.ExitStack() as stack:
+        monitor = stack.enter_context(MonitorProcess(setup.monitor))
+        file = stack.enter_context(ResultFile(folder))
+        stop = stack.enter_context(stop_requests())
+        flown = AutopilotRun(setup, folder, args.count_from, monitor, stop)
+        reason = flown.fly(words, parse_speed(args.speed or "max"))
+        columns = read_columns(folder / "sent.tlog")
+        file.write(flown.results + monitor.results())
+        wall_s = time.monotonic() - started_s
+        summary = monitor.summary(flown.flight.completed_labels(), setup.criteria, wall_s)
+    summary["autopilot"] = flown.account(reason)
+    write_summary(folder, summary)
+    report(folder, summary, columns)
+    print_summary(summary, folder)
+    return 1 if reason else EXIT_CODES[summary["verdict"]]
+
+
+def check_moment(moment: str) -> None:
+    """Refuse a moment that no flight has.
+
+    Raises
+    ------
+    ConfigError
+        If it is none.
+    """
+    head, _, number = moment.partition(":")
+    if moment not in MOMENTS and not (head == "mission-item" and number.isdigit()):
+        raise ConfigError(
+            f"--from {moment}: is no moment of a flight; known: {', '.join(MOMENTS)}, "
+            "mission-item:N"
+        )
+
+
+class AutopilotRun:
+    """One flight: what is recorded, and when the schedule begins."""
+
+    def __init__(
+        self,
+        setup: Setup,
+        folder: Path,
+        count_from: str,
+        monitor: MonitorProcess,
+        stop: Stop,
+    ) -> None:
+        self.flight = Flight(setup.scenario, Schedule(setup.schedule.seed, ()))
+        self.results: list[Any] = []
+        self._schedule = setup.schedule
+        self._folder, self._count_from, self._stop = folder, count_from, stop
+        self._monitor = monitor
+        self._operator = Operator(flight_plan(setup.scenario, self.flight.simulation))
+        self._journal = Journal(self.flight.core, self.flight.tape)
+        self._journal.note(JOIN, b"", self._journal.begin(self.flight.now_us))
+        self._recorder = Recorder(folder, session(setup, self.flight))
+        self._parser = Parser()
+        self._recorded_us = 0
+        self._scheduled = False
+        self._progress = Progress(time.monotonic())
+        self._phase = ""
+
+    def fly(self, words: Sequence[str], speed: float) -> str:
+        """Fly to the landing; why it did not come to it, or nothing."""
+        simulation = self.flight.simulation
+        mav_type, mix = airframe(simulation)
+        link = TcpServer("127.0.0.1", 0)
+        with contextlib.closing(link), bridged(words, link.port, self._folder) as process:
+            patience = Patience(link, process, START_S)
+            loop = LockstepLoop(
+                simulation,
+                ToAutopilot(self.flight, Hil(mav_type=mav_type), self._hear, self._commands),
+                FromAutopilot(self.flight, [link], patience, self._hear),
+                mix,
+                speed,
+                self._progress,
+            )
+            reason = ""
+            try:
+                loop.run()
+            except FlightOverError as over:
+                reason = str(over)
+            except (PeerGoneError, AutopilotSilentError) as gone:
+                reason = f"{gone} at {loop.t_us * 1e-6:.1f} s{last_line(self._folder)}"
+            except ConfigError as wrong:
+                reason = f"{wrong}{last_line(self._folder)}"
+        self._close()
+        if reason:
+            self._progress.say(f"the flight ended early: {reason}")
+        return reason
+
+    def account(self, reason: str) -> dict[str, Any]:
+        """What `summary.json` tells of the autopilot; times are the vehicle's in seconds."""
+        operator = self._operator
+        return {
+            "landed": operator.phase == "landed",
+            "ended_early": reason,
+            "moments_s": {name: t_us * 1e-6 for name, t_us in operator.moments_us.items()},
+            "schedule_counts_from": self._count_from,
+            "texts": [[round(t_us * 1e-6, 3), text] for t_us, text in operator.texts],
+        }
+
+    def _hear(self, send: Send) -> None:
+        if send.link == MONITOR:
+            self.results += self._monitor.feed(send.data)
+        elif send.link == GROUND:
+            for item in self._parser.push(send.data, datagram=True):
+                if isinstance(item, Frame):
+                    self._operator.heard(item)
+
+    def _commands(self) -> list[bytes]:
+        """Called before each step: what the operator sends, and what has to be written."""
+        t_us = self.flight.vehicle_us
+        frames = self._operator.step(t_us) if t_us else []  # the first stamp is still to come
+        if not self._scheduled and self._count_from in self._operator.moments_us:
+            self._begin_schedule(t_us)
+        if self._phase != self._operator.phase:
+            self._phase = self._operator.phase
+            self._progress.say(f"{t_us * 1e-6:8.1f} s {self._phase}")
+        if self.flight.t_us - self._recorded_us >= RECORD_US:
+            self._record()
+            if self._stop():
+                raise FlightOverError("stopped")
+            if self._operator.over:
+                raise FlightOverError(self._operator.gave_up)
+        return frames
+
+    def _begin_schedule(self, t_us: int) -> None:
+        """Load the schedule, its times counted from now; the journal lets a replay do the same."""
+        self._scheduled = True
+        late_s = (t_us - (self.flight.core.clock.t0_us or t_us)) * 1e-6
+        entries = [(entry, late_s) for entry in self._schedule.faults]
+        text = as_yaml(self._schedule.seed, entries).encode()
+        at_us = self._journal.begin(self.flight.now_us)
+        self.flight.control.answer(LOAD, text, at_us)
+        self._journal.note(LOAD, text, at_us)
+
+    def _record(self) -> None:
+        self._recorded_us = self.flight.t_us
+        labels = self.flight.take_labels()
+        self._recorder.write(self.flight.tape, labels, self._journal.take())
+
+    def _close(self) -> None:
+        for send in self.flight.core.finish(self.flight.now_us):
+            self._hear(send)
+        self._record()
+        self._recorder.close(self.flight.core.clock.t0_us, self.flight.now_us)
+        self._progress.end(self.flight.t_us, time.monotonic())
+
+
+@contextlib.contextmanager
+def bridged(words: Sequence[str], port: int, folder: Path) -> Iterator[Process]:
+    """The bridge's process, which starts the autopilot; both end with the flight."""
+    command = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot"]
+    command += ["--hil", f"tcp:127.0.0.1:{port}", "--command", shlex.join(words)]
+    command += ["--dir", str(folder / "autopilot")]
+    with (folder / "bridge.log").open("wb") as log:
+        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+    try:
+        yield process
+    finally:
+        process.terminate()
+        try:
+            process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def last_line(folder: Path) -> str:
+    """What the bridge said last, for a message."""
+    lines = (folder / "bridge.log").read_text(errors="replace").strip().splitlines()
+    return f"; the bridge said: {lines[-1]}" if lines else ""
+
+
+def flight_plan(scenario: Scenario, simulation: Simulation) -> FlightPlan:
+    """The scenario's mission as corners of its path, or a hover where there is none."""
+    if not scenario.mission:
+        return FlightPlan(HEIGHT_M, scenario.duration_s)
+    track = simulation.controller.track
+    assert isinstance(track, PathTrack)  # as a scenario with a mission has
+    path = track.path
+    every = max(round(CORNER_M / path.spacing_m), 1)
+    lat_deg, lon_deg = scenario.start.lat_deg, scenario.start.lon_deg
+    meridian_m, normal_m = (float(r) for r in radii(math.radians(lat_deg)))
+    corners = np.arange(0, len(path.north_m), every)
+    waypoints = tuple(
+        Waypoint(
+            lat_deg + math.degrees(path.north_m[at] / meridian_m),
+            lon_deg + math.degrees(path.east_m[at] / (normal_m * math.cos(math.radians(lat_deg)))),
+            float(path.height_m[at]),
+        )
+        for at in corners
+    )
+    return FlightPlan(waypoints[0].height_m, scenario.duration_s, waypoints)

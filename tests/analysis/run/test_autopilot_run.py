@@ -1,0 +1,121 @@
+"""A scenario under an autopilot: a recorded one that dies, and a real one where there is one.
+
+A real ArduCopter is flown where MAVPROXY_FAULT_ARDUPILOT names its SITL program.
+"""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mavproxy_fault.wire.tlog import read_columns
+
+STAND_IN = Path(__file__).parents[2] / "mavproxy_fault" / "ardupilot" / "recorded_autopilot.py"
+SCENARIO = """
+name: hover
+duration_s: {duration_s}
+vehicle: {{kind: multirotor, parameters: iris}}
+sensors:
+  imu: {{preset: consumer-mems, rate_hz: 400}}
+  mag: {{preset: consumer-mag, rate_hz: 50}}
+  baro: {{preset: consumer-baro, rate_hz: 50}}
+  gps: {{preset: consumer, rate_hz: 5}}
+schedule:
+  faults: [{{id: gps, fault: bias, target: HIL_GPS.alt, value: 5000, at_s: 6, for_s: 3}}]
+"""
+
+
+def run(tmp_path, *options, scenario=None):
+    file = tmp_path / "hover.yaml"
+    file.write_text(scenario or SCENARIO.format(duration_s=12))
+    return subprocess.Popen(
+        [sys.executable, "-m", "mavproxy_fault.cli", "run", str(file), "--autopilot", "ardupilot",
+         "--zenoh", "off", "--out", str(tmp_path / "out"), *options],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def arducopter() -> str:
+    path = os.environ.get("MAVPROXY_FAULT_ARDUPILOT")
+    if path is None or shutil.which(path) is None:
+        pytest.skip("no ArduCopter; set MAVPROXY_FAULT_ARDUPILOT to its SITL program")
+    return path
+
+
+def test_a_missing_program_is_told_with_what_to_do(tmp_path):
+    process = run(tmp_path, "--binary", "no-such-autopilot")
+    said, _ = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert "--binary: 'no-such-autopilot' is no program; give ArduPilot's SITL binary" in said
+
+
+def test_a_moment_that_no_flight_has_is_refused(tmp_path):
+    process = run(tmp_path, "--binary", sys.executable, "--from", "breakfast")
+    said, _ = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert "--from breakfast: is no moment of a flight; known: first-stamp, arming" in said
+
+
+def test_a_start_in_the_air_is_refused(tmp_path):
+    scenario = SCENARIO.format(duration_s=12) + "start: {height_m: 30}\n"
+    process = run(tmp_path, "--binary", sys.executable, scenario=scenario)
+    said, _ = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert "start.height_m = 30 is in the air" in said
+
+
+def test_an_autopilot_that_dies_leaves_a_readable_folder_and_the_reason(tmp_path):
+    program = tmp_path / "autopilot.sh"
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} {STAND_IN} "$@"\n')
+    program.chmod(0o755)
+    process = run(tmp_path, "--binary", str(program))
+    said, _ = process.communicate(timeout=240)
+    assert process.returncode == 1
+    assert "the flight ended early: " in said
+    assert "the autopilot's program ended with exit code 3" in said
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert not summary["autopilot"]["landed"]
+    assert len(read_columns(tmp_path / "out" / "sent.tlog")["HIL_ACTUATOR_CONTROLS"]) > 100
+
+
+def test_a_real_arducopter_takes_off_meets_the_fault_and_lands(tmp_path, arducopter):
+    process = run(tmp_path, "--binary", arducopter)
+    said, _ = process.communicate(timeout=600)
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    flown = summary["autopilot"]
+    assert flown["landed"], said
+    (fault,) = summary["faults"]
+    first_s = flown["moments_s"]["first-stamp"]
+    assert fault["start_s"] == pytest.approx(
+        flown["moments_s"]["take-off"] - first_s + 6.0, abs=0.3
+    )
+    assert fault["frames"] == 15
+    columns = read_columns(tmp_path / "out" / "sent.tlog")
+    heights_m = columns["HIL_STATE_QUATERNION"]["alt"] * 1e-3 - 488.0
+    assert 9.0 < heights_m.max() < 13.0
+    assert abs(heights_m[-1]) < 0.5
+    assert list((tmp_path / "out" / "autopilot" / "logs").glob("*.BIN"))
+
+
+def test_a_real_arducopter_killed_in_flight_is_told(tmp_path, arducopter):
+    process = run(tmp_path, "--binary", arducopter, scenario=SCENARIO.format(duration_s=600))
+    for line in process.stdout:
+        if "flying" in line:
+            break
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    for child in children:
+        grand = Path(f"/proc/{child}/task/{child}/children").read_text().split()
+        for number in grand:
+            if "arducopter" in Path(f"/proc/{number}/comm").read_text():
+                os.kill(int(number), signal.SIGKILL)
+    said, _ = process.communicate(timeout=240)
+    assert process.returncode == 1
+    assert "the autopilot's program ended by signal 9" in said
+    assert "in flight" in said
+    assert (tmp_path / "out" / "report.html").exists()

@@ -1,0 +1,144 @@
+import pytest
+
+from analysis.run.flight_operator import FlightPlan, Operator, Phase, Waypoint
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.parser import Parser
+
+SECOND_US = 1_000_000
+CORNERS = (Waypoint(47.4, 8.5, 20.0), Waypoint(47.401, 8.5, 25.0))
+
+
+def frame(name, **values):
+    layout = known(name)
+    return Frame(build(layout, values), layout)
+
+
+def names(frames):
+    return [item.layout.name for item in decoded(frames)]
+
+
+def decoded(frames):
+    found = Parser().push(b"".join(frames))
+    assert all(isinstance(item, Frame) for item in found)
+    return found
+
+
+def commands(frames):
+    return [
+        (int(item.number("command")), item.number("param2"))
+        for item in decoded(frames)
+        if item.layout.name == "COMMAND_LONG"
+    ]
+
+
+class Autopilot:
+    """What an obedient autopilot says, second by second."""
+
+    def __init__(self, operator):
+        self.operator, self.t_us = operator, 0
+
+    def second(self, *frames):
+        self.t_us += SECOND_US
+        for one in frames:
+            self.operator.heard(one)
+        return self.operator.step(self.t_us)
+
+    def up_to(self, phase):
+        ready = frame("EKF_STATUS_REPORT", flags=0x33F)
+        self.second(ready)
+        if phase is Phase.ARMING:
+            return
+        self.second(frame("HEARTBEAT", base_mode=217))
+        if phase is Phase.CLIMBING:
+            return
+        self.second(frame("GLOBAL_POSITION_INT", relative_alt=9_500))
+
+
+def test_nothing_is_armed_before_the_estimator_has_a_position():
+    autopilot = Autopilot(Operator(FlightPlan(10.0, 30.0)))
+    frames = autopilot.second(frame("EKF_STATUS_REPORT", flags=0xA7))
+    assert names(frames) == ["HEARTBEAT"]
+    assert autopilot.operator.phase is Phase.WAITING
+    frames = autopilot.second(frame("EKF_STATUS_REPORT", flags=0x33F))
+    assert commands(frames) == [(176, 4.0), (400, 0.0)]
+
+
+def test_what_is_not_answered_is_asked_again_each_second():
+    autopilot = Autopilot(Operator(FlightPlan(10.0, 30.0)))
+    autopilot.up_to(Phase.ARMING)
+    assert commands(autopilot.operator.step(autopilot.t_us + 500_000)) == []
+    assert commands(autopilot.second()) == [(176, 4.0), (400, 0.0)]
+
+
+def test_a_hover_goes_up_waits_and_comes_down():
+    autopilot = Autopilot(Operator(FlightPlan(10.0, 3.0)))
+    autopilot.up_to(Phase.FLYING)
+    assert autopilot.operator.phase is Phase.FLYING
+    frames = [autopilot.second() for _ in range(3)]
+    assert autopilot.operator.phase is Phase.LANDING
+    assert commands(frames[-1]) == [(176, 9.0)]
+    autopilot.second(frame("HEARTBEAT", base_mode=81))
+    assert autopilot.operator.phase is Phase.LANDED
+    assert autopilot.operator.over
+    assert not autopilot.operator.gave_up
+
+
+def test_the_moments_of_a_flight_are_kept():
+    autopilot = Autopilot(Operator(FlightPlan(10.0, 3.0)))
+    autopilot.up_to(Phase.FLYING)
+    autopilot.second(frame("MISSION_ITEM_REACHED", seq=2))
+    moments = autopilot.operator.moments_us
+    # each is noted at the latest stamp the operator was stepped to
+    assert moments["arming"] == 1 * SECOND_US
+    assert moments["take-off"] == 2 * SECOND_US
+    assert moments["mission-item:2"] == 3 * SECOND_US
+
+
+def test_a_mission_is_uploaded_item_by_item_and_flown():
+    autopilot = Autopilot(Operator(FlightPlan(20.0, 60.0, CORNERS)))
+    (count,) = [
+        one
+        for one in decoded(autopilot.second(frame("EKF_STATUS_REPORT", flags=0x33F)))
+        if one.layout.name == "MISSION_COUNT"
+    ]
+    assert count.number("count") == 3  # home, which ArduPilot keeps, and two corners
+    items = []
+    for number in range(3):
+        asked = frame("MISSION_REQUEST_INT", seq=number)
+        items += [
+            i for i in decoded(autopilot.second(asked)) if i.layout.name == "MISSION_ITEM_INT"
+        ]
+    assert [item.number("seq") for item in items] == [0, 1, 2]
+    assert items[2].number("x") == 474_010_000
+    assert items[2].number("z") == 25.0
+    assert (176, 4.0) in commands(autopilot.second(frame("MISSION_ACK", type=0)))
+    autopilot.second(frame("HEARTBEAT", base_mode=217))
+    frames = autopilot.second(frame("GLOBAL_POSITION_INT", relative_alt=19_000))
+    assert commands(frames) == [(176, 3.0), (300, 0.0)]
+
+
+def test_an_autopilot_that_never_gets_ready_is_given_up_with_the_reason():
+    autopilot = Autopilot(Operator(FlightPlan(10.0, 30.0)))
+    while not autopilot.operator.over:
+        autopilot.second()
+    assert autopilot.operator.over
+    assert autopilot.operator.gave_up == "still waiting for a position after 181 s"
+
+
+def test_a_vehicle_that_disarms_in_the_air_ends_the_flight():
+    autopilot = Autopilot(Operator(FlightPlan(10.0, 30.0)))
+    autopilot.up_to(Phase.FLYING)
+    autopilot.second(frame("HEARTBEAT", base_mode=81))
+    assert autopilot.operator.gave_up == "disarmed while flying"
+
+
+@pytest.mark.parametrize("component", [1, 25])
+def test_only_what_the_autopilot_itself_says_is_kept(component):
+    operator = Operator(FlightPlan(10.0, 30.0))
+    layout = known("STATUSTEXT")
+    raw = build(layout, {"text": b"PreArm: Compass not healthy"}, component=component)
+    operator.step(3 * SECOND_US)
+    operator.heard(Frame(raw, layout))
+    expected = [(3 * SECOND_US, "PreArm: Compass not healthy")] if component == 1 else []
+    assert operator.texts == expected

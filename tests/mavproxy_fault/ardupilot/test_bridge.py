@@ -1,0 +1,144 @@
+"""The whole command over real sockets, between a simulator here and a recorded ArduCopter."""
+
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+
+from mavproxy_fault.links.inbox import Inbox
+from mavproxy_fault.links.tcp import TcpServer
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+
+STAND_IN = Path(__file__).with_name("recorded_autopilot.py")
+STEP_US = 2_500
+PATIENCE_S = 30.0
+
+
+class Simulator:
+    """Steps as a HIL simulator sends them, and what comes back."""
+
+    def __init__(self, inbox: Inbox, *, gps: bool = True) -> None:
+        self.t_us = 0
+        self.answers: list[Frame] = []
+        self.others: list[Frame] = []
+        self._inbox, self._gps = inbox, gps
+
+    def step(self) -> None:
+        self.t_us += STEP_US
+        truth = {"time_usec": self.t_us, "attitude_quaternion": (1, 0, 0, 0), "lat": 474_000_000}
+        sensor = {"time_usec": self.t_us, "zacc": -9.8, "abs_pressure": 955}
+        frames = [
+            build(known("HIL_SENSOR"), {**sensor, "fields_updated": 0x1FFF}),
+            build(known("HIL_STATE_QUATERNION"), truth),
+        ]
+        if self._gps and self.t_us % 200_000 == 0:
+            fix = {"time_usec": self.t_us, "fix_type": 3, "lat": 474_000_000}
+            frames.insert(1, build(known("HIL_GPS"), fix))
+        self._inbox.link.write(b"".join(frames))
+        self.listen(0.0)
+
+    def listen(self, wait_s: float) -> None:
+        select.select([self._inbox.link.fileno()], [], [], wait_s)
+        for frame in self._inbox.frames():
+            mine = frame.layout.name == "HIL_ACTUATOR_CONTROLS"
+            (self.answers if mine else self.others).append(frame)
+
+
+@contextmanager
+def bridge(
+    folder: Path, *words: str, gps: bool = True
+) -> Iterator[tuple[Simulator, "subprocess.Popen[str]"]]:
+    with closing(TcpServer("127.0.0.1", 0)) as link:
+        command = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot"]
+        command += ["--hil", f"tcp:127.0.0.1:{link.port}", "--dir", str(folder)]
+        stand_in = " ".join([sys.executable, str(STAND_IN), *words])
+        process = subprocess.Popen(
+            [*command, "--command", stand_in], stderr=subprocess.PIPE, text=True
+        )
+        simulator = Simulator(Inbox(link), gps=gps)
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not simulator.others and time.monotonic() < deadline_s:
+            simulator.listen(0.1)  # the bridge speaks first
+        try:
+            yield simulator, process
+        finally:
+            process.terminate()
+            process.communicate()
+
+
+def fly(simulator, until):
+    """Step; once answers come, each step waits for its own for a while."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not until() and time.monotonic() < deadline_s:
+        answered = len(simulator.answers)
+        simulator.step()
+        wait_s = 0.2 if answered else 0.005 if simulator.t_us > 1_100_000 else 0.0
+        if len(simulator.answers) == answered:
+            simulator.listen(wait_s)
+    assert until()
+
+
+def test_each_step_is_answered_with_its_stamp_and_the_motors_of_the_recording(tmp_path):
+    with bridge(tmp_path) as (simulator, process):
+        fly(simulator, lambda: len(simulator.answers) >= 115)
+        stamps = [frame.number("time_usec") for frame in simulator.answers]
+        assert stamps == sorted(set(stamps))
+        last = simulator.answers[-1]
+        assert all(last.number("controls", motor) > 0.6 for motor in range(4))
+        assert simulator.answers[0].number("controls", 0) == 0.0
+        fly(simulator, lambda: process.poll() is not None)
+    texts = {frame.layout.name for frame in simulator.others}
+    assert {"HEARTBEAT", "PARAM_VALUE", "COMMAND_ACK", "STATUSTEXT"} <= texts
+
+
+def test_what_the_autopilot_was_started_with_is_left_in_the_folder(tmp_path):
+    with bridge(tmp_path) as (simulator, _):
+        fly(simulator, lambda: bool(simulator.answers))
+    parameters = (tmp_path / "bridge.parm").read_text().splitlines()
+    assert "AHRS_EKF_TYPE 3" in parameters
+    assert "SIM_RATE_HZ 400" in parameters
+
+
+def test_an_autopilot_that_dies_is_told_with_its_time(tmp_path):
+    with bridge(tmp_path, "--ends-after", "30") as (simulator, process):
+        fly(simulator, lambda: process.poll() is not None)
+        said = process.stderr.read()
+    assert "the autopilot's program ended with exit code 3" in said
+    assert "s of vehicle time" in said
+
+
+def test_a_simulator_without_gps_is_refused_before_the_autopilot_starts(tmp_path):
+    with bridge(tmp_path, gps=False) as (simulator, process):
+        fly(simulator, lambda: process.poll() is not None)
+        said = process.stderr.read()
+        assert process.returncode == 2
+    assert "no HIL_GPS comes; ArduPilot needs a GPS of id 0" in said
+    assert not (tmp_path / "autopilot.log").exists()
+
+
+def test_a_binary_that_is_missing_is_told_with_what_to_do(tmp_path):
+    command = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot", "--dir", str(tmp_path)]
+    done = subprocess.run(
+        [*command, "--command", "no-such-arducopter"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert "'no-such-arducopter' is no program; give ArduPilot's SITL binary" in done.stderr
+
+
+@pytest.mark.parametrize("line", ["AHRS_EKF_TYPE 10", "SIM_BARO_COUNT 1"])
+def test_parameters_that_let_the_truth_in_are_refused(tmp_path, line):
+    own = tmp_path / "own.parm"
+    own.write_text(line + "\n")
+    command = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot", "--dir", str(tmp_path)]
+    done = subprocess.run(
+        [*command, "--command", sys.executable, "--parameters", str(own)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert f"own.parm:1: {line.split()[0]}" in done.stderr
