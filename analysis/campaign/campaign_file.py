@@ -9,9 +9,10 @@ import msgspec
 from analysis.campaign.cell import MONITOR
 from analysis.campaign.outcomes import Limits
 from analysis.estimators import names
-from mavproxy_fault.documents.decoded import decode, read_document
+from mavproxy_fault.documents.document_check import DocumentCheck, decode
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.schedule.entries import parse_entry
 
 MAGNITUDE = "value"  # the key of a fault that a magnitude sets, unless it says otherwise
@@ -172,21 +173,23 @@ def read_campaign(path: Path | str) -> CampaignFile:
     ConfigError
         If it cannot be read, or a key or value is wrong.
     """
-    document, lines = read_document(Path(path))
-    if not isinstance(document, dict):
-        raise ConfigError(f"{path}: holds no keys; a campaign file is a YAML mapping")
-    campaign = decode({**document, "folder": str(Path(path).parent)}, CampaignFile, lines)
+    document = read_document(path)
+    if not isinstance(document.data, dict):
+        raise ConfigError(f"{path}:1: holds no keys; a campaign file is a YAML mapping")
+    data = {**document.data, "folder": str(Path(path).parent)}
+    campaign = decode(document._replace(data=data), CampaignFile)
     kinds = {isinstance(scenario, CompiledScenario) for scenario in campaign.scenarios}
     if len(kinds) > 1:
         raise ConfigError(f"{path}: scenarios mix compiled ones and files; one kind in a campaign")
+    check = DocumentCheck(document.where, document.lines)
     known = [MONITOR, *names()]
     for i, subject in enumerate(campaign.subjects):
         if isinstance(subject, str) and subject not in known:
-            where = lines.where(f"$.subjects[{i}]")
-            raise ConfigError(
-                f"{where}: subjects[{i}] = {subject} is unknown; {near(subject, known)}"
-            )
+            check.wrong(("subjects", i), f"= {subject} is unknown; {near(subject, known)}")
     for i, fault in enumerate(campaign.faults):
-        where = lines.where(f"$.faults[{i}]")
-        parse_entry(fault.entry(fault.listed()[0], 0.0, 1.0), f"{where}: faults[{i}]")
+        try:
+            parse_entry(fault.entry(fault.listed()[0], 0.0, 1.0), f"faults[{i}]")
+        except ConfigError as error:
+            check.wrong(("faults", i), f"is wrong: {error}")
+    check.finish()
     return campaign
