@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
+from mavproxy_fault.documents.decoded import decode, read_document
 
 from analysis.campaign.cell import MONITOR
 from analysis.campaign.outcomes import Limits
 from analysis.estimators import names
-from mavproxy_fault.documents.decoded import decode, read_document
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.schedule.entries import parse_entry
