@@ -39,7 +39,7 @@ def write(
     summary : mapping
         The content of `summary.json`.
     labels, results
-        What was really done, and what the analysis said.
+        What was really done, and the results of the analysis.
     columns : dict of structured arrays
         The log as received (`mavproxy_fault.wire.tlog.read_columns`); empty where there is none.
     curves : sequence of Signal
@@ -55,8 +55,8 @@ def write(
     flight = recording_of(columns, name=title, t0_us=t0_us) if columns else Recording(title)
     if t0_us is None:
         t0_us = flight.t0_us
-    said = recording_of_results(labels, results, t0_us)
-    together = with_derived(joined(flight, said))
+    analysed = recording_of_results(labels, results, t0_us)
+    together = with_derived(joined(flight, analysed))
     together = replace(together, signals=together.signals + list(curves))
     tables = run_tables(summary)
     matrix = matrix_table(labels, results)

@@ -48,7 +48,7 @@ def main(args: argparse.Namespace) -> int:
         file = stack.enter_context(ResultFile(folder))
         publisher = Publisher(bus) if bus else None
 
-        def take(results: list[Result]) -> None:
+        def deliver(results: list[Result]) -> None:
             file.write(results)
             if publisher is not None:
                 publisher.publish(results)
@@ -64,9 +64,9 @@ def main(args: argparse.Namespace) -> int:
         link = open_ground(args.gcs, pace)
         started_s = time.monotonic()
         recorder = Recorder(folder, session(setup.scenario.name, setup.schedule.seed, flight))
-        fly(flight, monitor, recorder, pace, take, link, live, together=args.ui)
+        fly(flight, monitor, recorder, pace, deliver, link, live, together=args.ui)
         columns = read_columns(folder / "sent.tlog")  # while the monitor catches up
-        take(monitor.results())
+        deliver(monitor.results())
         wall_s = time.monotonic() - started_s
         summary = monitor.summary(flight.completed_labels(), setup.criteria, wall_s)
     curves = []
@@ -85,7 +85,7 @@ def fly(
     monitor: MonitorProcess,
     recorder: Recorder,
     pace: Pace,
-    take: Callable[[list[Result]], None],
+    deliver: Callable[[list[Result]], None],
     ground: Link | None,
     live: Live,
     *,
@@ -106,10 +106,10 @@ def fly(
                 live.serve()
                 live.show(time.monotonic())
                 if hold:
-                    take(monitor.feed(b""))
+                    deliver(monitor.feed(b""))
                     continue
                 sent = flight.advance([data for _, data in ground.read()] if ground else [])
-                take(monitor.feed(sent.monitor))
+                deliver(monitor.feed(sent.monitor))
                 if ground is not None:
                     for data in sent.ground:
                         ground.write(data)
@@ -119,9 +119,9 @@ def fly(
                     recorder.write(flight.tape, labels, live.edits())
                     live.publish(flight.stats(), labels)
                     if together or ground is not None:
-                        take(monitor.feed(b"", now=True))
+                        deliver(monitor.feed(b"", now=True))
                     progress.show(flight.t_us * 1e-6, flight.engine.active)
-        take(monitor.feed(flight.finish().monitor, now=True))
+        deliver(monitor.feed(flight.finish().monitor, now=True))
         recorder.write(flight.tape, flight.take_labels())
         recorder.close(flight.core.clock.t0_us, flight.now_us)
 

@@ -62,21 +62,10 @@ def compare(
 ) -> tuple[Scored, Indices, int]:
     """Errors of estimates, each when the truth has passed it.
 
-    Parameters
-    ----------
-    truth_row, truth_us, truth_q : (k,), (k,), (k, 4)
-        Where in the block each truth came (-1: before it), its stamp and attitude.
-    row, t_us, q_nb : (n,), (n,), (n, 4)
-        The same of estimates.
-
-    Returns
-    -------
-    scored : Scored
-        The estimates that have an error now.
-    waiting : (w,)
-        Estimates that the truth has not passed yet.
-    oldest : int
-        The first truth that is still wanted.
+    truth_row, truth_us (k,) and truth_q (k, 4) tell where in the block each truth came (-1: before
+    it), its stamp and attitude; row, t_us (n,) and q_nb (n, 4) the same of estimates. Gives those
+    that have an error now, which (w,) the truth has not passed yet, and the first truth that is
+    still wanted.
     """
     count = len(row)
     scored = Scored(

@@ -87,8 +87,8 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
         cells_ = [
             (
                 str(check["name"]),
-                _plain(check["value"]),
-                _plain(check["limit"]),
+                _shown(check["value"]),
+                _shown(check["limit"]),
                 (words[check["passed"]], words[check["passed"]]),
             )
             for check in checks
@@ -165,13 +165,13 @@ def _attitude_table(name: str, scores: Mapping[str, Any]) -> Table:
 def criteria_reasons(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The criteria of a run that were not met."""
     return [
-        (FAIL, f"{row['name']}: {_plain(row['value'])}, limit {_plain(row['limit'])}")
+        (FAIL, f"{row['name']}: {_shown(row['value'])}, limit {_shown(row['limit'])}")
         for row in summary.get("criteria") or ()
         if row["passed"] is False
     ]
 
 
-def _plain(value: object) -> str:
+def _shown(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     return "" if value is None else str(value)
