@@ -115,6 +115,29 @@ def _search(args: argparse.Namespace) -> int:
     return main(args)
 
 
+def add_campaign(commands: Any) -> None:
+    """`campaign`: many flights with faults, and what becomes of them."""
+    parser = commands.add_parser(
+        "campaign", help="which faults, how large and when, break an estimator or autopilot"
+    )
+    parser.add_argument(
+        "file", nargs="+", metavar="FILE", help="campaign (YAML); or: compare BEFORE AFTER"
+    )
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=int, metavar="N", help="processes (default: all cores)")
+    where.add_argument("--ray", metavar="ADDRESS", help="a Ray cluster")
+    parser.add_argument("--out", metavar="DIR", help="its folder; one that was begun goes on")
+    parser.add_argument("--export", metavar="DIR", help="the flights as a labelled data set")
+    parser.add_argument("--dry-run", action="store_true", help="tell the size and the time only")
+    parser.set_defaults(main=_campaign)
+
+
+def _campaign(args: argparse.Namespace) -> int:
+    from analysis.campaign.campaign_command import main
+
+    return main(args)
+
+
 def add_report(commands: Any) -> None:
     """`report`: a verdict from logs."""
     parser = commands.add_parser("report", help="tlog, ULog or dataflash log to HTML and JSON")
@@ -127,6 +150,12 @@ def add_report(commands: Any) -> None:
     parser.add_argument("--out", metavar="DIR", help="default: LOG's name and -report")
     parser.add_argument("--figures", action="store_true", help="every plot as PNG and SVG too")
     parser.add_argument("--export", choices=("csv", "parquet", "mcap"), help="the data as tables")
+    parser.add_argument(
+        "--data",
+        default="2",
+        metavar="MB|beside",
+        help="any field for the page's search: so many MB in the file (2), or all beside it",
+    )
     parser.set_defaults(main=_report)
 
 

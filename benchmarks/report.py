@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.report.page.page_file import Page, html
+from analysis.report.page.page_file import html
+from analysis.report.page.page_parts import Page
 from analysis.report.recordings.recording import Recording, Signal
 
 SAMPLES, PANELS = 60_000, ("roll", "pitch", "yaw", "accel", "gyro")

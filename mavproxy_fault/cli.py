@@ -33,7 +33,8 @@ exit codes
   0 fine    1 the verdict failed    2 the input is wrong
 """
 ORDER = (
-    "run", "sim", "proxy", "monitor", "replay", "inject", "faults", "search", "report", "ui",
+    "run", "sim", "proxy", "monitor", "replay", "inject", "faults", "campaign", "search", "report",
+    "ui",
 )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from msgspec.structs import force_setattr
 
 from analysis.detection import DetectorConfig
 from analysis.detection.sensors.sensor_tests import References
+from analysis.detection.sensors.stream_watch import StreamWatch
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.results import Result
 from analysis.samples.block import EPHEMERIS, Block, Piece, block_of, pieces
@@ -70,6 +71,8 @@ class Pipeline:
         self._attitude_state = self._attitude.new_state()
         self._detector = References(config.detector)
         self._detector_state = self._detector.new_state()
+        self._streams = StreamWatch()
+        self._streams_state = self._streams.new_state()
         self._fusions: list[Any] = []
         self._feed_back: Any = None
         if config.fusion is not None:
@@ -98,6 +101,8 @@ class Pipeline:
             found = [(piece.last, said) for piece in pieces(block) for said in self._fused(piece)]
         else:
             found, self._detector_state = self._detector.judge(block, self._detector_state)
+        troubles, self._streams_state = self._streams.step(block, self._streams_state)
+        found += troubles
         found += self._attitude.score(block, self._attitude_state)
         found.sort(key=itemgetter(0))
         base_us = self._t0_us or 0

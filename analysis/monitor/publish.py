@@ -53,6 +53,7 @@ class Publisher:
                 verdict: tuple[object, ...] = (result.alarm, result.hypothesis, result.excluded)
             case SensorDecision():
                 verdict = (result.alarm, result.isolated)
+                key += "" if result.dof else "/stream"  # its samples are judged apart
             case _:
                 return False
         return self._verdicts.get(key) != verdict and self._remember(key, verdict)

@@ -37,6 +37,8 @@ class ULogFile:
         Initial parameters by name.
     changes : list of (t_us, name, value)
         Parameters changed in flight.
+    defaults : dict
+        Default values by name, where the log tells them.
     info : dict
         The file's information messages (version, hardware).
     dropouts : list of (t_us, duration_s)
@@ -50,6 +52,7 @@ class ULogFile:
     messages: list[tuple[int, int, str]]
     parameters: dict[str, float]
     changes: list[tuple[int, str, float]]
+    defaults: dict[str, float]
     info: dict[str, Any]
     start_us: int
     dropouts: list[tuple[int, float]]
@@ -114,12 +117,21 @@ def read_ulog(path: str | Path) -> ULogFile:
             for t_us, name, v in log.changed_parameters
             if isinstance(v, NUMBER)
         ],
+        _defaults(log),
         dict(log.msg_info_dict),
         int(log.start_timestamp),
         [(drop.timestamp, drop.duration * 1e-3) for drop in log.dropouts],
         bool(log.file_corruption or complaints.getvalue()),
         file.cut,
     )
+
+
+def _defaults(log: Any) -> dict[str, float]:
+    """What every parameter would be untouched: the log names only defaults that differ from it."""
+    if not log.has_default_parameters:
+        return {}
+    every = log.initial_parameters | log.get_default_parameters(0) | log.get_default_parameters(1)
+    return {name: float(value) for name, value in every.items() if isinstance(value, NUMBER)}
 
 
 def _renamed(columns: Mapping[str, NDArray[Any]]) -> Topic:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from analysis.report.judging.checks import NONE, Check
 from analysis.report.judging.flight_verdict import Outcome
-from analysis.report.page.page_file import Table
+from analysis.report.page.page_parts import Table
 from analysis.report.page.panels import CHECKS
 from analysis.report.recordings.recording import Recording, Signal
 

@@ -9,6 +9,7 @@ from analysis.report.comparison import comparison_tables, overlaid
 from analysis.report.judging.check_limits import read_thresholds
 from analysis.report.judging.checks import FAIL, Check
 from analysis.report.judging.flight_verdict import Outcome, judged
+from analysis.report.page.field_data import INSIDE_MB, field_data
 from analysis.report.page.log_page import log_page
 from analysis.report.page.page_file import html
 from analysis.report.recordings.sources import group, read_flight
@@ -38,7 +39,7 @@ def main(args: argparse.Namespace) -> int:
                 raise
             unreadable.append(str(error))
             continue
-        write_report(folder, outcome, others)
+        write_report(folder, outcome, others, args.data)
         if args.figures:
             from analysis.report.page.figures import write_figures
 
@@ -89,12 +90,15 @@ def _folder(out: str | None, paths: Sequence[Path], several: bool) -> Path:
     return folder
 
 
-def write_report(folder: Path, outcome: Outcome, others: Sequence[Outcome]) -> None:
-    """Write `report.html`, `summary.json` and `junit.xml`."""
+def write_report(
+    folder: Path, outcome: Outcome, others: Sequence[Outcome], data: str = str(INSIDE_MB)
+) -> None:
+    """Write `report.html`, `summary.json` and `junit.xml`; `data` says where all fields go."""
     recording = overlaid(outcome, others) if others else outcome.flight.recording
     tables = comparison_tables(outcome, others) if others else []
     page = log_page(outcome, tables)
-    (folder / "report.html").write_text(html(page, recording), encoding="utf-8")
+    fields = field_data(recording.messages, data, folder)
+    (folder / "report.html").write_text(html(page, recording, fields), encoding="utf-8")
     write_json(folder / "summary.json", outcome.summary)
     write_junit(folder / "junit.xml", recording.name, outcome.checks)
 

@@ -4,11 +4,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from analysis.report.curves.derived_curves import with_derived
+from analysis.report.page.field_data import INSIDE_MB, field_data
 from analysis.report.page.fused_table import fused_table
-from analysis.report.page.page_file import SENSOR_LIMIT, Page, html
+from analysis.report.page.page_file import html
+from analysis.report.page.page_parts import SENSOR_LIMIT, Page
 from analysis.report.page.panels import DETECTION, FUSION
 from analysis.report.page.report_tables import criteria_reasons, facts, matrix_table, run_tables
-from analysis.report.recordings.derived_curves import with_derived
 from analysis.report.recordings.from_results import recording_of_results
 from analysis.report.recordings.from_tlog import recording_of
 from analysis.report.recordings.recording import Recording, joined
@@ -63,7 +65,9 @@ def write(
         title, str(summary.get("verdict", "")), facts(summary), tables, SENSOR_LIMIT, reasons
     )
     path = out / "report.html"
-    path.write_text(html(page, together), encoding="utf-8")
+    path.write_text(
+        html(page, together, field_data(together.messages, str(INSIDE_MB), out)), encoding="utf-8"
+    )
     return path
 
 

@@ -22,6 +22,7 @@ def due() -> Path | None:
 def rehearse(config: MonitorConfig, mark: Path) -> None:
     """Call the kernels of the sensors' tests and of attitude scores with the types they meet."""
     _test_sensors(config)
+    _watch_streams()
     _score_attitude(config)
     mark.touch()
 
@@ -32,6 +33,15 @@ def _test_sensors(config: MonitorConfig) -> None:
 
     references = References(config.detector)
     references.step(BaroSample(0, 1e5, 0.0), references.new_state())
+
+
+def _watch_streams() -> None:
+    from analysis.detection.sensors.stream_watch import StreamWatch
+    from analysis.samples.block import block_of
+    from analysis.samples.sample import BaroSample
+
+    streams = StreamWatch()
+    streams.step(block_of(BaroSample(0, 1e5, 0.0)), streams.new_state())
 
 
 def _score_attitude(config: MonitorConfig) -> None:

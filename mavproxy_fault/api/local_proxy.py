@@ -56,7 +56,8 @@ class LocalProxy:
         recorder = Recorder(logdir, session) if logdir else None
         self._server = Server(self._links, core, tape=tape, recorder=recorder)
         journal = Journal(core, tape)
-        self._live = Live(Control(engine), self._server.edit_time, journal, self.observed)
+        control = Control(engine, folders=None if zenoh == "off" else ())  # None: any file
+        self._live = Live(control, self._server.edit_time, journal, self.observed)
         self._live.open_bus(zenoh)
         self._server.prepare()
         self._server.join(self._live)

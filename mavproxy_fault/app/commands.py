@@ -30,7 +30,14 @@ def add_proxy(commands: Any) -> None:
     parser.add_argument(
         "--zenoh", default="auto", metavar="auto|off|URL", help="control and statistics"
     )
-    parser.add_argument("--run", default="live", metavar="NAME", help="this proxy's name on Zenoh")
+    parser.add_argument("--run", metavar="NAME", help="this proxy's name on Zenoh (default: live)")
+    parser.add_argument(
+        "--zenoh-config", default="", metavar="FILE", help="Zenoh's own: TLS, users, access control"
+    )
+    parser.add_argument(
+        "--files", action="append", default=[], metavar="DIR",
+        help="let requests name tables of this folder; may be given again (default: none)",
+    )  # fmt: skip
     parser.add_argument(
         "--no-inject", dest="inject", action="store_false", help="refuse live faults"
     )
@@ -86,8 +93,9 @@ def add_inject(commands: Any) -> None:
     parser.add_argument("--for", dest="for_s", type=float, metavar="S", help="end after S seconds")
     parser.add_argument("--id", metavar="ID", help="the fault's id (default: its name)")
     parser.add_argument("--clear", metavar="ID", help="end this fault (its id, or 'all')")
-    parser.add_argument("--run", default="*", metavar="NAME", help="the run (default: any)")
+    parser.add_argument("--run", metavar="NAME", help="the run (default: the only one there is)")
     parser.add_argument("--zenoh", metavar="URL", help="the proxy's router")
+    parser.add_argument("--zenoh-config", default="", metavar="FILE", help="Zenoh's own")
     parser.set_defaults(main=_inject)
 
 

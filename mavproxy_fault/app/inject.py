@@ -10,9 +10,11 @@ import msgspec
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.faults.registry import fault_class, known_faults
-from mavproxy_fault.links.bus import open_bus
+from mavproxy_fault.links.bus import open_bus, running_proxies
 from mavproxy_fault.schedule.entries import parse_entry
 from mavproxy_fault.schedule.presets import preset_names
+
+ANY = "*"
 
 
 def main(args: argparse.Namespace) -> int:
@@ -20,10 +22,26 @@ def main(args: argparse.Namespace) -> int:
     if (args.fault is None) == (args.clear is None):
         raise ConfigError("inject: takes either FAULT or --clear ID; see `mavproxy-fault faults`")
     what, data = request(args)
-    with open_bus(args.zenoh, run=args.run) as bus:
+    with open_bus(args.zenoh, run=args.run or ANY, config_file=args.zenoh_config) as bus:
+        bus.run = args.run or only_run(bus.who())
         for reply in bus.ask(f"@ctl/{what}", msgspec.json.encode(data)):
             print(json.dumps(json.loads(reply)))
     return 0
+
+
+def only_run(alive: Sequence[str]) -> str:
+    """The run of the only proxy there is, by the keys of all components that are alive.
+
+    Raises
+    ------
+    ConfigError
+        If there are several, or none.
+    """
+    runs = running_proxies(alive)
+    if len(runs) != 1:
+        there = f"{len(runs)} proxies are there: {', '.join(runs)}" if runs else "no proxy is there"
+        raise ConfigError(f"inject: {there}; " + ("name one by --run" if runs else "start one"))
+    return runs[0]
 
 
 def request(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:

@@ -10,8 +10,9 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.app.recorder import Recorder
-from mavproxy_fault.app.server import Server, short_turns
+from mavproxy_fault.app.server import Server
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.bus import check_run
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.peers import Admission, networks
 from mavproxy_fault.links.spec import open_link
@@ -116,17 +117,24 @@ def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server)
     from mavproxy_fault.schedule.entries import Schedule
 
     rflysim = read_map(args.rflysim_map or SHIPPED) if args.rflysim is not None else None
-    control = Control(engine or Engine(Schedule(0, ())), allowed=args.inject, rflysim=rflysim)
+    control = Control(
+        engine or Engine(Schedule(0, ())),
+        allowed=args.inject,
+        rflysim=rflysim,
+        folders=[Path(one) for one in args.files],
+    )
     live = Live(control, server.edit_time, Journal(server.core, server.tape))
     if args.rflysim is not None:
         live.open_rflysim(args.rflysim)
-    live.open_bus(args.zenoh, args.run)
+    live.open_bus(args.zenoh, args.run, args.zenoh_config)
     return live
 
 
 def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server) -> None:
     """Open live control in the background."""
     from concurrent.futures import Future
+
+    from mavproxy_fault.live.session import short_turns
 
     coming: Future[Live] = Future()
 
@@ -138,11 +146,13 @@ def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server
             coming.set_exception(error)
 
     server.coming = coming
-    Thread(target=work, daemon=True).start()
+    Thread(target=work).start()  # no daemon: what outlives the interpreter aborts the process
 
 
 def main(args: argparse.Namespace) -> int:
     """`mavproxy-fault proxy`."""
+    if args.run is not None:
+        check_run(args.run)
     engine = None
     session: dict[str, Any] = {"seed": None, "schedule": None, "inject": args.inject}
     if args.schedule:

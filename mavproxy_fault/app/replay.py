@@ -55,7 +55,7 @@ class Playing:
         if any(edit.what == RFLYSIM for edit in self._edits):
             rflysim = read_map(source.session.get("rflysim_map", SHIPPED))
         allowed = source.session.get("inject", True)
-        self._control = Control(engine, allowed=allowed, rflysim=rflysim)
+        self._control = Control(engine, allowed=allowed, rflysim=rflysim, folders=None)
         self._count = self._newest_us = 0
 
     def push(self, record: Record) -> list[Send]:

@@ -5,7 +5,6 @@ blocks on a slow one. Recordings are flushed each second. Most goes the compiled
 (`compiled.forwarder`), once its machine code is there.
 """
 
-import contextlib
 import ctypes
 import gc
 import select
@@ -13,7 +12,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.app.recorder import Recorder
@@ -33,7 +32,6 @@ TEND_S = 0.1  # how often links get a chance to reconnect
 FLUSH_S = 1.0
 AHEAD_US = 300  # so long before a frame is due the loop does nothing but prepare to send it
 EARLY_US = 250  # a sleep may end so late; the loop stays awake so long before that
-SHORT_TURN_S = 2e-4
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>; the default of 50 us makes every wait that late
 
 
@@ -280,14 +278,3 @@ class Server:
                 }
             )
         return found
-
-
-@contextlib.contextmanager
-def short_turns() -> Iterator[None]:
-    """Let threads take short turns, so that one that imports does not hold up forwarding."""
-    before_s = sys.getswitchinterval()
-    sys.setswitchinterval(SHORT_TURN_S)
-    try:
-        yield
-    finally:
-        sys.setswitchinterval(before_s)

@@ -285,7 +285,7 @@ class Forwarder:
         """Add the machine code's counts to the links', the core's and the latencies."""
         ports, heard = self.ports, self._arrays["heard"]
         for number, link in enumerate(self._links):
-            if not ports[number, k.DATAGRAMS] and not ports[number, k.SENT]:
+            if not any(ports[number, column] for column in range(k.DATAGRAMS, k.LONE)):
                 continue
             counters, state = link.counters, self._core.states[number]
             counters.chunks_in += ports[number, k.DATAGRAMS]

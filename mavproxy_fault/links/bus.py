@@ -8,8 +8,9 @@ verbatim chunk `@ctl`, which no wildcard reaches. See docs/zenoh.md for the key 
 import contextlib
 import json
 import logging
+import re
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 from typing import Any
 
@@ -18,6 +19,7 @@ from mavproxy_fault.documents.errors import ConfigError
 DEFAULT_URL = "tcp/127.0.0.1:7447"
 ROOT = "mavfault/v1"
 ENCODING = "application/json"
+RUN_NAME = re.compile(r"[\w.-]+|\*", re.ASCII)
 LOG = logging.getLogger(__name__)
 
 Answer = Callable[[str, bytes], object]
@@ -30,12 +32,13 @@ class Bus:
     Callbacks run on Zenoh's own threads.
     """
 
-    def __init__(self, session: Any, url: str, run: str) -> None:
+    def __init__(self, session: Any, url: str, run: str, *, is_router: bool = False) -> None:
         self._session = session
         self._publishers: dict[str, Any] = {}
         self._declared: list[Any] = []
         self.url = url
         self.run = run
+        self.is_router = is_router
 
     def __enter__(self) -> "Bus":
         return self
@@ -107,12 +110,15 @@ class Bus:
                 value = answer(str(query.key_expr), payload)
             except ConfigError as error:
                 query.reply_err(json.dumps({"error": str(error)}), encoding=ENCODING)
-            except Exception as error:  # a bug must reach the caller: Zenoh only prints it
+            except Exception:  # a bug must reach the caller: Zenoh only prints it
                 LOG.exception("query %s failed", query.key_expr)
-                query.reply_err(json.dumps({"error": repr(error)}), encoding=ENCODING)
+                text = "the request failed by a bug of ours; the log of who answered tells more"
+                query.reply_err(json.dumps({"error": text}), encoding=ENCODING)
             else:
                 data = value if isinstance(value, bytes) else json.dumps(value)
                 query.reply(query.key_expr, data, encoding=ENCODING)
+            finally:
+                query.drop()  # whoever asks waits until it is gone, and a traceback may hold it
 
         self._declared.append(self._session.declare_queryable(self.key(suffix), reply))
 
@@ -146,6 +152,11 @@ class Bus:
         replies = self._session.liveliness().get(f"{ROOT}/*/alive/**", timeout=timeout_s)
         return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
+    @property
+    def is_joined(self) -> bool:
+        """Whether it is the router, or has one."""
+        return self.is_router or bool(self._session.info.routers_zid())
+
     def close(self) -> None:
         """End the session; late callbacks are cut off."""
         for thing in [*self._declared, *self._publishers.values()]:
@@ -155,7 +166,9 @@ class Bus:
             self._session.close()
 
 
-def open_bus(url: str | None = None, *, run: str = "live", router: bool = False) -> Bus:
+def open_bus(
+    url: str | None = None, *, run: str = "live", router: bool = False, config_file: str = ""
+) -> Bus:
     """Open a session as the router on loopback, or as a client of one.
 
     Parameters
@@ -166,16 +179,20 @@ def open_bus(url: str | None = None, *, run: str = "live", router: bool = False)
         The run's name in the key space.
     router : bool
         Listen at `url` and be the hub; otherwise connect to it.
+    config_file : str
+        Zenoh's own configuration, such as TLS, users and access control; ours goes on top of it.
 
     Raises
     ------
     ConfigError
-        If the address is taken (router) or nobody listens there (client).
+        If the address is taken (router) or nobody listens there (client), or a name or the
+        configuration is wrong.
     """
     import zenoh
 
+    check_run(run)
     address = with_port(url or DEFAULT_URL)
-    config = zenoh.Config()
+    config = read_config(config_file)
     settings: dict[str, object] = {
         "mode": "router" if router else "client",
         "scouting/multicast/enabled": False,
@@ -194,7 +211,7 @@ def open_bus(url: str | None = None, *, run: str = "live", router: bool = False)
     try:
         for key, value in settings.items():
             config.insert_json5(key, json.dumps(value))
-        return Bus(zenoh.open(config), address, run)
+        return Bus(zenoh.open(config), address, run, is_router=router)
     except zenoh.ZError as error:
         wrong = "cannot be opened as the router" if router else "has no router listening"
         reason = str(error).split(" at /")[0]
@@ -204,7 +221,45 @@ def open_bus(url: str | None = None, *, run: str = "live", router: bool = False)
         ) from error
 
 
-def join_bus(choice: str, run: str) -> Bus:
+def check_run(run: str) -> None:
+    """Refuse a run's name that no key could hold.
+
+    Raises
+    ------
+    ConfigError
+        If it is not made of letters, digits, dots, hyphens and underscores.
+    """
+    if not RUN_NAME.fullmatch(run):
+        raise ConfigError(f"--run {run!r} cannot be a key; take letters, digits, '.', '-' and '_'")
+
+
+def read_config(path: str) -> Any:
+    """Zenoh's configuration from a file, or its defaults.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or is wrong.
+    """
+    import zenoh
+
+    if not path:
+        return zenoh.Config()
+    try:
+        return zenoh.Config.from_file(path)
+    except zenoh.ZError as error:
+        raise ConfigError(
+            f"--zenoh-config {path}: {str(error).split(' at /')[0]}; give Zenoh's JSON5 or YAML"
+        ) from None
+
+
+def running_proxies(keys: Sequence[str]) -> list[str]:
+    """The runs whose proxy is alive, by the keys of all components that are (see `Bus.who`)."""
+    start, end = f"{ROOT}/", "/alive/proxy"
+    return sorted(key[len(start) : -len(end)] for key in keys if key.endswith(end))
+
+
+def join_bus(choice: str, run: str, config_file: str = "") -> Bus:
     """The bus at `auto` (the default address) or at an address: as its router, else as a client.
 
     Raises
@@ -214,10 +269,12 @@ def join_bus(choice: str, run: str) -> Bus:
     """
     url = None if choice == "auto" else choice
     try:
-        return open_bus(url, run=run, router=True)
+        return open_bus(url, run=run, router=True, config_file=config_file)
     except ConfigError as error:
         try:
-            return open_bus(url, run=run)  # somebody else is the router already
+            return open_bus(
+                url, run=run, config_file=config_file
+            )  # somebody else is the router already
         except ConfigError:
             raise error from None
 

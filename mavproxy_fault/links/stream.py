@@ -5,9 +5,10 @@ import os
 import select
 from collections import deque
 
-from mavproxy_fault.links.link import BATCH, QUEUE_LIMIT, LinkCounters
+from mavproxy_fault.links.link import QUEUE_LIMIT, LinkCounters
 
 READ_SIZE = 32_768  # what is no frame must still fit one datagram
+READ_AT_ONCE = 65_536  # bytes until other links and due frames get their turn
 
 
 class Stream:
@@ -64,20 +65,20 @@ class Stream:
 
     def read(self) -> tuple[list[bytes], bool]:
         """What has come, and whether the stream still stands."""
-        pieces: list[bytes] = []
-        for _ in range(BATCH):
+        chunks: list[bytes] = []
+        for _ in range(READ_AT_ONCE // READ_SIZE):
             try:
                 data = os.read(self.fileno, READ_SIZE)
             except BlockingIOError:
-                return pieces, True
+                return chunks, True
             except OSError:
-                return pieces, False
+                return chunks, False
             if not data:
-                return pieces, not self._empty_is_end
+                return chunks, not self._empty_is_end
             self._counters.chunks_in += 1
             self._counters.bytes_in += len(data)
-            pieces.append(data)
-        return pieces, True
+            chunks.append(data)
+        return chunks, True
 
     def abandon(self) -> None:
         """Stop watching the descriptor before its owner closes it; count what is lost."""

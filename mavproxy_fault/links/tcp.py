@@ -8,16 +8,17 @@ import select
 import socket
 import time
 
-from mavproxy_fault.links.link import Chunk, LinkCounters, enlarge_buffers
+from mavproxy_fault.links.link import Chunk, LinkCounters
 from mavproxy_fault.links.stream import Stream
 
 RECONNECT_S = 0.5
+RECEIVE_BUFFER = 1 << 17  # bytes, 2,500 small frames: a fast peer waits rather than its frames
 
 
 def _prepare(sock: socket.socket) -> None:
     sock.setblocking(False)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    enlarge_buffers(sock)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
 
 
 class TcpServer:
@@ -31,6 +32,7 @@ class TcpServer:
         )[0]
         self._listener = socket.create_server(address[:2], family=family, backlog=16)
         self._listener.setblocking(False)
+        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
         self.port: int = self._listener.getsockname()[1]
         self.name = f"tcpin:{host}:{self.port}"
         self.counters = LinkCounters()
@@ -54,8 +56,8 @@ class TcpServer:
         self._accept()
         for number, (sock, stream) in list(self._peers.items()):
             stream.flush()
-            pieces, stands = stream.read()
-            chunks.extend((number, piece) for piece in pieces)
+            data, stands = stream.read()
+            chunks.extend((number, chunk) for chunk in data)
             if not stands:
                 stream.abandon()
                 sock.close()
@@ -139,8 +141,8 @@ class TcpClient:
         if not stream.open and not self._finish_connecting(sock, stream):
             return []
         stream.flush()
-        pieces, stands = stream.read()
-        chunks = [(self._number, piece) for piece in pieces]
+        data, stands = stream.read()
+        chunks = [(self._number, chunk) for chunk in data]
         if not stands:
             self._lose(sock, stream)
             chunks.append((self._number, b""))

@@ -5,18 +5,21 @@ that pass (MAV_CMD_INJECT_FAILURE and nothing else) and answers them in the vehi
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.documents.yaml_document import read_yaml
 from mavproxy_fault.live.failure_command import MESSAGES, TYPES, UNITS, faults_for, name_of
+from mavproxy_fault.live.named_files import check_files
 from mavproxy_fault.live.rflysim import IdMap, Packet
 from mavproxy_fault.live.watching import View, Watched
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.schedule.entries import parse_schedule
+from mavproxy_fault.schedule.entries import parse_entry, parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 
@@ -29,14 +32,23 @@ AUTOPILOT = 1  # component that answers a command to all
 
 
 class Control:
-    """Joins what asks for faults to the engine; with `allowed` false it denies."""
+    """Joins what asks for faults to the engine; with `allowed` false it denies.
+
+    Requests may name files of `folders` only; None allows all.
+    """
 
     def __init__(
-        self, engine: Engine, *, allowed: bool = True, rflysim: IdMap | None = None
+        self,
+        engine: Engine,
+        *,
+        allowed: bool = True,
+        rflysim: IdMap | None = None,
+        folders: Sequence[Path] | None = (),
     ) -> None:
         self.engine = engine
         self.allowed = allowed
         self.rflysim = rflysim
+        self.folders = folders
         self.view = View()
         self._passed: set[str] = set()
         self._latched: set[str] = set()
@@ -155,48 +167,78 @@ class Control:
         ConfigError
             If there is no such key, or the payload is wrong; nothing has changed then.
         """
+        return self.prepare(key, payload)(t_us)
+
+    def prepare(self, key: str, payload: bytes) -> Callable[[int], Any]:
+        """The same in two steps: what it gives is called with the vehicle's time.
+
+        Reading and checking a payload, which may take long, is the first step and touches nothing
+        of the engine, so it may be made in any thread.
+        """
         _, _, what = key.partition("@ctl/")
-        head, _, action = what.rpartition("/")
         if what == "state":
-            return {**self.engine.state(), "now_us": max(self.engine.now_us, t_us)}
+            return lambda t_us: {
+                **self.engine.state(), "now_us": max(self.engine.now_us, t_us)
+            }  # fmt: skip
         if what == "schedule/save":
-            return {"yaml": self.engine.save()}
+            return lambda _: {"yaml": self.engine.save()}
         if not self.allowed:
             raise ConfigError(f"{what}: live control is switched off; start without --no-inject")
-        self.engine.tell_time(t_us)
-        if head.startswith("fault/"):
-            return self._fault(head.removeprefix("fault/"), action, payload)
-        actions: dict[str, Callable[[bytes], Any]] = {
+        head, _, action = what.rpartition("/")
+        edits: dict[str, Callable[[bytes], Callable[[], Any]]] = {
             "schedule/load": self._load,
-            "schedule/stop": lambda _: {"cleared": self.engine.clear("all")},
+            "schedule/stop": lambda _: lambda: {"cleared": self.engine.clear("all")},
         }
-        if what not in actions:
-            raise ConfigError(f"@ctl: {what} is unknown; {near(what, [*actions, *QUESTIONS])}")
-        return actions[what](payload)
+        if head.startswith("fault/"):
+            edit = self._fault(head.removeprefix("fault/"), action, payload)
+        elif what in edits:
+            edit = edits[what](payload)
+        else:
+            raise ConfigError(f"@ctl: {what} is unknown; {near(what, [*edits, *QUESTIONS])}")
 
-    def _fault(self, id: str, action: str, payload: bytes) -> Any:
+        def act(t_us: int) -> Any:
+            self.engine.tell_time(t_us)
+            return edit()
+
+        return act
+
+    def _fault(self, id: str, action: str, payload: bytes) -> Callable[[], Any]:
         if action == "disarm":
-            if not self.engine.clear(id):
-                known_ids = near(id, self.engine.ids())
-                raise ConfigError(f"disarm: {id} is no fault; {known_ids}")
-            return {"cleared": id}
+            return lambda: self._disarm(id)
         try:
             data = msgspec.json.decode(payload, type=dict[str, Any])
         except msgspec.MsgspecError as error:
             raise ConfigError(f"@ctl/fault/{id}/{action}: {error}; send JSON") from None
         if action == "arm":
-            return {"armed": self.engine.arm({**data, "id": id})}
+            check_files(data, self.folders, "arm")
+            entries = parse_entry({**data, "id": id}, "arm")
+            return lambda: {"armed": self.engine.arm(entries)}
         if action != "value" or not isinstance(data.get("value"), int | float):
             raise ConfigError(
                 f"@ctl/fault/{id}/{action}: is unknown; send arm, disarm or value with a number"
             )
-        self.engine.update(id, data["value"], data.get("sent_us"))
-        return {"id": id, "value": data["value"]}
+        return lambda: self._update(id, data["value"], data.get("sent_us"))
 
-    def _load(self, payload: bytes) -> Any:
-        schedule = parse_schedule(payload.decode("utf-8", "replace"), "schedule/load")
-        self.engine.replace(schedule)
-        return {"faults": [entry.id for entry in schedule.faults]}
+    def _disarm(self, id: str) -> Any:
+        if not self.engine.clear(id):
+            raise ConfigError(f"disarm: {id} is no fault; {near(id, self.engine.ids())}")
+        return {"cleared": id}
+
+    def _update(self, id: str, value: float, sent_us: int | None) -> Any:
+        self.engine.update(id, value, sent_us)
+        return {"id": id, "value": value}
+
+    def _load(self, payload: bytes) -> Callable[[], Any]:
+        where = "schedule/load"
+        document = read_yaml(payload.decode("utf-8", "replace"), where)
+        check_files(document.data, self.folders, where)
+        schedule = parse_schedule(document)
+
+        def act() -> Any:
+            self.engine.replace(schedule)
+            return {"faults": [entry.id for entry in schedule.faults]}
+
+        return act
 
 
 def acknowledgement(command: Frame, result: int) -> bytes:

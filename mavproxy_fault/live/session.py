@@ -5,18 +5,21 @@ therefore waits until the loop, woken by a socket, has carried it out.
 """
 
 import contextlib
+import itertools
 import logging
 import queue
 import socket
+import sys
+import threading
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError, Future
 from typing import Any, Protocol
 
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.bus import Bus, join_bus
+from mavproxy_fault.links.bus import Bus, join_bus, open_bus, running_proxies
 from mavproxy_fault.live.control import QUESTIONS, Control
 from mavproxy_fault.live.journal import RFLYSIM, Edit, Journal
 from mavproxy_fault.live.rflysim import FIRST_PORT, PACKED
@@ -24,6 +27,10 @@ from mavproxy_fault.live.watching import Watched
 from mavproxy_fault.wire.label import Label
 
 PATIENCE_S = 3.0
+LOOK_S = 1.0  # between two looks whether the bus has its router
+DEFAULT_RUN = "live"
+SHORT_TURN_S = 2e-4
+WATCH = "@ctl/watch"
 SHOW_S = 0.04  # between two looks at what viewers watch
 LABELS_KEPT = 100
 LOG = logging.getLogger(__name__)
@@ -39,6 +46,17 @@ class Listener(Protocol):
         """Samples of watched messages."""
 
 
+@contextlib.contextmanager
+def short_turns() -> Iterator[None]:
+    """Let threads take short turns, so that one that imports or parses holds no frame up."""
+    before_s = sys.getswitchinterval()
+    sys.setswitchinterval(SHORT_TURN_S)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before_s)
+
+
 class Requests:
     """Hands work of other threads to the loop, and its outcome back."""
 
@@ -46,6 +64,9 @@ class Requests:
         self._waiting: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = (
             queue.SimpleQueue()
         )
+        self._asking = 0  # threads that wait for an outcome
+        self._changed = threading.Condition()
+        self._closed = False
         self._reads, self._wakes = socket.socketpair()
         self._reads.setblocking(False)
         self._wakes.setblocking(False)
@@ -60,10 +81,14 @@ class Requests:
         Raises
         ------
         ConfigError
-            If the loop does not come to it in three seconds.
+            If the loop does not come to it in three seconds, or ends.
         """
         outcome: Future[Any] = Future()
-        self._waiting.put((act, outcome))
+        with self._changed:
+            if self._closed:
+                raise ConfigError("the proxy is ending; ask another")
+            self._asking += 1
+            self._waiting.put((act, outcome))
         with contextlib.suppress(BlockingIOError):
             self._wakes.send(b"!")
         try:
@@ -71,6 +96,13 @@ class Requests:
         except TimeoutError:
             outcome.cancel()
             raise ConfigError(f"the proxy did not answer within {PATIENCE_S} s") from None
+        except CancelledError:
+            raise ConfigError("the proxy has ended; ask another") from None
+        finally:
+            with self._changed:
+                self._asking -= 1
+                self._changed.notify_all()
+            del outcome  # it holds the exception, which holds this frame and all that it refers to
 
     def serve(self) -> None:
         """Carry out all that waits; called by the loop."""
@@ -87,7 +119,17 @@ class Requests:
                 outcome.set_exception(error)
 
     def close(self) -> None:
-        """Close the sockets."""
+        """Refuse what still waits, and let those go who asked.
+
+        Their threads are Zenoh's: one that came back to Python after the interpreter has ended
+        would abort the process.
+        """
+        with self._changed:
+            self._closed = True
+        while not self._waiting.empty():
+            self._waiting.get()[1].cancel()
+        with self._changed:
+            self._changed.wait_for(lambda: not self._asking, PATIENCE_S)
         self._reads.close()
         self._wakes.close()
 
@@ -113,26 +155,38 @@ class Live:
         self._requests = Requests()
         self._bus: Bus | None = None
         self._port: socket.socket | None = None
-        self._show_s = 0.0
+        self._config_file = ""
+        self._heir = threading.Thread()  # that takes over from a router that ended
+        self._look_s = self._show_s = 0.0
         self._shown = (0, 0)  # revision and turns of the engine
 
-    def open_bus(self, zenoh: str, run: str = "live") -> None:
+    def open_bus(self, zenoh: str, run: str | None = None, config_file: str = "") -> None:
         """Offer control on the bus: `auto` (the router here, or another's), `off`, or a URL.
+
+        Without a name the run is called `live`, or `live-2` where there is one already.
 
         Raises
         ------
         ConfigError
-            If a URL was given and cannot be used.
+            If a URL was given and cannot be used, or the run's name is another proxy's.
         """
         if zenoh == "off":
             return
         try:
-            bus = join_bus(zenoh, run)
+            bus = join_bus(zenoh, run or DEFAULT_RUN, config_file)
         except ConfigError as error:
-            if zenoh != "auto":
+            if zenoh != "auto" or config_file:
                 raise
             LOG.warning("no live control: %s", error)
             return
+        taken = [] if bus.is_router else running_proxies(bus.who())
+        if run in taken:
+            bus.close()
+            raise ConfigError(f"--run {run} is another proxy's here; known: {', '.join(taken)}")
+        if bus.run in taken:
+            bus.run = next(name for n in itertools.count(2) if (name := f"live-{n}") not in taken)
+            LOG.warning("another proxy is called live: this one is --run %s", bus.run)
+        self._config_file = config_file
         self.offer(bus)
 
     def offer(self, bus: Bus) -> None:
@@ -140,6 +194,22 @@ class Live:
         self._bus = bus
         bus.answer("@ctl/**", self.ask)
         bus.alive("proxy")
+
+    def _take_over(self, bus: Bus) -> None:
+        """Be the router where the one there was has ended; unless another was faster."""
+        with short_turns(), contextlib.suppress(ConfigError):
+            fresh = open_bus(bus.url, run=bus.run, router=True, config_file=self._config_file)
+            self.do(lambda: self.offer(fresh))
+            bus.close()
+
+    def _look_after_bus(self, now_s: float) -> None:
+        """See that somebody is the router; the proxies that have lost theirs try to be it."""
+        if self._bus is None or now_s < self._look_s or self._heir.is_alive():
+            return
+        self._look_s = now_s + LOOK_S
+        if not self._bus.is_joined:
+            self._heir = threading.Thread(target=self._take_over, args=(self._bus,), daemon=True)
+            self._heir.start()
 
     def open_rflysim(self, port: int = FIRST_PORT) -> int:
         """Listen for RflySim's packets on loopback; the port."""
@@ -159,20 +229,22 @@ class Live:
         ConfigError
             If it is refused.
         """
-        return self.do(lambda: self._act(key, payload))
+        with short_turns():
+            act = None if key.endswith(WATCH) else self.control.prepare(key, payload)
+        return self.do(lambda: self._act(key, payload, act))
 
     def do(self, act: Callable[[], Any]) -> Any:
         """Have the loop's thread call `act`; its value, or what it raised."""
         return self._requests.ask(act)
 
-    def _act(self, key: str, payload: bytes) -> Any:
+    def _act(self, key: str, payload: bytes, act: Callable[[int], Any] | None) -> Any:
         """Carry out one request in the loop's thread."""
-        if key.endswith("@ctl/watch"):
+        if act is None:
             return self.control.watch(payload, time.monotonic())
         t_us = self._now_us()
         if self.journal is not None and not key.endswith(QUESTIONS):
             self.journal.note(key, payload, t_us)
-        return self.control.answer(key, payload, t_us)
+        return act(t_us)
 
     def filenos(self) -> list[int]:
         """What the loop waits on besides its links."""
@@ -204,6 +276,7 @@ class Live:
         if now_s < self._show_s:
             return
         self._show_s = now_s + SHOW_S
+        self._look_after_bus(now_s)
         engine = self.control.engine
         if self._bus is not None and self._shown != (engine.revision, engine.turns):
             self._show_faults(self._bus)
@@ -242,11 +315,24 @@ class Live:
         """Where the bus is, once open."""
         return None if self._bus is None else self._bus.url
 
+    @property
+    def run(self) -> str | None:
+        """What this proxy is called there."""
+        return None if self._bus is None else self._bus.run
+
+    @property
+    def is_router(self) -> bool:
+        """Whether the others hang on this proxy."""
+        return self._bus is not None and self._bus.is_router
+
     def close(self) -> None:
         """Close the bus and the port; requests that wait are given up."""
+        while self._heir.is_alive():
+            self._requests.serve()
+            self._heir.join(0.01)
         self._requests.serve()
+        self._requests.close()
         if self._bus is not None:
             self._bus.close()
         if self._port is not None:
             self._port.close()
-        self._requests.close()

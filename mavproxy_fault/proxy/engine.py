@@ -5,7 +5,7 @@ on what the one before let through. Nothing here looks at a frame that no entry 
 says which messages must come by, and an entry costs nothing while it is not active.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import msgspec
@@ -240,7 +240,7 @@ class Engine:
 
     # -- live edits ------------------------------------------------------------------------------
 
-    def arm(self, entry: Entry | dict[str, Any]) -> list[str]:
+    def arm(self, entry: Entry | Sequence[Entry] | dict[str, Any]) -> list[str]:
         """Add a fault, or replace the one of the same id; its `at_s` counts from now.
 
         Returns
@@ -253,7 +253,9 @@ class Engine:
         ConfigError
             If a mapping is no right entry.
         """
-        entries = [entry] if isinstance(entry, Entry) else parse_entry(entry, "arm")
+        if isinstance(entry, dict):
+            entry = parse_entry(entry, "arm")
+        entries = [entry] if isinstance(entry, Entry) else entry
         if self.t0_us is None:
             ids = {one.id for one in entries}
             kept = [one for one in self._schedule.faults if one.id not in ids]

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from analysis.report.page.fused_curves import AXES, BAND, FUSED, error_ned_m
-from analysis.report.page.page_file import Table
+from analysis.report.curves.fused_curves import AXES, BAND, FUSED, error_ned_m
+from analysis.report.page.page_parts import Table
 from analysis.report.recordings.recording import Recording, Track, Vector
 
 NOTE = (

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from analysis.report.judging.checks import FAIL, PASS, WARN, Check
 from analysis.report.judging.flight_verdict import Outcome
 from analysis.report.page.fused_table import fused_table
-from analysis.report.page.page_file import SENSOR_LIMIT, Limit, Page, Table
+from analysis.report.page.page_parts import SENSOR_LIMIT, Limit, Page, Table
 from analysis.report.page.panels import CHECKS, DETECTION, FUSION, LINK, TIMELINE
 from analysis.report.page.report_tables import (
     checks_tables,

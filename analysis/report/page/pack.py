@@ -1,11 +1,14 @@
 """Numbers for the page: float32 in one deflated, base64-coded block, times as offset and step.
 
+The bytes stand in four planes, first all lowest bytes, last all highest: they deflate better.
+
 float32 holds a time of an hour to a quarter of a millisecond only, so a time axis is a line
 `offset + step * i` in double precision and, where the samples stray from it, float32 remainders.
 """
 
 import base64
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +18,7 @@ from analysis.report.recordings.recording import Vector
 from analysis.report.recordings.thinning import extremes
 
 LONGEST = 100_000  # samples of one curve; beyond, each bucket keeps its extremes
+MOST = 400_000  # samples of all curves of a page, so that it stays small and opens soon
 GAP_STEPS, LEAST_GAP_S = 10.0, 0.5  # a pause longer than both is a gap in a curve
 HALF_TURN_DEG = 180.0
 EVEN_S = 1e-5  # samples this near the line lie on it
@@ -58,7 +62,19 @@ class Block:
     def text(self) -> str:
         """Everything as base64 of zlib's format."""
         data = np.concatenate(self.parts) if self.parts else np.empty(0, "<f4")
-        return base64.b64encode(zlib.compress(data.tobytes(), 6)).decode("ascii")
+        planes = np.ascontiguousarray(data).view(np.uint8).reshape(-1, 4).T
+        return base64.b64encode(zlib.compress(planes.tobytes(), 6)).decode("ascii")
+
+
+def longest_curve(lengths: Sequence[int], most: int = MOST) -> int:
+    """How long one curve may be for all together to have `most` samples; short ones stay whole."""
+    room = most
+    for i, length in enumerate(sorted(lengths)):
+        share = room // (len(lengths) - i)
+        if length > share:
+            return min(LONGEST, max(share, 2))
+        room -= length
+    return LONGEST
 
 
 def broken(t_s: Vector, value: Vector) -> tuple[Vector, Vector]:

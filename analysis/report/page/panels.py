@@ -5,13 +5,17 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One plot over time; `key` is what signals name it by, `log` asks for a logarithmic axis."""
+    """One plot over time; `key` is what signals name it by, `log` asks for a logarithmic axis.
+
+    It is shown if it has `least` curves.
+    """
 
     key: str
     section: str
     title: str
     unit: str
     log: bool = False
+    least: int = 1
 
 
 TIMELINE = "Timeline"
@@ -24,8 +28,11 @@ ESTIMATOR = "The autopilot's estimator"
 GPS = "GPS"
 SENSORS = "Sensors"
 POWER = "Battery and power"
+SYSTEM = "System"
 LINK = "Link quality"
 ACTUATORS = "Control"
+SPECTRA = "Spectra"
+FIELDS = "Any field"
 
 PANELS = (
     Panel("fdi-statistic", DETECTION, "Chi-square statistic of the GNSS residuals", "", True),
@@ -49,10 +56,45 @@ PANELS = (
     Panel("height", POSITION, "Height above home", "m"),
     Panel("speed", POSITION, "Ground speed and airspeed", "m/s"),
     Panel("climb", POSITION, "Climb rate", "m/s"),
+    Panel("range", POSITION, "Distance to the ground", "m"),
+    Panel("wind", POSITION, "Wind", "m/s"),
     Panel("position-error", POSITION, "Horizontal distance to the truth", "m"),
+    Panel("control-error", ACTUATORS, "Attitude: actual minus desired", "deg"),
+    Panel("rate-roll", ACTUATORS, "Roll rate", "deg/s"),
+    Panel("rate-pitch", ACTUATORS, "Pitch rate", "deg/s"),
+    Panel("rate-yaw", ACTUATORS, "Yaw rate", "deg/s"),
+    Panel("velocity-north", ACTUATORS, "Velocity north", "m/s"),
+    Panel("velocity-east", ACTUATORS, "Velocity east", "m/s"),
+    Panel("velocity-down", ACTUATORS, "Velocity down", "m/s"),
+    Panel("position-north", ACTUATORS, "Position north", "m"),
+    Panel("position-east", ACTUATORS, "Position east", "m"),
+    Panel("position-down", ACTUATORS, "Position down", "m"),
+    Panel("throttle", ACTUATORS, "Throttle", "%"),
+    Panel("torque", ACTUATORS, "Torque asked for", ""),
+    Panel("unallocated", ACTUATORS, "Torque that the motors could not give", ""),
+    Panel("actuators", ACTUATORS, "Motors", ""),
+    Panel("balance", ACTUATORS, "Motors: off their mean, over a second", ""),
+    Panel("imbalance", ACTUATORS, "Imbalance of propellers", ""),
+    Panel("rpm", ACTUATORS, "Motor speed", "rev/min"),
+    Panel("servos", ACTUATORS, "Servos", ""),
+    Panel("outputs", ACTUATORS, "Outputs", "µs"),
+    Panel("sticks", ACTUATORS, "Sticks", ""),
+    Panel("rc", ACTUATORS, "RC channels", "µs"),
     Panel("ratio", ESTIMATOR, "Innovation test ratios (above 1: refused)", ""),
     Panel("variance", ESTIMATOR, "EKF variances", ""),
-    Panel("innovation", ESTIMATOR, "Innovations", ""),
+    Panel("innovation-position", ESTIMATOR, "Innovations: position, with gates", "m"),
+    Panel("innovation-velocity", ESTIMATOR, "Innovations: velocity, with gates", "m/s"),
+    Panel("innovation-height", ESTIMATOR, "Innovations: height, with gates", "m"),
+    Panel("innovation-heading", ESTIMATOR, "Innovations: heading, with gates", "deg"),
+    Panel("innovation-mag", ESTIMATOR, "Innovations: magnetometer", ""),
+    Panel("innovation-airspeed", ESTIMATOR, "Innovations: airspeed", "m/s"),
+    Panel("divergence", ESTIMATOR, "Attitude of instances, angle to the first", "deg"),
+    Panel("instance-roll", ESTIMATOR, "Roll by each instance", "deg", least=2),
+    Panel("instance-pitch", ESTIMATOR, "Pitch by each instance", "deg", least=2),
+    Panel("instance-yaw", ESTIMATOR, "Yaw by each instance", "deg", least=2),
+    Panel("instance-down", ESTIMATOR, "Position down by each instance", "m", least=2),
+    Panel("gyro-bias", ESTIMATOR, "Gyroscope bias as estimated", ""),
+    Panel("accel-bias", ESTIMATOR, "Accelerometer bias as estimated", "m/s²"),
     Panel("estimate-jump", ESTIMATOR, "Step of the estimate beyond what the speed explains", "m"),
     Panel("accuracy", ESTIMATOR, "Accuracy as the estimator sees it", "m"),
     Panel("gps-satellites", GPS, "Satellites used", ""),
@@ -60,23 +102,31 @@ PANELS = (
     Panel("gps-accuracy", GPS, "Accuracy as the receiver sees it", "m"),
     Panel("gps-fix", GPS, "Type of fix (3 = three-dimensional)", ""),
     Panel("gps-jump", GPS, "Step between fixes beyond what the velocity explains", "m"),
+    Panel("gps-cn0", GPS, "Carrier to noise density (C/N0)", "dB-Hz"),
+    Panel("gps-gain", GPS, "Receiver's gain control", ""),
     Panel("gps-noise", GPS, "Jamming and noise indicators", ""),
     Panel("accel", SENSORS, "Accelerometers", "m/s²"),
     Panel("gyro", SENSORS, "Gyroscopes", "rad/s"),
+    Panel("accel-instances", SENSORS, "Accelerometers of every IMU", "m/s²", least=4),
+    Panel("gyro-instances", SENSORS, "Gyroscopes of every IMU", "rad/s", least=4),
+    Panel("accel-disagreement", SENSORS, "Accelerometers off their mean", "m/s²"),
+    Panel("gyro-disagreement", SENSORS, "Gyroscopes off their mean", "rad/s"),
     Panel("mag", SENSORS, "Magnetic field strength", "gauss"),
     Panel("baro", SENSORS, "Pressure", "hPa"),
     Panel("temperature", SENSORS, "Temperature", "°C"),
     Panel("vibration", SENSORS, "Vibration", "m/s²"),
     Panel("clipping", SENSORS, "Accelerometer clipping (count)", ""),
     Panel("battery-voltage", POWER, "Battery voltage", "V"),
+    Panel("battery-cells", POWER, "Voltage of each cell", "V"),
     Panel("battery-current", POWER, "Battery current", "A"),
     Panel("battery-remaining", POWER, "Battery remaining", "%"),
     Panel("board-voltage", POWER, "Board voltage", "V"),
-    Panel("load", POWER, "Processor load", "%"),
+    Panel("load", SYSTEM, "Load of processor and memory", "%"),
+    Panel("memory", SYSTEM, "Free memory", "KiB"),
+    Panel("scheduler", SYSTEM, "Loops that took too long (count)", ""),
+    Panel("loop-time", SYSTEM, "Longest loop", "ms"),
     Panel("link-lost", LINK, "Frames lost, by sequence numbers", "%"),
+    Panel("link-drop", LINK, "Packets dropped, as the autopilot counts", "%"),
     Panel("radio", LINK, "Radio signal strength and noise", ""),
-    Panel("control-error", ACTUATORS, "Attitude: actual minus desired", "deg"),
-    Panel("throttle", ACTUATORS, "Throttle", "%"),
-    Panel("actuators", ACTUATORS, "Actuator outputs", ""),
 )
 BY_KEY = {panel.key: panel for panel in PANELS}

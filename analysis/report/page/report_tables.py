@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from analysis.report.judging.checks import FAIL, NONE, PASS, RANK, WARN, Check
-from analysis.report.page.page_file import Table
+from analysis.report.page.page_parts import Cell, Moments, Table
 from analysis.report.page.panels import ATTITUDE, CHECKS, TIMELINE
 from analysis.report.recordings.from_results import isolation_matrix
 from analysis.report.recordings.recording import Recording
@@ -177,14 +177,14 @@ def matrix_table(labels: Sequence[Label], results: Sequence[Result]) -> Table | 
 def checks_tables(checks: Sequence[Check]) -> list[Table]:
     """What did not pass, then what did and what had no data, folded."""
     head = ("verdict", "check", "found", "limit", "when")
-    rows: dict[str, list[Sequence[str | tuple[str, str]]]] = {}
+    rows: dict[str, list[Sequence[Cell]]] = {}
     for check in sorted(checks, key=lambda check: -RANK[check.verdict]):
         group = check.verdict if check.verdict in (PASS, NONE) else ""
         cells = ((check.verdict, check.verdict), check.name, check.evidence, check.limit)
-        rows.setdefault(group, []).append((*cells, _when(check)))
+        rows.setdefault(group, []).append((*cells, Moments(check.windows, check.panel)))
     titles = {"": "Did not pass", PASS: "Passed ({})", NONE: "Not judged ({})"}
     return [
-        Table(titles[group].format(len(some)), head, some, folded=group != "")
+        Table(titles[group].format(len(some)), head, some, folded=group != "", style="cards")
         for group, some in rows.items()
     ]
 
@@ -197,11 +197,6 @@ def reasons(checks: Sequence[Check]) -> list[tuple[str, str]]:
     if len(bad) > REASONS:
         lines.append((bad[REASONS].verdict, f"and {len(bad) - REASONS} more, see Checks"))
     return lines
-
-
-def _when(check: Check) -> str:
-    shown = ", ".join(f"{start:.1f}–{end:.1f} s" for start, end in check.windows[:3])
-    return shown + (f" and {len(check.windows) - 3} more" if len(check.windows) > 3 else "")
 
 
 def reaction_table(faults: Sequence[Mapping[str, Any]]) -> Table | None:
@@ -235,8 +230,13 @@ def links_table(recording: Recording) -> Table:
     return Table("Senders", head, rows, note)
 
 
+def _differs(value: float, default: float) -> bool:
+    """Whether two float32 of a log are not the same number."""
+    return abs(value - default) > 1e-6 * max(abs(value), abs(default))
+
+
 def parameters_table(recording: Recording) -> list[Table]:
-    """Parameters that changed, then all of them, folded."""
+    """Parameters that changed, those that are not at their default, then all of them, folded."""
     changed = [
         (name, f"{t_s:.2f}", f"{before:.7g}", f"{value:.7g}")
         for name, history in recording.parameters.items()
@@ -245,7 +245,16 @@ def parameters_table(recording: Recording) -> list[Table]:
     every = [(name, f"{h[-1][1]:.7g}") for name, h in sorted(recording.parameters.items())]
     title = f"All parameters ({len(every)})"
     tables = [Table(title, ("parameter", "value"), every, folded=True)]
+    unusual = [
+        (name, f"{history[-1][1]:.7g}", f"{recording.defaults[name]:.7g}")
+        for name, history in sorted(recording.parameters.items())
+        if name in recording.defaults and _differs(history[-1][1], recording.defaults[name])
+    ]
+    if unusual:
+        title = f"Parameters that are not at their default ({len(unusual)})"
+        head = ("parameter", "value", "default")
+        tables.insert(0, Table(title, head, unusual, folded=len(unusual) > 40))
     if changed:
-        head = ("parameter", "t, s", "before", "after")
-        tables.insert(0, Table("Parameters changed", head, changed[:200]))
+        moves = ("parameter", "t, s", "before", "after")
+        tables.insert(0, Table("Parameters changed", moves, changed[:200]))
     return tables

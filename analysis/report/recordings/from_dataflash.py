@@ -3,11 +3,15 @@
 Messages and fields as ArduPilot's log reference names them (old logs: as they were named then).
 """
 
+import itertools
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.recordings.dataflash import DataflashFile, Topic
-from analysis.report.recordings.dataflash_curves import CURVES
+from analysis.report.curves.dataflash_curves import CURVES
+from analysis.report.curves.field_values import values_of
 from analysis.report.recordings.mode_names import (
     ARDUPILOT,
     ERRORS,
@@ -19,6 +23,7 @@ from analysis.report.recordings.mode_names import (
 from analysis.report.recordings.recording import (
     UNGRADED,
     Event,
+    Message,
     Recording,
     Signal,
     Span,
@@ -31,6 +36,9 @@ ARMED, DISARMED = 10, 11  # EV.Id
 COPTER = 2  # MAV_TYPE of a quadrotor
 NOT_YET = 3  # severity of an error
 TIMEOUTS = {0: "position timeout", 1: "velocity timeout", 2: "height timeout", 3: "compass timeout"}
+GPS_EPOCH_US = 315_964_800_000_000  # 6 January 1980 in Unix time
+WEEK_US = 604_800_000_000
+LEAP_US = 18_000_000  # GPS is ahead of UTC since 2017
 ESTIMATORS = ("XKF4", "NKF4", "EKF4")
 
 
@@ -41,15 +49,17 @@ def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = No
     for (kind, instance), topic in sorted(log.topics.items()):
         t_s = _seconds(topic, start_us)
         suffix = f" {instance + 1}" if instance else ""
-        for message, panel, label, values, every in CURVES:
-            if message == kind and (every or instance == 0):
-                y = values(topic)
-                if y is not None and np.isfinite(y).any():
-                    found.signals.append(Signal(panel, label + suffix, t_s, y))
+        found.messages[f"{kind}{suffix.replace(' ', '_')}"] = Message(t_s, topic)
+        for curve in CURVES:
+            if curve.message == kind and (curve.every or instance == 0):
+                y = values_of(curve, topic)
+                if y is not None:
+                    found.signals.append(Signal(curve.panel, curve.name + suffix, t_s, y))
         found.tracks.extend(_tracks(kind, suffix, topic, t_s))
     _add_modes(found, log, start_us)
     _add_armed(found, log, start_us)
     _add_timeouts(found, log, start_us)
+    _add_core(found, log, start_us)
     _add_said(found, log, start_us)
     _add_parameters(found, log, start_us)
     found.events.sort(key=lambda event: event.t_s)
@@ -62,7 +72,7 @@ def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = No
             f"the file is large: its last {log.left_out / 1e6:.0f} MB were not read, the report "
             "covers the beginning"
         )
-    return found
+    return replace(found, utc0_us=_utc0_us(log, start_us))
 
 
 def _seconds(topic: Topic, start_us: int) -> Vector:
@@ -133,6 +143,32 @@ def _add_timeouts(found: Recording, log: DataflashFile, start_us: int) -> None:
             found.events.append(Event(float(t_s[begin]), "flag", f"{lane} raised", 4))
 
 
+def _add_core(found: Recording, log: DataflashFile, start_us: int) -> None:
+    """Which core of the estimator flies the vehicle, where there is more than one."""
+    topic = next((t for k in ESTIMATORS if (t := log.topics.get((k, 0))) and "PI" in t), None)
+    if topic is None or not topic["PI"].any():
+        return
+    t_s, cores = _seconds(topic, start_us), topic["PI"]
+    edges = [0, *(np.flatnonzero(np.diff(cores)) + 1).tolist(), len(cores)]
+    for begin, end in itertools.pairwise(edges):
+        stop = float(t_s[min(end, len(cores) - 1)])
+        text = f"core {int(cores[begin]) + 1}"
+        found.spans.append(Span("estimator in use", float(t_s[begin]), stop, text, "mode"))
+        if begin:
+            found.events.append(Event(float(t_s[begin]), "mode", f"estimator: {text}", 4))
+
+
+def _utc0_us(log: DataflashFile, start_us: int) -> int:
+    """Universal time at `start_us` by the first fix, from GPS week and milliseconds; 0 if none."""
+    topic = log.topics.get(("GPS", 0), {})
+    if not {"GWk", "GMS"} <= topic.keys() or not topic["GWk"].any():
+        return 0
+    first = int(np.flatnonzero(topic["GWk"])[0])
+    of_week_us = int(topic["GMS"][first]) * 1000
+    gps_us = int(topic["GWk"][first]) * WEEK_US + of_week_us - LEAP_US
+    return GPS_EPOCH_US + gps_us - int(topic["TimeUS"][first]) + start_us
+
+
 def _add_said(found: Recording, log: DataflashFile, start_us: int) -> None:
     """Texts and errors."""
     if (topic := log.topics.get(("MSG", 0))) is not None:
@@ -150,8 +186,11 @@ def _add_parameters(found: Recording, log: DataflashFile, start_us: int) -> None
     topic = log.topics.get(("PARM", 0))
     if topic is None:
         return
-    rows = zip(_seconds(topic, start_us).tolist(), topic["Name"], topic["Value"], strict=True)
-    for t_s, name, value in rows:
+    t_s_of = _seconds(topic, start_us).tolist()
+    for t_s, name, value in zip(t_s_of, topic["Name"], topic["Value"], strict=True):
         history = found.parameters.setdefault(_text(name), [])
         if not history or history[-1][1] != float(value):
             history.append((t_s, float(value)))
+    if "Default" in topic:
+        pairs = zip(topic["Name"], topic["Default"].tolist(), strict=True)
+        found.defaults.update((_text(name), value) for name, value in pairs if np.isfinite(value))

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.recordings.curves import CURVES
+from analysis.report.curves.field_values import values_of
+from analysis.report.curves.tlog_curves import CURVES
 from analysis.report.recordings.link_quality import link_quality
 from analysis.report.recordings.log_clock import Clock, clock_of
 from analysis.report.recordings.mode_names import (
@@ -17,11 +18,21 @@ from analysis.report.recordings.mode_names import (
     STATES,
     mode_name,
 )
-from analysis.report.recordings.recording import Event, Recording, Signal, Span, Track, runs
+from analysis.report.recordings.recording import (
+    Event,
+    Message,
+    Recording,
+    Signal,
+    Span,
+    Track,
+    runs,
+)
 from mavproxy_fault.wire.tlog import Columns
 
 GROUND_STATION = 6  # MAV_TYPE_GCS
 ARMED = 0x80
+HEADER = ("t_us", "system", "component", "seq")  # columns that are no fields of the message
+WALL_US = 1_000_000_000_000_000  # stamps later than this (2001) are those of a computer's clock
 TRUTH = "HIL_STATE_QUATERNION"
 TURNING_RPS = 0.05  # a gyroscope that spans more than this has turned
 TRACKS = (
@@ -97,8 +108,17 @@ def recording_of(
     return Recording(
         name, autopilot, int(vehicles[0].clock.t0_us), max(ends, default=0.0),
         found.signals, found.spans, found.events, found.tracks, found.links, found.parameters,
-        found.notes, tuple(systems),
+        found.notes, tuple(systems), utc0_us=_utc0_us(columns, vehicles[0].clock),
+        messages=found.messages,
     )  # fmt: skip
+
+
+def _utc0_us(columns: Columns, clock: Clock) -> int:
+    """The log's stamp where the axis is zero; 0 if stamps are no computer's time."""
+    first = min((int(rows["t_us"].min()) for rows in columns.values()), default=0)
+    if first < WALL_US:
+        return 0
+    return round(first - float(clock.at(np.array([first], float))[0]) * 1e6)
 
 
 def _without_placeholder(columns: Columns) -> tuple[Columns, list[str]]:
@@ -119,7 +139,7 @@ def _without_placeholder(columns: Columns) -> tuple[Columns, list[str]]:
 def vehicle_systems(columns: Columns) -> list[int]:
     """System ids of vehicles: senders of curves, not ground stations."""
     systems: set[int] = set()
-    for message in {message for message, *_ in CURVES} & columns.keys():
+    for message in {curve.message for curve in CURVES} & columns.keys():
         systems.update(np.unique(columns[message]["system"]).tolist())
     if "HEARTBEAT" in columns:
         beats = columns["HEARTBEAT"]
@@ -141,17 +161,31 @@ def _kind(columns: Columns) -> tuple[int, int]:
 
 
 def _add_vehicle(found: Recording, vehicle: _Vehicle) -> None:
-    for message, panel, label, values in CURVES:
-        rows = vehicle.columns.get(message)
-        if rows is not None and len(rows):
-            t_s, y = _in_order(vehicle.clock.seconds(rows), values(rows))
-            if np.isfinite(y).any():
-                found.signals.append(Signal(panel, label + vehicle.suffix, t_s, y))
+    messages = {
+        name: _message(vehicle, rows) for name, rows in vehicle.columns.items() if len(rows)
+    }
+    ending = f"_{vehicle.system}" if vehicle.suffix else ""
+    found.messages.update({f"{name}{ending}": message for name, message in messages.items()})
+    for curve in CURVES:
+        message = messages.get(curve.message)
+        if message is not None and (y := values_of(curve, message.columns)) is not None:
+            name = curve.name + vehicle.suffix
+            found.signals.append(Signal(curve.panel, name, message.t_s, y))
     _add_tracks(found, vehicle)
     _add_modes(found, vehicle)
     _add_flags(found, vehicle)
     _add_texts(found, vehicle)
     _add_parameters(found, vehicle)
+
+
+def _message(vehicle: _Vehicle, rows: NDArray[np.void]) -> Message:
+    """A message's rows in order of the vehicle's time, as columns."""
+    t_s = vehicle.clock.seconds(rows)
+    if not np.all(np.diff(t_s) >= 0):
+        order = np.argsort(t_s, kind="stable")
+        t_s, rows = t_s[order], rows[order]
+    names = rows.dtype.names or ()
+    return Message(t_s, {name: rows[name] for name in names if name not in HEADER})
 
 
 def _in_order(

@@ -1,14 +1,24 @@
 """A PX4 ULog to a `Recording`; topics and fields as PX4's message definitions name them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.recordings.ulog import Topic, ULogFile
-from analysis.report.recordings.curves import euler_deg
-from analysis.report.recordings.recording import Event, Recording, Signal, Span, Track, runs
+from analysis.report.curves.field_values import values_of
+from analysis.report.curves.ulog_curves import CURVES
+from analysis.report.curves.ulog_innovations import innovations
+from analysis.report.recordings.recording import (
+    Event,
+    Message,
+    Recording,
+    Signal,
+    Span,
+    Track,
+    runs,
+)
 
 Values = NDArray[np.float64]
 NAV_STATES = {
@@ -24,109 +34,9 @@ FAILSAFES = (
     "wind_limit_exceeded", "fd_critical_failure", "fd_imbalanced_prop", "fd_motor_failure",
     "local_position_accuracy_low",
 )  # fmt: skip
-SPOOFING = {2: "jamming/spoofing indicated", 3: "multiple indications"}
-
-
-def _field(name: str, scale: float = 1.0) -> Callable[[Topic], Values]:
-    return lambda topic: topic[name].astype(float) * scale
-
-
-def _norm(*names: str) -> Callable[[Topic], Values]:
-    def values(topic: Topic) -> Values:
-        return np.asarray(np.sqrt(sum(topic[name].astype(float) ** 2 for name in names)))
-
-    return values
-
-
-def _largest(*names: str) -> Callable[[Topic], Values]:
-    def values(topic: Topic) -> Values:
-        return np.asarray(np.max([np.abs(topic[name].astype(float)) for name in names], axis=0))
-
-    return values
-
-
-def _euler(part: int, prefix: str = "q") -> Callable[[Topic], Values]:
-    def values(topic: Topic) -> Values:
-        q = np.stack([topic[f"{prefix}[{i}]"].astype(float) for i in range(4)])
-        return euler_deg(q)[part]
-
-    return values
-
-
-def _positive(name: str) -> Callable[[Topic], Values]:
-    """A value of which 0 or less means that it is unknown."""
-    return lambda topic: np.where(topic[name] > 0, topic[name].astype(float), np.nan)
-
-
-def _dilution(name: str) -> Callable[[Topic], Values]:
-    """A dilution of precision; 99.99 and more say that there is no fix."""
-    return lambda topic: np.where(topic[name] < 99, topic[name].astype(float), np.nan)
-
-
-CURVES: tuple[tuple[str, str, str, Callable[[Topic], Values]], ...] = (
-    ("vehicle_attitude", "roll", "ATTITUDE", _euler(0)),
-    ("vehicle_attitude", "pitch", "ATTITUDE", _euler(1)),
-    ("vehicle_attitude", "yaw", "ATTITUDE", _euler(2)),
-    ("vehicle_attitude_setpoint", "roll", "desired", _euler(0, "q_d")),
-    ("vehicle_attitude_setpoint", "pitch", "desired", _euler(1, "q_d")),
-    ("vehicle_attitude_groundtruth", "roll", "truth", _euler(0)),
-    ("vehicle_attitude_groundtruth", "pitch", "truth", _euler(1)),
-    ("vehicle_attitude_groundtruth", "yaw", "truth", _euler(2)),
-    ("vehicle_global_position", "altitude", "estimate", _field("altitude_msl_m")),
-    ("vehicle_gps_position", "altitude", "GPS", _field("altitude_msl_m")),
-    ("vehicle_local_position", "height", "estimate", _field("z", -1.0)),
-    ("vehicle_local_position", "speed", "ground", _norm("vx", "vy")),
-    ("vehicle_gps_position", "speed", "GPS", _field("vel_m_s")),
-    ("airspeed_validated", "speed", "air", _field("calibrated_airspeed_m_s")),
-    ("vehicle_local_position", "climb", "estimate", _field("vz", -1.0)),
-    ("estimator_status", "ratio", "velocity", _field("vel_test_ratio")),
-    ("estimator_status", "ratio", "horizontal position", _field("pos_test_ratio")),
-    ("estimator_status", "ratio", "vertical position", _field("hgt_test_ratio")),
-    ("estimator_status", "ratio", "magnetometer", _field("mag_test_ratio")),
-    ("estimator_status", "ratio", "heading", _field("hdg_test_ratio")),
-    ("estimator_status", "ratio", "airspeed", _field("tas_test_ratio")),
-    ("estimator_innovations", "innovation", "GPS position north, m", _field("gps_hpos[0]")),
-    ("estimator_innovations", "innovation", "GPS position east, m", _field("gps_hpos[1]")),
-    ("estimator_innovations", "innovation", "GPS velocity north, m/s", _field("gps_hvel[0]")),
-    ("estimator_innovations", "innovation", "GPS velocity east, m/s", _field("gps_hvel[1]")),
-    ("estimator_innovations", "innovation", "baro height, m", _field("baro_vpos")),
-    ("estimator_innovations", "innovation", "heading, rad", _field("heading")),
-    ("estimator_status", "accuracy", "horizontal", _field("pos_horiz_accuracy")),
-    ("estimator_status", "accuracy", "vertical", _field("pos_vert_accuracy")),
-    ("vehicle_gps_position", "gps-satellites", "GPS", _field("satellites_used")),
-    ("vehicle_gps_position", "gps-fix", "GPS", _field("fix_type")),
-    ("vehicle_gps_position", "gps-accuracy", "horizontal", _field("eph")),
-    ("vehicle_gps_position", "gps-accuracy", "vertical", _field("epv")),
-    ("vehicle_gps_position", "gps-dilution", "hdop", _dilution("hdop")),
-    ("vehicle_gps_position", "gps-dilution", "vdop", _dilution("vdop")),
-    ("vehicle_gps_position", "gps-noise", "jamming indicator", _field("jamming_indicator")),
-    ("vehicle_gps_position", "gps-noise", "noise per ms", _field("noise_per_ms")),
-    ("vehicle_gps_position", "gps-noise", "spoofing state", _field("spoofing_state")),
-    ("sensor_combined", "accel", "x", _field("accelerometer_m_s2[0]")),
-    ("sensor_combined", "accel", "y", _field("accelerometer_m_s2[1]")),
-    ("sensor_combined", "accel", "z", _field("accelerometer_m_s2[2]")),
-    ("sensor_combined", "gyro", "x", _field("gyro_rad[0]")),
-    ("sensor_combined", "gyro", "y", _field("gyro_rad[1]")),
-    ("sensor_combined", "gyro", "z", _field("gyro_rad[2]")),
-    ("sensor_mag", "mag", "compass", _norm("x", "y", "z")),
-    ("vehicle_air_data", "baro", "barometer", _field("baro_pressure_pa", 0.01)),
-    ("vehicle_imu_status", "vibration", "accelerometer", _field("accel_vibration_metric")),
-    (
-        "vehicle_imu_status",
-        "clipping",
-        "accelerometer",
-        _largest("accel_clipping[0]", "accel_clipping[1]", "accel_clipping[2]"),
-    ),
-    ("battery_status", "battery-voltage", "battery", _field("voltage_v")),
-    ("battery_status", "battery-current", "battery", _field("current_a")),
-    ("battery_status", "battery-remaining", "battery", _field("remaining", 100)),
-    ("system_power", "board-voltage", "5 V rail", _positive("voltage5v_v")),
-    ("cpuload", "load", "processor", _field("load", 100)),
-    ("actuator_motors", "actuators", "motor 1", _field("control[0]")),
-    ("actuator_motors", "actuators", "motor 2", _field("control[1]")),
-    ("actuator_motors", "actuators", "motor 3", _field("control[2]")),
-    ("actuator_motors", "actuators", "motor 4", _field("control[3]")),
-)
+JAMMING = {2: "warning", 3: "critical"}  # jamming_state of sensor_gps
+SPOOFING = {2: "indicated", 3: "multiple indications"}
+SATURATED = 0.99  # of a motor's range
 
 
 def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Recording:
@@ -137,14 +47,22 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Rec
     for (topic_name, instance), topic in sorted(log.topics.items()):
         t_s: Values = (topic["timestamp"].astype(np.float64) - start_us) * 1e-6
         suffix = f" {instance + 1}" if instance else ""
-        for topic_of_curve, panel, label, values in CURVES:
-            if topic_of_curve == topic_name and (y := _values(topic, values)) is not None:
-                found.signals.append(Signal(panel, label + suffix, t_s, y))
+        found.messages[f"{topic_name}{suffix.replace(' ', '_')}"] = Message(t_s, topic)
+        for curve in CURVES:
+            if curve.message == topic_name and (y := values_of(curve, topic)) is not None:
+                found.signals.append(Signal(curve.panel, curve.name + suffix, t_s, y))
         try:
             found.tracks.extend(_tracks(topic_name, suffix, topic, t_s))
             found.spans.extend(_spans(topic_name, suffix, topic, t_s))
         except KeyError:  # a definition that is damaged, or of another version of PX4
             log_lacks.append(topic_name)
+    found.signals.extend(innovations(log.topics, log.parameters, start_us))
+    found.spans.extend(
+        Span(
+            "log dropout", at_s := (t_us - start_us) * 1e-6, at_s + for_s, f"{for_s:.2f} s", "warn"
+        )
+        for t_us, for_s in log.dropouts
+    )
     for t_us, severity, text in log.messages:
         found.events.append(Event((t_us - start_us) * 1e-6, "text", text.strip(), severity))
     found.events.extend(_mode_events(found.spans))
@@ -156,17 +74,18 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Rec
     return Recording(
         name, "px4", start_us, max((float(s.t_s[-1]) for s in found.signals), default=0.0),
         found.signals, found.spans, found.events, found.tracks, [], found.parameters,
-        _notes(log, log_lacks),
+        _notes(log, log_lacks), utc0_us=_utc0_us(log.topics, start_us), messages=found.messages,
+        defaults=log.defaults,
     )  # fmt: skip
 
 
-def _values(topic: Topic, values: Callable[[Topic], Values]) -> Values | None:
-    """The curve, or None where this version of PX4 lacks a field of it, or has no value in it."""
-    try:
-        found = values(topic)
-    except KeyError:
-        return None
-    return found if np.isfinite(found).any() else None
+def _utc0_us(topics: Mapping[tuple[str, int], Topic], start_us: int) -> int:
+    """Universal time at `start_us`, by the last fix that tells it; 0 if none does."""
+    topic = topics.get(("vehicle_gps_position", 0), {})
+    if "time_utc_usec" not in topic or not topic["time_utc_usec"].any():
+        return 0
+    last = int(np.flatnonzero(topic["time_utc_usec"])[-1])
+    return int(topic["time_utc_usec"][last]) - int(topic["timestamp"][last]) + start_us
 
 
 def _tracks(name: str, suffix: str, topic: Topic, t_s: Values) -> list[Track]:
@@ -210,7 +129,40 @@ def _spans(name: str, suffix: str, topic: Topic, t_s: Values) -> list[Span]:
     if name == "estimator_status_flags":
         flags = [key for key in topic if key.startswith(UNLIKELY_FLAGS)]
         return _flag_spans(f"estimator{suffix}", flags, topic, t_s)
+    if name == "estimator_selector_status":
+        texts = [f"instance {i + 1}" for i in topic["primary_instance"].tolist()]
+        return _stretches("estimator in use", t_s, texts)
+    if name == "vehicle_gps_position":
+        return _state_spans(f"GPS jamming{suffix}", "jamming_state", JAMMING, topic, t_s) + (
+            _state_spans(f"GPS spoofing{suffix}", "spoofing_state", SPOOFING, topic, t_s)
+        )
+    if name == "actuator_motors":
+        return _saturated(topic, t_s)
     return []
+
+
+def _state_spans(
+    lane: str, field: str, texts: Mapping[int, str], topic: Topic, t_s: Values
+) -> list[Span]:
+    """Stretches in which a state that means trouble stood."""
+    states = topic.get(field)
+    if states is None:
+        return []
+    words = [texts.get(state, "") for state in states.tolist()]
+    stretches = _stretches(lane, t_s, words, "flag")
+    return [span for span in stretches if span.text]
+
+
+def _saturated(topic: Topic, t_s: Values) -> list[Span]:
+    """When each motor was at the top of its range."""
+    found = []
+    for number in range(1, 13):
+        raw = topic.get(f"control[{number - 1}]")
+        if raw is not None:
+            for begin, end in runs(raw >= SATURATED):
+                span = (float(t_s[begin]), float(t_s[min(end, len(t_s) - 1)]))
+                found.append(Span("motor at its limit", *span, f"motor {number}", "warn"))
+    return found
 
 
 def _flag_spans(lane: str, flags: Sequence[str], topic: Topic, t_s: Values) -> list[Span]:
@@ -226,19 +178,24 @@ def _flag_spans(lane: str, flags: Sequence[str], topic: Topic, t_s: Values) -> l
     return spans
 
 
-def _stretches(lane: str, t_s: Values, texts: Sequence[str]) -> list[Span]:
+def _stretches(lane: str, t_s: Values, texts: Sequence[str], kind: str = "mode") -> list[Span]:
     spans = []
     begin = 0
     for i in range(1, len(texts) + 1):
         if i == len(texts) or texts[i] != texts[begin]:
             end = float(t_s[min(i, len(texts) - 1)])
-            spans.append(Span(lane, float(t_s[begin]), end, texts[begin], "mode"))
+            spans.append(Span(lane, float(t_s[begin]), end, texts[begin], kind))
             begin = i
     return spans
 
 
 def _mode_events(spans: Sequence[Span]) -> list[Event]:
-    found = [Event(s.start_s, "mode", s.text) for s in spans if s.kind == "mode" and s.start_s > 0]
+    lanes: set[str] = set()
+    found = []
+    for span in spans:
+        if span.kind == "mode" and span.lane in lanes:  # the first one is no change
+            found.append(Event(span.start_s, "mode", span.text))
+        lanes.add(span.lane)
     return found + [
         Event(s.start_s, "flag", f"{s.lane} raised", 4) for s in spans if s.kind == "flag"
     ]

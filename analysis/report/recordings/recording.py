@@ -3,7 +3,9 @@
 Times are seconds on one axis per report (`t_s`), zero at the start of the schedule or of the log.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +63,14 @@ class Track:
 
 
 @dataclass(frozen=True, slots=True)
+class Message:
+    """Every field of one message as the log holds it: `t_s` and columns, shape (n,) or (n, k)."""
+
+    t_s: Vector
+    columns: Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True)
 class LinkQuality:
     """Frames of one sender in one log, and how many its sequence numbers say are missing."""
 
@@ -88,6 +98,12 @@ class Recording:
         MAVLink system ids of the vehicles.
     size, junk_bytes : int
         Bytes of the logs, and those of them that belong to no frame.
+    utc0_us : int
+        Universal time at zero on the axis; 0 where the log does not tell it.
+    messages : dict
+        By name every message of the log, whether or not a curve is made of it.
+    defaults : dict
+        Values that parameters have unless someone sets them, where the log tells them.
     """
 
     name: str
@@ -104,6 +120,9 @@ class Recording:
     systems: tuple[int, ...] = ()
     size: int = 0
     junk_bytes: int = 0
+    utc0_us: int = 0
+    messages: dict[str, Message] = field(default_factory=dict)
+    defaults: dict[str, float] = field(default_factory=dict)
 
     def of(self, panel: str) -> list[Signal]:
         """The signals of one panel."""
@@ -111,22 +130,25 @@ class Recording:
 
 
 def joined(first: Recording, second: Recording) -> Recording:
-    """Two recordings on one axis as one."""
-    return Recording(
-        first.name,
-        first.autopilot or second.autopilot,
-        first.t0_us,
-        max(first.duration_s, second.duration_s),
-        first.signals + second.signals,
-        first.spans + second.spans,
-        sorted(first.events + second.events, key=lambda event: event.t_s),
-        first.tracks + second.tracks,
-        first.links + second.links,
-        first.parameters | second.parameters,
-        first.notes + second.notes,
-        first.systems + second.systems,
-        first.size + second.size,
-        first.junk_bytes + second.junk_bytes,
+    """Two recordings on one axis as one: lists one after the other, the first one's words."""
+    together: dict[str, Any] = {
+        part.name: getattr(first, part.name) + getattr(second, part.name)
+        for part in fields(Recording)
+        if isinstance(getattr(first, part.name), (list, tuple))
+    }
+    for name in ("parameters", "messages", "defaults"):
+        together[name] = getattr(first, name) | getattr(second, name)
+    return replace(
+        first,
+        **together
+        | {
+            "events": sorted(first.events + second.events, key=lambda event: event.t_s),
+            "autopilot": first.autopilot or second.autopilot,
+            "duration_s": max(first.duration_s, second.duration_s),
+            "size": first.size + second.size,
+            "junk_bytes": first.junk_bytes + second.junk_bytes,
+            "utc0_us": first.utc0_us or second.utc0_us,
+        },
     )
 
 

@@ -60,7 +60,7 @@ def test_a_report_opens_without_errors_and_asks_for_nothing(opened: Opened) -> N
 
 def test_every_plot_and_both_tracks_have_drawn(opened: Opened) -> None:
     opened.page.evaluate("report.all()")
-    opened.page.wait_for_function("report.axis.plots.size === report.page.panels.length + 1")
+    opened.page.wait_for_function("() => report.axis.plots.size === report.page.panels.length + 1")
     opened.page.wait_for_timeout(50)  # uPlot draws in the next microtask
     areas = opened.page.query_selector_all(".area, #map, #space")
     assert len(areas) >= 12
@@ -71,7 +71,7 @@ def test_plots_draw_by_themselves_when_they_come_into_view(opened: Opened) -> No
     last = opened.page.query_selector_all(".area")[-1]
     assert last.get_attribute("data-drawn") is None
     last.scroll_into_view_if_needed()
-    opened.page.wait_for_function("(area) => area.dataset.drawn === 'yes'", arg=last)
+    opened.page.wait_for_function("() => (area) => area.dataset.drawn === 'yes'", arg=last)
 
 
 def test_zooming_one_plot_zooms_them_all_and_the_button_goes_back(opened: Opened) -> None:
@@ -85,12 +85,12 @@ def test_zooming_one_plot_zooms_them_all_and_the_button_goes_back(opened: Opened
     mouse.move(box["x"] + 0.75 * box["width"], y, steps=4)
     mouse.up()
     ranges = "[...report.axis.plots].map((p) => [p.scales.x.min, p.scales.x.max])"
-    opened.page.wait_for_function("report.axis.range[0] > report.axis.full[0] + 5")
+    opened.page.wait_for_function("() => report.axis.range[0] > report.axis.full[0] + 5")
     zoomed = opened.page.evaluate(ranges)
     assert all(one == pytest.approx(zoomed[0]) for one in zoomed)
     assert zoomed[0] == pytest.approx([9.9, 14.9], abs=0.5)
     opened.page.click("#reset")
-    opened.page.wait_for_function("report.axis.range[0] === report.axis.full[0]")
+    opened.page.wait_for_function("() => report.axis.range[0] === report.axis.full[0]")
     assert opened.errors == []
 
 
@@ -100,7 +100,7 @@ def test_hovering_shows_values_and_a_legend_entry_hides_its_curve(opened: Opened
     plot.scroll_into_view_if_needed()
     plot.locator(".u-over").hover()
     opened.page.wait_for_function(
-        "document.querySelector('#plot-roll .u-series:nth-child(2) .u-value')"
+        "() => document.querySelector('#plot-roll .u-series:nth-child(2) .u-value')"
         ".textContent.startsWith('5.7')"
     )
     plot.locator(".u-series").nth(1).locator("th").click()
@@ -115,3 +115,91 @@ def test_the_dark_theme_and_print_redraw_without_errors(opened: Opened) -> None:
     pdf = opened.page.pdf()
     assert pdf.startswith(b"%PDF")
     assert opened.errors == []
+
+
+def test_any_field_and_an_expression_are_plotted_and_the_address_keeps_them(
+    opened: Opened, browser: Any
+) -> None:
+    page = opened.page
+    page.fill("#field-text", "ATTITUDE.roll, deg(ATTITUDE.roll) - 2 * hypot(3, 4)")
+    page.click("#field-form button")
+    page.wait_for_selector("#field-plots .area[data-drawn]")
+    values = page.evaluate("[...report.axis.plots].at(-1).data.slice(1).map((y) => y[5])")
+    assert values == pytest.approx([0.1, 5.7296 - 10], abs=1e-4)
+    page.evaluate("report.axis.set(6, 9)")
+    page.select_option("#time-form", "hms")
+    page.wait_for_function("() => location.hash.includes('time=hms')")
+    address = page.evaluate("location.href")
+    again = browser.new_page()
+    again.goto(address)
+    again.wait_for_selector("html[data-ready=yes]", state="attached")
+    assert again.evaluate("report.axis.range") == [6, 9]
+    assert again.evaluate("report.axis.text(3725.5, 1)") == "1:02:05.5"
+    assert again.locator("#field-plots .plot h3").inner_text().startswith("ATTITUDE.roll, deg")
+    again.close()
+    page.click("#field-plots button")
+    page.wait_for_function("() => !location.hash.includes('plot=')")
+    assert page.locator("#field-plots .plot").count() == 0
+    assert opened.errors == []
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("ATTITUDE.rol", "has no field rol; it has"),
+        ("ALTITUDE.roll", "no message ALTITUDE"),
+        ("deg(ATTITUDE.roll", "bracket is not closed"),
+        ("alert(1)", "neither a field, a number nor a function"),
+        ("ATTITUDE.roll )", "stands after the end"),
+    ],
+)
+def test_a_field_that_is_not_there_is_explained(opened: Opened, text: str, said: str) -> None:
+    opened.page.fill("#field-text", text)
+    opened.page.click("#field-form button")
+    opened.page.wait_for_function("() => document.getElementById('field-said').textContent")
+    assert said in opened.page.inner_text("#field-said")
+
+
+def test_fields_beside_the_file_are_loaded_when_asked_for(
+    browser: Any, flight: Flight, tmp_path: Path
+) -> None:
+    out = tmp_path / "beside"
+    main(["report", str(flight()), "--data", "beside", "--out", str(out)])
+    opened = Opened(browser, out / "report.html")
+    assert not [url for url in opened.requests if "report-data" in url]
+    opened.page.fill("#field-text", "VFR_HUD.throttle")
+    opened.page.click("#field-form button")
+    opened.page.wait_for_selector("#field-plots .area[data-drawn]")
+    assert opened.page.evaluate("[...report.axis.plots].at(-1).data[1][3]") == 40
+    assert opened.errors == []
+    opened.page.close()
+
+
+def test_a_click_on_a_checks_time_shows_that_stretch_and_its_plot(opened: Opened) -> None:
+    button = opened.page.locator("button.moment[data-panel=estimate-jump]").first
+    button.click()
+    start, end = opened.page.evaluate("report.axis.range")
+    assert start < 10 < end
+    assert end - start < 4
+    opened.page.wait_for_selector("#plot-estimate-jump[data-drawn]")
+    assert opened.page.locator("#plot-estimate-jump").is_visible()
+
+
+def test_a_script_that_a_log_smuggles_in_is_not_run(opened: Opened) -> None:
+    opened.page.evaluate(
+        "document.body.append(Object.assign(document.createElement('script'),"
+        " { textContent: 'window.smuggled = 1' }))"
+    )
+    assert opened.page.evaluate("window.smuggled") is None
+
+
+def test_sections_are_folded_on_a_narrow_screen_and_nothing_is_too_wide(
+    browser: Any, opened: Opened
+) -> None:
+    narrow = browser.new_page(viewport={"width": 390, "height": 800})
+    narrow.goto(opened.page.url)
+    narrow.wait_for_selector("html[data-ready=yes]", state="attached")
+    assert narrow.evaluate("document.getElementById('to-timeline').open")
+    assert not narrow.evaluate("document.getElementById('to-gps').open")
+    assert narrow.evaluate("document.documentElement.scrollWidth") <= 390
+    narrow.close()

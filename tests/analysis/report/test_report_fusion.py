@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from analysis.report.page.fused_curves import error_ned_m
+from analysis.report.curves.derived_curves import with_derived
+from analysis.report.curves.fused_curves import error_ned_m
 from analysis.report.page.fused_table import fused_table
-from analysis.report.recordings.derived_curves import with_derived
 from analysis.report.recordings.from_results import recording_of_results
 from analysis.report.recordings.recording import Recording, Track, joined
 from analysis.results import FusedState

@@ -5,11 +5,13 @@ import zlib
 
 import numpy as np
 
-from analysis.report.page.pack import Block, broken, thinned, unwrapped
+from analysis.report.page.pack import LONGEST, Block, broken, longest_curve, thinned, unwrapped
+from analysis.report.page.series_colours import PALETTE, series_colours
 
 
 def unpacked(block: Block) -> np.typing.NDArray[np.float32]:
-    return np.frombuffer(zlib.decompress(base64.b64decode(block.text())), "<f4")
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(block.text())), np.uint8)
+    return np.ascontiguousarray(planes.reshape(4, -1).T).view("<f4")[:, 0]
 
 
 def test_values_come_back_where_their_place_says() -> None:
@@ -61,3 +63,18 @@ def test_a_heading_that_wraps_has_a_gap_and_no_line_across() -> None:
     assert t_s.tolist() == [0, 1, 1.5, 2]
     assert np.isnan(angle[2])
     assert angle[3] == -179
+
+
+def test_curves_share_the_room_of_a_page_and_short_ones_stay_whole() -> None:
+    assert longest_curve([10, 20, 30], most=100) == LONGEST
+    longest = longest_curve([10, 1000, 2000], most=110)
+    assert longest == 50
+    assert 10 + 2 * longest == 110
+
+
+def test_one_thing_has_one_colour_on_every_plot() -> None:
+    assert series_colours(["estimate", "desired"])[1] == series_colours(["actual", "desired"])[1]
+    together = series_colours(["ATTITUDE", "ATTITUDE_QUATERNION", "desired", "gate x"])
+    assert len(set(together)) == 4
+    assert len(PALETTE) == 12
+    assert len(set(series_colours([f"G{i:02}" for i in range(11)]))) == 11

@@ -230,3 +230,25 @@ def test_clocks_that_leap_within_a_datagram_are_followed_alike() -> None:
     ]
     traffic = [frames[0], frames[1], b"".join(frames[2:8]), b"".join(frames[8:])]
     check(traffic, [{"fault": "drift", "target": "ATTITUDE.roll", "value": 0.1}])
+
+
+def test_what_is_left_of_a_batch_after_a_count_is_counted_too() -> None:
+    """The count came between a datagram that was handed over and the rest of its batch."""
+    links = [UdpServer("127.0.0.1", 0), UdpClient("127.0.0.1", 9)]
+    core = Core(roles(links))
+    forwarder = Forwarder(links, core, [Latencies(), Latencies()], WALL_NS)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
+        for seq in range(3):
+            frame = build(known("HEARTBEAT"), {"type": 2}, seq=seq)
+            vehicle.sendto(frame, ("127.0.0.1", links[0].port))
+    while not forwarder.pending:
+        forwarder.forward(time.monotonic_ns() + 100_000, spin=False)
+    number, data, came_ns = forwarder.handed_over()
+    core.received(number, data, came_ns // 1000)
+    forwarder.count()
+    while forwarder.pending:
+        forwarder.forward(time.monotonic_ns() + 100_000, spin=False)
+    forwarder.count()
+    assert core.states[0].frames == 3
+    for link in links:
+        link.close()

@@ -1,6 +1,10 @@
 """The Zenoh session on loopback."""
 
+import json
 import queue
+import time
+from concurrent.futures import Future
+from pathlib import Path
 
 import pytest
 
@@ -68,3 +72,62 @@ def test_without_a_router_the_error_names_the_address() -> None:
 def test_a_taken_address_is_said_so() -> None:
     with router() as hub, pytest.raises(ConfigError, match="cannot be opened as the router"):
         open_bus(hub.url, router=True)
+
+
+def test_a_refusal_is_told_at_once_even_if_it_comes_from_another_thread() -> None:
+    def refuse(key: str, payload: bytes) -> object:
+        outcome: Future[object] = Future()
+        outcome.set_exception(ConfigError("no"))
+        return outcome.result()  # the traceback refers to this frame, which refers to the future
+
+    with router() as hub, open_bus(hub.url, run="test") as client:
+        hub.answer("@ctl/x", refuse)
+        begun_s = time.monotonic()
+        with pytest.raises(ConfigError, match="no"):
+            client.ask("@ctl/x", timeout_s=5)
+        assert time.monotonic() - begun_s < 2.5
+
+
+def test_a_bug_is_told_without_its_text() -> None:
+    def fail(key: str, payload: bytes) -> object:
+        raise RuntimeError("a secret")
+
+    with router() as hub, open_bus(hub.url, run="test") as client:
+        hub.answer("@ctl/x", fail)
+        with pytest.raises(ConfigError, match="bug of ours") as caught:
+            client.ask("@ctl/x")
+    assert "secret" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["a/b", "@ctl", "", "a b", "$*"])
+def test_a_name_that_no_key_can_hold_is_refused(name: str) -> None:
+    with pytest.raises(ConfigError, match="--run"):
+        open_bus("tcp/127.0.0.1:0", run=name, router=True)
+
+
+def test_users_of_zenohs_configuration_are_let_in_and_others_are_not(tmp_path: Path) -> None:
+    users = tmp_path / "users.txt"
+    users.write_text("alice:wonder\n")
+    files = {}
+    for name, user, password in (("hub", "alice", "wonder"), ("eve", "alice", "guess")):
+        auth = {"user": user, "password": password}
+        if name == "hub":
+            auth["dictionary_file"] = str(users)
+        files[name] = tmp_path / f"{name}.json5"
+        files[name].write_text(json.dumps({"transport": {"auth": {"usrpwd": auth}}}))
+    hub = open_bus(
+        "tcp/127.0.0.1:0", run="test", router=True, config_file=str(files["hub"])
+    )  # fmt: skip
+    with hub:
+        hub.answer("@ctl/x", lambda key, payload: "in")
+        alice = open_bus(hub.url, run="test", config_file=str(files["hub"]))
+        with alice:
+            assert alice.ask("@ctl/x") == [b'"in"']
+        for config in ("", str(files["eve"])):
+            with pytest.raises(ConfigError):
+                open_bus(hub.url, run="test", config_file=config).ask("@ctl/x", timeout_s=1)
+
+
+def test_a_configuration_that_cannot_be_read_is_the_users_mistake(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="--zenoh-config"):
+        open_bus(config_file=str(tmp_path / "none.json5"))

@@ -7,6 +7,7 @@ import pytest
 
 from mavproxy_fault.links import tcp
 from mavproxy_fault.links.link import QUEUE_LIMIT, Chunk
+from mavproxy_fault.links.stream import READ_AT_ONCE
 from mavproxy_fault.links.tcp import TcpClient, TcpServer
 
 Link = TcpServer | TcpClient
@@ -104,3 +105,15 @@ def test_what_is_written_while_connecting_arrives(server: TcpServer) -> None:
     read_until(client, lambda _: client.peer_count == 1)
     assert read_until(server, bool) == [(0, b"at once")]
     client.close()
+
+
+def test_a_fast_peer_lets_others_have_their_turn() -> None:
+    link = TcpServer("127.0.0.1", 0)
+    with socket.create_connection(("127.0.0.1", link.port)) as peer:
+        peer.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                peer.send(bytes(1 << 20))
+        link.read()
+        assert 0 < sum(len(data) for _, data in link.read()) <= READ_AT_ONCE
+    link.close()

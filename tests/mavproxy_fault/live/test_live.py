@@ -1,12 +1,18 @@
+import itertools
+import json
 import select
 import socket
 import struct
 import threading
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
+import msgspec
 import pytest
 
 from mavproxy_fault.cli import main
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.live.control import Control
 from mavproxy_fault.live.rflysim import read_map
 from mavproxy_fault.live.session import Live
@@ -108,3 +114,89 @@ def test_rflysim_packets_reach_the_engine(loop: Loop) -> None:
             break
         deadline.wait(0.01)
     assert loop.engine.ids() == ["rflysim-1-123455.1"]
+
+
+def test_a_request_names_no_file_that_was_not_allowed(loop: Loop, tmp_path: Path) -> None:
+    secret, allowed = tmp_path / "secret.csv", tmp_path / "tables"
+    secret.write_text("the first line of it\n")
+    allowed.mkdir()
+    (allowed / "table.csv").write_text("t_s,value\n0,1\n")
+    loop.live.control.folders = [allowed]
+
+    def entry(path: Path) -> dict[str, Any]:
+        profile = {"table": {"file": str(path)}}
+        return {"fault": "bias", "target": "HIL_SENSOR.xgyro", "profile": profile}
+
+    for link in (secret, allowed / ".." / "secret.csv"):
+        with pytest.raises(ConfigError, match="must not be named") as caught:
+            loop.live.ask("@ctl/fault/a/arm", msgspec.json.encode(entry(link)))
+        assert "first line" not in str(caught.value)
+        schedule = json.dumps({"faults": [{**entry(link), "id": "a"}]}).encode()
+        with pytest.raises(ConfigError, match="must not be named"):
+            loop.live.ask("@ctl/schedule/load", schedule)
+    (allowed / "link.csv").symlink_to(secret)
+    with pytest.raises(ConfigError, match="must not be named"):
+        loop.live.ask("@ctl/fault/a/arm", msgspec.json.encode(entry(allowed / "link.csv")))
+    told = loop.live.ask("@ctl/fault/a/arm", msgspec.json.encode(entry(allowed / "table.csv")))
+    assert told == {"armed": ["a"]}
+
+
+def test_proxies_of_one_router_have_names_of_their_own(
+    loop: Loop, capsys: pytest.CaptureFixture[str]
+) -> None:
+    second = Live(Control(Engine(Schedule(1))), lambda: 0)
+    with pytest.raises(ConfigError, match="--run live is another"):
+        second.open_bus(loop.live.url or "", "live")
+    second.open_bus(loop.live.url or "")
+    assert second.run == "live-2"
+    assert inject(loop, "bias", "--target", "HIL_SENSOR.xgyro", "--value", "1") == 2
+    assert "live, live-2" in capsys.readouterr().err
+    second.close()
+
+
+def test_a_proxy_takes_over_when_the_router_ends() -> None:
+    first = Live(Control(Engine(Schedule(1))), lambda: 0)
+    first.open_bus("tcp/127.0.0.1:0", "first")
+    url = first.url or ""
+    second = Live(Control(Engine(Schedule(1))), lambda: 0)
+    second.open_bus(url, "second")
+    assert not second.is_router
+    first.close()
+    for now_s in itertools.count(1.0):
+        second.show(now_s)
+        select.select(second.filenos(), (), (), 0.05)
+        second.serve()
+        if second.is_router:
+            break
+        assert now_s < 400
+    answers: list[int] = []
+    asker = threading.Thread(
+        target=lambda: answers.append(main(["inject", "--clear", "all", "--zenoh", url]))
+    )
+    asker.start()
+    while asker.is_alive():
+        select.select(second.filenos(), (), (), 0.05)
+        second.serve()
+    asker.join()
+    assert answers == [0]
+    second.close()
+
+
+def test_who_asks_a_proxy_that_ends_is_told_so_at_once() -> None:
+    live = Live(Control(Engine(Schedule(1))), lambda: 0)
+    told: list[str] = []
+
+    def ask() -> None:
+        try:
+            live.ask("@ctl/state", b"")
+        except ConfigError as error:
+            told.append(str(error))
+
+    asker = threading.Thread(target=ask)
+    asker.start()
+    assert select.select(live.filenos(), (), (), 10)[0]  # nobody serves it
+    live._requests.serve = lambda: None  # type: ignore[method-assign]
+    live.close()
+    asker.join(1)
+    assert not asker.is_alive()
+    assert "ended" in told[0]

@@ -63,7 +63,7 @@ class TrackView {
       return [width / 2 + this.move[0] + scale * across, height / 2 + this.move[1] - scale * (along * sb + z * cb)];
     };
     this.ground(ctx, place, low, high, scale, width, height, lift);
-    this.tracks.forEach((track, i) => { if (!this.hidden.has(track.name)) this.path(ctx, place, track, seriesColour(i)); });
+    this.tracks.forEach((track) => { if (!this.hidden.has(track.name)) this.path(ctx, place, track, seriesColour(track.colour)); });
   }
   ground(ctx, place, low, high, scale, width, height, lift) {
     const raw = 90 / scale, power = 10 ** Math.floor(Math.log10(raw));
@@ -102,4 +102,27 @@ class TrackView {
     ctx.fillStyle = stroke; ctx.beginPath();
     ctx.arc(...place(track.e[i], track.n[i], track.u[i]), 4.5, 0, 7); ctx.fill();
   }
+}
+
+function trackViews(page, numbers, axis) {
+  if (!page.tracks.length) return [];
+  const paths = page.tracks.map((track) => ({
+    name: track.name, colour: track.colour, t: decodeTimes(track.t, numbers), e: decodeValues(track.e, numbers),
+    n: decodeValues(track.n, numbers), u: decodeValues(track.u, numbers),
+  }));
+  const views = [new TrackView(document.getElementById("map"), paths, axis, false),
+    new TrackView(document.getElementById("space"), paths, axis, true)];
+  const key = document.getElementById("track-key");
+  for (const track of paths) {
+    const label = document.createElement("label"), box = document.createElement("input"), line = document.createElement("i");
+    box.type = "checkbox"; box.checked = true; line.style.background = `var(--s${track.colour})`;
+    box.addEventListener("change", () => views.forEach((view) => {
+      if (box.checked) view.hidden.delete(track.name); else view.hidden.add(track.name);
+      view.draw();
+    }));
+    label.append(box, line, track.name);
+    key.append(label);
+  }
+  new ResizeObserver(() => views.forEach((view) => view.later())).observe(views[0].canvas);
+  return views;
 }

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from analysis.report.page.fused_curves import fused_errors
+from analysis.report.curves.fused_curves import fused_errors
 from analysis.report.recordings.recording import Event, Recording, Signal, Track, Vector
 
 EARTH_RADIUS_M = 6_371_000.0
 OWN_ATTITUDE = ("ATTITUDE", "ATTITUDE_QUATERNION")
 LONG_STEP_S = 3.0  # fixes further apart than this say nothing about a jump
+BALANCE_S = 1.0
 ACCEPTED_M = 5.0  # an estimate that moves so far between two samples was reset
 
 
@@ -38,6 +39,8 @@ def derived(recording: Recording) -> tuple[list[Signal], list[Event]]:
     signals.extend(_position_errors(recording))
     signals.extend(fused_errors(recording))
     signals.extend(_attitude_errors(recording))
+    signals.extend(_divergence(recording))
+    signals.extend(_balance(recording))
     return signals, events
 
 
@@ -124,3 +127,34 @@ def _difference(panel: str, name: str, own: Signal, other: Signal) -> Signal:
     t_s = own.t_s[inside]
     there = np.interp(t_s, other.t_s, np.unwrap(other.value, period=360))
     return Signal(panel, name, t_s, 180 - (180 - (own.value[inside] - there)) % 360)
+
+
+def _divergence(recording: Recording) -> list[Signal]:
+    """How far each further instance of the estimator leans from the first, degrees."""
+    angles = [recording.of(f"instance-{part}") for part in ("roll", "pitch")]
+    found = []
+    for roll, pitch in list(zip(*angles, strict=False))[1:]:
+        apart = []
+        for first, further in zip((angles[0][0], angles[1][0]), (roll, pitch), strict=True):
+            there = np.interp(further.t_s, first.t_s, first.value)
+            apart.append(further.value - there)
+        found.append(Signal("divergence", roll.name, roll.t_s, np.hypot(*apart)))
+    return found
+
+
+def _balance(recording: Recording) -> list[Signal]:
+    """Each motor's output less the mean of all, smoothed: a motor that is weak works more."""
+    motors = [signal for signal in recording.of("actuators") if signal.name.startswith("motor")]
+    if len(motors) < 3 or any(len(s.t_s) != len(motors[0].t_s) for s in motors):
+        return []
+    outputs = np.stack([signal.value for signal in motors])
+    t_s = motors[0].t_s
+    samples = max(1, round(BALANCE_S * len(t_s) / max(float(np.ptp(t_s)), 1e-6)))
+    if len(t_s) < 2 * samples:
+        return []
+    window = np.full(samples, 1 / samples)
+    off = np.nan_to_num(outputs - outputs.mean(axis=0))
+    smooth = [np.convolve(row, window, "same") for row in off]
+    return [
+        Signal("balance", motor.name, t_s, row) for motor, row in zip(motors, smooth, strict=True)
+    ]

@@ -3,108 +3,95 @@
 Units and the values that stand for "unknown" are those of MAVLink's common message set.
 """
 
-from collections.abc import Callable
-
 import numpy as np
-from numpy.typing import NDArray
 
-Rows = NDArray[np.void]
-Values = NDArray[np.float64]
+from analysis.report.curves.field_values import (
+    GRAVITY_MPS2,
+    Columns,
+    Curve,
+    Reader,
+    Values,
+    column,
+    degrees,
+    element,
+    euler_deg,
+    field,
+    heading,
+    norm,
+    used,
+)
 
-GRAVITY_MPS2 = 9.80665
 COUNTS_PER_RAD = 1000.0
+NO_CELL = 65535
+CHANNELS, CELLS, MOTORS = 8, 10, 8  # shown at the most
 
 
-def field(name: str, scale: float = 1.0, unknown: float | None = None) -> Callable[[Rows], Values]:
-    """Values of a field times `scale`; the value `unknown` becomes NaN."""
-
-    def values(rows: Rows) -> Values:
-        raw = rows[name].astype(float)
-        if unknown is not None:
-            raw[raw == unknown] = np.nan
-        return raw * scale
-
-    return values
-
-
-def degrees(name: str) -> Callable[[Rows], Values]:
-    """Values of a field in radians as degrees."""
-    return field(name, 180 / np.pi)
-
-
-def heading(name: str, scale: float = 180 / np.pi) -> Callable[[Rows], Values]:
-    """A heading in degrees, wrapped to (-180, 180]."""
-    return lambda rows: 180 - (180 - rows[name].astype(float) * scale) % 360
-
-
-def norm(*names: str, scale: float = 1.0) -> Callable[[Rows], Values]:
-    """Length of the vector that several fields make."""
-    return lambda rows: scale * np.sqrt(sum(rows[name].astype(float) ** 2 for name in names))
-
-
-def euler(part: int) -> Callable[[Rows], Values]:
+def _euler(part: int) -> Reader:
     """Roll (0), pitch (1) or yaw (2) in degrees of a quaternion message."""
 
-    def values(rows: Rows) -> Values:
-        vector = next(
-            (n for n in ("attitude_quaternion", "q") if n in (rows.dtype.names or ())), ""
-        )
-        q = rows[vector].T if vector else np.stack([rows[n] for n in ("q1", "q2", "q3", "q4")])
-        return euler_deg(q.astype(float))[part]
+    def values(rows: Columns) -> Values:
+        vector = next((name for name in ("attitude_quaternion", "q") if name in rows), None)
+        if vector is not None:
+            return euler_deg(column(rows, vector).T)[part]
+        return euler_deg(np.stack([column(rows, name) for name in ("q1", "q2", "q3", "q4")]))[part]
 
     return values
 
 
-def euler_deg(q: Values) -> tuple[Values, Values, Values]:
-    """Roll, pitch and yaw in degrees of quaternions (w, x, y, z), shape (4, n)."""
-    w, x, y, z = q
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return np.degrees(roll), np.degrees(pitch), np.degrees(yaw)
-
-
-def cell_volts(rows: Rows) -> Values:
+def _battery_v(rows: Columns) -> Values:
     """Sum of the cells that BATTERY_STATUS gives, volts."""
-    cells = rows["voltages"].astype(float)
-    cells[cells == 65535] = np.nan
+    cells = column(rows, "voltages")
+    cells[cells == NO_CELL] = np.nan
     total = np.nansum(cells, axis=1) * 1e-3
     return np.where(np.isnan(cells).all(axis=1), np.nan, total)
 
 
-def dilution(name: str) -> Callable[[Rows], Values]:
+def _dilution(name: str) -> Reader:
     """GPS_RAW_INT's eph or epv; 0 and 65535 say that it is unknown, 99.99 that there is no fix."""
 
-    def values(rows: Rows) -> Values:
-        raw = rows[name].astype(float)
+    def values(rows: Columns) -> Values:
+        raw = column(rows, name)
         return np.where((raw == 0) | (raw >= 9999), np.nan, raw * 1e-2)
 
     return values
 
 
-def milli_g(axis: str) -> Callable[[Rows], Values]:
+def _milli_g(axis: str) -> Reader:
     """An acceleration in thousandths of g as m/s^2."""
     return field(axis, GRAVITY_MPS2 * 1e-3)
 
 
-Curve = tuple[str, str, str, Callable[[Rows], Values]]
+def _milli_rad(axis: str) -> Reader:
+    """A rate in thousandths of rad/s as rad/s."""
+    return field(axis, 1 / COUNTS_PER_RAD)
 
-CURVES: tuple[Curve, ...] = (
+
+def _noise(strongest: int) -> Reader:
+    """C/N0 of the satellite of this rank in GPS_STATUS, dB-Hz; 0 is no satellite."""
+
+    def values(rows: Columns) -> Values:
+        ranked = -np.sort(-column(rows, "satellite_snr"), axis=1)[:, strongest - 1]
+        return np.where(ranked > 0, ranked, np.nan)
+
+    return values
+
+
+_TABLE: tuple[tuple[str, str, str, Reader], ...] = (
     ("ATTITUDE", "roll", "ATTITUDE", degrees("roll")),
     ("ATTITUDE", "pitch", "ATTITUDE", degrees("pitch")),
     ("ATTITUDE", "yaw", "ATTITUDE", heading("yaw")),
-    ("ATTITUDE_QUATERNION", "roll", "ATTITUDE_QUATERNION", euler(0)),
-    ("ATTITUDE_QUATERNION", "pitch", "ATTITUDE_QUATERNION", euler(1)),
-    ("ATTITUDE_QUATERNION", "yaw", "ATTITUDE_QUATERNION", euler(2)),
-    ("ATTITUDE_TARGET", "roll", "desired", euler(0)),
-    ("ATTITUDE_TARGET", "pitch", "desired", euler(1)),
-    ("ATTITUDE_TARGET", "yaw", "desired", euler(2)),
+    ("ATTITUDE_QUATERNION", "roll", "ATTITUDE_QUATERNION", _euler(0)),
+    ("ATTITUDE_QUATERNION", "pitch", "ATTITUDE_QUATERNION", _euler(1)),
+    ("ATTITUDE_QUATERNION", "yaw", "ATTITUDE_QUATERNION", _euler(2)),
+    ("ATTITUDE_TARGET", "roll", "desired", _euler(0)),
+    ("ATTITUDE_TARGET", "pitch", "desired", _euler(1)),
+    ("ATTITUDE_TARGET", "yaw", "desired", _euler(2)),
     ("AHRS2", "roll", "AHRS2", degrees("roll")),
     ("AHRS2", "pitch", "AHRS2", degrees("pitch")),
     ("AHRS2", "yaw", "AHRS2", heading("yaw")),
-    ("HIL_STATE_QUATERNION", "roll", "truth", euler(0)),
-    ("HIL_STATE_QUATERNION", "pitch", "truth", euler(1)),
-    ("HIL_STATE_QUATERNION", "yaw", "truth", euler(2)),
+    ("HIL_STATE_QUATERNION", "roll", "truth", _euler(0)),
+    ("HIL_STATE_QUATERNION", "pitch", "truth", _euler(1)),
+    ("HIL_STATE_QUATERNION", "yaw", "truth", _euler(2)),
     ("HIL_STATE_QUATERNION", "altitude", "truth", field("alt", 1e-3)),
     ("GLOBAL_POSITION_INT", "altitude", "estimate", field("alt", 1e-3)),
     ("GPS_RAW_INT", "altitude", "GPS", field("alt", 1e-3)),
@@ -133,8 +120,8 @@ CURVES: tuple[Curve, ...] = (
     ("GPS_RAW_INT", "gps-satellites", "GPS", field("satellites_visible", 1, 255)),
     ("GPS2_RAW", "gps-satellites", "GPS 2", field("satellites_visible", 1, 255)),
     ("HIL_GPS", "gps-satellites", "HIL_GPS", field("satellites_visible", 1, 255)),
-    ("GPS_RAW_INT", "gps-dilution", "eph", dilution("eph")),
-    ("GPS_RAW_INT", "gps-dilution", "epv", dilution("epv")),
+    ("GPS_RAW_INT", "gps-dilution", "eph", _dilution("eph")),
+    ("GPS_RAW_INT", "gps-dilution", "epv", _dilution("epv")),
     ("GPS_RAW_INT", "gps-accuracy", "horizontal", field("h_acc", 1e-3, 0)),
     ("GPS_RAW_INT", "gps-accuracy", "vertical", field("v_acc", 1e-3, 0)),
     ("GPS_RAW_INT", "gps-fix", "GPS", field("fix_type")),
@@ -152,14 +139,13 @@ CURVES: tuple[Curve, ...] = (
     ("HIGHRES_IMU", "accel", "y (HIGHRES)", field("yacc")),
     ("HIGHRES_IMU", "accel", "z (HIGHRES)", field("zacc")),
     ("HIGHRES_IMU", "mag", "HIGHRES_IMU", norm("xmag", "ymag", "zmag")),
-    ("RAW_IMU", "accel", "x (1)", milli_g("xacc")),
-    ("RAW_IMU", "accel", "y (1)", milli_g("yacc")),
-    ("RAW_IMU", "accel", "z (1)", milli_g("zacc")),
-    ("RAW_IMU", "gyro", "x (1)", field("xgyro", 1 / COUNTS_PER_RAD)),
-    ("RAW_IMU", "gyro", "y (1)", field("ygyro", 1 / COUNTS_PER_RAD)),
-    ("RAW_IMU", "gyro", "z (1)", field("zgyro", 1 / COUNTS_PER_RAD)),
+    ("RAW_IMU", "accel", "x (1)", _milli_g("xacc")),
+    ("RAW_IMU", "accel", "y (1)", _milli_g("yacc")),
+    ("RAW_IMU", "accel", "z (1)", _milli_g("zacc")),
+    ("RAW_IMU", "gyro", "x (1)", _milli_rad("xgyro")),
+    ("RAW_IMU", "gyro", "y (1)", _milli_rad("ygyro")),
+    ("RAW_IMU", "gyro", "z (1)", _milli_rad("zgyro")),
     ("RAW_IMU", "mag", "compass 1", norm("xmag", "ymag", "zmag", scale=1e-3)),
-    ("SCALED_IMU2", "accel", "z (2)", milli_g("zacc")),
     ("SCALED_IMU2", "mag", "compass 2", norm("xmag", "ymag", "zmag", scale=1e-3)),
     ("SCALED_IMU3", "mag", "compass 3", norm("xmag", "ymag", "zmag", scale=1e-3)),
     ("SCALED_PRESSURE", "baro", "barometer", field("press_abs")),
@@ -174,11 +160,63 @@ CURVES: tuple[Curve, ...] = (
     ("SYS_STATUS", "battery-current", "SYS_STATUS", field("current_battery", 1e-2, -1)),
     ("SYS_STATUS", "battery-remaining", "SYS_STATUS", field("battery_remaining", 1, -1)),
     ("SYS_STATUS", "load", "processor", field("load", 0.1)),
-    ("BATTERY_STATUS", "battery-voltage", "BATTERY_STATUS", cell_volts),
+    ("BATTERY_STATUS", "battery-voltage", "BATTERY_STATUS", _battery_v),
     ("BATTERY_STATUS", "battery-remaining", "BATTERY_STATUS", field("battery_remaining", 1, -1)),
     ("POWER_STATUS", "board-voltage", "Vcc", field("Vcc", 1e-3)),
     ("RADIO_STATUS", "radio", "signal", field("rssi", 1, 255)),
     ("RADIO_STATUS", "radio", "remote signal", field("remrssi", 1, 255)),
     ("RADIO_STATUS", "radio", "noise", field("noise", 1, 255)),
     ("RADIO_STATUS", "radio", "remote noise", field("remnoise", 1, 255)),
+    *(
+        ("ATTITUDE", f"rate-{name}", "actual", degrees(f"{name}speed"))
+        for name in ("roll", "pitch", "yaw")
+    ),
+    *(
+        ("ATTITUDE_TARGET", f"rate-{name}", "desired", degrees(f"body_{name}_rate"))
+        for name in ("roll", "pitch", "yaw")
+    ),
+    *(
+        (message, f"{kind}-{axis}", name, field(f"{prefix}{letter}"))
+        for message, name in (
+            ("LOCAL_POSITION_NED", "estimate"),
+            ("POSITION_TARGET_LOCAL_NED", "desired"),
+        )
+        for kind, prefix in (("velocity", "v"), ("position", ""))
+        for letter, axis in (("x", "north"), ("y", "east"), ("z", "down"))
+    ),
+    *(
+        ("HIL_ACTUATOR_CONTROLS", "actuators", f"motor {i + 1}", element("controls", i))
+        for i in range(MOTORS)
+    ),
+    *(
+        ("SERVO_OUTPUT_RAW", "outputs", f"output {i}", used(f"servo{i}_raw"))
+        for i in range(1, CHANNELS + 1)
+    ),
+    *(("RC_CHANNELS", "rc", f"channel {i}", used(f"chan{i}_raw")) for i in range(1, CHANNELS + 1)),
+    *(
+        ("BATTERY_STATUS", "battery-cells", f"cell {i + 1}", element("voltages", i, 1e-3, NO_CELL))
+        for i in range(CELLS)
+    ),
+    *(("ESC_TELEMETRY_1_TO_4", "rpm", f"motor {i + 1}", element("rpm", i)) for i in range(4)),
+    *(("ESC_TELEMETRY_5_TO_8", "rpm", f"motor {i + 5}", element("rpm", i)) for i in range(4)),
+    *(("ESC_STATUS", "rpm", f"motor {i + 1}", element("rpm", i)) for i in range(4)),
+    *(
+        (message, f"{kind}-instances", f"{axis}{suffix}", reader(f"{axis}{word}"))
+        for message, suffix in (("RAW_IMU", ""), ("SCALED_IMU2", " 2"), ("SCALED_IMU3", " 3"))
+        for kind, word, reader in (("accel", "acc", _milli_g), ("gyro", "gyro", _milli_rad))
+        for axis in "xyz"
+    ),
+    *(("HIGHRES_IMU", "gyro", f"{axis} (HIGHRES)", field(f"{axis}gyro")) for axis in "xyz"),
+    ("GPS_STATUS", "gps-cn0", "strongest", _noise(1)),
+    ("GPS_STATUS", "gps-cn0", "fourth strongest", _noise(4)),
+    ("GPS_RAW_INT", "gps-accuracy", "speed, m/s", field("vel_acc", 1e-3, 0)),
+    ("WIND", "wind", "speed", field("speed")),
+    ("WIND_COV", "wind", "speed", norm("wind_x", "wind_y")),
+    ("DISTANCE_SENSOR", "range", "distance sensor", field("current_distance", 1e-2)),
+    ("RANGEFINDER", "range", "distance sensor", field("distance")),
+    ("SYS_STATUS", "link-drop", "packets dropped", field("drop_rate_comm", 1e-2)),
+    ("POWER_STATUS", "board-voltage", "servo rail", used("Vservo", 1e-3)),
+    ("MEMINFO", "memory", "free", field("freemem", 1 / 1024)),
+    ("HWSTATUS", "board-voltage", "board", used("Vcc", 1e-3)),
 )
+CURVES = tuple(Curve(*row) for row in _TABLE)

@@ -1,0 +1,41 @@
+"""The smallest magnitude at which the outcome gets worse, by halving the interval.
+
+Eight flights at most: one at the upper end, one at the lower, six halvings, after which the
+interval is a sixty-fourth of the first. Outcomes need not grow with the magnitude everywhere; what
+is found is one place at which they get worse.
+"""
+
+from collections.abc import Generator
+from dataclasses import dataclass
+
+from analysis.campaign.campaign_file import Magnitudes
+
+HALVINGS = 6
+
+
+@dataclass(frozen=True)
+class Critical:
+    """`magnitude` is the smallest found that is worse, `harmless` the largest below it that is not.
+
+    Without `magnitude` the whole interval is harmless; without `harmless` all of it is worse.
+    """
+
+    magnitude: float | None
+    harmless: float | None
+    flights: int
+
+
+def bisect(interval: Magnitudes) -> Generator[float, bool, Critical]:
+    """Yields magnitudes to fly and is sent whether each was worse."""
+    if not (yield interval.high):
+        return Critical(None, interval.high, 1)
+    if (yield interval.low):
+        return Critical(interval.low, None, 2)
+    low, high = 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if (yield interval.between(middle)):
+            high = middle
+        else:
+            low = middle
+    return Critical(interval.between(high), interval.between(low), HALVINGS + 2)

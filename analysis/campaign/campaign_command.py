@@ -1,0 +1,88 @@
+"""`mavproxy-fault campaign`: fly a campaign's cells, show what came of them, compare two."""
+
+import argparse
+import os
+from pathlib import Path
+
+from analysis.campaign.campaign_file import CampaignFile, read_campaign
+from analysis.campaign.campaign_run import CampaignRun
+from analysis.campaign.fleet import fleet_of
+from analysis.campaign.ledger import Ledger
+from analysis.campaign.plan import Plan
+from analysis.campaign.results.campaign_progress import CampaignProgress
+from analysis.campaign.results.campaign_report import write_report
+from analysis.campaign.results.outcome_table import print_outcomes
+from mavproxy_fault.documents.errors import ConfigError
+
+SPEED = 15.0  # simulated seconds a worker flies in one of wall time, before anything is known
+LANE_SPEED = 20_000.0
+
+
+def main(args: argparse.Namespace) -> int:
+    """Fly, or compare two campaigns; the exit code."""
+    if args.file[0] == "compare":
+        from analysis.campaign.results.campaign_comparison import compare_folders
+
+        if len(args.file) != 3:
+            raise ConfigError("campaign compare: takes two folders, of before and after")
+        return compare_folders(*(Path(name) for name in args.file[1:]))
+    if len(args.file) != 1:
+        raise ConfigError("campaign: takes one file; see docs/campaigns.md")
+    campaign = read_campaign(args.file[0])
+    workers = args.workers or os.cpu_count() or 1
+    folder = Path(args.out) if args.out else new_folder(Path("runs"), campaign.name)
+    keep = folder / "flights" if args.export or campaign.keep != "none" else None
+    plan = Plan(campaign, keep)
+    print(size_of(plan, workers), flush=True)
+    if args.dry_run:
+        return 0
+    fly(plan, folder, workers, args.ray)
+    if args.export:
+        from analysis.campaign.results.data_set import export
+
+        export(folder, Path(args.export))
+    return 0
+
+
+def fly(plan: Plan, folder: Path, workers: int, ray_address: str | None) -> None:
+    """Fly what is missing, then write and print what is known; also after Ctrl-C."""
+    campaign = plan.campaign
+    ledger = Ledger(folder, campaign)
+    fleet = fleet_of(workers, ray_address, campaign.flight_limit_s)
+    try:
+        with CampaignProgress(plan.most_cells, len(ledger.results)) as progress:
+            CampaignRun(plan, fleet, ledger, progress.show).fly()
+    finally:
+        fleet.close()
+        ledger.close()
+        if ledger.results:
+            write_report(folder, plan)
+            print_outcomes(folder, plan)
+
+
+def new_folder(parent: Path, name: str) -> Path:
+    """`campaign-NAME-1` or the first number that is free."""
+    number = 1
+    while (parent / f"campaign-{name}-{number}").exists():
+        number += 1
+    return parent / f"campaign-{name}-{number}"
+
+
+def size_of(plan: Plan, workers: int) -> str:
+    """What is about to be flown, and how long that may take."""
+    campaign: CampaignFile = plan.campaign
+    flights, cells = plan.most_flights + len(plan.twins()), plan.most_cells
+    speed = LANE_SPEED if campaign.compiled else SPEED
+    wall_s = flights * plan.flight_s / speed / workers
+    most = "at most " if campaign.find == "critical" else ""
+    return (
+        f"{campaign.name}: {most}{cells} cells in {flights} flights of {plan.flight_s:g} s, "
+        f"some {duration(wall_s)} on {workers} workers"
+    )
+
+
+def duration(seconds: float) -> str:
+    """A time in the unit that suits it."""
+    if seconds < 90.0:
+        return f"{max(1, round(seconds))} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"

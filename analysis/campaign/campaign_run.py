@@ -1,0 +1,91 @@
+"""A campaign as it is flown: twins first, then every thread of jobs, each answer kept at once."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from analysis.campaign.cell import CellResult, Flown
+from analysis.campaign.fleet import Fleet
+from analysis.campaign.flying.flight_job import Answer
+from analysis.campaign.ledger import Ledger
+from analysis.campaign.plan import Plan, Thread
+from mavproxy_fault.documents.errors import ConfigError
+
+Progress = Callable[[list[CellResult]], None]
+
+
+@dataclass
+class CampaignRun:
+    """Flies a plan with a fleet into a ledger; `progress` is shown each job's results."""
+
+    plan: Plan
+    fleet: Fleet
+    ledger: Ledger
+    progress: Progress
+
+    def fly(self) -> None:
+        """Fly all that the ledger does not know yet.
+
+        Raises
+        ------
+        ConfigError
+            If a twin cannot be flown: then nothing of the campaign can.
+        """
+        self._twins()
+        todo = self.plan.threads(self.ledger.results, self.ledger.twins)
+        in_air: dict[int, Thread] = {}
+        count = 0
+        while True:
+            while len(in_air) < self.fleet.capacity and (thread := next(todo, None)) is not None:
+                count += self._begin(thread, count, in_air)
+            if not in_air:
+                return
+            number, answer = self.fleet.finished()
+            thread = in_air.pop(number)
+            self.ledger.add(answer.results, answer.flown)
+            self.progress(answer.results)
+            try:
+                job = thread.send(answer.results)
+            except StopIteration:
+                continue
+            count += 1
+            in_air[count] = thread
+            self.fleet.start(count, job)
+
+    def _begin(self, thread: Thread, count: int, in_air: dict[int, Thread]) -> int:
+        """Start a thread's first job; how many were started (0 if all of it is known)."""
+        job = next(thread, None)
+        if job is None:
+            return 0
+        in_air[count + 1] = thread
+        self.fleet.start(count + 1, job)
+        return 1
+
+    def _twins(self) -> None:
+        jobs = {k: job for k, job in self.plan.twins().items() if k not in self.ledger.twins}
+        waiting = list(jobs)
+        in_air: dict[int, str] = {}
+        while waiting or in_air:
+            while waiting and len(in_air) < self.fleet.capacity:
+                key = waiting.pop(0)
+                number = -len(jobs) + len(waiting)
+                in_air[number] = key
+                self.fleet.start(number, jobs[key])
+            number, answer = self.fleet.finished()
+            self.ledger.add_twin(in_air.pop(number), twin_of(answer))
+
+
+def twin_of(answer: Answer) -> Flown:
+    """The flight of an answer to a twin's job.
+
+    Raises
+    ------
+    ConfigError
+        If there was none.
+    """
+    if answer.flown is None:
+        first = answer.results[0]
+        raise ConfigError(
+            f"{first.cell.scenario}: {first.cell.subject} cannot be flown without a fault: "
+            f"{first.note}"
+        )
+    return answer.flown

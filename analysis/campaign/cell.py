@@ -1,0 +1,99 @@
+"""A cell of a campaign and what became of it."""
+
+from typing import Any
+
+import msgspec
+
+HEALTHY = "healthy"  # the fault of a twin
+MONITOR = "monitor"  # the subject that is the project's own detector
+
+
+class Cell(msgspec.Struct, frozen=True, kw_only=True):
+    """One question to a subject.
+
+    `magnitude` is in the field's unit, None for a fault or preset without one; `onset` is what the
+    file says, a time in seconds or a phase of flight by name.
+    """
+
+    subject: str
+    scenario: str
+    fault: str
+    magnitude: float | None = None
+    onset: float | str = 0.0
+    duration_s: float = 0.0
+    seed: int = 1
+
+    @property
+    def key(self) -> str:
+        """What tells it from all other cells."""
+        return "|".join((*self.series, "" if self.magnitude is None else f"{self.magnitude:.9g}"))
+
+    @property
+    def series(self) -> tuple[str, ...]:
+        """What the cells that differ only in their magnitude have in common."""
+        return (
+            self.subject, self.scenario, self.fault, str(self.onset), f"{self.duration_s:g}",
+            str(self.seed),
+        )  # fmt: skip
+
+
+class CellResult(msgspec.Struct, frozen=True, kw_only=True):
+    """What became of a cell; times count from the start of the flight, delays from the onset.
+
+    `outcome` is one of `outcomes.RANKS` or `aborted`, with the reason in `note`. Excursions are the
+    largest errors beyond those of the twin. `detected_by` names the first flag, alarm or text that
+    the twin does not show.
+    """
+
+    cell: Cell
+    outcome: str
+    onset_s: float = 0.0
+    excursion_deg: float | None = None
+    excursion_m: float | None = None
+    detected_s: float | None = None
+    detected_by: str = ""
+    recovery_s: float | None = None
+    failsafe: str = ""
+    failsafe_s: float | None = None
+    note: str = ""
+    wall_s: float = 0.0
+
+
+class Mark(msgspec.Struct, frozen=True):
+    """Something that happened: `kind` is detected, failsafe, landed, lost or crashed."""
+
+    t_s: float
+    kind: str
+    text: str = ""
+
+
+class Curve(msgspec.Struct, frozen=True):
+    """Samples of one quantity over the flight."""
+
+    t_s: list[float]
+    value: list[float]
+
+
+class Evidence(msgspec.Struct, frozen=True):
+    """What a flight showed of a subject: curves by name, and marks in order of time."""
+
+    curves: dict[str, Curve] = {}
+    marks: list[Mark] = []
+
+
+ATTITUDE, POSITION = "attitude error, deg", "position error, m"
+
+
+class Flown(msgspec.Struct, frozen=True):
+    """A flight that is over: evidence by subject, when each phase began, and how long it took."""
+
+    evidence: dict[str, Evidence]
+    phases: dict[str, float] = {}
+    duration_s: float = 0.0
+    wall_s: float = 0.0
+    folder: str = ""
+
+
+def key_of(*parts: Any) -> str:
+    """A name for a file, made of parts."""
+    return "-".join("".join(c if c.isalnum() or c in "._" else "_" for c in str(p)) for p in parts)

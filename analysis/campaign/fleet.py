@@ -1,0 +1,145 @@
+"""Who flies: processes of this machine, or a Ray cluster.
+
+A flight that hangs is ended after its time limit, and one whose process dies is told; on a cluster
+a flight whose node dies is flown again by another.
+"""
+
+import queue
+import signal
+import time
+from concurrent.futures import Future
+from multiprocessing import get_context
+from typing import Any, Protocol
+
+from pebble import ProcessExpired, ProcessPool
+
+from analysis.campaign.flying.flight_job import Answer, Job, answer, failed
+from mavproxy_fault.documents.errors import ConfigError
+
+AHEAD = 2  # jobs that wait for each worker, so that none is idle
+LOOK_S = 1.0
+
+
+class Fleet(Protocol):
+    """Flies jobs, several at once; answers come in any order."""
+
+    capacity: int
+
+    def start(self, number: int, job: Job) -> None:
+        """Begin a job under a number of the caller's."""
+
+    def finished(self) -> tuple[int, Answer]:
+        """Wait for the next answer.
+
+        Raises
+        ------
+        ConfigError
+            If the campaign asks for what cannot be flown.
+        """
+
+    def close(self) -> None:
+        """End all that is in the air."""
+
+
+class LocalFleet:
+    """Processes of this machine, each with one flight at a time."""
+
+    def __init__(self, workers: int, limit_s: float) -> None:
+        self.capacity = AHEAD * workers
+        self._limit_s = limit_s
+        self._jobs: dict[int, Job] = {}
+        self._done: queue.SimpleQueue[tuple[int, Future[Answer]]] = queue.SimpleQueue()
+        self._pool = ProcessPool(
+            max_workers=workers, context=get_context("spawn"), initializer=_without_ctrl_c
+        )
+
+    def start(self, number: int, job: Job) -> None:
+        """Begin a job."""
+        self._jobs[number] = job
+        future = self._pool.schedule(answer, args=[job], timeout=self._limit_s)
+        future.add_done_callback(lambda done: self._done.put((number, done)))
+
+    def finished(self) -> tuple[int, Answer]:
+        """Wait for the next answer."""
+        number, future = self._done.get()
+        job = self._jobs.pop(number)
+        try:
+            return number, future.result()
+        except TimeoutError:
+            return number, failed(job, f"hung: not over after {self._limit_s:g} s")
+        except ProcessExpired as dead:
+            return number, failed(job, f"its process died with code {dead.exitcode}")
+        except ConfigError as error:
+            return number, failed(job, str(error))
+
+    def close(self) -> None:
+        """End the processes."""
+        self._pool.stop()  # type: ignore[no-untyped-call]
+        self._pool.join()
+
+
+def _without_ctrl_c() -> None:
+    """Ctrl-C is the parent's, which ends its workers itself."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+class RayFleet:
+    """A Ray cluster; flights whose node dies are flown again."""
+
+    def __init__(self, address: str, limit_s: float) -> None:
+        try:
+            import ray
+        except ImportError:
+            raise ConfigError(
+                "--ray: Ray is not installed; pip install mavproxy-fault[cluster]"
+            ) from None
+        self._ray: Any = ray
+        self._mine = not ray.is_initialized()
+        if self._mine:
+            ray.init(address=address, log_to_driver=False)
+        self._limit_s = limit_s
+        self.capacity = AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
+        # Retries of deaths without end; what a flight itself raises comes back as its answer.
+        self._answer: Any = ray.remote(max_retries=-1)(_told)
+        self._flying: dict[Any, tuple[int, Job, float]] = {}
+
+    def start(self, number: int, job: Job) -> None:
+        """Begin a job."""
+        self._flying[self._answer.remote(job)] = (number, job, time.monotonic())
+
+    def finished(self) -> tuple[int, Answer]:
+        """Wait for the next answer."""
+        while True:
+            done, _ = self._ray.wait(list(self._flying), num_returns=1, timeout=LOOK_S)
+            if done:
+                number, _, _ = self._flying.pop(done[0])
+                found: Answer = self._ray.get(done[0])
+                return number, found
+            for reference, (number, job, started_s) in self._flying.items():
+                # Jobs wait for a free processor too, AHEAD of them for each.
+                if time.monotonic() - started_s > AHEAD * self._limit_s:
+                    self._ray.cancel(reference, force=True)
+                    del self._flying[reference]
+                    return number, failed(job, f"hung: not over after {self._limit_s:g} s")
+
+    def close(self) -> None:
+        """Leave the cluster."""
+        for reference in self._flying:
+            self._ray.cancel(reference, force=True)
+        if self._mine:
+            self._ray.shutdown()
+
+
+def _told(job: Job) -> Answer:
+    """The answer, also where the flight cannot be made."""
+    try:
+        return answer(job)
+    except ConfigError as error:
+        return failed(job, str(error))
+
+
+def fleet_of(workers: int, ray_address: str | None, limit_s: float) -> Fleet:
+    """The fleet that the command line asks for."""
+    if ray_address is not None:
+        return RayFleet(ray_address, limit_s)
+    return LocalFleet(workers, limit_s)

@@ -1,0 +1,81 @@
+"""Cells flown by the search's compiled kernels, thousands at once.
+
+The kernels keep no curves: the excursion is how far the largest error of the whole flight lies
+beyond that of the twin, which flies in the same batch with the same noise.
+"""
+
+import time
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from analysis.campaign.campaign_file import CampaignFile, CompiledScenario
+from analysis.campaign.cell import Cell, CellResult
+from analysis.campaign.outcomes import outcome_of
+from analysis.search.evaluation.compiled_batch import Batch
+from analysis.search.lanes import rows
+from analysis.search.space.test_file import TestFile
+from mavproxy_fault.documents.errors import ConfigError
+
+NEVER_S = 1e9
+ANGLE = 3  # place of the whole angle among the errors
+
+
+def fly_lanes(campaign: CampaignFile, cells: Sequence[Cell]) -> list[CellResult]:
+    """The outcomes of cells that share subject, scenario, fault and seed.
+
+    Raises
+    ------
+    ConfigError
+        If the kernels do not have the fault or the subject.
+    """
+    started_s = time.monotonic()
+    batch = Batch(lane_test(campaign, cells[0]))
+    at_s = [NEVER_S, *(float(cell.onset) for cell in cells)]
+    count = len(at_s)
+    values = {name: np.full(count, value) for name, value in batch.space.fixed.items()}
+    values["faults[0].at_s"] = np.array(at_s)
+    values["faults[0].for_s"] = np.array([1.0, *(cell.duration_s for cell in cells)])
+    if cells[0].magnitude is not None:
+        values["faults[0].value"] = np.array([0.0, *(cell.magnitude for cell in cells)], float)
+    outcome = batch.of_values(values, cells[0].seed, 0, 1, alike=True)
+    largest_deg = outcome.largest_deg[:, ANGLE]
+    excursion_deg = largest_deg[1:] - largest_deg[0]
+    wall_s = (time.monotonic() - started_s) / len(cells)
+    found = []
+    for cell, beyond, left in zip(cells, excursion_deg, outcome.left[1:], strict=True):
+        kinds = {"crashed"} if left > 0 else set()
+        found.append(
+            CellResult(
+                cell=cell,
+                outcome=outcome_of(float(beyond), 0.0, kinds, campaign.limits),
+                onset_s=float(cell.onset),
+                excursion_deg=float(beyond),
+                note=f"left the envelope: {rows.LIMITS[left]}" if left > 0 else "",
+                wall_s=wall_s,
+            )
+        )
+    return found
+
+
+def lane_test(campaign: CampaignFile, cell: Cell) -> TestFile:
+    """The search's test that flies a cell's kind."""
+    scenario = next(
+        s for s in campaign.scenarios if isinstance(s, CompiledScenario) and s.name == cell.scenario
+    )
+    fault = campaign.fault(cell.fault)
+    target = fault.target if isinstance(fault.target, str) else None
+    entry = {"fault": fault.fault, "target": target, "at_s": 0.0, "for_s": 1.0, "also": fault.also}
+    if cell.magnitude is not None:
+        entry["value"] = 0.0
+    document = {
+        **scenario.compiled,
+        "estimator": cell.subject,
+        "criterion": "angle",
+        "faults": [entry],
+    }
+    try:
+        return msgspec.convert(document, TestFile)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{campaign.name}: {cell.scenario}, {cell.fault}: {error}") from None

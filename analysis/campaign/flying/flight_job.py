@@ -1,0 +1,116 @@
+"""Jobs: what one worker does at a time, and the answers that come back."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import msgspec
+
+from analysis.campaign.campaign_file import CampaignFile
+from analysis.campaign.cell import HEALTHY, MONITOR, Cell, CellResult, Evidence, Flown
+from analysis.campaign.flying.internal_flight import fly
+from analysis.campaign.outcomes import ABORTED, judged
+from analysis.run.setup import Setup, read_setup
+from mavproxy_fault.schedule.entries import parse_schedule
+
+
+@dataclass(frozen=True)
+class FlightJob:
+    """One flight, the answer to cells that differ only in their subject.
+
+    `twin` is the flight without the fault; None if this is the twin. `keep` is the folder for its
+    logs, if they are wanted.
+    """
+
+    campaign: CampaignFile
+    cells: tuple[Cell, ...]
+    twin: Flown | None = None
+    keep: str | None = None
+
+
+@dataclass(frozen=True)
+class LaneJob:
+    """A batch of compiled flights: cells of one subject, scenario, fault and seed."""
+
+    campaign: CampaignFile
+    cells: tuple[Cell, ...]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What became of a job: results of its cells, and what the flight showed."""
+
+    results: list[CellResult]
+    flown: Flown | None = None
+
+
+Job = FlightJob | LaneJob
+
+
+def answer(job: Job) -> Answer:
+    """Fly a job, in whatever process.
+
+    Raises
+    ------
+    ConfigError
+        If the file asks for a flight that cannot be made.
+    """
+    if isinstance(job, LaneJob):
+        from analysis.campaign.flying.compiled_lanes import fly_lanes
+
+        return Answer(fly_lanes(job.campaign, job.cells))
+    first = job.cells[0]
+    onset_s = onset_of(first, job.twin)
+    if onset_s is None:
+        return failed(job, f"the flight has no {first.onset}")
+    flown = flight_of(job, onset_s)
+    if job.twin is None:
+        return Answer([], flown)
+    results = [
+        msgspec.structs.replace(
+            judged(
+                cell,
+                onset_s,
+                flown.evidence[cell.subject],
+                job.twin.evidence.get(cell.subject, Evidence()),
+                job.campaign.limits,
+            ),
+            wall_s=flown.wall_s,
+        )
+        for cell in job.cells
+    ]
+    return Answer(results, flown)
+
+
+def failed(job: Job, reason: str) -> Answer:
+    """The answer of a job that could not be flown."""
+    return Answer([CellResult(cell=cell, outcome=ABORTED, note=reason) for cell in job.cells])
+
+
+def onset_of(cell: Cell, twin: Flown | None) -> float | None:
+    """When the fault sets in; None if the flight never comes to that phase."""
+    if not isinstance(cell.onset, str):
+        return float(cell.onset)
+    return None if twin is None else twin.phases.get(cell.onset)
+
+
+def flight_of(job: FlightJob, onset_s: float) -> Flown:
+    """Fly the cells' scenario, with their fault unless this is the twin."""
+    cell = job.cells[0]
+    subjects = [cell.subject for cell in job.cells]
+    setup = setup_of(job.campaign, cell, subjects)
+    entries = []
+    if cell.fault != HEALTHY:
+        fault = job.campaign.fault(cell.fault)
+        entries.append(fault.entry(cell.magnitude, onset_s, cell.duration_s))
+    schedule = parse_schedule({"seed": cell.seed, "faults": entries}, job.campaign.name)
+    keep = None if job.keep is None else Path(job.keep)
+    return fly(setup.scenario, schedule, setup.monitor, subjects, keep)
+
+
+def setup_of(campaign: CampaignFile, cell: Cell, subjects: list[str]) -> Setup:
+    """The scenario with the cell's seed and the estimators under test."""
+    setup = read_setup(str(Path(campaign.folder) / cell.scenario), None, cell.seed)
+    estimators = tuple(name for name in subjects if name != MONITOR)
+    attitude = msgspec.structs.replace(setup.monitor.attitude, estimators=estimators)
+    monitor = msgspec.structs.replace(setup.monitor, attitude=attitude)
+    return replace(setup, monitor=monitor)

@@ -1,0 +1,103 @@
+"""One flight in the simulator, through the proxy, watched by the monitor and by estimators.
+
+The simulator's controller flies by the truth, so that the flight is the same for every subject:
+all of them share it.
+"""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.campaign.cell import ATTITUDE, MONITOR, POSITION, Curve, Evidence, Flown, Mark
+from analysis.campaign.flying.flight_phases import PhaseTrack
+from analysis.monitor.monitor import Monitor
+from analysis.monitor.pipeline import MonitorConfig
+from analysis.results import AttitudeError, Decision, Result, SensorDecision
+from analysis.run.proxied_flight import Flight
+from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.schedule.entries import Schedule
+from simvehicle.scenario.scenario_file import Scenario
+
+TRACK_US = 100_000
+BATCH_BYTES = 32_768  # the monitor is fastest on many frames at once
+WIDEST_DEG = 180.0
+Vector = NDArray[np.float64]
+
+
+def fly(
+    scenario: Scenario,
+    schedule: Schedule,
+    config: MonitorConfig,
+    subjects: Sequence[str],
+    keep: Path | None = None,
+) -> Flown:
+    """Fly to the scenario's end; evidence by subject. `keep` is the folder for the logs."""
+    started_s = time.monotonic()
+    flight, monitor = Flight(scenario, schedule), Monitor(config)
+    phases, results = PhaseTrack(), list[Result]()
+    track: list[tuple[float, ...]] = []
+    next_us, batch = 0, bytearray()
+    while not flight.over:
+        batch += flight.advance([]).monitor
+        if flight.t_us >= next_us:
+            next_us = flight.t_us + TRACK_US
+            if len(batch) >= BATCH_BYTES:
+                results += monitor.bytes([bytes(batch)], datagrams=False)
+                batch.clear()
+            truth = flight.simulation.truth
+            place = ecef_from_geodetic(truth.lat_rad, truth.lon_rad, truth.height_m)
+            track.append((flight.vehicle_us, *place))
+            phases.note(flight.t_us * 1e-6, truth)
+    batch += flight.finish().monitor
+    results += monitor.bytes([bytes(batch)], datagrams=False)
+    found = {
+        name: of_monitor(results, np.array(track))
+        if name == MONITOR
+        else of_estimator(results, name)
+        for name in subjects
+    }
+    if keep is not None:
+        write_logs(flight, keep)
+    wall_s = time.monotonic() - started_s
+    return Flown(found, phases.begun, scenario.duration_s, wall_s)
+
+
+def write_logs(flight: Flight, folder: Path) -> None:
+    """The flight's tlogs and labels, as `run` leaves them."""
+    links = [{"name": role.name, "direction": role.direction} for role in flight.core.links]
+    recorder = Recorder(folder, {"schedule": flight.engine.save(), "links": links})
+    recorder.write(flight.tape, flight.take_labels())
+    recorder.close(flight.core.clock.t0_us, flight.now_us)
+
+
+def of_estimator(results: Sequence[Result], name: str) -> Evidence:
+    """An estimator's attitude error; it flags nothing."""
+    errors = [r for r in results if isinstance(r, AttitudeError) and r.estimator == name]
+    curve = Curve(
+        [round(e.t_s, 3) for e in errors],
+        [round(e.angle, 4) if np.isfinite(e.angle) else WIDEST_DEG for e in errors],
+    )
+    return Evidence({ATTITUDE: curve})
+
+
+def of_monitor(results: Sequence[Result], track: Vector) -> Evidence:
+    """The monitor's position error by the true track (n, 4) [us, m ECEF], and its alarms."""
+    decisions = [r for r in results if isinstance(r, Decision)]
+    fixes = [d for d in decisions if d.position_ecef_m is not None]
+    curves = {}
+    if fixes:
+        t_us = np.array([d.t_us for d in fixes])
+        true = np.stack([np.interp(t_us, track[:, 0], track[:, i]) for i in (1, 2, 3)], axis=1)
+        error = np.linalg.norm(np.array([d.position_ecef_m for d in fixes]) - true, axis=1)
+        curves[POSITION] = Curve([round(d.t_s, 3) for d in fixes], error.round(3).tolist())
+    alarms = [Mark(d.t_s, "detected", d.hypothesis) for d in decisions if d.alarm]
+    alarms += [
+        Mark(r.t_s, "detected", r.sensor)
+        for r in results
+        if isinstance(r, SensorDecision) and r.alarm
+    ]
+    return Evidence(curves, sorted(alarms, key=lambda mark: mark.t_s))

@@ -1,0 +1,117 @@
+"""What a campaign knows so far, in its folder; read again when it goes on after a kill.
+
+campaign.json    the file, as it was read
+cells.jsonl      a result a line, flushed at once
+curves.jsonl     the curves of each flight that has some
+twins.jsonl      the flights without a fault
+"""
+
+from io import FileIO
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from analysis.campaign.campaign_file import CampaignFile
+from analysis.campaign.cell import CellResult, Evidence, Flown
+from analysis.campaign.outcomes import ABORTED
+from mavproxy_fault.documents.errors import ConfigError
+
+CAMPAIGN, CELLS, CURVES, TWINS = "campaign.json", "cells.jsonl", "curves.jsonl", "twins.jsonl"
+T = TypeVar("T")
+
+
+class CurvesOf(msgspec.Struct, frozen=True):
+    """The evidence of a cell by its key."""
+
+    key: str
+    evidence: Evidence
+
+
+class TwinOf(msgspec.Struct, frozen=True):
+    """The flight without a fault, by its key."""
+
+    key: str
+    flown: Flown
+
+
+class Ledger:
+    """Open files of a campaign; `results` by key do not hold what was aborted.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds another campaign.
+    """
+
+    def __init__(self, folder: Path, campaign: CampaignFile) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder = folder
+        written = msgspec.json.encode(campaign)
+        known = folder / CAMPAIGN
+        if known.exists() and known.read_bytes() != written:
+            raise ConfigError(f"--out {folder}: holds another campaign; name another folder")
+        known.write_bytes(written)
+        self.results = {
+            result.cell.key: result
+            for result in read_lines(folder / CELLS, CellResult)
+            if result.outcome != ABORTED
+        }
+        self.twins = {twin.key: twin.flown for twin in read_lines(folder / TWINS, TwinOf)}
+        self._files = {name: open_whole(folder / name) for name in (CELLS, CURVES, TWINS)}
+        self._encoder = msgspec.json.Encoder()
+
+    def add(self, results: list[CellResult], flown: Flown | None) -> None:
+        """Keep the results of a job, and the curves of its flight."""
+        self.results |= {result.cell.key: result for result in results}
+        self._write(CELLS, results)
+        if flown is not None:
+            evidence = flown.evidence
+            self._write(CURVES, [CurvesOf(r.cell.key, evidence[r.cell.subject]) for r in results])
+
+    def add_twin(self, key: str, flown: Flown) -> None:
+        """Keep a flight without a fault."""
+        self.twins[key] = flown
+        self._write(TWINS, [TwinOf(key, flown)])
+
+    def _write(self, name: str, items: list[Any]) -> None:
+        """One write for all, so that a kill leaves whole lines but the last."""
+        self._files[name].write(self._encoder.encode_lines(items))
+
+    def close(self) -> None:
+        """Close the files."""
+        for file in self._files.values():
+            file.close()
+
+
+def open_whole(path: Path) -> FileIO:
+    """A file to append lines to, without the part of a line that a kill left at its end."""
+    file = FileIO(path, "a+")
+    file.seek(0)
+    file.truncate(file.read().rfind(b"\n") + 1)
+    return file
+
+
+def read_lines(path: Path, kind: type[T]) -> list[T]:
+    """The whole lines of a file; none if there is no such file."""
+    if not path.is_file():
+        return []
+    decoder = msgspec.json.Decoder(kind)
+    lines = path.read_bytes().splitlines(keepends=True)
+    return [decoder.decode(line) for line in lines if line.endswith(b"\n")]
+
+
+def read_folder(folder: Path) -> tuple[CampaignFile, list[CellResult]]:
+    """A campaign and its results; of several of one cell the last.
+
+    Raises
+    ------
+    ConfigError
+        If there is no campaign in the folder.
+    """
+    path = folder / CAMPAIGN
+    if not path.is_file():
+        raise ConfigError(f"{folder}: holds no campaign; name the folder of one that was flown")
+    campaign = msgspec.json.decode(path.read_bytes(), type=CampaignFile)
+    results = {result.cell.key: result for result in read_lines(folder / CELLS, CellResult)}
+    return campaign, list(results.values())

@@ -1,0 +1,193 @@
+"""What is to be flown: the cells of a campaign as threads of jobs.
+
+A thread yields a job and is sent its results; that of a grid yields one, a bisection several. Cells
+whose results are known are not flown again.
+"""
+
+from collections.abc import Generator, Iterator, Mapping
+from itertools import groupby, product
+from pathlib import Path
+
+from analysis.campaign.bisection import HALVINGS, Critical, bisect
+from analysis.campaign.campaign_file import CampaignFile, CompiledScenario, SubjectChoice
+from analysis.campaign.cell import HEALTHY, Cell, CellResult, Flown, key_of
+from analysis.campaign.flying.flight_job import FlightJob, Job, LaneJob
+from analysis.run.setup import read_setup
+
+LANES_MOST = 2048  # cells of one batch, so that progress shows and a kill loses little
+Results = Mapping[str, CellResult]
+Thread = Generator[Job, list[CellResult], None]
+
+
+class Plan:
+    """A campaign's cells and how they are flown; `keep` is where logs go, if anywhere."""
+
+    def __init__(self, campaign: CampaignFile, keep: Path | None = None) -> None:
+        self.campaign = campaign
+        self._keep = keep
+        self.subjects = campaign.subject_names
+        self.scenarios = [
+            scenario.name if isinstance(scenario, CompiledScenario) else scenario
+            for scenario in campaign.scenarios
+        ]
+
+    # -- size ------------------------------------------------------------------------------------
+
+    @property
+    def most_cells(self) -> int:
+        """How many cells there are; of a critical search, how many at most."""
+        campaign = self.campaign
+        if campaign.find == "critical":
+            per_fault = len(campaign.faults) * (HALVINGS + 2)
+        else:
+            per_fault = sum(len(fault.listed()) for fault in campaign.faults)
+        series = len(campaign.onsets) * len(campaign.durations_s) * len(campaign.seeds)
+        return len(self.subjects) * len(self.scenarios) * per_fault * series
+
+    @property
+    def most_flights(self) -> int:
+        """How many flights those are, without the twins."""
+        return self.most_cells // (len(self.subjects) if self._shared else 1)
+
+    @property
+    def flight_s(self) -> float:
+        """The mean length of a flight in simulated seconds."""
+        if self.campaign.compiled:
+            lengths = [s.compiled.get("duration_s", 60.0) for s in self.campaign.scenarios]  # type: ignore[union-attr]
+        else:
+            folder = Path(self.campaign.folder)
+            lengths = [read_setup(str(folder / s)).scenario.duration_s for s in self.scenarios]
+        return float(sum(lengths) / len(lengths))
+
+    @property
+    def _shared(self) -> bool:
+        """Whether one flight answers for all subjects."""
+        own = [isinstance(subject, SubjectChoice) for subject in self.campaign.subjects]
+        grid = self.campaign.find == "outcomes"
+        return grid and not self.campaign.compiled and not any(own)
+
+    def _groups(self) -> list[list[str]]:
+        """Subjects that share their flights."""
+        return [self.subjects] if self._shared else [[name] for name in self.subjects]
+
+    # -- twins -----------------------------------------------------------------------------------
+
+    def twins(self) -> dict[str, FlightJob]:
+        """The flights without a fault, by key."""
+        if self.campaign.compiled:
+            return {}
+        found = {}
+        for group, scenario, seed in product(self._groups(), self.scenarios, self.campaign.seeds):
+            cells = tuple(
+                Cell(subject=name, scenario=scenario, fault=HEALTHY, seed=seed) for name in group
+            )
+            found[self.twin_key(cells[0])] = FlightJob(
+                self.campaign, cells, None, self._folder(cells[0])
+            )
+        return found
+
+    def twin_key(self, cell: Cell) -> str:
+        """What a cell's twin is known by; subjects that share flights share it."""
+        subject = self.subjects[0] if self._shared else cell.subject
+        return f"{subject}|{cell.scenario}|{cell.seed}"
+
+    def _folder(self, cell: Cell) -> str | None:
+        return None if self._keep is None else str(self._keep / key_of(*cell.key.split("|")))
+
+    # -- cells -----------------------------------------------------------------------------------
+
+    def threads(self, known: Results, twins: Mapping[str, Flown]) -> Iterator[Thread]:
+        """What is left to fly."""
+        if self.campaign.find == "critical":
+            for cell in self._series():
+                yield self._critical(cell, known, twins)
+        elif self.campaign.compiled:
+            yield from self._lanes(known)
+        else:
+            for cells in self._grid():
+                missing = tuple(cell for cell in cells if cell.key not in known)
+                if missing:
+                    yield _once(self._job(missing, twins))
+
+    def _series(self) -> Iterator[Cell]:
+        """A cell of each series, without a magnitude."""
+        campaign = self.campaign
+        for subject, scenario, fault, onset, duration_s, seed in product(
+            self.subjects, self.scenarios, campaign.faults, campaign.onsets,
+            campaign.durations_s, campaign.seeds,
+        ):  # fmt: skip
+            yield Cell(
+                subject=subject, scenario=scenario, fault=fault.name, onset=onset,
+                duration_s=duration_s, seed=seed,
+            )  # fmt: skip
+
+    def _grid(self) -> Iterator[list[Cell]]:
+        """The cells of each flight."""
+        for group in self._groups():
+            for series in self._series():
+                if series.subject != group[0]:
+                    continue
+                for magnitude in self.campaign.fault(series.fault).listed():
+                    yield [with_(series, magnitude, subject) for subject in group]
+
+    def _lanes(self, known: Results) -> Iterator[Thread]:
+        """Compiled batches: cells that differ in magnitude, onset and duration."""
+        cells = (cell for group in self._grid() for cell in group if cell.key not in known)
+        alike = sorted(cells, key=_batch)
+        for _, batch in groupby(alike, key=_batch):
+            listed = tuple(batch)
+            for start in range(0, len(listed), LANES_MOST):
+                yield _once(LaneJob(self.campaign, listed[start : start + LANES_MOST]))
+
+    def _job(self, cells: tuple[Cell, ...], twins: Mapping[str, Flown]) -> Job:
+        if self.campaign.compiled:
+            return LaneJob(self.campaign, cells)
+        twin = twins[self.twin_key(cells[0])]
+        return FlightJob(self.campaign, cells, twin, self._folder(cells[0]))
+
+    def _critical(self, series: Cell, known: Results, twins: Mapping[str, Flown]) -> Thread:
+        """Bisect one series; an aborted flight ends it."""
+        search = bisect(self.campaign.fault(series.fault).interval())
+        try:
+            magnitude = next(search)
+            while True:
+                cell = with_(series, magnitude, series.subject)
+                result = known.get(cell.key)
+                if result is None:
+                    (result,) = yield self._job((cell,), twins)
+                if result.outcome == "aborted":
+                    return
+                magnitude = search.send(self.campaign.limits.worse(result.outcome))
+        except StopIteration:
+            return
+
+    def criticals(self, known: Results) -> dict[tuple[str, ...], Critical]:
+        """What the bisections that are over have found, by series."""
+        found = {}
+        for series in self._series():
+            search = bisect(self.campaign.fault(series.fault).interval())
+            try:
+                magnitude = next(search)
+                while (
+                    result := known.get(with_(series, magnitude, series.subject).key)
+                ) is not None:
+                    magnitude = search.send(self.campaign.limits.worse(result.outcome))
+            except StopIteration as over:
+                found[series.series] = over.value
+        return found
+
+
+def with_(series: Cell, magnitude: float | None, subject: str) -> Cell:
+    """The cell of a series with a magnitude."""
+    return Cell(
+        subject=subject, scenario=series.scenario, fault=series.fault, magnitude=magnitude,
+        onset=series.onset, duration_s=series.duration_s, seed=series.seed,
+    )  # fmt: skip
+
+
+def _once(job: Job) -> Thread:
+    yield job
+
+
+def _batch(cell: Cell) -> tuple[str, str, str, int]:
+    return cell.subject, cell.scenario, cell.fault, cell.seed

@@ -1,0 +1,124 @@
+"use strict";
+// A campaign's heat map: a table for each subject; a click lists a cell's flights and their curves.
+
+const model = JSON.parse(document.getElementById("model").textContent);
+const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+function element(name, text, parent, style) {
+  const made = document.createElement(name);
+  if (text !== undefined) made.textContent = text; // never as HTML: names come from a file
+  if (style) made.style.background = style;
+  if (parent) parent.append(made);
+  return made;
+}
+
+function chosen(node, selector) {
+  for (const one of document.querySelectorAll(selector)) one.classList.remove("chosen");
+  node.classList.add("chosen");
+}
+
+function numbers(result) {
+  const told = [
+    ["excursion_deg", "deg beyond the twin"], ["excursion_m", "m beyond the twin"],
+    ["detected_s", "s until detected"], ["failsafe_s", "s until the failsafe"],
+    ["recovery_s", "s to recover"],
+  ];
+  return told.filter(([key]) => result[key] !== null)
+    .map(([key, text]) => `${result[key]} ${text}`).join(", ");
+}
+
+function legend() {
+  const shown = new Set(model.rows.flatMap((row) => row.cells.map((cell) => cell.outcome)));
+  for (const name of [...model.ranks, "aborted"]) {
+    if (shown.has(name)) element("span", name, document.getElementById("legend"), `var(--${name})`);
+  }
+}
+
+function heatMap() {
+  const map = document.getElementById("map");
+  for (const subject of new Set(model.rows.map((row) => row.subject))) {
+    element("h2", subject, map);
+    const body = element("tbody", undefined, element("table", undefined, map));
+    body.parentElement.className = "heat";
+    for (const row of model.rows.filter((one) => one.subject === subject)) {
+      const line = element("tr", undefined, body);
+      element("th", row.fault, line);
+      for (const cell of row.cells) heatCell(row, cell, line);
+    }
+  }
+}
+
+function heatCell(row, cell, line) {
+  const shown = element("td", cell.magnitude === null ? "-" : +cell.magnitude.toPrecision(3), line,
+    `var(--${cell.outcome})`);
+  const total = Object.values(cell.counts).reduce((a, b) => a + b, 0);
+  const share = total > 1 ? ` ${cell.counts[cell.outcome]}/${total}` : "";
+  element("small", cell.outcome + share, shown);
+  const counts = Object.entries(cell.counts).map(([name, count]) => `${count} ${name}`).join(", ");
+  const worst = cell.results.length ? model.results[cell.results[0]] : null;
+  shown.title = `${row.fault} ${cell.magnitude ?? ""}: ${counts}` +
+    (worst ? `\nworst: ${numbers(worst)} ${worst.detected_by} ${worst.note}` : "");
+  shown.addEventListener("click", () => { chosen(shown, ".heat td"); detail(row, cell); });
+}
+
+function detail(row, cell) {
+  const place = document.getElementById("detail");
+  place.replaceChildren();
+  element("h2", `${row.subject}: ${row.fault} ${cell.magnitude ?? ""}`, place);
+  const table = element("table", undefined, place);
+  const head = element("tr", undefined, element("thead", undefined, table));
+  for (const name of ["outcome", "scenario", "onset", "for s", "seed", ""]) element("th", name, head);
+  const body = element("tbody", undefined, table);
+  const plots = element("div", undefined, place);
+  cell.results.forEach((number, i) => {
+    const result = model.results[number];
+    const line = element("tr", undefined, body);
+    const facts = [numbers(result), result.detected_by, result.note].filter(Boolean).join("; ");
+    for (const text of [result.outcome, result.scenario, result.onset, result.duration_s,
+      result.seed, facts]) element("td", text, line);
+    line.addEventListener("click", () => { chosen(line, "#detail tr"); curves(number, plots); });
+    if (i === 0) { line.classList.add("chosen"); curves(number, plots); }
+  });
+  if (!cell.results.length) element("p", "Its flights are in cells.csv.", place);
+}
+
+function curves(number, place) {
+  place.replaceChildren();
+  const result = model.results[number], flown = model.curves[number];
+  if (!flown) { element("p", "The page holds no curves of this flight.", place); return; }
+  const twin = model.twins[`${result.subject}|${result.scenario}|${result.seed}`] || {};
+  for (const [name, [t, value]] of Object.entries(flown)) {
+    const healthy = twin[name] ? joined(t, ...twin[name]) : t.map(() => null);
+    element("h3", name, place);
+    const window = { hooks: { drawClear: [(u) => shade(u, result)] } };
+    new uPlot({
+      width: Math.min(1100, place.clientWidth || 1100), height: 240, scales: { x: { time: false } },
+      series: [{ label: "s" }, { label: "with the fault", stroke: colour("--s1"), width: 1.6 },
+        { label: "without", stroke: colour("--s0"), width: 1.4 }],
+      axes: [{ stroke: colour("--faint"), grid: { stroke: colour("--grid") } },
+        { stroke: colour("--faint"), grid: { stroke: colour("--grid") } }],
+      plugins: [window],
+    }, [t, value, healthy], element("div", undefined, place));
+  }
+}
+
+function joined(t, times, values) {
+  // The twin's values at the flight's times.
+  let i = 0;
+  return t.map((now) => {
+    while (i + 1 < times.length && times[i + 1] <= now) i++;
+    return values[i] ?? null;
+  });
+}
+
+function shade(u, result) {
+  const from = u.valToPos(result.onset_s, "x", true);
+  const to = u.valToPos(result.onset_s + result.duration_s, "x", true);
+  u.ctx.fillStyle = colour("--injected");
+  u.ctx.fillRect(from, u.bbox.top, to - from, u.bbox.height);
+}
+
+legend();
+heatMap();
+const first = document.querySelector(".heat td");
+if (first) first.click();

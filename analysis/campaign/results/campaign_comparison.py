@@ -1,0 +1,138 @@
+"""Two campaigns held against each other: what got worse, and is that more than chance?
+
+Cells are paired by their key. Of a subject and fault, the pairs whose outcome differs are counted:
+without a change, worse and better are equally likely, so their numbers are binomial with one half
+(the sign test). Faults are many, so their probabilities are corrected by Holm's method [1]_.
+
+References
+----------
+.. [1] Holm, Scandinavian Journal of Statistics 6(2), 1979.
+"""
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from rich.console import Console
+from rich.table import Table
+from scipy.stats import binomtest
+
+from analysis.campaign.cell import CellResult
+from analysis.campaign.ledger import read_folder
+from analysis.campaign.outcomes import ABORTED, rank
+from mavproxy_fault.documents.errors import ConfigError
+
+ALL = "all faults"
+SIGNIFICANT = 0.05
+SAME_SHARE = 0.2  # excursions this near, or nearer than SAME, are alike
+SAME = 0.5  # degrees or metres
+
+
+class Change(NamedTuple):
+    """A subject and fault in both campaigns.
+
+    `worse` and `better` count pairs that differ; `examples` are the worst of the worse ones;
+    `p_value` is the probability of as many worse ones by chance, corrected for all faults.
+    """
+
+    subject: str
+    fault: str
+    pairs: int
+    worse: int
+    better: int
+    p_value: float
+    examples: tuple[tuple[CellResult, CellResult], ...]
+
+    @property
+    def regressed(self) -> bool:
+        """Whether it got worse by more than chance."""
+        return self.p_value < SIGNIFICANT and self.worse > self.better
+
+
+def compare_folders(before: Path, after: Path) -> int:
+    """Print what changed; 1 if something got worse, 0 if not.
+
+    Raises
+    ------
+    ConfigError
+        If the campaigns have no cell in common.
+    """
+    old, new = (
+        {result.cell.key: result for result in read_folder(folder)[1]} for folder in (before, after)
+    )
+    found = changes(old, new)
+    if not found:
+        raise ConfigError(f"{before} and {after}: have no cell in common; fly the same file twice")
+    console = Console()
+    console.print(_table(found))
+    for change in found:
+        if change.regressed:
+            for was, is_now in change.examples:
+                console.print(
+                    f"{is_now.cell.key}: {was.outcome} -> {is_now.outcome}", soft_wrap=True
+                )
+    regressed = [change for change in found if change.regressed]
+    console.print(f"{len(regressed)} of {len(found)} got worse")
+    return int(bool(regressed))
+
+
+def changes(old: Mapping[str, CellResult], new: Mapping[str, CellResult]) -> list[Change]:
+    """Every subject and fault that both have, those that got worse first."""
+    groups: dict[tuple[str, str], list[tuple[CellResult, CellResult]]] = defaultdict(list)
+    for key, was in old.items():
+        is_now = new.get(key)
+        if is_now is not None and ABORTED not in (was.outcome, is_now.outcome):
+            groups[was.cell.subject, was.cell.fault].append((was, is_now))
+            groups[was.cell.subject, ALL].append((was, is_now))
+    found = [_change(names, pairs) for names, pairs in groups.items()]
+    corrected = holm([change.p_value for change in found])
+    found = [c._replace(p_value=p) for c, p in zip(found, corrected, strict=True)]
+    return sorted(found, key=lambda change: (change.p_value, -change.worse))
+
+
+def _change(names: tuple[str, str], pairs: Sequence[tuple[CellResult, CellResult]]) -> Change:
+    signs = [(sign(was, is_now), was, is_now) for was, is_now in pairs]
+    worse = [(was, is_now) for s, was, is_now in signs if s > 0]
+    better = sum(s < 0 for s, _, _ in signs)
+    differ = len(worse) + better
+    p = binomtest(len(worse), differ, 0.5, alternative="greater").pvalue if differ else 1.0
+    worse.sort(key=lambda pair: rank(pair[1].outcome) - rank(pair[0].outcome), reverse=True)
+    return Change(*names, len(pairs), len(worse), better, float(p), tuple(worse[:3]))
+
+
+def sign(was: CellResult, is_now: CellResult) -> int:
+    """1 if worse, -1 if better: by the outcome, within the same one by the excursion."""
+    step = rank(is_now.outcome) - rank(was.outcome)
+    if step:
+        return 1 if step > 0 else -1
+    for before, after in (
+        (was.excursion_deg, is_now.excursion_deg),
+        (was.excursion_m, is_now.excursion_m),
+    ):
+        if before is not None and after is not None:
+            size = max(SAME, SAME_SHARE * abs(before))
+            if abs(after - before) > size:
+                return 1 if after > before else -1
+    return 0
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Probabilities corrected for their number, in the same order."""
+    order = sorted(range(len(p_values)), key=lambda i: p_values[i])
+    corrected, largest = [0.0] * len(p_values), 0.0
+    for position, i in enumerate(order):
+        largest = max(largest, (len(p_values) - position) * p_values[i])
+        corrected[i] = min(1.0, largest)
+    return corrected
+
+
+def _table(found: Sequence[Change]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for name in ("subject", "fault", "pairs", "worse", "better", "p", ""):
+        table.add_column(name)
+    for change in found:
+        word = "[red]worse[/]" if change.regressed else ""
+        numbers = (str(change.pairs), str(change.worse), str(change.better))
+        table.add_row(change.subject, change.fault, *numbers, f"{change.p_value:.3g}", word)
+    return table

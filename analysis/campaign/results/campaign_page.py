@@ -1,0 +1,178 @@
+"""A campaign's one HTML file: heat map, reaction times, the worst cells, and their curves.
+
+The file needs no network. Names come from the campaign's file: they are escaped where they stand.
+"""
+
+import json
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from html import escape
+from importlib.resources import files
+from statistics import median
+
+import msgspec
+
+from analysis.campaign.cell import CellResult, Curve, Evidence
+from analysis.campaign.ledger import CurvesOf
+from analysis.campaign.outcomes import RANKS
+from analysis.campaign.plan import Plan
+from analysis.campaign.results.grid import GridCell, badness, failsafe_share, grid_of
+
+MOST_LISTED = 5000  # results whose numbers stand in the page: the worst
+MOST_POINTS = 200  # of one curve
+WORST = 12  # rows of the table of the worst
+
+
+def page(
+    plan: Plan,
+    results: Sequence[CellResult],
+    curves: Sequence[CurvesOf],
+    twins: dict[str, Evidence],
+) -> str:
+    """The whole file; `twins` are the evidence without a fault, by `subject|scenario|seed`."""
+    listed = sorted(results, key=badness, reverse=True)[:MOST_LISTED]
+    numbers = {result.cell.key: number for number, result in enumerate(listed)}
+    rows = [
+        {
+            "subject": row.subject,
+            "fault": row.fault,
+            "cells": [_cell(cell, numbers) for cell in row.cells],
+        }
+        for row in grid_of(results, plan.campaign)
+    ]
+    model = {
+        "ranks": RANKS,
+        "limits": msgspec.to_builtins(plan.campaign.limits),
+        "rows": rows,
+        "results": [_numbers(result) for result in listed],
+        "curves": {
+            numbers[item.key]: _curves(item.evidence) for item in curves if item.key in numbers
+        },
+        "twins": {key: _curves(evidence) for key, evidence in twins.items()},
+    }
+    text = json.dumps(model, allow_nan=False).replace("<", "\\u003c")
+    name = escape(plan.campaign.name)
+    shared = files("analysis.report.page") / "assets"
+    own = files("analysis.campaign.results") / "assets"
+    styles = (shared / "uPlot.min.css", shared / "page.css", own / "campaign.css")
+    style = "".join(path.read_text() for path in styles)
+    return "".join(
+        (
+            '<!doctype html><html lang="en"><head><meta charset="utf-8">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f"<title>{name}</title><style>{style}</style></head>",
+            f"<body><header><h1>{name}</h1></header><main>",
+            _facts(results),
+            '<p class="note">A cell holds one magnitude of a fault and shows the worst outcome of '
+            "its flights. Hover for the numbers, click for the flights and their curves.</p>",
+            '<div id="legend"></div><div id="map"></div><div id="detail"></div>',
+            _reactions(results),
+            _worst(listed[:WORST]),
+            f'</main><script type="application/json" id="model">{text}</script>',
+            f"<!-- uPlot: {(shared / 'uPlot.LICENSE').read_text()} -->",
+            f"<script>{(shared / 'uPlot.iife.min.js').read_text()}</script>",
+            f"<script>{(own / 'campaign.js').read_text()}</script></body></html>\n",
+        )
+    )
+
+
+def _cell(cell: GridCell, numbers: dict[str, int]) -> dict[str, object]:
+    keys = (result.cell.key for result in cell.results)
+    return {
+        "magnitude": cell.magnitude,
+        "outcome": cell.worst.outcome,
+        "counts": cell.outcomes,
+        "results": [numbers[key] for key in keys if key in numbers],
+    }
+
+
+def _numbers(result: CellResult) -> dict[str, object]:
+    """What the page tells of one result."""
+    fields = msgspec.structs.asdict(result)
+    cell = msgspec.structs.asdict(fields.pop("cell"))
+    rounded = {k: float(f"{v:.4g}") if isinstance(v, float) else v for k, v in fields.items()}
+    return {**cell, **rounded}
+
+
+def _curves(evidence: Evidence) -> dict[str, list[list[float]]]:
+    """Times and values by name, every so many of them."""
+    return {name: [*_thinned(curve)] for name, curve in evidence.curves.items()}
+
+
+def _thinned(curve: Curve) -> tuple[list[float], list[float]]:
+    """Times and, of each stretch, the largest value: the page shows errors."""
+    step = max(1, -(-len(curve.t_s) // MOST_POINTS))
+    starts = range(0, len(curve.t_s), step)
+    return (
+        [round(curve.t_s[i], 2) for i in starts],
+        [round(max(curve.value[i : i + step]), 3) for i in starts],
+    )
+
+
+def _facts(results: Sequence[CellResult]) -> str:
+    counts = Counter(result.outcome for result in results)
+    facts = [(str(len(results)), "cells")]
+    facts += [(str(counts[name]), name) for name in (*RANKS, "aborted") if counts[name]]
+    share = failsafe_share(results)
+    if share is not None:
+        facts.append((f"{100 * share:.0f} %", "of the bad flights had a failsafe"))
+    shown = "".join(f"<div><b>{value}</b><span>{name}</span></div>" for value, name in facts)
+    return f'<div class="facts">{shown}</div>'
+
+
+def _reactions(results: Sequence[CellResult]) -> str:
+    """How soon each subject notices each fault, and how long it takes to recover."""
+    groups: dict[tuple[str, str], list[CellResult]] = defaultdict(list)
+    for result in results:
+        groups[result.cell.subject, result.cell.fault].append(result)
+    rows = []
+    for (subject, fault), found in groups.items():
+        delays = [r.detected_s for r in found if r.detected_s is not None]
+        recoveries = [r.recovery_s for r in found if r.recovery_s is not None]
+        degraded = sum(RANKS.index("degraded") <= _rank(r) for r in found)
+        rows.append(
+            (
+                subject,
+                fault,
+                f"{len(delays)} of {len(found)}",
+                f"{median(delays):.2f}" if delays else "",
+                f"{len(recoveries)} of {degraded}",
+                f"{median(recoveries):.2f}" if recoveries else "",
+            )
+        )
+    head = ("subject", "fault", "detected", "median delay, s", "recovered", "median recovery, s")
+    return "<h2>Reaction times</h2>" + _table(head, rows)
+
+
+def _rank(result: CellResult) -> int:
+    return badness(result)[0]
+
+
+def _worst(results: Sequence[CellResult]) -> str:
+    rows = []
+    for result in results:
+        cell = result.cell
+        rows.append(
+            (
+                result.outcome,
+                cell.subject,
+                cell.fault,
+                "" if cell.magnitude is None else f"{cell.magnitude:.4g}",
+                f"{cell.onset}",
+                "" if result.excursion_deg is None else f"{result.excursion_deg:.3g}",
+                "" if result.excursion_m is None else f"{result.excursion_m:.3g}",
+                result.note or result.detected_by,
+            )
+        )
+    head = ("outcome", "subject", "fault", "magnitude", "onset", "beyond, deg", "beyond, m", "")
+    return "<h2>The worst</h2>" + _table(head, rows)
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    top = "".join(f"<th>{escape(name)}</th>" for name in head)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in rows
+    )
+    return (
+        f'<div class="wide"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+    )

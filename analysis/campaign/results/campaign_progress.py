@@ -1,0 +1,48 @@
+"""A campaign's progress on the terminal: cells done, time left, the worst so far."""
+
+import sys
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from analysis.campaign.cell import CellResult
+from analysis.campaign.outcomes import rank
+
+
+class CampaignProgress:
+    """A bar on a terminal; nothing elsewhere."""
+
+    def __init__(self, cells: int, known: int) -> None:
+        self._bar = Progress(
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[worst]}"),
+            console=Console(stderr=True),
+            transient=True,
+            disable=not sys.stderr.isatty(),
+        )
+        self._task = self._bar.add_task("", total=cells, completed=known, worst="")
+        self._worst: CellResult | None = None
+
+    def __enter__(self) -> "CampaignProgress":
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bar.stop()
+
+    def show(self, results: list[CellResult]) -> None:
+        """Count some cells."""
+        for result in results:
+            if self._worst is None or rank(result.outcome) > rank(self._worst.outcome):
+                self._worst = result
+        worst = self._worst
+        text = "" if worst is None else f"worst: {worst.outcome} ({worst.cell.fault})"
+        self._bar.update(self._task, advance=len(results), worst=text)

@@ -1,0 +1,109 @@
+"""A campaign's files: HTML page, JSON, CSV and JUnit."""
+
+import csv
+import json
+from collections import Counter
+from pathlib import Path
+from xml.etree import ElementTree
+
+import msgspec
+
+from analysis.campaign.cell import CellResult
+from analysis.campaign.ledger import CURVES, TWINS, CurvesOf, TwinOf, read_folder, read_lines
+from analysis.campaign.outcomes import ABORTED, Limits
+from analysis.campaign.plan import Plan
+from analysis.campaign.results.campaign_page import page
+from analysis.campaign.results.grid import badness
+
+MOST_CURVES = 300  # flights whose curves stand in the page: the worst
+
+
+def write_report(folder: Path, plan: Plan) -> None:
+    """Write `campaign.html`, `campaign-summary.json`, `cells.csv` and `junit.xml`."""
+    campaign, results = read_folder(folder)
+    shown = {r.cell.key for r in sorted(results, key=badness, reverse=True)[:MOST_CURVES]}
+    curves = [item for item in read_lines(folder / CURVES, CurvesOf) if item.key in shown]
+    twins = {
+        f"{subject}|{key.partition('|')[2]}": evidence
+        for key, flown in ((twin.key, twin.flown) for twin in read_lines(folder / TWINS, TwinOf))
+        for subject, evidence in flown.evidence.items()
+    }
+    text = page(plan, results, curves, twins)
+    (folder / "campaign.html").write_text(text, encoding="utf-8")
+    (folder / "campaign-summary.json").write_text(
+        json.dumps(summary_of(plan, results), indent=1) + "\n"
+    )
+    write_csv(folder / "cells.csv", results)
+    # A campaign of the kernels has more cells than any reader of JUnit wants.
+    if not campaign.compiled:
+        write_junit(folder / "junit.xml", campaign.name, results, campaign.limits)
+
+
+def summary_of(plan: Plan, results: list[CellResult]) -> dict[str, object]:
+    """Counts for scripts, by subject and fault; critical magnitudes where they were sought."""
+    found: dict[str, object] = {"name": plan.campaign.name, "cells": len(results)}
+    counts: dict[str, dict[str, Counter[str]]] = {}
+    for result in results:
+        by_fault = counts.setdefault(result.cell.subject, {})
+        by_fault.setdefault(result.cell.fault, Counter())[result.outcome] += 1
+    found["outcomes"] = counts
+    if plan.campaign.find == "critical":
+        known = {result.cell.key: result for result in results}
+        found["critical"] = [
+            {
+                "series": series,
+                "magnitude": c.magnitude,
+                "harmless": c.harmless,
+                "flights": c.flights,
+            }
+            for series, c in plan.criticals(known).items()
+        ]
+    return found
+
+
+def write_csv(path: Path, results: list[CellResult]) -> None:
+    """A row for each cell."""
+    rows = [flat(result) for result in results]
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def flat(result: CellResult) -> dict[str, object]:
+    """A result without the struct within."""
+    fields = msgspec.structs.asdict(result)
+    cell = fields.pop("cell")
+    return {**msgspec.structs.asdict(cell), **fields}
+
+
+def write_junit(path: Path, name: str, results: list[CellResult], limits: Limits) -> None:
+    """One test case for each cell; it fails where the outcome is worse than it may be."""
+    suite = ElementTree.Element("testsuite", name=name, tests=str(len(results)))
+    failures = errors = 0
+    for result in results:
+        cell = result.cell
+        case = ElementTree.SubElement(
+            suite,
+            "testcase",
+            classname=f"{name}.{cell.subject}",
+            name=cell.key,
+            time=f"{result.wall_s:.3f}",
+        )
+        if result.outcome == ABORTED:
+            errors += 1
+            ElementTree.SubElement(case, "error", message=result.note)
+        elif limits.worse(result.outcome):
+            failures += 1
+            text = f"{result.outcome}; {excursions(result)}"
+            ElementTree.SubElement(case, "failure", message=text)
+    suite.set("failures", str(failures))
+    suite.set("errors", str(errors))
+    ElementTree.ElementTree(suite).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def excursions(result: CellResult) -> str:
+    """How far the errors went beyond the twin's."""
+    angle = None if result.excursion_deg is None else f"{result.excursion_deg:.3g} degrees"
+    place = None if result.excursion_m is None else f"{result.excursion_m:.3g} m"
+    return " and ".join(filter(None, (angle, place))) + " beyond the flight without the fault"

@@ -1,0 +1,89 @@
+"""A campaign's flights as a labelled data set for people who train or compare detectors.
+
+    README.md               the data card: what it is, versions, seeds, licence, columns
+    cells.parquet           a row for each cell: fault, magnitude, onset, outcome, file
+    flights/KEY/MESSAGE.received.parquet, MESSAGE.sent.parquet, labels.parquet
+
+`received` is what the sensors said, `sent` what was left after the faults; the truth is the message
+HIL_STATE_QUATERNION, an autopilot's estimate ATTITUDE and its like.
+"""
+
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from analysis.campaign.cell import key_of
+from analysis.campaign.ledger import read_folder
+from analysis.campaign.results.campaign_report import flat
+from mavproxy_fault import __version__
+from mavproxy_fault.app.recorder import LABELS, RECEIVED, SENT
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.wire.label import read_labels
+from mavproxy_fault.wire.tlog import read_columns
+
+FLIGHTS = "flights"
+
+
+def export(folder: Path, out: Path) -> None:
+    """Write the data set of a campaign whose flights were kept.
+
+    Raises
+    ------
+    ConfigError
+        If they were not.
+    """
+    campaign, results = read_folder(folder)
+    kept = {path.name: path for path in (folder / FLIGHTS).glob("*") if (path / SENT).is_file()}
+    if not kept:
+        raise ConfigError(f"{folder}: no flight was kept; fly with --export, or with keep: all")
+    (out / FLIGHTS).mkdir(parents=True, exist_ok=True)
+    for name, path in kept.items():
+        write_flight(path, out / FLIGHTS / name)
+    rows = [{**flat(r), "onset": str(r.cell.onset), "flight": _flight(r, kept)} for r in results]
+    pq.write_table(pa.Table.from_pylist(rows), out / "cells.parquet")
+    card = files("analysis.campaign.results") / "assets" / "data_card.md"
+    (out / "README.md").write_text(
+        card.read_text(encoding="utf-8").format(
+            name=campaign.name,
+            cells=len(results),
+            version=__version__,
+            subjects=", ".join(sorted({r.cell.subject for r in results})),
+            faults=", ".join(fault.name for fault in campaign.faults),
+            seeds=", ".join(map(str, campaign.seeds)),
+        )
+    )
+
+
+def _flight(result: Any, kept: dict[str, Path]) -> str:
+    """The folder of a cell's flight: its own, or that of the subject which shares it."""
+    _, _, rest = result.cell.key.partition("|")
+    suffix = "-" + key_of(*rest.split("|"))
+    own = key_of(*result.cell.key.split("|"))
+    return own if own in kept else next((name for name in kept if name.endswith(suffix)), "")
+
+
+def write_flight(folder: Path, out: Path) -> None:
+    """The messages of a flight before and after the faults, and its labels."""
+    out.mkdir(exist_ok=True)
+    for side in (RECEIVED, SENT):
+        for message, rows in read_columns(folder / side).items():
+            table = pa.table({name: _column(rows[name]) for name in rows.dtype.names or ()})
+            pq.write_table(table, out / f"{message}.{Path(side).stem}.parquet")
+    labels = [msgspec.to_builtins(label) for label in read_labels(folder / LABELS)]
+    keys = ("id", "fault", "targets", "start_us", "end_us", "frames", "magnitude")
+    plain = [{key: label.get(key) for key in keys} for label in labels]
+    schema = pa.schema(
+        [("id", pa.string()), ("fault", pa.string()), ("targets", pa.list_(pa.string())),
+         ("start_us", pa.int64()), ("end_us", pa.int64()), ("frames", pa.int64()),
+         ("magnitude", pa.float64())]
+    )  # fmt: skip
+    pq.write_table(pa.Table.from_pylist(plain, schema), out / "labels.parquet")
+
+
+def _column(values: Any) -> Any:
+    """One column; arrays within a message become lists."""
+    return pa.array(values.tolist() if values.ndim > 1 else values)

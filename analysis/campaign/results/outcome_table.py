@@ -1,0 +1,54 @@
+"""A campaign's outcomes on the terminal."""
+
+from itertools import groupby
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from analysis.campaign.ledger import read_folder
+from analysis.campaign.plan import Plan
+from analysis.campaign.results.grid import GridCell, grid_of
+
+COLOURS = {
+    "unaffected": "green", "detected": "cyan", "degraded": "yellow", "failsafe": "magenta",
+    "landed": "magenta", "lost": "red", "crashed": "bold red", "aborted": "dim",
+}  # fmt: skip
+
+
+def print_outcomes(folder: Path, plan: Plan) -> None:
+    """One row for each subject and fault."""
+    _, results = read_folder(folder)
+    console = Console()
+    table = Table(box=None, pad_edge=False)
+    for name in ("subject", "fault", "worst outcome from each magnitude on"):
+        table.add_column(name)
+    for row in grid_of(results, plan.campaign):
+        steps = [next(group) for _, group in groupby(row.cells, lambda c: c.worst.outcome)]
+        table.add_row(row.subject, row.fault, "  ".join(map(_text, steps)))
+    console.print(table)
+    if plan.campaign.find == "critical":
+        console.print(_criticals(plan, {result.cell.key: result for result in results}))
+    aborted = [result for result in results if result.outcome == "aborted"]
+    for result in aborted[:5]:
+        console.print(f"aborted: {result.cell.key}: {result.note}", markup=False, soft_wrap=True)
+    console.print(f"{len(results)} cells, {len(aborted)} aborted")
+    console.print(f"page     {folder / 'campaign.html'}", soft_wrap=True)
+
+
+def _text(cell: GridCell) -> str:
+    name = "" if cell.magnitude is None else f"{cell.magnitude:.4g} "
+    outcome = cell.worst.outcome
+    count = cell.outcomes[outcome]
+    share = f" {count}/{len(cell.results)}" if len(cell.results) > 1 else ""
+    return f"{name}[{COLOURS[outcome]}]{outcome}{share}[/]"
+
+
+def _criticals(plan: Plan, known: dict[str, object]) -> Table:
+    table = Table(box=None, pad_edge=False, title="smallest magnitude that is worse")
+    for name in ("subject", "scenario", "fault", "onset", "for s", "seed", "magnitude", "flights"):
+        table.add_column(name)
+    for series, critical in plan.criticals(known).items():  # type: ignore[arg-type]
+        found = "none" if critical.magnitude is None else f"{critical.magnitude:.4g}"
+        table.add_row(*series, found, str(critical.flights))
+    return table

@@ -1,0 +1,253 @@
+"""The samples of every stream in a row, compiled: silence, repetition, stamps; see `stream_watch`.
+
+A stream is one kind of sample, of the IMU one instance. Its own past says what is usual: the time
+between two samples, how late it is, how often a value stays the same. Clocks that count from boot
+and from 1970 are kept apart.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.samples.block import FIX, IMU, Indices, Stamps
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled
+
+SILENT, REPEATED, STANDING, AHEAD, BACK, LATE = range(1, 7)
+IMUS = 3
+STREAMS = ("imu", "imu", "imu", "mag", "baro", "airspeed", "range", "vision", "gps-position",
+           "satellites", "link")  # fmt: skip
+LINK = len(STREAMS) - 1
+# By kind of sample its stream, and how many of its numbers are measured; -1: only a witness of time
+STREAM_OF = (0, 3, 4, 5, 6, 7, -1, -1, 8, 9, -2, -2)
+NUMBERS = (6, 3, 1, 1, 1, 3, 0, 0, 0, 0, 0, 0)
+FIX_NUMBERS, MOVING_MPS = 5, 1.0  # of a fix: place and level velocity together, while it moves
+
+LEARNT, LEARNT_VALUES = 20, 200  # samples after which a stream and its values are known
+SHARE = 0.05  # of a new interval in what is usual
+SILENT_US = 500_000
+LEAP_US, ALONE_US = 200_000, 1_000_000
+INTERVALS = 5.0  # usual intervals that a pause must be long
+LATE_US = 300_000
+BACK_US = 20_000
+STANDS = 5
+RUN_FACTOR, RUN_MORE, RUN_US = (
+    3,
+    10,
+    500_000,
+)  # a repetition beyond what the sensor's own past shows
+EPOCH_1970_US = 100_000_000_000_000  # later stamps do not count from boot
+AGAIN_US = 500_000  # between two results about the same trouble
+NEVER_US = -(1 << 62)
+
+LAST_US, COUNT, DUE_US, STOOD, TOLD_US, CLOCK, HEARD_US = range(7)  # what is counted of a stream
+NEWEST_US, FROM_US, TO_US, BY = range(4)  # of a clock; the last three of a leap not yet understood
+
+
+class Watched(NamedTuple):
+    """What is known of s streams; `watch` changes it in place.
+
+    `counts` (s, 7), `usual` (s, 2): interval and lateness in us; `values` (s, w), and for each
+    number `since` (s, w) when it took its value, `run` and `longest` (s, w) how often it stayed;
+    `clocks` (2, 4).
+    """
+
+    counts: NDArray[np.int64]
+    usual: Vector
+    values: Vector
+    since: Stamps
+    run: Indices
+    longest: Indices
+    clocks: NDArray[np.int64]
+
+
+class Found(NamedTuple):
+    """Troubles (k, 4): row, stamp, stream, what; how much (k,) in s; how many are `filled` (1,)."""
+
+    rows: NDArray[np.int64]
+    seconds: Vector
+    filled: NDArray[np.int64]
+
+
+@compiled
+def _tell(found: Found, row: int, t_us: int, stream: int, what: int, seconds: float) -> None:
+    at = found.filled[0]
+    if at < len(found.rows):
+        found.rows[at, 0], found.rows[at, 1] = row, t_us
+        found.rows[at, 2], found.rows[at, 3] = stream, what
+        found.seconds[at] = seconds
+        found.filled[0] += 1
+
+
+@compiled
+def _limit_us(watched: Watched, stream: int) -> int:
+    limit_us: int = max(SILENT_US, int(INTERVALS * watched.usual[stream, 0]))
+    return limit_us
+
+
+@compiled
+def _leap(watched: Watched, found: Found, row: int, stream: int, clock: int, t_us: int) -> bool:
+    """Whether the time of a sample may be believed: one that leaps ahead waits for a second one.
+
+    If another stream is there too, or nobody contradicts it for a second, everything had paused; if
+    not, the first one's stamps are wrong.
+    """
+    at = watched.clocks[clock]
+    if at[TO_US] != NEVER_US:
+        alone = stream == at[BY] or t_us == at[TO_US]
+        if not alone and t_us - at[FROM_US] < (at[TO_US] - at[FROM_US]) // 2:
+            if at[BY] >= 0 and at[NEWEST_US] - watched.counts[at[BY], TOLD_US] >= AGAIN_US:
+                leap_s = (at[TO_US] - at[FROM_US]) * 1e-6
+                _tell(found, row, at[NEWEST_US], at[BY], AHEAD, leap_s)
+                watched.counts[at[BY], TOLD_US] = at[NEWEST_US]
+            at[TO_US] = NEVER_US
+        elif not alone or t_us - at[TO_US] > ALONE_US:
+            _paused(watched, found, row, clock)
+    if at[NEWEST_US] == NEVER_US or t_us - at[NEWEST_US] <= _leap_us(watched, stream):
+        return True
+    if at[TO_US] == NEVER_US:
+        at[FROM_US], at[TO_US], at[BY] = at[NEWEST_US], t_us, stream
+    return False
+
+
+@compiled
+def _leap_us(watched: Watched, stream: int) -> int:
+    """A step of time that one stream alone is not believed."""
+    if stream < 0 or watched.counts[stream, COUNT] < LEARNT:
+        return SILENT_US
+    leap_us: int = max(LEAP_US, int(INTERVALS * watched.usual[stream, 0]))
+    return leap_us
+
+
+@compiled
+def _paused(watched: Watched, found: Found, row: int, clock: int) -> None:
+    """The whole link had paused: it is told if that was long, and nobody was silent on his own."""
+    at = watched.clocks[clock]
+    for e in range(at[FROM_US] + _limit_us(watched, LINK), at[TO_US], AGAIN_US):
+        _tell(found, row, e, LINK, SILENT, (e - at[FROM_US]) * 1e-6)
+    for s in range(LINK):
+        if watched.counts[s, CLOCK] == clock and watched.counts[s, COUNT] > 0:
+            watched.counts[s, LAST_US] = watched.counts[s, HEARD_US] = at[TO_US]
+            watched.counts[s, DUE_US] = at[TO_US] + _limit_us(watched, s)
+    at[NEWEST_US], at[TO_US] = at[TO_US], NEVER_US
+
+
+@compiled
+def _silent(watched: Watched, found: Found, row: int, stream: int, clock: int, t_us: int) -> None:
+    """Who has not come for too long when the time goes on to `t_us`."""
+    for s in range(LINK):
+        count = watched.counts[s]
+        if s == stream or count[COUNT] < LEARNT or count[CLOCK] != clock:
+            continue
+        while count[DUE_US] <= t_us:
+            _tell(found, row, count[DUE_US], s, SILENT, (count[DUE_US] - count[HEARD_US]) * 1e-6)
+            count[DUE_US] += AGAIN_US
+
+
+@compiled
+def _stamped(watched: Watched, found: Found, row: int, s: int, t_us: int, newest_us: int) -> None:
+    """What is wrong with a sample's stamp; learns what is usual."""
+    count = watched.counts[s]
+    gap_us, late_us = t_us - count[LAST_US], newest_us - t_us
+    count[STOOD] = count[STOOD] + 1 if gap_us == 0 else 0
+    if gap_us < -BACK_US:
+        _tell(found, row, newest_us, s, BACK, -gap_us * 1e-6)
+    elif count[STOOD] >= STANDS and newest_us - count[TOLD_US] >= AGAIN_US:
+        _tell(found, row, newest_us, s, STANDING, late_us * 1e-6)
+        count[TOLD_US] = newest_us
+    elif count[COUNT] >= LEARNT and late_us > watched.usual[s, 1] + max(
+        LATE_US, INTERVALS * watched.usual[s, 0]
+    ):
+        if newest_us - count[TOLD_US] >= AGAIN_US:
+            _tell(found, row, newest_us, s, LATE, late_us * 1e-6)
+            count[TOLD_US] = newest_us
+    elif gap_us > 0:
+        share = max(SHARE, 1.0 / (1.0 + count[COUNT]))
+        if count[COUNT] < LEARNT or gap_us < INTERVALS * watched.usual[s, 0]:
+            watched.usual[s, 0] += share * (gap_us - watched.usual[s, 0])
+        watched.usual[s, 1] += share * (late_us - watched.usual[s, 1])
+
+
+@compiled
+def _repeated(watched: Watched, s: int, numbers: Vector, width: int, t_us: int) -> float:
+    """For how long one of a sensor's numbers has stayed the same against its own past, in s."""
+    worst = 0.0
+    known = watched.counts[s, COUNT] >= LEARNT_VALUES
+    for i in range(width):
+        same = numbers[i] == watched.values[s, i]
+        run, longest = watched.run[s, i], watched.longest[s, i]
+        if same:
+            watched.run[s, i] = run + 1
+            for_us = t_us - watched.since[s, i]
+            if known and run + 1 > RUN_FACTOR * longest + RUN_MORE and for_us >= RUN_US:
+                worst = max(worst, for_us * 1e-6)
+            if not known:
+                watched.longest[s, i] = max(longest, run + 1)
+        else:
+            if run <= RUN_FACTOR * longest + RUN_MORE:
+                watched.longest[s, i] = max(longest, run)
+            watched.run[s, i], watched.since[s, i] = 0, t_us
+            watched.values[s, i] = numbers[i]
+    return worst
+
+
+@compiled
+def _fix_repeated(watched: Watched, s: int, numbers: Vector, t_us: int) -> float:
+    """The same for a fix, whose numbers repeat together, and only while it says that it moves."""
+    same = True
+    for i in range(FIX_NUMBERS):
+        same &= numbers[i] == watched.values[s, i]
+        watched.values[s, i] = numbers[i]
+    if not same or not np.hypot(numbers[3], numbers[4]) > MOVING_MPS:
+        watched.since[s, 0], watched.run[s, 0] = t_us, 0
+        return 0.0
+    watched.run[s, 0] += 1
+    for_us = t_us - watched.since[s, 0]
+    return for_us * 1e-6 if watched.run[s, 0] >= STANDS and for_us >= RUN_US else 0.0
+
+
+@compiled
+def _measured(
+    watched: Watched, found: Found, row: int, s: int, kind: int, numbers: Vector, t_us: int
+) -> None:
+    """A sample of a stream whose time is believed."""
+    count = watched.counts[s]
+    for_s = (
+        _fix_repeated(watched, s, numbers, t_us)
+        if kind == FIX
+        else _repeated(watched, s, numbers, NUMBERS[kind], t_us)
+    )
+    if for_s > 0.0 and t_us - count[TOLD_US] >= AGAIN_US:
+        _tell(found, row, t_us, s, REPEATED, for_s)
+        count[TOLD_US] = t_us
+
+
+@compiled
+def watch(kind: Indices, t_us: Stamps, values: Vector, watched: Watched, found: Found) -> None:
+    """Look at the samples of a block, kind (n,), t_us (n,), values (n, w), one after the other."""
+    for row in range(len(kind)):
+        s = STREAM_OF[kind[row]]
+        if s == -2 or t_us[row] <= 0:  # broadcasts, and what has no stamp yet
+            continue
+        if kind[row] == IMU:
+            s = min(max(int(values[row, 6]), 0), IMUS - 1)
+        now_us = t_us[row]
+        clock = 1 if now_us > EPOCH_1970_US else 0
+        at = watched.clocks[clock]
+        if not _leap(watched, found, row, s, clock, now_us):
+            continue
+        if now_us > at[NEWEST_US]:
+            if at[NEWEST_US] != NEVER_US:
+                watched.usual[LINK, 0] += SHARE * (now_us - at[NEWEST_US] - watched.usual[LINK, 0])
+            at[NEWEST_US] = now_us
+            _silent(watched, found, row, s, clock, now_us)
+        if s < 0:
+            continue
+        count = watched.counts[s]
+        if count[COUNT] > 0 and count[CLOCK] == clock:
+            _stamped(watched, found, row, s, now_us, at[NEWEST_US])
+        _measured(watched, found, row, s, kind[row], values[row], now_us)
+        count[LAST_US], count[CLOCK] = now_us, clock
+        count[HEARD_US], count[DUE_US] = at[NEWEST_US], at[NEWEST_US] + _limit_us(watched, s)
+        count[COUNT] += 1

@@ -1,0 +1,87 @@
+"""Every stream that once came is watched: silence, repetition, and stamps that stand or leap.
+
+A sensor that falls silent, repeats itself against its own noise and resolution, or whose stamps are
+wrong is at fault whatever it says. When everything pauses together it is the link that was lost.
+The results are those of `SensorDecision`, without a statistic, every half second while it lasts.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from analysis.detection.sensors.stream_kernel import (
+    AHEAD,
+    BACK,
+    LATE,
+    NEVER_US,
+    REPEATED,
+    SILENT,
+    STANDING,
+    STREAMS,
+    TOLD_US,
+    Found,
+    Watched,
+    watch,
+)
+from analysis.results import SensorDecision
+from analysis.samples.block import WIDTH, Block
+
+REASONS = {
+    SILENT: "silent for {:.2f} s",
+    REPEATED: "the same value for {:.2f} s",
+    STANDING: "its time stands still, {:.2f} s behind",
+    AHEAD: "its time leaps {:.2f} s ahead",
+    BACK: "its time goes back by {:.2f} s",
+    LATE: "{:.2f} s late",
+}
+MOST = 10_000  # results from one block
+
+
+@dataclass(frozen=True)
+class StreamWatch:
+    """A step of the pipeline."""
+
+    def new_state(self) -> Watched:
+        """Nothing came yet."""
+        count = len(STREAMS)
+        counts = np.zeros((count, 7), np.int64)
+        counts[:, TOLD_US] = NEVER_US
+        return Watched(
+            counts,
+            np.zeros((count, 2)),
+            np.full((count, WIDTH), np.nan),
+            np.zeros((count, WIDTH), np.int64),
+            np.zeros((count, WIDTH), np.int64),
+            np.zeros((count, WIDTH), np.int64),
+            np.full((2, 4), NEVER_US),
+        )
+
+    def step(
+        self, block: Block, state: Watched
+    ) -> tuple[list[tuple[int, SensorDecision]], Watched]:
+        """What is wrong with the streams of a block, by the row that shows it, and the next state.
+
+        The state is changed in place.
+        """
+        found = Found(np.empty((MOST, 4), np.int64), np.empty(MOST), np.zeros(1, np.int64))
+        watch(block.kind, block.t_us, block.values, state, found)
+        count = int(found.filled[0])
+        rows = zip(found.rows[:count].tolist(), found.seconds[:count].tolist(), strict=True)
+        return [
+            (row, _result(t_us, stream, what, seconds))
+            for (row, t_us, stream, what), seconds in rows
+        ], state
+
+
+def _result(t_us: int, stream: int, what: int, seconds: float) -> SensorDecision:
+    return SensorDecision(
+        t_s=t_us * 1e-6,
+        t_us=t_us,
+        sensor=STREAMS[stream],
+        statistic=None,
+        threshold=None,
+        dof=0,
+        alarm=True,
+        isolated=True,
+        reason=REASONS[what].format(seconds),
+    )

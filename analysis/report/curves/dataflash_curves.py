@@ -1,0 +1,177 @@
+"""Which field of which dataflash message is which curve: one table.
+
+Fields as ArduPilot's log reference names them; old logs as they were named then.
+"""
+
+import numpy as np
+
+from analysis.report.curves.field_values import (
+    Columns,
+    Curve,
+    Reader,
+    Values,
+    column,
+    field,
+    norm,
+    used,
+)
+
+HIGH_V = 200.0  # more than any battery has: the log is old and gives hundredths
+CHANNELS, CELLS = 8, 12  # shown at the most
+
+
+def _heading(name: str) -> Reader:
+    """A heading in degrees, wrapped to (-180, 180]."""
+    return lambda topic: 180 - (180 - column(topic, name)) % 360
+
+
+def _throttle(topic: Columns) -> Values:
+    """Percent; a share in new logs, thousandths in old ones."""
+    if "ThO" in topic:
+        return column(topic, "ThO") * 100
+    return column(topic, "ThrOut") * 0.1
+
+
+def _hundredths(name: str) -> Reader:
+    """Volts or amperes, which old logs give in hundredths."""
+
+    def values(topic: Columns) -> Values:
+        old = np.nanmedian(column(topic, "Volt")) > HIGH_V
+        return column(topic, name) * (0.01 if old else 1.0)
+
+    return values
+
+
+def _millivolts(topic: Columns) -> Values:
+    """The board's voltage, which logs of this message give in millivolts."""
+    return column(topic, "Vcc") * 1e-3
+
+
+def _estimator(status: str, innovations: str, state: str, core: str) -> tuple[Curve, ...]:
+    """One core's state, test ratios and innovations; `core` is part of each curve's name.
+
+    Since EKF3, messages carry their core's number instead and every core has the same name.
+    """
+    ratios = (
+        ("SV", "velocity"), ("SP", "horizontal position"), ("SH", "vertical position"),
+        ("SM", "compass"),
+    )  # fmt: skip
+    parts = (
+        ("innovation-velocity", "IVN", "north"), ("innovation-velocity", "IVE", "east"),
+        ("innovation-velocity", "IVD", "down"), ("innovation-position", "IPN", "north"),
+        ("innovation-position", "IPE", "east"), ("innovation-height", "IPD", "height"),
+        ("innovation-heading", "IYAW", "heading"), ("innovation-mag", "IMX", "x"),
+        ("innovation-mag", "IMY", "y"), ("innovation-mag", "IMZ", "z"),
+        ("innovation-airspeed", "IVT", "airspeed"),
+    )  # fmt: skip
+    states = (
+        ("instance-roll", "Roll"), ("instance-pitch", "Pitch"), ("instance-yaw", "Yaw"),
+        ("instance-down", "PD"),
+    )  # fmt: skip
+    return (
+        *(Curve(status, "variance", label + core, field(name)) for name, label in ratios),
+        *(Curve(innovations, panel, axis + core, field(name)) for panel, name, axis in parts),
+        *(
+            Curve(state, panel, f"core{core}", _heading(name) if name == "Yaw" else field(name))
+            for panel, name in states
+        ),
+        *(Curve(state, "gyro-bias", f"{axis[-1].lower()}{core}", field(axis, 1.0)) for axis in
+          ("GX", "GY", "GZ")),
+    )  # fmt: skip
+
+
+def _controller(message: str, axis: str, letter: str, up: float) -> tuple[Curve, ...]:
+    """Position and velocity of PSCN, PSCE, PSCD: what is and what is wanted."""
+    return tuple(
+        Curve(message, f"{kind}-{axis}", name, field(f"{prefix}{quantity}{letter}", up))
+        for kind, quantity in (("position", "P"), ("velocity", "V"))
+        for name, prefix in (("estimate", ""), ("desired", "T"))
+    )
+
+
+CURVES: tuple[Curve, ...] = (
+    Curve("ATT", "roll", "ATTITUDE", field("Roll"), False),
+    Curve("ATT", "roll", "desired", field("DesRoll"), False),
+    Curve("ATT", "pitch", "ATTITUDE", field("Pitch"), False),
+    Curve("ATT", "pitch", "desired", field("DesPitch"), False),
+    Curve("ATT", "yaw", "ATTITUDE", _heading("Yaw"), False),
+    Curve("ATT", "yaw", "desired", _heading("DesYaw"), False),
+    *(
+        Curve("RATE", f"rate-{axis}", name, field(f"{axis[0].upper()}{suffix}"), False)
+        for axis in ("roll", "pitch", "yaw")
+        for name, suffix in (("actual", ""), ("desired", "Des"))
+    ),
+    *_controller("PSCN", "north", "N", 1.0),
+    *_controller("PSCE", "east", "E", 1.0),
+    *_controller("PSCD", "down", "D", 1.0),
+    Curve("GPS", "altitude", "GPS", field("Alt")),
+    Curve("POS", "altitude", "estimate", field("Alt"), False),
+    Curve("POS", "height", "estimate", field("RelHomeAlt"), False),
+    Curve("CTUN", "height", "desired", field("DAlt"), False),
+    Curve("CTUN", "height", "controller", field("Alt"), False),
+    Curve("CTUN", "height", "barometer", field("BAlt"), False),
+    Curve("GPS", "speed", "GPS", field("Spd")),
+    Curve("ARSP", "speed", "air", field("Airspeed"), False),
+    Curve("CTUN", "climb", "CTUN", field("CRt", 0.01), False),
+    Curve("CTUN", "climb", "desired", field("DCRt", 0.01), False),
+    Curve("GPS", "gps-satellites", "GPS", field("NSats")),
+    Curve("GPS", "gps-fix", "GPS", field("Status")),
+    Curve("GPS", "gps-dilution", "hdop", field("HDop")),
+    Curve("GPA", "gps-dilution", "vdop", field("VDop")),
+    Curve("GPA", "gps-accuracy", "horizontal", field("HAcc")),
+    Curve("GPA", "gps-accuracy", "vertical", field("VAcc")),
+    Curve("GPA", "gps-accuracy", "speed, m/s", field("SAcc")),
+    Curve("UBX1", "gps-noise", "jamming indicator", field("jamInd"), False),
+    Curve("UBX1", "gps-noise", "noise per ms", field("noisePerMS"), False),
+    Curve("UBX1", "gps-gain", "automatic gain control", field("agcCnt"), False),
+    *(Curve("VIBE", "vibration", axis, field(f"Vibe{axis.upper()}")) for axis in "xyz"),
+    Curve("VIBE", "clipping", "accelerometer", field("Clip")),
+    *(
+        Curve("VIBE", "clipping", f"accelerometer {i + 1}", field(f"Clip{i}"), False)
+        for i in range(3)
+    ),
+    *(
+        Curve("IMU", kind, axis, field(f"{word}{axis.upper()}"), "-" in kind)
+        for kind, word in (
+            ("accel", "Acc"),
+            ("gyro", "Gyr"),
+            ("accel-instances", "Acc"),
+            ("gyro-instances", "Gyr"),
+        )
+        for axis in "xyz"
+    ),
+    Curve("MAG", "mag", "compass", norm("MagX", "MagY", "MagZ", scale=1e-3)),
+    Curve("BARO", "baro", "barometer", field("Press", 0.01)),
+    Curve("BARO", "temperature", "barometer", field("Temp")),
+    Curve("IMU", "temperature", "IMU", field("T")),
+    Curve("BAT", "battery-voltage", "battery", field("Volt")),
+    Curve("BAT", "battery-current", "battery", field("Curr")),
+    Curve("BAT", "battery-remaining", "battery", field("RemPct")),
+    Curve("CURR", "battery-voltage", "battery", _hundredths("Volt")),
+    Curve("CURR", "battery-current", "battery", _hundredths("Curr")),
+    Curve("CURR", "board-voltage", "Vcc", _millivolts, False),
+    *(Curve("BCL", "battery-cells", f"cell {i}", used(f"V{i}", 1e-3)) for i in range(1, CELLS + 1)),
+    Curve("POWR", "board-voltage", "Vcc", field("Vcc"), False),
+    Curve("POWR", "board-voltage", "servo rail", used("VServo"), False),
+    Curve("POWR", "temperature", "processor", used("MTemp"), False),
+    Curve("PM", "load", "processor", field("Load", 0.1), False),
+    Curve("PM", "scheduler", "long loops", field("NLon"), False),
+    Curve("PM", "loop-time", "longest loop", field("MaxT", 1e-3), False),
+    Curve("PM", "memory", "free", field("Mem", 1 / 1024), False),
+    Curve("RAD", "radio", "signal", field("RSSI"), False),
+    Curve("RAD", "radio", "remote signal", field("RemRSSI"), False),
+    Curve("RAD", "radio", "noise", field("Noise"), False),
+    Curve("RAD", "radio", "remote noise", field("RemNoise"), False),
+    Curve("CTUN", "throttle", "throttle", _throttle, False),
+    *(
+        Curve("RCOU", "outputs", f"output {i}", used(f"C{i}"), False)
+        for i in range(1, CHANNELS + 1)
+    ),
+    *(Curve("RCIN", "rc", f"channel {i}", used(f"C{i}"), False) for i in range(1, CHANNELS + 1)),
+    Curve("ESC", "rpm", "motor", used("RPM")),
+    Curve("RFND", "range", "distance sensor", field("Dist")),
+    *_estimator("XKF4", "XKF3", "XKF1", ""),
+    *_estimator("NKF4", "NKF3", "NKF1", ""),
+    *_estimator("NKF9", "NKF8", "NKF6", " 2"),
+    *_estimator("EKF4", "EKF3", "EKF1", ""),
+)

@@ -1,0 +1,198 @@
+"""What fast signals hold by frequency: densities by Welch's method, spectrograms, filters.
+
+Rates below `LEAST_HZ` and signals with uneven samples (thinned logs) have no spectrum. A signal's
+highest frequency is half its logging rate, which is often far below the sensor's own.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.report.recordings.recording import Recording, Signal, Vector
+
+LEAST_HZ, LEAST_SAMPLES = 20.0, 512
+EVEN_SHARE, EVEN_WITHIN = 0.8, 0.5  # of the steps must be so near the usual one
+SEGMENT, WINDOW = 1024, 256  # samples of a density's segments, of a spectrogram's windows
+COLUMNS, BINS = 300, 20  # of a spectrogram at the most, of throttle
+LEAST_WINDOWS = 3  # in a bin of throttle
+
+# key, title, panels in order of preference, unit of the signals
+GROUPS = (
+    ("spectrum-gyro", "Gyroscopes, as logged by the sensors", ("gyro-instances", "gyro"), "rad/s"),
+    (
+        "spectrum-rate", "Angular rates after the filters, as the controller uses them",
+        ("rate-roll", "rate-pitch", "rate-yaw"), "deg/s",
+    ),
+    ("spectrum-accel", "Accelerometers", ("accel-instances", "accel"), "m/s²"),
+    ("spectrum-torque", "Torque asked for", ("torque",), "1"),
+    ("spectrum-actuators", "Motors and outputs", ("actuators", "outputs"), "1"),
+)  # fmt: skip
+SUMMED = ("spectrum-gyro", "spectrum-rate", "spectrum-accel")  # of these there are spectrograms
+FILTERS = (
+    ("IMU_GYRO_CUTOFF", "gyro low-pass"), ("IMU_DGYRO_CUTOFF", "D-term low-pass"),
+    ("IMU_GYRO_NF0_FRQ", "notch 1"), ("IMU_GYRO_NF1_FRQ", "notch 2"),
+    ("IMU_ACCEL_CUTOFF", "accel low-pass"), ("INS_GYRO_FILTER", "gyro low-pass"),
+    ("INS_ACCEL_FILTER", "accel low-pass"), ("INS_HNTCH_FREQ", "harmonic notch"),
+    ("INS_HNTC2_FREQ", "second harmonic notch"), ("INS_NOTCH_FREQ", "notch"),
+)  # fmt: skip
+ENABLED = {
+    "INS_HNTCH_FREQ": "INS_HNTCH_ENABLE",
+    "INS_HNTC2_FREQ": "INS_HNTC2_ENABLE",
+    "INS_NOTCH_FREQ": "INS_NOTCH_ENABLE",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Spectrum:
+    """One density: unit^2/Hz over frequency, shape (n,) each."""
+
+    name: str
+    frequency_hz: Vector
+    density: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Spectrogram:
+    """Density in decibels, shape (frequencies, columns); columns from `start` to `end` of `axis`.
+
+    `axis` is "time" (s) or "throttle" (%).
+    """
+
+    title: str
+    axis: str
+    start: float
+    end: float
+    highest_hz: float
+    level_db: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SpectrumPanel:
+    """The spectra of one kind of signal: densities over each other, and spectrograms."""
+
+    key: str
+    title: str
+    unit: str
+    spectra: Sequence[Spectrum]
+    images: Sequence[Spectrogram]
+
+
+def spectrum_panels(
+    recording: Recording, window: tuple[float, float] | None = None
+) -> list[SpectrumPanel]:
+    """Spectra of the signals that are fast enough, within a window of time (s) if there is one."""
+    found = []
+    for key, title, panels, unit in GROUPS:
+        fast = _fast_signals(recording, panels, window)
+        if not fast:
+            continue
+        images = _images(recording, fast) if key in SUMMED else []
+        found.append(SpectrumPanel(key, title, unit, [_density(s) for s in fast], images))
+    return found
+
+
+def marks(recording: Recording) -> list[tuple[float, str]]:
+    """Frequencies of filters by the parameters, and of motors by their speed; (Hz, name)."""
+    last = {name: history[-1][1] for name, history in recording.parameters.items() if history}
+    found = [
+        (last[name], text)
+        for name, text in FILTERS
+        if last.get(name, 0) > 0 and last.get(ENABLED.get(name, name), 1) > 0
+    ]
+    speeds = [s.value[s.value > 0] / 60 for s in recording.of("rpm") if (s.value > 0).any()]
+    if speeds:
+        middle = float(np.median(np.concatenate(speeds)))
+        found += [(middle, "motors"), (2 * middle, "motors × 2")]
+    return found
+
+
+def _fast_signals(
+    recording: Recording, panels: Sequence[str], window: tuple[float, float] | None
+) -> list[Signal]:
+    """Evenly sampled signals: of the first panel that has some, of all where they are axes."""
+    axes = panels[0].startswith("rate-")
+    found: list[Signal] = []
+    for panel in panels:
+        for signal in recording.of(panel):
+            if axes and signal.name != "actual":
+                continue
+            name = panel.removeprefix("rate-") if axes else signal.name
+            even = _even(signal, window)
+            if even is not None:
+                found.append(Signal(panel, name, *even))
+        if found and not axes:
+            break
+    return found
+
+
+def _even(signal: Signal, window: tuple[float, float] | None) -> tuple[Vector, Vector] | None:
+    """The signal at equal steps; None if it is slow, short, constant or uneven."""
+    keep = np.isfinite(signal.value)
+    if window is not None:
+        keep &= (signal.t_s >= window[0]) & (signal.t_s <= window[1])
+    t_s, value = signal.t_s[keep], signal.value[keep]
+    if len(t_s) < LEAST_SAMPLES:
+        return None
+    steps = np.diff(t_s)
+    step_s = float(np.median(steps))
+    even = np.mean(np.abs(steps - step_s) < EVEN_WITHIN * step_s) if step_s > 0 else 0.0
+    if even < EVEN_SHARE or step_s > 1 / LEAST_HZ or np.ptp(value) == 0:
+        return None
+    # The mean step, since stamps rounded to milliseconds have a median that is off.
+    usual = steps[np.abs(steps - step_s) < EVEN_WITHIN * step_s]
+    grid = np.arange(t_s[0], t_s[-1], float(np.mean(usual)))
+    return grid, np.interp(grid, t_s, value)
+
+
+def _rate_hz(signal: Signal) -> float:
+    return (len(signal.t_s) - 1) / float(signal.t_s[-1] - signal.t_s[0])
+
+
+def _density(signal: Signal) -> Spectrum:
+    from scipy.signal import welch
+
+    segment = min(SEGMENT, 2 ** int(np.log2(len(signal.value) / 4)))
+    frequency_hz, density = welch(signal.value, _rate_hz(signal), nperseg=segment)
+    return Spectrum(signal.name, frequency_hz[1:], density[1:])
+
+
+def _images(recording: Recording, fast: Sequence[Signal]) -> list[Spectrogram]:
+    """The axes of the first instance summed, by time, and by throttle where that is logged."""
+    from scipy.signal import spectrogram
+
+    first = [s for s in fast if s.name in ("x", "y", "z", "roll", "pitch", "yaw")] or fast[:3]
+    n = min(len(signal.value) for signal in first)
+    hop = max(WINDOW // 4, -(-(n - WINDOW) // COLUMNS))
+    total: NDArray[np.float64] = np.zeros(())
+    for signal in first:
+        frequency_hz, t_s, level = spectrogram(
+            signal.value[:n], _rate_hz(signal), nperseg=WINDOW, noverlap=max(0, WINDOW - hop)
+        )
+        total = total + level
+    level_db = 10 * np.log10(np.maximum(total[1:], 1e-12))
+    start_s = float(first[0].t_s[0])
+    step_s = float(t_s[1] - t_s[0]) if len(t_s) > 1 else 1.0
+    highest_hz = float(frequency_hz[-1])
+    begin, end = start_s + float(t_s[0]) - step_s / 2, start_s + float(t_s[-1]) + step_s / 2
+    images = [Spectrogram("by time", "time", begin, end, highest_hz, level_db)]
+    throttle = recording.of("throttle")
+    if throttle:
+        by_throttle = _by_throttle(throttle[0], start_s + t_s, level_db)
+        if by_throttle is not None:
+            images.append(Spectrogram("by throttle", "throttle", 0, 100, highest_hz, by_throttle))
+    return images
+
+
+def _by_throttle(
+    throttle: Signal, t_s: Vector, level_db: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """Mean level of the columns that fall in each bin of throttle; NaN where there are few."""
+    share = np.interp(t_s, throttle.t_s, np.nan_to_num(throttle.value))
+    place = np.clip((share / 100 * BINS).astype(int), 0, BINS - 1)
+    table = np.full((len(level_db), BINS), np.nan)
+    for i in range(BINS):
+        if (place == i).sum() >= LEAST_WINDOWS:
+            table[:, i] = level_db[:, place == i].mean(axis=1)
+    return table if np.isfinite(table[0]).sum() > 1 else None

@@ -1,0 +1,119 @@
+"""Every field of every message, for the page's search box: packed a message at a time.
+
+The page unpacks a message when one of its fields is asked for. Inside the file, messages are
+thinned until all fit; beside it (`report-data/`), they are whole, as scripts that hand their
+numbers over.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.report.page.pack import Block
+from analysis.report.recordings.recording import Message, Vector
+from mavproxy_fault.documents.errors import ConfigError
+
+BESIDE = "beside"
+INSIDE_MB = 2.0
+FOLDER = "report-data"
+BYTES_OF_A_CELL = 2.5  # of float32 deflated and base64-coded; measured on real logs 1.5 to 4
+LONGEST_ARRAY = 16  # elements of an array field that are offered
+FAR = 1e6  # numbers so far from zero are kept as differences to the first
+
+
+@dataclass(frozen=True, slots=True)
+class FieldData:
+    """What the page knows of the fields: an index, and packed numbers by message number."""
+
+    index: list[dict[str, Any]] = field(default_factory=list)
+    inside: dict[int, str] = field(default_factory=dict)
+
+
+def field_data(messages: Mapping[str, Message], where: str, folder: Path) -> FieldData:
+    """Pack the fields of all messages.
+
+    Parameters
+    ----------
+    messages : dict
+        By name.
+    where : str
+        "beside", to write them into `report-data` in `folder`, or how many MB of the page they may
+        take.
+    folder : Path
+        Of the report.
+
+    Raises
+    ------
+    ConfigError
+        If `where` is neither.
+    """
+    most_mb = None if where == BESIDE else _megabytes(where)
+    if most_mb == 0:
+        return FieldData()
+    tables = [(name, m.t_s, dict(_columns(m.columns))) for name, m in sorted(messages.items())]
+    tables = [table for table in tables if table[2] and len(table[1])]
+    sizes = [(len(t_s), len(columns) + 1) for _, t_s, columns in tables]
+    most_rows = None if most_mb is None else _rows(sizes, most_mb * 1e6 / BYTES_OF_A_CELL)
+    found = FieldData()
+    for number, (name, t_s, columns) in enumerate(tables):
+        entry, text = _packed(t_s, columns, most_rows)
+        found.index.append({"name": name, "number": number, "rows": len(t_s)} | entry)
+        if most_mb is not None:
+            found.inside[number] = text
+            continue
+        beside = folder / FOLDER / f"{number}.js"
+        beside.parent.mkdir(exist_ok=True)
+        beside.write_text(f'report.fields.arrived({number},"{text}");\n', encoding="ascii")
+    return found
+
+
+def _megabytes(where: str) -> float:
+    try:
+        size = float(where)
+    except ValueError:
+        size = -1.0
+    if not 0 <= size < float("inf"):
+        raise ConfigError(f"--data {where}: neither a size nor a place; give MB or {BESIDE!r}")
+    return size
+
+
+def _rows(sizes: list[tuple[int, int]], cells: float) -> int:
+    """How many rows a message may keep for all together to have so many cells."""
+    low, high = 2, max((rows for rows, _ in sizes), default=2)
+    while low < high:
+        middle = (low + high + 1) // 2
+        if sum(min(rows, middle) * columns for rows, columns in sizes) <= cells:
+            low = middle
+        else:
+            high = middle - 1
+    return low
+
+
+def _columns(columns: Mapping[str, NDArray[Any]]) -> Iterator[tuple[str, Vector]]:
+    """Fields that are numbers; an array field as its elements; what is always zero stays."""
+    for name, column in columns.items():
+        if name in ("timestamp", "TimeUS") or column.dtype.kind not in "iufb":
+            continue
+        if column.ndim == 1:
+            yield name, column.astype(float)
+        else:
+            for i in range(min(column.shape[1], LONGEST_ARRAY)):
+                yield f"{name}[{i}]", column[:, i].astype(float)
+
+
+def _packed(
+    t_s: Vector, columns: Mapping[str, Vector], most_rows: int | None
+) -> tuple[dict[str, Any], str]:
+    """One message's entry in the index and its numbers; at equal steps of rows if it is thinned."""
+    step = 1 if most_rows is None else max(1, -(-len(t_s) // most_rows))
+    block = Block()
+    entry: dict[str, Any] = {"step": step, "t": block.times(t_s[::step]), "fields": []}
+    for name, values in columns.items():
+        thin = values[::step]
+        first = next((v for v in thin[:1].tolist() if np.isfinite(v) and abs(v) > FAR), 0.0)
+        entry["fields"].append({"name": name, "y": block.values(thin - first), "add": first})
+    return entry, block.text()

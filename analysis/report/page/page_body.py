@@ -1,0 +1,190 @@
+"""The page's text: overview, sections with the places of their plots, tables.
+
+What a log says is text from outside: it is escaped wherever it stands.
+"""
+
+from collections.abc import Sequence
+from html import escape
+
+from analysis.report.page.page_model import Model
+from analysis.report.page.page_parts import Cell, Moments, Page, Table
+from analysis.report.page.panels import BY_KEY, CHECKS, FIELDS, PANELS, SPECTRA, TIMELINE
+from analysis.report.recordings.recording import Recording
+
+VERDICTS = ("PASS", "WARN", "FAIL")
+MAP = "Map"
+OPEN_WHEN_NARROW = (TIMELINE, CHECKS)
+EVENTS_SHOWN = 400
+NEAR_S = 5.0  # shown before and after an event that is clicked
+
+
+def anchor(name: str) -> str:
+    """The id of a section."""
+    return "to-" + "".join(c if c.isalnum() else "-" for c in name.lower())
+
+
+def css_class(word: str) -> str:
+    """The class of a verdict."""
+    return word if word in VERDICTS else "NONE"
+
+
+def sections_of(page: Page, recording: Recording, model: Model, fields: bool) -> list[str]:
+    """The sections that have something to show, in order."""
+    with_plots = {BY_KEY[str(panel["key"])].section for panel in model["panels"]}
+    with_tables = {section for section, _ in page.tables if section}
+    every = dict.fromkeys(panel.section for panel in PANELS)
+    sections = [name for name in every if name in with_plots | with_tables]
+    first = []
+    if recording.spans or recording.events or TIMELINE in with_tables:
+        first.append(TIMELINE)
+    if CHECKS in with_tables:
+        first.append(CHECKS)
+    if fields:
+        first.append(FIELDS)
+    if recording.tracks:
+        first.append(MAP)
+    last = [SPECTRA] if model["spectra"] else []
+    sections = first + [name for name in sections if name not in first] + last
+    return sections + sorted(with_tables - set(sections))
+
+
+def overview(page: Page, recording: Recording) -> str:
+    """The verdict's reasons, facts and notes."""
+    facts = "".join(
+        f"<div><b>{escape(value)}</b><span>{escape(name)}</span></div>"
+        for name, value in page.facts
+    )
+    reasons = "".join(
+        f'<li><b class="{css_class(kind)}">{escape(kind)}</b> {escape(text)}</li>'
+        for kind, text in page.reasons
+    )
+    reasons = f'<ul class="reasons">{reasons}</ul>' if reasons else ""
+    notes = "".join(f'<p class="note">{escape(note)}</p>' for note in recording.notes)
+    tables = "".join(_table(table) for section, table in page.tables if section == "")
+    return (
+        f'<section id="to-overview">{reasons}<div class="facts">{facts}</div>{notes}{tables}'
+        "</section>"
+    )
+
+
+def section_html(section: str, page: Page, recording: Recording, model: Model) -> str:
+    """One section, foldable."""
+    parts = []
+    if section == TIMELINE and recording.spans:
+        parts.append(_TIMELINE)
+    if section == FIELDS:
+        parts.append(_FIELDS)
+    if section == MAP:
+        parts.append(_MAP)
+    plots = [
+        _plot(panel["key"], panel["title"])
+        for panel in model["panels"]
+        if BY_KEY[panel["key"]].section == section
+    ]
+    if section == SPECTRA:
+        parts.append(_SPECTRA)
+        plots = [_plot(panel["key"], panel["title"]) for panel in model["spectra"]]
+        plots += [
+            _plot(f"{panel['key']}-{image['axis']}", f"{panel['title']}, {image['title']}")
+            for panel in model["spectra"]
+            for image in panel["images"]
+        ]
+    if plots:
+        parts.append(f'<div class="plots">{"".join(plots)}</div>')
+    parts.extend(_table(table) for name, table in page.tables if name == section)
+    if section == TIMELINE:
+        parts.append(_events(recording))
+    narrow = " data-narrow" if section in OPEN_WHEN_NARROW else ""
+    return (
+        f'<details class="section" id="{anchor(section)}" open{narrow}><summary>'
+        f"<h2>{escape(section)}</h2></summary>{''.join(parts)}</details>"
+    )
+
+
+def _plot(key: str, title: str) -> str:
+    return (
+        f'<div class="plot"><h3>{escape(title)}</h3><div class="area" id="plot-{key}"></div></div>'
+    )
+
+
+_TIMELINE = (
+    '<div class="plot"><div class="readout" id="timeline-readout"></div>'
+    '<div class="area" id="timeline"></div></div>'
+    '<p class="note hint">Drag over any plot to zoom all of them; double click for the '
+    "whole flight; click a legend entry to hide its curve, a time in a table to see it.</p>"
+)
+_FIELDS = (
+    '<form id="field-form"><label>Plot <input id="field-text" list="field-names" '
+    'autocomplete="off" spellcheck="false" placeholder="MESSAGE.field, or an expression"></label>'
+    '<datalist id="field-names"></datalist><button>plot</button>'
+    '<span id="field-said" class="note" role="status"></span></form>'
+    '<p class="note hint">Any field of any message; several on one axis with commas between them; '
+    "expressions of + - * / ^, abs, sqrt, sin, cos, atan2, hypot, min, max, diff (by time), deg, "
+    "rad, mean(field, seconds). The address of the page keeps what is plotted.</p>"
+    '<div class="plots" id="field-plots"></div>'
+)
+_MAP = (
+    '<div class="key" id="track-key"></div><div class="tracks">'
+    '<canvas id="map" role="img" aria-label="Tracks from above" tabindex="0"></canvas>'
+    '<canvas id="space" role="img" aria-label="Tracks in space" tabindex="0"></canvas></div>'
+    '<p class="note hint">Drag to move (left) or turn (right), wheel to zoom, double click '
+    "to reset.</p>"
+)
+_SPECTRA = (
+    '<p class="note">While armed, where the log says when. Dashed lines are filters by the '
+    "parameters and motors by their speed. A spectrum ends at half the rate of logging.</p>"
+)
+
+
+def _events(recording: Recording) -> str:
+    rows: list[Sequence[Cell]] = [
+        (
+            Moments([(event.t_s - NEAR_S, event.t_s + NEAR_S)]),
+            event.kind,
+            (event.text, "FAIL" if event.severity <= 2 else ""),
+        )
+        for event in recording.events[:EVENTS_SHOWN]
+    ]
+    if not rows:
+        return ""
+    missing = len(recording.events) - len(rows)
+    note = f"{missing} more are in the JSON file." if missing else ""
+    title = f"Events and messages ({len(recording.events)})"
+    return _table(Table(title, ("time", "kind", "text"), rows, note, folded=len(rows) > 12))
+
+
+def _table(table: Table) -> str:
+    head = "".join(f"<th>{escape(name)}</th>" for name in table.head)
+    heads = table.head if table.style == "cards" else [""] * len(table.head)
+    rows = "".join("<tr>" + "".join(map(_cell, row, heads)) + "</tr>" for row in table.rows)
+    text = (
+        f'<div class="wide" tabindex="0" role="group" aria-label="{escape(table.title)}">'
+        f'<table class="{table.style}"><thead><tr>{head}</tr></thead>'
+        f"<tbody>{rows}</tbody></table></div>"
+    )
+    if table.note:
+        text += f'<p class="note">{escape(table.note)}</p>'
+    if table.folded:
+        return f"<details><summary>{escape(table.title)}</summary>{text}</details>"
+    return f"<h3>{escape(table.title)}</h3>{text}"
+
+
+def _cell(cell: Cell, head: str) -> str:
+    label = f' data-label="{escape(head)}"' if head else ""
+    if isinstance(cell, Moments):
+        return f"<td{label}>{_buttons(cell)}</td>"
+    text, style = cell if isinstance(cell, tuple) else (cell, "")
+    number = text.replace(".", "", 1).replace("-", "", 1).isdigit()
+    styles = " ".join(filter(None, (style, "number" if number else "")))
+    classes = f' class="{styles}"' if styles else ""
+    return f"<td{label}{classes}>{escape(text)}</td>"
+
+
+def _buttons(cell: Moments) -> str:
+    """Up to three stretches as buttons; the scripts write the times in the form that is chosen."""
+    shown = " ".join(
+        f'<button class="moment" data-from="{start:.3f}" data-to="{end:.3f}" '
+        f'data-panel="{escape(cell.panel)}">{start:.1f}–{end:.1f} s</button>'
+        for start, end in cell.windows[:3]
+    )
+    return shown + (f" and {len(cell.windows) - 3} more" if len(cell.windows) > 3 else "")

@@ -1,0 +1,149 @@
+"""What the page's scripts draw from: panels, spans, marks, tracks, spectra, packed numbers."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from analysis.report.curves.spectra import Spectrogram, SpectrumPanel, marks, spectrum_panels
+from analysis.report.judging.checks import armed_windows
+from analysis.report.page.pack import Block, broken, longest_curve, thinned, unwrapped
+from analysis.report.page.page_parts import Page
+from analysis.report.page.panels import BY_KEY, PANELS
+from analysis.report.page.series_colours import series_colours
+from analysis.report.recordings.recording import Recording, Signal, Track, Vector
+
+EARTH_RADIUS_M = 6_371_000.0  # for a picture of the track; nothing is measured on it
+HEADINGS = {"yaw", "error-yaw", "instance-yaw"}
+MARGIN_S = 2.0  # of a track, before arming and after
+MARKS_SHOWN, TRACK_POINTS = 1000, 20_000
+LEVELS, RANGE_DB = 255, 60.0  # of a spectrogram's picture
+
+Model = dict[str, Any]
+
+
+def page_model(page: Page, recording: Recording, block: Block) -> Model:
+    """The model of a page; its numbers go into `block`."""
+    starts = [signal.t_s[0] for signal in recording.signals] + [s.start_s for s in recording.spans]
+    ends = [signal.t_s[-1] for signal in recording.signals] + [s.end_s for s in recording.spans]
+    start = float(min(starts, default=0.0))
+    tracks = flown(recording)
+    spectra = spectrum_panels(recording, _flight(recording))
+    return {
+        "start": start,
+        "end": max(float(max(ends, default=1.0)), start + 1e-3),
+        "t0_us": recording.t0_us,
+        "utc0_us": recording.utc0_us,
+        "panels": _panels(page, recording, block),
+        "spans": [
+            {"lane": s.lane, "start": s.start_s, "end": s.end_s, "text": s.text, "kind": s.kind}
+            for s in sorted(recording.spans, key=lambda span: _lane_rank(span.lane))
+        ],
+        "marks": [asdict(event) for event in recording.events[:MARKS_SHOWN]],
+        "tracks": _tracks(tracks, block),
+        "origin": [float(tracks[0].lat_deg[0]), float(tracks[0].lon_deg[0])] if tracks else None,
+        "spectra": [_spectrum(panel, block) for panel in spectra],
+        "frequencies": marks(recording),
+    }  # fmt: skip
+
+
+def _panels(page: Page, recording: Recording, block: Block) -> list[Model]:
+    shown = {panel.key: recording.of(panel.key) for panel in PANELS}
+    shown = {key: signals for key, signals in shown.items() if len(signals) >= BY_KEY[key].least}
+    longest = longest_curve([len(s.t_s) for signals in shown.values() for s in signals])
+    return [_panel(key, signals, page, block, longest) for key, signals in shown.items()]
+
+
+def _panel(key: str, signals: Sequence[Signal], page: Page, block: Block, longest: int) -> Model:
+    panel = BY_KEY[key]
+    colours = series_colours([signal.name for signal in signals])
+    series = []
+    for signal, colour in zip(signals, colours, strict=True):
+        t_s, value = thinned(*broken(signal.t_s, signal.value), longest)
+        if key in HEADINGS:
+            t_s, value = unwrapped(t_s, value)
+        places = {"t": block.times(t_s), "y": block.values(value)}
+        series.append({"name": signal.name, "colour": colour, **places})
+    limits = [asdict(limit) for limit in page.limits.get(key, ())]
+    words = {"key": key, "title": panel.title, "unit": panel.unit, "log": panel.log}
+    return {**words, "series": series, "limits": limits}
+
+
+def _lane_rank(lane: str) -> int:
+    """Injected first, then what was detected, flags, modes."""
+    order = ("injected", "detected", "excluded", "found", "estimator", "mode", "armed")
+    return next((i for i, word in enumerate(order) if lane.startswith(word)), len(order))
+
+
+def _flight(recording: Recording) -> tuple[float, float] | None:
+    """The longest stretch armed: on the ground nothing turns."""
+    armed = armed_windows(recording)
+    return max(armed, key=lambda window: window[1] - window[0]) if armed else None
+
+
+def flown(recording: Recording) -> list[Track]:
+    """Tracks while armed, where the log says when: before, there may be no position yet."""
+    armed = armed_windows(recording)
+    if not armed:
+        return recording.tracks
+    found = []
+    for track in recording.tracks:
+        inside = np.zeros(len(track.t_s), bool)
+        for start, end in armed:
+            inside |= (track.t_s >= start - MARGIN_S) & (track.t_s <= end + MARGIN_S)
+        if inside.sum() > 1:
+            columns = (track.t_s, track.lat_deg, track.lon_deg, track.alt_m)
+            found.append(Track(track.name, *(column[inside] for column in columns)))
+    return found
+
+
+def _tracks(tracks: Sequence[Track], block: Block) -> list[Model]:
+    """Tracks in metres east, north and up of the first one's first point."""
+    if not tracks:
+        return []
+    lat0, lon0 = float(tracks[0].lat_deg[0]), float(tracks[0].lon_deg[0])
+    colours = series_colours([track.name for track in tracks])
+    found = []
+    for track, colour in zip(tracks, colours, strict=True):
+        east = np.radians(track.lon_deg - lon0) * EARTH_RADIUS_M * np.cos(np.radians(lat0))
+        north = np.radians(track.lat_deg - lat0) * EARTH_RADIUS_M
+        step = max(1, len(track.t_s) // TRACK_POINTS)
+        axes: tuple[tuple[str, Vector], ...] = (("e", east), ("n", north), ("u", track.alt_m))
+        places: Model = {"name": track.name, "colour": colour, "t": block.times(track.t_s[::step])}
+        for name, values in axes:
+            places[name] = block.values(values[::step])
+        found.append(places)
+    return found
+
+
+def _spectrum(panel: SpectrumPanel, block: Block) -> Model:
+    names = [spectrum.name for spectrum in panel.spectra]
+    return {
+        "key": panel.key,
+        "title": panel.title,
+        "unit": f"({panel.unit})²/Hz" if panel.unit != "1" else "1/Hz",
+        "series": [
+            {
+                "name": spectrum.name,
+                "colour": colour,
+                "t": block.times(spectrum.frequency_hz),
+                "y": block.values(spectrum.density),
+            }
+            for spectrum, colour in zip(panel.spectra, series_colours(names), strict=True)
+        ],
+        "images": [_image(image, block) for image in panel.images],
+    }
+
+
+def _image(image: Spectrogram, block: Block) -> Model:
+    """Levels of the loudest 60 dB as numbers to 255, the lowest frequency first; -1: no data."""
+    highest = float(np.nanmax(image.level_db))
+    lowest = highest - RANGE_DB
+    level = np.clip((image.level_db - lowest) / RANGE_DB, 0, 1) * LEVELS
+    rounded = np.where(np.isfinite(level), np.round(level), -1)
+    return {
+        "title": image.title, "axis": image.axis, "start": image.start, "end": image.end,
+        "hz": image.highest_hz, "rows": len(level), "low": lowest, "high": highest,
+        "y": block.values(rounded.ravel()),
+    }  # fmt: skip

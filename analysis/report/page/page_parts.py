@@ -1,0 +1,55 @@
+"""What stands on a page besides the recording's own plots: tables, limits, facts, reasons."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True)
+class Moments:
+    """A cell of buttons that zoom all plots: stretches of time (s), and the plot to show."""
+
+    windows: Sequence[tuple[float, float]]
+    panel: str = ""
+
+
+Cell = str | tuple[str, str] | Moments  # text, text with a CSS class, or buttons
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table: head and rows."""
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    note: str = ""
+    folded: bool = False
+    style: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """A horizontal line on a plot."""
+
+    value: float
+    text: str
+    kind: str
+
+
+SENSOR_LIMIT = {"fdi-sensor": [Limit(1.0, "threshold", "fail")]}
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """What stands on the page besides the recording's own plots.
+
+    `limits` are keyed by panel; `tables` by the section they stand at the end of ("" is the
+    overview); `reasons` say in a line each what the verdict rests on: (kind, text).
+    """
+
+    title: str
+    verdict: str
+    facts: Sequence[tuple[str, str]]
+    tables: Sequence[tuple[str, Table]]
+    limits: Mapping[str, Sequence[Limit]] = field(default_factory=dict)
+    reasons: Sequence[tuple[str, str]] = ()

@@ -1,0 +1,114 @@
+import csv
+import json
+import shutil
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pyarrow.parquet as pq
+import pytest
+
+from mavproxy_fault import cli
+from mavproxy_fault.documents.errors import ConfigError
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the small campaign, its data set beside it."""
+    folder = tmp_path_factory.mktemp("campaign")
+    words = ["--out", str(folder / "out"), "--export", str(folder / "data"), "--workers", "1"]
+    assert cli.main(["campaign", str(HERE / "small.yaml"), *words]) == 0
+    return folder
+
+
+def outcomes(folder: Path) -> dict[tuple[str, str], str]:
+    with (folder / "cells.csv").open() as file:
+        return {(r["subject"], r["magnitude"]): r["outcome"] for r in csv.DictReader(file)}
+
+
+def test_a_small_fault_is_harmless_and_a_large_one_is_not(flown: Path) -> None:
+    found = outcomes(flown / "out")
+    assert found["ekf", "0.001"] == found["mahony", "0.001"] == "unaffected"
+    assert found["ekf", "2.0"] in ("degraded", "lost")
+    summary = json.loads((flown / "out" / "campaign-summary.json").read_text())
+    assert summary["cells"] == 4
+
+
+def test_each_cell_is_a_test_case(flown: Path) -> None:
+    suite = ElementTree.parse(flown / "out" / "junit.xml").getroot()
+    assert suite.get("tests") == "4"
+    failed = [case for case in suite if case.find("failure") is not None]
+    assert {case.get("name").rpartition("|")[2] for case in failed} == {"2"}
+
+
+def test_the_page_stands_alone_and_holds_the_curves(flown: Path) -> None:
+    text = (flown / "out" / "campaign.html").read_text()
+    assert "http://" not in text.split("<!-- uPlot")[0].replace("http://www.w3.org", "")
+    model = json.loads(text.split('id="model">')[1].split("</script>")[0])
+    assert len(model["curves"]) == 4
+    assert "ekf|short.yaml|1" in model["twins"]
+
+
+def test_a_campaign_that_is_over_flies_nothing_again(flown: Path, capsys) -> None:
+    before = (flown / "out" / "cells.jsonl").read_bytes()
+    words = ["--out", str(flown / "out"), "--workers", "1"]
+    assert cli.main(["campaign", str(HERE / "small.yaml"), *words]) == 0
+    assert (flown / "out" / "cells.jsonl").read_bytes() == before
+    assert "4 cells, 0 aborted" in capsys.readouterr().out
+
+
+def test_a_killed_campaign_loses_only_what_was_in_the_air(flown: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(flown / "out", out)
+    lines = (out / "cells.jsonl").read_bytes().splitlines(keepends=True)
+    (out / "cells.jsonl").write_bytes(b"".join(lines[:2]) + lines[2][:30])
+    words = ["--out", str(out), "--workers", "1"]
+    assert cli.main(["campaign", str(HERE / "small.yaml"), *words]) == 0
+    again = (out / "cells.jsonl").read_bytes().splitlines(keepends=True)
+    assert again[:2] == lines[:2], "the first flight was not made again"
+    assert len(again) == 4
+    assert outcomes(out) == outcomes(flown / "out")
+
+
+def test_another_campaigns_folder_is_refused(flown: Path, tmp_path: Path, capsys) -> None:
+    changed = (HERE / "small.yaml").read_text().replace("2.0", "3.0")
+    (tmp_path / "changed.yaml").write_text(changed)
+    shutil.copy(HERE / "short.yaml", tmp_path)
+    assert cli.main(["campaign", str(tmp_path / "changed.yaml"), "--out", str(flown / "out")]) == 2
+    assert "holds another campaign" in capsys.readouterr().err
+
+
+def test_the_data_set_holds_sensors_before_and_after_truth_and_labels(flown: Path) -> None:
+    cells = pq.read_table(flown / "data" / "cells.parquet").to_pylist()
+    assert len(cells) == 4
+    worst = next(cell for cell in cells if cell["magnitude"] == 2.0 and cell["subject"] == "mahony")
+    flight = flown / "data" / "flights" / worst["flight"]
+    before, after = (
+        pq.read_table(flight / f"HIL_SENSOR.{side}.parquet")["xgyro"].to_numpy()
+        for side in ("received", "sent")
+    )
+    assert (after - before).max() == pytest.approx(2.0, abs=1e-5)
+    (label,) = pq.read_table(flight / "labels.parquet").to_pylist()
+    assert label["frames"] == (after != before).sum() == 200
+    assert (flight / "HIL_STATE_QUATERNION.sent.parquet").is_file()
+    assert "gyro" in (flown / "data" / "README.md").read_text()
+
+
+def test_the_size_is_told_before_anything_is_flown(tmp_path: Path, capsys) -> None:
+    words = ["--dry-run", "--workers", "2", "--out", str(tmp_path / "none")]
+    assert cli.main(["campaign", str(HERE / "small.yaml"), *words]) == 0
+    assert "small: 4 cells in 3 flights of 6 s" in capsys.readouterr().out
+    assert not (tmp_path / "none").exists()
+
+
+def test_wrong_arguments_are_told(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="two folders"):
+        _main("campaign", "compare", str(tmp_path))
+    with pytest.raises(ConfigError, match="holds no campaign"):
+        _main("campaign", "compare", str(tmp_path), str(tmp_path))
+
+
+def _main(*words: str) -> int:
+    args = cli.parser("").parse_args(words)
+    return int(args.main(args))

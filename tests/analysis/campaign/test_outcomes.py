@@ -1,0 +1,88 @@
+import pytest
+
+from analysis.campaign.cell import ATTITUDE, POSITION, Cell, Curve, Evidence, Mark
+from analysis.campaign.outcomes import Limits, judged, rank
+
+CELL = Cell(subject="s", scenario="x", fault="f", magnitude=1.0, onset=10.0, duration_s=5.0)
+TIMES = [float(t) for t in range(31)]
+HEALTHY = [1.0] * 31
+
+
+def evidence(value: list[float], *marks: Mark, name: str = ATTITUDE) -> Evidence:
+    return Evidence({name: Curve(TIMES, value)}, list(marks))
+
+
+def bump(height: float, start: int = 11, end: int = 18) -> list[float]:
+    return [1.0 + (height if start <= t < end else 0.0) for t in range(31)]
+
+
+def outcome(flight: Evidence, twin: Evidence | None = None, **limits: float):
+    return judged(CELL, 10.0, flight, twin or evidence(HEALTHY), Limits(**limits))
+
+
+def test_the_same_flight_is_unaffected() -> None:
+    result = outcome(evidence(HEALTHY))
+    assert (result.outcome, result.excursion_deg, result.recovery_s) == ("unaffected", 0.0, None)
+
+
+def test_an_excursion_over_the_limit_is_degraded_and_its_recovery_counts_from_the_end() -> None:
+    result = outcome(evidence(bump(6.0)))
+    assert (result.outcome, result.excursion_deg, result.recovery_s) == ("degraded", 6.0, 3.0)
+
+
+def test_what_the_twin_shows_too_is_not_the_faults() -> None:
+    assert outcome(evidence(bump(6.0)), evidence(bump(6.0))).outcome == "unaffected"
+
+
+def test_what_happened_before_the_onset_does_not_count() -> None:
+    assert outcome(evidence(bump(60.0, 2, 9))).outcome == "unaffected"
+
+
+def test_an_excursion_that_stays_never_recovers() -> None:
+    result = outcome(evidence(bump(6.0, 11, 31)))
+    assert (result.outcome, result.recovery_s) == ("degraded", None)
+
+
+def test_an_estimate_that_is_no_number_is_lost() -> None:
+    values = bump(0.0)
+    values[15] = float("nan")
+    assert outcome(evidence(values)).outcome == "lost"
+
+
+def test_positions_have_limits_of_their_own() -> None:
+    def of(height: float) -> str:
+        flight = evidence(bump(height), name=POSITION)
+        return outcome(flight, evidence(HEALTHY, name=POSITION)).outcome
+
+    assert [of(9.0), of(11.0), of(201.0)] == ["unaffected", "degraded", "lost"]
+
+
+def test_a_new_alarm_is_a_detection_with_its_delay() -> None:
+    marks = Mark(5.0, "detected", "imu"), Mark(12.5, "detected", "imu")
+    result = outcome(evidence(HEALTHY, *marks))
+    assert (result.outcome, result.detected_s, result.detected_by) == ("detected", 2.5, "imu")
+
+
+def test_an_alarm_of_the_twin_is_no_detection() -> None:
+    twin = evidence(HEALTHY, Mark(12.0, "detected", "imu"))
+    assert outcome(evidence(HEALTHY, Mark(12.5, "detected", "imu")), twin).outcome == "unaffected"
+
+
+def test_the_worst_that_happened_counts() -> None:
+    marks = [Mark(11.0, "detected"), Mark(12.0, "failsafe", "LAND"), Mark(20.0, "crashed")]
+    result = outcome(evidence(bump(6.0), *marks))
+    assert (result.outcome, result.failsafe, result.failsafe_s) == ("crashed", "LAND", 2.0)
+
+
+def test_a_flight_that_could_not_be_made_says_nothing() -> None:
+    assert rank("aborted") == -1
+    assert not Limits().worse("aborted")
+    assert Limits(worse_from="failsafe").worse("failsafe")
+    assert not Limits(worse_from="failsafe").worse("degraded")
+
+
+def test_wrong_limits_are_told() -> None:
+    with pytest.raises(ValueError, match="worse_from = bad is unknown"):
+        Limits(worse_from="bad")
+    with pytest.raises(ValueError, match="not positive"):
+        Limits(lost_deg=0.0)

@@ -1,0 +1,82 @@
+from pathlib import Path
+
+import msgspec
+
+from analysis.campaign.campaign_file import CampaignFile, read_campaign
+from analysis.campaign.cell import CellResult, Flown
+from analysis.campaign.plan import Plan
+
+SMALL = read_campaign(Path(__file__).parent / "small.yaml")
+LANES = read_campaign(Path(__file__).resolve().parents[3] / "examples" / "campaign_lanes.yaml")
+TWINS = {"ekf|short.yaml|1": Flown({}), "mahony|short.yaml|1": Flown({})}
+
+
+def answered(cells, outcome: str) -> dict[str, CellResult]:
+    return {cell.key: CellResult(cell=cell, outcome=outcome) for cell in cells}
+
+
+def test_the_size_of_a_campaign_is_its_product() -> None:
+    twice = msgspec.structs.replace(SMALL, seeds=(1, 2, 3), onsets=(1.0, 2.0))
+    plan = Plan(twice)
+    assert (plan.most_cells, plan.most_flights, len(plan.twins())) == (24, 12, 3)
+    assert plan.flight_s == 6.0
+    assert Plan(LANES).most_cells == 100_000
+
+
+def test_subjects_of_the_simulator_share_their_flights() -> None:
+    jobs = [next(thread) for thread in Plan(SMALL).threads({}, TWINS)]
+    assert [[cell.subject for cell in job.cells] for job in jobs] == [["ekf", "mahony"]] * 2
+    assert [job.cells[0].magnitude for job in jobs] == [0.001, 2.0]
+
+
+def test_what_is_known_is_not_flown_again() -> None:
+    first = next(next(Plan(SMALL).threads({}, TWINS)))
+    known = answered(first.cells, "unaffected")
+    (left,) = Plan(SMALL).threads(known, TWINS)
+    assert next(left).cells[0].magnitude == 2.0
+
+
+def test_a_half_written_flight_is_flown_for_the_missing_subject() -> None:
+    first = next(next(Plan(SMALL).threads({}, TWINS)))
+    known = answered(first.cells[:1], "unaffected")
+    job = next(next(Plan(SMALL).threads(known, TWINS)))
+    assert [cell.subject for cell in job.cells] == ["mahony"]
+
+
+def test_lanes_hold_cells_of_one_subject_fault_and_seed() -> None:
+    jobs = [next(thread) for thread in Plan(LANES).threads({}, {})]
+    assert sum(len(job.cells) for job in jobs) == 100_000
+    for job in jobs:
+        assert len({(c.subject, c.scenario, c.fault, c.seed) for c in job.cells}) == 1
+
+
+def bisected(campaign: CampaignFile, threshold: float, known: dict[str, CellResult]) -> int:
+    """Fly a critical search of a subject that breaks from a threshold on; the flights made."""
+    flights = 0
+    for thread in Plan(campaign).threads(known, TWINS):
+        job = next(thread, None)
+        while job is not None:
+            flights += 1
+            (cell,) = job.cells
+            outcome = "lost" if cell.magnitude >= threshold else "unaffected"
+            results = answered([cell], outcome)
+            known |= results
+            try:
+                job = thread.send(list(results.values()))
+            except StopIteration:
+                job = None
+    return flights
+
+
+def test_a_critical_search_goes_on_where_it_was_killed() -> None:
+    campaign = msgspec.structs.replace(SMALL, find="critical", subjects=("ekf",))
+    known: dict[str, CellResult] = {}
+    assert bisected(campaign, 0.1, known) == 8
+    whole = Plan(campaign).criticals(known)
+    for key in list(known)[5:]:
+        del known[key]
+    assert Plan(campaign).criticals(known) == {}
+    assert bisected(campaign, 0.1, known) == 3
+    assert Plan(campaign).criticals(known) == whole
+    (critical,) = whole.values()
+    assert critical.harmless < 0.1 <= critical.magnitude

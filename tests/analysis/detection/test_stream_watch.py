@@ -1,0 +1,137 @@
+"""Streams that fall silent, repeat themselves or lose their time."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from analysis.detection.sensors.stream_watch import StreamWatch
+from analysis.results import SensorDecision
+from analysis.samples.block import block_of
+from analysis.samples.sample import (
+    AttitudeSample,
+    BaroSample,
+    GpsFix,
+    ImuSample,
+    MagSample,
+    Sample,
+    TruthSample,
+)
+
+SECOND = 1_000_000
+BEGIN_US, END_US = 10 * SECOND, 14 * SECOND  # of what is done to a stream
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def stream(seconds: float = 20, speed_mps: float = 5.0, step_pa: float = 0.0) -> list[Sample]:
+    """IMU at 100 Hz, magnetometer and barometer at 50, a receiver at 5, the truth beside them."""
+    rng = np.random.default_rng(4)
+    still = np.zeros(3)
+    samples: list[Sample] = []
+    for tick in range(1, round(seconds * 100)):
+        t_us = tick * 10_000
+        samples.append(ImuSample(t_us, rng.normal(0, 0.01, 3), rng.normal(0, 0.1, 3)))
+        if tick % 2 == 0:
+            pressure = 95_000.0 + rng.normal(0, 2.0)
+            if step_pa:
+                pressure = step_pa * round(pressure / step_pa)
+            samples += [MagSample(t_us, rng.normal(0.3, 0.002, 3)), BaroSample(t_us, pressure, 0.0)]
+        if tick % 20 == 0:
+            north_deg = speed_mps * t_us * 1e-6 / 111_000
+            v_ned = np.array([speed_mps, 0.0, 0.0])
+            fix = GpsFix(t_us, 47 + north_deg, 8.0, 500.0, v_ned, 3, 12, 1.0, 1.0, "HIL_GPS")
+            samples.append(fix)
+        samples.append(TruthSample(t_us + 1, LEVEL, still, 47.0, 8.0, 500.0, still))
+        samples.append(AttitudeSample(t_us + 2, LEVEL, 1, "ATTITUDE"))
+    return samples
+
+
+def troubles(samples: Sequence[Sample]) -> list[SensorDecision]:
+    watch = StreamWatch()
+    found, _ = watch.step(block_of(samples), watch.new_state())
+    return [result for _, result in found]
+
+
+def changed(kind: type, change: Callable[[Sample], Sample | None]) -> list[Sample]:
+    """The stream with something done to one kind of its samples from 10 to 14 s."""
+    found = (
+        change(sample) if isinstance(sample, kind) and BEGIN_US <= sample.t_us < END_US else sample
+        for sample in stream()
+    )
+    return [sample for sample in found if sample is not None]
+
+
+def held_axis(sample: Sample) -> Sample:
+    assert isinstance(sample, ImuSample)
+    return replace(sample, gyro_b_rps=np.array([0.01, *sample.gyro_b_rps[1:]]))
+
+
+DONE = {
+    "silent": (BaroSample, lambda sample: None, "baro", "silent for 0.50 s", 10.48),
+    "silent receiver": (GpsFix, lambda sample: None, "gps-position", "silent for 0.99 s", 10.8),
+    "frozen": (
+        BaroSample,
+        lambda sample: replace(sample, pressure_pa=95_000.5),
+        *("baro", "the same value for 0.50 s", 10.5),
+    ),
+    "one axis frozen": (ImuSample, held_axis, "imu", "the same value for 0.50 s", 10.5),
+    "frozen while it moves": (
+        GpsFix,
+        lambda sample: replace(sample, lat_deg=47.0004),
+        *("gps-position", "the same value for 1.00 s", 11.0),
+    ),
+    "time stands": (
+        MagSample,
+        lambda sample: replace(sample, t_us=BEGIN_US),
+        *("mag", "its time stands still", 10.1),
+    ),
+    "time goes back": (
+        ImuSample,
+        lambda sample: replace(sample, t_us=sample.t_us - 3 * SECOND),
+        *("imu", "its time goes back by 2.99 s", 10.0),
+    ),
+    "time leaps ahead": (
+        MagSample,
+        lambda sample: replace(sample, t_us=sample.t_us + SECOND),
+        *("mag", "its time leaps 1.00 s ahead", 10.0),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", DONE.values(), ids=DONE.keys())
+def test_a_stream_in_trouble_is_named_at_once_with_its_reason_and_no_other(case: tuple) -> None:
+    kind, change, sensor, reason, t_s = case
+    found = troubles(changed(kind, change))
+    assert {result.sensor for result in found} == {sensor}
+    assert found[0].reason.startswith(reason)
+    assert found[0].t_us * 1e-6 == pytest.approx(t_s, abs=0.15)
+    assert all(BEGIN_US - 20_000 <= result.t_us <= END_US + SECOND for result in found)
+
+
+@pytest.mark.parametrize("options", [{}, {"speed_mps": 0.0}, {"step_pa": 4.0}])
+def test_a_sound_stream_is_left_alone(options: dict[str, float]) -> None:
+    assert troubles(stream(40, **options)) == []
+
+
+def test_a_pause_of_everything_is_the_links_and_nobody_elses() -> None:
+    found = troubles([s for s in stream() if not BEGIN_US <= s.t_us < END_US])
+    assert {result.sensor for result in found} == {"link"}
+    first, last = found[0], found[-1]
+    assert (first.t_us * 1e-6, last.t_us * 1e-6) == pytest.approx((10.5, 14.0), abs=0.02)
+
+
+def test_a_stream_alone_is_believed_after_a_second() -> None:
+    alone = [s for s in stream() if isinstance(s, MagSample)]
+    found = troubles([s for s in alone if not BEGIN_US <= s.t_us < END_US])
+    assert {result.sensor for result in found} == {"link"}
+
+
+def test_blocks_of_any_length_say_the_same() -> None:
+    samples = changed(BaroSample, lambda sample: None)
+    watch, state = StreamWatch(), StreamWatch().new_state()
+    found = []
+    for begin in range(0, len(samples), 37):
+        results, state = watch.step(block_of(samples[begin : begin + 37]), state)
+        found += [result for _, result in results]
+    assert found == troubles(samples)

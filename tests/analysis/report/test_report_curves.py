@@ -1,0 +1,95 @@
+"""Curves that are computed: spectra, innovations with gates, balance of motors, instances."""
+
+import numpy as np
+import pytest
+
+from analysis.report.curves.derived_curves import derived
+from analysis.report.curves.spectra import marks, spectrum_panels
+from analysis.report.curves.ulog_innovations import innovations
+from analysis.report.recordings.recording import Recording, Signal
+
+T_S = np.arange(0, 20, 0.004)
+
+
+def turning(frequency_hz: float, amplitude: float = 1.0) -> Recording:
+    wave = amplitude * np.sin(2 * np.pi * frequency_hz * T_S)
+    return Recording("r", signals=[Signal("gyro", "x", T_S, wave)])
+
+
+def test_a_spectrum_has_its_peak_where_the_signal_turns_and_holds_its_power() -> None:
+    (panel,) = spectrum_panels(turning(60.0, 2.0))
+    (spectrum,) = panel.spectra
+    step_hz = spectrum.frequency_hz[1] - spectrum.frequency_hz[0]
+    assert spectrum.frequency_hz[np.argmax(spectrum.density)] == pytest.approx(60, abs=step_hz)
+    assert spectrum.density.sum() * step_hz == pytest.approx(2.0**2 / 2, rel=0.02)
+
+
+def test_a_spectrogram_shows_when_the_frequency_changed() -> None:
+    early = np.sin(2 * np.pi * 20 * T_S)
+    late = np.sin(2 * np.pi * 80 * T_S)
+    both = Signal("gyro", "x", T_S, np.where(T_S < 10, early, late))
+    (panel,) = spectrum_panels(Recording("r", signals=[both]))
+    (image,) = panel.images
+    rows, columns = image.level_db.shape
+    loudest_hz = (np.argmax(image.level_db, axis=0) + 1) / rows * image.highest_hz
+    at_s = image.start + (np.arange(columns) + 0.5) / columns * (image.end - image.start)
+    assert loudest_hz[at_s < 9] == pytest.approx(20, abs=2)
+    assert loudest_hz[at_s > 11] == pytest.approx(80, abs=2)
+
+
+def test_slow_uneven_and_constant_signals_have_no_spectrum() -> None:
+    rng = np.random.default_rng(1)
+    slow = Signal("gyro", "x", np.arange(1000) * 0.2, rng.normal(size=1000))
+    uneven = Signal("accel", "x", np.sort(rng.uniform(0, 20, 5000)), rng.normal(size=5000))
+    constant = Signal("torque", "roll", T_S, np.ones(len(T_S)))
+    assert spectrum_panels(Recording("r", signals=[slow, uneven, constant])) == []
+
+
+def test_filters_and_motors_are_marked_and_a_notch_that_is_off_is_not() -> None:
+    speed = Signal("rpm", "motor 1", T_S, np.full(len(T_S), 6000.0))
+    parameters = {
+        "IMU_GYRO_CUTOFF": [(0.0, 40.0)],
+        "INS_HNTCH_FREQ": [(0.0, 80.0)],
+        "INS_HNTCH_ENABLE": [(0.0, 0.0)],
+    }
+    found = dict(
+        (text, hz) for hz, text in marks(Recording("r", signals=[speed], parameters=parameters))
+    )
+    assert found == {"gyro low-pass": 40.0, "motors": 100.0, "motors × 2": 200.0}
+
+
+def test_an_innovation_comes_with_the_gate_of_its_parameter_both_ways() -> None:
+    stamps = np.array([1_000_000, 2_000_000])
+    topics = {
+        ("estimator_innovations", 0): {"timestamp": stamps, "baro_vpos": np.array([0.5, -0.5])},
+        ("estimator_innovation_variances", 0): {
+            "timestamp": stamps,
+            "baro_vpos": np.array([0.04, 0.09]),
+        },
+    }
+    found = {s.name: s for s in innovations(topics, {"EKF2_BARO_GATE": 3.0}, 1_000_000)}
+    assert found["gate baro"].value == pytest.approx([0.6, 0.9])
+    assert found["gate baro, below"].value == pytest.approx([-0.6, -0.9])
+    assert found["baro"].t_s == pytest.approx([0, 1])
+
+
+def test_a_motor_that_works_more_stands_off_the_balance() -> None:
+    motors = [
+        Signal("actuators", f"motor {i + 1}", T_S, np.full(len(T_S), 0.5 + 0.2 * (i == 2)))
+        for i in range(4)
+    ]
+    signals, _ = derived(Recording("r", signals=motors))
+    middle = {s.name: s.value[len(T_S) // 2] for s in signals if s.panel == "balance"}
+    assert middle["motor 3"] == pytest.approx(0.15)
+    assert middle["motor 1"] == pytest.approx(-0.05)
+
+
+def test_instances_that_lean_apart_diverge() -> None:
+    signals = [
+        Signal(f"instance-{part}", name, T_S, np.full(len(T_S), lean))
+        for name, lean in (("instance", 0.0), ("instance 2", 3.0))
+        for part in ("roll", "pitch")
+    ]
+    (apart,) = [s for s in derived(Recording("r", signals=signals))[0] if s.panel == "divergence"]
+    assert apart.name == "instance 2"
+    assert apart.value == pytest.approx(np.hypot(3, 3))
