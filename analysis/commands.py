@@ -141,7 +141,7 @@ def _campaign(args: argparse.Namespace) -> int:
 def add_report(commands: Any) -> None:
     """`report`: a verdict from logs."""
     parser = commands.add_parser("report", help="tlog, ULog or dataflash log to HTML and JSON")
-    parser.add_argument("logs", nargs="+", metavar="LOG")
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="logs, or one folder of many")
     parser.add_argument("--labels", metavar="FILE", help="what was injected")
     parser.add_argument(
         "--against", action="append", default=[], metavar="LOG", help="a log to compare with"
@@ -149,7 +149,12 @@ def add_report(commands: Any) -> None:
     parser.add_argument("--criteria", metavar="FILE", help="thresholds of the checks (YAML)")
     parser.add_argument("--out", metavar="DIR", help="default: LOG's name and -report")
     parser.add_argument("--figures", action="store_true", help="every plot as PNG and SVG too")
-    parser.add_argument("--export", choices=("csv", "parquet", "mcap"), help="the data as tables")
+    parser.add_argument(
+        "--export",
+        choices=("csv", "parquet", "mcap", "kml", "geojson"),
+        help="the data as tables, or the tracks for maps",
+    )
+    parser.add_argument("--pdf", action="store_true", help="print the report, by a browser")
     parser.add_argument(
         "--data",
         default="2",
