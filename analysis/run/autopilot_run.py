@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
-from analysis.run.flight_operator import FlightPlan, Operator, Waypoint
+from analysis.run.flight_operator import COPTER, PLANE, FlightPlan, Operator, Waypoint
 from analysis.run.hil_exchange import FromAutopilot, Patience, Process, ToAutopilot
 from analysis.run.proxied_flight import GROUND, MONITOR, Flight
 from analysis.run.run_command import EXIT_CODES, report, session
@@ -52,7 +52,8 @@ from simvehicle.simulation.simulation import Simulation
 RECORD_US = 200_000  # simulated time between writes to the logs
 START_S = 60.0  # wall time for the autopilot's program to come
 END_S = 10.0  # for the bridge to end its autopilot
-HEIGHT_M = 10.0  # where no mission names one
+KINDS = {"multirotor": "copter", "fixedwing": "plane"}  # of the bridge, by the scenario's
+HEIGHTS_M = {"copter": 10.0, "plane": 50.0}  # where no mission names one; TKOFF_ALT of a plane
 CORNER_M = 20.0  # between the corners that a mission's path is flown by
 LOAD = "@ctl/schedule/load"
 MOMENTS = ("first-stamp", "arming", "take-off", "landing")
@@ -67,6 +68,11 @@ def main(args: argparse.Namespace) -> int:
     words = check_command(args.binary or "arducopter", option="--binary")
     check_moment(args.count_from)
     setup = read_setup(args.scenario, args.schedule, args.seed)
+    if setup.scenario.vehicle.kind not in KINDS:
+        raise ConfigError(
+            f"vehicle.kind = {setup.scenario.vehicle.kind} is not flown by ArduPilot here; "
+            f"{' or '.join(KINDS)} is"
+        )
     if setup.scenario.start.height_m > 0.0:
         raise ConfigError(
             f"start.height_m = {setup.scenario.start.height_m:g} is in the air; an autopilot "
@@ -138,7 +144,8 @@ class AutopilotRun:
         simulation = self.flight.simulation
         mav_type, mix = airframe(simulation)
         link = TcpServer("127.0.0.1", 0)
-        with contextlib.closing(link), bridged(words, link.port, self._folder) as process:
+        bridge = bridged(words, KINDS[simulation.scenario.vehicle.kind], link.port, self._folder)
+        with contextlib.closing(link), bridge as process:
             patience = Patience(link, process, START_S)
             loop = LockstepLoop(
                 simulation,
@@ -222,11 +229,11 @@ class AutopilotRun:
 
 
 @contextlib.contextmanager
-def bridged(words: Sequence[str], port: int, folder: Path) -> Iterator[Process]:
+def bridged(words: Sequence[str], kind: str, port: int, folder: Path) -> Iterator[Process]:
     """The bridge's process, which starts the autopilot; both end with the flight."""
     command = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot"]
     command += ["--hil", f"tcp:127.0.0.1:{port}", "--command", shlex.join(words)]
-    command += ["--dir", str(folder / "autopilot")]
+    command += ["--vehicle", kind, "--dir", str(folder / "autopilot")]
     with (folder / "bridge.log").open("wb") as log:
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
     try:
@@ -248,8 +255,10 @@ def last_line(folder: Path) -> str:
 
 def flight_plan(scenario: Scenario, simulation: Simulation) -> FlightPlan:
     """The scenario's mission as corners of its path, or a hover where there is none."""
+    kind = KINDS[scenario.vehicle.kind]
+    modes = PLANE if kind == "plane" else COPTER
     if not scenario.mission:
-        return FlightPlan(HEIGHT_M, scenario.duration_s)
+        return FlightPlan(HEIGHTS_M[kind], scenario.duration_s, modes=modes)
     track = simulation.controller.track
     assert isinstance(track, PathTrack)  # as a scenario with a mission has
     path = track.path
@@ -265,4 +274,5 @@ def flight_plan(scenario: Scenario, simulation: Simulation) -> FlightPlan:
         )
         for at in corners
     )
-    return FlightPlan(waypoints[0].height_m, scenario.duration_s, waypoints)
+    height_m = HEIGHTS_M[kind] if kind == "plane" else waypoints[0].height_m
+    return FlightPlan(height_m, scenario.duration_s, waypoints, modes)

@@ -11,9 +11,9 @@ from typing import Any
 
 import msgspec
 
-from mavproxy_fault.documents.checked import read_yaml
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.documents.yaml_document import read_yaml
 from mavproxy_fault.live.failure_command import MESSAGES, TYPES, UNITS, faults_for, name_of
 from mavproxy_fault.live.named_files import check_files
 from mavproxy_fault.live.rflysim import IdMap, Packet
@@ -229,10 +229,9 @@ class Control:
         return {"id": id, "value": value}
 
     def _load(self, payload: bytes) -> Callable[[], Any]:
-        where = "schedule/load"
-        data, lines = read_yaml(payload.decode("utf-8", "replace"), where)
-        check_files(data, self.folders, where)
-        schedule = parse_schedule(data, where, lines)
+        document = read_yaml(payload.decode("utf-8", "replace"), "schedule/load")
+        check_files(document.data, self.folders, "schedule/load")
+        schedule = parse_schedule(document)
 
         def act() -> Any:
             self.engine.replace(schedule)

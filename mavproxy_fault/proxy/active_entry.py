@@ -60,8 +60,8 @@ class Running:
         self.latency_us: int | None = None
         self.value: float | None = None  # given live, constant or streamed
         self.changed_us: int | None = None
-        self.untold = False  # no label has told the newest value
-        self._told_us = 0
+        self.unannounced = False  # no label has told the newest value
+        self._announced_us = 0
         where = entry.where
         self._where = (where.system, where.component, where.direction, where.id)
         self._anything = self._where == (None, None, None, None)
@@ -253,16 +253,16 @@ class Running:
 
     def opened(self, t_us: int) -> Label:
         """The label of a stretch that has just touched its first frame."""
-        self.changed_us, self.untold = None, False
-        self._told_us = t_us
+        self.changed_us, self.unannounced = None, False
+        self._announced_us = t_us
         return self.label(None)
 
     def news(self, t_us: int) -> Label | None:
         """A label about a value that was changed; None without one, or so soon after another."""
-        if not self.untold or self.first_us is None or t_us - self._told_us < TELL_US:
+        if not self.unannounced or self.first_us is None or t_us - self._announced_us < TELL_US:
             return None
-        self.untold = False
-        self._told_us = t_us
+        self.unannounced = False
+        self._announced_us = t_us
         return self.label(None)
 
     def close(self, t_us: int) -> Label | None:
@@ -287,7 +287,7 @@ class Running:
         else:
             self._change(inner, value)
         if value != self.value:
-            self.value, self.changed_us, self.untold = value, t_us, True
+            self.value, self.changed_us, self.unannounced = value, t_us, True
 
     def _change(self, inner: Any, value: float) -> None:
         """Take another constant value."""

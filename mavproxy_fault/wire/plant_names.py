@@ -17,6 +17,7 @@ RECEIVER = ("receiver_off",)
 SATELLITE = ("pseudorange_m", "cn0_drop_db", "satellite_lost")
 
 # Numbers that GPS and Galileo give their satellites (RTCM 10403.3, MSM satellite masks).
+SATELLITES = (*(f"G{n:02d}" for n in range(1, 33)), *(f"E{n:02d}" for n in range(1, 37)))
 SATELLITE_NAME = re.compile(r"G(0[1-9]|[12]\d|3[0-2])|E(0[1-9]|[12]\d|3[0-6])")
 INDEXED = re.compile(r"(\w+)\[(\w+)\]")
 

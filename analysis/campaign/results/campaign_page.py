@@ -4,14 +4,17 @@ The file needs no network. Names come from the campaign's file: they are escaped
 """
 
 import json
+import shlex
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
+from pathlib import Path
 from statistics import median
 
 import msgspec
 
+from analysis.campaign.campaign_file import CampaignFile
 from analysis.campaign.cell import CellResult, Curve, Evidence
 from analysis.campaign.ledger import CurvesOf
 from analysis.campaign.outcomes import RANKS
@@ -44,7 +47,7 @@ def page(
         "ranks": RANKS,
         "limits": msgspec.to_builtins(plan.campaign.limits),
         "rows": rows,
-        "results": [_numbers(result) for result in listed],
+        "results": [_numbers(result, plan.campaign) for result in listed],
         "curves": {
             numbers[item.key]: _curves(item.evidence) for item in curves if item.key in numbers
         },
@@ -86,12 +89,30 @@ def _cell(cell: GridCell, numbers: dict[str, int]) -> dict[str, object]:
     }
 
 
-def _numbers(result: CellResult) -> dict[str, object]:
+def _numbers(result: CellResult, campaign: CampaignFile) -> dict[str, object]:
     """What the page tells of one result."""
     fields = msgspec.structs.asdict(result)
     cell = msgspec.structs.asdict(fields.pop("cell"))
     rounded = {k: float(f"{v:.4g}") if isinstance(v, float) else v for k, v in fields.items()}
-    return {**cell, **rounded}
+    return {**cell, **rounded, "again": again(result, campaign)}
+
+
+def again(result: CellResult, campaign: CampaignFile) -> str:
+    """The command that flies a cell again, to watch; empty for a compiled one."""
+    if campaign.compiled:
+        return ""
+    cell = result.cell
+    entry = campaign.fault(cell.fault).entry(cell.magnitude, result.onset_s, cell.duration_s)
+    schedule = json.dumps({"seed": cell.seed, "faults": [entry]})
+    autopilot = campaign.autopilot(cell.subject)
+    words = ["mavproxy-fault", "run", str(Path(campaign.folder) / cell.scenario)]
+    words += ["--schedule", "cell.yaml", "--seed", str(cell.seed)]
+    if autopilot is None:
+        words.append("--ui")
+    else:
+        words += ["--autopilot", autopilot.autopilot, "--binary", autopilot.binary]
+        words += autopilot.arguments
+    return f"echo {shlex.quote(schedule)} > cell.yaml && {shlex.join(words)}"
 
 
 def _curves(evidence: Evidence) -> dict[str, list[list[float]]]:

@@ -85,6 +85,10 @@ function detail(row, cell) {
 function curves(number, place) {
   place.replaceChildren();
   const result = model.results[number], flown = model.curves[number];
+  if (result.again) {
+    const line = element("p", "Fly it again: ", place);
+    element("code", result.again, line);
+  }
   if (!flown) { element("p", "The page holds no curves of this flight.", place); return; }
   const twin = model.twins[`${result.subject}|${result.scenario}|${result.seed}`] || {};
   for (const [name, [t, value]] of Object.entries(flown)) {
