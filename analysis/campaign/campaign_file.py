@@ -106,10 +106,12 @@ class FaultChoice(_Section, frozen=True):
 
 
 class SubjectChoice(_Section, frozen=True):
-    """An autopilot under test: as the section `autopilot` of a search, with a name of its own."""
+    """An autopilot under test, as `mavproxy-fault run` takes it; `arguments` are further ones."""
 
     name: str
-    autopilot: dict[str, Any]
+    autopilot: str
+    binary: str
+    arguments: tuple[str, ...] = ()
 
 
 class CompiledScenario(_Section, frozen=True):
@@ -154,6 +156,11 @@ class CampaignFile(_Section, frozen=True):
     def compiled(self) -> bool:
         """Whether the compiled kernels fly it."""
         return isinstance(self.scenarios[0], CompiledScenario)
+
+    def autopilot(self, name: str) -> SubjectChoice | None:
+        """The autopilot of a subject's name; None for an estimator or the monitor."""
+        chosen = [s for s in self.subjects if isinstance(s, SubjectChoice) and s.name == name]
+        return chosen[0] if chosen else None
 
     @property
     def subject_names(self) -> list[str]:
