@@ -112,6 +112,7 @@ class Plans:
         none = Planned(-1, running, fault, stage(running))
         if (
             running.entry.probability < 1
+            or layout.id in fault.factors  # its values are in another message's unit
             or first + len(places) > k.MOST_PLANS
             or any(field.code not in CODES for field in fields)
         ):

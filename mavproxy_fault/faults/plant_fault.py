@@ -18,6 +18,7 @@ from mavproxy_fault.faults.value_fault import ValueFault
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.plant_messages import SIMULATOR, PlantChange, plant_frame
+from mavproxy_fault.wire.plant_names import SATELLITES
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -145,6 +146,8 @@ class InReceiver(InSimulator, frozen=True, kw_only=True):
 
 
 def receiver_names(satellites: Sequence[str], fault: object) -> tuple[str, ...]:
-    """The simulator's names for a fault on some satellites."""
+    """The simulator's names for a fault on some satellites; one name for all that there are."""
     kind = "satellite_lost" if isinstance(fault, Drop) else "pseudorange_m"
+    if set(satellites) == set(SATELLITES):
+        return (f"{kind}[all]",)
     return tuple(f"{kind}[{satellite}]" for satellite in satellites)

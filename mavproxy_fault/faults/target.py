@@ -9,11 +9,12 @@ from collections.abc import Iterable
 from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.faults.elements import Element
 from mavproxy_fault.wire.dialect import Layout, layout, message_names
-from mavproxy_fault.wire.plant_names import SATELLITE_NAME, check_plant_name
+from mavproxy_fault.wire.plant_names import SATELLITE_NAME, SATELLITES, check_plant_name
 
 ELEMENT = re.compile(r"(\w+)(?:\[(\d+)\])?")
 RANGES = "PSEUDORANGE"
 PLANT = "PLANT"
+ALL = "all"
 
 
 def message(name: str) -> Layout:
@@ -93,8 +94,13 @@ def named(targets: Iterable[str], prefix: str) -> tuple[str, ...]:
         head, _, rest = target.partition(".")
         if head != prefix or not rest:
             raise ValueError(f"{target} is wrong here; it must be {prefix}.<name>")
+        if prefix == RANGES and rest == ALL:
+            names += [satellite for satellite in SATELLITES if satellite not in names]
+            continue
         if prefix == RANGES and not SATELLITE_NAME.fullmatch(rest):
-            raise ValueError(f"{target} names no satellite; {RANGES}.G01 to G32 and E01 to E36 do")
+            raise ValueError(
+                f"{target} names no satellite; {RANGES}.G01 to G32, E01 to E36 and {ALL} do"
+            )
         if prefix == PLANT:
             check_plant_name(rest)
         if rest in names:

@@ -7,6 +7,7 @@ import msgspec
 
 from mavproxy_fault.faults.elements import Element, changed, places_of, values_at
 from mavproxy_fault.faults.fault import ActsOn, Outgoing
+from mavproxy_fault.faults.units import Factors
 from mavproxy_fault.wire.frame import Frame, Number
 
 if TYPE_CHECKING:
@@ -27,13 +28,14 @@ class Moving(NamedTuple):
 class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
     """A fault on some elements of some messages.
 
-    A concrete fault has `after`, which turns healthy values into faulty ones; with `by_sender` it
-    is told who sent them.
+    A concrete fault has `after`, which turns healthy values into faulty ones, in the unit of the
+    first target of their quantity (`factors`); with `by_sender` it is told who sent them.
     """
 
     acts_on: ClassVar[ActsOn] = "fields"
     by_sender: ClassVar[bool] = False
     elements: Mapping[int, tuple[Element, ...]] = {}
+    factors: Factors = {}
 
     def __post_init__(self) -> None:
         value = getattr(self, "value", None)
@@ -52,10 +54,14 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
         start_us, remembered = state
         places = places_of(frame.id, self.elements[frame.id])
         before = values_at(frame, places)
+        factors = self.factors.get(frame.id)
+        seen = before if factors is None else [x / f for x, f in zip(before, factors, strict=True)]
         key = sender(frame) if self.by_sender else ()
-        after, memory = self.after(before, key, (t_us - start_us) / 1e6, remembered, rng)
+        after, memory = self.after(seen, key, (t_us - start_us) / 1e6, remembered, rng)
         if memory is not remembered:
             state = Moving(start_us, memory)
+        if factors is not None:
+            after = [y * f for y, f in zip(after, factors, strict=True)]
         return [changed(frame, t_us, places, before, after)], state
 
     def after(

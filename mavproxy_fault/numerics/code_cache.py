@@ -5,17 +5,21 @@ constants of other files: after an update it would go on with what it had. So th
 comes from all files that have to do with compiled code. Nothing here imports numba.
 """
 
+import atexit
 import hashlib
 import os
 import re
 import shutil
+import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("mavproxy_fault", "simvehicle", "analysis")
-COMPILED = re.compile(rb"^(?:from|import) .*\b(?:numba|compiled)\b", re.MULTILINE)
+COMPILED = re.compile(rb"^(?:from|import) (?:numba|mavproxy_fault\.numerics\.compile)\b", re.M)
 IMPORTED = re.compile(rb"^(?:from|import) ((?:%s)\.[\w.]+)" % "|".join(PACKAGES).encode(), re.M)
 STALE_S = 86_400.0  # a process that still runs with yesterday's sources may yet compile
 
@@ -24,8 +28,7 @@ STALE_S = 86_400.0  # a process that still runs with yesterday's sources may yet
 def mark() -> str:
     """A digest of all files that are compiled, and of the files that those import."""
     files = {path: path.read_bytes() for name in PACKAGES for path in (ROOT / name).rglob("*.py")}
-    likely = {path for path, text in files.items() if b"numba" in text or b"compiled" in text}
-    wanted = {path for path in likely if COMPILED.search(files[path])}  # four times as slow
+    wanted = {path for path, text in files.items() if COMPILED.search(text)}
     for path in list(wanted):
         for name in IMPORTED.findall(files[path]):
             wanted.add(ROOT / f"{name.decode().replace('.', '/')}.py")
@@ -36,12 +39,42 @@ def mark() -> str:
 
 
 def place() -> Path:
-    """Where machine code is kept: beside the sources, or in the user's cache if not writable."""
-    beside = ROOT / PACKAGES[0] / "__pycache__"
-    if os.access(beside if beside.exists() else beside.parent, os.W_OK):
-        return beside
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(home) / "mavproxy-fault"
+    """Where machine code is kept: the first of these folders that can be written to.
+
+    Beside the sources; in the user's cache; among temporary files, in a folder that only this user
+    can write to, since code is loaded from it. Where there is none, in one that ends with us.
+    """
+    return next(path for path in _places() if _usable(path))
+
+
+def _places() -> Iterator[Path]:
+    yield ROOT / PACKAGES[0] / "__pycache__"
+    home = os.environ.get("XDG_CACHE_HOME")
+    if home is None:
+        with suppress(RuntimeError):  # a user without a name has no home either
+            home = str(Path.home() / ".cache")
+    if home is not None:
+        yield Path(home) / "mavproxy-fault"
+    yield Path(tempfile.gettempdir()) / f"mavproxy-fault-{os.getuid()}"
+    yield _own_folder()
+
+
+@cache
+def _own_folder() -> Path:
+    """A temporary folder that is removed when the process ends."""
+    own = tempfile.TemporaryDirectory(prefix="mavproxy-fault-")
+    atexit.register(own.cleanup)
+    return Path(own.name)
+
+
+def _usable(path: Path) -> bool:
+    """Whether the folder is there, or could be made, as ours and writable."""
+    try:
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        owner = path.stat().st_uid
+    except OSError:
+        return False
+    return os.access(path, os.W_OK | os.X_OK) and owner in (os.getuid(), ROOT.stat().st_uid)
 
 
 @cache
@@ -49,7 +82,8 @@ def folder() -> Path:
     """The folder for the sources as they are now; those of other days go."""
     path = place() / f"kernels-{mark()}"
     for old in path.parent.glob("kernels-*"):
-        if old != path and old.stat().st_mtime < time.time() - STALE_S:
-            shutil.rmtree(old, ignore_errors=True)
+        with suppress(OSError):  # another process may remove it too
+            if old != path and old.stat().st_mtime < time.time() - STALE_S:
+                shutil.rmtree(old, ignore_errors=True)
     path.mkdir(parents=True, exist_ok=True)
     return path

@@ -8,9 +8,10 @@ from mavproxy_fault.faults.fault import Fault
 from mavproxy_fault.faults.plant_fault import InReceiver, receiver_names
 from mavproxy_fault.faults.registry import acts_on_ranges, known_faults
 from mavproxy_fault.faults.satellite import Satellites
+from mavproxy_fault.faults.units import factors_of
 from mavproxy_fault.wire.dialect import known
 
-GIVEN = ("elements", "names")  # fields of a fault that come from its target
+GIVEN = ("elements", "factors", "names")  # fields of a fault that come from its target
 
 # What carries messages to the simulator along: whatever it sends regularly.
 RIDDEN = frozenset(known(name).id for name in ("HIL_SENSOR", "HIL_STATE_QUATERNION", "HIL_GPS"))
@@ -49,7 +50,8 @@ def aim(name: str, kind: type[Any], names: Sequence[str]) -> Aim:
         if not names:
             raise ValueError("is missing; give MESSAGE.field, for example HIL_SENSOR.xgyro")
         elements = targets.fields(names)
-        return Aim({"elements": elements}, frozenset(elements))
+        given = {"elements": elements, "factors": factors_of(elements)}
+        return Aim(given, frozenset(elements))
     ids = targets.messages(names) or targets.messages(getattr(kind, "messages", ()))
     return Aim({}, ids or None)
 

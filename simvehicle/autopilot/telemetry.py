@@ -168,8 +168,8 @@ def gps_raw_int(now: Snapshot) -> Message:
         **{name: values[name] for name in shared},
         eph=0xFFFF,  # dilution of precision, which the receiver does not tell
         epv=0xFFFF,
-        h_acc=round(now.gps.eph_m * 1e3),
-        v_acc=round(now.gps.epv_m * 1e3),
+        h_acc=hil_messages.limited(now.gps.eph_m * 1e3, 0, 0xFFFFFFFF),
+        v_acc=hil_messages.limited(now.gps.epv_m * 1e3, 0, 0xFFFFFFFF),
     )
 
 

@@ -8,7 +8,8 @@ from pymavlink.dialects.v20 import all as pymavlink
 from mavproxy_fault.app.preview import epoch, sample
 from mavproxy_fault.faults.satellite import Satellites
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.rtcm.transport import tunnel_frames
+from mavproxy_fault.rtcm.msm7 import msm7_satellites
+from mavproxy_fault.rtcm.transport import tunnel_frames, tunnel_payload
 from mavproxy_fault.schedule.entries import Entry, parse_schedule
 from mavproxy_fault.schedule.presets import preset_names, read_preset
 from mavproxy_fault.wire.dialect import known
@@ -34,7 +35,21 @@ def messages(entries: list[Entry]) -> set[str]:
         for name in entry.targets or getattr(entry.fault, "messages", ("HIL_SENSOR",)):
             head = name.split(".")[0]
             found.add("HIL_SENSOR" if head == "PLANT" else head)
+    return found - {"PSEUDORANGE"}  # which `epoch` makes
+
+
+def targets(name: str) -> set[str]:
+    """The fields, messages and satellites that a preset names."""
+    found: set[str] = set()
+    for part in read_preset(name)["faults"]:
+        given = part.get("target", [])
+        found |= {given} if isinstance(given, str) else set(given)
     return found
+
+
+def silenced(name: str) -> set[str]:
+    """The messages that a preset loses."""
+    return {one for one in targets(name) if "." not in one}
 
 
 def changes(name: str) -> tuple[set[str], int, list[Any]]:
@@ -82,14 +97,11 @@ def of_kind(chosen: str) -> list[str]:
 
 @pytest.mark.parametrize("name", of_kind("fields"))
 def test_a_preset_changes_its_targets_and_nothing_else(name: str) -> None:
-    targets = set()
-    for part in read_preset(name)["faults"]:
-        given = part["target"]
-        targets |= {t.split("[")[0] for t in ([given] if isinstance(given, str) else given)}
     fields, moved, told = changes(name)
+    named = {target.split("[")[0] for target in targets(name) if "." in target}
     assert fields
-    assert fields <= targets
-    assert (moved, told) == (0, [])
+    assert fields <= named
+    assert (moved, told) == (FRAMES * len(silenced(name)), [])
 
 
 @pytest.mark.parametrize("name", of_kind("link"))
@@ -114,7 +126,8 @@ def test_a_coherent_preset_moves_every_message_of_its_kind(name: str) -> None:
     fields, moved, _ = changes(name)
     assert moved == 0
     if name == "clock-jump":
-        assert fields == {"HIL_SENSOR.time_usec", "HIL_GPS.time_usec"}
+        assert {field.split(".")[0] for field in fields} == targets(name)
+        assert {field.split(".")[1] for field in fields} == {"time_usec", "time_boot_ms"}
     else:
         moved_latitudes = {field.split(".")[0] for field in fields if field.endswith(".lat")}
         assert moved_latitudes == {
@@ -161,3 +174,41 @@ def test_the_times_of_an_entry_hold_for_all_parts_of_its_preset() -> None:
         ("blow.1", 5, 3, "imu-impulse"),
         ("blow.2", 5, 3, "imu-impulse"),
     ]
+
+
+IMU = ("HIL_SENSOR", "HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "per_si"),
+    [
+        ("gyro-bias", "xgyro", 1e3),
+        ("accel-bias", "xacc", 1e3 / 9.80665),
+        ("mag-offset", "xmag", 1e3),
+    ],
+)
+def test_one_event_reaches_every_message_of_the_sensor_in_its_own_unit(
+    name: str, field: str, per_si: float
+) -> None:
+    engine = Engine(parse_schedule({"faults": [{"preset": name}]}))
+    engine.start_at(0)
+    steps = {}
+    for message in IMU:
+        healthy = sample(message, 1.0)
+        (out,) = engine.apply(healthy, "to-vehicle", 1_000_000)
+        assert isinstance(out.frame, Frame)
+        counts = out.frame.number(field) - healthy.number(field)
+        steps[message] = counts / (1.0 if message in IMU[:2] else per_si)
+    size = {"gyro-bias": 0.1, "accel-bias": 1.0, "mag-offset": 0.1}[name]
+    assert steps == {message: pytest.approx(size, abs=0.006) for message in IMU}
+
+
+def test_a_receiver_that_finds_nothing_has_no_ranges_either() -> None:
+    engine = Engine(parse_schedule({"faults": [{"preset": "gps-search-failure"}]}))
+    engine.start_at(0)
+    names = ["G05", "G12", "G30"]
+    frames = [Frame(raw, known("TUNNEL")) for raw in tunnel_frames(epoch("G", names, 1), 1)]
+    outs = [out for one in frames for out in engine.apply(one, "to-vehicle", 1_000_000)]
+    payloads = [tunnel_payload(out.frame) for out in outs if isinstance(out.frame, Frame)]
+    (payload,) = [payload for payload in payloads if payload is not None]
+    assert msm7_satellites(payload[1:]) == ()

@@ -1,0 +1,44 @@
+"""One value for fields of one quantity in different units: rad/s in HIL_SENSOR, mrad/s in RAW_IMU.
+
+The units are those that MAVLink's message definitions give.
+"""
+
+from collections.abc import Mapping
+
+from mavproxy_fault.faults.elements import Element
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
+from mavproxy_fault.wire.dialect import known
+
+# Unit: its quantity, and how many of it are one of the quantity's SI unit (or degree).
+SIZES: dict[str, tuple[str, float]] = {
+    "rad/s": ("rate", 1.0), "mrad/s": ("rate", 1e3),
+    "m/s/s": ("acceleration", 1.0), "mG": ("acceleration", 1e3 / STANDARD_GRAVITY_MPS2),
+    "gauss": ("field", 1.0), "mgauss": ("field", 1e3),
+    "Pa": ("pressure", 1.0), "hPa": ("pressure", 1e-2),
+    "m": ("length", 1.0), "dm": ("length", 1e1), "cm": ("length", 1e2), "mm": ("length", 1e3),
+    "m/s": ("speed", 1.0), "dm/s": ("speed", 1e1), "cm/s": ("speed", 1e2), "mm/s": ("speed", 1e3),
+    "deg": ("angle", 1.0), "cdeg": ("angle", 1e2), "degE7": ("angle", 1e7), "degE5": ("angle", 1e5),
+    "V": ("voltage", 1.0), "cV": ("voltage", 1e2), "mV": ("voltage", 1e3),
+    "A": ("current", 1.0), "cA": ("current", 1e2), "mA": ("current", 1e3),
+    "degC": ("temperature", 1.0), "cdegC": ("temperature", 1e2),
+}  # fmt: skip
+
+Factors = Mapping[int, tuple[float, ...]]
+
+
+def factors_of(elements: Mapping[int, tuple[Element, ...]]) -> Factors:
+    """Counts of each element for one count of the first target of the same quantity.
+
+    Messages all of whose factors are 1 are left out, so that nothing is computed for them.
+    """
+    first: dict[str, float] = {}
+    found: dict[int, tuple[float, ...]] = {}
+    for number, places in elements.items():
+        described = known(number)
+        row = []
+        for name, _ in places:
+            quantity, size = SIZES.get(described.fields[name].unit, ("", 1.0))
+            row.append(size / first.setdefault(quantity, size) if quantity else 1.0)
+        if any(factor != 1.0 for factor in row):
+            found[number] = tuple(row)
+    return found
