@@ -32,6 +32,11 @@ def add_run(commands: Any) -> None:
         "--zenoh", default="auto", metavar="auto|off|URL", help="where results are published"
     )
     parser.add_argument(
+        "--against-clean",
+        action="store_true",
+        help="fly the same without the faults beside it, and tell what each fault did",
+    )
+    parser.add_argument(
         "--autopilot", choices=("ardupilot",), help="who flies, instead of the built-in controller"
     )
     parser.add_argument("--binary", metavar="PATH", help="its SITL program (default: arducopter)")
@@ -141,15 +146,20 @@ def _campaign(args: argparse.Namespace) -> int:
 def add_report(commands: Any) -> None:
     """`report`: a verdict from logs."""
     parser = commands.add_parser("report", help="tlog, ULog or dataflash log to HTML and JSON")
-    parser.add_argument("logs", nargs="+", metavar="LOG")
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="logs, or one folder of many")
     parser.add_argument("--labels", metavar="FILE", help="what was injected")
     parser.add_argument(
         "--against", action="append", default=[], metavar="LOG", help="a log to compare with"
     )
     parser.add_argument("--criteria", metavar="FILE", help="thresholds of the checks (YAML)")
     parser.add_argument("--out", metavar="DIR", help="default: LOG's name and -report")
-    parser.add_argument("--figures", action="store_true", help="every plot as PNG and SVG too")
-    parser.add_argument("--export", choices=("csv", "parquet", "mcap"), help="the data as tables")
+    parser.add_argument("--figures", action="store_true", help="every plot as PNG, SVG and PDF too")
+    parser.add_argument(
+        "--export",
+        choices=("csv", "parquet", "mcap", "kml", "geojson"),
+        help="the data as tables, or the tracks for maps",
+    )
+    parser.add_argument("--pdf", action="store_true", help="print the report, by a browser")
     parser.add_argument(
         "--data",
         default="2",

@@ -82,6 +82,7 @@ class Evidence(msgspec.Struct, frozen=True):
 
 
 ATTITUDE, POSITION = "attitude error, deg", "position error, m"
+PATH = ("north, m", "east, m", "up, m")  # curves of where the vehicle truly was
 
 
 class Flown(msgspec.Struct, frozen=True):

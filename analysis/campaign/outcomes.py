@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.campaign.cell import ATTITUDE, POSITION, Cell, CellResult, Curve, Evidence, Mark
+from analysis.campaign.cell import ATTITUDE, PATH, POSITION, Cell, CellResult, Curve, Evidence, Mark
 
 RANKS = ("unaffected", "detected", "degraded", "failsafe", "landed", "lost", "crashed")
 ABORTED = "aborted"  # the flight could not be made; it says nothing of the subject
@@ -55,7 +55,8 @@ def judged(
 ) -> CellResult:
     """The outcome of a cell from what its flight and its twin showed."""
     angle = excursion(flight, twin, ATTITUDE, onset_s)
-    place = excursion(flight, twin, POSITION, onset_s)
+    flown = PATH[0] in flight.curves
+    place = off_path(flight, twin, onset_s) if flown else excursion(flight, twin, POSITION, onset_s)
     excursion_deg, excursion_m = (float(c[1].max()) if len(c[1]) else None for c in (angle, place))
     new = new_marks(flight.marks, twin.marks, onset_s)
     first = {mark.kind: mark for mark in reversed(new)}
@@ -100,6 +101,12 @@ def excursion(flight: Evidence, twin: Evidence, name: str, onset_s: float) -> tu
     healthy = np.interp(t_s, *_arrays(twin.curves[name]))
     # An estimate that is no number is as wrong as can be.
     return t_s, np.where(np.isfinite(value), value - healthy, math.inf)
+
+
+def off_path(flight: Evidence, twin: Evidence, onset_s: float) -> tuple[Vector, Vector]:
+    """Times (n,) [s], and how far the vehicle was from where its twin was at that time (n,) [m]."""
+    axes = [excursion(flight, twin, name, onset_s) for name in PATH]
+    return axes[0][0], np.linalg.norm([difference for _, difference in axes], axis=0)
 
 
 def _arrays(curve: Curve) -> tuple[Vector, Vector]:

@@ -92,6 +92,7 @@ class Plan:
         return f"{subject}|{cell.scenario}|{cell.seed}"
 
     def _folder(self, cell: Cell) -> str | None:
+        """Where the logs of a flight go."""
         return None if self._keep is None else str(self._keep / key_of(*cell.key.split("|")))
 
     # -- cells -----------------------------------------------------------------------------------

@@ -2,16 +2,22 @@
 
 import argparse
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.report.comparison import comparison_tables, overlaid
+from analysis.report.export_tracks import FORMS as TRACK_FORMS
+from analysis.report.export_tracks import export_tracks
+from analysis.report.fleet import is_run_folder, report_folder
 from analysis.report.judging.check_limits import read_thresholds
 from analysis.report.judging.checks import FAIL, Check
 from analysis.report.judging.flight_verdict import Outcome, judged
 from analysis.report.page.field_data import INSIDE_MB, field_data
 from analysis.report.page.log_page import log_page
 from analysis.report.page.page_file import html
+from analysis.report.page.pdf_file import write_pdf
+from analysis.report.recordings.opening import log_file, log_files
 from analysis.report.recordings.sources import group, read_flight
 from analysis.report.report_files import write_json, write_junit
 from mavproxy_fault.documents.errors import ConfigError
@@ -22,12 +28,21 @@ def main(args: argparse.Namespace) -> int:
     """Report on each flight; 0 if none failed, 1 if one did, 2 if a file could not be read.
 
     Several flights go to folders of their own; a file that cannot be read does not keep the others
-    from being reported.
+    from being reported. A folder of logs gets an index page.
     """
+    first = Path(args.logs[0])
+    if len(args.logs) == 1 and first.is_dir() and not is_run_folder(first):
+        return report_folder(first, args)
+    with tempfile.TemporaryDirectory() as unpacked:
+        return _report_each(args, Path(unpacked))
+
+
+def _report_each(args: argparse.Namespace, unpacked: Path) -> int:
     thresholds = read_thresholds(args.criteria)
     labels = _labels(args.labels)
-    others = [judged(read_flight([Path(log)], ()), thresholds) for log in args.against]
-    paths, unreadable = _existing([Path(log) for log in args.logs])
+    against = [log_file(Path(log), unpacked) for log in args.against]
+    others = [judged(read_flight([log], ()), thresholds) for log in against]
+    paths, unreadable = log_files([Path(log) for log in args.logs], unpacked)
     flights = group(paths)
     failed = False
     for flight_paths in flights:
@@ -40,19 +55,48 @@ def main(args: argparse.Namespace) -> int:
             unreadable.append(str(error))
             continue
         write_report(folder, outcome, others, args.data)
-        if args.figures:
-            from analysis.report.page.figures import write_figures
-
-            write_figures(folder / "figures", outcome.flight.recording)
-        if args.export:
-            from analysis.report.export import export
-
-            export(flight_paths, folder / "export", args.export)
+        _write_more(folder, outcome, flight_paths, args)
         print_outcome(outcome, folder)
         failed |= outcome.verdict == FAIL
     for message in unreadable:
         print(f"mavproxy-fault: {message}", file=sys.stderr)
     return 2 if unreadable else int(failed)
+
+
+def report_on(path: Path, folder: Path, args: argparse.Namespace) -> Outcome:
+    """Report on one log of many, into `folder`.
+
+    Raises
+    ------
+    ConfigError
+        If the log cannot be read.
+    """
+    with tempfile.TemporaryDirectory() as unpacked:
+        log = log_file(path, Path(unpacked))
+        outcome = judged(read_flight([log], ()), read_thresholds(args.criteria))
+        folder.mkdir(parents=True, exist_ok=True)
+        write_report(folder, outcome, [], args.data)
+        _write_more(folder, outcome, [log], args)
+    return outcome
+
+
+def _write_more(
+    folder: Path, outcome: Outcome, paths: Sequence[Path], args: argparse.Namespace
+) -> None:
+    """What is written only when asked for: figures, tables, tracks, PDF."""
+    recording = outcome.flight.recording
+    if args.figures:
+        from analysis.report.page.figures import write_figures
+
+        write_figures(folder / "figures", recording)
+    if args.export in TRACK_FORMS:
+        export_tracks(recording, folder / "export", args.export)
+    elif args.export:
+        from analysis.report.export import export
+
+        export(paths, folder / "export", args.export)
+    if args.pdf:
+        write_pdf(folder / "report.html")
 
 
 def _labels(path: str | None) -> list[Label]:
@@ -64,18 +108,6 @@ def _labels(path: str | None) -> list[Label]:
         raise ConfigError(f"--labels {path}: {error.strerror}; give a labels.jsonl") from error
     except ValueError as error:  # msgspec's decode errors are
         raise ConfigError(f"--labels {path}: {error}; give a labels.jsonl") from error
-
-
-def _existing(paths: Sequence[Path]) -> tuple[list[Path], list[str]]:
-    """Those that are there, and a message for each that is not; a single one raises instead."""
-    missing = [
-        f"{path}: there is no such file; give the path of a log"
-        for path in paths
-        if not path.exists()
-    ]
-    if missing and len(paths) == 1:
-        raise ConfigError(missing[0])
-    return [path for path in paths if path.exists()], missing
 
 
 def _folder(out: str | None, paths: Sequence[Path], several: bool) -> Path:

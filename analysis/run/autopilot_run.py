@@ -19,16 +19,17 @@ from typing import Any
 import numpy as np
 
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
-from analysis.run.flight_operator import FlightPlan, Operator, Waypoint
+from analysis.run.flight_operator import COPTER, PLANE, FlightPlan, Operator, Waypoint
 from analysis.run.hil_exchange import FromAutopilot, Patience, Process, ToAutopilot
-from analysis.run.proxied_flight import GROUND, MONITOR, Flight
-from analysis.run.run_command import EXIT_CODES, report, session
+from analysis.run.proxied_flight import GROUND, MONITOR, Flight, session
+from analysis.run.run_command import EXIT_CODES, report
 from analysis.run.setup import Setup, read_setup
 from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary
 from analysis.run.worker import MonitorProcess
 from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.ardupilot.autopilot_process import check_command
+from mavproxy_fault.ardupilot.bridge import ending
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.live.journal import JOIN, Journal
@@ -52,7 +53,8 @@ from simvehicle.simulation.simulation import Simulation
 RECORD_US = 200_000  # simulated time between writes to the logs
 START_S = 60.0  # wall time for the autopilot's program to come
 END_S = 10.0  # for the bridge to end its autopilot
-HEIGHT_M = 10.0  # where no mission names one
+KINDS = {"multirotor": "copter", "fixedwing": "plane"}  # of the bridge, by the scenario's
+HEIGHTS_M = {"copter": 10.0, "plane": 50.0}  # where no mission names one; TKOFF_ALT of a plane
 CORNER_M = 20.0  # between the corners that a mission's path is flown by
 LOAD = "@ctl/schedule/load"
 MOMENTS = ("first-stamp", "arming", "take-off", "landing")
@@ -67,6 +69,11 @@ def main(args: argparse.Namespace) -> int:
     words = check_command(args.binary or "arducopter", option="--binary")
     check_moment(args.count_from)
     setup = read_setup(args.scenario, args.schedule, args.seed)
+    if setup.scenario.vehicle.kind not in KINDS:
+        raise ConfigError(
+            f"vehicle.kind = {setup.scenario.vehicle.kind} is not flown by ArduPilot here; "
+            f"{' or '.join(KINDS)} is"
+        )
     if setup.scenario.start.height_m > 0.0:
         raise ConfigError(
             f"start.height_m = {setup.scenario.start.height_m:g} is in the air; an autopilot "
@@ -126,7 +133,9 @@ class AutopilotRun:
         self._operator = Operator(flight_plan(setup.scenario, self.flight.simulation))
         self._journal = Journal(self.flight.core, self.flight.tape)
         self._journal.note(JOIN, b"", self._journal.begin(self.flight.now_us))
-        self._recorder = Recorder(folder, session(setup, self.flight))
+        self._recorder = Recorder(
+            folder, session(setup.scenario.name, setup.schedule.seed, self.flight)
+        )
         self._parser = Parser()
         self._recorded_us = 0
         self._scheduled = False
@@ -138,7 +147,8 @@ class AutopilotRun:
         simulation = self.flight.simulation
         mav_type, mix = airframe(simulation)
         link = TcpServer("127.0.0.1", 0)
-        with contextlib.closing(link), bridged(words, link.port, self._folder) as process:
+        bridge = bridged(words, KINDS[simulation.scenario.vehicle.kind], link.port, self._folder)
+        with contextlib.closing(link), bridge as process:
             patience = Patience(link, process, START_S)
             loop = LockstepLoop(
                 simulation,
@@ -154,9 +164,9 @@ class AutopilotRun:
             except FlightOverError as over:
                 reason = str(over)
             except (PeerGoneError, AutopilotSilentError) as gone:
-                reason = f"{gone} at {loop.t_us * 1e-6:.1f} s{last_line(self._folder)}"
+                reason = f"{gone} at {loop.t_us * 1e-6:.1f} s{bridge_end(process, self._folder)}"
             except ConfigError as wrong:
-                reason = f"{wrong}{last_line(self._folder)}"
+                reason = f"{wrong}{bridge_end(process, self._folder)}"
         self._close()
         if reason:
             self._progress.say(f"the flight ended early: {reason}")
@@ -222,11 +232,11 @@ class AutopilotRun:
 
 
 @contextlib.contextmanager
-def bridged(words: Sequence[str], port: int, folder: Path) -> Iterator[Process]:
+def bridged(words: Sequence[str], kind: str, port: int, folder: Path) -> Iterator[Process]:
     """The bridge's process, which starts the autopilot; both end with the flight."""
     command = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot"]
     command += ["--hil", f"tcp:127.0.0.1:{port}", "--command", shlex.join(words)]
-    command += ["--dir", str(folder / "autopilot")]
+    command += ["--vehicle", kind, "--dir", str(folder / "autopilot")]
     with (folder / "bridge.log").open("wb") as log:
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
     try:
@@ -240,16 +250,21 @@ def bridged(words: Sequence[str], port: int, folder: Path) -> Iterator[Process]:
             process.wait()
 
 
-def last_line(folder: Path) -> str:
-    """What the bridge said last, for a message."""
+def bridge_end(process: Process, folder: Path) -> str:
+    """How the bridge ended where it was killed, else what it said last; for a message."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        if process.wait(END_S) < 0:
+            return f"; the bridge ended {ending(process.returncode)}"
     lines = (folder / "bridge.log").read_text(errors="replace").strip().splitlines()
     return f"; the bridge said: {lines[-1]}" if lines else ""
 
 
 def flight_plan(scenario: Scenario, simulation: Simulation) -> FlightPlan:
     """The scenario's mission as corners of its path, or a hover where there is none."""
+    kind = KINDS[scenario.vehicle.kind]
+    modes = PLANE if kind == "plane" else COPTER
     if not scenario.mission:
-        return FlightPlan(HEIGHT_M, scenario.duration_s)
+        return FlightPlan(HEIGHTS_M[kind], scenario.duration_s, modes=modes)
     track = simulation.controller.track
     assert isinstance(track, PathTrack)  # as a scenario with a mission has
     path = track.path
@@ -265,4 +280,5 @@ def flight_plan(scenario: Scenario, simulation: Simulation) -> FlightPlan:
         )
         for at in corners
     )
-    return FlightPlan(waypoints[0].height_m, scenario.duration_s, waypoints)
+    height_m = HEIGHTS_M[kind] if kind == "plane" else waypoints[0].height_m
+    return FlightPlan(height_m, scenario.duration_s, waypoints, modes)

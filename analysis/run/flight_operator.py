@@ -43,20 +43,22 @@ PATIENCE_S = {  # of the vehicle's time, for phases that the autopilot has to en
     Phase.UPLOADING: 30.0,
     Phase.ARMING: 60.0,
     Phase.CLIMBING: 60.0,
-    Phase.LANDING: 120.0,
+    Phase.LANDING: 300.0,  # a plane flies a pattern first
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """Custom modes of a kind of ArduPilot."""
+    """Custom modes of a kind of ArduPilot; a plane's TAKEOFF mode needs no command to take off."""
 
-    guided: int
+    take_off: int
     auto: int
     land: int
+    take_off_command: bool
 
 
-COPTER = Modes(guided=4, auto=3, land=9)
+COPTER = Modes(take_off=4, auto=3, land=9, take_off_command=True)  # GUIDED, AUTO, LAND
+PLANE = Modes(take_off=13, auto=10, land=26, take_off_command=False)  # TAKEOFF, AUTO, AUTOLAND
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,8 +156,10 @@ class Operator:
         """The next phase, where this one has done its work or cannot."""
         while self._done():
             self._enter(list(Phase)[list(Phase).index(self.phase) + 1])
+        if self.phase is Phase.FLYING and not self._armed:  # a failsafe of its own has landed it
+            self._enter(Phase.LANDED)
         waited_s = (self._t_us - self._since_us) * 1e-6
-        if self.phase in (Phase.CLIMBING, Phase.FLYING) and not self._armed:
+        if self.phase is Phase.CLIMBING and not self._armed:
             self.gave_up = f"disarmed while {self.phase}"
         elif waited_s > PATIENCE_S.get(self.phase, float("inf")):
             self.gave_up = f"still {self.phase} after {waited_s:.0f} s"
@@ -188,8 +192,10 @@ class Operator:
             count = {"target_system": 1, "target_component": 1, "count": len(plan.waypoints) + 1}
             return [self._frame(MISSION_COUNT, count)]
         if self.phase is Phase.ARMING:
-            return [self._mode(plan.modes.guided), self._command(ARM, 1.0)]
+            return [self._mode(plan.modes.take_off), self._command(ARM, 1.0)]
         if self.phase is Phase.CLIMBING and self._height_m < OFF_THE_GROUND_M:
+            if not plan.modes.take_off_command:
+                return []
             return [self._command(TAKE_OFF, 0, 0, 0, 0, 0, 0, plan.height_m)]
         if self.phase is Phase.FLYING and plan.waypoints and self._flown_s() < plan.duration_s:
             began = self._t_us == self._since_us

@@ -39,7 +39,7 @@ def main(args: argparse.Namespace) -> int:
         schedule = read_schedule(args.file)
         print(f"{args.file}: {len(schedule.faults)} faults, all right")
         for entry in schedule.faults:
-            print(f"  {entry.id}: {said(entry)}")
+            print(f"  {entry.id}: {described(entry)}")
     elif args.action == "plot":
         _plot(args)
     else:
@@ -115,7 +115,7 @@ def _default(field: msgspec.structs.FieldInfo) -> str:
     return "" if field.default is None else f" (default {field.default})"
 
 
-def said(entry: Entry) -> str:
+def described(entry: Entry) -> str:
     """One entry in words."""
     words = [entry.preset or entry.name, ", ".join(entry.targets) or "everything"]
     if entry.when:

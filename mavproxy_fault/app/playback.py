@@ -65,10 +65,10 @@ def open_log(path: Path) -> Source:
         raise ConfigError(f"{path}: is not a file; allowed: a tlog")
     session, index = path.with_name(SESSION), path.with_name(INDEX)
     if path.name == RECEIVED and session.is_file() and index.is_file():
-        said: dict[str, Any] = json.loads(session.read_text())
-        roles = tuple(LinkRole(link["name"], link["direction"]) for link in said["links"])
+        recorded: dict[str, Any] = json.loads(session.read_text())
+        roles = tuple(LinkRole(link["name"], link["direction"]) for link in recorded["links"])
         edits = read_edits(path.with_name(EDITS))
-        return Source(roles, _indexed(path, index), said, tuple(edits))
+        return Source(roles, _indexed(path, index), recorded, tuple(edits))
     data = path.read_bytes()
     if _find(data, 0, None) is None:
         raise ConfigError(f"{path}: holds no MAVLink record; allowed: a tlog")

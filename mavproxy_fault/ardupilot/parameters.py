@@ -33,6 +33,7 @@ SENSORS = {
     "COMPASS_OFS_Z": 0,
     "INS_GYR_CAL": 1,
     "BATT_MONITOR": 0,
+    "SIM_FLOAT_EXCEPT": 0,  # a NaN reaches the estimator, as on hardware, and traps nobody
     "FS_THR_ENABLE": 0,  # nobody holds a radio
     "FS_GCS_ENABLE": 0,
     "LOG_DISARMED": 1,
@@ -57,6 +58,14 @@ KIND_PARAMETERS: dict[Kind, dict[str, float]] = {
         "ARSPD_TYPE": 2,  # analog, which SITL makes from the line's airspeed
         "ARSPD_PIN": 1,
         "ARSPD_USE": 1,
+        # the simulator's aerosonde, m/s and percent
+        "AIRSPEED_MIN": 18,
+        "AIRSPEED_CRUISE": 25,
+        "AIRSPEED_MAX": 35,
+        "TRIM_THROTTLE": 40,
+        "THR_MAX": 100,
+        "TKOFF_ROTATE_SPD": 22,
+        "WP_LOITER_RAD": 150,
         "SERVO1_FUNCTION": 4,
         "SERVO2_FUNCTION": 19,
         "SERVO3_FUNCTION": 70,

@@ -216,7 +216,7 @@ class Forwarder:
         seen: tuple[Any, ...] = (control and control.wanted,)
         if engine is not None:
             self.loop[k.EDGE] = engine.edge_us
-            seen += (engine.turns, engine.revision, engine.t0_us)
+            seen += (engine.changes, engine.revision, engine.t0_us)
         plans = self._plans
         if seen != self._seen or (plans is not None and plans.changed):
             self._seen = seen

@@ -41,7 +41,7 @@ class Planned(NamedTuple):
 
 def stage(running: Running) -> tuple[bool, int, bool]:
     """How far a fault has come: has it begun, how many states has it, is its news untold."""
-    return running.first_us is not None, len(running.states), running.untold
+    return running.first_us is not None, len(running.states), running.unannounced
 
 
 class Plans:
@@ -120,7 +120,7 @@ class Plans:
         plan = self.rows[first]
         plan[:] = -1
         plan[k.ROWS], plan[k.START] = len(places), running.start_us
-        plan[k.WAITS] = running.first_us is None or running.untold
+        plan[k.WAITS] = running.first_us is None or running.unannounced
         plan[k.SYSTEM : k.DIRECTION + 1] = [
             -1 if one is None else one
             for one in (where.system, where.component, WAYS.get(where.direction or ""))

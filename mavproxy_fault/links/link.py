@@ -1,6 +1,6 @@
 """Link: where bytes come from and go to, without ever blocking.
 
-A link is drained in batches: `read` hands over all that waits (up to a bound), `write` sends at
+A link is drained in batches: `read` hands over what waits (up to a bound), `write` sends at
 once or queues within bounds. What does not fit is dropped and counted, so that a slow or dead
 endpoint never stalls the others.
 """
@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 RECEIVE_BUFFER = 16 << 20  # bytes, 20,000 small frames; Linux' default loses them in bursts
-BATCH = 256  # datagrams or reads taken at most by one call of `read`
 QUEUE_LIMIT = 1 << 20  # bytes that wait for a slow stream before further ones are dropped
 SO_RCVBUFFORCE, SO_SNDBUFFORCE = 33, 32  # Linux <asm-generic/socket.h>; need CAP_NET_ADMIN
 

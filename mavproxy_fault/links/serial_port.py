@@ -58,9 +58,10 @@ class SerialPort:
             return []
         _, stream = self._port
         stream.flush()
-        pieces, stands = stream.read()
-        chunks = [(self._number, piece) for piece in pieces]
-        hung_up = any(mask & (select.EPOLLHUP | select.EPOLLERR) for _, mask in self._epoll.poll(0))
+        data, stands = stream.read()
+        chunks = [(self._number, data)] if data else []
+        gone = select.EPOLLHUP | select.EPOLLERR
+        hung_up = not data and any(mask & gone for _, mask in self._epoll.poll(0))
         if hung_up or not stands:
             self._lose()
             chunks.append((self._number, b""))

@@ -8,7 +8,6 @@ from collections import deque
 from mavproxy_fault.links.link import QUEUE_LIMIT, LinkCounters
 
 READ_SIZE = 32_768  # what is no frame must still fit one datagram
-READ_AT_ONCE = 65_536  # bytes until other links and due frames get their turn
 
 
 class Stream:
@@ -63,22 +62,22 @@ class Stream:
             self._counters.chunks_out += 1
         self._watch(select.EPOLLIN | (select.EPOLLOUT if queue else 0))
 
-    def read(self) -> tuple[list[bytes], bool]:
-        """What has come, and whether the stream still stands."""
-        chunks: list[bytes] = []
-        for _ in range(READ_AT_ONCE // READ_SIZE):
-            try:
-                data = os.read(self.fileno, READ_SIZE)
-            except BlockingIOError:
-                return chunks, True
-            except OSError:
-                return chunks, False
-            if not data:
-                return chunks, not self._empty_is_end
-            self._counters.chunks_in += 1
-            self._counters.bytes_in += len(data)
-            chunks.append(data)
-        return chunks, True
+    def read(self) -> tuple[bytes, bool]:
+        """What has come, and whether the stream still stands.
+
+        One read, however much waits: other links and due frames get their turn in between.
+        """
+        try:
+            data = os.read(self.fileno, READ_SIZE)
+        except BlockingIOError:
+            return b"", True
+        except OSError:
+            return b"", False
+        if not data:
+            return b"", not self._empty_is_end
+        self._counters.chunks_in += 1
+        self._counters.bytes_in += len(data)
+        return data, True
 
     def abandon(self) -> None:
         """Stop watching the descriptor before its owner closes it; count what is lost."""

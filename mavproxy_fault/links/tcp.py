@@ -57,7 +57,8 @@ class TcpServer:
         for number, (sock, stream) in list(self._peers.items()):
             stream.flush()
             data, stands = stream.read()
-            chunks.extend((number, chunk) for chunk in data)
+            if data:
+                chunks.append((number, data))
             if not stands:
                 stream.abandon()
                 sock.close()
@@ -142,7 +143,7 @@ class TcpClient:
             return []
         stream.flush()
         data, stands = stream.read()
-        chunks = [(self._number, chunk) for chunk in data]
+        chunks = [(self._number, data)] if data else []
         if not stands:
             self._lose(sock, stream)
             chunks.append((self._number, b""))

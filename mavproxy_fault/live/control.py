@@ -229,9 +229,8 @@ class Control:
         return {"id": id, "value": value}
 
     def _load(self, payload: bytes) -> Callable[[], Any]:
-        where = "schedule/load"
-        document = read_yaml(payload.decode("utf-8", "replace"), where)
-        check_files(document.data, self.folders, where)
+        document = read_yaml(payload.decode("utf-8", "replace"), "schedule/load")
+        check_files(document.data, self.folders, "schedule/load")
         schedule = parse_schedule(document)
 
         def act() -> Any:

@@ -158,7 +158,7 @@ class Live:
         self._config_file = ""
         self._heir = threading.Thread()  # that takes over from a router that ended
         self._look_s = self._show_s = 0.0
-        self._shown = (0, 0)  # revision and turns of the engine
+        self._shown = (0, 0)  # revision and changes of the engine
 
     def open_bus(self, zenoh: str, run: str | None = None, config_file: str = "") -> None:
         """Offer control on the bus: `auto` (the router here, or another's), `off`, or a URL.
@@ -278,7 +278,7 @@ class Live:
         self._show_s = now_s + SHOW_S
         self._look_after_bus(now_s)
         engine = self.control.engine
-        if self._bus is not None and self._shown != (engine.revision, engine.turns):
+        if self._bus is not None and self._shown != (engine.revision, engine.changes):
             self._show_faults(self._bus)
         samples = self.control.watched(now_s)
         if samples and self._listener is not None:
@@ -288,7 +288,7 @@ class Live:
 
     def _show_faults(self, bus: Bus) -> None:
         engine = self.control.engine
-        self._shown = (engine.revision, engine.turns)
+        self._shown = (engine.revision, engine.changes)
         bus.put("schedule/state", msgspec.json.encode(engine.state()), history=1)
 
     def publish(self, stats: object, labels: Sequence[Label]) -> None:

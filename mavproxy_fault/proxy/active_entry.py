@@ -1,5 +1,6 @@
 """One entry of a schedule at work: when it is active, what it did, and the labels for it."""
 
+import logging
 import math
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, get_type_hints
@@ -17,6 +18,7 @@ from mavproxy_fault.wire.label import Label
 if TYPE_CHECKING:
     from numpy.random import Generator
 
+LOG = logging.getLogger(__name__)
 NEVER_US = 1 << 62
 TELL_US = 200_000  # between two labels about new values of one fault
 
@@ -51,6 +53,8 @@ class Running:
         self.active = False
         self.starts = 0
         self.frames = self.sealed = self.saturated = self.total_frames = 0
+        self.failures = 0  # frames that the fault could not be applied to
+        self.failure: str | None = None
         self.magnitude: float | None = None
         self.first_us: int | None = None
         self.last_us = 0
@@ -60,8 +64,8 @@ class Running:
         self.latency_us: int | None = None
         self.value: float | None = None  # given live, constant or streamed
         self.changed_us: int | None = None
-        self.untold = False  # no label has told the newest value
-        self._told_us = 0
+        self.unannounced = False  # no label has told the newest value
+        self._announced_us = 0
         where = entry.where
         self._where = (where.system, where.component, where.direction, where.id)
         self._anything = self._where == (None, None, None, None)
@@ -170,18 +174,20 @@ class Running:
         """Put a frame through the fault and count what it did."""
         if self.entry.probability < 1.0 and self.rng.random() >= self.entry.probability:
             return [Outgoing(t_us, frame)]
-        state = self.states.get(direction)
-        if state is None and direction not in self.states:
-            state = self.fault.new_state(self.start_us)
-            if self.live is not None:
-                state = self.fault.fed(state, *self.live)
-        sends, self.states[direction] = self.fault.apply(frame, t_us, state, self.rng)
+        try:
+            sends = self._apply(frame, direction, t_us)
+        except Exception as error:  # others write faults too: theirs must not end the forwarding
+            if not self.failures:
+                LOG.exception("fault %s failed; the frame passes as it came", self.entry.id)
+            self.failures += 1
+            self.failure = repr(error)
+            return [Outgoing(t_us, frame)]
         if len(sends) == 1 and sends[0].frame is frame and sends[0].due_us == t_us:
-            return sends  # type: ignore[no-any-return]
+            return sends
         # What was kept back and leaves as it came was not touched; what changed has a magnitude.
         touched = sum(out.magnitude is not None for out in sends) if self.keeps_back else 1
         if not touched:
-            return sends  # type: ignore[no-any-return]
+            return sends
         self.frames += touched
         self.total_frames += touched
         self.last_us = t_us
@@ -190,7 +196,18 @@ class Running:
             self.direction = direction
         for out in sends:
             self._measure(out)
-        return sends  # type: ignore[no-any-return]
+        return sends
+
+    def _apply(self, frame: Frame | bytes, direction: str, t_us: int) -> list[Outgoing]:
+        """What the fault makes of a frame, its state of that direction brought up to date."""
+        state = self.states.get(direction)
+        if state is None and direction not in self.states:
+            state = self.fault.new_state(self.start_us)
+            if self.live is not None:
+                state = self.fault.fed(state, *self.live)
+        sends: list[Outgoing]
+        sends, self.states[direction] = self.fault.apply(frame, t_us, state, self.rng)
+        return sends
 
     def credit(self, frames: int, saturated: int, last_us: int, magnitude: float) -> None:
         """Count what was done elsewhere in this fault's name; a negative magnitude is none."""
@@ -253,16 +270,16 @@ class Running:
 
     def opened(self, t_us: int) -> Label:
         """The label of a stretch that has just touched its first frame."""
-        self.changed_us, self.untold = None, False
-        self._told_us = t_us
+        self.changed_us, self.unannounced = None, False
+        self._announced_us = t_us
         return self.label(None)
 
     def news(self, t_us: int) -> Label | None:
         """A label about a value that was changed; None without one, or so soon after another."""
-        if not self.untold or self.first_us is None or t_us - self._told_us < TELL_US:
+        if not self.unannounced or self.first_us is None or t_us - self._announced_us < TELL_US:
             return None
-        self.untold = False
-        self._told_us = t_us
+        self.unannounced = False
+        self._announced_us = t_us
         return self.label(None)
 
     def close(self, t_us: int) -> Label | None:
@@ -287,7 +304,7 @@ class Running:
         else:
             self._change(inner, value)
         if value != self.value:
-            self.value, self.changed_us, self.untold = value, t_us, True
+            self.value, self.changed_us, self.unannounced = value, t_us, True
 
     def _change(self, inner: Any, value: float) -> None:
         """Take another constant value."""
@@ -333,6 +350,8 @@ class Running:
             "magnitude": self.magnitude,
             "saturated": self.saturated,
             "signed_skipped": self.sealed,
+            "failures": self.failures,
+            "failure": self.failure,
             "latency_us": self.latency_us,
             "value": self.value,
             "parameters": self.entry.parameters,

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mavproxy_fault.proxy.announcements import Announcer
 from mavproxy_fault.proxy.interfaces import Control, Direction, Engine, LinkRole, Send
-from mavproxy_fault.proxy.outgoing import Pieces, source_of, together
+from mavproxy_fault.proxy.outgoing import Departures, source_of, together
 from mavproxy_fault.proxy.routing import LoopGuard, Routes
 from mavproxy_fault.proxy.sender_rules import missing_before
 from mavproxy_fault.proxy.senders import DOUBTED, GAPS, LEAD, SENDERS, SPEAKER, new_senders
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from mavproxy_fault.faults.fault import Outgoing
     from mavproxy_fault.wire.label import Label
 
-HOLD_US = (
+INCOMPLETE_US = (
     500_000  # how long a stream may owe the rest of a frame; 280 bytes at 9600 baud take 0.3 s
 )
 NEVER_US = 1 << 62
@@ -51,7 +51,7 @@ class LinkState:
 
 
 class Arrival(NamedTuple):
-    """Where and when a piece of input came."""
+    """Where and when some input came."""
 
     link: int
     direction: Direction
@@ -84,7 +84,7 @@ class Core:
         self._labels: list[Label] = []
         self._parsers: dict[tuple[int, int], Parser] = {}
         self._ended = [ParserCounters() for _ in links]
-        self._held_since: dict[tuple[int, int], int] = {}
+        self._incomplete_since: dict[tuple[int, int], int] = {}
         self._pending: list[tuple[int, int, int, bytes]] = []  # due, order, links, bytes
         self._order = itertools.count()
         self.left_us = 0  # when what left last was due; nothing may come before that any more
@@ -121,9 +121,9 @@ class Core:
             self._ended[link].add(parser.counters)
             del self._parsers[key]
         if not role.datagrams:
-            self._held_since.pop(key, None)
+            self._incomplete_since.pop(key, None)
             if parser.incomplete:
-                self._held_since[key] = now_us
+                self._incomplete_since[key] = now_us
         arrival = Arrival(link, direction or role.direction, now_us)
         return sends + self._process(items, arrival)
 
@@ -143,9 +143,9 @@ class Core:
                 sends += self._to_links(mask, raw, when_us)
             else:
                 sends += self._release_from_engine(when_us)
-        for key, since_us in list(self._held_since.items()):
-            if now_us - since_us >= HOLD_US:
-                del self._held_since[key]
+        for key, since_us in list(self._incomplete_since.items()):
+            if now_us - since_us >= INCOMPLETE_US:
+                del self._incomplete_since[key]
                 arrival = Arrival(key[0], self.links[key[0]].direction, now_us)
                 sends += self._process(self._parsers[key].release(), arrival)
         return sends
@@ -156,7 +156,7 @@ class Core:
         when_us = min(
             self._engine_due_us(),
             self._pending[0][0] if self._pending else NEVER_US,
-            min(self._held_since.values(), default=NEVER_US) + HOLD_US,
+            min(self._incomplete_since.values(), default=NEVER_US) + INCOMPLETE_US,
         )
         return None if when_us >= NEVER_US else when_us
 
@@ -164,10 +164,10 @@ class Core:
         """End every fault; what is still delayed stays unsent."""
         sends = self.due(now_us)
         if self.engine is not None:
-            pieces: Pieces = []
+            departures: Departures = []
             labels = [*self.engine.take_labels(), *self.engine.finish(self.clock.t_us)]
-            self._announce(labels, now_us, pieces)
-            sends += self._sends(pieces, now_us) + self.due(now_us)
+            self._announce(labels, now_us, departures)
+            sends += self._sends(departures, now_us) + self.due(now_us)
         return sends
 
     def gaps(self) -> dict[tuple[int, int], int]:
@@ -188,22 +188,22 @@ class Core:
                 total.add(parser.counters)
         return total
 
-    # One piece of input
+    # Input
 
     def _process(self, items: Iterable[Frame | Junk], arrival: Arrival) -> list[Send]:
-        pieces: Pieces = []
+        departures: Departures = []
         for item in items:
             if self._tape is not None:
                 self._tape.receive(arrival.now_us, arrival.link, item.raw)
             if isinstance(item, Frame):
-                self._frame(item, arrival, pieces)
+                self._frame(item, arrival, departures)
             else:
-                self._junk(item, arrival, pieces)
-        if self.links[arrival.link].datagrams and len(pieces) > 1:
-            pieces = together(pieces)
-        return self._sends(pieces, arrival.now_us)
+                self._junk(item, arrival, departures)
+        if self.links[arrival.link].datagrams and len(departures) > 1:
+            departures = together(departures)
+        return self._sends(departures, arrival.now_us)
 
-    def _frame(self, frame: Frame, arrival: Arrival, pieces: Pieces) -> None:
+    def _frame(self, frame: Frame, arrival: Arrival, departures: Departures) -> None:
         state = self.states[arrival.link]
         state.frames += 1
         if not self._admit(frame, arrival):
@@ -215,7 +215,7 @@ class Core:
             replies = control.consume(frame, t_us)
             if replies is not None:
                 for raw in replies:
-                    self._leave(1 << arrival.link, raw, arrival.now_us, pieces)
+                    self._leave(1 << arrival.link, raw, arrival.now_us, departures)
                 return
         sealed = frame.signed
         if sealed and self._signing is not None:
@@ -224,27 +224,27 @@ class Core:
         mask = self._routes.find(frame, arrival.link)
         engine = self.engine
         if engine is None or (engine.wanted is not None and frame.id not in engine.wanted):
-            self._leave(mask, frame.raw, arrival.now_us, pieces)
+            self._leave(mask, frame.raw, arrival.now_us, departures)
             return
         outgoing = engine.apply(frame, arrival.direction, t_us, sealed=sealed)
         if len(outgoing) != 1 or outgoing[0].frame is not frame or outgoing[0].due_us > t_us:
             state.faulted += 1
-        for piece in outgoing:
-            links = 1 << arrival.link if piece.back else mask
-            self._emit(piece, frame, links, arrival.now_us - t_us, arrival.now_us, pieces)
-        self._announce(engine.take_labels(), arrival.now_us, pieces)
+        for departure in outgoing:
+            links = 1 << arrival.link if departure.back else mask
+            self._emit(departure, frame, links, arrival.now_us - t_us, arrival.now_us, departures)
+        self._announce(engine.take_labels(), arrival.now_us, departures)
 
-    def _junk(self, junk: Junk, arrival: Arrival, pieces: Pieces) -> None:
+    def _junk(self, junk: Junk, arrival: Arrival, departures: Departures) -> None:
         self.states[arrival.link].junk += 1
         mask = self._routes.everywhere & ~(1 << arrival.link)
         now_us = arrival.now_us
         if self.engine is None:
-            self._leave(mask, junk.raw, now_us, pieces)
+            self._leave(mask, junk.raw, now_us, departures)
             return
         t_us = self.clock.t_us if self.clock.t0_us is not None else now_us
-        for piece in self.engine.junk(junk.raw, arrival.direction, t_us):
-            self._emit(piece, None, mask, now_us - t_us, now_us, pieces)
-        self._announce(self.engine.take_labels(), now_us, pieces)
+        for departure in self.engine.junk(junk.raw, arrival.direction, t_us):
+            self._emit(departure, None, mask, now_us - t_us, now_us, departures)
+        self._announce(self.engine.take_labels(), now_us, departures)
 
     def _admit(self, frame: Frame, arrival: Arrival) -> bool:
         """Learn the sender and count its gaps; False if the frame came round in a loop."""
@@ -284,25 +284,25 @@ class Core:
         mask: int,
         lead_us: int,
         now_us: int,
-        pieces: Pieces,
+        departures: Departures,
     ) -> None:
         """Send or keep what the engine gave back for `origin`, which may be an earlier frame."""
         frame = outgoing.frame
         raw = frame if isinstance(frame, bytes) else frame.raw
         if origin is not None and frame is not origin and source_of(raw) != source_of(origin.raw):
-            mask = self._links_of_held(frame)
+            mask = self._links_of_pending(frame)
         if isinstance(frame, Frame) and frame.signed and frame is not origin and self._signing:
             raw = self._signing.leave(frame).raw
         due_us = outgoing.due_us + lead_us
         if due_us <= now_us:
-            self._leave(mask, raw, now_us, pieces)
+            self._leave(mask, raw, now_us, departures)
         else:
             heapq.heappush(self._pending, (due_us, next(self._order), mask, raw))
 
-    def _leave(self, mask: int, raw: bytes, now_us: int, pieces: Pieces) -> None:
+    def _leave(self, mask: int, raw: bytes, now_us: int, departures: Departures) -> None:
         if mask:
             self._record(raw, now_us)
-            pieces.append((mask, raw))
+            departures.append((mask, raw))
 
     def _record(self, raw: bytes, when_us: int) -> None:
         if self._tape is not None:
@@ -310,15 +310,18 @@ class Core:
         if self.control is not None:
             self.control.sent(raw, when_us - self.senders[LEAD])
 
-    def _announce(self, labels: "list[Label]", now_us: int, pieces: Pieces) -> None:
+    def _announce(self, labels: "list[Label]", now_us: int, departures: Departures) -> None:
         for label in labels:
             self._labels.append(label)
             self._leave(
-                self._listeners, self._announcer.frame(label, self.senders[SPEAKER]), now_us, pieces
+                self._listeners,
+                self._announcer.frame(label, self.senders[SPEAKER]),
+                now_us,
+                departures,
             )
 
-    def _sends(self, pieces: Pieces, when_us: int) -> list[Send]:
-        return [send for mask, data in pieces for send in self._to_links(mask, data, when_us)]
+    def _sends(self, departures: Departures, when_us: int) -> list[Send]:
+        return [send for mask, data in departures for send in self._to_links(mask, data, when_us)]
 
     def _to_links(self, mask: int, data: bytes, when_us: int) -> list[Send]:
         return [
@@ -333,15 +336,15 @@ class Core:
 
     def _release_from_engine(self, when_us: int) -> list[Send]:
         assert self.engine is not None
-        pieces: Pieces = []
+        departures: Departures = []
         for outgoing in self.engine.due(when_us - self.senders[LEAD]):
-            mask = self._links_of_held(outgoing.frame)
-            self._emit(outgoing, None, mask, self.senders[LEAD], when_us, pieces)
-        self._announce(self.engine.take_labels(), when_us, pieces)
-        return self._sends(pieces, when_us)
+            mask = self._links_of_pending(outgoing.frame)
+            self._emit(outgoing, None, mask, self.senders[LEAD], when_us, departures)
+        self._announce(self.engine.take_labels(), when_us, departures)
+        return self._sends(departures, when_us)
 
-    def _links_of_held(self, frame: Frame | bytes) -> int:
-        """Where a frame goes that came at some earlier time, by its sender's home link."""
+    def _links_of_pending(self, frame: Frame | bytes) -> int:
+        """Where a frame goes that was kept since some earlier time, by its sender's home link."""
         home = self._routes.home.get(source_of(frame if isinstance(frame, bytes) else frame.raw))
         if home is None:
             return self._routes.everywhere

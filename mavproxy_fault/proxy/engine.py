@@ -29,7 +29,7 @@ class Engine:
     def __init__(self, schedule: Schedule, seed: int | None = None) -> None:
         self.seed = schedule.seed if seed is None else seed
         self.revision = 0
-        self.turns = 0  # how often it has changed who acts on what
+        self.changes = 0  # how often it has changed who acts on what
         self.t0_us: int | None = None
         self.now_us = 0
         self.wanted: frozenset[int] | None = frozenset()
@@ -128,7 +128,7 @@ class Engine:
 
     def _index(self) -> None:
         """Who acts on which message now, and when that changes by the clock."""
-        self.turns += 1
+        self.changes += 1
         active = [running for running in self._all if running.active]
         ids = {number for running in active for number in running.entry.ids or ()}
         self._any = tuple(r for r in active if r.entry.ids is None)
@@ -195,7 +195,7 @@ class Engine:
                 sends = _through(running, sends, direction, t_us)
             if known is None and running.first_us is not None:
                 self._labels.append(running.opened(t_us))
-            elif running.untold and (news := running.news(t_us)) is not None:
+            elif running.unannounced and (news := running.news(t_us)) is not None:
                 self._labels.append(news)
         if sends is None:
             sends = [Outgoing(t_us, frame)]

@@ -1,4 +1,4 @@
-"""Pieces: what leaves the core at one time, and who sent it."""
+"""Departures: what leaves the core at one time, and who sent it."""
 
 import itertools
 
@@ -6,7 +6,7 @@ from mavproxy_fault.proxy.announcements import COMPONENT
 from mavproxy_fault.wire.frame import STX_V1, STX_V2
 
 LARGEST_DATAGRAM = 65_507  # bytes of payload of an IPv4 datagram
-Pieces = list[tuple[int, bytes]]  # what leaves now: the links as a bit mask, and the bytes
+Departures = list[tuple[int, bytes]]  # what leaves now: the links as a bit mask, and the bytes
 
 
 def source_of(raw: bytes) -> tuple[int, int]:
@@ -18,14 +18,14 @@ def source_of(raw: bytes) -> tuple[int, int]:
     return 0, 0
 
 
-def together(pieces: Pieces) -> Pieces:
+def together(departures: Departures) -> Departures:
     """Neighbours for the same links as one datagram, but for the proxy's own announcements."""
-    joined: Pieces = []
+    joined: Departures = []
 
-    def kind(piece: tuple[int, bytes]) -> tuple[int, bool]:
-        return piece[0], source_of(piece[1])[1] == COMPONENT
+    def kind(departure: tuple[int, bytes]) -> tuple[int, bool]:
+        return departure[0], source_of(departure[1])[1] == COMPONENT
 
-    for (mask, _), group in itertools.groupby(pieces, key=kind):
+    for (mask, _), group in itertools.groupby(departures, key=kind):
         data = b""
         for _, raw in group:
             if len(data) + len(raw) > LARGEST_DATAGRAM:

@@ -1,5 +1,7 @@
 """Jobs: what one worker does at a time, and the answers that come back."""
 
+import shutil
+import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -8,7 +10,7 @@ import msgspec
 from analysis.campaign.campaign_file import CampaignFile
 from analysis.campaign.cell import HEALTHY, MONITOR, Cell, CellResult, Evidence, Flown
 from analysis.campaign.flying.internal_flight import fly
-from analysis.campaign.outcomes import ABORTED, judged
+from analysis.campaign.outcomes import ABORTED, judged, rank
 from analysis.run.setup import Setup, read_setup
 from mavproxy_fault.schedule.entries import parse_schedule
 
@@ -78,7 +80,14 @@ def answer(job: Job) -> Answer:
         )
         for cell in job.cells
     ]
+    if job.keep is not None and job.campaign.keep == "interesting" and not _interesting(results):
+        shutil.rmtree(job.keep)
     return Answer(results, flown)
+
+
+def _interesting(results: list[CellResult]) -> bool:
+    """Whether a fault did something to a subject."""
+    return any(rank(result.outcome) > rank("detected") for result in results)
 
 
 def failed(job: Job, reason: str) -> Answer:
@@ -95,16 +104,24 @@ def onset_of(cell: Cell, twin: Flown | None) -> float | None:
 
 def flight_of(job: FlightJob, onset_s: float) -> Flown:
     """Fly the cells' scenario, with their fault unless this is the twin."""
-    cell = job.cells[0]
-    subjects = [cell.subject for cell in job.cells]
-    setup = setup_of(job.campaign, cell, subjects)
+    cell, campaign = job.cells[0], job.campaign
     entries = []
     if cell.fault != HEALTHY:
-        fault = job.campaign.fault(cell.fault)
+        fault = campaign.fault(cell.fault)
         entries.append(fault.entry(cell.magnitude, onset_s, cell.duration_s))
-    schedule = parse_schedule({"seed": cell.seed, "faults": entries}, job.campaign.name)
+    schedule = {"seed": cell.seed, "faults": entries}
+    autopilot = campaign.autopilot(cell.subject)
+    if autopilot is not None:
+        from analysis.campaign.flying.autopilot_cell import fly_autopilot
+
+        scenario = Path(campaign.folder) / cell.scenario
+        with tempfile.TemporaryDirectory(prefix="campaign-") as scratch:
+            return fly_autopilot(autopilot, scenario, schedule, Path(job.keep or scratch))
+    subjects = [cell.subject for cell in job.cells]
+    setup = setup_of(campaign, cell, subjects)
+    faults = parse_schedule(schedule, campaign.name)
     keep = None if job.keep is None else Path(job.keep)
-    return fly(setup.scenario, schedule, setup.monitor, subjects, keep)
+    return fly(setup.scenario, faults, setup.monitor, subjects, keep)
 
 
 def setup_of(campaign: CampaignFile, cell: Cell, subjects: list[str]) -> Setup:

@@ -4,19 +4,22 @@ The file needs no network. Names come from the campaign's file: they are escaped
 """
 
 import json
-from collections import Counter, defaultdict
+import shlex
+from collections import Counter
 from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
+from pathlib import Path
 from statistics import median
 
 import msgspec
 
+from analysis.campaign.campaign_file import CampaignFile
 from analysis.campaign.cell import CellResult, Curve, Evidence
 from analysis.campaign.ledger import CurvesOf
-from analysis.campaign.outcomes import RANKS
+from analysis.campaign.outcomes import RANKS, rank
 from analysis.campaign.plan import Plan
-from analysis.campaign.results.grid import GridCell, badness, failsafe_share, grid_of
+from analysis.campaign.results.grid import GridCell, GridRow, badness, failsafe_share, grid_of
 
 MOST_LISTED = 5000  # results whose numbers stand in the page: the worst
 MOST_POINTS = 200  # of one curve
@@ -32,19 +35,20 @@ def page(
     """The whole file; `twins` are the evidence without a fault, by `subject|scenario|seed`."""
     listed = sorted(results, key=badness, reverse=True)[:MOST_LISTED]
     numbers = {result.cell.key: number for number, result in enumerate(listed)}
+    grid = grid_of(results, plan.campaign)
     rows = [
         {
             "subject": row.subject,
             "fault": row.fault,
             "cells": [_cell(cell, numbers) for cell in row.cells],
         }
-        for row in grid_of(results, plan.campaign)
+        for row in grid
     ]
     model = {
         "ranks": RANKS,
         "limits": msgspec.to_builtins(plan.campaign.limits),
         "rows": rows,
-        "results": [_numbers(result) for result in listed],
+        "results": [_numbers(result, plan.campaign) for result in listed],
         "curves": {
             numbers[item.key]: _curves(item.evidence) for item in curves if item.key in numbers
         },
@@ -66,7 +70,7 @@ def page(
             '<p class="note">A cell holds one magnitude of a fault and shows the worst outcome of '
             "its flights. Hover for the numbers, click for the flights and their curves.</p>",
             '<div id="legend"></div><div id="map"></div><div id="detail"></div>',
-            _reactions(results),
+            _reactions(grid),
             _worst(listed[:WORST]),
             f'</main><script type="application/json" id="model">{text}</script>',
             f"<!-- uPlot: {(shared / 'uPlot.LICENSE').read_text()} -->",
@@ -86,12 +90,30 @@ def _cell(cell: GridCell, numbers: dict[str, int]) -> dict[str, object]:
     }
 
 
-def _numbers(result: CellResult) -> dict[str, object]:
+def _numbers(result: CellResult, campaign: CampaignFile) -> dict[str, object]:
     """What the page tells of one result."""
     fields = msgspec.structs.asdict(result)
     cell = msgspec.structs.asdict(fields.pop("cell"))
     rounded = {k: float(f"{v:.4g}") if isinstance(v, float) else v for k, v in fields.items()}
-    return {**cell, **rounded}
+    return {**cell, **rounded, "again": again(result, campaign)}
+
+
+def again(result: CellResult, campaign: CampaignFile) -> str:
+    """The command that flies a cell again, to watch; empty for a compiled one."""
+    if campaign.compiled:
+        return ""
+    cell = result.cell
+    entry = campaign.fault(cell.fault).entry(cell.magnitude, result.onset_s, cell.duration_s)
+    schedule = json.dumps({"seed": cell.seed, "faults": [entry]})
+    autopilot = campaign.autopilot(cell.subject)
+    words = ["mavproxy-fault", "run", str(Path(campaign.folder) / cell.scenario)]
+    words += ["--schedule", "cell.yaml", "--seed", str(cell.seed)]
+    if autopilot is None:
+        words.append("--ui")
+    else:
+        words += ["--autopilot", autopilot.autopilot, "--binary", autopilot.binary]
+        words += autopilot.arguments
+    return f"echo {shlex.quote(schedule)} > cell.yaml && {shlex.join(words)}"
 
 
 def _curves(evidence: Evidence) -> dict[str, list[list[float]]]:
@@ -120,20 +142,18 @@ def _facts(results: Sequence[CellResult]) -> str:
     return f'<div class="facts">{shown}</div>'
 
 
-def _reactions(results: Sequence[CellResult]) -> str:
+def _reactions(grid: Sequence[GridRow]) -> str:
     """How soon each subject notices each fault, and how long it takes to recover."""
-    groups: dict[tuple[str, str], list[CellResult]] = defaultdict(list)
-    for result in results:
-        groups[result.cell.subject, result.cell.fault].append(result)
     rows = []
-    for (subject, fault), found in groups.items():
+    for row in grid:
+        found = [result for cell in row.cells for result in cell.results]
         delays = [r.detected_s for r in found if r.detected_s is not None]
         recoveries = [r.recovery_s for r in found if r.recovery_s is not None]
-        degraded = sum(RANKS.index("degraded") <= _rank(r) for r in found)
+        degraded = sum(rank(r.outcome) >= rank("degraded") for r in found)
         rows.append(
             (
-                subject,
-                fault,
+                row.subject,
+                row.fault,
                 f"{len(delays)} of {len(found)}",
                 f"{median(delays):.2f}" if delays else "",
                 f"{len(recoveries)} of {degraded}",
@@ -142,10 +162,6 @@ def _reactions(results: Sequence[CellResult]) -> str:
         )
     head = ("subject", "fault", "detected", "median delay, s", "recovered", "median recovery, s")
     return "<h2>Reaction times</h2>" + _table(head, rows)
-
-
-def _rank(result: CellResult) -> int:
-    return badness(result)[0]
 
 
 def _worst(results: Sequence[CellResult]) -> str:

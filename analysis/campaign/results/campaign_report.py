@@ -14,12 +14,13 @@ from analysis.campaign.outcomes import ABORTED, Limits
 from analysis.campaign.plan import Plan
 from analysis.campaign.results.campaign_page import page
 from analysis.campaign.results.grid import badness
+from analysis.campaign.results.outcome_markdown import markdown
 
 MOST_CURVES = 300  # flights whose curves stand in the page: the worst
 
 
 def write_report(folder: Path, plan: Plan) -> None:
-    """Write `campaign.html`, `campaign-summary.json`, `cells.csv` and `junit.xml`."""
+    """Write `campaign.html`, `campaign-summary.json`, `cells.csv`, `summary.md` and `junit.xml`."""
     campaign, results = read_folder(folder)
     shown = {r.cell.key for r in sorted(results, key=badness, reverse=True)[:MOST_CURVES]}
     curves = [item for item in read_lines(folder / CURVES, CurvesOf) if item.key in shown]
@@ -33,6 +34,7 @@ def write_report(folder: Path, plan: Plan) -> None:
     (folder / "campaign-summary.json").write_text(
         json.dumps(summary_of(plan, results), indent=1) + "\n"
     )
+    (folder / "summary.md").write_text(markdown(campaign, results), encoding="utf-8")
     write_csv(folder / "cells.csv", results)
     # A campaign of the kernels has more cells than any reader of JUnit wants.
     if not campaign.compiled:

@@ -1,5 +1,6 @@
-"""The tests of the other sensors over a block, compiled: see `reference` and `reference_models`."""
+"""The tests of the other sensors over a block, compiled: see `sensor_tests`, `sensor_models`."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +32,9 @@ NEVER_US = -(1 << 62)
 SAME_US = 10_000  # a fix belongs to the epoch of this instant: a receiver sends it after the ranges
 ROW, T_US, HOW, BY_FIX = range(4)  # of a decision
 UNTESTED, SOUND, UNSOUND = range(3)  # how
-SAID = 8  # numbers that are said of a sensor, see `judge`
+OUTCOME = 8  # numbers of a test's outcome, see `judge`
+QUIET_S = 30.0  # in which a sensor shows how quiet it is
+SIGMA, WALK, QUIET = range(3)  # rows of the noise
 # By kind of sample the sensor it belongs to (of a fix the first of two); -1: none
 SENSOR_OF = (-1, 0, 1, 2, 3, 4, -1, -1, models.GPS_POSITION, -1, -1, -1)
 
@@ -43,13 +46,15 @@ class Kept(NamedTuple):
 
     `stamps` (s,) and `values` (s, WIDTH): the newest sample since the newest decision, NEVER_US
     where there is none; `counts` (s, 4) and `slow` (s, 12): what is counted, and the slow states, b
-    (3,) and p (3, 3); `last` (4,): the newest decision.
+    (3,) and p (3, 3); `shown` (s,): the variance that the innovations show; `last` (4,): the newest
+    decision.
     """
 
     stamps: Stamps
     values: Vector
     counts: Counts
     slow: Vector
+    shown: Vector
     last: Counts
 
     def copy(self) -> "Kept":
@@ -59,8 +64,39 @@ class Kept(NamedTuple):
             self.values.copy(),
             self.counts.copy(),
             self.slow.copy(),
+            self.shown.copy(),
             self.last.copy(),
         )
+
+
+class Rows(NamedTuple):
+    """A block as the kernel reads it: kind (n,), t_us (n,), values (n, WIDTH)."""
+
+    kind: Indices
+    t_us: Stamps
+    values: Vector
+
+
+class Decisions(NamedTuple):
+    """The detector's decisions on a block, and its filter before the first and at each.
+
+    `numbers` (m, 4): row, stamp, how the filter is (UNTESTED, SOUND, UNSOUND) and whether a fix was
+    its input; x (1 + m, 21), p (1 + m, 20, 20), and whether the IMU moves it, inertial (1 + m,).
+    """
+
+    numbers: Counts
+    x: Vector
+    p: Vector
+    inertial: Indices
+
+
+class Limits(NamedTuple):
+    """`noise` (3, s): one sigma, the slow states' walk and one sigma of the quietest sensor, as
+    `SensorNoise` gives them; `thresholds` (4,) by degrees of freedom; `readmit_us`."""
+
+    noise: Vector
+    thresholds: Vector
+    readmit_us: float
 
 
 @compiled
@@ -90,7 +126,7 @@ def view(x: Vector, p: Vector, inertial: bool) -> Vector:
 def _seen(
     sensor: int, z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
-    """What the sensor's own function says."""
+    """What the sensor's own function finds."""
     if sensor == models.MAG:
         return models.mag(z, at, b, known, sigma, out)
     if sensor == models.BARO:
@@ -154,11 +190,18 @@ def _with_hysteresis(count: Counts, failed: bool, t_us: int, readmit_us: float) 
 
 
 @compiled
-def _test(
-    sensor: int, at: Vector, kept: Kept, noise: Vector, thresholds: Vector, readmit_us: float
-) -> tuple[int, float, int]:
+def _sigma(sensor: int, kept: Kept, noise: Vector) -> float:
+    """One sigma of a sensor: what is assumed of any, or what it shows where that is less."""
+    shown = math.sqrt(kept.shown[sensor])
+    sigma: float = min(noise[SIGMA, sensor], max(noise[QUIET, sensor], shown))
+    return sigma
+
+
+@compiled
+def _test(sensor: int, at: Vector, kept: Kept, limits: Limits) -> tuple[int, float, int]:
     """One sensor's test: code, statistic and degrees of freedom."""
     out = np.zeros((7, 3))
+    noise = limits.noise
     count, states, k, t_us = (
         kept.counts[sensor],
         kept.slow[sensor],
@@ -167,7 +210,9 @@ def _test(
     )
     known = count[SLOW_US] != NEVER_US
     at[LATE_S] = (t_us - kept.stamps[sensor]) * 1e-6
-    code, m = _seen(sensor, kept.values[sensor], at, states[:3], known, noise[0, sensor], out)
+    code, m = _seen(
+        sensor, kept.values[sensor], at, states[:3], known, _sigma(sensor, kept, noise), out
+    )
     if code == STARTED:
         for i in range(k):
             states[i] = out[V, i]
@@ -180,13 +225,16 @@ def _test(
     moved = states.copy()
     dt_s = max((t_us - count[SLOW_US]) * 1e-6, 0.0)
     for i in range(k):
-        moved[3 + 4 * i] += noise[1, sensor] * dt_s
+        moved[3 + 4 * i] += noise[WALK, sensor] * dt_s
     q, after = _updated(out, moved, m, k)
-    failed = not q <= thresholds[m]
-    _with_hysteresis(count, failed, t_us, readmit_us)
+    failed = not q <= limits.thresholds[m]
+    _with_hysteresis(count, failed, t_us, limits.readmit_us)
     if not failed and not count[ISOLATED]:  # or else the slow states keep still
         for i in range(12):
             states[i] = after[i]
+        share = min(dt_s / QUIET_S, 1.0)
+        for i in range(m):
+            kept.shown[sensor] += share / m * (out[V, i] ** 2 - kept.shown[sensor])
     count[SLOW_US] = t_us
     return code, q, m
 
@@ -215,74 +263,56 @@ def _decided(
 
 
 @compiled
-def judge(
-    kind: Indices,
-    t_us: Stamps,
-    values: Vector,
-    decisions: Counts,
-    x: Vector,
-    p: Vector,
-    inertial: Indices,
-    kept: Kept,
-    noise: Vector,
-    thresholds: Vector,
-    readmit_us: float,
-) -> Vector:
+def _outcomes(row: int, at: Vector, kept: Kept, limits: Limits, found: Vector, count: int) -> int:
+    """Every sensor's test at a decision, added to `found` behind `count`; how many there are."""
+    sound = kept.last[HOW] == SOUND
+    for sensor in range(len(kept.stamps)):
+        late_us = abs(kept.stamps[sensor] - kept.last[T_US])
+        if kept.stamps[sensor] == NEVER_US or (sound and late_us > STALE_US):
+            continue
+        code, q, m = NO_REFERENCE, 0.0, 0
+        if sound:
+            code, q, m = _test(sensor, at, kept, limits)
+        if code != NOTHING:
+            found[count, 0], found[count, 1], found[count, 2] = row, sensor, code
+            found[count, 3], found[count, 4] = q, m
+            found[count, 5] = kept.counts[sensor, ISOLATED]
+            found[count, 6], found[count, 7] = kept.last[T_US], kept.values[sensor, 6]
+            count += 1
+    for sensor in range(len(kept.stamps)):
+        kept.stamps[sensor] = NEVER_US
+    return count
+
+
+@compiled
+def judge(rows: Rows, decisions: Decisions, kept: Kept, limits: Limits) -> Vector:
     """Every sensor's test at each decision on an epoch, and at fixes that belong to one.
 
-    Parameters
-    ----------
-    kind, t_us, values : (n,), (n,), (n, WIDTH)
-        A block.
-    decisions : (m, 4)
-        Row, stamp, how the filter is (UNTESTED, SOUND, UNSOUND) and whether a fix was its input.
-    x, p, inertial : (1 + m, 21), (1 + m, 20, 20), (1 + m,)
-        The filter before the first decision and at each, and whether the IMU moves it.
-    kept
-        Changed in place.
-    noise : (2, s)
-        One sigma and the slow states' walk, as `SensorNoise` gives them.
-    thresholds : (4,)
-        By degrees of freedom.
-
-    Returns
-    -------
-    What is said (k, 8): row, sensor, code, statistic, degrees of freedom, whether it is isolated,
-    the decision's stamp, and the sample's seventh number, a fix's type.
+    `kept` is changed in place. The outcomes (k, OUTCOME) are: row, sensor, code, statistic, degrees
+    of freedom, whether it is isolated, the decision's stamp, the sample's seventh number, a fix's
+    type.
     """
-    sensors, most = len(kept.stamps), len(decisions)
-    for row in range(len(kind)):
-        most += kind[row] == FIX
-    said = np.empty((sensors * most, SAID))
+    most = len(decisions.numbers)
+    for row in range(len(rows.kind)):
+        most += rows.kind[row] == FIX
+    found = np.empty((len(kept.stamps) * most, OUTCOME))
     count = used = 0
-    for row in range(len(kind)):
-        sensor = SENSOR_OF[kind[row]]
+    for row in range(len(rows.kind)):
+        kind, t_us = rows.kind[row], rows.t_us[row]
+        sensor = SENSOR_OF[kind]
         if sensor >= 0:
-            _keep(sensor, t_us[row], values[row], kept)
-        if kind[row] == FIX:
-            _keep(sensor + 1, t_us[row], values[row], kept)
-        fits, used = _decided(row, kind[row], t_us[row], decisions, used, kept.last)
+            _keep(sensor, t_us, rows.values[row], kept)
+        if kind == FIX:
+            _keep(sensor + 1, t_us, rows.values[row], kept)
+        fits, used = _decided(row, kind, t_us, decisions.numbers, used, kept.last)
         if not fits:
             continue
         if kept.last[BY_FIX]:  # it is the filter's own input
             kept.stamps[models.GPS_POSITION] = kept.stamps[models.GPS_VELOCITY] = NEVER_US
         if kept.stamps.max() == NEVER_US:
             continue
-        sound = kept.last[HOW] == SOUND
-        at = view(x[used], p[used], inertial[used] != 0) if sound else np.zeros(models.VIEW)
-        for sensor in range(sensors):
-            late_us = abs(kept.stamps[sensor] - kept.last[T_US])
-            if kept.stamps[sensor] == NEVER_US or (sound and late_us > STALE_US):
-                continue
-            code, q, m = NO_REFERENCE, 0.0, 0
-            if sound:
-                code, q, m = _test(sensor, at, kept, noise, thresholds, readmit_us)
-            if code != NOTHING:
-                said[count, 0], said[count, 1], said[count, 2] = row, sensor, code
-                said[count, 3], said[count, 4] = q, m
-                said[count, 5] = kept.counts[sensor, ISOLATED]
-                said[count, 6], said[count, 7] = kept.last[T_US], kept.values[sensor, 6]
-                count += 1
-        for sensor in range(sensors):
-            kept.stamps[sensor] = NEVER_US
-    return said[:count]
+        at = np.zeros(models.VIEW)
+        if kept.last[HOW] == SOUND:
+            at = view(decisions.x[used], decisions.p[used], decisions.inertial[used] != 0)
+        count = _outcomes(row, at, kept, limits, found, count)
+    return found[:count]

@@ -58,14 +58,19 @@ _ecef_of = cast(Callable[[float, float, float], tuple[float, float, float]], com
 
 
 class SensorNoise(NamedTuple):
-    """One sigma of each sensor, and how fast its slow states walk (per square root of a second)."""
+    """One sigma of each sensor, and how fast its slow states walk (per square root of a second).
+
+    `mag_gauss` is what currents and iron do to any magnetometer, `mag_quiet_gauss` what remains of
+    one that shows for a while that it is better mounted.
+    """
 
     baro_m: float = 1.0
     baro_walk_m: float = 0.05
     airspeed_mps: float = 1.0
     wind_walk_mps: float = 0.3
     mag_gauss: float = 0.03
-    field_walk_gauss: float = 1e-3
+    mag_quiet_gauss: float = 0.01
+    field_walk_gauss: float = 2e-4
     vision_m: float = 0.5
     vision_walk_m: float = 0.1
     range_m: float = 0.5
@@ -82,6 +87,12 @@ class SensorNoise(NamedTuple):
                 *(self.vision_m, self.gps_m, self.gps_mps),
             ]
         )
+
+    def quiet(self) -> Vector:
+        """One sigma of each sensor where it shows that it is as good as this (s,)."""
+        sigmas = self.sigmas()
+        sigmas[MAG] = self.mag_quiet_gauss
+        return sigmas
 
     def walks(self) -> Vector:
         """Variance per second of each sensor's slow states (s,)."""

@@ -10,7 +10,7 @@ the sensor's own slow states (an offset, the wind, the local field) leave uncert
 
 with a false-alarm probability of its own (`p_other`). A sensor that fails several times running is
 isolated until it has been healthy for `readmit_s`; its slow states stand still meanwhile. How each
-is predicted is in `reference_models`.
+is predicted is in `sensor_models`.
 
 `References` contains the detector: its results are the detector's and the sensors' together, so a
 pipeline holds either a `Detector` or a `References`.
@@ -39,7 +39,10 @@ from analysis.detection.sensors.sensor_kernel import (
     STALE_US,
     UNSOUND,
     UNTESTED,
+    Decisions,
     Kept,
+    Limits,
+    Rows,
     judge,
 )
 from analysis.detection.sensors.sensor_models import REASONS, SENSORS, TESTED, SensorNoise
@@ -77,8 +80,9 @@ class References:
         return np.array([0.0, *(chi_square(dof, self.config.p_other) for dof in (1, 2, 3))])
 
     @cached_property
-    def _noise(self) -> Vector:
-        return np.array([self.sensors.sigmas(), self.sensors.walks()])
+    def _limits(self) -> Limits:
+        noise = np.array([self.sensors.sigmas(), self.sensors.walks(), self.sensors.quiet()])
+        return Limits(noise, self._thresholds, self.config.readmit_s * 1e6)
 
     def new_state(self) -> ReferenceState:
         """Nothing known."""
@@ -90,6 +94,7 @@ class References:
             np.zeros((count, WIDTH)),
             counts,
             np.zeros((count, 12)),
+            self.sensors.sigmas() ** 2,
             np.full(4, UNTESTED),
         )
         return ReferenceState(self.detector.new_state(), kept)
@@ -117,39 +122,33 @@ class References:
             results, detector = self.detector.take(piece, detector)
             found += [(piece.last, result) for result in results]
             decided += _decided(piece.last, results, detector)
-        said, kept = self._judged(block, decided, before, state.kept)
-        return found + said, ReferenceState(detector, kept)
+        tested, kept = self._judged(block, decided, before, state.kept)
+        return found + tested, ReferenceState(detector, kept)
 
     def take(self, piece: Piece, state: ReferenceState) -> tuple[list[Result], ReferenceState]:
         """The same for samples up to an event, where something else moves the filter meanwhile."""
         results, detector = self.detector.take(piece, state.detector)
         rows = piece.block.between(piece.first, piece.last + 1)
         decided = _decided(piece.last - piece.first, results, detector)
-        said, kept = self._judged(rows, decided, detector.core.motion, state.kept)
-        return [*results, *(result for _, result in said)], ReferenceState(detector, kept)
+        tested, kept = self._judged(rows, decided, detector.core.motion, state.kept)
+        return [*results, *(result for _, result in tested)], ReferenceState(detector, kept)
 
     def _judged(
         self, block: Block, decided: Sequence[Decided], before: Motion | None, kept: Kept
     ) -> tuple[list[tuple[int, Result]], Kept]:
-        """What the sensors say at some decisions; `before` is the filter until the first."""
+        """The sensors' tests at some decisions; `before` is the filter until the first."""
         if not decided and not _OF_SENSORS[block.kind].any():
             return [], kept
         kept = kept.copy()
         motions = [_START if m is None else m for m in (before, *(m for _, _, m in decided))]
-        said = judge(
-            block.kind,
-            block.t_us,
-            block.values,
+        decisions = Decisions(
             np.array([_numbers(*row) for row in decided], np.int64).reshape(-1, 4),
             np.array([motion.x for motion in motions]),
             np.array([motion.p for motion in motions]),
             np.array([motion.inertial for motion in motions], np.int64),
-            kept,
-            self._noise,
-            self._thresholds,
-            self.config.readmit_s * 1e6,
         )
-        return _said(said, self._thresholds), kept
+        rows = Rows(block.kind, block.t_us, block.values)
+        return _results(judge(rows, decisions, kept, self._limits), self._thresholds), kept
 
 
 _OF_SENSORS = np.array(SENSOR_OF) >= 0  # by kind of sample
@@ -169,12 +168,12 @@ def _numbers(row: int, decision: Decision, motion: Motion | None) -> tuple[int, 
     return row, decision.t_us, how, decision.mode.startswith("position")
 
 
-def _said(said: Vector, thresholds: Vector) -> list[tuple[int, Result]]:
-    """What the kernel said (k, 8), by row of the block, in the words of `analysis.results`."""
-    if not len(said):
+def _results(outcomes: Vector, thresholds: Vector) -> list[tuple[int, Result]]:
+    """The kernel's outcomes (k, OUTCOME), by row of the block, in the words of `results`."""
+    if not len(outcomes):
         return []
-    row, sensor, code, dof, t_us = said[:, [0, 1, 2, 4, 6]].astype(np.int64).T
-    statistics, limits = said[:, 3], thresholds[dof]
+    row, sensor, code, dof, t_us = outcomes[:, [0, 1, 2, 4, 6]].astype(np.int64).T
+    statistics, limits = outcomes[:, 3], thresholds[dof]
     failed = ~(statistics <= limits)
     columns = (
         row,
@@ -185,8 +184,8 @@ def _said(said: Vector, thresholds: Vector) -> list[tuple[int, Result]]:
         statistics,
         limits,
         failed,
-        said[:, 5] != 0.0,
-        said[:, 7],
+        outcomes[:, 5] != 0.0,
+        outcomes[:, 7],
     )
     return [
         (

@@ -34,8 +34,8 @@ def html(page: Page, recording: Recording, fields: FieldData | None = None) -> s
     links = "".join(
         f'<a href="#{anchor(name)}">{escape(name)}</a>' for name in ("Overview", *sections)
     )
-    script = "\n".join(map(_asset, SCRIPTS))
-    style = "".join(map(_asset, STYLES))
+    script = "\n".join(map(asset, SCRIPTS))
+    style = "".join(map(asset, STYLES))
     blocks = "".join(
         f'<script type="text/plain" id="fields-{number}">{text}</script>'
         for number, text in fields.inside.items()
@@ -43,7 +43,7 @@ def html(page: Page, recording: Recording, fields: FieldData | None = None) -> s
     return "".join(
         (
             '<!doctype html><html lang="en"><head><meta charset="utf-8">',
-            _policy(script, style),
+            policy(script, style),
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             f"<title>{escape(page.title)}</title><style>{style}</style></head><body>",
             f"<header><h1>{escape(page.title)}</h1>",
@@ -54,13 +54,14 @@ def html(page: Page, recording: Recording, fields: FieldData | None = None) -> s
             *(section_html(section, page, recording, model) for section in sections),
             f'</main><script type="application/json" id="model">{_json(model)}</script>',
             f'<script type="text/plain" id="numbers">{block.text()}</script>{blocks}',
-            f"<!-- uPlot: {_asset('uPlot.LICENSE')} -->",
+            f"<!-- uPlot: {asset('uPlot.LICENSE')} -->",
             f"<script>{script}</script></body></html>\n",
         )
     )
 
 
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
+    """The text of a file of the page."""
     return (files("analysis.report.page") / "assets" / name).read_text(encoding="utf-8")
 
 
@@ -68,7 +69,7 @@ def _json(value: object) -> str:
     return json.dumps(value, allow_nan=False).replace("<", "\\u003c")
 
 
-def _policy(script: str, style: str) -> str:
+def policy(script: str, style: str) -> str:
     """Nothing but this file's own script and style, and the data that may lie beside it."""
     hashes = [
         base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

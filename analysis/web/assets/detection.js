@@ -17,7 +17,8 @@ function clearDetection() {
   sensors.clear();
   satellites.clear();
   $("verdict").hidden = true;
-  $("now").textContent = crossed = "";
+  $("now").textContent = crossed = ended = "";
+  blame = null;
 }
 
 function showDecision(decision) {
@@ -55,6 +56,23 @@ function drawEpoch() {
   epoch = null;
 }
 
+// The blame that stands, and the last one with when it ended and why.
+let blame = null, ended = "";
+const WHY_S = 20; // a fault that ended so shortly before explains the end of its blame
+
+function followBlame(bad, words, t_us) {
+  if (bad && !blame) blame = { words, from_us: t_us };
+  else if (bad) blame.words = words === "no fault found" ? blame.words : words;
+  else if (blame) {
+    const t_s = store.seconds(t_us);
+    const over = [...stretches].filter(([, [, end]]) => end !== null && end <= t_s && end > t_s - WHY_S).at(-1);
+    const why = over ? `${over[0].replace(/ \d+$/, "")} ended at ${over[1][1].toFixed(1)} s` : "it agrees with the others again";
+    ended = `${blame.words} from ${store.seconds(blame.from_us).toFixed(1)} to ${t_s.toFixed(1)} s; ${why}`;
+    addEvent(t_us, `blame ended: ${ended}`, "done");
+    blame = null;
+  }
+}
+
 // One line that says what is found just now, by any detector.
 function showVerdict(decision) {
   const blamed = [...sensors].filter(([, chip]) => chip.className === "bad").map(([name]) => NAMES[name] || name);
@@ -62,7 +80,8 @@ function showVerdict(decision) {
   const words = decision.hypothesis === "none" && blamed.length ? `fault in ${blamed.join(", ")}` : spoken(decision);
   $("verdict").hidden = false;
   $("verdict").className = `badge ${bad ? "alarm" : "calm"}`;
-  const text = `${bad ? "⚠" : "✓"} ${words}`;
+  followBlame(bad, words, decision.t_us);
+  const text = bad ? `⚠ ${words}` : `✓ ${words}${ended && words === "no fault found" ? ` (last: ${ended})` : ""}`;
   if ($("verdict").textContent !== text) $("verdict").textContent = text; // a screen reader says what changes
   $("clock").textContent = `${store.seconds(decision.t_us).toFixed(1)} s`;
 }

@@ -3,6 +3,37 @@
 
 const PREVIEW_MS = 300;
 
+// -- changes, and the way back ------------------------------------------------------------------
+
+const MOST_UNDONE = 20;
+const earlier = []; // schedules as they stood before each change made here, as YAML
+const armed = new Map(); // entries armed here, by id
+
+// Ask for a change, keeping the schedule that it changes.
+async function change(path, body) {
+  const { yaml } = await ask("ctl/schedule/save");
+  const reply = await ask(path, body);
+  earlier.push(yaml);
+  if (earlier.length > MOST_UNDONE) earlier.shift();
+  $("undo").disabled = false;
+  return reply;
+}
+
+$("undo").onclick = () => attempt("schedule-said", async () => {
+  await ask("ctl/schedule/load", earlier.at(-1));
+  earlier.pop();
+  $("undo").disabled = !earlier.length;
+  return "the last change is undone";
+});
+
+// The entry of a fault that is over, to act again as long as before.
+function entryAgain(fault) {
+  if (armed.has(fault.id)) return armed.get(fault.id);
+  const kind = fault.preset ? { preset: fault.preset } : { fault: fault.fault };
+  const for_s = fault.end_us ? { for_s: (fault.end_us - fault.start_us) / 1e6 } : {};
+  return { ...kind, ...fault.targets?.length ? { target: fault.targets } : {}, ...fault.preset ? {} : fault.parameters, ...for_s };
+}
+
 // -- the faults there are ---------------------------------------------------------------------
 
 const rows = new Map();
@@ -33,16 +64,25 @@ function faultRow(fault) {
   const what = make("span", { className: "what note" });
   const disarm = make("button", { type: "button", className: "small", textContent: "Disarm", disabled: !token });
   disarm.setAttribute("aria-label", `Disarm ${fault.id}`);
-  disarm.onclick = () => attempt("schedule-said", () => ask(`ctl/fault/${fault.id}/disarm`).then(() => ""));
+  disarm.onclick = () => attempt("schedule-said", () => change(`ctl/fault/${fault.id}/disarm`).then(() => ""));
+  const again = make("button", { type: "button", className: "small", textContent: "Re-arm", hidden: true, disabled: !token });
+  again.setAttribute("aria-label", `Re-arm ${fault.id}`);
+  let newest = fault;
+  again.onclick = () => attempt("schedule-said", async () => {
+    await change(`ctl/fault/${fault.id}/arm`, JSON.stringify(entryAgain(newest)));
+    return `armed again: ${fault.id}`;
+  });
   const head = make("span", {}, make("b", { textContent: fault.id }), " ", stateText);
-  const element = make("li", {}, head, disarm, what);
+  const element = make("li", {}, head, disarm, again, what);
   const live = liveOf(fault);
   if (live) element.append(live.element);
   $("faults").append(element);
   return {
     kind: kindOf(fault),
     show(now) {
+      newest = now;
       element.className = now.state;
+      again.hidden = now.state === "active" || now.state === "waiting";
       stateText.textContent = phaseOf(now);
       const size = now.magnitude == null ? "" : `, largest change ${+now.magnitude.toPrecision(3)}`;
       const frames = now.frames ? ` · ${now.frames} frames${size}` : "";
@@ -82,7 +122,7 @@ function liveOf(fault) {
   return fault.preset && catalogue?.faults[fault.fault]?.schema.properties.value ? new LiveValue(fault.id) : null;
 }
 
-$("stop").onclick = () => attempt("schedule-said", () => ask("ctl/schedule/stop").then(() => ""));
+$("stop").onclick = () => attempt("schedule-said", () => change("ctl/schedule/stop").then(() => ""));
 $("save").onclick = () => attempt("schedule-said", async () => {
   download("schedule.yaml", (await ask("ctl/schedule/save")).yaml, "application/yaml");
 });
@@ -90,7 +130,7 @@ $("load").onchange = () => attempt("schedule-said", async () => {
   const file = $("load").files[0];
   $("load").value = "";
   if (!file) return "";
-  const loaded = await ask("ctl/schedule/load", await file.text());
+  const loaded = await change("ctl/schedule/load", await file.text());
   return `${file.name}: ${loaded.faults.length} faults loaded`;
 });
 
@@ -196,7 +236,8 @@ $("form").onsubmit = (event) => {
   const data = entry();
   const id = data.id || unused(data.preset || data.fault);
   attempt("form-said", async () => {
-    const reply = await ask(`ctl/fault/${encodeURIComponent(id)}/arm`, JSON.stringify(data));
+    const reply = await change(`ctl/fault/${encodeURIComponent(id)}/arm`, JSON.stringify(data));
+    armed.set(id, data);
     return `armed: ${reply.armed.join(", ")}`;
   });
 };

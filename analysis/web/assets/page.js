@@ -77,7 +77,20 @@ function connect() {
 $("csv").onclick = () => download("received.csv", store.csv(), "text/csv");
 $("run").onchange = () => attempt("schedule-said", () => ask("run", $("run").value).then(() => ""));
 
+const AXIS_MS = 100; // the time axis moves so often: plots are drawn anew for it
+let moved_ms = 0;
+
+// The end of the time axis follows what is newest.
+function moveAxis(now_ms) {
+  if (now_ms - moved_ms < AXIS_MS || store.newest_us === null) return;
+  moved_ms = now_ms;
+  shown.end_s = store.seconds(store.newest_us);
+}
+
+$("span").onchange = () => { shown.span_s = Number($("span").value); moved_ms = 0; shown.end_s = -Infinity; };
+
 function frame(now_ms) {
+  moveAxis(now_ms);
   drawEpoch();
   statistic.draw();
   others.draw();

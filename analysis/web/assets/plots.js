@@ -1,10 +1,18 @@
 "use strict";
 // Plots over a sliding window, by uPlot, and the bars of the satellites.
 
-const SPAN_S = 120;
-const MOST = 6000; // samples kept of a curve
+const MOST_SPAN_S = 600;
+const MOST = 30000; // samples kept of a curve
 const BAR_SIGMAS = 8; // a bar of full length
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+// The stretch of time that every plot of the page shows: the newest seconds, up to one end for all.
+const shown = { span_s: 60, end_s: -Infinity };
+const SYNC = { key: "time", scales: ["x", null] };
+
+function shownRange() {
+  return Number.isFinite(shown.end_s) ? [shown.end_s - shown.span_s, shown.end_s] : [0, shown.span_s];
+}
 
 function plotAxes() {
   const common = { stroke: () => colour("--faint"), grid: { stroke: () => colour("--grid"), width: 1 },
@@ -33,7 +41,7 @@ function shadeFaults(u) {
 }
 
 class Sliding {
-  // Curves by name over the newest SPAN_S seconds; a name that is new adds a curve. With `decades` the
+  // Curves by name over the shared stretch of time; a name that is new adds a curve. With `decades` the
   // axis is logarithmic and so many of them high at most.
   constructor(area, { decades = 0, dashed = [] } = {}) {
     this.area = area;
@@ -71,15 +79,16 @@ class Sliding {
   }
   trim() {
     let old = Math.max(0, this.t.length - MOST);
-    while (this.t[old] < this.t[this.t.length - 1] - SPAN_S) old++;
+    while (this.t[old] < this.t[this.t.length - 1] - MOST_SPAN_S) old++;
     if (old < 200 && this.t.length <= MOST) return; // shifting arrays at each sample is dear
     this.t.splice(0, old);
     for (const row of this.rows.values()) row.splice(0, old);
   }
   draw() {
     if (this.stale) this.rebuild();
-    if (!this.dirty || !this.plot) return;
+    if (!this.plot || !this.dirty && this.end_s === shown.end_s) return;
     this.dirty = false;
+    this.end_s = shown.end_s;
     this.plot.setData([this.t, ...this.names.map((name) => this.rows.get(name))]);
   }
   rebuild() {
@@ -90,8 +99,8 @@ class Sliding {
     if (!this.names.length) return;
     this.plot = new uPlot({
       width: Math.max(240, this.area.clientWidth), height: 190, pxAlign: 0,
-      cursor: { drag: { x: false, y: false } },
-      scales: { x: { time: false, range: (u, min, max) => [Math.max(this.t[0], max - SPAN_S), Math.max(max, min + 1)] },
+      cursor: { drag: { x: false, y: false }, sync: SYNC },
+      scales: { x: { time: false, range: shownRange },
         y: this.decades ? { distr: 3, range: logRange(this.decades) } : {} },
       axes: plotAxes(), hooks: { drawClear: [shadeFaults] },
       series: [{ label: "t", value: (u, t) => t == null ? "–" : `${t.toFixed(2)} s` },

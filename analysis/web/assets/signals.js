@@ -1,7 +1,6 @@
 "use strict";
 // Plots of single fields: as they came to the proxy, as they left it, and what was true.
 
-const SIGNAL_SPAN_S = 30;
 const MOST_SIGNALS = 6;
 const DRAW_MS = 80;
 const FIRST = ["HIL_SENSOR.xgyro", "ATTITUDE.rollspeed", "RAW_IMU.xgyro"];
@@ -58,7 +57,7 @@ class Signal {
   constructor(name, area, remove) {
     this.name = name;
     const [message, field] = name.split(".");
-    Object.assign(this, { message, field, range: message === "PSEUDORANGE", plot: null, drawn_us: null });
+    Object.assign(this, { message, field, range: message === "PSEUDORANGE", plot: null, drawn: "" });
     this.said = make("p", { className: "note", textContent: "nothing of it has come yet" });
     const close = make("button", { type: "button", className: "small", textContent: "Remove", onclick: remove });
     close.setAttribute("aria-label", `Remove ${name}`);
@@ -79,9 +78,10 @@ class Signal {
   }
   draw() {
     const table = store.tables.get(this.message);
-    if (!table?.has(this.field) || store.newest_us === this.drawn_us) return;
-    this.drawn_us = store.newest_us;
-    const span_us = SIGNAL_SPAN_S * 1e6, place = table.place(this.field);
+    const drawn = `${shown.end_s} ${shown.span_s}`;
+    if (!table?.has(this.field) || drawn === this.drawn) return;
+    this.drawn = drawn;
+    const span_us = shown.span_s * 1e6, place = table.place(this.field);
     const received = table.window("received", store.newest_us, span_us);
     if (!received.length) return;
     const usual_us = (received.at(-1)[0] - received[0][0]) / Math.max(1, received.length - 1) || 1e6;
@@ -104,8 +104,8 @@ class Signal {
       value: (u, value) => value == null ? "–" : String(+value.toPrecision(10)), ...more });
     const [x, y] = plotAxes();
     this.plot = new uPlot({
-      ...this.size(), pxAlign: 0, cursor: { drag: { x: false, y: false } },
-      scales: { x: { time: false, range: (u, min, max) => [Math.max(min, max - SIGNAL_SPAN_S), Math.max(max, min + 1)] } },
+      ...this.size(), pxAlign: 0, cursor: { drag: { x: false, y: false }, sync: SYNC },
+      scales: { x: { time: false, range: shownRange } },
       axes: [x, { ...y, size: wide }], hooks: { drawClear: [shadeFaults] },
       series: [{ label: "t", value: (u, t) => t == null ? "–" : `${t.toFixed(2)} s` },
         line("received", "--s0", { width: 3.5, alpha: 0.45 }), line("sent on", "--s1", { width: 1.5 }),

@@ -91,6 +91,7 @@ class Store {
     const table = this.table(label, Object.keys(values));
     if (t_us <= table.received.at(-1)?.[0]) return;
     table.add([[t_us, ...Object.values(values)]], null);
+    this.newest_us = Math.max(this.newest_us ?? t_us, t_us); // results are late: they never set the clock back
   }
   // The newest time of any message; a jump back is a clock begun anew.
   seen(t_us) { if (t_us > this.newest_us || t_us < this.newest_us - 1e6) this.newest_us = t_us; }

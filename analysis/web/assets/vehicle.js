@@ -39,15 +39,27 @@ function fromAngles(table) {
 const scene = new Scene($("scene"));
 let vehicleType = null, vehicleDrawn = { ms: 0, us: null }, legend = "";
 
+// Both canvases as they are now; at once, so that a resized or captured page is never blank.
+function drawViews() {
+  const sources = [...attitudes()];
+  drawHorizon($("horizon"), sources[0] && angles(sources[0][1]), sources[1] && angles(sources[1][1]));
+  scene.draw(sources[0]?.[1], vehicleType);
+  return sources;
+}
+
+const views = new ResizeObserver(drawViews);
+for (const id of ["horizon", "scene"]) views.observe($(id));
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawViews);
+document.addEventListener("visibilitychange", drawViews);
+window.addEventListener("beforeprint", drawViews);
+
 function drawVehicle(now_ms) {
   if (store.newest_us === vehicleDrawn.us && !scene.dirty) return;
   if (now_ms - vehicleDrawn.ms < 33) return;
   const slow = now_ms - vehicleDrawn.slow > 250 || vehicleDrawn.slow === undefined;
   vehicleDrawn = { ms: now_ms, us: store.newest_us, slow: slow ? now_ms : vehicleDrawn.slow };
   scene.dirty = false;
-  const found = attitudes(), sources = [...found];
-  drawHorizon($("horizon"), sources[0] && angles(sources[0][1]), sources[1] && angles(sources[1][1]));
-  scene.draw(sources[0]?.[1], vehicleType);
+  const sources = drawViews();
   if (!slow) return;
   $("no-vehicle").hidden = store.tables.size > 0;
   showLegend();

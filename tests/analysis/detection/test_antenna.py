@@ -10,6 +10,7 @@ from analysis.detection.filter.antenna import moved_along
 from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.inertial import ERRORS, X_SIZE, gravity_ecef, turned
 from analysis.detection.filter.propagation import Segment, advance
+from analysis.monitor.pipeline import monitor_config
 from analysis.orbits.broadcast import EARTH_RATE_RPS
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.rotation_kernel import matrix
@@ -89,4 +90,4 @@ def test_there_and_back_is_where_one_was():
 
 def test_an_antenna_without_a_place_is_refused():
     with pytest.raises(ConfigError, match="antenna_b_m"):
-        DetectorConfig(antenna_b_m=(1.0, 2.0))  # type: ignore[arg-type]
+        monitor_config({"antenna_b_m": [1.0, 2.0]}, "x")

@@ -18,7 +18,7 @@ def summary(results):
     tally = Tally()
     still = np.zeros(3)
     truth = TruthSample(0, np.array([1.0, 0, 0, 0]), still, 47.0, 8.0, 500.0, still)
-    tally.take(block_of(truth), [(0, result) for result in results])
+    tally.add(block_of(truth), [(0, result) for result in results])
     return tally.summary([], {}, Criteria(), 1.0)
 
 

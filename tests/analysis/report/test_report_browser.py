@@ -203,3 +203,30 @@ def test_sections_are_folded_on_a_narrow_screen_and_nothing_is_too_wide(
     assert not narrow.evaluate("document.getElementById('to-gps').open")
     assert narrow.evaluate("document.documentElement.scrollWidth") <= 390
     narrow.close()
+
+
+def test_tracks_take_the_colour_of_any_curve(opened: Opened) -> None:
+    page = opened.page
+    page.evaluate("report.all()")
+    before = page.evaluate("document.getElementById('map').toDataURL()")
+    page.select_option("#track-value", label="VFR_HUD")
+    assert page.evaluate("document.getElementById('map').toDataURL()") != before
+    assert "bright" in page.inner_text("#track-key")
+    assert opened.errors == []
+
+
+def test_a_report_is_printed_as_pdf(browser: Any, flight: Flight, tmp_path: Path) -> None:
+    out = tmp_path / "printed"
+    main(["report", str(flight(seconds=5)), "--pdf", "--out", str(out)])
+    assert (out / "report.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_without_a_browser_pdf_is_refused(
+    flight: Flight,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert main(["report", str(flight(seconds=5)), "--pdf", "--out", str(tmp_path / "out")]) == 2
+    assert "--pdf: no browser found; install one of chromium" in capsys.readouterr().err

@@ -126,11 +126,21 @@ def test_an_autopilot_that_never_gets_ready_is_given_up_with_the_reason():
     assert autopilot.operator.gave_up == "still waiting for a position after 181 s"
 
 
-def test_a_vehicle_that_disarms_in_the_air_ends_the_flight():
+def test_an_autopilot_that_lands_by_itself_ends_the_flight():
     autopilot = Autopilot(Operator(FlightPlan(10.0, 30.0)))
     autopilot.up_to(Phase.FLYING)
     autopilot.second(frame("HEARTBEAT", base_mode=81))
-    assert autopilot.operator.gave_up == "disarmed while flying"
+    assert autopilot.operator.over
+    assert not autopilot.operator.gave_up
+    assert "landed" in autopilot.operator.moments_us
+    assert "landing" not in autopilot.operator.moments_us  # nobody asked for it
+
+
+def test_motors_that_stop_during_the_take_off_are_told():
+    autopilot = Autopilot(Operator(FlightPlan(10.0, 30.0)))
+    autopilot.up_to(Phase.CLIMBING)
+    autopilot.second(frame("HEARTBEAT", base_mode=81))
+    assert autopilot.operator.gave_up == "disarmed while taking off"
 
 
 @pytest.mark.parametrize("component", [1, 25])

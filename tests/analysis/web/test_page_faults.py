@@ -110,3 +110,25 @@ def test_everything_can_be_done_by_keyboard_alone(page: Any, loop: Any) -> None:
     press("Space")
     page.wait_for_selector("#faults li", state="detached")
     assert page.complaints == []
+
+
+def test_a_change_is_undone_and_a_fault_that_is_over_is_armed_again(page: Any, loop: Any) -> None:
+    page.select_option("#kind", "fault:bias")
+    page.fill("[data-key=target]", "HIL_SENSOR.xgyro")
+    page.fill("[data-key=value]", "0.25")
+    page.fill("[data-key=for_s]", "0.3")
+    assert page.is_disabled("#undo")
+    page.click("#arm")
+    page.wait_for_selector("#faults li:has-text('is over')")
+    page.click("[aria-label='Re-arm bias']")
+    page.wait_for_selector("#faults li.active")
+    page.wait_for_selector("#faults li:has-text('is over')")
+    page.wait_for_selector("#schedule-said:has-text('armed again: bias')")
+    assert len([label for label in loop.labels if label.end_us]) == 2
+    page.click("#undo")
+    page.wait_for_selector("#schedule-said:has-text('undone')")
+    page.click("#undo")
+    page.wait_for_selector("#faults li", state="detached")
+    assert loop.engine.ids() == []
+    assert page.is_disabled("#undo")
+    assert page.complaints == []

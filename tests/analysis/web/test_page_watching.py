@@ -84,3 +84,49 @@ def test_a_narrow_screen_shows_all_without_scrolling_sideways(page: Any, loop: A
     loop.epoch(2.0)
     page.wait_for_selector(".signal canvas")
     assert page.evaluate("document.documentElement.scrollWidth") <= 380
+
+
+def test_the_header_says_when_blame_ended_and_why(page: Any, loop: Any) -> None:
+    loop.epoch(10.0)
+    loop.epoch(12.0, excluded=("G12",))
+    page.wait_for_selector("#verdict:has-text('fault in satellites G12')")
+    loop.epoch(15.0)
+    page.wait_for_selector("#verdict:has-text('from 12.0 to 15.0 s; it agrees with the others')")
+    assert "blame ended: fault in satellites G12" in page.text_content("#events")
+
+
+FILLED = """(canvas) => {
+  const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+  let filled = 0;
+  for (let i = 3; i < data.length; i += 4) filled += data[i] > 0;
+  return filled / (data.length / 4);
+}"""
+
+
+def test_horizon_and_space_are_drawn_after_a_change_of_size_and_theme(page: Any) -> None:
+    page.wait_for_selector("#status li")
+    page.wait_for_function(f"({FILLED})(document.getElementById('horizon')) > 0.9")
+    page.evaluate("requestAnimationFrame = () => 0")  # as in a page that is only captured
+    page.emulate_media(color_scheme="dark")
+    page.set_viewport_size({"width": 900, "height": 3000})
+    page.wait_for_timeout(100)
+    for name in ("horizon", "scene"):
+        canvas = page.query_selector(f"#{name}")
+        assert canvas.evaluate("(one) => one.width") == canvas.evaluate("(one) => one.clientWidth")
+        assert canvas.evaluate(FILLED) > 0.02
+
+
+def test_all_plots_show_the_same_stretch_of_time(page: Any, loop: Any) -> None:
+    for step in range(10):
+        loop.epoch(1 + step / 5)
+    page.wait_for_selector("#statistic canvas")
+    page.wait_for_selector(".signal canvas")
+    page.select_option("#span", "30")
+    ranges = """() => {
+      const fields = [...signals.shown.values()].map((signal) => signal.plot);
+      const plots = [statistic.plot, attitude.plot, ...fields];
+      const found = plots.map((plot) => [plot.scales.x.min, plot.scales.x.max]);
+      return found.every(([from, to]) => Math.abs(to - found[0][1]) < 0.3 && to - from === 30);
+    }"""
+    page.wait_for_function(ranges)
+    assert page.complaints == []

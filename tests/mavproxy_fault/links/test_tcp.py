@@ -7,7 +7,7 @@ import pytest
 
 from mavproxy_fault.links import tcp
 from mavproxy_fault.links.link import QUEUE_LIMIT, Chunk
-from mavproxy_fault.links.stream import READ_AT_ONCE
+from mavproxy_fault.links.stream import READ_SIZE
 from mavproxy_fault.links.tcp import TcpClient, TcpServer
 
 Link = TcpServer | TcpClient
@@ -115,5 +115,5 @@ def test_a_fast_peer_lets_others_have_their_turn() -> None:
             while True:
                 peer.send(bytes(1 << 20))
         link.read()
-        assert 0 < sum(len(data) for _, data in link.read()) <= READ_AT_ONCE
+        assert 0 < sum(len(data) for _, data in link.read()) <= READ_SIZE
     link.close()

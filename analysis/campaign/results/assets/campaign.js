@@ -37,8 +37,9 @@ function legend() {
 function heatMap() {
   const map = document.getElementById("map");
   for (const subject of new Set(model.rows.map((row) => row.subject))) {
-    element("h2", subject, map);
-    const body = element("tbody", undefined, element("table", undefined, map));
+    const part = element("section", undefined, map);
+    element("h2", subject, part);
+    const body = element("tbody", undefined, element("table", undefined, part));
     body.parentElement.className = "heat";
     for (const row of model.rows.filter((one) => one.subject === subject)) {
       const line = element("tr", undefined, body);
@@ -85,6 +86,10 @@ function detail(row, cell) {
 function curves(number, place) {
   place.replaceChildren();
   const result = model.results[number], flown = model.curves[number];
+  if (result.again) {
+    const line = element("p", "Fly it again: ", place);
+    element("code", result.again, line);
+  }
   if (!flown) { element("p", "The page holds no curves of this flight.", place); return; }
   const twin = model.twins[`${result.subject}|${result.scenario}|${result.seed}`] || {};
   for (const [name, [t, value]] of Object.entries(flown)) {

@@ -42,18 +42,20 @@ function markFrequencies(u, marks, scale) {
   ctx.restore();
 }
 
+// A share from 0 to 1 as red, green and blue, dark to bright.
+function heat(share) {
+  const level = share * (COLOURS.length - 1), low = Math.min(COLOURS.length - 2, Math.floor(level));
+  return COLOURS[low].map((part, k) => Math.round(part + (COLOURS[low + 1][k] - part) * (level - low)));
+}
+
 function picture(image, numbers) {
   const columns = image.y.n / image.rows, canvas = document.createElement("canvas");
   canvas.width = columns; canvas.height = image.rows;
   const ctx = canvas.getContext("2d"), data = ctx.createImageData(columns, image.rows);
   for (let row = 0; row < image.rows; row++) {
     for (let column = 0; column < columns; column++) {
-      const level = numbers[image.y.at + row * columns + column] / 255 * (COLOURS.length - 1);
-      if (level < 0) continue;
-      const low = Math.min(COLOURS.length - 2, Math.floor(level)), share = level - low;
-      const at = 4 * ((image.rows - 1 - row) * columns + column);
-      for (let k = 0; k < 3; k++) data.data[at + k] = COLOURS[low][k] * (1 - share) + COLOURS[low + 1][k] * share;
-      data.data[at + 3] = 255;
+      const level = numbers[image.y.at + row * columns + column] / 255;
+      if (level >= 0) data.data.set([...heat(level), 255], 4 * ((image.rows - 1 - row) * columns + column));
     }
   }
   ctx.putImageData(data, 0, 0);

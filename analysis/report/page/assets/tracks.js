@@ -3,8 +3,8 @@
 // Drag to move (from above) or to turn (in space), wheel to zoom, double click to reset.
 
 class TrackView {
-  constructor(canvas, tracks, axis, solid) {
-    Object.assign(this, { canvas, tracks, axis, solid, t: null, hidden: new Set() });
+  constructor(canvas, tracks, axis, solid, faults) {
+    Object.assign(this, { canvas, tracks, axis, solid, faults, t: null, value: null, hidden: new Set() });
     this.reset();
     canvas.addEventListener("pointerdown", (e) => { this.from = [e.clientX, e.clientY]; canvas.setPointerCapture(e.pointerId); });
     canvas.addEventListener("pointerup", () => { this.from = null; });
@@ -80,19 +80,44 @@ class TrackView {
     line([14, height - 16], [14 + step * scale, height - 16]);
     ctx.fillText(`${+step.toPrecision(3)} m` + (this.solid ? `   (up drawn ×${lift.toFixed(1)}, ${(high[2] - low[2]).toFixed(1)} m)` : "   north up"), 14, height - 22);
   }
+  line(ctx, place, track, shown, stroke) {
+    ctx.strokeStyle = stroke;
+    ctx.beginPath();
+    let pen = false;
+    for (let i = 0; i < track.t.length; i++) {
+      if (!shown(i)) { pen = false; continue; }
+      const p = place(track.e[i], track.n[i], track.u[i]);
+      if (pen) ctx.lineTo(...p); else ctx.moveTo(...p);
+      pen = true;
+    }
+    ctx.stroke();
+  }
+  // By value: a stroke for each stretch of about one colour.
+  coloured(ctx, place, track, shown) {
+    const { low, high, at } = this.value;
+    let last = null, step = -1;
+    for (let i = 0; i < track.t.length; i++) {
+      if (!shown(i)) { last = null; continue; }
+      const p = place(track.e[i], track.n[i], track.u[i]), value = at(track.t[i]);
+      if (last && Number.isFinite(value)) {
+        const now = Math.round(Math.max(0, Math.min(1, (value - low) / (high - low || 1))) * 24);
+        if (now !== step) { step = now; ctx.strokeStyle = `rgb(${heat(step / 24).join(" ")})`; }
+        ctx.beginPath(); ctx.moveTo(...last); ctx.lineTo(...p); ctx.stroke();
+      }
+      last = p;
+    }
+  }
   path(ctx, place, track, stroke) {
     const [from, to] = this.axis.range;
     for (const inside of [false, true]) {
-      ctx.strokeStyle = stroke; ctx.globalAlpha = inside ? 1 : 0.18; ctx.lineWidth = inside ? 1.8 : 1;
-      ctx.beginPath();
-      let pen = false;
-      for (let i = 0; i < track.t.length; i++) {
-        if ((track.t[i] >= from && track.t[i] <= to) !== inside || track.e[i] == null) { pen = false; continue; }
-        const p = place(track.e[i], track.n[i], track.u[i]);
-        if (pen) ctx.lineTo(...p); else ctx.moveTo(...p);
-        pen = true;
+      ctx.globalAlpha = inside ? 1 : 0.18; ctx.lineWidth = inside ? 1.8 : 1;
+      const shown = (i) => (track.t[i] >= from && track.t[i] <= to) === inside && track.e[i] != null;
+      if (this.value) this.coloured(ctx, place, track, shown);
+      else this.line(ctx, place, track, shown, stroke);
+      if (inside) for (const [start, end] of this.faults) {
+        ctx.lineWidth = 7; ctx.globalAlpha = 0.35;
+        this.line(ctx, place, track, (i) => shown(i) && track.t[i] >= start && track.t[i] <= end, colour("--s1"));
       }
-      ctx.stroke();
     }
     ctx.globalAlpha = 1;
     if (this.t == null) return;
@@ -110,8 +135,8 @@ function trackViews(page, numbers, axis) {
     name: track.name, colour: track.colour, t: decodeTimes(track.t, numbers), e: decodeValues(track.e, numbers),
     n: decodeValues(track.n, numbers), u: decodeValues(track.u, numbers),
   }));
-  const views = [new TrackView(document.getElementById("map"), paths, axis, false),
-    new TrackView(document.getElementById("space"), paths, axis, true)];
+  const faults = page.spans.filter((span) => span.kind === "injected").map((span) => [span.start, span.end]);
+  const views = [["map", false], ["space", true]].map(([id, solid]) => new TrackView(document.getElementById(id), paths, axis, solid, faults));
   const key = document.getElementById("track-key");
   for (const track of paths) {
     const label = document.createElement("label"), box = document.createElement("input"), line = document.createElement("i");
@@ -123,6 +148,39 @@ function trackViews(page, numbers, axis) {
     label.append(box, line, track.name);
     key.append(label);
   }
+  key.append(valueChoice(page, numbers, views));
   new ResizeObserver(() => views.forEach((view) => view.later())).observe(views[0].canvas);
   return views;
+}
+
+// Any curve of the report as the colour of the tracks.
+function valueChoice(page, numbers, views) {
+  const label = document.createElement("label"), list = document.createElement("select"), scale = document.createElement("span");
+  list.id = "track-value";
+  list.append(new Option("by track", ""));
+  page.panels.forEach((panel, p) => {
+    const group = document.createElement("optgroup");
+    group.label = panel.title;
+    panel.series.forEach((s, i) => group.append(new Option(s.name, `${p} ${i}`)));
+    list.append(group);
+  });
+  list.addEventListener("change", () => {
+    const [p, i] = list.value.split(" ").map(Number), panel = page.panels[p];
+    const value = list.value ? curveAt(decodeTimes(panel.series[i].t, numbers), decodeValues(panel.series[i].y, numbers, false)) : null;
+    scale.textContent = value ? ` ${+value.low.toPrecision(4)} (dark) to ${+value.high.toPrecision(4)} ${panel.unit} (bright)` : "";
+    for (const view of views) { view.value = value; view.draw(); }
+  });
+  label.append("colour ", list, scale);
+  return label;
+}
+
+// A curve as a function of time, with the range that nine tenths of it lie in.
+function curveAt(t, y) {
+  const sorted = y.filter((value) => value !== null).sort((one, other) => one - other);
+  return { low: sorted[Math.floor(0.05 * (sorted.length - 1))], high: sorted[Math.ceil(0.95 * (sorted.length - 1))],
+    at: (time) => {
+      let i = 0, j = t.length - 1;
+      while (j - i > 1) { const k = (i + j) >> 1; if (t[k] <= time) i = k; else j = k; }
+      return y[i] ?? NaN;
+    } };
 }

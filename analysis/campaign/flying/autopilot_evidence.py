@@ -1,0 +1,144 @@
+"""What a flight with an autopilot showed, from its run folder.
+
+Times count from leaving the ground, as the schedule's do: take-offs are not alike to the second.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.campaign.cell import ATTITUDE, PATH, Curve, Evidence, Mark
+from analysis.report.recordings.mode_names import mode_name
+from analysis.results import AttitudeError, read_results
+from analysis.scoring.attitude_scoring import AUTOPILOTS
+from mavproxy_fault.numerics.earth import radii
+from mavproxy_fault.wire.tlog import Columns, read_columns
+
+WARNING = 4  # MAV_SEVERITY
+NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID
+TRACK_HZ = 10.0
+AIRBORNE_M, GROUND_M = 1.0, 0.3
+CRASH_MPS = 3.0  # a descent this fast at the ground is a crash
+LOST_TILT_DEG = 75.0
+Rows = NDArray[Any]
+
+
+def evidence_of(folder: Path) -> tuple[Evidence, float]:
+    """Curves and marks of a flight, and how long it was in the air [s]."""
+    summary = json.loads((folder / "summary.json").read_text())["autopilot"]
+    columns = read_columns(folder / "sent.tlog")
+    truth = columns["HIL_STATE_QUATERNION"]
+    # The log is stamped with another clock; the truth's own stamps tell how far they are apart.
+    shift_us = int(truth["t_us"][0]) - int(truth["time_usec"][0])
+    off_ground_s = summary["moments_s"].get("take-off")
+    if off_ground_s is None:
+        reason = summary["ended_early"] or "it never left the ground"
+        return Evidence({}, [Mark(0.0, "lost", reason)]), 0.0
+
+    def since(stamps_us: Rows) -> NDArray[np.float64]:
+        return (stamps_us - shift_us) * 1e-6 - float(off_ground_s)
+
+    curves = {**attitude_curve(folder, float(off_ground_s)), **path_curves(truth, since)}
+    marks = [*mode_marks(columns, since), *text_marks(columns, since)]
+    marks += ground_marks(truth, since, bool(summary["landed"]))
+    if summary["ended_early"]:
+        end_s = float(since(truth["t_us"][-1:])[0])
+        marks.append(Mark(end_s, "lost", summary["ended_early"]))
+    marks = sorted((mark for mark in marks if mark.t_s >= 0.0), key=lambda mark: mark.t_s)
+    return Evidence(curves, marks), float(since(truth["t_us"][-1:])[0])
+
+
+def attitude_curve(folder: Path, off_ground_s: float) -> dict[str, Curve]:
+    """The autopilot's attitude against the truth, as the monitor scored it."""
+    errors = [
+        result
+        for result in read_results(folder / "results.jsonl")
+        if isinstance(result, AttitudeError) and result.estimator in AUTOPILOTS
+    ]
+    pairs = [(e.t_us * 1e-6 - off_ground_s, e.angle) for e in errors]
+    pairs = [(round(t_s, 3), round(angle, 4)) for t_s, angle in pairs if t_s >= 0.0]
+    return {ATTITUDE: Curve([t for t, _ in pairs], [angle for _, angle in pairs])} if pairs else {}
+
+
+def path_curves(truth: Rows, since: Any) -> dict[str, Curve]:
+    """The true path in metres north, east and up of the first place."""
+    every = max(1, round(_rate_hz(truth) / TRACK_HZ))
+    t_s = since(truth["t_us"])[::every]
+    flown = t_s >= 0.0
+    lat, lon = (np.radians(truth[name][::every] * 1e-7) for name in ("lat", "lon"))
+    meridian_m, normal_m = radii(float(lat[0]))
+    places = (
+        (lat - lat[0]) * meridian_m,
+        (lon - lon[0]) * normal_m * np.cos(lat[0]),
+        (truth["alt"][::every] - truth["alt"][0]) * 1e-3,
+    )
+    times = t_s[flown].round(3).tolist()
+    return {
+        name: Curve(times, place[flown].round(3).tolist())
+        for name, place in zip(PATH, places, strict=True)
+    }
+
+
+def _rate_hz(rows: Rows) -> float:
+    stamps = rows["t_us"]
+    return 1e6 * (len(stamps) - 1) / max(1.0, float(stamps[-1] - stamps[0]))
+
+
+def mode_marks(columns: Columns, since: Any) -> list[Mark]:
+    """A mark for each change of the flight mode."""
+    rows = columns["HEARTBEAT"]
+    rows = rows[rows["autopilot"] != NO_AUTOPILOT]
+    marks, before = [], None
+    for t_s, row in zip(since(rows["t_us"]).tolist(), rows, strict=True):
+        name = mode_name(int(row["autopilot"]), int(row["type"]), int(row["custom_mode"]))
+        if before is not None and name != before:
+            marks.append(Mark(round(t_s, 3), "failsafe", name))
+        before = name
+    return marks
+
+
+def text_marks(columns: Columns, since: Any) -> list[Mark]:
+    """A mark for each warning of the autopilot, and for a change of the estimator's flags."""
+    marks = []
+    if "STATUSTEXT" in columns:
+        rows = columns["STATUSTEXT"]
+        rows = rows[(rows["severity"] <= WARNING) & (rows["component"] == 1)]
+        for t_s, text in zip(since(rows["t_us"]).tolist(), rows["text"], strict=True):
+            words = bytes(text).split(b"\0")[0].decode("utf-8", "replace")
+            marks.append(Mark(round(t_s, 3), "detected", words))
+    for name in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
+        if name in columns:
+            rows = columns[name]
+            changed = np.flatnonzero(np.diff(rows["flags"].astype(np.int64))) + 1
+            for t_s, flags in zip(
+                since(rows["t_us"])[changed].tolist(), rows["flags"][changed], strict=True
+            ):
+                marks.append(Mark(round(t_s, 3), "detected", f"{name} flags {int(flags):#x}"))
+    return marks
+
+
+def ground_marks(truth: Rows, since: Any, landed: bool) -> list[Mark]:
+    """Landed, crashed, or out of control, by the truth."""
+    t_s = since(truth["t_us"])
+    height_m = (truth["alt"] - truth["alt"][0]) * 1e-3
+    w, x, y, z = truth["attitude_quaternion"].T
+    tilt_deg = np.degrees(np.arccos(np.clip(w * w - x * x - y * y + z * z, -1.0, 1.0)))
+    marks = []
+    up = np.flatnonzero((t_s > 0.0) & (height_m > AIRBORNE_M))
+    lost = up[tilt_deg[up] > LOST_TILT_DEG]
+    if len(lost):
+        marks.append(
+            Mark(float(t_s[lost[0]]), "lost", f"tilted by {tilt_deg[lost[0]]:.0f} degrees")
+        )
+    down = np.flatnonzero((np.arange(len(t_s)) > (up[0] if len(up) else 0)) & (height_m < GROUND_M))
+    if len(up) and len(down):
+        at = down[0]
+        window = slice(max(0, at - round(_rate_hz(truth))), at + 1)
+        speed_mps = float(truth["vz"][window].max()) * 1e-2
+        kind = "crashed" if speed_mps > CRASH_MPS else "landed"
+        text = f"at {speed_mps:.1f} m/s" if kind == "crashed" or not landed else "on the ground"
+        marks.append(Mark(float(t_s[at]), kind, text))
+    return marks

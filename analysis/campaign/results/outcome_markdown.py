@@ -1,0 +1,28 @@
+"""A campaign's outcomes as a Markdown table, for a CI's step summary."""
+
+from collections.abc import Sequence
+
+from analysis.campaign.campaign_file import CampaignFile
+from analysis.campaign.cell import CellResult
+from analysis.campaign.results.grid import GridCell, grid_of
+
+
+def markdown(campaign: CampaignFile, results: Sequence[CellResult]) -> str:
+    """One row for each subject and fault, one cell for each magnitude."""
+    rows = grid_of(results, campaign)
+    width = max((len(row.cells) for row in rows), default=0)
+    lines = [
+        f"### {campaign.name}: {len(results)} cells",
+        "",
+        "| subject | fault |" + " |" * width,
+        "|---|---|" + "---|" * width,
+    ]
+    for row in rows:
+        cells = [_text(cell) for cell in row.cells] + [""] * (width - len(row.cells))
+        lines.append("| " + " | ".join((row.subject, row.fault, *cells)) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _text(cell: GridCell) -> str:
+    name = "" if cell.magnitude is None else f"{cell.magnitude:.4g} "
+    return name + cell.worst.outcome

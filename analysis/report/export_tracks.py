@@ -1,0 +1,92 @@
+"""Tracks for maps: KML (Google Earth, QGroundControl) and GeoJSON, with the faults as stretches."""
+
+import json
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from analysis.report.page.series_colours import PALETTE, series_colours
+from analysis.report.recordings.recording import Recording, Track
+
+FORMS = ("kml", "geojson")
+POINTS = 20_000  # of a track at the most
+
+
+def export_tracks(recording: Recording, folder: Path, form: str) -> Path:
+    """Write `tracks.kml` or `tracks.geojson` into `folder`; the path written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"tracks.{form}"
+    lines = list(_lines(recording))
+    if form == "kml":
+        _write_kml(path, recording.name, lines)
+    else:
+        _write_geojson(path, lines)
+    return path
+
+
+def _lines(recording: Recording) -> Iterator[tuple[str, str, Track]]:
+    """Name, colour and places of each track, then of the stretches in which a fault acted."""
+    colours = series_colours([track.name for track in recording.tracks])
+    for track, colour in zip(recording.tracks, colours, strict=True):
+        yield track.name, PALETTE[colour], _thin(track)
+    for span in recording.spans:
+        if span.kind != "injected":
+            continue
+        for track in recording.tracks:
+            inside = (track.t_s >= span.start_s) & (track.t_s <= span.end_s)
+            if inside.sum() > 1:
+                name = f"{span.lane.removeprefix('injected: ')} on {track.name}"
+                columns = (track.t_s, track.lat_deg, track.lon_deg, track.alt_m)
+                stretch = Track(name, *(column[inside] for column in columns))
+                yield name, PALETTE[1], _thin(stretch)
+
+
+def _thin(track: Track) -> Track:
+    step = -(-len(track.t_s) // POINTS)
+    columns = (track.t_s, track.lat_deg, track.lon_deg, track.alt_m)
+    return Track(track.name, *(column[::step] for column in columns))
+
+
+def _write_kml(path: Path, name: str, lines: list[tuple[str, str, Track]]) -> None:
+    """KML 2.3 (OGC 12-007r2); a colour is alpha, blue, green, red."""
+    root = ET.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
+    document = ET.SubElement(root, "Document")
+    ET.SubElement(document, "name").text = name
+    for label, colour, track in lines:
+        mark = ET.SubElement(document, "Placemark")
+        ET.SubElement(mark, "name").text = label
+        style = ET.SubElement(ET.SubElement(mark, "Style"), "LineStyle")
+        red, green, blue = colour[1:3], colour[3:5], colour[5:7]
+        ET.SubElement(style, "color").text = f"ff{blue}{green}{red}"
+        ET.SubElement(style, "width").text = "3"
+        line = ET.SubElement(mark, "LineString")
+        ET.SubElement(line, "altitudeMode").text = "absolute"
+        ET.SubElement(line, "coordinates").text = " ".join(
+            f"{lon:.7f},{lat:.7f},{alt:.2f}" for lon, lat, alt in _places(track)
+        )
+    ET.indent(root)
+    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _write_geojson(path: Path, lines: list[tuple[str, str, Track]]) -> None:
+    """GeoJSON (RFC 7946), a LineString each; `times_s` holds the time of each place."""
+    features = [
+        {
+            "type": "Feature",
+            "properties": {"name": label, "stroke": colour, "times_s": track.t_s.round(3).tolist()},
+            "geometry": {"type": "LineString", "coordinates": _places(track)},
+        }
+        for label, colour, track in lines
+    ]
+    collection = {"type": "FeatureCollection", "features": features}
+    path.write_text(json.dumps(collection, ensure_ascii=False), encoding="utf-8")
+
+
+def _places(track: Track) -> list[list[float]]:
+    """Longitude, latitude and height of each place; a height that is unknown is zero."""
+    alt_m = np.nan_to_num(track.alt_m).round(2)
+    columns = (track.lon_deg.round(7), track.lat_deg.round(7), alt_m)
+    places: list[list[float]] = np.column_stack(columns).tolist()
+    return places

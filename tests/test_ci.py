@@ -1,0 +1,61 @@
+"""The steps of the GitHub Action, run as its runner would run them."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[1]
+ACTION: dict[str, Any] = yaml.safe_load((ROOT / "action.yml").read_text())
+CAMPAIGN = ROOT / "tests" / "analysis" / "campaign" / "small.yaml"
+
+
+def fly(tmp_path: Path, **inputs: str) -> subprocess.CompletedProcess[str]:
+    """The step that flies, with our own installation in the place of the one before it."""
+    environment = tmp_path / "mavproxy-fault" / "bin"
+    environment.mkdir(parents=True)
+    command = environment / "mavproxy-fault"
+    command.write_text(f'#!/bin/sh\nexec {sys.executable} -m mavproxy_fault.cli "$@"\n')
+    command.chmod(0o755)
+    step = next(step for step in ACTION["runs"]["steps"] if step["name"] == "Fly")
+    given = {name: inputs.get(name.lower(), "") for name in step["env"]}
+    for name, value in step["env"].items():
+        assert value == f"${{{{ inputs.{name.lower()} }}}}"
+    runner = {"RUNNER_TEMP": str(tmp_path), "GITHUB_STEP_SUMMARY": str(tmp_path / "summary")}
+    return subprocess.run(
+        ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", step["run"]],
+        env={**os.environ, **given, **runner, "OUT": str(tmp_path / "out")},
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+    )
+
+
+def test_a_campaign_leaves_its_table_in_the_step_summary(tmp_path: Path) -> None:
+    done = fly(tmp_path, campaign=str(CAMPAIGN))
+    assert done.returncode == 0, done.stderr
+    assert "| ekf | gyro | 0.001 unaffected | 2 " in (tmp_path / "summary").read_text()
+    for name in ("campaign.html", "junit.xml", "cells.csv"):
+        assert (tmp_path / "out" / name).is_file()
+
+
+@pytest.mark.parametrize(
+    ("inputs", "message"),
+    [({}, "give the input campaign or scenario"), ({"scenario": "none.yaml"}, "none.yaml")],
+)
+def test_what_is_wrong_fails_the_step(tmp_path: Path, inputs: dict[str, str], message: str) -> None:
+    done = fly(tmp_path, **inputs)
+    assert done.returncode == 2
+    assert message in done.stderr
+
+
+def test_every_input_of_the_action_is_used() -> None:
+    used = {value for step in ACTION["runs"]["steps"] for value in step.get("env", {}).values()}
+    text = (ROOT / "action.yml").read_text()
+    for name in ACTION["inputs"]:
+        assert f"${{{{ inputs.{name} }}}}" in used or text.count(f"inputs.{name} ") > 0
