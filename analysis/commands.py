@@ -153,7 +153,7 @@ def add_report(commands: Any) -> None:
     )
     parser.add_argument("--criteria", metavar="FILE", help="thresholds of the checks (YAML)")
     parser.add_argument("--out", metavar="DIR", help="default: LOG's name and -report")
-    parser.add_argument("--figures", action="store_true", help="every plot as PNG and SVG too")
+    parser.add_argument("--figures", action="store_true", help="every plot as PNG, SVG and PDF too")
     parser.add_argument(
         "--export",
         choices=("csv", "parquet", "mcap", "kml", "geojson"),
