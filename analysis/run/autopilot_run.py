@@ -21,8 +21,8 @@ import numpy as np
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.run.flight_operator import COPTER, PLANE, FlightPlan, Operator, Waypoint
 from analysis.run.hil_exchange import FromAutopilot, Patience, Process, ToAutopilot
-from analysis.run.proxied_flight import GROUND, MONITOR, Flight
-from analysis.run.run_command import EXIT_CODES, report, session
+from analysis.run.proxied_flight import GROUND, MONITOR, Flight, session
+from analysis.run.run_command import EXIT_CODES, report
 from analysis.run.setup import Setup, read_setup
 from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary
@@ -133,7 +133,9 @@ class AutopilotRun:
         self._operator = Operator(flight_plan(setup.scenario, self.flight.simulation))
         self._journal = Journal(self.flight.core, self.flight.tape)
         self._journal.note(JOIN, b"", self._journal.begin(self.flight.now_us))
-        self._recorder = Recorder(folder, session(setup, self.flight))
+        self._recorder = Recorder(
+            folder, session(setup.scenario.name, setup.schedule.seed, self.flight)
+        )
         self._parser = Parser()
         self._recorded_us = 0
         self._scheduled = False
