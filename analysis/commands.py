@@ -32,6 +32,11 @@ def add_run(commands: Any) -> None:
         "--zenoh", default="auto", metavar="auto|off|URL", help="where results are published"
     )
     parser.add_argument(
+        "--against-clean",
+        action="store_true",
+        help="fly the same without the faults beside it, and tell what each fault did",
+    )
+    parser.add_argument(
         "--autopilot", choices=("ardupilot",), help="who flies, instead of the built-in controller"
     )
     parser.add_argument("--binary", metavar="PATH", help="its SITL program (default: arducopter)")
@@ -148,7 +153,7 @@ def add_report(commands: Any) -> None:
     )
     parser.add_argument("--criteria", metavar="FILE", help="thresholds of the checks (YAML)")
     parser.add_argument("--out", metavar="DIR", help="default: LOG's name and -report")
-    parser.add_argument("--figures", action="store_true", help="every plot as PNG and SVG too")
+    parser.add_argument("--figures", action="store_true", help="every plot as PNG, SVG and PDF too")
     parser.add_argument(
         "--export",
         choices=("csv", "parquet", "mcap", "kml", "geojson"),

@@ -1,62 +1,105 @@
-"""Every plot of a report as PNG and SVG, for papers and slides (matplotlib)."""
+"""Every plot of a report as PNG, SVG and PDF in one style, for papers and slides (matplotlib)."""
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from analysis.report.curves.spectra import SpectrumPanel, marks, spectrum_panels
 from analysis.report.page.pack import thinned
+from analysis.report.page.page_model import flown, longest_armed
 from analysis.report.page.panels import PANELS, Panel
+from analysis.report.page.series_colours import GATES, PALETTE, series_colours
 from analysis.report.recordings.recording import Recording
 
 MOST_POINTS = 20_000  # of a curve; an SVG with more opens slowly
+STYLE = {
+    "font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
+    "grid.alpha": 0.3, "lines.linewidth": 0.9, "legend.frameon": False, "legend.fontsize": 8,
+    "axes.titlesize": 10, "axes.titlelocation": "left", "pdf.fonttype": 42,
+}  # fmt: skip
+FORMS = ("png", "svg", "pdf")
+SHADES = {"injected": ("#d65c1c", 0.16), "flag": ("#c2231c", 0.10)}
 
 
 def write_figures(folder: Path, recording: Recording) -> list[Path]:
-    """Write one PNG and one SVG per plot into `folder`; the files written."""
+    """Write each plot in each form into `folder`; the files written."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     folder.mkdir(parents=True, exist_ok=True)
     written = []
-    with mpl.rc_context({"svg.hashsalt": recording.name, "font.size": 9}):
+    with mpl.rc_context({"svg.hashsalt": recording.name, **STYLE}):
         for panel in PANELS:
-            if recording.of(panel.key):
+            if len(recording.of(panel.key)) >= panel.least:
                 written += _figure(folder, panel, recording)
+        for spectra in spectrum_panels(recording, longest_armed(recording)):
+            written += _spectrum(folder, spectra, recording)
         if recording.tracks:
             written += _map(folder, recording)
     return written
 
 
-def _figure(folder: Path, panel: Panel, recording: Recording) -> list[Path]:
+def _axes(width_in: float, height_in: float) -> tuple[Any, Any]:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8, 3), layout="constrained")
-    axes = figure.add_subplot()
-    for signal in recording.of(panel.key):
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    return figure, figure.add_subplot()
+
+
+def _figure(folder: Path, panel: Panel, recording: Recording) -> list[Path]:
+    figure, axes = _axes(8, 3)
+    signals = recording.of(panel.key)
+    colours = series_colours([signal.name for signal in signals])
+    for signal, colour in zip(signals, colours, strict=True):
         t_s, value = thinned(signal.t_s, signal.value, MOST_POINTS)
-        axes.plot(t_s, value, lw=0.8, label=signal.name)
+        dashes = "--" if signal.name.startswith(GATES) else "-"
+        axes.plot(t_s, value, dashes, color=PALETTE[colour], label=signal.name)
     for span in recording.spans:
-        if span.kind == "injected":
-            axes.axvspan(span.start_s, span.end_s, color="tab:orange", alpha=0.15, lw=0)
+        if span.kind in SHADES:
+            colour_of, alpha = SHADES[span.kind]
+            axes.axvspan(span.start_s, span.end_s, color=colour_of, alpha=alpha, lw=0)
+    if panel.log and any((signal.value > 0).any() for signal in signals):
+        axes.set_yscale("log")
     axes.set(xlabel="t, s", ylabel=panel.unit, title=panel.title)
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=8, ncols=4, loc="best")
+    axes.legend(ncols=4, loc="best")
+    return _saved(figure, folder / panel.key)
+
+
+def _spectrum(folder: Path, panel: SpectrumPanel, recording: Recording) -> list[Path]:
+    figure, axes = _axes(8, 3)
+    colours = series_colours([spectrum.name for spectrum in panel.spectra])
+    for spectrum, colour in zip(panel.spectra, colours, strict=True):
+        label, line = spectrum.name, PALETTE[colour]
+        axes.semilogy(spectrum.frequency_hz, spectrum.density, color=line, label=label)
+    highest_hz = max(float(spectrum.frequency_hz[-1]) for spectrum in panel.spectra)
+    for frequency_hz, text in marks(recording):
+        if frequency_hz <= highest_hz:
+            axes.axvline(frequency_hz, color="0.3", ls="--", lw=0.8)
+            axes.annotate(
+                text, (frequency_hz, 0.98), xycoords=("data", "axes fraction"), rotation=90,
+                ha="right", va="top", fontsize=7,
+            )  # fmt: skip
+    axes.set(xlabel="f, Hz", ylabel=f"({panel.unit})²/Hz", title=panel.title)
+    axes.legend(ncols=4, loc="best")
     return _saved(figure, folder / panel.key)
 
 
 def _map(folder: Path, recording: Recording) -> list[Path]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6, 6), layout="constrained")
-    axes = figure.add_subplot()
-    for track in recording.tracks:
-        axes.plot(track.lon_deg, track.lat_deg, lw=0.8, label=track.name)
+    figure, axes = _axes(6, 6)
+    tracks = flown(recording)
+    colours = series_colours([track.name for track in tracks])
+    for track, colour in zip(tracks, colours, strict=True):
+        axes.plot(track.lon_deg, track.lat_deg, color=PALETTE[colour], label=track.name)
+    if tracks:
+        axes.set_aspect(1 / np.cos(np.radians(float(tracks[0].lat_deg[0]))), "datalim")
     axes.set(xlabel="longitude, deg", ylabel="latitude, deg", title="Tracks")
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=8)
+    axes.legend()
     return _saved(figure, folder / "map")
 
 
-def _saved(figure: object, stem: Path) -> list[Path]:
-    paths = [stem.with_suffix(".png"), stem.with_suffix(".svg")]
+def _saved(figure: Any, stem: Path) -> list[Path]:
+    paths = [stem.with_suffix(f".{form}") for form in FORMS]
     for path in paths:
-        figure.savefig(path, dpi=130)  # type: ignore[attr-defined]
+        figure.savefig(path, dpi=130)
     return paths

@@ -29,7 +29,7 @@ def page_model(page: Page, recording: Recording, block: Block) -> Model:
     ends = [signal.t_s[-1] for signal in recording.signals] + [s.end_s for s in recording.spans]
     start = float(min(starts, default=0.0))
     tracks = flown(recording)
-    spectra = spectrum_panels(recording, _flight(recording))
+    spectra = spectrum_panels(recording, longest_armed(recording))
     return {
         "start": start,
         "end": max(float(max(ends, default=1.0)), start + 1e-3),
@@ -76,7 +76,7 @@ def _lane_rank(lane: str) -> int:
     return next((i for i, word in enumerate(order) if lane.startswith(word)), len(order))
 
 
-def _flight(recording: Recording) -> tuple[float, float] | None:
+def longest_armed(recording: Recording) -> tuple[float, float] | None:
     """The longest stretch armed: on the ground nothing turns."""
     armed = armed_windows(recording)
     return max(armed, key=lambda window: window[1] - window[0]) if armed else None
