@@ -32,6 +32,11 @@ def add_run(commands: Any) -> None:
         "--zenoh", default="auto", metavar="auto|off|URL", help="where results are published"
     )
     parser.add_argument(
+        "--against-clean",
+        action="store_true",
+        help="fly the same without the faults beside it, and tell what each fault did",
+    )
+    parser.add_argument(
         "--autopilot", choices=("ardupilot",), help="who flies, instead of the built-in controller"
     )
     parser.add_argument("--binary", metavar="PATH", help="its SITL program (default: arducopter)")

@@ -5,8 +5,8 @@ import os
 from pathlib import Path
 
 from analysis.campaign.campaign_file import CampaignFile, read_campaign
+from analysis.campaign.campaign_fleet import fleet_of
 from analysis.campaign.campaign_run import CampaignRun
-from analysis.campaign.fleet import fleet_of
 from analysis.campaign.ledger import Ledger
 from analysis.campaign.plan import Plan
 from analysis.campaign.results.campaign_progress import CampaignProgress

@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from analysis.campaign.campaign_fleet import Fleet
 from analysis.campaign.cell import CellResult, Flown
-from analysis.campaign.fleet import Fleet
 from analysis.campaign.flying.flight_job import Answer
 from analysis.campaign.ledger import Ledger
 from analysis.campaign.plan import Plan, Thread

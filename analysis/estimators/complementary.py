@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators.estimator import (
-    GRAVITY_MPS2,
     MAX_GAP_S,
     AttitudeEstimate,
     Prior,
@@ -27,7 +26,8 @@ from analysis.estimators.estimator import (
 from analysis.samples.block import AIRSPEED, IMU, MAG, Block, Indices, Stamps, block_of
 from analysis.samples.sample import Sample
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.quaternion import gravity_error, heading_error, matrix, turned
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
+from mavproxy_fault.numerics.rotation_kernel import gravity_error, heading_error, matrix, turned
 
 Vector = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ def predict(
 ) -> Vector:
     """x (7,) after one IMU sample: the rate less its bias, drawn towards measured gravity."""
     rate = gyro - x[4:7]
-    error = gravity_error(x[:4], accel, rate, speed_mps, GRAVITY_MPS2)
+    error = gravity_error(x[:4], accel, rate, speed_mps, STANDARD_GRAVITY_MPS2)
     step = (rate + gain * error) * dt_s
     out = np.empty(7)
     out[:4] = turned(x[:4], step[0], step[1], step[2])

@@ -9,10 +9,11 @@ from math import atan2
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.estimators.estimator import GRAVITY_MPS2, MAX_GAP_S, airspeed_mps, room_for_estimates
+from analysis.estimators.estimator import MAX_GAP_S, airspeed_mps, room_for_estimates
 from analysis.samples.block import AIRSPEED, FIX, IMU, MAG, Indices, Stamps
 from mavproxy_fault.numerics.compile import compiled, inlined
-from mavproxy_fault.numerics.quaternion import (
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
+from mavproxy_fault.numerics.rotation_kernel import (
     Axis,
     body_axes,
     quaternion_of_turn,
@@ -61,7 +62,7 @@ def predict(
         room[3 + i, 0] = -dt_s * (b * fz - c * fy)
         room[3 + i, 1] = -dt_s * (c * fx - a * fz)
         room[3 + i, 2] = -dt_s * (a * fy - b * fx)
-    x[9] += dt_s * GRAVITY_MPS2
+    x[9] += dt_s * STANDARD_GRAVITY_MPS2
     room[0, 0], room[0, 1], room[0, 2] = 1.0, dt_s * rz, -dt_s * ry
     room[1, 0], room[1, 1], room[1, 2] = -dt_s * rz, 1.0, dt_s * rx
     room[2, 0], room[2, 1], room[2, 2] = dt_s * ry, -dt_s * rx, 1.0
@@ -184,7 +185,11 @@ def level(x: Vector, imu: Vector, speed_mps: float, variance: float, room: Room)
     """
     for axis in range(3):
         down = body_axes(x)[2]
-        gx, gy, gz = -GRAVITY_MPS2 * down[0], -GRAVITY_MPS2 * down[1], -GRAVITY_MPS2 * down[2]
+        gx, gy, gz = (
+            -STANDARD_GRAVITY_MPS2 * down[0],
+            -STANDARD_GRAVITY_MPS2 * down[1],
+            -STANDARD_GRAVITY_MPS2 * down[2],
+        )
         if axis == 0:
             h, expected = (0.0, -gz, gy), gx
         elif axis == 1:

@@ -18,7 +18,6 @@ from analysis.samples.sample import Sample
 from mavproxy_fault.numerics.compile import compiled
 
 Vector = NDArray[np.float64]
-GRAVITY_MPS2 = 9.80665  # standard gravity, CGPM 1901
 SEA_LEVEL_DENSITY_KGPM3 = 1.225  # ISO 2533
 MAX_GAP_S = 0.5  # a longer pause between IMU samples is not integrated over
 

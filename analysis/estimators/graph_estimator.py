@@ -21,7 +21,7 @@ from analysis.fusion.smoother import Fusion
 from analysis.orbits.broadcast import geodetic, ned_axes
 from analysis.results import Decision, FusedState
 from analysis.samples.sample import ImuSample, Sample, Vector
-from mavproxy_fault.numerics.quaternion import matrix, turned
+from mavproxy_fault.numerics.rotation_kernel import matrix, turned
 
 PRIOR_RAD = 0.05  # how sure the first attitude is
 

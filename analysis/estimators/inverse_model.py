@@ -23,11 +23,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.estimators.estimator import GRAVITY_MPS2, MAX_GAP_S, AttitudeEstimate, Prior
+from analysis.estimators.estimator import MAX_GAP_S, AttitudeEstimate, Prior
 from analysis.samples.block import IMU, Block, Indices, Stamps, block_of
 from analysis.samples.sample import Sample
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.quaternion import euler, matrix, quaternion_of_euler
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
+from mavproxy_fault.numerics.rotation_kernel import euler, matrix, quaternion_of_euler
 
 Vector = NDArray[np.float64]
 MIN_COS_PITCH = 1e-6  # keeps the Euler rates finite at the pole
@@ -46,9 +47,9 @@ def derivative(x: Vector, gyro: Vector, accel: Vector) -> Vector:
     out[0] = p + turn * st / safe
     out[1] = q * cf - r * sf
     out[2] = turn / safe
-    out[3] = accel[0] + r * v - q * w - GRAVITY_MPS2 * st
-    out[4] = accel[1] + p * w - r * u + GRAVITY_MPS2 * ct * sf
-    out[5] = accel[2] + q * u - p * v + GRAVITY_MPS2 * ct * cf
+    out[3] = accel[0] + r * v - q * w - STANDARD_GRAVITY_MPS2 * st
+    out[4] = accel[1] + p * w - r * u + STANDARD_GRAVITY_MPS2 * ct * sf
+    out[5] = accel[2] + q * u - p * v + STANDARD_GRAVITY_MPS2 * ct * cf
     out[6] = ct * cy * u + (sf * st * cy - cf * sy) * v + (cf * st * cy + sf * sy) * w
     out[7] = ct * sy * u + (sf * st * sy + cf * cy) * v + (cf * st * sy - sf * cy) * w
     out[8] = -st * u + sf * ct * v + cf * ct * w

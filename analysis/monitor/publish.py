@@ -35,17 +35,19 @@ class Publisher:
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
         self._verdicts: dict[str, tuple[object, ...]] = {}
+        self._excluded: tuple[str, ...] | None = None
 
     def publish(self, results: Iterable[Result]) -> None:
         """Publish results in order."""
         for result in results:
             key, data = suffix(result), encode(result)
             self._bus.put(key, data, f"{SCHEMA}.{type(result).__name__}")
+            if isinstance(result, Decision) and result.excluded != self._excluded:
+                self._excluded = result.excluded
+                self._bus.put("fdi/isolation", data, f"{SCHEMA}.Decision", history=1)
             if self._changed(key, result):
                 schema = f"{SCHEMA}.{type(result).__name__}"
                 self._bus.put("fdi/events", data, schema, history=EVENTS_KEPT)
-                if isinstance(result, Decision):
-                    self._bus.put("fdi/isolation", data, schema, history=1)
 
     def _changed(self, key: str, result: Result) -> bool:
         match result:

@@ -9,8 +9,8 @@ import numpy as np
 from analysis.recordings.autopilot_logs import is_autopilot_log, read_autopilot_log
 from analysis.samples.block import IMU, Block, Part, joined
 from analysis.samples.decoder import MESSAGES, Decoder
-from analysis.samples.message_readers import STANDARD_GRAVITY
 from analysis.samples.sample import Sample
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.wire.tlog import read_ordered
 
 UNIX_TO_GPS_S = 315_964_800  # 1980-01-06 on Unix's count
@@ -77,6 +77,6 @@ def _read_imu(path: Path) -> Part:
         )
     to_frd = np.array([1.0, -1.0, -1.0])
     t_us = np.rint((table[:, 0] - UNIX_TO_GPS_S) * 1e6).astype(np.int64)
-    force = table[:, 1:4] * to_frd * STANDARD_GRAVITY
+    force = table[:, 1:4] * to_frd * STANDARD_GRAVITY_MPS2
     rates = table[:, 4:7] * to_frd
     return Part(IMU, 2 * t_us + 1, t_us, np.hstack([rates, force]))  # behind an epoch's stamp

@@ -1,6 +1,7 @@
 """A run's report: `write` for the commands that have everything in memory."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from analysis.report.page.panels import DETECTION, FUSION
 from analysis.report.page.report_tables import criteria_reasons, facts, matrix_table, run_tables
 from analysis.report.recordings.from_results import recording_of_results
 from analysis.report.recordings.from_tlog import recording_of
-from analysis.report.recordings.recording import Recording, joined
+from analysis.report.recordings.recording import Recording, Signal, joined
 from analysis.results import Result
 from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.tlog import Columns
@@ -27,6 +28,7 @@ def write(
     results: Iterable[Result],
     columns: Columns,
     title: str = "Run",
+    curves: Sequence[Signal] = (),
 ) -> Path:
     """Write `report.html` into the folder `out`.
 
@@ -37,9 +39,11 @@ def write(
     summary : mapping
         The content of `summary.json`.
     labels, results
-        What was really done, and what the analysis said.
+        What was really done, and the results of the analysis.
     columns : dict of structured arrays
         The log as received (`mavproxy_fault.wire.tlog.read_columns`); empty where there is none.
+    curves : sequence of Signal
+        Curves to show besides.
 
     Returns
     -------
@@ -51,8 +55,9 @@ def write(
     flight = recording_of(columns, name=title, t0_us=t0_us) if columns else Recording(title)
     if t0_us is None:
         t0_us = flight.t0_us
-    said = recording_of_results(labels, results, t0_us)
-    together = with_derived(joined(flight, said))
+    analysed = recording_of_results(labels, results, t0_us)
+    together = with_derived(joined(flight, analysed))
+    together = replace(together, signals=together.signals + list(curves))
     tables = run_tables(summary)
     matrix = matrix_table(labels, results)
     if matrix is not None:

@@ -21,14 +21,15 @@ import numpy as np
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.run.flight_operator import COPTER, PLANE, FlightPlan, Operator, Waypoint
 from analysis.run.hil_exchange import FromAutopilot, Patience, Process, ToAutopilot
-from analysis.run.proxied_flight import GROUND, MONITOR, Flight
-from analysis.run.run_command import EXIT_CODES, report, session
+from analysis.run.proxied_flight import GROUND, MONITOR, Flight, session
+from analysis.run.run_command import EXIT_CODES, report
 from analysis.run.setup import Setup, read_setup
 from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary
 from analysis.run.worker import MonitorProcess
 from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.ardupilot.autopilot_process import check_command
+from mavproxy_fault.ardupilot.bridge import ending
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.live.journal import JOIN, Journal
@@ -132,7 +133,9 @@ class AutopilotRun:
         self._operator = Operator(flight_plan(setup.scenario, self.flight.simulation))
         self._journal = Journal(self.flight.core, self.flight.tape)
         self._journal.note(JOIN, b"", self._journal.begin(self.flight.now_us))
-        self._recorder = Recorder(folder, session(setup, self.flight))
+        self._recorder = Recorder(
+            folder, session(setup.scenario.name, setup.schedule.seed, self.flight)
+        )
         self._parser = Parser()
         self._recorded_us = 0
         self._scheduled = False
@@ -161,9 +164,9 @@ class AutopilotRun:
             except FlightOverError as over:
                 reason = str(over)
             except (PeerGoneError, AutopilotSilentError) as gone:
-                reason = f"{gone} at {loop.t_us * 1e-6:.1f} s{last_line(self._folder)}"
+                reason = f"{gone} at {loop.t_us * 1e-6:.1f} s{bridge_end(process, self._folder)}"
             except ConfigError as wrong:
-                reason = f"{wrong}{last_line(self._folder)}"
+                reason = f"{wrong}{bridge_end(process, self._folder)}"
         self._close()
         if reason:
             self._progress.say(f"the flight ended early: {reason}")
@@ -247,8 +250,11 @@ def bridged(words: Sequence[str], kind: str, port: int, folder: Path) -> Iterato
             process.wait()
 
 
-def last_line(folder: Path) -> str:
-    """What the bridge said last, for a message."""
+def bridge_end(process: Process, folder: Path) -> str:
+    """How the bridge ended where it was killed, else what it said last; for a message."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        if process.wait(END_S) < 0:
+            return f"; the bridge ended {ending(process.returncode)}"
     lines = (folder / "bridge.log").read_text(errors="replace").strip().splitlines()
     return f"; the bridge said: {lines[-1]}" if lines else ""
 

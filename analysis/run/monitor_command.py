@@ -29,7 +29,7 @@ from mavproxy_fault.wire.label import Label, read_labels
 
 EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 
-Take = Callable[[list[Result]], None]
+Deliver = Callable[[list[Result]], None]
 
 
 def main(args: argparse.Namespace) -> int:
@@ -48,7 +48,7 @@ def main(args: argparse.Namespace) -> int:
         file = stack.enter_context(ResultFile(folder)) if folder else None
         watch = stack.enter_context(Watch()) if args.watch else None
 
-        def take(results: list[Result]) -> None:
+        def deliver(results: list[Result]) -> None:
             if file is not None:
                 file.write(results)
             if publisher is not None:
@@ -56,7 +56,7 @@ def main(args: argparse.Namespace) -> int:
             if watch is not None:
                 watch.show(results)
 
-        _feed(args, monitor, take, stack.enter_context(stop_requests()))
+        _feed(args, monitor, deliver, stack.enter_context(stop_requests()))
     labels = read_known(args.labels)
     if labels is None:  # nothing tells what was done, so no fault can have been missed
         criteria = msgspec.structs.replace(criteria, must_detect=(), must_isolate=())
@@ -115,12 +115,12 @@ def read_known(path: str | None) -> list[Label] | None:
     return read_labels(Path(path))
 
 
-def _feed(args: argparse.Namespace, monitor: Monitor, take: Take, stop: Stop) -> None:
+def _feed(args: argparse.Namespace, monitor: Monitor, deliver: Deliver, stop: Stop) -> None:
     if args.link is not None:
-        watch_link(args.link, monitor, take, args.for_s, stop)
+        watch_link(args.link, monitor, deliver, args.for_s, stop)
         return
     for block in blocks_of(args):
-        take(monitor.block(block))
+        deliver(monitor.block(block))
         if stop():
             return
 
@@ -134,13 +134,15 @@ def blocks_of(args: argparse.Namespace) -> Iterator[Block]:
         yield read_rinex(obs, nav, Path(args.imu) if args.imu else None)
 
 
-def watch_link(spec: str, monitor: Monitor, take: Take, for_s: float | None, stop: Stop) -> None:
+def watch_link(
+    spec: str, monitor: Monitor, deliver: Deliver, for_s: float | None, stop: Stop
+) -> None:
     """Feed the monitor from a link, until `for_s` seconds of the vehicle's time have passed."""
     link = open_link(spec)
     with Intake(link) as intake:
         print(f"watching {link.name}", file=sys.stderr, flush=True)
         while not stop() and (for_s is None or monitor.t_s < for_s):
-            take(monitor.bytes(intake.take(), datagrams=link.datagrams))
+            deliver(monitor.bytes(intake.take(), datagrams=link.datagrams))
     if intake.drops:
         print(f"{intake.drops} chunks came too fast and were not seen", file=sys.stderr)
 

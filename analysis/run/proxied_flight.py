@@ -144,6 +144,17 @@ class Flight:
         return sends
 
 
+def session(scenario: str, seed: int, flight: Flight) -> dict[str, Any]:
+    """What a replay of the run needs to know."""
+    links = [{"name": role.name, "direction": role.direction} for role in flight.core.links]
+    return {
+        "scenario": scenario,
+        "seed": seed,
+        "schedule": flight.engine.save(),
+        "links": links,
+    }
+
+
 def _is_hil(data: bytes) -> bool:
     """Whether a datagram comes from the simulator's HIL end."""
     return data[0] == STX_V2 and data[6] == HIL_COMPONENT

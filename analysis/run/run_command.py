@@ -4,16 +4,19 @@ import argparse
 import contextlib
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from analysis.monitor.publish import Publisher
+from analysis.report.curves.twin_curves import effects, twin_curves
+from analysis.report.recordings.recording import Signal
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result, read_results
-from analysis.run.proxied_flight import Flight
+from analysis.run.clean_twin import FOLDER, start_twin
+from analysis.run.proxied_flight import Flight, session
 from analysis.run.run_progress import RunProgress
-from analysis.run.setup import Setup, read_setup
+from analysis.run.setup import read_setup
 from analysis.run.stop import stop_requests
 from analysis.run.terminal import print_summary
 from analysis.run.worker import MonitorProcess
@@ -38,13 +41,14 @@ def main(args: argparse.Namespace) -> int:
     setup = read_setup(args.scenario, args.schedule, args.seed)
     pace = Pace(parse_speed(args.speed or ("1" if args.ui else "max")))
     folder = make_folder(args.out, setup.scenario.name)
+    twin = start_twin(setup, folder) if args.against_clean else None
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(open_run_bus(args.zenoh, folder.name))
         monitor = stack.enter_context(MonitorProcess(setup.monitor))
         file = stack.enter_context(ResultFile(folder))
         publisher = Publisher(bus) if bus else None
 
-        def take(results: list[Result]) -> None:
+        def deliver(results: list[Result]) -> None:
             file.write(results)
             if publisher is not None:
                 publisher.publish(results)
@@ -59,14 +63,19 @@ def main(args: argparse.Namespace) -> int:
             live.offer(bus)
         link = open_ground(args.gcs, pace)
         started_s = time.monotonic()
-        recorder = Recorder(folder, session(setup, flight))
-        fly(flight, monitor, recorder, pace, take, link, live, together=args.ui)
+        recorder = Recorder(folder, session(setup.scenario.name, setup.schedule.seed, flight))
+        fly(flight, monitor, recorder, pace, deliver, link, live, together=args.ui)
         columns = read_columns(folder / "sent.tlog")  # while the monitor catches up
-        take(monitor.results())
+        deliver(monitor.results())
         wall_s = time.monotonic() - started_s
         summary = monitor.summary(flight.completed_labels(), setup.criteria, wall_s)
+    curves = []
+    if twin is not None:
+        twin.join()
+        curves = twin_curves(folder, folder / FOLDER, flight.core.clock.t0_us or 0)
+        summary["effects"] = effects(curves, flight.completed_labels())
     write_summary(folder, summary)
-    report(folder, summary, columns)
+    report(folder, summary, columns, curves)
     print_summary(summary, folder)
     return EXIT_CODES[summary["verdict"]]
 
@@ -76,7 +85,7 @@ def fly(
     monitor: MonitorProcess,
     recorder: Recorder,
     pace: Pace,
-    take: Callable[[list[Result]], None],
+    deliver: Callable[[list[Result]], None],
     ground: Link | None,
     live: Live,
     *,
@@ -97,10 +106,10 @@ def fly(
                 live.serve()
                 live.show(time.monotonic())
                 if hold:
-                    take(monitor.feed(b""))
+                    deliver(monitor.feed(b""))
                     continue
                 sent = flight.advance([data for _, data in ground.read()] if ground else [])
-                take(monitor.feed(sent.monitor))
+                deliver(monitor.feed(sent.monitor))
                 if ground is not None:
                     for data in sent.ground:
                         ground.write(data)
@@ -110,9 +119,9 @@ def fly(
                     recorder.write(flight.tape, labels, live.edits())
                     live.publish(flight.stats(), labels)
                     if together or ground is not None:
-                        take(monitor.feed(b"", now=True))
+                        deliver(monitor.feed(b"", now=True))
                     progress.show(flight.t_us * 1e-6, flight.engine.active)
-        take(monitor.feed(flight.finish().monitor, now=True))
+        deliver(monitor.feed(flight.finish().monitor, now=True))
         recorder.write(flight.tape, flight.take_labels())
         recorder.close(flight.core.clock.t0_us, flight.now_us)
 
@@ -124,19 +133,10 @@ def open_ground(spec: str, pace: Pace) -> Link | None:
     return open_link(spec, plain_udp="udpout")
 
 
-def session(setup: Setup, flight: Flight) -> dict[str, Any]:
-    """What a replay of the run needs to know."""
-    links = [{"name": role.name, "direction": role.direction} for role in flight.core.links]
-    return {
-        "scenario": setup.scenario.name,
-        "seed": setup.schedule.seed,
-        "schedule": flight.engine.save(),
-        "links": links,
-    }
-
-
-def report(folder: Path, summary: dict[str, Any], columns: Columns) -> None:
-    """`report.html` from what stands in the folder, and the columns of `sent.tlog`."""
+def report(
+    folder: Path, summary: dict[str, Any], columns: Columns, curves: Sequence[Signal] = ()
+) -> None:
+    """`report.html` from what stands in the folder, the columns of `sent.tlog`, further curves."""
     from analysis.report.run_report import write
 
     write(
@@ -146,4 +146,5 @@ def report(folder: Path, summary: dict[str, Any], columns: Columns) -> None:
         results=read_results(folder / "results.jsonl"),
         columns=columns,
         title=folder.name,
+        curves=curves,
     )

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 
 Stop = Callable[[], bool]  # whether somebody wants the work to end
-SAID = b"\nstopping; once more ends at once\n"
+STOPPING = b"\nstopping; once more ends at once\n"
 
 
 @contextlib.contextmanager
@@ -24,7 +24,7 @@ def stop_requests() -> Iterator[Stop]:
     def ask(number: int, frame: FrameType | None) -> None:
         asked.set()
         restore()
-        os.write(2, SAID)
+        os.write(2, STOPPING)
 
     for number in before:
         signal.signal(number, ask)

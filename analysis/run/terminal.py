@@ -45,6 +45,8 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
             console.print(
                 f"criterion       {check['name']}: {check['value']} (limit {check['limit']}) {word}"
             )
+    for row in summary.get("effects", ()):
+        console.print(f"effect          {row['id']}: {_effect(row)}", soft_wrap=True)
     verdict = summary["verdict"]
     console.print(f"verdict         [{COLOURS.get(verdict, 'yellow')}]{verdict}[/]")
     if folder is not None:
@@ -61,6 +63,16 @@ def remarks(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         for blame in row["wrongly"]
     ]
     return lines
+
+
+def _effect(row: Mapping[str, Any]) -> str:
+    """What a fault did to truth and estimate: greatest and lasting change."""
+    units = {"position_m": "m", "speed_mps": "m/s", "attitude_deg": "deg"}
+    return ", ".join(
+        f"{name} {extent['most']:.2f} {units[key]} at most, {extent['lasting']:.2f} lasting"
+        for key in units
+        for name, extent in row.get(key, {}).items()
+    )
 
 
 def _known(count: int | None) -> str:

@@ -29,6 +29,7 @@ from analysis.samples.block import (
     Stamps,
 )
 from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotation import matrix_from_quat, quat_from_euler
 
 Rows = NDArray[np.void]
@@ -38,7 +39,6 @@ MAG_BITS = 0x1C0
 BARO_BIT = 0x200
 AIRSPEED_BIT = 0x400
 HECTOPASCAL = 100.0
-STANDARD_GRAVITY = 9.80665  # m/s^2, CODATA
 DOWNWARD = 25  # MAV_SENSOR_ROTATION_PITCH_270
 BODY_FRD = 12  # MAV_FRAME_BODY_FRD
 UNKNOWN_16 = 0xFFFF
@@ -110,7 +110,7 @@ def _since_boot(rows: Rows) -> Stamps:
 
 def _scaled_imu(rows: Rows) -> list[Read]:
     rates = _numbers(rows, "xgyro", "ygyro", "zgyro") * 1e-3
-    force = _numbers(rows, "xacc", "yacc", "zacc") * (STANDARD_GRAVITY * 1e-3)
+    force = _numbers(rows, "xacc", "yacc", "zacc") * (STANDARD_GRAVITY_MPS2 * 1e-3)
     return _whole(IMU, _since_boot(rows), np.column_stack([rates, force]))
 
 

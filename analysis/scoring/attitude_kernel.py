@@ -1,16 +1,28 @@
 """Estimates against the truth around them, compiled: see `attitude`."""
 
 from math import isfinite, pi
+from typing import NamedTuple
 
 import numpy as np
 
 from analysis.samples.block import Indices, Stamps
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.quaternion import Quaternion, between, errors
+from mavproxy_fault.numerics.rotation_kernel import Quaternion, between, errors
 
 MAX_TRUTH_GAP_US = 1_000_000  # truth is not interpolated over a longer pause
 LATEST_US = 1_000_000  # how long the truth is kept for estimates that come late
+
+
+class Scored(NamedTuple):
+    """Estimates in the order of their scores (m,): which, the row that completed each, the truth
+    just after it; and the error (m, 4) of roll, pitch, yaw and the turn, in rad, pi where the
+    estimate is no number."""
+
+    which: Indices
+    came: Indices
+    truth: Indices
+    error: Vector
 
 
 @compiled
@@ -47,32 +59,21 @@ def compare(
     row: Indices,
     t_us: Stamps,
     q_nb: Vector,
-) -> tuple[Indices, Indices, Indices, Vector, Indices, int]:
+) -> tuple[Scored, Indices, int]:
     """Errors of estimates, each when the truth has passed it.
 
-    Parameters
-    ----------
-    truth_row, truth_us, truth_q : (k,), (k,), (k, 4)
-        Where in the block each truth came (-1: before it), its stamp and attitude.
-    row, t_us, q_nb : (n,), (n,), (n, 4)
-        The same of estimates.
-
-    Returns
-    -------
-    scored, came, truth : (m,)
-        Estimates in the order of their scores, the row that completed each, and the truth just
-        after it.
-    error : (m, 4)
-        Of roll, pitch, yaw and the turn, in rad; pi where the estimate is no number.
-    waiting : (w,)
-        Estimates that the truth has not passed yet.
-    oldest : int
-        The first truth that is still wanted.
+    truth_row, truth_us (k,) and truth_q (k, 4) tell where in the block each truth came (-1: before
+    it), its stamp and attitude; row, t_us (n,) and q_nb (n, 4) the same of estimates. Gives those
+    that have an error now, which (w,) the truth has not passed yet, and the first truth that is
+    still wanted.
     """
     count = len(row)
-    scored, truth = np.empty(count, np.int64), np.empty(count, np.int64)
-    came = np.empty(count, np.int64)
-    error = np.empty((count, 4))
+    scored = Scored(
+        np.empty(count, np.int64),
+        np.empty(count, np.int64),
+        np.empty(count, np.int64),
+        np.empty((count, 4)),
+    )
     waiting = np.empty(count, np.int64)
     waits = done = come = oldest = 0
     for j in range(len(truth_us)):
@@ -92,12 +93,9 @@ def compare(
                 if first >= 0:
                     share = (t_us[i] - truth_us[first]) / (truth_us[second] - truth_us[first])
                     true = between(attitude(truth_q, first), attitude(truth_q, second), share)
-                    roll, pitch, yaw, turn = errors(attitude(q_nb, i), true)
-                    if not isfinite(roll + pitch + yaw + turn):
-                        roll, pitch, yaw, turn = pi, pi, pi, pi
-                    error[done, 0], error[done, 1] = roll, pitch
-                    error[done, 2], error[done, 3] = yaw, turn
-                    scored[done], came[done], truth[done] = i, truth_row[j], second
+                    _score(scored, done, attitude(q_nb, i), true)
+                    scored.which[done], scored.came[done] = i, truth_row[j]
+                    scored.truth[done] = second
                     done += 1
             waits = later
         while truth_us[oldest] < truth_us[j] - LATEST_US and j - oldest > 1:
@@ -106,7 +104,20 @@ def compare(
         waiting[waits] = come
         waits += 1
         come += 1
-    return scored[:done], came[:done], truth[:done], error[:done], waiting[:waits], oldest
+    found = Scored(
+        scored.which[:done], scored.came[:done], scored.truth[:done], scored.error[:done]
+    )
+    return found, waiting[:waits], oldest
+
+
+@compiled
+def _score(scored: Scored, at: int, estimate: Quaternion, true: Quaternion) -> None:
+    """The error of one estimate; a half turn where it is no number."""
+    roll, pitch, yaw, turn = errors(estimate, true)
+    if not isfinite(roll + pitch + yaw + turn):
+        roll, pitch, yaw, turn = pi, pi, pi, pi
+    scored.error[at, 0], scored.error[at, 1] = roll, pitch
+    scored.error[at, 2], scored.error[at, 3] = yaw, turn
 
 
 @compiled

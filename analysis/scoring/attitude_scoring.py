@@ -32,7 +32,7 @@ from analysis.samples.block import (
     block_of,
 )
 from analysis.samples.sample import MOST_OF_IMU, Sample, TruthSample, Vector
-from analysis.scoring.attitude_kernel import compare, gather
+from analysis.scoring.attitude_kernel import Scored, compare, gather
 from analysis.scoring.attitude_scores import Cells, Window, parted, phases_of
 
 WAITING_MAX = 20_000  # estimates; after a long pause of the truth the oldest cannot be scored
@@ -125,7 +125,7 @@ class AttitudeScorer:
         truth_us = np.concatenate([state.truth_us, block.t_us[truths]])
         truth = np.concatenate([state.truth, block.values.take(truths, axis=0)])
         truth_row = np.concatenate([np.full(len(state.truth_us), -1), truths])
-        scored, came, after, error, waiting, oldest = compare(
+        scored, waiting, oldest = compare(
             truth_row,
             truth_us,
             truth,
@@ -136,7 +136,7 @@ class AttitudeScorer:
         waiting = waiting[-WAITING_MAX:]
         state.waiting = estimates.at(waiting)._replace(row=np.full(len(waiting), -1))
         state.truth_us, state.truth = truth_us[oldest:].copy(), truth[oldest:].copy()
-        return self._gather(state, estimates.at(scored), error, came, after, truth)
+        return self._gather(state, estimates.at(scored.which), scored, truth)
 
     def _start(self, sample: Sample, state: ScorerState) -> None:
         assert isinstance(sample, TruthSample)
@@ -175,16 +175,14 @@ class AttitudeScorer:
         self,
         state: ScorerState,
         estimates: Estimates,
-        error: Vector,
-        row: Indices,
-        after: Indices,
+        scored: Scored,
         truth: Vector,
     ) -> list[tuple[int, AttitudeError]]:
-        """Add errors (m, 4) to their cells; those that opened one, with their row.
+        """Add errors to their cells; those that opened one, with their row.
 
-        `row` (m,) tells what completed each, `after` (m,) which of `truth` (k, WIDTH) is that just
-        after the estimate.
+        `truth` (k, WIDTH) are the truths to which `scored` refers.
         """
+        _, row, after, error = scored
         assert state.t0_us is not None
         since_us = estimates.t_us - state.t0_us
         settled = np.flatnonzero(since_us >= self.config.settle_s * 1e6)

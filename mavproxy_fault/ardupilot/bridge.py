@@ -21,6 +21,7 @@ from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 
 WAIT_S = 0.5  # between looks at the autopilot's process
+SILENCE_S = 5.0  # without a step, after which it is told
 AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 
 
@@ -61,14 +62,15 @@ class Bridge:
         ports: tuple[Datagrams, Datagrams, SensorPort],
         channels: Channels,
         say: Callable[[str], None],
+        silence_s: float = SILENCE_S,
     ) -> None:
-        self.steps = 0  # answered by the autopilot
         self.armed = False
         self._inbox = inbox
         self._readings = seen.readings
         self.physics, self._mavlink, self._sensor = ports
         self._channels = channels
         self._say = say
+        self._silence_s = silence_s
         self._feed = SensorFeed(seen.home)
         self._preparation = Preparation(seen.home)
         self._parser = Parser()
@@ -77,6 +79,8 @@ class Bridge:
         self._told_us: int | None = None  # the stamp of the step that ArduPilot works on
         self._asked = False  # ArduPilot waits for a line
         self._accepted = -1
+        self._stepped = True  # since the last look
+        self._silent_s: float | None = None  # when the last step was seen; None once it is told
 
     def run(self, process: Process) -> None:
         """Carry steps until a side goes away.
@@ -108,6 +112,15 @@ class Bridge:
                     look_s = now_s + WAIT_S
                     if (code := process.poll()) is not None:
                         raise self._ended(f"the autopilot's program ended {ending(code)}")
+                    self._watch_silence(now_s)
+
+    def _watch_silence(self, now_s: float) -> None:
+        """Tell once that no step comes: the simulator may have died behind a proxy."""
+        if self._stepped:
+            self._stepped, self._silent_s = False, now_s
+        elif self._silent_s is not None and now_s - self._silent_s > self._silence_s:
+            self._say(f"{self._inbox.link.name}: no step for {self._silence_s:g} s; still waiting")
+            self._silent_s = None
 
     def drain(self) -> None:
         """Answer ArduPilot with the last state, a step later each time, so that it can end."""
@@ -130,6 +143,7 @@ class Bridge:
         truth = self._readings.truth
         if truth is None:
             return
+        self._stepped = True
         fed = self._feed.step(self._readings, truth)
         self._readings.begin_step()
         self._sensor.write(fed.vectornav)
@@ -154,7 +168,6 @@ class Bridge:
     def _outputs(self, packet: ServoPacket) -> None:
         """ArduPilot has worked a step off, or asks again for the next one."""
         if packet.accepted != self._accepted and self._told_us is not None:
-            self.steps += 1
             channels = self._channels(packet.pwm_us)
             self._inbox.link.write(
                 actuator_frame(self._told_us, channels, self._next(), armed=self.armed)

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from mavproxy_fault.faults.value_fault import ValueFault
+from mavproxy_fault.numerics.rotation import Matrix, body_matrix
 from mavproxy_fault.wire.frame import Number
 
 Three = tuple[float, float, float]
-Matrix = tuple[Three, Three, Three]
 
 
 class AxisSwap(ValueFault, frozen=True, kw_only=True):
@@ -59,7 +59,8 @@ class Rotation(ValueFault, frozen=True, kw_only=True):
         self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """The vector as a sensor turned by these angles measures it."""
-        return [*times(turn(self.angles_deg), before)], None
+        roll, pitch, yaw = (math.radians(angle) for angle in self.angles_deg)
+        return times(body_matrix(roll, pitch, yaw), before), None
 
 
 class Iron(ValueFault, frozen=True, kw_only=True):
@@ -96,18 +97,6 @@ def check_three(elements: Any) -> None:
     for places in elements.values():
         if len(places) != 3:
             raise ValueError(f"acts on three fields, not {len(places)}; give x, y and z as target")
-
-
-def turn(angles_deg: Three) -> Matrix:
-    """The matrix from body axes to axes turned by yaw, then pitch, then roll."""
-    roll, pitch, yaw = (math.radians(angle) for angle in angles_deg)
-    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-    cy, sy = math.cos(yaw), math.sin(yaw)
-    return (
-        (cp * cy, cp * sy, -sp),
-        (sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp),
-        (cr * sp * cy + sr * sy, cr * sp * sy - sr * cy, cr * cp),
-    )
 
 
 def times(matrix: Matrix, vector: Sequence[float]) -> list[float]:

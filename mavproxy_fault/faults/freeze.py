@@ -92,6 +92,6 @@ class Float(ValueFault, frozen=True, kw_only=True):
         """An exponential from where the fault found it; the healthy value no longer matters."""
         found: dict[Key, tuple[float, list[Number]]] = memory or {}
         start_s, start = found.get(key, (t_s, before))
-        share = math.exp(-(t_s - start_s) / self.settle_s)
+        share = math.exp(-max(t_s - start_s, 0.0) / self.settle_s)  # clocks may go back
         now = [self.neutral + (x - self.neutral) * share for x in start]
         return now, {**found, key: (start_s, start)}

@@ -4,13 +4,11 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+from mavproxy_fault.numerics.constants import WGS84_ECCENTRICITY2, WGS84_SEMI_MAJOR_M
+from mavproxy_fault.numerics.rotation import into_body
 from mavproxy_fault.wire.frame import Frame, Number
 
 Three = tuple[float, float, float]
-
-# WGS 84: semi-major axis and first eccentricity squared (NIMA TR8350.2, tables 3.1 and 3.3).
-WGS84_A_M = 6378137.0
-WGS84_E2 = 6.69437999014e-3
 
 UNKNOWN_U16 = 0xFFFF
 LOCAL_NED, LOCAL_ENU, BODY_FRD = 1, 4, 12  # MAV_FRAME
@@ -26,9 +24,9 @@ class Move(NamedTuple):
 def moved_degrees(lat_deg: float, alt_m: float, offset_m: Three) -> tuple[float, float]:
     """Degrees of latitude and longitude that so many metres north and east are."""
     lat = math.radians(lat_deg)
-    w2 = 1.0 - WGS84_E2 * math.sin(lat) ** 2
-    east_radius_m = WGS84_A_M / math.sqrt(w2)
-    north_radius_m = east_radius_m * (1.0 - WGS84_E2) / w2
+    w2 = 1.0 - WGS84_ECCENTRICITY2 * math.sin(lat) ** 2
+    east_radius_m = WGS84_SEMI_MAJOR_M / math.sqrt(w2)
+    north_radius_m = east_radius_m * (1.0 - WGS84_ECCENTRICITY2) / w2
     north, east, _ = offset_m
     return (
         math.degrees(north / (north_radius_m + alt_m)),
@@ -117,7 +115,8 @@ def odometry(frame: Frame, move: Move) -> dict[str, Number]:
     values = _added(frame, ("x", "y", "z"), axes(move.offset_m))
     velocity = axes(move.velocity_mps)
     if child == BODY_FRD:
-        velocity = _to_body(frame, velocity)
+        q_nb = [float(frame.number("q", i)) for i in range(4)]
+        velocity = into_body(q_nb, velocity)
     elif child != local:
         return values
     return values | _added(frame, ("vx", "vy", "vz"), velocity)
@@ -133,19 +132,6 @@ def _same(ned: Three) -> Three:
 
 def _enu(ned: Three) -> Three:
     return ned[1], ned[0], -ned[2]
-
-
-def _to_body(frame: Frame, vector: Three) -> Three:
-    """A vector of the local frame in body axes: the inverse turn of the message's quaternion."""
-    w, x, y, z = (float(frame.number("q", i)) for i in range(4))
-    a, b, c = vector
-    # v' = v - 2 w (u x v) + 2 u x (u x v), with u = (x, y, z)
-    p, q, r = y * c - z * b, z * a - x * c, x * b - y * a
-    return (
-        a - 2 * w * p + 2 * (y * r - z * q),
-        b - 2 * w * q + 2 * (z * p - x * r),
-        c - 2 * w * r + 2 * (x * q - y * p),
-    )
 
 
 MOVERS: dict[str, Callable[[Frame, Move], dict[str, Number]]] = {

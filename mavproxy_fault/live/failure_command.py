@@ -14,6 +14,8 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
+
 UNITS = {
     0: "gyro", 1: "accel", 2: "mag", 3: "baro", 4: "gps", 5: "optical-flow", 6: "vio",
     7: "distance", 8: "airspeed", 100: "battery", 101: "motor", 102: "servo", 103: "avoidance",
@@ -28,7 +30,6 @@ SLOW_S = 1.0  # a slow sensor renews its values this often
 DELAY_S = 0.5
 INTERMITTENT = {"for_s": 0.5, "repeat": {"every_s": 1.0}}
 
-G_MPS2 = 9.80665
 M_PER_HPA = 8.4  # of height, near the ground
 DEGE7_PER_M = 90.0  # of latitude
 
@@ -82,7 +83,7 @@ CONTROLS = (Part("HIL_ACTUATOR_CONTROLS", (("controls", 1.0),), "", True, indexe
 
 WHAT: dict[str, Unit] = {
     "gyro": Unit(_imu("gyro", "gyro", 1000.0), 0.5, 1.0, 0.02),
-    "accel": Unit(_imu("acc", "accel", 1000.0 / G_MPS2), 3.0, 5.0, 0.2),
+    "accel": Unit(_imu("acc", "accel", 1000.0 / STANDARD_GRAVITY_MPS2), 3.0, 5.0, 0.2),
     "mag": Unit(_imu("mag", "mag", 1000.0), 0.3, 0.3, 0.02),
     "baro": Unit((
         Part("HIL_SENSOR", HEIGHTS, "baro", True),

@@ -7,15 +7,15 @@ rad, heights above the ellipsoid in m. Functions work on the last axis of arrays
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mavproxy_fault.numerics.constants import (
+    WGS84_ECCENTRICITY2,
+    WGS84_FLATTENING,
+    WGS84_SEMI_MAJOR_M,
+)
+
 Array = NDArray[np.float64]
 
-SEMI_MAJOR_M = 6378137.0
-FLATTENING = 1.0 / 298.257223563
-ECCENTRICITY2 = FLATTENING * (2.0 - FLATTENING)
-SEMI_MINOR_M = SEMI_MAJOR_M * (1.0 - FLATTENING)
-MU_M3PS2 = 3.986004418e14
-ROTATION_RPS = 7.292115e-5
-SPEED_OF_LIGHT_MPS = 299792458.0
+SEMI_MINOR_M = WGS84_SEMI_MAJOR_M * (1.0 - WGS84_FLATTENING)
 _GRAVITY_EQUATOR_MPS2 = 9.7803253359
 _SOMIGLIANA_K = 0.00193185265241
 _GRAVITY_M = 0.00344978650684  # omega^2 a^2 b / mu
@@ -23,9 +23,9 @@ _GRAVITY_M = 0.00344978650684  # omega^2 a^2 b / mu
 
 def radii(lat_rad: ArrayLike) -> tuple[Array, Array]:
     """Radii of curvature in the meridian and in the prime vertical [m]."""
-    w2 = 1.0 - ECCENTRICITY2 * np.sin(lat_rad) ** 2
-    prime = SEMI_MAJOR_M / np.sqrt(w2)
-    return np.asarray(prime * (1.0 - ECCENTRICITY2) / w2), np.asarray(prime)
+    w2 = 1.0 - WGS84_ECCENTRICITY2 * np.sin(lat_rad) ** 2
+    prime = WGS84_SEMI_MAJOR_M / np.sqrt(w2)
+    return np.asarray(prime * (1.0 - WGS84_ECCENTRICITY2) / w2), np.asarray(prime)
 
 
 def ecef_from_geodetic(lat_rad: ArrayLike, lon_rad: ArrayLike, height_m: ArrayLike) -> Array:
@@ -41,9 +41,9 @@ def ecef_from_geodetic(lat_rad: ArrayLike, lon_rad: ArrayLike, height_m: ArrayLi
 def ecef_of(lat_rad: Array, lon_rad: Array, height_m: Array) -> tuple[Array, Array, Array]:
     """Earth-fixed x, y, z [m] of geodetic coordinates; scalars and arrays alike, and compiled."""
     s = np.sin(lat_rad)
-    prime = SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY2 * s * s)
+    prime = WGS84_SEMI_MAJOR_M / np.sqrt(1.0 - WGS84_ECCENTRICITY2 * s * s)
     across = (prime + height_m) * np.cos(lat_rad)
-    z = (prime * (1.0 - ECCENTRICITY2) + height_m) * s
+    z = (prime * (1.0 - WGS84_ECCENTRICITY2) + height_m) * s
     return across * np.cos(lon_rad), across * np.sin(lon_rad), z
 
 
@@ -54,18 +54,21 @@ def geodetic_of(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
     than a nanometre up to 10,000 km. Scalars and arrays alike; the simulator compiles it.
     """
     p = np.sqrt(x * x + y * y)
-    second = ECCENTRICITY2 / (1.0 - ECCENTRICITY2)
-    reduced = np.arctan2(SEMI_MAJOR_M * z, SEMI_MINOR_M * p)
+    second = WGS84_ECCENTRICITY2 / (1.0 - WGS84_ECCENTRICITY2)
+    reduced = np.arctan2(WGS84_SEMI_MAJOR_M * z, SEMI_MINOR_M * p)
     lat = reduced
     for _ in range(3):
         s = np.sin(reduced)
         c = np.cos(reduced)
         lat = np.arctan2(
-            z + second * SEMI_MINOR_M * s * s * s, p - ECCENTRICITY2 * SEMI_MAJOR_M * c * c * c
+            z + second * SEMI_MINOR_M * s * s * s,
+            p - WGS84_ECCENTRICITY2 * WGS84_SEMI_MAJOR_M * c * c * c,
         )
-        reduced = np.arctan2((1.0 - FLATTENING) * np.sin(lat), np.cos(lat))
+        reduced = np.arctan2((1.0 - WGS84_FLATTENING) * np.sin(lat), np.cos(lat))
     s = np.sin(lat)
-    height = p * np.cos(lat) + z * s - SEMI_MAJOR_M * np.sqrt(1.0 - ECCENTRICITY2 * s * s)
+    height = (
+        p * np.cos(lat) + z * s - WGS84_SEMI_MAJOR_M * np.sqrt(1.0 - WGS84_ECCENTRICITY2 * s * s)
+    )
     return lat, np.arctan2(y, x), height
 
 
@@ -94,7 +97,13 @@ def gravity(lat_rad: ArrayLike, height_m: ArrayLike) -> Array:
     Scalars and arrays alike; the simulator compiles it.
     """
     s2 = np.sin(lat_rad) ** 2
-    surface = _GRAVITY_EQUATOR_MPS2 * (1.0 + _SOMIGLIANA_K * s2) / np.sqrt(1.0 - ECCENTRICITY2 * s2)
-    h = np.divide(height_m, SEMI_MAJOR_M)
-    free_air = 1.0 - 2.0 * (1.0 + FLATTENING + _GRAVITY_M - 2.0 * FLATTENING * s2) * h + 3.0 * h * h
+    surface = (
+        _GRAVITY_EQUATOR_MPS2 * (1.0 + _SOMIGLIANA_K * s2) / np.sqrt(1.0 - WGS84_ECCENTRICITY2 * s2)
+    )
+    h = np.divide(height_m, WGS84_SEMI_MAJOR_M)
+    free_air = (
+        1.0
+        - 2.0 * (1.0 + WGS84_FLATTENING + _GRAVITY_M - 2.0 * WGS84_FLATTENING * s2) * h
+        + 3.0 * h * h
+    )
     return np.multiply(surface, free_air)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+Matrix = tuple[tuple[float, float, float], ...]
 
 
 def quat_from_euler(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:
@@ -57,6 +58,17 @@ def into_body(q_nb: Sequence[float], v_ned: Sequence[float]) -> tuple[float, flo
         n + w * tn + te * z - td * y,
         e + w * te + td * x - tn * z,
         d + w * td + tn * y - te * x,
+    )
+
+
+def body_matrix(roll: float, pitch: float, yaw: float) -> Matrix:
+    """The matrix that takes a vector to axes turned by yaw, then pitch, then roll [rad]."""
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    return (
+        (cp * cy, cp * sy, -sp),
+        (sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp),
+        (cr * sp * cy + sr * sy, cr * sp * sy - sr * cy, cr * cp),
     )
 
 

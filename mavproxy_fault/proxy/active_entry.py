@@ -1,5 +1,6 @@
 """One entry of a schedule at work: when it is active, what it did, and the labels for it."""
 
+import logging
 import math
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, get_type_hints
@@ -17,6 +18,7 @@ from mavproxy_fault.wire.label import Label
 if TYPE_CHECKING:
     from numpy.random import Generator
 
+LOG = logging.getLogger(__name__)
 NEVER_US = 1 << 62
 TELL_US = 200_000  # between two labels about new values of one fault
 
@@ -51,6 +53,8 @@ class Running:
         self.active = False
         self.starts = 0
         self.frames = self.sealed = self.saturated = self.total_frames = 0
+        self.failures = 0  # frames that the fault could not be applied to
+        self.failure: str | None = None
         self.magnitude: float | None = None
         self.first_us: int | None = None
         self.last_us = 0
@@ -170,18 +174,20 @@ class Running:
         """Put a frame through the fault and count what it did."""
         if self.entry.probability < 1.0 and self.rng.random() >= self.entry.probability:
             return [Outgoing(t_us, frame)]
-        state = self.states.get(direction)
-        if state is None and direction not in self.states:
-            state = self.fault.new_state(self.start_us)
-            if self.live is not None:
-                state = self.fault.fed(state, *self.live)
-        sends, self.states[direction] = self.fault.apply(frame, t_us, state, self.rng)
+        try:
+            sends = self._apply(frame, direction, t_us)
+        except Exception as error:  # others write faults too: theirs must not end the forwarding
+            if not self.failures:
+                LOG.exception("fault %s failed; the frame passes as it came", self.entry.id)
+            self.failures += 1
+            self.failure = repr(error)
+            return [Outgoing(t_us, frame)]
         if len(sends) == 1 and sends[0].frame is frame and sends[0].due_us == t_us:
-            return sends  # type: ignore[no-any-return]
+            return sends
         # What was kept back and leaves as it came was not touched; what changed has a magnitude.
         touched = sum(out.magnitude is not None for out in sends) if self.keeps_back else 1
         if not touched:
-            return sends  # type: ignore[no-any-return]
+            return sends
         self.frames += touched
         self.total_frames += touched
         self.last_us = t_us
@@ -190,7 +196,18 @@ class Running:
             self.direction = direction
         for out in sends:
             self._measure(out)
-        return sends  # type: ignore[no-any-return]
+        return sends
+
+    def _apply(self, frame: Frame | bytes, direction: str, t_us: int) -> list[Outgoing]:
+        """What the fault makes of a frame, its state of that direction brought up to date."""
+        state = self.states.get(direction)
+        if state is None and direction not in self.states:
+            state = self.fault.new_state(self.start_us)
+            if self.live is not None:
+                state = self.fault.fed(state, *self.live)
+        sends: list[Outgoing]
+        sends, self.states[direction] = self.fault.apply(frame, t_us, state, self.rng)
+        return sends
 
     def credit(self, frames: int, saturated: int, last_us: int, magnitude: float) -> None:
         """Count what was done elsewhere in this fault's name; a negative magnitude is none."""
@@ -333,6 +350,8 @@ class Running:
             "magnitude": self.magnitude,
             "saturated": self.saturated,
             "signed_skipped": self.sealed,
+            "failures": self.failures,
+            "failure": self.failure,
             "latency_us": self.latency_us,
             "value": self.value,
             "parameters": self.entry.parameters,

@@ -16,6 +16,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.rtcm.bit_fields import BitReader, pack_columns
 from mavproxy_fault.rtcm.transport import unwrap, wrap
 
@@ -23,7 +24,6 @@ NUMBERS = {"G": 1077, "E": 1097}
 SYSTEMS = {number: system for system, number in NUMBERS.items()}
 SIGNAL = 2  # GPS L1 C/A (1C) and Galileo E1 C (1C) have the same number in their signal masks
 
-SPEED_OF_LIGHT_MPS = 299792458.0
 MS_M = SPEED_OF_LIGHT_MPS / 1000.0
 WEEK_MS = 604_800_000
 

@@ -1,7 +1,7 @@
 """The parameters that a plant fault can set in the simulator, by the names behind `PLANT.`.
 
-`[i]` is a motor, `[G12]` a satellite, `[all]` every satellite. Which of them a vehicle has is for
-the simulator to say: a fixed wing has no second motor.
+`[i]` is a motor, `[G12]` a satellite, `[G]` all of GPS, `[E]` of Galileo, `[all]` of both. Which of
+them a vehicle has is for the simulator to say: a fixed wing has no second motor.
 """
 
 import re
@@ -15,10 +15,13 @@ BATTERY = ("battery_voltage_scale", "battery_resistance_scale")
 WIND = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
 RECEIVER = ("receiver_off",)
 SATELLITE = ("pseudorange_m", "cn0_drop_db", "satellite_lost")
+SPOOF = ("spoof_north_m", "spoof_east_m", "spoof_down_m", "spoof_clock_m")
+GROUPS = ("all", "G", "E")  # satellites together: all, GPS, Galileo
 
 # Numbers that GPS and Galileo give their satellites (RTCM 10403.3, MSM satellite masks).
 SATELLITES = (*(f"G{n:02d}" for n in range(1, 33)), *(f"E{n:02d}" for n in range(1, 37)))
 SATELLITE_NAME = re.compile(r"G(0[1-9]|[12]\d|3[0-2])|E(0[1-9]|[12]\d|3[0-6])")
+SIGNALS = (*SATELLITE, *SPOOF)
 INDEXED = re.compile(r"(\w+)\[(\w+)\]")
 
 
@@ -34,12 +37,12 @@ def check_plant_name(name: str) -> None:
     if parts is None:
         if name in (single := (*AIRFRAME, *SURFACE, *BATTERY, *WIND, *RECEIVER)):
             return
-        known = [*single, *(f"{one}[0]" for one in MOTOR), *(f"{one}[all]" for one in SATELLITE)]
+        known = [*single, *(f"{one}[0]" for one in MOTOR), *(f"{one}[all]" for one in SIGNALS)]
         raise ValueError(f"{name} is no parameter of the plant; {near(name, known)}")
     base, index = parts.groups()
-    if base not in (*MOTOR, *SATELLITE):
-        raise ValueError(f"{name} is no parameter of the plant; {near(base, (*MOTOR, *SATELLITE))}")
+    if base not in (*MOTOR, *SIGNALS):
+        raise ValueError(f"{name} is no parameter of the plant; {near(base, (*MOTOR, *SIGNALS))}")
     if base in MOTOR and not (index.isascii() and index.isdigit()):
         raise ValueError(f"{name} names no motor; they are like {base}[0]")
-    if base in SATELLITE and index != "all" and not SATELLITE_NAME.fullmatch(index):
-        raise ValueError(f"{name} names no satellite; [all], or like {base}[G12]")
+    if base in SIGNALS and index not in GROUPS and not SATELLITE_NAME.fullmatch(index):
+        raise ValueError(f"{name} names no satellite; [all], [G], [E], or like {base}[G12]")

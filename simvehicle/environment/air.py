@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
-from simvehicle.vehicles.rigidbody_kernel import to_ned
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
+from mavproxy_fault.numerics.rotation_kernel import to_ned
 
 Array = NDArray[np.float64]
 
@@ -19,7 +20,6 @@ SEA_LEVEL_PA = 101325.0
 SEA_LEVEL_K = 288.15
 _LAPSE_KPM = 0.0065
 _GAS = 287.05287  # J/(kg K)
-_G0 = 9.80665
 _EARTH_M = 6356766.0  # radius that turns geometric into geopotential height
 _TROPOPAUSE_M = 11000.0
 _SLOWEST_MPS = 1.0  # the spectra are of frozen turbulence, so a hovering vehicle needs a floor
@@ -29,20 +29,22 @@ _SLOWEST_MPS = 1.0  # the spectra are of frozen turbulence, so a hovering vehicl
 def standard_air(alt_msl_m: float) -> tuple[float, float, float]:
     """Pressure [Pa], temperature [K] and density [kg/m^3] at a height above mean sea level."""
     h = _EARTH_M * alt_msl_m / (_EARTH_M + alt_msl_m)
-    exponent = _G0 / (_GAS * _LAPSE_KPM)
+    exponent = STANDARD_GRAVITY_MPS2 / (_GAS * _LAPSE_KPM)
     if h < _TROPOPAUSE_M:
         temperature = SEA_LEVEL_K - _LAPSE_KPM * h
         pressure = SEA_LEVEL_PA * (temperature / SEA_LEVEL_K) ** exponent
     else:
         temperature = SEA_LEVEL_K - _LAPSE_KPM * _TROPOPAUSE_M
         edge = SEA_LEVEL_PA * (temperature / SEA_LEVEL_K) ** exponent
-        pressure = edge * math.exp(-_G0 * (h - _TROPOPAUSE_M) / (_GAS * temperature))
+        pressure = edge * math.exp(
+            -STANDARD_GRAVITY_MPS2 * (h - _TROPOPAUSE_M) / (_GAS * temperature)
+        )
     return pressure, temperature, pressure / (_GAS * temperature)
 
 
 def pressure_altitude(pressure_pa: float) -> float:
     """Height above mean sea level [m] at which the standard troposphere has this pressure."""
-    ratio = math.pow(pressure_pa / SEA_LEVEL_PA, _GAS * _LAPSE_KPM / _G0)
+    ratio = math.pow(pressure_pa / SEA_LEVEL_PA, _GAS * _LAPSE_KPM / STANDARD_GRAVITY_MPS2)
     h = (1.0 - ratio) * SEA_LEVEL_K / _LAPSE_KPM
     return _EARTH_M * h / (_EARTH_M - h)
 
@@ -54,6 +56,8 @@ class Gusts:
     sigma_mps: tuple[float, float, float]
     length_m: tuple[float, float, float]
 
+
+SIGMA, LENGTH, REFERENCE, EXPONENT, STEADY = 0, 3, 6, 7, 8  # where they begin in `weather`
 
 GUSTS = {
     "none": Gusts((0.0, 0.0, 0.0), (200.0, 200.0, 50.0)),
@@ -90,7 +94,6 @@ def _second_order(
 def wind_step(
     filters: Array,
     noise: Array,
-    steady: Array,
     weather: Array,
     x: Array,
     v_air: Array,
@@ -107,11 +110,9 @@ def wind_step(
         first, zeros of the rest.
     noise : array, shape (5,)
         Standard-normal draws of this step.
-    steady : array, shape (3,)
-        Wind at the reference height, NED [m/s].
-    weather : array, shape (8,)
+    weather : array, shape (11,)
         Standard deviations (3) [m/s] and lengths (3) [m] of the gusts, reference height [m] and
-        exponent of the shear's power law.
+        exponent of the shear's power law, and the wind (3) at that height, NED [m/s].
     x : array, shape (>= 10,)
         The vehicle's state; the gusts act along the body's axes.
     v_air : array, shape (3,)
@@ -123,17 +124,29 @@ def wind_step(
     """
     airspeed = math.sqrt(v_air[0] * v_air[0] + v_air[1] * v_air[1] + v_air[2] * v_air[2])
     speed = max(airspeed, _SLOWEST_MPS)
-    e = math.exp(-speed / weather[3] * dt)
+    e = math.exp(-speed / weather[LENGTH] * dt)
     filters[0] = e * filters[0] + math.sqrt(1.0 - e * e) * noise[0]
     filters[1], filters[2], v = _second_order(
-        filters[1], filters[2], speed / weather[4], weather[1], dt, noise[1], noise[2]
+        filters[1],
+        filters[2],
+        speed / weather[LENGTH + 1],
+        weather[SIGMA + 1],
+        dt,
+        noise[1],
+        noise[2],
     )
     filters[3], filters[4], w = _second_order(
-        filters[3], filters[4], speed / weather[5], weather[2], dt, noise[3], noise[4]
+        filters[3],
+        filters[4],
+        speed / weather[LENGTH + 2],
+        weather[SIGMA + 2],
+        dt,
+        noise[3],
+        noise[4],
     )
-    north, east, down = to_ned(x[6], x[7], x[8], x[9], weather[0] * filters[0], v, w)
-    reference = weather[6]
-    grown = (max(height, 0.01 * reference) / reference) ** weather[7]
-    out[0] = steady[0] * grown + north
-    out[1] = steady[1] * grown + east
-    out[2] = steady[2] * grown + down
+    north, east, down = to_ned(x[6], x[7], x[8], x[9], weather[SIGMA] * filters[0], v, w)
+    reference = weather[REFERENCE]
+    grown = (max(height, 0.01 * reference) / reference) ** weather[EXPONENT]
+    out[0] = weather[STEADY] * grown + north
+    out[1] = weather[STEADY + 1] * grown + east
+    out[2] = weather[STEADY + 2] * grown + down

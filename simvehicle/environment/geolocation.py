@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.earth import ecef_from_geodetic, geodetic_of, gravity, rot_en
+from mavproxy_fault.numerics.rotation_kernel import to_body, to_ned
 from simvehicle.environment.air import standard_air
-from simvehicle.vehicles.rigidbody_kernel import to_body, to_ned
 
 Array = NDArray[np.float64]
 _geodetic = cast(Callable[[float, float, float], tuple[float, float, float]], inlined(geodetic_of))

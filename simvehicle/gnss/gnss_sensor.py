@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.rtcm.ephemeris_messages import encode_ephemeris
+from mavproxy_fault.wire.plant_names import GROUPS, SATELLITE, SPOOF
 from simvehicle.gnss.constellation import Constellation, constellation_of
 from simvehicle.gnss.gnss_config import GnssConfig
 from simvehicle.gnss.gnss_state import Broadcast, Faults, GnssState
@@ -21,7 +22,8 @@ from simvehicle.gnss.pseudorange import Atmosphere
 from simvehicle.gnss.receiver import Fix, solve
 from simvehicle.gnss.satellite_orbits import orbits_at, orbits_of
 from simvehicle.gnss.signal_errors import CN0_S, Clock, next_clock, next_wander
-from simvehicle.gnss.signal_kernel import signals
+from simvehicle.gnss.signal_kernel import CODE, RATE, Channel, signals
+from simvehicle.gnss.spoofing import spoofs
 from simvehicle.gnss.tracking import LONG_AGO_US, Stamps, Tracking, next_tracking, power_off
 from simvehicle.sensors.readings import EphemerisReading, GpsReading, PseudorangeReading, Reading
 from simvehicle.vehicles.body import Truth
@@ -30,9 +32,8 @@ Vector = NDArray[np.float64]
 
 US = 1e-6
 BROADCAST_US = 30_000_000  # every ephemeris goes out again this often
-PLANT = ("pseudorange_m", "cn0_drop_db", "satellite_lost")  # the rows of `Faults.signals`
-LOST = 2
-PLANT_NAME = re.compile(rf"({'|'.join(PLANT)})\[([GE]\d\d|all)\]")
+LOST = 2  # the row of `Faults.signals`, which are in the order of `SATELLITE`
+PLANT_NAME = re.compile(rf"({'|'.join((*SATELLITE, *SPOOF))})\[([GE]\d\d|all|G|E)\]")
 
 
 def gnss_sensor(
@@ -88,8 +89,15 @@ class GnssSensor:
         return np.full(len(self.constellation.satellites), LONG_AGO_US)
 
     @cached_property
-    def _galileo(self) -> Vector:
-        return np.array([name[0] == "E" for name in self.constellation.satellites], dtype=float)
+    def _channel(self) -> Channel:
+        galileo = [name[0] == "E" for name in self.constellation.satellites]
+        atmosphere = self._atmosphere
+        return Channel(
+            atmosphere.coefficients,
+            atmosphere.troposphere,
+            self._levels,
+            np.array(galileo, dtype=float),
+        )
 
     def new_state(self, rng: np.random.Generator) -> GnssState:
         """The state at power-on."""
@@ -108,7 +116,8 @@ class GnssSensor:
             broadcast=self._broadcast(self.constellation.start_s, [None] * n),
             tracking=power_off(n, cold=receiver.start == "cold"),
             sent_us=self._unsent,
-            faults=Faults(np.zeros((3, n))),
+            faults=Faults(np.zeros((3, n)), np.zeros((4, n))),
+            spoofed=np.zeros((4, n)),
         )
 
     def sample(
@@ -120,6 +129,7 @@ class GnssSensor:
         place it measures at is that of the truth, moved by the clock's offset.
         """
         t_us = truth.t_us
+        step_s = 0.0 if state.t_us is None else (t_us - state.t_us) * US
         state = self._advanced(state, t_us, rng)
         count = len(self.constellation.satellites)
         noise = rng.standard_normal((2, count))
@@ -127,7 +137,7 @@ class GnssSensor:
             off = power_off(count, cold=True)
             return [], replace(state, tracking=off, fix=None, sent_us=self._unsent)
         tow_s = self.constellation.start_s + t_us * US
-        elevation, cn0, code, rate = self._signals(truth, tow_s, state, noise)
+        elevation, cn0, code, rate = self._signals(truth, tow_s, state, noise, step_s)
         tracking = self._tracking(elevation, cn0, state, t_us)
         usable = np.flatnonzero(tracking.usable(t_us))
         orbits = orbits_at(state.broadcast.orbits, usable)
@@ -141,13 +151,18 @@ class GnssSensor:
             self._pseudoranges(t_us, tow_s, tracked, code, rate, cn0),
             self._position(truth, fix),
         ]
-        return readings, replace(state, tracking=tracking, sent_us=sent_us, fix=fix)
+        spoofed = state.faults.spoof
+        return readings, replace(
+            state, tracking=tracking, sent_us=sent_us, fix=fix, spoofed=spoofed
+        )
 
     def with_plant(self, state: GnssState, name: str, value: float | None) -> GnssState:
         """The state with one of the plant's parameters set, before the receiver; None is healthy.
 
         `pseudorange_m[G12]` adds to the range, `cn0_drop_db[G12]` weakens the signal,
-        `satellite_lost[G12]` takes it away if not 0; `[all]` stands for every satellite.
+        `satellite_lost[G12]` takes it away if not 0; `spoof_north_m[G12]` (and east, down) makes
+        it the signal of another place, code and Doppler alike, `spoof_clock_m[G12]` one of another
+        time. `[all]` stands for every satellite, `[G]` and `[E]` for those of a system.
         `receiver_off` switches the receiver off if not 0, and its end starts it again, cold.
 
         Raises
@@ -161,28 +176,41 @@ class GnssSensor:
             return replace(state, faults=replace(faults, off=number))
         match = PLANT_NAME.fullmatch(name)
         names = self.constellation.satellites
-        if match is None or (match[2] != "all" and match[2] not in names):
+        if match is None or (match[2] not in GROUPS and match[2] not in names):
             raise ConfigError(
-                f"plant: {name!r} is unknown; receiver_off, or {', '.join(PLANT)} with "
-                f"[all] or one of [{'], ['.join(names)}]"
+                f"plant: {name!r} is unknown; receiver_off, or {', '.join((*SATELLITE, *SPOOF))} "
+                f"with one of [{'], ['.join((*GROUPS, *names))}]"
             )
-        at = np.array([match[2] in ("all", satellite) for satellite in names])
-        changed = faults.signals.copy()
-        changed[PLANT.index(match[1]), at] = number
-        return replace(state, faults=replace(faults, signals=changed))
+        at = np.array([match[2] in ("all", satellite[0], satellite) for satellite in names])
+        rows, field = (SATELLITE, "signals") if match[1] in SATELLITE else (SPOOF, "spoof")
+        changed = getattr(faults, field).copy()
+        changed[rows.index(match[1]), at] = number
+        return replace(state, faults=replace(faults, **{field: changed}))
 
-    def _signals(self, truth: Truth, tow_s: float, state: GnssState, noise: Vector) -> Vector:
-        """What the antenna receives when the receiver's clock shows `tow_s`; rows of `signals`."""
-        place = (truth.lat_rad, truth.lon_rad, truth.height_m)
+    def _signals(
+        self, truth: Truth, tow_s: float, state: GnssState, noise: Vector, step_s: float
+    ) -> Vector:
+        """What the antenna receives when the receiver's clock shows `tow_s`; rows of `signals`.
+
+        A spoofed signal is that of the place and time which the spoofer pretends.
+        """
+        here = np.array([truth.lat_rad, truth.lon_rad, truth.height_m, *truth.v_ned_mps.tolist()])
+        out = self._received(here, tow_s, state, noise)
+        if state.faults.spoof.any():
+            for spoof in spoofs(state.faults.spoof, state.spoofed, step_s):
+                made_up = self._received(spoof.place(here), tow_s, state, noise)
+                out[CODE, spoof.satellites] = made_up[CODE, spoof.satellites] + spoof.delay_m
+                out[RATE, spoof.satellites] = made_up[RATE, spoof.satellites] + spoof.delay_mps
+        return out
+
+    def _received(self, where: Vector, tow_s: float, state: GnssState, noise: Vector) -> Vector:
+        """The signals at a place: latitude, longitude, height and velocity NED (6,)."""
         return signals(
             state.broadcast.orbits.table,
             tow_s,
-            np.array([*place, *truth.v_ned_mps.tolist()]),
+            where,
             (state.clock.offset_s, state.clock.drift),
-            self._atmosphere.coefficients,
-            self._atmosphere.troposphere,
-            self._levels,
-            self._galileo,
+            self._channel,
             state.wander,
             state.faults.signals,
             noise,

@@ -16,10 +16,12 @@ class Faults(msgspec.Struct, frozen=True):
     """What a scenario does to the signals before the receiver.
 
     The rows of `signals` (3, n) are metres added to the range, decibels taken from the signal, and
-    whether it is lost (not 0); `off` is not 0 where the receiver is.
+    whether it is lost (not 0); those of `spoof` (4, n) metres north, east and down that its signal
+    is made up for, and of delay. `off` is not 0 where the receiver is.
     """
 
     signals: Vector
+    spoof: Vector
     off: float = 0.0
 
 
@@ -40,7 +42,8 @@ class GnssState(msgspec.Struct, frozen=True):
 
     The rows of `wander` (3, n) are the unit-variance processes of multipath, orbit and C/N0.
     `search_s`, `message_s` are what a cold
-    start takes for each satellite. `sent_us` is when the ephemerides last went out.
+    start takes for each satellite. `sent_us` is when the ephemerides last went out, `spoofed`
+    (4, n) the `spoof` of the last epoch.
     """
 
     t_us: int | None
@@ -52,4 +55,5 @@ class GnssState(msgspec.Struct, frozen=True):
     tracking: Tracking
     sent_us: Stamps
     faults: Faults
+    spoofed: Vector
     fix: Fix | None = None

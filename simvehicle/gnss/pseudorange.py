@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth import geodetic_of
 from simvehicle.gnss.satellite_orbits import (
-    EARTH_RATE_RPS,
-    SPEED_OF_LIGHT_MPS,
     Orbits,
     satellite_state,
 )
@@ -112,7 +111,7 @@ def sights(
             start = flight
             px, py, pz, vx, vy, vz, clock, clock_rate = satellite_state(table[k], tow_s - start)
             for _ in range(3):
-                s, c = sin(EARTH_RATE_RPS * flight), cos(EARTH_RATE_RPS * flight)
+                s, c = sin(GNSS_EARTH_RATE_RPS * flight), cos(GNSS_EARTH_RATE_RPS * flight)
                 earlier = start - flight
                 mx, my, mz = px + vx * earlier, py + vy * earlier, pz + vz * earlier
                 x, y = c * mx + s * my, c * my - s * mx
@@ -123,7 +122,7 @@ def sights(
         # the frame turns on, and transmission moves by the range's own change
         wx, wy = c * vx + s * vy, c * vy - s * vx
         closing = ex * (wx - v_ecef_mps[0]) + ey * (wy - v_ecef_mps[1]) + ez * (vz - v_ecef_mps[2])
-        drag = ex * (wx - EARTH_RATE_RPS * y) + ey * (wy + EARTH_RATE_RPS * x) + ez * vz
+        drag = ex * (wx - GNSS_EARTH_RATE_RPS * y) + ey * (wy + GNSS_EARTH_RATE_RPS * x) + ez * vz
         outward = c_lon * ex + s_lon * ey
         north = c_lat * ez - s_lat * outward
         east = c_lon * ey - s_lon * ex

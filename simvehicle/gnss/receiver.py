@@ -79,11 +79,8 @@ def solve(
     start = (last.r_ecef_m, last.clock_m) if last is not None and near else None
     system = np.array([systems.index(letter) for letter in letters])
     out = kernel.navigate(
-        orbits.table,
-        system,
+        kernel.Observed(orbits.table, system, pseudorange_m, doppler_mps),
         tow_s,
-        pseudorange_m,
-        doppler_mps,
         atmosphere.coefficients,
         atmosphere.troposphere,
         np.concatenate(start or (_somewhere_below(orbits, tow_s), np.zeros(len(systems)))),

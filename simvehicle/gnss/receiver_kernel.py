@@ -1,13 +1,14 @@
 """The arithmetic of the receiver's least squares, compiled."""
 
 from math import cos, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from simvehicle.gnss.pseudorange import geodetic, sights
-from simvehicle.gnss.satellite_orbits import SPEED_OF_LIGHT_MPS
 
 Vector = NDArray[np.float64]
 
@@ -78,13 +79,23 @@ def least_squares(
     return step, covariance
 
 
+class Observed(NamedTuple):
+    """What a receiver has of n satellites in one epoch.
+
+    `table` (n, 20) are the orbits, `system` (n,) the index of each one's clock, `code_m` (n,) the
+    pseudoranges and `rate_mps` (n,) the range rates.
+    """
+
+    table: Vector
+    system: NDArray[np.int64]
+    code_m: Vector
+    rate_mps: Vector
+
+
 @compiled
 def navigate(
-    table: Vector,
-    system: NDArray[np.int64],
+    observed: Observed,
     tow_s: float,
-    code_m: Vector,
-    rate_mps: Vector,
     coefficients: Vector,
     troposphere: bool,
     start: Vector,
@@ -93,12 +104,12 @@ def navigate(
 ) -> Vector:
     """Position, velocity and clocks of one epoch.
 
-    `table` (n, 20) are the orbits, `system` (n,) the index of each satellite's clock among those of
-    `start` (3 + m,), which holds position and clock offsets [m] to begin with; `near` says that it
+    `start` (3 + m,) holds position and clock offsets [m] to begin with; `near` says that it
     is within some kilometres, so that elevations are right. `held` is a height taken as known [m]
     and its standard deviation, for one satellite too few, or NaN. The answer (19,) has the rows
     named above; the rest is as in `receiver.solve`.
     """
+    table, code_m = observed.table, observed.code_m
     n, m = len(table), len(start)
     rows = n if np.isnan(held[0]) else n + 1
     out = np.zeros(SIZE)
@@ -110,7 +121,7 @@ def navigate(
     for _ in range(ROUNDS_MAX):
         seen = sights(table, tow_s - x[3] / SPEED_OF_LIGHT_MPS, x, still, coefficients, troposphere)
         for i in range(n):
-            own = 3 + system[i]
+            own = 3 + observed.system[i]
             design[i, 0], design[i, 1], design[i, 2] = -seen[7, i], -seen[8, i], -seen[9, i]
             design[i, own] = 1.0
             model = seen[0, i] - SPEED_OF_LIGHT_MPS * seen[2, i] + seen[6, i] + x[own]
@@ -136,7 +147,7 @@ def navigate(
         return out
     for a in range(m):
         out[PLACE + a] = x[a]  # and the clocks after it
-    _add_motion(out, seen, rate_mps, design, weights)
+    _add_motion(out, seen, observed.rate_mps, design, weights)
     _add_local(out, covariance)
     return out
 

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
 Vector = NDArray[np.float64]
 State8 = tuple[float, float, float, float, float, float, float, float]
 
 MU_M3PS2 = {"G": 3.986005e14, "E": 3.986004418e14}
-EARTH_RATE_RPS = 7.2921151467e-5
-SPEED_OF_LIGHT_MPS = 299_792_458.0
 WEEK_S = 604_800.0
 KEPLER_STEPS = 4  # Newton from E = M leaves under 1e-14 rad at the eccentricity 0.16 of E14, E18
 
@@ -68,8 +67,8 @@ def _row(e: Ephemeris, week: int) -> tuple[float, ...]:
         e.cic_rad,
         e.i0_rad,
         e.idot_rps,
-        e.omega0_rad - EARTH_RATE_RPS * e.toe_s,
-        e.omega_dot_rps - EARTH_RATE_RPS,
+        e.omega0_rad - GNSS_EARTH_RATE_RPS * e.toe_s,
+        e.omega_dot_rps - GNSS_EARTH_RATE_RPS,
         toc_s + shift_s,
         e.af0_s - e.group_delay_s,
         e.af1,

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import inlined
+from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 
 Vector = NDArray[np.float64]
 
-SPEED_OF_LIGHT_MPS = 299_792_458.0
 DAY_S = 86_400.0
 NIGHT_S = 5e-9  # Klobuchar's constant term
 HUMIDITY = 0.5

@@ -15,11 +15,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from simvehicle.gnss.gnss_config import ClockConfig
 
 Vector = NDArray[np.float64]
 
-SPEED_OF_LIGHT_MPS = 299_792_458.0
 CHIP_M = SPEED_OF_LIGHT_MPS / 1.023e6
 L1_WAVE_M = SPEED_OF_LIGHT_MPS / 1575.42e6
 CORRELATOR_CHIPS = 0.1  # early to late

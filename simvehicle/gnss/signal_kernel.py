@@ -2,16 +2,16 @@
 
 from collections.abc import Callable
 from math import sin
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth import ecef_of
 from simvehicle.gnss.pseudorange import sights
 from simvehicle.gnss.receiver_kernel import axes_en
-from simvehicle.gnss.satellite_orbits import SPEED_OF_LIGHT_MPS
 from simvehicle.gnss.signal_errors import code_sigma_m, multipath_sigma_m, rate_sigma_mps
 
 Vector = NDArray[np.float64]
@@ -26,16 +26,26 @@ CN0_HORIZON, CN0_RISE, CN0_SIGMA, THERMAL, MULTIPATH, ORBIT, GALILEO = range(7)
 ELEVATION, CN0, CODE, RATE = range(4)  # rows of the answer
 
 
+class Channel(NamedTuple):
+    """What lies between satellites and receiver, the same for a whole flight.
+
+    `coefficients` and `troposphere` as for `sights`, `levels` (7,) the sizes of the errors by the
+    names above, `galileo` (n,) 1 for Galileo's satellites.
+    """
+
+    coefficients: Vector
+    troposphere: bool
+    levels: Vector
+    galileo: Vector
+
+
 @compiled
 def signals(
     table: Vector,
     tow_s: float,
     where: Vector,
     clock: tuple[float, float],
-    coefficients: Vector,
-    troposphere: bool,
-    levels: Vector,
-    galileo: Vector,
+    channel: Channel,
     wander: Vector,
     faults: Vector,
     noise: Vector,
@@ -52,10 +62,6 @@ def signals(
         The antenna's latitude, longitude [rad], height [m] and velocity NED [m/s] at `tow_s`.
     clock : 2 floats
         The receiver's offset [s] and drift.
-    coefficients, troposphere, levels
-        As for `sights`; sizes of the errors (7,), by the names above.
-    galileo : (n,) array
-        1 for Galileo's satellites.
     wander : (3, n) array
         Unit-variance processes of multipath, orbit and C/N0.
     faults : (2, n) array
@@ -71,14 +77,15 @@ def signals(
     for i in range(3):
         motion[i] = axes[i, 0] * where[3] + axes[i, 1] * where[4] + axes[i, 2] * where[5]
         place[i] -= motion[i] * offset_s
-    seen = sights(table, tow_s - offset_s, place, motion, coefficients, troposphere)
+    levels = channel.levels
+    seen = sights(table, tow_s - offset_s, place, motion, channel.coefficients, channel.troposphere)
     out = np.empty((4, len(table)))
     for k in range(len(table)):
         elevation = seen[4, k]
         cn0 = levels[CN0_HORIZON] + levels[CN0_RISE] * sin(elevation)
         cn0 += levels[CN0_SIGMA] * wander[2, k] - faults[1, k]
         code = seen[0, k] + SPEED_OF_LIGHT_MPS * (offset_s - seen[2, k]) + seen[6, k]
-        code += levels[GALILEO] * galileo[k] + faults[0, k]
+        code += levels[GALILEO] * channel.galileo[k] + faults[0, k]
         code += levels[ORBIT] * wander[1, k]
         code += levels[MULTIPATH] * _multipath_sigma(elevation) * wander[0, k]
         code += levels[THERMAL] * _code_sigma(cn0) * noise[0, k]

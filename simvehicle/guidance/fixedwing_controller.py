@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotation import euler_angles
 from simvehicle.guidance.route import Aim, CircleTrack, PathTrack, Track
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.fixedwing import FixedWing
 from simvehicle.vehicles.trim import Trim
 
-GRAVITY_MPS2 = 9.80665
 _PITCH_LIMIT = math.radians(20.0)
 _HEIGHT_GAIN = 0.25  # 1/s, height error to climb rate
 _CLIMB_LIMIT = 0.12  # climb rate over airspeed
@@ -59,7 +59,7 @@ class FixedWingController:
 
     rate_hz: float = 50.0
     drifts: bool = True  # it holds its airspeed, so wind carries it through turns
-    lateral_mps2: float = GRAVITY_MPS2 * math.tan(math.radians(35.0))
+    lateral_mps2: float = STANDARD_GRAVITY_MPS2 * math.tan(math.radians(35.0))
     course_gain = 1.2  # 1/s, course error to turn rate
     track_gain = 0.35  # 1/s, cross-track error to closing speed
     bank_limit = math.radians(50.0)
@@ -78,10 +78,10 @@ class FixedWingController:
         """Trim at this speed, kept for later; a speed that cannot be flown becomes the cruise's."""
         if speed_mps not in self._trims:
             try:
-                found = self.vehicle.trim(speed_mps, self._density, GRAVITY_MPS2)
+                found = self.vehicle.trim(speed_mps, self._density, STANDARD_GRAVITY_MPS2)
             except ValueError:
                 cruise = self.vehicle.parameters.cruise_mps
-                found = self.vehicle.trim(cruise, self._density, GRAVITY_MPS2)
+                found = self.vehicle.trim(cruise, self._density, STANDARD_GRAVITY_MPS2)
             self._trims[speed_mps] = found
         return self._trims[speed_mps]
 
@@ -122,7 +122,7 @@ class FixedWingController:
         error = math.remainder(wanted - course, 2.0 * math.pi)
         along = ground_speed * max(0.0, math.cos(aim.course_rad - course))
         lateral = aim.curvature_pm * along * along + self.course_gain * ground_speed * error
-        return math.atan(lateral / GRAVITY_MPS2)
+        return math.atan(lateral / STANDARD_GRAVITY_MPS2)
 
     def _attitude(self, truth: Truth, aim: Aim, bank: float, climb: float) -> Controls:
         """Surfaces and throttle for a bank angle, a height and a speed."""
@@ -166,7 +166,7 @@ class FixedWingController:
             memory.climb += 0.15 * (wanted - climb) / now.airspeed / self.rate_hz
         memory.climb = max(-0.15, min(0.15, memory.climb))
         load = 1.0 / max(0.5, math.cos(now.roll))
-        lift = load * self.vehicle.parameters.mass_kg * GRAVITY_MPS2 / now.qs
+        lift = load * self.vehicle.parameters.mass_kg * STANDARD_GRAVITY_MPS2 / now.qs
         alpha = (lift - aero.cl0 - aero.clde * point.elevator_rad) / aero.cla
         pitch = min(0.3, alpha) + wanted / now.airspeed + memory.climb
         return max(-_PITCH_LIMIT, min(_PITCH_LIMIT, pitch))
@@ -182,7 +182,7 @@ class FixedWingController:
         lack = max(0.0, 1.4 * math.sqrt(max(0.0, own + added)) - damping)
         memory.pitch += 0.5 * added * (pitch - now.pitch) / self.rate_hz
         memory.pitch = max(-10.0, min(10.0, memory.pitch))
-        turning = GRAVITY_MPS2 / now.airspeed * math.tan(now.roll) * math.sin(now.roll)
+        turning = STANDARD_GRAVITY_MPS2 / now.airspeed * math.tan(now.roll) * math.sin(now.roll)
         moment = added * (pitch - now.pitch) + memory.pitch - lack * (now.q - turning)
         return moment / power + point.elevator_rad
 
@@ -204,7 +204,7 @@ class FixedWingController:
         aero, body = self.vehicle.aero, self.vehicle.body
         span = self.vehicle.parameters.wing.span_m
         power = now.qs * span * (body.g4 * aero.crdr + body.g8 * aero.cndr)
-        turning = GRAVITY_MPS2 / now.airspeed * math.sin(now.roll)
+        turning = STANDARD_GRAVITY_MPS2 / now.airspeed * math.sin(now.roll)
         return -(now.r - turning) / power if abs(power) > 1e-6 else 0.0
 
     def _throttle(self, point: Trim, now: Now, wanted: float) -> float:

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotation import euler_angles
-from simvehicle.guidance.fixedwing_controller import GRAVITY_MPS2
+from mavproxy_fault.numerics.rotation_kernel import to_body, to_ned
 from simvehicle.guidance.route import Aim, HoldTrack, PathTrack, Track
 from simvehicle.sensors.readings import Triple
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.multirotor import Multirotor
 from simvehicle.vehicles.multirotor_flight import SEA_LEVEL_KGPM3
-from simvehicle.vehicles.rigidbody_kernel import to_body, to_ned
 
 Array = NDArray[np.float64]
 _TRACK_GAIN = 1.0  # 1/s, cross-track error to closing speed
@@ -27,7 +27,7 @@ _INTEGRAL_GAIN = 0.8  # 1/s^2
 _HEIGHT_GAIN = 1.2  # 1/s
 _CLIMB_MPS, _SINK_MPS = 3.0, 2.0
 _LANDING_MPS = 0.7
-_TILT_MPS2 = 0.7 * GRAVITY_MPS2  # largest horizontal acceleration, 35 degrees of tilt
+_TILT_MPS2 = 0.7 * STANDARD_GRAVITY_MPS2  # largest horizontal acceleration, 35 degrees of tilt
 _YAW_RATE_RPS = 1.0
 _ATTITUDE_GAIN = 8.0  # 1/s
 _RATE_GAIN = 22.0  # 1/s
@@ -63,7 +63,11 @@ def _motors(
     `body` is mass and jx, jy, jz; `allocation` (n, 4) gives rotor thrusts for thrust and moments;
     `limits` is the thrust coefficient at this density, idle and full speed [rad/s].
     """
-    push = (-accel[0], -accel[1], GRAVITY_MPS2 - accel[2])  # down axis of the wanted attitude
+    push = (
+        -accel[0],
+        -accel[1],
+        STANDARD_GRAVITY_MPS2 - accel[2],
+    )  # down axis of the wanted attitude
     size = math.sqrt(push[0] ** 2 + push[1] ** 2 + push[2] ** 2)
     z = _unit(push)
     x = _unit(_cross((-math.sin(yaw), math.cos(yaw), 0.0), z))

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from simvehicle.guidance.fixedwing_controller import GRAVITY_MPS2, FixedWingController, Now
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
+from simvehicle.guidance.fixedwing_controller import FixedWingController, Now
 from simvehicle.vehicles.fixedwing import FixedWing
 from simvehicle.vehicles.trim import LATERAL, Trim, linearise
 
@@ -34,7 +35,7 @@ class _Regulator(NamedTuple):
 class RudderlessController(FixedWingController):
     """As `FixedWingController`, with slow turns and an aileron that minds sideslip and yaw."""
 
-    lateral_mps2 = GRAVITY_MPS2 * math.tan(math.radians(12.0))
+    lateral_mps2 = STANDARD_GRAVITY_MPS2 * math.tan(math.radians(12.0))
     course_gain = 0.35
     track_gain = 0.06
     bank_limit = math.radians(25.0)
@@ -58,7 +59,7 @@ class RudderlessController(FixedWingController):
         from scipy.linalg import solve_continuous_are
 
         vehicle = self.vehicle
-        a, b = linearise(point, vehicle.body, vehicle.aero, self._density, GRAVITY_MPS2)
+        a, b = linearise(point, vehicle.body, vehicle.aero, self._density, STANDARD_GRAVITY_MPS2)
         a, b = a[np.ix_(LATERAL, LATERAL)], b[LATERAL, _AILERON : _AILERON + 1]
         weights = np.diag(1.0 / np.square(_EQUAL))
         cost = solve_continuous_are(a, b, weights, [[1.0 / _EQUAL_AILERON**2]])

@@ -130,9 +130,7 @@ class Hil:
             truth.specific_force_b_mps2,
             truth.v_air_b_mps,
             (truth.lat_rad, truth.lon_rad, truth.alt_msl_m, truth.density_kgpm3),
-            payload.floats,
-            payload.places,
-            payload.shorts,
+            payload.bytes,
         )
         return self._frame(HIL_STATE_QUATERNION, payload.bytes.tobytes())
 

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 
 Array = NDArray[np.float64]
 
-MPS2_TO_MILLI_G = 1000.0 / 9.80665
+MPS2_TO_MILLI_G = 1000.0 / STANDARD_GRAVITY_MPS2
 RAD_TO_DEGE7 = 1e7 * 180.0 / math.pi
 DENSITY_SEA_LEVEL_KGPM3 = 1.225  # ISA
 CM = 100.0
@@ -26,9 +27,6 @@ class TruthPayload:
     def __init__(self) -> None:
         self.bytes = np.zeros(64, dtype=np.uint8)
         self.stamp = self.bytes[:8].view(np.uint64)
-        self.floats = self.bytes[8:36].view(np.float32)
-        self.places = self.bytes[36:48].view(np.int32)
-        self.shorts = self.bytes[48:64].view(np.int16)
 
 
 @inlined
@@ -51,16 +49,16 @@ def fill(
     force_b_mps2: Array,
     v_air_b_mps: Array,
     place: tuple[float, float, float, float],
-    floats: NDArray[np.float32],
-    places: NDArray[np.int32],
-    shorts: NDArray[np.int16],
+    payload: NDArray[np.uint8],
 ) -> None:
-    """Fill in the fields of a `TruthPayload` but its time.
+    """Fill in the fields of a payload (64,) but its time.
 
     `place` is latitude and longitude [rad], height above mean sea level [m] and air density
     [kg/m^3]. Accelerations are the specific force in mG, as other simulators do (-1000 at rest);
     what lies beyond the wire's range saturates.
     """
+    floats, places = payload[8:36].view(np.float32), payload[36:48].view(np.int32)
+    shorts = payload[48:64].view(np.int16)
     for i in range(4):
         floats[i] = q_nb[i]
     square = 0.0

@@ -71,7 +71,7 @@ class Simulation:
         self._controls = np.zeros(self.vehicle.controls_count)
         self._place = self.home.packed
         self._x = self._begin()
-        self.truth = self._observe(np.zeros(6), self._weather.steady_mps)
+        self.truth = self._observe(np.zeros(6), self._weather.steady_mps.copy())
         self.controller = self._controller()
         self._next_control_us = 0.0
         if scenario.mission:
@@ -148,9 +148,7 @@ class Simulation:
         if name in _WINDS:
             axis = _WINDS.index(name)
             healthy = self.scenario.environment.wind_ned_mps[axis]
-            steady = self._weather.steady_mps.copy()
-            steady[axis] = healthy if value is None else value
-            self._weather.steady_mps = steady
+            self._weather.steady_mps[axis] = healthy if value is None else value
         elif name in self.vehicle.plant_names:
             changed = {k: v for k, v in self._plant.items() if k != name}
             if value is not None:

@@ -5,7 +5,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from simvehicle.environment.air import GUSTS, Gusts, wind_step
+from simvehicle.environment.air import GUSTS, STEADY, Gusts, wind_step
 from simvehicle.scenario.scenario_file import Environment, GustChoice
 from simvehicle.vehicles.body import Truth
 
@@ -20,18 +20,19 @@ class Weather:
     Attributes
     ----------
     steady_mps : array, shape (3,)
-        Wind at the shear's reference height, NED; plant faults replace it.
+        Wind at the shear's reference height, NED; plant faults write to it.
     """
 
     def __init__(self, environment: Environment, seed: int) -> None:
-        self.steady_mps: Array = np.array(environment.wind_ned_mps)
         self._rng = np.random.default_rng([seed, crc32(b"gusts")])
         self._filters = np.concatenate([self._rng.standard_normal(1), np.zeros(4)])
         self._draws = self._rng.standard_normal((_BLOCK, 5))
         self._row = 0
         gusts, shear = _gusts(environment), environment.shear
         law = (shear.reference_m, shear.exponent) if shear else _NO_SHEAR
-        self._law = np.array([*gusts.sigma_mps, *gusts.length_m, *law])
+        steady = environment.wind_ned_mps
+        self._law = np.array([*gusts.sigma_mps, *gusts.length_m, *law, *steady])
+        self.steady_mps: Array = self._law[STEADY:]
 
     def wind(self, x: Array, truth: Truth, dt: float) -> Array:
         """Wind (3,) of the next `dt` seconds, NED [m/s], at the vehicle's state `x`."""
@@ -42,7 +43,6 @@ class Weather:
         wind_step(
             self._filters,
             self._draws[self._row],
-            self.steady_mps,
             self._law,
             x,
             truth.v_air_b_mps,

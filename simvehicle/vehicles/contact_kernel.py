@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import inlined
-from simvehicle.vehicles.rigidbody_kernel import State13, to_body, to_ned
+from mavproxy_fault.numerics.rotation_kernel import to_body, to_ned
+from simvehicle.vehicles.rigidbody_kernel import State13
 
 _CREEP_MPS = 0.05
 

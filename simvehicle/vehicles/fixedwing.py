@@ -24,6 +24,7 @@ from simvehicle.vehicles.fixedwing_parameters import (
 from simvehicle.vehicles.parameter_file import body_of
 from simvehicle.vehicles.rigidbody_kernel import Inertia
 from simvehicle.vehicles.trim import Trim, trim
+from simvehicle.vehicles.vehicle import surroundings
 
 Array = NDArray[np.float64]
 
@@ -122,20 +123,8 @@ class FixedWing:
             Specific force in body axes [m/s^2]; battery voltage [V], current [A], rest (0 to 1).
         """
         after, load = np.empty(14), np.empty(6)
-        fly(
-            x,
-            controls,
-            wind_ned_mps,
-            gravity_ned_mps2,
-            density,
-            ground_down_m,
-            steps,
-            dt,
-            self._packed,
-            self.gear.points_m,
-            after,
-            load,
-        )
+        around = surroundings(wind_ned_mps, gravity_ned_mps2, density, ground_down_m)
+        fly(x, controls, around, steps, dt, self._packed, after, load)
         battery = self.parameters.battery
         if self.parameters.motor is None:
             load[4] = battery.full_throttle_a * min(1.0, max(0.0, float(controls[3])))

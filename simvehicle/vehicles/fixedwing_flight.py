@@ -10,9 +10,11 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.rotation_kernel import to_body
 from simvehicle.vehicles.contact_kernel import Gear, contact
 from simvehicle.vehicles.fixedwing_kernel import Aero, forces_moments, propulsion
-from simvehicle.vehicles.rigidbody_kernel import Inertia, Loads, State13, integrated, to_body
+from simvehicle.vehicles.rigidbody_kernel import Inertia, Loads, State13, integrated
+from simvehicle.vehicles.vehicle import DENSITY, GRAVITY, GROUND, WIND
 
 Array = NDArray[np.float64]
 _CLEAR_M = 5.0  # above this height nothing can touch the ground
@@ -20,6 +22,7 @@ _BRAKES = 0.4  # friction along the body while the throttle is closed
 _BODY = len(Inertia._fields)
 _AERO = len(Aero._fields)
 _END = _BODY + _AERO
+_POINTS = _END + 8  # after the rest of the gear, the shift and the throws
 
 
 class _Given(NamedTuple):
@@ -37,12 +40,12 @@ class _Given(NamedTuple):
 def pack(
     body: Inertia, aero: Aero, wheels: Gear, shift_x_m: float, throw_rad: tuple[float, float, float]
 ) -> Array:
-    """All parameters of `fly` but the contact points, in one array.
+    """All parameters of `fly` in one array; the contact points are its end.
 
     `shift_x_m` is how far the centre of mass lies ahead of where the coefficients hold, `throw_rad`
     the largest deflections of elevator, aileron and rudder.
     """
-    return np.array([*body, *aero, *wheels[1:], shift_x_m, *throw_rad])
+    return np.array([*body, *aero, *wheels[1:], shift_x_m, *throw_rad, *wheels.points_m.ravel()])
 
 
 @inlined
@@ -82,14 +85,10 @@ def _surfaces(controls: Array, packed: Array) -> tuple[float, float, float, floa
 def fly(
     x: Array,
     controls: Array,
-    wind: Array,
-    gravity: Array,
-    density: float,
-    ground_down_m: float,
+    around: Array,
     steps: int,
     dt: float,
     packed: Array,
-    points_m: Array,
     after: Array,
     load: Array,
 ) -> None:
@@ -102,14 +101,11 @@ def fly(
     x : array, shape (14,)
     controls : array, shape (4,)
         Elevator, aileron, rudder (-1 to 1 of full throw), throttle (0 to 1); clipped.
-    wind, gravity : arrays, shape (3,)
-        NED [m/s], [m/s^2].
-    density, ground_down_m : float
-        Of the air [kg/m^3]; the ground's down coordinate [m].
+    around : array, shape (8,)
+        The wind [m/s] and gravity [m/s^2], both NED, the density of the air [kg/m^3] and the
+        ground's down coordinate [m]; from `vehicle.surroundings`.
     packed : array
         From `pack`; handing numba the named tuples themselves costs some microseconds each.
-    points_m : array, shape (n, 3)
-        Contact points.
     after : array, shape (14,)
         Becomes the new state.
     load : array, shape (>= 5,)
@@ -119,11 +115,13 @@ def fly(
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
     aero = Aero(*to_fixed_tuple(packed[_BODY:_END], _AERO))
     rolling = packed[_END + 2] if controls[3] > 0.0 else _BRAKES
+    points_m = packed[_POINTS:].reshape(-1, 3)
     wheels = Gear(points_m, packed[_END], packed[_END + 1], rolling, packed[_END + 3])
     surfaces = _surfaces(controls, packed)
-    w = (wind[0], wind[1], wind[2])
-    g = (gravity[0], gravity[1], gravity[2])
-    given = _Given(surfaces, w, density, ground_down_m, aero, wheels, packed[_END + 4])
+    w = (around[WIND], around[WIND + 1], around[WIND + 2])
+    g = (around[GRAVITY], around[GRAVITY + 1], around[GRAVITY + 2])
+    density = around[DENSITY]
+    given = _Given(surfaces, w, density, around[GROUND], aero, wheels, packed[_END + 4])
     s = (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[9], x[10], x[11], x[12])
     for _ in range(steps):
         s = integrated(s, _loads, given, g, body, dt)

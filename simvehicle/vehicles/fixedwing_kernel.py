@@ -12,14 +12,8 @@ import numpy as np
 
 from mavproxy_fault.numerics.compile import inlined
 from mavproxy_fault.numerics.polynomial import atan2, exp
-from simvehicle.vehicles.rigidbody_kernel import (
-    Inertia,
-    State13,
-    moved,
-    rigid_body,
-    runge_kutta,
-    to_body,
-)
+from mavproxy_fault.numerics.rotation_kernel import to_body
+from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, moved, rigid_body, runge_kutta
 
 _PER_TURN = 1.0 / (2.0 * np.pi)
 _STILL = 1e-9  # m/s; keeps the flow angles defined in still air

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from simvehicle.vehicles.contact_kernel import Gear, gear
 from simvehicle.vehicles.multirotor_flight import SEA_LEVEL_KGPM3, Airframe, fly, pack
 from simvehicle.vehicles.parameter_file import Battery, Moments, body_of, read_parameters
+from simvehicle.vehicles.vehicle import surroundings
 
 Array = NDArray[np.float64]
 
@@ -101,7 +102,7 @@ class Multirotor:
         )
         self._volts = plant.get("battery_voltage_scale", 1.0)
         self._resistance = plant.get("battery_resistance_scale", 1.0)
-        self._packed = pack(self.body, self.frame, self.gear)
+        self._packed = pack(self.body, self.frame, self.gear, self.rotors)
 
     @classmethod
     def read(cls, name: str | Path) -> "Multirotor":
@@ -168,22 +169,9 @@ class Multirotor:
         volts, left = battery.state(float(x[-1]), current * self._resistance)
         volts *= self._volts
         after, load = np.empty(len(x)), np.empty(6)
-        fly(
-            x,
-            controls,
-            min(1.0, volts / (battery.cells * 4.2)),
-            self.rotors,
-            wind_ned_mps,
-            gravity_ned_mps2,
-            density,
-            ground_down_m,
-            steps,
-            dt,
-            self._packed,
-            self.gear.points_m,
-            after,
-            load,
-        )
+        sag = min(1.0, volts / (battery.cells * 4.2))
+        around = surroundings(wind_ned_mps, gravity_ned_mps2, density, ground_down_m, sag)
+        fly(x, controls, around, steps, dt, self._packed, after, load)
         current = battery.full_throttle_a * float(load[4])
         after[-2] = current
         after[-1] += current * steps * dt

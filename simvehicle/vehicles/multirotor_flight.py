@@ -15,8 +15,10 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.rotation_kernel import to_body
 from simvehicle.vehicles.contact_kernel import Gear, contact
-from simvehicle.vehicles.rigidbody_kernel import Inertia, Loads, State13, integrated, to_body
+from simvehicle.vehicles.rigidbody_kernel import Inertia, Loads, State13, integrated
+from simvehicle.vehicles.vehicle import DENSITY, GRAVITY, GROUND, SAG, WIND
 
 Array = NDArray[np.float64]
 SEA_LEVEL_KGPM3 = 1.225  # density at which thrust coefficients are given
@@ -58,11 +60,13 @@ class _Given(NamedTuple):
 _BODY = len(Inertia._fields)
 _FRAME = len(Airframe._fields)
 _END = _BODY + _FRAME
+_ROTORS = _END + 4
 
 
-def pack(body: Inertia, frame: Airframe, wheels: Gear) -> Array:
-    """All parameters of `fly` but those with a size of their own, in one array."""
-    return np.array([*body, *frame, *wheels[1:]])
+def pack(body: Inertia, frame: Airframe, wheels: Gear, rotors: Array) -> Array:
+    """All parameters of `fly` in one array; the rotors and the contact points are its end."""
+    ends = (rotors.ravel(), wheels.points_m.ravel())
+    return np.concatenate([[*body, *frame, *wheels[1:]], *ends])
 
 
 @inlined
@@ -123,16 +127,10 @@ def _spin(
 def fly(
     x: Array,
     controls: Array,
-    sag: float,
-    rotors: Array,
-    wind: Array,
-    gravity: Array,
-    density: float,
-    ground_down_m: float,
+    around: Array,
     steps: int,
     dt: float,
     packed: Array,
-    points_m: Array,
     after: Array,
     load: Array,
 ) -> None:
@@ -146,26 +144,26 @@ def fly(
         The last two entries of the new state are those of the old one.
     controls : array, shape (n,)
         0 to 1 between idle and full speed, clipped; 0 stops the motor.
-    sag : float
-        Battery voltage over that of a full pack, which lowers the full speed.
-    rotors : array, shape (n, 5)
-        As in `_Given`.
+    around : array, shape (9,)
+        [8] is the battery's voltage over that of a full pack, which lowers the full speed.
     load : array, shape (>= 5,)
         [4] becomes the mean cube of the motors' speeds over full speed, which power goes with.
     """
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
     frame = Airframe(*to_fixed_tuple(packed[_BODY:_END], _FRAME))
-    wheels = Gear(points_m, packed[_END], packed[_END + 1], packed[_END + 2], packed[_END + 3])
     n = controls.shape[0]
+    points = _ROTORS + 5 * n
+    rotors, points_m = packed[_ROTORS:points].reshape(n, 5), packed[points:].reshape(-1, 3)
+    wheels = Gear(points_m, packed[_END], packed[_END + 1], packed[_END + 2], packed[_END + 3])
     speeds = np.empty((3, n))
     for i in range(n):
         speeds[0, i] = x[13 + i]
-    w = (wind[0], wind[1], wind[2])
-    g = (gravity[0], gravity[1], gravity[2])
-    given = _Given(speeds, rotors, w, density, ground_down_m, frame, wheels)
+    w = (around[WIND], around[WIND + 1], around[WIND + 2])
+    g = (around[GRAVITY], around[GRAVITY + 1], around[GRAVITY + 2])
+    given = _Given(speeds, rotors, w, around[DENSITY], around[GROUND], frame, wheels)
     s = (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[9], x[10], x[11], x[12])
     for _ in range(steps):
-        _spin(speeds, controls, sag, rotors, frame, dt)
+        _spin(speeds, controls, around[SAG], rotors, frame, dt)
         s = integrated(s, _loads, given, g, body, dt)
         for i in range(n):
             speeds[0, i] = speeds[2, i]

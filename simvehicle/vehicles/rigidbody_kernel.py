@@ -13,6 +13,7 @@ import numpy as np
 
 from mavproxy_fault.numerics.compile import inlined
 from mavproxy_fault.numerics.polynomial import fma
+from mavproxy_fault.numerics.rotation_kernel import to_body, to_ned
 
 State13 = tuple[
     float, float, float, float, float, float, float, float, float, float, float, float, float
@@ -63,37 +64,6 @@ def inertia(mass_kg: float, jx: float, jy: float, jz: float, jxz: float) -> Iner
         jx / det,
         1.0 / jy,
     )
-
-
-@inlined
-def to_body(
-    e0: float, e1: float, e2: float, e3: float, n: float, e: float, d: float
-) -> tuple[float, float, float]:
-    """Turn a NED vector into body axes."""
-    x = (
-        (e0 * e0 + e1 * e1 - e2 * e2 - e3 * e3) * n
-        + 2.0 * (e1 * e2 + e0 * e3) * e
-        + 2.0 * (e1 * e3 - e0 * e2) * d
-    )
-    y = (
-        2.0 * (e1 * e2 - e0 * e3) * n
-        + (e0 * e0 - e1 * e1 + e2 * e2 - e3 * e3) * e
-        + 2.0 * (e2 * e3 + e0 * e1) * d
-    )
-    z = (
-        2.0 * (e1 * e3 + e0 * e2) * n
-        + 2.0 * (e2 * e3 - e0 * e1) * e
-        + (e0 * e0 - e1 * e1 - e2 * e2 + e3 * e3) * d
-    )
-    return x, y, z
-
-
-@inlined
-def to_ned(
-    e0: float, e1: float, e2: float, e3: float, x: float, y: float, z: float
-) -> tuple[float, float, float]:
-    """Turn a body vector into NED."""
-    return to_body(e0, -e1, -e2, -e3, x, y, z)
 
 
 @inlined

@@ -8,6 +8,24 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+WIND, GRAVITY, DENSITY, GROUND, SAG = 0, 3, 6, 7, 8  # where they begin in `surroundings`
+
+
+def surroundings(
+    wind_ned_mps: Array, gravity_ned_mps2: Array, density: float, ground_down_m: float,
+    sag: float = 1.0,
+) -> Array:  # fmt: skip
+    """What acts on a vehicle from outside during a step (9,), as the kernels take it.
+
+    `density` is the air's [kg/m^3], `ground_down_m` the ground's down coordinate, `sag` the
+    battery's voltage over that of a full pack.
+    """
+    out = np.empty(9)
+    out[WIND : WIND + 3] = wind_ned_mps
+    out[GRAVITY : GRAVITY + 3] = gravity_ned_mps2
+    out[DENSITY], out[GROUND], out[SAG] = density, ground_down_m, sag
+    return out
+
 
 class Vehicle(Protocol):
     """Fixed parameters; the first 13 entries of the state array are those of the rigid body."""

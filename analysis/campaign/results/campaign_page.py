@@ -5,7 +5,7 @@ The file needs no network. Names come from the campaign's file: they are escaped
 
 import json
 import shlex
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
@@ -17,9 +17,9 @@ import msgspec
 from analysis.campaign.campaign_file import CampaignFile
 from analysis.campaign.cell import CellResult, Curve, Evidence
 from analysis.campaign.ledger import CurvesOf
-from analysis.campaign.outcomes import RANKS
+from analysis.campaign.outcomes import RANKS, rank
 from analysis.campaign.plan import Plan
-from analysis.campaign.results.grid import GridCell, badness, failsafe_share, grid_of
+from analysis.campaign.results.grid import GridCell, GridRow, badness, failsafe_share, grid_of
 
 MOST_LISTED = 5000  # results whose numbers stand in the page: the worst
 MOST_POINTS = 200  # of one curve
@@ -35,13 +35,14 @@ def page(
     """The whole file; `twins` are the evidence without a fault, by `subject|scenario|seed`."""
     listed = sorted(results, key=badness, reverse=True)[:MOST_LISTED]
     numbers = {result.cell.key: number for number, result in enumerate(listed)}
+    grid = grid_of(results, plan.campaign)
     rows = [
         {
             "subject": row.subject,
             "fault": row.fault,
             "cells": [_cell(cell, numbers) for cell in row.cells],
         }
-        for row in grid_of(results, plan.campaign)
+        for row in grid
     ]
     model = {
         "ranks": RANKS,
@@ -69,7 +70,7 @@ def page(
             '<p class="note">A cell holds one magnitude of a fault and shows the worst outcome of '
             "its flights. Hover for the numbers, click for the flights and their curves.</p>",
             '<div id="legend"></div><div id="map"></div><div id="detail"></div>',
-            _reactions(results),
+            _reactions(grid),
             _worst(listed[:WORST]),
             f'</main><script type="application/json" id="model">{text}</script>',
             f"<!-- uPlot: {(shared / 'uPlot.LICENSE').read_text()} -->",
@@ -141,20 +142,18 @@ def _facts(results: Sequence[CellResult]) -> str:
     return f'<div class="facts">{shown}</div>'
 
 
-def _reactions(results: Sequence[CellResult]) -> str:
+def _reactions(grid: Sequence[GridRow]) -> str:
     """How soon each subject notices each fault, and how long it takes to recover."""
-    groups: dict[tuple[str, str], list[CellResult]] = defaultdict(list)
-    for result in results:
-        groups[result.cell.subject, result.cell.fault].append(result)
     rows = []
-    for (subject, fault), found in groups.items():
+    for row in grid:
+        found = [result for cell in row.cells for result in cell.results]
         delays = [r.detected_s for r in found if r.detected_s is not None]
         recoveries = [r.recovery_s for r in found if r.recovery_s is not None]
-        degraded = sum(RANKS.index("degraded") <= _rank(r) for r in found)
+        degraded = sum(rank(r.outcome) >= rank("degraded") for r in found)
         rows.append(
             (
-                subject,
-                fault,
+                row.subject,
+                row.fault,
                 f"{len(delays)} of {len(found)}",
                 f"{median(delays):.2f}" if delays else "",
                 f"{len(recoveries)} of {degraded}",
@@ -163,10 +162,6 @@ def _reactions(results: Sequence[CellResult]) -> str:
         )
     head = ("subject", "fault", "detected", "median delay, s", "recovered", "median recovery, s")
     return "<h2>Reaction times</h2>" + _table(head, rows)
-
-
-def _rank(result: CellResult) -> int:
-    return badness(result)[0]
 
 
 def _worst(results: Sequence[CellResult]) -> str:

@@ -64,6 +64,7 @@ def badness(result: CellResult) -> tuple[int, float]:
 
 
 def failsafe_share(results: Sequence[CellResult]) -> float | None:
-    """Of flights that were lost or crashed, or ended in a failsafe, the share with a failsafe."""
-    bad = [r for r in results if r.failsafe or rank(r.outcome) >= rank("failsafe")]
-    return sum(bool(r.failsafe) for r in bad) / len(bad) if bad else None
+    """Of an autopilot's bad flights, the share in which a failsafe acted; None for an estimator."""
+    bad = [r for r in results if rank(r.outcome) >= rank("failsafe")]
+    flown = any(r.failsafe or r.outcome in ("landed", "crashed") for r in bad)
+    return sum(bool(r.failsafe) for r in bad) / len(bad) if flown else None

@@ -22,8 +22,8 @@ from analysis.detection.filter.propagation import Segment
 from analysis.orbits.broadcast import EARTH_RATE_RPS, geodetic, ned_axes
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.quaternion import matrix
 from mavproxy_fault.numerics.rotation import quat_from_matrix
+from mavproxy_fault.numerics.rotation_kernel import matrix
 
 LONGEST_S = 20.0
 SHORTEST_S = 2.0

@@ -14,7 +14,7 @@ import numpy as np
 from analysis.detection.filter.inertial import BG, ERRORS, PSI, X_BG, X_Q, R, V
 from analysis.orbits.broadcast import EARTH_RATE_RPS
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.quaternion import matrix
+from mavproxy_fault.numerics.rotation_kernel import matrix
 
 
 def moved_along(

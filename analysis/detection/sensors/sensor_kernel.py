@@ -23,7 +23,7 @@ from analysis.samples.block import FIX, Indices, Stamps
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.linear import inverse, multiply
-from mavproxy_fault.numerics.quaternion import matrix
+from mavproxy_fault.numerics.rotation_kernel import matrix
 
 FAILS_TO_ISOLATE = 3
 STALE_US = 500_000

@@ -14,7 +14,6 @@ Columns = Mapping[str, NDArray[Any]]
 Values = NDArray[np.float64]
 Reader = Callable[[Columns], Values]
 
-GRAVITY_MPS2 = 9.80665
 DEG = 180 / np.pi
 
 

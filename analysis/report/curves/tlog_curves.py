@@ -6,7 +6,6 @@ Units and the values that stand for "unknown" are those of MAVLink's common mess
 import numpy as np
 
 from analysis.report.curves.field_values import (
-    GRAVITY_MPS2,
     Columns,
     Curve,
     Reader,
@@ -20,6 +19,7 @@ from analysis.report.curves.field_values import (
     norm,
     used,
 )
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 
 COUNTS_PER_RAD = 1000.0
 NO_CELL = 65535
@@ -58,7 +58,7 @@ def _dilution(name: str) -> Reader:
 
 def _milli_g(axis: str) -> Reader:
     """An acceleration in thousandths of g as m/s^2."""
-    return field(axis, GRAVITY_MPS2 * 1e-3)
+    return field(axis, STANDARD_GRAVITY_MPS2 * 1e-3)
 
 
 def _milli_rad(axis: str) -> Reader:

@@ -28,6 +28,12 @@ def _euler(part: int, prefix: str = "q") -> Reader:
     ]
 
 
+def _remaining(topic: Columns) -> Values:
+    """Percent; a battery that is not connected has none."""
+    connected = topic.get("connected", np.True_)
+    return np.where(connected, 100 * column(topic, "remaining"), np.nan)
+
+
 def _dilution(name: str) -> Reader:
     """A dilution of precision; 99.99 and more say that there is no fix."""
     return lambda topic: np.where(column(topic, name) < 99, column(topic, name), np.nan)
@@ -157,7 +163,7 @@ _SENSORS = (
 _SYSTEM = (
     Curve("battery_status", "battery-voltage", "battery", field("voltage_v")),
     Curve("battery_status", "battery-current", "battery", field("current_a")),
-    Curve("battery_status", "battery-remaining", "battery", field("remaining", 100)),
+    Curve("battery_status", "battery-remaining", "battery", _remaining),
     *(
         Curve("battery_status", "battery-cells", f"cell {i + 1}", used(f"voltage_cell_v[{i}]"))
         for i in range(CELLS)

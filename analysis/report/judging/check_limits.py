@@ -40,6 +40,15 @@ class Thresholds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     attitude_error_deg: tuple[float, float] = (5.0, 15.0)
     position_error_m: tuple[float, float] = (10.0, 30.0)
     estimate_step_m: tuple[float, float] = (10.0, 30.0)
+    height_error_m: tuple[float, float] = (5.0, 15.0)
+    impact_mps: tuple[float, float] = (2.0, 3.0)
+    motor_balance: tuple[float, float] = (0.15, 0.3)
+    motor_limit_s: tuple[float, float] = (1.0, 3.0)
+    gyro_apart_rps: tuple[float, float] = (0.05, 0.2)
+    accel_apart_mps2: tuple[float, float] = (1.0, 3.0)
+    estimators_apart_deg: tuple[float, float] = (5.0, 15.0)
+    cell_v: tuple[float, float] = (3.4, 3.2)
+    long_loops: tuple[float, float] = (100.0, 1000.0)
     hold_s: float = 1.0
 
 

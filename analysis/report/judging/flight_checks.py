@@ -4,6 +4,8 @@ Nothing here needs labels: GPS glitches, EKF variance, vibration, battery and co
 any log that carries them.
 """
 
+import re
+
 import numpy as np
 
 from analysis.report.judging.check_limits import Thresholds
@@ -19,11 +21,15 @@ from analysis.report.judging.checks import (
     level,
     within,
 )
+from analysis.report.judging.flight_end import end_checks
+from analysis.report.judging.hardware_checks import hardware_checks
 from analysis.report.judging.texts import texts_check
 from analysis.report.recordings.recording import Recording, Signal
 
 FIX_2D = 2
 CONTROL_HOLD_S = 0.3  # out of control, a vehicle swings: no error stays large for long
+DAMAGE = re.compile("damaged|not read")
+BENCH_S = 2.0  # before arming
 MOST_LOST = 0.9  # beyond, the sequence numbers of several links stand in one log
 FEWEST_FRAMES = 500  # of a sender, for its losses to be judged
 
@@ -31,16 +37,19 @@ FEWEST_FRAMES = 500  # of a sender, for its losses to be judged
 def flight_checks(recording: Recording, thresholds: Thresholds) -> list[Check]:
     """Every check on one flight, judged or not."""
     armed = armed_windows(recording)
-    return [
+    checks = [
         _whole(recording, thresholds),
         *_links(recording, thresholds),
         *_body(recording, thresholds, armed),
         *_gps(recording, thresholds, armed),
         *_estimate(recording, thresholds, armed),
+        *hardware_checks(recording, thresholds, armed),
+        *end_checks(recording, thresholds, armed),
         _flags(recording, armed),
         texts_check(recording, armed),
         _status(recording, armed),
     ]
+    return [*checks, _before_arming(recording, thresholds, armed)]
 
 
 def _body(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
@@ -85,6 +94,7 @@ def _estimate(recording: Recording, th: Thresholds, armed: Windows | None) -> li
     variance = Limits(*th.ekf_variance, hold_s=hold)
     step = Limits(*th.estimate_step_m, "m")
     far = Limits(*th.position_error_m, "m", hold_s=hold)
+    high = Limits(*th.height_error_m, "m", hold_s=hold)
     tilted = Limits(*th.attitude_error_deg, "deg", hold_s=hold)
     positions = [s for s in of("position-error") if s.name in ("estimate", "fused")]
     return [
@@ -92,14 +102,18 @@ def _estimate(recording: Recording, th: Thresholds, armed: Windows | None) -> li
         level("EKF variances", of("variance"), variance, armed),
         level("estimate steps", of("estimate-jump"), step, armed),
         level("position against the truth", positions, far, armed),
+        level("height against the truth", _height_errors(recording), high, armed),
         level("attitude against the truth", _tilt_errors(recording), tilted, armed),
     ]
 
 
 def _whole(recording: Recording, th: Thresholds) -> Check:
     limits = Limits(*th.broken_bytes_percent, "%")
+    damage = [note for note in recording.notes if DAMAGE.search(note)]
+    if damage:
+        return Check(name="log is whole", verdict=WARN, evidence="; ".join(damage))
     if recording.size == 0:
-        return Check(name="log is whole", verdict=NONE, evidence="not a log of frames")
+        return Check(name="log is whole", verdict=PASS, evidence="no part is damaged or missing")
     percent = 100 * recording.junk_bytes / recording.size
     verdict = FAIL if percent > limits.fail else WARN if percent > limits.warn else PASS
     evidence = f"{recording.junk_bytes} of {recording.size} bytes ({percent:.2g} %) are no frame"
@@ -178,6 +192,37 @@ def _compass(recording: Recording) -> list[Signal]:
             change = 100 * np.abs(signal.value / middle - 1)
             found.append(Signal("mag", signal.name, signal.t_s, change))
     return found
+
+
+def _height_errors(recording: Recording) -> list[Signal]:
+    """How far the estimated altitude is off the true one, m."""
+    tracks = {track.name: track for track in recording.tracks}
+    truth = tracks.get("truth")
+    found = []
+    for name in ("estimate", "fused"):
+        own = tracks.get(name)
+        if truth is not None and own is not None:
+            inside = (own.t_s >= truth.t_s[0]) & (own.t_s <= truth.t_s[-1])
+            there = np.interp(own.t_s[inside], truth.t_s, truth.alt_m)
+            off = np.abs(own.alt_m[inside] - there)
+            found.append(Signal("altitude", name, own.t_s[inside], off))
+    return found
+
+
+def _before_arming(recording: Recording, th: Thresholds, armed: Windows | None) -> Check:
+    """What the checks of GPS and estimator find before the first arming: a warning, no failure."""
+    name = "before arming"
+    if not armed or armed[0][0] < BENCH_S:
+        return Check(name=name, verdict=NONE, evidence="the log holds nothing of it")
+    bench = [(0.0, armed[0][0])]
+    checks = [*_gps(recording, th, bench), *_estimate(recording, th, bench)]
+    last_s = armed[0][0] - BENCH_S  # only what lasts until then: a receiver takes time to start
+    bad = [c for c in checks if c.verdict in (WARN, FAIL) and any(e > last_s for _, e in c.windows)]
+    if not bad:
+        return Check(name=name, verdict=PASS, evidence="nothing that lasted until arming")
+    evidence = "; ".join(f"{check.name}: {check.evidence}" for check in bad)
+    windows = tuple(window for check in bad for window in check.windows)
+    return Check(name=name, verdict=WARN, evidence=evidence, windows=windows)
 
 
 def _tilt_errors(recording: Recording) -> list[Signal]:

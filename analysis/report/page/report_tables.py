@@ -6,12 +6,13 @@ from typing import Any
 
 from analysis.report.judging.checks import FAIL, NONE, PASS, RANK, WARN, Check
 from analysis.report.page.page_parts import Cell, Moments, Table
-from analysis.report.page.panels import ATTITUDE, CHECKS, TIMELINE
+from analysis.report.page.panels import ATTITUDE, CHECKS, TIMELINE, TWIN
 from analysis.report.recordings.from_results import isolation_matrix
 from analysis.report.recordings.recording import Recording
 from analysis.results import Result
 from mavproxy_fault.wire.label import Label
 
+EFFECTS = {"position_m": "position, m", "speed_mps": "speed, m/s", "attitude_deg": "attitude, °"}
 REASONS = 6  # shown under the verdict
 
 
@@ -77,14 +78,17 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
     false = summary.get("false_by_channel") or []
     if false:
         tables.append((TIMELINE, _false_table(false)))
+    effects = summary.get("effects") or []
+    if effects:
+        tables.append((TWIN, _effect_table(effects)))
     checks = summary.get("criteria") or []
     if checks:
         words = {True: "PASS", False: "FAIL", None: "not judged"}
         cells_ = [
             (
                 str(check["name"]),
-                _plain(check["value"]),
-                _plain(check["limit"]),
+                _shown(check["value"]),
+                _shown(check["limit"]),
                 (words[check["passed"]], words[check["passed"]]),
             )
             for check in checks
@@ -101,6 +105,19 @@ def _remark(row: Mapping[str, Any]) -> str:
         for blame in row.get("wrongly", ())
     )
     return "; ".join(filter(None, (str(row.get("reason", "")), *wrongly)))
+
+
+def _effect_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Greatest and lasting change of truth and estimate by each fault."""
+    kinds = [(key, name) for key in EFFECTS for name in ("truth", "estimate")]
+    head = ("fault", *(f"{EFFECTS[key]}, {name}: most / lasting" for key, name in kinds))
+    cells = []
+    for row in rows:
+        extents = [row.get(key, {}).get(name) for key, name in kinds]
+        shown = (f"{e['most']:.2f} / {e['lasting']:.2f}" if e else "" for e in extents)
+        cells.append((str(row["id"]), *shown))
+    note = "Against the same flight without faults, from a fault's start until its echo is over."
+    return Table("What the faults did", head, cells, note)
 
 
 def _false_table(rows: Sequence[Mapping[str, Any]]) -> Table:
@@ -148,13 +165,13 @@ def _attitude_table(name: str, scores: Mapping[str, Any]) -> Table:
 def criteria_reasons(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The criteria of a run that were not met."""
     return [
-        (FAIL, f"{row['name']}: {_plain(row['value'])}, limit {_plain(row['limit'])}")
+        (FAIL, f"{row['name']}: {_shown(row['value'])}, limit {_shown(row['limit'])}")
         for row in summary.get("criteria") or ()
         if row["passed"] is False
     ]
 
 
-def _plain(value: object) -> str:
+def _shown(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     return "" if value is None else str(value)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from analysis.estimators import Prior, make
 from analysis.estimators.complementary import Mahony
 from analysis.estimators.ekf import Ekf
-from analysis.estimators.estimator import GRAVITY_MPS2, SEA_LEVEL_DENSITY_KGPM3
+from analysis.estimators.estimator import SEA_LEVEL_DENSITY_KGPM3
 from analysis.search.evaluation.traced_flight import Trace, estimated, traced, with_all_sensors
 from analysis.search.lanes import rows
 from analysis.search.lanes.filter_lanes import EKF, HEARD, LEVELLED, MAHONY, MEMORY, Gains
@@ -26,6 +26,7 @@ from analysis.search.space.dimensions import (
     space_of,
 )
 from analysis.search.space.test_file import StateScales, TestFile
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotation import matrix_from_quat
 from simvehicle.environment.air import GUSTS
 from simvehicle.vehicles.fixedwing import FixedWing
@@ -71,7 +72,7 @@ class Batch:
     def space(self) -> Space:
         """What is searched."""
         speed = self.vehicle.parameters.cruise_mps
-        trim = self.vehicle.trim(speed, self.test.density_kgpm3, GRAVITY_MPS2)
+        trim = self.vehicle.trim(speed, self.test.density_kgpm3, STANDARD_GRAVITY_MPS2)
         return space_of(flight_entries(self.test, trim) | fault_entries(self.test))
 
     @cached_property
@@ -147,7 +148,7 @@ def plan_of(test: TestFile, vehicle: FixedWing) -> Plan:
     return Plan(
         steps=round(test.duration_s / test.dt_s),
         dt_s=test.dt_s,
-        gravity_mps2=GRAVITY_MPS2,
+        gravity_mps2=STANDARD_GRAVITY_MPS2,
         density_kgpm3=test.density_kgpm3,
         field_ned_gauss=(
             float(north * np.cos(variation)),
@@ -204,7 +205,7 @@ def envelope_of(test: TestFile) -> Envelope:
         float(np.tan(np.radians(limits.beta_deg))),
         *limits.airspeed_mps,
         float(np.radians(limits.rate_dps)),
-        limits.load_g * GRAVITY_MPS2,
+        limits.load_g * STANDARD_GRAVITY_MPS2,
         limits.height_m,
     )
 

@@ -13,7 +13,6 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.estimators.estimator import GRAVITY_MPS2
 from analysis.run.proxied_flight import Flight
 from analysis.samples.decoder import Decoder
 from analysis.scoring.attitude_scores import AXES
@@ -26,6 +25,7 @@ from analysis.search.space.point_scenario import Document, document_of
 from analysis.search.space.section import Range
 from analysis.search.space.test_file import AUTOPILOT, Limits, TestFile
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotation import euler_angles
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
 from mavproxy_fault.wire.frame import Frame
@@ -84,7 +84,7 @@ class Flown:
         if self.test.scenario is None:
             vehicle = FixedWing.read(self.test.vehicle)
             speed = vehicle.parameters.cruise_mps
-            trim = vehicle.trim(speed, self.test.density_kgpm3, GRAVITY_MPS2)
+            trim = vehicle.trim(speed, self.test.density_kgpm3, STANDARD_GRAVITY_MPS2)
             entries = flight_entries(self.test, trim)
         return space_of(entries | fault_entries(self.test))
 
@@ -197,7 +197,7 @@ def broken(truth: Truth, limits: Limits) -> int:
         np.degrees(np.arctan2(abs(v), plane)) > limits.beta_deg,
         not low <= speed <= high,
         np.degrees(np.linalg.norm(truth.omega_b_rps)) > limits.rate_dps,
-        np.linalg.norm(truth.specific_force_b_mps2) > limits.load_g * GRAVITY_MPS2,
+        np.linalg.norm(truth.specific_force_b_mps2) > limits.load_g * STANDARD_GRAVITY_MPS2,
         truth.height_agl_m <= limits.height_m,
     )
     return next((number for number, is_beyond in enumerate(beyond, 1) if is_beyond), 0)

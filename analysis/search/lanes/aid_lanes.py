@@ -5,7 +5,7 @@ import numpy as np
 from analysis.search.lanes import rows
 from analysis.search.lanes.lane_state import Buffer
 from mavproxy_fault.numerics.compile import compiled
-from simvehicle.vehicles.rigidbody_kernel import to_body, to_ned
+from mavproxy_fault.numerics.rotation_kernel import to_body, to_ned
 
 L = rows.LANES
 NOW, W, N = rows.NOW * L, rows.WIND * L, rows.NOISE * L

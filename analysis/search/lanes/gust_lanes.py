@@ -5,8 +5,8 @@ import numpy as np
 from analysis.search.lanes import rows
 from analysis.search.lanes.lane_state import Buffer, Three
 from mavproxy_fault.numerics.compile import compiled
-from simvehicle.environment.air import wind_step
-from simvehicle.vehicles.rigidbody_kernel import to_body
+from mavproxy_fault.numerics.rotation_kernel import to_body
+from simvehicle.environment.air import LENGTH, REFERENCE, SIGMA, STEADY, wind_step
 
 L = rows.LANES
 S, W, N = rows.STATE * L, rows.WIND * L, rows.NOISE * L
@@ -26,20 +26,20 @@ def gather(buf: Buffer, first: int, count: int, lane: int) -> Buffer:
 @compiled
 def blow(buf: Buffer, sigma: Three, length: Three, dt: float) -> None:
     """WIND of the next step from the steady wind and noise numbers 0 to 4."""
-    weather = np.zeros(8)  # as `wind_step` wants it
+    weather = np.zeros(11)  # as `wind_step` wants it
     for i in range(3):
-        weather[i], weather[3 + i] = sigma[i], length[i]
-    weather[6] = ANY_HEIGHT_M
+        weather[SIGMA + i], weather[LENGTH + i] = sigma[i], length[i]
+    weather[REFERENCE] = ANY_HEIGHT_M
     for lane in range(L):
         if buf[ALIVE + lane] > 0.5:
             filters, noise = gather(buf, G, 5, lane), gather(buf, N, 5, lane)
-            steady, wind = gather(buf, T, 3, lane), gather(buf, W, 3, lane)
+            weather[STEADY:], wind = gather(buf, T, 3, lane), gather(buf, W, 3, lane)
             x = gather(buf, S, 13, lane)
             past = to_body(x[6], x[7], x[8], x[9], wind[0], wind[1], wind[2])
             v_air = np.empty(3)
             for i in range(3):
                 v_air[i] = x[3 + i] - past[i]
-            wind_step(filters, noise, steady, weather, x, v_air, ANY_HEIGHT_M, dt, wind)
+            wind_step(filters, noise, weather, x, v_air, ANY_HEIGHT_M, dt, wind)
             for i in range(5):
                 buf[G + i * L + lane] = filters[i]
             for i in range(3):

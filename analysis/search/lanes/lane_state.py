@@ -13,8 +13,9 @@ from analysis.search.lanes import rows
 from analysis.search.lanes.noise_kernel import gauss_pair, next_bits
 from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.rotation_kernel import to_body
 from simvehicle.vehicles.fixedwing_kernel import Aero, derivative
-from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, moved, runge_kutta, to_body
+from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, moved, runge_kutta
 
 L = rows.LANES
 S = rows.STATE * L

@@ -7,7 +7,7 @@ from analysis.search.lanes.lane_state import Buffer, state_at
 from analysis.search.lanes.score_lanes import euler
 from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled
-from simvehicle.vehicles.rigidbody_kernel import to_body
+from mavproxy_fault.numerics.rotation_kernel import to_body
 from simvehicle.vehicles.weave_kernel import Motion, weave
 
 L = rows.LANES

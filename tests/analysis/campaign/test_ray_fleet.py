@@ -6,8 +6,8 @@ import msgspec
 import pytest
 
 from analysis.campaign.campaign_file import read_campaign
+from analysis.campaign.campaign_fleet import RayFleet
 from analysis.campaign.campaign_run import CampaignRun
-from analysis.campaign.fleet import RayFleet
 from analysis.campaign.ledger import Ledger
 from analysis.campaign.plan import Plan
 

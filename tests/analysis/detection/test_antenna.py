@@ -13,7 +13,7 @@ from analysis.detection.filter.propagation import Segment, advance
 from analysis.monitor.pipeline import monitor_config
 from analysis.orbits.broadcast import EARTH_RATE_RPS
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.numerics.quaternion import matrix
+from mavproxy_fault.numerics.rotation_kernel import matrix
 
 ARM_M = np.array([1.5, -0.5, -0.3])
 RATE_RPS = 0.8

@@ -2,6 +2,8 @@
 
 import queue
 
+import msgspec
+
 from analysis.monitor.publish import Publisher
 from analysis.results import Decision, decode
 from mavproxy_fault.links.bus import open_bus
@@ -33,3 +35,16 @@ def test_every_decision_is_published_and_only_changes_are_events() -> None:
     events = [decode(data) for key, data in seen if key.endswith("fdi/events")]
     assert stats == decisions
     assert events == [decisions[0], decisions[2]]
+
+
+def test_isolation_is_told_when_the_excluded_change_and_not_with_every_verdict() -> None:
+    alarmed = msgspec.structs.replace(decision(0.2), alarm=True, hypothesis="multiple-unknown")
+    decisions = [decision(0.0), alarmed, decision(0.4, ("G12",)), decision(0.6, ("E05", "G12"))]
+    with open_bus("tcp/127.0.0.1:0", run="t", router=True) as bus:
+        got: queue.Queue[bytes] = queue.Queue(20)
+        bus.subscribe("fdi/isolation", lambda _, data: got.put(data))
+        bus.subscribe("fdi/end", lambda _, data: got.put(b""))
+        Publisher(bus).publish(decisions)
+        bus.put("fdi/end", b"{}", "end")
+        told = list(iter(lambda: got.get(timeout=5), b""))
+    assert [decode(data) for data in told] == [decisions[0], *decisions[2:]]

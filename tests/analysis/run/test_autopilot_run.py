@@ -48,6 +48,22 @@ def arducopter() -> str:
     return path
 
 
+def bridge_and_autopilot(process):
+    """Their process ids, once the vehicle flies."""
+    for line in process.stdout:
+        if "flying" in line:
+            break
+    for bridge in children(process.pid):
+        for number in children(bridge):
+            if "arducopter" in Path(f"/proc/{number}/comm").read_text():
+                return bridge, number
+    raise AssertionError("no autopilot is running")
+
+
+def children(number):
+    return [int(n) for n in Path(f"/proc/{number}/task/{number}/children").read_text().split()]
+
+
 def test_a_missing_program_is_told_with_what_to_do(tmp_path):
     process = run(tmp_path, "--binary", "no-such-autopilot")
     said, _ = process.communicate(timeout=60)
@@ -105,17 +121,20 @@ def test_a_real_arducopter_takes_off_meets_the_fault_and_lands(tmp_path, arducop
 
 def test_a_real_arducopter_killed_in_flight_is_told(tmp_path, arducopter):
     process = run(tmp_path, "--binary", arducopter, scenario=SCENARIO.format(duration_s=600))
-    for line in process.stdout:
-        if "flying" in line:
-            break
-    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-    for child in children:
-        grand = Path(f"/proc/{child}/task/{child}/children").read_text().split()
-        for number in grand:
-            if "arducopter" in Path(f"/proc/{number}/comm").read_text():
-                os.kill(int(number), signal.SIGKILL)
+    _, autopilot = bridge_and_autopilot(process)
+    os.kill(autopilot, signal.SIGKILL)
     said, _ = process.communicate(timeout=240)
     assert process.returncode == 1
     assert "the autopilot's program ended by signal 9" in said
     assert "in flight" in said
     assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_a_bridge_killed_in_flight_is_told_and_takes_its_autopilot_along(tmp_path, arducopter):
+    process = run(tmp_path, "--binary", arducopter, scenario=SCENARIO.format(duration_s=600))
+    bridge, autopilot = bridge_and_autopilot(process)
+    os.kill(bridge, signal.SIGKILL)
+    said, _ = process.communicate(timeout=240)
+    assert process.returncode == 1
+    assert "the bridge ended by signal 9" in said
+    assert not Path(f"/proc/{autopilot}").exists()

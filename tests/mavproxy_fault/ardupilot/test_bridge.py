@@ -1,6 +1,8 @@
 """The whole command over real sockets, between a simulator here and a recorded ArduCopter."""
 
+import contextlib
 import select
+import socket
 import subprocess
 import sys
 import time
@@ -10,6 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from mavproxy_fault.ardupilot.bridge import Bridge, FlightEndError
+from mavproxy_fault.ardupilot.bridge_ports import Datagrams, SensorPort
+from mavproxy_fault.ardupilot.hil_readings import Readings, TrueState
+from mavproxy_fault.ardupilot.observation import Seen
+from mavproxy_fault.ardupilot.outputs import motor_channels
+from mavproxy_fault.ardupilot.parameters import Fitted
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.wire.dialect import known
@@ -142,3 +150,28 @@ def test_parameters_that_let_the_truth_in_are_refused(tmp_path, line):
     )  # fmt: skip
     assert done.returncode == 2
     assert f"own.parm:1: {line.split()[0]}" in done.stderr
+
+
+def test_a_simulator_that_falls_silent_behind_a_proxy_is_told_once():
+    said = []
+
+    class Process:
+        def poll(self):
+            return 0 if said else None
+
+    with closing(TcpServer("127.0.0.1", 0)) as link, contextlib.ExitStack() as stack:
+        peer = stack.enter_context(socket.create_connection(("127.0.0.1", link.port)))
+        ports = Datagrams(), Datagrams(), SensorPort()
+        for port in ports:
+            stack.callback(port.close)
+        inbox = Inbox(link)
+        while not link.peer_count:
+            inbox.frames()
+        home = TrueState(0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, (0.0, 0.0, 0.0))
+        fitted = Fitted(400.0, second_imu=False, second_gps=False, rangefinder=False)
+        seen = Seen(Readings(), home, fitted)
+        bridge = Bridge(inbox, seen, ports, motor_channels, said.append, silence_s=0.1)
+        with pytest.raises(FlightEndError, match="ended with exit code 0"):
+            bridge.run(Process())
+        assert peer.fileno() >= 0
+    assert said == [f"{link.name}: no step for 0.1 s; still waiting"]

@@ -2,8 +2,9 @@ import msgspec
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.faults.driven import Bias
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.schedule.entries import parse_schedule
+from mavproxy_fault.schedule.entries import Schedule, parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.plant_messages import plant_change
@@ -305,3 +306,29 @@ def test_injected_faults_that_ended_are_forgotten_after_a_while() -> None:
     assert "step" in it.ids()
     assert len(it.ids()) < 40
     assert it.ids()[-1] == "live-99"
+
+
+def test_a_fault_that_fails_is_told_and_the_frame_passes(caplog: pytest.LogCaptureFixture) -> None:
+    class Broken(Bias, frozen=True, kw_only=True):
+        def after(self, *_: object) -> tuple[list[float], None]:
+            raise RuntimeError("a bug in somebody's fault")
+
+    entry = parse_schedule(f"faults: [{BIAS.strip()[2:]}]").faults[0]
+    it = Engine(Schedule(1, (msgspec.structs.replace(
+        entry, at_s=0.0, fault=Broken(elements=entry.fault.elements, value=1.0)),)))  # fmt: skip
+    frame = sensor(1_000_000)
+    for _ in range(3):
+        (out,) = it.apply(frame, "to-vehicle", 1_000_000)
+        assert out.frame is frame
+    (fault,) = it.state()["faults"]
+    assert (fault["failures"], fault["frames"]) == (3, 0)
+    assert len(caplog.records) == 1
+
+
+def test_a_fault_whose_clock_goes_far_back_does_not_overflow() -> None:
+    it = engine("""
+  - {id: float, fault: float, target: HIL_SENSOR.xgyro, settle_s: 0.05}
+""")
+    it.apply(sensor(10**9), "to-vehicle", 10**9)
+    it.apply(sensor(10**9), "to-vehicle", 10**6)
+    assert it.state()["faults"][0]["failures"] == 0

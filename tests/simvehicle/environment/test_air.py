@@ -49,10 +49,10 @@ def gusts(level: str, airspeed: float, dt: float, count: int) -> np.ndarray:
     out = np.empty((count, 3))
     spectrum = GUSTS[level]
     draws = rng.standard_normal((count, 5))
-    weather = np.array([*spectrum.sigma_mps, *spectrum.length_m, 1.0, 0.0])
+    weather = np.array([*spectrum.sigma_mps, *spectrum.length_m, 1.0, 0.0, 0.0, 0.0, 0.0])
     ahead = np.array([airspeed, 0.0, 0.0])
     for k in range(count):
-        wind_step(filters, draws[k], np.zeros(3), weather, LEVEL, ahead, 1.0, dt, out[k])
+        wind_step(filters, draws[k], weather, LEVEL, ahead, 1.0, dt, out[k])
     return out
 
 
@@ -77,9 +77,9 @@ def test_gusts_forget_with_length_over_speed() -> None:
 def test_shear_is_a_power_law_above_the_ground() -> None:
     def wind(height: float) -> float:
         still, out = np.zeros(5), np.empty(3)
-        weather = np.array([0.0, 0.0, 0.0, 200.0, 200.0, 50.0, 10.0, 0.2])
-        steady, ahead = np.array([10.0, 0.0, 0.0]), np.array([20.0, 0.0, 0.0])
-        wind_step(np.zeros(5), still, steady, weather, LEVEL, ahead, height, 0.01, out)
+        weather = np.array([0.0, 0.0, 0.0, 200.0, 200.0, 50.0, 10.0, 0.2, 10.0, 0.0, 0.0])
+        ahead = np.array([20.0, 0.0, 0.0])
+        wind_step(np.zeros(5), still, weather, LEVEL, ahead, height, 0.01, out)
         return float(out[0])
 
     assert wind(10.0) == pytest.approx(10.0)

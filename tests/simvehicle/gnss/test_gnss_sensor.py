@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.rtcm.ephemeris_messages import decode_ephemeris
 from mavproxy_fault.rtcm.msm7 import decode_msm7, encode_epoch
 from simvehicle.gnss.gnss_config import ClockConfig, GnssConfig, ReceiverConfig
 from simvehicle.gnss.gnss_sensor import GnssSensor, gnss_sensor
 from simvehicle.gnss.gnss_state import GnssState
-from simvehicle.gnss.satellite_orbits import SPEED_OF_LIGHT_MPS, orbits_of, satellite_states
+from simvehicle.gnss.satellite_orbits import orbits_of, satellite_states
 from simvehicle.sensors.readings import EphemerisReading, GpsReading, PseudorangeReading
 from simvehicle.vehicles.body import Truth
 

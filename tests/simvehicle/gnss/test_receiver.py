@@ -5,11 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from simvehicle.gnss.navigation_file import SHIPPED, read_navigation
 from simvehicle.gnss.pseudorange import Atmosphere, sight
 from simvehicle.gnss.receiver import Fix, solve
-from simvehicle.gnss.satellite_orbits import SPEED_OF_LIGHT_MPS, Orbits, orbits_at, orbits_of
+from simvehicle.gnss.satellite_orbits import Orbits, orbits_at, orbits_of
 
 TOW_S = 475200.0
 PLACE_M = ecef_from_geodetic(math.radians(35.3), math.radians(139.5), 300.0)

@@ -37,8 +37,9 @@ function legend() {
 function heatMap() {
   const map = document.getElementById("map");
   for (const subject of new Set(model.rows.map((row) => row.subject))) {
-    element("h2", subject, map);
-    const body = element("tbody", undefined, element("table", undefined, map));
+    const part = element("section", undefined, map);
+    element("h2", subject, part);
+    const body = element("tbody", undefined, element("table", undefined, part));
     body.parentElement.className = "heat";
     for (const row of model.rows.filter((one) => one.subject === subject)) {
       const line = element("tr", undefined, body);

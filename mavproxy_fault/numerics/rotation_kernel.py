@@ -1,11 +1,14 @@
-"""Scalar quaternion kernels of the estimators; quaternions are (w, x, y, z), body to NED."""
+"""Rotations one at a time, for compiled callers; `rotation` has them for arrays and plain floats.
+
+Quaternions are (w, x, y, z), body to NED. A test holds the two forms together.
+"""
 
 from math import asin, atan2, cos, pi, sin, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.compile import compiled, inlined
 
 Vector = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]
@@ -62,6 +65,37 @@ def matrix(q: Vector) -> NDArray[np.float64]:
     for i in range(3):
         out[0, i], out[1, i], out[2, i] = north[i], east[i], down[i]
     return out
+
+
+@inlined
+def to_body(
+    e0: float, e1: float, e2: float, e3: float, n: float, e: float, d: float
+) -> tuple[float, float, float]:
+    """Turn a NED vector into body axes."""
+    x = (
+        (e0 * e0 + e1 * e1 - e2 * e2 - e3 * e3) * n
+        + 2.0 * (e1 * e2 + e0 * e3) * e
+        + 2.0 * (e1 * e3 - e0 * e2) * d
+    )
+    y = (
+        2.0 * (e1 * e2 - e0 * e3) * n
+        + (e0 * e0 - e1 * e1 + e2 * e2 - e3 * e3) * e
+        + 2.0 * (e2 * e3 + e0 * e1) * d
+    )
+    z = (
+        2.0 * (e1 * e3 + e0 * e2) * n
+        + 2.0 * (e2 * e3 - e0 * e1) * e
+        + (e0 * e0 - e1 * e1 - e2 * e2 + e3 * e3) * d
+    )
+    return x, y, z
+
+
+@inlined
+def to_ned(
+    e0: float, e1: float, e2: float, e3: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Turn a body vector into NED."""
+    return to_body(e0, -e1, -e2, -e3, x, y, z)
 
 
 @compiled

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from analysis.campaign.campaign_file import read_campaign
-from analysis.campaign.fleet import LocalFleet, RayFleet
+from analysis.campaign.campaign_fleet import LocalFleet, RayFleet
 from analysis.campaign.plan import Plan
 from mavproxy_fault.documents.errors import ConfigError
 

@@ -1,0 +1,130 @@
+"""How a flight ended: on the ground at which speed, or with the log in the air."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.report.judging.check_limits import Thresholds
+from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, Check, Windows
+from analysis.report.recordings.recording import Recording, Signal, Vector
+
+STOP_S = 0.7  # within which the ground stops a fall
+REST_S = 2.0  # for which the vehicle then lies
+REST_MPS, REST_M = 1.0, 2.0
+BLOW_MPS2 = 15.0  # beyond gravity: no multirotor brakes so hard
+STEP_S = 0.1  # of the axis on which it is judged
+ALOFT_M = 2.0
+FALLING_MPS = 3.0
+OVER_DEG = 60.0
+GRAVITY_MPS2 = 9.80665
+ESTIMATES = ("estimate", "CTUN", "GPS")
+
+
+def end_checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
+    """The impact on the ground, and whether the log ends in flight."""
+    return [_impact(recording, th, armed), _aloft(recording, armed)]
+
+
+def _impact(recording: Recording, th: Thresholds, armed: Windows | None) -> Check:
+    name, (warn, fail) = "ground impact", th.impact_mps
+    limit = f"warn above {warn:g} m/s, fail above {fail:g} m/s"
+    motion = _motion(recording)
+    if motion is None or armed == []:
+        reason = "never armed" if armed == [] else "no height in the log"
+        return Check(name=name, verdict=NONE, evidence=reason, limit=limit)
+    t_s, height_m, sink_mps = motion
+    worst, at_s = 0.0, 0.0
+    for i in np.flatnonzero(sink_mps > warn):
+        inside = armed is None or any(a <= t_s[i] <= b + REST_S for a, b in armed)
+        if sink_mps[i] > worst and inside and _stopped(recording, t_s, height_m, sink_mps, int(i)):
+            worst, at_s = float(sink_mps[i]), float(t_s[i])
+    if worst == 0.0:
+        return Check(name=name, verdict=PASS, evidence="none", limit=limit, panel="climb")
+    return Check(
+        name=name,
+        verdict=FAIL if worst > fail else WARN,
+        evidence=f"stopped by the ground at {worst:.1f} m/s of sink, at {at_s:.1f} s",
+        limit=limit,
+        windows=((at_s, at_s + STOP_S),),
+        panel="climb",
+    )
+
+
+def _motion(recording: Recording) -> tuple[Vector, Vector, Vector] | None:
+    """Time, height and sink rate on an even axis; None where no height was logged."""
+    heights = [*recording.of("height"), *recording.of("altitude")]
+    height = _first(heights)
+    if height is None:
+        return None
+    t_s = np.arange(height.t_s[0], height.t_s[-1], STEP_S)
+    height_m = np.interp(t_s, height.t_s, height.value)
+    climb = _first(recording.of("climb"))
+    if climb is not None:
+        return t_s, height_m, -np.interp(t_s, climb.t_s, climb.value)
+    smooth = np.convolve(height_m, np.full(3, 1 / 3), "same")
+    return (t_s, height_m, -np.gradient(smooth, STEP_S)) if len(t_s) > 3 else None
+
+
+def _first(signals: list[Signal]) -> Signal | None:
+    """The autopilot's own estimate, else a receiver's, with the numbers that are some."""
+    for name in ESTIMATES:
+        for signal in signals:
+            good = np.isfinite(signal.value)
+            if signal.name == name and good.sum() > 10:
+                return Signal(signal.panel, name, signal.t_s[good], signal.value[good])
+    return None
+
+
+def _stopped(
+    recording: Recording, t_s: Vector, height_m: Vector, sink_mps: Vector, at: int
+) -> bool:
+    """Whether a fall ends within a moment, near the lowest place, for good or with a blow."""
+    stop, rest = at + round(STOP_S / STEP_S), at + round(REST_S / STEP_S)
+    if stop >= len(t_s) or np.abs(sink_mps[at : stop + 1]).min() > REST_MPS:
+        return False
+    lies = np.ptp(height_m[stop : rest + 1]) < REST_M
+    low = height_m[stop] < np.percentile(height_m, 2) + 2 * ALOFT_M
+    blow = _blow(recording, t_s[at], t_s[stop])
+    return bool(lies and low and blow is not False)
+
+
+def _blow(recording: Recording, begin_s: float, end_s: float) -> bool | None:
+    """Whether the accelerometers felt it; None where they were not logged often enough."""
+    axes = {s.name: s for s in recording.of("accel") if s.name in ("x", "y", "z")}
+    if len(axes) < 3 or len({len(s.t_s) for s in axes.values()}) > 1:
+        return None
+    t_s = axes["x"].t_s
+    near: NDArray[np.bool_] = (t_s >= begin_s - 0.3) & (t_s <= end_s + 0.3)
+    if near.sum() < 10:
+        return None
+    force = np.linalg.norm([axes[name].value[near] for name in "xyz"], axis=0)
+    return bool(np.nanmax(np.abs(force - GRAVITY_MPS2)) > BLOW_MPS2)
+
+
+def _aloft(recording: Recording, armed: Windows | None) -> Check:
+    name, limit = "log ends on the ground", "warn: in flight; fail: falling or upside down"
+    motion = _motion(recording)
+    if motion is None or not armed:
+        reason = "no height in the log" if motion is None else "the log does not say when armed"
+        return Check(name=name, verdict=NONE, evidence=reason, limit=limit)
+    t_s, height_m, sink_mps = motion
+    last = t_s > t_s[-1] - 1.0
+    height, sink = float(np.median(height_m[last])), float(np.median(sink_mps[last]))
+    up = height > np.percentile(height_m, 2) + ALOFT_M or abs(sink) > REST_MPS
+    if armed[-1][1] < recording.duration_s - 1.0 or not up:
+        return Check(name=name, verdict=PASS, evidence="it does", limit=limit)
+    tilt = max((_tilt_at_end(s) for p in ("roll", "pitch") for s in recording.of(p)), default=0.0)
+    return Check(
+        name=name,
+        verdict=FAIL if sink > FALLING_MPS or tilt > OVER_DEG else WARN,
+        evidence=f"armed at the end, {height - height_m.min():.0f} m above the lowest place, "
+        f"sinking at {sink:.1f} m/s, tilted by {tilt:.0f}°",
+        limit=limit,
+        windows=((float(t_s[-1]) - 1.0, float(t_s[-1])),),
+        panel="height",
+    )
+
+
+def _tilt_at_end(signal: Signal) -> float:
+    if not signal.name.startswith("ATTITUDE") or not len(signal.t_s):
+        return 0.0
+    return float(np.nanmax(np.abs(signal.value[signal.t_s > signal.t_s[-1] - 1.0]), initial=0.0))

@@ -1,0 +1,101 @@
+"""What the parts of a vehicle show: motors, sensors that there are twice, cells, the processor."""
+
+import numpy as np
+
+from analysis.report.judging.check_limits import Thresholds
+from analysis.report.judging.checks import Check, Limits, Windows, level
+from analysis.report.recordings.recording import Recording, Signal
+
+FIRST_MOTOR, MOTORS = 33, 8  # SERVOn_FUNCTION of ArduPilot's motors 1 to 8
+PWM_US = (1000.0, 2000.0)
+FEWEST_MOTORS = 3
+FLYING = 0.15  # mean output above which a multirotor flies
+MEAN_S = 2.0  # over which balance and disagreement are taken: manoeuvres and vibration pass
+LEAST_CELL_V = 1.0  # below it a cell is not connected
+FULL = 0.99
+
+
+def hardware_checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
+    """One check a part."""
+    of, hold = recording.of, th.hold_s
+    motors = motor_outputs(recording)
+    gyros = [_mean(signal) for signal in of("gyro-disagreement")]
+    accelerometers = [_mean(signal) for signal in of("accel-disagreement")]
+    cells = [s for s in of("battery-cells") if np.nanmax(s.value, initial=0.0) > LEAST_CELL_V]
+    return [
+        level("motor balance", _off_mean(motors), Limits(*th.motor_balance, hold_s=hold), armed),
+        level("motors at their limit", _full(motors), Limits(*th.motor_limit_s, "s"), armed),
+        level("gyroscopes agree", gyros, Limits(*th.gyro_apart_rps, "rad/s", hold_s=hold), armed),
+        level(
+            "accelerometers agree",
+            accelerometers,
+            Limits(*th.accel_apart_mps2, "m/s²", hold_s=hold),
+            armed,
+        ),
+        level(
+            "estimators agree",
+            of("divergence"),
+            Limits(*th.estimators_apart_deg, "deg", hold_s=hold),
+            armed,
+        ),
+        level("cell voltage", cells, Limits(*th.cell_v, "V", below=True, hold_s=hold), armed),
+        level("scheduler", of("scheduler"), Limits(*th.long_loops, "loops"), armed),
+    ]
+
+
+def motor_outputs(recording: Recording) -> list[Signal]:
+    """The outputs of a multirotor's motors from 0 to 1, on one axis of time; else none."""
+    motors = [s for s in recording.of("actuators") if s.name.startswith("motor")]
+    if not motors:
+        motors = _by_function(recording)
+    motors = [s for s in motors if np.isfinite(s.value).any() and np.nanmax(s.value) > 0.0]
+    same = all(len(s.t_s) == len(motors[0].t_s) for s in motors)
+    surfaces = any(np.nanmin(s.value) < 0.0 for s in motors)
+    return motors if len(motors) >= FEWEST_MOTORS and same and not surfaces else []
+
+
+def _by_function(recording: Recording) -> list[Signal]:
+    """ArduPilot's outputs, by the function that the parameters give them."""
+    parameters = {name: values[-1][1] for name, values in recording.parameters.items()}
+    low = parameters.get("MOT_PWM_MIN", 0.0) or PWM_US[0]
+    high = parameters.get("MOT_PWM_MAX", 0.0) or PWM_US[1]
+    found = []
+    for signal in recording.of("outputs"):
+        function = parameters.get(f"SERVO{signal.name.split()[-1]}_FUNCTION", 0.0)
+        if FIRST_MOTOR <= function < FIRST_MOTOR + MOTORS and high > low:
+            share = np.clip((signal.value - low) / (high - low), 0.0, 1.0)
+            name = f"motor {int(function) - FIRST_MOTOR + 1}"
+            found.append(Signal("actuators", name, signal.t_s, share))
+    return found
+
+
+def _mean(signal: Signal) -> Signal:
+    """The size of a curve's running mean."""
+    count = len(signal.t_s)
+    span_s = float(np.ptp(signal.t_s)) if count > 1 else 0.0
+    samples = max(1, round(MEAN_S * count / span_s)) if span_s > 0 else 1
+    if count < 2 * samples:
+        return Signal(signal.panel, signal.name, signal.t_s[:0], signal.value[:0])
+    smooth = np.convolve(np.nan_to_num(signal.value), np.full(samples, 1 / samples), "same")
+    return Signal(signal.panel, signal.name, signal.t_s, np.abs(smooth))
+
+
+def _off_mean(motors: list[Signal]) -> list[Signal]:
+    """How far each motor's output is off the mean of all while they carry the vehicle."""
+    if not motors:
+        return []
+    mean = np.nanmean([signal.value for signal in motors], axis=0)
+    flies = mean > FLYING
+    off = (Signal("balance", s.name, s.t_s[flies], (s.value - mean)[flies]) for s in motors)
+    return [_mean(signal) for signal in off]
+
+
+def _full(motors: list[Signal]) -> list[Signal]:
+    """For how long each motor has been at the top of its range."""
+    found = []
+    for signal in motors:
+        full = signal.value >= FULL
+        begin = np.maximum.accumulate(np.where(full, signal.t_s[0], signal.t_s))
+        for_s = np.where(full, signal.t_s - begin, 0.0)
+        found.append(Signal("actuators", signal.name, signal.t_s, for_s))
+    return found

@@ -1,0 +1,52 @@
+"""The twin of a run: the same scenario and seed without the faults, flown beside it.
+
+The same seed gives the same bytes, so whatever differs between the two flights is what the faults
+did.
+"""
+
+import multiprocessing
+import signal
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+import msgspec
+
+from analysis.monitor.monitor import Monitor
+from analysis.report.run_folder import ResultFile
+from analysis.run.proxied_flight import Flight, session
+from analysis.run.setup import Setup
+from mavproxy_fault.app.recorder import Recorder
+
+FOLDER = "clean"
+BATCH_BYTES = 32_768
+
+
+def start_twin(setup: Setup, folder: Path) -> BaseProcess:
+    """Begin to fly the twin in a process of its own, into a folder inside the run's."""
+    own = folder / FOLDER
+    own.mkdir()
+    process = multiprocessing.get_context("spawn").Process(
+        target=fly_twin, args=(setup, own), daemon=True
+    )
+    process.start()
+    return process
+
+
+def fly_twin(setup: Setup, folder: Path) -> None:
+    """Fly a scenario without its faults to the end; logs and results go to the folder."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the run's, which ends this one
+    schedule = msgspec.structs.replace(setup.schedule, faults=())
+    flight, monitor = Flight(setup.scenario, schedule), Monitor(setup.monitor)
+    recorder = Recorder(folder, session(setup.scenario.name, schedule.seed, flight))
+    batch = bytearray()
+    with ResultFile(folder) as file:
+        while not flight.over:
+            batch += flight.advance([]).monitor
+            if len(batch) >= BATCH_BYTES:
+                file.write(monitor.bytes([bytes(batch)], datagrams=False))
+                recorder.write(flight.tape, flight.take_labels())
+                batch.clear()
+        batch += flight.finish().monitor
+        file.write(monitor.bytes([bytes(batch)], datagrams=False))
+    recorder.write(flight.tape, flight.take_labels())
+    recorder.close(flight.core.clock.t0_us, flight.now_us)

@@ -1,0 +1,61 @@
+"""Reports on labelled public flights: per check and class of fault how many logs it speaks up in.
+
+    python benchmarks/labelled_flights.py FOLDER [--split test]
+
+FOLDER holds logs and `labels.csv` (file, class, split): `split` says whether a log was looked at
+while checks were made (`tune`) or only judged (`test`). Prints the table of docs/verdicts.md.
+"""
+
+import argparse
+import csv
+from collections import Counter, defaultdict
+from pathlib import Path
+
+from analysis.report.judging.check_limits import Thresholds
+from analysis.report.judging.checks import FAIL, WARN
+from analysis.report.judging.flight_verdict import judged
+from analysis.report.recordings.sources import read_flight
+from mavproxy_fault.documents.errors import ConfigError
+
+UNREADABLE = "unreadable"
+
+
+def main() -> None:
+    """Judge every log of a split and print what spoke up."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--split", default="test")
+    args = parser.parse_args()
+    with (args.folder / "labels.csv").open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["split"] == args.split]
+    flights = Counter(row["class"] for row in rows)
+    spoke: dict[str, Counter[str]] = defaultdict(Counter)
+    for row in rows:
+        for name, verdict in verdicts(args.folder / row["file"]).items():
+            spoke[name][row["class"]] += 1
+            spoke[name][f"{row['class']} {verdict}"] += 1
+    print("| check | " + " | ".join(f"{name} ({count})" for name, count in flights.items()) + " |")
+    print("|---|" + "---|" * len(flights))
+    for name, counts in sorted(spoke.items(), key=lambda item: (item[0] != "verdict", item[0])):
+        cells = (_cell(counts, kind) for kind in flights)
+        print(f"| {name} | " + " | ".join(cells) + " |")
+
+
+def verdicts(path: Path) -> dict[str, str]:
+    """The verdict on a log, and of each check that warned or failed."""
+    try:
+        found = judged(read_flight([path], ()), Thresholds())
+    except ConfigError:
+        return {"verdict": UNREADABLE}
+    bad = {check.name: check.verdict for check in found.checks if check.verdict in (WARN, FAIL)}
+    return bad | ({"verdict": found.verdict} if found.verdict in (WARN, FAIL) else {})
+
+
+def _cell(counts: Counter[str], kind: str) -> str:
+    fail, warn = counts[f"{kind} {FAIL}"], counts[f"{kind} {WARN}"]
+    words = [f"{count} {word}" for count, word in ((fail, FAIL), (warn, WARN)) if count]
+    return ", ".join(words)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+"""Signals made up for another place and time, as a spoofer sends them to the antenna.
+
+Code and Doppler are those which a receiver at the pretended place would get, so that they agree
+with each other, with the ephemerides and with every position that the receiver computes.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.numerics.earth import radii
+
+Vector = NDArray[np.float64]
+
+NORTH, DOWN, DELAY = slice(0, 2), 2, 3  # rows of `Faults.spoof`
+FASTEST_MPS = 500.0  # what moves more between two epochs has jumped, and has no Doppler of it
+
+
+class Spoof(NamedTuple):
+    """One pretended place and time: `change` (4,) is north, east, down and delay [m], `rate` (4,)
+    how fast they change [m/s], `satellites` (n,) whose signals are made up for it."""
+
+    change: Vector
+    rate: Vector
+    satellites: NDArray[np.bool_]
+
+    @property
+    def delay_m(self) -> float:
+        """What every range is longer by."""
+        return float(self.change[DELAY])
+
+    @property
+    def delay_mps(self) -> float:
+        """How fast the delay grows."""
+        return float(self.rate[DELAY])
+
+    def place(self, here: Vector) -> Vector:
+        """The pretended latitude, longitude [rad], height [m] and velocity NED (6,)."""
+        meridian_m, prime_m = radii(here[0])
+        north_m, east_m, down_m = self.change[:DELAY].tolist()
+        there = here.copy()
+        there[0] += north_m / (float(meridian_m) + here[2])
+        there[1] += east_m / ((float(prime_m) + here[2]) * np.cos(here[0]))
+        there[2] -= down_m
+        there[3:] += self.rate[:DELAY]
+        return there
+
+
+def spoofs(spoof: Vector, before: Vector, step_s: float) -> Iterator[Spoof]:
+    """Each place that is pretended to some satellites.
+
+    Parameters
+    ----------
+    spoof, before : (4, n) arrays
+        `Faults.spoof` now and at the last epoch.
+    step_s : float
+        Time since then; 0 at the first epoch.
+    """
+    for change in np.unique(spoof[:, spoof.any(axis=0)], axis=1).T:
+        satellites = (spoof == change[:, None]).all(axis=0)
+        moved = (change - before[:, satellites][:, 0]) / step_s if step_s > 0.0 else 0.0 * change
+        rate = np.where(np.abs(moved) <= FASTEST_MPS, moved, 0.0)
+        yield Spoof(change, rate, satellites)

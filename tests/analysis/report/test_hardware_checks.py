@@ -1,0 +1,125 @@
+"""Checks of motors, doubled sensors, cells, and of how a flight ended."""
+
+import numpy as np
+import pytest
+
+from analysis.report.judging.check_limits import Thresholds
+from analysis.report.judging.checks import Check
+from analysis.report.judging.flight_checks import flight_checks
+from analysis.report.recordings.recording import Recording, Signal, Span, Track, Vector
+
+T_S = np.arange(0.0, 60.0, 0.05)
+NONE = np.zeros_like(T_S)
+
+
+def checks(*signals: Signal, armed: tuple[float, float] = (2.0, 60.0), **more: object) -> dict:
+    span = Span("armed", *armed, "armed", "mode")
+    recording = Recording("x", duration_s=60.0, signals=list(signals), spans=[span], **more)
+    return {check.name: check for check in flight_checks(recording, Thresholds())}
+
+
+def verdict(found: dict[str, Check], name: str) -> str:
+    return found[name].verdict
+
+
+def motors(last: Vector) -> list[Signal]:
+    level = np.full_like(T_S, 0.5)
+    outputs = (level, level, level, last)
+    return [Signal("actuators", f"motor {i + 1}", T_S, v) for i, v in enumerate(outputs)]
+
+
+def test_a_motor_that_works_more_than_the_others_is_told() -> None:
+    assert verdict(checks(*motors(np.full_like(T_S, 0.55))), "motor balance") == "PASS"
+    found = checks(*motors(np.where(T_S > 30, 0.95, 0.5)))
+    assert verdict(found, "motor balance") == "FAIL"
+    assert "motor 4" in found["motor balance"].evidence
+
+
+def test_a_motor_at_its_limit_fails_once_it_stays_there() -> None:
+    brief = np.where((T_S > 30) & (T_S < 30.5), 1.0, 0.5)
+    assert verdict(checks(*motors(brief)), "motors at their limit") == "PASS"
+    long = np.where(T_S > 30, 1.0, 0.5)
+    assert verdict(checks(*motors(long)), "motors at their limit") == "FAIL"
+
+
+def test_surfaces_are_no_motors() -> None:
+    assert verdict(checks(*motors(np.sin(T_S))), "motor balance") == "not judged"
+
+
+def test_ardupilots_outputs_are_motors_by_their_function() -> None:
+    outputs = [Signal("outputs", f"output {i}", T_S, np.full_like(T_S, 1500.0)) for i in (1, 2, 3)]
+    outputs.append(Signal("outputs", "output 4", T_S, np.full_like(T_S, 2000.0)))
+    functions = {f"SERVO{i}_FUNCTION": [(0.0, 32.0 + i)] for i in (1, 2, 3, 4)}
+    found = checks(*outputs, parameters=functions)
+    assert verdict(found, "motors at their limit") == "FAIL"
+    assert verdict(checks(*outputs), "motors at their limit") == "not judged"
+
+
+@pytest.mark.parametrize(
+    ("panel", "value", "name"),
+    [
+        ("gyro-disagreement", 0.3, "gyroscopes agree"),
+        ("accel-disagreement", 5.0, "accelerometers agree"),
+        ("divergence", 20.0, "estimators agree"),
+    ],
+)
+def test_doubled_parts_that_disagree_fail(panel: str, value: float, name: str) -> None:
+    assert verdict(checks(Signal(panel, "x", T_S, NONE)), name) == "PASS"
+    apart = np.where(T_S > 30, value, 0.0)
+    assert verdict(checks(Signal(panel, "x", T_S, apart)), name) == "FAIL"
+
+
+def test_a_flat_cell_fails_and_one_that_is_not_there_does_not() -> None:
+    flat = Signal("battery-cells", "cell 3", T_S, np.where(T_S > 40, 3.1, 3.9))
+    absent = Signal("battery-cells", "cell 4", T_S, NONE)
+    assert verdict(checks(flat, absent), "cell voltage") == "FAIL"
+    assert verdict(checks(absent), "cell voltage") == "not judged"
+
+
+def fall(speed_mps: float) -> list[Signal]:
+    """A climb to 30 m and a fall that the ground ends."""
+    height = np.clip(np.minimum(2 * T_S, 30 - speed_mps * (T_S - 30)), 0.0, 30.0)
+    climb = np.gradient(height, T_S)
+    return [Signal("height", "estimate", T_S, height), Signal("climb", "estimate", T_S, climb)]
+
+
+@pytest.mark.parametrize(("speed_mps", "word"), [(1.0, "PASS"), (2.5, "WARN"), (8.0, "FAIL")])
+def test_an_impact_is_judged_by_its_speed(speed_mps: float, word: str) -> None:
+    found = checks(*fall(speed_mps))
+    assert verdict(found, "ground impact") == word
+    assert verdict(found, "log ends on the ground") == "PASS"
+
+
+def test_a_brisk_descent_that_is_braked_in_the_air_is_no_impact() -> None:
+    height = np.interp(T_S, [0, 20, 30, 35, 45, 60], [0, 40, 40, 15, 15, 0.0])
+    climb = np.gradient(height, T_S)
+    signals = [Signal("height", "estimate", T_S, height), Signal("climb", "estimate", T_S, climb)]
+    assert verdict(checks(*signals), "ground impact") == "PASS"
+
+
+def test_a_log_that_ends_in_the_air_warns_and_one_that_ends_falling_fails() -> None:
+    aloft = Signal("height", "estimate", T_S, np.minimum(2 * T_S, 30.0))
+    assert verdict(checks(aloft), "log ends on the ground") == "WARN"
+    falling = Signal("height", "estimate", T_S, np.where(T_S > 57, 60 - 8 * (T_S - 57), 60.0))
+    assert verdict(checks(falling), "log ends on the ground") == "FAIL"
+    assert verdict(checks(aloft, armed=(2.0, 50.0)), "log ends on the ground") == "PASS"
+
+
+def test_a_height_off_the_truth_fails_though_the_place_is_right() -> None:
+    place = np.full_like(T_S, 47.0), np.full_like(T_S, 8.0)
+    truth = Track("truth", T_S, *place, np.full_like(T_S, 500.0))
+    own = Track("estimate", T_S, *place, np.where(T_S > 30, 533.7, 500.0))
+    found = checks(tracks=[truth, own])
+    assert verdict(found, "height against the truth") == "FAIL"
+
+
+def test_damage_of_the_file_weakens_the_verdict() -> None:
+    note = "parts of the file are damaged and were passed over"
+    assert verdict(checks(notes=[note]), "log is whole") == "WARN"
+
+
+def test_what_lasts_until_arming_warns_and_what_ended_before_does_not() -> None:
+    late = Signal("gps-fix", "GPS", T_S, np.where(T_S < 11, 0.0, 3.0))
+    early = Signal("gps-fix", "GPS", T_S, np.where(T_S < 5, 0.0, 3.0))
+    assert verdict(checks(late, armed=(10.5, 60.0)), "before arming") == "WARN"
+    assert verdict(checks(early, armed=(10.5, 60.0)), "before arming") == "PASS"

@@ -1,0 +1,192 @@
+"""Mutated MAVLink through every kind of link: it neither ends nor stalls the proxy.
+
+Between mutated bytes goes a mark, a frame that no fault acts on. Each must leave exactly once, in
+order, unchanged, and soon. `HARDENING_BYTES=1000000000 pytest tests/hardening` is the long form.
+"""
+
+import contextlib
+import os
+import pty
+import random
+import socket
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from mavproxy_fault.app.proxy_command import roles
+from mavproxy_fault.app.server import Server
+from mavproxy_fault.compiled.object_file import load, make
+from mavproxy_fault.faults.registry import known_faults
+from mavproxy_fault.links.link import Link, enlarge_buffers
+from mavproxy_fault.links.spec import open_link
+from mavproxy_fault.proxy.core import Core
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.schedule.entries import parse_schedule
+from mavproxy_fault.wire.dialect import known, message_names
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.signing import key_of, signed
+
+BYTES = int(os.environ.get("HARDENING_BYTES", "150000"))
+PATIENCE_S = 20.0  # on a busy machine
+MARKED = 42  # the system that sends marks
+EDGES = [0, 1, 1 << 31, 10**15 - 1, 10**15, 1 << 53, (1 << 63) - 1, 1 << 63, (1 << 64) - 1]
+NAMES = ["HIL_SENSOR", "HIL_GPS", "ATTITUDE", "VFR_HUD", "SCALED_IMU", "GPS_RAW_INT", "TUNNEL"]
+
+Write = Callable[[bytes], object]
+
+
+def frame(rng: random.Random, seq: int) -> bytes:
+    """A frame with a wild stamp or none, of version 1 or 2, signed or not."""
+    name = rng.choice(NAMES) if rng.random() < 0.8 else rng.choice(message_names())
+    described = known(name)
+    payload = bytearray(rng.randbytes(described.length))
+    stamp = described.fields.get("time_usec") or described.fields.get("time_boot_ms")
+    if stamp is not None:
+        limit = (1 << 8 * stamp.size) - 1
+        wild = rng.choice(EDGES) if rng.random() < 0.1 else 1_000_000 + 4000 * seq
+        payload[stamp.offset : stamp.offset + stamp.size] = min(wild, limit).to_bytes(
+            stamp.size, "little"
+        )
+    system = rng.choice([1, 1, 1, 2, rng.randrange(43, 256)])
+    shell = Frame(build(described, {}, seq=seq & 255, system=system, component=1), described)
+    made = shell.with_payload(bytes(payload).rstrip(b"\0") or b"\0")
+    if rng.random() < 0.1:
+        return signed(made, key_of("phrase"), 1, 10**12 + seq).raw
+    return made.raw
+
+
+def mutated(rng: random.Random, seq: int) -> bytes:
+    """Frames, of which some are flipped, cut, doubled or run into one another."""
+    data = b"".join(frame(rng, seq + n) for n in range(rng.choice([1, 1, 2, 5])))
+    for _ in range(rng.choice([0, 0, 1, 3])):
+        at = rng.randrange(len(data))
+        cut = data[at : at + rng.randrange(1, 20)]
+        data = rng.choice(
+            [data[:at] + rng.randbytes(1) + data[at + 1 :], data[:at] + cut + data[at:],
+             data[at:] + data[:at], data[:at] or b"\xfd", data + rng.randbytes(9)]
+        )  # fmt: skip
+    return data
+
+
+def mark(number: int) -> bytes:
+    values = {"type": number & 255, "custom_mode": number}
+    return build(known("HEARTBEAT"), values, seq=number & 255, system=MARKED, component=7)
+
+
+def sixteen() -> str:
+    """A schedule of so many different faults, each on messages that the traffic has."""
+    lines = ["seed: 1", "faults:"]
+    for name, kind in known_faults().items():
+        example = getattr(kind, "example", None)
+        if kind.acts_on == "fields" and example and len(lines) < 18:
+            lines.append(f"  - {{id: {name}, fault: {name}, **}}".replace("**", written(example)))
+    return "\n".join(lines)
+
+
+def written(example: dict[str, object]) -> str:
+    return ", ".join(f"{key}: {value}" for key, value in example.items())
+
+
+@contextlib.contextmanager
+def master(kind: str) -> Iterator[tuple[Link, Write]]:
+    """The vehicle's link of one kind, and how a vehicle writes to it."""
+    if kind == "pty":
+        end, device = pty.openpty()
+        tty.setraw(device)
+        link = open_link(f"{os.ttyname(device)},57600")
+        try:
+            yield link, lambda data: write_all(end, data)
+        finally:
+            os.close(end)
+            os.close(device)
+    elif kind == "tcp":
+        link = open_link("tcpin:127.0.0.1:0")
+        port = int(link.name.rsplit(":", 1)[1])
+        with socket.create_connection(("127.0.0.1", port)) as peer:
+            yield link, peer.sendall
+    else:
+        link = open_link("udpin:127.0.0.1:0")
+        port = int(link.name.rsplit(":", 1)[1])
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+            sock.connect(("127.0.0.1", port))
+            yield link, sock.send
+
+
+def write_all(descriptor: int, data: bytes) -> None:
+    while data:
+        data = data[os.write(descriptor, data) :]
+
+
+@contextlib.contextmanager
+def proxy(link: Link, schedule: str, *, compiled: bool) -> Iterator[socket.socket]:
+    """A proxy's loop in a thread; the station it sends to."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
+        station.bind(("127.0.0.1", 0))
+        station.settimeout(PATIENCE_S)
+        enlarge_buffers(station)
+        links = [link, open_link(f"udpout:127.0.0.1:{station.getsockname()[1]}")]
+        engine = Engine(parse_schedule(schedule)) if schedule else None
+        server = Server(links, Core(roles(links), engine))
+        if compiled:
+            server.use_compiled()
+        failures: list[BaseException] = []
+
+        def work() -> None:
+            try:
+                server.run()
+            except BaseException as error:
+                failures.append(error)
+
+        loop = threading.Thread(target=work)
+        loop.start()
+        try:
+            yield station
+        finally:
+            server.stop()
+            loop.join(PATIENCE_S)
+            for one in links:
+                one.close()
+            assert not loop.is_alive()
+            assert not failures, failures
+            if engine is not None:
+                assert {one["id"]: one["failure"] for one in engine.state()["faults"]
+                        if one.get("failure")} == {}  # fmt: skip
+
+
+@pytest.mark.parametrize("schedule", [False, True], ids=["no fault", "16 faults"])
+@pytest.mark.parametrize("kind", ["udp", "udp compiled", "tcp", "pty"])
+def test_marks_between_mutated_bytes_leave_once_in_order_and_soon(
+    kind: str, schedule: bool
+) -> None:
+    if kind == "udp compiled":
+        make()
+        assert load() is not None
+    rng = random.Random(f"{kind} {schedule}")
+    sent = number = 0
+    slowest_s = 0.0
+    with (
+        master(kind.split()[0]) as (link, write),
+        proxy(link, sixteen() if schedule else "", compiled=kind == "udp compiled") as station,
+    ):
+        write(mark(0))
+        while sent < BYTES:
+            for _ in range(10):
+                data = mutated(rng, sent // 30)
+                write(data)
+                sent += len(data)
+            number += 1
+            begun_s = time.monotonic()
+            write(mark(number))
+            came = b""
+            while mark(number) not in came:
+                came += station.recv(65_535)
+            slowest_s = max(slowest_s, time.monotonic() - begun_s)
+            marks = [n for n in range(max(number - 3, 0), number + 2) if mark(n) in came]
+            assert marks in ([number], [0, 1]), marks
+            assert came.count(mark(number)) == 1
+    print(
+        f"{kind}, {16 * schedule} faults: {sent} bytes, {number} marks, slowest {slowest_s:.3f} s"
+    )

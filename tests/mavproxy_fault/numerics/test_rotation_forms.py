@@ -1,0 +1,45 @@
+"""The compiled rotations and those for arrays and plain floats say the same."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mavproxy_fault.numerics import rotation, rotation_kernel
+
+ANGLES = st.tuples(*(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1)))
+VECTORS = st.tuples(*[st.floats(-1e3, 1e3)] * 3)
+
+
+@settings(deadline=None)
+@given(ANGLES, VECTORS)
+def test_a_turned_vector_is_the_same_in_every_form(
+    angles: tuple[float, float, float], vector: tuple[float, float, float]
+) -> None:
+    q = rotation.quat_from_euler(*angles)
+    assert rotation_kernel.quaternion_of_euler(*angles) == pytest.approx(q, abs=1e-15)
+    expected = rotation.matrix_from_quat(q).T @ vector
+    near = {"abs": 1e-12 * (1.0 + float(np.abs(vector).max()))}
+    assert rotation_kernel.to_body(*q, *vector) == pytest.approx(expected, **near)
+    assert rotation_kernel.to_ned(*q, *expected) == pytest.approx(vector, **near)
+    assert rotation_kernel.matrix(q).T @ vector == pytest.approx(expected, **near)
+    assert rotation.into_body(q.tolist(), vector) == pytest.approx(expected, **near)
+    assert np.array(rotation.body_matrix(*angles)) @ vector == pytest.approx(expected, **near)
+
+
+@settings(deadline=None)
+@given(ANGLES, st.tuples(*[st.floats(-1.0, 1.0)] * 3))
+def test_angles_and_small_turns_are_the_same_in_every_form(
+    angles: tuple[float, float, float], turn: tuple[float, float, float]
+) -> None:
+    q = rotation.quat_from_euler(*angles)
+    for found in (rotation_kernel.euler(q), rotation.euler_angles(q.tolist())):
+        assert found == pytest.approx(rotation.euler_from_quat(q).tolist(), abs=1e-12)
+    expected = rotation.quat_multiply(q, rotation.quat_from_rotvec(turn))
+    assert rotation_kernel.turned(q, *turn) == pytest.approx(expected, abs=1e-12)
+    assert rotation.turned(q.tolist(), turn) == pytest.approx(expected, abs=1e-12)
+    angle = rotation_kernel.errors(q, expected)[3]
+    assert angle == pytest.approx(float(rotation.angle_between(q, expected)), abs=1e-7)
+    assert angle == pytest.approx(math.sqrt(sum(x * x for x in turn)), abs=1e-7)
