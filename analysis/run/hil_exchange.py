@@ -68,7 +68,7 @@ class ToAutopilot:
         """Carry out what a plant fault asks of the simulator."""
         for item in self._parser.push(data, datagram=True):
             if isinstance(item, Frame):
-                self._plant.take(item)
+                self._plant.carry_out(item)
 
 
 class Patience:
