@@ -24,15 +24,11 @@ from simvehicle.sensors.readings import (
     AirspeedReading,
     BatteryReading,
     EphemerisReading,
-    FlowReading,
-    GpsReading,
     ImuReading,
     MagReading,
     PressureReading,
     PseudorangeReading,
-    RangeReading,
     Reading,
-    VisionReading,
 )
 from simvehicle.vehicles.body import Truth
 
@@ -158,20 +154,12 @@ class Hil:
             self._sensor_fields[0][10] = reading.diff_pressure_pa / PA_PER_HPA
             updated[0] |= DIFF_PRESSURE
 
-    def _message(
-        self, reading: GpsReading | RangeReading | FlowReading | VisionReading | BatteryReading
-    ) -> Message:
+    def _message(self, reading: Reading) -> Message:
         """What carries a reading that has a message of its own."""
         stamp = reading.t_us + self.start_us
-        if isinstance(reading, GpsReading):
-            return hil_messages.gps(reading, stamp)
-        if isinstance(reading, RangeReading):
-            return hil_messages.distance(reading, stamp)
-        if isinstance(reading, FlowReading):
-            return hil_messages.flow(reading, stamp)
-        if isinstance(reading, VisionReading):
-            return hil_messages.vision(reading, stamp)
-        return hil_messages.battery(reading, self._consume(reading))
+        if isinstance(reading, BatteryReading):
+            return hil_messages.battery(reading, self._consume(reading))
+        return hil_messages.MESSAGES[type(reading)](reading, stamp)
 
     def _tunnel(self, message: bytes) -> list[bytes]:
         """TUNNEL frames around one RTCM message."""

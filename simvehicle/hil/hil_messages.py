@@ -5,7 +5,9 @@ MAVLink definitions, except HIL_GPS.eph and .epv, which PX4 reads as centimetres
 """
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 from mavproxy_fault.numerics.rotation import euler_angles, into_body
 from mavproxy_fault.wire.dialect import known
@@ -166,3 +168,12 @@ def _triangle(first: float, second: float) -> tuple[float, ...]:
         for row in range(6)
         for column in range(row, 6)
     )
+
+
+# Readings that have a message of their own
+MESSAGES: dict[type, Callable[[Any, int], Message]] = {
+    GpsReading: gps,
+    RangeReading: distance,
+    FlowReading: flow,
+    VisionReading: vision,
+}

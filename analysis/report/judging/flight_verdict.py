@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 
 from analysis.report.curves.derived_curves import with_derived
+from analysis.report.flight_checks import flight_checks
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, Check, verdict_of
-from analysis.report.judging.flight_checks import flight_checks
 from analysis.report.judging.reaction import ECHO_S, reactions
 from analysis.report.page.panels import BY_KEY
 from analysis.report.recordings.recording import Recording, Span

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from analysis.report.flight_checks import flight_checks
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import Check
-from analysis.report.judging.flight_checks import flight_checks
 from analysis.report.recordings.recording import Recording, Signal, Span, Track, Vector
 
 T_S = np.arange(0.0, 60.0, 0.05)

@@ -15,7 +15,7 @@ LEAST_CELL_V = 1.0  # below it a cell is not connected
 FULL = 0.99
 
 
-def hardware_checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
+def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
     """One check a part."""
     of, hold = recording.of, th.hold_s
     motors = motor_outputs(recording)

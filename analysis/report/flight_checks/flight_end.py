@@ -19,7 +19,7 @@ GRAVITY_MPS2 = 9.80665
 ESTIMATES = ("estimate", "CTUN", "GPS")
 
 
-def end_checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
+def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
     """The impact on the ground, and whether the log ends in flight."""
     return [_impact(recording, th, armed), _aloft(recording, armed)]
 

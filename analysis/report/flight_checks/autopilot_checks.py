@@ -1,0 +1,46 @@
+"""What the autopilot itself said: flags, texts, system status."""
+
+from analysis.report.judging.check_limits import Thresholds
+from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, Check, Windows, within
+from analysis.report.judging.texts import texts_check
+from analysis.report.recordings.recording import Recording
+
+
+def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
+    """One check a voice."""
+    return [_flags(recording, armed), texts_check(recording, armed), _status(recording, armed)]
+
+
+def _flags(recording: Recording, armed: Windows | None) -> Check:
+    """Flags by which the autopilot itself says that something is wrong."""
+    name = "flags of the autopilot"
+    if armed == []:
+        return Check(name=name, verdict=NONE, evidence="never armed")
+    spans = [s for s in recording.spans if s.kind == "flag"]
+    spans = [s for s in spans if within(s.start_s, armed) or within(s.end_s, armed)]
+    if not spans:
+        known = recording.of("ratio") or recording.of("variance")
+        evidence = "none raised while armed" if known else "no estimator status in the log"
+        return Check(name=name, verdict=PASS if known else NONE, evidence=evidence)
+    shown = ", ".join(f"{s.lane} at {s.start_s:.1f} to {s.end_s:.1f} s" for s in spans[:4])
+    if len(spans) > 4:
+        shown += f" and {len(spans) - 4} more"
+    windows = tuple((s.start_s, s.end_s) for s in spans)
+    return Check(name=name, verdict=WARN, evidence=shown, limit="warn: any", windows=windows)
+
+
+def _status(recording: Recording, armed: Windows | None) -> Check:
+    name = "system status of the autopilot"
+    if not any(span.lane.startswith("mode") for span in recording.spans):
+        return Check(name=name, verdict=NONE, evidence="no heartbeats in the log")
+    if armed == []:
+        return Check(name=name, verdict=NONE, evidence="never armed")
+    spans = [s for s in recording.spans if s.lane.startswith("system status")]
+    spans = [s for s in spans if within(s.start_s, armed) or within(s.end_s, armed)]
+    limit = "warn: CRITICAL while armed; fail: EMERGENCY"
+    if not spans:
+        return Check(name=name, verdict=PASS, evidence="never critical while armed", limit=limit)
+    worst = FAIL if any(s.text == "EMERGENCY" for s in spans) else WARN
+    evidence = ", ".join(f"{s.text} at {s.start_s:.1f} to {s.end_s:.1f} s" for s in spans[:5])
+    windows = tuple((s.start_s, s.end_s) for s in spans)
+    return Check(name=name, verdict=worst, evidence=evidence, limit=limit, windows=windows)

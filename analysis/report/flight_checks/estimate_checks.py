@@ -1,0 +1,52 @@
+"""The autopilot's estimator, by its own account and against the truth."""
+
+import numpy as np
+
+from analysis.report.judging.check_limits import Thresholds
+from analysis.report.judging.checks import Check, Limits, Windows, level
+from analysis.report.recordings.recording import Recording, Signal
+
+
+def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
+    """One check a quantity."""
+    of, hold = recording.of, th.hold_s
+    ratio = Limits(*th.innovation_ratio, hold_s=hold)
+    variance = Limits(*th.ekf_variance, hold_s=hold)
+    step = Limits(*th.estimate_step_m, "m")
+    far = Limits(*th.position_error_m, "m", hold_s=hold)
+    high = Limits(*th.height_error_m, "m", hold_s=hold)
+    tilted = Limits(*th.attitude_error_deg, "deg", hold_s=hold)
+    positions = [s for s in of("position-error") if s.name in ("estimate", "fused")]
+    return [
+        level("innovation test ratios", of("ratio"), ratio, armed),
+        level("EKF variances", of("variance"), variance, armed),
+        level("estimate steps", of("estimate-jump"), step, armed),
+        level("position against the truth", positions, far, armed),
+        level("height against the truth", _height_errors(recording), high, armed),
+        level("attitude against the truth", _tilt_errors(recording), tilted, armed),
+    ]
+
+
+def _height_errors(recording: Recording) -> list[Signal]:
+    """How far the estimated altitude is off the true one, m."""
+    tracks = {track.name: track for track in recording.tracks}
+    truth = tracks.get("truth")
+    found = []
+    for name in ("estimate", "fused"):
+        own = tracks.get(name)
+        if truth is not None and own is not None:
+            inside = (own.t_s >= truth.t_s[0]) & (own.t_s <= truth.t_s[-1])
+            there = np.interp(own.t_s[inside], truth.t_s, truth.alt_m)
+            off = np.abs(own.alt_m[inside] - there)
+            found.append(Signal("altitude", name, own.t_s[inside], off))
+    return found
+
+
+def _tilt_errors(recording: Recording) -> list[Signal]:
+    found = []
+    for panel in ("error-roll", "error-pitch", "error-yaw"):
+        for signal in recording.of(panel):
+            if signal.name == "autopilot":
+                name = panel.removeprefix("error-")
+                found.append(Signal(panel, name, signal.t_s, np.abs(signal.value)))
+    return found

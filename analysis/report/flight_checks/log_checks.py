@@ -1,0 +1,58 @@
+"""Whether the log is whole, and what its links lost."""
+
+import re
+
+from analysis.report.judging.check_limits import Thresholds
+from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, Check, Limits, Windows
+from analysis.report.recordings.recording import Recording
+
+DAMAGE = re.compile("damaged|not read")
+MOST_LOST = 0.9  # beyond, the sequence numbers of several links stand in one log
+FEWEST_FRAMES = 500  # of a sender, for its losses to be judged
+
+
+def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
+    """The whole log, and each link."""
+    return [_whole(recording, th), *_links(recording, th)]
+
+
+def _whole(recording: Recording, th: Thresholds) -> Check:
+    limits = Limits(*th.broken_bytes_percent, "%")
+    damage = [note for note in recording.notes if DAMAGE.search(note)]
+    if damage:
+        return Check(name="log is whole", verdict=WARN, evidence="; ".join(damage))
+    if recording.size == 0:
+        return Check(name="log is whole", verdict=PASS, evidence="no part is damaged or missing")
+    percent = 100 * recording.junk_bytes / recording.size
+    verdict = FAIL if percent > limits.fail else WARN if percent > limits.warn else PASS
+    evidence = f"{recording.junk_bytes} of {recording.size} bytes ({percent:.2g} %) are no frame"
+    return Check(name="log is whole", verdict=verdict, evidence=evidence, limit=limits.text())
+
+
+def _links(recording: Recording, th: Thresholds) -> list[Check]:
+    """Losses and silences of the vehicles' senders that sent enough to tell."""
+    vehicles = set(recording.systems)
+    lost, silent = Limits(*th.frames_lost_percent, "%"), Limits(*th.silence_s, "s")
+    checks = []
+    for link in recording.links:
+        if link.frames < FEWEST_FRAMES or link.system not in vehicles:
+            continue
+        share = link.lost / (link.frames + link.lost)
+        percent = 100 * share
+        bad = percent > lost.fail or link.longest_gap_s > silent.fail
+        doubtful = percent > lost.warn or link.longest_gap_s > silent.warn
+        mixed = share > MOST_LOST
+        name = f"link from {link.system}/{link.component}"
+        checks.append(
+            Check(
+                name=f"{name} in {link.log}" if link.log else name,
+                verdict=NONE if mixed else FAIL if bad else WARN if doubtful else PASS,
+                evidence="sequence numbers of several links in one log, losses cannot be counted"
+                if mixed
+                else f"{link.lost} of {link.frames + link.lost} frames lost ({percent:.2g} %), "
+                f"longest silence {link.longest_gap_s:.1f} s",
+                limit=f"{lost.text()}; silence: {silent.text()}",
+                panel="link-lost",
+            )
+        )
+    return checks
