@@ -137,7 +137,7 @@ class Flight:
             if not isinstance(item, Frame) or item.component == HIL_COMPONENT:
                 continue
             if link == SIMULATOR:
-                self._plant.take(item)
+                self._plant.carry_out(item)
                 continue
             for raw in self._services.received(item, self.t_us):
                 sends += self.core.received(VEHICLE, raw, self.now_us)

@@ -22,10 +22,10 @@ class Freeze(ValueFault, frozen=True, kw_only=True):
         self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """The values of this sender's first frame."""
-        held: dict[Key, list[Number]] = memory or {}
-        if key in held:
-            return held[key], held
-        return before, {**held, key: before}
+        frozen: dict[Key, list[Number]] = memory or {}
+        if key in frozen:
+            return frozen[key], frozen
+        return before, {**frozen, key: before}
 
 
 class Replay(ValueFault, frozen=True, kw_only=True):
@@ -70,9 +70,9 @@ class SlewLimit(ValueFault, frozen=True, kw_only=True):
     ) -> tuple[list[Number], Any]:
         """One step towards the healthy value."""
         last: dict[Key, tuple[float, list[Number]]] = memory or {}
-        last_s, held = last.get(key, (t_s, before))
+        last_s, previous = last.get(key, (t_s, before))
         most = self.value * max(t_s - last_s, 0.0)
-        now = [h + min(max(x - h, -most), most) for x, h in zip(before, held, strict=True)]
+        now = [h + min(max(x - h, -most), most) for x, h in zip(before, previous, strict=True)]
         return now, {**last, key: (t_s, now)}
 
 

@@ -64,8 +64,8 @@ class InSimulator(msgspec.Struct, frozen=True, kw_only=True):
         if values == state.values and since_us < REPEAT_US:
             return [passed], state._replace(memory=memory)
         target = (frame.system, frame.component)
-        told = self._told(values, target, t_us)
-        return [passed, *told], Sent(state.start_us, target, values, t_us, memory)
+        messages = self._messages(values, target, t_us)
+        return [passed, *messages], Sent(state.start_us, target, values, t_us, memory)
 
     def fed(self, state: Sent, value: float, t_us: int) -> Sent:
         """The state after a live value that came at `t_us`."""
@@ -79,9 +79,9 @@ class InSimulator(msgspec.Struct, frozen=True, kw_only=True):
         if state.values is None:
             return [], state
         healthy = (None,) * len(self.names)
-        return self._told(healthy, state.target, t_us), state._replace(values=healthy)
+        return self._messages(healthy, state.target, t_us), state._replace(values=healthy)
 
-    def _told(
+    def _messages(
         self, values: Sequence[float | None], target: tuple[int, int], t_us: int
     ) -> list[Outgoing]:
         layout = known("TUNNEL")

@@ -109,7 +109,7 @@ class LockstepLoop:
             frames = self._inbox.frames()
             if frames:
                 for frame in frames:
-                    self._take(frame)
+                    self._receive(frame)
                 break
             now_s = self._clock()
             if link.peer_count and connected_s is None:
@@ -136,7 +136,7 @@ class LockstepLoop:
             if waiting:
                 select.select([link.fileno()], [], [], self._wait_s())
             for frame in self._inbox.frames():
-                self._take(frame)
+                self._receive(frame)
             if self._wait_s() == 0.0:
                 return
             self._check_peer()
@@ -164,12 +164,12 @@ class LockstepLoop:
         else:
             self._progress.say(f"no answer to the step at {stamp_s:.3f} s; going on in real time")
 
-    def _take(self, frame: Frame) -> None:
+    def _receive(self, frame: Frame) -> None:
         if frame.layout.name == "HIL_ACTUATOR_CONTROLS":
             stamp_us, self._controls = read_controls(frame, self._mix)
             self.lockstep.received(stamp_us, self._clock())
             return
-        self._changes.take(frame)
+        self._changes.carry_out(frame)
 
 
 def serve_autopilot(loop: LockstepLoop, progress: Progress, until_us: int | None) -> int:

@@ -163,7 +163,7 @@ class FreeLoop:
             for chunk in datagrams(self._packer.frames(self.t_us, truth, readings)):
                 self._hil.link.write(chunk)
             for frame in self._hil.frames():
-                self._changes.take(frame)
+                self._changes.carry_out(frame)
         if self._gcs and self._services:
             link = self._gcs.link
             answers = [

@@ -79,7 +79,7 @@ class AutopilotLink:
                 self._gps = reading
             elif isinstance(reading, BatteryReading):
                 self._draw(reading)
-        said = self._flight.advance(truth)
+        messages = self._flight.advance(truth)
         self._now = Snapshot(
             stamp_us=t_us + self._start_us,
             truth=truth,
@@ -95,8 +95,8 @@ class AutopilotLink:
             mission_count=len(self._missions.items),
             mission_seq=self._flight.seq,
         )
-        said += self._missions.tick(t_us)
-        return [self._pack(m) for m in said + self._streams.tick(self._now)]
+        messages += self._missions.tick(t_us)
+        return [self._pack(m) for m in messages + self._streams.tick(self._now)]
 
     def received(self, frame: Frame, t_us: int) -> list[bytes]:
         """The answers to one frame; none before the first `tick`, nor to what is not for us."""
@@ -141,8 +141,8 @@ class AutopilotLink:
             self._consumed_mah += reading.current_a * 1e3 * hours
         self._battery = reading
 
-    def _pack(self, said: Message) -> bytes:
-        layout, values = said
+    def _pack(self, content: Message) -> bytes:
+        layout, values = content
         seq = self._seq
         self._seq = (seq + 1) & 0xFF
         return build(layout, values, seq=seq, system=self._system, component=AUTOPILOT)

@@ -175,11 +175,11 @@ class Flight:
             self._reached_us = None
             if self.flown and self.mode == Mode.MISSION and not self._missions.items:
                 self._enter(Mode.HOLD)
-        said: list[Message] = []
+        messages: list[Message] = []
         if self.armed and self.flown:
-            said = self._fly(truth)
+            messages = self._fly(truth)
         self.landed = self._landed_state(truth)
-        return said
+        return messages
 
     def _fly(self, truth: Truth) -> list[Message]:
         if self.mode == Mode.TAKEOFF:
@@ -243,10 +243,10 @@ class Flight:
             return []
         self.armed = False
         self.goal = replace(self.goal, kind=Kind.IDLE)
-        said = [statustext("Landing detected"), statustext("Disarmed by landing")]
+        messages = [statustext("Landing detected"), statustext("Disarmed by landing")]
         if self.mode == Mode.MISSION:
-            said.insert(0, message("MISSION_ITEM_REACHED", seq=self.seq))
-        return said
+            messages.insert(0, message("MISSION_ITEM_REACHED", seq=self.seq))
+        return messages
 
     def _enter(self, mode: Mode) -> None:
         """Set a mode and its goal from where the vehicle is."""

@@ -83,7 +83,7 @@ class Missions:
             return self._request(frame, kind)
         if name == "MISSION_CLEAR_ALL":
             if kind in (MissionType.MISSION, MissionType.ALL):
-                self._take(())
+                self._accept(())
             return [_ack(frame, MissionResult.ACCEPTED, kind)]
         return []
 
@@ -113,7 +113,7 @@ class Missions:
         if count > MAX_ITEMS:
             return [_ack(frame, MissionResult.NO_SPACE, kind)]
         if count == 0:
-            self._take(())
+            self._accept(())
             return [_ack(frame, MissionResult.ACCEPTED, kind)]
         self.upload = Upload(frame.system, frame.component, count, asked_us=t_us)
         return [_ask(self.upload)]
@@ -136,7 +136,7 @@ class Missions:
         if len(upload.items) < upload.count:
             self.upload = upload
             return [_ask(upload)]
-        self._take(upload.items)
+        self._accept(upload.items)
         return [_ack(frame, MissionResult.ACCEPTED, kind)]
 
     def _request(self, frame: WireFrame, kind: int) -> list[Message]:
@@ -161,7 +161,7 @@ class Missions:
             )
         ]
 
-    def _take(self, items: tuple[Item, ...]) -> None:
+    def _accept(self, items: tuple[Item, ...]) -> None:
         self.items = items
         self.changed += 1
         self.upload = None

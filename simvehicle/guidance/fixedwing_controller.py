@@ -195,8 +195,8 @@ class FixedWingController:
         power = now.qs * span * (body.g3 * aero.crda + body.g4 * aero.cnda)
         stiff = max(25.0, 3.5 * damping)
         lack = max(0.0, 1.4 * math.sqrt(stiff) - damping)
-        held = memory.bank + 0.3 * (bank - now.roll) / self.rate_hz
-        memory.bank = max(-0.3, min(0.3, held))
+        integral = memory.bank + 0.3 * (bank - now.roll) / self.rate_hz
+        memory.bank = max(-0.3, min(0.3, integral))
         return (stiff * (bank + memory.bank - now.roll) - lack * now.p) / power
 
     def _rudder(self, now: Now) -> float:
@@ -210,6 +210,6 @@ class FixedWingController:
     def _throttle(self, point: Trim, now: Now, wanted: float) -> float:
         """Throttle for the airspeed and the climb rate."""
         short = point.airspeed_mps - now.airspeed
-        held = self._memory.speed + 0.02 * short / self.rate_hz
-        self._memory.speed = max(-0.5, min(0.5, held))
+        integral = self._memory.speed + 0.02 * short / self.rate_hz
+        self._memory.speed = max(-0.5, min(0.5, integral))
         return point.throttle + 0.1 * short + self._memory.speed + 1.5 * wanted / now.airspeed

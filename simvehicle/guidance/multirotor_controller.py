@@ -182,8 +182,8 @@ class MultirotorController:
         for axis in range(3):
             error = wanted[axis] - velocity[axis]
             if abs(error) < 2.0:  # larger ones are manoeuvres, not disturbances
-                held = self._integral[axis] + _INTEGRAL_GAIN * error * dt
-                self._integral[axis] = max(-5.0, min(5.0, held))
+                integral = self._integral[axis] + _INTEGRAL_GAIN * error * dt
+                self._integral[axis] = max(-5.0, min(5.0, integral))
             out.append(_SPEED_GAIN * error + self._integral[axis] + forward[axis])
         size = math.hypot(out[0], out[1])
         scale = min(1.0, _TILT_MPS2 / max(size, 1e-9))

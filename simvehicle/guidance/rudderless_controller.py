@@ -65,8 +65,8 @@ class RudderlessController(FixedWingController):
         cost = solve_continuous_are(a, b, weights, [[1.0 / _EQUAL_AILERON**2]])
         gains = (b.T @ cost)[0] * _EQUAL_AILERON**2
         # Nothing changes in a steady turn: v, p, r and the aileron follow from the roll angle.
-        held = np.column_stack([np.delete(a, _ROLL, axis=1), b])
-        *rest, aileron = np.linalg.solve(held, -a[:, _ROLL])
+        fixed = np.column_stack([np.delete(a, _ROLL, axis=1), b])
+        *rest, aileron = np.linalg.solve(fixed, -a[:, _ROLL])
         return _Regulator(gains, np.insert(np.array(rest), _ROLL, 1.0), float(aileron))
 
 

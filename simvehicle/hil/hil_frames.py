@@ -81,7 +81,7 @@ class Hil:
         self._seq = 0
         self._rtcm = 0  # RTCM messages sent
         self._heartbeat_us = 0
-        self._held = [[0.0] * 13 for _ in range(IMU_IDS)]  # HIL_SENSOR's floats, by id
+        self._sensor_fields = [[0.0] * 13 for _ in range(IMU_IDS)]  # HIL_SENSOR's floats, by id
         self._truth = TruthPayload()
         self._consumed_mah = 0.0
         self._battery_us: int | None = None
@@ -141,21 +141,21 @@ class Hil:
     ) -> None:
         """Take a reading into the fields of its HIL_SENSOR and mark them as new."""
         if isinstance(reading, ImuReading):
-            held = self._held[reading.id]
-            held[0:3] = reading.accel_b_mps2
-            held[3:6] = reading.gyro_b_rps
+            fields = self._sensor_fields[reading.id]
+            fields[0:3] = reading.accel_b_mps2
+            fields[3:6] = reading.gyro_b_rps
             updated[reading.id] |= ACCEL | GYRO
         elif isinstance(reading, MagReading):
-            self._held[reading.id][6:9] = reading.field_b_gauss
+            self._sensor_fields[reading.id][6:9] = reading.field_b_gauss
             updated[reading.id] |= MAG
         elif isinstance(reading, PressureReading):
-            held = self._held[reading.id]
-            held[9] = reading.pressure_pa / PA_PER_HPA
-            held[11] = reading.pressure_alt_m
-            held[12] = reading.temperature_c
+            fields = self._sensor_fields[reading.id]
+            fields[9] = reading.pressure_pa / PA_PER_HPA
+            fields[11] = reading.pressure_alt_m
+            fields[12] = reading.temperature_c
             updated[reading.id] |= BARO
         else:
-            self._held[0][10] = reading.diff_pressure_pa / PA_PER_HPA
+            self._sensor_fields[0][10] = reading.diff_pressure_pa / PA_PER_HPA
             updated[0] |= DIFF_PRESSURE
 
     def _message(
@@ -198,7 +198,9 @@ class Hil:
         }
 
     def _sensor(self, stamp_us: int, updated: int, number: int) -> bytes:
-        return self._frame(HIL_SENSOR, _SENSOR.pack(stamp_us, *self._held[number], updated, number))
+        return self._frame(
+            HIL_SENSOR, _SENSOR.pack(stamp_us, *self._sensor_fields[number], updated, number)
+        )
 
     def _frame(self, layout: Layout, payload: bytes) -> bytes:
         return framed(

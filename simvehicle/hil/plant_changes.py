@@ -26,7 +26,7 @@ class PlantChanges:
         self._say = say
         self._refused: set[str] = set()
 
-    def take(self, frame: Frame) -> None:
+    def carry_out(self, frame: Frame) -> None:
         """Carry out a change; other frames pass unheeded."""
         change = plant_change(frame)
         if change is None:

@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from analysis.estimators import make
 from analysis.search.breakdown import breakdown
@@ -12,8 +14,10 @@ from analysis.search.evaluation.traced_flight import estimated, traced
 from analysis.search.lanes import rows
 from analysis.search.space.dimensions import flights_of
 from analysis.search.space.test_file import (
+    ANYWHERE,
     FaultRange,
     Initial,
+    Limits,
     Mission,
     OpenLoop,
     Sensors,
@@ -48,26 +52,48 @@ def flown(test, number=0):
     return traced(batch.plan, column[:, 0], memory, test.seed, number)
 
 
-def test_the_truth_is_the_simulators_own():
+SMALL = st.floats(-1.0, 1.0)
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    attitude=st.tuples(SMALL, SMALL, SMALL),
+    rates=st.tuples(SMALL, SMALL, SMALL),
+    surfaces=st.tuples(SMALL, SMALL, SMALL),
+    throttle=st.floats(0.0, 1.0),
+    wind=st.tuples(SMALL, SMALL, SMALL),
+)
+def test_lanes_and_the_simulator_fly_the_same(attitude, rates, surfaces, throttle, wind):
+    """The one dynamics code in its two forms: many vehicles in lanes, and a single one."""
+    roll, pitch, yaw = (60.0 * x for x in attitude)
+    p, q, r = (40.0 * x for x in rates)
     test = test_of(
-        initial=Initial(roll_deg=20.0, p_dps=10.0),
-        controls=OpenLoop(aileron_deg=0.5),
-        wind=Wind(north_mps=4.0, east_mps=-2.0),
+        duration_s=2.0,
+        initial=Initial(
+            roll_deg=roll, pitch_deg=0.5 * pitch, yaw_deg=yaw, p_dps=p, q_dps=q, r_dps=r
+        ),
+        controls=OpenLoop(
+            elevator_deg=8.0 * surfaces[0],
+            aileron_deg=8.0 * surfaces[1],
+            rudder_deg=8.0 * surfaces[2],
+            throttle=throttle,
+        ),
+        wind=Wind(north_mps=8.0 * wind[0], east_mps=8.0 * wind[1], down_mps=2.0 * wind[2]),
+        envelope=Limits(**ANYWHERE),
     )
     flight = flown(test)
-    vehicle, fixed = Batch(test).vehicle, Batch(test).space.fixed
-    surfaces = np.radians([fixed["controls.elevator_deg"], 0.5, 0.0]) / vehicle.throw_rad
+    vehicle = Batch(test).vehicle
     after, _ = vehicle.advance(
         np.append(flight.state[0], 0.0),
-        np.append(surfaces, fixed["controls.throttle"]),
-        np.array([4.0, -2.0, 0.0]),
+        np.append(np.radians(8.0 * np.array(surfaces)) / vehicle.throw_rad, throttle),
+        np.array([8.0 * wind[0], 8.0 * wind[1], 2.0 * wind[2]]),
         np.array([0.0, 0.0, 9.80665]),
         1.225,
         0.0,
-        1000,
+        200,
         0.01,
     )
-    assert flight.state[1000] == pytest.approx(after[:13], rel=1e-10, abs=1e-9)
+    assert flight.state[200] == pytest.approx(after[:13], rel=1e-9, abs=1e-8)
 
 
 def test_sensors_without_noise_show_the_truth():

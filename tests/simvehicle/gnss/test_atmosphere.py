@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from simvehicle.gnss.signal_delays import (
-    SPEED_OF_LIGHT_MPS,
     ionosphere_m,
     troposphere_m,
     zenith_delay_m,

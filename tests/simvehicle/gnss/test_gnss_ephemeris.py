@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
 from simvehicle.gnss.navigation_file import SHIPPED, gps_time, read_navigation
 from simvehicle.gnss.satellite_orbits import (
-    EARTH_RATE_RPS,
-    SPEED_OF_LIGHT_MPS,
     orbits_at,
     orbits_of,
     satellite_states,
@@ -40,7 +39,7 @@ def test_broadcast_orbits_and_clocks_agree_with_precise_ones(
     ephemeris = min(NAVIGATION.ephemerides[name], key=lambda e: abs(e.toe_s - tow_s))
     r, v, clock, _ = satellite_states(orbits_of([ephemeris], 2149), np.array([tow_s]))
     assert np.linalg.norm(r[0] - position) < 2.5  # broadcast: 1 m, and the antenna's offset
-    inertial = v[0] + np.cross([0.0, 0.0, EARTH_RATE_RPS], r[0])
+    inertial = v[0] + np.cross([0.0, 0.0, GNSS_EARTH_RATE_RPS], r[0])
     relativity_s = -2.0 * (r[0] @ inertial) / SPEED_OF_LIGHT_MPS**2  # IS-GPS-200N 20.3.3.3.3.1
     polynomial_s = clock[0] + ephemeris.group_delay_s - relativity_s
     assert polynomial_s == pytest.approx(clock_s, abs=5e-9)

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from simvehicle.gnss.gnss_config import ClockConfig
 from simvehicle.gnss.signal_errors import (
-    SPEED_OF_LIGHT_MPS,
     Clock,
     code_sigma_m,
     multipath_sigma_m,

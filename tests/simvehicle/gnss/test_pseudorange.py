@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth import ecef_from_geodetic, geodetic_from_ecef
 from simvehicle.gnss.navigation_file import SHIPPED, read_navigation
 from simvehicle.gnss.pseudorange import Atmosphere, sight
 from simvehicle.gnss.satellite_orbits import (
-    EARTH_RATE_RPS,
-    SPEED_OF_LIGHT_MPS,
     Orbits,
     orbits_of,
     satellite_states,
@@ -29,7 +28,7 @@ def orbits() -> Orbits:
 
 def inertial(r_m: np.ndarray, t_s: float) -> np.ndarray:
     """Earth-fixed vectors at `t_s` in the frame that is inertial and coincides at TOW_S."""
-    angle = EARTH_RATE_RPS * (t_s - TOW_S)
+    angle = GNSS_EARTH_RATE_RPS * (t_s - TOW_S)
     s, c = math.sin(angle), math.cos(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ r_m
 

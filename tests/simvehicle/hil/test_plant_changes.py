@@ -23,9 +23,9 @@ def frame(name: str, value: float | None) -> Frame:
 
 def test_a_change_acts_until_it_is_taken_back(simulation: Simulation) -> None:
     changes = PlantChanges(simulation, print)
-    changes.take(frame("wind_n_mps", 5.0))
+    changes.carry_out(frame("wind_n_mps", 5.0))
     assert simulation.step()[1].wind_ned_mps[0] == 5.0
-    changes.take(frame("wind_n_mps", None))
+    changes.carry_out(frame("wind_n_mps", None))
     assert simulation.step()[1].wind_ned_mps[0] == 0.0
 
 
@@ -35,11 +35,11 @@ def test_what_cannot_be_changed_is_told_once_and_the_flight_goes_on(
     told: list[str] = []
     changes = PlantChanges(simulation, told.append)
     for _ in range(3):
-        changes.take(frame("warp_drive", 9.0))
+        changes.carry_out(frame("warp_drive", 9.0))
     assert len(told) == 1
     assert "warp_drive is unknown" in told[0]
 
 
 def test_other_frames_are_none_of_its_business(simulation: Simulation) -> None:
     layout = known("HEARTBEAT")
-    PlantChanges(simulation, print).take(Frame(build(layout, {"type": 6}), layout))
+    PlantChanges(simulation, print).carry_out(Frame(build(layout, {"type": 6}), layout))
