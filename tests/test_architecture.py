@@ -1,5 +1,6 @@
 """The drawing of the rooms, and what the house rules say of files, against the sources."""
 
+import ast
 import runpy
 from collections import Counter
 from collections.abc import Iterator
