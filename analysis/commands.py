@@ -72,7 +72,9 @@ def add_monitor(commands: Any) -> None:
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--link", metavar="EP", help="live MAVLink, e.g. udpin:127.0.0.1:14551")
     source.add_argument("--log", metavar="LOG", help="a tlog, ULog or dataflash log")
-    source.add_argument("--rinex", nargs=2, metavar=("OBS", "NAV"), help="RINEX 2, 3 or 4 files")
+    source.add_argument(
+        "--rinex", nargs="+", metavar="FILE", help="RINEX 2, 3 or 4: OBS NAV [NAV ...]"
+    )
     parser.add_argument("--imu", metavar="CSV", help="IMU samples to go with --rinex")
     parser.add_argument("--labels", metavar="FILE", help="what was injected, to score against")
     parser.add_argument("--out", metavar="DIR", help="write results and report here")

@@ -5,13 +5,16 @@ from collections import Counter
 import numpy as np
 from scipy.stats import binom
 
+from analysis.detection.filter.inertial import CLOCK, ERRORS
+from analysis.detection.filter.information import normal_of
 from analysis.detection.isolation.bank import normalised, projected_weights
 from analysis.detection.isolation.chi_square import chi_square, two_sided
 from analysis.detection.isolation.hypotheses import judge
 from analysis.detection.isolation.ramp_windows import (
     STRIDE_S,
-    WINDOWS,
+    WINDOW_COUNT,
     YOUNGEST_S,
+    Windows,
     ramp_statistics,
     respond,
 )
@@ -144,11 +147,12 @@ def ramp_run(slope: float, onset: int, epochs: int, threshold: float) -> tuple[i
     m = np.linalg.inv(covariance(h))
     gain = p @ h.T @ m
     kick = np.linalg.cholesky(gain @ h @ p + 1e-12 * np.eye(4))
-    after, states, ones = p - gain @ h @ p, np.arange(4), np.ones(count)
-    phi, zero = np.eye(4), np.zeros((WINDOWS, count))
+    states, ones, after = np.array([0, 1, 2, CLOCK]), np.ones(count), np.zeros((ERRORS, 4))
+    after[states] = p - gain @ h @ p
+    phi, zero = np.eye(ERRORS), np.zeros((WINDOW_COUNT, count))
     each = count + 3
-    d, sums = np.zeros((4, WINDOWS * each)), np.zeros((WINDOWS, 5 * count + 12))
-    starts, error, false = np.zeros(WINDOWS), np.zeros(4), []
+    d, sums = np.zeros((ERRORS, WINDOW_COUNT * each)), np.zeros((WINDOW_COUNT, 5 * count + 12))
+    starts, error, false = np.zeros(WINDOW_COUNT), np.zeros(4), []
     noise, drift = RNG.standard_normal((epochs, count)), RNG.standard_normal((epochs, 4))
     for k in range(epochs):
         t = k * dt
@@ -157,7 +161,9 @@ def ramp_run(slope: float, onset: int, epochs: int, threshold: float) -> tuple[i
         if t - starts.max() >= STRIDE_S:
             w = int(starts.argmin())
             starts[w], d[:, w * each : (w + 1) * each], sums[w] = t, 0.0, 0.0
-        d, sums = respond(d, sums, zero, t - starts, phi, after, states, h, h.T @ h, ones, v, dt)
+        windows = Windows(starts.astype(np.int64), d, sums, zero[0], zero[0], zero, zero)
+        ranges = normal_of(states, h, ones, v)
+        d, sums = respond(windows, t - starts, phi, after, ranges, dt)
         old = t - starts >= YOUNGEST_S
         if (ramp_statistics(sums, zero, 0.0)[old] > threshold).any():
             if k >= onset:

@@ -2,14 +2,17 @@
 
 import runpy
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("mavproxy_fault", "simvehicle", "analysis")
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 ONE_CONCEPT = {"__init__.py", "commands.py"}  # names that may stand in every package
 MANY_OF_A_KIND = {ROOT / "mavproxy_fault" / "faults"}
-MOST_FILES, MOST_IN_A_ROOT = 16, 5
+MOST_FILES, MOST_IN_A_ROOT, MOST_LINES, MOST_PARAMETERS = 16, 5, 60, 8
 
 
 def test_the_drawing_shows_the_rooms_as_they_are() -> None:
@@ -45,3 +48,24 @@ def test_no_folder_is_full() -> None:
 def test_file_names_are_unique() -> None:
     names = Counter(path.name for path in SOURCES if path.name not in ONE_CONCEPT)
     assert [name for name, count in names.items() if count > 1] == []
+
+
+def functions(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield node
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_functions_are_small(package: str) -> None:
+    large = []
+    for path in SOURCES:
+        if path.is_relative_to(ROOT / package):
+            for node in functions(path):
+                names = [one.arg for one in (*node.args.args, *node.args.kwonlyargs)]
+                count = len([name for name in names if name not in ("self", "cls")])
+                lines = (node.end_lineno or 0) - node.lineno + 1
+                if count > MOST_PARAMETERS or lines > MOST_LINES:
+                    where = f"{path.relative_to(ROOT)}:{node.lineno} {node.name}"
+                    large.append(f"{where}: {lines} lines, {count} parameters")
+    assert large == []

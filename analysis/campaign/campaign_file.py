@@ -106,10 +106,12 @@ class FaultChoice(_Section, frozen=True):
 
 
 class SubjectChoice(_Section, frozen=True):
-    """An autopilot under test: as the section `autopilot` of a search, with a name of its own."""
+    """An autopilot under test, as `mavproxy-fault run` takes it; `arguments` are further ones."""
 
     name: str
-    autopilot: dict[str, Any]
+    autopilot: str
+    binary: str
+    arguments: tuple[str, ...] = ()
 
 
 class CompiledScenario(_Section, frozen=True):
@@ -155,6 +157,11 @@ class CampaignFile(_Section, frozen=True):
         """Whether the compiled kernels fly it."""
         return isinstance(self.scenarios[0], CompiledScenario)
 
+    def autopilot(self, name: str) -> SubjectChoice | None:
+        """The autopilot of a subject's name; None for an estimator or the monitor."""
+        chosen = [s for s in self.subjects if isinstance(s, SubjectChoice) and s.name == name]
+        return chosen[0] if chosen else None
+
     @property
     def subject_names(self) -> list[str]:
         """The subjects' names in results."""
@@ -175,21 +182,19 @@ def read_campaign(path: Path | str) -> CampaignFile:
     """
     document = read_document(path)
     if not isinstance(document.data, dict):
-        raise ConfigError(f"{path}:1: holds no keys; a campaign file is a YAML mapping")
+        raise ConfigError(f"{path}: holds no keys; a campaign file is a YAML mapping")
     data = {**document.data, "folder": str(Path(path).parent)}
     campaign = decode(document._replace(data=data), CampaignFile)
     kinds = {isinstance(scenario, CompiledScenario) for scenario in campaign.scenarios}
     if len(kinds) > 1:
         raise ConfigError(f"{path}: scenarios mix compiled ones and files; one kind in a campaign")
-    check = DocumentCheck(document.where, document.lines)
     known = [MONITOR, *names()]
+    check = DocumentCheck(document.where, document.lines)
     for i, subject in enumerate(campaign.subjects):
         if isinstance(subject, str) and subject not in known:
             check.wrong(("subjects", i), f"= {subject} is unknown; {near(subject, known)}")
-    for i, fault in enumerate(campaign.faults):
-        try:
-            parse_entry(fault.entry(fault.listed()[0], 0.0, 1.0), f"faults[{i}]")
-        except ConfigError as error:
-            check.wrong(("faults", i), f"is wrong: {error}")
     check.finish()
+    for i, fault in enumerate(campaign.faults):
+        where = f"{path}:{document.lines.get(('faults', i), 1)}: faults[{i}]"
+        parse_entry(fault.entry(fault.listed()[0], 0.0, 1.0), where)
     return campaign

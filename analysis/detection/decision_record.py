@@ -31,7 +31,7 @@ def decision(
         alarm=outcome.alarm or late,
         hypothesis=hypothesis,
         excluded=tuple(sorted(core.excluded)),
-        satellites=outcome.names + outcome.others,
+        satellites=outcome.names + outcome.excluded,
         residual_m=tuple(outcome.residual_m),
         normalised=tuple(outcome.normalised),
         onset_s=max(onsets) * 1e-6 if onsets else None,
@@ -58,13 +58,14 @@ def started(epoch: Epoch, observed: Observed, begun: Start, core: Core) -> Decis
         threshold=begun.threshold,
         dof=begun.dof,
         p_value=p_value(begun.statistic, begun.dof),
-        alarm=bool(begun.left_out),
+        alarm=bool(begun.faulty),
         hypothesis="satellites" if core.excluded else "none",
         excluded=tuple(sorted(core.excluded)),
         satellites=observed.satellites,
         position_ecef_m=_position(motion),
         position_sigma_m=_sigma(motion),
         mode="start",
+        reason="" if begun.dof > 1 else "a start with 1 degree of freedom: it tests little",
     )
 
 

@@ -2,7 +2,7 @@
 
 import math
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
@@ -21,6 +21,29 @@ NotNegative = Annotated[float, Meta(ge=0)]
 Seconds = Annotated[float, Meta(ge=0, le=1e6)]
 Axes = tuple[float, float, float]
 Klobuchar = tuple[float, float, float, float, float, float, float, float]
+
+
+class SigmaNumbers(NamedTuple):
+    """Of `SigmaModel` what does not change with time."""
+
+    scale: float
+    floor_m: float
+    zenith_m: float
+    thermal_m: float
+    rate_mps: float
+
+
+class RampNumbers(NamedTuple):
+    """What the ramp tests know of a healthy satellite and a sound IMU.
+
+    An unknown offset's variance over that of the range and its correlation time, the variance of a
+    natural slope (m/s)^2, and that of what a sound IMU's acceleration may be wrong by (m/s^2)^2.
+    """
+
+    offset_share: float
+    offset_s: float
+    slope: float
+    acceleration: float
 
 
 class SigmaModel(msgspec.Struct, frozen=True, kw_only=True, dict=True):
@@ -48,23 +71,35 @@ class SigmaModel(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         return result
 
     @cached_property
-    def numbers(self) -> Vector:
-        """The numbers (5,) that the kernels take."""
-        values = [self.scale, self.floor_m, self.zenith_m, self.thermal_m, self.rate_mps]
-        return np.array(values, dtype=float)
+    def numbers(self) -> SigmaNumbers:
+        """What of it the kernels need."""
+        values = (self.scale, self.floor_m, self.zenith_m, self.thermal_m, self.rate_mps)
+        return SigmaNumbers(*map(float, values))
 
 
 @compiled
-def range_variance(elevation_rad: Vector, cn0_dbhz: Vector, sigma: Vector) -> Vector:
-    """Variance (n,) of pseudoranges in m^2; `sigma` (5,) of `SigmaModel.numbers`."""
+def range_variance(elevation_rad: Vector, cn0_dbhz: Vector, sigma: SigmaNumbers) -> Vector:
+    """Variance (n,) of pseudoranges in m^2."""
     out = np.empty(elevation_rad.shape[0])
     for i in range(out.shape[0]):
         cn0 = max(cn0_dbhz[i], 0.0) if np.isfinite(cn0_dbhz[i]) else 45.0  # below is no signal
         sine = math.sin(max(elevation_rad[i], 0.05))
-        out[i] = sigma[0] ** 2 * (
-            sigma[1] ** 2 + (sigma[2] / sine) ** 2 + sigma[3] ** 2 * 10.0 ** ((45.0 - cn0) / 10.0)
-        )
+        thermal = sigma.thermal_m**2 * 10.0 ** ((45.0 - cn0) / 10.0)
+        out[i] = sigma.scale**2 * (sigma.floor_m**2 + (sigma.zenith_m / sine) ** 2 + thermal)
     return out
+
+
+class NoiseDensities(NamedTuple):
+    """Squares of the densities of `Noise`."""
+
+    gyro_rps: float
+    accel_mps2: float
+    gyro_walk: float
+    accel_walk: float
+    clock_m: float
+    drift_mps: float
+    isb_m: float
+    motion_mps2: float
 
 
 class Noise(msgspec.Struct, frozen=True, kw_only=True, dict=True):
@@ -83,10 +118,9 @@ class Noise(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     motion_mps2: NotNegative = 3.0  # m/s^2/sqrt(Hz), where no IMU tells of the motion
 
     @cached_property
-    def densities(self) -> Vector:
-        """Squares (8,) in the order of the fields, as the kernels take them."""
-        values = [getattr(self, name) for name in self.__struct_fields__]
-        return np.array(values, dtype=float) ** 2
+    def densities(self) -> NoiseDensities:
+        """Their squares, as the kernels need them."""
+        return NoiseDensities(*(float(getattr(self, name)) ** 2 for name in NoiseDensities._fields))
 
 
 class DetectorConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
@@ -155,10 +189,9 @@ class DetectorConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         return np.array([[chi_square(dof, p) for dof in range(MOST + 1)] for p in levels])
 
     @cached_property
-    def memory_numbers(self) -> Vector:
-        """The numbers (4,) of the tests with memory, as the kernels take them: an unknown offset's
-        variance over that of the range, its correlation time in s, the variance of a natural slope
-        and that of what a sound IMU's acceleration may be wrong by."""
+    def ramp_numbers(self) -> RampNumbers:
+        """What the ramp tests' kernels need."""
         sigma = self.sigma
-        spread = sigma.slow**2, sigma.slow_s, sigma.slow_mps**2, self.slow_accel_mps2**2
-        return np.array(spread, dtype=float)
+
+        slope, acceleration = sigma.slow_mps**2, self.slow_accel_mps2**2
+        return RampNumbers(*map(float, (sigma.slow**2, sigma.slow_s, slope, acceleration)))

@@ -1,15 +1,17 @@
 """The detector: samples in, a decision for each GNSS epoch out."""
 
+from bisect import bisect_left
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from analysis.detection.decision_record import decision, imu_results, started, untestable
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.detector_state import NOTHING_HELD, Core, Record, State
+from analysis.detection.detector_state import NOTHING_FROZEN, Core, Record, State
 from analysis.detection.epoch_outcome import Outcome
-from analysis.detection.filter.initial_fix import start
+from analysis.detection.filter.filter_state import Exclusion
+from analysis.detection.filter.initial_fix import against_prior, start
 from analysis.detection.filter.measurement import Observed, choose, observe, why_none
 from analysis.detection.filter.propagation import keep_pending, split_pending
 from analysis.detection.isolation.epoch_test import judge_epoch
@@ -25,9 +27,14 @@ from analysis.samples.sample import (
     GpsFix,
     IonosphereSample,
     Sample,
+    StateVector,
 )
+from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
-EPHEMERIDES_KEPT = 16  # per satellite, the newest
+SPACINGS = 2.5  # epochs that may be missing at the rate they come, whatever `reset_s`
+SAME_SPACING = 0.2  # of a gap: less is jitter
+SPACING_MAX_US = 120_000_000  # the filter knows nothing of the motion after longer
+EPHEMERIDES_KEPT = 512  # per satellite: three days of Galileo's
 
 
 @dataclass(frozen=True)
@@ -82,7 +89,11 @@ class Detector:
 
     def wants_fix(self, core: Core, t_us: int) -> bool:
         """Whether there are no raw ranges, so that a receiver's own position is needed."""
-        return core.ranges_us is None or t_us - core.ranges_us >= self.config.reset_s * 1e6
+        return core.ranges_us is None or t_us - core.ranges_us >= self._reset_us(core)
+
+    def _reset_us(self, core: Core) -> float:
+        """The longest gap of epochs that the filter bridges; some epochs come every 30 s."""
+        return max(self.config.reset_s * 1e6, SPACINGS * core.spacing_us)
 
     def _epoch(self, epoch: Epoch, state: State) -> tuple[list[Result], State]:
         core, pending, mag_b = state
@@ -93,18 +104,22 @@ class Detector:
         observed = observe(epoch, chosen)
         if observed is None:
             return [untestable(epoch.t_us, why_none(epoch, core.ephemerides), core.excluded)], state
-        if core.ranges_us is None or epoch.t_us - core.ranges_us > self.config.reset_s * 1e6:
+        if core.ranges_us is None:
             core = _forgotten(core)  # what there is came from the receiver's own position
+        else:
+            core = _spaced(core, epoch.t_us - core.ranges_us)
+        reset_us = self._reset_us(core)
         motion = core.motion
         if motion is not None:
-            since_s = (epoch.t_us - motion.t_us) * 1e-6
-            if -self.config.reset_s < since_s <= 0.0:
-                return [
-                    untestable(epoch.t_us, f"time went back by {-since_s:.3f} s", core.excluded)
-                ], state
-            if not 0.0 < since_s <= self.config.reset_s:
+            since_us = epoch.t_us - motion.t_us
+            if -reset_us < since_us <= 0:
+                reason = f"time went back by {-since_us * 1e-6:.3f} s"
+                return [untestable(epoch.t_us, reason, core.excluded)], state
+            if since_us <= 0:
                 core = _forgotten(core)
-                motion = None
+            elif since_us > reset_us:
+                core = _interrupted(core, since_us, self.config)
+            motion = core.motion
         run, pending = split_pending(pending, epoch.t_us)
         if motion is None:
             results, core = self._start(epoch, observed, core)
@@ -115,18 +130,26 @@ class Detector:
         return results, State(core, pending, mag_b)
 
     def _start(self, epoch: Epoch, observed: Observed, core: Core) -> tuple[list[Result], Core]:
-        begun = start(epoch.t_us, observed, self.config, core.ionosphere)
+        trusted = np.array([name not in core.excluded for name in observed.satellites])
+        used = observed.select(trusted)
+        begun = start(epoch.t_us, used, self.config, core.ionosphere)
+        if begun.motion is None and not trusted.all():  # better than no position
+            core, used = core._replace(excluded={}), observed
+            begun = start(epoch.t_us, used, self.config, core.ionosphere)
+        if core.before is not None:
+            begun = against_prior(begun, core.before, self.config)
         if begun.motion is None:
             return [untestable(epoch.t_us, begun.reason, core.excluded)], core
         core = core._replace(
+            before=None,
             motion=begun.motion,
             ranges_us=epoch.t_us,
-            excluded=exclude(core.excluded, begun.left_out, epoch.t_us, epoch.t_us),
+            excluded=exclude(core.excluded, begun.faulty, epoch.t_us, epoch.t_us),
             unknown_since_us=None,
-            memory=None,
+            ramps=None,
             history=(),
         )
-        return [started(epoch, observed, begun, core)], core
+        return [started(epoch, used, begun, core)], core
 
     def _test(
         self,
@@ -157,8 +180,8 @@ class Detector:
         onsets = {}
         if slow is not None and slow.hypothesis == "satellites":
             onsets[slow.satellite] = slow.onset_us
-        for i in outcome.left_out:
-            onset_us = onset_of(core.memory, outcome.names[i], t_us, self.config)
+        for i in outcome.faulty:
+            onset_us = onset_of(core.ramps, outcome.names[i], t_us, self.config)
             if onset_us < t_us:
                 onsets[outcome.names[i]] = onset_us
         return onsets
@@ -168,7 +191,7 @@ class Detector:
     ) -> Outcome:
         """The contaminated stretch once more, without the satellites in `late`.
 
-        The verdict stays the one of `outcome`; the filter, its memory and its history are new.
+        The verdict stays the one of `outcome`; the filter, its ramp tests and its history are new.
         """
         since_us = min(late.values())
         kept = tuple(record for record in history if record.t_us <= since_us)
@@ -177,7 +200,10 @@ class Detector:
         found_us = history[-1].t_us
         excluded = core.excluded
         for name, onset_us in late.items():
-            excluded = exclude(excluded, (name,), onset_us, found_us)
+            # found now, even if it was excluded then: the replay must not readmit it
+            known = excluded.get(name)
+            since = onset_us if known is None else min(onset_us, known.onset_us)
+            excluded = {**excluded, name: Exclusion(since, found_us)}
         core = core._replace(excluded=excluded)
         replayed = list(kept)
         for record in again:
@@ -198,14 +224,44 @@ def run(detector: Detector, samples: Iterable[Sample]) -> list[Result]:
 
 def _forgotten(core: Core) -> Core:
     """The core without its filter."""
-    return core._replace(motion=None, excluded={}, held=NOTHING_HELD, memory=None, history=())
+    return core._replace(motion=None, excluded={}, frozen=NOTHING_FROZEN, ramps=None, history=())
+
+
+def _interrupted(core: Core, gap_us: int, config: DetectorConfig) -> Core:
+    """The core after a gap too long to bridge: its place and its exclusions are still known."""
+    excluded = {}
+    if gap_us <= config.sigma.slow_s * 1e6:  # what is wrong with a satellite lasts about so long
+        excluded = {
+            name: replace(entry, healthy_since_us=None) for name, entry in core.excluded.items()
+        }
+    return _forgotten(core)._replace(excluded=excluded, before=core.motion)
+
+
+def _spaced(core: Core, gap_us: int) -> Core:
+    """The core with the time between epochs, once two gaps running are the same."""
+    spacing_us = core.spacing_us
+    if abs(gap_us - spacing_us) <= SAME_SPACING * spacing_us:
+        return core
+    if abs(gap_us - core.gap_us) <= SAME_SPACING * gap_us:
+        spacing_us = min(gap_us, SPACING_MAX_US)
+    return core._replace(spacing_us=spacing_us, gap_us=gap_us)
 
 
 def _learn(core: Core, sample: EphemerisSample) -> Core:
-    """The core with one ephemeris more; the same one again changes nothing."""
+    """The core with one ephemeris more, in the order of their times.
+
+    One of the same time replaces the one that was known; the same one again changes nothing.
+    """
     ephemeris = sample.ephemeris
     stored = core.ephemerides.get(ephemeris.satellite, ())
-    if any(known == ephemeris for known, _ in stored):
+    at = bisect_left(stored, _time_of(ephemeris), key=lambda known: _time_of(known[0]))
+    same_time = at < len(stored) and _time_of(stored[at][0]) == _time_of(ephemeris)
+    if same_time and stored[at][0] == ephemeris:
         return core
-    kept = (*stored[-EPHEMERIDES_KEPT + 1 :], (ephemeris, pack_ephemeris(ephemeris)))
+    packed = pack_ephemeris(ephemeris)
+    kept = (*stored[:at], (ephemeris, packed), *stored[at + same_time :])[-EPHEMERIDES_KEPT:]
     return core._replace(ephemerides={**core.ephemerides, ephemeris.satellite: kept}, chosen=None)
+
+
+def _time_of(ephemeris: Ephemeris | StateVector) -> tuple[int, float]:
+    return ephemeris.week, ephemeris.toe_s

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from analysis.detection.filter.filter_state import Exclusion, Motion, Pending, Stored
 from analysis.detection.filter.measurement import Chosen, Observed
 from analysis.detection.filter.propagation import Segment, segment
-from analysis.detection.isolation.ramp_test import Memory
+from analysis.detection.isolation.ramp_test import RampBank
 from analysis.detection.values import Value
 from analysis.samples.block import ImuRun
 from analysis.samples.sample import Vector
@@ -14,14 +14,14 @@ RECEIVER = "GPS"  # the receiver's name among what is excluded
 NOTHING_EXCLUDED: dict[str, Exclusion] = {}
 
 
-class Held(Value, frozen=True):
-    """Offsets in m of satellites' ranges at `t_us`, held while others are left out."""
+class FrozenOffsets(Value, frozen=True):
+    """Offsets in m of satellites' ranges at `t_us`, subtracted since other satellites are used."""
 
     t_us: int
     offsets_m: dict[str, float]
 
 
-NOTHING_HELD = Held(0, {})
+NOTHING_FROZEN = FrozenOffsets(0, {})
 
 
 class Core(Value, frozen=True):
@@ -29,30 +29,34 @@ class Core(Value, frozen=True):
 
     `imu_bad_until_us` is when a faulty IMU is tried again (None: it is trusted), `unknown_since_us`
     since when every epoch had the verdict "multiple-unknown". `ranges_us` is when raw ranges were
-    last usable, `held` what is taken off them; `gps_source` and `last_fix` (time and ECEF
-    position) serve when there are none.
+    last usable, `frozen` what is subtracted from them; `gps_source` and `last_fix` (time and ECEF
+    position) serve when there are none. `spacing_us` is the time between epochs (0: not known),
+    `gap_us` the newest that was another; `before` is the filter as it was before a gap too long.
     """
 
     motion: Motion | None
     ephemerides: dict[str, tuple[Stored, ...]]
     ionosphere: Vector
     excluded: dict[str, Exclusion] = NOTHING_EXCLUDED
-    held: Held = NOTHING_HELD
+    frozen: FrozenOffsets = NOTHING_FROZEN
     imu_id: int | None = None
     imu_bad_until_us: int | None = None
     mag_b: Vector | None = None
     unknown_since_us: int | None = None
     ranges_us: int | None = None
     chosen: Chosen | None = None
-    memory: Memory | None = None
+    ramps: RampBank | None = None
     history: "tuple[Record, ...]" = ()
     gps_source: str | None = None
     last_fix: tuple[int, Vector] | None = None
+    spacing_us: int = 0
+    gap_us: int = 0
+    before: Motion | None = None
 
 
 class Record(Value, frozen=True):
-    """One epoch of the past, to be judged again: the core before it, what was observed, and what
-    the IMU gave until then."""
+    """A snapshot of one epoch, for a replay: the core before it, what was observed, and what the
+    IMU gave until then."""
 
     t_us: int
     core: Core

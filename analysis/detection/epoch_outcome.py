@@ -9,21 +9,21 @@ from analysis.detection.values import Value
 
 
 class Outcome(Value, frozen=True):
-    """The core after an epoch and what the epoch said; nothing but `reason` where it could not be
+    """The core after an epoch and what the epoch showed; nothing but `reason` where it could not be
     tested.
 
-    `names` are the satellites that were used, `left_out` the places of those found faulty among
-    them, `others` those left out before; innovations `residual_m` and `normalised` are of both. The
-    tests: the main one, `parity` over `parity_dof` degrees of freedom, the rates' over `rate_dof`
-    (None: there were too few), and the slow one. `gap_s` is how long the IMU was silent, where that
-    matters.
+    `names` are the satellites that were used, `faulty` the places of those found faulty among
+    them, `excluded` those excluded before; innovations `residual_m` and `normalised` are of both.
+    The tests: the main one, `parity` over `parity_dof` degrees of freedom, the rates' over
+    `rate_dof` (None: there were too few), and the slow one. `gap_s` is how long the IMU was silent,
+    where that matters.
     """
 
     core: Core
     reason: str = ""
     names: tuple[str, ...] = ()
-    left_out: tuple[int, ...] = ()
-    others: tuple[str, ...] = ()
+    faulty: tuple[int, ...] = ()
+    excluded: tuple[str, ...] = ()
     residual_m: Sequence[float] = ()
     normalised: Sequence[float] = ()
     statistic: float = 0.0

@@ -6,6 +6,7 @@ newest attitude of the graph, less the graph's bias.
 
 from collections import deque
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -46,11 +47,19 @@ class FusedAttitude:
     config: FusionConfig = field(default_factory=FusionConfig)
     detector: DetectorConfig = field(default_factory=DetectorConfig)
 
+    @cached_property
+    def _references(self) -> References:
+        return References(self.detector)
+
+    @cached_property
+    def _fusion(self) -> Fusion:
+        return Fusion(self.config, self.detector)
+
     def start(self, prior: Prior) -> FusedAttitudeState:
         """The state before the first reading."""
         return FusedAttitudeState(
-            References(self.detector).new_state(),
-            Fusion(self.config, self.detector).new_state(),
+            self._references.new_state(),
+            self._fusion.new_state(),
             np.array(prior.q_nb, dtype=float),
             prior.t_us,
         )
@@ -65,15 +74,13 @@ class FusedAttitude:
                 state.turns.append((reading.t_us, reading.gyro_b_rps, dt_s))
                 state.q_nb = _after(state.q_nb, reading.gyro_b_rps - state.bias_rps, dt_s)
             state.t_us = reading.t_us
-        results, state.detector = References(self.detector).step(reading, state.detector)
+        results, state.detector = self._references.step(reading, state.detector)
         decision = next((result for result in results if isinstance(result, Decision)), None)
         motion = state.detector.detector.core.motion
         if decision is not None and decision.mode == "start" and motion is not None:
             self._tell(motion, state)
         core = state.detector.detector.core
-        fused, state.fusion = Fusion(self.config, self.detector).step(
-            reading, results, core, state.fusion
-        )
+        fused, state.fusion = self._fusion.step(reading, results, core, state.fusion)
         for result in fused:
             if isinstance(result, FusedState):
                 self._take(result, state)

@@ -47,6 +47,8 @@ _WAVE_FIELDS = ("crs_m", "crc_m", "cus_rad", "cuc_rad", "cis_rad", "cic_rad")
 _CLOCK_FIELDS = ("toe_s", "toc_s", "af0_s", "af1", "af2_per_s")
 _FIELDS = (*_CLOCK_FIELDS, *_ORBIT_FIELDS, *_RATE_FIELDS, *_WAVE_FIELDS, "group_delay_s")
 PACKED = 4 + len(_FIELDS)
+# Columns of `predict_ranges`: the range, its rate, the unit vector (3), elevation and azimuth.
+RANGE, RATE, SIGHT, ELEVATION, AZIMUTH, PREDICTED = 0, 1, 2, 5, 6, 7
 
 
 def pack_ephemeris(ephemeris: Ephemeris | StateVector) -> Vector:
@@ -263,7 +265,7 @@ def predict_ranges(
     (n, 7) : pseudorange in m and its rate in m/s, unit vector to the satellite (3) in ECEF at the
         time of reception, elevation and azimuth in rad.
     """
-    out = np.empty((states.shape[0], 7))
+    out = np.empty((states.shape[0], PREDICTED))
     lat, lon, height = geodetic(r_ecef_m)
     axes, zenith = ned_axes(lat, lon), zenith_delay_m(lat, height)
     d, u = np.empty(3), np.empty(3)
@@ -281,7 +283,7 @@ def predict_ranges(
         vz = states[i, 5] - v_ecef_mps[2]
         for k in range(3):
             u[k] = d[k] / rho
-            out[i, 2 + k] = u[k]
+            out[i, SIGHT + k] = u[k]
         north = axes[0, 0] * u[0] + axes[0, 1] * u[1] + axes[0, 2] * u[2]
         east = axes[1, 0] * u[0] + axes[1, 1] * u[1] + axes[1, 2] * u[2]
         down = axes[2, 0] * u[0] + axes[2, 1] * u[1] + axes[2, 2] * u[2]
@@ -291,8 +293,8 @@ def predict_ranges(
         if el > 0.0:
             delay = troposphere_m(zenith, el)
             delay += states[i, 8] * klobuchar_m(lat, lon, az, el, tow_s, ionosphere)
-        out[i, 0] = rho - states[i, 6] + delay
-        out[i, 1] = u[0] * vx + u[1] * vy + u[2] * vz - states[i, 7]
-        out[i, 5] = el
-        out[i, 6] = az
+        out[i, RANGE] = rho - states[i, 6] + delay
+        out[i, RATE] = u[0] * vx + u[1] * vy + u[2] * vz - states[i, 7]
+        out[i, ELEVATION] = el
+        out[i, AZIMUTH] = az
     return out

@@ -38,15 +38,6 @@ class Fix:
     elevation_rad: Vector
     azimuth_rad: Vector
 
-    @property
-    def pdop(self) -> float:
-        """Position dilution of precision, unweighted; infinite where geometry fails."""
-        normal = self.design.T @ self.design
-        try:
-            return float(np.sqrt(np.trace(np.linalg.inv(normal)[:3, :3])))
-        except np.linalg.LinAlgError:
-            return float("inf")
-
 
 def systems_of(system: Indices) -> list[int]:
     """The systems among `system` (n,), places in `gnss.SYSTEMS`; the first has no offset."""

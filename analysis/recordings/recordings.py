@@ -1,7 +1,9 @@
 """Recordings -> samples in the order of their stamps: tlogs, and RINEX files with an IMU's CSV."""
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +11,14 @@ import numpy as np
 from analysis.recordings.autopilot_logs import is_autopilot_log, read_autopilot_log
 from analysis.samples.block import IMU, Block, Part, joined
 from analysis.samples.decoder import MESSAGES, Decoder
-from analysis.samples.sample import Sample
+from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample, Sample
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.wire.tlog import read_ordered
 
 UNIX_TO_GPS_S = 315_964_800  # 1980-01-06 on Unix's count
+WEEK_S = 604_800
+NUMBER = re.compile(r"[+-]?\.?\d")  # how one begins
 
 
 def read_log(path: Path | str) -> Iterator[Block]:
@@ -32,48 +37,104 @@ def read_log(path: Path | str) -> Iterator[Block]:
         yield decoder.columns(columns, orders)
 
 
-def read_rinex(observations: Path, navigation: Path, imu: Path | None = None) -> Block:
-    """A RINEX observation and navigation file, and IMU samples where there are any, by time.
+def read_rinex(
+    observations: Path, navigation: Path | Sequence[Path], imu: Path | None = None
+) -> Block:
+    """A RINEX observation file with its navigation files, and IMU samples where there are any.
 
     The IMU file has one sample a line: GPS time on Unix's count of seconds, specific force (3) in g
     and rates (3) in rad/s, axes forward-left-up; further columns are passed over. `t_us` counts
-    from the start of GPS time; what the navigation file holds comes first, stamped as the first.
+    from the start of GPS time; what the navigation files hold comes first, stamped as the first.
 
     Raises
     ------
     ConfigError
-        If a file cannot be read as what it should be.
+        If a file cannot be read as what it should be, or does not fit the others.
     """
     from analysis.recordings.rinex_navigation import read_navigation
     from analysis.recordings.rinex_observations import read_observations
 
+    files = [navigation] if isinstance(navigation, Path) else list(navigation)
     epochs = read_observations(observations)
+    if not epochs:
+        raise ConfigError(f"{observations}: has no epoch with a pseudorange that can be read")
+    broadcast = [sample for path in files for sample in read_navigation(path)]
+    _check_orbits(observations, files, epochs, broadcast)
     parts = [] if imu is None else [_read_imu(imu)]
-    stamps = [epoch.t_us for epoch in epochs] + [int(p.t_us.min()) for p in parts if len(p.t_us)]
-    first_us = min(stamps, default=0)
-    broadcast = [replace(sample, t_us=first_us) for sample in read_navigation(navigation)]
-    beside: list[tuple[int, Sample]] = [(-1, sample) for sample in broadcast]
+    for part in parts:
+        _check_overlap(imu, part, epochs)
+    first_us = min([epoch.t_us for epoch in epochs] + [int(p.t_us.min()) for p in parts])
+    beside: list[tuple[int, Sample]] = [(-1, replace(s, t_us=first_us)) for s in broadcast]
     beside += [(2 * epoch.t_us, epoch) for epoch in epochs]
     return joined(parts, beside)
 
 
 def read_rinex_samples(
-    observations: Path, navigation: Path, imu: Path | None = None
+    observations: Path, navigation: Path | Sequence[Path], imu: Path | None = None
 ) -> list[Sample]:
     """What `read_rinex` reads, one sample after the other."""
     return list(read_rinex(observations, navigation, imu).samples())
 
 
-def _read_imu(path: Path) -> Part:
-    from mavproxy_fault.documents.errors import ConfigError
+def _check_orbits(
+    observations: Path,
+    files: Sequence[Path],
+    epochs: Sequence[Epoch],
+    broadcast: Sequence[EphemerisSample | IonosphereSample],
+) -> None:
+    """Refuse navigation files without an orbit that holds within the observations."""
+    named = ", ".join(str(path) for path in files)
+    orbits = [s.ephemeris for s in broadcast if isinstance(s, EphemerisSample)]
+    if not orbits:
+        raise ConfigError(f"{named}: no ephemeris that can be read; GPS, Galileo and others can")
+    begin_s, end_s = (epochs[i].t_us * 1e-6 for i in (0, -1))
+    if any(
+        begin_s - orbit.fit_half_s <= orbit.week * WEEK_S + orbit.toe_s <= end_s + orbit.fit_half_s
+        for orbit in orbits
+    ):
+        return
+    toe_s = min((o.week * WEEK_S + o.toe_s for o in orbits), key=lambda t: abs(t - begin_s))
+    raise ConfigError(
+        f"{named}: its ephemerides are for {_date(toe_s)}, {observations} is of"
+        f" {_date(begin_s)}; give the navigation file of that day"
+    )
 
+
+def _check_overlap(path: Path | None, part: Part, epochs: Sequence[Epoch]) -> None:
+    """Refuse IMU samples of another time than the observations."""
+    begin_us, end_us = epochs[0].t_us, epochs[-1].t_us
+    first_us, last_us = int(part.t_us.min()), int(part.t_us.max())
+    if last_us < begin_us or first_us > end_us:
+        raise ConfigError(
+            f"{path}: is of {_date(first_us * 1e-6)} to {_date(last_us * 1e-6)}, the observations"
+            f" are of {_date(begin_us * 1e-6)} to {_date(end_us * 1e-6)} GPS time; the first"
+            " column is GPS time on Unix's count of seconds"
+        )
+
+
+def _date(gps_s: float) -> str:
+    """A time of GPS's count of seconds for people."""
+    moment = datetime.fromtimestamp(gps_s + UNIX_TO_GPS_S, UTC)
+    return moment.strftime("%Y-%m-%d %H:%M:%S")
+
+
+def _read_imu(path: Path) -> Part:
     try:
-        table = np.loadtxt(path, delimiter=",", ndmin=2)
-    except (OSError, ValueError) as error:
+        lines = path.read_text("utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read as text ({error})") from error
+    headed = bool(lines) and not NUMBER.match(lines[0].split(",")[0].strip())
+    samples = [line for line in lines[headed:] if line.strip()]
+    if not samples:
+        raise ConfigError(f"{path}: has no sample; a line is time, force (3) and rates (3)")
+    try:
+        table = np.loadtxt(samples, delimiter=",", ndmin=2)
+    except ValueError as error:
         raise ConfigError(f"{path}: is no table of IMU samples ({error})") from error
     if table.shape[1] < 7:
         raise ConfigError(
-            f"{path}: has {table.shape[1]} columns; time, force (3) and rates (3) are needed"
+            f"{path}: has {table.shape[1]} columns; GPS time on Unix's count in s, specific force"
+            " (3) in g and rates (3) in rad/s, forward-left-up, are needed"
         )
     to_frd = np.array([1.0, -1.0, -1.0])
     t_us = np.rint((table[:, 0] - UNIX_TO_GPS_S) * 1e6).astype(np.int64)

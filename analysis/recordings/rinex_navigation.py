@@ -16,7 +16,7 @@ from pathlib import Path
 
 from analysis.orbits.broadcast import BEIDOU_BEHIND_S, SYSTEMS, WEEK_S
 from analysis.orbits.glonass import leap_seconds
-from analysis.recordings.rinex_observations import gps_time, read_text
+from analysis.recordings.rinex_observations import gps_time, header_of, read_text
 from analysis.samples.sample import EphemerisSample, IonosphereSample, StateVector
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
@@ -36,14 +36,13 @@ def read_navigation(path: Path) -> list[EphemerisSample | IonosphereSample]:
         If the file is no RINEX navigation file.
     """
     lines = read_text(path)
-    version, kind = float(lines[0][:9]), lines[0][20:21]
-    if kind != "N" and lines[0][20:21] not in "NE":
-        raise ConfigError(f"{path}: has type {kind!r}; a navigation file has N")
-    start = next((i for i, line in enumerate(lines) if line[60:].startswith("END OF HEADER")), None)
-    if start is None:
-        raise ConfigError(f"{path}: has no END OF HEADER; the header is cut short")
-    samples: list[EphemerisSample | IonosphereSample] = list(_ionosphere(lines[:start]))
-    samples += _ionosphere_4(lines[start + 1 :])
+    version, start = header_of(path, lines, "NE", "a navigation file")
+    samples: list[EphemerisSample | IonosphereSample] = []
+    try:
+        samples += _ionosphere(lines[:start])
+        samples += _ionosphere_4(lines[start + 1 :])
+    except ValueError as error:
+        raise ConfigError(f"{path}: an ionosphere field is no number ({error})") from error
     records = list(_records(lines[start + 1 :], version))
     with_inav = {e.satellite for e, fnav in records if not fnav}
     for ephemeris, fnav in records:

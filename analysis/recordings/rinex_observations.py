@@ -1,8 +1,9 @@
 """RINEX 2, 3 and 4 observation files, one code range, Doppler and C/N0 per satellite.
 
 Only what the detector needs is read: GPS L1, Galileo E1, GLONASS G1, and B1I or B3I of BeiDou. Of
-the code signals of a system the first in `PREFERRED` that the file has is taken [1]_ [2]_. Lines
-that are no observation are passed over; a file cut short ends with its last whole epoch.
+each satellite the first code signal in `PREFERRED` that has a value is used, on the carrier it was
+first seen on [1]_ [2]_. Lines that are no observation are passed over; a file cut short ends with
+its last whole epoch.
 
 References
 ----------
@@ -11,6 +12,8 @@ References
 """
 
 import math
+import re
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import date
@@ -34,6 +37,7 @@ GPS_DAY_ZERO = date(1980, 1, 6).toordinal()
 WEEK_DAYS = 7
 FIELD_WIDTH = 16  # F14.3, loss of lock, signal strength
 NOWHERE = 1 << 20  # behind the end of any line
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _Row = tuple[str, tuple[float, float, float], float]  # satellite, its values, carrier
 _COMPRESSED = (".gz", ".z", ".bz2", ".zip", ".crx", ".crx.gz")
 
@@ -69,13 +73,44 @@ def read_text(path: Path) -> list[str]:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read; {error.strerror}") from error
     if path.name.lower().endswith(_COMPRESSED) or b"CRINEX" in data[:80]:
-        import hatanaka
-
-        data = hatanaka.decompress(data)
-    lines = data.decode("ascii", "replace").splitlines()
+        data = _decompressed(data, path)
+    lines = data.removeprefix(BYTE_ORDER_MARK).decode("ascii", "replace").splitlines()
     if not lines or not lines[0][60:].startswith("RINEX VERSION"):
         raise ConfigError(f"{path}: is not a RINEX file; its first line must end in RINEX VERSION")
     return lines
+
+
+def _decompressed(data: bytes, path: Path) -> bytes:
+    import hatanaka
+
+    try:
+        unpacked: bytes = hatanaka.decompress(data)
+    except (EOFError, OSError, ValueError, zlib.error, hatanaka.HatanakaException) as error:
+        reason = str(error).strip().splitlines()
+        raise ConfigError(
+            f"{path}: cannot be decompressed ({reason[-1] if reason else type(error).__name__});"
+            " a whole gzip, zip, bzip2, compress or Hatanaka file can"
+        ) from error
+    return unpacked
+
+
+def header_of(path: Path, lines: list[str], kinds: str, called: str) -> tuple[float, int]:
+    """The version of a RINEX file and where its header ends.
+
+    Raises
+    ------
+    ConfigError
+        If the file is of none of the `kinds`, or its header is no header.
+    """
+    version, kind = lines[0][:9].strip(), lines[0][20:21]
+    if kind not in kinds or not kind.strip():
+        raise ConfigError(f"{path}: has type {kind!r}; {called} has {kinds[0]}")
+    if not re.fullmatch(r"[234](\.\d+)?", version):
+        raise ConfigError(f"{path}: has version {version!r}; 2.00 to 4.02 can be read")
+    end = next((i for i, line in enumerate(lines) if line[60:].startswith("END OF HEADER")), None)
+    if end is None:
+        raise ConfigError(f"{path}: has no END OF HEADER; the header is cut short")
+    return float(version), end
 
 
 def gps_time(year: int, month: int, day: int, seconds_of_day: float) -> tuple[int, float]:
@@ -93,24 +128,24 @@ def read_observations(path: Path) -> list[Epoch]:
         If the file is no RINEX observation file.
     """
     lines = read_text(path)
-    version, kind = float(lines[0][:9]), lines[0][20:21]
-    if kind != "O":
-        raise ConfigError(f"{path}: has type {kind!r}; an observation file has O")
-    start = next((i for i, line in enumerate(lines) if line[60:].startswith("END OF HEADER")), None)
-    if start is None:
-        raise ConfigError(f"{path}: has no END OF HEADER; the header is cut short")
+    version, start = header_of(path, lines, "O", "an observation file")
     channels = _channels(lines[:start])
     if version < 3.0:
         return list(_epochs_2(lines, start + 1, _types_2(lines[:start]), channels))
     return list(_epochs_3(lines, start + 1, _types_3(lines[:start]), channels))
 
 
-def _columns(system: str, types: list[str]) -> _Columns:
-    for signal in PREFERRED[system]:
-        if "C" + signal in types:
-            found = [types.index(k + signal) if k + signal in types else -1 for k in "CDS"]
-            return _placed(3, found, _carrier_hz(system, signal))
-    return _placed(3, [-1, -1, -1])
+def _signals(system: str, types: list[str]) -> list[_Columns]:
+    """Where the signals of a system are that the file has, the preferred first."""
+    return [
+        _placed(
+            3,
+            [types.index(k + signal) if k + signal in types else -1 for k in "CDS"],
+            _carrier_hz(system, signal),
+        )
+        for signal in PREFERRED[system]
+        if "C" + signal in types
+    ]
 
 
 def _carrier_hz(system: str, signal: str) -> float:
@@ -130,14 +165,14 @@ def _channels(header: list[str]) -> dict[str, int]:
     return found
 
 
-def _types_3(header: list[str]) -> dict[str, _Columns]:
+def _types_3(header: list[str]) -> dict[str, list[_Columns]]:
     types: dict[str, list[str]] = {}
     system = ""
     for line in header:
         if line[60:].startswith("SYS / # / OBS TYPES"):
             system = line[0] if line[0] != " " else system
             types.setdefault(system, []).extend(line[6:60].split())
-    return {system: _columns(system, types[system]) for system in PREFERRED if system in types}
+    return {system: _signals(system, types[system]) for system in PREFERRED if system in types}
 
 
 def _types_2(header: list[str]) -> tuple[int, _Columns]:
@@ -190,8 +225,9 @@ def _epoch(week: int, tow_s: float, rows: list[_Row], channels: dict[str, int]) 
 
 
 def _epochs_3(
-    lines: list[str], at: int, types: dict[str, _Columns], channels: dict[str, int]
+    lines: list[str], at: int, types: dict[str, list[_Columns]], channels: dict[str, int]
 ) -> Iterator[Epoch]:
+    carriers: dict[str, float] = {}  # of each satellite, that of its first range
     while at < len(lines):
         head = lines[at]
         at += 1
@@ -202,16 +238,29 @@ def _epochs_3(
             count = int(head[32:35])
         except ValueError:
             continue
-        rows = []
-        for line in lines[at : at + count]:
-            columns = types.get(line[:1])
-            values = _values(line, columns) if columns is not None else None
-            if columns is not None and values is not None:
-                rows.append((line[:3].replace(" ", "0"), values, columns.carrier_hz))
-        at += count
+        rows, last = [], at + count
+        for line in lines[at:last]:
+            if line.startswith(">"):  # fewer satellites than the head has announced
+                break
+            at += 1
+            row = _row(line, types.get(line[:1], []), carriers)
+            if row is not None:
+                rows.append(row)
         epoch = _epoch(week, tow_s, rows, channels)
-        if epoch is not None and at <= len(lines):
+        if epoch is not None and (at == last or at < len(lines)):
             yield epoch
+
+
+def _row(line: str, signals: list[_Columns], carriers: dict[str, float]) -> _Row | None:
+    """A satellite's first signal that has a value, on the carrier it has always had."""
+    name = line[:3].replace(" ", "0")
+    for columns in signals:
+        values = _values(line, columns)
+        if values is not None and carriers.setdefault(name, columns.carrier_hz) == (
+            columns.carrier_hz
+        ):
+            return name, values, columns.carrier_hz
+    return None
 
 
 def _time(year: str, rest: str) -> tuple[int, float]:

@@ -5,6 +5,7 @@ a flight, so that faults act on them. The core's wall clock is simulated time: a
 the vehicle's time, however fast the flight is.
 """
 
+import logging
 import subprocess
 import time
 from collections.abc import Callable, Sequence
@@ -17,9 +18,11 @@ from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.plant_changes import PlantChanges
 from simvehicle.sensors.readings import Reading
 from simvehicle.vehicles.body import Truth
 
+LOG = logging.getLogger(__name__)
 Process = subprocess.Popen[bytes]
 Hear = Callable[[Send], None]  # what leaves for monitor and ground station
 
@@ -43,6 +46,8 @@ class ToAutopilot:
         self.start_us = packer.start_us
         self._flight, self._packer = flight, packer
         self._hear, self._commands = hear, commands
+        self._plant = PlantChanges(flight.simulation, LOG.warning)
+        self._parser = Parser()
 
     def frames(self, t_us: int, truth: Truth, readings: Sequence[Reading]) -> list[bytes]:
         """The frames of a step, with faults."""
@@ -53,9 +58,17 @@ class ToAutopilot:
             for send in self._flight.core.received(link, raw, self._flight.now_us):
                 if send.link == VEHICLE:
                     out.append(send.data)
-                elif send.link != SIMULATOR:
+                elif send.link == SIMULATOR:
+                    self._change_plant(send.data)
+                else:
                     self._hear(send)
         return out
+
+    def _change_plant(self, data: bytes) -> None:
+        """Carry out what a plant fault asks of the simulator."""
+        for item in self._parser.push(data, datagram=True):
+            if isinstance(item, Frame):
+                self._plant.carry_out(item)
 
 
 class Patience:

@@ -130,7 +130,9 @@ def blocks_of(args: argparse.Namespace) -> Iterator[Block]:
     if args.log is not None:
         yield from read_log(args.log)
     else:
-        obs, nav = (Path(path) for path in args.rinex)
+        obs, *nav = (Path(path) for path in args.rinex)
+        if not nav:
+            raise ConfigError(f"--rinex {obs}: has no navigation file beside it; give OBS NAV")
         yield read_rinex(obs, nav, Path(args.imu) if args.imu else None)
 
 

@@ -32,7 +32,7 @@ FILES = {
     **{path.name: path for path in HERE.iterdir() if path.suffix in (".js", ".css")},
     **{name: PLOTS / name for name in ("uPlot.iife.min.js", "uPlot.min.css", "uPlot.LICENSE")},
 }
-CONTROL = re.compile(r"fault/[\w.-]+/(arm|disarm|value)|schedule/(load|save|stop)", re.ASCII)
+CONTROL = re.compile(r"fault/[^/*$?#]+/(arm|disarm|value)|schedule/(load|save|stop)")
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",

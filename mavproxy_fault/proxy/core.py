@@ -89,6 +89,7 @@ class Core:
         self._order = itertools.count()
         self.left_us = 0  # when what left last was due; nothing may come before that any more
         self._on_wall_clock = False
+        self._doubted = 0  # stamps, on all links
         self._listeners = sum(
             1 << number for number, role in enumerate(links) if role.direction == "to-vehicle"
         )
@@ -255,15 +256,18 @@ class Core:
             if not self._guard.passes(frame.raw, from_home=from_home, now_us=arrival.now_us):
                 return False
         sender = frame.system << 8 | frame.component
-        self.states[arrival.link].gaps += missing_before(self.senders, sender, frame.seq)
+        missing = missing_before(self.senders, sender, frame.seq)
+        if missing:
+            self.states[arrival.link].gaps += missing
         if arrival.direction == "from-vehicle":
             self.senders[SPEAKER] = frame.system
         return True
 
     def _time(self, frame: Frame, now_us: int, state: LinkState) -> int:
-        doubted = self.senders[DOUBTED]
         t_us = self.clock.read(frame, now_us)
-        state.doubted += self.senders[DOUBTED] - doubted
+        if self.senders[DOUBTED] != self._doubted:
+            self._doubted = self.senders[DOUBTED]
+            state.doubted += 1
         if self.clock.t0_us is None:
             self._on_wall_clock = True
         elif self._on_wall_clock:

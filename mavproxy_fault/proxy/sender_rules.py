@@ -59,10 +59,12 @@ def vehicle_time(senders: Senders, sender: int, stamp_us: int, now_us: int) -> i
     if shift == UNKNOWN:
         ahead_us = stamp_us - senders[NOW]
         shift = 0 if abs(ahead_us) <= NEAR_US else -ahead_us
+        senders[SHIFT + clock] = shift
     else:
         leap_us = stamp_us - senders[NEWEST + clock]
-        passed_us = max(now_us - senders[HEARD_AT + clock], 0)
-        if leap_us < -NEAR_US or leap_us > passed_us + NEAR_US:
+        if leap_us < -NEAR_US or (
+            leap_us > NEAR_US and leap_us > now_us - senders[HEARD_AT + clock] + NEAR_US
+        ):
             suspect = senders[SUSPECT + clock]
             senders[SUSPECT + clock] = stamp_us
             same_way = (suspect > senders[NEWEST + clock]) == (leap_us > 0)
@@ -71,13 +73,14 @@ def vehicle_time(senders: Senders, sender: int, stamp_us: int, now_us: int) -> i
                 return senders[newest_at]
             if leap_us < 0:  # the vehicle has started again: its time goes on from the newest
                 shift = senders[NOW] - min(suspect, stamp_us)
-    senders[SHIFT + clock] = shift
+                senders[SHIFT + clock] = shift
+    t_us = stamp_us + shift
     senders[NEWEST + clock] = stamp_us
     senders[HEARD_AT + clock] = now_us
     senders[SUSPECT + clock] = 0
-    senders[NOW] = stamp_us + shift
-    senders[newest_at] = stamp_us + shift
-    return stamp_us + shift
+    senders[NOW] = t_us
+    senders[newest_at] = t_us
+    return t_us
 
 
 def missing_before(senders: Senders, sender: int, seq: int) -> int:

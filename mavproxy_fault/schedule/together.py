@@ -3,11 +3,14 @@
 It looks at the data as written, so that an entry which is wrong in itself still counts as there.
 """
 
+import re
 from typing import Any
 
 from mavproxy_fault.documents.document_check import DocumentCheck
 from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.schedule.presets import preset_names, preset_parts
+
+ID = re.compile(r"[^/*$?#]+")
 
 
 def default_id(name: str, number: int) -> str:
@@ -32,6 +35,8 @@ def check_together(listed: list[Any], check: DocumentCheck) -> None:
             if id in places:
                 check.wrong(("faults", i, "id"), f"= {id} stands twice; ids must differ")
             places.setdefault(id, i)
+            if not ID.fullmatch(id):  # no query could name it
+                check.wrong(("faults", i, "id"), f"= {id!r} holds one of / * $ ? #; leave it out")
     waits: dict[str, str] = {}
     for id, i in places.items():
         awaited = _awaited(listed[i].get("after"))

@@ -11,11 +11,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from mavproxy_fault.numerics.rotation_kernel import to_body
 from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.rotation_kernel import to_body
 from simvehicle.vehicles.contact_kernel import Gear, contact
 from simvehicle.vehicles.rigidbody_kernel import Inertia, Loads, State13, integrated
 from simvehicle.vehicles.vehicle import DENSITY, GRAVITY, GROUND, SAG, WIND

@@ -1,28 +1,34 @@
-"""What an epoch does to the filter and to its memory, in one call, once it is known what to trust.
+"""What an epoch does to the filter and to its ramp tests, in one call, once it is known what to
+trust.
 
-The ranges are used first, then the Doppler rates against what the ranges have told.
+The ranges are used first, then the Doppler rates against what the ranges have changed.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.detection_config import DetectorConfig, RampNumbers
 from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.information import block, columns, narrowed, states_of, take, weighed
-from analysis.detection.filter.measurement import Indices, Modelled
-from analysis.detection.isolation.assessment import RATE_STATES, weighed_rates
-from analysis.detection.isolation.ramp_test import Memory, Strongest
+from analysis.detection.filter.information import Normal, block, normal_equations, update
+from analysis.detection.filter.measurement import Modelled
+from analysis.detection.isolation.assessment import RATE_STATES, rate_equations
+from analysis.detection.isolation.ramp_test import RampBank
 from analysis.detection.isolation.ramp_windows import (
+    Strongest,
+    Windows,
     learn_offsets,
     respond,
     respond_to_rates,
     strongest,
 )
-from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
+Filtered = tuple[Vector, Vector, Vector, Vector, Vector, Vector]
 
-class Rates(Value, frozen=True):
+
+class Rates(NamedTuple):
     """Doppler rates that fit, NaN where one does not: v and variance (n,), geometry of the ranges
     of the same satellites (n, 20)."""
 
@@ -31,176 +37,87 @@ class Rates(Value, frozen=True):
     h: Vector
 
 
+class Step(NamedTuple):
+    """From the last epoch to this one: the transition phi (20, 20), the time between them, the
+    stamp, and whether the IMU moved the filter."""
+
+    phi: Vector
+    dt_s: float
+    t_us: int
+    inertial: bool
+
+
 def absorb(motion: Motion, ranges: Modelled, rates: Rates) -> Motion:
     """The filter after some ranges and rates."""
-    x, p = motion.x.copy(), motion.p.copy()
-    _absorb(x, p, ranges.h, ranges.variance, ranges.v_m, rates.h, rates.variance, rates.v)
+    x, p = _absorbed(motion.x, motion.p, ranges, rates)
     return motion._replace(x=x, p=p)
 
 
-def remember(
+def commit(
     motion: Motion,
     ranges: Modelled,
     rates: Rates,
-    memory: Memory,
-    phi: Vector,
-    dt_s: float,
+    ramps: RampBank,
+    step: Step,
     config: DetectorConfig,
-) -> tuple[Motion, Memory, Strongest]:
-    """The same, the memory of the epochs before with it, and what its windows say now.
+) -> tuple[Motion, RampBank, Strongest]:
+    """The filter after an epoch, its ramp tests after it, and what stands out in these now.
 
-    `memory` is over the satellites of `ranges`; phi (20, 20) the transition since the last epoch.
+    `ramps` are over the satellites of `ranges`.
     """
-    x, p, d, sums, offset, spread, found = _remember(
-        motion.x,
-        motion.p,
-        ranges.h,
-        ranges.variance,
-        ranges.v_m,
-        rates.h,
-        rates.variance,
-        rates.v,
-        phi,
-        dt_s,
-        motion.t_us,
-        memory.starts_us,
-        memory.d,
-        memory.sums,
-        memory.offset,
-        memory.spread,
-        memory.offsets,
-        memory.spreads,
-        motion.inertial,
-        config.memory_numbers,
+    after, found = commit_to(
+        motion.x, motion.p, ranges, rates, step, ramps.windows, config.ramp_numbers
     )
-    memory = memory._replace(d=d, sums=sums, offset=offset, spread=spread)
-    return motion._replace(x=x, p=p), memory, Strongest(*found)
+    x, p, d, sums, offset, spread = after
+    windows = ramps.windows._replace(d=d, sums=sums, offset=offset, spread=spread)
+    return motion._replace(x=x, p=p), ramps._replace(windows=windows), found
 
 
 @compiled
-def _absorb(
-    x: Vector,
-    p: Vector,
-    h: Vector,
-    variance: Vector,
-    v: Vector,
-    rates_h: Vector,
-    rate_variance: Vector,
-    v_rate: Vector,
-) -> None:
-    """Update x and p in place."""
-    states = states_of(h)
-    information, b, _ = weighed(columns(h, states), variance, v)
-    told = narrowed(block(p, states), information)[1]
-    _, moved = take(x, p, states, told, b)
-    information, b, _, _ = weighed_rates(rates_h, rate_variance, v_rate)
-    absorb_rates(x, p, information, b, moved)
+def _absorbed(x: Vector, p: Vector, ranges: Modelled, rates: Rates) -> tuple[Vector, Vector]:
+    """The state x (21,) and its covariance p (20, 20) after an epoch, as new arrays."""
+    x, p = x.copy(), p.copy()
+    moved = update(x, p, normal_equations(ranges.h, ranges.variance, ranges.v_m))[1]
+    _absorb_rates(x, p, rate_equations(rates.h, rates.variance, rates.v), moved)
+    return x, p
 
 
 @compiled
-def absorb_rates(x: Vector, p: Vector, information: Vector, b: Vector, moved: Vector) -> Vector:
-    """Update x, p and b in place by rates of N and b (4,) after the ranges moved the state by
-    `moved` (20,); returns P+_:c (20, 4)."""
-    for i in range(b.shape[0]):  # what the ranges' update has told is no news
+def _absorb_rates(x: Vector, p: Vector, rates: Normal, moved: Vector) -> Vector:
+    """Update x, p and the rates' b in place after the ranges moved the state by `moved` (20,);
+    returns P+_:c (20, 4)."""
+    b, information = rates.b, rates.information
+    for i in range(b.shape[0]):  # what the ranges have changed is no news
         for j in range(b.shape[0]):
             b[i] -= information[i, j] * moved[RATE_STATES[j]]
-    told = narrowed(block(p, RATE_STATES), information)[1]
-    return take(x, p, RATE_STATES, told, b)[0]
+    return update(x, p, rates)[0]
 
 
 @compiled
-def _remember(
+def commit_to(
     x: Vector,
     p: Vector,
-    h: Vector,
-    variance: Vector,
-    v: Vector,
-    rates_h: Vector,
-    rate_variance: Vector,
-    v_rate: Vector,
-    phi: Vector,
-    dt_s: float,
-    t_us: int,
-    starts_us: Indices,
-    d: Vector,
-    sums: Vector,
-    offset: Vector,
-    spread: Vector,
-    offsets: Vector,
-    spreads: Vector,
-    inertial: bool,
-    numbers: Vector,
-) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector, tuple[float, int, int, float]]:
-    states = states_of(h)
-    a = columns(h, states)
-    information, b, _ = weighed(a, variance, v)
-    told = narrowed(block(p, states), information)[1]
-    of_rates, b_rates, _, _ = weighed_rates(rates_h, rate_variance, v_rate)
-    return followed(
-        x,
-        p,
-        states,
-        a,
-        information,
-        variance,
-        v,
-        told,
-        b,
-        of_rates,
-        b_rates,
-        phi,
-        dt_s,
-        t_us,
-        starts_us,
-        d,
-        sums,
-        offset,
-        spread,
-        offsets,
-        spreads,
-        inertial,
-        numbers,
-    )
-
-
-@compiled
-def followed(
-    x: Vector,
-    p: Vector,
-    states: Indices,
-    a: Vector,
-    information: Vector,
-    variance: Vector,
-    v: Vector,
-    told: Vector,
-    b: Vector,
-    of_rates: Vector,
-    b_rates: Vector,
-    phi: Vector,
-    dt_s: float,
-    t_us: int,
-    starts_us: Indices,
-    d: Vector,
-    sums: Vector,
-    offset: Vector,
-    spread: Vector,
-    offsets: Vector,
-    spreads: Vector,
-    inertial: bool,
-    numbers: Vector,
-) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector, tuple[float, int, int, float]]:
-    """Filter and memory, as new arrays, after ranges of N, b and Y (`told`) and rates of N and b;
-    what the windows say of them (`memory.strongest`)."""
-    prior = block(p, states)
+    ranges: Modelled,
+    rates: Rates,
+    step: Step,
+    windows: Windows,
+    numbers: RampNumbers,
+) -> tuple[Filtered, Strongest]:
+    """The same with d, sums, offset and spread of the ramp tests' windows after the epoch, and what
+    stands out in these."""
+    normal = normal_equations(ranges.h, ranges.variance, ranges.v_m)
+    prior = block(p, normal.states)
     x, p = x.copy(), p.copy()
-    after, moved = take(x, p, states, told, b)
-    after_rates = absorb_rates(x, p, of_rates, b_rates, moved)
+    after, moved = update(x, p, normal)
+    rate = rate_equations(rates.h, rates.variance, rates.v)
+    after_rates = _absorb_rates(x, p, rate, moved)
+    starts_us = windows.starts_us
     ages = np.zeros(starts_us.shape[0])
     for w in range(ages.shape[0]):
         if starts_us[w] != 0:
-            ages[w] = (t_us - starts_us[w]) * 1e-6
-    d, sums = respond(d, sums, offsets, ages, phi, after, states, a, information, variance, v, dt_s)
-    respond_to_rates(d, sums, after_rates, RATE_STATES, of_rates, b_rates)
-    offset, spread = learn_offsets(offset, spread, prior, a, variance, v, dt_s, numbers)
-    found = strongest(sums, spreads, ages, inertial, numbers)
-    return x, p, d, sums, offset, spread, found
+            ages[w] = (step.t_us - starts_us[w]) * 1e-6
+    d, sums = respond(windows, ages, step.phi, after, normal, step.dt_s)
+    respond_to_rates(d, sums, after_rates, rate)
+    offset, spread = learn_offsets(windows, prior, normal, step.dt_s, numbers)
+    now = Windows(starts_us, d, sums, offset, spread, windows.offsets, windows.spreads)
+    return (x, p, d, sums, offset, spread), strongest(now, ages, step.inertial, numbers)

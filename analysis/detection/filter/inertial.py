@@ -23,6 +23,7 @@ import math
 
 import numpy as np
 
+from analysis.detection.detection_config import NoiseDensities
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.linear import multiply, transposed
@@ -173,28 +174,35 @@ def _add_step(phi: Vector, c: Vector, f: Vector, dt: float) -> None:
 
 
 @compiled
-def _add_noise(p: Vector, noise: Vector, dt: float) -> None:
+def _add_noise(p: Vector, noise: NoiseDensities, dt: float) -> None:
     """Add what the IMU's noise does in a while to p (400,), in place."""
     for i in range(3):
-        p[21 * (3 + i)] += noise[1] * dt
-        p[21 * (6 + i)] += noise[0] * dt
-        p[21 * (9 + i)] += noise[2] * dt
-        p[21 * (12 + i)] += noise[3] * dt
+        p[21 * (V + i)] += noise.accel_mps2 * dt
+        p[21 * (PSI + i)] += noise.gyro_rps * dt
+    _add_walks(p, noise, dt)
 
 
 @compiled
-def _add_clock_noise(p: Vector, noise: Vector, dt: float) -> None:
+def _add_walks(p: Vector, noise: NoiseDensities, dt: float) -> None:
+    """The same of its biases alone."""
+    for i in range(3):
+        p[21 * (BG + i)] += noise.gyro_walk * dt
+        p[21 * (BA + i)] += noise.accel_walk * dt
+
+
+@compiled
+def _add_clock_noise(p: Vector, noise: NoiseDensities, dt: float) -> None:
     """The same of the clock and the offsets of systems."""
-    p[315] += noise[4] * dt + noise[5] * dt * dt * dt / 3.0
-    p[316] += noise[5] * dt * dt / 2.0
-    p[335] += noise[5] * dt * dt / 2.0
-    p[336] += noise[5] * dt
+    p[315] += noise.clock_m * dt + noise.drift_mps * dt * dt * dt / 3.0
+    p[316] += noise.drift_mps * dt * dt / 2.0
+    p[335] += noise.drift_mps * dt * dt / 2.0
+    p[336] += noise.drift_mps * dt
     for i in range(17, 20):
-        p[21 * i] += noise[6] * dt
+        p[21 * i] += noise.isb_m * dt
 
 
 @compiled
-def _carried(p: Vector, phi: Vector, noise: Vector) -> Vector:
+def _carried(p: Vector, phi: Vector, noise: NoiseDensities) -> Vector:
     """The covariance (20, 20) after a while of the transition phi (20, 20): half of the IMU's noise
     comes before it and half after, which is exact but for the third power of the time."""
     dt, p = phi[CLOCK, DRIFT], p.copy()
@@ -210,7 +218,7 @@ def _carried(p: Vector, phi: Vector, noise: Vector) -> Vector:
 
 @compiled
 def propagate_inertial(
-    x: Vector, p: Vector, samples: Vector, noise: Vector
+    x: Vector, p: Vector, samples: Vector, noise: NoiseDensities
 ) -> tuple[Vector, Vector, Vector]:
     """State and covariance over a run of IMU samples.
 
@@ -221,7 +229,7 @@ def propagate_inertial(
     ----------
     x, p : (21,) and (20, 20)
     samples : (k, 7), each the length of its step in s, rates (3) and specific force (3)
-    noise : (8,), squared densities of `Noise`
+    noise : squared densities
 
     Returns
     -------
@@ -254,7 +262,7 @@ def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> int:
 
 @compiled
 def propagate_freely(
-    x: Vector, p: Vector, dt: float, noise: Vector
+    x: Vector, p: Vector, dt: float, noise: NoiseDensities
 ) -> tuple[Vector, Vector, Vector]:
     """The same over `dt` seconds without an IMU: steady velocity with random acceleration."""
     x = x.copy()
@@ -265,11 +273,9 @@ def propagate_freely(
     phi[15, 16] = dt
     x[16] += x[17] * dt
     p = multiply(multiply(phi, p), transposed(phi))
-    quiet = noise.copy()
-    quiet[0] = quiet[1] = 0.0
-    _add_noise(p.reshape(400), quiet, dt)
-    _add_clock_noise(p.reshape(400), quiet, dt)
-    q = noise[7]
+    _add_walks(p.reshape(400), noise, dt)
+    _add_clock_noise(p.reshape(400), noise, dt)
+    q = noise.motion_mps2
     for i in range(3):
         p[i, i] += q * dt * dt * dt / 3.0
         p[i, 3 + i] += q * dt * dt / 2.0

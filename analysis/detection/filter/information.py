@@ -1,4 +1,4 @@
-"""Measurements taken by the information they hold of the few states that they see.
+"""Measurements used by the information they hold of the few states that they see.
 
 Pseudoranges see position, clock and the systems' offsets, Doppler rates velocity and drift: c
 states each, 4 to 7 of 20. With A (n, c) the geometry over these, R the noise (diagonal) and P_c the
@@ -21,6 +21,8 @@ References
 .. [1] D. Simon, Optimal State Estimation, 2006, sections 1.1.2 and 6.1.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,6 +32,22 @@ from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.linear import apply, lower, lower_inverse, multiply, square, transposed
 
 Indices = NDArray[np.int64]
+
+
+class Normal(NamedTuple):
+    """n measurements as normal equations over the c states that they see.
+
+    `states` (c,) are those states, `a` (n, c) the geometry over them, `variance` and `v` (n,) noise
+    and innovations; `information` (c, c) is N, `b` (c,) is b, and `total` v' inv(R) v.
+    """
+
+    states: Indices
+    a: Vector
+    variance: Vector
+    v: Vector
+    information: Vector
+    b: Vector
+    total: float
 
 
 @compiled
@@ -67,8 +85,16 @@ def block(p: Vector, states: Indices) -> Vector:
 
 
 @compiled
-def weighed(a: Vector, variance: Vector, v: Vector) -> tuple[Vector, Vector, float]:
-    """N (c, c), b (c,) and v' inv(R) v of measurements."""
+def normal_equations(h: Vector, variance: Vector, v: Vector) -> Normal:
+    """What innovations v (n,) with variance (n,) and geometry h (n, 20) tell of the states they
+    depend on."""
+    states = states_of(h)
+    return normal_of(states, columns(h, states), variance, v)
+
+
+@compiled
+def normal_of(states: Indices, a: Vector, variance: Vector, v: Vector) -> Normal:
+    """The same for a geometry a (n, c) over `states` (c,)."""
     count = a.shape[1]
     information, b, total = np.zeros((count, count)), np.zeros(count), 0.0
     for i in range(a.shape[0]):
@@ -78,11 +104,11 @@ def weighed(a: Vector, variance: Vector, v: Vector) -> tuple[Vector, Vector, flo
             b[j] += share * v[i]
             for k in range(count):
                 information[j, k] += share * a[i, k]
-    return information, b, total
+    return Normal(states, a, variance, v, information, b, total)
 
 
 @compiled
-def narrowed(prior: Vector, information: Vector) -> tuple[Vector, Vector]:
+def posterior(prior: Vector, information: Vector) -> tuple[Vector, Vector]:
     """P+_c and Y (c, c) of P_c and N."""
     low = lower(prior)
     total = multiply(transposed(low), multiply(information, low))
@@ -90,13 +116,13 @@ def narrowed(prior: Vector, information: Vector) -> tuple[Vector, Vector]:
         total[i, i] += 1.0
     root = lower_inverse(lower(total))
     after = square(multiply(root, transposed(low)))
-    told = square(root)
-    for i in range(told.shape[0]):
-        for j in range(told.shape[0]):
-            told[i, j] = -told[i, j]
-        told[i, i] += 1.0
+    y = square(root)
+    for i in range(y.shape[0]):
+        for j in range(y.shape[0]):
+            y[i, j] = -y[i, j]
+        y[i, i] += 1.0
     back = lower_inverse(low)
-    return after, multiply(transposed(back), multiply(told, back))
+    return after, multiply(transposed(back), multiply(y, back))
 
 
 @compiled
@@ -122,19 +148,23 @@ def quadratic_of(a: Vector, row: int, m: Vector) -> float:
 @compiled
 def statistic(p: Vector, h: Vector, variance: Vector, v: Vector) -> float:
     """q of innovations v (n,) with variance (n,) and geometry h (n, 20) before the covariance p."""
-    states = states_of(h)
-    information, b, total = weighed(columns(h, states), variance, v)
-    return total - quadratic(b, narrowed(block(p, states), information)[0])
+    normal = normal_equations(h, variance, v)
+    return statistic_of(p, normal)
+
+
+@compiled
+def statistic_of(p: Vector, normal: Normal) -> float:
+    """q of measurements before the covariance p (20, 20)."""
+    after = posterior(block(p, normal.states), normal.information)[0]
+    return normal.total - quadratic(normal.b, after)
 
 
 @compiled
 def weights(p: Vector, h: Vector, variance: Vector) -> Vector:
     """The inverse innovation covariance M (n, n)."""
-    states = states_of(h)
-    a = columns(h, states)
-    information = weighed(a, variance, np.zeros(variance.shape[0]))[0]
-    after = narrowed(block(p, states), information)[0]
-    out = multiply(a, multiply(after, transposed(a)))
+    normal = normal_equations(h, variance, np.zeros(variance.shape[0]))
+    after = posterior(block(p, normal.states), normal.information)[0]
+    out = multiply(normal.a, multiply(after, transposed(normal.a)))
     for i in range(variance.shape[0]):
         for j in range(variance.shape[0]):
             out[i, j] *= -1.0 / (variance[i] * variance[j])
@@ -143,22 +173,24 @@ def weights(p: Vector, h: Vector, variance: Vector) -> Vector:
 
 
 @compiled
-def take(x: Vector, p: Vector, states: Indices, told: Vector, b: Vector) -> tuple[Vector, Vector]:
-    """Update x (21,) and p (20, 20), in place, by Y and b; returns P+_:c (20, c) and dx (20,)."""
+def update(x: Vector, p: Vector, normal: Normal) -> tuple[Vector, Vector]:
+    """Update x (21,) and p (20, 20), in place; returns P+_:c (20, c) and dx (20,)."""
+    states = normal.states
+    y = posterior(block(p, states), normal.information)[1]
     rows = np.empty((states.shape[0], p.shape[0]))
     for k in range(states.shape[0]):
         for j in range(p.shape[0]):
             rows[k, j] = p[states[k], j]
-    turned_rows = multiply(told, rows)
+    weighted = multiply(y, rows)
     for i in range(p.shape[0]):
         for k in range(states.shape[0]):
             factor = rows[k, i]
             for j in range(i + 1):
-                p[i, j] -= factor * turned_rows[k, j]
+                p[i, j] -= factor * weighted[k, j]
         for j in range(i):
             p[j, i] = p[i, j]
     after = columns(p, states)
-    moved = apply(after, b)
+    moved = apply(after, normal.b)
     move(x, moved)
     return after, moved
 
@@ -179,10 +211,10 @@ def move(x: Vector, d: Vector) -> None:
 
 
 @compiled
-def taken(x: Vector, p: Vector, h: Vector, variance: Vector, v: Vector) -> tuple[Vector, Vector]:
+def measured_update(
+    x: Vector, p: Vector, h: Vector, variance: Vector, v: Vector
+) -> tuple[Vector, Vector]:
     """State and covariance after measurements, as new arrays."""
     x, p = x.copy(), p.copy()
-    states = states_of(h)
-    information, b, _ = weighed(columns(h, states), variance, v)
-    take(x, p, states, narrowed(block(p, states), information)[1], b)
+    update(x, p, normal_equations(h, variance, v))
     return x, p

@@ -17,6 +17,7 @@ from analysis.detection.filter.inertial import (
     X_CLOCK,
     X_ISB,
     X_SIZE,
+    propagate_freely,
 )
 from analysis.detection.filter.measurement import Modelled, Observed, model
 from analysis.detection.isolation.bank import projected_weights
@@ -33,15 +34,16 @@ GYRO_BIAS_SIGMA_RPS = 0.02
 ACCEL_BIAS_SIGMA_MPS2 = 0.3
 UNKNOWN_SPEED_SIGMA_MPS = 30.0
 UNKNOWN_DRIFT_SIGMA_MPS = 300.0
+TRUSTED_DOF = 3  # a start with fewer cannot tell a faulty satellite and test the rest
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """A first state, what it was made from, and which satellites it leaves out (or why not)."""
+    """A first state, what it was made from, and which satellites it found faulty (or why not)."""
 
     motion: Motion | None
     reason: str = ""
-    left_out: tuple[str, ...] = ()
+    faulty: tuple[str, ...] = ()
     statistic: float = 0.0
     dof: int = 0
     threshold: float = 0.0
@@ -72,6 +74,28 @@ def start(t_us: int, observed: Observed, config: DetectorConfig, ionosphere: Vec
     return _repaired(t_us, x, observed, m, q, config, ionosphere)
 
 
+def against_prior(begun: Start, before: Motion, config: DetectorConfig) -> Start:
+    """The start, or none where it contradicts the filter before a gap and few satellites vouch.
+
+    The filter's position grows unsure as a vehicle without an IMU may move, so a place of long ago
+    contradicts nothing.
+    """
+    motion = begun.motion
+    if motion is None or begun.dof >= TRUSTED_DOF:
+        return begun
+    gap_s = (motion.t_us - before.t_us) * 1e-6
+    x, p, _ = propagate_freely(before.x, before.p, gap_s, config.noise.densities)
+    shift_m = motion.x[:3] - x[:3]
+    q = float(shift_m @ np.linalg.solve(p[:3, :3] + motion.p[:3, :3], shift_m))
+    if q <= chi_square(3, config.p_false_alarm):
+        return begun
+    return Start(
+        None,
+        f"a start {np.linalg.norm(shift_m):.0f} m from where the filter was {gap_s:.0f} s ago, with"
+        f" {begun.dof} degrees of freedom; {TRUSTED_DOF} are needed to believe it",
+    )
+
+
 def _repaired(
     t_us: int,
     x: Vector,
@@ -91,7 +115,7 @@ def _repaired(
         return Start(None, "the first solutions fail their test", (), q, len(u) - unknowns)
     keep = np.ones(len(u), dtype=bool)
     keep[list(found.subset)] = False
-    left_out = tuple(observed.satellites[i] for i in found.subset)
+    faulty = tuple(observed.satellites[i] for i in found.subset)
     observed = observed.select(keep)
     solved = _solve(observed, x, config, ionosphere)
     if solved is None:
@@ -100,7 +124,7 @@ def _repaired(
     design = design_matrix(-modelled.h[:, 0:3], observed.system)
     motion = _motion(t_us, solved, observed, modelled, design, config)
     dof = len(u) - unknowns
-    return Start(motion, "", left_out, q, dof, chi_square(dof, config.p_false_alarm))
+    return Start(motion, "", faulty, q, dof, chi_square(dof, config.p_false_alarm))
 
 
 def _too_few(observed: Observed) -> str:

@@ -2,17 +2,31 @@
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.detection.detection_config import SigmaModel, range_variance
+from analysis.detection.detection_config import SigmaModel, SigmaNumbers, range_variance
 from analysis.detection.filter.filter_state import Stored
-from analysis.detection.filter.inertial import ERRORS
+from analysis.detection.filter.inertial import (
+    CLOCK,
+    DRIFT,
+    ERRORS,
+    ISB,
+    X_CLOCK,
+    X_DRIFT,
+    X_ISB,
+    V,
+)
 from analysis.detection.values import Value
 from analysis.orbits.broadcast import (
+    ELEVATION,
     L1_HZ,
     PACKED,
+    RANGE,
+    RATE,
+    SIGHT,
     SYSTEMS,
     WEEK_S,
     packed_for,
@@ -31,6 +45,18 @@ SPREAD = (1.0, 1.0, 1.5**2, 1.5**2)
 RANGE_LIMITS_M = (1.5e7, 6.0e7)  # medium orbits as seen from near the earth
 
 
+class Measured(NamedTuple):
+    """n satellites as kernels read them: the fields of `Observed` without the names."""
+
+    packed: Vector
+    pseudorange_m: Vector
+    doppler_mps: Vector
+    cn0_dbhz: Vector
+    system: Indices
+    week: float
+    tow_s: float
+
+
 class Observed(Value, frozen=True):
     """Usable satellites of one epoch: parallel arrays (n,), their ephemerides packed (n, 25).
 
@@ -47,9 +73,9 @@ class Observed(Value, frozen=True):
     tow_s: float
 
     @property
-    def measured(self) -> tuple[Vector, Vector, Vector, Vector, Indices, float, float]:
-        """Ephemerides, ranges, rates, strengths, systems and time, as kernels take them."""
-        return (
+    def measured(self) -> Measured:
+        """What was measured, without the names."""
+        return Measured(
             self.packed,
             self.pseudorange_m,
             self.doppler_mps,
@@ -61,11 +87,11 @@ class Observed(Value, frozen=True):
 
     @property
     def states(self) -> Vector:
-        """Satellites (n, 8) when they sent what was received, as `gnss.satellite_states`."""
-        return satellite_states(self.packed, self.week, self.tow_s, self.pseudorange_m)
+        """Satellites (n, 9) when they sent what was received, as `broadcast.satellite_states`."""
+        return states_at(self.measured)
 
     def select(self, keep: Mask) -> "Observed":
-        """Those that `keep` (n,), a mask, lets pass."""
+        """Those that `keep` (n,), a mask, keeps."""
         names = tuple(
             name for name, kept in zip(self.satellites, keep.tolist(), strict=True) if kept
         )
@@ -81,7 +107,7 @@ class Observed(Value, frozen=True):
         )
 
 
-class Modelled(Value, frozen=True):
+class Modelled(NamedTuple):
     """Innovations at a state: ranges and rates with geometry.
 
     `v_m` and `v_mps` (n,), `variance` and `rate_variance` (n,) of both, `elevation_rad` (n,) and
@@ -95,16 +121,13 @@ class Modelled(Value, frozen=True):
     elevation_rad: Vector
     h: Vector
 
+    def between(self, begin: int, end: int) -> "Modelled":
+        """Those in a row; views."""
+        return Modelled(*(column[begin:end] for column in self))
+
     def select(self, keep: Mask) -> "Modelled":
-        """Those that `keep` (n,), a mask, lets pass."""
-        return Modelled(
-            self.v_m[keep],
-            self.v_mps[keep],
-            self.variance[keep],
-            self.rate_variance[keep],
-            self.elevation_rad[keep],
-            self.h[keep],
-        )
+        """Those that `keep` (n,), a mask, keeps."""
+        return Modelled(*(column[keep] for column in self))
 
 
 _NONE = np.empty(0)
@@ -210,52 +233,38 @@ def why_none(epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]]) -> str:
 
 def model(observed: Observed, x: Vector, sigma: SigmaModel, ionosphere: Vector) -> Modelled:
     """Innovations, their geometry and variance at the state x (21,)."""
-    table, h = modelled_at(
-        observed.states,
-        observed.pseudorange_m,
-        observed.doppler_mps,
-        observed.cn0_dbhz,
-        observed.system,
-        x,
-        observed.tow_s,
-        ionosphere,
-        sigma.numbers,
-    )
-    v, v_rate, variance, rate_variance, elevation = table
-    return Modelled(v, v_rate, variance, rate_variance, elevation, h)
+    return modelled_at(observed.measured, observed.states, x, ionosphere, sigma.numbers)
+
+
+@compiled
+def states_at(measured: Measured) -> Vector:
+    """Satellites (n, 9) when they sent what was received, as `broadcast.satellite_states`."""
+    return satellite_states(measured.packed, measured.week, measured.tow_s, measured.pseudorange_m)
 
 
 @compiled
 def modelled_at(
-    states: Vector,
-    pseudorange_m: Vector,
-    doppler_mps: Vector,
-    cn0_dbhz: Vector,
-    system: Indices,
-    x: Vector,
-    tow_s: float,
-    ionosphere: Vector,
-    sigma: Vector,
-) -> tuple[Vector, Vector]:
-    """The columns of `Modelled` as rows (5, n), and the geometry h (n, 20)."""
-    predicted = predict_ranges(states, x[0:3], x[3:6], tow_s, ionosphere)
-    count = states.shape[0]
-    out, h = np.empty((5, count)), np.zeros((count, 20))
+    measured: Measured, states: Vector, x: Vector, ionosphere: Vector, sigma: SigmaNumbers
+) -> Modelled:
+    """The same for kernels, with the satellites (n, 9) of `states_at`."""
+    predicted = predict_ranges(states, x[0:3], x[3:6], measured.tow_s, ionosphere)
+    count, elevation = states.shape[0], predicted[:, ELEVATION].copy()
+    systems, range_m, rate_mps = measured.system, measured.pseudorange_m, measured.doppler_mps
+    v, v_rate, rate_variance = np.empty(count), np.empty(count), np.empty(count)
+    variance, h = range_variance(elevation, measured.cn0_dbhz, sigma), np.zeros((count, ERRORS))
     for i in range(count):
-        out[4, i] = predicted[i, 5]
-    variance = range_variance(out[4], cn0_dbhz, sigma)
-    for i in range(count):
-        isb = x[17 + system[i]] if system[i] > 0 else 0.0
-        out[0, i] = pseudorange_m[i] - predicted[i, 0] - x[16] - isb
-        out[1, i] = doppler_mps[i] - predicted[i, 1] - x[17]
-        out[2, i] = SPREAD[system[i]] * variance[i]
-        out[3, i] = sigma[4] ** 2 / math.sin(max(predicted[i, 5], 0.1))
+        system = systems[i]
+        isb = x[X_ISB - 1 + system] if system > 0 else 0.0
+        v[i] = range_m[i] - predicted[i, RANGE] - x[X_CLOCK] - isb
+        v_rate[i] = rate_mps[i] - predicted[i, RATE] - x[X_DRIFT]
+        variance[i] *= SPREAD[system]
+        rate_variance[i] = sigma.rate_mps**2 / math.sin(max(elevation[i], 0.1))
         for k in range(3):
-            h[i, k] = -predicted[i, 2 + k]
-        h[i, 15] = 1.0
-        if system[i] > 0:
-            h[i, 16 + system[i]] = 1.0
-    return out, h
+            h[i, k] = -predicted[i, SIGHT + k]
+        h[i, CLOCK] = 1.0
+        if system > 0:
+            h[i, ISB - 1 + system] = 1.0
+    return Modelled(v, v_rate, variance, rate_variance, elevation, h)
 
 
 @compiled
@@ -264,6 +273,6 @@ def rate_rows(h: Vector, known: Indices) -> Vector:
     out = np.zeros((known.shape[0], h.shape[1]))
     for i in range(known.shape[0]):
         for k in range(3):
-            out[i, 3 + k] = h[known[i], k]
-        out[i, 16] = 1.0
+            out[i, V + k] = h[known[i], k]
+        out[i, DRIFT] = 1.0
     return out

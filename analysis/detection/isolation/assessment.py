@@ -1,194 +1,204 @@
-"""An epoch as the filter sees it before it takes anything of it: one call, every test at once.
+"""An epoch as the filter sees it before it uses anything of it: one call, every test at once.
 
-An epoch without a fault needs nothing else before its update; the verdicts of one with a fault
-start from what is told here.
+A quiet epoch, one in which no test trips, needs nothing else before its update; the verdicts of any
+other start from these tests.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.detection_config import DetectorConfig, SigmaNumbers
 from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.inertial import DRIFT, V
 from analysis.detection.filter.information import (
+    Normal,
     block,
-    columns,
-    narrowed,
+    normal_equations,
+    normal_of,
+    posterior,
     quadratic,
     quadratic_of,
-    states_of,
-    weighed,
+    statistic_of,
 )
 from analysis.detection.filter.measurement import (
     NO_ROWS,
     Indices,
     Mask,
+    Measured,
     Modelled,
     Observed,
     modelled_at,
+    states_at,
 )
 from analysis.detection.values import Value
-from analysis.orbits.broadcast import satellite_states
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.linear import apply, inverse
 
 CLOCK_LEAP_M = 1000.0  # the receiver set its clock: no fault has this on most satellites
-RATE_STATES = np.array([3, 4, 5, 16])  # velocity and drift
+RATE_STATES = np.array([V, V + 1, V + 2, DRIFT])
 
 
-class Assessed(Value, frozen=True):
-    """All tests of an epoch: the ranges' q with `normalised` (n,), the rates' statistic over
-    `rates` of them, and the parity statistic with its degrees of freedom (0 where there is none).
+class Assessment(NamedTuple):
+    """n satellites against the prediction, in one order: trusted ones, excluded ones, those below
+    the mask.
+
+    `order` (n,) are their places among the observed, `every` the innovations in this order, of
+    which the first `used` are trusted and those up to `above` are above the mask; `normalised`
+    (used,) are those of the trusted ones. `q` is the ranges' statistic, `q_rate`
+    that of the `rates` Doppler rates that are known, `parity` that of the snapshot's residuals with
+    its degrees of freedom (0 where there is none); `systems` is how many systems are used. `far`
+    says that most innovations are over `CLOCK_LEAP_M`.
     """
 
-    q: float
+    order: Indices
+    every: Modelled
+    used: int
+    above: int
     normalised: Vector
+    q: float
     q_rate: float
     rates: int
     parity: float
     parity_dof: int
+    systems: int
+    far: bool
 
 
 class Sight(Value, frozen=True):
-    """What an epoch measured above the mask, against the prediction.
-
-    `used` are the innovations of `names`, which are trusted, with their tests; `left` those of
-    `others`, which are left out. `far` says that most innovations are over `CLOCK_LEAP_M`.
-    """
+    """What an epoch measured above the mask: the satellites `names` are trusted, with the
+    innovations `used`, `excluded` are not, with `outside`."""
 
     names: tuple[str, ...]
     used: Modelled
-    assessed: Assessed
-    others: tuple[str, ...]
-    left: Modelled
-    systems: int
-    far: bool
+    excluded: tuple[str, ...]
+    outside: Modelled
+    tests: Assessment
 
 
 def see(
     observed: Observed,
     trusted: Mask,
-    held_m: Vector,
+    offset_m: Vector,
     motion: Motion,
     ionosphere: Vector,
     config: DetectorConfig,
 ) -> Sight:
-    """An epoch modelled and tested; `trusted` (n,) may be used, `held_m` (n,) is taken off."""
-    order, table, h, numbers, counts = _see(
-        *observed.measured,
+    """An epoch modelled and tested; `trusted` (n,) may be used, `offset_m` (n,) is subtracted."""
+    tests = assess(
+        observed.measured,
         trusted,
-        held_m,
+        offset_m,
         motion.x,
         motion.p,
         ionosphere,
         config.sigma.numbers,
         config.mask_rad,
     )
-    count, seen, systems, rates, dof, far = counts
-    names = observed.satellites
-    others: tuple[str, ...] = ()
-    if count < len(names):
-        sorted_names = [names[i] for i in order.tolist()]
-        names, others = tuple(sorted_names[:count]), tuple(sorted_names[count:seen])
-    q, q_rate, parity = numbers
-    left = NO_ROWS
-    if others:
-        left = _modelled(table[:, count:seen], h[count:seen])
+    names, every, count = observed.satellites, tests.every, tests.used
+    if count == len(names):
+        return Sight(names, every, (), NO_ROWS, tests)
+    in_order = tuple(names[i] for i in tests.order.tolist())
+    outside = every.between(count, tests.above)
     return Sight(
-        names,
-        _modelled(table[:, :count], h[:count]),
-        Assessed(q, table[5, :count], q_rate, rates, parity, dof),
-        others,
-        left,
-        systems,
-        2 * far >= seen > 0,
+        in_order[:count], every.between(0, count), in_order[count : tests.above], outside, tests
     )
 
 
-def _modelled(table: Vector, h: Vector) -> Modelled:
-    return Modelled(table[0], table[1], table[2], table[3], table[4], h)
-
-
 @compiled
-def _see(
-    packed: Vector,
-    pseudorange_m: Vector,
-    doppler_mps: Vector,
-    cn0_dbhz: Vector,
-    system: Indices,
-    week: float,
-    tow_s: float,
+def assess(
+    measured: Measured,
     trusted: Mask,
-    held_m: Vector,
+    offset_m: Vector,
     x: Vector,
     p: Vector,
     ionosphere: Vector,
-    sigma: Vector,
+    sigma: SigmaNumbers,
     mask_rad: float,
-) -> tuple[
-    Indices,
-    Vector,
-    Vector,
-    tuple[float, float, float],
-    tuple[int, int, int, int, int, int],
-]:
-    """The order of the satellites (used, left out, below the mask), their numbers (6, n) and
-    geometry (n, 20) in it; statistics and counts."""
-    states = satellite_states(packed, week, tow_s, pseudorange_m)
-    found, geometry = modelled_at(
-        states, pseudorange_m, doppler_mps, cn0_dbhz, system, x, tow_s, ionosphere, sigma
+) -> Assessment:
+    """Every test of an epoch at the prediction x (21,) with covariance p (20, 20)."""
+    observed = modelled_at(measured, states_at(measured), x, ionosphere, sigma)
+    order, count, above = _sorted(observed.elevation_rad, trusted, mask_rad)
+    every, far = _in_order(observed, order), 0
+    h, v = every.h[:count], every.v_m
+    for i in range(order.shape[0]):
+        v[i] -= offset_m[order[i]]
+        far += i < above and abs(v[i]) > CLOCK_LEAP_M
+    normal = normal_equations(h, every.variance[:count], v[:count])
+    after = posterior(block(p, normal.states), normal.information)[0]
+    normalised = normalise(normal, after)
+    q = normal.total - quadratic(normal.b, after)
+    parity, dof, systems = parity_test(normal)
+    rates = rate_equations(h, every.rate_variance[:count], every.v_mps[:count])
+    q_rate = statistic_of(p, rates)
+    return Assessment(
+        order,
+        every,
+        count,
+        above,
+        normalised,
+        q,
+        q_rate,
+        rates.v.shape[0],
+        parity,
+        dof,
+        systems,
+        2 * far >= above > 0,
     )
-    order, count, seen = _sorted(found[4], trusted, mask_rad)
-    total = order.shape[0]
-    table, h, kinds = np.empty((6, total)), np.empty_like(geometry), np.empty_like(system)
-    far = 0
-    for i in range(total):
-        at = order[i]
-        for k in range(5):
-            table[k, i] = found[k, at]
+
+
+@compiled
+def _in_order(every: Modelled, order: Indices) -> Modelled:
+    """The same satellites (n,) in an order."""
+    h_before = every.h
+    h = np.empty_like(h_before)
+    for i in range(order.shape[0]):
         for k in range(h.shape[1]):
-            h[i, k] = geometry[at, k]
-        kinds[i] = system[at]
-        table[0, i] -= held_m[at]
-        far += i < seen and abs(table[0, i]) > CLOCK_LEAP_M
-    used = h[:count]
-    variance, v = table[2, :count], table[0, :count]
-    estimated = states_of(used)
-    a = columns(used, estimated)
-    information, b, total = weighed(a, variance, v)
-    after = narrowed(block(p, estimated), information)[0]
-    normalise(a, after, b, variance, v, table[5])
-    q = total - quadratic(b, after)
-    parity, dof, systems = parity_test(a, information, b, total)
-    of_rates, b_rates, total_rates, rates = weighed_rates(used, table[3, :count], table[1, :count])
-    q_rate = rates_statistic(p, of_rates, b_rates, total_rates)
-    return order, table, h, (q, q_rate, parity), (count, seen, systems, rates, dof, far)
+            h[i, k] = h_before[order[i], k]
+    return Modelled(
+        _at(every.v_m, order),
+        _at(every.v_mps, order),
+        _at(every.variance, order),
+        _at(every.rate_variance, order),
+        _at(every.elevation_rad, order),
+        h,
+    )
 
 
 @compiled
-def normalise(
-    a: Vector, after: Vector, b: Vector, variance: Vector, v: Vector, out: Vector
-) -> None:
-    """Fill `out` with u_i / sqrt(M_ii), standard normal without faults, whose squares are what q is
-    less without i; NaN where a satellite is not checked by the others. `after` is P+_c."""
-    moved = apply(after, b)
+def _at(values: Vector, order: Indices) -> Vector:
+    out = np.empty(order.shape[0])
+    for i in range(order.shape[0]):
+        out[i] = values[order[i]]
+    return out
+
+
+@compiled
+def normalise(normal: Normal, after: Vector) -> Vector:
+    """u_i / sqrt(M_ii) (n,), standard normal without faults, whose squares are what q is less
+    without i; NaN where a satellite is not checked by the others. `after` is P+_c."""
+    a, v, variances, out = normal.a, normal.v, normal.variance, np.empty(normal.v.shape[0])
+    moved = apply(after, normal.b)
     for i in range(a.shape[0]):
-        left, own = v[i], 1.0 - quadratic_of(a, i, after) / variance[i]
+        variance = variances[i]
+        remaining, own = v[i], 1.0 - quadratic_of(a, i, after) / variance
         for j in range(a.shape[1]):
-            left -= a[i, j] * moved[j]
-        known = own > 1e-12 * variance[i]
-        out[i] = left / math.sqrt(own * variance[i]) if known else np.nan
+            remaining -= a[i, j] * moved[j]
+        known = own > 1e-12 * variance
+        out[i] = remaining / math.sqrt(own * variance) if known else np.nan
+    return out
 
 
 @compiled
-def parity_test(a: Vector, information: Vector, b: Vector, total: float) -> tuple[float, int, int]:
+def parity_test(normal: Normal) -> tuple[float, int, int]:
     """The statistic of the snapshot's residuals, its degrees of freedom, and how many systems.
 
     A snapshot solves for the states that are seen; where no satellite is GPS's, its first system's
     offset is the clock's.
     """
-    of_gps = 0
+    a, of_gps = normal.a, 0
     for i in range(a.shape[0]):
         own = 0.0
         for j in range(4, a.shape[1]):
@@ -201,10 +211,8 @@ def parity_test(a: Vector, information: Vector, b: Vector, total: float) -> tupl
     systems, dof = unknowns.shape[0] - 3, max(a.shape[0] - unknowns.shape[0], 0)
     if dof == 0:
         return 0.0, 0, systems
-    some = np.empty(unknowns.shape[0])
-    for j in range(some.shape[0]):
-        some[j] = b[unknowns[j]]
-    return total - quadratic(some, inverse(block(information, unknowns))), dof, systems
+    b = _at(normal.b, unknowns)
+    return normal.total - quadratic(b, inverse(block(normal.information, unknowns))), dof, systems
 
 
 @compiled
@@ -223,22 +231,15 @@ def _sorted(elevation: Vector, trusted: Mask, mask_rad: float) -> tuple[Indices,
 
 
 @compiled
-def rates_statistic(p: Vector, information: Vector, b: Vector, total: float) -> float:
-    """The statistic of Doppler rates of N, b and v' inv(R) v (`weighed_rates`)."""
-    return total - quadratic(b, narrowed(block(p, RATE_STATES), information)[0])
-
-
-@compiled
-def weighed_rates(h: Vector, variance: Vector, v: Vector) -> tuple[Vector, Vector, float, int]:
-    """N, b and v' inv(R) v of the Doppler rates v (n,) that are known, and how many they are; h
-    (n, 20) is the geometry of the ranges."""
+def rate_equations(h: Vector, variance: Vector, v: Vector) -> Normal:
+    """The normal equations of the Doppler rates v (n,) that are known; h (n, 20) is the geometry of
+    the ranges."""
     count = 0
-    a, wide, some = np.empty((v.shape[0], 4)), np.empty(v.shape[0]), np.empty(v.shape[0])
+    a, known_variance, known = np.empty((v.shape[0], 4)), np.empty(v.shape[0]), np.empty(v.shape[0])
     for i in range(v.shape[0]):
         if np.isfinite(v[i]):
             for k in range(3):
                 a[count, k] = h[i, k]
-            a[count, 3], wide[count], some[count] = 1.0, variance[i], v[i]
+            a[count, 3], known_variance[count], known[count] = 1.0, variance[i], v[i]
             count += 1
-    information, b, total = weighed(a[:count], wide[:count], some[:count])
-    return information, b, total, count
+    return normal_of(RATE_STATES.copy(), a[:count], known_variance[:count], known[:count])

@@ -1,4 +1,4 @@
-"""One GNSS epoch against the filter: everything the detector decides there."""
+"""One GNSS epoch against the filter: assess it, isolate where a test trips, commit the rest."""
 
 import numpy as np
 
@@ -6,18 +6,24 @@ from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import Core
 from analysis.detection.epoch_outcome import Outcome, imu_bad_until_us, shown
 from analysis.detection.filter.alignment import find_attitude
-from analysis.detection.filter.epoch_update import absorb, remember
+from analysis.detection.filter.epoch_update import Step, absorb, commit
 from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.inertial import X_CLOCK
 from analysis.detection.filter.information import statistic
 from analysis.detection.filter.measurement import Observed
-from analysis.detection.filter.offsets import held, hold, learnt
-from analysis.detection.filter.passing import let_pass
+from analysis.detection.filter.offsets import freeze, frozen_m, learnt
 from analysis.detection.filter.propagation import advance, segment
 from analysis.detection.isolation.assessment import CLOCK_LEAP_M, Sight, see
 from analysis.detection.isolation.chi_square import chi_square
-from analysis.detection.isolation.exclusion import exclude, outside, readmit
-from analysis.detection.isolation.ramp_test import judge_slow, new_memory, ready
+from analysis.detection.isolation.exclusion import Outside, exclude, measure_outside, readmit
+from analysis.detection.isolation.quiet_epoch import Judged, quiet_epoch
+from analysis.detection.isolation.ramp_test import (
+    RampBank,
+    SlowVerdict,
+    judge_slow,
+    new_ramps,
+    ready,
+)
 from analysis.detection.isolation.range_test import (
     Tested,
     blamed,
@@ -27,160 +33,166 @@ from analysis.detection.isolation.range_test import (
 )
 from analysis.detection.isolation.rate_test import check_rates, freed_by
 from analysis.samples.block import ImuRun
-from analysis.samples.sample import Vector
+
+UNDISTURBED = ("none", "satellites")  # verdicts of the rates that leave the prediction sound
 
 
 def judge_epoch(
     t_us: int, observed: Observed, run: ImuRun, core: Core, config: DetectorConfig
 ) -> Outcome:
-    """Predict, test, isolate, update: the core after an epoch and what it said; `run` is what the
+    """Predict, test, isolate, update: the core after an epoch and what it showed; `run` is what the
     IMU gave since the last."""
-    held_m = held(core, observed.satellites, t_us, config)
-    passed = let_pass(t_us, observed, held_m, run, core, config)
-    return passed or _judged(t_us, observed, held_m, run, core, config)
-
-
-def _judged(
-    t_us: int,
-    observed: Observed,
-    held_m: Vector,
-    run: ImuRun,
-    core: Core,
-    config: DetectorConfig,
-) -> Outcome:
-    """An epoch that may need a verdict, step by step."""
     before = core.motion
     assert before is not None
+    quiet = quiet_epoch(t_us, observed, run, core, config)
+    if quiet is not None:
+        judged, moved, ramps, found = quiet
+        return _concluded(judged, before, moved, ramps, judge_slow(ramps, found, config), config)
     part = segment(run, before, t_us)
     motion, phi = advance(before, part, t_us, config)
-    seen, leapt, motion, core = _seen(t_us, observed, held_m, motion, core, config)
-    needed = 3 if motion.inertial else 4 + max(seen.systems, 1)
-    if len(seen.names) < needed:
-        reason = f"{len(seen.names)} healthy satellites above the mask; {needed} are needed"
-        core = hold(core, t_us, config)
-        return Outcome(core._replace(motion=motion, memory=None), reason)
-    rates = check_rates(motion, seen.used, seen.assessed, config)
-    tested = _tested(core, motion, seen, rates.hypothesis, config)
-    undisturbed = not leapt and not tested.freed and rates.hypothesis in ("none", "satellites")
-    memory, slow = None, None
+    sight, leapt, motion, core = _seen(t_us, observed, motion, core, config)
+    needed = 3 if motion.inertial else 4 + max(sight.tests.systems, 1)
+    if len(sight.names) < needed:
+        reason = f"{len(sight.names)} healthy satellites above the mask; {needed} are needed"
+        core = freeze(core, t_us, config)
+        return Outcome(core._replace(motion=motion, ramps=None), reason)
+    rates = check_rates(motion, sight.used, sight.tests, config)
+    tested = _tested(core, motion, sight, rates.hypothesis, config)
+    judged = Judged(core, part, motion, sight, leapt, rates, tested)
+    undisturbed = not leapt and not tested.freed and rates.hypothesis in UNDISTURBED
     if undisturbed and before.inertial == tested.motion.inertial:
-        memory = ready(
-            core.memory or new_memory(before.t_us),
+        ramps = ready(
+            core.ramps or new_ramps(before.t_us),
             t_us,
             observed.satellites,
-            seen.names,
+            sight.names,
             tested.part.variance,
             config,
         )
-        dt_s = (t_us - before.t_us) * 1e-6
-        moved, memory, found = remember(
-            tested.motion, tested.part, rates.fit, memory, phi, dt_s, config
-        )
-        slow = judge_slow(memory, found, config)
-    else:
-        moved = absorb(tested.motion, tested.part, rates.fit)
-        core = hold(core, t_us, config)
-    wrong = slow.hypothesis if slow is not None else "none"
-    imu_blamed = before.inertial and "imu" in (rates.hypothesis, tested.hypothesis, wrong)
+        step = Step(phi, (t_us - before.t_us) * 1e-6, t_us, tested.motion.inertial)
+        moved, ramps, found = commit(tested.motion, tested.part, rates.fit, ramps, step, config)
+        return _concluded(judged, before, moved, ramps, judge_slow(ramps, found, config), config)
+    moved = absorb(tested.motion, tested.part, rates.fit)
+    judged = judged._replace(core=freeze(core, t_us, config))
+    return _concluded(judged, before, moved, None, None, config)
+
+
+def _concluded(
+    judged: Judged,
+    before: Motion,
+    moved: Motion,
+    ramps: RampBank | None,
+    slow: SlowVerdict | None,
+    config: DetectorConfig,
+) -> Outcome:
+    """The verdicts together: who is excluded, whether the IMU is trusted, and the core after."""
+    core, part, tested, t_us = judged.core, judged.part, judged.tested, moved.t_us
+    verdicts = (judged.rates.hypothesis, tested.hypothesis, slow.hypothesis if slow else "none")
+    imu_blamed = before.inertial and "imu" in verdicts
     if imu_blamed and moved.inertial:
         moved = free_position(moved)
-    left = outside(seen.others, seen.left, motion, moved)
-    excluded = readmit(core.excluded, left, t_us, config)
-    excluded = exclude(excluded, tuple(seen.names[i] for i in tested.left_out), t_us, t_us)
+    sight = judged.sight
+    outside = measure_outside(sight.excluded, sight.outside, judged.predicted, moved)
+    excluded = readmit(core.excluded, outside, t_us, config)
+    excluded = exclude(excluded, tuple(sight.names[i] for i in tested.faulty), t_us, t_us)
     core = core._replace(
         ranges_us=t_us,
         excluded=excluded,
         imu_bad_until_us=imu_bad_until_us(core, imu_blamed, t_us, config),
+        unknown_since_us=_unknown_since_us(core, tested.hypothesis, t_us),
     )
     moved = find_attitude(core, moved, part, (t_us - before.t_us) * 1e-6, config)
-    if memory is not None and moved.inertial and not before.inertial:
-        memory = memory.without_accelerations()
-    core = core._replace(motion=moved, memory=memory)
-    core = _unknown(core, tested.hypothesis, t_us, config)
+    if ramps is not None and moved.inertial and not before.inertial:
+        ramps = ramps.without_accelerations()
+    core = core._replace(motion=moved, ramps=ramps)
+    unknown_us = core.unknown_since_us
+    if unknown_us is not None and (t_us - unknown_us) * 1e-6 >= config.reset_s:
+        core = core._replace(motion=None, ramps=None, unknown_since_us=None)
     silent = before.inertial and part.gap_s > config.gap_s
-    assessed = seen.assessed
-    return Outcome(
-        core,
-        names=seen.names,
-        left_out=tested.left_out,
-        others=left.names,
-        residual_m=(*seen.used.v_m.tolist(), *left.v_m.tolist()),
-        normalised=(*assessed.normalised.tolist(), *left.normalised.tolist()),
-        statistic=tested.statistic,
-        threshold=tested.threshold,
-        probabilities=tested.probabilities,
-        parity=assessed.parity,
-        parity_dof=assessed.parity_dof,
-        rate=rates.statistic,
-        rate_threshold=rates.threshold,
-        rate_dof=rates.dof,
+    shown_now = shown(core, tested.hypothesis, imu_blamed or silent, judged.leapt)
+    alarm = tested.alarm or imu_blamed or silent
+    outcome = _measured(judged, outside, core)
+    return outcome._replace(
         slow=slow,
-        hypothesis=shown(core, tested.hypothesis, imu_blamed or silent, leapt),
-        alarm=tested.alarm or imu_blamed or silent,
+        hypothesis=shown_now,
+        alarm=alarm,
         imu_blamed=imu_blamed,
         was_inertial=before.inertial,
         gap_s=part.gap_s,
     )
 
 
+def _measured(judged: Judged, outside: Outside, core: Core) -> Outcome:
+    """The numbers of an epoch's tests."""
+    sight, rates, tested = judged.sight, judged.rates, judged.tested
+    tests = sight.tests
+    residual_m, normalised = sight.used.v_m.tolist(), tests.normalised.tolist()
+    return Outcome(
+        core,
+        names=sight.names,
+        faulty=tested.faulty,
+        excluded=outside.names,
+        residual_m=residual_m + outside.v_m.tolist(),
+        normalised=normalised + outside.normalised.tolist(),
+        statistic=tested.statistic,
+        threshold=tested.threshold,
+        probabilities=tested.probabilities,
+        parity=tests.parity,
+        parity_dof=tests.parity_dof,
+        rate=rates.statistic,
+        rate_threshold=rates.threshold,
+        rate_dof=rates.dof,
+    )
+
+
 def _tested(
-    core: Core, motion: Motion, seen: Sight, by_rates: str, config: DetectorConfig
+    core: Core, motion: Motion, sight: Sight, by_rates: str, config: DetectorConfig
 ) -> Tested:
-    """The ranges' test after what the rates have said of the prediction."""
+    """The ranges' test after the rates' verdict on the prediction."""
     freed = freed_by(motion, by_rates)
-    used, q = seen.used, seen.assessed.q
+    used, q = sight.used, sight.tests.q
     if freed is not motion:
         q = statistic(freed.p, used.h, used.variance, used.v_m)
-    threshold = chi_square(len(seen.names), config.p_false_alarm)
+    threshold = chi_square(len(sight.names), config.p_false_alarm)
     if q <= threshold:
         return passed(freed, used, q, threshold)
-    standing_m = learnt(core, seen.names)
+    standing_m = learnt(core, sight.names)
     return blamed(freed, used, q, threshold, standing_m, config)
 
 
 def _seen(
-    t_us: int,
-    observed: Observed,
-    held_m: Vector,
-    motion: Motion,
-    core: Core,
-    config: DetectorConfig,
+    t_us: int, observed: Observed, motion: Motion, core: Core, config: DetectorConfig
 ) -> tuple[Sight, bool, Motion, Core]:
     """The epoch against the prediction, and whether the clock leapt; it is set where it did.
 
-    Where others are trusted than at the last epoch, what was learnt of them is held.
+    Where others are trusted than at the last epoch, what was learnt of them is frozen.
     """
     names = observed.satellites
-    trusted = np.ones(len(names), dtype=bool)
-    if core.excluded:
-        trusted = np.array([name not in core.excluded for name in names], dtype=bool)
-    ionosphere = core.ionosphere
-    seen = see(observed, trusted, held_m, motion, ionosphere, config)
-    leap = _leap_m(seen) if seen.far else 0.0
+    trusted = np.array([name not in core.excluded for name in names], dtype=bool)
+    ionosphere, offset_m = core.ionosphere, frozen_m(core, names, t_us, config)
+    sight = see(observed, trusted, offset_m, motion, ionosphere, config)
+    leap = _leap_m(sight) if sight.tests.far else 0.0
     if leap:
         x = motion.x.copy()
         x[X_CLOCK] += leap
         motion = free_clock(motion._replace(x=x))
-        seen = see(observed, trusted, held_m, motion, ionosphere, config)
-    if core.memory is not None and core.memory.names != seen.names:
-        core = hold(core, t_us, config)
-        held_m = held(core, names, t_us, config)
-        seen = see(observed, trusted, held_m, motion, ionosphere, config)
-    return seen, leap != 0.0, motion, core
+        sight = see(observed, trusted, offset_m, motion, ionosphere, config)
+    if core.ramps is not None and core.ramps.names != sight.names:
+        core = freeze(core, t_us, config)
+        offset_m = frozen_m(core, names, t_us, config)
+        sight = see(observed, trusted, offset_m, motion, ionosphere, config)
+    return sight, leap != 0.0, motion, core
 
 
-def _leap_m(seen: Sight) -> float:
+def _leap_m(sight: Sight) -> float:
     """How far the receiver set its clock; 0 if it did not."""
-    innovations = sorted((*seen.used.v_m.tolist(), *seen.left.v_m.tolist()))
+    innovations = sorted((*sight.used.v_m.tolist(), *sight.outside.v_m.tolist()))
     middle: float = innovations[len(innovations) // 2]
     return middle if abs(middle) > CLOCK_LEAP_M else 0.0
 
 
-def _unknown(core: Core, hypothesis: str, t_us: int, config: DetectorConfig) -> Core:
-    """A filter that nothing fits for too long is started anew."""
+def _unknown_since_us(core: Core, hypothesis: str, t_us: int) -> int | None:
+    """Since when no explanation fits."""
     if hypothesis != "multiple-unknown":
-        return core._replace(unknown_since_us=None) if core.unknown_since_us else core
-    since = core.unknown_since_us or t_us
-    if (t_us - since) * 1e-6 >= config.reset_s:
-        return core._replace(motion=None, memory=None, unknown_since_us=None)
-    return core._replace(unknown_since_us=since)
+        return None
+    return core.unknown_since_us or t_us

@@ -1,4 +1,4 @@
-"""Which satellites stay left out, and when one comes back."""
+"""Which satellites stay excluded, and when one is readmitted."""
 
 import math
 from dataclasses import replace
@@ -18,7 +18,7 @@ HEALTHY_P = 1e-3  # a satellite looks healthy within the bounds of this probabil
 
 
 class Outside(Value, frozen=True):
-    """Satellites left out, with their innovations (n,) in m and over their own sigma."""
+    """Excluded satellites, with their innovations (n,) in m and over their own sigma."""
 
     names: tuple[str, ...]
     v_m: Vector
@@ -28,8 +28,10 @@ class Outside(Value, frozen=True):
 NOBODY = Outside((), np.empty(0), np.empty(0))
 
 
-def outside(names: tuple[str, ...], modelled: Modelled, before: Motion, after: Motion) -> Outside:
-    """Those left out against the filter after the epoch, which does not use them."""
+def measure_outside(
+    names: tuple[str, ...], modelled: Modelled, before: Motion, after: Motion
+) -> Outside:
+    """Those excluded against the filter after the epoch, which does not use them."""
     if not names:
         return NOBODY
     table = _outside(modelled.v_m, modelled.variance, modelled.h, before.x, after.x, after.p)
@@ -42,7 +44,7 @@ def _outside(
 ) -> Vector:
     """Innovations (2, n), in m and over their sigma, at the state `after` with covariance p.
 
-    `v` are those at the state `before`; what moved in between is taken off.
+    `v` are those at the state `before`; what moved in between is subtracted.
     """
     moved = np.zeros(h.shape[1])
     for i in range(3):
@@ -51,36 +53,36 @@ def _outside(
         moved[i] = after[i + 1] - before[i + 1]
     out = np.empty((2, v.shape[0]))
     for i in range(v.shape[0]):
-        left, wide = v[i], variance[i]
+        remaining, total = v[i], variance[i]
         for j in range(h.shape[1]):
-            left -= h[i, j] * moved[j]
+            remaining -= h[i, j] * moved[j]
             for k in range(h.shape[1]):
-                wide += h[i, j] * p[j, k] * h[i, k]
-        out[0, i], out[1, i] = left, left / math.sqrt(wide)
+                total += h[i, j] * p[j, k] * h[i, k]
+        out[0, i], out[1, i] = remaining, remaining / math.sqrt(total)
     return out
 
 
 def exclude(
     excluded: dict[str, Exclusion], names: tuple[str, ...], onset_us: int, found_us: int
 ) -> dict[str, Exclusion]:
-    """Leave out more satellites since `onset_us`; those that are out already stay as they are."""
+    """Exclude more satellites since `onset_us`; those excluded already stay as they are."""
     new = {name: Exclusion(onset_us, found_us) for name in names if name not in excluded}
     return {**excluded, **new} if new else excluded
 
 
 def readmit(
-    excluded: dict[str, Exclusion], left: Outside, t_us: int, config: DetectorConfig
+    excluded: dict[str, Exclusion], outside: Outside, t_us: int, config: DetectorConfig
 ) -> dict[str, Exclusion]:
-    """Those still left out after what was seen of them at `t_us`.
+    """Those still excluded after what was seen of them at `t_us`.
 
     An excluded satellite's innovation against a filter that does not use it is normal when it is
-    healthy; it comes back when that has been so for `readmit_s` without a break.
+    healthy; it is readmitted when that has been so for `readmit_s` without a break.
     """
     if not excluded:
         return excluded
     out = dict(excluded)
-    healthy = np.abs(left.normalised) <= two_sided(HEALTHY_P)
-    for name, fine in zip(left.names, healthy.tolist(), strict=True):
+    healthy = np.abs(outside.normalised) <= two_sided(HEALTHY_P)
+    for name, fine in zip(outside.names, healthy.tolist(), strict=True):
         entry = out[name]
         since = entry.healthy_since_us if entry.healthy_since_us is not None else t_us
         if not fine or t_us < entry.found_us:

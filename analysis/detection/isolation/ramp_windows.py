@@ -1,4 +1,4 @@
-"""Tests with memory: ramps that the filter follows, and so hides, epoch by epoch.
+"""Ramp tests: faults that grow, which the filter follows, and so hides, epoch by epoch.
 
 A fault of one satellite that grows since t_0 adds r (t - t_0) to its range. What that does to the
 filter is linear: with D the response of the estimated state, of every innovation g = e s - H D, and
@@ -32,83 +32,119 @@ References
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.filter.information import Indices, quadratic_of
+from analysis.detection.detection_config import RampNumbers
+from analysis.detection.filter.inertial import V
+from analysis.detection.filter.information import Indices, Normal, quadratic_of
 from analysis.detection.isolation.bank import reduction
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.linear import add_product, apply, multiply
 
-WINDOWS = 4
+WINDOW_COUNT = 4
 STRIDE_S = 5.0
 YOUNGEST_S = 0.5  # a younger window says nothing that the main test does not
 NEWS_S = 1.0  # epochs closer than this tell little new of an offset
 
 
+class Windows(NamedTuple):
+    """w windows of the ramp tests over n satellites.
+
+    `starts_us` (w,) is when each began (0: not yet); `d` (20, w s) are the responses of the state
+    in each to s = n + 3 signatures, ramps of n satellites, then accelerations along x, y, z; `sums`
+    (w, 5 n + 12) are c_r, c_o, J_rr, J_ro, J_oo, then c and J (3, 3) of the accelerations. `offset`
+    and `spread` (n,) are mean and variance of each satellite's offset now, `offsets` and `spreads`
+    (w, n) the same when a window began.
+    """
+
+    starts_us: Indices
+    d: Vector
+    sums: Vector
+    offset: Vector
+    spread: Vector
+    offsets: Vector
+    spreads: Vector
+
+
+class Strongest(NamedTuple):
+    """What stands out most: the ratio of a ramp, in which window and of which satellite (-1: no
+    window is old enough), and that of the rival, a wrong acceleration."""
+
+    ramp: float
+    window: int
+    satellite: int
+    rival: float
+
+
+class Response(NamedTuple):
+    """Over the c states that are seen: D_c, gamma, and D_c + P+_c gamma (c, w s)."""
+
+    seen: Vector
+    gamma: Vector
+    whole: Vector
+
+
+class News(NamedTuple):
+    """Innovations less a window's offsets: over their variance (n,), b (c,) and P+_c b (c,)."""
+
+    weighted: Vector
+    b: Vector
+    moved: Vector
+
+
 @compiled
 def respond(
-    d: Vector,
-    sums: Vector,
-    offsets: Vector,
-    ages: Vector,
-    phi: Vector,
-    after: Vector,
-    states: Indices,
-    a: Vector,
-    information: Vector,
-    variance: Vector,
-    v: Vector,
-    dt: float,
+    windows: Windows, ages: Vector, phi: Vector, after: Vector, ranges: Normal, dt_s: float
 ) -> tuple[Vector, Vector]:
     """One epoch of ranges more in every window: d and sums after it, as new arrays.
 
-    Parameters
-    ----------
-    d : (k, w s), responses of the state (k) in each of w windows to s = n + 3 signatures: ramps of
-        n satellites, then accelerations along x, y, z
-    sums : (w, 5 n + 12): c_r, c_o, J_rr, J_ro, J_oo, then c and J (3, 3) of the accelerations
-    offsets : (w, n), what was known of each satellite's offset when the window started
-    ages : (w,), seconds since each window's start
-    phi, after : transition since the last epoch (k, k), and of the covariance after this one the
-        columns (k, c) of the states that are seen
-    states, a, information, variance, v : which states are seen (c,), geometry over these (n, c), N
-        (c, c), variance and innovations (n,)
-    dt : seconds since the last epoch
+    `ages` (w,) are seconds since each window's start, phi (20, 20) the transition since the last
+    epoch, `dt_s` ago, and `after` (20, c) the columns of the states that are seen of the covariance
+    after this one.
     """
-    windows, count = offsets.shape
+    count = windows.offsets.shape[1]
     each = count + 3
-    response = multiply(phi, d)
-    for w in range(windows):
+    d = multiply(phi, windows.d)
+    for w in range(ages.shape[0]):
         for axis in range(3):
             at = w * each + count + axis
-            response[axis, at] += 0.5 * dt * dt
-            if d.shape[0] > 6:
-                response[3 + axis, at] += dt
-    sums, known = sums.copy(), _rows(after, states)
-    seen, gamma = _seen(response, states, information)
-    own, left = np.empty(count), np.empty(count)
+            d[axis, at] += 0.5 * dt_s * dt_s
+            d[V + axis, at] += dt_s
+    sums, known = windows.sums.copy(), _rows(after, ranges.states)
+    seen, gamma = _seen(d, ranges)
+    a, variances, own = ranges.a, ranges.variance, np.empty(count)
     for i in range(count):
-        own[i] = (1.0 - quadratic_of(a, i, known) / variance[i]) / variance[i]
-        for k in range(states.shape[0]):
-            share = a[i, k] / variance[i]
-            for w in range(windows):
+        variance = variances[i]
+        own[i] = (1.0 - quadratic_of(a, i, known) / variance) / variance
+        for k in range(gamma.shape[0]):
+            share = a[i, k] / variance
+            for w in range(ages.shape[0]):
                 gamma[k, w * each + i] += share * ages[w]
-    whole = _whole(seen, gamma, known)
-    for w in range(windows):
-        b = np.zeros(states.shape[0])
+    response = Response(seen, gamma, _whole(seen, gamma, known))
+    for w in range(ages.shape[0]):
         for i in range(count):
-            left[i] = (v[i] - offsets[w, i]) / variance[i]
             sums[w, 4 * count + i] += own[i]
-            for k in range(b.shape[0]):
-                b[k] += a[i, k] * left[i]
-        moved = apply(known, b)
+        news = _news(windows.offsets[w], ranges, known)
         first = w * each
-        _add_ramps(sums[w], seen, gamma, whole, first, a, variance, left, ages[w], b, moved)
-        _add_accelerations(sums[w], seen, gamma, whole, first + count, b, moved)
-    add_product(response, 1.0, after, gamma)
-    return response, sums
+        _add_ramps(sums[w], response, first, ranges, ages[w], news)
+        _add_accelerations(sums[w], response, first + count, news.b, news.moved)
+    add_product(d, 1.0, after, gamma)
+    return d, sums
+
+
+@compiled
+def _news(offsets: Vector, ranges: Normal, known: Vector) -> News:
+    """What the ranges tell beside the offsets (n,) of a window; `known` (c, c) is P+_c."""
+    weighted, b = np.empty(offsets.shape[0]), np.zeros(known.shape[0])
+    a, v, variance = ranges.a, ranges.v, ranges.variance
+    for i in range(weighted.shape[0]):
+        weighted[i] = (v[i] - offsets[i]) / variance[i]
+        for k in range(b.shape[0]):
+            b[k] += a[i, k] * weighted[i]
+    return News(weighted, b, apply(known, b))
 
 
 @compiled
@@ -122,11 +158,11 @@ def _rows(m: Vector, which: Indices) -> Vector:
 
 
 @compiled
-def _seen(response: Vector, states: Indices, information: Vector) -> tuple[Vector, Vector]:
+def _seen(d: Vector, normal: Normal) -> tuple[Vector, Vector]:
     """D_c and -N D_c (c, w s)."""
-    seen = _rows(response, states)
+    seen = _rows(d, normal.states)
     gamma = np.zeros_like(seen)
-    add_product(gamma, -1.0, information, seen)
+    add_product(gamma, -1.0, normal.information, seen)
     return seen, gamma
 
 
@@ -142,49 +178,37 @@ def _whole(seen: Vector, gamma: Vector, known: Vector) -> Vector:
 
 @compiled
 def _add_ramps(
-    row: Vector,
-    seen: Vector,
-    gamma: Vector,
-    whole: Vector,
-    first: int,
-    a: Vector,
-    variance: Vector,
-    left: Vector,
-    age: float,
-    b: Vector,
-    moved: Vector,
+    row: Vector, response: Response, first: int, ranges: Normal, age_s: float, news: News
 ) -> None:
     """Add an epoch to a window's sums of ramps and c_o, in place; its ramps are the columns from
-    `first`, `left` (n,) the innovations over their variance."""
-    count = left.shape[0]
+    `first`."""
+    weighted, b, moved = news
+    seen, gamma, whole = response
+    a, variances, count = ranges.a, ranges.variance, weighted.shape[0]
     for i in range(count):
-        followed = mixed = cross = told = offset = 0.0
+        followed = mixed = cross = known = offset = 0.0
         for k in range(b.shape[0]):
-            response, own, both = seen[k, first + i], gamma[k, first + i], whole[k, first + i]
-            followed += a[i, k] * response
+            response_k, own, both = seen[k, first + i], gamma[k, first + i], whole[k, first + i]
+            followed += a[i, k] * response_k
             mixed += a[i, k] * both
             cross += own * both
-            told += response * b[k] + own * moved[k]
+            known += response_k * b[k] + own * moved[k]
             offset += a[i, k] * moved[k]
-        row[i] += age * left[i] - told
-        row[count + i] += left[i] - offset / variance[i]
-        row[2 * count + i] += age * (age - followed) / variance[i] - cross
-        row[3 * count + i] += (age - mixed) / variance[i]
+        variance = variances[i]
+        row[i] += age_s * weighted[i] - known
+        row[count + i] += weighted[i] - offset / variance
+        row[2 * count + i] += age_s * (age_s - followed) / variance - cross
+        row[3 * count + i] += (age_s - mixed) / variance
 
 
 @compiled
 def _add_accelerations(
-    row: Vector,
-    seen: Vector,
-    gamma: Vector,
-    whole: Vector,
-    first: int,
-    b: Vector,
-    moved: Vector,
+    row: Vector, response: Response, first: int, b: Vector, moved: Vector
 ) -> None:
     """Add to c and J of the accelerations, the last 12 of `row`, in place; theirs are the columns
-    from `first`, `whole` is D_c + P+_c gamma."""
+    from `first`, `moved` is P+_c b."""
     to = row.shape[0] - 12
+    seen, gamma, whole = response
     for k in range(b.shape[0]):
         for i in range(3):
             row[to + i] -= seen[k, first + i] * b[k] + gamma[k, first + i] * moved[k]
@@ -193,65 +217,57 @@ def _add_accelerations(
 
 
 @compiled
-def respond_to_rates(
-    d: Vector, sums: Vector, after: Vector, states: Indices, information: Vector, b: Vector
-) -> None:
-    """The same for Doppler rates of information N and b, which no fault of a range touches:
-    accelerations alone gain. d and sums change in place."""
+def respond_to_rates(d: Vector, sums: Vector, after: Vector, rates: Normal) -> None:
+    """The same for Doppler rates, which no fault of a range touches: accelerations alone gain. d
+    and sums change in place."""
     count = (sums.shape[1] - 12) // 5
-    known = _rows(after, states)
-    seen, gamma = _seen(d, states, information)
-    whole, moved = _whole(seen, gamma, known), apply(known, b)
+    known = _rows(after, rates.states)
+    seen, gamma = _seen(d, rates)
+    response, moved = Response(seen, gamma, _whole(seen, gamma, known)), apply(known, rates.b)
     for w in range(sums.shape[0]):
-        _add_accelerations(sums[w], seen, gamma, whole, w * (count + 3) + count, b, moved)
+        _add_accelerations(sums[w], response, w * (count + 3) + count, rates.b, moved)
     add_product(d, 1.0, after, gamma)
 
 
 @compiled
 def learn_offsets(
-    offset: Vector,
-    spread: Vector,
-    prior: Vector,
-    a: Vector,
-    variance: Vector,
-    v: Vector,
-    dt_s: float,
-    numbers: Vector,
+    windows: Windows, prior: Vector, ranges: Normal, dt_s: float, numbers: RampNumbers
 ) -> tuple[Vector, Vector]:
-    """Mean and variance (n,) of each satellite's offset after the innovations v of one epoch.
+    """Mean and variance (n,) of each satellite's offset after the innovations of one epoch.
 
-    `prior` (c, c) is the covariance of the states that are seen, by the geometry a (n, c), before
-    it. `numbers` are those of `DetectorConfig.memory_numbers`; an epoch `dt_s` after the last tells
-    min(dt_s, 1 s) of what an independent one would.
+    `prior` (c, c) is the covariance of the states that are seen before it; an epoch `dt_s` after
+    the last tells min(dt_s, 1 s) of what an independent one would.
     """
-    slow, stays, news = numbers[0], math.exp(-dt_s / numbers[1]), min(dt_s / NEWS_S, 1.0)
-    mean, wide = offset.copy(), spread.copy()
+    stays, news = math.exp(-dt_s / numbers.offset_s), min(dt_s / NEWS_S, 1.0)
+    mean, spread = windows.offset.copy(), windows.spread.copy()
+    a, v, variance = ranges.a, ranges.v, ranges.variance
     for i in range(mean.shape[0]):
         mean[i] *= stays
-        wide[i] = stays * stays * wide[i] + (1.0 - stays * stays) * slow * variance[i]
+        fresh = (1.0 - stays * stays) * numbers.offset_share * variance[i]
+        spread[i] = stays * stays * spread[i] + fresh
         s = variance[i] + quadratic_of(a, i, prior)
-        share = wide[i] / (wide[i] + s / news)
-        mean[i] += share * (v[i] - mean[i])
-        wide[i] *= 1.0 - share
-    return mean, wide
+        gain = spread[i] / (spread[i] + s / news)
+        mean[i] += gain * (v[i] - mean[i])
+        spread[i] *= 1.0 - gain
+    return mean, spread
 
 
 @compiled
-def strongest(
-    sums: Vector, spreads: Vector, ages: Vector, inertial: bool, numbers: Vector
-) -> tuple[float, int, int, float]:
-    """The largest ratio of a ramp with its window and satellite (-1: none is old enough), and the
-    largest of the rival, an acceleration error, where an IMU is used."""
+def strongest(windows: Windows, ages: Vector, inertial: bool, numbers: RampNumbers) -> Strongest:
+    """The largest ratio of a ramp, and the largest of the rival, an acceleration error, where an
+    IMU is used; `ages` (w,) in s."""
     best, window, worst, rival = 0.0, -1, -1, 0.0
-    ramps = ramp_statistics(sums, spreads, numbers[2])
-    wrong = acceleration_statistics(sums, numbers[3]) if inertial else np.zeros(ages.shape[0])
+    ramps = ramp_statistics(windows.sums, windows.spreads, numbers.slope)
+    wrong = np.zeros(ages.shape[0])
+    if inertial:
+        wrong = acceleration_statistics(windows.sums, numbers.acceleration)
     for w in range(ages.shape[0]):
         if ages[w] >= YOUNGEST_S:
             rival = max(rival, wrong[w])
             for j in range(ramps.shape[1]):
                 if ramps[w, j] > best or worst < 0:
                     best, window, worst = ramps[w, j], w, j
-    return best, window, worst, rival
+    return Strongest(best, window, worst, rival)
 
 
 @compiled

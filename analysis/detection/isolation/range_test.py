@@ -14,23 +14,23 @@ from analysis.samples.sample import Vector
 FREE_POSITION_M = 300.0
 FREE_SPEED_MPS = 30.0
 FREE_TILT_RAD = 0.3
-FREE_CLOCK_M = 1000.0  # larger jumps are taken off before
+FREE_CLOCK_M = 1000.0  # larger jumps are removed before
 FREE_DRIFT_MPS = 100.0
 ROUNDS = 3  # a clock jump and a wrong prediction may come together
 
 
 class Tested(Value, frozen=True):
-    """What the tests said, and what of the epoch the filter may take.
+    """What the tests found, and what of the epoch the filter may use.
 
     `motion` is the prediction, with what was found wrong of it forgotten (`freed`); `part` are the
-    innovations of those that are trusted, none where nothing is. `left_out` are indices of
-    satellites found faulty; the statistic is that of the first round.
+    innovations of those that are trusted, none where nothing is. `faulty` are indices of
+    satellites found so; the statistic is that of the first round.
     """
 
     motion: Motion
     hypothesis: str
     alarm: bool
-    left_out: tuple[int, ...]
+    faulty: tuple[int, ...]
     statistic: float
     threshold: float
     probabilities: dict[str, float]
@@ -44,7 +44,7 @@ def largest_set(count: int, wanted: int) -> int:
 
 
 def passed(motion: Motion, modelled: Modelled, q: float, threshold: float) -> Tested:
-    """F00 passed: all ranges may be taken."""
+    """F00 passed: all ranges may be used."""
     return Tested(motion, "none", False, (), q, threshold, {}, modelled, False)
 
 
@@ -58,8 +58,8 @@ def blamed(
 ) -> Tested:
     """The verdict on ranges of `modelled` (n satellites) whose statistic q failed F00.
 
-    `standing_m` (n,) is each satellite's learnt offset: when some are left out it is taken off the
-    others', so that the position does not jump with the geometry.
+    `standing_m` (n,) is each satellite's learnt offset: where some are excluded it is subtracted
+    from the rest, so that the position does not jump with the geometry.
     """
     hypothesis, verdict, motion = _freed(motion, modelled, threshold, config)
     part = modelled
@@ -76,7 +76,7 @@ def blamed(
 
 
 def without(modelled: Modelled, subset: tuple[int, ...], standing_m: Vector) -> Modelled:
-    """The innovations of the satellites that are not in `subset`, their offsets taken off."""
+    """The innovations of the satellites that are not in `subset`, their offsets subtracted."""
     keep = np.ones(len(modelled.v_m), dtype=bool)
     keep[list(subset)] = False
     part = modelled.select(keep)

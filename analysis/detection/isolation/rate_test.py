@@ -8,7 +8,7 @@ from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.inertial import DRIFT
 from analysis.detection.filter.information import weights
 from analysis.detection.filter.measurement import NO_ROWS, Modelled, rate_rows
-from analysis.detection.isolation.assessment import Assessed
+from analysis.detection.isolation.assessment import Assessment
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.isolation.hypotheses import judge
 from analysis.detection.isolation.range_test import FREE_DRIFT_MPS, free_position, largest_set
@@ -19,7 +19,7 @@ NO_RATES = Rates(NO_ROWS.v_mps, NO_ROWS.rate_variance, NO_ROWS.h)
 
 
 class RatesTested(Value, frozen=True):
-    """What the rates said of the prediction, and those that fit."""
+    """The rates' test of the prediction, and those that fit."""
 
     statistic: float | None
     threshold: float | None
@@ -29,16 +29,16 @@ class RatesTested(Value, frozen=True):
 
 
 def check_rates(
-    motion: Motion, modelled: Modelled, assessed: Assessed, config: DetectorConfig
+    motion: Motion, used: Modelled, tests: Assessment, config: DetectorConfig
 ) -> RatesTested:
     """Test the predicted velocity against the rates."""
-    count = assessed.rates
+    count = tests.rates
     if not config.doppler or count < MIN_RATES:
         return RatesTested(None, None, 0, "none", NO_RATES)
-    fit = Rates(modelled.v_mps, modelled.rate_variance, modelled.h)
+    fit = Rates(used.v_mps, used.rate_variance, used.h)
     threshold = chi_square(count, config.p_other)
-    if assessed.q_rate <= threshold:
-        return RatesTested(assessed.q_rate, threshold, count, "none", fit)
+    if tests.q_rate <= threshold:
+        return RatesTested(tests.q_rate, threshold, count, "none", fit)
     known = np.flatnonzero(np.isfinite(fit.v))
     h, v = rate_rows(fit.h, known), fit.v[known]
     m = weights(motion.p, h, fit.variance[known])
@@ -51,7 +51,7 @@ def check_rates(
         fit = fit._replace(v=kept)
     elif verdict.hypothesis == "multiple-unknown":
         fit = NO_RATES
-    return RatesTested(assessed.q_rate, threshold, count, verdict.hypothesis, fit)
+    return RatesTested(tests.q_rate, threshold, count, verdict.hypothesis, fit)
 
 
 def freed_by(motion: Motion, hypothesis: str) -> Motion:

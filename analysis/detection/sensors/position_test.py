@@ -7,7 +7,7 @@ import numpy as np
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.inertial import BA, BG, CLOCK, DRIFT, ERRORS, PSI, X_SIZE
-from analysis.detection.filter.information import statistic, taken
+from analysis.detection.filter.information import measured_update, statistic
 from analysis.detection.filter.initial_fix import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.orbits.broadcast import ned_axes
@@ -87,7 +87,8 @@ def _check(p: Vector, v: Vector, h: Vector, variance: Vector, p_false_alarm: flo
 
 def updated(motion: Motion, part: Check) -> Motion:
     """The filter after a test's measurement."""
-    x, p = taken(motion.x, motion.p, np.ascontiguousarray(part.h), part.variance, part.v)
+    h = np.ascontiguousarray(part.h)
+    x, p = measured_update(motion.x, motion.p, h, part.variance, part.v)
     return motion._replace(x=x, p=p)
 
 

@@ -20,7 +20,8 @@ from analysis.fusion.factors.range_rows import (
     NORMALISED,
     RATE_SIGMA,
     SIGMA,
-    measured,
+    NodeState,
+    range_table,
     snapshot_covariance,
     whitened,
 )
@@ -55,8 +56,8 @@ class Ranges:
         self.satellites = observed.satellites
         self._observed, self._config, self._doppler = observed, config, detector.doppler
         self._r_m = x[R : R + 3]
-        self.table = measured(
-            *observed.measured,
+        self.table = range_table(
+            observed.measured,
             x,
             ionosphere,
             detector.sigma.numbers,
@@ -66,7 +67,7 @@ class Ranges:
 
     @property
     def sigma_m(self) -> Vector:
-        """Sigmas (n,) of the pseudoranges as the graph takes them."""
+        """Sigmas (n,) of the pseudoranges in the graph."""
         result: Vector = self.table[:, SIGMA]
         return result
 
@@ -112,15 +113,13 @@ class Ranges:
         graph's is counted from; `origin` holds first guesses of the epoch, pose and velocity those
         of the node.
         """
+        pose = node.pose.matrix()
         rows = whitened(
             self.table,
             weights,
-            self._r_m,
-            frame.anchor_m,
             frame.axes,
-            node.pose.matrix(),
-            node.velocity,
-            *clock,
+            pose[:3, 3] - frame.local(self._r_m),
+            NodeState(pose, node.velocity, *clock),
             not rates_only,
             self._doppler,
         )

@@ -1,12 +1,14 @@
 """An epoch's ranges and rates in compiled code: the table of its satellites, and whitened rows."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from analysis.detection.detection_config import SigmaNumbers
 from analysis.detection.filter.inertial import X_CLOCK, X_DRIFT, V
-from analysis.detection.filter.measurement import Indices, modelled_at
-from analysis.orbits.broadcast import EARTH_RATE_RPS, LIGHT_MPS, SYSTEMS, satellite_states
+from analysis.detection.filter.measurement import Indices, Measured, modelled_at, states_at
+from analysis.orbits.broadcast import EARTH_RATE_RPS, LIGHT_MPS, SYSTEMS
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.linear import inverse
@@ -14,74 +16,71 @@ from mavproxy_fault.numerics.linear import inverse
 # Columns of the table of a satellite: its range and rate as they would be without delays, satellite
 # clock and satellite's motion; the range less what it is from the filter's position; sigmas; line
 # of sight; innovations over the detector's sigmas; whether it is above the mask.
-CORRECTED, RATE, LEFT, SIGMA, RATE_SIGMA, LOS, NORMALISED, ABOVE = 0, 1, 2, 3, 4, 5, 8, 10
+CORRECTED, RATE, REMAINING, SIGMA, RATE_SIGMA, LOS, NORMALISED, ABOVE = 0, 1, 2, 3, 4, 5, 8, 10
 COLUMNS = 11
+# Columns of a row: rotation and shift of the pose, velocity, clock, drift, and the right side.
+SHIFT, VELOCITY, CLOCK, DRIFT, GOAL, ROW = 3, 6, 9, 10, 11, 12
 
 
 @compiled
-def measured(
-    packed: Vector,
-    pseudorange_m: Vector,
-    doppler_mps: Vector,
-    cn0_dbhz: Vector,
-    system: Indices,
-    week: float,
-    tow_s: float,
+def range_table(
+    measured: Measured,
     x: Vector,
     ionosphere: Vector,
-    sigma: Vector,
+    sigma: SigmaNumbers,
     correlation: float,
     mask_rad: float,
 ) -> Vector:
-    """The table (n, COLUMNS) of an epoch's satellites."""
-    states = satellite_states(packed, week, tow_s, pseudorange_m)
-    modelled, h = modelled_at(
-        states, pseudorange_m, doppler_mps, cn0_dbhz, system, x, tow_s, ionosphere, sigma
-    )
+    """The table (n, COLUMNS) of an epoch's satellites at the filter's state x (21,)."""
+    states = states_at(measured)
+    modelled = modelled_at(measured, states, x, ionosphere, sigma)
     out = np.empty((states.shape[0], COLUMNS))
     for i in range(out.shape[0]):
         square, along = 0.0, 0.0
         for k in range(3):
             square += (states[i, k] - x[k]) ** 2
-            out[i, LOS + k] = -h[i, k]
-            along -= h[i, k] * x[V + k]
-        turned = (states[i, 0] * x[1] - states[i, 1] * x[0]) * (EARTH_RATE_RPS / LIGHT_MPS)
-        white = math.sqrt(modelled[2, i])
-        out[i, LEFT] = modelled[0, i] + x[X_CLOCK]
-        out[i, CORRECTED] = out[i, LEFT] + math.sqrt(square) + turned - states[i, 6]
-        out[i, RATE] = modelled[1, i] + x[X_DRIFT] - along
-        out[i, SIGMA], out[i, RATE_SIGMA] = correlation * white, math.sqrt(modelled[3, i])
-        out[i, NORMALISED] = modelled[0, i] / white
-        out[i, NORMALISED + 1] = modelled[1, i] / out[i, RATE_SIGMA]
-        out[i, ABOVE] = 1.0 if modelled[4, i] >= mask_rad else 0.0
+            out[i, LOS + k] = -modelled.h[i, k]
+            along -= modelled.h[i, k] * x[V + k]
+        sagnac = (states[i, 0] * x[1] - states[i, 1] * x[0]) * (EARTH_RATE_RPS / LIGHT_MPS)
+        white = math.sqrt(modelled.variance[i])
+        out[i, REMAINING] = modelled.v_m[i] + x[X_CLOCK]
+        out[i, CORRECTED] = out[i, REMAINING] + math.sqrt(square) + sagnac - states[i, 6]
+        out[i, RATE] = modelled.v_mps[i] + x[X_DRIFT] - along
+        out[i, SIGMA] = correlation * white
+        out[i, RATE_SIGMA] = math.sqrt(modelled.rate_variance[i])
+        out[i, NORMALISED] = modelled.v_m[i] / white
+        out[i, NORMALISED + 1] = modelled.v_mps[i] / out[i, RATE_SIGMA]
+        out[i, ABOVE] = 1.0 if modelled.elevation_rad[i] >= mask_rad else 0.0
     return out
+
+
+class NodeState(NamedTuple):
+    """What the rows are linearised at: pose (4, 4), velocity (3,) in m/s, clock in m and m/s."""
+
+    pose: Vector
+    velocity: Vector
+    clock_m: float
+    drift_mps: float
 
 
 @compiled
 def whitened(
     table: Vector,
     weights: Vector,
-    r_ecef_m: Vector,
-    anchor_m: Vector,
     axes: Vector,
-    pose: Vector,
-    velocity: Vector,
-    clock_m: float,
-    drift_mps: float,
+    ahead_m: Vector,
+    at: NodeState,
     ranges: bool,
     doppler: bool,
 ) -> Vector:
     """Rows (k, 12) over their sigmas: the pseudoranges where wanted, then the rates.
 
-    Columns: pose (6), velocity (3), clock, drift, and what they should come to from the pose (4, 4)
-    and velocity on. The table was made at `r_ecef_m`; anchor and axes are the frame's.
+    Columns: pose (6), velocity (3), clock, drift, and what they should come to from the node on.
+    `axes` (3, 3) are the frame's; the node is `ahead_m` (3,), in these axes, of where the table was
+    made.
     """
-    out = np.zeros((2 * table.shape[0], 12))
-    sight, ahead_m = np.empty(3), np.empty(3)
-    for k in range(3):
-        ahead_m[k] = pose[k, 3]
-        for j in range(3):
-            ahead_m[k] -= axes[k, j] * (r_ecef_m[j] - anchor_m[j])
+    out = np.zeros((2 * table.shape[0], ROW))
+    sight = np.empty(3)
     count = 0
     for kind in range(2):
         for i in range(table.shape[0]):
@@ -96,16 +95,16 @@ def whitened(
                 for j in range(3):
                     sight[k] += share * axes[k, j] * table[i, LOS + j]
             if kind == 0:
-                row[9], row[11] = share, share * (table[i, LEFT] - clock_m)
+                row[CLOCK], row[GOAL] = share, share * (table[i, REMAINING] - at.clock_m)
                 for k in range(3):
-                    row[11] += sight[k] * ahead_m[k]
+                    row[GOAL] += sight[k] * ahead_m[k]
                     for j in range(3):
-                        row[3 + k] -= sight[j] * pose[j, k]
+                        row[SHIFT + k] -= sight[j] * at.pose[j, k]
             else:
-                row[10], row[11] = share, share * (table[i, RATE] - drift_mps)
+                row[DRIFT], row[GOAL] = share, share * (table[i, RATE] - at.drift_mps)
                 for k in range(3):
-                    row[6 + k] = -sight[k]
-                    row[11] += sight[k] * velocity[k]
+                    row[VELOCITY + k] = -sight[k]
+                    row[GOAL] += sight[k] * at.velocity[k]
     return out[:count]
 
 

@@ -64,12 +64,12 @@ function faultRow(fault) {
   const what = make("span", { className: "what note" });
   const disarm = make("button", { type: "button", className: "small", textContent: "Disarm", disabled: !token });
   disarm.setAttribute("aria-label", `Disarm ${fault.id}`);
-  disarm.onclick = () => attempt("schedule-said", () => change(`ctl/fault/${fault.id}/disarm`).then(() => ""));
+  disarm.onclick = () => attempt("schedule-said", () => change(`ctl/fault/${encodeURIComponent(fault.id)}/disarm`).then(() => ""));
   const again = make("button", { type: "button", className: "small", textContent: "Re-arm", hidden: true, disabled: !token });
   again.setAttribute("aria-label", `Re-arm ${fault.id}`);
   let newest = fault;
   again.onclick = () => attempt("schedule-said", async () => {
-    await change(`ctl/fault/${fault.id}/arm`, JSON.stringify(entryAgain(newest)));
+    await change(`ctl/fault/${encodeURIComponent(fault.id)}/arm`, JSON.stringify(entryAgain(newest)));
     return `armed again: ${fault.id}`;
   });
   const head = make("span", {}, make("b", { textContent: fault.id }), " ", stateText);

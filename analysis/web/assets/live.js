@@ -47,7 +47,7 @@ class LiveValue {
     const value = this.wanted;
     this.wanted = null;
     if (this.toggle && !this.timer) this.stream(true);
-    await attempt("schedule-said", () => ask(`ctl/fault/${this.id}/value`, JSON.stringify({ value })).then(() => ""));
+    await attempt("schedule-said", () => ask(`ctl/fault/${encodeURIComponent(this.id)}/value`, JSON.stringify({ value })).then(() => ""));
     setTimeout(() => { this.busy = false; this.send(); }, SLIDER_MS);
   }
   // Follow what another viewer has set.

@@ -2,11 +2,14 @@
 
 import numpy as np
 
+from analysis.detection.detection_config import NoiseDensities
 from analysis.detection.filter.inertial import ERRORS, X_SIZE, propagate_inertial
 
 RNG = np.random.default_rng(8)
 START_M = np.array([4.2e6, 6.0e5, 4.7e6])
 UPHOLDING_MPS2 = np.array([0.0, 0.0, -9.8])
+
+NO_NOISE = NoiseDensities(*(0.0,) * 8)
 
 
 def moving() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -26,17 +29,17 @@ def moving() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def test_without_noise_the_covariance_follows_the_transition():
     x, p, samples = moving()
-    _, after, phi = propagate_inertial(x, p, samples, np.zeros(8))
+    _, after, phi = propagate_inertial(x, p, samples, NO_NOISE)
     assert np.allclose(after, phi @ p @ phi.T, rtol=1e-11, atol=1e-9)
     assert (after == after.T).all()
 
 
 def test_the_transition_is_the_derivative_of_the_motion():
     x, p, samples = moving()
-    end, _, phi = propagate_inertial(x, p, samples, np.zeros(8))
+    end, _, phi = propagate_inertial(x, p, samples, NO_NOISE)
     for state, error in ((3, 3), (13, 12), (17, 16)):  # velocity, accelerometer bias, drift
         other = x.copy()
         other[state] += 1e-3
-        moved = propagate_inertial(other, p, samples, np.zeros(8))[0] - end
+        moved = propagate_inertial(other, p, samples, NO_NOISE)[0] - end
         assert np.allclose(moved[:6], 1e-3 * phi[:6, error], atol=1e-5)  # position by Euler's step
         assert np.isclose(moved[16], 1e-3 * phi[15, error])

@@ -1,11 +1,18 @@
-"""Updates by information against the textbook's Kalman filter, and the memory's responses too."""
+"""Updates by information against the textbook's Kalman filter, and the windows' responses too."""
 
 import numpy as np
 import pytest
 
 from analysis.detection.filter.inertial import ERRORS, X_SIZE
-from analysis.detection.filter.information import columns, states_of, statistic, taken, weights
-from analysis.detection.isolation.ramp_windows import WINDOWS, respond
+from analysis.detection.filter.information import (
+    columns,
+    measured_update,
+    normal_equations,
+    states_of,
+    statistic,
+    weights,
+)
+from analysis.detection.isolation.ramp_windows import WINDOW_COUNT, Windows, respond
 
 RNG = np.random.default_rng(9)
 COUNT = 9
@@ -36,7 +43,7 @@ def test_an_update_is_kalman_s(widened: float):
     gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + np.diag(variance))
     rest = np.eye(ERRORS) - gain @ h
     joseph = rest @ p @ rest.T + gain @ np.diag(variance) @ gain.T
-    moved, after = taken(x, p, h, variance, v)
+    moved, after = measured_update(x, p, h, variance, v)
     assert np.allclose(after, joseph, atol=1e-7)
     assert np.linalg.eigvalsh(after).min() > 0.0
     shift = gain @ v
@@ -44,30 +51,32 @@ def test_an_update_is_kalman_s(widened: float):
     assert np.allclose(moved[10:], shift[9:], atol=1e-7)
 
 
-def test_the_memory_sums_what_the_formed_innovations_would():
+def test_the_windows_sum_what_the_formed_innovations_would():
     p, h, variance, v = measured()
     m = np.linalg.inv(h @ p @ h.T + np.diag(variance))
     gain, each = p @ h.T @ m, COUNT + 3
-    d = RNG.standard_normal((ERRORS, WINDOWS * each))
-    offsets, ages = RNG.standard_normal((WINDOWS, COUNT)), np.array([3.0, 8.0, 13.0, 18.0])
+    d = RNG.standard_normal((ERRORS, WINDOW_COUNT * each))
+    offsets, ages = RNG.standard_normal((WINDOW_COUNT, COUNT)), np.array([3.0, 8.0, 13.0, 18.0])
     phi = np.eye(ERRORS) + 0.1 * RNG.standard_normal((ERRORS, ERRORS))
-    states, after = states_of(h), taken(np.eye(1, X_SIZE, 6)[0], p, h, variance, v)[1]
+    states, after = states_of(h), measured_update(np.eye(1, X_SIZE, 6)[0], p, h, variance, v)[1]
     out, sums = respond(
-        d,
-        np.zeros((WINDOWS, 5 * COUNT + 12)),
-        offsets,
+        Windows(
+            np.zeros(WINDOW_COUNT, np.int64),
+            d,
+            np.zeros((WINDOW_COUNT, 5 * COUNT + 12)),
+            np.zeros(COUNT),
+            np.zeros(COUNT),
+            offsets,
+            np.zeros_like(offsets),
+        ),
         ages,
         phi,
         columns(after, states),
-        states,
-        columns(h, states),
-        (columns(h, states).T / variance) @ columns(h, states),
-        variance,
-        v,
+        normal_equations(h, variance, v),
         0.0,
     )
     d = phi @ d
-    for w in range(WINDOWS):
+    for w in range(WINDOW_COUNT):
         own = d[:, w * each : (w + 1) * each]
         g = np.hstack([ages[w] * np.eye(COUNT), np.zeros((COUNT, 3))]) - h @ own
         left = m @ (v - offsets[w])

@@ -1,4 +1,4 @@
-"""Offsets of healthy satellites: learnt, held when others are trusted, faded."""
+"""Offsets of healthy satellites: learnt, frozen when others are trusted, faded."""
 
 import math
 from dataclasses import replace
@@ -9,58 +9,63 @@ import pytest
 from analysis.detection import DetectorConfig, SigmaModel
 from analysis.detection.detector import Detector, run
 from analysis.detection.detector_state import Core
-from analysis.detection.filter.offsets import held, hold, learnt
-from analysis.detection.isolation.ramp_test import new_memory
-from analysis.detection.isolation.ramp_windows import WINDOWS, learn_offsets
+from analysis.detection.filter.information import normal_of
+from analysis.detection.filter.offsets import freeze, frozen_m, learnt
+from analysis.detection.isolation.ramp_test import new_ramps
+from analysis.detection.isolation.ramp_windows import WINDOW_COUNT, Windows, learn_offsets
 from analysis.results import Decision
 from analysis.samples.sample import Epoch, ImuSample, Sample
 
 CONFIG = DetectorConfig()
-FOR_EVER = DetectorConfig(sigma=SigmaModel(slow_s=1e12)).memory_numbers
+FOR_EVER = DetectorConfig(sigma=SigmaModel(slow_s=1e12)).ramp_numbers
 NAMES = ("E05", "G12")
 
 
 def core_that_knows(offsets_m: list[float]) -> Core:
-    memory = new_memory(0)._replace(
-        names=NAMES,
+    ramps = new_ramps(0)
+    windows = ramps.windows._replace(
         offset=np.array(offsets_m),
         spread=np.ones(2),
-        offsets=np.full((WINDOWS, 2), 0.5),
-        spreads=np.ones((WINDOWS, 2)),
+        offsets=np.full((WINDOW_COUNT, 2), 0.5),
+        spreads=np.ones((WINDOW_COUNT, 2)),
     )
-    return Core(None, {}, np.zeros(8), memory=memory)
+    return Core(None, {}, np.zeros(8), ramps=ramps._replace(names=NAMES, windows=windows))
 
 
-def test_what_was_learnt_is_held_and_learnt_anew_from_nothing():
-    core = hold(core_that_knows([1.0, -2.0]), 1_000_000, CONFIG)
-    assert held(core, NAMES, 1_000_000, CONFIG).tolist() == [1.0, -2.0]
+def test_what_was_learnt_is_frozen_and_learnt_anew_from_nothing():
+    core = freeze(core_that_knows([1.0, -2.0]), 1_000_000, CONFIG)
+    assert frozen_m(core, NAMES, 1_000_000, CONFIG).tolist() == [1.0, -2.0]
     assert learnt(core, NAMES).tolist() == [0.0, 0.0]
-    assert core.memory is not None
-    assert core.memory.offsets.tolist() == [[-0.5, 2.5]] * WINDOWS
+    assert core.ramps is not None
+    assert core.ramps.windows.offsets.tolist() == [[-0.5, 2.5]] * WINDOW_COUNT
 
 
-def test_holding_again_adds_to_what_is_held():
-    core = hold(core_that_knows([1.0, -2.0]), 0, CONFIG)
-    assert core.memory is not None
-    core = core._replace(memory=core.memory._replace(offset=np.array([0.25, 0.0])))
-    assert held(hold(core, 0, CONFIG), NAMES, 0, CONFIG).tolist() == [1.25, -2.0]
+def test_freezing_again_adds_to_what_is_frozen():
+    core = freeze(core_that_knows([1.0, -2.0]), 0, CONFIG)
+    assert core.ramps is not None
+    windows = core.ramps.windows._replace(offset=np.array([0.25, 0.0]))
+    core = core._replace(ramps=core.ramps._replace(windows=windows))
+    assert frozen_m(freeze(core, 0, CONFIG), NAMES, 0, CONFIG).tolist() == [1.25, -2.0]
 
 
-def test_held_offsets_fade_with_their_correlation_time():
-    core = hold(core_that_knows([1.0, -2.0]), 0, CONFIG)
+def test_frozen_offsets_fade_with_their_correlation_time():
+    core = freeze(core_that_knows([1.0, -2.0]), 0, CONFIG)
     later_us = round(CONFIG.sigma.slow_s * 1e6)
-    assert held(core, ("G12", "G30"), later_us, CONFIG) == pytest.approx([-2.0 / math.e, 0.0])
+    assert frozen_m(core, ("G12", "G30"), later_us, CONFIG) == pytest.approx([-2.0 / math.e, 0.0])
 
 
 def test_an_offset_is_learnt_as_kalman_s_filter_does():
     rng = np.random.default_rng(2)
-    mean, wide = np.zeros(1), np.ones(1)
+    none, table = np.zeros(1), np.zeros((1, 1))
+    mean, spread = np.zeros(1), np.ones(1)
     h, p = np.zeros((1, 20)), np.zeros((20, 20))
     for _ in range(50):
         v = 0.7 + rng.standard_normal(1)
-        mean, wide = learn_offsets(mean, wide, p, h, np.ones(1), v, 1.0, FOR_EVER)
-    assert wide[0] == pytest.approx(1.0 / 51.0)
-    assert abs(mean[0] - 0.7) < 4.0 * math.sqrt(wide[0])
+        windows = Windows(none.astype(np.int64), table, table, mean, spread, table, table)
+        ranges = normal_of(np.arange(20), h, np.ones(1), v)
+        mean, spread = learn_offsets(windows, p, ranges, 1.0, FOR_EVER)
+    assert spread[0] == pytest.approx(1.0 / 51.0)
+    assert abs(mean[0] - 0.7) < 4.0 * math.sqrt(spread[0])
 
 
 def without(samples: list[Sample], names: tuple[str, ...], from_us: int) -> list[Sample]:

@@ -230,3 +230,21 @@ def test_without_a_browser_pdf_is_refused(
     monkeypatch.setenv("PATH", str(tmp_path))
     assert main(["report", str(flight(seconds=5)), "--pdf", "--out", str(tmp_path / "out")]) == 2
     assert "--pdf: no browser found; install one of chromium" in capsys.readouterr().err
+
+
+def test_spectra_of_a_real_log_are_drawn_with_their_filters(
+    browser: Any, shared_data: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "real"
+    main(["report", str(shared_data / "ulog" / "gps_interference.ulg"), "--out", str(out)])
+    real = Opened(browser, out / "report.html")
+    real.page.evaluate("report.all()")
+    real.page.wait_for_timeout(50)
+    areas = real.page.query_selector_all("[id^=plot-spectrum]")
+    assert len(areas) == 10
+    assert min(area.evaluate(INKED) for area in areas) > 2000
+    assert ["gyro low-pass", 40.0] in [
+        [text, hz] for hz, text in real.page.evaluate("report.page.frequencies")
+    ]
+    assert real.errors == []
+    real.page.close()

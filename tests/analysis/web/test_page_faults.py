@@ -132,3 +132,12 @@ def test_a_change_is_undone_and_a_fault_that_is_over_is_armed_again(page: Any, l
     assert loop.engine.ids() == []
     assert page.is_disabled("#undo")
     assert page.complaints == []
+
+
+def test_a_fault_with_blanks_in_its_name_is_disarmed(page: Any, loop: Any, tmp_path: Path) -> None:
+    schedule = tmp_path / "blanks.yaml"
+    schedule.write_text("faults:\n- {id: gyro x bias, fault: drop, target: HIL_GPS}\n")
+    page.set_input_files("#load", schedule)
+    page.click("[aria-label='Disarm gyro x bias']")
+    page.wait_for_selector("#faults li", state="detached")
+    assert loop.engine.ids() == []

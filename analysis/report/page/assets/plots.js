@@ -131,6 +131,7 @@ function logRange(u, min, max, decades = DECADES) {
 }
 
 function powerOfTen(tick) {
+  if (tick == null) return ""; // one that uPlot left out
   const power = Math.log10(tick);
   if (Math.abs(power - Math.round(power)) > 1e-6) return "";
   return Math.abs(power) > 3 ? tick.toExponential(0) : String(+tick.toPrecision(1));

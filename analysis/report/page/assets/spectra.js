@@ -28,6 +28,8 @@ function markFrequencies(u, marks, scale) {
   ctx.save();
   ctx.setLineDash([5, 4]);
   ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
+  ctx.textAlign = "left";
+  ctx.textBaseline = "alphabetic";
   ctx.strokeStyle = ctx.fillStyle = scale === "x" ? colour("--ink") : "#ffffff";
   marks.forEach(([hz, text], number) => {
     const at = u.valToPos(hz, scale, true), label = `${text} ${+hz.toFixed(1)} Hz`;
@@ -37,7 +39,7 @@ function markFrequencies(u, marks, scale) {
     if (scale === "x") {
       ctx.textAlign = at > bbox.left + bbox.width * 0.7 ? "right" : "left";
       ctx.fillText(label, at + (ctx.textAlign === "left" ? 4 : -4), bbox.top + (12 + 13 * (number % 4)) * devicePixelRatio);
-    } else ctx.fillText(label, bbox.left + 6, at - 4);
+    } else ctx.fillText(label, bbox.left + 6, at + (number % 2 ? 13 : -4) * devicePixelRatio);
   });
   ctx.restore();
 }

@@ -1,0 +1,146 @@
+"""What the detector knows beyond its filter: orbits, exclusions and places over gaps, the rate."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.detection import Detector, DetectorConfig
+from analysis.detection.detector import run
+from analysis.detection.filter.measurement import choose, model, observe
+from analysis.recordings.recordings import read_rinex_samples
+from analysis.results import Decision
+from analysis.samples.sample import EphemerisSample, Epoch, ImuSample, Sample
+
+
+def decisions(samples: list[Sample], config: DetectorConfig | None = None) -> list[Decision]:
+    results = run(Detector(config or DetectorConfig()), samples)
+    return [result for result in results if isinstance(result, Decision)]
+
+
+def shifted(samples: list[Sample], name: str, size_m: float, from_s: float, until_s: float):
+    """The samples with metres added to a satellite's ranges in some time after the first epoch."""
+    begin_us = next(s.t_us for s in samples if isinstance(s, Epoch))
+    out: list[Sample] = []
+    for s in samples:
+        if isinstance(s, Epoch) and from_s <= (s.t_us - begin_us) * 1e-6 < until_s:
+            ranges = s.pseudorange_m.copy()
+            if name in s.satellites:
+                ranges[s.satellites.index(name)] += size_m
+            s = replace(s, pseudorange_m=ranges)
+        out.append(s)
+    return out
+
+
+def without_epochs(samples: list[Sample], from_s: float, until_s: float) -> list[Sample]:
+    begin_us = next(s.t_us for s in samples if isinstance(s, Epoch))
+    return [
+        s
+        for s in samples
+        if not (isinstance(s, Epoch) and from_s <= (s.t_us - begin_us) * 1e-6 < until_s)
+    ]
+
+
+@pytest.fixture
+def static(shared_data: Path) -> list[Sample]:
+    folder = shared_data / "gnss_static"
+    return read_rinex_samples(folder / "SEPT078M.21O", folder / "SEPT078M.21P")
+
+
+def first_minutes(samples: list[Sample], seconds: float) -> list[Sample]:
+    begin_us = next(s.t_us for s in samples if isinstance(s, Epoch))
+    return [s for s in samples if not isinstance(s, Epoch) or s.t_us < begin_us + seconds * 1e6]
+
+
+def test_orbits_of_two_days_do_not_push_out_those_of_now(static):
+    part = first_minutes(static, 10.0)
+    newest = {s.ephemeris.satellite: s for s in part if isinstance(s, EphemerisSample)}
+    later = [
+        replace(s, ephemeris=replace(s.ephemeris, toe_s=s.ephemeris.toe_s + 14_400.0 + 600.0 * k))
+        for k in range(100)
+        for s in newest.values()
+        if s.ephemeris.satellite[0] in "GE"
+    ]
+    first = next(k for k, s in enumerate(part) if isinstance(s, Epoch))
+    found = decisions([*part[:first], *later, *part[first:]])[-1]
+    assert found.position_ecef_m == pytest.approx(decisions(part)[-1].position_ecef_m, abs=1e-6)
+
+
+def test_a_broadcast_replaces_the_one_of_its_own_time_alone(static):
+    orbits = [s for s in static if isinstance(s, EphemerisSample)]
+    name = orbits[0].ephemeris.satellite
+    own = [s for s in orbits if s.ephemeris.satellite == name]
+    spoilt = replace(own[0], ephemeris=replace(own[0].ephemeris, health=1))
+    detector = Detector()
+    state = detector.step(orbits[0], detector.new_state())[1]
+    for sample in (*own, spoilt):
+        state = detector.step(sample, state)[1]
+    stored = state.core.ephemerides[name]
+    times = [(e.week, e.toe_s) for e, _ in stored]
+    assert times == sorted(set(times))
+    assert [e.health for e, _ in stored if e.toe_s == spoilt.ephemeris.toe_s] == [1]
+
+
+def test_a_satellite_readmitted_and_bad_again_is_excluded_again(flight):
+    free = first_minutes([s for s in flight if not isinstance(s, ImuSample)], 26.0)
+    name = next(s.satellites for s in free if isinstance(s, Epoch))[3]
+    # let in at 17 s, in windows that began while it was out, then a ramp that these date
+    changed = shifted(free, name, 40.0, 10.0, 15.0)
+    for k in range(40):
+        changed = shifted(changed, name, 0.16 * k, 17.5 + 0.2 * k, 17.7 + 0.2 * k)
+    found = decisions(changed, DetectorConfig(readmit_s=2.0))
+    alarms = [d for d in found if d.alarm and d.t_s > 17.5]
+    assert alarms
+    assert not [d.t_s for d in alarms if name not in d.excluded]
+
+
+def test_exclusions_outlive_a_gap_of_epochs(flight):
+    name = next(s.satellites for s in flight if isinstance(s, Epoch))[3]
+    free = first_minutes([s for s in flight if not isinstance(s, ImuSample)], 32.0)
+    # after the gap the fault is too small for a snapshot to see
+    changed = shifted(shifted(free, name, 40.0, 10.0, 15.0), name, 4.0, 30.0, 50.0)
+    after = next(d for d in decisions(without_epochs(changed, 15.0, 30.0)) if d.t_s >= 30.0)
+    assert after.mode == "start"
+    assert after.excluded == (name,)
+
+
+def test_a_start_that_few_satellites_vouch_for_must_fit_the_place_before(flight):
+    free = first_minutes([s for s in flight if not isinstance(s, ImuSample)], 29.0)
+    free = without_epochs(free, 12.0, 27.0)
+    detector = Detector()
+    before, state = [s for s in free if s.t_us < 12_000_000], detector.new_state()
+    for sample in before:
+        state = detector.step(sample, state)[1]
+    core = state.core
+    assert core.motion is not None
+    assert core.chosen is not None
+    epoch = next(s for s in free if isinstance(s, Epoch) and s.t_us >= 27_000_000)
+    five = epoch.select([i for i, name in enumerate(epoch.satellites) if name[0] == "G"][:5])
+    chosen = choose(five, core.ephemerides)
+    observed = observe(five, chosen)
+    assert observed is not None
+    far = core.motion.x.copy()
+    far[:3] += np.array([3000.0, -4000.0, 1000.0])
+    config = DetectorConfig()
+    here, there = (model(observed, x, config.sigma, core.ionosphere) for x in (core.motion.x, far))
+    moved = replace(five, pseudorange_m=five.pseudorange_m + here.v_m - there.v_m)
+    (decision,), _ = detector.step(moved, state)
+    assert isinstance(decision, Decision)
+    assert decision.hypothesis == "untestable"
+    assert "from where the filter was 15 s ago" in decision.reason
+    (honest,), _ = detector.step(five, state)
+    assert isinstance(honest, Decision)
+    assert honest.mode == "start"
+
+
+def test_epochs_every_thirty_seconds_are_tested(static):
+    begin_us = next(s.t_us for s in static if isinstance(s, Epoch))
+    thin = [s for s in static if not isinstance(s, Epoch) or (s.t_us - begin_us) % 30_000_000 == 0]
+    found = decisions(thin)
+    assert len(found) == 30
+    assert [d.mode for d in found[3:]] == ["free"] * 27
+    name = found[10].satellites[2]
+    spoilt = decisions(shifted(thin, name, 30.0, 300.0, 400.0))
+    assert next(d.t_s - spoilt[0].t_s for d in spoilt if d.alarm) == 300.0
+    assert spoilt[11].excluded == (name,)
