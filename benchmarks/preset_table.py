@@ -1,6 +1,6 @@
 """What each preset does on a fixed wing and a quad, and what the monitor says of it.
 
-Run by hand: `python benchmarks/preset_table.py > docs/presets.md`, or with names of presets. Every
+Run by hand: `python benchmarks/preset_table.py`, or with names of presets. Every
 preset acts from 3 s to 7 s of a flight of 9 s, all with the same seed; a flight without faults is
 what it is compared to.
 """
