@@ -20,7 +20,16 @@ from mavproxy_fault.proxy.interfaces import Control, Direction, Engine, LinkRole
 from mavproxy_fault.proxy.outgoing import Departures, source_of, together
 from mavproxy_fault.proxy.routing import LoopGuard, Routes
 from mavproxy_fault.proxy.sender_rules import missing_before
-from mavproxy_fault.proxy.senders import DOUBTED, GAPS, LEAD, SENDERS, SPEAKER, new_senders
+from mavproxy_fault.proxy.senders import (
+    DOUBTED,
+    GAPS,
+    LEAD,
+    SENDERS,
+    SPEAKER,
+    T0,
+    UNKNOWN,
+    new_senders,
+)
 from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.proxy.vehicle_clock import VehicleClock
 from mavproxy_fault.wire.frame import Frame
@@ -249,34 +258,33 @@ class Core:
 
     def _admit(self, frame: Frame, arrival: Arrival) -> bool:
         """Learn the sender and count its gaps; False if the frame came round in a loop."""
-        source = (frame.system, frame.component)
-        on_several = self._routes.learn(*source, arrival.link)
-        if on_several:
-            from_home = self._routes.home[source] == arrival.link
+        system, component, link = frame.system, frame.component, arrival.link
+        if self._routes.learn(system, component, link):
+            from_home = self._routes.home[system, component] == link
             if not self._guard.passes(frame.raw, from_home=from_home, now_us=arrival.now_us):
                 return False
-        sender = frame.system << 8 | frame.component
-        missing = missing_before(self.senders, sender, frame.seq)
+        missing = missing_before(self.senders, system << 8 | component, frame.seq)
         if missing:
-            self.states[arrival.link].gaps += missing
+            self.states[link].gaps += missing
         if arrival.direction == "from-vehicle":
-            self.senders[SPEAKER] = frame.system
+            self.senders[SPEAKER] = system
         return True
 
     def _time(self, frame: Frame, now_us: int, state: LinkState) -> int:
+        senders = self.senders
         t_us = self.clock.read(frame, now_us)
-        if self.senders[DOUBTED] != self._doubted:
-            self._doubted = self.senders[DOUBTED]
+        if senders[DOUBTED] != self._doubted:
+            self._doubted = senders[DOUBTED]
             state.doubted += 1
-        if self.clock.t0_us is None:
+        if senders[T0] == UNKNOWN:
             self._on_wall_clock = True
         elif self._on_wall_clock:
             # The first stamp ever: the schedule, begun on the wall clock, begins on this one anew.
             self._on_wall_clock = False
             if self.engine is not None:
-                self.senders[LEAD] = now_us - t_us
+                senders[LEAD] = now_us - t_us
                 self.engine.restart(t_us)
-        self.senders[LEAD] = now_us - t_us
+        senders[LEAD] = now_us - t_us
         return t_us
 
     # What leaves

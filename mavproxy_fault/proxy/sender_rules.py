@@ -51,12 +51,12 @@ def vehicle_time(senders: Senders, sender: int, stamp_us: int, now_us: int) -> i
         if senders[newest_at] != UNKNOWN:
             return senders[newest_at]
         return now_us if senders[T0] == UNKNOWN else senders[NOW]
-    if senders[T0] == UNKNOWN:
-        senders[T0] = stamp_us
-        senders[NOW] = stamp_us
     clock = sender << 1 | (1 if stamp_us >= UNIX_FROM_US else 0)
     shift = senders[SHIFT + clock]
     if shift == UNKNOWN:
+        if senders[T0] == UNKNOWN:
+            senders[T0] = stamp_us
+            senders[NOW] = stamp_us
         ahead_us = stamp_us - senders[NOW]
         shift = 0 if abs(ahead_us) <= NEAR_US else -ahead_us
         senders[SHIFT + clock] = shift
