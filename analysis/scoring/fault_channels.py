@@ -82,7 +82,9 @@ LOSSES = (
     *("outage", "drop", "burst-loss", "gilbert-elliott", "rate-limit", "corrupt", "truncate"),
     "sequence-gap",
 )
-IN_RECEIVER = re.compile(r"(receiver_off|cn0_drop_db\[all\]|pseudorange_m\[all\]|.*_lost\[all\])")
+IN_RECEIVER = re.compile(
+    r"receiver_off|(cn0_drop_db|pseudorange_m|satellite_lost|spoof_\w+)\[\w+\]"
+)
 
 
 def sight(label: Label) -> Sight:

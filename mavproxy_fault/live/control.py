@@ -58,7 +58,7 @@ class Control:
 
     # -- MAVLink ---------------------------------------------------------------------------------
 
-    def consume(self, frame: Frame, t_us: int) -> list[bytes] | None:
+    def consume(self, frame: Frame, t_us: int) -> list[Frame] | None:
         """The answer to a command for the proxy; None for every other frame, which goes on."""
         if frame.id in self.view.ids:
             self.view.received(frame, t_us)
@@ -240,7 +240,7 @@ class Control:
         return act
 
 
-def acknowledgement(command: Frame, result: int) -> bytes:
+def acknowledgement(command: Frame, result: int) -> Frame:
     """The COMMAND_ACK to whoever sent a command, from the one it was for."""
     values = {
         "command": int(command.number("command")),
@@ -248,9 +248,11 @@ def acknowledgement(command: Frame, result: int) -> bytes:
         "target_system": command.system,
         "target_component": command.component,
     }
-    return build(
-        known("COMMAND_ACK"),
+    layout = known("COMMAND_ACK")
+    raw = build(
+        layout,
         values,
         system=int(command.number("target_system")) or 1,
         component=int(command.number("target_component")) or AUTOPILOT,
     )
+    return Frame(raw, layout)

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.frame import Frame, build
 
 if TYPE_CHECKING:
     from mavproxy_fault.wire.label import Label
@@ -22,20 +22,8 @@ def text(label: "Label") -> str:
     return f"FAULT {label.id} on: {label.preset or label.fault} {' '.join(label.targets)}".rstrip()
 
 
-class Announcer:
-    """Numbers the proxy's own frames."""
-
-    def __init__(self) -> None:
-        self._seq = 0
-
-    def frame(self, label: "Label", system: int) -> bytes:
-        """A STATUSTEXT for a label, cut to the message's 50 characters."""
-        raw = build(
-            known("STATUSTEXT"),
-            {"severity": NOTICE, "text": text(label).encode("ascii", "replace")[:TEXT_LENGTH]},
-            seq=self._seq,
-            system=system,
-            component=COMPONENT,
-        )
-        self._seq = (self._seq + 1) & 0xFF
-        return raw
+def announcement(label: "Label", system: int) -> Frame:
+    """A STATUSTEXT for a label, cut to the message's 50 characters."""
+    layout = known("STATUSTEXT")
+    values = {"severity": NOTICE, "text": text(label).encode("ascii", "replace")[:TEXT_LENGTH]}
+    return Frame(build(layout, values, system=system, component=COMPONENT), layout)

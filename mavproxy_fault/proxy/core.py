@@ -15,8 +15,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from mavproxy_fault.proxy.announcements import Announcer
+from mavproxy_fault.proxy.announcements import announcement
 from mavproxy_fault.proxy.interfaces import Control, Direction, Engine, LinkRole, Send
+from mavproxy_fault.proxy.numbering import Numbering
 from mavproxy_fault.proxy.outgoing import Departures, source_of, together
 from mavproxy_fault.proxy.routing import LoopGuard, Routes
 from mavproxy_fault.proxy.sender_rules import missing_before
@@ -89,7 +90,7 @@ class Core:
         self._tape = tape
         self._routes = Routes(len(self.links), self.senders)
         self._guard = LoopGuard()
-        self._announcer = Announcer()
+        self._numbering = Numbering(self.senders)
         self._labels: list[Label] = []
         self._parsers: dict[tuple[int, int], Parser] = {}
         self._ended = [ParserCounters() for _ in links]
@@ -224,7 +225,8 @@ class Core:
         if control is not None and frame.id in control.wanted:
             replies = control.consume(frame, t_us)
             if replies is not None:
-                for raw in replies:
+                for reply in replies:
+                    raw = self._numbering.numbered(reply)
                     self._leave(1 << arrival.link, raw, arrival.now_us, departures)
                 return
         sealed = frame.signed
@@ -305,6 +307,8 @@ class Core:
             mask = self._links_of_pending(frame)
         if isinstance(frame, Frame) and frame.signed and frame is not origin and self._signing:
             raw = self._signing.leave(frame).raw
+        if outgoing.back and isinstance(frame, Frame):  # the proxy's own word to a simulator
+            raw = self._numbering.numbered(frame)
         due_us = outgoing.due_us + lead_us
         if due_us <= now_us:
             self._leave(mask, raw, now_us, departures)
@@ -327,7 +331,7 @@ class Core:
             self._labels.append(label)
             self._leave(
                 self._listeners,
-                self._announcer.frame(label, self.senders[SPEAKER]),
+                self._numbering.numbered(announcement(label, self.senders[SPEAKER])),
                 now_us,
                 departures,
             )

@@ -69,7 +69,7 @@ class Control(Protocol):
     @property
     def wanted(self) -> frozenset[int]: ...
 
-    def consume(self, frame: Frame, t_us: int) -> list[bytes] | None:
+    def consume(self, frame: Frame, t_us: int) -> list[Frame] | None:
         """Replies for the link the frame came on if it was for the proxy, else None."""
 
     def sent(self, raw: bytes, t_us: int) -> None:

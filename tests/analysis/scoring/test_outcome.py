@@ -242,6 +242,8 @@ def test_a_right_blame_that_outlasts_the_echo_is_false_from_there() -> None:
         ("bias", "GPS2_RAW.lat", "gps-position gps-velocity"),
         ("plant", "PLANT.receiver_off", "gps-position gps-velocity satellites"),
         ("plant", "PLANT.pseudorange_m[G12]", "gps-position gps-velocity satellites"),
+        ("plant", "PLANT.spoof_north_m[all]", "gps-position gps-velocity satellites"),
+        ("plant", "PLANT.spoof_clock_m[G]", "gps-position gps-velocity satellites"),
         ("plant", "PLANT.wind_n_mps", ""),
         ("drop", "DISTANCE_SENSOR", "link range"),
         ("outage", "", "link"),

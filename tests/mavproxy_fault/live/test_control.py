@@ -40,8 +40,7 @@ def control(*passed: str, **options: bool) -> Control:
 def result(it: Control, command: Frame, t_us: int = 2_000_000) -> int:
     replies = it.consume(command, t_us)
     assert replies is not None
-    (raw,) = replies
-    ack = Frame(raw, known("COMMAND_ACK"))
+    (ack,) = replies
     assert (ack.number("command"), ack.system, ack.component) == (420, 1, 1)
     assert (ack.number("target_system"), ack.number("target_component")) == (255, 190)
     return int(ack.number("result"))
