@@ -46,7 +46,8 @@ class Playing:
         signing: Signing | None = None,
     ) -> None:
         self.source = source
-        self._edits = deque(source.edits if _ran_with(source, schedule) else ())
+        self.repeats = _ran_with(source, schedule)
+        self._edits = deque(source.edits if self.repeats else ())
         engine = Engine(schedule)
         # Without a schedule of its own the session had no engine before live control took part.
         late = bool(self._edits) and source.session["schedule"] is None
@@ -86,7 +87,7 @@ class Playing:
 
 def _ran_with(source: Source, schedule: Schedule) -> bool:
     """Whether a recorded session ran with this schedule, however it was written."""
-    return bool(source.edits) and _bare(own_schedule(source)) == _bare(schedule)
+    return "schedule" in source.session and _bare(own_schedule(source)) == _bare(schedule)
 
 
 def _bare(schedule: Schedule) -> Schedule:
@@ -110,23 +111,29 @@ def own_schedule(source: Source) -> Schedule:
 def to_log(playing: Playing, tape: Tape, out: Path) -> Path:
     """Write what is sent to a tlog and the labels beside it, as `NAME.labels.jsonl`."""
     labels_path = out.with_suffix(".labels.jsonl")
-    core = playing.core
     with out.open("wb") as log, labels_path.open("wb") as labels:
         for record in playing.source.records:
             playing.push(record)
-            labels.write(encoded(_recorded(core)))
+            labels.write(encoded(_labels(playing)))
             if len(tape.sent) >= FLUSH_BYTES:
                 log.write(tape.take().sent)
         for _ in playing.rest():
             pass
-        labels.write(encoded(_recorded(core)))
+        labels.write(encoded(_labels(playing)))
         log.write(tape.take().sent)
     return labels_path
 
 
-def _recorded(core: Core) -> list[Label]:
-    """The labels since the last call: what they tell was done to a recording."""
-    return [msgspec.structs.replace(label, recorded=True) for label in core.take_labels()]
+def _labels(playing: Playing) -> list[Label]:
+    """The labels since the last call.
+
+    What they tell was done to a recording, to which nobody in it could react; but a session that is
+    repeated has reacted to the same.
+    """
+    labels = playing.core.take_labels()
+    if playing.repeats:
+        return labels
+    return [msgspec.structs.replace(label, recorded=True) for label in labels]
 
 
 def to_link(playing: Playing, link: Link, clock: Callable[[], float] = time.monotonic) -> int:

@@ -24,6 +24,7 @@ UNIX_US = 1_700_000_000_000_000
 FRAMES, STEP_S = 100, 0.02
 START_S, END_S = 0.4, 1.6  # of the fault, from the first stamp on
 TIMES = {"at_s": START_S, "for_s": END_S - START_S}
+MOST = 12  # satellites of a system in one message
 EXAMPLES = {name: kind.example for name, kind in known_faults().items()}
 FAULTS = [{"fault": name, **example} for name, example in EXAMPLES.items()]
 PRESETS = [{"preset": name} for name in preset_names()]
@@ -45,7 +46,7 @@ def healthy(entries: tuple[Entry, ...], path: Path) -> None:
             frames = [sample(name, t_s) for name in sorted(messages)]
             if satellites and n % 5 == 0:
                 for system in sorted({name[0] for name in satellites}):
-                    names = sorted(name for name in satellites if name[0] == system)
+                    names = sorted(name for name in satellites if name[0] == system)[:MOST]
                     parts = tunnel_frames(epoch(system, [*names, f"{system}31"], t_s), n)
                     frames += [Frame(raw, known("TUNNEL")) for raw in parts]
             for frame in frames:

@@ -4,6 +4,7 @@ import threading
 from pathlib import Path
 
 import pytest
+import yaml
 
 from mavproxy_fault.app import replay
 from mavproxy_fault.app.playback import open_log, split
@@ -56,7 +57,8 @@ def record_a_live_session(folder: Path) -> None:
         tape = Tape()
         core = Core(roles(links), Engine(parse_schedule(SCHEDULE)), tape=tape)
         server = Server(links, core, tape=tape, recorder=Recorder(folder, {
-            "links": [{"name": role.name, "direction": role.direction} for role in core.links]
+            "links": [{"name": role.name, "direction": role.direction} for role in core.links],
+            "schedule": yaml.safe_load(SCHEDULE),
         }))  # fmt: skip
         loop = threading.Thread(target=server.run)
         loop.start()

@@ -1,0 +1,127 @@
+"""docs/extending.md, tried literally: its files and lines go into a copy, its commands are run."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("mavproxy_fault", "simvehicle", "analysis")
+PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+PART = re.compile(
+    r"`((?:mavproxy_fault|simvehicle|analysis)/[\w/-]+\.\w+)`|^```(\w+)\n(.*?)^```", re.S | re.M
+)
+
+TRY = """
+import socket, tempfile
+import numpy as np
+from analysis.estimators import make
+from analysis.estimators.estimator import Prior
+from analysis.report.curves.tlog_curves import CURVES
+from analysis.report.flight_checks import _files
+from analysis.report.page.panels import PANELS
+from analysis.samples.message_readers import READERS
+from analysis.samples.sample import ImuSample
+from mavproxy_fault.links.spec import open_link
+from simvehicle.hil.hil_messages import MESSAGES
+from simvehicle.scenario.scenario_file import Sensors
+from simvehicle.sensors.readings import TemperatureReading
+from simvehicle.sensors.thermometer import Thermometer
+from simvehicle.simulation.kinds import kind_of
+
+path = tempfile.mkdtemp() + "/it"
+server = socket.socket(socket.AF_UNIX)
+server.bind(path)
+server.listen()
+link = open_link(f"unix:{path}")
+there, _ = server.accept()
+link.write(b"out")
+assert there.recv(9) == b"out"
+there.sendall(b"in")
+assert link.read() == [(0, b"in")]
+
+estimator = make("gyro-only")
+state = estimator.start(Prior(0, np.array([1.0, 0, 0, 0])))
+for t_us in range(10_000, 1_010_000, 10_000):
+    sample = ImuSample(t_us, np.array([0.0, 0.0, 0.1]), np.zeros(3))
+    estimate, state = estimator.update(sample, state)
+assert abs(2 * np.arctan2(estimate.q_nb[3], estimate.q_nb[0]) - 0.1) < 1e-9
+
+assert READERS["VICON_POSITION_ESTIMATE"] is READERS["VISION_POSITION_ESTIMATE"]
+assert any(file.__name__.endswith("radio_checks") for file in _files())
+assert any(curve.panel == "humidity" for curve in CURVES)
+assert any(panel.key == "humidity" for panel in PANELS)
+assert Sensors(thermometer=Thermometer()).thermometer.rate_hz == 1.0
+layout, values = MESSAGES[TemperatureReading](TemperatureReading(0, 21.5), 0)
+assert (layout.name, values["temperature"]) == ("HYGROMETER_SENSOR", 2150)
+assert kind_of("glider").read("aerosonde-2012").plant["motor_efficiency[0]"] == 0.0
+"""
+
+
+def parts() -> list[tuple[str, str, str]]:
+    """(file, language, text) of every block; the file is the last one named before it."""
+    found, file = [], ""
+    for part in PART.finditer(PAGE):
+        if part[1]:
+            file = part[1]
+        else:
+            found.append((file, part[2], part[3]))
+    return found
+
+
+def inserted(path: Path, diff: str) -> None:
+    """Put the lines that begin with + behind the lines before them."""
+    lines = diff.splitlines()
+    context = "\n".join(line[1:] for line in lines if not line.startswith("+")) + "\n"
+    added = "\n".join(line[1:] for line in lines if line.startswith("+")) + "\n"
+    text = path.read_text(encoding="utf-8")
+    assert text.count(context) == 1, f"{path} holds {text.count(context)} times\n{context}"
+    path.write_text(text.replace(context, context + added), encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sources with everything that the page adds."""
+    folder = tmp_path_factory.mktemp("copy")
+    for package in PACKAGES:
+        shutil.copytree(
+            ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__")
+        )
+    for file, language, text in parts():
+        if language == "diff":
+            inserted(folder / file, text)
+        elif language in ("python", "yaml"):
+            assert not (folder / file).exists(), f"{file} is there already"
+            (folder / file).write_text(text, encoding="utf-8")
+    return folder
+
+
+def run(copy: Path, *arguments: str) -> str:
+    environment = {**os.environ, "PYTHONPATH": str(copy)}
+    done = subprocess.run(
+        [sys.executable, *arguments], cwd=copy, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_the_commands_of_the_page_print_what_it_says(copy: Path) -> None:
+    for _, language, text in parts():
+        if language == "console":
+            command, *expected = text.splitlines()
+            printed = run(copy, "-m", "mavproxy_fault.cli", *command.split()[2:])
+            assert all(line in printed for line in expected), printed
+
+
+def test_what_the_page_adds_works(copy: Path) -> None:
+    run(copy, "-c", TRY)
+
+
+def test_what_the_page_adds_is_in_the_house_style(copy: Path) -> None:
+    configured = ["--config", str(ROOT / "pyproject.toml")]
+    run(copy, "-m", "ruff", "check", "--no-cache", *configured, *PACKAGES)
+    run(copy, "-m", "ruff", "format", "--no-cache", "--check", *configured, *PACKAGES)
