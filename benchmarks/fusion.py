@@ -368,7 +368,11 @@ def with_others(samples: list[Sample]) -> list[Sample]:
     lat, lon = math.radians(first.lat_deg), math.radians(first.lon_deg)
     field_ned = (
         np.array([1.0, 1.0, -1.0])
-        * (frame_at(np.asarray(ecef_from_geodetic(lat, lon, first.alt_m))).field_gauss[[1, 0, 2]])
+        * (
+            frame_at(np.asarray(ecef_from_geodetic(lat, lon, first.alt_m)), first.t_us).field_gauss[
+                [1, 0, 2]
+            ]
+        )
     )
     found: list[Sample] = []
     truth = first

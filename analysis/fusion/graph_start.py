@@ -113,7 +113,7 @@ def first_guess(node: Node) -> Any:
 def at_filter(motion: Motion, correlation: float) -> Beginning:
     """The detector's filter, its position and clock `correlation` times less sure."""
     x, p = motion.x, motion.p
-    frame = frame_at(x[R : R + 3])
+    frame = frame_at(x[R : R + 3], motion.t_us)
     rot = frame.axes @ matrix(x[X_Q : X_Q + 4])
     to_body = rot.T @ frame.axes
     both = np.zeros((6, 6))

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import gtsam
@@ -12,16 +12,16 @@ from analysis.detection.filter.inertial import gravity_ecef
 from analysis.orbits.broadcast import EARTH_RATE_RPS, geodetic, ned_axes
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
-
-NANOTESLA_PER_GAUSS = 1e5
+from mavproxy_fault.numerics.magnetic_field import date_of, magnetic_field_gauss
 
 
 @dataclass(frozen=True)
 class Frame:
-    """An anchor (3,) in ECEF and rows (3, 3) east, north, up there."""
+    """An anchor (3,) in ECEF, rows (3, 3) east, north, up there, and the stamp it was set at."""
 
     anchor_m: Vector
     axes: Vector
+    stamp_us: int
 
     @cached_property
     def pose(self) -> Any:
@@ -50,9 +50,11 @@ class Frame:
 
     @cached_property
     def field_gauss(self) -> Vector:
-        """The magnetic field (3,) at the anchor."""
+        """The magnetic field (3,) at the anchor on the day of the stamp, as `date_of` reads it."""
         lat, lon, height = geodetic(self.anchor_m)
-        north, east, down = _field_ned_gauss(float(np.degrees(lat)), float(np.degrees(lon)), height)
+        lat_deg, lon_deg = float(np.degrees(lat)), float(np.degrees(lon))
+        day = date_of(self.stamp_us)
+        north, east, down = magnetic_field_gauss(lat_deg, lon_deg, float(height), day)
         return np.array([east, north, -down])
 
 
@@ -83,19 +85,8 @@ def quaternion(rot: Vector) -> Vector:
     return out
 
 
-def frame_at(r_ecef_m: Vector) -> Frame:
-    """The frame anchored at a position (3,)."""
+def frame_at(r_ecef_m: Vector, stamp_us: int) -> Frame:
+    """The frame anchored at a position (3,) at a stamp."""
     lat, lon, _ = geodetic(r_ecef_m)
     north, east, down = ned_axes(lat, lon)
-    return Frame(r_ecef_m.copy(), np.array([east, north, -down]))
-
-
-@lru_cache(maxsize=4)
-def _field_ned_gauss(lat_deg: float, lon_deg: float, height_m: float) -> tuple[float, ...]:
-    """World Magnetic Model 2025 at its epoch."""
-    from pygeomag import GeoMag
-
-    found = GeoMag(coefficients_file="wmm/WMM_2025.COF").calculate(
-        glat=lat_deg, glon=lon_deg, alt=height_m / 1000.0, time=2025.0
-    )
-    return tuple(float(value) / NANOTESLA_PER_GAUSS for value in (found.x, found.y, found.z))
+    return Frame(r_ecef_m.copy(), np.array([east, north, -down]), stamp_us)

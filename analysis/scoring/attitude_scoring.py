@@ -34,6 +34,7 @@ from analysis.samples.block import (
 from analysis.samples.sample import MOST_OF_IMU, Sample, TruthSample, Vector
 from analysis.scoring.attitude_kernel import Scored, compare, gather
 from analysis.scoring.attitude_scores import Cells, Window, parted, phases_of
+from mavproxy_fault.numerics.magnetic_field import date_of, magnetic_field_gauss
 
 WAITING_MAX = 20_000  # estimates; after a long pause of the truth the oldest cannot be scored
 AUTOPILOTS = ("ATTITUDE", "ATTITUDE_QUATERNION")
@@ -43,7 +44,8 @@ FIRST_AUTOPILOT = SOURCES.index(AUTOPILOTS[0])
 class AttitudeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Which estimators run; `imu` is the IMU they see, `settle_s` the time left out at the start.
 
-    `declination_deg` None takes it from the World Magnetic Model at the first true position.
+    `declination_deg` None takes it from the World Magnetic Model at the first true position,
+    on the day of its stamp, or on 1 January 2025 where the stamps count from boot.
     """
 
     estimators: tuple[str, ...] = ("ekf",)
@@ -152,7 +154,7 @@ class AttitudeScorer:
     def _declination_rad(self, sample: TruthSample) -> float:
         if self.config.declination_deg is not None:
             return float(np.radians(self.config.declination_deg))
-        return declination_rad(sample.lat_deg, sample.lon_deg, sample.alt_m)
+        return declination_rad(sample.lat_deg, sample.lon_deg, sample.alt_m, sample.t_us)
 
     def _estimates(self, block: Block, begin: int, state: ScorerState) -> Estimates:
         """What waited and what the block brings behind row `begin`, in order."""
@@ -252,11 +254,7 @@ def _measured(block: Block) -> NDArray[np.bool_]:
     return fine
 
 
-def declination_rad(lat_deg: float, lon_deg: float, alt_m: float) -> float:
-    """Magnetic declination by the World Magnetic Model 2025 at its epoch."""
-    from pygeomag import GeoMag
-
-    field = GeoMag(coefficients_file="wmm/WMM_2025.COF").calculate(
-        glat=lat_deg, glon=lon_deg, alt=alt_m / 1000.0, time=2025.0
-    )
-    return float(np.radians(field.d))
+def declination_rad(lat_deg: float, lon_deg: float, alt_m: float, stamp_us: int) -> float:
+    """Magnetic declination on the day of a stamp, as `date_of` reads it."""
+    north, east, _ = magnetic_field_gauss(lat_deg, lon_deg, alt_m, date_of(stamp_us))
+    return float(np.arctan2(east, north))

@@ -1,14 +1,11 @@
-"""The Earth's magnetic field by the world magnetic model (the pygeomag library)."""
+"""The magnetic field at the scenario's start, or a line that says why there is none."""
 
 from datetime import datetime
-from functools import lru_cache
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.magnetic_field import magnetic_field_gauss
 
-NANOTESLA_PER_GAUSS = 1e5
 
-
-@lru_cache(maxsize=8)
 def field_ned_gauss(
     lat_deg: float, lon_deg: float, height_m: float, time: datetime
 ) -> tuple[float, float, float]:
@@ -19,19 +16,10 @@ def field_ned_gauss(
     ConfigError
         If no model covers the time.
     """
-    from pygeomag import GeoMag
-
-    year = time.year + (time.timetuple().tm_yday - 1) / 365.25
     try:
-        model = GeoMag(base_year=time)
-        found = model.calculate(glat=lat_deg, glon=lon_deg, alt=height_m / 1000.0, time=year)
+        return magnetic_field_gauss(lat_deg, lon_deg, height_m, time)
     except ValueError:
         raise ConfigError(
             f"start.time = {time:%Y-%m-%d} has no world magnetic model; 2010 to 2029 is allowed, "
             "or sensors.mag.field_ned_gauss says the field"
         ) from None
-    return (
-        found.x / NANOTESLA_PER_GAUSS,
-        found.y / NANOTESLA_PER_GAUSS,
-        found.z / NANOTESLA_PER_GAUSS,
-    )

@@ -44,7 +44,7 @@ def with_sources(samples):
     """
     rng = np.random.default_rng(4)
     first = next(s for s in samples if isinstance(s, TruthSample))
-    frame = frame_at(place_m(first))
+    frame = frame_at(place_m(first), first.t_us)
     field_ned = np.array([1.0, 1.0, -1.0]) * frame.field_gauss[[1, 0, 2]]
     to_ned = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     found = []

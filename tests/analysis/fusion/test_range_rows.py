@@ -36,7 +36,7 @@ def seen(flights):
     observed = observe(epoch, core.chosen)
     x = core.motion.x
     ranges = Ranges(observed, x, core.ionosphere, FusionConfig(), DetectorConfig())
-    frame = frame_at(x[:3] + 30.0)
+    frame = frame_at(x[:3] + 30.0, stamp_us=0)
     pose = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.3, -0.5, 2.0), frame.local(x[:3]) + OFF_M)
     node = Node(
         0, epoch.t_us, pose, np.array([9.0, -4.0, 1.0]), gtsam.imuBias.ConstantBias(), CLOCK

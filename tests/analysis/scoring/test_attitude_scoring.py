@@ -149,4 +149,10 @@ def test_an_autopilot_that_only_repeats_the_truth_is_called_so_and_comes_last():
 
 def test_declination_at_provo_is_that_of_the_world_magnetic_model():
     # about 11 degrees east of north at Provo, Utah, in 2025
-    assert np.degrees(declination_rad(40.2, -111.7, 1400.0)) == pytest.approx(10.9, abs=0.3)
+    from_boot = np.degrees(declination_rad(40.2, -111.7, 1400.0, 5_000_000))
+    assert from_boot == pytest.approx(10.9, abs=0.3)
+    # It falls by a tenth of a degree a year there.
+    in_2015 = np.degrees(declination_rad(40.2, -111.7, 1400.0, 1_420_070_400_000_000))
+    assert in_2015 - from_boot == pytest.approx(1.0, abs=0.3)
+    in_1990 = declination_rad(40.2, -111.7, 1400.0, 631_152_000_000_000)
+    assert np.degrees(in_1990) == from_boot
