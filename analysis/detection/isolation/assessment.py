@@ -41,22 +41,16 @@ CLOCK_LEAP_M = 1000.0  # the receiver set its clock: no fault has this on most s
 RATE_STATES = np.array([V, V + 1, V + 2, DRIFT])
 
 
-class Assessment(NamedTuple):
-    """n satellites against the prediction, in one order: trusted ones, excluded ones, those below
-    the mask.
+class Statistics(NamedTuple):
+    """What the tests of an epoch say of the satellites (used,) that are trusted.
 
-    `order` (n,) are their places among the observed, `every` the innovations in this order, of
-    which the first `used` are trusted and those up to `above` are above the mask; `normalised`
-    (used,) are those of the trusted ones. `q` is the ranges' statistic, `q_rate`
-    that of the `rates` Doppler rates that are known, `parity` that of the snapshot's residuals with
-    its degrees of freedom (0 where there is none); `systems` is how many systems are used. `far`
-    says that most innovations are over `CLOCK_LEAP_M`.
+    `residual_m` and `normalised` (used,) are their innovations. `q` is the ranges' statistic,
+    `q_rate` that of the `rates` Doppler rates that are known, `parity` that of the snapshot's
+    residuals with its degrees of freedom (0 where there is none); `systems` is how many systems are
+    used. `far` says that most innovations are over `CLOCK_LEAP_M`.
     """
 
-    order: Indices
-    every: Modelled
-    used: int
-    above: int
+    residual_m: Vector
     normalised: Vector
     q: float
     q_rate: float
@@ -67,6 +61,21 @@ class Assessment(NamedTuple):
     far: bool
 
 
+class Assessment(NamedTuple):
+    """n satellites against the prediction, in one order: trusted ones, excluded ones, those below
+    the mask.
+
+    `order` (n,) are their places among the observed, `every` the innovations in this order, of
+    which the first `used` are trusted and those up to `above` are above the mask.
+    """
+
+    order: Indices
+    every: Modelled
+    used: int
+    above: int
+    statistics: Statistics
+
+
 class Sight(Value, frozen=True):
     """What an epoch measured above the mask: the satellites `names` are trusted, with the
     innovations `used`, `excluded` are not, with `outside`."""
@@ -75,7 +84,7 @@ class Sight(Value, frozen=True):
     used: Modelled
     excluded: tuple[str, ...]
     outside: Modelled
-    tests: Assessment
+    tests: Statistics
 
 
 def see(
@@ -87,7 +96,7 @@ def see(
     config: DetectorConfig,
 ) -> Sight:
     """An epoch modelled and tested; `trusted` (n,) may be used, `offset_m` (n,) is subtracted."""
-    tests = assess(
+    assessed = assess(
         observed.measured,
         trusted,
         offset_m,
@@ -97,14 +106,13 @@ def see(
         config.sigma.numbers,
         config.mask_rad,
     )
-    names, every, count = observed.satellites, tests.every, tests.used
+    names, every, tests = observed.satellites, assessed.every, assessed.statistics
+    count, above = assessed.used, assessed.above
     if count == len(names):
         return Sight(names, every, (), NO_ROWS, tests)
-    in_order = tuple(names[i] for i in tests.order.tolist())
-    outside = every.between(count, tests.above)
-    return Sight(
-        in_order[:count], every.between(0, count), in_order[count : tests.above], outside, tests
-    )
+    in_order = tuple(names[i] for i in assessed.order.tolist())
+    used, outside = every.between(0, count), every.between(count, above)
+    return Sight(in_order[:count], used, in_order[count:above], outside, tests)
 
 
 @compiled
@@ -133,11 +141,8 @@ def assess(
     parity, dof, systems = parity_test(normal)
     rates = rate_equations(h, every.rate_variance[:count], every.v_mps[:count])
     q_rate = statistic_of(p, rates)
-    return Assessment(
-        order,
-        every,
-        count,
-        above,
+    statistics = Statistics(
+        v[:count],
         normalised,
         q,
         q_rate,
@@ -147,6 +152,7 @@ def assess(
         systems,
         2 * far >= above > 0,
     )
+    return Assessment(order, every, count, above, statistics)
 
 
 @compiled

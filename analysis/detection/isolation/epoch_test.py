@@ -126,7 +126,7 @@ def _measured(judged: Judged, outside: Outside, core: Core) -> Outcome:
     """The numbers of an epoch's tests."""
     sight, rates, tested = judged.sight, judged.rates, judged.tested
     tests = sight.tests
-    residual_m, normalised = sight.used.v_m.tolist(), tests.normalised.tolist()
+    residual_m, normalised = tests.residual_m.tolist(), tests.normalised.tolist()
     return Outcome(
         core,
         names=sight.names,

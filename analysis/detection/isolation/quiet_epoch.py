@@ -19,10 +19,10 @@ from analysis.detection.detector_state import Core
 from analysis.detection.filter.epoch_update import Filtered, Rates, Step, commit_to
 from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.inertial import propagate_freely, propagate_inertial
-from analysis.detection.filter.measurement import Indices, Measured, Modelled, Observed
+from analysis.detection.filter.measurement import NO_ROWS, Indices, Measured, Modelled, Observed
 from analysis.detection.filter.offsets import frozen_m
 from analysis.detection.filter.propagation import NO_STEPS, Segment, steps
-from analysis.detection.isolation.assessment import Assessment, Sight, assess
+from analysis.detection.isolation.assessment import Assessment, Sight, Statistics, assess
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.isolation.ramp_test import RampBank
 from analysis.detection.isolation.ramp_windows import Strongest, Windows
@@ -99,10 +99,10 @@ def quiet_epoch(
     x, p, d, sums, offset, spread = after
     windows = ramps.windows._replace(d=d, sums=sums, offset=offset, spread=spread)
     moved = Motion(t_us, x, p, motion.inertial)
-    used = tests.every if tests.used == len(tests.order) else tests.every.between(0, tests.used)
-    sight = Sight(ramps.names, used, (), used, tests)
-    threshold = chi_square(tests.used, config.p_false_alarm)
-    tested = passed(moved, used, tests.q, threshold)
+    # the filter has used the rows within the call: none are handed on, arrays cost time
+    sight = Sight(ramps.names, NO_ROWS, (), NO_ROWS, tests)
+    threshold = chi_square(len(ramps.names), config.p_false_alarm)
+    tested = passed(moved, NO_ROWS, tests.q, threshold)
     rates = RatesTested(None, None, 0, "none", NO_RATES)
     if config.doppler and tests.rates >= MIN_RATES:
         limit = chi_square(tests.rates, config.p_other)
@@ -134,7 +134,7 @@ def _quiet(
     t_us: int,
     windows: Windows,
     limits: Limits,
-) -> tuple[bool, float, Assessment, Filtered, Strongest]:
+) -> tuple[bool, float, Statistics, Filtered, Strongest]:
     """Whether the epoch is quiet, the longest silence of the IMU, the tests, and what `commit_to`
     gives; `places` (n,) of the satellites that were used at the last epoch."""
     samples, gap_s, heard = steps(run.t_us, run.values, prior.t_us, t_us)
@@ -146,15 +146,16 @@ def _quiet(
         moved = not heard  # an attitude might be found
         x, p, phi = propagate_freely(prior.x, prior.p, dt_s, limits.noise)
     trusted = np.ones(offset_m.shape[0], np.bool_)
-    tests = assess(
+    assessed = assess(
         measured, trusted, offset_m, x, p, limits.ionosphere, limits.sigma, limits.mask_rad
     )
+    tests = assessed.statistics
     tested = limits.doppler and tests.rates >= MIN_RATES
-    quiet = moved and _is_quiet(tests, places, prior.inertial, tested, limits.thresholds)
+    quiet = moved and _is_quiet(assessed, places, prior.inertial, tested, limits.thresholds)
     if not quiet:
         nothing = (x, p, windows.d, windows.sums, windows.offset, windows.spread)
         return False, gap_s, tests, nothing, Strongest(0.0, -1, -1, 0.0)
-    count, every = tests.used, tests.every
+    count, every = assessed.used, assessed.every
     h, v, variance = every.h[:count], every.v_m[:count], every.variance[:count]
     rate_variance, known = every.rate_variance[:count], count if tested else 0
     used = Modelled(v, every.v_mps[:count], variance, rate_variance, every.elevation_rad[:count], h)
@@ -166,14 +167,14 @@ def _quiet(
 
 @compiled
 def _is_quiet(
-    tests: Assessment, places: Indices, inertial: bool, tested: bool, thresholds: Vector
+    assessed: Assessment, places: Indices, inertial: bool, tested: bool, thresholds: Vector
 ) -> bool:
     """Whether the same satellites are above the mask as at the last epoch, are enough, and pass."""
-    count = tests.used
+    count, tests = assessed.used, assessed.statistics
     if count != places.shape[0] or tests.far or count < (3 if inertial else 4 + tests.systems):
         return False
     for i in range(count):
-        if tests.order[i] != places[i]:
+        if assessed.order[i] != places[i]:
             return False
     rates_pass = not tested or bool(tests.q_rate <= thresholds[1, tests.rates])
     return rates_pass and bool(tests.q <= thresholds[0, count])

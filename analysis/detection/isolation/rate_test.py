@@ -8,7 +8,7 @@ from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.inertial import DRIFT
 from analysis.detection.filter.information import weights
 from analysis.detection.filter.measurement import NO_ROWS, Modelled, rate_rows
-from analysis.detection.isolation.assessment import Assessment
+from analysis.detection.isolation.assessment import Statistics
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.isolation.hypotheses import judge
 from analysis.detection.isolation.range_test import FREE_DRIFT_MPS, free_position, largest_set
@@ -29,7 +29,7 @@ class RatesTested(Value, frozen=True):
 
 
 def check_rates(
-    motion: Motion, used: Modelled, tests: Assessment, config: DetectorConfig
+    motion: Motion, used: Modelled, tests: Statistics, config: DetectorConfig
 ) -> RatesTested:
     """Test the predicted velocity against the rates."""
     count = tests.rates
