@@ -23,7 +23,7 @@ SLOTS = 4  # faults at once in the compiled kernels
 # A flight in the simulator takes a second or so, where the kernels fly thousands
 FLOWN_DEFAULTS = {"budget": 200, "keep": 3, "noise_draws": 1, "rescore_draws": 5}
 ANYWHERE = {
-    "pitch_deg": 90.0, "alpha_deg": 90.0, "beta_deg": 90.0, "airspeed_mps": [0.0, 1000.0],
+    "pitch_deg": 90.0, "alpha_deg": 180.0, "beta_deg": 90.0, "airspeed_mps": [0.0, 1000.0],
     "rate_dps": 1e5, "load_g": 1e3, "height_m": -1e4,
 }  # fmt: skip
 
