@@ -119,11 +119,11 @@ class Flight:
 
     def _sort(self, sends: list[Send]) -> Sent:
         """Hand commands to the vehicle; the HIL stream is the monitor's, the rest the ground's."""
-        sent = Sent(b"".join(s.data for s in sends if s.link == MONITOR and _is_hil(s.data)), [])
+        sent = Sent(b"".join(s.data for s in sends if s.link == MONITOR and is_hil(s.data)), [])
         answers: list[Send] = []
         for link, data, _ in sends:
             self._out[link] += 1
-            if link == GROUND and not _is_hil(data):
+            if link == GROUND and not is_hil(data):
                 sent.ground.append(data)
             elif link in (VEHICLE, SIMULATOR):
                 answers += self._obey(link, data)
@@ -155,6 +155,6 @@ def session(scenario: str, seed: int, flight: Flight) -> dict[str, Any]:
     }
 
 
-def _is_hil(data: bytes) -> bool:
+def is_hil(data: bytes) -> bool:
     """Whether a datagram comes from the simulator's HIL end."""
     return data[0] == STX_V2 and data[6] == HIL_COMPONENT
