@@ -5,15 +5,14 @@ from dataclasses import dataclass
 
 from analysis.autopilots.flight_operator import COMPONENT, GROUND_STATION
 from analysis.autopilots.flight_plan import Waypoint
+from analysis.autopilots.mission_items import Item, along, corner
 from mavproxy_fault.wire.dialect import Layout, known
 from mavproxy_fault.wire.frame import Frame, build
 
 COMMAND_LONG, MISSION_COUNT = known("COMMAND_LONG"), known("MISSION_COUNT")
 MISSION_ITEM_INT = known("MISSION_ITEM_INT")
-WAYPOINT, TAKE_OFF, SET_MODE, ARM, START = 16, 22, 176, 400, 300  # MAV_CMD_
-CHANGE_SPEED, GROUND_SPEED = 178, 1  # MAV_CMD_DO_CHANGE_SPEED and its param1
+TAKE_OFF, SET_MODE, ARM, START = 22, 176, 400, 300  # MAV_CMD_
 CUSTOM_MODE = 1  # MAV_MODE_FLAG_
-GLOBAL_RELATIVE_INT = 6  # MAV_FRAME_
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +39,7 @@ class ArduPilotRequests:
 
     def __init__(self, modes: Modes) -> None:
         self._modes = modes
-        self._items: list[dict[str, object]] = []
+        self._items: list[Item] = []
         self._seq = 0
         self._pending: list[bytes] = []
 
@@ -56,8 +55,8 @@ class ArduPilotRequests:
             self._send(MISSION_ITEM_INT, {"seq": number, "autocontinue": 1, **self._items[number]})
 
     def upload(self, waypoints: Sequence[Waypoint]) -> None:
-        """Offer the mission; ArduPilot asks for its items."""
-        self._items = mission_items(waypoints)
+        """Offer the mission, whose first item is ArduPilot's own home; it asks for the items."""
+        self._items = [corner(waypoints[0]), *along(waypoints)]
         self._send(MISSION_COUNT, {"count": len(self._items)})
 
     def arm(self) -> None:
@@ -92,25 +91,3 @@ class ArduPilotRequests:
         self._pending.append(
             build(layout, values, seq=self._seq, system=GROUND_STATION, component=COMPONENT)
         )
-
-
-def mission_items(waypoints: Sequence[Waypoint]) -> list[dict[str, object]]:
-    """A mission's items: the home that ArduPilot keeps for itself, then speeds and corners."""
-    items = [_corner(waypoints[0])]
-    speed_mps = None
-    for waypoint in waypoints:
-        if waypoint.speed_mps != speed_mps:
-            speed_mps = waypoint.speed_mps
-            items.append({"command": CHANGE_SPEED, "param1": GROUND_SPEED, "param2": speed_mps})
-        items.append(_corner(waypoint))
-    return items
-
-
-def _corner(waypoint: Waypoint) -> dict[str, object]:
-    return {
-        "frame": GLOBAL_RELATIVE_INT,
-        "command": WAYPOINT,
-        "x": round(waypoint.lat_deg * 1e7),
-        "y": round(waypoint.lon_deg * 1e7),
-        "z": waypoint.height_m,
-    }

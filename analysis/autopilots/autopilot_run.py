@@ -18,7 +18,7 @@ from analysis.autopilots.flight_plan import HEIGHTS_M, flight_plan
 from analysis.autopilots.hil_exchange import FromAutopilot, Patience, ToAutopilot
 from analysis.autopilots.program import Program
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
-from analysis.run.proxied_flight import GROUND, MONITOR, Flight, session
+from analysis.run.proxied_flight import GROUND, MONITOR, Flight, is_hil, session
 from analysis.run.run_command import EXIT_CODES, report
 from analysis.run.setup import Setup, read_setup
 from analysis.run.stop import Stop, stop_requests
@@ -199,7 +199,7 @@ class AutopilotRun:
     def _hear(self, send: Send) -> None:
         if send.link == MONITOR:
             self.results += self._monitor.feed(send.data)
-        elif send.link == GROUND:
+        elif send.link == GROUND and not is_hil(send.data):
             for item in self._parser.push(send.data, datagram=True):
                 if isinstance(item, Frame):
                     self._operator.heard(item)

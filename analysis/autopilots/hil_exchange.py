@@ -16,7 +16,8 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.proxy.interfaces import Send
-from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import STX_V2, Frame
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.hil.hil_frames import Hil
 from simvehicle.hil.lockstep import Lockstep
@@ -25,7 +26,9 @@ from simvehicle.vehicles.body import Truth
 
 Process = subprocess.Popen[bytes]
 Hear = Callable[[Send], None]  # what leaves for monitor and ground station
-STX_V2, STAMP = 0xFD, slice(10, 18)  # time_usec, of every message that steps are answered by
+STAMP = slice(10, 18)  # time_usec, of every message that steps are answered by
+ANSWER = known("HIL_ACTUATOR_CONTROLS")
+FOR_SIMULATOR = {layout.id.to_bytes(3, "little") for layout in (ANSWER, known("TUNNEL"))}
 
 
 class StepMessage(NamedTuple):
@@ -96,7 +99,9 @@ class ToAutopilot:
         return out
 
     def decoded(self, send: Send) -> list[Frame]:
-        """The frames of what left for the simulator."""
+        """What left for the simulator and means something to it."""
+        if send.data[0] == STX_V2 and send.data[7:10] not in FOR_SIMULATOR:
+            return []
         items = self._parser.push(send.data, datagram=True)
         return [item for item in items if isinstance(item, Frame)]
 
@@ -152,13 +157,14 @@ class FromAutopilot:
         outward = self._outward
         found, outward.returned = outward.returned, []
         for inbox in self._inboxes:
-            for frame in inbox.frames():
-                if frame.layout.name == "HIL_ACTUATOR_CONTROLS":
+            frames = inbox.frames()
+            for frame in frames:
+                if frame.layout is ANSWER:
                     self._lockstep.received(int(frame.number("time_usec")), time.monotonic())
-                flight = outward.flight
-                for send in flight.core.received(VEHICLE, frame.raw, flight.now_us):
-                    if send.link == SIMULATOR:
-                        found += outward.decoded(send)
-                    else:
-                        outward.hear(send)
+            flight = outward.flight
+            for send in flight.core.received_frames(VEHICLE, frames, flight.now_us):
+                if send.link == SIMULATOR:
+                    found += outward.decoded(send)
+                else:
+                    outward.hear(send)
         return found

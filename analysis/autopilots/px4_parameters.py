@@ -16,12 +16,17 @@ PLANE = {  # faster than PX4's own
     "TRIM_PITCH": 0,
     "RWTO_ROT_AIRSPD": 22,
     "NAV_LOITER_RAD": 150,
+    "FW_LND_USETER": 0,  # the ground is where the mission says, with or without a range finder
 }
 
 
-def parameters(simulation: Simulation) -> dict[str, float]:
-    """Every parameter that a run sets."""
-    found: dict[str, float] = {"MAV_SYS_ID": 1, "COM_RC_IN_MODE": NO_RADIO}
+def parameters(simulation: Simulation, height_m: float) -> dict[str, float]:
+    """Every parameter that a run sets; a take-off ends at `height_m`."""
+    found: dict[str, float] = {
+        "MAV_SYS_ID": 1,
+        "COM_RC_IN_MODE": NO_RADIO,
+        "MIS_TAKEOFF_ALT": height_m,
+    }
     vehicle = simulation.vehicle
     return found | (rotors(vehicle) if isinstance(vehicle, Multirotor) else PLANE)
 

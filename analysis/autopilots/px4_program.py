@@ -18,6 +18,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from analysis.autopilots.flight_operator import Requests
+from analysis.autopilots.flight_plan import flight_plan
 from analysis.autopilots.hil_exchange import PX4_STEP
 from analysis.autopilots.program import Program, ended
 from analysis.autopilots.px4_parameters import AIRFRAMES, parameters
@@ -67,10 +68,10 @@ def command(binary: str | None) -> list[str]:
 
 @contextlib.contextmanager
 def requests(simulation: Simulation) -> Iterator[Requests]:
-    """How it is asked; MAVSDK, which takes every kind of vehicle alike, is slow to import."""
+    """How it is asked; MAVSDK is slow to import."""
     from analysis.autopilots.mavsdk_requests import MavsdkRequests
 
-    with contextlib.closing(MavsdkRequests()) as found:
+    with contextlib.closing(MavsdkRequests(flight_plan(simulation).landing)) as found:
         yield found
 
 
@@ -136,5 +137,5 @@ def environment(simulation: Simulation, place: Path) -> dict[str, str]:
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PX4_")}
     kept["PATH"] = f"{place}{os.pathsep}{kept.get('PATH', os.defpath)}"
     kept["PX4_SIM_MODEL"] = AIRFRAMES[simulation.scenario.vehicle.kind]
-    values = parameters(simulation)
+    values = parameters(simulation, flight_plan(simulation).height_m)
     return kept | {f"PX4_PARAM_{name}": f"{value:g}" for name, value in values.items()}
