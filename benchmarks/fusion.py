@@ -339,9 +339,9 @@ def timed(samples: list[Sample]) -> tuple[Vector, Vector]:
         said: list[Result] = []
         start = time.perf_counter()
         for piece in pieces(block):
-            results, detector_state = references.take(piece, detector_state)
+            results, detector_state = references.step_piece(piece, detector_state)
             middle = time.perf_counter()
-            found, state = fusion.take(piece, results, detector_state.detector.core, state)
+            found, state = fusion.step_piece(piece, results, detector_state.detector.core, state)
             said += found
             detecting, start = detecting + middle - start, time.perf_counter()
             fusing += start - middle

@@ -100,7 +100,7 @@ class RayFleet:
         self._limit_s = limit_s
         self.capacity = AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
         # Retries of deaths without end; what a flight itself raises comes back as its answer.
-        self._answer: Any = ray.remote(max_retries=-1)(_told)
+        self._answer: Any = ray.remote(max_retries=-1)(_answered)
         self._flying: dict[Any, tuple[int, Job, float]] = {}
 
     def start(self, number: int, job: Job) -> None:
@@ -130,7 +130,7 @@ class RayFleet:
             self._ray.shutdown()
 
 
-def _told(job: Job) -> Answer:
+def _answered(job: Job) -> Answer:
     """The answer, also where the flight cannot be made."""
     try:
         return answer(job)

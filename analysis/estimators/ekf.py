@@ -1,9 +1,9 @@
 """A quaternion EKF: attitude, gyro bias and velocity; nine error states.
 
-The error is a small turn in body axes beside the errors of bias and velocity [1]_. The IMU drives
-the prediction; velocity over ground from GPS, compared with the integrated specific force, shows
-the tilt in turning flight too, where gravity alone would not. The field shows the heading. Without
-GPS velocity for `gps_timeout_s`, gravity freed of the centripetal part takes over.
+The error is a small rotation in body axes beside the errors of bias and velocity [1]_. The IMU
+drives the prediction; velocity over ground from GPS, compared with the integrated specific force,
+shows the tilt in turning flight too, where gravity alone would not. The field shows the heading.
+Without GPS velocity for `gps_timeout_s`, gravity freed of the centripetal part takes over.
 
 References
 ----------

@@ -42,11 +42,11 @@ def derivative(x: Vector, gyro: Vector, accel: Vector) -> Vector:
     u, v, w = x[3], x[4], x[5]
     p, q, r = gyro[0], gyro[1], gyro[2]
     safe = ct if abs(ct) > MIN_COS_PITCH else (MIN_COS_PITCH if ct >= 0.0 else -MIN_COS_PITCH)
-    turn = q * sf + r * cf
+    yaw_part = q * sf + r * cf
     out = np.empty(9)
-    out[0] = p + turn * st / safe
+    out[0] = p + yaw_part * st / safe
     out[1] = q * cf - r * sf
-    out[2] = turn / safe
+    out[2] = yaw_part / safe
     out[3] = accel[0] + r * v - q * w - STANDARD_GRAVITY_MPS2 * st
     out[4] = accel[1] + p * w - r * u + STANDARD_GRAVITY_MPS2 * ct * sf
     out[5] = accel[2] + q * u - p * v + STANDARD_GRAVITY_MPS2 * ct * cf

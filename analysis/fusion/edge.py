@@ -23,7 +23,7 @@ class Edge(Value, frozen=True):
     noise: Noise
     trusted: bool
     jumped_m: float
-    turn_rps: float = TURN_SIGMA_RPS
+    rate_sigma_rps: float = TURN_SIGMA_RPS
 
     def sound(self, gap_s: float) -> bool:
         """Whether the IMU ties the two epochs; silence longer than `gap_s` is not bridged."""

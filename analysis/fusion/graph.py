@@ -10,7 +10,7 @@ import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig, Noise
 from analysis.fusion.edge import Edge, mended, split
-from analysis.fusion.factors.imu_factors import FREE_TURN_RPS, imagine, imu_params, preintegrate
+from analysis.fusion.factors.imu_factors import FREE_RATE_RPS, imagine, imu_params, preintegrate
 from analysis.fusion.factors.range_factors import Ranges
 from analysis.fusion.factors.robust_factors import clock_in_seconds, pseudoranges
 from analysis.fusion.factors.unary_factors import EPOCHS, clock_factor
@@ -129,7 +129,7 @@ class Graph:
         """
         old = self.node
         if attitude is not None:
-            edge = edge._replace(trusted=False, turn_rps=FREE_TURN_RPS)
+            edge = edge._replace(trusted=False, rate_sigma_rps=FREE_RATE_RPS)
         elif not self.aligned:
             edge = edge._replace(trusted=False)
         motion = self._motion(edge, old, t_us)
@@ -209,7 +209,7 @@ class Graph:
             if t_us < since_us or at.ranges is None or name not in at.ranges.satellites:
                 continue
             i = at.ranges.satellites.index(name)
-            if at.weights[i] > 0.0 and self.window.take_back(RANGES, epoch):
+            if at.weights[i] > 0.0 and self.window.remove(RANGES, epoch):
                 others = at.weights.copy()
                 others[i] = 0.0
                 self.attach_ranges(epoch, at.ranges, others)
@@ -295,7 +295,7 @@ class Graph:
                 self._params = imu_params(self.frame, np.array(place_m), edge.noise)
             return preintegrate(edge.part.samples, start.bias, self._params)
         dt_s = (t_us - start.t_us) * 1e-6
-        return imagine(dt_s, start.bias, self.frame, edge.noise, edge.turn_rps)
+        return imagine(dt_s, start.bias, self.frame, edge.noise, edge.rate_sigma_rps)
 
     def _tie(self, edge: Edge, motion: Any, epoch: int) -> None:
         before, after = self.epochs[edge.before], self.epochs[epoch]
@@ -312,7 +312,7 @@ class Graph:
     def _retie(self, epoch: int, edge: Edge, start: Node | None = None) -> None:
         """Another edge to an epoch in place of the one it has."""
         for source in ("imu", "clock"):
-            self.window.take_back(source, epoch)
+            self.window.remove(source, epoch)
         start = start or self.estimate(edge.before)
         self._tie(edge, self._motion(edge, start, self.epochs[epoch].t_us), epoch)
 

@@ -53,8 +53,8 @@ class Node(Value, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Beginning:
-    """A first node with its covariances: pose (6, 6) turn then shift in body axes, velocity (3, 3)
-    in the frame's, bias (6, 6), and sigmas (2,) of clock and drift.
+    """A first node with its covariances: pose (6, 6) rotation then shift in body axes, velocity (3,
+    3) in the frame's, bias (6, 6), and sigmas (2,) of clock and drift.
 
     `aligned` says that its attitude is known.
     """

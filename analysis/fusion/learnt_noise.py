@@ -68,7 +68,7 @@ class Learnt:
         are 0 they are not used."""
         dt_s = min(max((t_us - self.t_us) * 1e-6, 0.0), 1.0)
         self.t_us = t_us
-        self._turn_to(satellites)
+        self._start_satellites(satellites)
         _average(self.table, weights, normalised, dt_s)
 
     def scale(self, satellites: tuple[str, ...], rate_sigma: Vector) -> None:
@@ -84,7 +84,7 @@ class Learnt:
         seen = float(means @ means) * count / (count - unknowns)
         return math.sqrt((SLOW_PRIOR * configured**2 + seen) / (SLOW_PRIOR + count))
 
-    def _turn_to(self, satellites: tuple[str, ...]) -> None:
+    def _start_satellites(self, satellites: tuple[str, ...]) -> None:
         self.table, self.satellites = self._of(satellites), satellites
 
     def _of(self, satellites: tuple[str, ...]) -> Vector:

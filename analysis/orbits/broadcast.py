@@ -154,13 +154,13 @@ def _orbit(packed: Vector, i: int, t_k: float, out: Vector) -> float:
     out[i, 4] = x_rate * so + y_rate * ci * co - y * si * co * inc_rate + out[i, 0] * node_rate
     out[i, 5] = y_rate * si + y * ci * inc_rate
     if packed[i, 23] == 1.0:
-        _turn_still(t_k, out[i])
+        _rotate_from_inertial_geo(t_k, out[i])
     relativity: float = -2.0 * math.sqrt(mu) / (299792458.0 * 299792458.0) * e * sqrt_a * sin_e
     return relativity
 
 
 @compiled
-def _turn_still(t_k: float, out: Vector) -> None:
+def _rotate_from_inertial_geo(t_k: float, out: Vector) -> None:
     """Turn a geostationary satellite's position and velocity to ECEF, in place: its elements are
     given in axes that do not turn with the earth, tilted by 5 degrees [2]_."""
     rate, tilt = 7.2921150e-5, -5.0 * math.pi / 180.0

@@ -40,7 +40,7 @@ class DataflashFile:
         By message name and instance (from 0) its columns, with `TimeUS`.
     start_us, end_us : int
         First and last time.
-    left_out : int
+    unread_bytes : int
         Bytes at the end of a very large file that were not read.
     damaged : bool
         Whether bytes had to be passed over.
@@ -51,7 +51,7 @@ class DataflashFile:
     topics: Mapping[tuple[str, int], Topic]
     start_us: int
     end_us: int
-    left_out: int
+    unread_bytes: int
     damaged: bool
     cut: bool
 
@@ -84,9 +84,9 @@ def read_dataflash(path: str | Path) -> DataflashFile:
         columns["TimeUS"] = _time_us(name, at, columns, times)
         for key, rows in _instances(name, columns):
             topics[key] = {column: values[rows] for column, values in columns.items()}
-    left_out = max(Path(path).stat().st_size - MOST_BYTES, 0)
+    unread_bytes = max(Path(path).stat().st_size - MOST_BYTES, 0)
     stamps = times[1]
-    return DataflashFile(topics, int(stamps.min()), int(stamps.max()), left_out, damaged, cut)
+    return DataflashFile(topics, int(stamps.min()), int(stamps.max()), unread_bytes, damaged, cut)
 
 
 @contextlib.contextmanager
@@ -114,10 +114,10 @@ def _beginning(path: Path) -> Iterator[Path]:
         yield path
         return
     with tempfile.NamedTemporaryFile(suffix=".bin") as copy, path.open("rb") as file:
-        left = MOST_BYTES
-        while left > 0 and (data := file.read(min(left, 1 << 24))):
+        remaining = MOST_BYTES
+        while remaining > 0 and (data := file.read(min(remaining, 1 << 24))):
             copy.write(data)
-            left -= len(data)
+            remaining -= len(data)
         copy.flush()
         yield Path(copy.name)
 

@@ -66,14 +66,14 @@ class _Patient(io.FileIO):
     def __init__(self, path: str | Path) -> None:
         super().__init__(path, "rb")
         self.cut = False  # whether it ended in the middle of what a reader asked for
-        self._left = MOST_READS * Path(path).stat().st_size + 10_000_000
+        self._remaining_reads = MOST_READS * Path(path).stat().st_size + 10_000_000
 
     def read(self, size: int | None = -1, /) -> bytes:
         """As in any file, until too much was read."""
         data = super().read(-1 if size is None else size) or b""
         self.cut |= size is not None and 0 < len(data) < size
-        self._left -= len(data) + 1
-        if self._left < 0:
+        self._remaining_reads -= len(data) + 1
+        if self._remaining_reads < 0:
             raise RuntimeError("damaged beyond reading")
         return data
 

@@ -220,8 +220,8 @@ class AutopilotRun:
 
     def _record(self) -> None:
         self._recorded_us = self.flight.t_us
-        labels = self.flight.take_labels()
-        self._recorder.write(self.flight.tape, labels, self._journal.take())
+        labels = self.flight.drain_labels()
+        self._recorder.write(self.flight.tape, labels, self._journal.drain())
 
     def _close(self) -> None:
         for send in self.flight.core.finish(self.flight.now_us):

@@ -100,14 +100,14 @@ class Flight:
         """End the faults that still act."""
         return self._sort(self.core.finish(self.now_us))
 
-    def take_labels(self) -> list[Label]:
+    def drain_labels(self) -> list[Label]:
         """Labels since the last call, begun and ended ones, for the log."""
-        taken = self.core.take_labels()
-        self._labels += taken
-        return taken
+        labels = self.core.drain_labels()
+        self._labels += labels
+        return labels
 
     def completed_labels(self) -> list[Label]:
-        """What every fault really did, for the scores; after `take_labels`."""
+        """What every fault really did, for the scores; after `drain_labels`."""
         return newest(self._labels)
 
     def stats(self) -> list[dict[str, Any]]:

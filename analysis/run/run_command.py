@@ -115,14 +115,14 @@ def fly(
                         ground.write(data)
                 if flight.t_us - recorded_us >= RECORD_US:
                     recorded_us = flight.t_us
-                    labels = flight.take_labels()
+                    labels = flight.drain_labels()
                     recorder.write(flight.tape, labels, live.edits())
                     live.publish(flight.stats(), labels)
                     if together or ground is not None:
                         deliver(monitor.feed(b"", now=True))
                     progress.show(flight.t_us * 1e-6, flight.engine.active)
         deliver(monitor.feed(flight.finish().monitor, now=True))
-        recorder.write(flight.tape, flight.take_labels())
+        recorder.write(flight.tape, flight.drain_labels())
         recorder.close(flight.core.clock.t0_us, flight.now_us)
 
 
@@ -130,7 +130,7 @@ def open_ground(spec: str, pace: Pace) -> Link | None:
     """The ground station's link; at full speed there is none, nobody could watch."""
     if math.isinf(pace.speed) or spec == "off":
         return None
-    return open_link(spec, plain_udp="udpout")
+    return open_link(spec, bare_udp="udpout")
 
 
 def report(

@@ -32,7 +32,7 @@ def _work(orders: "Queue[Order | None]", answers: Connection, config: MonitorCon
     monitor = Monitor(config)
     while (order := orders.get()) is not None:
         if isinstance(order, bytes):
-            answers.send(monitor.bytes([order], datagrams=False))
+            answers.send(monitor.push_bytes([order], datagrams=False))
         else:
             answers.send(monitor.summary(*order))
 

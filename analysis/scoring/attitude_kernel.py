@@ -16,8 +16,8 @@ LATEST_US = 1_000_000  # how long the truth is kept for estimates that come late
 
 class Scored(NamedTuple):
     """Estimates in the order of their scores (m,): which, the row that completed each, the truth
-    just after it; and the error (m, 4) of roll, pitch, yaw and the turn, in rad, pi where the
-    estimate is no number."""
+    just after it; and the error (m, 4) of roll, pitch, yaw and the angle between, in rad, pi where
+    the estimate is no number."""
 
     which: Indices
     came: Indices
@@ -112,12 +112,12 @@ def compare(
 
 @compiled
 def _score(scored: Scored, at: int, estimate: Quaternion, true: Quaternion) -> None:
-    """The error of one estimate; a half turn where it is no number."""
-    roll, pitch, yaw, turn = errors(estimate, true)
-    if not isfinite(roll + pitch + yaw + turn):
-        roll, pitch, yaw, turn = pi, pi, pi, pi
+    """The error of one estimate; half a circle where it is no number."""
+    roll, pitch, yaw, angle = errors(estimate, true)
+    if not isfinite(roll + pitch + yaw + angle):
+        roll, pitch, yaw, angle = pi, pi, pi, pi
     scored.error[at, 0], scored.error[at, 1] = roll, pitch
-    scored.error[at, 2], scored.error[at, 3] = yaw, turn
+    scored.error[at, 2], scored.error[at, 3] = yaw, angle
 
 
 @compiled

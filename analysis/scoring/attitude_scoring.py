@@ -112,15 +112,18 @@ class AttitudeScorer:
     ) -> tuple[list[AttitudeError], ScorerState]:
         """Errors that a block of samples, or a single one, completes, thinned to `rate_hz`."""
         block = samples if isinstance(samples, Block) else block_of(samples)
-        return [error for _, error in self.score(block, state)], state
+        found, state = self.step_rows(block, state)
+        return [error for _, error in found], state
 
-    def score(self, block: Block, state: ScorerState) -> list[tuple[int, AttitudeError]]:
+    def step_rows(
+        self, block: Block, state: ScorerState
+    ) -> tuple[list[tuple[int, AttitudeError]], ScorerState]:
         """The same with the row of the block that completed each."""
         truths = block.rows(TRUTH)
         begin = -1
         if state.t0_us is None:
             if not len(truths):
-                return []
+                return [], state
             begin = int(truths[0])
             self._start(block.sample(begin), state)
         estimates = self._estimates(block, begin, state)
@@ -138,7 +141,7 @@ class AttitudeScorer:
         waiting = waiting[-WAITING_MAX:]
         state.waiting = estimates.at(waiting)._replace(row=np.full(len(waiting), -1))
         state.truth_us, state.truth = truth_us[oldest:].copy(), truth[oldest:].copy()
-        return self._gather(state, estimates.at(scored.which), scored, truth)
+        return self._gather(state, estimates.at(scored.which), scored, truth), state
 
     def _start(self, sample: Sample, state: ScorerState) -> None:
         assert isinstance(sample, TruthSample)

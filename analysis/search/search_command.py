@@ -135,7 +135,7 @@ def searched(
             records = evaluated(test, pool, history, points, tests, deadline)
             points = points[: len(records)]
             archive.add(tests, points, records["fitness"])
-            rejected.update(rows.LIMITS[left] for left in records["left"] if left > 0)
+            rejected.update(rows.LIMITS[limit] for limit in records["broken_limit"] if limit > 0)
             tests += len(points)
             steps += int(records["steps"].sum())
             if len(points) == asked:
@@ -173,7 +173,7 @@ def records_of(outcome: Outcome) -> np.ndarray[tuple[int], np.dtype[np.void]]:
     """What the history keeps of a batch; the batch's steps stand with its first record."""
     records = np.zeros(len(outcome.fitness), RECORD)
     records["fitness"] = outcome.fitness
-    records["left"] = outcome.left
+    records["broken_limit"] = outcome.broken_limit
     records["steps"][0] = outcome.steps
     return records
 

@@ -77,16 +77,16 @@ class Recorder:
 
         Raises nothing where files cannot be written: forwarding must go on.
         """
-        before = tape.taken
-        taken = tape.take()
+        before = tape.drained
+        drained = tape.drain()
         self._labels += labels
         self._edits += edits
         data = {
-            RECEIVED: taken.received,
-            RECEIVED_OTHER: taken.received_other,
-            INDEX: taken.index,
-            SENT: taken.sent,
-            SENT_OTHER: taken.sent_other,
+            RECEIVED: drained.received,
+            RECEIVED_OTHER: drained.received_other,
+            INDEX: drained.index,
+            SENT: drained.sent,
+            SENT_OTHER: drained.sent_other,
             LABELS: encoded(self._labels) if self._labels else b"",
             EDITS: encoded(self._edits) if self._edits else b"",
         }

@@ -116,11 +116,11 @@ def to_log(playing: Playing, tape: Tape, out: Path) -> Path:
             playing.push(record)
             labels.write(encoded(_labels(playing)))
             if len(tape.sent) >= FLUSH_BYTES:
-                log.write(tape.take().sent)
+                log.write(tape.drain().sent)
         for _ in playing.rest():
             pass
         labels.write(encoded(_labels(playing)))
-        log.write(tape.take().sent)
+        log.write(tape.drain().sent)
     return labels_path
 
 
@@ -130,7 +130,7 @@ def _labels(playing: Playing) -> list[Label]:
     What they tell was done to a recording, to which nobody in it could react; but a session that is
     repeated has reacted to the same.
     """
-    labels = playing.core.take_labels()
+    labels = playing.core.drain_labels()
     if playing.repeats:
         return labels
     return [msgspec.structs.replace(label, recorded=True) for label in labels]
@@ -186,7 +186,7 @@ def main(args: argparse.Namespace) -> int:
         labels = to_log(playing, tape, out)
         print(f"{out}\n{labels}")
         return 0
-    link = open_link(args.link, plain_udp="udpout")
+    link = open_link(args.link, bare_udp="udpout")
     try:
         print(f"{to_link(playing, link)} sent to {link.name}")
     finally:

@@ -109,7 +109,7 @@ class Server:
             number, data, came_ns = forwarder.handed_over()
             if data:
                 # It may have waited behind another of its batch while delayed frames left.
-                now_us = max((self._base_ns + came_ns) // 1000, self.core.left_us)
+                now_us = max((self._base_ns + came_ns) // 1000, self.core.departed_us)
                 self._carry_out(self.core.received(number, data, now_us))
                 self.latencies[number].add(time.monotonic_ns() - came_ns)
         for number in forwarder.ready():
@@ -233,7 +233,7 @@ class Server:
         """Write and publish what has been gathered since the last time."""
         if self.recorder is None and self.live is None:
             return
-        labels = self.core.take_labels()
+        labels = self.core.drain_labels()
         if self.recorder is not None and self.tape is not None:
             edits = [] if self.live is None else self.live.edits()
             self.recorder.write(self.tape, labels, edits)

@@ -70,7 +70,7 @@ class LinkFault(msgspec.Struct, frozen=True, kw_only=True):
 class Holder(Protocol):
     """A fault that keeps frames back until others have come."""
 
-    def held_until_us(self, state: Any) -> int | None:
+    def release_us(self, state: Any) -> int | None:
         """When the oldest frame kept must leave; None if none is kept."""
 
     def release(self, t_us: int, state: Any) -> tuple[list[Outgoing], Any]:

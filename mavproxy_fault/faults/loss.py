@@ -97,8 +97,8 @@ class Burst(LinkFault, frozen=True, kw_only=True):
         self, frame: Frame | bytes, t_us: int, state: int, rng: "Generator"
     ) -> tuple[list[Outgoing], int]:
         """Lose this frame or not."""
-        left = state or (self.frames if rng.random() < self.value else 0)
-        return ([], left - 1) if left else ([Outgoing(t_us, frame)], 0)
+        remaining = state or (self.frames if rng.random() < self.value else 0)
+        return ([], remaining - 1) if remaining else ([Outgoing(t_us, frame)], 0)
 
 
 class Bucket(NamedTuple):

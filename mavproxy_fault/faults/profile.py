@@ -161,20 +161,20 @@ def drawn(segments: Sequence[Segment], rng: "Generator") -> tuple[Piece, ...]:
     return tuple((s.at_s, s.for_s, number(s.start), number(s.rate)) for s in segments)
 
 
-def at(pieces: Sequence[Piece], t_s: float, *, open_left: bool) -> float | None:
-    """The piecewise-linear function, None outside its pieces.
+def at(segments: Sequence[Piece], t_s: float, *, open_left: bool) -> float | None:
+    """The piecewise-linear function, None outside its segments.
 
     With `open_left` a piece holds on (at, at + for] as in `param_gen`, else on [at, at + for],
     where at a joint the later one holds.
     """
     if open_left:
         # param_gen takes the piece before the first whose start has not passed, sorted or not.
-        k = next((i for i, piece in enumerate(pieces) if t_s <= piece[0]), len(pieces)) - 1
+        k = next((i for i, piece in enumerate(segments) if t_s <= piece[0]), len(segments)) - 1
     else:
-        k = bisect_right(pieces, t_s, key=lambda piece: piece[0]) - 1
+        k = bisect_right(segments, t_s, key=lambda piece: piece[0]) - 1
     if k < 0:
         return None
-    at_s, for_s, start, rate = pieces[k]
+    at_s, for_s, start, rate = segments[k]
     return start + (t_s - at_s) * rate if t_s <= at_s + for_s else None
 
 

@@ -149,7 +149,7 @@ class Control:
             return []
         self.view.expire(now_s)
         self._want()
-        return self.view.take()
+        return self.view.drain()
 
     def _want(self) -> None:
         self.wanted = COMMANDS | self._unheard | self.view.ids

@@ -147,7 +147,7 @@ GALILEO_ROWS: tuple[_Row, ...] = (
 )
 
 _ROWS = {"G": GPS_ROWS, "E": GALILEO_ROWS}
-_FULL_TURN = {"m0_rad", "omega0_rad", "omega_rad"}  # wrap at half a turn
+_WRAPPED = {"m0_rad", "omega0_rad", "omega_rad"}  # wrap at half a turn
 
 
 def encode_ephemeris(ephemeris: Ephemeris) -> bytes:
@@ -174,7 +174,7 @@ def encode_ephemeris(ephemeris: Ephemeris) -> bytes:
     for name, bits, step in _ROWS[system]:
         value = extra[name] if name in extra else getattr(ephemeris, name)
         count = round(value / step)
-        if name in _FULL_TURN:
+        if name in _WRAPPED:
             count = (count + 2**31) % 2**32 - 2**31
         fields.append((count, abs(bits)))
     return wrap(pack_bits(fields))

@@ -129,16 +129,18 @@ def _busiest(ephemerides: dict[str, tuple[Ephemeris, ...]]) -> tuple[int, float]
 
 def _over(navigation: Navigation, lat_rad: float, lon_rad: float) -> Navigation:
     """The shipped satellites turned over another home."""
-    turn = round((lon_rad - SHIPPED_LON_RAD) / TURN_STEP_RAD) * TURN_STEP_RAD
+    shift_rad = round((lon_rad - SHIPPED_LON_RAD) / TURN_STEP_RAD) * TURN_STEP_RAD
     mirror = SEMICIRCLE if lat_rad < 0.0 else 0.0
-    if abs(turn) < math.radians(5.0) and not mirror:
+    if abs(shift_rad) < math.radians(5.0) and not mirror:
         return navigation
     ephemerides = {
         name: tuple(
             decode_ephemeris(
                 encode_ephemeris(
                     replace(
-                        e, omega0_rad=e.omega0_rad + turn + mirror, omega_rad=e.omega_rad + mirror
+                        e,
+                        omega0_rad=e.omega0_rad + shift_rad + mirror,
+                        omega_rad=e.omega_rad + mirror,
                     )
                 ),
                 e.week // 1024 * 1024,

@@ -85,7 +85,7 @@ def solve(
         atmosphere.troposphere,
         np.concatenate(start or (_somewhere_below(orbits, tow_s), np.zeros(len(systems)))),
         near,
-        _held(last) if lacking == 1 else FREE,
+        _known_height(last) if lacking == 1 else FREE,
     )
     if out[kernel.STATUS] != kernel.SOLVED:
         return _none(count, REASONS[float(out[kernel.STATUS])], last)
@@ -107,7 +107,7 @@ def solve(
     )
 
 
-def _held(last: Fix | None) -> tuple[float, float]:
+def _known_height(last: Fix | None) -> tuple[float, float]:
     """Height to hold [m] and how wrong it may be: the last one, or the ellipsoid's."""
     if last is not None and last.r_ecef_m.any():
         return last.height_m, LAST_HEIGHT_SIGMA_M

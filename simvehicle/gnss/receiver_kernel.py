@@ -100,18 +100,18 @@ def navigate(
     troposphere: bool,
     start: Vector,
     near: bool,
-    held: tuple[float, float],
+    known_height: tuple[float, float],
 ) -> Vector:
     """Position, velocity and clocks of one epoch.
 
-    `start` (3 + m,) holds position and clock offsets [m] to begin with; `near` says that it
-    is within some kilometres, so that elevations are right. `held` is a height taken as known [m]
-    and its standard deviation, for one satellite too few, or NaN. The answer (19,) has the rows
+    `start` (3 + m,) holds position and clock offsets [m] to begin with; `near` says that it is
+    within some kilometres, so that elevations are right. `known_height` is a height taken as known
+    [m] and its standard deviation, for one satellite too few, or NaN. The answer (19,) has the rows
     named above; the rest is as in `receiver.solve`.
     """
     table, code_m = observed.table, observed.code_m
     n, m = len(table), len(start)
-    rows = n if np.isnan(held[0]) else n + 1
+    rows = n if np.isnan(known_height[0]) else n + 1
     out = np.zeros(SIZE)
     x = np.zeros(m)
     for a in range(m):
@@ -129,8 +129,8 @@ def navigate(
             if near:
                 weights[i] = (max(sin(seen[4, i]), SINE_MIN) / ZENITH_SIGMA_M) ** 2
         if rows > n:
-            _hold(held, x, design, residual)
-            weights[n] = 1.0 / held[1] ** 2 if near else 1.0
+            _hold(known_height, x, design, residual)
+            weights[n] = 1.0 / known_height[1] ** 2 if near else 1.0
         step, covariance = least_squares(design, residual, weights, m)
         if len(step) == 0:
             out[STATUS] = SINGULAR
@@ -153,13 +153,13 @@ def navigate(
 
 
 @compiled
-def _hold(held: tuple[float, float], x: Vector, design: Vector, residual: Vector) -> None:
+def _hold(known_height: tuple[float, float], x: Vector, design: Vector, residual: Vector) -> None:
     """Make the last row that of a height which is measured."""
     lat, lon, height = geodetic(x[0], x[1], x[2])
     design[-1, 0] = cos(lat) * cos(lon)
     design[-1, 1] = cos(lat) * sin(lon)
     design[-1, 2] = sin(lat)
-    residual[-1] = held[0] - height
+    residual[-1] = known_height[0] - height
 
 
 @compiled
@@ -168,7 +168,7 @@ def _add_motion(
 ) -> None:
     """Velocity and drift from range rates; `design` becomes that of one clock.
 
-    Where the height is held, so is the vertical velocity, at zero.
+    Where the height is known, so is the vertical velocity, at zero.
     """
     residual = np.zeros(len(design))
     for i in range(len(rate_mps)):

@@ -53,8 +53,8 @@ class OpticalFlow(SensorParameters, frozen=True, kw_only=True):
         dt = 1.0 / self.rate_hz
         distance = slant_range(truth)
         p, q, r = truth.omega_b_rps.tolist()
-        turn = 1.0 + self.gyro.scale
-        gyro = (turn * p + gyro_x) * dt, (turn * q + gyro_y) * dt, (turn * r + gyro_z) * dt
+        gain = 1.0 + self.gyro.scale
+        gyro = (gain * p + gyro_x) * dt, (gain * q + gyro_y) * dt, (gain * r + gyro_z) * dt
         flow, shown, quality = (0.0, 0.0), -1.0, 0
         if self.min_m <= distance <= self.max_m:
             vx, vy, _ = into_body(truth.q_nb.tolist(), truth.v_ned_mps.tolist())

@@ -185,8 +185,8 @@ class Simulation:
         r = np.array([0.0, 0.0, -start.height_m])
         if start.state is not None:
             s = start.state
-            turn = quat_from_euler(math.radians(s.roll_deg), math.radians(s.pitch_deg), heading)
-            x = vehicle.start(r, np.array([s.u_mps, s.v_mps, s.w_mps]), turn)
+            q_nb = quat_from_euler(math.radians(s.roll_deg), math.radians(s.pitch_deg), heading)
+            x = vehicle.start(r, np.array([s.u_mps, s.v_mps, s.w_mps]), q_nb)
             x[10:13] = np.radians([s.p_dps, s.q_dps, s.r_dps])
             return x
         level = vehicle.start(r, zero, quat_from_euler(0.0, 0.0, heading))
@@ -237,7 +237,7 @@ class Simulation:
         self._gravity = place[16:]
         alt = height - self.home.geoid_m
         agl = alt - self.terrain.ground(lat, lon)
-        volts, amperes, left = load[3:].tolist()
+        volts, amperes, charge = load[3:].tolist()
         return Truth(
             self._t_us,
             lat,
@@ -257,7 +257,7 @@ class Simulation:
             density,
             volts,
             amperes,
-            left,
+            charge,
             agl < self.vehicle.standing_height_m + 0.02,
         )
 

@@ -15,7 +15,7 @@ from mavproxy_fault.numerics.polynomial import atan2, exp
 from mavproxy_fault.numerics.rotation_kernel import to_body
 from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, moved, rigid_body, runge_kutta
 
-_PER_TURN = 1.0 / (2.0 * np.pi)
+_REV_PER_RAD = 1.0 / (2.0 * np.pi)
 _STILL = 1e-9  # m/s; keeps the flow angles defined in still air
 
 
@@ -93,15 +93,15 @@ def propulsion(
     d = aero.diameter
     d3 = density * d * d * d
     conductance = 1.0 / aero.resistance
-    a = aero.cq0 * d3 * d * d * (_PER_TURN * _PER_TURN)
-    bb = aero.cq1 * d3 * d * _PER_TURN * airspeed + aero.kq * aero.kq * conductance
+    a = aero.cq0 * d3 * d * d * (_REV_PER_RAD * _REV_PER_RAD)
+    bb = aero.cq1 * d3 * d * _REV_PER_RAD * airspeed + aero.kq * aero.kq * conductance
     volts = aero.v_max * throttle
     cc = aero.cq2 * d3 * airspeed * airspeed - aero.kq * volts * conductance + aero.kq * aero.i0
     disc = bb * bb - 4.0 * a * cc
     disc = disc if disc > 0.0 else 0.0
     omega = (np.sqrt(disc) - bb) * (0.5 / a)
     omega = omega if omega > 0.0 else 0.0
-    n = omega * _PER_TURN
+    n = omega * _REV_PER_RAD
     nd = n * d
     va = airspeed
     thrust = density * d * d * (aero.ct0 * nd * nd + aero.ct1 * nd * va + aero.ct2 * va * va)

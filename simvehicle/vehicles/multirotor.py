@@ -166,7 +166,7 @@ class Multirotor:
         """
         battery = self.parameters.battery
         current = float(x[-2])
-        volts, left = battery.state(float(x[-1]), current * self._resistance)
+        volts, charge = battery.state(float(x[-1]), current * self._resistance)
         volts *= self._volts
         after, load = np.empty(len(x)), np.empty(6)
         sag = min(1.0, volts / (battery.cells * 4.2))
@@ -175,5 +175,5 @@ class Multirotor:
         current = battery.full_throttle_a * float(load[4])
         after[-2] = current
         after[-1] += current * steps * dt
-        load[3], load[4], load[5] = volts, current, left
+        load[3], load[4], load[5] = volts, current, charge
         return after, load

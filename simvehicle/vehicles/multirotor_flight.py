@@ -118,9 +118,9 @@ def _spin(
     for i in range(controls.shape[0]):
         wanted = _commanded(controls[i], sag, rotors[i, 4], frame)
         lag = frame.spin_up_s if wanted > speeds[0, i] else frame.spin_down_s
-        left = math.exp(-0.5 * dt / lag)  # of the difference after half a step
-        speeds[1, i] = wanted + (speeds[0, i] - wanted) * left
-        speeds[2, i] = wanted + (speeds[0, i] - wanted) * left * left
+        remaining = math.exp(-0.5 * dt / lag)  # of the difference after half a step
+        speeds[1, i] = wanted + (speeds[0, i] - wanted) * remaining
+        speeds[2, i] = wanted + (speeds[0, i] - wanted) * remaining * remaining
 
 
 @compiled

@@ -70,11 +70,11 @@ def euler_derivative(
     de, da, dr, dt = controls.tolist()
     rate = _derivative(state, (de, da, dr, dt), gravity, density, body, aero)
     p, qq, r = x[9:]
-    turn = qq * math.sin(roll) + r * math.cos(roll)
+    yaw_part = qq * math.sin(roll) + r * math.cos(roll)
     angles = (
-        p + turn * math.tan(pitch),
+        p + yaw_part * math.tan(pitch),
         qq * math.cos(roll) - r * math.sin(roll),
-        turn / math.cos(pitch),
+        yaw_part / math.cos(pitch),
     )
     return np.array([*rate[:6], *angles, *rate[10:]])
 

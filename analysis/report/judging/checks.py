@@ -74,8 +74,8 @@ def _formal(check: Check) -> bool:
     return check.name in FORMAL or check.name.startswith("link from")
 
 
-def held(t_s: Vector, beyond: NDArray[np.bool_], hold_s: float) -> list[tuple[float, float]]:
-    """Stretches of at least `hold_s` in which a condition held at every sample.
+def lasting(t_s: Vector, beyond: NDArray[np.bool_], hold_s: float) -> list[tuple[float, float]]:
+    """Stretches of at least `hold_s` in which a condition was true at every sample.
 
     A sample stands for the time until the next one, but not across a gap in the data.
     """
@@ -105,8 +105,8 @@ def level(
     verdict, windows, worst = PASS, [], []
     for label, t_s, value in rows:
         sign = -1.0 if limits.below else 1.0
-        failing = held(t_s, sign * value > sign * limits.fail, limits.hold_s)
-        warning = held(t_s, sign * value > sign * limits.warn, limits.hold_s)
+        failing = lasting(t_s, sign * value > sign * limits.fail, limits.hold_s)
+        warning = lasting(t_s, sign * value > sign * limits.warn, limits.hold_s)
         found = FAIL if failing else WARN if warning else PASS
         if RANK[found] > RANK[verdict]:
             verdict = found

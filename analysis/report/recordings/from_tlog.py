@@ -91,9 +91,9 @@ def recording_of(
     for system in systems or [0]:
         own = {key: rows[rows["system"] == system] for key, rows in columns.items()}
         own = {key: rows for key, rows in own.items() if len(rows)} if systems else columns
-        own, said = _without_placeholder(own)
+        own, warnings = _without_placeholder(own)
         clock, notes = clock_of(own, system, t0_us)
-        notes += said
+        notes += warnings
         found.notes.extend(notes)
         suffix = f" (system {system})" if len(systems) > 1 else ""
         vehicles.append(_Vehicle(system, own, clock, suffix, *_kind(own)))

@@ -95,8 +95,8 @@ class AutopilotFlight(Flight):
             )
             try:
                 loop.run(round(self.duration_s * 1e6))
-            except LeftError as left:
-                return left.limit, plane.steps
+            except LeftError as error:
+                return error.limit, plane.steps
             except (PeerGoneError, AutopilotSilentError) as gone:
                 raise ConfigError(f"autopilot: {gone}, {self.t_us * 1e-6:.1f} s on") from gone
         return 0, plane.steps

@@ -14,7 +14,7 @@ from analysis.estimators.ekf import Ekf
 from analysis.estimators.estimator import SEA_LEVEL_DENSITY_KGPM3
 from analysis.search.evaluation.traced_flight import Trace, estimated, traced, with_all_sensors
 from analysis.search.lanes import rows
-from analysis.search.lanes.filter_lanes import EKF, HEARD, LEVELLED, MAHONY, MEMORY, Gains
+from analysis.search.lanes.filter_lanes import EKF, FILTER_SIZE, HEARD, LEVELLED, MAHONY, Gains
 from analysis.search.lanes.lane_state import Envelope
 from analysis.search.lanes.noise_kernel import GENERATORS, streams
 from analysis.search.lanes.search_kernel import Plan, fly
@@ -44,8 +44,8 @@ class Outcome(NamedTuple):
     the flight left the envelope, minus the share of the time that was left (-1 to 0); `spread_deg`
     (n,) is its standard deviation over the noise draws. `rmse_deg` and `largest_deg` (n, 4): roll,
     pitch, yaw, angle (in the kernels 0 unless the criterion is the angle), means over the noise
-    draws. `lasted_s` (n,); `left` (n,) numbers of `rows.LIMITS`; `steps` that were flown and
-    scored, all in all.
+    draws. `lasted_s` (n,); `broken_limit` (n,) numbers of `rows.LIMITS`; `steps` that were flown
+    and scored, all in all.
     """
 
     fitness: Array
@@ -53,7 +53,7 @@ class Outcome(NamedTuple):
     rmse_deg: Array
     largest_deg: Array
     lasted_s: Array
-    left: NDArray[np.int64]
+    broken_limit: NDArray[np.int64]
     steps: int
 
 
@@ -112,7 +112,7 @@ class Batch:
             return outcome_of(columns, self.test)
         once = self._flown(flights, seed, numbers[:, 0])
         columns = np.repeat(once[:, :, None], draws, axis=2)
-        stays = once[rows.LEFT] == 0.0
+        stays = once[rows.BROKEN_LIMIT] == 0.0
         if stays.any():
             rest = np.repeat(flights[:, stays], draws - 1, axis=1)
             again = self._flown(rest, seed, numbers[stays, 1:].ravel())
@@ -124,13 +124,13 @@ class Batch:
         columns = padded(flights)
         noise = np.ones((GENERATORS, columns.shape[1]), dtype=np.uint64)
         noise[:, : len(numbers)] = streams(seed, numbers)
-        memory = start_memory(self.test.estimator, columns)
-        fly(columns, memory, noise, self.plan)
+        filters = start_filters(self.test.estimator, columns)
+        fly(columns, filters, noise, self.plan)
         if self.test.estimator not in COMPILED:
-            for lane in np.flatnonzero(columns[rows.LEFT, : len(numbers)] == 0.0):
+            for lane in np.flatnonzero(columns[rows.BROKEN_LIMIT, : len(numbers)] == 0.0):
                 column, number = flights[:, lane], int(numbers[lane])
                 plan = with_all_sensors(self.plan)
-                self._score(columns[:, lane], traced(plan, column, memory[lane], seed, number))
+                self._score(columns[:, lane], traced(plan, column, filters[lane], seed, number))
         return columns[:, : len(numbers)]
 
     def _score(self, column: Array, flight: Trace) -> None:
@@ -218,23 +218,23 @@ def padded(columns: Array) -> Array:
     return np.ascontiguousarray(np.concatenate([columns, filler], axis=1))
 
 
-def start_memory(name: str, columns: Array) -> Array:
-    """The filters' start states (n, MEMORY) at the true attitude and velocity."""
+def start_filters(name: str, columns: Array) -> Array:
+    """The filters' start states (n, FILTER_SIZE) at the true attitude and velocity."""
     count = columns.shape[1]
-    memory = np.zeros((count, MEMORY))
+    filters = np.zeros((count, FILTER_SIZE))
     if COMPILED.get(name, HEUN) == HEUN:
-        memory[:, 0] = 1.0
-        return memory
+        filters[:, 0] = 1.0
+        return filters
     estimator = make(name)
     x = estimator.start(Prior(0, np.array([1.0, 0.0, 0.0, 0.0]))).x
-    memory[:, : len(x)] = x
+    filters[:, : len(x)] = x
     if isinstance(estimator, Ekf):
-        memory[:, HEARD], memory[:, LEVELLED] = -estimator.gps_timeout_s, 0.0
+        filters[:, HEARD], filters[:, LEVELLED] = -estimator.gps_timeout_s, 0.0
     q = columns[rows.STATE + 6 : rows.STATE + 10]
-    memory[:, :4] = q.T
+    filters[:, :4] = q.T
     if COMPILED[name] == EKF:
-        memory[:, 7:10] = ned_velocity(q, columns[rows.STATE + 3 : rows.STATE + 6]).T
-    return memory
+        filters[:, 7:10] = ned_velocity(q, columns[rows.STATE + 3 : rows.STATE + 6]).T
+    return filters
 
 
 def ned_velocity(q: Array, v_b_mps: Array) -> Array:
@@ -249,7 +249,7 @@ def outcome_of(columns: Array, test: TestFile) -> Outcome:
     safe = np.maximum(count, 1.0)
     rmse = np.degrees(np.sqrt(columns[rows.SQUARES : rows.SQUARES + 4] / safe))
     largest = np.degrees(columns[rows.LARGEST : rows.LARGEST + 4])
-    left = columns[rows.LEFT].max(axis=1).astype(np.int64)
+    limit = columns[rows.BROKEN_LIMIT].max(axis=1).astype(np.int64)
     lasted = np.minimum(count.min(axis=1) * test.dt_s / (test.duration_s + test.dt_s), 1.0)
     state = columns[rows.STATE_SQUARES : rows.STATE_SQUARES + 12] / safe
     worst = {
@@ -257,15 +257,15 @@ def outcome_of(columns: Array, test: TestFile) -> Outcome:
         "angle": lambda: rmse[3],
         "state": lambda: np.sqrt((state / squares_of(test.state_scales)).mean(axis=0)),
     }[test.criterion]()
-    fitness = np.where(left > 0, lasted - 1.0, worst.mean(axis=1))
+    fitness = np.where(limit > 0, lasted - 1.0, worst.mean(axis=1))
     return Outcome(
         np.nan_to_num(fitness, nan=-1.0),
         worst.std(axis=1),
         rmse.mean(axis=2).T,
         largest.mean(axis=2).T,
         lasted * test.duration_s,
-        left,
-        int(np.where(left > 0, count.max(axis=1), count.sum(axis=1)).sum()),
+        limit,
+        int(np.where(limit > 0, count.max(axis=1), count.sum(axis=1)).sum()),
     )
 
 

@@ -45,12 +45,13 @@ class Trace:
         return np.array([errors(q, truth) for q, truth in pairs])
 
 
-def traced(plan: Plan, flight: Array, memory: Array, seed: int, number: int) -> Trace:
-    """Fly one column (ROWS,) with noise `number` of `seed`; `memory` (MEMORY,) as the filters'."""
+def traced(plan: Plan, flight: Array, filters: Array, seed: int, number: int) -> Trace:
+    """Fly one column (ROWS,) with noise `number` of `seed`; `filters` (FILTER_SIZE,) as the
+    filters'."""
     plan = plan._replace(angle=True)
     lanes = np.ascontiguousarray(np.repeat(flight[:, None], rows.LANES, axis=1))
     noise = np.repeat(streams(seed, np.array([number])), rows.LANES, axis=1)
-    out = trace(lanes, np.repeat(memory[None, :], rows.LANES, axis=0), noise, plan)
+    out = trace(lanes, np.repeat(filters[None, :], rows.LANES, axis=0), noise, plan)
     state, measured, estimate, q, alive = np.split(
         out, np.cumsum([13, rows.CHANNELS, 9, 4]), axis=1
     )

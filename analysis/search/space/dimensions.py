@@ -177,4 +177,4 @@ def _fault(columns: Array, test: TestFile, slot: int, values: Mapping[str, Array
     columns[base + rows.RATE] = value * unit if kind == "drift" else 0.0
     columns[base + rows.SPREAD] = value * unit if kind == "noise" else 0.0
     columns[base + rows.HOLD] = 1.0 if kind == "freeze" else 0.0
-    columns[base + rows.HELD] = np.nan
+    columns[base + rows.FROZEN] = np.nan
