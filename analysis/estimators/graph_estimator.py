@@ -19,9 +19,9 @@ from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.fusion_state import FusionState
 from analysis.fusion.local_frame import quaternion
 from analysis.fusion.smoother import Fusion
-from analysis.orbits.broadcast import geodetic, ned_axes
 from analysis.results import Decision, FusedState
 from analysis.samples.sample import ImuSample, Sample, Vector
+from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 from mavproxy_fault.numerics.rotation_kernel import matrix, turned
 
 PRIOR_RAD = 0.05  # how sure the first attitude is

@@ -8,10 +8,10 @@ import numpy as np
 
 from analysis.fusion.graph import Graph
 from analysis.fusion.local_frame import quaternion
-from analysis.orbits.broadcast import geodetic, ned_axes
 from analysis.results import FusedState
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 from mavproxy_fault.numerics.linear import apply, multiply, transposed
 
 UNKNOWN_DEG = (180.0, 180.0, 180.0)

@@ -21,10 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.orbits.broadcast import B1I_HZ, B3I_HZ, L1_HZ, LIGHT_MPS
+from analysis.orbits.broadcast import B1I_HZ, B3I_HZ
 from analysis.orbits.glonass import CENTRE_HZ, CHANNEL_HZ
 from analysis.samples.sample import Epoch, Vector
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
 
 PREFERRED = {
     "G": ("1C", "1X", "1L", "1S", "1W", "1P"),
@@ -207,11 +208,11 @@ def _epoch(week: int, tow_s: float, rows: list[_Row], channels: dict[str, int]) 
         return None
     table = np.array([row[1] for row in rows])
     carriers: Vector | None = None
-    rates = table[:, 1] * (-LIGHT_MPS / L1_HZ)
+    rates = table[:, 1] * (-SPEED_OF_LIGHT_MPS / L1_HZ)
     if any(row[2] != L1_HZ for row in rows):
         carriers = np.array([hz + CHANNEL_HZ * channels.get(name, 0) for name, _, hz in rows])
         unknown = [name[0] == "R" and name not in channels for name, _, _ in rows]
-        rates = np.where(unknown, np.nan, table[:, 1] * (-LIGHT_MPS / carriers))
+        rates = np.where(unknown, np.nan, table[:, 1] * (-SPEED_OF_LIGHT_MPS / carriers))
     return Epoch(
         t_us=round((week * 604_800 + tow_s) * 1e6),
         week=week,

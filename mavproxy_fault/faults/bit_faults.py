@@ -49,7 +49,9 @@ class BitFlip(ValueFault, frozen=True, kw_only=True):
         if self.bit is None:
             chosen = [int(b) for b in rng.choice(width, min(self.value, width), replace=False)]
         else:
+            # A schedule may name bit 40 for fields of 64 and of 32 bits alike.
             chosen = [self.bit % width]
+        # On the wire's own bytes: floats flip sign, exponent or mantissa.
         word = int.from_bytes(packer.pack(value), "little")
         for bit in chosen:
             word ^= 1 << bit

@@ -66,6 +66,9 @@ class LinkFault(msgspec.Struct, frozen=True, kw_only=True):
     takes_bytes: ClassVar[bool] = True
     takes_sealed: ClassVar[bool] = True
 
+    def new_state(self, start_us: int) -> Any:
+        """Nothing to remember, for the faults that treat each frame by itself."""
+
 
 class Holder(Protocol):
     """A fault that keeps frames back until others have come."""

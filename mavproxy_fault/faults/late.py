@@ -30,6 +30,7 @@ class Lag(ValueFault, frozen=True, kw_only=True):
         """The newest values that are old enough."""
         rows: dict[Key, tuple[Row, ...]] = state or {}
         past = (*rows.get(key, ()), (t_s, before))[-ROWS_MAX:]
+        # The newest row that is as old as asked for; rows before it are never needed again.
         old = 0
         while old + 1 < len(past) and past[old + 1][0] <= t_s - self.value + CLOSE_S:
             old += 1

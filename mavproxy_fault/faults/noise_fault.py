@@ -46,6 +46,7 @@ class RandomWalk(ValueFault, frozen=True, kw_only=True):
         """Take a step as long as the time since the last frame of this sender calls for."""
         walks: dict[tuple[int, ...], tuple[float, tuple[float, ...]]] = state or {}
         last_s, walked = walks.get(key, (0.0, (0.0,) * len(before)))
+        # Variance grows with time, not with frames: lost frames do not slow the walk.
         sigma = self.value * math.sqrt(max(t_s - last_s, 0.0))
         steps = rng.normal(0.0, 1.0, len(before)) * sigma
         now = tuple(w + float(step) for w, step in zip(walked, steps, strict=True))

@@ -58,9 +58,11 @@ class InSimulator(msgspec.Struct, frozen=True, kw_only=True):
         """Pass the frame; answer a simulator's with the values."""
         passed = Outgoing(t_us, frame)
         since_us = t_us - state.at_us
+        # Only a simulator obeys, and a changing value need not be sent with every frame.
         if frame.component != SIMULATOR[1] or (state.values is not None and since_us < STEP_US):
             return [passed], state
         values, inner = self.values((t_us - state.start_us) / 1e6, state.inner, rng)
+        # Repeated now and then, as a datagram may be lost.
         if values == state.values and since_us < REPEAT_US:
             return [passed], state._replace(inner=inner)
         target = (frame.system, frame.component)

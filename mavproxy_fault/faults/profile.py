@@ -138,12 +138,14 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             )
         elif self.impulses is not None:
             train = self.impulses
+            # Closed at the start, open at the end: a frame at the very edge belongs to one only.
             passed_s = since_last(t_s, train.period_s)
             found = train.amplitude if passed_s < train.width_s - CLOSE_S else None
         elif self.table is not None:
             found = state.at(t_s)
         else:
             assert self.live is not None
+            # A stream that has stopped must not go on falsifying with its last value.
             fresh = state is not None and t_s - state[0] <= self.live.timeout_s
             found = state[1] if fresh else None
         return self.otherwise if found is None else found
@@ -180,6 +182,7 @@ def at(segments: Sequence[Piece], t_s: float, *, open_left: bool) -> float | Non
 
 def since_last(t_s: float, period_s: float) -> float:
     """Seconds since the last whole period, robust against rounding."""
+    # Stamps are sums of steps: just below a multiple of the period is meant to be that multiple.
     return t_s - int((t_s + CLOSE_S) / period_s) * period_s
 
 

@@ -66,12 +66,14 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         payload = rtcm.tunnel_payload(frame)
         if payload is None:
             return [Outgoing(t_us, frame)], state
+        # Not fragmented: whole in this frame.
         if not payload[0] & 1:
             return self._patched((frame,), payload[1:], payload[0] >> 3, t_us, state, rng)
         key = (frame.system, frame.component, payload[0] >> 3)
         number = payload[0] >> 1 & 3
         old = state.partial.get(key)
         broken: list[Outgoing] = []
+        # A second fragment of this number belongs to the next message: one before was lost.
         if old is not None and (number in old.parts or t_us - old.since_us > HOLD_US):
             broken, old = _unpatched(old, t_us), None
         since_us, frames, parts = old or PartialMessage(t_us, (), {})
@@ -100,6 +102,7 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         changes_m, lost, inner = self._errors(frames[0], present, t_us, state, rng)
         state = state._replace(inner=inner)
         message = patch_msm7(data, changes_m, lost)
+        # Nothing changed: the fragments leave byte for byte as they came.
         if message == data:
             return healthy, state
         size_m = max((abs(change) for change in changes_m.values()), default=math.nan)

@@ -54,9 +54,11 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
         places = places_of(frame.id, self.elements[frame.id])
         before = values_at(frame, places)
         factors = self.factors.get(frame.id)
+        # Targets may have other units (mG, cm/s); the fault thinks in that of the first.
         seen = before if factors is None else [x / f for x, f in zip(before, factors, strict=True)]
         key = sender(frame) if self.by_sender else ()
         after, inner = self.after(seen, key, (t_us - state.start_us) / 1e6, state.inner, rng)
+        # Most faults keep nothing: no new tuple for each frame.
         if inner is not state.inner:
             state = ValueState(state.start_us, inner)
         if factors is not None:
@@ -86,6 +88,7 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
 
 def sender(frame: Frame) -> tuple[int, ...]:
     """Who sent a frame: system, component, message id and instance."""
+    # Two sensors of one vehicle send the same message; the instance tells them apart.
     name = frame.layout.instance or ("id" if "id" in frame.layout.fields else "")
     value = frame.read(name) if name else 0
     return (frame.system, frame.component, frame.id, value if isinstance(value, int) else 0)

@@ -232,6 +232,7 @@ class Live:
             If it is refused.
         """
         with short_turns():
+            # Reading and checking happens on the asker's thread: the loop must not wait for it.
             act = None if key.endswith(WATCH) else self.control.prepare(key, payload)
         return self.do(lambda: self._act(key, payload, act))
 

@@ -76,6 +76,7 @@ class Source:
             return
         self._periods[sent] = period
         size = self._payload.size
+        # MAVLink 2 cuts trailing zeros; fields of a newer dialect behind ours are cut off.
         values = self._payload.unpack(frame.payload[:size].ljust(size, b"\0"))
         rows.append((t_us, *values))
 
@@ -140,6 +141,7 @@ class View:
         """Look at bytes that left."""
         if len(raw) < 8:
             return
+        # Only the id is read: most bytes that leave are watched by nobody.
         number = int.from_bytes(raw[7:10], "little") if raw[0] == STX_V2 else raw[5]
         if number in self.ids:
             self._note(Frame(raw, known(number)), t_us, sent=True)
@@ -152,6 +154,7 @@ class View:
             key = (name, frame.system, frame.component, instance)
             source = self._sources.get(key)
             if source is None:
+                # Anybody on a link can make up senders.
                 if len(self._sources) >= MOST_SOURCES:
                     return
                 source = self._sources[key] = new_source(name)

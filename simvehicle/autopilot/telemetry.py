@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 
+from mavproxy_fault.numerics.rotation import euler_angles
 from simvehicle.autopilot.enums import (
     AUTOPILOT_PX4,
     BaseMode,
@@ -63,12 +64,7 @@ class Snapshot:
     @property
     def euler_rad(self) -> tuple[float, float, float]:
         """Roll, pitch and yaw."""
-        w, x, y, z = self.truth.q_nb.tolist()
-        return (
-            math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
-            math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x)))),
-            math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
-        )
+        return euler_angles(self.truth.q_nb.tolist())
 
 
 def heartbeat(now: Snapshot) -> Message:

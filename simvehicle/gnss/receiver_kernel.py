@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
-from simvehicle.gnss.pseudorange import geodetic, sights
+from mavproxy_fault.numerics.earth_kernel import geodetic_of
+from simvehicle.gnss.pseudorange import sights
 
 Vector = NDArray[np.float64]
 
@@ -155,7 +156,7 @@ def navigate(
 @compiled
 def _hold(known_height: tuple[float, float], x: Vector, design: Vector, residual: Vector) -> None:
     """Make the last row that of a height which is measured."""
-    lat, lon, height = geodetic(x[0], x[1], x[2])
+    lat, lon, height = geodetic_of(x[0], x[1], x[2])
     design[-1, 0] = cos(lat) * cos(lon)
     design[-1, 1] = cos(lat) * sin(lon)
     design[-1, 2] = sin(lat)
@@ -183,7 +184,7 @@ def _add_motion(
 @compiled
 def _add_local(out: Vector, covariance: Vector) -> None:
     """Geodetic coordinates, the velocity in NED and the standard deviations in NED."""
-    lat, lon, height = geodetic(out[PLACE], out[PLACE + 1], out[PLACE + 2])
+    lat, lon, height = geodetic_of(out[PLACE], out[PLACE + 1], out[PLACE + 2])
     out[GEODETIC], out[GEODETIC + 1], out[GEODETIC + 2] = lat, lon, height
     axes = axes_en(lat, lon)
     for a in range(3):

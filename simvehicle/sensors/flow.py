@@ -55,10 +55,13 @@ class OpticalFlow(SensorParameters, frozen=True, kw_only=True):
         p, q, r = truth.omega_b_rps.tolist()
         gain = 1.0 + self.gyro.scale
         gyro = (gain * p + gyro_x) * dt, (gain * q + gyro_y) * dt, (gain * r + gyro_z) * dt
+        # MAVLink: a negative distance is unknown, quality 0 is bad and 255 the best.
         flow, shown, quality = (0.0, 0.0), -1.0, 0
         if self.min_m <= distance <= self.max_m:
             vx, vy, _ = into_body(truth.q_nb.tolist(), truth.v_ned_mps.tolist())
             gain = 1.0 + self.flow.scale
+            # Flying forward (vx) moves the image as pitching up (q) would, flying right (vy) as
+            # rolling left.
             x, y = gain * (p - vy / distance), gain * (q + vx / distance)
             flow, shown, quality = ((x + flow_x) * dt, (y + flow_y) * dt), distance, 255
         reading = FlowReading(truth.t_us, dt, flow, gyro, shown, quality)

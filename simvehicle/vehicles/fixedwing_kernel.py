@@ -84,6 +84,7 @@ def propulsion(
     airspeed: float, throttle: float, density: float, aero: Aero
 ) -> tuple[float, float, float]:
     """Thrust [N], torque on the airframe [N m] and motor current [A] (0 without a motor model)."""
+    # The first edition: momentum of the air through the disc, section 4.3.
     square = aero.k_motor * throttle
     simple = 0.5 * density * aero.disc * (square * square - airspeed * airspeed)
     simple_torque = -aero.torque * throttle * throttle
@@ -98,6 +99,7 @@ def propulsion(
     volts = aero.v_max * throttle
     cc = aero.cq2 * d3 * airspeed * airspeed - aero.kq * volts * conductance + aero.kq * aero.i0
     disc = bb * bb - 4.0 * a * cc
+    # No torque balance: the wind would drive the propeller. It then stands still.
     disc = disc if disc > 0.0 else 0.0
     omega = (np.sqrt(disc) - bb) * (0.5 / a)
     omega = omega if omega > 0.0 else 0.0
@@ -107,6 +109,7 @@ def propulsion(
     thrust = density * d * d * (aero.ct0 * nd * nd + aero.ct1 * nd * va + aero.ct2 * va * va)
     torque = -d3 * (aero.cq0 * nd * nd + aero.cq1 * nd * va + aero.cq2 * va * va)
     current = (volts - aero.kq * omega) * conductance
+    # A choice by arithmetic, since a branch would keep lanes apart.
     use = aero.direct_current
     rest = 1.0 - use
     return use * thrust + rest * simple, use * torque + rest * simple_torque, use * current

@@ -53,6 +53,7 @@ class _Plane:
         self.steps += 1
         limit = self._limit(found[1])
         if limit:
+            # An exception, since the loop that is shared with the simulator knows no envelope.
             raise LeftError(limit)
         return found
 
@@ -138,6 +139,7 @@ def started(choice: AutopilotChoice, port: int) -> Iterator[Process]:
     try:
         yield process
     finally:
+        # First kindly: an autopilot may want to write its log.
         process.terminate()
         try:
             process.wait(ENDS_S)

@@ -32,6 +32,7 @@ from simvehicle.environment.air import GUSTS
 from simvehicle.vehicles.fixedwing import FixedWing
 
 Array = NDArray[np.float64]
+# Usual rates of a magnetometer, a GPS receiver and a pitot tube on a small aircraft.
 FIELD_HZ, VELOCITY_HZ, PRESSURE_HZ = 25.0, 5.0, 10.0
 HEUN = 0
 COMPILED = {"inverse-model": HEUN, "complementary": MAHONY, "mahony": MAHONY, "ekf": EKF}
@@ -103,15 +104,19 @@ class Batch:
         """
         flights = flights_of(self.test, values)
         count = flights.shape[1]
+        # Each draw of each evaluation has its own number, so that any split of the work gives the
+        # same.
         numbers = first * draws + np.arange(count * draws).reshape(count, draws)
         if alike:
             numbers = np.broadcast_to(numbers[0], numbers.shape)
+        # For few flights, or where gusts move the aircraft, sorting out does not pay or is wrong.
         if count < 2 * rows.LANES or draws == 1 or self.plan.gusts:
             columns = self._flown(np.repeat(flights, draws, axis=1), seed, numbers.ravel())
             columns = columns.reshape(rows.ROWS, count, draws)
             return outcome_of(columns, self.test)
         once = self._flown(flights, seed, numbers[:, 0])
         columns = np.repeat(once[:, :, None], draws, axis=2)
+        # Only those flights have a fitness that depends on the noise.
         stays = once[rows.BROKEN_LIMIT] == 0.0
         if stays.any():
             rest = np.repeat(flights[:, stays], draws - 1, axis=1)
@@ -128,6 +133,7 @@ class Batch:
         fly(columns, filters, noise, self.plan)
         if self.test.estimator not in COMPILED:
             for lane in np.flatnonzero(columns[rows.BROKEN_LIMIT, : len(numbers)] == 0.0):
+                # From the start column: the kernel has written over its own copy.
                 column, number = flights[:, lane], int(numbers[lane])
                 plan = with_all_sensors(self.plan)
                 self._score(columns[:, lane], traced(plan, column, filters[lane], seed, number))
@@ -143,6 +149,7 @@ class Batch:
 
 def plan_of(test: TestFile, vehicle: FixedWing) -> Plan:
     """The kernel's view of a test."""
+    # The field points down by the inclination and east of north by the declination.
     dip, variation = np.radians([test.inclination_deg, test.declination_deg])
     north, down = test.field_gauss * np.cos(dip), test.field_gauss * np.sin(dip)
     return Plan(
@@ -200,6 +207,7 @@ def envelope_of(test: TestFile) -> Envelope:
     """The limits as the kernel compares them."""
     limits = test.envelope
     return Envelope(
+        # Compared as sine and tangents, which are at hand, so that no lane needs an arc function.
         float(np.sin(np.radians(limits.pitch_deg))),
         float(np.tan(np.radians(limits.alpha_deg))),
         float(np.tan(np.radians(limits.beta_deg))),
@@ -214,6 +222,7 @@ def padded(columns: Array) -> Array:
     """Columns filled up to a multiple of LANES with dead copies of the first."""
     missing = -columns.shape[1] % rows.LANES
     filler = np.repeat(columns[:, :1], missing, axis=1)
+    # Dead from the start: they cost time in their vector only, and their scores are cut off.
     filler[rows.ALIVE] = 0.0
     return np.ascontiguousarray(np.concatenate([columns, filler], axis=1))
 
@@ -226,6 +235,7 @@ def start_filters(name: str, columns: Array) -> Array:
         filters[:, 0] = 1.0
         return filters
     estimator = make(name)
+    # Covariance and biases as the estimator starts; attitude and velocity are put in below.
     x = estimator.start(Prior(0, np.array([1.0, 0.0, 0.0, 0.0]))).x
     filters[:, : len(x)] = x
     if isinstance(estimator, Ekf):
@@ -246,6 +256,7 @@ def ned_velocity(q: Array, v_b_mps: Array) -> Array:
 def outcome_of(columns: Array, test: TestFile) -> Outcome:
     """Scores from the rows (ROWS, n, draws) that the kernel left."""
     count = columns[rows.COUNT]
+    # A flight may leave the envelope before its first sample is scored.
     safe = np.maximum(count, 1.0)
     rmse = np.degrees(np.sqrt(columns[rows.SQUARES : rows.SQUARES + 4] / safe))
     largest = np.degrees(columns[rows.LARGEST : rows.LARGEST + 4])
@@ -257,8 +268,10 @@ def outcome_of(columns: Array, test: TestFile) -> Outcome:
         "angle": lambda: rmse[3],
         "state": lambda: np.sqrt((state / squares_of(test.state_scales)).mean(axis=0)),
     }[test.criterion]()
+    # From -1 to 0: a search is led back inside, since longer flights are better than shorter.
     fitness = np.where(limit > 0, lasted - 1.0, worst.mean(axis=1))
     return Outcome(
+        # An estimator that diverges to NaN tells nothing that could be ranked.
         np.nan_to_num(fitness, nan=-1.0),
         worst.std(axis=1),
         rmse.mean(axis=2).T,

@@ -106,6 +106,7 @@ class Flown:
         flights = []
         for i in range(count):
             mine = {name: float(column[i]) for name, column in values.items()}
+            # The seed of a flight comes from its number, as in the compiled form.
             number = first if alike else first + i
             flights.append(
                 [self.scores(mine, seed, number * draws + draw) for draw in range(draws)]
@@ -181,6 +182,7 @@ def chosen(test: TestFile, summary: dict[str, Any]) -> dict[str, Any]:
             "autopilot: nothing was heard of its attitude; it has to send ATTITUDE or "
             "ATTITUDE_QUATERNION on `link` or `telemetry`"
         )
+    # By name the longer one is the greater.
     found = summary[max(summary)]  # ATTITUDE_QUATERNION, where there are both
     return found
 
@@ -188,6 +190,7 @@ def chosen(test: TestFile, summary: dict[str, Any]) -> dict[str, Any]:
 def broken(truth: Truth, limits: Limits) -> int:
     """The number of the limit that the flight is beyond (see `rows.LIMITS`), 0 within."""
     u, v, w = truth.v_air_b_mps.tolist()
+    # In the airframe's plane of symmetry, where the angle of attack lies.
     plane, speed = float(np.hypot(u, w)), float(np.hypot(np.hypot(u, w), v))
     low, high = limits.airspeed_mps
     _, pitch, _ = euler_angles(truth.q_nb.tolist())
