@@ -58,6 +58,7 @@ class Ekf:
     def start(self, prior: Prior) -> EkfState:
         """The prior with `start_sigma`; GPS is taken as missing until its first fix."""
         sigma = np.repeat(self.start_sigma, 3)
+        # The bias is unknown at start, so that it begins at zero with its sigma.
         x = np.concatenate([prior.q_nb, np.zeros(3), prior.v_ned_mps, np.diag(sigma**2).ravel()])
         timeout_us = round(self.gps_timeout_s * 1e6)
         return EkfState(

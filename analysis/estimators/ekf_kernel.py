@@ -52,6 +52,7 @@ def predict(
     """
     rx, ry, rz = imu[0] - x[4], imu[1] - x[5], imu[2] - x[6]
     fx, fy, fz = imu[3], imu[4], imu[5]
+    # The force is turned to NED by the attitude in the middle of the step: exact to second order.
     half_way = quaternion_of_rotation(0.5 * rx * dt_s, 0.5 * ry * dt_s, 0.5 * rz * dt_s)
     rotate(x, half_way)
     rows = body_axes(x)
@@ -62,6 +63,7 @@ def predict(
         room[3 + i, 0] = -dt_s * (b * fz - c * fy)
         room[3 + i, 1] = -dt_s * (c * fx - a * fz)
         room[3 + i, 2] = -dt_s * (a * fy - b * fx)
+    # The specific force of free fall is zero; down is positive.
     x[9] += dt_s * STANDARD_GRAVITY_MPS2
     room[0, 0], room[0, 1], room[0, 2] = 1.0, dt_s * rz, -dt_s * ry
     room[1, 0], room[1, 1], room[1, 2] = -dt_s * rz, 1.0, dt_s * rx
@@ -120,9 +122,11 @@ def through(room: Room, i: int, j: int) -> float:
 def correct(x: Vector, gain: Vector, innovation: float, variance: float) -> None:
     """Take one scalar measurement of innovation variance `variance`; `gain` (9,) is P h."""
     for i in range(N):
+        # The upper half; `put` mirrors it, so that the covariance stays symmetric to the last bit.
         for j in range(i, N):
             put(x, i, j, x[P + N * i + j] - gain[i] * gain[j] / variance)
     size = innovation / variance
+    # The error is a rotation, not a number to add to the quaternion; its length stays one.
     rotate(x, quaternion_of_rotation(gain[0] * size, gain[1] * size, gain[2] * size))
     for i in range(6):
         x[4 + i] += gain[3 + i] * size
@@ -144,6 +148,7 @@ def correct_velocity(x: Vector, v_ned_mps: Vector, variance: float, room: Room) 
     gain = room[0]
     for axis in range(3):
         for i in range(N):
+            # h picks one velocity out, so that P h is a column of P.
             gain[i] = x[P + N * i + 6 + axis]
         innovation = v_ned_mps[axis] - x[7 + axis]
         correct(x, gain, innovation, variance + gain[6 + axis])
@@ -170,6 +175,7 @@ def head(x: Vector, field: Vector, declination_rad: float, variance: float, room
     (n_x, n_y, n_z), (e_x, e_y, e_z), (d_x, d_y, d_z) = body_axes(x)
     north = n_x * fx + n_y * fy + n_z * fz
     east = e_x * fx + e_y * fy + e_z * fz
+    # Over a magnetic pole the field has no heading: the small number keeps it finite.
     tilt = -(d_x * fx + d_y * fy + d_z * fz) / (north * north + east * east + 1e-12)
     h = (
         d_x + tilt * (north * n_x + east * e_x),
@@ -188,6 +194,7 @@ def level(x: Vector, imu: Vector, speed_mps: float, variance: float, room: Room)
     The attitude error moves gravity in body axes by g x t.
     """
     for axis in range(3):
+        # Anew for each axis, as the one before has moved the attitude.
         down = body_axes(x)[2]
         gx, gy, gz = (
             -STANDARD_GRAVITY_MPS2 * down[0],
@@ -217,6 +224,7 @@ def moved(
     dt_s = (t_us - stamps[NOW]) * 1e-6
     if dt_s <= 0.0:
         return
+    # Over a longer gap the IMU tells nothing: the state waits for the other sensors.
     if dt_s <= MAX_GAP_S:
         predict(x, imu, dt_s, numbers[0], numbers[1], numbers[2], room)
     if t_us - stamps[GPS] >= numbers[7] and t_us - stamps[TILT] >= numbers[6]:
@@ -237,6 +245,7 @@ def with_velocity(
         restart_velocity(x, v[3:6], numbers[3])
     else:
         correct_velocity(x, v[3:6], numbers[3], room)
+    # Fixes may come out of order; the silence counts from the newest.
     stamps[GPS] = max(t_us, stamps[GPS])
 
 

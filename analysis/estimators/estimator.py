@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from analysis.samples.block import ATTITUDE, IMU, TRUTH, Block, Indices, Stamps
 from analysis.samples.sample import Sample
 from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 
 Vector = NDArray[np.float64]
-SEA_LEVEL_DENSITY_KGPM3 = 1.225  # ISO 2533
 MAX_GAP_S = 0.5  # a longer pause between IMU samples is not integrated over
 
 

@@ -92,6 +92,7 @@ class FusedAttitude:
         x, p = motion.x.copy(), motion.p.copy()
         lat, lon, _ = geodetic(x[R : R + 3])
         x[X_Q : X_Q + 4] = quaternion(ned_axes(lat, lon).T @ matrix(state.q_nb))
+        # The prior has nothing to do with the other errors.
         p[PSI : PSI + 3, :] = p[:, PSI : PSI + 3] = 0.0
         p[PSI : PSI + 3, PSI : PSI + 3] = PRIOR_RAD**2 * np.eye(3)
         inner = state.detector.detector
@@ -102,6 +103,7 @@ class FusedAttitude:
     def _adopt(fused: FusedState, state: FusedAttitudeState) -> None:
         """The graph's attitude, turned from its epoch to the newest IMU sample."""
         graph = state.fusion.graph
+        # What the graph has seen; the rest leads from its epoch to now.
         while state.rates and state.rates[0][0] <= fused.t_us:
             state.rates.popleft()
         if graph is None or not graph.aligned:

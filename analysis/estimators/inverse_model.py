@@ -62,6 +62,7 @@ def heun(
 ) -> Vector:
     """One step of length `dt_s` between two samples."""
     slope0 = derivative(x, gyro0, accel0)
+    # With the sample at its own end: that is why the step uses both.
     slope1 = derivative(x + dt_s * slope0, gyro1, accel1)
     return x + 0.5 * dt_s * (slope0 + slope1)
 
@@ -84,6 +85,7 @@ def follow(
         if kind[i] != IMU:
             continue
         v = values[i, 0:6]
+        # The first sample stands for the one before it: Euler's step, once.
         if np.isnan(before[0]):
             before = v
         dt_s = (t_us[i] - now_us) * 1e-6

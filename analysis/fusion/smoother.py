@@ -85,6 +85,7 @@ class Fusion:
             return [], state
         decision = next((result for result in results if isinstance(result, Decision)), None)
         graph, source = state.graph, WAITING.get(type(sample))
+        # Behind the newest node: it belongs between older ones.
         if graph is not None and sample.t_us < graph.node.t_us:
             self._attach_late(graph, sample, source, core, state)
             return [], state
@@ -231,6 +232,7 @@ class Fusion:
             return None
         state.lost = False
         rotation, p = attitude_in(graph.frame, motion)
+        # Only a better attitude is put in: a worse one would draw the graph off.
         if graph.aligned and np.trace(p) >= np.trace(graph.covariance[:3, :3]):
             return None
         return rotation, p

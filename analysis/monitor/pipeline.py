@@ -95,6 +95,7 @@ class Pipeline:
     def push_rows(self, block: Block) -> list[tuple[int, Result]]:
         """The same with the row of the block that led to each."""
         if self._t0_us is None:
+            # Ephemerides carry no stamp of the vehicle.
             stamped = np.flatnonzero(block.kind < EPHEMERIS)
             self._t0_us = int(block.t_us[stamped[0]]) if len(stamped) else None
         if self._fusions:
@@ -107,6 +108,7 @@ class Pipeline:
         found += troubles
         errors, self._attitude_state = self._attitude.step_rows(block, self._attitude_state)
         found += errors
+        # By row, so that results do not hang on how the stream was cut into blocks.
         found.sort(key=itemgetter(0))
         base_us = self._t0_us or 0
         for _, result in found:  # they are this step's own, nobody has seen them yet
@@ -124,6 +126,7 @@ class Pipeline:
             )
             states += fused
         if states and self._feed_back is not None:
+            # Of the first fusion: the second is there for comparison only.
             core = self._feed_back(detector.core, self._fusion_states[0].graph)
             detector = detector._replace(core=core)
             self._detector_state = replace(self._detector_state, detector=detector)

@@ -106,7 +106,7 @@ class Server:
         """Let the compiled form forward until something is left to do here."""
         tend_ns, due_us = round(self._tend_s * 1e9), self.core.next_due_us
         due_ns = tend_ns if due_us is None else (due_us - AHEAD_US) * 1000 - self._base_ns
-        # The loop spins only for frames that are due, never for housekeeping.
+        # To the microsecond for frames that are due, not for housekeeping.
         forwarder.forward(min(tend_ns, due_ns), spin=self._busy_poll, precise=due_ns < tend_ns)
         if forwarder.pending:
             number, data, came_ns = forwarder.handed_over()

@@ -28,3 +28,6 @@ BEIDOU_EARTH_RATE_RPS = 7.2921150e-5
 
 # IS-GPS-200N, 3.3.1.1, and the Galileo OS SIS ICD 2.1, table 2: GPS L1 and Galileo E1.
 L1_HZ = 1575.42e6
+
+# ISO 2533:1975, the standard atmosphere at mean sea level.
+SEA_LEVEL_DENSITY_KGPM3 = 1.225

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from mavproxy_fault.numerics.rotation import euler_angles
 from simvehicle.autopilot.enums import (
     AUTOPILOT_PX4,
@@ -19,7 +20,6 @@ from simvehicle.hil.outgoing_message import PROTOCOL_VERSION, Message, message
 from simvehicle.sensors.readings import BatteryReading, GpsReading
 from simvehicle.vehicles.body import Truth
 
-DENSITY_SEA_LEVEL_KGPM3 = 1.225  # ISA
 NO_GPS_FIX = 1  # GPS_FIX_TYPE_NO_FIX
 # major, minor, patch, FIRMWARE_VERSION_TYPE_OFFICIAL: the PX4 release whose ways are followed
 FIRMWARE = 1 << 24 | 18 << 16 | 0 << 8 | 255
@@ -176,7 +176,7 @@ def vfr_hud(now: Snapshot) -> Message:
     airspeed = math.hypot(*truth.v_air_b_mps.tolist())
     return message(
         "VFR_HUD",
-        airspeed=airspeed * math.sqrt(truth.density_kgpm3 / DENSITY_SEA_LEVEL_KGPM3),
+        airspeed=airspeed * math.sqrt(truth.density_kgpm3 / SEA_LEVEL_DENSITY_KGPM3),
         groundspeed=math.hypot(north, east),
         heading=_heading_cdeg(now) // 100,
         throttle=round(now.throttle * 100),

@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
-from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotation import euler_angles
 from mavproxy_fault.numerics.rotation_kernel import to_body, to_ned
 from simvehicle.guidance.route import Aim, HoldTrack, PathTrack, Track
 from simvehicle.sensors.readings import Triple
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.multirotor import Multirotor
-from simvehicle.vehicles.multirotor_flight import SEA_LEVEL_KGPM3
 
 Array = NDArray[np.float64]
 _TRACK_GAIN = 1.0  # 1/s, cross-track error to closing speed
@@ -143,7 +142,7 @@ class MultirotorController:
         accel = self._acceleration(aim, height, (vn, ve, vd), room)
         yaw = self._yaw(aim, truth)
         motor = self.vehicle.parameters.motor
-        thrust = motor.thrust_n_per_rps2 * truth.density_kgpm3 / SEA_LEVEL_KGPM3
+        thrust = motor.thrust_n_per_rps2 * truth.density_kgpm3 / SEA_LEVEL_DENSITY_KGPM3
         values = np.empty(self.vehicle.controls_count)
         _motors(
             truth.q_nb,

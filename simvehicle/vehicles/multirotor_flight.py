@@ -15,13 +15,13 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from mavproxy_fault.numerics.rotation_kernel import to_body
 from simvehicle.vehicles.contact_kernel import Gear, contact
 from simvehicle.vehicles.rigidbody_kernel import Inertia, Loads, State13, integrated
 from simvehicle.vehicles.vehicle import DENSITY, GRAVITY, GROUND, SAG, WIND
 
 Array = NDArray[np.float64]
-SEA_LEVEL_KGPM3 = 1.225  # density at which thrust coefficients are given
 
 
 class Airframe(NamedTuple):
@@ -82,7 +82,7 @@ def _loads(state: State13, stage: int, given: _Given) -> Loads:
     for i in range(rotors.shape[0]):
         x, y = rotors[i, 0] - frame.shift_x, rotors[i, 1] - frame.shift_y
         omega = given.speeds[when, i]
-        thrust = frame.thrust * omega * omega * density / SEA_LEVEL_KGPM3
+        thrust = frame.thrust * omega * omega * density / SEA_LEVEL_DENSITY_KGPM3
         lift = thrust * rotors[i, 3]
         # The disc sees the air of its own place, moved by the yaw rate as well.
         hx = -frame.rotor_drag * omega * (ax - r * y)

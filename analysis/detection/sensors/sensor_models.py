@@ -17,10 +17,10 @@ import numpy as np
 
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from mavproxy_fault.numerics.earth_kernel import ecef_of
 
 SEA_LEVEL_PA = 101_325.0  # ICAO standard atmosphere, Doc 7488
-SEA_LEVEL_KGPM3 = 1.225
 ISA_KELVIN, ISA_LAPSE, ISA_EXPONENT = 288.15, 6.5e-3, 5.25588
 DENSITY_EXPONENT = 4.25588
 LEAST_UPRIGHT = 0.7  # a beam further off the vertical than 45 degrees says little
@@ -109,7 +109,7 @@ def pressure_altitude_m(pressure_pa: float) -> float:
 def density_kgpm3(altitude_m: float) -> float:
     """Density in the standard atmosphere below 11 km."""
     share = max(1.0 - ISA_LAPSE * altitude_m / ISA_KELVIN, 0.1)
-    return SEA_LEVEL_KGPM3 * math.pow(share, DENSITY_EXPONENT)
+    return SEA_LEVEL_DENSITY_KGPM3 * math.pow(share, DENSITY_EXPONENT)
 
 
 @compiled

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from analysis.estimators import Prior, make
 from analysis.estimators.complementary import Mahony
 from analysis.estimators.ekf import Ekf
-from analysis.estimators.estimator import SEA_LEVEL_DENSITY_KGPM3
 from analysis.search.evaluation.traced_flight import Trace, estimated, traced, with_all_sensors
 from analysis.search.lanes import rows
 from analysis.search.lanes.filter_lanes import EKF, FILTER_SIZE, HEARD, LEVELLED, MAHONY, Gains
@@ -26,7 +25,7 @@ from analysis.search.space.dimensions import (
     space_of,
 )
 from analysis.search.space.test_file import StateScales, TestFile
-from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotation import matrix_from_quat
 from simvehicle.environment.air import GUSTS
 from simvehicle.vehicles.fixedwing import FixedWing

@@ -15,6 +15,7 @@ from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.links.spec import parse_spec
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from simvehicle.scenario.scenario_file import read_scenario
 
 AUTOPILOT = "autopilot"
@@ -179,7 +180,7 @@ class TestFile(Section, frozen=True):
     sensors: Sensors = Sensors()
     faults: list[FaultRange] = msgspec.field(default_factory=list)
     envelope: Limits = Limits()
-    density_kgpm3: float = 1.225
+    density_kgpm3: float = SEA_LEVEL_DENSITY_KGPM3
     inclination_deg: float = 64.0
     declination_deg: float = 3.0
     field_gauss: float = 0.48
