@@ -17,6 +17,10 @@ WGS84_ECCENTRICITY2 = WGS84_FLATTENING * (2.0 - WGS84_FLATTENING)
 # The same document, table 3.1; the Galileo OS SIS ICD 2.1 and BDS-SIS-ICD-B1I 3.0 give it too.
 WGS84_GM_M3PS2 = 3.986004418e14
 
+# The sphere on which differences of degrees become metres where a part in 300 does not matter:
+# the mean radius of the International Union of Geodesy and Geophysics, to a kilometre.
+MEAN_EARTH_RADIUS_M = 6_371_000.0
+
 # IS-GPS-200N, table 20-IV: GPS keeps the value of 1984, with which its orbits are fitted.
 GPS_GM_M3PS2 = 3.986005e14
 

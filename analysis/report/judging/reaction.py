@@ -49,6 +49,7 @@ def reactions(
     spoken = [event for event in recording.events if _speaks(event)]
     raised = [e for e in spoken if not (e.kind == "flag" and e.text.endswith("cleared"))]
     heard = [_of_event(e, recording) for e in raised]
+    # The log was changed after the flight: the autopilot never saw the fault.
     if edited:
         heard = _of_checks(checks, recording)
     heard.sort(key=lambda window: window.start_us)
@@ -100,6 +101,7 @@ def _row(
     start_s = (label.start_us - recording.t0_us) * 1e-6
     end_us = label.end_us
     end_s = recording.duration_s if end_us is None else (end_us - recording.t0_us) * 1e-6
+    # What is said after the next fault began may be its doing.
     later = [(one.start_us - recording.t0_us) * 1e-6 for one in labels]
     until = min([end_s + ECHO_S, *(t_s for t_s in later if t_s > start_s)])
     found["reaction"] = [

@@ -13,8 +13,8 @@ from analysis.report.page.page_parts import Page
 from analysis.report.page.panels import BY_KEY, PANELS
 from analysis.report.page.series_colours import series_colours
 from analysis.report.recordings.recording import Recording, Signal, Track, Vector
+from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
-EARTH_RADIUS_M = 6_371_000.0  # for a picture of the track; nothing is measured on it
 HEADINGS = {"yaw", "error-yaw", "instance-yaw"}
 MARGIN_S = 2.0  # of a track, before arming and after
 MARKS_SHOWN, TRACK_POINTS = 1000, 20_000
@@ -108,8 +108,8 @@ def _tracks(tracks: Sequence[Track], numbers: PackedNumbers) -> list[Model]:
     colours = series_colours([track.name for track in tracks])
     found = []
     for track, colour in zip(tracks, colours, strict=True):
-        east = np.radians(track.lon_deg - lon0) * EARTH_RADIUS_M * np.cos(np.radians(lat0))
-        north = np.radians(track.lat_deg - lat0) * EARTH_RADIUS_M
+        east = np.radians(track.lon_deg - lon0) * MEAN_EARTH_RADIUS_M * np.cos(np.radians(lat0))
+        north = np.radians(track.lat_deg - lat0) * MEAN_EARTH_RADIUS_M
         step = max(1, len(track.t_s) // TRACK_POINTS)
         axes: tuple[tuple[str, Vector], ...] = (("e", east), ("n", north), ("u", track.alt_m))
         places: Model = {

@@ -99,7 +99,9 @@ def _add_modes(found: Recording, log: DataflashFile, start_us: int) -> None:
     if topic is None:
         return
     texts = " ".join(_text(text) for text in log.topics.get(("MSG", 0), {}).get("Message", [])[:20])
+    # The log has no type; the firmware says its name among the first texts.
     vehicle = FIXED_WING if "Plane" in texts else ROVERS[0] if "Rover" in texts else COPTER
+    # A mode lasts until the next one, the last one to the end.
     t_s = [*_seconds(topic, start_us).tolist(), found.duration_s]
     numbers = topic.get("ModeNum", topic.get("Mode", np.empty(0)))
     for i, number in enumerate(numbers.tolist()):
