@@ -129,6 +129,7 @@ class Graph:
         """
         old = self.node
         if attitude is not None:
+            # The attitude leaps here from unknown to known: no IMU may tie the two.
             edge = edge._replace(trusted=False, rate_sigma_rps=FREE_RATE_RPS)
         elif not self.aligned:
             edge = edge._replace(trusted=False)
@@ -158,6 +159,7 @@ class Graph:
             return None
         (start_us, i), (end_us, j) = self._track[at - 1], self._track[at]
         edge = self.epochs[j].edge
+        # Two epochs as close as this would be one, twice.
         if edge is None or min(t_us - start_us, end_us - t_us) < SAME_US:
             return None
         first, second = split(edge.part, start_us, t_us, end_us)
@@ -167,6 +169,7 @@ class Graph:
         node = self._new_node(start, t_us, motion)
         self._insert(node)
         self._tie(earlier, motion, node.epoch)
+        # The edge that spanned the gap now begins at the new epoch.
         self._retie(j, edge._replace(before=node.epoch, part=second), node)
         return node
 
@@ -209,6 +212,7 @@ class Graph:
             if t_us < since_us or at.ranges is None or name not in at.ranges.satellites:
                 continue
             i = at.ranges.satellites.index(name)
+            # A satellite that weighs nothing is as good as gone.
             if at.weights[i] > 0.0 and self.window.remove(RANGES, epoch):
                 others = at.weights.copy()
                 others[i] = 0.0
@@ -247,6 +251,7 @@ class Graph:
                 part = mended(edge.part, start_us, end_us, late)
                 self._retie(epoch, edge._replace(part=part))
         self._late = {}
+        # Before solving, as the smoother drops these variables while it does.
         self._forget()
         self.window.commit()
         epoch = self.node.epoch
@@ -270,6 +275,7 @@ class Graph:
 
     def _new_node(self, start: Node, t_us: int, motion: Any) -> Node:
         guess = motion.predict(gtsam.NavState(start.pose, start.velocity), start.bias)
+        # Numbers are used again, as GTSAM's keys and our caches are per number.
         epoch = self._free.pop() if self._free else len(self.epochs)
         if epoch == EPOCHS:
             raise RuntimeError(f"more than {EPOCHS} epochs in the window")
@@ -289,6 +295,7 @@ class Graph:
         """The preintegrated IMU of an edge, or a model of motion in its place."""
         if self.sound(edge):
             place_m = start.pose.translation().tolist()
+            # Preintegration takes gravity as constant; a new place has another one.
             far = math.dist(place_m, self._place_m) > SAME_PLACE_M
             if far or edge.noise is not self._noise:
                 self._place_m, self._noise = place_m, edge.noise

@@ -56,6 +56,7 @@ class Frame:
         lat_deg, lon_deg = float(np.degrees(lat)), float(np.degrees(lon))
         day = date_of(self.stamp_us)
         north, east, down = magnetic_field_gauss(lat_deg, lon_deg, float(height), day)
+        # The model gives north, east, down; this frame is east, north, up.
         return np.array([east, north, -down])
 
 

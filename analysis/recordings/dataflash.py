@@ -94,6 +94,7 @@ def _printing_to(file: IO[bytes]) -> Iterator[None]:
     """What is printed, by compiled code too, goes to a file: pymavlink prints what it skips."""
     sys.stdout.flush()
     sys.stderr.flush()
+    # At the level of descriptors: compiled code does not print through sys.stdout.
     kept = [(number, os.dup(number)) for number in (1, 2)]
     try:
         for number, _ in kept:
@@ -134,6 +135,7 @@ def _messages(path: Path) -> tuple[dict[str, tuple[NDArray[np.int64], Topic]], b
         end = 0
         for form in reader.formats.values():
             at = np.array(reader.offsets[form.type], np.int64)
+            # A format may claim less than its fields take, where its bytes are damaged.
             whole = at + max(form.len, HEAD + struct.calcsize(form.msg_struct)) <= len(data)
             at = at[whole]
             end = max(end, int(at.max(initial=0)) + form.len)
@@ -149,6 +151,7 @@ def _columns(data: NDArray[np.uint8], at: NDArray[np.int64], form: Any) -> Topic
     codes = re.findall(r"\d*[a-zA-Z]", form.msg_struct)
     types = [f"S{code[:-1]}" if code.endswith("s") else f"<{code}" for code in codes]
     dtype = np.dtype(list(zip(form.columns, types, strict=True)))
+    # A view at every byte, of which only those at messages are read: nothing is copied.
     windows = np.lib.stride_tricks.sliding_window_view(data, dtype.itemsize)
     rows = windows[at + HEAD].view(dtype)[:, 0]
     return {

@@ -85,9 +85,11 @@ class Flight:
 
     def advance(self, commands: list[bytes]) -> Sent:
         """Fly to the next sample of the IMU, with what a ground station sent meanwhile."""
+        # Until somebody commands, the scenario's own controller flies.
         controls = self._pilot.controls() if self._pilot.flight.flown else None
         t_us, truth, readings = self.simulation.step(controls)
         sends: list[Send] = []
+        # Sensors before telemetry, commands last: always the same order, for the same bytes.
         for raw in self._hil.frames(t_us, truth, readings):
             sends += self.core.received(SIMULATOR, raw, self.now_us)
         for raw in self._services.tick(t_us, truth, readings, throttle(self.simulation)):
@@ -134,8 +136,10 @@ class Flight:
         """What a frame for the vehicle or for the simulated plant leads to."""
         sends: list[Send] = []
         for item in self._parser.push(data, datagram=True):
+            # The simulator's own frames come round by the router; they are no commands.
             if not isinstance(item, Frame) or item.component == HIL_COMPONENT:
                 continue
+            # Only plant faults speak to the simulator.
             if link == SIMULATOR:
                 self._plant.carry_out(item)
                 continue

@@ -121,6 +121,7 @@ def searched(
     """Ask, fly and tell until the budget or the time is used up; tests and steps made."""
     dimension = evaluator(test).space.dimension
     budget = test.budget or (DEFAULT_BUDGET if test.time_s is None else 10**9)
+    # Nothing varies: one evaluation says it all.
     if dimension == 0:
         budget = 1
     method = searcher(test.method if dimension else "random", dimension, test.seed, budget)
@@ -131,6 +132,7 @@ def searched(
         while tests < budget and time.monotonic() < deadline:
             points = method.ask()
             asked = len(points)
+            # The last batch may be larger than what is left of the budget.
             points = points[: budget - tests]
             records = evaluated(test, pool, history, points, tests, deadline)
             points = points[: len(records)]

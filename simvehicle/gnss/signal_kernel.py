@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
-from mavproxy_fault.numerics.earth_kernel import ecef_of
+from mavproxy_fault.numerics.earth_kernel import ecef_of, ned_axes
 from simvehicle.gnss.pseudorange import sights
-from simvehicle.gnss.receiver_kernel import axes_en
 from simvehicle.gnss.signal_errors import code_sigma_m, multipath_sigma_m, rate_sigma_mps
 
 Vector = NDArray[np.float64]
@@ -69,12 +68,12 @@ def signals(
         Standard-normal draws of range and rate.
     """
     offset_s, drift = clock
-    axes = axes_en(where[0], where[1])
+    axes = ned_axes(where[0], where[1])
     place, motion = np.empty(3), np.empty(3)
     x, y, z = ecef_of(where[0], where[1], where[2])
     place[0], place[1], place[2] = x, y, z
     for i in range(3):
-        motion[i] = axes[i, 0] * where[3] + axes[i, 1] * where[4] + axes[i, 2] * where[5]
+        motion[i] = axes[0, i] * where[3] + axes[1, i] * where[4] + axes[2, i] * where[5]
         # The receiver samples when its own clock says so: by then it is a little further.
         place[i] -= motion[i] * offset_s
     levels = channel.levels

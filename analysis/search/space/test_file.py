@@ -234,10 +234,12 @@ def read_test(path: Path | str) -> TestFile:
         raise ConfigError(f"{path}:1: holds no keys; a test file is a YAML mapping")
     named = data.get("scenario")
     if named is not None or data.get("estimator") in SIMULATED:
+        # Behind, what the file says itself.
         data = {**FLOWN_DEFAULTS, **data}
     if isinstance(named, str):
         data["scenario"] = msgspec.to_builtins(read_scenario(Path(path).parent / named))
     if isinstance(named, str | dict):
         duration_s = data["scenario"].get("duration_s", 120.0)
+        # A scenario has an envelope of its own making: by default none is judged.
         data = {"duration_s": duration_s, "envelope": ANYWHERE, **data}
     return decode(document._replace(data=data), TestFile)
