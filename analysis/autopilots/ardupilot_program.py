@@ -33,6 +33,7 @@ def requests(simulation: Simulation) -> Iterator[Requests]:
 @contextlib.contextmanager
 def started(words: Sequence[str], simulation: Simulation, folder: Path) -> Iterator[Program]:
     """The bridge and its autopilot; both end with the flight."""
+    # Any free port, so that several runs can be flown at once.
     with contextlib.closing(TcpServer("127.0.0.1", 0)) as link:
         bridge = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot"]
         bridge += ["--hil", f"tcp:127.0.0.1:{link.port}", "--command", shlex.join(words)]

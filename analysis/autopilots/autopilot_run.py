@@ -128,6 +128,7 @@ class AutopilotRun:
         monitor: MonitorProcess,
         stop: Stop,
     ) -> None:
+        # Empty at first: the faults come once the chosen moment is there.
         self.flight = Flight(setup.scenario, Schedule(setup.schedule.seed, ()))
         self.results: list[Any] = []
         self._schedule = setup.schedule
@@ -213,6 +214,7 @@ class AutopilotRun:
         if self._phase != self._operator.phase:
             self._phase = self._operator.phase
             self._progress.say(f"{t_us * 1e-6:8.1f} s {self._phase}")
+        # Ctrl-C is looked at here as well: between two writes the logs are whole.
         if self.flight.t_us - self._recorded_us >= RECORD_US:
             self._record()
             if self._stop():
@@ -224,6 +226,7 @@ class AutopilotRun:
     def _begin_schedule(self, t_us: int) -> None:
         """Load the schedule, its times counted from now; the journal lets a replay do the same."""
         self._scheduled = True
+        # The schedule counts from the first stamp; this moment lies so much later.
         late_s = (t_us - (self.flight.core.clock.t0_us or t_us)) * 1e-6
         entries = [(entry, late_s) for entry in self._schedule.faults]
         text = as_yaml(self._schedule.seed, entries).encode()
@@ -233,8 +236,8 @@ class AutopilotRun:
 
     def _record(self) -> None:
         self._recorded_us = self.flight.t_us
-        labels = self.flight.take_labels()
-        self._recorder.write(self.flight.tape, labels, self._journal.take())
+        labels = self.flight.drain_labels()
+        self._recorder.write(self.flight.tape, labels, self._journal.drain())
 
     def _close(self) -> None:
         for send in self.flight.core.finish(self.flight.now_us):

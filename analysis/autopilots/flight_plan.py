@@ -47,6 +47,7 @@ def flight_plan(simulation: Simulation) -> FlightPlan:
     assert isinstance(track, PathTrack)  # as a scenario with a mission has
     path = track.path
     every = max(round(CORNERS_M[kind] / path.spacing_m), 1)
+    # An autopilot rounds its corners itself: more would only slow it down.
     waypoints = tuple(
         waypoint(
             scenario.start,
