@@ -69,10 +69,10 @@ def flown(scenario: Scenario, schedule: Schedule) -> Flown:
     flight, monitor = Flight(scenario, schedule), Monitor(MonitorConfig())
     places = []
     while not flight.over:
-        monitor.bytes([flight.advance([]).monitor])
+        monitor.push_bytes([flight.advance([]).monitor])
         places.append(flight.simulation.truth.r_ned_m.copy())
-    monitor.bytes([flight.finish().monitor])
-    flight.take_labels()
+    monitor.push_bytes([flight.finish().monitor])
+    flight.drain_labels()
     summary = monitor.summary(flight.completed_labels(), Criteria(), 0.0)
     return Flown(np.array(places), summary["faults"])
 

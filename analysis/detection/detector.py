@@ -55,11 +55,11 @@ class Detector:
             return self.wants_fix(state.core, t_us)
 
         for piece in pieces(samples, wanted):
-            said, state = self.take(piece, state)
-            results += said
+            found, state = self.step_piece(piece, state)
+            results += found
         return results, state
 
-    def take(self, piece: Piece, state: State) -> tuple[list[Result], State]:
+    def step_piece(self, piece: Piece, state: State) -> tuple[list[Result], State]:
         """The same for samples up to an event."""
         core, pending, mag_b = state
         if len(piece.ids):

@@ -55,8 +55,8 @@ class Node(Value, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Beginning:
-    """A first node with its covariances: pose (6, 6) turn then shift in body axes, velocity (3, 3)
-    in the frame's, bias (6, 6), and sigmas (2,) of clock and drift.
+    """A first node with its covariances: pose (6, 6) rotation then shift in body axes, velocity (3,
+    3) in the frame's, bias (6, 6), and sigmas (2,) of clock and drift.
 
     `aligned` says that its attitude is known.
     """
@@ -124,6 +124,7 @@ def at_filter(motion: Motion, correlation: float) -> Beginning:
     rot = frame.axes @ matrix(x[X_Q : X_Q + 4])
     to_body = rot.T @ frame.axes
     both = np.zeros((6, 6))
+    # GTSAM's pose errors are in body axes, the filter's in ECEF.
     both[:3, :3] = both[3:, 3:] = to_body
     spots = [*range(PSI, PSI + 3), *range(R, R + 3)]
     widen = np.diag([1.0] * 3 + [correlation] * 3)
@@ -146,6 +147,7 @@ def at_filter(motion: Motion, correlation: float) -> Beginning:
         pose_p,
         frame.axes @ p[V : V + 3, V : V + 3] @ frame.axes.T,
         p[np.ix_(biases, biases)],
+        # Range errors last: many epochs of them tell less than they seem to.
         correlation * np.sqrt(p[[CLOCK, DRIFT], [CLOCK, DRIFT]] + 1e-4),
         motion.inertial,
     )
@@ -153,6 +155,7 @@ def at_filter(motion: Motion, correlation: float) -> Beginning:
 
 def at_node(frame: Frame, node: Node, covariance: Vector, aligned: bool) -> Beginning:
     """The last good node of a graph with the covariance (9, 9) of its pose and velocity."""
+    # Something went wrong since then: it is believed, but less.
     wide = DOUBT**2 * covariance
     bias = np.diag([ACCEL_BIAS_SIGMA_MPS2**2] * 3 + [GYRO_BIAS_SIGMA_RPS**2] * 3)
     first = Node(0, node.t_us, node.pose, node.velocity, node.bias, node.clock)

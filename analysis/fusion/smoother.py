@@ -52,17 +52,17 @@ class Fusion:
         """Nothing known."""
         return FusionState()
 
-    def take(
+    def step_piece(
         self, piece: Piece, results: Sequence[Result], core: Core, state: FusionState
     ) -> tuple[list[Result], FusionState]:
         """The same as `step` for samples up to an event, with the results of that."""
         state.hear(piece.imu if core.imu_id is None else piece.of_imu(core.imu_id))
-        said: list[Result] = []
+        states: list[Result] = []
         for row in heeded(piece.block.kind, piece.first, piece.last).tolist():
-            told = results if row == piece.last else ()
-            found, state = self.step(piece.block.sample(row), told, core, state)
-            said += found
-        return said, state
+            of_row = results if row == piece.last else ()
+            found, state = self.step(piece.block.sample(row), of_row, core, state)
+            states += found
+        return states, state
 
     def step(
         self, sample: Sample, results: Sequence[Result], core: Core, state: FusionState
@@ -73,7 +73,7 @@ class Fusion:
         ----------
         sample : Sample
         results : sequence of Result
-            What the detector and the tests of other sensors said of this sample.
+            What the detector and the tests of other sensors found of this sample.
         core : Core
             The detector's state after it: where the graph begins, and the orbits in use.
         state : FusionState
@@ -85,8 +85,9 @@ class Fusion:
             return [], state
         decision = next((result for result in results if isinstance(result, Decision)), None)
         graph, source = state.graph, WAITING.get(type(sample))
+        # Behind the newest node: it belongs between older ones.
         if graph is not None and sample.t_us < graph.node.t_us:
-            self._take_late(graph, sample, source, core, state)
+            self._attach_late(graph, sample, source, core, state)
             return [], state
         if source is not None:
             state.waiting[source] = sample
@@ -94,14 +95,14 @@ class Fusion:
             return [], state
         now = Now(sample, decision, results, core)
         try:
-            said = self._epoch(now, state)
+            fused = self._epoch(now, state)
         except FAILURES as error:
-            said = self._again(now, state, _first_line(error))
+            fused = self._again(now, state, _first_line(error))
         state.forget(decision.t_us)
-        if said is None:
+        if fused is None:
             return [], state
-        state.last = said
-        return [said], state
+        state.last = fused
+        return [fused], state
 
     def _epoch(self, now: Now, state: FusionState) -> FusedState | None:
         """The next epoch of the graph, or the first of a new one."""
@@ -201,16 +202,16 @@ class Fusion:
         state.excluded = excluded
         state.good = Good(graph.frame, graph.node, graph.covariance, graph.aligned)
         weights = used | dict.fromkeys(excluded, 0.0)
-        said = fused_state(graph, self.name, weights, "; ".join(state.notes))
+        fused = fused_state(graph, self.name, weights, "; ".join(state.notes))
         state.waiting, state.notes = {}, []
-        return said
+        return fused
 
     @staticmethod
     def _drop_outliers(graph: Graph) -> None:
         known = [at.ranges.satellites for at in graph.epochs.values() if at.ranges]
         found = outliers(graph.window, frozenset(name for names in known for name in names))
         for name, epoch in found:
-            graph.window.take_back(name, epoch)
+            graph.window.remove(name, epoch)
         if found:
             graph.commit()
 
@@ -224,9 +225,9 @@ class Fusion:
         """
         node = graph.node
         tests = [r for r in now.results if isinstance(r, SensorDecision) and r.sensor == "imu"]
-        for said in tests:
-            limit = SUSPECT * (said.threshold or 0.0)
-            calm = said.statistic is None or said.statistic <= limit
+        for test in tests:
+            limit = SUSPECT * (test.threshold or 0.0)
+            calm = test.statistic is None or test.statistic <= limit
             since_us = node.t_us if state.suspect_us is None else state.suspect_us
             state.suspect_us = None if calm else since_us
         if "imu" in isolated:
@@ -235,14 +236,15 @@ class Fusion:
             return None
         motion = now.motion
         if motion is None or not motion.inertial:
-            held = self.config.decide and now.core.imu_bad_until_us is not None
-            if not held and np.trace(graph.covariance[:3, :3]) < 3.0 * LOST_RAD**2:
+            suspended = self.config.decide and now.core.imu_bad_until_us is not None
+            if not suspended and np.trace(graph.covariance[:3, :3]) < 3.0 * LOST_RAD**2:
                 state.lost = False
             return None
         if graph.aligned and not state.lost:
             return None
         state.lost = False
         rotation, p = attitude_in(graph.frame, motion)
+        # Only a better attitude is put in: a worse one would draw the graph off.
         if graph.aligned and np.trace(p) >= np.trace(graph.covariance[:3, :3]):
             return None
         return rotation, p
@@ -273,7 +275,7 @@ class Fusion:
                 graph.slow_m2, state.sky = slow, sky
         return used
 
-    def _take_late(
+    def _attach_late(
         self, graph: Graph, sample: Sample, source: str | None, core: Core, state: FusionState
     ) -> None:
         """Put a sample from before the newest epoch where it belongs."""
@@ -315,16 +317,22 @@ class Fusion:
         return self._new(where, state)
 
     def _again(self, now: Now, state: FusionState, why: str) -> FusedState | None:
+<<<<<<< HEAD
         """After a failure: the filter's answer where it has tested the epoch, else on from the last
         good state; where that fails too the gap is told and the next epoch tries again."""
         for begin in (self._again_from_detector, self._again_from_good):
+=======
+        """After a failure: on from the last good state; if that fails too, from the detector's;
+        else the gap is reported and the next epoch tries again."""
+        for begin in (self._again_from_good, self._again_from_detector):
+>>>>>>> main
             state.notes = [f"the graph failed ({why}) and began anew"]
             try:
-                said = begin(now, state)
+                fused = begin(now, state)
             except FAILURES:
                 continue
-            if said is not None:
-                return said
+            if fused is not None:
+                return fused
         state.graph, state.notes = None, []
         return gap(state.last, now.decision.t_us, why) if state.last is not None else None
 

@@ -1,6 +1,7 @@
 """GTSAM's fixed-lag smoother with names for its factors, so that they can be taken back.
 
 `IncrementalFixedLagSmoother` as set up here costs a fraction of its defaults. Time stamps are cut
+<<<<<<< HEAD
 to blocks as long as the lag, and a block is marginalised as a whole when the next but one begins.
 In the updates between, the newest variables become the root of GTSAM's tree, so that those of a
 block hang on it in order of time and leave it without any other being eliminated anew. Of shorter
@@ -8,6 +9,14 @@ blocks what stays has been put in another order by the last marginalisation, and
 Variables are relinearised only when they moved so far that it matters. Cholesky takes half the time
 of QR; it asks for variables of like scale (see `factors`), which a pose that is known to
 thousandths of a radian and tens of metres is not: a graph that begins so has QR (`any_scale`).
+=======
+to intervals as long as the lag, and an interval is marginalised as a whole when the next but one
+begins. In the updates between, the newest variables become the root of GTSAM's tree, so that those
+of an interval hang on it in order of time and leave it without any other being eliminated anew. Of
+shorter intervals what stays has been put in another order by the last marginalisation, and is so by
+each. Variables are relinearised only when they moved so far that it matters. Cholesky takes half
+the time of QR; it asks for variables of like scale (see `factors`).
+>>>>>>> main
 """
 
 import math
@@ -21,8 +30,8 @@ import numpy as np
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 
-SPANS = 2  # per block, for what changes slowly
-KEPT = 1.5  # blocks: the newest's and the one before, whatever the rounding
+SPANS = 2  # per interval, for what changes slowly
+KEPT = 1.5  # intervals: the newest's and the one before, whatever the rounding
 BEFORE = 1 << 20  # keeps the numbers of spans positive
 ROUNDING = 1e-9
 NEVER = 1e9
@@ -74,7 +83,7 @@ class Window:
         for letter, values in RELINEARISE.items():
             thresholds.insert((letter, np.array(values)))
         params.setRelinearizeThreshold(thresholds)
-        self._block_s = lag_s
+        self._interval_s = lag_s
         self.smoother = gtsam.IncrementalFixedLagSmoother(KEPT * lag_s, params)
         self._entries: dict[tuple[str, int], Entry] = {}
         self._newest_s = self._forgotten_s = -NEVER
@@ -88,26 +97,26 @@ class Window:
         self._back: list[int] = []
 
     def stamp(self, t_s: float) -> float:
-        """The start of the block a time is in."""
-        return math.floor(t_s / self._block_s + ROUNDING) * self._block_s
+        """The start of the interval a time is in."""
+        return math.floor(t_s / self._interval_s + ROUNDING) * self._interval_s
 
     @property
     def span_s(self) -> float:
         """How long a span is."""
-        return self._block_s / SPANS
+        return self._interval_s / SPANS
 
     def span(self, t_s: float) -> int:
         """The number, above zero, of the span a time is in."""
         return math.floor(t_s / self.span_s + ROUNDING) + BEFORE
 
     def span_stamp(self, span: int) -> float:
-        """The start of the block a span is in."""
+        """The start of the interval a span is in."""
         return self.stamp((span - BEFORE) * self.span_s)
 
     @property
     def oldest_s(self) -> float:
         """Variables with an older stamp are gone after the next commit."""
-        return self._newest_s - KEPT * self._block_s
+        return self._newest_s - KEPT * self._interval_s
 
     def insert(self, values: Any, names: Iterable[int], stamp_s: float) -> None:
         """Variables with their first guesses and the `stamp` of their time."""
@@ -121,7 +130,7 @@ class Window:
             self._batch.add(factor)
         self._named.append(((source, epoch), stamp_s, len(factors)))
 
-    def take_back(self, source: str, epoch: int) -> bool:
+    def remove(self, source: str, epoch: int) -> bool:
         """Remove the factors of a source at an epoch; whether there were any."""
         entry = self._entries.pop((source, epoch), None)
         if entry is None:

@@ -125,6 +125,7 @@ class AutopilotRun:
         monitor: MonitorProcess,
         stop: Stop,
     ) -> None:
+        # Empty at first: the faults come once the chosen moment is there.
         self.flight = Flight(setup.scenario, Schedule(setup.schedule.seed, ()))
         self.results: list[Any] = []
         self._schedule = setup.schedule
@@ -146,6 +147,7 @@ class AutopilotRun:
         """Fly to the landing; why it did not come to it, or nothing."""
         simulation = self.flight.simulation
         mav_type, mix = airframe(simulation)
+        # Any free port, so that several runs can be flown at once.
         link = TcpServer("127.0.0.1", 0)
         bridge = bridged(words, KINDS[simulation.scenario.vehicle.kind], link.port, self._folder)
         with contextlib.closing(link), bridge as process:
@@ -200,6 +202,7 @@ class AutopilotRun:
         if self._phase != self._operator.phase:
             self._phase = self._operator.phase
             self._progress.say(f"{t_us * 1e-6:8.1f} s {self._phase}")
+        # Ctrl-C is looked at here as well: between two writes the logs are whole.
         if self.flight.t_us - self._recorded_us >= RECORD_US:
             self._record()
             if self._stop():
@@ -211,6 +214,7 @@ class AutopilotRun:
     def _begin_schedule(self, t_us: int) -> None:
         """Load the schedule, its times counted from now; the journal lets a replay do the same."""
         self._scheduled = True
+        # The schedule counts from the first stamp; this moment lies so much later.
         late_s = (t_us - (self.flight.core.clock.t0_us or t_us)) * 1e-6
         entries = [(entry, late_s) for entry in self._schedule.faults]
         text = as_yaml(self._schedule.seed, entries).encode()
@@ -220,8 +224,8 @@ class AutopilotRun:
 
     def _record(self) -> None:
         self._recorded_us = self.flight.t_us
-        labels = self.flight.take_labels()
-        self._recorder.write(self.flight.tape, labels, self._journal.take())
+        labels = self.flight.drain_labels()
+        self._recorder.write(self.flight.tape, labels, self._journal.drain())
 
     def _close(self) -> None:
         for send in self.flight.core.finish(self.flight.now_us):
@@ -271,6 +275,7 @@ def flight_plan(scenario: Scenario, simulation: Simulation) -> FlightPlan:
     every = max(round(CORNER_M / path.spacing_m), 1)
     lat_deg, lon_deg = scenario.start.lat_deg, scenario.start.lon_deg
     meridian_m, normal_m = (float(r) for r in radii(math.radians(lat_deg)))
+    # An autopilot rounds its corners itself: more would only slow it down.
     corners = np.arange(0, len(path.north_m), every)
     waypoints = tuple(
         Waypoint(

@@ -52,6 +52,7 @@ class ToAutopilot:
     def frames(self, t_us: int, truth: Truth, readings: Sequence[Reading]) -> list[bytes]:
         """The frames of a step, with faults."""
         out = []
+        # The operator first: its commands belong to the state before this step.
         received = [(GROUND, raw) for raw in self._commands()]
         received += [(SIMULATOR, raw) for raw in self._packer.frames(t_us, truth, readings)]
         for link, raw in received:
@@ -84,6 +85,7 @@ class Patience:
         self._came = self._came or bool(self._link.peer_count)
         if self._came:
             return
+        # A program that has ended will not come: no need to wait for the deadline.
         if self._process is not None and self._process.poll() is not None:
             code = self._process.returncode
             raise ConfigError(f"autopilot.command: it ended with code {code}; it has to connect")

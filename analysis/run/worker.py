@@ -32,7 +32,7 @@ def _work(orders: "Queue[Order | None]", answers: Connection, config: MonitorCon
     monitor = Monitor(config)
     while (order := orders.get()) is not None:
         if isinstance(order, bytes):
-            answers.send(monitor.bytes([order], datagrams=False))
+            answers.send(monitor.push_bytes([order], datagrams=False))
         else:
             answers.send(monitor.summary(*order))
 
@@ -51,6 +51,7 @@ class MonitorProcess:
     """A monitor to feed; it works on what it was given while the caller makes more."""
 
     def __init__(self, config: MonitorConfig) -> None:
+        # A fork would copy threads' locks as they stand.
         context = multiprocessing.get_context("spawn")
         self._orders: Queue[Order | None] = context.Queue(MOST_BATCHES)
         self._answers, theirs = context.Pipe(duplex=False)
@@ -62,6 +63,7 @@ class MonitorProcess:
             self._process.start()
             if mark is not None:
                 context.Process(target=rehearsal.rehearse, args=(config, mark), daemon=True).start()
+        # Only the child holds it then, so that its death is seen as the end of the pipe.
         theirs.close()
         self._batch = bytearray()
         self.owed = 0  # batches without their results yet
@@ -77,6 +79,7 @@ class MonitorProcess:
     ) -> None:
         if kind is not None:
             self._process.terminate()
+            # Or the queue's thread would wait for a reader that is gone.
             self._orders.cancel_join_thread()
         else:
             self._orders.put(None)
@@ -91,6 +94,8 @@ class MonitorProcess:
         if len(self._batch) >= BATCH_BYTES or (now and self._batch):
             batch = bytes(self._batch)
             self._batch.clear()
+            # Both queues are bounded: without taking results here, two full ones would wait for
+            # each other.
             while not self._handed_on(batch):
                 results += self._receive()
             self.owed += 1

@@ -57,13 +57,13 @@ class Tally:
             if self.first_us is None:
                 self.first_us = int(stamps[0])
             self.last_us = max(self.last_us, int(stamps.max()))
-        for _, result in found:
-            if not isinstance(result, AttitudeError):
-                self.alarms += alarms_of(result)
-                channel = channel_of(result)
-                if channel is not None:
-                    self._watched.add(channel)
-        placed = [pair for pair in found if isinstance(pair[1], PLACED)]
+        verdicts = [pair for pair in found if not isinstance(pair[1], AttitudeError)]
+        for _, result in verdicts:
+            self.alarms += alarms_of(result)
+            channel = channel_of(result)
+            if channel is not None:
+                self._watched.add(channel)
+        placed = [pair for pair in verdicts if isinstance(pair[1], PLACED)]
         for (_, result), true_m in zip(placed, self._true_positions(block, placed), strict=True):
             self._add(result, true_m)
 

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
-from mavproxy_fault.numerics.earth import ecef_from_geodetic, geodetic_of, gravity, rot_en
+from mavproxy_fault.numerics.earth import ecef_from_geodetic, gravity, rot_en
+from mavproxy_fault.numerics.earth_kernel import geodetic_of
 from mavproxy_fault.numerics.rotation_kernel import to_body, to_ned
 from simvehicle.environment.air import standard_air
 
 Array = NDArray[np.float64]
-_geodetic = cast(Callable[[float, float, float], tuple[float, float, float]], inlined(geodetic_of))
 _gravity = cast(Callable[[float, float], float], inlined(gravity))
 
 
@@ -67,7 +67,7 @@ def locate(x: Array, wind: Array, home: Array, out: Array) -> None:
         velocity relative to the air in body axes (3), gravity in the frame of home (3).
     """
     n, e, d = x[0], x[1], x[2]
-    lat, lon, height = _geodetic(
+    lat, lon, height = geodetic_of(
         home[0] + home[3] * n + home[4] * e + home[5] * d,
         home[1] + home[6] * n + home[7] * e + home[8] * d,
         home[2] + home[9] * n + home[10] * e + home[11] * d,

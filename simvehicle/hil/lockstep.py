@@ -63,9 +63,9 @@ class Lockstep:
             raise AutopilotSilentError(f"the autopilot has not answered for {self._silence_s:g} s")
         if not self.locked or self._stamp_us is None:
             return 0.0
-        left_s = self._sent_s + self._timeout_s - now_s
-        if left_s > 0:
-            return left_s
+        remaining_s = self._sent_s + self._timeout_s - now_s
+        if remaining_s > 0:
+            return remaining_s
         self.locked = False
         self._unlocked_s = now_s
         return 0.0

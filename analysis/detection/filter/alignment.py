@@ -19,9 +19,10 @@ from analysis.detection.filter.filter_state import Alignment, Motion
 from analysis.detection.filter.inertial import BA, BG, ERRORS, PSI, gravity_ecef, turned
 from analysis.detection.filter.initial_fix import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.detection.filter.propagation import Segment
-from analysis.orbits.broadcast import EARTH_RATE_RPS, geodetic, ned_axes
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
+from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 from mavproxy_fault.numerics.rotation import quat_from_matrix
 from mavproxy_fault.numerics.rotation_kernel import matrix
 
@@ -64,7 +65,7 @@ def extend(alignment: Alignment, motion: Motion, samples: Vector, dt_s: float) -
     q, alpha = _integrate(alignment.q_0b, alignment.alpha, samples)
     v = motion.x[3:6]
     mean = 0.5 * (v + alignment.v_ecef_mps)
-    coriolis = 2.0 * EARTH_RATE_RPS * np.array([mean[1], -mean[0], 0.0])
+    coriolis = 2.0 * GNSS_EARTH_RATE_RPS * np.array([mean[1], -mean[0], 0.0])
     gravity = gravity_ecef(motion.x[0:3])
     beta = alignment.beta + v - alignment.v_ecef_mps - (gravity + coriolis) * dt_s
     variance = float(np.trace(motion.p[3:6, 3:6])) / 3.0 + VELOCITY_FLOOR_MPS**2

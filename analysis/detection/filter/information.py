@@ -173,10 +173,10 @@ def weights(p: Vector, h: Vector, variance: Vector) -> Vector:
 
 
 @compiled
-def update(x: Vector, p: Vector, normal: Normal) -> tuple[Vector, Vector]:
-    """Update x (21,) and p (20, 20), in place; returns P+_:c (20, c) and dx (20,)."""
+def update(x: Vector, p: Vector, normal: Normal, y: Vector) -> tuple[Vector, Vector]:
+    """Update x (21,) and p (20, 20), in place, with Y (c, c) of `posterior`; returns P+_:c (20, c)
+    and dx (20,)."""
     states = normal.states
-    y = posterior(block(p, states), normal.information)[1]
     rows = np.empty((states.shape[0], p.shape[0]))
     for k in range(states.shape[0]):
         for j in range(p.shape[0]):
@@ -215,6 +215,6 @@ def measured_update(
     x: Vector, p: Vector, h: Vector, variance: Vector, v: Vector
 ) -> tuple[Vector, Vector]:
     """State and covariance after measurements, as new arrays."""
-    x, p = x.copy(), p.copy()
-    update(x, p, normal_equations(h, variance, v))
+    x, p, normal = x.copy(), p.copy(), normal_equations(h, variance, v)
+    update(x, p, normal, posterior(block(p, normal.states), normal.information)[1])
     return x, p

@@ -53,7 +53,7 @@ class StreamWatch:
             np.zeros((count, WIDTH), np.int64),
             np.zeros((count, WIDTH), np.int64),
             np.zeros((count, WIDTH), np.int64),
-            np.full((2, 4), NEVER_US),
+            np.full((2, 5), NEVER_US),
         )
 
     def step(

@@ -33,9 +33,9 @@ from analysis.fusion.graph_start import Clock, Node
 from analysis.fusion.learnt_noise import Learnt
 from analysis.fusion.local_frame import Frame
 from analysis.fusion.window import key
-from analysis.orbits.broadcast import LIGHT_MPS
 from analysis.orbits.snapshot import systems_of
 from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 
 NO_ARM = np.zeros(3)
 LEAST_WEIGHT = 0.02  # less is left out
@@ -149,7 +149,7 @@ class Ranges:
             state[:3],
             NO_ARM,
             frame.pose,
-            state[6] / LIGHT_MPS,
+            state[6] / SPEED_OF_LIGHT_MPS,
             noise,
         )
 

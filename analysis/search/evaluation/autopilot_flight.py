@@ -53,6 +53,7 @@ class _Plane:
         self.steps += 1
         limit = self._limit(found[1])
         if limit:
+            # An exception, since the loop that is shared with the simulator knows no envelope.
             raise LeftError(limit)
         return found
 
@@ -95,8 +96,8 @@ class AutopilotFlight(Flight):
             )
             try:
                 loop.run(round(self.duration_s * 1e6))
-            except LeftError as left:
-                return left.limit, plane.steps
+            except LeftError as error:
+                return error.limit, plane.steps
             except (PeerGoneError, AutopilotSilentError) as gone:
                 raise ConfigError(f"autopilot: {gone}, {self.t_us * 1e-6:.1f} s on") from gone
         return 0, plane.steps
@@ -138,6 +139,7 @@ def started(choice: AutopilotChoice, port: int) -> Iterator[Process]:
     try:
         yield process
     finally:
+        # First kindly: an autopilot may want to write its log.
         process.terminate()
         try:
             process.wait(ENDS_S)

@@ -11,8 +11,8 @@ from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.inertial import ERRORS, X_SIZE, gravity_ecef, turned
 from analysis.detection.filter.propagation import Segment, advance
 from analysis.monitor.pipeline import monitor_config
-from analysis.orbits.broadcast import EARTH_RATE_RPS
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
 from mavproxy_fault.numerics.rotation_kernel import matrix
 
 ARM_M = np.array([1.5, -0.5, -0.3])
@@ -37,7 +37,7 @@ def turning_body(at_s: float) -> np.ndarray:
 def segment(until_s: float, dt_s: float = 0.005) -> Segment:
     """What the IMU reads: its own turn and the earth's, and what holds it up."""
     steps = round(until_s / dt_s)
-    row = [dt_s, 0.0, 0.0, RATE_RPS - EARTH_RATE_RPS, 0.0, 0.0, -gravity_at_the_pole()]
+    row = [dt_s, 0.0, 0.0, RATE_RPS - GNSS_EARTH_RATE_RPS, 0.0, 0.0, -gravity_at_the_pole()]
     return Segment(np.tile(row, (steps, 1)), dt_s, True)
 
 
