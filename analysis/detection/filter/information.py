@@ -198,10 +198,10 @@ def update(x: Vector, p: Vector, normal: Normal, y: Vector) -> tuple[Vector, Vec
 @compiled
 def move(x: Vector, d: Vector) -> None:
     """Add an error d (20,) to the state x (21,), in place."""
-    turn = np.empty(3)
+    rotvec = np.empty(3)
     for i in range(3):
-        turn[i] = d[PSI + i]
-    q = turned(x[X_Q : X_Q + 4], turn, 1.0)
+        rotvec[i] = d[PSI + i]
+    q = turned(x[X_Q : X_Q + 4], rotvec, 1.0)
     for i in range(PSI):
         x[i] += d[i]
     for i in range(4):

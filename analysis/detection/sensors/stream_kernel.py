@@ -42,7 +42,8 @@ EPOCH_1970_US = 100_000_000_000_000  # later stamps do not count from boot
 AGAIN_US = 500_000  # between two results about the same trouble
 NEVER_US = -(1 << 62)
 
-LAST_US, COUNT, DUE_US, STOOD, TOLD_US, CLOCK, HEARD_US = range(7)  # what is counted of a stream
+# What is counted of a stream
+LAST_US, COUNT, DUE_US, STOOD, REPORTED_US, CLOCK, HEARD_US = range(7)
 # Of a clock: its newest stamp, before when nobody can be silent, and a leap not yet understood,
 # where BY has a bit for each who made it
 NEWEST_US, QUIET_US, FROM_US, TO_US, BY = range(5)
@@ -122,9 +123,9 @@ def _contradicted(watched: Watched, found: Found, row: int, clock: int) -> None:
     for s in range(LINK):
         count = watched.counts[s]
         if at[BY] >> (s + 1) & 1 and count[CLOCK] == clock and count[COUNT] >= RHYTHM:
-            if s != SATELLITES and now_us - count[TOLD_US] >= AGAIN_US:
+            if s != SATELLITES and now_us - count[REPORTED_US] >= AGAIN_US:
                 _tell(found, row, now_us, s, AHEAD, (at[TO_US] - at[FROM_US]) * 1e-6)
-                count[TOLD_US] = now_us
+                count[REPORTED_US] = now_us
             count[DUE_US] = now_us + _limit_us(watched, s)  # it is wrong, but not silent
     at[TO_US] = NEVER_US
 
@@ -175,15 +176,15 @@ def _stamped(watched: Watched, found: Found, row: int, s: int, t_us: int, newest
     count[STOOD] = count[STOOD] + 1 if gap_us == 0 else 0
     if gap_us < -BACK_US:
         _tell(found, row, newest_us, s, BACK, -gap_us * 1e-6)
-    elif count[STOOD] >= STANDS and newest_us - count[TOLD_US] >= AGAIN_US:
+    elif count[STOOD] >= STANDS and newest_us - count[REPORTED_US] >= AGAIN_US:
         _tell(found, row, newest_us, s, STANDING, late_us * 1e-6)
-        count[TOLD_US] = newest_us
+        count[REPORTED_US] = newest_us
     elif count[COUNT] >= LEARNT and late_us > watched.usual[s, 1] + max(
         LATE_US, INTERVALS * watched.usual[s, 0]
     ):
-        if newest_us - count[TOLD_US] >= AGAIN_US:
+        if newest_us - count[REPORTED_US] >= AGAIN_US:
             _tell(found, row, newest_us, s, LATE, late_us * 1e-6)
-            count[TOLD_US] = newest_us
+            count[REPORTED_US] = newest_us
     elif gap_us > 0:
         share = max(SHARE, 1.0 / (1.0 + count[COUNT]))
         if count[COUNT] < LEARNT or gap_us < INTERVALS * watched.usual[s, 0]:
@@ -240,9 +241,9 @@ def _measured(
         if kind == FIX
         else _repeated(watched, s, numbers, NUMBERS[kind], t_us)
     )
-    if for_s > 0.0 and t_us - count[TOLD_US] >= AGAIN_US:
+    if for_s > 0.0 and t_us - count[REPORTED_US] >= AGAIN_US:
         _tell(found, row, t_us, s, REPEATED, for_s)
-        count[TOLD_US] = t_us
+        count[REPORTED_US] = t_us
 
 
 @compiled
