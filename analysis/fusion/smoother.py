@@ -160,9 +160,9 @@ class Fusion:
             if share is not None:
                 used[source] = share
         state.isolated = isolated
-        said = self._done(graph, used, now, state)
+        fused = self._done(graph, used, now, state)
         worse = against_filter(graph, now.motion, self.config.correlation)
-        return self._hand_on(worse, now, state) if worse and self.config.decide else said
+        return self._hand_on(worse, now, state) if worse and self.config.decide else fused
 
     def _hand_on(self, worse: str, now: Now, state: FusionState) -> FusedState:
         """The filter's answer in place of the graph's, which goes on from there."""
@@ -317,15 +317,9 @@ class Fusion:
         return self._new(where, state)
 
     def _again(self, now: Now, state: FusionState, why: str) -> FusedState | None:
-<<<<<<< HEAD
         """After a failure: the filter's answer where it has tested the epoch, else on from the last
-        good state; where that fails too the gap is told and the next epoch tries again."""
+        good state; where that fails too the gap is reported and the next epoch tries again."""
         for begin in (self._again_from_detector, self._again_from_good):
-=======
-        """After a failure: on from the last good state; if that fails too, from the detector's;
-        else the gap is reported and the next epoch tries again."""
-        for begin in (self._again_from_good, self._again_from_detector):
->>>>>>> main
             state.notes = [f"the graph failed ({why}) and began anew"]
             try:
                 fused = begin(now, state)

@@ -1,22 +1,13 @@
 """GTSAM's fixed-lag smoother with names for its factors, so that they can be taken back.
 
 `IncrementalFixedLagSmoother` as set up here costs a fraction of its defaults. Time stamps are cut
-<<<<<<< HEAD
-to blocks as long as the lag, and a block is marginalised as a whole when the next but one begins.
-In the updates between, the newest variables become the root of GTSAM's tree, so that those of a
-block hang on it in order of time and leave it without any other being eliminated anew. Of shorter
-blocks what stays has been put in another order by the last marginalisation, and is so by each.
-Variables are relinearised only when they moved so far that it matters. Cholesky takes half the time
-of QR; it asks for variables of like scale (see `factors`), which a pose that is known to
-thousandths of a radian and tens of metres is not: a graph that begins so has QR (`any_scale`).
-=======
 to intervals as long as the lag, and an interval is marginalised as a whole when the next but one
 begins. In the updates between, the newest variables become the root of GTSAM's tree, so that those
 of an interval hang on it in order of time and leave it without any other being eliminated anew. Of
 shorter intervals what stays has been put in another order by the last marginalisation, and is so by
 each. Variables are relinearised only when they moved so far that it matters. Cholesky takes half
-the time of QR; it asks for variables of like scale (see `factors`).
->>>>>>> main
+the time of QR; it asks for variables of like scale (see `factors`), which a pose that is known to
+thousandths of a radian and tens of metres is not: a graph that begins so has QR (`any_scale`).
 """
 
 import math

@@ -52,7 +52,7 @@ def test_a_factor_attached_to_what_leaves_in_the_same_update_is_forgotten():
         window.insert(values, (name,), stamp_s)
         window.attach("prior", epoch, stamp_s, gtsam.PriorFactorVector(name, NO_CLOCK, alike(2, 1)))
         if epoch == 2 * round(LAG_S / STEP_S):  # the first block leaves: its first epoch's prior
-            assert window.take_back("prior", 0)  # is changed at the last moment
+            assert window.remove("prior", 0)  # is changed at the last moment
             again = gtsam.PriorFactorVector(key("c", 0), NO_CLOCK, alike(2, 2.0))
             window.attach("prior", 0, 0.0, again)
         window.commit()
