@@ -39,26 +39,27 @@ WEEK_DAYS = 7
 FIELD_WIDTH = 16  # F14.3, loss of lock, signal strength
 NOWHERE = 1 << 20  # behind the end of any line
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
-_Row = tuple[str, tuple[float, float, float], float]  # satellite, its values, carrier
+_Row = tuple[str, tuple[float, float, float], float, str]  # satellite, values, carrier, signal
 _COMPRESSED = (".gz", ".z", ".bz2", ".zip", ".crx", ".crx.gz")
 
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Where code, Doppler and C/N0 of one system begin in a line, and its carrier (of GLONASS:
-    that of channel 0)."""
+    """Where code, Doppler and C/N0 of one signal begin in a line, its name, and its carrier (of
+    GLONASS: that of channel 0)."""
 
     code: int
     doppler: int
     cn0: int
+    signal: str
     carrier_hz: float = L1_HZ
 
 
-def _placed(first: int, places: list[int], carrier_hz: float = L1_HZ) -> _Columns:
+def _placed(first: int, places: list[int], signal: str, carrier_hz: float = L1_HZ) -> _Columns:
     """Columns by their places among the observations (-1: nowhere), in lines whose fields begin at
     `first`."""
     starts = [first + FIELD_WIDTH * place if place >= 0 else NOWHERE for place in places]
-    return _Columns(starts[0], starts[1], starts[2], carrier_hz)
+    return _Columns(starts[0], starts[1], starts[2], signal, carrier_hz)
 
 
 def read_text(path: Path) -> list[str]:
@@ -142,6 +143,7 @@ def _signals(system: str, types: list[str]) -> list[_Columns]:
         _placed(
             3,
             [types.index(k + signal) if k + signal in types else -1 for k in "CDS"],
+            signal,
             _carrier_hz(system, signal),
         )
         for signal in PREFERRED[system]
@@ -183,7 +185,7 @@ def _types_2(header: list[str]) -> tuple[int, _Columns]:
             names.extend(line[6:60].split())
     code = names.index("C1") if "C1" in names else names.index("P1") if "P1" in names else -1
     places = [names.index(k) if k in names else -1 for k in ("D1", "S1")]
-    return len(names), _placed(0, [code, *places])
+    return len(names), _placed(0, [code, *places], "1C" if "C1" in names else "1P")
 
 
 def _number(text: str) -> float:
@@ -212,8 +214,8 @@ def _epoch(week: int, tow_s: float, rows: list[_Row], channels: dict[str, int]) 
     # A positive Doppler shift is a satellite that comes nearer.
     rates = table[:, 1] * (-SPEED_OF_LIGHT_MPS / L1_HZ)
     if any(row[2] != L1_HZ for row in rows):
-        carriers = np.array([hz + CHANNEL_HZ * channels.get(name, 0) for name, _, hz in rows])
-        unknown = [name[0] == "R" and name not in channels for name, _, _ in rows]
+        carriers = np.array([hz + CHANNEL_HZ * channels.get(name, 0) for name, _, hz, _ in rows])
+        unknown = [name[0] == "R" and name not in channels for name, *_ in rows]
         rates = np.where(unknown, np.nan, table[:, 1] * (-SPEED_OF_LIGHT_MPS / carriers))
     return Epoch(
         t_us=round((week * 604_800 + tow_s) * 1e6),
@@ -224,6 +226,7 @@ def _epoch(week: int, tow_s: float, rows: list[_Row], channels: dict[str, int]) 
         doppler_mps=rates,
         cn0_dbhz=table[:, 2].copy(),
         carrier_hz=carriers,
+        signals=tuple(row[3] for row in rows),
     )
 
 
@@ -262,7 +265,7 @@ def _row(line: str, signals: list[_Columns], carriers: dict[str, float]) -> _Row
         if values is not None and carriers.setdefault(name, columns.carrier_hz) == (
             columns.carrier_hz
         ):
-            return name, values, columns.carrier_hz
+            return name, values, columns.carrier_hz, columns.signal
     return None
 
 
@@ -301,7 +304,8 @@ def _epochs_2(
             name = "G" + name[1:] if name[:1] == "0" else name
             values = _values("".join(line.ljust(80)[:80] for line in block), columns)
             if values is not None and name[:1] in "GER":
-                rows.append((name, values, CENTRE_HZ if name[0] == "R" else L1_HZ))
+                carrier_hz = CENTRE_HZ if name[0] == "R" else L1_HZ
+                rows.append((name, values, carrier_hz, columns.signal))
         epoch = _epoch(week, tow_s, rows, channels)
         if epoch is not None and at <= len(lines):
             yield epoch

@@ -14,7 +14,7 @@ from analysis.report.page.panels import DETECTION, FUSION
 from analysis.report.page.report_tables import criteria_reasons, facts, matrix_table, run_tables
 from analysis.report.recordings.from_results import recording_of_results
 from analysis.report.recordings.from_tlog import recording_of
-from analysis.report.recordings.recording import Recording, Signal, joined
+from analysis.report.recordings.recording import Recording, Signal, Track, joined
 from analysis.results import Result
 from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.tlog import Columns
@@ -29,6 +29,8 @@ def write(
     columns: Columns,
     title: str = "Run",
     curves: Sequence[Signal] = (),
+    tracks: Sequence[Track] = (),
+    pictures: Sequence[tuple[str, bytes]] = (),
 ) -> Path:
     """Write `report.html` into the folder `out`.
 
@@ -44,6 +46,10 @@ def write(
         The log as received (`mavproxy_fault.wire.tlog.read_columns`); empty where there is none.
     curves : sequence of Signal
         Curves to show besides.
+    tracks : sequence of Track
+        Tracks to show besides: `truth` is what errors are against.
+    pictures : sequence of (title, SVG)
+        What stands beside the plots of the satellites.
 
     Returns
     -------
@@ -56,6 +62,7 @@ def write(
     if t0_us is None:
         t0_us = flight.t0_us
     analysed = recording_of_results(labels, results, t0_us)
+    analysed.tracks.extend(tracks)
     together = with_derived(joined(flight, analysed))
     together = replace(together, signals=together.signals + list(curves))
     tables = run_tables(summary)
@@ -67,7 +74,13 @@ def write(
         tables.append((FUSION, fused))
     reasons = criteria_reasons(summary)
     page = Page(
-        title, str(summary.get("verdict", "")), facts(summary), tables, SENSOR_LIMIT, reasons
+        title,
+        str(summary.get("verdict", "")),
+        facts(summary),
+        tables,
+        SENSOR_LIMIT,
+        reasons,
+        pictures,
     )
     path = out / "report.html"
     path.write_text(

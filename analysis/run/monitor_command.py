@@ -6,14 +6,17 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
+from analysis.detection.sky import with_sky
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.monitor.publish import Publisher
 from analysis.monitor.watch import Watch
 from analysis.recordings.autopilot_logs import is_autopilot_log
+from analysis.recordings.position_reference import PositionReference, read_reference
 from analysis.recordings.recordings import read_log, read_rinex
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result
@@ -21,7 +24,7 @@ from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary
 from analysis.samples.block import Block
 from analysis.samples.intake import Intake
-from analysis.scoring.criteria import Criteria
+from analysis.scoring.criteria import Criteria, receiver_criteria
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import open_run_bus
 from mavproxy_fault.links.spec import open_link
@@ -37,10 +40,14 @@ def main(args: argparse.Namespace) -> int:
     config, criteria = settings(args.scenario, args.sigma)
     if args.calibrate is not None:
         return calibrate_to(Path(args.calibrate), args, config)
+    reference = None if args.truth is None else read_reference(args.truth)
+    if args.rinex is not None:
+        config = msgspec.structs.replace(config, streams=False)  # a file has no link
+        criteria = criteria if args.scenario else receiver_criteria(reference is not None)
     if args.link is None:
         read_known(args.labels)  # a wrong name is told before the work, not after
     folder = make_folder(args.out, "monitor") if args.out else None
-    monitor = Monitor(config)
+    monitor = Monitor(config, reference)
     started_s = time.monotonic()
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(open_run_bus(args.zenoh, "live", "monitor"))
@@ -63,7 +70,7 @@ def main(args: argparse.Namespace) -> int:
     summary = monitor.summary(labels, criteria, time.monotonic() - started_s)
     if folder is not None:
         write_summary(folder, summary)
-        _report(args, folder, labels or [], summary)
+        _report(args, folder, labels or [], summary, monitor, reference)
     print_summary(summary, folder)
     return EXIT_CODES[summary["verdict"]]
 
@@ -120,7 +127,8 @@ def _feed(args: argparse.Namespace, monitor: Monitor, deliver: Deliver, stop: St
         watch_link(args.link, monitor, deliver, args.for_s, stop)
         return
     for block in blocks_of(args):
-        deliver(monitor.push(block))
+        results = monitor.push(block)
+        deliver(with_sky(block, results) if args.rinex else results)
         if stop():
             return
 
@@ -150,17 +158,30 @@ def watch_link(
 
 
 def _report(
-    args: argparse.Namespace, folder: Path, labels: Sequence[Label], summary: dict[str, object]
+    args: argparse.Namespace,
+    folder: Path,
+    labels: Sequence[Label],
+    summary: dict[str, object],
+    monitor: Monitor,
+    reference: PositionReference | None,
 ) -> None:
     from analysis.report.run_report import write
     from analysis.results import read_results
     from mavproxy_fault.wire.tlog import read_columns
 
+    results = list(read_results(folder / "results.jsonl"))
+    beside: dict[str, Any] = {}
+    if args.rinex:
+        from analysis.report.receiver_files import receiver_files
+
+        beside = receiver_files(folder, results, labels, reference, monitor.positions)
+    title = Path(args.log or args.rinex[0]).name if args.log or args.rinex else folder.name
     write(
         folder,
         summary=summary,
         labels=labels,
-        results=read_results(folder / "results.jsonl"),
+        results=results,
         columns=read_columns(args.log) if args.log and not is_autopilot_log(Path(args.log)) else {},
-        title=Path(args.log).name if args.log else folder.name,
+        title=title,
+        **beside,
     )
