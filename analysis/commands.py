@@ -91,6 +91,7 @@ def add_monitor(commands: Any) -> None:
         "--rinex", nargs="+", metavar="FILE", help="RINEX 2, 3 or 4: OBS NAV [NAV ...]"
     )
     parser.add_argument("--imu", metavar="CSV", help="IMU samples to go with --rinex")
+    parser.add_argument("--schedule", metavar="FILE", help="faults to put into the --rinex file")
     parser.add_argument(
         "--truth",
         metavar="POINT|FILE",

@@ -12,8 +12,6 @@ References
 """
 
 import math
-import re
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import date
@@ -24,8 +22,8 @@ import numpy as np
 from analysis.orbits.broadcast import B1I_HZ, B3I_HZ
 from analysis.orbits.glonass import CENTRE_HZ, CHANNEL_HZ
 from analysis.samples.sample import Epoch, Vector
-from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
+from mavproxy_fault.rinex.rinex_text import header_of, read_rinex_text
 
 PREFERRED = {
     "G": ("1C", "1X", "1L", "1S", "1W", "1P"),
@@ -38,9 +36,7 @@ GPS_DAY_ZERO = date(1980, 1, 6).toordinal()
 WEEK_DAYS = 7
 FIELD_WIDTH = 16  # F14.3, loss of lock, signal strength
 NOWHERE = 1 << 20  # behind the end of any line
-BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _Row = tuple[str, tuple[float, float, float], float, str]  # satellite, values, carrier, signal
-_COMPRESSED = (".gz", ".z", ".bz2", ".zip", ".crx", ".crx.gz")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,59 +58,6 @@ def _placed(first: int, places: list[int], signal: str, carrier_hz: float = L1_H
     return _Columns(starts[0], starts[1], starts[2], signal, carrier_hz)
 
 
-def read_text(path: Path) -> list[str]:
-    """The lines of a RINEX file, unpacked where it is compressed.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be read or is not RINEX.
-    """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read; {error.strerror}") from error
-    if path.name.lower().endswith(_COMPRESSED) or b"CRINEX" in data[:80]:
-        data = _decompressed(data, path)
-    lines = data.removeprefix(BYTE_ORDER_MARK).decode("ascii", "replace").splitlines()
-    if not lines or not lines[0][60:].startswith("RINEX VERSION"):
-        raise ConfigError(f"{path}: is not a RINEX file; its first line must end in RINEX VERSION")
-    return lines
-
-
-def _decompressed(data: bytes, path: Path) -> bytes:
-    import hatanaka
-
-    try:
-        unpacked: bytes = hatanaka.decompress(data)
-    except (EOFError, OSError, ValueError, zlib.error, hatanaka.HatanakaException) as error:
-        reason = str(error).strip().splitlines()
-        raise ConfigError(
-            f"{path}: cannot be decompressed ({reason[-1] if reason else type(error).__name__});"
-            " a whole gzip, zip, bzip2, compress or Hatanaka file can"
-        ) from error
-    return unpacked
-
-
-def header_of(path: Path, lines: list[str], kinds: str, called: str) -> tuple[float, int]:
-    """The version of a RINEX file and where its header ends.
-
-    Raises
-    ------
-    ConfigError
-        If the file is of none of the `kinds`, or its header is no header.
-    """
-    version, kind = lines[0][:9].strip(), lines[0][20:21]
-    if kind not in kinds or not kind.strip():
-        raise ConfigError(f"{path}: has type {kind!r}; {called} has {kinds[0]}")
-    if not re.fullmatch(r"[234](\.\d+)?", version):
-        raise ConfigError(f"{path}: has version {version!r}; 2.00 to 4.02 can be read")
-    end = next((i for i, line in enumerate(lines) if line[60:].startswith("END OF HEADER")), None)
-    if end is None:
-        raise ConfigError(f"{path}: has no END OF HEADER; the header is cut short")
-    return float(version), end
-
-
 def gps_time(year: int, month: int, day: int, seconds_of_day: float) -> tuple[int, float]:
     """GPS week and seconds of week of a calendar date in GPS time."""
     days = date(year, month, day).toordinal() - GPS_DAY_ZERO
@@ -129,7 +72,11 @@ def read_observations(path: Path) -> list[Epoch]:
     ConfigError
         If the file is no RINEX observation file.
     """
-    lines = read_text(path)
+    return epochs_of(path, read_rinex_text(path))
+
+
+def epochs_of(path: Path, lines: list[str]) -> list[Epoch]:
+    """The same of the lines of a file, which `path` names in errors."""
     version, start = header_of(path, lines, "O", "an observation file")
     channels = _channels(lines[:start])
     if version < 3.0:

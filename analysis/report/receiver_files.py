@@ -9,7 +9,7 @@ import numpy as np
 from analysis.recordings.position_reference import PositionReference
 from analysis.report.gnss_figures import gnss_pictures
 from analysis.report.recordings.from_results import recording_of_results
-from analysis.report.recordings.recording import Track
+from analysis.report.recordings.recording import Recording, Track
 from analysis.report.solution_files import write_solution
 from analysis.results import Decision, Result
 from analysis.scoring.position_scores import HORIZONTAL, VERTICAL, PositionScores
@@ -32,7 +32,7 @@ def receiver_files(
     write_solution(folder, results, recording)
     columns = [HORIZONTAL, VERTICAL]
     errors = {name: positions.table(name)[:, columns] for name in positions.solutions()}
-    return {"tracks": truth, "pictures": gnss_pictures(results, errors)}
+    return {"beside": Recording("", tracks=truth), "pictures": gnss_pictures(results, errors)}
 
 
 def _truth(results: Sequence[Result], reference: PositionReference, t0_us: int) -> list[Track]:

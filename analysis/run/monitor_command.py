@@ -25,10 +25,13 @@ from analysis.run.terminal import print_summary
 from analysis.samples.block import Block
 from analysis.samples.intake import Intake
 from analysis.scoring.criteria import Criteria, receiver_criteria
+from mavproxy_fault.app.recorder import encoded
+from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import open_run_bus
 from mavproxy_fault.links.spec import open_link
-from mavproxy_fault.wire.label import Label, read_labels
+from mavproxy_fault.schedule.entries import read_schedule
+from mavproxy_fault.wire.label import Label, newest, read_labels
 
 EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 
@@ -40,6 +43,8 @@ def main(args: argparse.Namespace) -> int:
     config, criteria = settings(args.scenario, args.sigma)
     if args.calibrate is not None:
         return calibrate_to(Path(args.calibrate), args, config)
+    if args.schedule is not None and args.rinex is None:
+        raise ConfigError("--schedule: is for --rinex; `replay` puts faults into a log")
     reference = None if args.truth is None else read_reference(args.truth)
     if args.rinex is not None:
         config = msgspec.structs.replace(config, streams=False)  # a file has no link
@@ -63,13 +68,15 @@ def main(args: argparse.Namespace) -> int:
             if watch is not None:
                 watch.show(results)
 
-        _feed(args, monitor, deliver, stack.enter_context(stop_requests()))
-    labels = read_known(args.labels)
+        injected = _feed(args, monitor, deliver, stack.enter_context(stop_requests()))
+    labels = read_known(args.labels) if injected is None else newest(injected)
     if labels is None:  # nothing tells what was done, so no fault can have been missed
         criteria = msgspec.structs.replace(criteria, must_detect=(), must_isolate=())
     summary = monitor.summary(labels, criteria, time.monotonic() - started_s)
     if folder is not None:
         write_summary(folder, summary)
+        if injected is not None:
+            (folder / "labels.jsonl").write_bytes(encoded(injected))
         _report(args, folder, labels or [], summary, monitor, reference)
     print_summary(summary, folder)
     return EXIT_CODES[summary["verdict"]]
@@ -122,15 +129,22 @@ def read_known(path: str | None) -> list[Label] | None:
     return read_labels(Path(path))
 
 
-def _feed(args: argparse.Namespace, monitor: Monitor, deliver: Deliver, stop: Stop) -> None:
+def _feed(
+    args: argparse.Namespace, monitor: Monitor, deliver: Deliver, stop: Stop
+) -> list[Label] | None:
+    """Watch the source to its end; the labels of the faults that were put into it, if any were."""
     if args.link is not None:
         watch_link(args.link, monitor, deliver, args.for_s, stop)
-        return
-    for block in blocks_of(args):
-        results = monitor.push(block)
-        deliver(with_sky(block, results) if args.rinex else results)
+        return None
+    if args.rinex is not None:
+        block, labels = rinex_block(args)
+        deliver(with_sky(block, monitor.push(block)))
+        return labels
+    for block in read_log(args.log):
+        deliver(monitor.push(block))
         if stop():
-            return
+            break
+    return None
 
 
 def blocks_of(args: argparse.Namespace) -> Iterator[Block]:
@@ -138,10 +152,18 @@ def blocks_of(args: argparse.Namespace) -> Iterator[Block]:
     if args.log is not None:
         yield from read_log(args.log)
     else:
-        obs, *nav = (Path(path) for path in args.rinex)
-        if not nav:
-            raise ConfigError(f"--rinex {obs}: has no navigation file beside it; give OBS NAV")
-        yield read_rinex(obs, nav, Path(args.imu) if args.imu else None)
+        yield rinex_block(args)[0]
+
+
+def rinex_block(args: argparse.Namespace) -> tuple[Block, list[Label] | None]:
+    """A RINEX recording with the faults of `--schedule` in it, and their labels."""
+    obs, *nav = (Path(path) for path in args.rinex)
+    if not nav:
+        raise ConfigError(f"--rinex {obs}: has no navigation file beside it; give OBS NAV")
+    lines = labels = None
+    if args.schedule is not None:
+        lines, labels = faulted_lines(obs, read_schedule(args.schedule))
+    return read_rinex(obs, nav, Path(args.imu) if args.imu else None, lines), labels
 
 
 def watch_link(

@@ -52,3 +52,28 @@ def test_the_report_has_the_sky_and_tracks_for_maps(folder):
     assert (folder / "report.html").read_text().count("data:image/svg+xml") == 3
     assert "truth" in (folder / "tracks.kml").read_text()
     assert json.loads((folder / "tracks.geojson").read_text())["features"]
+
+
+def test_faults_of_a_schedule_are_found_in_the_recording(shared_data, tmp_path):
+    data, faults = shared_data / "gnss_static", tmp_path / "faults.yaml"
+    faults.write_text(
+        "faults:\n"
+        "  - {id: step, fault: bias, target: PSEUDORANGE.G19, value: 50, at_s: 300, for_s: 60}\n"
+        "  - {id: ramp, fault: drift, target: PSEUDORANGE.E13, value: 0.5, at_s: 500, for_s: 60}\n"
+    )
+    files = [str(data / "SEPT078M.21O"), str(data / "SEPT078M.21P")]
+    out = tmp_path / "run"
+    given = ["--schedule", str(faults), f"--truth={TRUTH}", "--zenoh", "off", "--out", str(out)]
+    assert main(["monitor", "--rinex", *files, *given]) == 0
+    rows = json.loads((out / "summary.json").read_text())["faults"]
+    assert [(row["verdict"], row["isolated"]) for row in rows] == [
+        ("isolated", ["G19"]),
+        ("isolated", ["E13"]),
+    ]
+    assert (out / "labels.jsonl").is_file()
+
+
+def test_a_schedule_without_a_recording_to_put_it_into_is_refused(tmp_path, capsys):
+    code = main(["monitor", "--log", "flight.tlog", "--schedule", "faults.yaml"])
+    assert code == 2
+    assert "--schedule: is for --rinex" in capsys.readouterr().err
