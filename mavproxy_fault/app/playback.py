@@ -132,8 +132,8 @@ def _find(data: bytes, start: int, t_us: int | None) -> int | None:
             # A stamp out of the blue is a chance pattern in the payload.
             continue
         end = _end(data, at + STAMP.size)
-        # A start byte may stand anywhere: the next record must begin where this one ends.
-        # The last record has none behind it to check by.
+        # A start byte may stand anywhere: the next record must begin where this one ends,
+        # but for the last, which has none behind it.
         if end + STAMP.size >= len(data) or data[end + STAMP.size] in (STX_V1, STX_V2):
             return at
         # The place where the record before ends: trusted even if what follows is damaged.

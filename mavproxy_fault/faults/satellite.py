@@ -66,13 +66,11 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         payload = rtcm.tunnel_payload(frame)
         if payload is None:
             return [Outgoing(t_us, frame)], state
-        # Bit 0 of the first payload byte: more fragments follow; the sequence number is in bits 3
-        # to 7.
         # Not fragmented: whole in this frame.
         if not payload[0] & 1:
             return self._patched((frame,), payload[1:], payload[0] >> 3, t_us, state, rng)
         key = (frame.system, frame.component, payload[0] >> 3)
-        # Bits 1 and 2: the number of the fragment.
+        # Flags byte: bit 0 fragmented, bits 1 and 2 the fragment, 3 to 7 the message.
         number = payload[0] >> 1 & 3
         old = state.partial.get(key)
         broken: list[Outgoing] = []

@@ -68,7 +68,6 @@ class Series:
             self._times, self._values = block
             self._at = 0
         # Times grow, so that the search begins where the last one ended.
-        # k is the first row behind `t_s`.
         k = bisect_right(self._times, t_s, self._at)
         self._at = k
         if k > 0:
