@@ -34,7 +34,6 @@ GROUND_STATION = 6  # MAV_TYPE_GCS
 ARMED = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
 NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID: a camera or a gimbal beats too
 HEADER = ("t_us", "system", "component", "seq")  # columns that are no fields of the message
-# 10^15 microseconds.
 WALL_US = 1_000_000_000_000_000  # stamps later than this (2001) are those of a computer's clock
 TRUTH = "HIL_STATE_QUATERNION"
 TURNING_RPS = 0.05  # a gyroscope that spans more than this has turned
