@@ -53,10 +53,10 @@ def _together(*sights: Sight) -> Sight:
 # The test of an epoch or a fix holds it against the IMU: its alarm may be the IMU's.
 IMU_SIGHT = Sight(frozenset({IMU, SATELLITES, POSITION}), (frozenset({IMU}),), frozenset({IMU}))
 FIX_SIGHT = Sight(frozenset({POSITION, VELOCITY}), (RECEIVER,), RECEIVER)
+# As a name "satellites" is the stream of raw ranges, which falls silent as a whole.
+WHOLE_RECEIVER = RECEIVER | {SATELLITES, EVERY_SATELLITE}
 RECEIVER_SIGHT = Sight(
-    frozenset({SATELLITES, POSITION, VELOCITY}),
-    (RECEIVER | {EVERY_SATELLITE},),
-    RECEIVER | {EVERY_SATELLITE},
+    frozenset({SATELLITES, POSITION, VELOCITY}), (WHOLE_RECEIVER,), WHOLE_RECEIVER
 )
 BY_NAME = {name: _sensor(name) for name in (MAG, BARO, AIRSPEED, RANGE, VISION, LINK)}
 BY_NAME |= {IMU: IMU_SIGHT}
