@@ -40,17 +40,17 @@ COLUMNS = "| preset | acted | verdict | blamed | blamed wrongly | delay, s | mov
 HEAD = f"""\
 # What the presets do
 
-Made by `python benchmarks/preset_table.py`, and held against the flights by `--check` there; a test flies some of
-them. Each preset acts from {START_S:.0f} s to {START_S + ACTS_S:.0f} s of a flight of {END_S:.0f} s, in the \
-simulator, proxy and monitor of `run`, with every
-sensor that presets need: the demo's fixed wing, and the quad of examples/hover.yaml with the demo's receiver. The same
-flight without the preset is the comparison.
+Made by `python benchmarks/preset_table.py`, and held against the flights by `--check` there; a test
+flies some of them. Each preset acts from {START_S:.0f} s to {START_S + ACTS_S:.0f} s of a flight of
+{END_S:.0f} s, in the simulator, proxy and monitor of `run`, with every sensor that presets need: the
+demo's fixed wing, and the quad of examples/hover.yaml with the demo's receiver. The same flight
+without the preset is the comparison.
 
-*Acted* are the parts that met a message: a preset names every message in which the sensor speaks, and those that are
-not sent are not used. The *verdict* is that of docs/verdicts.md, of each part where they differ; a preset that acts
-for so short a time may be missed here and found in a longer flight. *Delay* is from the start to the first alarm that
-can see it. *Moved* is how far the true position came to lie from that of the clean flight, at most; a dash means
-below a decimetre.
+*Acted* are the parts that met a message: a preset names every message in which the sensor speaks,
+and those that are not sent are not used. The *verdict* is that of docs/verdicts.md, of each part
+where they differ; what is missed in ten seconds may be found in a longer flight. *Delay* is from the
+start to the first alarm that can see the fault. *Moved* is how far the true position came to lie
+from that of the clean flight, at most; a dash means below a decimetre.
 """
 
 

@@ -17,13 +17,14 @@ NOTHING_EXCLUDED: dict[str, Exclusion] = {}
 class LastFix(NamedTuple):
     """A receiver's fix, as the next one is held against it.
 
-    `force_b_mps2` (3,) is the mean specific force of the interval that ended with it (None where
-    there was no IMU), `off_mps` (3,) how far the receiver's velocity then lay off the filter's.
+    `forces_b_mps2` are the mean specific forces (3,) of the newest intervals up to it, the newest
+    first (none where there was no IMU), `off_mps` (3,) is how far the receiver's velocity then lay
+    off the filter's.
     """
 
     t_us: int
     r_ecef_m: Vector
-    force_b_mps2: Vector | None
+    forces_b_mps2: tuple[Vector, ...]
     off_mps: Vector
 
 

@@ -71,7 +71,7 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     moved = _used(predicted, core, hypothesis, measured, (position, velocity), config)
     dt_s = (fix.t_us - motion.t_us) * 1e-6
     moved = find_attitude(core, moved, part, dt_s, config)
-    core = core._replace(motion=moved, last_fix=last_fix(fix.t_us, measured, part, moved))
+    core = core._replace(motion=moved, last_fix=last_fix(core.last_fix, measured, part, moved))
     shown = hypothesis
     if hypothesis == "none" and RECEIVER in core.excluded:
         shown = "gps"
@@ -141,7 +141,7 @@ def _with_hysteresis(
         again = replace(excluded[RECEIVER], healthy_since_us=None)
         return core._replace(excluded={**excluded, RECEIVER: again}, unbounded=False)
     entry = core.excluded.get(RECEIVER)
-    if entry is None or not position.passes:
+    if entry is None or not position.passes or (velocity is not None and not velocity.passes):
         return core
     since = entry.healthy_since_us if entry.healthy_since_us is not None else t_us
     if (t_us - since) * 1e-6 >= config.readmit_s:

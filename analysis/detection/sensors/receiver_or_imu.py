@@ -3,10 +3,11 @@
 A spoofer moves position and velocity together, so a receiver that agrees with itself may still lie,
 and two sources alone cannot vote. Two things tell more:
 
-- What is wrong with the IMU stands in its own output. If the change of its specific force since
-  the last fix is just what the velocities differ by, it is the IMU.
-- A wrong attitude turns the specific force f, which errs by 2 |f| at most. If the difference of the
-  velocities grew faster while the IMU showed no such change, it is the receiver.
+- What is wrong with the IMU stands in its own output. If its specific force changed within the last
+  three intervals, and the velocities differ by what that makes in the time since, it is the IMU.
+- A wrong attitude turns the specific force f. One that is 60 degrees wrong errs by |f|; gyros would
+  have to be 3 rad/s off to get there before they are found. If the difference of the velocities
+  grew faster than that while the IMU showed no such change, it is the receiver.
 
 Whatever neither explains is the receiver or the IMU, and that is the verdict.
 """
@@ -24,15 +25,19 @@ from mavproxy_fault.numerics.rotation_kernel import matrix
 
 EITHER = "GPS-or-imu"
 EXCUSED_SIGMAS = 4.0  # of the velocity's noise, that a growth may exceed what an IMU can do
+INTERVALS = 3  # in which a fault of the IMU may have begun before it is found
 FORCE = slice(4, 7)  # of a row of the IMU's segment: specific force, behind its time and rates
 
 
-def last_fix(t_us: int, measured: Measured, part: Segment | None, motion: Motion) -> LastFix:
+def last_fix(before: LastFix | None, measured: Measured, part: Segment, motion: Motion) -> LastFix:
     """The fix as the next one needs it; `motion` is the filter after it."""
     off = np.zeros(3)
     if measured.v_ned_mps is not None:
         off = np.nan_to_num(measured.v_ned_mps - measured.axes @ motion.x[3:6])
-    return LastFix(t_us, measured.r_ecef_m, None if part is None else mean_force(part), off)
+    force = mean_force(part)
+    past = () if before is None else before.forces_b_mps2[: INTERVALS - 1]
+    forces = () if force is None else (force, *past)
+    return LastFix(motion.t_us, measured.r_ecef_m, forces, off)
 
 
 def mean_force(part: Segment) -> Vector | None:
@@ -56,17 +61,20 @@ def culprit(
     by it.
     """
     force = mean_force(part)
-    if last is None or force is None or last.force_b_mps2 is None or measured.v_ned_mps is None:
+    if last is None or force is None or not last.forces_b_mps2 or measured.v_ned_mps is None:
         return EITHER
     known = np.isfinite(measured.v_ned_mps)
     dt_s = (predicted.t_us - last.t_us) * 1e-6
     rot = measured.axes @ matrix(predicted.x[6:10])
-    changed_mps = (rot @ (force - last.force_b_mps2) * dt_s)[known]
     sigma_mps = np.array([VELOCITY_SIGMA_MPS[0], *VELOCITY_SIGMA_MPS])[known]
-    remaining = (velocity.v + changed_mps) / sigma_mps
-    if float(remaining @ remaining) <= chi_square(len(remaining), config.p_other):
-        return "imu"
+    for since, before in enumerate(last.forces_b_mps2, start=1):
+        changed_mps = (rot @ (force - before) * dt_s)[known]
+        size = float(changed_mps @ changed_mps)
+        times = min(max(-float(velocity.v @ changed_mps) / size, 0.0), since) if size > 0.0 else 0.0
+        remaining = (velocity.v + times * changed_mps) / sigma_mps
+        if float(remaining @ remaining) <= chi_square(len(remaining), config.p_other):
+            return "imu"
     grown_mps = float(np.linalg.norm(velocity.v - last.off_mps[known]))
-    most_mps2 = 2.0 * max(np.linalg.norm(force), np.linalg.norm(last.force_b_mps2))
-    excused_mps = most_mps2 * dt_s + EXCUSED_SIGMAS * VELOCITY_SIGMA_MPS[0]
+    most_mps2 = max(np.linalg.norm(force), np.linalg.norm(last.forces_b_mps2[0]))
+    excused_mps = float(most_mps2) * dt_s + EXCUSED_SIGMAS * VELOCITY_SIGMA_MPS[0]
     return "gps" if grown_mps > excused_mps else EITHER
