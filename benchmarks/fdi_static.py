@@ -11,10 +11,10 @@ import numpy as np
 from analysis.detection import Detector, DetectorConfig
 from analysis.detection.detector import run
 from analysis.detection.filter.measurement import choose, model, observe
-from analysis.orbits.broadcast import geodetic, ned_axes
 from analysis.recordings.recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.sample import Epoch, Sample
+from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 
 STATIC_TRUTH_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])
 

@@ -9,12 +9,12 @@ import numpy as np
 
 from analysis.detection import Detector, DetectorConfig
 from analysis.detection.filter.measurement import choose, model, observe
-from analysis.orbits.broadcast import ned_axes
 from analysis.recordings.recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.decoder import Decoder
 from analysis.samples.sample import EphemerisSample, Epoch, ImuSample, Sample
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.numerics.earth_kernel import ned_axes
 from mavproxy_fault.proxy.core import Core, LinkRole
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule

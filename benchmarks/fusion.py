@@ -28,7 +28,6 @@ from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.local_frame import frame_at
 from analysis.fusion.smoother import Fusion
 from analysis.monitor.pipeline import Pipeline, monitor_config
-from analysis.orbits.broadcast import ned_axes
 from analysis.recordings.recordings import read_log, read_rinex_samples
 from analysis.results import Decision, FusedState, Result
 from analysis.run.proxied_flight import Flight
@@ -46,6 +45,7 @@ from analysis.samples.sample import (
     Vector,
 )
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.numerics.earth_kernel import ned_axes
 from mavproxy_fault.numerics.rotation import matrix_from_quat
 from mavproxy_fault.schedule.entries import Schedule
 from mavproxy_fault.wire.frame import Frame
@@ -339,9 +339,9 @@ def timed(samples: list[Sample]) -> tuple[Vector, Vector]:
         said: list[Result] = []
         start = time.perf_counter()
         for piece in pieces(block):
-            results, detector_state = references.take(piece, detector_state)
+            results, detector_state = references.step_piece(piece, detector_state)
             middle = time.perf_counter()
-            found, state = fusion.take(piece, results, detector_state.detector.core, state)
+            found, state = fusion.step_piece(piece, results, detector_state.detector.core, state)
             said += found
             detecting, start = detecting + middle - start, time.perf_counter()
             fusing += start - middle

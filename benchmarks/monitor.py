@@ -72,7 +72,7 @@ def watched(blocks: Iterator[Block] | list[Block], config: MonitorConfig) -> Mon
     """Everything but the files: samples to results, tally and JSON."""
     monitor = Monitor(config)
     for block in blocks:
-        encode_lines(monitor.block(block))
+        encode_lines(monitor.push(block))
     return monitor
 
 

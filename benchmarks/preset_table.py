@@ -42,14 +42,14 @@ HEAD = f"""\
 
 Made by `python benchmarks/preset_table.py`, and held against the flights by `--check` there; a test
 flies some of them. Each preset acts from {START_S:.0f} s to {START_S + ACTS_S:.0f} s of a flight of
-{END_S:.0f} s, in the simulator, proxy and monitor of `run`, with every sensor that presets need: the
-demo's fixed wing, and the quad of examples/hover.yaml with the demo's receiver. The same flight
+{END_S:.0f} s, in the simulator, proxy and monitor of `run`, with every sensor that presets need:
+the demo's fixed wing, and the quad of examples/hover.yaml with the demo's receiver. The same flight
 without the preset is the comparison.
 
 *Acted* are the parts that met a message: a preset names every message in which the sensor speaks,
 and those that are not sent are not used. The *verdict* is that of docs/verdicts.md, of each part
-where they differ; what is missed in ten seconds may be found in a longer flight. *Delay* is from the
-start to the first alarm that can see the fault. *Moved* is how far the true position came to lie
+where they differ; what is missed in ten seconds may be found in a longer flight. *Delay* is from
+the start to the first alarm that can see the fault. *Moved* is how far the true position came to lie
 from that of the clean flight, at most; a dash means below a decimetre.
 """
 
@@ -100,11 +100,11 @@ def flown(vehicle: str, schedule: Schedule) -> Flown:
         batch += flight.advance([]).monitor
         places.append(flight.simulation.truth.r_ned_m.copy())
         if len(batch) >= BATCH_BYTES:
-            monitor.bytes([bytes(batch)], datagrams=False)
+            monitor.push_bytes([bytes(batch)], datagrams=False)
             batch.clear()
     batch += flight.finish().monitor
-    monitor.bytes([bytes(batch)], datagrams=False)
-    flight.take_labels()
+    monitor.push_bytes([bytes(batch)], datagrams=False)
+    flight.drain_labels()
     summary = monitor.summary(flight.completed_labels(), Criteria(), 0.0)
     return Flown(np.array(places), summary["faults"])
 

@@ -91,7 +91,7 @@ def ours(estimator="inverse-model", count=256):
     points = np.random.default_rng(1).random((count, batch.space.dimension))
     batch.evaluate(points[:32], 1, 0)
     outcome, seconds = cpu(lambda: batch.evaluate(points, 1, 0))
-    assert (outcome.left == 0).all()
+    assert (outcome.broken_limit == 0).all()
     return outcome.steps / seconds
 
 

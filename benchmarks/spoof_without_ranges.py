@@ -74,10 +74,10 @@ def flown(job: tuple[str, str, int]) -> Flown:
         now = flight.simulation.truth
         truth[round(now.t_us, -4)] = ecef_from_geodetic(now.lat_rad, now.lon_rad, now.height_m)
         if len(batch) >= BATCH_BYTES:
-            results += monitor.bytes([bytes(batch)], datagrams=False)
+            results += monitor.push_bytes([bytes(batch)], datagrams=False)
             batch.clear()
-    results += monitor.bytes([bytes(batch) + flight.finish().monitor], datagrams=False)
-    flight.take_labels()
+    results += monitor.push_bytes([bytes(batch) + flight.finish().monitor], datagrams=False)
+    flight.drain_labels()
     summary = monitor.summary(flight.completed_labels(), Criteria(), 0.0)
     fixes = [
         (r, truth[round(r.t_us - 1_000_000, -4)])

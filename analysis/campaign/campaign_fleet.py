@@ -14,6 +14,7 @@ from typing import Any, Protocol
 from pebble import ProcessExpired, ProcessPool
 
 from analysis.campaign.flying.flight_job import Answer, Job, answer, failed
+from analysis.search.evaluation.pool import join_ray
 from mavproxy_fault.documents.errors import ConfigError
 
 AHEAD = 2  # jobs that wait for each worker, so that none is idle
@@ -87,20 +88,11 @@ class RayFleet:
     """A Ray cluster; flights whose node dies are flown again."""
 
     def __init__(self, address: str, limit_s: float) -> None:
-        try:
-            import ray
-        except ImportError:
-            raise ConfigError(
-                "--ray: Ray is not installed; pip install mavproxy-fault[cluster]"
-            ) from None
-        self._ray: Any = ray
-        self._mine = not ray.is_initialized()
-        if self._mine:
-            ray.init(address=address, log_to_driver=False)
+        self._ray, self._mine = join_ray(address)
         self._limit_s = limit_s
-        self.capacity = AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
+        self.capacity = AHEAD * max(1, int(self._ray.cluster_resources().get("CPU", 1)))
         # Retries of deaths without end; what a flight itself raises comes back as its answer.
-        self._answer: Any = ray.remote(max_retries=-1)(_told)
+        self._answer: Any = self._ray.remote(max_retries=-1)(_answered)
         self._flying: dict[Any, tuple[int, Job, float]] = {}
 
     def start(self, number: int, job: Job) -> None:
@@ -130,7 +122,7 @@ class RayFleet:
             self._ray.shutdown()
 
 
-def _told(job: Job) -> Answer:
+def _answered(job: Job) -> Answer:
     """The answer, also where the flight cannot be made."""
     try:
         return answer(job)

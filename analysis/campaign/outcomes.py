@@ -58,7 +58,9 @@ def judged(
     flown = PATH[0] in flight.curves
     place = off_path(flight, twin, onset_s) if flown else excursion(flight, twin, POSITION, onset_s)
     excursion_deg, excursion_m = (float(c[1].max()) if len(c[1]) else None for c in (angle, place))
+    # What the healthy twin shows too is not the fault's doing.
     new = new_marks(flight.marks, twin.marks, onset_s)
+    # Reversed, so that the earliest of each kind stays in the dictionary.
     first = {mark.kind: mark for mark in reversed(new)}
     detected, failsafe = first.get("detected"), first.get("failsafe")
     ends_s = onset_s + cell.duration_s
@@ -98,6 +100,7 @@ def excursion(flight: Evidence, twin: Evidence, name: str, onset_s: float) -> tu
     t_s, value = _arrays(flight.curves[name])
     later = t_s >= onset_s
     t_s, value = t_s[later], value[later]
+    # The twin flies the same seed: what differs is the fault alone.
     healthy = np.interp(t_s, *_arrays(twin.curves[name]))
     # An estimate that is no number is as wrong as can be.
     return t_s, np.where(np.isfinite(value), value - healthy, math.inf)

@@ -2,7 +2,7 @@
 
 import math
 from functools import cached_property
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -192,6 +192,18 @@ class DetectorConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     def ramp_numbers(self) -> RampNumbers:
         """What the ramp tests' kernels need."""
         sigma = self.sigma
-
         slope, acceleration = sigma.slow_mps**2, self.slow_accel_mps2**2
         return RampNumbers(*map(float, (sigma.slow**2, sigma.slow_s, slope, acceleration)))
+
+    @cached_property
+    def limits(self) -> tuple[Any, ...]:
+        """What a quiet epoch is judged by, as plain tuples, thresholds and numbers."""
+        return (
+            tuple(self.sigma.numbers),
+            tuple(self.noise.densities),
+            tuple(self.ramp_numbers),
+            self.thresholds,
+            self.mask_rad,
+            float(self.gap_s),
+            self.doppler,
+        )

@@ -69,6 +69,7 @@ def head(
     """x (7,) after one field sample (3,): turned about down towards the declination."""
     error = heading_error(x[:4], field, declination_rad)
     down = matrix(x[:4])[2]
+    # After a gap at most to where the field points, never beyond.
     step = min(1.0, gain * dt_s) * error * down
     out = np.empty(7)
     out[:4] = turned(x[:4], step[0], step[1], step[2])
@@ -106,6 +107,7 @@ def follow(
             for k in range(4):
                 q_nb[done, k] = x[k]
             done += 1
+        # A repeated stamp is the same sample again: it must not count twice.
         elif kind[i] == MAG and t_us[i] > stamps[1]:
             dt_s = min((t_us[i] - stamps[1]) * 1e-6, MAX_GAP_S)
             x = head(x, values[i, 0:3], declination_rad, dt_s, gains[1], gains[2])

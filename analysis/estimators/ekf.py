@@ -1,9 +1,9 @@
 """A quaternion EKF: attitude, gyro bias and velocity; nine error states.
 
-The error is a small turn in body axes beside the errors of bias and velocity [1]_. The IMU drives
-the prediction; velocity over ground from GPS, compared with the integrated specific force, shows
-the tilt in turning flight too, where gravity alone would not. The field shows the heading. Without
-GPS velocity for `gps_timeout_s`, gravity freed of the centripetal part takes over.
+The error is a small rotation in body axes beside the errors of bias and velocity [1]_. The IMU
+drives the prediction; velocity over ground from GPS, compared with the integrated specific force,
+shows the tilt in turning flight too, where gravity alone would not. The field shows the heading.
+Without GPS velocity for `gps_timeout_s`, gravity freed of the centripetal part takes over.
 
 References
 ----------
@@ -58,6 +58,7 @@ class Ekf:
     def start(self, prior: Prior) -> EkfState:
         """The prior with `start_sigma`; GPS is taken as missing until its first fix."""
         sigma = np.repeat(self.start_sigma, 3)
+        # The bias is unknown at start, so that it begins at zero with its sigma.
         x = np.concatenate([prior.q_nb, np.zeros(3), prior.v_ned_mps, np.diag(sigma**2).ravel()])
         timeout_us = round(self.gps_timeout_s * 1e6)
         return EkfState(

@@ -16,14 +16,14 @@ from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotation_kernel import (
     Axis,
     body_axes,
-    quaternion_of_turn,
-    turn,
+    quaternion_of_rotation,
+    rotate,
     wrapped,
 )
 
 Vector = NDArray[np.float64]
 P = 10  # where the covariance begins in x
-N = 9  # error states: turn, bias, velocity
+N = 9  # error states: attitude, bias, velocity
 MIN_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 NOW, GPS, TILT = 0, 1, 2  # stamps: of the state, of the newest velocity, of gravity's last use
 
@@ -48,20 +48,22 @@ def predict(
 ) -> None:
     """Move state and covariance over one IMU sample, rates and specific force (6,).
 
-    The turn's error obeys t' = -omega x t - b, the velocity's v' = -rot (f x t).
+    The attitude error obeys t' = -omega x t - b, the velocity's v' = -rot (f x t).
     """
     rx, ry, rz = imu[0] - x[4], imu[1] - x[5], imu[2] - x[6]
     fx, fy, fz = imu[3], imu[4], imu[5]
-    half_way = quaternion_of_turn(0.5 * rx * dt_s, 0.5 * ry * dt_s, 0.5 * rz * dt_s)
-    turn(x, half_way)
+    # The force is turned to NED by the attitude in the middle of the step: exact to second order.
+    half_way = quaternion_of_rotation(0.5 * rx * dt_s, 0.5 * ry * dt_s, 0.5 * rz * dt_s)
+    rotate(x, half_way)
     rows = body_axes(x)
-    turn(x, half_way)
+    rotate(x, half_way)
     for i in range(3):
         a, b, c = rows[i]
         x[7 + i] += dt_s * (a * fx + b * fy + c * fz)
         room[3 + i, 0] = -dt_s * (b * fz - c * fy)
         room[3 + i, 1] = -dt_s * (c * fx - a * fz)
         room[3 + i, 2] = -dt_s * (a * fy - b * fx)
+    # The specific force of free fall is zero; down is positive.
     x[9] += dt_s * STANDARD_GRAVITY_MPS2
     room[0, 0], room[0, 1], room[0, 2] = 1.0, dt_s * rz, -dt_s * ry
     room[1, 0], room[1, 1], room[1, 2] = -dt_s * rz, 1.0, dt_s * rx
@@ -77,16 +79,20 @@ def predict(
 def spread(x: Vector, room: Room, dt_s: float) -> None:
     """Put F P F' in the place of P, in place.
 
-    F is the identity but for what the turn's error does to itself and to the velocity's, the first
-    three columns of `room`, and for what the bias does to the turn in `dt_s`. The rows of F P that
-    are not P's, turn and velocity, are put behind those columns.
+    F is the identity but for what the attitude error does to itself and to the velocity's, the
+    first three columns of `room`, and for what the bias does to the attitude in `dt_s`. The rows of
+    F P that are not P's, attitude and velocity, are put behind those columns.
     """
     for j in range(N):
-        turn_0, turn_1, turn_2 = x[P + j], x[P + N + j], x[P + 2 * N + j]
+        attitude_0, attitude_1, attitude_2 = x[P + j], x[P + N + j], x[P + 2 * N + j]
         for i in range(3):
-            sum_ = room[i, 0] * turn_0 + room[i, 1] * turn_1 + room[i, 2] * turn_2
+            sum_ = room[i, 0] * attitude_0 + room[i, 1] * attitude_1 + room[i, 2] * attitude_2
             room[i, 3 + j] = sum_ - dt_s * x[P + N * (3 + i) + j]
-            sum_ = room[3 + i, 0] * turn_0 + room[3 + i, 1] * turn_1 + room[3 + i, 2] * turn_2
+            sum_ = (
+                room[3 + i, 0] * attitude_0
+                + room[3 + i, 1] * attitude_1
+                + room[3 + i, 2] * attitude_2
+            )
             room[3 + i, 3 + j] = sum_ + x[P + N * (6 + i) + j]
     for i in range(3):
         for j in range(3):
@@ -107,7 +113,7 @@ def put(x: Vector, i: int, j: int, value: float) -> None:
 
 @inlined
 def through(room: Room, i: int, j: int) -> float:
-    """What row i of F P, in `room`, brings about by row j of the turn's columns."""
+    """What row i of F P, in `room`, brings about by row j of the attitude's columns."""
     value: float = room[i, 3] * room[j, 0] + room[i, 4] * room[j, 1] + room[i, 5] * room[j, 2]
     return value
 
@@ -116,17 +122,19 @@ def through(room: Room, i: int, j: int) -> float:
 def correct(x: Vector, gain: Vector, innovation: float, variance: float) -> None:
     """Take one scalar measurement of innovation variance `variance`; `gain` (9,) is P h."""
     for i in range(N):
+        # The upper half; `put` mirrors it, so that the covariance stays symmetric to the last bit.
         for j in range(i, N):
             put(x, i, j, x[P + N * i + j] - gain[i] * gain[j] / variance)
     size = innovation / variance
-    turn(x, quaternion_of_turn(gain[0] * size, gain[1] * size, gain[2] * size))
+    # The error is a rotation, not a number to add to the quaternion; its length stays one.
+    rotate(x, quaternion_of_rotation(gain[0] * size, gain[1] * size, gain[2] * size))
     for i in range(6):
         x[4 + i] += gain[3 + i] * size
 
 
 @compiled
-def correct_by_turn(x: Vector, h: Axis, innovation: float, variance: float, room: Room) -> None:
-    """Take a scalar measurement that only the turn's error moves, by h."""
+def correct_by_rotation(x: Vector, h: Axis, innovation: float, variance: float, room: Room) -> None:
+    """Take a scalar measurement that only the attitude error moves, by h."""
     gain = room[0]
     for i in range(N):
         gain[i] = x[P + N * i] * h[0] + x[P + N * i + 1] * h[1] + x[P + N * i + 2] * h[2]
@@ -140,6 +148,7 @@ def correct_velocity(x: Vector, v_ned_mps: Vector, variance: float, room: Room) 
     gain = room[0]
     for axis in range(3):
         for i in range(N):
+            # h picks one velocity out, so that P h is a column of P.
             gain[i] = x[P + N * i + 6 + axis]
         innovation = v_ned_mps[axis] - x[7 + axis]
         correct(x, gain, innovation, variance + gain[6 + axis])
@@ -158,7 +167,7 @@ def restart_velocity(x: Vector, v_ned_mps: Vector, variance: float) -> None:
 
 @compiled
 def head(x: Vector, field: Vector, declination_rad: float, variance: float, room: Room) -> None:
-    """Take the heading of the field (3,): a small turn e in NED moves it by
+    """Take the heading of the field (3,): a small rotation e in NED moves it by
 
     e_d - m_d (e_n m_n + e_e m_e) / (m_n^2 + m_e^2), so that a tilt is not taken for heading.
     """
@@ -166,6 +175,7 @@ def head(x: Vector, field: Vector, declination_rad: float, variance: float, room
     (n_x, n_y, n_z), (e_x, e_y, e_z), (d_x, d_y, d_z) = body_axes(x)
     north = n_x * fx + n_y * fy + n_z * fz
     east = e_x * fx + e_y * fy + e_z * fz
+    # Over a magnetic pole the field has no heading: the small number keeps it finite.
     tilt = -(d_x * fx + d_y * fy + d_z * fz) / (north * north + east * east + 1e-12)
     h = (
         d_x + tilt * (north * n_x + east * e_x),
@@ -173,7 +183,7 @@ def head(x: Vector, field: Vector, declination_rad: float, variance: float, room
         d_z + tilt * (north * n_z + east * e_z),
     )
     innovation = wrapped(declination_rad - atan2(east, north))
-    correct_by_turn(x, h, innovation, variance, room)
+    correct_by_rotation(x, h, innovation, variance, room)
 
 
 @compiled
@@ -181,9 +191,10 @@ def level(x: Vector, imu: Vector, speed_mps: float, variance: float, room: Room)
     """Take the specific force of an IMU sample (6,) as gravity plus the centripetal part of a
     flight along the nose, axis by axis.
 
-    The error of the turn moves gravity in body axes by g x t.
+    The attitude error moves gravity in body axes by g x t.
     """
     for axis in range(3):
+        # Anew for each axis, as the one before has moved the attitude.
         down = body_axes(x)[2]
         gx, gy, gz = (
             -STANDARD_GRAVITY_MPS2 * down[0],
@@ -196,7 +207,7 @@ def level(x: Vector, imu: Vector, speed_mps: float, variance: float, room: Room)
             h, expected = (gz, 0.0, -gx), gy + (imu[2] - x[6]) * speed_mps
         else:
             h, expected = (-gy, gx, 0.0), gz - (imu[1] - x[5]) * speed_mps
-        correct_by_turn(x, h, imu[3 + axis] - expected, variance, room)
+        correct_by_rotation(x, h, imu[3 + axis] - expected, variance, room)
 
 
 @compiled
@@ -213,6 +224,7 @@ def moved(
     dt_s = (t_us - stamps[NOW]) * 1e-6
     if dt_s <= 0.0:
         return
+    # Over a longer gap the IMU tells nothing: the state waits for the other sensors.
     if dt_s <= MAX_GAP_S:
         predict(x, imu, dt_s, numbers[0], numbers[1], numbers[2], room)
     if t_us - stamps[GPS] >= numbers[7] and t_us - stamps[TILT] >= numbers[6]:
@@ -233,6 +245,7 @@ def with_velocity(
         restart_velocity(x, v[3:6], numbers[3])
     else:
         correct_velocity(x, v[3:6], numbers[3], room)
+    # Fixes may come out of order; the silence counts from the newest.
     stamps[GPS] = max(t_us, stamps[GPS])
 
 

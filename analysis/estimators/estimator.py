@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from analysis.samples.block import ATTITUDE, IMU, TRUTH, Block, Indices, Stamps
 from analysis.samples.sample import Sample
 from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 
 Vector = NDArray[np.float64]
-SEA_LEVEL_DENSITY_KGPM3 = 1.225  # ISO 2533
 MAX_GAP_S = 0.5  # a longer pause between IMU samples is not integrated over
 
 
@@ -64,14 +64,14 @@ def follow(estimator: Estimator, block: Block, state: Any) -> tuple[Stamps, Vect
     if at_once is not None:
         found: tuple[Stamps, Vector, Any] = at_once(block, state)
         return found
-    stamps, turns = [], []
+    stamps, attitudes = [], []
     for row, kind in enumerate(block.kind.tolist()):
         if kind not in (TRUTH, ATTITUDE):
             estimate, state = estimator.update(block.sample(row), state)
             if kind == IMU:
                 stamps.append(estimate.t_us)
-                turns.append(estimate.q_nb)
-    return np.array(stamps, np.int64), np.array(turns, dtype=float).reshape(-1, 4), state
+                attitudes.append(estimate.q_nb)
+    return np.array(stamps, np.int64), np.array(attitudes, dtype=float).reshape(-1, 4), state
 
 
 @compiled

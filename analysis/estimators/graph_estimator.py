@@ -19,9 +19,9 @@ from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.fusion_state import FusionState
 from analysis.fusion.local_frame import quaternion
 from analysis.fusion.smoother import Fusion
-from analysis.orbits.broadcast import geodetic, ned_axes
 from analysis.results import Decision, FusedState
 from analysis.samples.sample import ImuSample, Sample, Vector
+from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 from mavproxy_fault.numerics.rotation_kernel import matrix, turned
 
 PRIOR_RAD = 0.05  # how sure the first attitude is
@@ -30,14 +30,14 @@ PRIOR_RAD = 0.05  # how sure the first attitude is
 @dataclass(slots=True)
 class FusedAttitudeState:
     """What moves, in place: the detector and the graph, the attitude (4,) and its time, gyro bias
-    (3,), the turns (time, rate (3,), length in s) since the last epoch."""
+    (3,), the rates (time, rate (3,), length in s) since the last epoch."""
 
     detector: ReferenceState
     fusion: FusionState
     q_nb: Vector
     t_us: int
     bias_rps: Vector = field(default_factory=lambda: np.zeros(3))
-    turns: deque[tuple[int, Vector, float]] = field(default_factory=deque)
+    rates: deque[tuple[int, Vector, float]] = field(default_factory=deque)
 
 
 @dataclass(frozen=True)
@@ -71,27 +71,28 @@ class FusedAttitude:
         if isinstance(reading, ImuSample) and reading.t_us > state.t_us:
             dt_s = (reading.t_us - state.t_us) * 1e-6
             if dt_s <= MAX_GAP_S:
-                state.turns.append((reading.t_us, reading.gyro_b_rps, dt_s))
+                state.rates.append((reading.t_us, reading.gyro_b_rps, dt_s))
                 state.q_nb = _after(state.q_nb, reading.gyro_b_rps - state.bias_rps, dt_s)
             state.t_us = reading.t_us
         results, state.detector = self._references.step(reading, state.detector)
         decision = next((result for result in results if isinstance(result, Decision)), None)
         motion = state.detector.detector.core.motion
         if decision is not None and decision.mode == "start" and motion is not None:
-            self._tell(motion, state)
+            self._align_detector(motion, state)
         core = state.detector.detector.core
         fused, state.fusion = self._fusion.step(reading, results, core, state.fusion)
         for result in fused:
             if isinstance(result, FusedState):
-                self._take(result, state)
+                self._adopt(result, state)
         return AttitudeEstimate(max(reading.t_us, state.t_us), state.q_nb), state
 
     @staticmethod
-    def _tell(motion: Motion, state: FusedAttitudeState) -> None:
+    def _align_detector(motion: Motion, state: FusedAttitudeState) -> None:
         """The detector's filter begins with the attitude that is known here."""
         x, p = motion.x.copy(), motion.p.copy()
         lat, lon, _ = geodetic(x[R : R + 3])
         x[X_Q : X_Q + 4] = quaternion(ned_axes(lat, lon).T @ matrix(state.q_nb))
+        # The prior has nothing to do with the other errors.
         p[PSI : PSI + 3, :] = p[:, PSI : PSI + 3] = 0.0
         p[PSI : PSI + 3, PSI : PSI + 3] = PRIOR_RAD**2 * np.eye(3)
         inner = state.detector.detector
@@ -99,21 +100,22 @@ class FusedAttitude:
         state.detector = replace(state.detector, detector=inner._replace(core=core))
 
     @staticmethod
-    def _take(said: FusedState, state: FusedAttitudeState) -> None:
+    def _adopt(fused: FusedState, state: FusedAttitudeState) -> None:
         """The graph's attitude, turned from its epoch to the newest IMU sample."""
         graph = state.fusion.graph
-        while state.turns and state.turns[0][0] <= said.t_us:
-            state.turns.popleft()
+        # What the graph has seen; the rest leads from its epoch to now.
+        while state.rates and state.rates[0][0] <= fused.t_us:
+            state.rates.popleft()
         if graph is None or not graph.aligned:
             return
         state.bias_rps = graph.node.bias.gyroscope()
-        q_nb = np.array(said.q_nb)
-        for _, rate, dt_s in state.turns:
+        q_nb = np.array(fused.q_nb)
+        for _, rate, dt_s in state.rates:
             q_nb = _after(q_nb, rate - state.bias_rps, dt_s)
         state.q_nb = q_nb
 
 
 def _after(q_nb: Vector, rate_rps: Vector, dt_s: float) -> Vector:
-    turn = rate_rps * dt_s
-    result: Vector = turned(q_nb, float(turn[0]), float(turn[1]), float(turn[2]))
+    rotvec = rate_rps * dt_s
+    result: Vector = turned(q_nb, float(rotvec[0]), float(rotvec[1]), float(rotvec[2]))
     return result

@@ -42,11 +42,11 @@ def derivative(x: Vector, gyro: Vector, accel: Vector) -> Vector:
     u, v, w = x[3], x[4], x[5]
     p, q, r = gyro[0], gyro[1], gyro[2]
     safe = ct if abs(ct) > MIN_COS_PITCH else (MIN_COS_PITCH if ct >= 0.0 else -MIN_COS_PITCH)
-    turn = q * sf + r * cf
+    yaw_part = q * sf + r * cf
     out = np.empty(9)
-    out[0] = p + turn * st / safe
+    out[0] = p + yaw_part * st / safe
     out[1] = q * cf - r * sf
-    out[2] = turn / safe
+    out[2] = yaw_part / safe
     out[3] = accel[0] + r * v - q * w - STANDARD_GRAVITY_MPS2 * st
     out[4] = accel[1] + p * w - r * u + STANDARD_GRAVITY_MPS2 * ct * sf
     out[5] = accel[2] + q * u - p * v + STANDARD_GRAVITY_MPS2 * ct * cf
@@ -62,6 +62,7 @@ def heun(
 ) -> Vector:
     """One step of length `dt_s` between two samples."""
     slope0 = derivative(x, gyro0, accel0)
+    # With the sample at its own end: that is why the step uses both.
     slope1 = derivative(x + dt_s * slope0, gyro1, accel1)
     return x + 0.5 * dt_s * (slope0 + slope1)
 
@@ -84,6 +85,7 @@ def follow(
         if kind[i] != IMU:
             continue
         v = values[i, 0:6]
+        # The first sample stands for the one before it: Euler's step, once.
         if np.isnan(before[0]):
             before = v
         dt_s = (t_us[i] - now_us) * 1e-6

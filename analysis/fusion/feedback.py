@@ -22,7 +22,7 @@ from analysis.fusion.window import key
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.rotation_kernel import matrix
 
-SIZE = 17  # errors of a node: turn, shift (body axes), velocity, biases, clock, drift
+SIZE = 17  # errors of a node: rotation, shift (body axes), velocity, biases, clock, drift
 
 
 def fed_back(core: Core, graph: Graph | None) -> Core:
@@ -46,11 +46,11 @@ def fed_back(core: Core, graph: Graph | None) -> Core:
 
 def _to_filter(to_ecef: Vector, rot_eb: Vector) -> Vector:
     """Errors (20) of the filter from those (17) of a node: (20, 17)."""
-    turn = np.zeros((ERRORS, SIZE))
-    turn[PSI : PSI + 3, 0:3] = rot_eb
-    turn[R : R + 3, 3:6] = rot_eb
-    turn[V : V + 3, 6:9] = to_ecef
-    turn[BA : BA + 3, 9:12] = np.eye(3)
-    turn[BG : BG + 3, 12:15] = np.eye(3)
-    turn[CLOCK, 15] = turn[DRIFT, 16] = 1.0
-    return turn
+    jacobian = np.zeros((ERRORS, SIZE))
+    jacobian[PSI : PSI + 3, 0:3] = rot_eb
+    jacobian[R : R + 3, 3:6] = rot_eb
+    jacobian[V : V + 3, 6:9] = to_ecef
+    jacobian[BA : BA + 3, 9:12] = np.eye(3)
+    jacobian[BG : BG + 3, 12:15] = np.eye(3)
+    jacobian[CLOCK, 15] = jacobian[DRIFT, 16] = 1.0
+    return jacobian

@@ -8,10 +8,10 @@ import numpy as np
 
 from analysis.fusion.graph import Graph
 from analysis.fusion.local_frame import quaternion
-from analysis.orbits.broadcast import geodetic, ned_axes
 from analysis.results import FusedState
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 from mavproxy_fault.numerics.linear import apply, multiply, transposed
 
 UNKNOWN_DEG = (180.0, 180.0, 180.0)
@@ -71,9 +71,9 @@ def _rows(
     lat, lon, _ = geodetic(out[0:3])
     ned = ned_axes(lat, lon)
     to_ned = multiply(ned, transposed(axes))
-    turn = multiply(to_ned, pose[0:3, 0:3])
-    speed, q = apply(to_ned, velocity), quaternion(turn)
-    here, slow = _variances(turn, p[3:6, 3:6]), _variances(ned, slow_m2)
+    rotation = multiply(to_ned, pose[0:3, 0:3])
+    speed, q = apply(to_ned, velocity), quaternion(rotation)
+    here, slow = _variances(rotation, p[3:6, 3:6]), _variances(ned, slow_m2)
     change = _variances(to_ned, p[6:9, 6:9])
     for i in range(3):
         out[3 + i] = speed[i]

@@ -10,7 +10,7 @@ import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig, Noise
 from analysis.fusion.edge import Edge, mended, split
-from analysis.fusion.factors.imu_factors import FREE_TURN_RPS, imagine, imu_params, preintegrate
+from analysis.fusion.factors.imu_factors import FREE_RATE_RPS, imagine, imu_params, preintegrate
 from analysis.fusion.factors.range_factors import Ranges
 from analysis.fusion.factors.robust_factors import clock_in_seconds, pseudoranges
 from analysis.fusion.factors.unary_factors import EPOCHS, clock_factor
@@ -59,7 +59,7 @@ class Graph:
         self.aligned = beginning.aligned
         self.slow_m2: Vector = np.zeros((3, 3))  # ECEF, what averaging leaves of the position
         self.covariance: Vector = np.zeros((9, 9))
-        self.window = Window(config.lag_s)
+        self.window = Window(config.lag_s, any_scale=beginning.loose)
         self.epochs: dict[int, Epoch] = {}
         self._began = beginning.node
         self._detector = detector
@@ -129,7 +129,8 @@ class Graph:
         """
         old = self.node
         if attitude is not None:
-            edge = edge._replace(trusted=False, turn_rps=FREE_TURN_RPS)
+            # The attitude leaps here from unknown to known: no IMU may tie the two.
+            edge = edge._replace(trusted=False, rate_sigma_rps=FREE_RATE_RPS)
         elif not self.aligned:
             edge = edge._replace(trusted=False)
         motion = self._motion(edge, old, t_us)
@@ -158,6 +159,7 @@ class Graph:
             return None
         (start_us, i), (end_us, j) = self._track[at - 1], self._track[at]
         edge = self.epochs[j].edge
+        # Two epochs as close as this would be one, twice.
         if edge is None or min(t_us - start_us, end_us - t_us) < SAME_US:
             return None
         first, second = split(edge.part, start_us, t_us, end_us)
@@ -167,6 +169,7 @@ class Graph:
         node = self._new_node(start, t_us, motion)
         self._insert(node)
         self._tie(earlier, motion, node.epoch)
+        # The edge that spanned the gap now begins at the new epoch.
         self._retie(j, edge._replace(before=node.epoch, part=second), node)
         return node
 
@@ -209,7 +212,8 @@ class Graph:
             if t_us < since_us or at.ranges is None or name not in at.ranges.satellites:
                 continue
             i = at.ranges.satellites.index(name)
-            if at.weights[i] > 0.0 and self.window.take_back(RANGES, epoch):
+            # A satellite that weighs nothing is as good as gone.
+            if at.weights[i] > 0.0 and self.window.remove(RANGES, epoch):
                 others = at.weights.copy()
                 others[i] = 0.0
                 self.attach_ranges(epoch, at.ranges, others)
@@ -247,6 +251,7 @@ class Graph:
                 part = mended(edge.part, start_us, end_us, late)
                 self._retie(epoch, edge._replace(part=part))
         self._late = {}
+        # Before solving, as the smoother drops these variables while it does.
         self._forget()
         self.window.commit()
         epoch = self.node.epoch
@@ -270,6 +275,7 @@ class Graph:
 
     def _new_node(self, start: Node, t_us: int, motion: Any) -> Node:
         guess = motion.predict(gtsam.NavState(start.pose, start.velocity), start.bias)
+        # Numbers are used again, as GTSAM's keys and our caches are per number.
         epoch = self._free.pop() if self._free else len(self.epochs)
         if epoch == EPOCHS:
             raise RuntimeError(f"more than {EPOCHS} epochs in the window")
@@ -289,13 +295,14 @@ class Graph:
         """The preintegrated IMU of an edge, or a model of motion in its place."""
         if self.sound(edge):
             place_m = start.pose.translation().tolist()
+            # Preintegration takes gravity as constant; a new place has another one.
             far = math.dist(place_m, self._place_m) > SAME_PLACE_M
             if far or edge.noise is not self._noise:
                 self._place_m, self._noise = place_m, edge.noise
                 self._params = imu_params(self.frame, np.array(place_m), edge.noise)
             return preintegrate(edge.part.samples, start.bias, self._params)
         dt_s = (t_us - start.t_us) * 1e-6
-        return imagine(dt_s, start.bias, self.frame, edge.noise, edge.turn_rps)
+        return imagine(dt_s, start.bias, self.frame, edge.noise, edge.rate_sigma_rps)
 
     def _tie(self, edge: Edge, motion: Any, epoch: int) -> None:
         before, after = self.epochs[edge.before], self.epochs[epoch]
@@ -312,7 +319,7 @@ class Graph:
     def _retie(self, epoch: int, edge: Edge, start: Node | None = None) -> None:
         """Another edge to an epoch in place of the one it has."""
         for source in ("imu", "clock"):
-            self.window.take_back(source, epoch)
+            self.window.remove(source, epoch)
         start = start or self.estimate(edge.before)
         self._tie(edge, self._motion(edge, start, self.epochs[epoch].t_us), epoch)
 

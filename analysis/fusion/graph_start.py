@@ -1,5 +1,6 @@
 """Where a graph begins: at the detector's filter, or where the last one was good."""
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -37,6 +38,7 @@ NO_SPEED = np.zeros(3)
 TINY = 1e-12  # keeps a covariance positive definite
 UNKNOWN_CLOCK = (1e5, 300.0)  # next to nothing beside a range, and no zero to Cholesky
 STILL_RAD = 0.1
+LOOSE_M = 20.0  # a position as unsure as this begins with the epoch's own ranges, and by QR
 DOUBT = 2.0  # the sigmas of the last good state times this
 
 
@@ -53,8 +55,8 @@ class Node(Value, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Beginning:
-    """A first node with its covariances: pose (6, 6) turn then shift in body axes, velocity (3, 3)
-    in the frame's, bias (6, 6), and sigmas (2,) of clock and drift.
+    """A first node with its covariances: pose (6, 6) rotation then shift in body axes, velocity (3,
+    3) in the frame's, bias (6, 6), and sigmas (2,) of clock and drift.
 
     `aligned` says that its attitude is known.
     """
@@ -66,6 +68,11 @@ class Beginning:
     bias_p: Vector
     clock_sigma: Vector
     aligned: bool
+
+    @property
+    def loose(self) -> bool:
+        """Whether the position is so unsure that more than priors is needed."""
+        return math.sqrt(np.trace(self.pose_p[3:, 3:])) > LOOSE_M
 
     def priors(self) -> list[Any]:
         """The first node's factors."""
@@ -117,6 +124,7 @@ def at_filter(motion: Motion, correlation: float) -> Beginning:
     rot = frame.axes @ matrix(x[X_Q : X_Q + 4])
     to_body = rot.T @ frame.axes
     both = np.zeros((6, 6))
+    # GTSAM's pose errors are in body axes, the filter's in ECEF.
     both[:3, :3] = both[3:, 3:] = to_body
     spots = [*range(PSI, PSI + 3), *range(R, R + 3)]
     widen = np.diag([1.0] * 3 + [correlation] * 3)
@@ -139,6 +147,7 @@ def at_filter(motion: Motion, correlation: float) -> Beginning:
         pose_p,
         frame.axes @ p[V : V + 3, V : V + 3] @ frame.axes.T,
         p[np.ix_(biases, biases)],
+        # Range errors last: many epochs of them tell less than they seem to.
         correlation * np.sqrt(p[[CLOCK, DRIFT], [CLOCK, DRIFT]] + 1e-4),
         motion.inertial,
     )
@@ -146,6 +155,7 @@ def at_filter(motion: Motion, correlation: float) -> Beginning:
 
 def at_node(frame: Frame, node: Node, covariance: Vector, aligned: bool) -> Beginning:
     """The last good node of a graph with the covariance (9, 9) of its pose and velocity."""
+    # Something went wrong since then: it is believed, but less.
     wide = DOUBT**2 * covariance
     bias = np.diag([ACCEL_BIAS_SIGMA_MPS2**2] * 3 + [GYRO_BIAS_SIGMA_RPS**2] * 3)
     first = Node(0, node.t_us, node.pose, node.velocity, node.bias, node.clock)

@@ -68,7 +68,7 @@ class Learnt:
         are 0 they are not used."""
         dt_s = min(max((t_us - self.t_us) * 1e-6, 0.0), 1.0)
         self.t_us = t_us
-        self._turn_to(satellites)
+        self._start_satellites(satellites)
         _average(self.table, weights, normalised, dt_s)
 
     def scale(self, satellites: tuple[str, ...], rate_sigma: Vector) -> None:
@@ -81,10 +81,11 @@ class Learnt:
         count = len(means)
         if count <= unknowns:
             return configured
+        # Solving takes as many degrees of freedom as it has unknowns.
         seen = float(means @ means) * count / (count - unknowns)
         return math.sqrt((SLOW_PRIOR * configured**2 + seen) / (SLOW_PRIOR + count))
 
-    def _turn_to(self, satellites: tuple[str, ...]) -> None:
+    def _start_satellites(self, satellites: tuple[str, ...]) -> None:
         self.table, self.satellites = self._of(satellites), satellites
 
     def _of(self, satellites: tuple[str, ...]) -> Vector:
@@ -100,6 +101,7 @@ class Learnt:
 def _hear(imu: Vector, samples: Vector) -> None:
     """Take samples (k, 7) into the IMU's variances and age (3,), from second differences."""
     count = samples.shape[0] - 1  # the last step repeats its sample
+    # Second differences of a few samples say next to nothing of a variance.
     if count < LEAST_SAMPLES:
         return
     whole_s, sums = samples[count, 0], np.zeros(2)
@@ -108,6 +110,7 @@ def _hear(imu: Vector, samples: Vector) -> None:
         if k >= 2:
             for i in range(6):
                 bend = samples[k, 1 + i] - 2.0 * samples[k - 1, 1 + i] + samples[k - 2, 1 + i]
+                # Six times the variance of white noise, over three axes: hence 18.
                 sums[i // 3] += bend * bend / 18.0
     inner_s = whole_s - samples[count, 0]
     for i in range(2):
@@ -128,6 +131,7 @@ def _average(table: Vector, weights: Vector, normalised: Vector, dt_s: float) ->
         age = table[i, AGE]
         if np.isfinite(rate):
             share = dt_s / (min(age, RATE_S) + dt_s)
+            # An outlier must not raise the sigma that would find it.
             table[i, RATE] += share * (min(rate * rate, OUTLIER) - table[i, RATE])
         if np.isfinite(slow):
             share = dt_s / (min(age, SLOW_S) + dt_s)

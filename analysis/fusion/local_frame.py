@@ -9,9 +9,10 @@ import gtsam
 import numpy as np
 
 from analysis.detection.filter.inertial import gravity_ecef
-from analysis.orbits.broadcast import EARTH_RATE_RPS, geodetic, ned_axes
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
+from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 from mavproxy_fault.numerics.magnetic_field import date_of, magnetic_field_gauss
 
 
@@ -45,7 +46,7 @@ class Frame:
 
     def earth_rate(self) -> Vector:
         """The earth's rotation (3,) in rad/s."""
-        result: Vector = self.axes[:, 2] * EARTH_RATE_RPS
+        result: Vector = self.axes[:, 2] * GNSS_EARTH_RATE_RPS
         return result
 
     @cached_property
@@ -55,6 +56,7 @@ class Frame:
         lat_deg, lon_deg = float(np.degrees(lat)), float(np.degrees(lon))
         day = date_of(self.stamp_us)
         north, east, down = magnetic_field_gauss(lat_deg, lon_deg, float(height), day)
+        # The model gives north, east, down; this frame is east, north, up.
         return np.array([east, north, -down])
 
 

@@ -16,6 +16,7 @@ from analysis.fusion.factors.factor_weights import isolated_sensors, range_weigh
 from analysis.fusion.factors.gnc import outliers
 from analysis.fusion.factors.range_factors import Ranges
 from analysis.fusion.factors.sensor_factors import WAITING, Others
+from analysis.fusion.filter_check import against_filter
 from analysis.fusion.fused_record import fused_state, gap
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.fusion_state import FusionState, Good, Now, heeded
@@ -31,7 +32,6 @@ from analysis.results import Decision, FusedState, Result, SensorDecision
 from analysis.samples.block import Piece
 from analysis.samples.sample import Epoch, ImuSample, Sample
 
-LOOSE_M = 10.0  # a start less sure than this takes the epoch's own ranges in
 LOST_RAD = 0.1  # an attitude as sure as this needs no help from the detector
 SUSPECT = 0.5  # of the threshold: above it the IMU is suspicious, and taken back if it is isolated
 SHOWS_NOISE = ("none", "satellites")  # hypotheses under which residuals are noise
@@ -52,17 +52,17 @@ class Fusion:
         """Nothing known."""
         return FusionState()
 
-    def take(
+    def step_piece(
         self, piece: Piece, results: Sequence[Result], core: Core, state: FusionState
     ) -> tuple[list[Result], FusionState]:
         """The same as `step` for samples up to an event, with the results of that."""
         state.hear(piece.imu if core.imu_id is None else piece.of_imu(core.imu_id))
-        said: list[Result] = []
+        states: list[Result] = []
         for row in heeded(piece.block.kind, piece.first, piece.last).tolist():
-            told = results if row == piece.last else ()
-            found, state = self.step(piece.block.sample(row), told, core, state)
-            said += found
-        return said, state
+            of_row = results if row == piece.last else ()
+            found, state = self.step(piece.block.sample(row), of_row, core, state)
+            states += found
+        return states, state
 
     def step(
         self, sample: Sample, results: Sequence[Result], core: Core, state: FusionState
@@ -73,7 +73,7 @@ class Fusion:
         ----------
         sample : Sample
         results : sequence of Result
-            What the detector and the tests of other sensors said of this sample.
+            What the detector and the tests of other sensors found of this sample.
         core : Core
             The detector's state after it: where the graph begins, and the orbits in use.
         state : FusionState
@@ -85,8 +85,9 @@ class Fusion:
             return [], state
         decision = next((result for result in results if isinstance(result, Decision)), None)
         graph, source = state.graph, WAITING.get(type(sample))
+        # Behind the newest node: it belongs between older ones.
         if graph is not None and sample.t_us < graph.node.t_us:
-            self._take_late(graph, sample, source, core, state)
+            self._attach_late(graph, sample, source, core, state)
             return [], state
         if source is not None:
             state.waiting[source] = sample
@@ -94,21 +95,23 @@ class Fusion:
             return [], state
         now = Now(sample, decision, results, core)
         try:
-            said = self._epoch(now, state)
+            fused = self._epoch(now, state)
         except FAILURES as error:
-            said = self._again(now, state, _first_line(error))
+            fused = self._again(now, state, _first_line(error))
         state.forget(decision.t_us)
-        if said is None:
+        if fused is None:
             return [], state
-        state.last = said
-        return [said], state
+        state.last = fused
+        return [fused], state
 
     def _epoch(self, now: Now, state: FusionState) -> FusedState | None:
         """The next epoch of the graph, or the first of a new one."""
-        graph = state.graph
+        graph, motion = state.graph, now.motion
+        if now.core.motion is None:  # the detector has lost its place, and nothing else keeps one
+            state.graph = None
+            return None
         if graph is not None and not self._must_restart(graph, now.decision):
             return self._go_on(graph, now, state)
-        motion = now.motion
         if motion is None:
             return None
         state.notes.append("the graph began")
@@ -121,9 +124,10 @@ class Fusion:
 
     def _begin(self, motion: Motion, now: Now, state: FusionState) -> FusedState:
         """A new graph where the detector is."""
-        graph = self._new(at_filter(motion, self.config.correlation), state)
+        beginning = at_filter(motion, self.config.correlation)
+        graph = self._new(beginning, state)
         used = {"imu": float(motion.inertial)}
-        if np.sqrt(motion.p[0, 0]) > LOOSE_M:
+        if beginning.loose:
             used |= self._attach_ranges(graph, now, state)
         return self._done(graph, used, now, state)
 
@@ -156,7 +160,16 @@ class Fusion:
             if share is not None:
                 used[source] = share
         state.isolated = isolated
-        return self._done(graph, used, now, state)
+        fused = self._done(graph, used, now, state)
+        worse = against_filter(graph, now.motion, self.config.correlation)
+        return self._hand_on(worse, now, state) if worse and self.config.decide else fused
+
+    def _hand_on(self, worse: str, now: Now, state: FusionState) -> FusedState:
+        """The filter's answer in place of the graph's, which goes on from there."""
+        motion = now.motion
+        assert motion is not None
+        state.notes = [f"{worse}; it began anew there"]
+        return self._begin(motion, now, state)
 
     def _imu_noise(self, part: Segment, trusted: bool, state: FusionState) -> Noise:
         if not self.config.learn:
@@ -189,16 +202,16 @@ class Fusion:
         state.excluded = excluded
         state.good = Good(graph.frame, graph.node, graph.covariance, graph.aligned)
         weights = used | dict.fromkeys(excluded, 0.0)
-        said = fused_state(graph, self.name, weights, "; ".join(state.notes))
+        fused = fused_state(graph, self.name, weights, "; ".join(state.notes))
         state.waiting, state.notes = {}, []
-        return said
+        return fused
 
     @staticmethod
     def _drop_outliers(graph: Graph) -> None:
         known = [at.ranges.satellites for at in graph.epochs.values() if at.ranges]
         found = outliers(graph.window, frozenset(name for names in known for name in names))
         for name, epoch in found:
-            graph.window.take_back(name, epoch)
+            graph.window.remove(name, epoch)
         if found:
             graph.commit()
 
@@ -212,9 +225,9 @@ class Fusion:
         """
         node = graph.node
         tests = [r for r in now.results if isinstance(r, SensorDecision) and r.sensor == "imu"]
-        for said in tests:
-            limit = SUSPECT * (said.threshold or 0.0)
-            calm = said.statistic is None or said.statistic <= limit
+        for test in tests:
+            limit = SUSPECT * (test.threshold or 0.0)
+            calm = test.statistic is None or test.statistic <= limit
             since_us = node.t_us if state.suspect_us is None else state.suspect_us
             state.suspect_us = None if calm else since_us
         if "imu" in isolated:
@@ -223,14 +236,15 @@ class Fusion:
             return None
         motion = now.motion
         if motion is None or not motion.inertial:
-            held = self.config.decide and now.core.imu_bad_until_us is not None
-            if not held and np.trace(graph.covariance[:3, :3]) < 3.0 * LOST_RAD**2:
+            suspended = self.config.decide and now.core.imu_bad_until_us is not None
+            if not suspended and np.trace(graph.covariance[:3, :3]) < 3.0 * LOST_RAD**2:
                 state.lost = False
             return None
         if graph.aligned and not state.lost:
             return None
         state.lost = False
         rotation, p = attitude_in(graph.frame, motion)
+        # Only a better attitude is put in: a worse one would draw the graph off.
         if graph.aligned and np.trace(p) >= np.trace(graph.covariance[:3, :3]):
             return None
         return rotation, p
@@ -243,9 +257,8 @@ class Fusion:
         observed = record.observed if record else observe(now.sample, now.core.chosen)
         if observed is None:
             return {}
-        core, config = now.core, self.config
-        decision, learnt = now.decision, state.learnt
-        ranges = Ranges(observed, now.motion.x, core.ionosphere, config, self.detector)
+        core, config, decision, learnt = now.core, self.config, now.decision, state.learnt
+        ranges = Ranges(observed, now.motion.x, core, config, self.detector, decision.t_us)
         weights = ranges.weights(range_weights(decision, config))
         if config.learn:
             if decision.hypothesis in SHOWS_NOISE:
@@ -262,7 +275,7 @@ class Fusion:
                 graph.slow_m2, state.sky = slow, sky
         return used
 
-    def _take_late(
+    def _attach_late(
         self, graph: Graph, sample: Sample, source: str | None, core: Core, state: FusionState
     ) -> None:
         """Put a sample from before the newest epoch where it belongs."""
@@ -285,7 +298,7 @@ class Fusion:
         if node is None:
             return
         x = navigation_state(graph.frame, node, core.motion.x[X_ISB:])
-        ranges = Ranges(observed, x, core.ionosphere, self.config, self.detector)
+        ranges = Ranges(observed, x, core, self.config, self.detector, sample.t_us)
         if self.config.learn:
             ranges.learn(state.learnt)
         weights = ranges.own_weights(state.excluded)
@@ -304,16 +317,16 @@ class Fusion:
         return self._new(where, state)
 
     def _again(self, now: Now, state: FusionState, why: str) -> FusedState | None:
-        """After a failure: on from the last good state; if that fails too, from the detector's;
-        else the gap is told and the next epoch tries again."""
-        for begin in (self._again_from_good, self._again_from_detector):
+        """After a failure: the filter's answer where it has tested the epoch, else on from the last
+        good state; where that fails too the gap is reported and the next epoch tries again."""
+        for begin in (self._again_from_detector, self._again_from_good):
             state.notes = [f"the graph failed ({why}) and began anew"]
             try:
-                said = begin(now, state)
+                fused = begin(now, state)
             except FAILURES:
                 continue
-            if said is not None:
-                return said
+            if fused is not None:
+                return fused
         state.graph, state.notes = None, []
         return gap(state.last, now.decision.t_us, why) if state.last is not None else None
 
@@ -326,7 +339,9 @@ class Fusion:
 
     def _again_from_detector(self, now: Now, state: FusionState) -> FusedState | None:
         motion = now.motion
-        return self._begin(motion, now, state) if motion is not None else None
+        if motion is None or now.decision.position_ecef_m is None:
+            return None
+        return self._begin(motion, now, state)
 
 
 def _first_line(error: Exception) -> str:

@@ -1,12 +1,13 @@
 """GTSAM's fixed-lag smoother with names for its factors, so that they can be taken back.
 
 `IncrementalFixedLagSmoother` as set up here costs a fraction of its defaults. Time stamps are cut
-to blocks as long as the lag, and a block is marginalised as a whole when the next but one begins.
-In the updates between, the newest variables become the root of GTSAM's tree, so that those of a
-block hang on it in order of time and leave it without any other being eliminated anew. Of shorter
-blocks what stays has been put in another order by the last marginalisation, and is so by each.
-Variables are relinearised only when they moved so far that it matters. Cholesky takes half the time
-of QR; it asks for variables of like scale (see `factors`).
+to intervals as long as the lag, and an interval is marginalised as a whole when the next but one
+begins. In the updates between, the newest variables become the root of GTSAM's tree, so that those
+of an interval hang on it in order of time and leave it without any other being eliminated anew. Of
+shorter intervals what stays has been put in another order by the last marginalisation, and is so by
+each. Variables are relinearised only when they moved so far that it matters. Cholesky takes half
+the time of QR; it asks for variables of like scale (see `factors`), which a pose that is known to
+thousandths of a radian and tens of metres is not: a graph that begins so has QR (`any_scale`).
 """
 
 import math
@@ -20,8 +21,8 @@ import numpy as np
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 
-SPANS = 2  # per block, for what changes slowly
-KEPT = 1.5  # blocks: the newest's and the one before, whatever the rounding
+SPANS = 2  # per interval, for what changes slowly
+KEPT = 1.5  # intervals: the newest's and the one before, whatever the rounding
 BEFORE = 1 << 20  # keeps the numbers of spans positive
 ROUNDING = 1e-9
 NEVER = 1e9
@@ -60,9 +61,9 @@ class Window:
     from the next `commit` on.
     """
 
-    def __init__(self, lag_s: float) -> None:
+    def __init__(self, lag_s: float, any_scale: bool = False) -> None:
         params = gtsam.ISAM2Params()
-        params.setFactorization("CHOLESKY")
+        params.setFactorization("QR" if any_scale else "CHOLESKY")
         params.findUnusedFactorSlots = True
         params.relinearizeSkip = 1
         params.enablePartialRelinearizationCheck = True
@@ -73,7 +74,7 @@ class Window:
         for letter, values in RELINEARISE.items():
             thresholds.insert((letter, np.array(values)))
         params.setRelinearizeThreshold(thresholds)
-        self._block_s = lag_s
+        self._interval_s = lag_s
         self.smoother = gtsam.IncrementalFixedLagSmoother(KEPT * lag_s, params)
         self._entries: dict[tuple[str, int], Entry] = {}
         self._newest_s = self._forgotten_s = -NEVER
@@ -87,26 +88,26 @@ class Window:
         self._back: list[int] = []
 
     def stamp(self, t_s: float) -> float:
-        """The start of the block a time is in."""
-        return math.floor(t_s / self._block_s + ROUNDING) * self._block_s
+        """The start of the interval a time is in."""
+        return math.floor(t_s / self._interval_s + ROUNDING) * self._interval_s
 
     @property
     def span_s(self) -> float:
         """How long a span is."""
-        return self._block_s / SPANS
+        return self._interval_s / SPANS
 
     def span(self, t_s: float) -> int:
         """The number, above zero, of the span a time is in."""
         return math.floor(t_s / self.span_s + ROUNDING) + BEFORE
 
     def span_stamp(self, span: int) -> float:
-        """The start of the block a span is in."""
+        """The start of the interval a span is in."""
         return self.stamp((span - BEFORE) * self.span_s)
 
     @property
     def oldest_s(self) -> float:
         """Variables with an older stamp are gone after the next commit."""
-        return self._newest_s - KEPT * self._block_s
+        return self._newest_s - KEPT * self._interval_s
 
     def insert(self, values: Any, names: Iterable[int], stamp_s: float) -> None:
         """Variables with their first guesses and the `stamp` of their time."""
@@ -120,7 +121,7 @@ class Window:
             self._batch.add(factor)
         self._named.append(((source, epoch), stamp_s, len(factors)))
 
-    def take_back(self, source: str, epoch: int) -> bool:
+    def remove(self, source: str, epoch: int) -> bool:
         """Remove the factors of a source at an epoch; whether there were any."""
         entry = self._entries.pop((source, epoch), None)
         if entry is None:
@@ -165,8 +166,8 @@ class Window:
         for name, stamp_s, count in self._named:
             known = self._entries.get(name)
             before = known.slots if known is not None else ()
-            taken = tuple(slots[start : start + count])
-            self._entries[name] = Entry(stamp_s, before + taken)
+            if stamp_s >= self.oldest_s:  # others went with their variables in the same update
+                self._entries[name] = Entry(stamp_s, before + tuple(slots[start : start + count]))
             start += count
         again = bool(self._back)
         self._clear()

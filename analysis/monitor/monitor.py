@@ -28,14 +28,14 @@ class Monitor:
         """Seconds from the first sample to the newest, on the vehicle's clock."""
         return self._tally.span_s
 
-    def bytes(self, chunks: Iterable[bytes], *, datagrams: bool = True) -> list[Result]:
+    def push_bytes(self, chunks: Iterable[bytes], *, datagrams: bool = True) -> list[Result]:
         """Results of the frames in some chunks; a stream's may be cut anywhere."""
         items = (item for data in chunks for item in self._parser.push(data, datagram=datagrams))
-        return self.block(self._decoder.decode(i for i in items if isinstance(i, Frame)))
+        return self.push(self._decoder.decode(i for i in items if isinstance(i, Frame)))
 
-    def block(self, block: Block) -> list[Result]:
+    def push(self, block: Block) -> list[Result]:
         """Results of samples in order."""
-        found = self._pipeline.judge(block)
+        found = self._pipeline.push_rows(block)
         self._tally.add(block, found)
         return [result for _, result in found]
 

@@ -81,6 +81,7 @@ class Pipeline:
 
             self._fusions.append(Fusion(config.fusion, config.detector))
             if config.fusion.compare:
+                # A second fusion that trusts everything: what isolation gains is seen in one run.
                 believing = msgspec.structs.replace(config.fusion, decide=False)
                 self._fusions.append(Fusion(believing, config.detector, WITHOUT_ISOLATION))
             self._feed_back = fed_back if config.fusion.feedback else None
@@ -90,20 +91,25 @@ class Pipeline:
     def push(self, samples: Sample | Block) -> list[Result]:
         """What a block of samples, or a single one, leads to."""
         block = samples if isinstance(samples, Block) else block_of(samples)
-        return [result for _, result in self.judge(block)]
+        return [result for _, result in self.push_rows(block)]
 
-    def judge(self, block: Block) -> list[tuple[int, Result]]:
+    def push_rows(self, block: Block) -> list[tuple[int, Result]]:
         """The same with the row of the block that led to each."""
         if self._t0_us is None:
+            # Ephemerides carry no stamp of the vehicle.
             stamped = np.flatnonzero(block.kind < EPHEMERIS)
             self._t0_us = int(block.t_us[stamped[0]]) if len(stamped) else None
         if self._fusions:
-            found = [(piece.last, said) for piece in pieces(block) for said in self._fused(piece)]
+            found = [
+                (piece.last, result) for piece in pieces(block) for result in self._fused(piece)
+            ]
         else:
-            found, self._detector_state = self._detector.judge(block, self._detector_state)
+            found, self._detector_state = self._detector.step_rows(block, self._detector_state)
         troubles, self._streams_state = self._streams.step(block, self._streams_state)
         found += troubles
-        found += self._attitude.score(block, self._attitude_state)
+        errors, self._attitude_state = self._attitude.step_rows(block, self._attitude_state)
+        found += errors
+        # By row, so that results do not hang on how the stream was cut into blocks.
         found.sort(key=itemgetter(0))
         base_us = self._t0_us or 0
         for _, result in found:  # they are this step's own, nobody has seen them yet
@@ -112,19 +118,20 @@ class Pipeline:
 
     def _fused(self, piece: Piece) -> list[Result]:
         """Results with the fused states; with feedback the detector goes on from those."""
-        results, self._detector_state = self._detector.take(piece, self._detector_state)
+        results, self._detector_state = self._detector.step_piece(piece, self._detector_state)
         detector = self._detector_state.detector
-        said: list[Result] = []
+        states: list[Result] = []
         for i, fusion in enumerate(self._fusions):
-            fused, self._fusion_states[i] = fusion.take(
+            fused, self._fusion_states[i] = fusion.step_piece(
                 piece, results, detector.core, self._fusion_states[i]
             )
-            said += fused
-        if said and self._feed_back is not None:
+            states += fused
+        if states and self._feed_back is not None:
+            # Of the first fusion: the second is there for comparison only.
             core = self._feed_back(detector.core, self._fusion_states[0].graph)
             detector = detector._replace(core=core)
             self._detector_state = replace(self._detector_state, detector=detector)
-        return [*results, *said]
+        return [*results, *states]
 
     def attitude(self, labels: Sequence[Label] = ()) -> dict[str, Any]:
         """Scores by estimator; an autopilot that only repeats the truth is called so, and last."""

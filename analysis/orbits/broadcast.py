@@ -20,22 +20,23 @@ import numpy as np
 from analysis.orbits.glonass import carry
 from analysis.samples.sample import StateVector, Vector
 from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.constants import (
+    BEIDOU_EARTH_RATE_RPS,
+    GNSS_EARTH_RATE_RPS,
+    GPS_GM_M3PS2,
+    L1_HZ,
+    SPEED_OF_LIGHT_MPS,
+    WGS84_GM_M3PS2,
+)
+from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
 SYSTEMS = "GERC"  # a satellite's first letter; each but the first has a clock offset of its own
-LIGHT_MPS = 299_792_458.0
-MU_GPS = 3.986005e14  # m^3/s^2, IS-GPS-200N
-MU_GALILEO = 3.986004418e14  # m^3/s^2, Galileo OS SIS ICD
-EARTH_RATE_RPS = 7.2921151467e-5  # both documents
-EARTH_RATE_BEIDOU_RPS = 7.2921150e-5  # CGCS2000; its mu is Galileo's
 BEIDOU_BEHIND_S = 14.0  # BeiDou's time against GPS's
 GEOSTATIONARY = (*range(1, 6), *range(59, 64))  # BeiDou's, by number
-L1_HZ = 1575.42e6  # GPS L1 and Galileo E1
 B1I_HZ = 1561.098e6
 B3I_HZ = 1268.52e6  # BeiDou's clocks are given for it: no group delay
 WEEK_S = 604_800.0
-WGS84_A_M = 6_378_137.0
-WGS84_E2 = 6.69437999014e-3
 
 # Klobuchar's coefficients of a quiet to moderate day, for when none are broadcast.
 TYPICAL_ALPHA = (1.118e-8, 7.451e-9, -5.96e-8, -5.96e-8)
@@ -46,7 +47,15 @@ _RATE_FIELDS = ("delta_n_rps", "omega_dot_rps", "idot_rps")
 _WAVE_FIELDS = ("crs_m", "crc_m", "cus_rad", "cuc_rad", "cis_rad", "cic_rad")
 _CLOCK_FIELDS = ("toe_s", "toc_s", "af0_s", "af1", "af2_per_s")
 _FIELDS = (*_CLOCK_FIELDS, *_ORBIT_FIELDS, *_RATE_FIELDS, *_WAVE_FIELDS, "group_delay_s")
-PACKED = 4 + len(_FIELDS)
+# Columns of `pack_ephemeris`; the middle ones are `_FIELDS`, in their order and units.
+(MU, WEEK) = range(2)
+(TOE, TOC, AF0, AF1, AF2) = range(2, 7)
+(SQRT_A, ECCENTRICITY, I0, OMEGA0, OMEGA, M0, DELTA_N, OMEGA_DOT, IDOT) = range(7, 16)
+(CRS, CRC, CUS, CUC, CIS, CIC, GROUP_DELAY, KIND, IONOSPHERE, PACKED) = range(16, 26)
+VECTOR = SQRT_A  # where a state vector has its position, velocity and acceleration (9)
+ELEMENTS, GEOSTATIONARY_ORBIT, STATE_VECTOR = 0.0, 1.0, 2.0  # kinds of orbit
+# Columns of `satellite_states`.
+POSITION, VELOCITY, CLOCK, CLOCK_RATE, DELAY_SCALE, STATES = 0, 3, 6, 7, 8, 9
 # Columns of `predict_ranges`: the range, its rate, the unit vector (3), elevation and azimuth.
 RANGE, RATE, SIGHT, ELEVATION, AZIMUTH, PREDICTED = 0, 1, 2, 5, 6, 7
 
@@ -58,25 +67,28 @@ def pack_ephemeris(ephemeris: Ephemeris | StateVector) -> Vector:
     if isinstance(ephemeris, StateVector):
         clock = ephemeris.toe_s, ephemeris.toe_s, ephemeris.af0_s, ephemeris.af1, 0.0
         orbit = *ephemeris.r_m, *ephemeris.v_mps, *ephemeris.a_mps2
-        rest = PACKED - 4 - len(clock) - len(orbit)
-        return np.array([0.0, ephemeris.week, *clock, *orbit, *[0.0] * rest, 2.0, 1.0])
+        rest = KIND - TOE - len(clock) - len(orbit)
+        return np.array([0.0, ephemeris.week, *clock, *orbit, *[0.0] * rest, STATE_VECTOR, 1.0])
     values = {name: float(getattr(ephemeris, name)) for name in _FIELDS}
     beidou = ephemeris.satellite[0] == "C"
     still = beidou and int(ephemeris.satellite[1:]) in GEOSTATIONARY
     if beidou:  # its own rate of the earth and time of week, in terms of GPS's
         own_s = (ephemeris.toe_s - BEIDOU_BEHIND_S) % WEEK_S
-        values["omega0_rad"] += EARTH_RATE_RPS * ephemeris.toe_s - EARTH_RATE_BEIDOU_RPS * own_s
-        values["omega_dot_rps"] += 0.0 if still else EARTH_RATE_RPS - EARTH_RATE_BEIDOU_RPS
-    mu = MU_GPS if ephemeris.satellite[0] == "G" else MU_GALILEO
-    return np.array([mu, float(ephemeris.week), *values.values(), float(still), 1.0])
+        values["omega0_rad"] += (
+            GNSS_EARTH_RATE_RPS * ephemeris.toe_s - BEIDOU_EARTH_RATE_RPS * own_s
+        )
+        values["omega_dot_rps"] += 0.0 if still else GNSS_EARTH_RATE_RPS - BEIDOU_EARTH_RATE_RPS
+    mu = GPS_GM_M3PS2 if ephemeris.satellite[0] == "G" else WGS84_GM_M3PS2
+    kind = GEOSTATIONARY_ORBIT if still else ELEMENTS
+    return np.array([mu, float(ephemeris.week), *values.values(), kind, 1.0])
 
 
 def packed_for(packed: Vector, carrier_hz: float) -> Vector:
     """An ephemeris (25,) for ranges on another carrier than L1: its ionosphere and group delay."""
     packed = packed.copy()
-    packed[-1] = (L1_HZ / carrier_hz) ** 2
+    packed[IONOSPHERE] = (L1_HZ / carrier_hz) ** 2
     if carrier_hz == B3I_HZ:
-        packed[2 + _FIELDS.index("group_delay_s")] = 0.0
+        packed[GROUP_DELAY] = 0.0
     return packed
 
 
@@ -96,32 +108,37 @@ def satellite_states(packed: Vector, week: float, tow_s: float, pseudorange_m: V
         offset in m (relativity and group delay included) and its rate in m/s; the ionosphere's
         delay over that of L1.
     """
-    out = np.empty((packed.shape[0], 9))
+    out = np.empty((packed.shape[0], STATES))
     for i in range(packed.shape[0]):
         since_toc = (
-            (week - packed[i, 1]) * 604800.0 + tow_s - pseudorange_m[i] / 299792458.0 - packed[i, 3]
+            (week - packed[i, WEEK]) * WEEK_S
+            + tow_s
+            - pseudorange_m[i] / SPEED_OF_LIGHT_MPS
+            - packed[i, TOC]
         )
-        clock = packed[i, 4] + packed[i, 5] * since_toc + packed[i, 6] * since_toc * since_toc
+        clock = packed[i, AF0] + packed[i, AF1] * since_toc + packed[i, AF2] * since_toc * since_toc
         since_toc -= clock
-        clock = packed[i, 4] + packed[i, 5] * since_toc + packed[i, 6] * since_toc * since_toc
+        clock = packed[i, AF0] + packed[i, AF1] * since_toc + packed[i, AF2] * since_toc * since_toc
         relativity = 0.0
-        if packed[i, 23] == 2.0:
-            carry(packed[i, 7:16], since_toc, out[i])
+        if packed[i, KIND] == STATE_VECTOR:
+            carry(packed[i, VECTOR : VECTOR + 9], since_toc, out[i])
         else:
-            relativity = _orbit(packed, i, since_toc + packed[i, 3] - packed[i, 2], out)
-        out[i, 6] = 299792458.0 * (clock - packed[i, 22] + relativity)
-        out[i, 7] = 299792458.0 * (packed[i, 5] + 2.0 * packed[i, 6] * since_toc)
-        out[i, 8] = packed[i, 24]
+            relativity = _orbit(packed, i, since_toc + packed[i, TOC] - packed[i, TOE], out)
+        out[i, CLOCK] = SPEED_OF_LIGHT_MPS * (clock - packed[i, GROUP_DELAY] + relativity)
+        out[i, CLOCK_RATE] = SPEED_OF_LIGHT_MPS * (
+            packed[i, AF1] + 2.0 * packed[i, AF2] * since_toc
+        )
+        out[i, DELAY_SCALE] = packed[i, IONOSPHERE]
     return out
 
 
 @compiled
 def _orbit(packed: Vector, i: int, t_k: float, out: Vector) -> float:
     """Fill row i with position and velocity `t_k` s after toe; the relativistic clock term."""
-    mu, e, sqrt_a = packed[i, 0], packed[i, 8], packed[i, 7]
+    mu, e, sqrt_a = packed[i, MU], packed[i, ECCENTRICITY], packed[i, SQRT_A]
     a = sqrt_a * sqrt_a
-    n = math.sqrt(mu / (a * a * a)) + packed[i, 13]
-    mean = packed[i, 12] + n * t_k
+    n = math.sqrt(mu / (a * a * a)) + packed[i, DELTA_N]
+    mean = packed[i, M0] + n * t_k
     ecc, step, sin_e, cos_e = mean + e * math.sin(mean), 0.0, 0.0, 1.0
     for _ in range(12):
         sin_e, cos_e = math.sin(ecc), math.cos(ecc)
@@ -132,17 +149,19 @@ def _orbit(packed: Vector, i: int, t_k: float, out: Vector) -> float:
     sin_e, cos_e = sin_e - step * cos_e, cos_e + step * sin_e
     ecc_rate = n / (1.0 - e * cos_e)
     root = math.sqrt(1.0 - e * e)
-    phi = math.atan2(root * sin_e, cos_e - e) + packed[i, 11]
+    phi = math.atan2(root * sin_e, cos_e - e) + packed[i, OMEGA]
     phi_rate = root * ecc_rate / (1.0 - e * cos_e)
     s2, c2 = math.sin(2.0 * phi), math.cos(2.0 * phi)
-    u = phi + packed[i, 18] * s2 + packed[i, 19] * c2
-    u_rate = phi_rate * (1.0 + 2.0 * (packed[i, 18] * c2 - packed[i, 19] * s2))
-    r = a * (1.0 - e * cos_e) + packed[i, 16] * s2 + packed[i, 17] * c2
-    r_rate = a * e * sin_e * ecc_rate + 2.0 * phi_rate * (packed[i, 16] * c2 - packed[i, 17] * s2)
-    inc = packed[i, 9] + packed[i, 15] * t_k + packed[i, 20] * s2 + packed[i, 21] * c2
-    inc_rate = packed[i, 15] + 2.0 * phi_rate * (packed[i, 20] * c2 - packed[i, 21] * s2)
-    node_rate = packed[i, 14] - (0.0 if packed[i, 23] == 1.0 else 7.2921151467e-5)
-    node = packed[i, 10] + node_rate * t_k - 7.2921151467e-5 * packed[i, 2]
+    u = phi + packed[i, CUS] * s2 + packed[i, CUC] * c2
+    u_rate = phi_rate * (1.0 + 2.0 * (packed[i, CUS] * c2 - packed[i, CUC] * s2))
+    r = a * (1.0 - e * cos_e) + packed[i, CRS] * s2 + packed[i, CRC] * c2
+    r_rate = a * e * sin_e * ecc_rate + 2.0 * phi_rate * (packed[i, CRS] * c2 - packed[i, CRC] * s2)
+    inc = packed[i, I0] + packed[i, IDOT] * t_k + packed[i, CIS] * s2 + packed[i, CIC] * c2
+    inc_rate = packed[i, IDOT] + 2.0 * phi_rate * (packed[i, CIS] * c2 - packed[i, CIC] * s2)
+    node_rate = packed[i, OMEGA_DOT] - (
+        0.0 if packed[i, KIND] == GEOSTATIONARY_ORBIT else GNSS_EARTH_RATE_RPS
+    )
+    node = packed[i, OMEGA0] + node_rate * t_k - GNSS_EARTH_RATE_RPS * packed[i, TOE]
     x, y = r * math.cos(u), r * math.sin(u)
     x_rate = r_rate * math.cos(u) - y * u_rate
     y_rate = r_rate * math.sin(u) + x * u_rate
@@ -153,50 +172,25 @@ def _orbit(packed: Vector, i: int, t_k: float, out: Vector) -> float:
     out[i, 3] = x_rate * co - y_rate * ci * so + y * si * so * inc_rate - out[i, 1] * node_rate
     out[i, 4] = x_rate * so + y_rate * ci * co - y * si * co * inc_rate + out[i, 0] * node_rate
     out[i, 5] = y_rate * si + y * ci * inc_rate
-    if packed[i, 23] == 1.0:
-        _turn_still(t_k, out[i])
-    relativity: float = -2.0 * math.sqrt(mu) / (299792458.0 * 299792458.0) * e * sqrt_a * sin_e
+    if packed[i, KIND] == GEOSTATIONARY_ORBIT:
+        _rotate_from_inertial_geo(t_k, out[i])
+    relativity: float = (
+        -2.0 * math.sqrt(mu) / (SPEED_OF_LIGHT_MPS * SPEED_OF_LIGHT_MPS) * e * sqrt_a * sin_e
+    )
     return relativity
 
 
 @compiled
-def _turn_still(t_k: float, out: Vector) -> None:
+def _rotate_from_inertial_geo(t_k: float, out: Vector) -> None:
     """Turn a geostationary satellite's position and velocity to ECEF, in place: its elements are
     given in axes that do not turn with the earth, tilted by 5 degrees [2]_."""
-    rate, tilt = 7.2921150e-5, -5.0 * math.pi / 180.0
+    rate, tilt = BEIDOU_EARTH_RATE_RPS, -5.0 * math.pi / 180.0
     s, c, st, ct = math.sin(rate * t_k), math.cos(rate * t_k), math.sin(tilt), math.cos(tilt)
     for at in (0, 3):
         x, y, z = out[at], ct * out[at + 1] + st * out[at + 2], ct * out[at + 2] - st * out[at + 1]
         out[at], out[at + 1], out[at + 2] = c * x + s * y, c * y - s * x, z
     out[3] += rate * out[1]
     out[4] -= rate * out[0]
-
-
-@compiled
-def geodetic(r_ecef_m: Vector) -> tuple[float, float, float]:
-    """Latitude and longitude in rad and ellipsoidal height in m (WGS 84, by iteration)."""
-    x, y, z = r_ecef_m[0], r_ecef_m[1], r_ecef_m[2]
-    p = math.sqrt(x * x + y * y)
-    lat = math.atan2(z, p * (1.0 - 6.69437999014e-3))
-    height = 0.0
-    for _ in range(5):
-        s = math.sin(lat)
-        n = 6378137.0 / math.sqrt(1.0 - 6.69437999014e-3 * s * s)
-        height = p * math.cos(lat) + z * s - n * (1.0 - 6.69437999014e-3 * s * s)
-        lat = math.atan2(z, p * (1.0 - 6.69437999014e-3 * n / (n + height)))
-    return lat, math.atan2(y, x), height
-
-
-@compiled
-def ned_axes(lat_rad: float, lon_rad: float) -> Vector:
-    """Rows (3, 3): north, east and down in ECEF."""
-    sl, cl = math.sin(lat_rad), math.cos(lat_rad)
-    so, co = math.sin(lon_rad), math.cos(lon_rad)
-    out = np.zeros((3, 3))
-    out[0, 0], out[0, 1], out[0, 2] = -sl * co, -sl * so, cl
-    out[1, 0], out[1, 1] = -so, co
-    out[2, 0], out[2, 1], out[2, 2] = -cl * co, -cl * so, -sl
-    return out
 
 
 @compiled
@@ -221,7 +215,7 @@ def klobuchar_m(
     delay = 5e-9
     if abs(x) < 1.57:
         delay += max(amplitude, 0.0) * (1.0 - x * x / 2.0 + x * x * x * x / 24.0)
-    metres: float = 299792458.0 * slant * delay
+    metres: float = SPEED_OF_LIGHT_MPS * slant * delay
     return metres
 
 
@@ -272,15 +266,15 @@ def predict_ranges(
     for i in range(states.shape[0]):
         s, c, rho = 0.0, 1.0, 0.0
         for _ in range(2):  # the earth turns while the signal travels, by 5e-6 rad
-            d[0] = c * states[i, 0] + s * states[i, 1] - r_ecef_m[0]
-            d[1] = -s * states[i, 0] + c * states[i, 1] - r_ecef_m[1]
-            d[2] = states[i, 2] - r_ecef_m[2]
+            d[0] = c * states[i, POSITION] + s * states[i, POSITION + 1] - r_ecef_m[0]
+            d[1] = -s * states[i, POSITION] + c * states[i, POSITION + 1] - r_ecef_m[1]
+            d[2] = states[i, POSITION + 2] - r_ecef_m[2]
             rho = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-            s = 7.2921151467e-5 * rho / 299792458.0
+            s = GNSS_EARTH_RATE_RPS * rho / SPEED_OF_LIGHT_MPS
             c = 1.0 - 0.5 * s * s
-        vx = c * states[i, 3] + s * states[i, 4] - v_ecef_mps[0]
-        vy = -s * states[i, 3] + c * states[i, 4] - v_ecef_mps[1]
-        vz = states[i, 5] - v_ecef_mps[2]
+        vx = c * states[i, VELOCITY] + s * states[i, VELOCITY + 1] - v_ecef_mps[0]
+        vy = -s * states[i, VELOCITY] + c * states[i, VELOCITY + 1] - v_ecef_mps[1]
+        vz = states[i, VELOCITY + 2] - v_ecef_mps[2]
         for k in range(3):
             u[k] = d[k] / rho
             out[i, SIGHT + k] = u[k]
@@ -292,9 +286,9 @@ def predict_ranges(
         delay = 0.0
         if el > 0.0:
             delay = troposphere_m(zenith, el)
-            delay += states[i, 8] * klobuchar_m(lat, lon, az, el, tow_s, ionosphere)
-        out[i, RANGE] = rho - states[i, 6] + delay
-        out[i, RATE] = u[0] * vx + u[1] * vy + u[2] * vz - states[i, 7]
+            delay += states[i, DELAY_SCALE] * klobuchar_m(lat, lon, az, el, tow_s, ionosphere)
+        out[i, RANGE] = rho - states[i, CLOCK] + delay
+        out[i, RATE] = u[0] * vx + u[1] * vy + u[2] * vz - states[i, CLOCK_RATE]
         out[i, ELEVATION] = el
         out[i, AZIMUTH] = az
     return out

@@ -40,7 +40,7 @@ class DataflashFile:
         By message name and instance (from 0) its columns, with `TimeUS`.
     start_us, end_us : int
         First and last time.
-    left_out : int
+    unread_bytes : int
         Bytes at the end of a very large file that were not read.
     damaged : bool
         Whether bytes had to be passed over.
@@ -51,7 +51,7 @@ class DataflashFile:
     topics: Mapping[tuple[str, int], Topic]
     start_us: int
     end_us: int
-    left_out: int
+    unread_bytes: int
     damaged: bool
     cut: bool
 
@@ -84,9 +84,9 @@ def read_dataflash(path: str | Path) -> DataflashFile:
         columns["TimeUS"] = _time_us(name, at, columns, times)
         for key, rows in _instances(name, columns):
             topics[key] = {column: values[rows] for column, values in columns.items()}
-    left_out = max(Path(path).stat().st_size - MOST_BYTES, 0)
+    unread_bytes = max(Path(path).stat().st_size - MOST_BYTES, 0)
     stamps = times[1]
-    return DataflashFile(topics, int(stamps.min()), int(stamps.max()), left_out, damaged, cut)
+    return DataflashFile(topics, int(stamps.min()), int(stamps.max()), unread_bytes, damaged, cut)
 
 
 @contextlib.contextmanager
@@ -94,6 +94,7 @@ def _printing_to(file: IO[bytes]) -> Iterator[None]:
     """What is printed, by compiled code too, goes to a file: pymavlink prints what it skips."""
     sys.stdout.flush()
     sys.stderr.flush()
+    # At the level of descriptors: compiled code does not print through sys.stdout.
     kept = [(number, os.dup(number)) for number in (1, 2)]
     try:
         for number, _ in kept:
@@ -114,10 +115,10 @@ def _beginning(path: Path) -> Iterator[Path]:
         yield path
         return
     with tempfile.NamedTemporaryFile(suffix=".bin") as copy, path.open("rb") as file:
-        left = MOST_BYTES
-        while left > 0 and (data := file.read(min(left, 1 << 24))):
+        remaining = MOST_BYTES
+        while remaining > 0 and (data := file.read(min(remaining, 1 << 24))):
             copy.write(data)
-            left -= len(data)
+            remaining -= len(data)
         copy.flush()
         yield Path(copy.name)
 
@@ -134,6 +135,7 @@ def _messages(path: Path) -> tuple[dict[str, tuple[NDArray[np.int64], Topic]], b
         end = 0
         for form in reader.formats.values():
             at = np.array(reader.offsets[form.type], np.int64)
+            # A format may claim less than its fields take, where its bytes are damaged.
             whole = at + max(form.len, HEAD + struct.calcsize(form.msg_struct)) <= len(data)
             at = at[whole]
             end = max(end, int(at.max(initial=0)) + form.len)
@@ -149,6 +151,7 @@ def _columns(data: NDArray[np.uint8], at: NDArray[np.int64], form: Any) -> Topic
     codes = re.findall(r"\d*[a-zA-Z]", form.msg_struct)
     types = [f"S{code[:-1]}" if code.endswith("s") else f"<{code}" for code in codes]
     dtype = np.dtype(list(zip(form.columns, types, strict=True)))
+    # A view at every byte, of which only those at messages are read: nothing is copied.
     windows = np.lib.stride_tricks.sliding_window_view(data, dtype.itemsize)
     rows = windows[at + HEAD].view(dtype)[:, 0]
     return {

@@ -24,6 +24,11 @@ from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 MESSAGES = ("LNAV", "INAV", "FNAV", "FDMA", "D1", "D2")  # RINEX 4 names the message of each record
 BEIDOU_WEEK_ZERO = 1356  # in GPS weeks
 FNAV_ONLY = 0b010  # bit 1 of Galileo's data source word: F/NAV on E5a
+# The 24 numbers behind a record's first line [1]_. DELAY is T_GD, BGD(E1,E5a) or BeiDou's T_GD1;
+# DELAY_B is Galileo's BGD(E1,E5b) and stands where GPS has the IODC.
+(IODE, CRS, DELTA_N, M0, CUC, ECCENTRICITY, CUS, SQRT_A) = range(8)
+(TOE, CIC, OMEGA0, CIS, I0, CRC, OMEGA, OMEGA_DOT) = range(8, 16)
+(IDOT, SOURCE, WEEK, L2P, ACCURACY, HEALTH, DELAY, DELAY_B) = range(16, 24)
 ACCURACY_INDEX_M = (2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24.0, 48.0, 96.0, 192.0)  # IS-GPS-200N
 
 
@@ -44,6 +49,7 @@ def read_navigation(path: Path) -> list[EphemerisSample | IonosphereSample]:
     except ValueError as error:
         raise ConfigError(f"{path}: an ionosphere field is no number ({error})") from error
     records = list(_records(lines[start + 1 :], version))
+    # First all, as the order of messages in a file is free.
     with_inav = {e.satellite for e, fnav in records if not fnav}
     for ephemeris, fnav in records:
         if not fnav or ephemeris.satellite not in with_inav:
@@ -78,6 +84,7 @@ def _four(line: str, first: int) -> tuple[float, float, float, float]:
 
 
 def _float(text: str) -> float:
+    # Fortran wrote D for the exponent of double precision.
     text = text.strip().replace("D", "E").replace("d", "e")
     return float(text) if text else 0.0
 
@@ -117,17 +124,19 @@ def _ephemeris(name: str, head: str, body: list[str], indent: int) -> tuple[Ephe
     parts = head[3 if indent == 3 else 4 : start].split()
     year = int(parts[0])
     if indent == 3:
+        # GPS began in 1980: two digits are enough until 2079.
         year += 1900 if year >= 80 else 2000
     month, day, hour, minute = (int(p) for p in parts[1:5])
     toc = gps_time(year, month, day, hour * 3600 + minute * 60 + float(parts[5]))
     af0, af1, af2 = (_float(head[start + 19 * i : start + 19 * i + 19]) for i in range(3))
     v = [_float(line[indent + 19 * i : indent + 19 * i + 19]) for line in body for i in range(4)]
-    galileo, week, toe_s = name[0] == "E", int(v[18]), v[8]
+    galileo, week, toe_s = name[0] == "E", int(v[WEEK]), v[TOE]
+    # BeiDou's own weeks and seconds, 14 s behind GPS's.
     if name[0] == "C":
         week, toe_s = _later(week + BEIDOU_WEEK_ZERO, toe_s, BEIDOU_BEHIND_S)
         toc = _later(*toc, BEIDOU_BEHIND_S)
-    fnav = galileo and bool(int(v[17]) & FNAV_ONLY)
-    delay = (v[22] if fnav else v[23]) if galileo else v[22]
+    fnav = galileo and bool(int(v[SOURCE]) & FNAV_ONLY)
+    delay = (v[DELAY] if fnav else v[DELAY_B]) if galileo else v[DELAY]
     ephemeris = Ephemeris(
         satellite=name,
         week=week,
@@ -136,27 +145,27 @@ def _ephemeris(name: str, head: str, body: list[str], indent: int) -> tuple[Ephe
         af0_s=af0,
         af1=af1,
         af2_per_s=af2,
-        iode=int(v[0]),
-        iodc=int(v[23]) if name[0] == "G" else int(v[0]),
-        sqrt_a=v[7],
-        eccentricity=v[5],
-        i0_rad=v[12],
-        omega0_rad=v[10],
-        omega_rad=v[14],
-        m0_rad=v[3],
-        delta_n_rps=v[2],
-        omega_dot_rps=v[15],
-        idot_rps=v[16],
-        crs_m=v[1],
-        crc_m=v[13],
-        cus_rad=v[6],
-        cuc_rad=v[4],
-        cis_rad=v[11],
-        cic_rad=v[9],
+        iode=int(v[IODE]),
+        iodc=int(v[DELAY_B]) if name[0] == "G" else int(v[IODE]),
+        sqrt_a=v[SQRT_A],
+        eccentricity=v[ECCENTRICITY],
+        i0_rad=v[I0],
+        omega0_rad=v[OMEGA0],
+        omega_rad=v[OMEGA],
+        m0_rad=v[M0],
+        delta_n_rps=v[DELTA_N],
+        omega_dot_rps=v[OMEGA_DOT],
+        idot_rps=v[IDOT],
+        crs_m=v[CRS],
+        crc_m=v[CRC],
+        cus_rad=v[CUS],
+        cuc_rad=v[CUC],
+        cis_rad=v[CIS],
+        cic_rad=v[CIC],
         group_delay_s=delay,
-        group_delay_e5a_s=v[22] if galileo else 0.0,
-        accuracy=0 if name[0] != "G" else sum(v[20] > limit for limit in ACCURACY_INDEX_M),
-        health=int(v[21]),
+        group_delay_e5a_s=v[DELAY] if galileo else 0.0,
+        accuracy=0 if name[0] != "G" else sum(v[ACCURACY] > limit for limit in ACCURACY_INDEX_M),
+        health=int(v[HEALTH]),
     )
     return ephemeris, fnav
 

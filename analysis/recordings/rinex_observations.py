@@ -21,10 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.orbits.broadcast import B1I_HZ, B3I_HZ, L1_HZ, LIGHT_MPS
+from analysis.orbits.broadcast import B1I_HZ, B3I_HZ
 from analysis.orbits.glonass import CENTRE_HZ, CHANNEL_HZ
 from analysis.samples.sample import Epoch, Vector
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
 
 PREFERRED = {
     "G": ("1C", "1X", "1L", "1S", "1W", "1P"),
@@ -195,6 +196,7 @@ def _values(line: str, columns: _Columns) -> tuple[float, float, float] | None:
     code, doppler, cn0 = columns.code, columns.doppler, columns.cn0
     try:
         range_m = float(line[code : code + 14])
+        # Blank, zero or NaN: RINEX knows all three for "nothing".
         if not range_m > 0.0:
             return None
         return range_m, _number(line[doppler : doppler + 14]), _number(line[cn0 : cn0 + 14])
@@ -207,11 +209,12 @@ def _epoch(week: int, tow_s: float, rows: list[_Row], channels: dict[str, int]) 
         return None
     table = np.array([row[1] for row in rows])
     carriers: Vector | None = None
-    rates = table[:, 1] * (-LIGHT_MPS / L1_HZ)
+    # A positive Doppler shift is a satellite that comes nearer.
+    rates = table[:, 1] * (-SPEED_OF_LIGHT_MPS / L1_HZ)
     if any(row[2] != L1_HZ for row in rows):
         carriers = np.array([hz + CHANNEL_HZ * channels.get(name, 0) for name, _, hz in rows])
         unknown = [name[0] == "R" and name not in channels for name, _, _ in rows]
-        rates = np.where(unknown, np.nan, table[:, 1] * (-LIGHT_MPS / carriers))
+        rates = np.where(unknown, np.nan, table[:, 1] * (-SPEED_OF_LIGHT_MPS / carriers))
     return Epoch(
         t_us=round((week * 604_800 + tow_s) * 1e6),
         week=week,
@@ -274,6 +277,7 @@ def _epochs_2(
     lines: list[str], at: int, types: tuple[int, _Columns], channels: dict[str, int]
 ) -> Iterator[Epoch]:
     total, columns = types
+    # RINEX 2 breaks lines after five observations.
     per_satellite = -(-total // 5)
     while at < len(lines):
         head = lines[at]
@@ -293,6 +297,7 @@ def _epochs_2(
             block = lines[at : at + per_satellite]
             at += per_satellite
             name = names[3 * i : 3 * i + 3].replace(" ", "0")
+            # RINEX 2 may leave the letter of GPS out.
             name = "G" + name[1:] if name[:1] == "0" else name
             values = _values("".join(line.ljust(80)[:80] for line in block), columns)
             if values is not None and name[:1] in "GER":

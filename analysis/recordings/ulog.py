@@ -66,14 +66,14 @@ class _Patient(io.FileIO):
     def __init__(self, path: str | Path) -> None:
         super().__init__(path, "rb")
         self.cut = False  # whether it ended in the middle of what a reader asked for
-        self._left = MOST_READS * Path(path).stat().st_size + 10_000_000
+        self._remaining_reads = MOST_READS * Path(path).stat().st_size + 10_000_000
 
     def read(self, size: int | None = -1, /) -> bytes:
         """As in any file, until too much was read."""
         data = super().read(-1 if size is None else size) or b""
         self.cut |= size is not None and 0 < len(data) < size
-        self._left -= len(data) + 1
-        if self._left < 0:
+        self._remaining_reads -= len(data) + 1
+        if self._remaining_reads < 0:
             raise RuntimeError("damaged beyond reading")
         return data
 
@@ -130,6 +130,7 @@ def _defaults(log: Any) -> dict[str, float]:
     """What every parameter would be untouched: the log names only defaults that differ from it."""
     if not log.has_default_parameters:
         return {}
+    # In this order, so that the firmware's and the airframe's defaults win.
     every = log.initial_parameters | log.get_default_parameters(0) | log.get_default_parameters(1)
     return {name: float(value) for name, value in every.items() if isinstance(value, NUMBER)}
 
@@ -141,6 +142,7 @@ def _renamed(columns: Mapping[str, NDArray[Any]]) -> Topic:
         if old in found and new not in found:
             raw = found[old]
             scale = 1e-7 if np.issubdtype(raw.dtype, np.integer) else 1.0
+            # Integers are 1e-7 degrees; some versions had degrees under the old name.
             found[new] = raw * scale
     if "alt" in found and "altitude_msl_m" not in found:
         raw = found["alt"]

@@ -23,8 +23,8 @@ def overlaid(outcome: Outcome, others: Sequence[Outcome]) -> Recording:
     notes = list(recording.notes)
     tracks = list(recording.tracks)
     panels = {signal.panel for signal in recording.signals}
-    for other in others:
-        theirs = other.flight.recording
+    for compared in others:
+        theirs = compared.flight.recording
         shift_s, why = _shift(recording, theirs)
         name = theirs.name
         signals += [
@@ -39,13 +39,13 @@ def overlaid(outcome: Outcome, others: Sequence[Outcome]) -> Recording:
     return replace(recording, signals=signals, tracks=tracks, notes=notes)
 
 
-def _shift(one: Recording, other: Recording) -> tuple[float, str]:
+def _shift(recording: Recording, compared: Recording) -> tuple[float, str]:
     armed = [
         min(
             (s.start_s for s in r.spans if s.lane.startswith("armed") and s.text == "armed"),
             default=None,
         )
-        for r in (one, other)
+        for r in (recording, compared)
     ]
     if armed[0] is not None and armed[1] is not None:
         return armed[0] - armed[1], "armed at the same time"

@@ -97,14 +97,14 @@ def _result_tables(path: Path) -> Iterator[tuple[str, Table]]:
 
 
 def _write_csv(path: Path, table: Table) -> None:
-    columns = [_plain(column) for column in table.values()]
+    columns = [_python_values(column) for column in table.values()]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(table)
         writer.writerows(zip(*columns, strict=True))
 
 
-def _plain(column: NDArray[Any]) -> list[Any]:
+def _python_values(column: NDArray[Any]) -> list[Any]:
     """Python values; bytes as text."""
     if column.dtype.kind == "S":
         return [value.split(b"\0", 1)[0].decode("utf-8", "replace") for value in column.tolist()]
@@ -116,7 +116,9 @@ def _write_parquet(path: Path, table: Table) -> None:
     import pyarrow.parquet as pq
 
     arrays = {
-        name: pa.array(_plain(column) if column.dtype.kind == "S" else np.ascontiguousarray(column))
+        name: pa.array(
+            _python_values(column) if column.dtype.kind == "S" else np.ascontiguousarray(column)
+        )
         for name, column in table.items()
     }
     pq.write_table(pa.table(arrays), path, compression="zstd")
@@ -141,7 +143,7 @@ def _write_channel(writer: Any, name: str, table: Table) -> None:
     schema_id = writer.register_schema(name, "jsonschema", schema)
     channel = writer.register_channel(f"/{name}", "json", schema_id)
     time = next((key for key in TIMES if key in table), None)
-    columns = [_plain(column) for column in table.values()]
+    columns = [_python_values(column) for column in table.values()]
     stamps = table[time].astype(np.int64) * 1000 if time else np.zeros(len(columns[0]), np.int64)
     for stamp, row in zip(stamps.tolist(), zip(*columns, strict=True), strict=True):
         values = {key: _finite(value) for key, value in zip(table, row, strict=True)}

@@ -149,8 +149,8 @@ def print_outcome(outcome: Outcome, folder: Path) -> None:
             word = f"[{colours[check.verdict]}]{check.verdict}[/]"
             console.print(f"  {word}  {escape(check.name)}: {escape(check.evidence)}")
     passed = sum(check.verdict == "PASS" for check in outcome.checks)
-    left = sum(check.verdict == "not judged" for check in outcome.checks)
-    console.print(f"  {passed} checks passed, {left} had no data")
+    unjudged = sum(check.verdict == "not judged" for check in outcome.checks)
+    console.print(f"  {passed} checks passed, {unjudged} had no data")
     for row in outcome.summary["faults"]:
         delay = "" if row["delay_s"] is None else f" after {row['delay_s']:.2f} s"
         console.print(f"  fault {escape(row['id'])}: {row['verdict']}{delay}")

@@ -43,10 +43,10 @@ def fly_twin(setup: Setup, folder: Path) -> None:
         while not flight.over:
             batch += flight.advance([]).monitor
             if len(batch) >= BATCH_BYTES:
-                file.write(monitor.bytes([bytes(batch)], datagrams=False))
-                recorder.write(flight.tape, flight.take_labels())
+                file.write(monitor.push_bytes([bytes(batch)], datagrams=False))
+                recorder.write(flight.tape, flight.drain_labels())
                 batch.clear()
         batch += flight.finish().monitor
-        file.write(monitor.bytes([bytes(batch)], datagrams=False))
-    recorder.write(flight.tape, flight.take_labels())
+        file.write(monitor.push_bytes([bytes(batch)], datagrams=False))
+    recorder.write(flight.tape, flight.drain_labels())
     recorder.close(flight.core.clock.t0_us, flight.now_us)

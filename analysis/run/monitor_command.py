@@ -120,7 +120,7 @@ def _feed(args: argparse.Namespace, monitor: Monitor, deliver: Deliver, stop: St
         watch_link(args.link, monitor, deliver, args.for_s, stop)
         return
     for block in blocks_of(args):
-        deliver(monitor.block(block))
+        deliver(monitor.push(block))
         if stop():
             return
 
@@ -144,7 +144,7 @@ def watch_link(
     with Intake(link) as intake:
         print(f"watching {link.name}", file=sys.stderr, flush=True)
         while not stop() and (for_s is None or monitor.t_s < for_s):
-            deliver(monitor.bytes(intake.take(), datagrams=link.datagrams))
+            deliver(monitor.push_bytes(intake.drain(), datagrams=link.datagrams))
     if intake.drops:
         print(f"{intake.drops} chunks came too fast and were not seen", file=sys.stderr)
 

@@ -85,9 +85,11 @@ class Flight:
 
     def advance(self, commands: list[bytes]) -> Sent:
         """Fly to the next sample of the IMU, with what a ground station sent meanwhile."""
+        # Until somebody commands, the scenario's own controller flies.
         controls = self._pilot.controls() if self._pilot.flight.flown else None
         t_us, truth, readings = self.simulation.step(controls)
         sends: list[Send] = []
+        # Sensors before telemetry, commands last: always the same order, for the same bytes.
         for raw in self._hil.frames(t_us, truth, readings):
             sends += self.core.received(SIMULATOR, raw, self.now_us)
         for raw in self._services.tick(t_us, truth, readings, throttle(self.simulation)):
@@ -100,14 +102,14 @@ class Flight:
         """End the faults that still act."""
         return self._sort(self.core.finish(self.now_us))
 
-    def take_labels(self) -> list[Label]:
+    def drain_labels(self) -> list[Label]:
         """Labels since the last call, begun and ended ones, for the log."""
-        taken = self.core.take_labels()
-        self._labels += taken
-        return taken
+        labels = self.core.drain_labels()
+        self._labels += labels
+        return labels
 
     def completed_labels(self) -> list[Label]:
-        """What every fault really did, for the scores; after `take_labels`."""
+        """What every fault really did, for the scores; after `drain_labels`."""
         return newest(self._labels)
 
     def stats(self) -> list[dict[str, Any]]:
@@ -119,11 +121,11 @@ class Flight:
 
     def _sort(self, sends: list[Send]) -> Sent:
         """Hand commands to the vehicle; the HIL stream is the monitor's, the rest the ground's."""
-        sent = Sent(b"".join(s.data for s in sends if s.link == MONITOR and _is_hil(s.data)), [])
+        sent = Sent(b"".join(s.data for s in sends if s.link == MONITOR and is_hil(s.data)), [])
         answers: list[Send] = []
         for link, data, _ in sends:
             self._out[link] += 1
-            if link == GROUND and not _is_hil(data):
+            if link == GROUND and not is_hil(data):
                 sent.ground.append(data)
             elif link in (VEHICLE, SIMULATOR):
                 answers += self._obey(link, data)
@@ -134,8 +136,10 @@ class Flight:
         """What a frame for the vehicle or for the simulated plant leads to."""
         sends: list[Send] = []
         for item in self._parser.push(data, datagram=True):
+            # The simulator's own frames come round by the router; they are no commands.
             if not isinstance(item, Frame) or item.component == HIL_COMPONENT:
                 continue
+            # Only plant faults speak to the simulator.
             if link == SIMULATOR:
                 self._plant.carry_out(item)
                 continue
@@ -155,6 +159,6 @@ def session(scenario: str, seed: int, flight: Flight) -> dict[str, Any]:
     }
 
 
-def _is_hil(data: bytes) -> bool:
+def is_hil(data: bytes) -> bool:
     """Whether a datagram comes from the simulator's HIL end."""
     return data[0] == STX_V2 and data[6] == HIL_COMPONENT

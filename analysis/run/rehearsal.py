@@ -61,4 +61,4 @@ def _score_attitude(config: MonitorConfig) -> None:
         )
     ]
     scorer = AttitudeScorer(config.attitude)
-    scorer.score(block_of(samples), scorer.new_state())
+    scorer.step(block_of(samples), scorer.new_state())

@@ -55,6 +55,7 @@ def main(args: argparse.Namespace) -> int:
 
         flight = Flight(setup.scenario, setup.schedule)
         journal = Journal(flight.core, flight.tape)
+        # From the first byte on, so that a replay joins live control at the same place.
         journal.note(JOIN, b"", journal.begin(flight.now_us))
         live = stack.enter_context(
             contextlib.closing(Live(flight.control, lambda: journal.begin(flight.now_us), journal))
@@ -71,6 +72,7 @@ def main(args: argparse.Namespace) -> int:
         summary = monitor.summary(flight.completed_labels(), setup.criteria, wall_s)
     curves = []
     if twin is not None:
+        # It flies beside the run, on the second core, and is mostly done by now.
         twin.join()
         curves = twin_curves(folder, folder / FOLDER, flight.core.clock.t0_us or 0)
         summary["effects"] = effects(curves, flight.completed_labels())
@@ -99,6 +101,7 @@ def fly(
     with RunProgress(flight.duration_s) as progress:
         with stop_requests() as stop:
             while not (flight.over or stop()):
+                # A page that shows verdicts long after the flight would be of no use.
                 hold = together and monitor.owed > MOST_OWED
                 wait_s = HOLD_S if hold else pace.wait_s(flight.t_us, time.monotonic())
                 if wait_s > 0.0:
@@ -115,22 +118,23 @@ def fly(
                         ground.write(data)
                 if flight.t_us - recorded_us >= RECORD_US:
                     recorded_us = flight.t_us
-                    labels = flight.take_labels()
+                    labels = flight.drain_labels()
                     recorder.write(flight.tape, labels, live.edits())
                     live.publish(flight.stats(), labels)
                     if together or ground is not None:
                         deliver(monitor.feed(b"", now=True))
                     progress.show(flight.t_us * 1e-6, flight.engine.active)
         deliver(monitor.feed(flight.finish().monitor, now=True))
-        recorder.write(flight.tape, flight.take_labels())
+        recorder.write(flight.tape, flight.drain_labels())
         recorder.close(flight.core.clock.t0_us, flight.now_us)
 
 
 def open_ground(spec: str, pace: Pace) -> Link | None:
     """The ground station's link; at full speed there is none, nobody could watch."""
+    # At full speed a ground station would see minutes in a second.
     if math.isinf(pace.speed) or spec == "off":
         return None
-    return open_link(spec, plain_udp="udpout")
+    return open_link(spec, bare_udp="udpout")
 
 
 def report(

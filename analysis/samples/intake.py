@@ -25,7 +25,7 @@ class Intake:
         self._link = link
         self._chunks: queue.Queue[bytes] = queue.Queue(MOST_CHUNKS)
         self._over = threading.Event()
-        self._thread = threading.Thread(target=self._drain, daemon=True)
+        self._thread = threading.Thread(target=self._receive, daemon=True)
 
     def __enter__(self) -> "Intake":
         self._thread.start()
@@ -41,7 +41,7 @@ class Intake:
         self._thread.join()
         self._link.close()
 
-    def take(self) -> Iterator[bytes]:
+    def drain(self) -> Iterator[bytes]:
         """What has come by now, `CHUNKS_AT_ONCE` at most; waits a little for the first of it."""
         try:
             yield self._chunks.get(timeout=PATIENCE_S)
@@ -50,7 +50,7 @@ class Intake:
         except queue.Empty:
             return
 
-    def _drain(self) -> None:
+    def _receive(self) -> None:
         while not self._over.is_set():
             select.select([self._link.fileno()], [], [], PATIENCE_S)
             for _, data in self._link.read():

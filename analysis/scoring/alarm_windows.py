@@ -47,6 +47,7 @@ def alarms_of(result: Result) -> list[Alarm]:
     if not isinstance(result, Decision):
         return []
     channel = "gps-position" if result.mode.startswith("position") else "satellites"
+    # Exclusions last beyond their alarm: each epoch says them again.
     found = [Alarm(result.t_us, channel, name, True) for name in result.excluded]
     if not result.alarm:
         return found
@@ -56,6 +57,7 @@ def alarms_of(result: Result) -> list[Alarm]:
         found.append(Alarm(result.t_us, channel, "clock", True))
     elif EITHER in result.hypothesis:
         found.append(Alarm(result.t_us, channel, result.hypothesis, False))
+    # With somebody excluded the alarm is explained; otherwise it is held against nobody.
     elif not found or result.hypothesis == "multiple-unknown":
         found.append(Alarm(result.t_us, channel, "", False))
     return found
@@ -96,6 +98,7 @@ def without(window: Window, stretches: Sequence[tuple[int, int]]) -> list[tuple[
             continue
         if start > at:
             rest.append((at, min(start, window.end_us)))
+        # A microsecond on, as stretches hold both their ends.
         at = max(at, end + 1)
     if at <= window.end_us:
         rest.append((at, window.end_us))

@@ -16,8 +16,8 @@ LATEST_US = 1_000_000  # how long the truth is kept for estimates that come late
 
 class Scored(NamedTuple):
     """Estimates in the order of their scores (m,): which, the row that completed each, the truth
-    just after it; and the error (m, 4) of roll, pitch, yaw and the turn, in rad, pi where the
-    estimate is no number."""
+    just after it; and the error (m, 4) of roll, pitch, yaw and the angle between, in rad, pi where
+    the estimate is no number."""
 
     which: Indices
     came: Indices
@@ -29,6 +29,7 @@ class Scored(NamedTuple):
 def around(truth_us: Stamps, oldest: int, newest: int, t_us: int) -> tuple[int, int]:
     """The truth just before and just after an instant that lies before the newest; (-1, -1) if it
     is not known close enough."""
+    # Nearly always the estimate is newer than the last truth but one.
     first, second = newest - 1, newest
     if t_us < truth_us[first]:
         low, high = oldest, newest
@@ -40,6 +41,7 @@ def around(truth_us: Stamps, oldest: int, newest: int, t_us: int) -> tuple[int, 
                 high = middle
         if t_us < truth_us[oldest]:
             return -1, -1
+        # On the oldest truth itself there is none before: the pair from there on.
         first, second = max(low - 1, oldest), max(low, oldest + 1)
     span_us = truth_us[second] - truth_us[first]
     return (first, second) if 0 < span_us <= MAX_TRUTH_GAP_US else (-1, -1)
@@ -81,6 +83,8 @@ def compare(
             waiting[waits] = come
             waits += 1
             come += 1
+        # Only a truth of this block can complete anything; a stamp that stands still brings
+        # nothing.
         if j > 0 and truth_row[j] >= 0 and truth_us[j] > truth_us[j - 1]:
             later = 0
             for k in range(waits):
@@ -98,6 +102,7 @@ def compare(
                     scored.truth[done] = second
                     done += 1
             waits = later
+        # A window that moves on: autopilots answer late, but not later than this.
         while truth_us[oldest] < truth_us[j] - LATEST_US and j - oldest > 1:
             oldest += 1
     while come < count:
@@ -112,12 +117,13 @@ def compare(
 
 @compiled
 def _score(scored: Scored, at: int, estimate: Quaternion, true: Quaternion) -> None:
-    """The error of one estimate; a half turn where it is no number."""
-    roll, pitch, yaw, turn = errors(estimate, true)
-    if not isfinite(roll + pitch + yaw + turn):
-        roll, pitch, yaw, turn = pi, pi, pi, pi
+    """The error of one estimate; half a circle where it is no number."""
+    roll, pitch, yaw, angle = errors(estimate, true)
+    if not isfinite(roll + pitch + yaw + angle):
+        # As wrong as can be: an estimator must not gain by giving no number.
+        roll, pitch, yaw, angle = pi, pi, pi, pi
     scored.error[at, 0], scored.error[at, 1] = roll, pitch
-    scored.error[at, 2], scored.error[at, 3] = yaw, turn
+    scored.error[at, 2], scored.error[at, 3] = yaw, angle
 
 
 @compiled

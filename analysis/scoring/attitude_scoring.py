@@ -112,15 +112,18 @@ class AttitudeScorer:
     ) -> tuple[list[AttitudeError], ScorerState]:
         """Errors that a block of samples, or a single one, completes, thinned to `rate_hz`."""
         block = samples if isinstance(samples, Block) else block_of(samples)
-        return [error for _, error in self.score(block, state)], state
+        found, state = self.step_rows(block, state)
+        return [error for _, error in found], state
 
-    def score(self, block: Block, state: ScorerState) -> list[tuple[int, AttitudeError]]:
+    def step_rows(
+        self, block: Block, state: ScorerState
+    ) -> tuple[list[tuple[int, AttitudeError]], ScorerState]:
         """The same with the row of the block that completed each."""
         truths = block.rows(TRUTH)
         begin = -1
         if state.t0_us is None:
             if not len(truths):
-                return []
+                return [], state
             begin = int(truths[0])
             self._start(block.sample(begin), state)
         estimates = self._estimates(block, begin, state)
@@ -135,10 +138,12 @@ class AttitudeScorer:
             estimates.t_us,
             estimates.q_nb,
         )
+        # The newest; after so long the truth for the older ones is gone.
         waiting = waiting[-WAITING_MAX:]
         state.waiting = estimates.at(waiting)._replace(row=np.full(len(waiting), -1))
+        # Copies, or a slice would keep the whole block alive.
         state.truth_us, state.truth = truth_us[oldest:].copy(), truth[oldest:].copy()
-        return self._gather(state, estimates.at(scored.which), scored, truth)
+        return self._gather(state, estimates.at(scored.which), scored, truth), state
 
     def _start(self, sample: Sample, state: ScorerState) -> None:
         assert isinstance(sample, TruthSample)
@@ -159,6 +164,7 @@ class AttitudeScorer:
     def _estimates(self, block: Block, begin: int, state: ScorerState) -> Estimates:
         """What waited and what the block brings behind row `begin`, in order."""
         rows = np.arange(len(block.kind))
+        # Estimators see one IMU, as a flight controller's estimator instance does.
         mine = (block.kind != IMU) | (block.values[:, 6] == self.config.imu)
         keep = (rows > begin) & mine & _measured(block)
         seen = block if keep.all() else block.where(keep)
@@ -171,6 +177,7 @@ class AttitudeScorer:
         number = block.values[own, 5].astype(np.int64) - FIRST_AUTOPILOT + len(self._estimators)
         found.append(Estimates(own, number, block.t_us[own], block.values[own, :4]))
         every = Estimates(*(np.concatenate(column) for column in zip(*found, strict=True)))
+        # Stable: of estimates of one row our own come first, in the order they were configured.
         return every.at(np.argsort(every.row, kind="stable"))
 
     def _gather(
@@ -193,6 +200,7 @@ class AttitudeScorer:
             since_us, after = since_us[settled], after[settled]
         if not len(error):
             return []
+        # Cells count from the first truth, so that a log cut elsewhere has other cells.
         cell_us = estimates.t_us - since_us % self._cell_us
         opened, state.last_us, sums = gather(
             estimates.source, cell_us, error, state.last_us, state.sums
@@ -204,6 +212,7 @@ class AttitudeScorer:
         for number, name in enumerate(self._names):
             known = state.cells.setdefault(name, [])
             if known:
+                # The cell that was open at the end of the last block has grown in this one.
                 known[-1].sums[-1] = sums[number]
             mine = np.flatnonzero(estimates.source[opened] == number)
             if len(mine):

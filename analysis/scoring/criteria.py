@@ -114,11 +114,11 @@ def _none_or(names: Mapping[str, None]) -> str:
 
 
 def verdict(checks: Sequence[Check]) -> str:
-    """FAIL if any check failed, PASS if all held, NO VERDICT if there is nothing to go by."""
+    """FAIL if any check failed, PASS if all passed, NO VERDICT if there is nothing to go by."""
     if any(check.passed is False for check in checks):
         return "FAIL"
-    held = checks and all(check.passed for check in checks)
-    return "PASS" if held else "NO VERDICT"
+    all_passed = checks and all(check.passed for check in checks)
+    return "PASS" if all_passed else "NO VERDICT"
 
 
 def _all(rows: Sequence[Mapping[str, Any]], id: str, key: str, value: object) -> bool:

@@ -109,6 +109,7 @@ def _outcome(
     watch: _Watch, watches: Sequence[_Watch], windows: Sequence[Window], watched: Collection[str]
 ) -> FaultOutcome:
     label = watch.label
+    # What began before the fault cannot be its doing.
     began = [w for w in windows if label.start_us <= w.start_us <= watch.until_us]
     own = [w for w in began if watch.explains(w)]
     right = tuple(sorted({w.name for w in own if w.blamed}))
@@ -116,6 +117,7 @@ def _outcome(
     verdict, reason = _verdict(watch, own, right, watched)
     if verdict == MISSED:
         verdict, reason = _afterwards(watch, watches, windows)
+    # Blaming somebody sound is worse than missing the fault: it overrides every other word.
     if wrongly:
         verdict, reason = WRONG, f"in truth {reason or verdict}"
     return FaultOutcome(
@@ -142,6 +144,7 @@ def _verdict(
     """The word for a fault during which nobody sound was blamed, and what it leaves open."""
     sight = watch.sight
     able = sight.channels | watch.witnesses
+    # Nothing in a monitor can see this fault: no verdict about the monitor.
     if not own and not able:
         return NOT_JUDGED, sight.reason
     if not own and not able & set(watched):
@@ -216,6 +219,7 @@ def false_alarms(
     labels: Sequence[Label], windows: Sequence[Window], span_s: float
 ) -> list[FalseAlarms]:
     """By channel what no fault explains, whether or not another fault acted meanwhile."""
+    # Without the epoch of grace: here only the echo counts.
     watches = [_watch(label, 0) for label in labels]
     acting = [(watch.label.start_us, watch.echo_us) for watch in watches]
     rows: dict[str, list[tuple[Window, bool, float]]] = {}
@@ -225,6 +229,7 @@ def false_alarms(
         ]
         for start_us, end_us in without(window, explained):
             inside = any(start <= start_us <= end for start, end in acting)
+            # A suspicion during a fault of somebody else does no harm.
             if window.blamed or not inside:
                 row = window, inside, (end_us - start_us) * 1e-6
                 rows.setdefault(window.channel, []).append(row)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from analysis.estimators import make
 from analysis.scoring.attitude_scores import Cells, parted, phases_of
-from analysis.search.evaluation.compiled_batch import COMPILED, Batch, ned_velocity, start_memory
+from analysis.search.evaluation.compiled_batch import COMPILED, Batch, ned_velocity, start_filters
 from analysis.search.evaluation.traced_flight import Trace, estimated, traced, with_all_sensors
 from analysis.search.shrink import pinned
 from analysis.search.space.dimensions import flights_of
@@ -60,10 +60,10 @@ def flight_of(test: TestFile, values: Mapping[str, float], seed: int, number: in
     """The flight in full, with the attitude that the estimator under test made of it."""
     batch = Batch(test)
     column = flights_of(test, {name: np.array([value]) for name, value in values.items()})
-    memory = start_memory(test.estimator, column)[0]
+    filters = start_filters(test.estimator, column)[0]
     if test.estimator in COMPILED:
-        return traced(batch.plan, column[:, 0], memory, seed, number)
-    flight = traced(with_all_sensors(batch.plan), column[:, 0], memory, seed, number)
+        return traced(batch.plan, column[:, 0], filters, seed, number)
+    flight = traced(with_all_sensors(batch.plan), column[:, 0], filters, seed, number)
     return replace(flight, q_estimate=estimated(flight, make(test.estimator)))
 
 

@@ -88,11 +88,11 @@ def _given(node: Any) -> Any:
 
 def yaml_of(test: TestFile) -> str:
     """A test file that reads back as `test`."""
-    plain = _given(msgspec.to_builtins(test))
-    for fault in plain["faults"]:
+    document = _given(msgspec.to_builtins(test))
+    for fault in document["faults"]:
         if "target" in fault:
             del fault["any_of"]
-    return write_yaml(plain)
+    return write_yaml(document)
 
 
 def log_text(test: TestFile, cases: Sequence[WorstCase], totals: Totals) -> str:

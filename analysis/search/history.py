@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
 
-RECORD = np.dtype([("fitness", "<f8"), ("left", "<i4"), ("steps", "<i4")])
+RECORD = np.dtype([("fitness", "<f8"), ("broken_limit", "<i4"), ("steps", "<i4")])
 Records = NDArray[np.void]
 
 

@@ -43,7 +43,7 @@ class Session:
         dimension = self._batch.space.dimension
         self._searcher = searcher(test.method if dimension else "random", dimension, test.seed, 1)
         self._waiting: list[Array] = []
-        self._told: list[tuple[Array, float]] = []
+        self._evaluated: list[tuple[Array, float]] = []
         self.values: dict[str, float] = {}
         self.trace: Trace | None = None
         self.error_deg = 0.0
@@ -51,10 +51,10 @@ class Session:
     def next(self) -> Trace:
         """Fly the next test."""
         if not self._waiting:
-            if self._told:
-                points, fitness = zip(*self._told, strict=True)
+            if self._evaluated:
+                points, fitness = zip(*self._evaluated, strict=True)
                 self._searcher.tell(np.array(points), np.array(fitness))
-            self._told = []
+            self._evaluated = []
             self._waiting = list(self._searcher.ask())
         point = self._waiting.pop(0)
         self.number += 1
@@ -64,7 +64,7 @@ class Session:
         outcome = self._batch.evaluate(point[None, :], self.test.seed, self.number, 1)
         self.error_deg = float(outcome.fitness[0])
         self.worst_deg = max(self.worst_deg, self.error_deg)
-        self._told.append((point, self.error_deg))
+        self._evaluated.append((point, self.error_deg))
         return self.trace
 
     @property

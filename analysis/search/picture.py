@@ -79,8 +79,8 @@ class Picture:
         path = trace.state[:, :3] @ NED_TO_PLOT.T
         space.plot(*path.T, color="grey", linewidth=0.8)
         for q, drawn in ((trace.state[k, 6:10], True), (trace.q_estimate[k], False)):
-            turn = NED_TO_PLOT @ matrix_from_quat(q) * self._size
-            shape = [part @ turn.T + path[k] for part in AIRCRAFT]
+            rotation = NED_TO_PLOT @ matrix_from_quat(q) * self._size
+            shape = [part @ rotation.T + path[k] for part in AIRCRAFT]
             space.add_collection3d(
                 Poly3DCollection(shape, facecolors=COLOURS, alpha=0.9)
                 if drawn

@@ -121,6 +121,7 @@ def searched(
     """Ask, fly and tell until the budget or the time is used up; tests and steps made."""
     dimension = evaluator(test).space.dimension
     budget = test.budget or (DEFAULT_BUDGET if test.time_s is None else 10**9)
+    # Nothing varies: one evaluation says it all.
     if dimension == 0:
         budget = 1
     method = searcher(test.method if dimension else "random", dimension, test.seed, budget)
@@ -131,11 +132,12 @@ def searched(
         while tests < budget and time.monotonic() < deadline:
             points = method.ask()
             asked = len(points)
+            # The last batch may be larger than what is left of the budget.
             points = points[: budget - tests]
             records = evaluated(test, pool, history, points, tests, deadline)
             points = points[: len(records)]
             archive.add(tests, points, records["fitness"])
-            rejected.update(rows.LIMITS[left] for left in records["left"] if left > 0)
+            rejected.update(rows.LIMITS[limit] for limit in records["broken_limit"] if limit > 0)
             tests += len(points)
             steps += int(records["steps"].sum())
             if len(points) == asked:
@@ -173,7 +175,7 @@ def records_of(outcome: Outcome) -> np.ndarray[tuple[int], np.dtype[np.void]]:
     """What the history keeps of a batch; the batch's steps stand with its first record."""
     records = np.zeros(len(outcome.fitness), RECORD)
     records["fitness"] = outcome.fitness
-    records["left"] = outcome.left
+    records["broken_limit"] = outcome.broken_limit
     records["steps"][0] = outcome.steps
     return records
 

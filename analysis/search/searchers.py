@@ -74,6 +74,7 @@ class Matyas:
 
     def ask(self) -> Array:
         """Steps from the best point, that point itself at first."""
+        # The first point has no fitness yet: a step from it could not be judged.
         if self._fitness == -np.inf:
             return self._best[None, :]
         steps = self._rng.normal(0.0, self.STEP, (self.TOGETHER, len(self._best)))
@@ -99,6 +100,7 @@ class CmaEs:
         self._es = self._started(self._rng.random(dimension))
 
     def _started(self, x: Array) -> Any:
+        # The usual population of CMA-ES, larger after each restart: it then sees coarser structure.
         size = round((4 + int(3 * np.log(self._dimension))) * self.GROWTH**self._restarts)
         return evolution(x, self.SIGMA, size, self._rng)
 
@@ -111,6 +113,7 @@ class CmaEs:
 
     def tell(self, points: Array, fitness: Array) -> None:
         """The generation's fitness."""
+        # CMA-ES looks for the smallest.
         self._es.tell(list(points), list(-fitness))
 
 

@@ -101,4 +101,4 @@ class Errors:
         columns = {name: np.array([case[name] for case in cases]) for name in cases[0]}
         flown = evaluator(self._test)
         outcome = flown.of_values(columns, self._seed, 0, self._draws, True)
-        return np.where(outcome.left > 0, -np.inf, outcome.fitness)
+        return np.where(outcome.broken_limit > 0, -np.inf, outcome.fitness)

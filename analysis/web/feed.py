@@ -37,10 +37,10 @@ class Viewer:
         self.queue.put_nowait(first)
         self.messages: frozenset[str] = frozenset()
 
-    def wish(self, said: str) -> None:
+    def wish(self, text: str) -> None:
         """Take the messages it wants to see, a JSON list; what does not exist is left out."""
         try:
-            names = msgspec.json.decode(said, type=list[str])
+            names = msgspec.json.decode(text, type=list[str])
         except msgspec.MsgspecError:
             return
         self.messages = frozenset(
@@ -59,7 +59,7 @@ class Feed:
         self._unsent: deque[tuple[str, bytes]] = deque(maxlen=KEPT)
         self._viewers: set[Viewer] = set()
 
-    def take(self, key: str, payload: bytes) -> None:
+    def push(self, key: str, payload: bytes) -> None:
         """Note one sample; `key` is the one below the run's prefix."""
         try:
             msgspec.json.decode(payload)
@@ -75,9 +75,9 @@ class Feed:
                 self._past.setdefault(key, deque(maxlen=past)).append(payload)
                 self._fresh.setdefault(key, deque(maxlen=burst)).append(payload)
 
-    def status(self, said: object) -> None:
+    def status(self, state: object) -> None:
         """Tell the viewers how the page itself is doing."""
-        self.take(STATUS, msgspec.json.encode(said))
+        self.push(STATUS, msgspec.json.encode(state))
 
     def forget(self) -> None:
         """Drop what belongs to a run that is over; the status stays."""

@@ -111,23 +111,27 @@ class Page:
 
     async def _asset(self, request: Request) -> Response:
         path = FILES.get(request.path_params["name"])
-        return said(404, "there is no such file") if path is None else self._file(request, path)
+        return (
+            refusal_answer(404, "there is no such file")
+            if path is None
+            else self._file(request, path)
+        )
 
     def _file(self, request: Request, path: Path) -> Response:
         refusal = self._refusal(request)
-        return said(403, refusal) if refusal else FileResponse(path, headers=HEADERS)
+        return refusal_answer(403, refusal) if refusal else FileResponse(path, headers=HEADERS)
 
     async def _catalogue(self, request: Request) -> Response:
         refusal = self._refusal(request)
         if refusal:
-            return said(403, refusal)
+            return refusal_answer(403, refusal)
         data = await run_in_threadpool(offered)
         return Response(data, media_type="application/json", headers=HEADERS)
 
     async def _preview(self, request: Request) -> Response:
         refusal = self._refusal(request, changes=True)
         if refusal:
-            return said(403, refusal)
+            return refusal_answer(403, refusal)
         try:
             body = await self._body(request)
             return JSONResponse(await run_in_threadpool(previewed, body))
@@ -137,25 +141,27 @@ class Page:
     async def _choose(self, request: Request) -> Response:
         refusal = self._refusal(request, changes=True)
         if refusal:
-            return said(403, refusal)
+            return refusal_answer(403, refusal)
         try:
             self._source.choose((await self._body(request)).decode("utf-8", "replace"))
         except ConfigError as error:
-            return said(400, str(error))
+            return refusal_answer(400, str(error))
         return JSONResponse({})
 
     async def _control(self, request: Request) -> Response:
         refusal = self._refusal(request, changes=True)
         if refusal:
-            return said(403, refusal)
+            return refusal_answer(403, refusal)
         what = request.path_params["what"]
         if CONTROL.fullmatch(what) is None:
-            return said(404, f"{what} is unknown; ids take letters, digits, dots, - and _")
+            return refusal_answer(
+                404, f"{what} is unknown; ids take letters, digits, dots, - and _"
+            )
         try:
             body = await self._body(request)
             reply = await run_in_threadpool(self._source.ask, what, body)
         except ConfigError as error:
-            return said(400, str(error))
+            return refusal_answer(400, str(error))
         return Response(reply, media_type="application/json")
 
     async def _live(self, socket: WebSocket) -> None:
@@ -206,6 +212,6 @@ def previewed(body: bytes) -> dict[str, Any]:
     return preview(body)
 
 
-def said(status: int, text: str) -> JSONResponse:
+def refusal_answer(status: int, text: str) -> JSONResponse:
     """A refusal with its reason."""
     return JSONResponse({"error": text}, status, headers=HEADERS)

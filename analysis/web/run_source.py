@@ -107,7 +107,7 @@ class Source:
         self._bus = bus
         self._say()  # before its first sample: the page clears its plots
         for stream in STREAMS:
-            bus.subscribe(stream, lambda key, payload: self._feed.take(key[prefix:], payload))
+            bus.subscribe(stream, lambda key, payload: self._feed.push(key[prefix:], payload))
 
     def _leave(self) -> None:
         if self._bus is None:

@@ -111,6 +111,7 @@ def run(
         words += ["--schedule", file_of(schedule, folder / "schedule.yaml")]
     if seed is not None:
         words += ["--seed", str(seed)]
+    # The same interpreter, so the same environment and packages.
     command = [sys.executable, "-m", "mavproxy_fault.cli", "run", *words]
     command += ["--out", str(folder), "--zenoh", "off", "--speed", "max"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -138,6 +139,7 @@ def column_of(values: list[Any]) -> NDArray[Any]:
     """One column: of floats if all are numbers or missing, else of objects."""
     if all(value is None or type(value) in (int, float) for value in values):
         return np.array([np.nan if value is None else value for value in values], float)
+    # Filled afterwards, or numpy would make a table of lists of equal length.
     column = np.empty(len(values), dtype=object)
     column[:] = values
     return column

@@ -86,6 +86,7 @@ class LocalProxy:
     def refresh(self) -> None:
         """Bring labels up to this moment."""
         self._check()
+        # In the loop's own thread: the core knows no locks.
         self._live.do(self._server.record)
 
     def _check(self) -> None:
@@ -98,6 +99,7 @@ class LocalProxy:
         """End the loop, the recording and the links."""
         self._server.stop()
         with contextlib.suppress(OSError):
+            # The loop may sleep for a tenth of a second; a byte wakes it.
             self._wake.send(b"!")
         self._thread.join(ENDS_S)
         for link in self._links:

@@ -38,6 +38,7 @@ class Observed:
             for frame in (frame for watched in samples for frame in frames_of(watched)):
                 for telemetry in self._waiting:
                     telemetry.note(frame)
+            # Once for all samples: each waiting thread looks at the newest state only.
             self._changed.notify_all()
 
     def wait_for(

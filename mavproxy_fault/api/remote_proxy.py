@@ -42,7 +42,7 @@ class RemoteProxy:
         self._bus.close()
 
 
-def _decoded(kind: Any, take: Callable[[Any], None]) -> Callable[[str, bytes], None]:
+def _decoded(kind: Any, deliver: Callable[[Any], None]) -> Callable[[str, bytes], None]:
     """A subscriber that decodes JSON of a type."""
     decoder = msgspec.json.Decoder(kind)
-    return lambda key, payload: take(decoder.decode(payload))
+    return lambda key, payload: deliver(decoder.decode(payload))

@@ -104,6 +104,7 @@ def split(data: bytes) -> Iterator[tuple[int, bytes]]:
         body = at + STAMP.size
         end = _end(data, body)
         after = _find(data, end, t_us)
+        # Behind the last record that is found nothing can be a stamp: it is all bytes.
         stop = len(data) if after is None else after
         yield t_us, data[body : min(end, stop)]
         if stop > end:
@@ -125,6 +126,7 @@ def _find(data: bytes, start: int, t_us: int | None) -> int | None:
         if t_us is not None and abs(stamp - t_us) > NEAR_US:
             continue
         end = _end(data, at + STAMP.size)
+        # A start byte may stand anywhere: the next record must begin where this one ends.
         if end + STAMP.size >= len(data) or data[end + STAMP.size] in (STX_V1, STX_V2):
             return at
         if at == start and t_us is not None:
@@ -134,6 +136,7 @@ def _find(data: bytes, start: int, t_us: int | None) -> int | None:
 
 def _link_of(raw: bytes, simulators: set[bytes]) -> int:
     if raw[0] == STX_V2 and len(raw) > 9:
+        # System and component; then the message id, three bytes.
         source, known = raw[5:7], layout(int.from_bytes(raw[7:10], "little"))
     elif raw[0] == STX_V1 and len(raw) > 5:
         source, known = raw[3:5], layout(raw[5])

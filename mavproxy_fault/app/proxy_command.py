@@ -33,8 +33,8 @@ def open_links(master: str, outs: Sequence[str]) -> list[Link]:
     """The vehicle's link and the others'; all closed again if one cannot be opened."""
     links: list[Link] = []
     try:
-        links.append(open_link(master, plain_udp="udpin"))
-        links += [open_link(out, plain_udp="udpout") for out in outs]
+        links.append(open_link(master, bare_udp="udpin"))
+        links += [open_link(out, bare_udp="udpout") for out in outs]
     except ValueError:
         for link in links:
             link.close()

@@ -65,6 +65,7 @@ class Recorder:
                 for name in APPENDED
             }
             self._write_session()
+            # All could be opened: only now do they replace those before.
             opened.pop_all()
         for file in self._files.values():
             file.close()
@@ -77,16 +78,16 @@ class Recorder:
 
         Raises nothing where files cannot be written: forwarding must go on.
         """
-        before = tape.taken
-        taken = tape.take()
+        before = tape.drained
+        drained = tape.drain()
         self._labels += labels
         self._edits += edits
         data = {
-            RECEIVED: taken.received,
-            RECEIVED_OTHER: taken.received_other,
-            INDEX: taken.index,
-            SENT: taken.sent,
-            SENT_OTHER: taken.sent_other,
+            RECEIVED: drained.received,
+            RECEIVED_OTHER: drained.received_other,
+            INDEX: drained.index,
+            SENT: drained.sent,
+            SENT_OTHER: drained.sent_other,
             LABELS: encoded(self._labels) if self._labels else b"",
             EDITS: encoded(self._edits) if self._edits else b"",
         }
@@ -97,6 +98,7 @@ class Recorder:
                 before = tape.start_again(tape.count - before)
             self._append(data)
         except OSError as error:
+            # The index must fit the files: what was not written has not come.
             self.lost += tape.count - before
             tape.start_again(before)
             self._edits = [edit.at_record(before) for edit in self._edits]
@@ -111,6 +113,7 @@ class Recorder:
 
     def _is_gone(self) -> bool:
         """Whether somebody removed the files."""
+        # No name is left, although the open file still takes what is written.
         return os.fstat(self._files[RECEIVED].fileno()).st_nlink == 0
 
     def _append(self, data: dict[str, bytes]) -> None:
@@ -121,6 +124,7 @@ class Recorder:
         except OSError:
             for name, size in self._sizes.items():
                 with contextlib.suppress(OSError):
+                    # Half a record would make the rest of the file unreadable by its index.
                     self._files[name].truncate(size)
                     self._files[name].seek(size)
             raise
@@ -140,6 +144,7 @@ class Recorder:
             LOG.warning("the session's end was not recorded: %s", error)
 
     def _write_session(self) -> None:
+        # Written beside and moved: a reader sees the old one or the new one, whole.
         fresh = self.folder / (SESSION + ".new")
         fresh.write_text(json.dumps(self._session, indent=1) + "\n")
         fresh.replace(self.folder / SESSION)

@@ -79,6 +79,7 @@ class Playing:
         """What is sent after the last record: up to the recorded end, or all that is delayed."""
         yield self._edit()
         end_us = self.source.end_us
+        # A log without a recorded end goes on until the last delayed frame has left.
         while end_us is None and (due_us := self.core.next_due_us) is not None:
             self._newest_us = max(self._newest_us, due_us)
             yield self.core.due(self._newest_us)
@@ -116,11 +117,11 @@ def to_log(playing: Playing, tape: Tape, out: Path) -> Path:
             playing.push(record)
             labels.write(encoded(_labels(playing)))
             if len(tape.sent) >= FLUSH_BYTES:
-                log.write(tape.take().sent)
+                log.write(tape.drain().sent)
         for _ in playing.rest():
             pass
         labels.write(encoded(_labels(playing)))
-        log.write(tape.take().sent)
+        log.write(tape.drain().sent)
     return labels_path
 
 
@@ -130,7 +131,7 @@ def _labels(playing: Playing) -> list[Label]:
     What they tell was done to a recording, to which nobody in it could react; but a session that is
     repeated has reacted to the same.
     """
-    labels = playing.core.take_labels()
+    labels = playing.core.drain_labels()
     if playing.repeats:
         return labels
     return [msgspec.structs.replace(label, recorded=True) for label in labels]
@@ -141,6 +142,7 @@ def to_link(playing: Playing, link: Link, clock: Callable[[], float] = time.mono
 
     A server waits for its first peer.
     """
+    # A log played to nobody would be over before somebody listens.
     while not link.peer_count:
         _pause(link, TEND_S)
     core = playing.core
@@ -158,6 +160,7 @@ def to_link(playing: Playing, link: Link, clock: Callable[[], float] = time.mono
 
     for record in playing.source.records:
         first_us = record.t_us if first_us < 0 else first_us
+        # Delayed frames leave between records, at their own time.
         while (due_us := core.next_due_us) is not None and due_us <= record.t_us:
             sent += write(core.due(due_us))
         wait_for(record.t_us)
@@ -180,13 +183,14 @@ def main(args: argparse.Namespace) -> int:
     playing = Playing(source, schedule, tape, signing(args))
     if tape is not None:
         out = Path(args.out)
+        # By identity, as a link may point to it under another name.
         if out.exists() and out.samefile(path):
             raise ConfigError(f"{out}: is the log that is replayed; allowed: another file")
         out.parent.mkdir(parents=True, exist_ok=True)
         labels = to_log(playing, tape, out)
         print(f"{out}\n{labels}")
         return 0
-    link = open_link(args.link, plain_udp="udpout")
+    link = open_link(args.link, bare_udp="udpout")
     try:
         print(f"{to_link(playing, link)} sent to {link.name}")
     finally:

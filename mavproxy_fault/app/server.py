@@ -73,6 +73,7 @@ class Server:
 
     def run(self, wake: socket.socket | None = None) -> None:
         """Forward until stopped; `wake` becomes readable when a signal came."""
+        # Or every timed wait of this thread ends up to 50 us late.
         ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1)
         self._wake = None if wake is None else wake.fileno()
         try:
@@ -92,6 +93,7 @@ class Server:
 
     def _step_interpreted(self) -> None:
         """Wait for whatever comes next and pass it on."""
+        # Asked each time, as live control may come and go.
         waited = [*self._by_fd, *self._waited()]
         ready, _, _ = select.select(waited, (), (), self._patience_s())
         for descriptor in ready:
@@ -104,12 +106,13 @@ class Server:
         """Let the compiled form forward until something is left to do here."""
         tend_ns, due_us = round(self._tend_s * 1e9), self.core.next_due_us
         due_ns = tend_ns if due_us is None else (due_us - AHEAD_US) * 1000 - self._base_ns
+        # To the microsecond for frames that are due, not for housekeeping.
         forwarder.forward(min(tend_ns, due_ns), spin=self._busy_poll, precise=due_ns < tend_ns)
         if forwarder.pending:
             number, data, came_ns = forwarder.handed_over()
             if data:
                 # It may have waited behind another of its batch while delayed frames left.
-                now_us = max((self._base_ns + came_ns) // 1000, self.core.left_us)
+                now_us = max((self._base_ns + came_ns) // 1000, self.core.departed_us)
                 self._carry_out(self.core.received(number, data, now_us))
                 self.latencies[number].add(time.monotonic_ns() - came_ns)
         for number in forwarder.ready():
@@ -119,6 +122,7 @@ class Server:
 
     def prepare(self) -> None:
         """Take the compiled form, or have it made by another process if this is the first time."""
+        # Streams go through the interpreter anyway: loading machine code would gain nothing.
         if not any(link.datagrams for link in self.links):
             return
         from mavproxy_fault.compiled import object_file as machine
@@ -171,6 +175,7 @@ class Server:
         due_us = self.core.next_due_us
         if due_us is None:
             return TEND_S
+        # Asleep until shortly before; the rest is waited for awake, as a sleep ends late.
         return min(max(due_us - self.now_us() - AHEAD_US - EARLY_US, 0) * 1e-6, TEND_S)
 
     def _serve(self, number: int) -> None:
@@ -222,6 +227,7 @@ class Server:
             self._forwarder.count()
         elif self._compiler is not None and (code := self._compiler.poll()) is not None:
             self._compiler = None
+            # Made: it is loaded like one that was there from the start.
             if code == 0:
                 self.prepare()
             else:
@@ -231,9 +237,10 @@ class Server:
 
     def record(self) -> None:
         """Write and publish what has been gathered since the last time."""
+        # Labels then stay where they are: whoever uses the core drains them.
         if self.recorder is None and self.live is None:
             return
-        labels = self.core.take_labels()
+        labels = self.core.drain_labels()
         if self.recorder is not None and self.tape is not None:
             edits = [] if self.live is None else self.live.edits()
             self.recorder.write(self.tape, labels, edits)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from mavproxy_fault.ardupilot.bridge_ports import Datagrams, SensorPort
+from mavproxy_fault.ardupilot.child_process import ending
 from mavproxy_fault.ardupilot.companion import for_ardupilot
 from mavproxy_fault.ardupilot.json_physics import ServoPacket, read_servos
 from mavproxy_fault.ardupilot.observation import Seen
@@ -75,8 +76,8 @@ class Bridge:
         self._preparation = Preparation(seen.home)
         self._parser = Parser()
         self._seq = 0
-        self._line: tuple[int, bytes] | None = None  # stamp and physics of a step yet to be told
-        self._told_us: int | None = None  # the stamp of the step that ArduPilot works on
+        self._line: tuple[int, bytes] | None = None  # stamp and physics of a step yet to be sent
+        self._sent_us: int | None = None  # the stamp of the step that ArduPilot works on
         self._asked = False  # ArduPilot waits for a line
         self._accepted = -1
         self._stepped = True  # since the last look
@@ -128,8 +129,8 @@ class Bridge:
         if truth is None:
             return
         for _ in self.physics.read():
-            later = truth._replace(t_us=(self._told_us or truth.t_us) + 2500)
-            self._told_us = later.t_us
+            later = truth._replace(t_us=(self._sent_us or truth.t_us) + 2500)
+            self._sent_us = later.t_us
             self.physics.write(self._feed.step(self._readings, later).physics)
 
     def _serve_hil(self) -> None:
@@ -150,12 +151,12 @@ class Bridge:
         self._line = truth.t_us, fed.physics
         if (request := self._preparation.due(truth.t_us)) is not None:
             self._mavlink.write(request)
-        self._tell()
+        self._send_step()
 
-    def _tell(self) -> None:
+    def _send_step(self) -> None:
         """Answer ArduPilot's request by the step that waits, if there are both."""
         if self._asked and self._line is not None:
-            self._told_us, line = self._line
+            self._sent_us, line = self._line
             self._line, self._asked = None, False
             self.physics.write(line)
 
@@ -167,14 +168,14 @@ class Bridge:
 
     def _outputs(self, packet: ServoPacket) -> None:
         """ArduPilot has worked a step off, or asks again for the next one."""
-        if packet.accepted != self._accepted and self._told_us is not None:
+        if packet.accepted != self._accepted and self._sent_us is not None:
             channels = self._channels(packet.pwm_us)
             self._inbox.link.write(
-                actuator_frame(self._told_us, channels, self._next(), armed=self.armed)
+                actuator_frame(self._sent_us, channels, self._next(), armed=self.armed)
             )
         self._accepted = packet.accepted
         self._asked = True
-        self._tell()
+        self._send_step()
 
     def _serve_mavlink(self) -> None:
         for data in self._mavlink.read():
@@ -203,8 +204,3 @@ class Bridge:
     def _next(self) -> int:
         self._seq = (self._seq + 1) & 0xFF
         return self._seq
-
-
-def ending(code: int) -> str:
-    """How a program ended."""
-    return f"with exit code {code}" if code >= 0 else f"by signal {-code}"

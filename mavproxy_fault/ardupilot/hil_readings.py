@@ -8,6 +8,7 @@ import math
 import struct
 from typing import NamedTuple
 
+from mavproxy_fault.numerics.rotation import euler_angles
 from mavproxy_fault.wire.frame import Frame
 
 INERTIAL, MAG, BARO, DIFF_PRESSURE = 0x3F, 0x1C0, 0x1A00, 0x400  # HIL_SENSOR_UPDATED_*
@@ -45,8 +46,8 @@ class TrueState(NamedTuple):
     @property
     def yaw_deg(self) -> float:
         """Heading from true north, 0 to 360."""
-        w, x, y, z = self.q_nb
-        return math.degrees(math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))) % 360.0
+        _, _, yaw_rad = euler_angles(self.q_nb)
+        return math.degrees(yaw_rad) % 360.0
 
 
 class Readings:

@@ -168,7 +168,7 @@ class Plans:
             return None
         [(way, state)] = running.states.items()
         plan[k.KNOWN_WAY] = WAYS[way]
-        return state.memory
+        return state.inner
 
     def _segments(self, fault: Driven, running: Running, plan: Any, numbers: Any) -> None:
         drawn = self._known(running, plan)

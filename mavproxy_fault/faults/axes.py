@@ -33,7 +33,7 @@ class AxisSwap(ValueFault, frozen=True, kw_only=True):
                 raise ValueError(f"signs must be {len(places)} numbers")
 
     def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Element i takes the value of element order[i]."""
         order = self.order or tuple(reversed(range(len(before))))
@@ -56,7 +56,7 @@ class Rotation(ValueFault, frozen=True, kw_only=True):
         check_three(self.elements)
 
     def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """The vector as a sensor turned by these angles measures it."""
         roll, pitch, yaw = (math.radians(angle) for angle in self.angles_deg)
@@ -79,7 +79,7 @@ class Iron(ValueFault, frozen=True, kw_only=True):
         check_three(self.elements)
 
     def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """soft @ field + hard."""
         field = times(self.soft, before)

@@ -8,7 +8,7 @@ from msgspec import Meta
 
 from mavproxy_fault.faults.elements import changed, places_of, values_at
 from mavproxy_fault.faults.fault import Outgoing
-from mavproxy_fault.faults.value_fault import GYRO, Moving, ValueFault
+from mavproxy_fault.faults.value_fault import GYRO, ValueFault, ValueState
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, Number
 
@@ -36,8 +36,8 @@ class BitFlip(ValueFault, frozen=True, kw_only=True):
     bit: Annotated[int, Meta(ge=0, le=63)] | None = None
 
     def apply(
-        self, frame: Frame, t_us: int, state: Moving, rng: "Generator"
-    ) -> tuple[list[Outgoing], Moving]:
+        self, frame: Frame, t_us: int, state: ValueState, rng: "Generator"
+    ) -> tuple[list[Outgoing], ValueState]:
         """Flip in each element of one frame."""
         places = places_of(frame.id, self.elements[frame.id])
         before = values_at(frame, places)
@@ -49,7 +49,9 @@ class BitFlip(ValueFault, frozen=True, kw_only=True):
         if self.bit is None:
             chosen = [int(b) for b in rng.choice(width, min(self.value, width), replace=False)]
         else:
+            # A schedule may name bit 40 for fields of 64 and of 32 bits alike.
             chosen = [self.bit % width]
+        # On the wire's own bytes: floats flip sign, exponent or mantissa.
         word = int.from_bytes(packer.pack(value), "little")
         for bit in chosen:
             word ^= 1 << bit
@@ -76,7 +78,7 @@ class NotANumber(ValueFault, frozen=True, kw_only=True):
                     )
 
     def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """The same for all."""
         value = math.nan if self.value == "nan" else float(self.value)
@@ -101,7 +103,7 @@ class ClearBits(ValueFault, frozen=True, kw_only=True):
                     raise ValueError(f"{known(number).name}.{name} is no integer; it has no flags")
 
     def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """The flags without those bits."""
         mask = self.value

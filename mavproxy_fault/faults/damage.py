@@ -25,9 +25,6 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
     count: Annotated[int, Meta(ge=1)] = 1
     crc: Literal["left", "redone"] = "left"
 
-    def new_state(self, start_us: int) -> None:
-        """Nothing to remember."""
-
     def apply(
         self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
@@ -59,9 +56,6 @@ class Truncate(LinkFault, frozen=True, kw_only=True):
 
     value: Share = 1.0
     count: Annotated[int, Meta(ge=1)] = 4
-
-    def new_state(self, start_us: int) -> None:
-        """Nothing to remember."""
 
     def apply(
         self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"

@@ -4,7 +4,7 @@ from typing import Any, ClassVar
 
 from mavproxy_fault.documents.document_check import NotFinite
 from mavproxy_fault.faults.profile import Mode, Profile
-from mavproxy_fault.faults.value_fault import GYRO, Moving, ValueFault, each
+from mavproxy_fault.faults.value_fault import GYRO, ValueFault, ValueState, each
 from mavproxy_fault.wire.frame import Number
 
 
@@ -22,7 +22,7 @@ class Driven(ValueFault, frozen=True, kw_only=True):
         super().__post_init__()
 
     def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Replace, add to or scale the healthy values."""
         if self.profile is None:
@@ -31,17 +31,17 @@ class Driven(ValueFault, frozen=True, kw_only=True):
                 return [meet(self.mode, before[0], self.value)], None
             values = each(self.value, len(before))
             return [meet(self.mode, x, y) for x, y in zip(before, values, strict=True)], None
-        if memory is None:
-            memory = self.profile.new_state(rng)
-        now = self.profile.value(t_s, memory)
+        if state is None:
+            state = self.profile.new_state(rng)
+        now = self.profile.value(t_s, state)
         if now is None:
-            return before, memory
+            return before, state
         mode = self.profile.mode or self.mode
-        return [meet(mode, x, now) for x in before], memory
+        return [meet(mode, x, now) for x in before], state
 
-    def fed(self, state: Moving, value: float, t_us: int) -> Moving:
+    def fed(self, state: ValueState, value: float, t_us: int) -> ValueState:
         """The state after a live value that came at `t_us`."""
-        return Moving(state.start_us, ((t_us - state.start_us) / 1e6, value))
+        return ValueState(state.start_us, ((t_us - state.start_us) / 1e6, value))
 
 
 def meet(mode: Mode, healthy: Number, value: float) -> Number:
@@ -88,7 +88,7 @@ class Drift(ValueFault, frozen=True, kw_only=True):
     limit: float | None = None
 
     def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Add rate times time."""
         grown = [rate * t_s for rate in each(self.value, len(before))]

@@ -66,11 +66,14 @@ class LinkFault(msgspec.Struct, frozen=True, kw_only=True):
     takes_bytes: ClassVar[bool] = True
     takes_sealed: ClassVar[bool] = True
 
+    def new_state(self, start_us: int) -> Any:
+        """Nothing to remember, for the faults that treat each frame by itself."""
+
 
 class Holder(Protocol):
     """A fault that keeps frames back until others have come."""
 
-    def held_until_us(self, state: Any) -> int | None:
+    def release_us(self, state: Any) -> int | None:
         """When the oldest frame kept must leave; None if none is kept."""
 
     def release(self, t_us: int, state: Any) -> tuple[list[Outgoing], Any]:

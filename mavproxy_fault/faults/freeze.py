@@ -19,10 +19,10 @@ class Freeze(ValueFault, frozen=True, kw_only=True):
     by_sender: ClassVar[bool] = True
 
     def after(
-        self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: Key, t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """The values of this sender's first frame."""
-        frozen: dict[Key, list[Number]] = memory or {}
+        frozen: dict[Key, list[Number]] = state or {}
         if key in frozen:
             return frozen[key], frozen
         return before, {**frozen, key: before}
@@ -38,10 +38,10 @@ class Replay(ValueFault, frozen=True, kw_only=True):
     value: Duration
 
     def after(
-        self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: Key, t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """The next recorded values of this sender."""
-        tapes: dict[Key, tuple[list[list[Number]], int]] = memory or {}
+        tapes: dict[Key, tuple[list[list[Number]], int]] = state or {}
         tape, at = tapes.get(key, ([], 0))
         if t_s < self.value or not tape:
             # Appending to the list of the old state would alter it; a copy per frame would cost
@@ -66,10 +66,10 @@ class SlewLimit(ValueFault, frozen=True, kw_only=True):
     value: NotNegative
 
     def after(
-        self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: Key, t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """One step towards the healthy value."""
-        last: dict[Key, tuple[float, list[Number]]] = memory or {}
+        last: dict[Key, tuple[float, list[Number]]] = state or {}
         last_s, previous = last.get(key, (t_s, before))
         most = self.value * max(t_s - last_s, 0.0)
         now = [h + min(max(x - h, -most), most) for x, h in zip(before, previous, strict=True)]
@@ -87,10 +87,10 @@ class Float(ValueFault, frozen=True, kw_only=True):
     settle_s: Duration = 0.2
 
     def after(
-        self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: Key, t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """An exponential from where the fault found it; the healthy value no longer matters."""
-        found: dict[Key, tuple[float, list[Number]]] = memory or {}
+        found: dict[Key, tuple[float, list[Number]]] = state or {}
         start_s, start = found.get(key, (t_s, before))
         share = math.exp(-max(t_s - start_s, 0.0) / self.settle_s)  # clocks may go back
         now = [self.neutral + (x - self.neutral) * share for x in start]

@@ -25,11 +25,12 @@ class Lag(ValueFault, frozen=True, kw_only=True):
     value: Duration
 
     def after(
-        self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: Key, t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """The newest values that are old enough."""
-        rows: dict[Key, tuple[Row, ...]] = memory or {}
+        rows: dict[Key, tuple[Row, ...]] = state or {}
         past = (*rows.get(key, ()), (t_s, before))[-ROWS_MAX:]
+        # The newest row that is as old as asked for; rows before it are never needed again.
         old = 0
         while old + 1 < len(past) and past[old + 1][0] <= t_s - self.value + CLOSE_S:
             old += 1
@@ -46,11 +47,11 @@ class SampleHold(ValueFault, frozen=True, kw_only=True):
     value: Duration
 
     def after(
-        self, before: list[Number], key: Key, t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: Key, t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """The values of the last sample."""
-        held: dict[Key, Row] = memory or {}
-        taken = held.get(key)
-        if taken is not None and t_s - taken[0] < self.value - CLOSE_S:
-            return taken[1], held
-        return before, {**held, key: (t_s, before)}
+        rows: dict[Key, Row] = state or {}
+        sampled = rows.get(key)
+        if sampled is not None and t_s - sampled[0] < self.value - CLOSE_S:
+            return sampled[1], rows
+        return before, {**rows, key: (t_s, before)}

@@ -23,9 +23,6 @@ class Drop(LinkFault, frozen=True, kw_only=True):
 
     value: Share = 1.0
 
-    def new_state(self, start_us: int) -> None:
-        """Nothing to remember."""
-
     def apply(
         self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
@@ -40,9 +37,6 @@ class Outage(LinkFault, frozen=True, kw_only=True):
 
     name: ClassVar[str] = "outage"
     example: ClassVar[dict[str, Any]] = {}
-
-    def new_state(self, start_us: int) -> None:
-        """Nothing to remember."""
 
     def apply(
         self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
@@ -75,6 +69,7 @@ class GilbertElliott(LinkFault, frozen=True, kw_only=True):
         self, frame: Frame | bytes, t_us: int, state: bool, rng: "Generator"
     ) -> tuple[list[Outgoing], bool]:
         """Change state or not, then lose the frame or not."""
+        # Two draws per frame, always: the stream of numbers does not hang on what happened.
         bad = rng.random() >= self.to_good if state else rng.random() < self.to_bad
         lost = rng.random() < (self.loss_bad if bad else self.loss_good)
         return ([] if lost else [Outgoing(t_us, frame)]), bad
@@ -97,8 +92,8 @@ class Burst(LinkFault, frozen=True, kw_only=True):
         self, frame: Frame | bytes, t_us: int, state: int, rng: "Generator"
     ) -> tuple[list[Outgoing], int]:
         """Lose this frame or not."""
-        left = state or (self.frames if rng.random() < self.value else 0)
-        return ([], left - 1) if left else ([Outgoing(t_us, frame)], 0)
+        remaining = state or (self.frames if rng.random() < self.value else 0)
+        return ([], remaining - 1) if remaining else ([Outgoing(t_us, frame)], 0)
 
 
 class Bucket(NamedTuple):
@@ -125,6 +120,7 @@ class RateLimit(LinkFault, frozen=True, kw_only=True):
     ) -> tuple[list[Outgoing], Bucket]:
         """Pass, wait or be lost."""
         due_us = max(state.free_us, t_us)
+        # The queue is known by when it will be empty; nothing else needs to be kept.
         if due_us - t_us > self.queue_s * 1e6:
             return [], state
         late_s = (due_us - t_us) * 1e-6 or None

@@ -19,7 +19,7 @@ class Noise(ValueFault, frozen=True, kw_only=True):
     distribution: Literal["gaussian", "uniform"] = "gaussian"
 
     def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Add one draw to each element."""
         if self.distribution == "gaussian":
@@ -41,11 +41,12 @@ class RandomWalk(ValueFault, frozen=True, kw_only=True):
     value: NotNegative
 
     def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Take a step as long as the time since the last frame of this sender calls for."""
-        walks: dict[tuple[int, ...], tuple[float, tuple[float, ...]]] = memory or {}
+        walks: dict[tuple[int, ...], tuple[float, tuple[float, ...]]] = state or {}
         last_s, walked = walks.get(key, (0.0, (0.0,) * len(before)))
+        # Variance grows with time, not with frames: lost frames do not slow the walk.
         sigma = self.value * math.sqrt(max(t_s - last_s, 0.0))
         steps = rng.normal(0.0, 1.0, len(before)) * sigma
         now = tuple(w + float(step) for w, step in zip(walked, steps, strict=True))

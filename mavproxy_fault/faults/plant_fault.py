@@ -30,13 +30,13 @@ Values = tuple[float | None, ...]
 
 
 class Sent(NamedTuple):
-    """When the fault began, to whom it said what last and when, and what it remembers."""
+    """When the fault began, to whom it said what last and when, and the profile's own state."""
 
     start_us: int
     target: tuple[int, int] = SIMULATOR
     values: Values | None = None
     at_us: int = 0
-    memory: Any = None
+    inner: Any = None
 
 
 class InSimulator(msgspec.Struct, frozen=True, kw_only=True):
@@ -48,7 +48,7 @@ class InSimulator(msgspec.Struct, frozen=True, kw_only=True):
         """Nothing said yet."""
         return Sent(start_us)
 
-    def values(self, t_s: float, memory: Any, rng: "Generator") -> tuple[Values, Any]:
+    def values(self, t_s: float, state: Any, rng: "Generator") -> tuple[Values, Any]:
         """The value of each name, `t_s` after the fault began."""
         raise NotImplementedError
 
@@ -58,20 +58,22 @@ class InSimulator(msgspec.Struct, frozen=True, kw_only=True):
         """Pass the frame; answer a simulator's with the values."""
         passed = Outgoing(t_us, frame)
         since_us = t_us - state.at_us
+        # Only a simulator obeys, and a changing value need not be sent with every frame.
         if frame.component != SIMULATOR[1] or (state.values is not None and since_us < STEP_US):
             return [passed], state
-        values, memory = self.values((t_us - state.start_us) / 1e6, state.memory, rng)
+        values, inner = self.values((t_us - state.start_us) / 1e6, state.inner, rng)
+        # Repeated now and then, as a datagram may be lost.
         if values == state.values and since_us < REPEAT_US:
-            return [passed], state._replace(memory=memory)
+            return [passed], state._replace(inner=inner)
         target = (frame.system, frame.component)
         messages = self._messages(values, target, t_us)
-        return [passed, *messages], Sent(state.start_us, target, values, t_us, memory)
+        return [passed, *messages], Sent(state.start_us, target, values, t_us, inner)
 
     def fed(self, state: Sent, value: float, t_us: int) -> Sent:
         """The state after a live value that came at `t_us`."""
-        return state._replace(memory=((t_us - state.start_us) / 1e6, value))
+        return state._replace(inner=((t_us - state.start_us) / 1e6, value))
 
-    def held_until_us(self, state: Sent) -> None:
+    def release_us(self, state: Sent) -> None:
         """It keeps nothing back."""
 
     def release(self, t_us: int, state: Sent) -> tuple[list[Outgoing], Sent]:
@@ -110,13 +112,13 @@ class Plant(InSimulator, frozen=True, kw_only=True):
         if (self.value is None) == (self.profile is None):
             raise ValueError("takes either value or profile")
 
-    def values(self, t_s: float, memory: Any, rng: "Generator") -> tuple[Values, Any]:
+    def values(self, t_s: float, state: Any, rng: "Generator") -> tuple[Values, Any]:
         """The same value for all."""
         if self.profile is None:
             return (self.value,) * len(self.names), None
-        if memory is None:
-            memory = self.profile.new_state(rng)
-        return (self.profile.value(t_s, memory),) * len(self.names), memory
+        if state is None:
+            state = self.profile.new_state(rng)
+        return (self.profile.value(t_s, state),) * len(self.names), state
 
 
 class InReceiver(InSimulator, frozen=True, kw_only=True):
@@ -137,12 +139,12 @@ class InReceiver(InSimulator, frozen=True, kw_only=True):
                 " wholly; leave value out, or give `via: proxy`"
             )
 
-    def values(self, t_s: float, memory: Any, rng: "Generator") -> tuple[Values, Any]:
+    def values(self, t_s: float, state: Any, rng: "Generator") -> tuple[Values, Any]:
         """Metres per satellite, or 1 for lost."""
         if isinstance(self.fault, Drop):
             return (1.0,) * len(self.names), None
-        errors, memory = self.fault.after([0.0] * len(self.names), (), t_s, memory, rng)
-        return tuple(float(error) for error in errors), memory
+        errors, state = self.fault.after([0.0] * len(self.names), (), t_s, state, rng)
+        return tuple(float(error) for error in errors), state
 
 
 def receiver_names(satellites: Sequence[str], fault: object) -> tuple[str, ...]:

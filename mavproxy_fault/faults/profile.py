@@ -138,12 +138,14 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             )
         elif self.impulses is not None:
             train = self.impulses
+            # Closed at the start, open at the end: a frame at the very edge belongs to one only.
             passed_s = since_last(t_s, train.period_s)
             found = train.amplitude if passed_s < train.width_s - CLOSE_S else None
         elif self.table is not None:
             found = state.at(t_s)
         else:
             assert self.live is not None
+            # A stream that has stopped must not go on falsifying with its last value.
             fresh = state is not None and t_s - state[0] <= self.live.timeout_s
             found = state[1] if fresh else None
         return self.otherwise if found is None else found
@@ -161,25 +163,26 @@ def drawn(segments: Sequence[Segment], rng: "Generator") -> tuple[Piece, ...]:
     return tuple((s.at_s, s.for_s, number(s.start), number(s.rate)) for s in segments)
 
 
-def at(pieces: Sequence[Piece], t_s: float, *, open_left: bool) -> float | None:
-    """The piecewise-linear function, None outside its pieces.
+def at(segments: Sequence[Piece], t_s: float, *, open_left: bool) -> float | None:
+    """The piecewise-linear function, None outside its segments.
 
     With `open_left` a piece holds on (at, at + for] as in `param_gen`, else on [at, at + for],
     where at a joint the later one holds.
     """
     if open_left:
         # param_gen takes the piece before the first whose start has not passed, sorted or not.
-        k = next((i for i, piece in enumerate(pieces) if t_s <= piece[0]), len(pieces)) - 1
+        k = next((i for i, piece in enumerate(segments) if t_s <= piece[0]), len(segments)) - 1
     else:
-        k = bisect_right(pieces, t_s, key=lambda piece: piece[0]) - 1
+        k = bisect_right(segments, t_s, key=lambda piece: piece[0]) - 1
     if k < 0:
         return None
-    at_s, for_s, start, rate = pieces[k]
+    at_s, for_s, start, rate = segments[k]
     return start + (t_s - at_s) * rate if t_s <= at_s + for_s else None
 
 
 def since_last(t_s: float, period_s: float) -> float:
     """Seconds since the last whole period, robust against rounding."""
+    # Stamps are sums of steps: just below a multiple of the period is meant to be that multiple.
     return t_s - int((t_s + CLOSE_S) / period_s) * period_s
 
 

@@ -27,7 +27,7 @@ HOLD_US = 500_000  # fragments of one message leave a receiver within millisecon
 Sender = tuple[int, int, int]  # system, component, sequence number of the RTCM message
 
 
-class Held(NamedTuple):
+class PartialMessage(NamedTuple):
     """Fragments of a message that is not whole yet, in order of their coming."""
 
     since_us: int
@@ -36,11 +36,11 @@ class Held(NamedTuple):
 
 
 class Ranges(NamedTuple):
-    """The state: when the fault began, its memory, and what it keeps back."""
+    """The state: when the fault began, the inner fault's own state, and what it keeps back."""
 
     start_us: int
-    memory: Any
-    held: Mapping[Sender, Held]
+    inner: Any
+    partial: Mapping[Sender, PartialMessage]
 
 
 class Satellites(msgspec.Struct, frozen=True, kw_only=True):
@@ -66,22 +66,24 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         payload = rtcm.tunnel_payload(frame)
         if payload is None:
             return [Outgoing(t_us, frame)], state
+        # Not fragmented: whole in this frame.
         if not payload[0] & 1:
             return self._patched((frame,), payload[1:], payload[0] >> 3, t_us, state, rng)
         key = (frame.system, frame.component, payload[0] >> 3)
         number = payload[0] >> 1 & 3
-        old = state.held.get(key)
+        old = state.partial.get(key)
         broken: list[Outgoing] = []
+        # A second fragment of this number belongs to the next message: one before was lost.
         if old is not None and (number in old.parts or t_us - old.since_us > HOLD_US):
-            broken, old = _let_go(old, t_us), None
-        since_us, frames, parts = old or Held(t_us, (), {})
-        new = Held(since_us, (*frames, frame), {**parts, number: payload[1:]})
+            broken, old = _unpatched(old, t_us), None
+        since_us, frames, parts = old or PartialMessage(t_us, (), {})
+        new = PartialMessage(since_us, (*frames, frame), {**parts, number: payload[1:]})
         whole = rtcm.joined(dict(new.parts))
-        rest = {other: held for other, held in state.held.items() if other != key}
+        rest = {sender: part for sender, part in state.partial.items() if sender != key}
         if whole is None:
-            return broken, state._replace(held={**rest, key: new})
+            return broken, state._replace(partial={**rest, key: new})
         sends, state = self._patched(new.frames, whole, key[2], t_us, state, rng)
-        return broken + sends, state._replace(held=rest)
+        return broken + sends, state._replace(partial=rest)
 
     def _patched(
         self,
@@ -97,9 +99,10 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         present = self._present(data)
         if not present:
             return healthy, state
-        changes_m, lost, memory = self._errors(frames[0], present, t_us, state, rng)
-        state = state._replace(memory=memory)
+        changes_m, lost, inner = self._errors(frames[0], present, t_us, state, rng)
+        state = state._replace(inner=inner)
         message = patch_msm7(data, changes_m, lost)
+        # Nothing changed: the fragments leave byte for byte as they came.
         if message == data:
             return healthy, state
         size_m = max((abs(change) for change in changes_m.values()), default=math.nan)
@@ -128,26 +131,26 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         t_s = (t_us - state.start_us) / 1e6
         key = (frame.system, frame.component)
         healthy: list[int | float] = [0.0] * len(self.names)
-        errors, memory = self.fault.after(healthy, key, t_s, state.memory, rng)
+        errors, inner = self.fault.after(healthy, key, t_s, state.inner, rng)
         by_name = dict(zip(self.names, errors, strict=True))
-        return {name: float(by_name[name]) for name in present}, [], memory
+        return {name: float(by_name[name]) for name in present}, [], inner
 
     def fed(self, state: Ranges, value: float, t_us: int) -> Ranges:
         """The state after a live value that came at `t_us`."""
-        return state._replace(memory=((t_us - state.start_us) / 1e6, value))
+        return state._replace(inner=((t_us - state.start_us) / 1e6, value))
 
-    def held_until_us(self, state: Ranges) -> int | None:
+    def release_us(self, state: Ranges) -> int | None:
         """When the oldest message that is still broken off must leave."""
-        return min((held.since_us + HOLD_US for held in state.held.values()), default=None)
+        return min((message.since_us + HOLD_US for message in state.partial.values()), default=None)
 
     def release(self, t_us: int, state: Ranges) -> tuple[list[Outgoing], Ranges]:
         """All fragments kept, as they came."""
-        sends = [out for held in state.held.values() for out in _let_go(held, t_us)]
-        return sends, state._replace(held={})
+        sends = [out for message in state.partial.values() for out in _unpatched(message, t_us)]
+        return sends, state._replace(partial={})
 
 
-def _let_go(held: Held, t_us: int) -> list[Outgoing]:
-    return [Outgoing(t_us, frame) for frame in held.frames]
+def _unpatched(message: PartialMessage, t_us: int) -> list[Outgoing]:
+    return [Outgoing(t_us, frame) for frame in message.frames]
 
 
 def check_count(fault: object, names: tuple[str, ...]) -> None:

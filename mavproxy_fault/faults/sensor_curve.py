@@ -18,7 +18,7 @@ class Quantise(ValueFault, frozen=True, kw_only=True):
     value: Positive
 
     def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """The nearest step."""
         step = self.value
@@ -48,7 +48,7 @@ class Saturate(ValueFault, frozen=True, kw_only=True):
         return low, width if self.high is None else self.high
 
     def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """The nearest value within the range."""
         low, high = self._range()
@@ -64,7 +64,7 @@ class DeadBand(ValueFault, frozen=True, kw_only=True):
     value: NotNegative
 
     def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """What stands out of the band."""
         band = self.value

@@ -57,13 +57,16 @@ class Series:
         while not len(self._times) or t_s >= self._times[-1]:
             block = self._next()
             if block is None:
+                # The last row holds at its own time, not beyond.
                 if len(self._times) and t_s == self._times[-1]:
                     return self._values[-1]
                 return None
             if len(self._times):
+                # Between two blocks the older row is in the one that goes.
                 self._previous = (self._times[-1], self._values[-1])
             self._times, self._values = block
             self._at = 0
+        # Times grow, so that the search begins where the last one ended.
         k = bisect_right(self._times, t_s, self._at)
         self._at = k
         if k > 0:

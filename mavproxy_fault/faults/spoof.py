@@ -60,6 +60,7 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
         aim = self.offset_m if self.value is None else (self.value, 0.0, 0.0)
         t_s = max(t_s, 0.0)  # a sender whose clock is behind the one that started the fault
         if t_s < self.ramp_s:
+            # While it is dragged off, the velocity must fit, or innovation checks see the spoof.
             share, rate = t_s / self.ramp_s, 1.0 / self.ramp_s
             return Shift(_scaled(aim, share), _scaled(aim, rate))
         further = _scaled(self.velocity_mps, t_s - self.ramp_s)
@@ -79,6 +80,7 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
             return [Outgoing(t_us, frame)], state
         shift = self.shift((t_us - state) / 1e6)
         out = rewritten(frame, t_us, mover(frame, Move(*shift)))
+        # It marks position and velocity as unknown: nothing was moved.
         if out.frame is frame:
             return [out], state
         size_m = math.hypot(*shift.offset_m)

@@ -21,9 +21,6 @@ class Delay(LinkFault, frozen=True, kw_only=True):
 
     value: Seconds
 
-    def new_state(self, start_us: int) -> None:
-        """Nothing to remember."""
-
     def apply(
         self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
@@ -57,6 +54,7 @@ class Jitter(LinkFault, frozen=True, kw_only=True):
     ) -> tuple[list[Outgoing], int]:
         """The same frame, a random time later."""
         out = late(frame, t_us, self.base_s + self._draw(rng))
+        # It would overtake the frame before, so it waits until that one leaves.
         if self.keep_order and out.due_us < state:
             out = late(frame, t_us, (state - t_us) * 1e-6)
         return [out], max(out.due_us, state)
@@ -80,9 +78,6 @@ class Reorder(LinkFault, frozen=True, kw_only=True):
     value: Share = 0.1
     by_s: Seconds = 0.05
 
-    def new_state(self, start_us: int) -> None:
-        """Nothing to remember."""
-
     def apply(
         self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
@@ -100,9 +95,6 @@ class Duplicate(LinkFault, frozen=True, kw_only=True):
     copies: Annotated[int, Meta(ge=1, le=100)] = 1
     by_s: Seconds = 0.0
 
-    def new_state(self, start_us: int) -> None:
-        """Nothing to remember."""
-
     def apply(
         self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
@@ -117,4 +109,5 @@ class Duplicate(LinkFault, frozen=True, kw_only=True):
 def late(frame: Frame | bytes, t_us: int, by_s: float) -> Outgoing:
     """A frame held back by so many seconds."""
     by_us = round(by_s * 1e6)
+    # The label counts the delay as magnitude; a frame that is not late was not touched.
     return Outgoing(t_us + by_us, frame, by_us * 1e-6 if by_us else None)

@@ -18,11 +18,11 @@ GYRO = "HIL_SENSOR.xgyro"  # what the faults' examples act on
 GYROS = ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"]
 
 
-class Moving(NamedTuple):
-    """The state of every value fault: when it began, and what the fault itself remembers."""
+class ValueState(NamedTuple):
+    """The state of every value fault: when it began, and the state of the fault's own rule."""
 
     start_us: int
-    memory: Any
+    inner: Any
 
 
 class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
@@ -43,31 +43,32 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
             for places in self.elements.values():
                 each(value, len(places))
 
-    def new_state(self, start_us: int) -> Moving:
+    def new_state(self, start_us: int) -> ValueState:
         """The state when the fault becomes active."""
-        return Moving(start_us, None)
+        return ValueState(start_us, None)
 
     def apply(
-        self, frame: Frame, t_us: int, state: Moving, rng: "Generator"
-    ) -> tuple[list[Outgoing], Moving]:
+        self, frame: Frame, t_us: int, state: ValueState, rng: "Generator"
+    ) -> tuple[list[Outgoing], ValueState]:
         """Change the elements of one frame."""
-        start_us, remembered = state
         places = places_of(frame.id, self.elements[frame.id])
         before = values_at(frame, places)
         factors = self.factors.get(frame.id)
+        # Targets may have other units (mG, cm/s); the fault thinks in that of the first.
         seen = before if factors is None else [x / f for x, f in zip(before, factors, strict=True)]
         key = sender(frame) if self.by_sender else ()
-        after, memory = self.after(seen, key, (t_us - start_us) / 1e6, remembered, rng)
-        if memory is not remembered:
-            state = Moving(start_us, memory)
+        after, inner = self.after(seen, key, (t_us - state.start_us) / 1e6, state.inner, rng)
+        # Most faults keep nothing: no new tuple for each frame.
+        if inner is not state.inner:
+            state = ValueState(state.start_us, inner)
         if factors is not None:
             after = [y * f for y, f in zip(after, factors, strict=True)]
         return [changed(frame, t_us, places, before, after)], state
 
     def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[Sequence[Number], Any]:
-        """The faulty values of one frame and what to remember.
+        """The faulty values of one frame and the next state of the rule.
 
         Parameters
         ----------
@@ -77,7 +78,7 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
             Who sent the frame (system, component, message id, instance), or empty.
         t_s : float
             Seconds since the fault became active.
-        memory
+        state
             What the last call returned; None at first.
         rng : numpy.random.Generator
             The entry's own stream.
@@ -87,6 +88,7 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
 
 def sender(frame: Frame) -> tuple[int, ...]:
     """Who sent a frame: system, component, message id and instance."""
+    # Two sensors of one vehicle send the same message; the instance tells them apart.
     name = frame.layout.instance or ("id" if "id" in frame.layout.fields else "")
     value = frame.read(name) if name else 0
     return (frame.system, frame.component, frame.id, value if isinstance(value, int) else 0)

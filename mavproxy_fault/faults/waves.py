@@ -25,7 +25,7 @@ class Sine(ValueFault, frozen=True, kw_only=True):
     phase_rad: float = 0.0
 
     def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """The same phase on every element."""
         error = self.value * math.sin(2 * math.pi * self.frequency_hz * t_s + self.phase_rad)
@@ -56,7 +56,7 @@ class Impulse(ValueFault, frozen=True, kw_only=True):
             )
 
     def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Healthy between the impulses."""
         if since_last(t_s, self.period_s) >= self.width_s - CLOSE_S:
@@ -79,8 +79,8 @@ class Cycle(ValueFault, frozen=True, kw_only=True):
     period_s: Duration
 
     def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, memory: Any, rng: Any
+        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
-        """Only the one whose turn it is."""
-        turn = int((t_s + CLOSE_S) / self.period_s) % len(before)
-        return [x + self.value * (i == turn) for i, x in enumerate(before)], None
+        """Only the one whose time it is."""
+        active = int((t_s + CLOSE_S) / self.period_s) % len(before)
+        return [x + self.value * (i == active) for i, x in enumerate(before)], None

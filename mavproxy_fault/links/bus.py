@@ -71,6 +71,7 @@ class Bus:
 
         options: dict[str, Any] = {
             "encoding": f"{ENCODING};{schema}" if schema else ENCODING,
+            # Whoever watches may be slow; the proxy's loop must not wait for them.
             "congestion_control": zenoh.CongestionControl.DROP,
         }
         if not history:
@@ -195,9 +196,11 @@ def open_bus(
     config = read_config(config_file)
     settings: dict[str, object] = {
         "mode": "router" if router else "client",
+        # Nothing leaves this machine that the user has not asked for: no multicast, no gossip.
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,
+        # Kept samples are ordered by their time.
         "timestamping/enabled": True,
         "transport/shared_memory/enabled": False,
         "connect/retry": {
@@ -214,6 +217,7 @@ def open_bus(
         return Bus(zenoh.open(config), address, run, is_router=router)
     except zenoh.ZError as error:
         wrong = "cannot be opened as the router" if router else "has no router listening"
+        # Behind it stands a path of Zenoh's own source.
         reason = str(error).split(" at /")[0]
         raise ConfigError(
             f"zenoh {address} {wrong} ({reason}); allowed: tcp/HOST:PORT that is "
@@ -303,5 +307,6 @@ def with_port(url: str) -> str:
     if not url.endswith(":0"):
         return url
     with socket.socket() as probe:
+        # Zenoh does not say which port it got, so one is chosen for it.
         probe.bind(("127.0.0.1", 0))
         return f"{url[:-1]}{probe.getsockname()[1]}"

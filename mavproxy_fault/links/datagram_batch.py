@@ -10,6 +10,7 @@ import ctypes
 import socket
 
 BATCH = 64
+# The longest datagram: a shorter buffer would cut one without a word.
 ROW = 65_536
 NAME = 32  # bytes kept for a socket address
 DONTWAIT = socket.MSG_DONTWAIT
@@ -66,6 +67,7 @@ class Receiver:
         for n in range(count):
             message = self._messages[n]
             name = bytes(self._name_view[n * NAME : n * NAME + message.name_length])
+            # Copied, as the buffers are filled again at the next call.
             found.append((name, bytes(self._view[n * ROW : n * ROW + message.length])))
             message.name_length = NAME
         return found

@@ -55,6 +55,7 @@ class Peers:
         proven = peer is not None and peer.proven
         if not proven and not self._admits(address):
             return False
+        # Looked at only until it holds: parsing every datagram would cost the link its rate.
         proven = proven or self.admission.is_frame(data)
         if peer is None:
             if not self._make_room(proven, now_s):
@@ -62,6 +63,7 @@ class Peers:
             peer = self.known[address] = Peer(now_s)
         peer.spoke_s, peer.proven = now_s, proven
         self._latest = address
+        # Whoever was heard before, unproven, is a stranger now.
         if proven and self.admission.lock:
             self.known = {address: peer}
         return True
@@ -81,6 +83,7 @@ class Peers:
 
     def _make_room(self, proven: bool, now_s: float) -> bool:
         """Forget whom a newcomer may displace; whether there is room for it."""
+        # A proven newcomer may displace anybody, an unproven one only its like.
         weaker = {a: peer for a, peer in self.known.items() if proven or not peer.proven}
         for address, peer in weaker.items():
             if now_s - peer.spoke_s > FORGET_S and address != self._latest:
@@ -96,10 +99,12 @@ class Peers:
 
 def host_of(address: bytes) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
     """The host of a raw `sockaddr_in` or `sockaddr_in6`."""
+    # In the machine's own order, unlike the port and the host.
     family = int.from_bytes(address[:2], "little")
     if family == socket.AF_INET:
         return ipaddress.IPv4Address(address[4:8])
     found = ipaddress.IPv6Address(address[8:24])
+    # A socket for both families shows IPv4 hosts as ::ffff:a.b.c.d; the user writes a.b.c.d.
     return found.ipv4_mapped or found
 
 

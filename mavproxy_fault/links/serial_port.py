@@ -61,6 +61,7 @@ class SerialPort:
         data, stands = stream.read()
         chunks = [(self._number, data)] if data else []
         gone = select.EPOLLHUP | select.EPOLLERR
+        # A pulled USB adapter reads as empty for ever: only the hang-up shows it.
         hung_up = not data and any(mask & gone for _, mask in self._epoll.poll(0))
         if hung_up or not stands:
             self._lose()

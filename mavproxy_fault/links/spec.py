@@ -45,8 +45,8 @@ class LinkSpec:
     text: str
 
 
-def parse_spec(text: str, *, plain_udp: Literal["udpin", "udpout"] = "udpin") -> LinkSpec:
-    """Read a connection string; `plain_udp` is what `udp:` and a bare HOST:PORT stand for.
+def parse_spec(text: str, *, bare_udp: Literal["udpin", "udpout"] = "udpin") -> LinkSpec:
+    """Read a connection string; `bare_udp` is what `udp:` and a bare HOST:PORT stand for.
 
     Raises
     ------
@@ -57,9 +57,9 @@ def parse_spec(text: str, *, plain_udp: Literal["udpin", "udpout"] = "udpin") ->
     scheme, rest = (found[1], found[2]) if found else ("", text)
     if scheme == "serial":
         return _serial(text, rest.replace(",", ":"))
-    kind = plain_udp if scheme == "udp" else SCHEMES.get(scheme)
+    kind = bare_udp if scheme == "udp" else SCHEMES.get(scheme)
     if kind is None and re.fullmatch(r"[^:,/]+:\d+", text):
-        kind, rest = plain_udp, text
+        kind, rest = bare_udp, text
     if kind is None:
         if scheme and scheme in _openers(scheme):
             return LinkSpec(scheme, rest, 0, text)
@@ -88,7 +88,7 @@ def _serial(text: str, rest: str) -> LinkSpec:
     return LinkSpec("serial", device, int(baud or DEFAULT_BAUD), text)
 
 
-def open_link(spec: str | LinkSpec, *, plain_udp: Literal["udpin", "udpout"] = "udpin") -> Link:
+def open_link(spec: str | LinkSpec, *, bare_udp: Literal["udpin", "udpout"] = "udpin") -> Link:
     """Open a link by its connection string.
 
     Raises
@@ -97,7 +97,7 @@ def open_link(spec: str | LinkSpec, *, plain_udp: Literal["udpin", "udpout"] = "
         If the string is wrong, or the address or device cannot be opened.
     """
     if isinstance(spec, str):
-        spec = parse_spec(spec, plain_udp=plain_udp)
+        spec = parse_spec(spec, bare_udp=bare_udp)
     try:
         return _open(spec)
     except OSError as error:

@@ -37,6 +37,7 @@ class Stream:
 
     def write(self, data: bytes) -> None:
         """Send, or queue what the kernel does not take; drop whole chunks beyond the limit."""
+        # Whole chunks: half a frame would make the receiver lose its place.
         if self._queued + len(data) > QUEUE_LIMIT:
             self._counters.drops += 1
             return
@@ -56,6 +57,7 @@ class Stream:
             self._queued -= sent
             self._counters.bytes_out += sent
             if sent < len(queue[0]):
+                # The rest of this chunk goes first, or its frame would be torn.
                 queue[0] = queue[0][sent:]
                 break
             queue.popleft()
@@ -84,10 +86,12 @@ class Stream:
         self._counters.drops += len(self._queue)
         self._queue.clear()
         self._queued = 0
+        # The kernel forgets a closed descriptor by itself.
         with contextlib.suppress(OSError):
             self._epoll.unregister(self.fileno)
 
     def _watch(self, events: int) -> None:
+        # A system call saved for each frame.
         if events != self._events:
             self._events = events
             self._epoll.modify(self.fileno, events)

@@ -17,6 +17,7 @@ RECEIVE_BUFFER = 1 << 17  # bytes, 2,500 small frames: a fast peer waits rather 
 
 def _prepare(sock: socket.socket) -> None:
     sock.setblocking(False)
+    # Frames are small and wanted now: Nagle would hold them back for the next acknowledgement.
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
 
@@ -32,6 +33,7 @@ class TcpServer:
         )[0]
         self._listener = socket.create_server(address[:2], family=family, backlog=16)
         self._listener.setblocking(False)
+        # Before connections come: the window of a connection is that of its listener.
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
         self.port: int = self._listener.getsockname()[1]
         self.name = f"tcpin:{host}:{self.port}"
@@ -63,6 +65,7 @@ class TcpServer:
                 stream.abandon()
                 sock.close()
                 del self._peers[number]
+                # Empty bytes end the stream: its half frame will never be completed.
                 chunks.append((number, b""))
         return chunks
 
@@ -127,6 +130,7 @@ class TcpClient:
         self._retry_s = time.monotonic() + RECONNECT_S
         sock = socket.socket(self._family, socket.SOCK_STREAM)
         _prepare(sock)
+        # It is under way when this returns; the epoll tells when it stands or has failed.
         sock.connect_ex(self._address)
         stream = Stream(sock.fileno(), self._epoll, self.counters, empty_is_end=True)
         stream.await_open()
@@ -153,6 +157,7 @@ class TcpClient:
     def _finish_connecting(self, sock: socket.socket, stream: Stream) -> bool:
         if not self._epoll.poll(0):
             return False
+        # Writable also means failed: only the socket's error tells the two apart.
         if sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
             self._lose(sock, stream)
             return False

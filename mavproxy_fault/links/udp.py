@@ -3,7 +3,6 @@
 import socket
 import struct
 import time
-from typing import Any
 
 from mavproxy_fault.links.datagram_batch import Receiver, send
 from mavproxy_fault.links.link import Chunk, LinkCounters, enlarge_buffers
@@ -12,7 +11,7 @@ from mavproxy_fault.links.peers import Peers
 SO_MEMINFO, DROPPED = 55, 8  # Linux <asm-generic/socket.h>; nine words, the last counts losses
 
 
-def _open(host: str, port: int, *, listen: bool) -> tuple[socket.socket, Any]:
+def _open(host: str, port: int, *, listen: bool) -> socket.socket:
     flags = socket.AI_PASSIVE if listen else 0
     family, kind, protocol, _, address = socket.getaddrinfo(
         host, port, type=socket.SOCK_DGRAM, flags=flags
@@ -28,26 +27,18 @@ def _open(host: str, port: int, *, listen: bool) -> tuple[socket.socket, Any]:
     except OSError:
         sock.close()
         raise
-    return sock, address
+    return sock
 
 
-class UdpServer:
-    """Listens on an address; what is written goes to every peer heard of late."""
+class _UdpSocket:
+    """What server and client share: a socket that never blocks, and its counters."""
 
     datagrams = True
 
-    def __init__(self, host: str, port: int) -> None:
-        self.sock, _ = _open(host, port, listen=True)
-        self.port: int = self.sock.getsockname()[1]
-        self.name = f"udpin:{host}:{self.port}"
+    def __init__(self, host: str, port: int, *, listen: bool) -> None:
+        self.sock = _open(host, port, listen=listen)
         self.counters = LinkCounters()
-        self.peers = Peers()
         self._receiver = Receiver(self.sock.fileno())
-
-    @property
-    def peer_count(self) -> int:
-        """How many peers are written to."""
-        return len(self.peers.known)
 
     @property
     def lost_in_kernel(self) -> int:
@@ -57,6 +48,25 @@ class UdpServer:
     def fileno(self) -> int:
         """The socket's descriptor."""
         return self.sock.fileno()
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.sock.close()
+
+
+class UdpServer(_UdpSocket):
+    """Listens on an address; what is written goes to every peer heard of late."""
+
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__(host, port, listen=True)
+        self.port: int = self.sock.getsockname()[1]
+        self.name = f"udpin:{host}:{self.port}"
+        self.peers = Peers()
+
+    @property
+    def peer_count(self) -> int:
+        """How many peers are written to."""
+        return len(self.peers.known)
 
     def read(self) -> list[Chunk]:
         """The datagrams that wait; their senders become peers."""
@@ -83,31 +93,14 @@ class UdpServer:
         for address in self.peers.known:
             _send(self.sock, data, self.counters, address)
 
-    def close(self) -> None:
-        """Close the socket."""
-        self.sock.close()
 
-
-class UdpClient:
+class UdpClient(_UdpSocket):
     """Sends to one address and hears only that one; the peer may come and go."""
 
-    datagrams = True
-
     def __init__(self, host: str, port: int) -> None:
-        self.sock, _ = _open(host, port, listen=False)
+        super().__init__(host, port, listen=False)
         self.name = f"udpout:{host}:{port}"
-        self.counters = LinkCounters()
         self.peer_count = 1
-        self._receiver = Receiver(self.sock.fileno())
-
-    @property
-    def lost_in_kernel(self) -> int:
-        """Datagrams that came while the kernel's buffer was full."""
-        return lost_in_kernel(self.sock)
-
-    def fileno(self) -> int:
-        """The socket's descriptor."""
-        return self.sock.fileno()
 
     def read(self) -> list[Chunk]:
         """The datagrams that wait."""
@@ -123,10 +116,6 @@ class UdpClient:
     def write(self, data: bytes) -> None:
         """Send one datagram."""
         _send(self.sock, data, self.counters)
-
-    def close(self) -> None:
-        """Close the socket."""
-        self.sock.close()
 
 
 def lost_in_kernel(sock: socket.socket) -> int:

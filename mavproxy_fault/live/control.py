@@ -65,6 +65,7 @@ class Control:
         if frame.id not in COMMANDS:
             if frame.id in self._unheard:
                 self._passed.add(frame.layout.name)
+                # Looked at once: from then on frames of this message pass without coming here.
                 self._unheard -= {frame.id}
                 self._want()
             return None
@@ -76,6 +77,7 @@ class Control:
     def _inject(self, parameters: list[int | float], t_us: int) -> int:
         if not self.allowed:
             return DENIED
+        # NaN is MAVLink's "not given": -1 is no unit and no kind.
         numbers = [int(one) if math.isfinite(one) else -1 for one in parameters]
         unit, kind = UNITS.get(numbers[0]), TYPES.get(numbers[1])
         instance = 0 if math.isnan(parameters[2]) else numbers[2]
@@ -90,6 +92,7 @@ class Control:
             return UNSUPPORTED  # no such instance, for example the seventeenth motor
         if not entries:
             return UNSUPPORTED
+        # A new failure of a unit takes the place of the one before, as in PX4.
         self.engine.clear(name_of(unit, instance))
         for entry in entries:
             self.engine.arm(entry)
@@ -112,6 +115,7 @@ class Control:
             return []
         self.engine.tell_time(t_us)
         wanted = self.rflysim.entries(packet)
+        # A packet names all its faults; those that it no longer names are over.
         for id in self._latched - {entry["id"] for entry in wanted} if packet.clears else ():
             self.engine.clear(id)
             self._latched.discard(id)
@@ -149,7 +153,7 @@ class Control:
             return []
         self.view.expire(now_s)
         self._want()
-        return self.view.take()
+        return self.view.drain()
 
     def _want(self) -> None:
         self.wanted = COMMANDS | self._unheard | self.view.ids
@@ -184,6 +188,7 @@ class Control:
             return lambda _: {"yaml": self.engine.save()}
         if not self.allowed:
             raise ConfigError(f"{what}: live control is switched off; start without --no-inject")
+        # An id may hold anything but a slash and wildcards.
         head, _, action = what.rpartition("/")
         edits: dict[str, Callable[[bytes], Callable[[], Any]]] = {
             "schedule/load": self._load,

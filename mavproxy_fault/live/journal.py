@@ -58,10 +58,10 @@ class Journal:
             text = payload.hex() if what == RFLYSIM else payload.decode("utf-8", "replace")
             self._edits.append(Edit(self._tape.count, self._now_us, t_us, what, text))
 
-    def take(self) -> list[Edit]:
+    def drain(self) -> list[Edit]:
         """The edits since the last call."""
-        taken, self._edits = self._edits, []
-        return taken
+        edits, self._edits = self._edits, []
+        return edits
 
 
 def read_edits(path: Path) -> list[Edit]:

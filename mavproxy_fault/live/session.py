@@ -29,7 +29,7 @@ from mavproxy_fault.wire.label import Label
 PATIENCE_S = 3.0
 LOOK_S = 1.0  # between two looks whether the bus has its router
 DEFAULT_RUN = "live"
-SHORT_TURN_S = 2e-4
+SWITCH_INTERVAL_S = 2e-4
 WATCH = "@ctl/watch"
 SHOW_S = 0.04  # between two looks at what viewers watch
 LABELS_KEPT = 100
@@ -50,7 +50,7 @@ class Listener(Protocol):
 def short_turns() -> Iterator[None]:
     """Let threads take short turns, so that one that imports or parses holds no frame up."""
     before_s = sys.getswitchinterval()
-    sys.setswitchinterval(SHORT_TURN_S)
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     try:
         yield
     finally:
@@ -156,7 +156,7 @@ class Live:
         self._bus: Bus | None = None
         self._port: socket.socket | None = None
         self._config_file = ""
-        self._heir = threading.Thread()  # that takes over from a router that ended
+        self._successor = threading.Thread()  # that takes over from a router that ended
         self._look_s = self._show_s = 0.0
         self._shown = (0, 0)  # revision and changes of the engine
 
@@ -179,12 +179,12 @@ class Live:
                 raise
             LOG.warning("no live control: %s", error)
             return
-        taken = [] if bus.is_router else running_proxies(bus.who())
-        if run in taken:
+        names = [] if bus.is_router else running_proxies(bus.who())
+        if run in names:
             bus.close()
-            raise ConfigError(f"--run {run} is another proxy's here; known: {', '.join(taken)}")
-        if bus.run in taken:
-            bus.run = next(name for n in itertools.count(2) if (name := f"live-{n}") not in taken)
+            raise ConfigError(f"--run {run} is another proxy's here; known: {', '.join(names)}")
+        if bus.run in names:
+            bus.run = next(name for n in itertools.count(2) if (name := f"live-{n}") not in names)
             LOG.warning("another proxy is called live: this one is --run %s", bus.run)
         self._config_file = config_file
         self.offer(bus)
@@ -195,7 +195,7 @@ class Live:
         bus.answer("@ctl/**", self.ask)
         bus.alive("proxy")
 
-    def _take_over(self, bus: Bus) -> None:
+    def _become_router(self, bus: Bus) -> None:
         """Be the router where the one there was has ended; unless another was faster."""
         with short_turns(), contextlib.suppress(ConfigError):
             fresh = open_bus(bus.url, run=bus.run, router=True, config_file=self._config_file)
@@ -204,12 +204,14 @@ class Live:
 
     def _look_after_bus(self, now_s: float) -> None:
         """See that somebody is the router; the proxies that have lost theirs try to be it."""
-        if self._bus is None or now_s < self._look_s or self._heir.is_alive():
+        if self._bus is None or now_s < self._look_s or self._successor.is_alive():
             return
         self._look_s = now_s + LOOK_S
         if not self._bus.is_joined:
-            self._heir = threading.Thread(target=self._take_over, args=(self._bus,), daemon=True)
-            self._heir.start()
+            self._successor = threading.Thread(
+                target=self._become_router, args=(self._bus,), daemon=True
+            )
+            self._successor.start()
 
     def open_rflysim(self, port: int = FIRST_PORT) -> int:
         """Listen for RflySim's packets on loopback; the port."""
@@ -230,6 +232,7 @@ class Live:
             If it is refused.
         """
         with short_turns():
+            # Reading and checking happens on the asker's thread: the loop must not wait for it.
             act = None if key.endswith(WATCH) else self.control.prepare(key, payload)
         return self.do(lambda: self._act(key, payload, act))
 
@@ -269,7 +272,7 @@ class Live:
 
     def edits(self) -> list[Edit]:
         """What was asked for since the last call, for a recorder."""
-        return [] if self.journal is None else self.journal.take()
+        return [] if self.journal is None else self.journal.drain()
 
     def show(self, now_s: float) -> None:
         """Tell the bus at once of faults that begin, end or change, and what viewers watch."""
@@ -327,9 +330,9 @@ class Live:
 
     def close(self) -> None:
         """Close the bus and the port; requests that wait are given up."""
-        while self._heir.is_alive():
+        while self._successor.is_alive():
             self._requests.serve()
-            self._heir.join(0.01)
+            self._successor.join(0.01)
         self._requests.serve()
         self._requests.close()
         if self._bus is not None:

@@ -30,7 +30,7 @@ class RangeSource:
             ranges = zip(data.satellites, data.pseudorange_m, strict=True)
             epochs.setdefault(t_us, {}).update(ranges)
 
-    def take(
+    def drain(
         self,
     ) -> tuple[
         tuple[str, ...],
@@ -38,10 +38,10 @@ class RangeSource:
         list[tuple[int | float | None, ...]],
     ]:
         """Satellites, and rows of both sides since the last call; None where one is missing."""
-        taken, self._epochs = self._epochs, ({}, {})
-        names = sorted({name for side in taken for ranges in side.values() for name in ranges})
+        epochs, self._epochs = self._epochs, ({}, {})
+        names = sorted({name for side in epochs for ranges in side.values() for name in ranges})
         received, sent = (
             [(t_us, *(ranges.get(name) for name in names)) for t_us, ranges in side.items()]
-            for side in taken
+            for side in epochs
         )
         return tuple(names), received, sent

@@ -47,7 +47,7 @@ class Watched(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Source:
-    """One message of one sender: how its payload is read, and its samples not yet taken."""
+    """One message of one sender: how its payload is read, and its samples not yet drained."""
 
     def __init__(self, described: Layout) -> None:
         fields = described.fields.values()
@@ -66,20 +66,21 @@ class Source:
         )
         self.received: list[Row] = []
         self.sent: list[Row] = []
-        self._turns = [-1, -1]
+        self._periods = [-1, -1]
 
     def note(self, frame: Frame, t_us: int, *, sent: bool) -> None:
         """Take a sample, unless its fiftieth of a second has one."""
-        turn = t_us // PERIOD_US
+        period = t_us // PERIOD_US
         rows = self.sent if sent else self.received
-        if turn == self._turns[sent] or len(rows) >= MOST_ROWS:
+        if period == self._periods[sent] or len(rows) >= MOST_ROWS:
             return
-        self._turns[sent] = turn
+        self._periods[sent] = period
         size = self._payload.size
+        # MAVLink 2 cuts trailing zeros; fields of a newer dialect behind ours are cut off.
         values = self._payload.unpack(frame.payload[:size].ljust(size, b"\0"))
         rows.append((t_us, *values))
 
-    def take(self) -> tuple[tuple[str, ...], list[Row], list[Row]]:
+    def drain(self) -> tuple[tuple[str, ...], list[Row], list[Row]]:
         """Fields, and rows of both sides since the last call."""
         received, sent = self.received, self.sent
         self.received, self.sent = [], []
@@ -140,6 +141,7 @@ class View:
         """Look at bytes that left."""
         if len(raw) < 8:
             return
+        # Only the id is read: most bytes that leave are watched by nobody.
         number = int.from_bytes(raw[7:10], "little") if raw[0] == STX_V2 else raw[5]
         if number in self.ids:
             self._note(Frame(raw, known(number)), t_us, sent=True)
@@ -152,16 +154,17 @@ class View:
             key = (name, frame.system, frame.component, instance)
             source = self._sources.get(key)
             if source is None:
+                # Anybody on a link can make up senders.
                 if len(self._sources) >= MOST_SOURCES:
                     return
                 source = self._sources[key] = new_source(name)
             source.note(frame, t_us, sent=sent)
 
-    def take(self) -> list[Watched]:
+    def drain(self) -> list[Watched]:
         """The samples since the last call."""
         found = []
         for (name, system, component, instance), source in self._sources.items():
-            fields, received, sent = source.take()
+            fields, received, sent = source.drain()
             if received or sent:
                 found.append(
                     Watched(

@@ -14,5 +14,24 @@ WGS84_SEMI_MAJOR_M = 6_378_137.0
 WGS84_FLATTENING = 1.0 / 298.257223563
 WGS84_ECCENTRICITY2 = WGS84_FLATTENING * (2.0 - WGS84_FLATTENING)
 
-# IS-GPS-200, table 20-IV, and the Galileo OS SIS ICD, table 59: for broadcast orbits.
+# The same document, table 3.1; the Galileo OS SIS ICD 2.1 and BDS-SIS-ICD-B1I 3.0 give it too.
+WGS84_GM_M3PS2 = 3.986004418e14
+
+# The sphere on which differences of degrees become metres where a part in 300 does not matter:
+# the mean radius of the International Union of Geodesy and Geophysics, to a kilometre.
+MEAN_EARTH_RADIUS_M = 6_371_000.0
+
+# IS-GPS-200N, table 20-IV: GPS keeps the value of 1984, with which its orbits are fitted.
+GPS_GM_M3PS2 = 3.986005e14
+
+# IS-GPS-200N, table 20-IV, and the Galileo OS SIS ICD 2.1, section 5.1.1: for broadcast orbits.
 GNSS_EARTH_RATE_RPS = 7.2921151467e-5
+
+# CGCS2000, BDS-SIS-ICD-B1I 3.0, section 5.2.4.12.
+BEIDOU_EARTH_RATE_RPS = 7.2921150e-5
+
+# IS-GPS-200N, 3.3.1.1, and the Galileo OS SIS ICD 2.1, table 2: GPS L1 and Galileo E1.
+L1_HZ = 1575.42e6
+
+# ISO 2533:1975, the standard atmosphere at mean sea level.
+SEA_LEVEL_DENSITY_KGPM3 = 1.225

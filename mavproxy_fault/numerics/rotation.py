@@ -52,7 +52,7 @@ def into_body(q_nb: Sequence[float], v_ned: Sequence[float]) -> tuple[float, flo
     """One NED vector in body axes, in plain floats: numpy takes ten times as long for three."""
     w, x, y, z = q_nb
     n, e, d = v_ned
-    # v + 2 q x (q x v + w v), for the turn back.
+    # v + 2 q x (q x v + w v), with q reversed.
     tn, te, td = 2.0 * (e * z - d * y), 2.0 * (d * x - n * z), 2.0 * (n * y - e * x)
     return (
         n + w * tn + te * z - td * y,
@@ -132,7 +132,7 @@ def quat_from_matrix(rot: ArrayLike) -> Array:
 
 
 def quat_multiply(a: ArrayLike, b: ArrayLike) -> Array:
-    """Quaternion product (..., 4): the turn `b` followed by the turn `a`."""
+    """Quaternion product (..., 4): the rotation `b` followed by the rotation `a`."""
     aw, ax, ay, az = np.moveaxis(np.asarray(a, dtype=float), -1, 0)
     bw, bx, by, bz = np.moveaxis(np.asarray(b, dtype=float), -1, 0)
     return np.stack(
@@ -147,7 +147,7 @@ def quat_multiply(a: ArrayLike, b: ArrayLike) -> Array:
 
 
 def quat_conjugate(q: ArrayLike) -> Array:
-    """The turn back (..., 4)."""
+    """The inverse rotation (..., 4)."""
     return np.asarray(np.asarray(q, dtype=float) * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
@@ -169,7 +169,7 @@ def rotvec_from_quat(q: ArrayLike) -> Array:
 
 
 def angle_between(a: ArrayLike, b: ArrayLike) -> Array:
-    """Angle (...) [rad] of the turn that takes attitude `a` to attitude `b`, 0 to pi."""
+    """Angle (...) [rad] of the rotation that takes attitude `a` to attitude `b`, 0 to pi."""
     return np.asarray(
         np.linalg.norm(rotvec_from_quat(quat_multiply(quat_conjugate(a), b)), axis=-1)
     )

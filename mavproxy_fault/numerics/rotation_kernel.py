@@ -17,7 +17,7 @@ Errors = tuple[float, float, float, float]
 
 
 @compiled
-def quaternion_of_turn(rx: float, ry: float, rz: float) -> Quaternion:
+def quaternion_of_rotation(rx: float, ry: float, rz: float) -> Quaternion:
     """The unit quaternion of a rotation vector in rad."""
     angle = sqrt(rx * rx + ry * ry + rz * rz)
     # sin(angle / 2) / angle by its series where the quotient would lose digits
@@ -26,8 +26,8 @@ def quaternion_of_turn(rx: float, ry: float, rz: float) -> Quaternion:
 
 
 @compiled
-def turn(q: Vector, by: Quaternion) -> None:
-    """Turn the attitude in the first four places of q in place, by a turn in body axes."""
+def rotate(q: Vector, by: Quaternion) -> None:
+    """Rotate the attitude in the first four places of q in place, in body axes."""
     w, x, y, z = by
     a, b, c, d = q[0], q[1], q[2], q[3]
     q0 = a * w - b * x - c * y - d * z
@@ -42,7 +42,16 @@ def turn(q: Vector, by: Quaternion) -> None:
 def turned(q: Vector, rx: float, ry: float, rz: float) -> Vector:
     """q (4,) turned by the rotation vector (rx, ry, rz) in rad, given in body axes."""
     out = q.copy()
-    turn(out, quaternion_of_turn(rx, ry, rz))
+    rotate(out, quaternion_of_rotation(rx, ry, rz))
+    return out
+
+
+@compiled
+def turned_in_reference(q: Vector, rx: float, ry: float, rz: float) -> Vector:
+    """The same for a rotation vector given in the axes that q turns to (NED, ECEF)."""
+    out = np.empty(4)
+    out[0], out[1], out[2], out[3] = quaternion_of_rotation(rx, ry, rz)
+    rotate(out, (q[0], q[1], q[2], q[3]))
     return out
 
 
@@ -168,7 +177,7 @@ def gravity_error(
 
 @compiled
 def errors(q_estimate: Vector | Quaternion, q_truth: Vector | Quaternion) -> Errors:
-    """Differences of roll, pitch and yaw, wrapped, and the angle of the turn between, rad."""
+    """Differences of roll, pitch and yaw, wrapped, and the angle of the rotation between, rad."""
     a, b = q_estimate, q_truth
     roll_a, pitch_a, yaw_a = euler(a)
     roll_b, pitch_b, yaw_b = euler(b)
@@ -176,8 +185,8 @@ def errors(q_estimate: Vector | Quaternion, q_truth: Vector | Quaternion) -> Err
     x = a[0] * b[1] - a[1] * b[0] - a[2] * b[3] + a[3] * b[2]
     y = a[0] * b[2] + a[1] * b[3] - a[2] * b[0] - a[3] * b[1]
     z = a[0] * b[3] - a[1] * b[2] + a[2] * b[1] - a[3] * b[0]
-    turn_rad = 2.0 * atan2(sqrt(x * x + y * y + z * z), abs(w))
-    return wrapped(roll_a - roll_b), wrapped(pitch_a - pitch_b), wrapped(yaw_a - yaw_b), turn_rad
+    angle_rad = 2.0 * atan2(sqrt(x * x + y * y + z * z), abs(w))
+    return wrapped(roll_a - roll_b), wrapped(pitch_a - pitch_b), wrapped(yaw_a - yaw_b), angle_rad
 
 
 @compiled

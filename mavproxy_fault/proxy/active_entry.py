@@ -224,18 +224,18 @@ class Running:
         if size is not None and math.isfinite(size):
             self.magnitude = size if self.magnitude is None else max(self.magnitude, size)
 
-    def held_until_us(self) -> int:
+    def release_us(self) -> int:
         """When the fault must let go of the oldest frame it keeps."""
         if not self.holds:
             return NEVER_US
-        times = [self.fault.held_until_us(state) for state in self.states.values()]
+        times = [self.fault.release_us(state) for state in self.states.values()]
         return min((time for time in times if time is not None), default=NEVER_US)
 
     def release(self, t_us: int, *, overdue: bool) -> list[Outgoing]:
         """What the fault keeps: all of it, or only where the oldest is overdue."""
         sends: list[Outgoing] = []
         for direction, state in self.states.items() if self.holds else ():
-            until_us = self.fault.held_until_us(state)
+            until_us = self.fault.release_us(state)
             if not overdue or (until_us is not None and until_us <= t_us):
                 released, self.states[direction] = self.fault.release(t_us, state)
                 sends += released

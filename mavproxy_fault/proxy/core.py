@@ -97,7 +97,7 @@ class Core:
         self._incomplete_since: dict[tuple[int, int], int] = {}
         self._pending: list[tuple[int, int, int, bytes]] = []  # due, order, links, bytes
         self._order = itertools.count()
-        self.left_us = 0  # when what left last was due; nothing may come before that any more
+        self.departed_us = 0  # when what left last was due; nothing may come before that any more
         self._on_wall_clock = False
         self._doubted = 0  # stamps, on all links
         self._listeners = sum(
@@ -138,6 +138,11 @@ class Core:
         arrival = Arrival(link, direction or role.direction, now_us)
         return sends + self._process(items, arrival)
 
+    def received_frames(self, link: int, frames: Sequence[Frame], now_us: int) -> list[Send]:
+        """What to send for frames that somebody has verified already."""
+        arrival = Arrival(link, self.links[link].direction, now_us)
+        return self.due(now_us) + self._process(frames, arrival)
+
     def due(self, now_us: int) -> list[Send]:
         """What falls due by `now_us`, in order."""
         sends: list[Send] = []
@@ -147,7 +152,7 @@ class Core:
             when_us = min(engine_us, pending_us)
             if when_us > now_us:
                 break
-            self.left_us = when_us
+            self.departed_us = when_us
             if pending_us <= engine_us:
                 _, _, mask, raw = heapq.heappop(self._pending)
                 self._record(raw, when_us)
@@ -176,7 +181,7 @@ class Core:
         sends = self.due(now_us)
         if self.engine is not None:
             departures: Departures = []
-            labels = [*self.engine.take_labels(), *self.engine.finish(self.clock.t_us)]
+            labels = [*self.engine.drain_labels(), *self.engine.finish(self.clock.t_us)]
             self._announce(labels, now_us, departures)
             sends += self._sends(departures, now_us) + self.due(now_us)
         return sends
@@ -186,10 +191,10 @@ class Core:
         missing = self.senders[GAPS : GAPS + SENDERS]
         return {(n >> 8, n & 0xFF): count for n, count in enumerate(missing) if count}
 
-    def take_labels(self) -> "list[Label]":
+    def drain_labels(self) -> "list[Label]":
         """Labels begun or ended since the last call."""
-        taken, self._labels = self._labels, []
-        return taken
+        labels, self._labels = self._labels, []
+        return labels
 
     def parsed(self, link: int) -> ParserCounters:
         """What the parsers of one link have counted, of streams that ended too."""
@@ -244,7 +249,7 @@ class Core:
         for departure in outgoing:
             links = 1 << arrival.link if departure.back else mask
             self._emit(departure, frame, links, arrival.now_us - t_us, arrival.now_us, departures)
-        self._announce(engine.take_labels(), arrival.now_us, departures)
+        self._announce(engine.drain_labels(), arrival.now_us, departures)
 
     def _junk(self, junk: Junk, arrival: Arrival, departures: Departures) -> None:
         self.states[arrival.link].junk += 1
@@ -256,7 +261,7 @@ class Core:
         t_us = self.clock.t_us if self.clock.t0_us is not None else now_us
         for departure in self.engine.junk(junk.raw, arrival.direction, t_us):
             self._emit(departure, None, mask, now_us - t_us, now_us, departures)
-        self._announce(self.engine.take_labels(), now_us, departures)
+        self._announce(self.engine.drain_labels(), now_us, departures)
 
     def _admit(self, frame: Frame, arrival: Arrival) -> bool:
         """Learn the sender and count its gaps; False if the frame came round in a loop."""
@@ -347,8 +352,8 @@ class Core:
     # What the engine holds
 
     def _engine_due_us(self) -> int:
-        held_us = None if self.engine is None else self.engine.held_until_us
-        return NEVER_US if held_us is None else held_us + self.senders[LEAD]
+        release_us = None if self.engine is None else self.engine.release_us
+        return NEVER_US if release_us is None else release_us + self.senders[LEAD]
 
     def _release_from_engine(self, when_us: int) -> list[Send]:
         assert self.engine is not None
@@ -356,7 +361,7 @@ class Core:
         for outgoing in self.engine.due(when_us - self.senders[LEAD]):
             mask = self._links_of_pending(outgoing.frame)
             self._emit(outgoing, None, mask, self.senders[LEAD], when_us, departures)
-        self._announce(self.engine.take_labels(), when_us, departures)
+        self._announce(self.engine.drain_labels(), when_us, departures)
         return self._sends(departures, when_us)
 
     def _links_of_pending(self, frame: Frame | bytes) -> int:

@@ -72,14 +72,14 @@ class Engine:
             self.now_us = max(self.now_us, t_us)
 
     @property
-    def held_until_us(self) -> int | None:
+    def release_us(self) -> int | None:
         """When frames kept back must leave, whatever the schedule does then.
 
         At once too where an edit has ended a fault: its label must not wait for the next frame.
         """
         if self._kept or self._labels:
             return self.now_us
-        due_us = min((running.held_until_us() for running in self._holders), default=NEVER_US)
+        due_us = min((running.release_us() for running in self._holders), default=NEVER_US)
         return due_us if due_us < NEVER_US else None
 
     def due(self, t_us: int) -> list[Outgoing]:
@@ -91,7 +91,7 @@ class Engine:
             self._advance(t_us)
         sends, self._kept = self._kept, []
         for running in self._holders:
-            if running.held_until_us() <= t_us:
+            if running.release_us() <= t_us:
                 sends += running.release(t_us, overdue=True)
         return sends
 
@@ -223,7 +223,7 @@ class Engine:
                 sends = _through(running, sends, direction, t_us)
         return sends
 
-    def take_labels(self) -> list[Label]:
+    def drain_labels(self) -> list[Label]:
         """The labels written since the last call."""
         labels, self._labels = self._labels, []
         return labels
@@ -236,7 +236,7 @@ class Engine:
             self._end(running, t_us)
             running.start_us = running.end_us = NEVER_US
         self._index()
-        return self.take_labels()
+        return self.drain_labels()
 
     # -- live edits ------------------------------------------------------------------------------
 

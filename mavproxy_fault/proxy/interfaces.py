@@ -33,14 +33,14 @@ class Engine(Protocol):
     """The faults: frames in, timed frames out, on the vehicle's time.
 
     `wanted` are the ids of the messages it must see (None: all) and may change at any time;
-    `held_until_us` is the vehicle time at which `due` has something.
+    `release_us` is the vehicle time at which `due` has something.
     """
 
     @property
     def wanted(self) -> frozenset[int] | None: ...
 
     @property
-    def held_until_us(self) -> int | None: ...
+    def release_us(self) -> int | None: ...
 
     def restart(self, t0_us: int) -> None:
         """End what acts and count the schedule's times from `t0_us`."""
@@ -56,7 +56,7 @@ class Engine(Protocol):
     def due(self, t_us: int) -> "list[Outgoing]":
         """What was held until now."""
 
-    def take_labels(self) -> "list[Label]":
+    def drain_labels(self) -> "list[Label]":
         """Labels begun or ended since the last call."""
 
     def finish(self, t_us: int) -> "list[Label]":

@@ -19,7 +19,7 @@ INDEX = struct.Struct("<BBI")  # link, 1 if among the others, length in bytes
 
 
 @dataclass(slots=True)
-class Taken:
+class TapeContents:
     """Bytes to append to the files of one session."""
 
     received: bytes
@@ -31,23 +31,23 @@ class Taken:
 
 @dataclass(slots=True)
 class Tape:
-    """Growing logs; `take` hands over and empties each."""
+    """Growing logs; `drain` hands over and empties each."""
 
     received: bytearray = field(default_factory=bytearray)
     received_other: bytearray = field(default_factory=bytearray)
     index: bytearray = field(default_factory=bytearray)
     sent: bytearray = field(default_factory=bytearray)
     sent_other: bytearray = field(default_factory=bytearray)
-    taken: int = 0  # records received that were handed over
+    drained: int = 0  # records received that were handed over
 
     @property
     def count(self) -> int:
         """How many records were received since the start."""
-        return self.taken + len(self.index) // INDEX.size
+        return self.drained + len(self.index) // INDEX.size
 
     def start_again(self, count: int) -> int:
         """Let the records handed over so far be so many: those that are in the files."""
-        self.taken = count
+        self.drained = count
         return count
 
     def receive(self, now_us: int, link: int, raw: bytes) -> None:
@@ -66,14 +66,14 @@ class Tape:
         else:
             self.sent_other += STAMP.pack(due_us) + LENGTH.pack(len(raw)) + raw
 
-    def take(self) -> Taken:
+    def drain(self) -> TapeContents:
         """What came together since the last call."""
-        self.taken = self.count
+        self.drained = self.count
         parts = (self.received, self.received_other, self.index, self.sent, self.sent_other)
-        taken = Taken(*(bytes(part) for part in parts))
+        contents = TapeContents(*(bytes(part) for part in parts))
         for part in parts:
             part.clear()
-        return taken
+        return contents
 
 
 def framed(raw: bytes) -> bool:

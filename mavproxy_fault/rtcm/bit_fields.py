@@ -6,11 +6,11 @@ from collections.abc import Iterable, Sequence
 class BitReader:
     """Reads fields one after another from the first bit of `data`."""
 
-    __slots__ = ("_left", "_value")
+    __slots__ = ("_remaining_bits", "_value")
 
     def __init__(self, data: bytes) -> None:
         self._value = int.from_bytes(data, "big")
-        self._left = 8 * len(data)
+        self._remaining_bits = 8 * len(data)
 
     def unsigned(self, width: int) -> int:
         """The next `width` bits.
@@ -18,12 +18,12 @@ class BitReader:
         Raises
         ------
         ValueError
-            If fewer bits are left.
+            If fewer bits remain.
         """
-        self._left -= width
-        if self._left < 0:
+        self._remaining_bits -= width
+        if self._remaining_bits < 0:
             raise ValueError("message ends inside a field")
-        return (self._value >> self._left) & ((1 << width) - 1)
+        return (self._value >> self._remaining_bits) & ((1 << width) - 1)
 
     def signed(self, width: int) -> int:
         """The next `width` bits as a two's complement number."""

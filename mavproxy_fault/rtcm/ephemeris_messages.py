@@ -80,6 +80,26 @@ class Ephemeris:
 
 _Row = tuple[str, int, float]  # attribute, bits (negative: signed), size of one count
 
+# Galileo took these two runs of fields over from GPS, bits and scales alike.
+_SHAPE_ROWS: tuple[_Row, ...] = (
+    ("crs_m", -16, 2**-5),
+    ("delta_n_rps", -16, SEMICIRCLE * 2**-43),
+    ("m0_rad", -32, SEMICIRCLE * 2**-31),
+    ("cuc_rad", -16, 2**-29),
+    ("eccentricity", 32, 2**-33),
+    ("cus_rad", -16, 2**-29),
+    ("sqrt_a", 32, 2**-19),
+)
+_ORIENTATION_ROWS: tuple[_Row, ...] = (
+    ("cic_rad", -16, 2**-29),
+    ("omega0_rad", -32, SEMICIRCLE * 2**-31),
+    ("cis_rad", -16, 2**-29),
+    ("i0_rad", -32, SEMICIRCLE * 2**-31),
+    ("crc_m", -16, 2**-5),
+    ("omega_rad", -32, SEMICIRCLE * 2**-31),
+    ("omega_dot_rps", -24, SEMICIRCLE * 2**-43),
+)
+
 GPS_ROWS: tuple[_Row, ...] = (
     ("number", 12, 1),
     ("prn", 6, 1),
@@ -93,21 +113,9 @@ GPS_ROWS: tuple[_Row, ...] = (
     ("af1", -16, 2**-43),
     ("af0_s", -22, 2**-31),
     ("iodc", 10, 1),
-    ("crs_m", -16, 2**-5),
-    ("delta_n_rps", -16, SEMICIRCLE * 2**-43),
-    ("m0_rad", -32, SEMICIRCLE * 2**-31),
-    ("cuc_rad", -16, 2**-29),
-    ("eccentricity", 32, 2**-33),
-    ("cus_rad", -16, 2**-29),
-    ("sqrt_a", 32, 2**-19),
+    *_SHAPE_ROWS,
     ("toe_s", 16, 16),
-    ("cic_rad", -16, 2**-29),
-    ("omega0_rad", -32, SEMICIRCLE * 2**-31),
-    ("cis_rad", -16, 2**-29),
-    ("i0_rad", -32, SEMICIRCLE * 2**-31),
-    ("crc_m", -16, 2**-5),
-    ("omega_rad", -32, SEMICIRCLE * 2**-31),
-    ("omega_dot_rps", -24, SEMICIRCLE * 2**-43),
+    *_ORIENTATION_ROWS,
     ("group_delay_s", -8, 2**-31),
     ("health", 6, 1),
     ("l2p", 1, 1),
@@ -125,21 +133,9 @@ GALILEO_ROWS: tuple[_Row, ...] = (
     ("af2_per_s", -6, 2**-59),
     ("af1", -21, 2**-46),
     ("af0_s", -31, 2**-34),
-    ("crs_m", -16, 2**-5),
-    ("delta_n_rps", -16, SEMICIRCLE * 2**-43),
-    ("m0_rad", -32, SEMICIRCLE * 2**-31),
-    ("cuc_rad", -16, 2**-29),
-    ("eccentricity", 32, 2**-33),
-    ("cus_rad", -16, 2**-29),
-    ("sqrt_a", 32, 2**-19),
+    *_SHAPE_ROWS,
     ("toe_s", 14, 60),
-    ("cic_rad", -16, 2**-29),
-    ("omega0_rad", -32, SEMICIRCLE * 2**-31),
-    ("cis_rad", -16, 2**-29),
-    ("i0_rad", -32, SEMICIRCLE * 2**-31),
-    ("crc_m", -16, 2**-5),
-    ("omega_rad", -32, SEMICIRCLE * 2**-31),
-    ("omega_dot_rps", -24, SEMICIRCLE * 2**-43),
+    *_ORIENTATION_ROWS,
     ("group_delay_e5a_s", -10, 2**-32),
     ("group_delay_s", -10, 2**-32),
     ("health", 6, 1),
@@ -147,7 +143,7 @@ GALILEO_ROWS: tuple[_Row, ...] = (
 )
 
 _ROWS = {"G": GPS_ROWS, "E": GALILEO_ROWS}
-_FULL_TURN = {"m0_rad", "omega0_rad", "omega_rad"}  # wrap at half a turn
+_WRAPPED = {"m0_rad", "omega0_rad", "omega_rad"}  # wrap at half a turn
 
 
 def encode_ephemeris(ephemeris: Ephemeris) -> bytes:
@@ -174,7 +170,7 @@ def encode_ephemeris(ephemeris: Ephemeris) -> bytes:
     for name, bits, step in _ROWS[system]:
         value = extra[name] if name in extra else getattr(ephemeris, name)
         count = round(value / step)
-        if name in _FULL_TURN:
+        if name in _WRAPPED:
             count = (count + 2**31) % 2**32 - 2**31
         fields.append((count, abs(bits)))
     return wrap(pack_bits(fields))

@@ -36,6 +36,7 @@ FINE_INVALID = -(1 << 19)
 PHASE_INVALID = -(1 << 23)
 FINE_RATE_INVALID = -(1 << 14)
 CN0_STEP_DBHZ = 0.0625
+# DF397, extended information, DF398, DF399; the order is that of the message.
 SATELLITE_WIDTHS = {"rough_ms": 8, "info": 4, "rough": 10, "rate": 14}  # bits
 CELL_WIDTHS = (20, 24, 10, 1, 10, 15)  # bits of fine range, phase, lock, half cycle, C/N0, rate
 
@@ -104,6 +105,7 @@ def encode_msm7(data: Msm7) -> bytes:
                 data.cn0_dbhz[i],
                 data.lock_s[i],
             )
+    # The second before the week's end may round up to the next one.
     epoch_ms = round(data.tow_s * 1000.0) % WEEK_MS
     return _encode(
         _Message(
@@ -130,6 +132,7 @@ def encode_epoch(
             )
             if name[0] == system and 0.0 <= range_m < ROUGH_INVALID * MS_M
         )
+        # Six columns even without satellites, so that what follows needs no case of its own.
         columns = list(zip(*rows, strict=True)) or [()] * 6
         numbers, rough, fine, rate, fine_rate, cn0 = columns
         nothing = (0,) * len(rows)
@@ -156,6 +159,7 @@ def decode_msm7(message: bytes) -> Msm7:
         if values is not None:
             names.append(f"{system}{number:02d}")
             rows.append(values)
+    # A message without satellites is allowed: the masks are then empty.
     ranges, phases, rates, cn0s, locks = zip(*rows, strict=True) if rows else ((),) * 5
     return Msm7(
         system,

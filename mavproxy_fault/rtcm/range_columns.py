@@ -61,6 +61,7 @@ class Ranges(NamedTuple):
 def read_ranges(messages: Messages) -> Ranges:
     """Read all MSM7 messages among some."""
     heads = np.empty((3, len(messages.ends)), np.int64)
+    # At most so many rows can be in so many bytes: no array grows in the loop.
     room = len(messages.data) // LEAST_BYTES
     code, values = np.empty(room, np.int64), np.empty((3, room))
     count = _read(messages.data, messages.ends, _SYSTEM_NUMBERS, heads, code, values)
@@ -89,6 +90,7 @@ def _read(
             if end - at >= CELL_BIT and _bits(data, at, NUMBER) == numbers[i]:
                 system = i
         if system >= 0 and _whole(data, at, end):
+            # Thirty bits of milliseconds, in two halves: `_bits` reads 25 at once.
             heads[0, message] = _bits(data, at + 24, HALF_EPOCH) << 15
             heads[0, message] |= _bits(data, at + 39, HALF_EPOCH)
             heads[1, message] = _bits(data, at + 54, FLAG)
@@ -128,6 +130,7 @@ def _whole(data: Bytes, at: int, end: int) -> bool:
     count = _count(data, at + MASK_BIT, SIGNAL_BIT - MASK_BIT)
     cells = count * _count(data, at + SIGNAL_BIT, CELL_BIT - SIGNAL_BIT)
     begin = at + CELL_BIT + cells
+    # The masks may claim cells that lie behind the message: count nothing there.
     if begin > end:
         return False
     total = _count(data, at + CELL_BIT, cells)
@@ -143,10 +146,12 @@ def _observed(data: Bytes, at: int, first: int, code: Integers, values: Floats, 
     total = _count(data, at + CELL_BIT, count * signals)
     fine_at = rough_at + SATELLITE_BITS * count
     satellite = cell = 0
+    # The mask of satellites has 64 bits, the first for number 1.
     for n in range(64):
         if not _bits(data, at + MASK_BIT + n, FLAG):
             continue
         rough_ms = _bits(data, rough_at + MS * satellite, MS)
+        # Without whole milliseconds a fine part says nothing.
         taken = rough_ms == ROUGH_INVALID
         for s in range(signals):
             if not _bits(data, at + CELL_BIT + satellite * signals + s, FLAG):
@@ -154,6 +159,7 @@ def _observed(data: Bytes, at: int, first: int, code: Integers, values: Floats, 
             fine = _signed(data, fine_at + FINE * cell, FINE)
             if not taken and fine != FINE_INVALID:
                 taken = True
+                # Fields are sent column by column: all of one kind, then all of the next.
                 part_at = rough_at + 12 * count + ROUGH_PART * satellite
                 rough = ROUGH * rough_ms + _bits(data, part_at, ROUGH_PART)
                 rate = _signed(data, rough_at + 22 * count + RATE * satellite, RATE)
@@ -164,6 +170,7 @@ def _observed(data: Bytes, at: int, first: int, code: Integers, values: Floats, 
                 code[rows] = first + n + 1
                 values[0, rows] = counts / (ROUGH * FINE_PER_ROUGH) * MS_M
                 values[1, rows] = rate + fine_rate / 10_000 if known else np.nan
+                # 0 is "not given", as no signal is tracked at 0 dBHz.
                 values[2, rows] = cn0 * CN0_STEP_DBHZ if cn0 else np.nan
                 rows += 1
             cell += 1

@@ -44,6 +44,7 @@ def _crc_tables() -> tuple[tuple[int, ...], ...]:
             crc = crc << 1 ^ (CRC24Q_POLYNOMIAL if crc & 0x800000 else 0)
         first.append(crc & 0xFFFFFF)
     tables = [tuple(first)]
+    # One more zero byte behind is one more step of the register.
     for _ in range(3):
         tables.append(tuple((crc << 8 & 0xFFFFFF) ^ first[crc >> 16] for crc in tables[-1]))
     return tuple(tables)
@@ -57,7 +58,9 @@ def crc24q(data: bytes) -> int:
     """CRC-24Q, start value zero, by four bytes at a time; zeros in front change nothing."""
     last, third, second, first = _TABLES
     crc = 0
+    # Padded in front to whole words: with start value zero that leaves the CRC as it is.
     for word in struct.unpack(f">{len(data) + 3 >> 2}I", bytes(-len(data) % 4) + data):
+        # The register has 24 bits: it meets the upper three bytes of the word.
         x = crc << 8 ^ word
         crc = first[x >> 24] ^ second[x >> 16 & 255] ^ third[x >> 8 & 255] ^ last[x & 255]
     return crc
@@ -112,6 +115,7 @@ def split_messages(data: bytes) -> Iterator[bytes]:
             yield message
             at = data.find(PREAMBLE, end)
         else:
+            # Again one byte on, as the length that was read may itself be junk.
             at = data.find(PREAMBLE, at + 1)
 
 
@@ -166,6 +170,7 @@ def tunnel_payload(frame: Frame) -> bytes | None:
         return None
     start = frame.layout.fields["payload"].offset
     length = int(frame.number("payload_length"))
+    # MAVLink 2 cuts trailing zeros, which may belong to the RTCM message.
     payload = frame.payload.ljust(frame.layout.length, b"\0")[start:]
     return payload[:length] if 0 < length <= len(payload) else None
 
@@ -188,6 +193,7 @@ class Reassembler:
         flags, data = payload[0], payload[1:]
         sequence = flags >> 3
         if not flags & 1:
+            # The number has come round: whatever waited under it will never be whole.
             self._pending.pop(sequence, None)
             return list(split_messages(data))
         parts = self._pending.setdefault(sequence, {})
@@ -197,6 +203,7 @@ class Reassembler:
             del self._pending[sequence]
             return list(split_messages(whole))
         if len(self._pending) > PENDING_MAX:
+            # Dictionaries keep their order, so that the first is the oldest.
             del self._pending[next(iter(self._pending))]
         return []
 

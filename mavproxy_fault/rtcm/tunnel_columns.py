@@ -68,7 +68,9 @@ class Assembler:
         `sender` (m,) is a number of the sender of each.
         """
         known = self._places
+        # Senders in the order they were first heard, round and round.
         place = [known.setdefault(n, len(known) % SENDERS_MAX) for n in sender.tolist()]
+        # What comes and what waits: no more can leave.
         room = payload.size + self._kept.size
         data, found = np.empty(room, np.uint8), np.empty((room // SHORTEST + 1, 2), np.int64)
         count = _assembled(
@@ -98,6 +100,7 @@ def _assembled(
             continue
         flags, mine, parts = payload[row, 0], pending[place[row]], kept[place[row]]
         at = _place(mine, flags >> 3, flags & 1)
+        # The first byte is the flags.
         size = length[row] - 1
         if flags & 1:
             mine[at, LENGTHS + (flags >> 1 & 3)] = size
@@ -110,6 +113,7 @@ def _assembled(
         else:
             for i in range(size):
                 whole[i] = payload[row, 1 + i]
+        # Whole, or superseded by a message of the same number that is not fragmented.
         if at >= 0:
             mine[at, AGE] = 0
         count = _split(whole, size, row, data, found, count, table)
@@ -129,6 +133,7 @@ def _place(mine: Integers, sequence: int, begin: int) -> int:
             return at
     if not begin:
         return -1
+    # Ages only grow, so that the smallest is the oldest.
     mine[free, AGE], mine[free, SEQUENCE] = newest + 1, sequence
     for number in range(FRAGMENTS_MAX):
         mine[free, LENGTHS + number] = -1
@@ -177,8 +182,10 @@ def _split(
         body = (whole[at + 1] & 3) << 8 | whole[at + 2]
         end = at + SHORTEST + body
         if whole[at] != PREAMBLE or end > size or _crc(whole, at, end, table):
+            # Whatever it was, the next preamble may lie inside.
             at += 1
             continue
+        # Messages stand one behind the other, each beginning where the last one ends.
         begin = found[count - 1, 0] if count else 0
         for i in range(end - at):
             data[begin + i] = whole[at + i]

@@ -42,6 +42,7 @@ def aim(name: str, kind: type[Any], names: Sequence[str]) -> Aim:
             able = ", ".join(one for one, kind in known_faults().items() if acts_on_ranges(kind))
             raise ValueError(f"{on_ranges[0]} is no target for {name}; satellites take {able}")
         return Aim({}, TUNNEL, targets.named(names, targets.RANGES))
+    # A plant change travels in answers to the simulator, so it needs its frames.
     if kind.acts_on == "plant":
         if not names:
             raise ValueError("is missing; give PLANT.<parameter>, for example PLANT.mass_kg_add")
@@ -59,6 +60,7 @@ def aim(name: str, kind: type[Any], names: Sequence[str]) -> Aim:
 def wrong_targets(name: str, kind: type[Any], names: Sequence[str]) -> list[str]:
     """What is wrong with each of the targets; empty if they are right."""
     found: list[str] = []
+    # One by one first, so that the error names the very target that is wrong.
     for part in [[one] for one in names] or [[]]:
         try:
             aim(name, kind, part)

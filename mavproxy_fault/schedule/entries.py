@@ -139,6 +139,7 @@ def parse_schedule(
     seed = check.value(data.get("seed", 0), Annotated[int, Meta(ge=0)], ("seed",))
     listed = data.get("faults") or []
     entries: list[Entry] = []
+    # Every entry is read before anything is refused: one run shows all errors.
     if isinstance(listed, list):
         for i, item in enumerate(listed):
             entries += _entries(item, i, check, ("faults", i), via)
@@ -181,10 +182,12 @@ def _open_table(found: dict[str, Any], check: DocumentCheck, path: Path) -> None
         return
     from mavproxy_fault.faults.series import read_blocks
 
+    # Beside the schedule, wherever the command was started.
     file = FilePath(check.where).parent / profile.table.file
     table = msgspec.structs.replace(profile.table, file=str(file))
     found["profile"] = msgspec.structs.replace(profile, table=table)
     try:
+        # Its first rows only: a file of hours would hold the start up.
         next(read_blocks(table), None)
     except ConfigError as error:
         check.wrong((*path, "profile", "table", "file"), f"= {profile.table.file}: {error}")
@@ -236,6 +239,7 @@ def _entry(
     if len(check.errors) > before:
         return None
     at = aim(name, kind, names)
+    # Only satellites can be falsified in two places.
     wanted = keys.pop("via", None) or (via if at.satellites else "proxy")
     try:
         fault, ids = bind(kind, found, at, wanted)

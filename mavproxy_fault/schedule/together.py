@@ -59,6 +59,7 @@ def _awaited(after: Any) -> str | None:
 
 
 def _check_circles(waits: dict[str, str], places: dict[str, int], check: DocumentCheck) -> None:
+    # Each id is walked once, whatever the number of chains that lead to it.
     done: set[str] = set()
     for first in waits:
         chain: list[str] = []

@@ -26,6 +26,7 @@ SIGNATURE_LENGTH = 13
 HEADER_V1 = 6
 HEADER_V2 = 10
 
+# By struct's codes.
 INTEGER_LIMITS = {
     "B": (0, 0xFF),
     "b": (-0x80, 0x7F),
@@ -38,6 +39,7 @@ INTEGER_LIMITS = {
 }
 _STX = bytes((STX_V2,))
 _HEAD = struct.Struct("<6BHB")  # length, flags, sequence, sender and message id of MAVLink 2
+# The largest finite float32: what lies beyond would pack to infinity or raise.
 FLOAT_MAX = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]
 
 Number = int | float
@@ -95,6 +97,7 @@ class Frame:
         if start + field.size <= self.length:
             value = field.packer.unpack_from(self.raw, self.payload_at + start)[0]
         else:
+            # The sender cut the payload inside this field: what lacks is zeros.
             data = self.payload[start : start + field.size].ljust(field.size, b"\0")
             value = field.packer.unpack(data)[0]
         return value
@@ -128,6 +131,7 @@ class Frame:
             start = field.offset + index * field.size
             data = field.packer.pack(saturate(field, value))
             if start + field.size > len(payload):
+                # Only as many bytes as are no trailing zeros, but all that lie inside the payload.
                 data = data[: max(len(data.rstrip(b"\0")), len(payload) - start, 0)]
                 payload.extend(bytes(max(start + len(data) - len(payload), 0)))
             payload[start : start + len(data)] = data
@@ -138,6 +142,7 @@ class Frame:
         raw = self.raw
         head = bytes((raw[0], len(payload))) + raw[2 : self.payload_at]
         crc = mcrf4xx(head[1:] + payload + bytes((self.layout.crc_extra,)))
+        # As it was; whoever holds the key signs anew.
         signature = raw[self.payload_at + self.length + 2 :]
         return Frame(head + payload + struct.pack("<H", crc) + signature, self.layout)
 
@@ -150,6 +155,7 @@ def saturate(field: Field, value: Number) -> Number:
     if code == "f":
         return max(-FLOAT_MAX, min(FLOAT_MAX, value)) if math.isfinite(value) else value
     low, high = INTEGER_LIMITS[code]
+    # NaN has no integer; rounding it would raise.
     if value != value:
         return 0
     return low if value <= low else high if value >= high else round(value)
@@ -197,6 +203,7 @@ def _whole(name: str, value: object, blank: bytes) -> bytes:
 
 def framed(layout: Layout, payload: bytes, *, seq: int, system: int, component: int) -> bytes:
     """The bytes of a MAVLink 2 frame around a payload, whose trailing zeros are cut."""
+    # At least one byte stays, by the MAVLink 2 rule.
     payload = payload.rstrip(b"\0") or b"\0"
     number = layout.id
     body = _HEAD.pack(len(payload), 0, 0, seq, system, component, number & 0xFFFF, number >> 16)

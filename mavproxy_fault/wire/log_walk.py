@@ -61,6 +61,7 @@ Resume = tuple[int, int, int, int]
 @inlined
 def _follows(base: Any, size: Any, at: Any, end: Any) -> Any:
     """Whether a further record, stamped near the one whose frame is at `at`, starts at `end`."""
+    # At the end of the log nothing can follow, which proves nothing against the frame.
     if end + 9 > size:
         return True
     first = byte_at(base + end + 8)
@@ -130,6 +131,7 @@ def walk(
             continue
         if not in_line or used < 0:
             used += 1
+            # A run costs one row however long it is: intact logs have one.
             runs[used, 0], runs[used, 1] = probe, 0
             junk += probe - 8 - previous if probe - 8 >= previous else probe - previous
         runs[used, 1] += 1
@@ -188,6 +190,7 @@ def first_stamp(data: Bytes, runs: Integers) -> Any:
         run, place, at, stamp = _next(base, runs, run, place, end)
         if before >= 0 and stamp >= 0 and abs(stamp - before) <= SLIP_US:
             return before
+        # Not confirmed, but better than none.
         first = max(first, before) if first < 0 else first
     return max(first, np.int64(0))
 
@@ -224,6 +227,7 @@ def unroll(
     probe: Any = np.int64(-1)
     stamp: Any = np.int64(-1)
     if run < runs.shape[0]:
+        # Inside a run the next frame starts eight bytes of stamp behind the one before.
         probe = runs[run, 0] if place == 0 else end + 8
         stamp = big_endian64(base + probe - 8) if probe - 8 >= end else stamp
     while filled < at.shape[0] and probe >= 0:
@@ -231,6 +235,7 @@ def unroll(
         at[filled] = probe
         slot[filled] = slots[number] if number < slots.shape[0] else np.int16(UNKNOWN)
         run, place, probe, after = _next(base, runs, run, place, end)
+        # Otherwise the stamp before is given once more.
         if not _lone(stamp, good, after):
             good = stamp
         t_us[filled] = good
@@ -274,10 +279,12 @@ def scatter(
         nexts[which] += HEAD + length
         second = byte_at(begin) == 0xFD
         sender = begin + (5 if second else 3)
+        # Row and field are packed, so that nothing here is aligned; x86 and ARM bear that.
         store64(np.uint64(to), np.uint64(t_us[i]))
         store8(np.uint64(to + 8), load8(np.uint64(sender)))
         store8(np.uint64(to + 9), load8(np.uint64(sender + 1)))
         store8(np.uint64(to + 10), load8(np.uint64(sender - 1)))
+        # A newer dialect may send more bytes than ours has fields for.
         come = min(length, np.int64(byte_at(begin + 1)))
         payload = begin + (10 if second else 6)
         to += HEAD
@@ -285,6 +292,7 @@ def scatter(
         while k + 8 <= come:
             store64(np.uint64(to + k), load64(np.uint64(payload + k)))
             k += 8
+        # Eight bytes at once if the file has as many; those that are not ours are masked off.
         if k < come and payload + k + 8 <= source + size:
             mask = (np.uint64(1) << np.uint64(8 * (come - k))) - np.uint64(1)
             store64(np.uint64(to + k), load64(np.uint64(payload + k)) & mask)

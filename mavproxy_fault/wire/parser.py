@@ -99,8 +99,10 @@ class Parser:
                 at += 1
                 continue
             item = self._candidate(data, at)
+            # Wait for the rest from here on; of a datagram there is no rest.
             if item is None and not final:
                 break
+            # No frame: the next start byte may lie inside of what looked like one.
             if item is None or item is False:
                 at += 1
                 continue
@@ -114,6 +116,7 @@ class Parser:
         if at > junk_from:
             kind = "crc" if counters.crc_errors > crc_errors else "foreign"
             found.append(self._junk(data[junk_from:at], kind))
+        # Never more than one frame: what is longer has been decided above.
         self._incomplete = data[at:]
         return found
 
@@ -127,6 +130,7 @@ class Parser:
         if place is None or at + place[0] > len(data):
             return None
         length, number, checked = place
+        # A parser sees few messages: their layouts are looked up once, unknown ones too.
         if number in self._layouts:
             known = self._layouts[number]
         else:
@@ -142,6 +146,7 @@ class Parser:
             self.counters.crc_errors += 1
             return False
         raw = data[at : at + length]
+        # MAVLink: a receiver must not read frames with flags it does not know.
         if raw[0] == STX_V2 and raw[2] & ~SIGNED:
             self.counters.unknown += 1
             return Junk(raw, "unknown")
@@ -175,6 +180,7 @@ def _possible(body: bytes, crc: int) -> bool:
 
 def _holds_frame(data: bytes, start: int, end: int) -> bool:
     """Whether a verified frame lies wholly inside a stretch of the data."""
+    # A message that is unknown and by chance passes must not hide a known one.
     for at in range(start, end - HEADER_V1 - CRC_LENGTH + 1):
         if data[at] != STX_V2 and data[at] != STX_V1:
             continue

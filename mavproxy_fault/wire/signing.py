@@ -23,6 +23,7 @@ STAMP_AT = slice(-12, -6)  # little-endian, after the link id
 
 def key_of(passphrase: str) -> bytes:
     """The key of a passphrase as ground stations derive it: its SHA-256."""
+    # As Mission Planner and QGroundControl do.
     return hashlib.sha256(passphrase.encode()).digest()
 
 
@@ -44,6 +45,7 @@ class Verifier:
             return False
         stream = (frame.system, frame.component, raw[-SIGNATURE_LENGTH])
         stamp = int.from_bytes(raw[STAMP_AT], "little")
+        # A replayed frame has a right signature but an old stamp.
         if stamp <= self.newest.get(stream, -1):
             return False
         self.newest[stream] = stamp

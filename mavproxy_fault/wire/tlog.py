@@ -87,6 +87,7 @@ def row_dtype(name: str) -> np.dtype[np.void]:
         ("component", "u1"),
         ("seq", "u1"),
     ]
+    # A message may have fields of these names: they get an underscore.
     taken = {"t_us", "system", "component", "seq"}
     for field in known(name).fields.values():
         column = field.name + "_" if field.name in taken else field.name
@@ -105,6 +106,7 @@ def _messages() -> "LogMessages":
     from mavproxy_fault.wire.log_walk import LogMessages
 
     layouts = [known(name) for name in message_names()]
+    # A table by message id: kernels look up faster in it than in a dictionary.
     slots = np.full(max(item.id for item in layouts) + 1, -1, np.int16)
     for slot, item in enumerate(layouts):
         slots[item.id] = slot
@@ -128,6 +130,7 @@ def map_bytes(path: Path) -> NDArray[np.uint8]:
         raise ConfigError(f"{path}: there is no such file; give the path of a log")
     if path.stat().st_size == 0:
         raise ConfigError(f"{path}: the log is empty; nothing was recorded")
+    # Pages come in as the walk needs them: a log may be larger than memory.
     return np.memmap(path, np.uint8, mode="r")
 
 
@@ -181,7 +184,9 @@ def _columns(
     wanted = counts > 0
     if only is not None:
         wanted &= np.array([name in only for name in names])
+    # Room for full payloads: cut zeros are put back.
     sizes = np.where(wanted, counts * (lengths + HEAD) + SLACK, 0)
+    # Each message's rows begin at a cache line.
     begins = np.concatenate(([0], np.cumsum(sizes + -sizes % 64)))
     rows = np.zeros(int(begins[-1]), np.uint8)
     wanted_lengths = np.where(wanted, lengths, -1)
@@ -202,12 +207,14 @@ def _frames(data: NDArray[np.uint8], some: "LogFrames") -> NDArray[np.void]:
     second = data[at] == 0xFD
     frames = np.empty(len(at), FRAMES)
     frames["t_us"] = t_us
+    # MAVLink 2 has four header bytes more, two of them before the sender.
     source = at + np.where(second, 5, 3)
     frames["system"] = data[source]
     frames["component"] = data[source + 1]
     frames["seq"] = data[source - 1]
     frames["known"] = slot >= 0
     number = data[at + np.where(second, 7, 5)].astype(np.uint32)
+    # MAVLink 1 has no upper id bytes: a byte of the head stands in, and counts nothing.
     high = np.where(second, at, 0)
     number += np.where(second, data[high + 8].astype(np.uint32) << 8, 0)
     number += np.where(second, data[high + 9].astype(np.uint32) << 16, 0)
@@ -265,6 +272,7 @@ def read_ordered(
     slots = {name: slot for slot, name in enumerate(message_names())}
     for block in _blocks(data, frames):
         parts = [
+            # Copies, as the arrays are used again for the next part.
             type(some)(some.at.copy(), some.t_us.copy(), some.slot.copy())
             for some in _unrolled(data, block)
         ]
@@ -277,6 +285,7 @@ def extent_us(path: str | Path) -> tuple[int, int] | None:
     """Stamps of the first and last frame, found near the ends of the file; None without frames."""
     data = map_bytes(Path(path))
     ends: list[int] = []
+    # A log of gigabytes must not be walked for its two ends.
     for part in (data[:END_BYTES], data[-END_BYTES:]):
         for _, t_us, _ in _unrolled(part, _whole(part)):
             ends.extend(t_us[[0, -1]].tolist() if len(t_us) else [])

@@ -29,6 +29,7 @@ class Packer(Protocol):
     """What the loop needs to tell of a step; `simvehicle.hil.hil_frames.Hil` is one."""
 
     start_us: int
+    step_us: int | None  # the stamp that the autopilot answers, of the last frames; None: nobody
 
     def frames(self, t_us: int, truth: Truth, readings: Sequence[Reading]) -> list[bytes]:
         """The frames of a step."""
@@ -61,6 +62,8 @@ class LockstepLoop:
         Channels to actuators.
     speed : float
         Times real time, infinite for as fast as the autopilot answers.
+    lockstep : Lockstep, optional
+        One that somebody else tells of answers too.
     """
 
     def __init__(
@@ -71,10 +74,11 @@ class LockstepLoop:
         mix: Mix,
         speed: float,
         progress: Progress,
+        lockstep: Lockstep | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.t_us = 0
-        self.lockstep = Lockstep()
+        self.lockstep = lockstep or Lockstep()
         self._simulation = simulation
         self._hil = hil
         self._inbox = inbox
@@ -124,7 +128,7 @@ class LockstepLoop:
         # Sent in one piece: an autopilot must not be woken by half a step.
         self._inbox.link.write(b"".join(self._hil.frames(self.t_us, truth, readings)))
         now_s = self._clock()
-        self.lockstep.sent(self.t_us + self._hil.start_us, now_s)
+        self.lockstep.sent(self._hil.step_us, now_s)
         self._await_answer()
         self._progress.step(self.t_us, now_s, "" if self._locked else ", not in lockstep")
 

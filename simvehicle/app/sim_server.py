@@ -57,7 +57,7 @@ def main(args: argparse.Namespace) -> int:
     progress = Progress(time.monotonic())
     with ExitStack() as links:
         hil, gcs = (
-            links.enter_context(closing(open_link(text, plain_udp="udpout"))) if text else None
+            links.enter_context(closing(open_link(text, bare_udp="udpout"))) if text else None
             for text in (args.hil, args.gcs)
         )
         try:

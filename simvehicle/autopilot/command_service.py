@@ -121,8 +121,10 @@ class Commands:
 
     def _set_mode(self, request: Request, now: Snapshot) -> Answer:
         base, main, sub, _ = (max(whole(v), 0) for v in request.params)
+        # The other flags are not modes of PX4.
         if not base & BaseMode.CUSTOM:
             return Result.UNSUPPORTED, []
+        # PX4's custom_mode: sub-mode in the top byte, main mode in the one below.
         return self._custom_mode(sub << 24 | main << 16)
 
     def _custom_mode(self, custom_mode: int) -> Answer:
@@ -199,6 +201,7 @@ class Commands:
 
 def whole(value: float) -> int:
     """A parameter as an integer; what is none becomes -1, which no handler knows."""
+    # COMMAND_LONG has floats only, NaN meaning that it is not given.
     return int(value) if math.isfinite(value) else -1
 
 

@@ -101,6 +101,7 @@ class Flight:
 
     def arm(self) -> None:
         """Motors on; the mode decides what follows. After a landing that is HOLD again."""
+        # Or the vehicle would land again at once.
         if not self.armed and self.mode in (Mode.LAND, Mode.RETURN):
             self.mode = Mode.HOLD
         self.armed = self.commanded = True
@@ -169,6 +170,7 @@ class Flight:
         self._truth = truth
         if first:
             self._enter(self.mode)
+        # A new mission was uploaded: its items are other ones, whatever their numbers.
         if self._missions.changed != self._mission_seen:
             self._mission_seen = self._missions.changed
             self.seq = 0
@@ -183,6 +185,7 @@ class Flight:
 
     def _fly(self, truth: Truth) -> list[Message]:
         if self.mode == Mode.TAKEOFF:
+            # Height alone: wind may push it aside meanwhile.
             if abs(self.goal.r_ned_m[2] - truth.r_ned_m[2]) < HEIGHT_TOLERANCE_M:
                 self.mode = Mode.HOLD
                 return [statustext("Takeoff complete")]
@@ -210,6 +213,7 @@ class Flight:
                 self.goal = Goal(kind, self._place(item), self._speed_mps, yaw)
             if self.goal.kind is Kind.LAND:
                 return self._touch_down(truth)
+            # Once reached it counts as reached, also where wind carries the vehicle off again.
             if self._reached_us is None and not self._is_there(self.goal.r_ned_m):
                 return []
         if self._reached_us is None:
@@ -218,6 +222,7 @@ class Flight:
 
     def _finish_item(self, item: Item, t_us: int) -> list[Message]:
         """Wait where the item says so, then go on with the next."""
+        # Until somebody commands otherwise.
         if item.command == Command.LOITER_UNLIMITED:
             return []
         waits = item.command in (Command.WAYPOINT, Command.LOITER_TIME, Command.DELAY)
@@ -234,6 +239,7 @@ class Flight:
 
     def _touch_down(self, truth: Truth) -> list[Message]:
         """Disarm after a while on the ground."""
+        # A bounce: the time counts anew.
         if not truth.on_ground:
             self._ground_us = None
             return []
@@ -260,6 +266,7 @@ class Flight:
             place = self._above_here(self.home.alt_m + height)
         elif mode == Mode.RETURN:
             here = self._here()
+            # Never lower than it is now: what is between here and home is not known.
             height = max(float(self._parameters["RTL_RETURN_ALT"]), -float(here[2]))
             place = self._locate(self.home.lat_deg, self.home.lon_deg, self.home.alt_m + height)
         else:

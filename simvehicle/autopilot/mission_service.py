@@ -90,6 +90,7 @@ class Missions:
     def tick(self, t_us: int) -> list[Message]:
         """Ask again for an item that does not come, and give up in the end."""
         upload = self.upload
+        # Every message of an upload is ours to ask for, so loss is ours to notice.
         if upload is None or t_us - upload.asked_us < RETRY_US:
             return []
         if upload.retries == RETRIES:
@@ -125,9 +126,11 @@ class Missions:
         seq = int(frame.number("seq"))
         if seq < len(upload.items):  # one already taken: the answer to a repeated request
             return []
+        # A later one: the one we wait for was lost or came out of order.
         if seq > len(upload.items):
             return [_ask(upload)]
         item = read_item(frame)
+        # Refused as a whole: half a mission must not be flown.
         wrong = check(item)
         if wrong is not None:
             self.upload = None
@@ -144,6 +147,7 @@ class Missions:
         if kind != MissionType.MISSION or seq >= len(self.items):
             return [_ack(frame, MissionResult.INVALID_SEQUENCE, kind)]
         item = self.items[seq]
+        # Answered in the kind that was asked for; old ground stations know floats only.
         whole = frame.layout.name == "MISSION_REQUEST_INT"
         scale = 1 if whole else 1e-7
         return [

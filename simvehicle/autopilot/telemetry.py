@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass
 
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
+from mavproxy_fault.numerics.rotation import euler_angles
 from simvehicle.autopilot.enums import (
     AUTOPILOT_PX4,
     BaseMode,
@@ -18,7 +20,6 @@ from simvehicle.hil.outgoing_message import PROTOCOL_VERSION, Message, message
 from simvehicle.sensors.readings import BatteryReading, GpsReading
 from simvehicle.vehicles.body import Truth
 
-DENSITY_SEA_LEVEL_KGPM3 = 1.225  # ISA
 NO_GPS_FIX = 1  # GPS_FIX_TYPE_NO_FIX
 # major, minor, patch, FIRMWARE_VERSION_TYPE_OFFICIAL: the PX4 release whose ways are followed
 FIRMWARE = 1 << 24 | 18 << 16 | 0 << 8 | 255
@@ -63,12 +64,7 @@ class Snapshot:
     @property
     def euler_rad(self) -> tuple[float, float, float]:
         """Roll, pitch and yaw."""
-        w, x, y, z = self.truth.q_nb.tolist()
-        return (
-            math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
-            math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x)))),
-            math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
-        )
+        return euler_angles(self.truth.q_nb.tolist())
 
 
 def heartbeat(now: Snapshot) -> Message:
@@ -180,7 +176,7 @@ def vfr_hud(now: Snapshot) -> Message:
     airspeed = math.hypot(*truth.v_air_b_mps.tolist())
     return message(
         "VFR_HUD",
-        airspeed=airspeed * math.sqrt(truth.density_kgpm3 / DENSITY_SEA_LEVEL_KGPM3),
+        airspeed=airspeed * math.sqrt(truth.density_kgpm3 / SEA_LEVEL_DENSITY_KGPM3),
         groundspeed=math.hypot(north, east),
         heading=_heading_cdeg(now) // 100,
         throttle=round(now.throttle * 100),

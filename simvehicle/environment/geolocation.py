@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
-from mavproxy_fault.numerics.earth import ecef_from_geodetic, geodetic_of, gravity, rot_en
+from mavproxy_fault.numerics.earth import ecef_from_geodetic, gravity, rot_en
+from mavproxy_fault.numerics.earth_kernel import geodetic_of
 from mavproxy_fault.numerics.rotation_kernel import to_body, to_ned
 from simvehicle.environment.air import standard_air
 
 Array = NDArray[np.float64]
-_geodetic = cast(Callable[[float, float, float], tuple[float, float, float]], inlined(geodetic_of))
 _gravity = cast(Callable[[float, float], float], inlined(gravity))
 
 
@@ -67,7 +67,7 @@ def locate(x: Array, wind: Array, home: Array, out: Array) -> None:
         velocity relative to the air in body axes (3), gravity in the frame of home (3).
     """
     n, e, d = x[0], x[1], x[2]
-    lat, lon, height = _geodetic(
+    lat, lon, height = geodetic_of(
         home[0] + home[3] * n + home[4] * e + home[5] * d,
         home[1] + home[6] * n + home[7] * e + home[8] * d,
         home[2] + home[9] * n + home[10] * e + home[11] * d,
@@ -75,6 +75,7 @@ def locate(x: Array, wind: Array, home: Array, out: Array) -> None:
     out[0], out[1], out[2] = lat, lon, height
     out[3], out[4], out[5] = standard_air(height - home[12])
     sp, cp, sl, cl = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
+    # Rows of north, east and down here, against those of home: the vertical tilts on the way.
     local = ((-sp * cl, -sp * sl, cp), (-sl, cl, 0.0), (-cp * cl, -cp * sl, -sp))
     c = np.empty((3, 3))  # from the frame of home to local NED
     for i in range(3):
@@ -95,6 +96,7 @@ def locate(x: Array, wind: Array, home: Array, out: Array) -> None:
     out[11] = tw * b - ta * g + tb * w + tg * a
     out[12] = tw * g + ta * b - tb * a + tg * w
     out[13], out[14], out[15] = x[3] - wx, x[4] - wy, x[5] - wz
+    # Along the local down, given in the axes of home in which the vehicle is integrated.
     pull = _gravity(lat, height)
     for i in range(3):
         out[6 + i] = c[i, 0] * vn + c[i, 1] * ve + c[i, 2] * vd

@@ -63,6 +63,7 @@ class Constellation:
 
     def _nearest(self, sets: tuple[Ephemeris, ...], tow_s: float) -> int | None:
         ages = [self._age_s(e, tow_s) for e in sets]
+        # Of two equally old the later one, as receivers take what was read last.
         best = min(range(len(sets)), key=lambda k: (ages[k], -k))
         return best if ages[best] <= sets[best].fit_half_s else None
 
@@ -129,16 +130,20 @@ def _busiest(ephemerides: dict[str, tuple[Ephemeris, ...]]) -> tuple[int, float]
 
 def _over(navigation: Navigation, lat_rad: float, lon_rad: float) -> Navigation:
     """The shipped satellites turned over another home."""
-    turn = round((lon_rad - SHIPPED_LON_RAD) / TURN_STEP_RAD) * TURN_STEP_RAD
+    shift_rad = round((lon_rad - SHIPPED_LON_RAD) / TURN_STEP_RAD) * TURN_STEP_RAD
     mirror = SEMICIRCLE if lat_rad < 0.0 else 0.0
-    if abs(turn) < math.radians(5.0) and not mirror:
+    # Near the site itself nothing is turned, so that the satellites stand where the real ones did.
+    if abs(shift_rad) < math.radians(5.0) and not mirror:
         return navigation
     ephemerides = {
         name: tuple(
+            # Through the message and back: what is broadcast is exactly what is flown.
             decode_ephemeris(
                 encode_ephemeris(
                     replace(
-                        e, omega0_rad=e.omega0_rad + turn + mirror, omega_rad=e.omega_rad + mirror
+                        e,
+                        omega0_rad=e.omega0_rad + shift_rad + mirror,
+                        omega_rad=e.omega_rad + mirror,
                     )
                 ),
                 e.week // 1024 * 1024,

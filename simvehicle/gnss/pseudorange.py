@@ -9,17 +9,15 @@ References
 .. [1] IS-GPS-200N, 20.3.3.4.3.4; Ashby, Living Reviews in Relativity 6(1), 2003.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import asin, atan2, cos, pi, sin, sqrt
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
-from mavproxy_fault.numerics.earth import geodetic_of
+from mavproxy_fault.numerics.earth_kernel import geodetic_of
 from simvehicle.gnss.satellite_orbits import (
     Orbits,
     satellite_state,
@@ -31,9 +29,6 @@ Vector = NDArray[np.float64]
 FLIGHT_S = 0.075  # typical; where the iteration starts
 NONE = np.zeros(0)
 LOWEST_RAD = 3.0 * pi / 180.0  # the atmosphere's models end about here
-
-_Geodetic = Callable[[float, float, float], tuple[float, float, float]]
-geodetic = cast(_Geodetic, inlined(geodetic_of))
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,18 +97,23 @@ def sights(
     what is left is below a micrometre.
     """
     rx, ry, rz = r_ecef_m[0], r_ecef_m[1], r_ecef_m[2]
-    lat, lon, height = geodetic(rx, ry, rz)
+    lat, lon, height = geodetic_of(rx, ry, rz)
     s_lat, c_lat, s_lon, c_lon = sin(lat), cos(lat), sin(lon), cos(lon)
     out = np.empty((10, len(table)))
     for k in range(len(table)):
         flight = FLIGHT_S
+        # The orbit moves 3 km/s: where it was when the signal left asks for the time of flight
+        # first.
         for _ in range(2):
             start = flight
             px, py, pz, vx, vy, vz, clock, clock_rate = satellite_state(table[k], tow_s - start)
             for _ in range(3):
                 s, c = sin(GNSS_EARTH_RATE_RPS * flight), cos(GNSS_EARTH_RATE_RPS * flight)
+                # Along the velocity from where the orbit was evaluated: cheaper than the orbit
+                # again.
                 earlier = start - flight
                 mx, my, mz = px + vx * earlier, py + vy * earlier, pz + vz * earlier
+                # Into the axes of reception, which the Earth has turned on meanwhile.
                 x, y = c * mx + s * my, c * my - s * mx
                 dx, dy, dz = x - rx, y - ry, mz - rz
                 distance = sqrt(dx * dx + dy * dy + dz * dz)
@@ -121,6 +121,7 @@ def sights(
         ex, ey, ez = dx / distance, dy / distance, dz / distance
         # the frame turns on, and transmission moves by the range's own change
         wx, wy = c * vx + s * vy, c * vy - s * vx
+        # Positive where the range grows.
         closing = ex * (wx - v_ecef_mps[0]) + ey * (wy - v_ecef_mps[1]) + ez * (vz - v_ecef_mps[2])
         drag = ex * (wx - GNSS_EARTH_RATE_RPS * y) + ey * (wy + GNSS_EARTH_RATE_RPS * x) + ez * vz
         outward = c_lon * ex + s_lon * ey
@@ -128,6 +129,7 @@ def sights(
         east = c_lon * ey - s_lon * ex
         elevation = asin(min(max(c_lat * outward + s_lat * ez, -1.0), 1.0))
         azimuth = atan2(east, north)
+        # Below, both models grow without bound.
         above = max(elevation, LOWEST_RAD)
         delay = 0.0
         if len(coefficients):

@@ -72,9 +72,11 @@ def solve(
     letters = [name[0] for name in orbits.satellites]
     systems = sorted(set(letters), reverse=True)  # GPS before Galileo
     count = len(letters)
+    # Three coordinates and a clock for each system are solved for.
     lacking = 3 + max(len(systems), 1) - count
     if lacking > 1:
         return _none(count, f"{count} satellites of {len(systems)} systems", last)
+    # Clocks of other systems than last time: the last solution is no start.
     near = last is not None and last.fix_type >= 2 and len(last.clock_m) == len(systems)
     start = (last.r_ecef_m, last.clock_m) if last is not None and near else None
     system = np.array([systems.index(letter) for letter in letters])
@@ -85,7 +87,7 @@ def solve(
         atmosphere.troposphere,
         np.concatenate(start or (_somewhere_below(orbits, tow_s), np.zeros(len(systems)))),
         near,
-        _held(last) if lacking == 1 else FREE,
+        _known_height(last) if lacking == 1 else FREE,
     )
     if out[kernel.STATUS] != kernel.SOLVED:
         return _none(count, REASONS[float(out[kernel.STATUS])], last)
@@ -107,7 +109,7 @@ def solve(
     )
 
 
-def _held(last: Fix | None) -> tuple[float, float]:
+def _known_height(last: Fix | None) -> tuple[float, float]:
     """Height to hold [m] and how wrong it may be: the last one, or the ellipsoid's."""
     if last is not None and last.r_ecef_m.any():
         return last.height_m, LAST_HEIGHT_SIGMA_M
@@ -116,6 +118,7 @@ def _held(last: Fix | None) -> tuple[float, float]:
 
 def _somewhere_below(orbits: Orbits, tow_s: float) -> Vector:
     """A place on the Earth's surface amid the satellites, to start from."""
+    # The mean of what is seen points to the zenith, roughly: the iteration finds the rest.
     middle = satellite_states(orbits, np.full(len(orbits.table), tow_s))[0].mean(axis=0)
     return np.asarray(SURFACE_M * middle / np.linalg.norm(middle))
 

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
-from simvehicle.gnss.pseudorange import geodetic, sights
+from mavproxy_fault.numerics.earth_kernel import geodetic_of, ned_axes
+from simvehicle.gnss.pseudorange import sights
 
 Vector = NDArray[np.float64]
 
@@ -41,6 +42,7 @@ def inverted(matrix: Vector) -> Vector:
             floor = max(floor, PIVOT_MIN * abs(matrix[j, i]))
     for k in range(m):
         pivot = work[k, k]
+        # Written so that NaN counts as singular, too.
         if not pivot > floor:
             return np.empty((0, 0))
         for i in range(m):
@@ -100,18 +102,18 @@ def navigate(
     troposphere: bool,
     start: Vector,
     near: bool,
-    held: tuple[float, float],
+    known_height: tuple[float, float],
 ) -> Vector:
     """Position, velocity and clocks of one epoch.
 
-    `start` (3 + m,) holds position and clock offsets [m] to begin with; `near` says that it
-    is within some kilometres, so that elevations are right. `held` is a height taken as known [m]
-    and its standard deviation, for one satellite too few, or NaN. The answer (19,) has the rows
+    `start` (3 + m,) holds position and clock offsets [m] to begin with; `near` says that it is
+    within some kilometres, so that elevations are right. `known_height` is a height taken as known
+    [m] and its standard deviation, for one satellite too few, or NaN. The answer (19,) has the rows
     named above; the rest is as in `receiver.solve`.
     """
     table, code_m = observed.table, observed.code_m
     n, m = len(table), len(start)
-    rows = n if np.isnan(held[0]) else n + 1
+    rows = n if np.isnan(known_height[0]) else n + 1
     out = np.zeros(SIZE)
     x = np.zeros(m)
     for a in range(m):
@@ -122,15 +124,17 @@ def navigate(
         seen = sights(table, tow_s - x[3] / SPEED_OF_LIGHT_MPS, x, still, coefficients, troposphere)
         for i in range(n):
             own = 3 + observed.system[i]
+            # Moving towards a satellite shortens its range.
             design[i, 0], design[i, 1], design[i, 2] = -seen[7, i], -seen[8, i], -seen[9, i]
             design[i, own] = 1.0
             model = seen[0, i] - SPEED_OF_LIGHT_MPS * seen[2, i] + seen[6, i] + x[own]
             residual[i] = code_m[i] - model
             if near:
+                # Errors grow towards the horizon about as one over the sine.
                 weights[i] = (max(sin(seen[4, i]), SINE_MIN) / ZENITH_SIGMA_M) ** 2
         if rows > n:
-            _hold(held, x, design, residual)
-            weights[n] = 1.0 / held[1] ** 2 if near else 1.0
+            _hold(known_height, x, design, residual)
+            weights[n] = 1.0 / known_height[1] ** 2 if near else 1.0
         step, covariance = least_squares(design, residual, weights, m)
         if len(step) == 0:
             out[STATUS] = SINGULAR
@@ -141,6 +145,7 @@ def navigate(
             size = max(size, abs(step[a]))
         if near and size < NEAR_M:
             break
+        # The first rounds are without weights: elevations of a wrong place mean nothing.
         near = near or size < CONVERGED_M
     else:
         out[STATUS] = DIVERGED
@@ -153,13 +158,13 @@ def navigate(
 
 
 @compiled
-def _hold(held: tuple[float, float], x: Vector, design: Vector, residual: Vector) -> None:
+def _hold(known_height: tuple[float, float], x: Vector, design: Vector, residual: Vector) -> None:
     """Make the last row that of a height which is measured."""
-    lat, lon, height = geodetic(x[0], x[1], x[2])
+    lat, lon, height = geodetic_of(x[0], x[1], x[2])
     design[-1, 0] = cos(lat) * cos(lon)
     design[-1, 1] = cos(lat) * sin(lon)
     design[-1, 2] = sin(lat)
-    residual[-1] = held[0] - height
+    residual[-1] = known_height[0] - height
 
 
 @compiled
@@ -168,7 +173,7 @@ def _add_motion(
 ) -> None:
     """Velocity and drift from range rates; `design` becomes that of one clock.
 
-    Where the height is held, so is the vertical velocity, at zero.
+    Where the height is known, so is the vertical velocity, at zero.
     """
     residual = np.zeros(len(design))
     for i in range(len(rate_mps)):
@@ -183,24 +188,14 @@ def _add_motion(
 @compiled
 def _add_local(out: Vector, covariance: Vector) -> None:
     """Geodetic coordinates, the velocity in NED and the standard deviations in NED."""
-    lat, lon, height = geodetic(out[PLACE], out[PLACE + 1], out[PLACE + 2])
+    lat, lon, height = geodetic_of(out[PLACE], out[PLACE + 1], out[PLACE + 2])
     out[GEODETIC], out[GEODETIC + 1], out[GEODETIC + 2] = lat, lon, height
-    axes = axes_en(lat, lon)
+    axes = ned_axes(lat, lon)
     for a in range(3):
         variance = 0.0
         for i in range(3):
-            out[MOTION_NED + a] += axes[i, a] * out[MOTION + i]
+            out[MOTION_NED + a] += axes[a, i] * out[MOTION + i]
             for j in range(3):
-                variance += axes[i, a] * covariance[i, j] * axes[j, a]
+                # The diagonal of the rotated covariance is all that is shown.
+                variance += axes[a, i] * covariance[i, j] * axes[a, j]
         out[SIGMA + a] = sqrt(max(variance, 0.0))
-
-
-@compiled
-def axes_en(lat_rad: float, lon_rad: float) -> Vector:
-    """Matrix (3, 3) that takes local NED vectors to Earth-fixed axes."""
-    sp, cp, sl, cl = sin(lat_rad), cos(lat_rad), sin(lon_rad), cos(lon_rad)
-    out = np.empty((3, 3))
-    out[0, 0], out[0, 1], out[0, 2] = -sp * cl, -sl, -cp * cl
-    out[1, 0], out[1, 1], out[1, 2] = -sp * sl, cl, -cp * sl
-    out[2, 0], out[2, 1], out[2, 2] = cp, 0.0, -sp
-    return out

@@ -12,13 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
-from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
+from mavproxy_fault.numerics.constants import (
+    GNSS_EARTH_RATE_RPS,
+    GPS_GM_M3PS2,
+    SPEED_OF_LIGHT_MPS,
+    WGS84_GM_M3PS2,
+)
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
 Vector = NDArray[np.float64]
 State8 = tuple[float, float, float, float, float, float, float, float]
 
-MU_M3PS2 = {"G": 3.986005e14, "E": 3.986004418e14}
+MU_M3PS2 = {"G": GPS_GM_M3PS2, "E": WGS84_GM_M3PS2}
 WEEK_S = 604_800.0
 KEPLER_STEPS = 4  # Newton from E = M leaves under 1e-14 rad at the eccentricity 0.16 of E14, E18
 
@@ -48,6 +53,7 @@ def orbits_at(orbits: Orbits, pick: NDArray[np.intp]) -> Orbits:
 
 def _row(e: Ephemeris, week: int) -> tuple[float, ...]:
     """Elements in the order of `satellite_state`, with what they give once and for all."""
+    # All times in one week, so that a flight across its end needs no case.
     shift_s = (e.week - week) * WEEK_S
     toc_s = e.toc_s - round((e.toc_s - e.toe_s) / WEEK_S) * WEEK_S  # of the nearest week
     mu = MU_M3PS2[e.satellite[0]]
@@ -67,9 +73,11 @@ def _row(e: Ephemeris, week: int) -> tuple[float, ...]:
         e.cic_rad,
         e.i0_rad,
         e.idot_rps,
+        # The node counts from the week's begin: the Earth's turn until toe is taken off once.
         e.omega0_rad - GNSS_EARTH_RATE_RPS * e.toe_s,
         e.omega_dot_rps - GNSS_EARTH_RATE_RPS,
         toc_s + shift_s,
+        # The broadcast clock is that of two frequencies; L1 alone is off by the group delay.
         e.af0_s - e.group_delay_s,
         e.af1,
         e.af2_per_s,
@@ -89,6 +97,7 @@ def satellite_state(row: Vector, tow_s: float) -> State8:
     )  # fmt: skip
     t = tow_s - toe
     mean = m0 + motion * t
+    # Kepler's equation, with the first step of the series as a start.
     anomaly = mean + e * sin(mean)
     for _ in range(KEPLER_STEPS):
         anomaly -= (anomaly - e * sin(anomaly) - mean) / (1.0 - e * cos(anomaly))
@@ -100,6 +109,7 @@ def satellite_state(row: Vector, tow_s: float) -> State8:
     argument = atan2(root * se, ce - e) + omega
     argument_rate = anomaly_rate * root / scale
     s2, c2 = sin(2.0 * argument), cos(2.0 * argument)
+    # The orbit is no ellipse: second harmonics in argument, radius and inclination.
     u = argument + cus * s2 + cuc * c2
     r = a * scale + crs * s2 + crc * c2
     i = i0 + idot * t + cis * s2 + cic * c2
@@ -121,6 +131,7 @@ def satellite_state(row: Vector, tow_s: float) -> State8:
     vz = y_rate * si + flat * i_rate
 
     age = tow_s - toc
+    # Fast at perigee, the satellite's clock runs slow there: 20 ns at e = 0.01.
     relativity = -2.0 * motion * a * a * e / SPEED_OF_LIGHT_MPS**2
     clock = row[17] + age * (row[18] + age * row[19]) + relativity * se
     clock_rate = row[18] + 2.0 * age * row[19] + relativity * ce * anomaly_rate

@@ -15,13 +15,14 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
+from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
 from simvehicle.gnss.gnss_config import ClockConfig
 
 Vector = NDArray[np.float64]
 
+# The C/A code's rate; E1's is the same.
 CHIP_M = SPEED_OF_LIGHT_MPS / 1.023e6
-L1_WAVE_M = SPEED_OF_LIGHT_MPS / 1575.42e6
+L1_WAVE_M = SPEED_OF_LIGHT_MPS / L1_HZ
 CORRELATOR_CHIPS = 0.1  # early to late
 CODE_LOOP_HZ = 0.25  # aided by the carrier
 FREQUENCY_LOOP_HZ = 2.0
@@ -43,6 +44,7 @@ def next_clock(clock: Clock, config: ClockConfig, step_s: float, draws: Vector) 
     q_offset, q_drift = config.h0_s / 2.0, 2.0 * math.pi**2 * config.h2_hz
     # Cholesky factor of [[q_o T + q_d T^3/3, q_d T^2/2], [., q_d T]], from the second row
     drift_kick = math.sqrt(q_drift * step_s) * draws[0]
+    # What the second row has of its own, after its share of the first draw.
     free = q_offset * step_s + q_drift * step_s**3 / 12.0
     offset_kick = drift_kick * step_s / 2.0 + math.sqrt(free) * draws[1]
     offset_s = clock.offset_s + clock.drift * step_s + offset_kick
@@ -53,6 +55,7 @@ def next_clock(clock: Clock, config: ClockConfig, step_s: float, draws: Vector) 
 
 def next_wander(value: Vector, time_s: float | Vector, step_s: float, draws: Vector) -> Vector:
     """Gauss-Markov processes of unit variance and correlation time `time_s`, `step_s` later."""
+    # Clipped, since a correlation time of 0 means white noise, not a division by it.
     phi = np.exp(-step_s / np.maximum(time_s, TINY_S))
     return np.asarray(phi * value + np.sqrt(1.0 - phi * phi) * draws)
 
@@ -66,6 +69,7 @@ def multipath_sigma_m(elevation_rad: Vector) -> Vector:
 def code_sigma_m(cn0_dbhz: Vector) -> Vector:
     """Thermal noise of the pseudorange [2]_."""
     ratio = 10.0 ** (cn0_dbhz / 10.0)
+    # Grows with the correlators' spacing and the loop's bandwidth, falls with the signal.
     sigma: Vector = CHIP_M * np.sqrt(CORRELATOR_CHIPS * CODE_LOOP_HZ / (2.0 * ratio))
     return sigma
 

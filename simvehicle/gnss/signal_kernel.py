@@ -9,14 +9,12 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
-from mavproxy_fault.numerics.earth import ecef_of
+from mavproxy_fault.numerics.earth_kernel import ecef_of, ned_axes
 from simvehicle.gnss.pseudorange import sights
-from simvehicle.gnss.receiver_kernel import axes_en
 from simvehicle.gnss.signal_errors import code_sigma_m, multipath_sigma_m, rate_sigma_mps
 
 Vector = NDArray[np.float64]
 _Scalar = Callable[[float], float]
-_ecef = cast(Callable[[float, float, float], tuple[float, float, float]], inlined(ecef_of))
 _code_sigma = cast(_Scalar, inlined(code_sigma_m))
 _rate_sigma = cast(_Scalar, inlined(rate_sigma_mps))
 _multipath_sigma = cast(_Scalar, inlined(multipath_sigma_m))
@@ -70,23 +68,28 @@ def signals(
         Standard-normal draws of range and rate.
     """
     offset_s, drift = clock
-    axes = axes_en(where[0], where[1])
+    axes = ned_axes(where[0], where[1])
     place, motion = np.empty(3), np.empty(3)
-    x, y, z = _ecef(where[0], where[1], where[2])
+    x, y, z = ecef_of(where[0], where[1], where[2])
     place[0], place[1], place[2] = x, y, z
     for i in range(3):
-        motion[i] = axes[i, 0] * where[3] + axes[i, 1] * where[4] + axes[i, 2] * where[5]
+        motion[i] = axes[0, i] * where[3] + axes[1, i] * where[4] + axes[2, i] * where[5]
+        # The receiver samples when its own clock says so: by then it is a little further.
         place[i] -= motion[i] * offset_s
     levels = channel.levels
     seen = sights(table, tow_s - offset_s, place, motion, channel.coefficients, channel.troposphere)
     out = np.empty((4, len(table)))
     for k in range(len(table)):
         elevation = seen[4, k]
+        # Antennas lose towards the horizon, roughly with the sine of the elevation.
         cn0 = levels[CN0_HORIZON] + levels[CN0_RISE] * sin(elevation)
         cn0 += levels[CN0_SIGMA] * wander[2, k] - faults[1, k]
         code = seen[0, k] + SPEED_OF_LIGHT_MPS * (offset_s - seen[2, k]) + seen[6, k]
+        # One offset of Galileo's time against GPS's for all its satellites: the receiver solves for
+        # it.
         code += levels[GALILEO] * channel.galileo[k] + faults[0, k]
         code += levels[ORBIT] * wander[1, k]
+        # Multipath wanders by itself but shrinks with elevation, so it is scaled only here.
         code += levels[MULTIPATH] * _multipath_sigma(elevation) * wander[0, k]
         code += levels[THERMAL] * _code_sigma(cn0) * noise[0, k]
         rate = seen[1, k] + SPEED_OF_LIGHT_MPS * (drift - seen[3, k])

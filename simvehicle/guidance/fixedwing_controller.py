@@ -27,7 +27,7 @@ _SINK_MPS, _FLARE_MPS, _FLARE_M = 1.5, 0.5, 6.0
 
 
 @dataclass(slots=True)
-class _Memory:
+class _Integrals:
     """The integrals of the loops."""
 
     pitch: float = 0.0
@@ -72,7 +72,7 @@ class FixedWingController:
         self.landing = False
         self._density = density
         self._trims: dict[float, Trim] = {}
-        self._memory = _Memory()
+        self._integrals = _Integrals()
 
     def trim(self, speed_mps: float) -> Trim:
         """Trim at this speed, kept for later; a speed that cannot be flown becomes the cruise's."""
@@ -161,43 +161,43 @@ class FixedWingController:
 
     def _pitch(self, truth: Truth, point: Trim, now: Now, wanted: float, climb: float) -> float:
         """Pitch for a climb rate; the angle of attack that carries the turn is fed forward."""
-        aero, memory = self.vehicle.aero, self._memory
+        aero, integrals = self.vehicle.aero, self._integrals
         if abs(wanted) < _CLIMB_LIMIT * now.airspeed and not truth.on_ground:
-            memory.climb += 0.15 * (wanted - climb) / now.airspeed / self.rate_hz
-        memory.climb = max(-0.15, min(0.15, memory.climb))
+            integrals.climb += 0.15 * (wanted - climb) / now.airspeed / self.rate_hz
+        integrals.climb = max(-0.15, min(0.15, integrals.climb))
         load = 1.0 / max(0.5, math.cos(now.roll))
         lift = load * self.vehicle.parameters.mass_kg * STANDARD_GRAVITY_MPS2 / now.qs
         alpha = (lift - aero.cl0 - aero.clde * point.elevator_rad) / aero.cla
-        pitch = min(0.3, alpha) + wanted / now.airspeed + memory.climb
+        pitch = min(0.3, alpha) + wanted / now.airspeed + integrals.climb
         return max(-_PITCH_LIMIT, min(_PITCH_LIMIT, pitch))
 
     def _elevator(self, point: Trim, now: Now, pitch: float) -> float:
         """Deflection [rad] that doubles the airframe's own pitch stiffness and adds damping."""
-        aero, memory, inverse = self.vehicle.aero, self._memory, self.vehicle.body.inverse_jy
+        aero, integrals, inverse = self.vehicle.aero, self._integrals, self.vehicle.body.inverse_jy
         chord = self.vehicle.parameters.wing.chord_m
         own = -now.qs * chord * aero.cma * inverse
         power = now.qs * chord * aero.cmde * inverse
         damping = -0.5 * now.qs * chord * chord * aero.cmq / now.airspeed * inverse
         added = max(own, 20.0)
         lack = max(0.0, 1.4 * math.sqrt(max(0.0, own + added)) - damping)
-        memory.pitch += 0.5 * added * (pitch - now.pitch) / self.rate_hz
-        memory.pitch = max(-10.0, min(10.0, memory.pitch))
+        integrals.pitch += 0.5 * added * (pitch - now.pitch) / self.rate_hz
+        integrals.pitch = max(-10.0, min(10.0, integrals.pitch))
         turning = STANDARD_GRAVITY_MPS2 / now.airspeed * math.tan(now.roll) * math.sin(now.roll)
-        moment = added * (pitch - now.pitch) + memory.pitch - lack * (now.q - turning)
+        moment = added * (pitch - now.pitch) + integrals.pitch - lack * (now.q - turning)
         return moment / power + point.elevator_rad
 
     def _aileron(self, point: Trim, now: Now, bank: float) -> float:
         """Deflection [rad] for a bank angle."""
-        aero, body, memory = self.vehicle.aero, self.vehicle.body, self._memory
+        aero, body, integrals = self.vehicle.aero, self.vehicle.body, self._integrals
         span = self.vehicle.parameters.wing.span_m
         gain = 0.5 * now.qs * span * span / now.airspeed
         damping = -gain * (body.g3 * aero.crp + body.g4 * aero.cnp)
         power = now.qs * span * (body.g3 * aero.crda + body.g4 * aero.cnda)
         stiff = max(25.0, 3.5 * damping)
         lack = max(0.0, 1.4 * math.sqrt(stiff) - damping)
-        integral = memory.bank + 0.3 * (bank - now.roll) / self.rate_hz
-        memory.bank = max(-0.3, min(0.3, integral))
-        return (stiff * (bank + memory.bank - now.roll) - lack * now.p) / power
+        integral = integrals.bank + 0.3 * (bank - now.roll) / self.rate_hz
+        integrals.bank = max(-0.3, min(0.3, integral))
+        return (stiff * (bank + integrals.bank - now.roll) - lack * now.p) / power
 
     def _rudder(self, now: Now) -> float:
         """Deflection [rad] that damps yaw about the rate of a coordinated turn."""
@@ -210,6 +210,6 @@ class FixedWingController:
     def _throttle(self, point: Trim, now: Now, wanted: float) -> float:
         """Throttle for the airspeed and the climb rate."""
         short = point.airspeed_mps - now.airspeed
-        integral = self._memory.speed + 0.02 * short / self.rate_hz
-        self._memory.speed = max(-0.5, min(0.5, integral))
-        return point.throttle + 0.1 * short + self._memory.speed + 1.5 * wanted / now.airspeed
+        integral = self._integrals.speed + 0.02 * short / self.rate_hz
+        self._integrals.speed = max(-0.5, min(0.5, integral))
+        return point.throttle + 0.1 * short + self._integrals.speed + 1.5 * wanted / now.airspeed

@@ -18,7 +18,7 @@ from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.scenario.scenario_file import Leg
 
 Array = NDArray[np.float64]
-Piece = tuple[float, float]
+Arc = tuple[float, float]
 """Length [m] and curvature [1/m] (positive turns right)."""
 
 
@@ -40,20 +40,20 @@ class Path:
     spacing_m: float
 
 
-def straight(length_m: float) -> Piece:
+def straight(length_m: float) -> Arc:
     """A straight."""
     return length_m, 0.0
 
 
-def turn(radius_m: float, angle_deg: float) -> Piece:
+def turn(radius_m: float, angle_deg: float) -> Arc:
     """An arc to the right (or to the left, for a negative angle)."""
     return radius_m * math.radians(abs(angle_deg)), math.copysign(1.0 / radius_m, angle_deg)
 
 
-def _polygon(sides_m: Sequence[float], turns_deg: Sequence[float], radius_m: float) -> list[Piece]:
+def _polygon(sides_m: Sequence[float], turns_deg: Sequence[float], radius_m: float) -> list[Arc]:
     """A closed polygon with rounded corners, from the middle of its first side."""
     cuts = [radius_m * math.tan(math.radians(angle) / 2.0) for angle in turns_deg]
-    pieces = [straight(sides_m[0] / 2.0 - cuts[0])]
+    arcs = [straight(sides_m[0] / 2.0 - cuts[0])]
     for index, angle in enumerate(turns_deg):
         following = (index + 1) % len(sides_m)
         length = sides_m[following] - cuts[index]
@@ -61,12 +61,12 @@ def _polygon(sides_m: Sequence[float], turns_deg: Sequence[float], radius_m: flo
             length -= sides_m[0] / 2.0
         else:
             length -= cuts[index + 1]
-        pieces += [turn(radius_m, angle), straight(length)]
-    return pieces
+        arcs += [turn(radius_m, angle), straight(length)]
+    return arcs
 
 
-def shape_pieces(shape: str, size_m: float, radius_m: float) -> list[Piece]:
-    """One lap of a shape; pieces of negative length tell that the corners do not fit."""
+def lap_of(shape: str, size_m: float, radius_m: float) -> list[Arc]:
+    """One lap of a shape; arcs of negative length tell that the corners do not fit."""
     a = size_m
     match shape:
         case "line":
@@ -138,7 +138,7 @@ def plan(
     ConfigError
         If a shape is too small to be flown.
     """
-    pieces: list[tuple[float, float, float, float, int]] = []
+    arcs: list[tuple[float, float, float, float, int]] = []
     spacing = 5.0
     for number, leg in enumerate(legs):
         speed = leg.speed_mps or cruise_mps
@@ -150,25 +150,25 @@ def plan(
                 f"{speed:g} m/s in {wind_mps:.1f} m/s of wind; at least {math.ceil(least)}"
             )
         spacing = min(spacing, 0.1 * speed + 0.2)
-        for length, curvature in shape_pieces(leg.shape, leg.size_m, radius) * leg.laps:
+        for length, curvature in lap_of(leg.shape, leg.size_m, radius) * leg.laps:
             if length > 0.0:
-                pieces.append((length, curvature, leg.height_m, speed, number))
-    return _laid(pieces, start, spacing)
+                arcs.append((length, curvature, leg.height_m, speed, number))
+    return _laid(arcs, start, spacing)
 
 
 def _laid(
-    pieces: Sequence[tuple[float, float, float, float, int]],
+    arcs: Sequence[tuple[float, float, float, float, int]],
     start: tuple[float, float, float],
     spacing_m: float,
 ) -> Path:
-    """Points of the pieces; positions are exact, as arcs are integrated in closed form."""
-    ends = np.cumsum([0.0] + [piece[0] for piece in pieces])
+    """Points of the arcs; positions are exact, as arcs are integrated in closed form."""
+    ends = np.cumsum([0.0] + [arc[0] for arc in arcs])
     s = np.arange(0.0, ends[-1] + spacing_m, spacing_m)
-    index = np.clip(np.searchsorted(ends, s, side="right") - 1, 0, len(pieces) - 1)
-    _, curvature, height, speed, leg = (np.array(column) for column in zip(*pieces, strict=True))
+    index = np.clip(np.searchsorted(ends, s, side="right") - 1, 0, len(arcs) - 1)
+    _, curvature, height, speed, leg = (np.array(column) for column in zip(*arcs, strict=True))
     north, east, course = start
     origins = []
-    for length, bend, *_ in pieces:
+    for length, bend, *_ in arcs:
         origins.append((north, east, course))
         dn, de = _along(np.array(length), np.array(bend), np.array(course))
         north, east, course = north + float(dn), east + float(de), course + bend * length

@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
-from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotation import euler_angles
 from mavproxy_fault.numerics.rotation_kernel import to_body, to_ned
 from simvehicle.guidance.route import Aim, HoldTrack, PathTrack, Track
 from simvehicle.sensors.readings import Triple
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.multirotor import Multirotor
-from simvehicle.vehicles.multirotor_flight import SEA_LEVEL_KGPM3
 
 Array = NDArray[np.float64]
 _TRACK_GAIN = 1.0  # 1/s, cross-track error to closing speed
@@ -78,13 +77,13 @@ def _motors(
     b = _cross(to_ned(q[0], q[1], q[2], q[3], 0.0, 1.0, 0.0), y)
     c = _cross(now_z, z)
     error = (0.5 * (a[0] + b[0] + c[0]), 0.5 * (a[1] + b[1] + c[1]), 0.5 * (a[2] + b[2] + c[2]))
-    turn = to_body(q[0], q[1], q[2], q[3], error[0], error[1], error[2])
+    error_b = to_body(q[0], q[1], q[2], q[3], error[0], error[1], error[2])
     along = max(0.3, now_z[0] * z[0] + now_z[1] * z[1] + now_z[2] * z[2])
     for i in range(allocation.shape[0]):
         thrust = allocation[i, 0] * body[0] * size * along
         for axis in range(3):
             gain = 1.0 if axis < 2 else 0.3  # the heading is the least urgent
-            rate = gain * _ATTITUDE_GAIN * turn[axis]
+            rate = gain * _ATTITUDE_GAIN * error_b[axis]
             moment = body[1 + axis] * gain * _RATE_GAIN * (rate - rates[axis])
             thrust += allocation[i, 1 + axis] * moment
         speed = math.sqrt(max(thrust, 0.0) / limits[0])
@@ -143,7 +142,7 @@ class MultirotorController:
         accel = self._acceleration(aim, height, (vn, ve, vd), room)
         yaw = self._yaw(aim, truth)
         motor = self.vehicle.parameters.motor
-        thrust = motor.thrust_n_per_rps2 * truth.density_kgpm3 / SEA_LEVEL_KGPM3
+        thrust = motor.thrust_n_per_rps2 * truth.density_kgpm3 / SEA_LEVEL_DENSITY_KGPM3
         values = np.empty(self.vehicle.controls_count)
         _motors(
             truth.q_nb,
@@ -196,7 +195,7 @@ class MultirotorController:
         wanted = self.yaw_rad
         if not math.isfinite(wanted):
             wanted = aim.course_rad if aim.distance_m > 2.0 else self._heading
-        turn = math.remainder(wanted - self._heading, 2.0 * math.pi)
+        heading_error = math.remainder(wanted - self._heading, 2.0 * math.pi)
         limit = _YAW_RATE_RPS / self.rate_hz
-        self._heading += max(-limit, min(limit, turn))
+        self._heading += max(-limit, min(limit, heading_error))
         return self._heading

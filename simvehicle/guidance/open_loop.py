@@ -27,29 +27,29 @@ class OpenLoopController(FixedWingController):
     rate_hz = math.inf  # anew at every step
 
     def __init__(
-        self, vehicle: FixedWing, density: float, home_alt_m: float, told: "OpenLoop"
+        self, vehicle: FixedWing, density: float, home_alt_m: float, plan: "OpenLoop"
     ) -> None:
         super().__init__(vehicle, density, home_alt_m)
         elevator, aileron, rudder = np.radians(
-            [told.elevator_deg, told.aileron_deg, told.rudder_deg]
+            [plan.elevator_deg, plan.aileron_deg, plan.rudder_deg]
         )
-        self._told = (float(elevator), float(aileron), float(rudder), told.throttle)
+        self._controls = (float(elevator), float(aileron), float(rudder), plan.throttle)
         self._aim: Four | None = None
-        if told.weave is not None:
-            roll, pitch = np.radians([told.weave.roll_deg, told.weave.pitch_deg])
-            self._aim = (float(roll), told.weave.period_s, float(pitch), told.weave.airspeed_mps)
+        if plan.weave is not None:
+            roll, pitch = np.radians([plan.weave.roll_deg, plan.weave.pitch_deg])
+            self._aim = (float(roll), plan.weave.period_s, float(pitch), plan.weave.airspeed_mps)
 
     def update(self, truth: Truth) -> Controls:
         """Controls for the next step."""
         if self.track is not None:
             self.rate_hz = FixedWingController.rate_hz
             return super().update(truth)
-        now = self._told
+        now = self._controls
         if self._aim is not None:
             roll, pitch, _ = euler_angles(truth.q_nb.tolist())
             p, q, _ = truth.omega_b_rps.tolist()
             airspeed = math.hypot(*truth.v_air_b_mps.tolist())
             motion = Motion(float(roll), float(pitch), p, q, airspeed)
-            now = _woven(motion, self._aim, self._told, truth.t_us * 1e-6)
+            now = _woven(motion, self._aim, self._controls, truth.t_us * 1e-6)
         throws = (*self.vehicle.throw_rad, 1.0)
         return Controls(np.array([value / throw for value, throw in zip(now, throws, strict=True)]))

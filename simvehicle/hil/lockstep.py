@@ -34,8 +34,8 @@ class Lockstep:
         self._heard_s = 0.0
         self._unlocked_s: float | None = None  # when the last time-out was
 
-    def sent(self, stamp_us: int, now_s: float) -> None:
-        """A HIL_SENSOR with this stamp has left."""
+    def sent(self, stamp_us: int | None, now_s: float) -> None:
+        """A HIL_SENSOR with this stamp has left; None where a fault withheld it from the step."""
         self._stamp_us = stamp_us
         self._sent_s = now_s
 
@@ -63,9 +63,9 @@ class Lockstep:
             raise AutopilotSilentError(f"the autopilot has not answered for {self._silence_s:g} s")
         if not self.locked or self._stamp_us is None:
             return 0.0
-        left_s = self._sent_s + self._timeout_s - now_s
-        if left_s > 0:
-            return left_s
+        remaining_s = self._sent_s + self._timeout_s - now_s
+        if remaining_s > 0:
+            return remaining_s
         self.locked = False
         self._unlocked_s = now_s
         return 0.0

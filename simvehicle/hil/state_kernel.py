@@ -6,13 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
-from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
 
 Array = NDArray[np.float64]
 
 MPS2_TO_MILLI_G = 1000.0 / STANDARD_GRAVITY_MPS2
 RAD_TO_DEGE7 = 1e7 * 180.0 / math.pi
-DENSITY_SEA_LEVEL_KGPM3 = 1.225  # ISA
 CM = 100.0
 
 
@@ -71,5 +70,5 @@ def fill(
     places[1] = int(np.rint(place[1] * RAD_TO_DEGE7))
     places[2] = int(np.rint(place[2] * 1e3))
     airspeed = math.sqrt(square) * CM
-    shorts[3] = _speed(airspeed * math.sqrt(place[3] / DENSITY_SEA_LEVEL_KGPM3))
+    shorts[3] = _speed(airspeed * math.sqrt(place[3] / SEA_LEVEL_DENSITY_KGPM3))
     shorts[4] = _speed(airspeed)

@@ -27,6 +27,7 @@ class Airspeed(SensorParameters, frozen=True, kw_only=True):
     ) -> tuple[AirspeedReading, NoiseState]:
         """One reading."""
         error, state = self.noise.next(state, rng, self.rate_hz)
+        # The whole airspeed, not its part along the tube: as the book has it.
         u, v, w = truth.v_air_b_mps.tolist()
         pressure = 0.5 * truth.density_kgpm3 * (u * u + v * v + w * w)
         pressure = (1.0 + self.noise.scale) * pressure + error[0]

@@ -31,6 +31,7 @@ class Barometer(SensorParameters, frozen=True, kw_only=True):
         """One reading."""
         error, state = self.noise.next(state, rng, self.rate_hz)
         pressure = (1.0 + self.noise.scale) * truth.pressure_pa + error[0]
+        # A huge bias may push it below zero, where the altitude has no logarithm.
         altitude = pressure_altitude(max(pressure, 1.0))
         celsius = truth.temperature_k - _ICE_K
         return PressureReading(truth.t_us, pressure, altitude, celsius, self.id), state

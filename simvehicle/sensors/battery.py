@@ -43,6 +43,7 @@ class BatteryMonitor(SensorParameters, frozen=True, kw_only=True):
             truth.t_us,
             (1.0 + self.voltage.scale) * truth.battery_v + v[0],
             (1.0 + self.current.scale) * truth.battery_a + a[0],
+            # No error: the gauge counts what the model draws, not what this sensor says.
             truth.battery_remaining,
         )
         return reading, BatteryState(voltage, current)

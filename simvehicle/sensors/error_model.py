@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from mavproxy_fault.numerics.compile import compiled
 
 Array = NDArray[np.float64]
+# Two seconds of an IMU at 250 Hz: long enough that the cost of a call to numpy is spread, short
+# enough that a state stays small.
 _BLOCK = 512
 
 
@@ -86,9 +88,11 @@ class Noise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         """Draw the constant errors and the first block."""
         bias = np.broadcast_to(np.asarray(self.bias, dtype=float), (channels,)).copy()
         if self.bias_sigma > 0.0:
+            # Draws only where they are asked for, and in this order: a flight's bytes hang on both.
             bias = bias + self.bias_sigma * rng.standard_normal(channels)
         drift = np.zeros(channels)
         if self.drift_sigma > 0.0:
+            # Already in its stationary distribution, as if the sensor had long been warm.
             drift = self.drift_sigma * rng.standard_normal(channels)
         return self._refill(bias, drift, np.zeros(channels), rng, rate_hz)
 
@@ -96,6 +100,7 @@ class Noise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         self, state: NoiseState, rng: np.random.Generator, rate_hz: float
     ) -> tuple[list[float], NoiseState]:
         """Additive errors, one for each of the m channels, of the next sample."""
+        # A loop that ends at once is the cheapest way to ask an iterator whether it has more.
         for row in state.rows:
             return row, state
         state = self._refill(state.bias, state.drift, state.walk, rng, rate_hz)
@@ -106,11 +111,13 @@ class Noise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     ) -> NoiseState:
         shape = (_BLOCK, len(bias))
         block = np.broadcast_to(bias, shape).copy()
+        # White noise of density N sampled at f has the variance N^2 f; it adds to that of a sample.
         white = math.hypot(self.sigma, self.density * math.sqrt(rate_hz))
         if white > 0.0:
             block += white * rng.standard_normal(shape)
         if self.drift_sigma > 0.0:
             phi = math.exp(-1.0 / (self.drift_time_s * rate_hz))
+            # With this variance of each step the drift keeps its stationary one.
             kick = self.drift_sigma * math.sqrt(1.0 - phi * phi)
             path = _gauss_markov(drift, phi, kick * rng.standard_normal(shape))
             block += path
@@ -119,4 +126,5 @@ class Noise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             path = walk + np.cumsum(self.walk / math.sqrt(rate_hz) * rng.standard_normal(shape), 0)
             block += path
             walk = path[-1]
+        # Lists of floats, since each sample is used one number at a time.
         return NoiseState(iter(block.tolist()), bias, drift, walk)

@@ -53,12 +53,15 @@ class OpticalFlow(SensorParameters, frozen=True, kw_only=True):
         dt = 1.0 / self.rate_hz
         distance = slant_range(truth)
         p, q, r = truth.omega_b_rps.tolist()
-        turn = 1.0 + self.gyro.scale
-        gyro = (turn * p + gyro_x) * dt, (turn * q + gyro_y) * dt, (turn * r + gyro_z) * dt
+        gain = 1.0 + self.gyro.scale
+        gyro = (gain * p + gyro_x) * dt, (gain * q + gyro_y) * dt, (gain * r + gyro_z) * dt
+        # MAVLink: a negative distance is unknown, quality 0 is bad and 255 the best.
         flow, shown, quality = (0.0, 0.0), -1.0, 0
         if self.min_m <= distance <= self.max_m:
             vx, vy, _ = into_body(truth.q_nb.tolist(), truth.v_ned_mps.tolist())
             gain = 1.0 + self.flow.scale
+            # Flying forward (vx) moves the image as pitching up (q) would, flying right (vy) as
+            # rolling left.
             x, y = gain * (p - vy / distance), gain * (q + vx / distance)
             flow, shown, quality = ((x + flow_x) * dt, (y + flow_y) * dt), distance, 255
         reading = FlowReading(truth.t_us, dt, flow, gyro, shown, quality)

@@ -32,6 +32,8 @@ class GpsError(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     def noise(self, rate_hz: float) -> Noise:
         """The same process in the terms of the shared error model."""
+        # Beard and McLain give the kick per sample; the stationary sigma of the same process
+        # follows.
         phi = math.exp(-self.k_per_s / rate_hz)
         sigma = self.kick_m / math.sqrt(1.0 - phi * phi)
         return Noise(drift_sigma=sigma, drift_time_s=1.0 / self.k_per_s)
@@ -67,6 +69,7 @@ class Gps(SensorParameters, frozen=True, kw_only=True):
         plane, horizontal = self.horizontal.noise(rate).next(state.horizontal, rng, rate)
         height, vertical = self.vertical.noise(rate).next(state.vertical, rng, rate)
         speed, velocity = self.velocity.next(state.velocity, rng, rate)
+        # Metres of error become radians on the ellipsoid, at the height flown.
         meridian, prime = radii(truth.lat_rad)
         north, east = plane
         vn, ve, vd = truth.v_ned_mps.tolist()

@@ -26,7 +26,7 @@ class Imu(SensorParameters, frozen=True, kw_only=True):
     rate_hz: float = 250.0
     gyro: Noise = Noise()
     accel: Noise = Noise()
-    gyro_range_rps: float = 35.0
+    gyro_range_rps: float = 35.0  # 2000 deg/s, and 16 g: what MEMS units of autopilots are set to
     accel_range_mps2: float = 160.0
 
     def new_state(self, rng: np.random.Generator) -> ImuState:
@@ -49,6 +49,7 @@ class Imu(SensorParameters, frozen=True, kw_only=True):
             ),
             self.id,
         )
+        # Mostly the states are the same objects, and a new tuple per sample would cost more.
         if gyro_state is not state.gyro or accel_state is not state.accel:
             state = ImuState(gyro_state, accel_state)
         return reading, state
@@ -56,10 +57,12 @@ class Imu(SensorParameters, frozen=True, kw_only=True):
 
 def _measured(true: NDArray[np.float64], scale: float, error: list[float], limit: float) -> Triple:
     """A triad's values with scale and error, cut off at its range."""
+    # Single floats: numpy on three numbers takes ten times as long.
     x, y, z = true.tolist()
     a, b, c = error
     gain = 1.0 + scale
     x, y, z = gain * x + a, gain * y + b, gain * z + c
+    # Hardly ever out of range, so that one test stands for three.
     if -limit <= min(x, y, z) and max(x, y, z) <= limit:
         return x, y, z
     return _cut(x, limit), _cut(y, limit), _cut(z, limit)

@@ -32,6 +32,7 @@ class Magnetometer(SensorParameters, frozen=True, kw_only=True):
         self, truth: Truth, state: NoiseState, rng: np.random.Generator
     ) -> tuple[MagReading, NoiseState]:
         """One reading."""
+        # The simulation has filled it in, when it looked up the home.
         assert self.field_ned_gauss is not None
         error, state = self.noise.next(state, rng, self.rate_hz)
         x, y, z = into_body(truth.q_nb.tolist(), self.field_ned_gauss)

@@ -14,6 +14,7 @@ def slant_range(truth: Truth) -> float:
     """Distance [m] to level ground along the body's z axis; infinite when it points to the sky."""
     _, x, y, _ = truth.q_nb.tolist()
     down = 1.0 - 2.0 * (x * x + y * y)  # cosine between the body's z axis and the vertical
+    # At more than 89.4 degrees of tilt the beam is as good as level.
     return max(truth.height_agl_m, 0.0) / down if down > 0.01 else float("inf")
 
 
@@ -47,5 +48,6 @@ class Rangefinder(SensorParameters, frozen=True, kw_only=True):
         """One reading."""
         error, state = self.noise.next(state, rng, self.rate_hz)
         distance = (1.0 + self.noise.scale) * slant_range(truth) + error[0]
+        # As drivers do, which clamp before they send; EKFs look at the limits in the message.
         distance = min(self.max_m, max(self.min_m, distance))
         return RangeReading(truth.t_us, distance, self.min_m, self.max_m, self.id), state

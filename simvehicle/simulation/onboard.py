@@ -20,6 +20,7 @@ class Fitted:
 
     def __init__(self, name: str, sensor: Sensor, seed: int) -> None:
         self.name, self.sensor = name, sensor
+        # By name: a further sensor leaves the numbers of the others as they were.
         self.rng = np.random.default_rng([seed, crc32(name.encode())])
         self.state: Any = sensor.new_state(self.rng)
         self.count = 1
@@ -29,6 +30,8 @@ class Fitted:
     def sample(self, truth: Truth) -> list[Reading]:
         """Readings now."""
         self.count += 1
+        # From the count, not from the last one: periods that are no whole microseconds do not
+        # drift.
         self.due_us = self.count * 1e6 / self.sensor.rate_hz
         found, self.state = self.sensor.sample(truth, self.state, self.rng)
         return found if isinstance(found, list) else [found]

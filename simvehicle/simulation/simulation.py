@@ -105,11 +105,14 @@ class Simulation:
         else:
             self._controls = self._checked(controls)
         self._count += 1
+        # From the count: 3 ms and a third, summed up, would drift.
         t_us = round(self._count * 1e6 / self._rate_hz)
         dt = (t_us - self._t_us) * 1e-6
         self._t_us = t_us
         truth = self.truth
+        # Slow sensors must not make the integration coarse.
         steps = max(1, math.ceil(dt / _LONGEST_STEP_S - 1e-9))
+        # Held over the whole step: gusts are slow against it.
         wind = self._weather.wind(self._x, truth, dt)
         self._x, load = self.vehicle.advance(
             self._x,
@@ -150,6 +153,7 @@ class Simulation:
             healthy = self.scenario.environment.wind_ned_mps[axis]
             self._weather.steady_mps[axis] = healthy if value is None else value
         elif name in self.vehicle.plant_names:
+            # Built anew from all faults that act: the order in which they came does not matter.
             changed = {k: v for k, v in self._plant.items() if k != name}
             if value is not None:
                 changed[name] = value
@@ -176,6 +180,7 @@ class Simulation:
         heading = math.radians(start.heading_deg)
         vehicle = self.vehicle
         zero = np.zeros(3)
+        # Where nothing is computed yet; the first look at the place puts the real one in.
         self._gravity = np.array([0.0, 0.0, 9.81])
         if start.height_m == 0.0:
             height = vehicle.standing_height_m
@@ -185,8 +190,8 @@ class Simulation:
         r = np.array([0.0, 0.0, -start.height_m])
         if start.state is not None:
             s = start.state
-            turn = quat_from_euler(math.radians(s.roll_deg), math.radians(s.pitch_deg), heading)
-            x = vehicle.start(r, np.array([s.u_mps, s.v_mps, s.w_mps]), turn)
+            q_nb = quat_from_euler(math.radians(s.roll_deg), math.radians(s.pitch_deg), heading)
+            x = vehicle.start(r, np.array([s.u_mps, s.v_mps, s.w_mps]), q_nb)
             x[10:13] = np.radians([s.p_dps, s.q_dps, s.r_dps])
             return x
         level = vehicle.start(r, zero, quat_from_euler(0.0, 0.0, heading))
@@ -198,6 +203,7 @@ class Simulation:
         states, wind = [], self._weather.steady_mps
         for number, speed in enumerate(speeds or [vehicle.parameters.cruise_mps]):
             try:
+                # All legs are tried now: a mission that cannot be flown must not fail in the air.
                 states.append(vehicle.cruise(r, heading, wind, speed, density, pull))
             except ValueError as error:
                 raise ConfigError(
@@ -229,6 +235,7 @@ class Simulation:
         x, place = self._x, np.empty(_PLACE)
         locate(x, wind, self._place, place)
         lat, lon, height, pressure, temperature, density = place[:6].tolist()
+        # The height depends on all the rest, so that it shows any divergence.
         if not math.isfinite(height):
             raise ConfigError(
                 f"the simulation left the numbers at {self._t_us * 1e-6:.3f} s; the vehicle's "
@@ -237,7 +244,7 @@ class Simulation:
         self._gravity = place[16:]
         alt = height - self.home.geoid_m
         agl = alt - self.terrain.ground(lat, lon)
-        volts, amperes, left = load[3:].tolist()
+        volts, amperes, charge = load[3:].tolist()
         return Truth(
             self._t_us,
             lat,
@@ -257,7 +264,7 @@ class Simulation:
             density,
             volts,
             amperes,
-            left,
+            charge,
             agl < self.vehicle.standing_height_m + 0.02,
         )
 
@@ -272,6 +279,7 @@ class Simulation:
                 out += fitted.sample(truth)
                 continue
             for reading in fitted.sample(truth):
+                # The number keeps readings of one time in order: a heap cannot compare readings.
                 heapq.heappush(self._late, (t_us + fitted.latency_us, next(self._order), reading))
         while self._late and self._late[0][0] <= t_us:
             out.append(msgspec.structs.replace(heapq.heappop(self._late)[2], t_us=t_us))

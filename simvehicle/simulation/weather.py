@@ -10,6 +10,7 @@ from simvehicle.scenario.scenario_file import Environment, GustChoice
 from simvehicle.vehicles.body import Truth
 
 Array = NDArray[np.float64]
+# Drawn many at once: a call to numpy costs more than the five numbers of a step.
 _BLOCK = 512
 _NO_SHEAR = (1.0, 0.0)
 
@@ -25,6 +26,7 @@ class Weather:
 
     def __init__(self, environment: Environment, seed: int) -> None:
         self._rng = np.random.default_rng([seed, crc32(b"gusts")])
+        # The first filter is of first order and begins stationary; the others begin calm.
         self._filters = np.concatenate([self._rng.standard_normal(1), np.zeros(4)])
         self._draws = self._rng.standard_normal((_BLOCK, 5))
         self._row = 0

@@ -127,6 +127,7 @@ class FixedWing:
         fly(x, controls, around, steps, dt, self._packed, after, load)
         battery = self.parameters.battery
         if self.parameters.motor is None:
+            # The thrust law of the first edition knows no current: it is taken in proportion.
             load[4] = battery.full_throttle_a * min(1.0, max(0.0, float(controls[3])))
             after[13] += load[4] * steps * dt
         volts, load[5] = battery.state(float(after[13]), float(load[4]))

@@ -56,8 +56,10 @@ def _loads(state: State13, stage: int, given: _Given) -> Loads:
     air = (state[3] - wx, state[4] - wy, state[5] - wz)
     rates = (state[10], state[11], state[12])
     fx, fy, fz, mx, my, mz = forces_moments(air, rates, given.surfaces, given.density, given.aero)
+    # The coefficients hold about the old centre of mass; the force acts there still.
     my += given.shift * fz
     mz -= given.shift * fy
+    # Down is positive: this is below five metres, higher up there is nothing to touch.
     if state[2] > given.ground - _CLEAR_M:
         g = contact(state, given.ground, given.wheels)
         fx, fy, fz = fx + g[0], fy + g[1], fz + g[2]
@@ -114,6 +116,7 @@ def fly(
     """
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
     aero = Aero(*to_fixed_tuple(packed[_BODY:_END], _AERO))
+    # A pilot who closes the throttle on the ground brakes.
     rolling = packed[_END + 2] if controls[3] > 0.0 else _BRAKES
     points_m = packed[_POINTS:].reshape(-1, 3)
     wheels = Gear(points_m, packed[_END], packed[_END + 1], rolling, packed[_END + 3])

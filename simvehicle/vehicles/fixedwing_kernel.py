@@ -15,7 +15,7 @@ from mavproxy_fault.numerics.polynomial import atan2, exp
 from mavproxy_fault.numerics.rotation_kernel import to_body
 from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, moved, rigid_body, runge_kutta
 
-_PER_TURN = 1.0 / (2.0 * np.pi)
+_REV_PER_RAD = 1.0 / (2.0 * np.pi)
 _STILL = 1e-9  # m/s; keeps the flow angles defined in still air
 
 
@@ -84,6 +84,7 @@ def propulsion(
     airspeed: float, throttle: float, density: float, aero: Aero
 ) -> tuple[float, float, float]:
     """Thrust [N], torque on the airframe [N m] and motor current [A] (0 without a motor model)."""
+    # The first edition: momentum of the air through the disc, section 4.3.
     square = aero.k_motor * throttle
     simple = 0.5 * density * aero.disc * (square * square - airspeed * airspeed)
     simple_torque = -aero.torque * throttle * throttle
@@ -93,20 +94,22 @@ def propulsion(
     d = aero.diameter
     d3 = density * d * d * d
     conductance = 1.0 / aero.resistance
-    a = aero.cq0 * d3 * d * d * (_PER_TURN * _PER_TURN)
-    bb = aero.cq1 * d3 * d * _PER_TURN * airspeed + aero.kq * aero.kq * conductance
+    a = aero.cq0 * d3 * d * d * (_REV_PER_RAD * _REV_PER_RAD)
+    bb = aero.cq1 * d3 * d * _REV_PER_RAD * airspeed + aero.kq * aero.kq * conductance
     volts = aero.v_max * throttle
     cc = aero.cq2 * d3 * airspeed * airspeed - aero.kq * volts * conductance + aero.kq * aero.i0
     disc = bb * bb - 4.0 * a * cc
+    # No torque balance: the wind would drive the propeller. It then stands still.
     disc = disc if disc > 0.0 else 0.0
     omega = (np.sqrt(disc) - bb) * (0.5 / a)
     omega = omega if omega > 0.0 else 0.0
-    n = omega * _PER_TURN
+    n = omega * _REV_PER_RAD
     nd = n * d
     va = airspeed
     thrust = density * d * d * (aero.ct0 * nd * nd + aero.ct1 * nd * va + aero.ct2 * va * va)
     torque = -d3 * (aero.cq0 * nd * nd + aero.cq1 * nd * va + aero.cq2 * va * va)
     current = (volts - aero.kq * omega) * conductance
+    # A choice by arithmetic, since a branch would keep lanes apart.
     use = aero.direct_current
     rest = 1.0 - use
     return use * thrust + rest * simple, use * torque + rest * simple_torque, use * current

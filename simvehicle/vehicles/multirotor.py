@@ -13,8 +13,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from simvehicle.vehicles.contact_kernel import Gear, gear
-from simvehicle.vehicles.multirotor_flight import SEA_LEVEL_KGPM3, Airframe, fly, pack
+from simvehicle.vehicles.multirotor_flight import Airframe, fly, pack
 from simvehicle.vehicles.parameter_file import Battery, Moments, body_of, read_parameters
 from simvehicle.vehicles.vehicle import surroundings
 
@@ -141,7 +142,8 @@ class Multirotor:
         q = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
         x = self.start(r_ned_m, np.zeros(3), q)
         each = self.body.mass_kg * gravity / self.controls_count
-        thrust = self.parameters.motor.thrust_n_per_rps2 * density / SEA_LEVEL_KGPM3
+        thrust = self.parameters.motor.thrust_n_per_rps2 * density / SEA_LEVEL_DENSITY_KGPM3
+        # Thrust goes with the square of the speed.
         x[13:-2] = math.sqrt(each / thrust)
         return x
 
@@ -165,15 +167,17 @@ class Multirotor:
             Specific force in body axes [m/s^2]; battery voltage [V], current [A], rest (0 to 1).
         """
         battery = self.parameters.battery
+        # Of the last step: the voltage sags under it before the motors are computed.
         current = float(x[-2])
-        volts, left = battery.state(float(x[-1]), current * self._resistance)
+        volts, charge = battery.state(float(x[-1]), current * self._resistance)
         volts *= self._volts
         after, load = np.empty(len(x)), np.empty(6)
+        # 4.2 V is a full lithium cell: the full speed of the file is that of a full pack.
         sag = min(1.0, volts / (battery.cells * 4.2))
         around = surroundings(wind_ned_mps, gravity_ned_mps2, density, ground_down_m, sag)
         fly(x, controls, around, steps, dt, self._packed, after, load)
         current = battery.full_throttle_a * float(load[4])
         after[-2] = current
         after[-1] += current * steps * dt
-        load[3], load[4], load[5] = volts, current, left
+        load[3], load[4], load[5] = volts, current, charge
         return after, load

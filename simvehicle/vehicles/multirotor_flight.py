@@ -15,13 +15,13 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from mavproxy_fault.numerics.rotation_kernel import to_body
 from simvehicle.vehicles.contact_kernel import Gear, contact
 from simvehicle.vehicles.rigidbody_kernel import Inertia, Loads, State13, integrated
 from simvehicle.vehicles.vehicle import DENSITY, GRAVITY, GROUND, SAG, WIND
 
 Array = NDArray[np.float64]
-SEA_LEVEL_KGPM3 = 1.225  # density at which thrust coefficients are given
 
 
 class Airframe(NamedTuple):
@@ -73,6 +73,7 @@ def pack(body: Inertia, frame: Airframe, wheels: Gear, rotors: Array) -> Array:
 def _loads(state: State13, stage: int, given: _Given) -> Loads:
     """Rotors, drag and ground."""
     rotors, frame, density, wind = given.rotors, given.frame, given.density, given.wind
+    # Stages 1 and 2 of Runge-Kutta lie both in the middle of the step.
     when = (stage + 1) // 2
     wx, wy, wz = to_body(state[6], state[7], state[8], state[9], wind[0], wind[1], wind[2])
     ax, ay, az = state[3] - wx, state[4] - wy, state[5] - wz
@@ -81,15 +82,18 @@ def _loads(state: State13, stage: int, given: _Given) -> Loads:
     for i in range(rotors.shape[0]):
         x, y = rotors[i, 0] - frame.shift_x, rotors[i, 1] - frame.shift_y
         omega = given.speeds[when, i]
-        thrust = frame.thrust * omega * omega * density / SEA_LEVEL_KGPM3
+        thrust = frame.thrust * omega * omega * density / SEA_LEVEL_DENSITY_KGPM3
         lift = thrust * rotors[i, 3]
+        # The disc sees the air of its own place, moved by the yaw rate as well.
         hx = -frame.rotor_drag * omega * (ax - r * y)
         hy = -frame.rotor_drag * omega * (ay + r * x)
         fx += hx
         fy += hy
+        # Down is positive, so that lift is negative.
         fz -= lift
         mx -= y * lift
         my += x * lift
+        # Yaw: the drag of the discs at their arms, and the reaction to the propellers' torque.
         mz += x * hy - y * hx + rotors[i, 2] * frame.torque_per_thrust * thrust
     drag = 0.5 * density * frame.drag_area * np.sqrt(ax * ax + ay * ay + az * az)
     return (
@@ -106,6 +110,7 @@ def _loads(state: State13, stage: int, given: _Given) -> Loads:
 def _commanded(control: float, sag: float, power: float, frame: Airframe) -> float:
     """Speed [rad/s] that a motor runs to; power goes with the square of the speed into thrust."""
     u = min(1.0, max(0.0, control))
+    # At 0 a motor stands still; just above it idles, as speed controllers do when armed.
     speed = frame.idle + (frame.full * sag - frame.idle) * u if u > 0.0 else 0.0
     return speed * math.sqrt(max(0.0, power))
 
@@ -117,10 +122,11 @@ def _spin(
     """Fill in the motors' speeds at the middle and the end of a step, exactly."""
     for i in range(controls.shape[0]):
         wanted = _commanded(controls[i], sag, rotors[i, 4], frame)
+        # Brakes are weaker than drives: spinning down takes longer.
         lag = frame.spin_up_s if wanted > speeds[0, i] else frame.spin_down_s
-        left = math.exp(-0.5 * dt / lag)  # of the difference after half a step
-        speeds[1, i] = wanted + (speeds[0, i] - wanted) * left
-        speeds[2, i] = wanted + (speeds[0, i] - wanted) * left * left
+        remaining = math.exp(-0.5 * dt / lag)  # of the difference after half a step
+        speeds[1, i] = wanted + (speeds[0, i] - wanted) * remaining
+        speeds[2, i] = wanted + (speeds[0, i] - wanted) * remaining * remaining
 
 
 @compiled
@@ -152,6 +158,7 @@ def fly(
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
     frame = Airframe(*to_fixed_tuple(packed[_BODY:_END], _FRAME))
     n = controls.shape[0]
+    # Behind the fixed part of `packed` come five numbers a rotor, then the contact points.
     points = _ROTORS + 5 * n
     rotors, points_m = packed[_ROTORS:points].reshape(n, 5), packed[points:].reshape(-1, 3)
     wheels = Gear(points_m, packed[_END], packed[_END + 1], packed[_END + 2], packed[_END + 3])
@@ -167,6 +174,7 @@ def fly(
         s = integrated(s, _loads, given, g, body, dt)
         for i in range(n):
             speeds[0, i] = speeds[2, i]
+    # After the last step the stage 0 speeds are those of now.
     f = _loads(s, 0, given)
     for i in range(13):
         after[i] = s[i]

@@ -55,14 +55,14 @@ class Battery(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     full_throttle_a: float = 0.0
 
     def state(self, drawn_as: float, current_a: float) -> tuple[float, float]:
-        """Terminal voltage [V] and what is left (0 to 1) after `drawn_as` ampere seconds.
+        """Terminal voltage [V] and the charge remaining (0 to 1) after `drawn_as` ampere seconds.
 
         The open-circuit voltage falls from 4.2 to 3.7 V per cell over most of the charge and to
         3.0 V over the last tenth, a straight-line picture of a lithium-polymer cell's curve.
         """
-        left = min(1.0, max(0.0, 1.0 - drawn_as / (3600.0 * self.capacity_ah)))
-        cell = 3.6 + 0.6 * left if left > 0.1 else 3.0 + 6.6 * left
-        return max(0.0, self.cells * cell - self.resistance_ohm * current_a), left
+        charge = min(1.0, max(0.0, 1.0 - drawn_as / (3600.0 * self.capacity_ah)))
+        cell = 3.6 + 0.6 * charge if charge > 0.1 else 3.0 + 6.6 * charge
+        return max(0.0, self.cells * cell - self.resistance_ohm * current_a), charge
 
 
 def read_parameters(name: str | Path, kind: type[T]) -> T:

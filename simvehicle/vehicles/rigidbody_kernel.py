@@ -46,6 +46,7 @@ def inertia(mass_kg: float, jx: float, jy: float, jz: float, jxz: float) -> Iner
         If no body has these moments (mass or moments not positive, triangle inequality broken).
     """
     det = jx * jz - jxz * jxz
+    # The product of inertia may make moments impossible that look harmless one by one.
     principal = np.linalg.eigvalsh([[jx, 0.0, -jxz], [0.0, jy, 0.0], [-jxz, 0.0, jz]])
     if mass_kg <= 0.0 or principal[0] <= 0.0 or principal[0] + principal[1] < principal[2]:
         raise ValueError(
@@ -91,11 +92,13 @@ def rigid_body(
     mx, my, mz = moment
     gx, gy, gz = to_body(e0, e1, e2, e3, gravity[0], gravity[1], gravity[2])
     vn, ve, vd = to_ned(e0, e1, e2, e3, u, v, w)
+    # One division for three products: it costs as much as several of those.
     im = 1.0 / body.mass_kg
     return (
         vn,
         ve,
         vd,
+        # Coriolis terms, gravity in body axes and the force: equation 3.15.
         r * v - q * w + gx + fx * im,
         p * w - r * u + gy + fy * im,
         q * u - p * v + gz + fz * im,
@@ -103,6 +106,7 @@ def rigid_body(
         0.5 * (p * e0 + r * e2 - q * e3),
         0.5 * (q * e0 - r * e1 + p * e3),
         0.5 * (r * e0 + q * e1 - p * e2),
+        # Equations 3.17, with Jxz coupling roll and yaw.
         body.g1 * p * q - body.g2 * q * r + body.g3 * mx + body.g4 * mz,
         body.g5 * p * r - body.g6 * (p * p - r * r) + body.inverse_jy * my,
         body.g7 * p * q - body.g1 * q * r + body.g4 * mx + body.g8 * mz,
@@ -113,6 +117,7 @@ def rigid_body(
 def moved(state: State13, rate: State13, dt: float) -> State13:
     """State + dt * rate (the quaternion is left as it comes)."""
     return (
+        # Written out, as a loop over a tuple would keep LLVM from making SIMD code of it.
         fma(dt, rate[0], state[0]),
         fma(dt, rate[1], state[1]),
         fma(dt, rate[2], state[2]),
@@ -185,6 +190,7 @@ def integrated(
     gravity : 3 floats
         Acceleration, NED [m/s^2].
     """
+    # `total` gathers the weighted rates, `at` is where the next stage is looked at.
     total = at = state
     for stage in range(4):
         fx, fy, fz, mx, my, mz = loads(at, stage, given)

@@ -70,11 +70,11 @@ def euler_derivative(
     de, da, dr, dt = controls.tolist()
     rate = _derivative(state, (de, da, dr, dt), gravity, density, body, aero)
     p, qq, r = x[9:]
-    turn = qq * math.sin(roll) + r * math.cos(roll)
+    yaw_part = qq * math.sin(roll) + r * math.cos(roll)
     angles = (
-        p + turn * math.tan(pitch),
+        p + yaw_part * math.tan(pitch),
         qq * math.cos(roll) - r * math.sin(roll),
-        turn / math.cos(pitch),
+        yaw_part / math.cos(pitch),
     )
     return np.array([*rate[:6], *angles, *rate[10:]])
 
@@ -112,11 +112,14 @@ def trim(
     def residual(z: Array) -> Array:
         guess = at(z)
         rate = euler_derivative(guess.state12(), guess.controls(), body, aero, density, gravity)
+        # Accelerations and angular accelerations; position and attitude may move on.
         return np.concatenate([rate[3:6], rate[9:]])
 
+    # Near the cruise of every airframe we ship: a few degrees nose up, throttle at half.
     start = [0.05, -0.05, 0.25, 0.0, 0.0, 0.0]
     solution = least_squares(residual, start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
     found = at(solution.x)
+    # The solver also stops in a local minimum, where the residual is not zero.
     missed = np.max(np.abs(solution.fun)) > 1e-6
     if missed or found.throttle > 1.0 or abs(found.alpha_rad) > 0.4:
         raise ValueError(
@@ -135,6 +138,7 @@ def linearise(
     def f(dx: Array, du: Array) -> Array:
         return euler_derivative(x + dx, u + du, body, aero, density, gravity)
 
+    # About the cube root of the rounding error: best for central differences.
     h = 1e-6
     zero_x, zero_u = np.zeros(12), np.zeros(4)
     a = [(f(d, zero_u) - f(-d, zero_u)) / (2.0 * h) for d in h * np.eye(12)]

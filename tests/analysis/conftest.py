@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from analysis.detection.filter.inertial import gravity_ecef
-from analysis.orbits.broadcast import EARTH_RATE_RPS, geodetic, ned_axes
 from analysis.samples.sample import EphemerisSample, Epoch, GpsFix, ImuSample, Sample, TruthSample
+from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 from mavproxy_fault.numerics.rotation import quat_from_matrix
 from mavproxy_fault.rtcm.ephemeris_messages import decode_ephemeris
 from simvehicle.gnss.gnss_config import GnssConfig
@@ -20,7 +21,7 @@ from simvehicle.vehicles.body import Truth
 LAT, LON, HEIGHT_M = math.radians(47.4), math.radians(8.55), 500.0
 STEP_US = 5000
 EPOCH_STEPS = 40
-EARTH = np.array([0.0, 0.0, EARTH_RATE_RPS])
+EARTH = np.array([0.0, 0.0, GNSS_EARTH_RATE_RPS])
 
 
 def _path(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

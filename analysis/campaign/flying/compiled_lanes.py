@@ -44,15 +44,15 @@ def fly_lanes(campaign: CampaignFile, cells: Sequence[Cell]) -> list[CellResult]
     excursion_deg = largest_deg[1:] - largest_deg[0]
     wall_s = (time.monotonic() - started_s) / len(cells)
     found = []
-    for cell, beyond, left in zip(cells, excursion_deg, outcome.left[1:], strict=True):
-        kinds = {"crashed"} if left > 0 else set()
+    for cell, beyond, limit in zip(cells, excursion_deg, outcome.broken_limit[1:], strict=True):
+        kinds = {"crashed"} if limit > 0 else set()
         found.append(
             CellResult(
                 cell=cell,
                 outcome=outcome_of(float(beyond), 0.0, kinds, campaign.limits),
                 onset_s=float(cell.onset),
                 excursion_deg=float(beyond),
-                note=f"left the envelope: {rows.LIMITS[left]}" if left > 0 else "",
+                note=f"left the envelope: {rows.LIMITS[limit]}" if limit > 0 else "",
                 wall_s=wall_s,
             )
         )

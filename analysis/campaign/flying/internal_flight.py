@@ -46,14 +46,14 @@ def fly(
         if flight.t_us >= next_us:
             next_us = flight.t_us + TRACK_US
             if len(batch) >= BATCH_BYTES:
-                results += monitor.bytes([bytes(batch)], datagrams=False)
+                results += monitor.push_bytes([bytes(batch)], datagrams=False)
                 batch.clear()
             truth = flight.simulation.truth
             place = ecef_from_geodetic(truth.lat_rad, truth.lon_rad, truth.height_m)
             track.append((flight.vehicle_us, *place))
             phases.note(flight.t_us * 1e-6, truth)
     batch += flight.finish().monitor
-    results += monitor.bytes([bytes(batch)], datagrams=False)
+    results += monitor.push_bytes([bytes(batch)], datagrams=False)
     found = {
         name: of_monitor(results, np.array(track))
         if name == MONITOR
@@ -70,7 +70,7 @@ def write_logs(flight: Flight, folder: Path) -> None:
     """The flight's tlogs and labels, as `run` leaves them."""
     links = [{"name": role.name, "direction": role.direction} for role in flight.core.links]
     recorder = Recorder(folder, {"schedule": flight.engine.save(), "links": links})
-    recorder.write(flight.tape, flight.take_labels())
+    recorder.write(flight.tape, flight.drain_labels())
     recorder.close(flight.core.clock.t0_us, flight.now_us)
 
 

@@ -75,13 +75,13 @@ def write_flight(folder: Path, out: Path) -> None:
             pq.write_table(table, out / f"{message}.{Path(side).stem}.parquet")
     labels = [msgspec.to_builtins(label) for label in read_labels(folder / LABELS)]
     keys = ("id", "fault", "targets", "start_us", "end_us", "frames", "magnitude")
-    plain = [{key: label.get(key) for key in keys} for label in labels]
+    applied = [{key: label.get(key) for key in keys} for label in labels]
     schema = pa.schema(
         [("id", pa.string()), ("fault", pa.string()), ("targets", pa.list_(pa.string())),
          ("start_us", pa.int64()), ("end_us", pa.int64()), ("frames", pa.int64()),
          ("magnitude", pa.float64())]
     )  # fmt: skip
-    pq.write_table(pa.Table.from_pylist(plain, schema), out / "labels.parquet")
+    pq.write_table(pa.Table.from_pylist(applied, schema), out / "labels.parquet")
 
 
 def _column(values: Any) -> Any:

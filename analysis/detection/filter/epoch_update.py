@@ -10,7 +10,13 @@ import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig, RampNumbers
 from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.information import Normal, block, normal_equations, update
+from analysis.detection.filter.information import (
+    Normal,
+    block,
+    normal_equations,
+    posterior,
+    update,
+)
 from analysis.detection.filter.measurement import Modelled
 from analysis.detection.isolation.assessment import RATE_STATES, rate_equations
 from analysis.detection.isolation.ramp_test import RampBank
@@ -65,7 +71,7 @@ def commit(
 
     `ramps` are over the satellites of `ranges`.
     """
-    after, found = commit_to(
+    after, found = _committed(
         motion.x, motion.p, ranges, rates, step, ramps.windows, config.ramp_numbers
     )
     x, p, d, sums, offset, spread = after
@@ -77,7 +83,8 @@ def commit(
 def _absorbed(x: Vector, p: Vector, ranges: Modelled, rates: Rates) -> tuple[Vector, Vector]:
     """The state x (21,) and its covariance p (20, 20) after an epoch, as new arrays."""
     x, p = x.copy(), p.copy()
-    moved = update(x, p, normal_equations(ranges.h, ranges.variance, ranges.v_m))[1]
+    normal = normal_equations(ranges.h, ranges.variance, ranges.v_m)
+    moved = update(x, p, normal, posterior(block(p, normal.states), normal.information)[1])[1]
     _absorb_rates(x, p, rate_equations(rates.h, rates.variance, rates.v), moved)
     return x, p
 
@@ -90,11 +97,11 @@ def _absorb_rates(x: Vector, p: Vector, rates: Normal, moved: Vector) -> Vector:
     for i in range(b.shape[0]):  # what the ranges have changed is no news
         for j in range(b.shape[0]):
             b[i] -= information[i, j] * moved[RATE_STATES[j]]
-    return update(x, p, rates)[0]
+    return update(x, p, rates, posterior(block(p, rates.states), information)[1])[0]
 
 
 @compiled
-def commit_to(
+def _committed(
     x: Vector,
     p: Vector,
     ranges: Modelled,
@@ -103,21 +110,38 @@ def commit_to(
     windows: Windows,
     numbers: RampNumbers,
 ) -> tuple[Filtered, Strongest]:
-    """The same with d, sums, offset and spread of the ramp tests' windows after the epoch, and what
-    stands out in these."""
+    """What `commit_to` gives of ranges and rates that are not yet normal equations."""
     normal = normal_equations(ranges.h, ranges.variance, ranges.v_m)
-    prior = block(p, normal.states)
-    x, p = x.copy(), p.copy()
-    after, moved = update(x, p, normal)
+    y = posterior(block(p, normal.states), normal.information)[1]
     rate = rate_equations(rates.h, rates.variance, rates.v)
-    after_rates = _absorb_rates(x, p, rate, moved)
+    return commit_to(x, p, normal, y, rate, step, windows, numbers)
+
+
+@compiled
+def commit_to(
+    x: Vector,
+    p: Vector,
+    ranges: Normal,
+    y: Vector,
+    rates: Normal,
+    step: Step,
+    windows: Windows,
+    numbers: RampNumbers,
+) -> tuple[Filtered, Strongest]:
+    """x (21,) and p (20, 20), with d, sums, offset and spread of the ramp tests' windows, after an
+    epoch, as new arrays, and what stands out in these; `y` (c, c) is Y of the ranges, and b of the
+    rates changes in place."""
+    prior = block(p, ranges.states)
+    x, p = x.copy(), p.copy()
+    after, moved = update(x, p, ranges, y)
+    after_rates = _absorb_rates(x, p, rates, moved)
     starts_us = windows.starts_us
     ages = np.zeros(starts_us.shape[0])
     for w in range(ages.shape[0]):
         if starts_us[w] != 0:
             ages[w] = (step.t_us - starts_us[w]) * 1e-6
-    d, sums = respond(windows, ages, step.phi, after, normal, step.dt_s)
-    respond_to_rates(d, sums, after_rates, rate)
-    offset, spread = learn_offsets(windows, prior, normal, step.dt_s, numbers)
+    d, sums = respond(windows, ages, step.phi, after, ranges, step.dt_s)
+    respond_to_rates(d, sums, after_rates, rates)
+    offset, spread = learn_offsets(windows, prior, ranges, step.dt_s, numbers)
     now = Windows(starts_us, d, sums, offset, spread, windows.offsets, windows.spreads)
     return (x, p, d, sums, offset, spread), strongest(now, ages, step.inertial, numbers)

@@ -26,6 +26,11 @@ import numpy as np
 from analysis.detection.detection_config import NoiseDensities
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.constants import (
+    GNSS_EARTH_RATE_RPS,
+    WGS84_GM_M3PS2,
+    WGS84_SEMI_MAJOR_M,
+)
 from mavproxy_fault.numerics.linear import multiply, transposed
 
 X_SIZE = 21
@@ -48,37 +53,20 @@ def _gravity(x: float, y: float, z: float) -> tuple[float, float, float]:
     """The same by components, which needs no memory."""
     square = x * x + y * y + z * z
     size = math.sqrt(square)
-    factor = -3.986004418e14 / (square * size) if size > 1.0e6 else 0.0
-    bulge = 1.5 * 1.082627e-3 * 6378137.0 * 6378137.0 / square
+    factor = -WGS84_GM_M3PS2 / (square * size) if size > 1.0e6 else 0.0
+    bulge = 1.5 * 1.082627e-3 * WGS84_SEMI_MAJOR_M * WGS84_SEMI_MAJOR_M / square
     tilt = 5.0 * z * z / square
-    spin = 7.2921151467e-5 * 7.2921151467e-5 if size > 1.0e6 else 0.0
+    spin = GNSS_EARTH_RATE_RPS * GNSS_EARTH_RATE_RPS if size > 1.0e6 else 0.0
     level = factor * (1.0 + bulge * (1.0 - tilt)) + spin
     return level * x, level * y, factor * (1.0 + bulge * (3.0 - tilt)) * z
-
-
-@compiled
-def turned(q: Vector, rotvec: Vector, sign: float) -> Vector:
-    """q followed (sign 1) or preceded (-1) by the turn of a rotation vector (3,), normalised."""
-    angle = math.sqrt(rotvec[0] * rotvec[0] + rotvec[1] * rotvec[1] + rotvec[2] * rotvec[2])
-    scale = 0.5 if angle < 1e-8 else math.sin(0.5 * angle) / angle
-    w, x, y, z = math.cos(0.5 * angle), scale * rotvec[0], scale * rotvec[1], scale * rotvec[2]
-    out = np.empty(4)
-    out[0] = w * q[0] - x * q[1] - y * q[2] - z * q[3]
-    out[1] = w * q[1] + x * q[0] + sign * (y * q[3] - z * q[2])
-    out[2] = w * q[2] + y * q[0] + sign * (z * q[1] - x * q[3])
-    out[3] = w * q[3] + z * q[0] + sign * (x * q[2] - y * q[1])
-    size = math.sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2] + out[3] * out[3])
-    for i in range(4):
-        out[i] /= size
-    return out
 
 
 @inlined
 def _mechanise(x: Vector, samples: Vector, row: int, c: Vector, f: Vector) -> None:
     """Advance x in place by the sample of a row; c (9,) becomes the rotation, row by row, and f
     (3,) the specific force in ECEF at mid-step."""
-    earth, dt = 7.2921151467e-5, samples[row, 0]
-    _turn(x, samples, row, c)
+    earth, dt = GNSS_EARTH_RATE_RPS, samples[row, 0]
+    _rotate(x, samples, row, c)
     ax, ay, az = samples[row, 4] - x[13], samples[row, 5] - x[14], samples[row, 6] - x[15]
     f[0] = c[0] * ax + c[1] * ay + c[2] * az
     f[1] = c[3] * ax + c[4] * ay + c[5] * az
@@ -96,9 +84,9 @@ def _mechanise(x: Vector, samples: Vector, row: int, c: Vector, f: Vector) -> No
 
 
 @inlined
-def _turn(x: Vector, samples: Vector, row: int, c: Vector) -> None:
+def _rotate(x: Vector, samples: Vector, row: int, c: Vector) -> None:
     """Turn the attitude in x by the rates of a row; c (9,) becomes the rotation at mid-step."""
-    earth, dt = 7.2921151467e-5, samples[row, 0]
+    earth, dt = GNSS_EARTH_RATE_RPS, samples[row, 0]
     rx, ry, rz = samples[row, 1] - x[10], samples[row, 2] - x[11], samples[row, 3] - x[12]
     w, i, j, k = x[6], x[7], x[8], x[9]
     rx = (rx - earth * 2.0 * (i * k - w * j)) * dt
@@ -152,7 +140,7 @@ def _add_step(phi: Vector, c: Vector, f: Vector, dt: float) -> None:
     What depends on the IMU stands in its rows 0 to 8, columns 3 to 14. The rows'
     distance is a number known when this is compiled: so it becomes vector instructions.
     """
-    earth = 7.2921151467e-5 * dt
+    earth = GNSS_EARTH_RATE_RPS * dt
     fx, fy, fz = f[0] * dt, f[1] * dt, f[2] * dt
     c0, c1, c2, c3, c4 = c[0] * dt, c[1] * dt, c[2] * dt, c[3] * dt, c[4] * dt
     c5, c6, c7, c8 = c[5] * dt, c[6] * dt, c[7] * dt, c[8] * dt

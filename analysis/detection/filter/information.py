@@ -26,10 +26,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.detection.filter.inertial import PSI, X_Q, turned
+from analysis.detection.filter.inertial import PSI, X_Q
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.linear import apply, lower, lower_inverse, multiply, square, transposed
+from mavproxy_fault.numerics.rotation_kernel import turned_in_reference
 
 Indices = NDArray[np.int64]
 
@@ -173,10 +174,10 @@ def weights(p: Vector, h: Vector, variance: Vector) -> Vector:
 
 
 @compiled
-def update(x: Vector, p: Vector, normal: Normal) -> tuple[Vector, Vector]:
-    """Update x (21,) and p (20, 20), in place; returns P+_:c (20, c) and dx (20,)."""
+def update(x: Vector, p: Vector, normal: Normal, y: Vector) -> tuple[Vector, Vector]:
+    """Update x (21,) and p (20, 20), in place, with Y (c, c) of `posterior`; returns P+_:c (20, c)
+    and dx (20,)."""
     states = normal.states
-    y = posterior(block(p, states), normal.information)[1]
     rows = np.empty((states.shape[0], p.shape[0]))
     for k in range(states.shape[0]):
         for j in range(p.shape[0]):
@@ -198,10 +199,7 @@ def update(x: Vector, p: Vector, normal: Normal) -> tuple[Vector, Vector]:
 @compiled
 def move(x: Vector, d: Vector) -> None:
     """Add an error d (20,) to the state x (21,), in place."""
-    turn = np.empty(3)
-    for i in range(3):
-        turn[i] = d[PSI + i]
-    q = turned(x[X_Q : X_Q + 4], turn, 1.0)
+    q = turned_in_reference(x[X_Q : X_Q + 4], d[PSI], d[PSI + 1], d[PSI + 2])
     for i in range(PSI):
         x[i] += d[i]
     for i in range(4):
@@ -215,6 +213,6 @@ def measured_update(
     x: Vector, p: Vector, h: Vector, variance: Vector, v: Vector
 ) -> tuple[Vector, Vector]:
     """State and covariance after measurements, as new arrays."""
-    x, p = x.copy(), p.copy()
-    update(x, p, normal_equations(h, variance, v))
+    x, p, normal = x.copy(), p.copy(), normal_equations(h, variance, v)
+    update(x, p, normal, posterior(block(p, normal.states), normal.information)[1])
     return x, p

@@ -22,7 +22,6 @@ from analysis.detection.filter.inertial import (
 from analysis.detection.values import Value
 from analysis.orbits.broadcast import (
     ELEVATION,
-    L1_HZ,
     PACKED,
     RANGE,
     RATE,
@@ -35,6 +34,7 @@ from analysis.orbits.broadcast import (
 )
 from analysis.samples.sample import Epoch, Vector
 from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.constants import L1_HZ
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]

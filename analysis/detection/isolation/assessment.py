@@ -66,7 +66,9 @@ class Assessment(NamedTuple):
     the mask.
 
     `order` (n,) are their places among the observed, `every` the innovations in this order, of
-    which the first `used` are trusted and those up to `above` are above the mask.
+    which the first `used` are trusted and those up to `above` are above the mask. `ranges` and
+    `rates` are the normal equations of the trusted ones, and `y` (c, c) is Y of the ranges, so that
+    a quiet epoch can be committed without doing the tests' work again.
     """
 
     order: Indices
@@ -74,6 +76,9 @@ class Assessment(NamedTuple):
     used: int
     above: int
     statistics: Statistics
+    ranges: Normal
+    y: Vector
+    rates: Normal
 
 
 class Sight(Value, frozen=True):
@@ -129,13 +134,15 @@ def assess(
     """Every test of an epoch at the prediction x (21,) with covariance p (20, 20)."""
     observed = modelled_at(measured, states_at(measured), x, ionosphere, sigma)
     order, count, above = _sorted(observed.elevation_rad, trusted, mask_rad)
-    every, far = _in_order(observed, order), 0
+    every, far = observed, 0
+    if count < order.shape[0]:  # else all are trusted, in the order they have
+        every = _in_order(observed, order)
     h, v = every.h[:count], every.v_m
     for i in range(order.shape[0]):
         v[i] -= offset_m[order[i]]
         far += i < above and abs(v[i]) > CLOCK_LEAP_M
     normal = normal_equations(h, every.variance[:count], v[:count])
-    after = posterior(block(p, normal.states), normal.information)[0]
+    after, y = posterior(block(p, normal.states), normal.information)
     normalised = normalise(normal, after)
     q = normal.total - quadratic(normal.b, after)
     parity, dof, systems = parity_test(normal)
@@ -152,7 +159,7 @@ def assess(
         systems,
         2 * far >= above > 0,
     )
-    return Assessment(order, every, count, above, statistics)
+    return Assessment(order, every, count, above, statistics, normal, y, rates)
 
 
 @compiled

@@ -1,5 +1,7 @@
 """One GNSS epoch against the filter: assess it, isolate where a test trips, commit the rest."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
@@ -12,11 +14,11 @@ from analysis.detection.filter.inertial import X_CLOCK
 from analysis.detection.filter.information import statistic
 from analysis.detection.filter.measurement import Observed
 from analysis.detection.filter.offsets import freeze, frozen_m, learnt
-from analysis.detection.filter.propagation import advance, segment
+from analysis.detection.filter.propagation import Segment, advance, segment
 from analysis.detection.isolation.assessment import CLOCK_LEAP_M, Sight, see
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.isolation.exclusion import Outside, exclude, measure_outside, readmit
-from analysis.detection.isolation.quiet_epoch import Judged, quiet_epoch
+from analysis.detection.isolation.quiet_epoch import quiet_epoch
 from analysis.detection.isolation.ramp_test import (
     RampBank,
     SlowVerdict,
@@ -31,10 +33,23 @@ from analysis.detection.isolation.range_test import (
     free_position,
     passed,
 )
-from analysis.detection.isolation.rate_test import check_rates, freed_by
+from analysis.detection.isolation.rate_test import RatesTested, check_rates, freed_by
 from analysis.samples.block import ImuRun
 
 UNDISTURBED = ("none", "satellites")  # verdicts of the rates that leave the prediction sound
+
+
+class Judged(NamedTuple):
+    """An epoch after its tests: the core and the IMU's samples before it, the prediction, what was
+    seen, whether the clock leapt, and the verdicts of rates and ranges."""
+
+    core: Core
+    part: Segment
+    predicted: Motion
+    sight: Sight
+    leapt: bool
+    rates: RatesTested
+    tested: Tested
 
 
 def judge_epoch(
@@ -46,8 +61,7 @@ def judge_epoch(
     assert before is not None
     quiet = quiet_epoch(t_us, observed, run, core, config)
     if quiet is not None:
-        judged, moved, ramps, found = quiet
-        return _concluded(judged, before, moved, ramps, judge_slow(ramps, found, config), config)
+        return quiet
     part = segment(run, before, t_us)
     motion, phi = advance(before, part, t_us, config)
     sight, leapt, motion, core = _seen(t_us, observed, motion, core, config)

@@ -4,7 +4,7 @@ Nearly every epoch of a flight is quiet. The kernels are those of `epoch_test`, 
 with an epoch that has anything to decide.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,34 +16,30 @@ from analysis.detection.detection_config import (
     SigmaNumbers,
 )
 from analysis.detection.detector_state import Core
-from analysis.detection.filter.epoch_update import Filtered, Rates, Step, commit_to
+from analysis.detection.epoch_outcome import Outcome, imu_bad_until_us, shown
+from analysis.detection.filter.epoch_update import Filtered, Step, commit_to
 from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.inertial import propagate_freely, propagate_inertial
-from analysis.detection.filter.measurement import NO_ROWS, Indices, Measured, Modelled, Observed
+from analysis.detection.filter.measurement import Indices, Measured, Observed
 from analysis.detection.filter.offsets import frozen_m
-from analysis.detection.filter.propagation import NO_STEPS, Segment, steps
-from analysis.detection.isolation.assessment import Assessment, Sight, Statistics, assess
+from analysis.detection.filter.propagation import steps
+from analysis.detection.isolation.assessment import Assessment, assess, rate_equations
 from analysis.detection.isolation.chi_square import chi_square
-from analysis.detection.isolation.ramp_test import RampBank
+from analysis.detection.isolation.ramp_test import judge_slow
 from analysis.detection.isolation.ramp_windows import Strongest, Windows
-from analysis.detection.isolation.range_test import Tested, passed
-from analysis.detection.isolation.rate_test import MIN_RATES, NO_RATES, RatesTested
+from analysis.detection.isolation.rate_test import MIN_RATES
 from analysis.samples.block import ImuRun
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
+NOTHING_FOUND = 0.0, -1, -1, 0.0
 
-class Judged(NamedTuple):
-    """An epoch after its tests: the core and the IMU's samples before it, the prediction, what was
-    seen, whether the clock leapt, and the verdicts of rates and ranges."""
-
-    core: Core
-    part: Segment
-    predicted: Motion
-    sight: Sight
-    leapt: bool
-    rates: RatesTested
-    tested: Tested
+# Named tuples go into the compiled call as plain ones and get their names inside it: numba looks up
+# the class of each that crosses its boundary, either way, which takes a microsecond.
+Plain = tuple[Any, ...]
+# Of `Statistics` what stays of a quiet epoch: q, q_rate, parity, rates and parity_dof.
+Numbers = tuple[float, float, float, int, int]
+Found = tuple[float, int, int, float]  # the fields of `Strongest`
 
 
 class Prior(NamedTuple):
@@ -56,8 +52,8 @@ class Prior(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What an epoch is held against: models of the sky and of noise, and the thresholds (2, 65) of
-    ranges and rates by degrees of freedom."""
+    """What an epoch is judged by: models of the sky and of noise, and the thresholds (2, 65) of
+    ranges and rates by degrees of freedom; in the order of `DetectorConfig.limits`."""
 
     ionosphere: Vector
     sigma: SigmaNumbers
@@ -69,13 +65,10 @@ class Limits(NamedTuple):
     doppler: bool
 
 
-Quiet = tuple[Judged, Motion, RampBank, Strongest]
-
-
 def quiet_epoch(
     t_us: int, observed: Observed, run: ImuRun, core: Core, config: DetectorConfig
-) -> Quiet | None:
-    """The epoch with filter and ramp tests after it; None where there is anything to decide."""
+) -> Outcome | None:
+    """The core after the epoch and what it showed; None where there is anything to decide."""
     motion, ramps = core.motion, core.ramps
     if motion is None or ramps is None or ramps.among is not observed.satellites:
         return None
@@ -84,59 +77,84 @@ def quiet_epoch(
     if motion.inertial and config.antenna is not None:
         return None
     ramps = ramps.renewed(t_us)
-    quiet, gap_s, tests, after, found = _quiet(
-        observed.measured,
+    windows = ramps.windows
+    quiet, gap_s, numbers, innovations, after, found = _quiet(
+        tuple(observed.measured),
         ramps.places,
         frozen_m(core, observed.satellites, t_us, config),
-        Prior(motion.t_us, motion.x, motion.p, motion.inertial),
-        run,
+        (motion.t_us, motion.x, motion.p, motion.inertial),
+        tuple(run),
         t_us,
-        ramps.windows,
-        _limits(core, config),
+        tuple(windows),
+        (core.ionosphere, *config.limits),
     )
-    if not quiet:
+    slow = judge_slow(ramps, Strongest(*found), config) if quiet else None
+    if slow is None or slow.hypothesis != "none":
         return None
     x, p, d, sums, offset, spread = after
-    windows = ramps.windows._replace(d=d, sums=sums, offset=offset, spread=spread)
-    moved = Motion(t_us, x, p, motion.inertial)
-    # the filter has used the rows within the call: none are handed on, arrays cost time
-    sight = Sight(ramps.names, NO_ROWS, (), NO_ROWS, tests)
-    threshold = chi_square(len(ramps.names), config.p_false_alarm)
-    tested = passed(moved, NO_ROWS, tests.q, threshold)
-    rates = RatesTested(None, None, 0, "none", NO_RATES)
-    if config.doppler and tests.rates >= MIN_RATES:
-        limit = chi_square(tests.rates, config.p_other)
-        rates = RatesTested(tests.q_rate, limit, tests.rates, "none", NO_RATES)
-    judged = Judged(core, Segment(NO_STEPS, gap_s, False), moved, sight, False, rates, tested)
-    return judged, moved, ramps._replace(windows=windows), found
+    starts_us, offsets, spreads = windows.starts_us, windows.offsets, windows.spreads
+    windows = Windows(starts_us, d, sums, offset, spread, offsets, spreads)
+    core = core._replace(
+        motion=Motion(t_us, x, p, motion.inertial),
+        ramps=ramps._replace(windows=windows),
+        ranges_us=t_us,
+        imu_bad_until_us=imu_bad_until_us(core, False, t_us, config),
+        unknown_since_us=None,
+    )
+    q, q_rate, parity, rates, parity_dof = numbers
+    residual_m, normalised = innovations.tolist()
+    tested = config.doppler and rates >= MIN_RATES
+    return Outcome(
+        core,
+        names=ramps.names,
+        residual_m=residual_m,
+        normalised=normalised,
+        statistic=q,
+        threshold=chi_square(len(ramps.names), config.p_false_alarm),
+        parity=parity,
+        parity_dof=parity_dof,
+        rate=q_rate if tested else None,
+        rate_threshold=chi_square(rates, config.p_other) if tested else None,
+        rate_dof=rates if tested else 0,
+        slow=slow,
+        hypothesis=shown(core, "none", False, False),
+        was_inertial=motion.inertial,
+        gap_s=gap_s,
+    )
 
 
-def _limits(core: Core, config: DetectorConfig) -> Limits:
+@compiled
+def _named(limits: Plain) -> Limits:
+    """The limits with their names."""
+    ionosphere, sigma, noise, ramps, thresholds, mask_rad, gap_s, doppler = limits
     return Limits(
-        core.ionosphere,
-        config.sigma.numbers,
-        config.noise.densities,
-        config.ramp_numbers,
-        config.thresholds,
-        config.mask_rad,
-        config.gap_s,
-        config.doppler,
+        ionosphere,
+        SigmaNumbers(*sigma),
+        NoiseDensities(*noise),
+        RampNumbers(*ramps),
+        thresholds,
+        mask_rad,
+        gap_s,
+        doppler,
     )
 
 
 @compiled
 def _quiet(
-    measured: Measured,
+    measured_values: Plain,
     places: Indices,
     offset_m: Vector,
-    prior: Prior,
-    run: ImuRun,
+    prior_values: Plain,
+    run_values: Plain,
     t_us: int,
-    windows: Windows,
-    limits: Limits,
-) -> tuple[bool, float, Statistics, Filtered, Strongest]:
-    """Whether the epoch is quiet, the longest silence of the IMU, the tests, and what `commit_to`
-    gives; `places` (n,) of the satellites that were used at the last epoch."""
+    window_values: Plain,
+    limit_values: Plain,
+) -> tuple[bool, float, Numbers, Vector, Filtered, Found]:
+    """Whether the epoch is quiet, the longest silence of the IMU, the tests, the innovations (2, n)
+    in m and normalised, and what `commit_to` gives; `places` (n,) of the satellites that were used
+    at the last epoch."""
+    measured, prior, run = Measured(*measured_values), Prior(*prior_values), ImuRun(*run_values)
+    windows, limits = Windows(*window_values), _named(limit_values)
     samples, gap_s, heard = steps(run.t_us, run.values, prior.t_us, t_us)
     dt_s = (t_us - prior.t_us) * 1e-6
     if prior.inertial:
@@ -150,19 +168,22 @@ def _quiet(
         measured, trusted, offset_m, x, p, limits.ionosphere, limits.sigma, limits.mask_rad
     )
     tests = assessed.statistics
+    numbers = tests.q, tests.q_rate, tests.parity, tests.rates, tests.parity_dof
+    innovations = np.empty((2, assessed.used))
+    innovations[0], innovations[1] = tests.residual_m, tests.normalised
     tested = limits.doppler and tests.rates >= MIN_RATES
     quiet = moved and _is_quiet(assessed, places, prior.inertial, tested, limits.thresholds)
     if not quiet:
         nothing = (x, p, windows.d, windows.sums, windows.offset, windows.spread)
-        return False, gap_s, tests, nothing, Strongest(0.0, -1, -1, 0.0)
-    count, every = assessed.used, assessed.every
-    h, v, variance = every.h[:count], every.v_m[:count], every.variance[:count]
-    rate_variance, known = every.rate_variance[:count], count if tested else 0
-    used = Modelled(v, every.v_mps[:count], variance, rate_variance, every.elevation_rad[:count], h)
-    rates = Rates(every.v_mps[:known], every.rate_variance[:known], every.h[:known])
+        return False, gap_s, numbers, innovations, nothing, NOTHING_FOUND
+    rates = assessed.rates
+    if not tested:  # too few to be used untested
+        every = assessed.every
+        rates = rate_equations(every.h[:0], every.rate_variance[:0], every.v_mps[:0])
     step = Step(phi, dt_s, t_us, prior.inertial)
-    after, found = commit_to(x, p, used, rates, step, windows, limits.ramps)
-    return True, gap_s, tests, after, found
+    after, found = commit_to(x, p, assessed.ranges, assessed.y, rates, step, windows, limits.ramps)
+    strongest = found.ramp, found.window, found.satellite, found.rival
+    return True, gap_s, numbers, innovations, after, strongest
 
 
 @compiled

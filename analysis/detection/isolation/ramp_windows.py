@@ -41,7 +41,7 @@ from analysis.detection.filter.inertial import V
 from analysis.detection.filter.information import Indices, Normal, quadratic_of
 from analysis.detection.isolation.bank import reduction
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.linear import add_product, apply, multiply
 
 WINDOW_COUNT = 4
@@ -135,7 +135,7 @@ def respond(
     return d, sums
 
 
-@compiled
+@inlined
 def _news(offsets: Vector, ranges: Normal, known: Vector) -> News:
     """What the ranges tell beside the offsets (n,) of a window; `known` (c, c) is P+_c."""
     weighted, b = np.empty(offsets.shape[0]), np.zeros(known.shape[0])
@@ -147,7 +147,7 @@ def _news(offsets: Vector, ranges: Normal, known: Vector) -> News:
     return News(weighted, b, apply(known, b))
 
 
-@compiled
+@inlined
 def _rows(m: Vector, which: Indices) -> Vector:
     """Some rows of a matrix."""
     out = np.empty((which.shape[0], m.shape[1]))
@@ -157,7 +157,7 @@ def _rows(m: Vector, which: Indices) -> Vector:
     return out
 
 
-@compiled
+@inlined
 def _seen(d: Vector, normal: Normal) -> tuple[Vector, Vector]:
     """D_c and -N D_c (c, w s)."""
     seen = _rows(d, normal.states)
@@ -166,7 +166,7 @@ def _seen(d: Vector, normal: Normal) -> tuple[Vector, Vector]:
     return seen, gamma
 
 
-@compiled
+@inlined
 def _whole(seen: Vector, gamma: Vector, known: Vector) -> Vector:
     """D_c + P+_c gamma (c, w s)."""
     whole = multiply(known, gamma)
@@ -176,7 +176,7 @@ def _whole(seen: Vector, gamma: Vector, known: Vector) -> Vector:
     return whole
 
 
-@compiled
+@inlined
 def _add_ramps(
     row: Vector, response: Response, first: int, ranges: Normal, age_s: float, news: News
 ) -> None:
@@ -201,7 +201,7 @@ def _add_ramps(
         row[3 * count + i] += (age_s - mixed) / variance
 
 
-@compiled
+@inlined
 def _add_accelerations(
     row: Vector, response: Response, first: int, b: Vector, moved: Vector
 ) -> None:

@@ -10,9 +10,9 @@ from analysis.detection.filter.inertial import BA, BG, CLOCK, DRIFT, ERRORS, PSI
 from analysis.detection.filter.information import measured_update, statistic
 from analysis.detection.filter.initial_fix import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.detection.isolation.chi_square import chi_square
-from analysis.orbits.broadcast import ned_axes
 from analysis.samples.sample import GpsFix, Vector
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.numerics.earth_kernel import ned_axes
 
 FIX_3D = 3
 POSITION_SIGMA_M = (1.0, 1.5)  # horizontal, vertical; where the receiver claims less

@@ -18,10 +18,10 @@ from analysis.detection.sensors.sensor_models import (
     S,
     V,
 )
-from analysis.orbits.broadcast import geodetic, ned_axes
 from analysis.samples.block import FIX, Indices, Stamps
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 from mavproxy_fault.numerics.linear import inverse, multiply
 from mavproxy_fault.numerics.rotation_kernel import matrix
 

@@ -11,17 +11,16 @@ Numbers lie in flat arrays because numba takes seconds to compile functions of m
 """
 
 import math
-from collections.abc import Callable
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.earth import ecef_of
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
+from mavproxy_fault.numerics.earth_kernel import ecef_of
 
 SEA_LEVEL_PA = 101_325.0  # ICAO standard atmosphere, Doc 7488
-SEA_LEVEL_KGPM3 = 1.225
 ISA_KELVIN, ISA_LAPSE, ISA_EXPONENT = 288.15, 6.5e-3, 5.25588
 DENSITY_EXPONENT = 4.25588
 LEAST_UPRIGHT = 0.7  # a beam further off the vertical than 45 degrees says little
@@ -55,7 +54,6 @@ REASONS = {
 R, HEIGHT, V_NED, LATE_S, AXES, ROT, UPRIGHT = 0, 3, 4, 7, 8, 17, 53
 P_POSITION, P_VELOCITY, P_ATTITUDE, VIEW = 26, 35, 44, 54
 V, H, S = 0, 1, 4  # rows of `out`
-_ecef_of = cast(Callable[[float, float, float], tuple[float, float, float]], compiled(ecef_of))
 
 
 class SensorNoise(NamedTuple):
@@ -112,7 +110,7 @@ def pressure_altitude_m(pressure_pa: float) -> float:
 def density_kgpm3(altitude_m: float) -> float:
     """Density in the standard atmosphere below 11 km."""
     share = max(1.0 - ISA_LAPSE * altitude_m / ISA_KELVIN, 0.1)
-    return SEA_LEVEL_KGPM3 * math.pow(share, DENSITY_EXPONENT)
+    return SEA_LEVEL_DENSITY_KGPM3 * math.pow(share, DENSITY_EXPONENT)
 
 
 @compiled
@@ -241,7 +239,7 @@ def gps_position(
     """The receiver's position, carried to the epoch by the filter's velocity, is off by little."""
     if z[6] < FIX_3D:
         return NO_FIX, 0
-    x, y, z_ = _ecef_of(math.radians(z[0]), math.radians(z[1]), z[2])
+    x, y, z_ = ecef_of(math.radians(z[0]), math.radians(z[1]), z[2])
     off = np.array([x - at[R], y - at[R + 1], z_ - at[R + 2]])
     for i in range(3):
         out[V, i] = at[V_NED + i] * at[LATE_S]

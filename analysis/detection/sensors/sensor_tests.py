@@ -104,10 +104,10 @@ class References:
     ) -> tuple[list[Result], ReferenceState]:
         """Decisions that a block of samples, or a single one, allows, and the next state."""
         block = samples if isinstance(samples, Block) else block_of(samples)
-        found, state = self.judge(block, state)
+        found, state = self.step_rows(block, state)
         return [result for _, result in sorted(found, key=itemgetter(0))], state
 
-    def judge(
+    def step_rows(
         self, block: Block, state: ReferenceState
     ) -> tuple[list[tuple[int, Result]], ReferenceState]:
         """The same, each with the row of the block that led to it: the detector's, then others."""
@@ -119,15 +119,17 @@ class References:
             return self.detector.wants_fix(detector.core, t_us)
 
         for piece in pieces(block, wanted):
-            results, detector = self.detector.take(piece, detector)
+            results, detector = self.detector.step_piece(piece, detector)
             found += [(piece.last, result) for result in results]
             decided += _decided(piece.last, results, detector)
         tested, kept = self._judged(block, decided, before, state.kept)
         return found + tested, ReferenceState(detector, kept)
 
-    def take(self, piece: Piece, state: ReferenceState) -> tuple[list[Result], ReferenceState]:
+    def step_piece(
+        self, piece: Piece, state: ReferenceState
+    ) -> tuple[list[Result], ReferenceState]:
         """The same for samples up to an event, where something else moves the filter meanwhile."""
-        results, detector = self.detector.take(piece, state.detector)
+        results, detector = self.detector.step_piece(piece, state.detector)
         rows = piece.block.between(piece.first, piece.last + 1)
         decided = _decided(piece.last - piece.first, results, detector)
         tested, kept = self._judged(rows, decided, detector.core.motion, state.kept)

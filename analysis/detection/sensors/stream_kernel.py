@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from analysis.samples.block import FIX, IMU, Indices, Stamps
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.compile import compiled, inlined
 
 SILENT, REPEATED, STANDING, AHEAD, BACK, LATE = range(1, 7)
 IMUS = 3
@@ -36,18 +36,17 @@ INTERVALS = 5.0  # usual intervals that a pause must be long
 LATE_US = 300_000
 BACK_US = 20_000
 STANDS = 5
-RUN_FACTOR, RUN_MORE, RUN_US = (
-    3,
-    10,
-    500_000,
-)  # a repetition beyond what the sensor's own past shows
+# A repetition beyond what the sensor's own past shows
+RUN_FACTOR, RUN_MORE, RUN_US = 3, 10, 500_000
 EPOCH_1970_US = 100_000_000_000_000  # later stamps do not count from boot
 AGAIN_US = 500_000  # between two results about the same trouble
 NEVER_US = -(1 << 62)
 
-LAST_US, COUNT, DUE_US, STOOD, TOLD_US, CLOCK, HEARD_US = range(7)  # what is counted of a stream
-# Of a clock; the last three of a leap not yet understood, BY has a bit for each who made it
-NEWEST_US, FROM_US, TO_US, BY = range(4)
+# What is counted of a stream
+LAST_US, COUNT, DUE_US, STOOD, REPORTED_US, CLOCK, HEARD_US = range(7)
+# Of a clock: its newest stamp, before when nobody can be silent, and a leap not yet understood,
+# where BY has a bit for each who made it
+NEWEST_US, QUIET_US, FROM_US, TO_US, BY = range(5)
 
 
 class Watched(NamedTuple):
@@ -55,7 +54,7 @@ class Watched(NamedTuple):
 
     `counts` (s, 7), `usual` (s, 2): interval and lateness in us; `values` (s, w), and for each
     number `since` (s, w) when it took its value, `run` and `longest` (s, w) how often it stayed;
-    `clocks` (2, 4).
+    `clocks` (2, 5).
     """
 
     counts: NDArray[np.int64]
@@ -85,13 +84,13 @@ def _tell(found: Found, row: int, t_us: int, stream: int, what: int, seconds: fl
         found.filled[0] += 1
 
 
-@compiled
+@inlined
 def _limit_us(watched: Watched, stream: int) -> int:
     limit_us: int = max(SILENT_US, int(INTERVALS * watched.usual[stream, 0]))
     return limit_us
 
 
-@compiled
+@inlined
 def _leap(watched: Watched, found: Found, row: int, stream: int, clock: int, t_us: int) -> bool:
     """Whether the time of a sample may be believed: one that leaps ahead has to wait.
 
@@ -124,14 +123,14 @@ def _contradicted(watched: Watched, found: Found, row: int, clock: int) -> None:
     for s in range(LINK):
         count = watched.counts[s]
         if at[BY] >> (s + 1) & 1 and count[CLOCK] == clock and count[COUNT] >= RHYTHM:
-            if s != SATELLITES and now_us - count[TOLD_US] >= AGAIN_US:
+            if s != SATELLITES and now_us - count[REPORTED_US] >= AGAIN_US:
                 _tell(found, row, now_us, s, AHEAD, (at[TO_US] - at[FROM_US]) * 1e-6)
-                count[TOLD_US] = now_us
+                count[REPORTED_US] = now_us
             count[DUE_US] = now_us + _limit_us(watched, s)  # it is wrong, but not silent
     at[TO_US] = NEVER_US
 
 
-@compiled
+@inlined
 def _leaps(watched: Watched, stream: int, ahead_us: int, t_us: int) -> bool:
     """Whether a sample is further ahead of the newest than its stream alone is believed."""
     if stream < 0 or watched.counts[stream, COUNT] < RHYTHM:
@@ -153,9 +152,11 @@ def _paused(watched: Watched, found: Found, row: int, clock: int) -> None:
     at[NEWEST_US], at[TO_US] = at[TO_US], NEVER_US
 
 
-@compiled
+@inlined
 def _silent(watched: Watched, found: Found, row: int, stream: int, clock: int, t_us: int) -> None:
-    """Who has not come for too long when the time goes on to `t_us`."""
+    """Who has not come for too long when the time goes on to `t_us`; and until when nobody can be
+    silent, so that nobody need be asked: whoever comes later may be silent as long himself."""
+    quiet_us = t_us + SILENT_US
     for s in range(LINK):
         count = watched.counts[s]
         if s == stream or count[COUNT] < LEARNT or count[CLOCK] != clock:
@@ -163,9 +164,11 @@ def _silent(watched: Watched, found: Found, row: int, stream: int, clock: int, t
         while count[DUE_US] <= t_us:
             _tell(found, row, count[DUE_US], s, SILENT, (count[DUE_US] - count[HEARD_US]) * 1e-6)
             count[DUE_US] += AGAIN_US
+        quiet_us = min(quiet_us, count[DUE_US])
+    watched.clocks[clock, QUIET_US] = quiet_us
 
 
-@compiled
+@inlined
 def _stamped(watched: Watched, found: Found, row: int, s: int, t_us: int, newest_us: int) -> None:
     """What is wrong with a sample's stamp; learns what is usual."""
     count = watched.counts[s]
@@ -173,15 +176,15 @@ def _stamped(watched: Watched, found: Found, row: int, s: int, t_us: int, newest
     count[STOOD] = count[STOOD] + 1 if gap_us == 0 else 0
     if gap_us < -BACK_US:
         _tell(found, row, newest_us, s, BACK, -gap_us * 1e-6)
-    elif count[STOOD] >= STANDS and newest_us - count[TOLD_US] >= AGAIN_US:
+    elif count[STOOD] >= STANDS and newest_us - count[REPORTED_US] >= AGAIN_US:
         _tell(found, row, newest_us, s, STANDING, late_us * 1e-6)
-        count[TOLD_US] = newest_us
+        count[REPORTED_US] = newest_us
     elif count[COUNT] >= LEARNT and late_us > watched.usual[s, 1] + max(
         LATE_US, INTERVALS * watched.usual[s, 0]
     ):
-        if newest_us - count[TOLD_US] >= AGAIN_US:
+        if newest_us - count[REPORTED_US] >= AGAIN_US:
             _tell(found, row, newest_us, s, LATE, late_us * 1e-6)
-            count[TOLD_US] = newest_us
+            count[REPORTED_US] = newest_us
     elif gap_us > 0:
         share = max(SHARE, 1.0 / (1.0 + count[COUNT]))
         if count[COUNT] < LEARNT or gap_us < INTERVALS * watched.usual[s, 0]:
@@ -189,7 +192,7 @@ def _stamped(watched: Watched, found: Found, row: int, s: int, t_us: int, newest
         watched.usual[s, 1] += share * (late_us - watched.usual[s, 1])
 
 
-@compiled
+@inlined
 def _repeated(watched: Watched, s: int, numbers: Vector, width: int, t_us: int) -> float:
     """For how long one of a sensor's numbers has stayed the same against its own past, in s."""
     worst = 0.0
@@ -212,7 +215,7 @@ def _repeated(watched: Watched, s: int, numbers: Vector, width: int, t_us: int) 
     return worst
 
 
-@compiled
+@inlined
 def _fix_repeated(watched: Watched, s: int, numbers: Vector, t_us: int) -> float:
     """The same for a fix, whose numbers repeat together, and only while it says that it moves."""
     same = True
@@ -227,7 +230,7 @@ def _fix_repeated(watched: Watched, s: int, numbers: Vector, t_us: int) -> float
     return for_us * 1e-6 if watched.run[s, 0] >= STANDS and for_us >= RUN_US else 0.0
 
 
-@compiled
+@inlined
 def _measured(
     watched: Watched, found: Found, row: int, s: int, kind: int, numbers: Vector, t_us: int
 ) -> None:
@@ -238,9 +241,9 @@ def _measured(
         if kind == FIX
         else _repeated(watched, s, numbers, NUMBERS[kind], t_us)
     )
-    if for_s > 0.0 and t_us - count[TOLD_US] >= AGAIN_US:
+    if for_s > 0.0 and t_us - count[REPORTED_US] >= AGAIN_US:
         _tell(found, row, t_us, s, REPEATED, for_s)
-        count[TOLD_US] = t_us
+        count[REPORTED_US] = t_us
 
 
 @compiled
@@ -261,7 +264,8 @@ def watch(kind: Indices, t_us: Stamps, values: Vector, watched: Watched, found: 
             if at[NEWEST_US] != NEVER_US:
                 watched.usual[LINK, 0] += SHARE * (now_us - at[NEWEST_US] - watched.usual[LINK, 0])
             at[NEWEST_US] = now_us
-            _silent(watched, found, row, s, clock, now_us)
+            if now_us >= at[QUIET_US]:
+                _silent(watched, found, row, s, clock, now_us)
         if s < 0:
             continue
         count = watched.counts[s]

@@ -48,9 +48,11 @@ def sensor_weights(
     if not config.decide:
         return {}
     weights = {}
-    for said in results:
-        if isinstance(said, SensorDecision) and said.statistic is not None and said.threshold:
-            weights[said.sensor] = weight(math.sqrt(said.statistic / said.threshold), DOUBTED, 1.0)
+    for result in results:
+        if isinstance(result, SensorDecision) and result.statistic is not None and result.threshold:
+            weights[result.sensor] = weight(
+                math.sqrt(result.statistic / result.threshold), DOUBTED, 1.0
+            )
     return weights | dict.fromkeys(isolated, 0.0)
 
 

@@ -2,8 +2,8 @@
 
 Preintegration is that of Forster et al. [1]_ with correlated biases, in a frame that turns with the
 earth (Coriolis term; the centrifugal part is in gravity). The motion model is the same factor fed
-with fiction: no gravity, no measured force and no turn, and noise as large as the motion may be,
-so that position and velocity stay tied to each other.
+with fiction: no gravity, no measured force and no rotation, and noise as large as the motion may
+be, so that position and velocity stay tied to each other.
 
 References
 ----------
@@ -26,7 +26,7 @@ FICTION_STEP_S = 0.05
 # Of the detector's noise of motion: rates pin the velocity at both ends, and between them it
 # changes more evenly than white noise that allows for the change would.
 EVEN = 0.25
-FREE_TURN_RPS = 30.0  # of a motion that says nothing of the attitude
+FREE_RATE_RPS = 30.0  # of a motion that says nothing of the attitude
 
 
 def imu_params(frame: Frame, r_m: Vector, noise: Noise) -> Any:
@@ -46,8 +46,9 @@ def preintegrate(samples: Vector, bias: Any, params: Any) -> Any:
 def condensed(samples: Vector, step_s: float) -> Vector:
     """Samples (k, 7) in runs of equal number that last up to `step_s`; empty steps left out.
 
-    A run's rate is its turn over its time and its force that in the axes at its begin: GTSAM takes
-    both as constant from there on. Turns within are added to second order (coning, sculling).
+    A run's rate is its rotation vector over its time and its force that in the axes at its begin:
+    GTSAM takes both as constant from there on. Turns within are added to second order (coning,
+    sculling).
     """
     count, whole_s = 0, 0.0
     for k in range(samples.shape[0]):
@@ -55,7 +56,7 @@ def condensed(samples: Vector, step_s: float) -> Vector:
             count, whole_s = count + 1, whole_s + samples[k, 0]
     size = max(int(step_s * count / whole_s + 0.1), 1) if count else 1
     out = np.zeros(((count + size - 1) // size, 7))
-    turn, half, push = np.zeros(3), np.zeros(3), np.zeros(3)
+    rotvec, half, push = np.zeros(3), np.zeros(3), np.zeros(3)
     once, twice, bent = np.zeros(3), np.zeros(3), np.zeros(3)
     at = 0
     for k in range(samples.shape[0]):
@@ -64,18 +65,18 @@ def condensed(samples: Vector, step_s: float) -> Vector:
             continue
         row = out[at // size]
         if at % size == 0:
-            turn[:] = 0.0
+            rotvec[:] = 0.0
         for i in range(3):
-            half[i] = turn[i] + 0.5 * dt * samples[k, 1 + i]
+            half[i] = rotvec[i] + 0.5 * dt * samples[k, 1 + i]
             push[i] = samples[k, 4 + i]
         _cross(half, push, once)
         _cross(half, once, twice)
-        _cross(turn, samples[k, 1:4], bent)
+        _cross(rotvec, samples[k, 1:4], bent)
         row[0] += dt
         for i in range(3):
             row[4 + i] += dt * (push[i] + once[i] + 0.5 * twice[i])
-            turn[i] += dt * (samples[k, 1 + i] + 0.5 * bent[i])
-            row[1 + i] = turn[i]
+            rotvec[i] += dt * (samples[k, 1 + i] + 0.5 * bent[i])
+            row[1 + i] = rotvec[i]
         at += 1
     for k in range(out.shape[0]):
         for i in range(1, 7):
@@ -90,9 +91,9 @@ def _cross(a: Vector, b: Vector, out: Vector) -> None:
     out[2] = a[0] * b[1] - a[1] * b[0]
 
 
-def imagine(dt_s: float, bias: Any, frame: Frame, noise: Noise, turn_rps: float) -> Any:
-    """The motion model over `dt_s`, with turns as fast as `turn_rps`."""
-    params = _params(np.zeros(3), frame, noise, turn_rps, EVEN * noise.motion_mps2)
+def imagine(dt_s: float, bias: Any, frame: Frame, noise: Noise, rate_sigma_rps: float) -> Any:
+    """The motion model over `dt_s`, for a body whose rates have the sigma `rate_sigma_rps`."""
+    params = _params(np.zeros(3), frame, noise, rate_sigma_rps, EVEN * noise.motion_mps2)
     preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
     steps = max(round(dt_s / FICTION_STEP_S), 2)
     for _ in range(steps):

@@ -8,9 +8,10 @@ import numpy as np
 from analysis.detection.detection_config import SigmaNumbers
 from analysis.detection.filter.inertial import X_CLOCK, X_DRIFT, V
 from analysis.detection.filter.measurement import Indices, Measured, modelled_at, states_at
-from analysis.orbits.broadcast import EARTH_RATE_RPS, LIGHT_MPS, SYSTEMS
+from analysis.orbits.broadcast import SYSTEMS
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.linear import inverse
 
 # Columns of the table of a satellite: its range and rate as they would be without delays, satellite
@@ -41,7 +42,9 @@ def range_table(
             square += (states[i, k] - x[k]) ** 2
             out[i, LOS + k] = -modelled.h[i, k]
             along -= modelled.h[i, k] * x[V + k]
-        sagnac = (states[i, 0] * x[1] - states[i, 1] * x[0]) * (EARTH_RATE_RPS / LIGHT_MPS)
+        sagnac = (states[i, 0] * x[1] - states[i, 1] * x[0]) * (
+            GNSS_EARTH_RATE_RPS / SPEED_OF_LIGHT_MPS
+        )
         white = math.sqrt(modelled.variance[i])
         out[i, REMAINING] = modelled.v_m[i] + x[X_CLOCK]
         out[i, CORRECTED] = out[i, REMAINING] + math.sqrt(square) + sagnac - states[i, 6]

@@ -13,8 +13,8 @@ from analysis.fusion.factors.unary_factors import NO_CLOCK, unit
 from analysis.fusion.graph_start import Clock
 from analysis.fusion.local_frame import Frame
 from analysis.fusion.window import key
-from analysis.orbits.broadcast import LIGHT_MPS
 from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 
 HUBER = 1.345  # 95 % efficiency for normal noise (Huber 1964)
 GEMAN = 3.0
@@ -45,7 +45,7 @@ def clock_in_seconds(epoch: int) -> tuple[Any, Any]:
         c,
         np.array([[1.0 / TIED_M, 0.0]]),
         r,
-        np.array([[-LIGHT_MPS / TIED_M]]),
+        np.array([[-SPEED_OF_LIGHT_MPS / TIED_M]]),
         np.zeros(1),
         unit(1),
     )

@@ -26,7 +26,6 @@ from analysis.fusion.factors.unary_factors import (
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.graph import Graph
 from analysis.fusion.window import key
-from analysis.orbits.broadcast import geodetic
 from analysis.results import Decision
 from analysis.samples.sample import (
     AirspeedSample,
@@ -37,6 +36,7 @@ from analysis.samples.sample import (
     Vector,
     VisionSample,
 )
+from mavproxy_fault.numerics.earth_kernel import geodetic
 from mavproxy_fault.numerics.rotation import matrix_from_quat
 
 WAITING: dict[type, str] = {

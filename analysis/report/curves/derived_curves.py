@@ -6,8 +6,8 @@ import numpy as np
 
 from analysis.report.curves.fused_curves import fused_errors
 from analysis.report.recordings.recording import Event, Recording, Signal, Track, Vector
+from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
-EARTH_RADIUS_M = 6_371_000.0
 OWN_ATTITUDE = ("ATTITUDE", "ATTITUDE_QUATERNION")
 LONG_STEP_S = 3.0  # fixes further apart than this say nothing about a jump
 BALANCE_S = 1.0
@@ -46,8 +46,8 @@ def derived(recording: Recording) -> tuple[list[Signal], list[Event]]:
 
 def step_beyond_speed(track: Track, speed_mps: Signal | None) -> Vector:
     """How much further each step of a track is than its speed explains, m; shape (n - 1,)."""
-    north = np.radians(np.diff(track.lat_deg)) * EARTH_RADIUS_M
-    east = np.radians(np.diff(track.lon_deg)) * EARTH_RADIUS_M
+    north = np.radians(np.diff(track.lat_deg)) * MEAN_EARTH_RADIUS_M
+    east = np.radians(np.diff(track.lon_deg)) * MEAN_EARTH_RADIUS_M
     east *= np.cos(np.radians(track.lat_deg[1:]))
     length = np.hypot(north, east)
     dt = np.diff(track.t_s)
@@ -56,8 +56,10 @@ def step_beyond_speed(track: Track, speed_mps: Signal | None) -> Vector:
         good = np.isfinite(speed_mps.value)
         if good.any():
             at = np.interp(track.t_s, speed_mps.t_s[good], speed_mps.value[good])
+            # The faster of both ends: a step is suspicious only beyond what speed allows.
             flown = np.maximum(at[1:], at[:-1]) * dt
     beyond: Vector = np.maximum(length - flown, 0.0)
+    # Over a long gap the vehicle may have been anywhere.
     beyond[dt > LONG_STEP_S] = np.nan
     return beyond
 
@@ -95,7 +97,7 @@ def _position_errors(recording: Recording) -> list[Signal]:
         north = track.lat_deg[inside] - np.interp(t_s, truth.t_s, truth.lat_deg)
         east = track.lon_deg[inside] - np.interp(t_s, truth.t_s, truth.lon_deg)
         east = east * np.cos(np.radians(track.lat_deg[inside]))
-        error = np.radians(np.hypot(north, east)) * EARTH_RADIUS_M
+        error = np.radians(np.hypot(north, east)) * MEAN_EARTH_RADIUS_M
         found.append(Signal("position-error", track.name, t_s, error))
     return found
 
@@ -110,6 +112,7 @@ def _attitude_errors(recording: Recording) -> list[Signal]:
             continue
         if "truth" in curves:
             found.append(_difference(f"error-{part}", "autopilot", own, curves["truth"]))
+        # Yaw may lag by much without harm, and jumps where it wraps.
         if "desired" in curves and part != "yaw":
             found.append(_difference("control-error", part, own, curves["desired"]))
     found = [signal for signal in found if len(signal.t_s) > 1]
@@ -125,6 +128,7 @@ def _difference(panel: str, name: str, own: Signal, other: Signal) -> Signal:
     """One angle minus another where both are known, degrees wrapped to (-180, 180]."""
     inside = (own.t_s >= other.t_s[0]) & (own.t_s <= other.t_s[-1])
     t_s = own.t_s[inside]
+    # Unwrapped, or between 179 and -179 degrees there would be 0.
     there = np.interp(t_s, other.t_s, np.unwrap(other.value, period=360))
     return Signal(panel, name, t_s, 180 - (180 - (own.value[inside] - there)) % 360)
 
@@ -153,6 +157,7 @@ def _balance(recording: Recording) -> list[Signal]:
     if len(t_s) < 2 * samples:
         return []
     window = np.full(samples, 1 / samples)
+    # Against the mean of the same instant, so that climbing and braking cancel.
     off = np.nan_to_num(outputs - outputs.mean(axis=0))
     smooth = [np.convolve(row, window, "same") for row in off]
     return [

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.rotation import euler_from_quat
+
 Columns = Mapping[str, NDArray[Any]]
 Values = NDArray[np.float64]
 Reader = Callable[[Columns], Values]
@@ -60,6 +62,7 @@ def element(name: str, i: int, scale: float = 1.0, unknown: float | None = None)
     def values(columns: Columns) -> Values:
         raw = column(columns, name)[:, i]
         used = raw.any() if unknown is None else (raw != unknown).any()
+        # A channel that nobody feeds: no curve is better than one at zero.
         if not used:
             return np.full(len(raw), np.nan)
         return np.where(raw == unknown, np.nan, raw) * scale
@@ -72,6 +75,7 @@ def used(name: str, scale: float = 1.0) -> Reader:
 
     def values(columns: Columns) -> Values:
         raw = column(columns, name)
+        # MAVLink's and ArduPilot's "not there" of 16 bits.
         raw = np.where(raw == 65535, np.nan, raw)
         return raw * scale if np.nan_to_num(raw).any() else np.full(len(raw), np.nan)
 
@@ -110,8 +114,5 @@ def largest(*names: str) -> Reader:
 
 def euler_deg(q: Values) -> tuple[Values, Values, Values]:
     """Roll, pitch and yaw in degrees of quaternions (w, x, y, z), shape (4, n)."""
-    w, x, y, z = q
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return np.degrees(roll), np.degrees(pitch), np.degrees(yaw)
+    roll, pitch, yaw = np.degrees(euler_from_quat(q.T)).T
+    return roll, pitch, yaw

@@ -3,8 +3,8 @@
 import numpy as np
 
 from analysis.report.recordings.recording import Recording, Signal, Track, Vector
+from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
-EARTH_RADIUS_M = 6_371_000.0
 AXES = ("north", "east", "down")
 FUSED = "fused"  # tracks of fused solutions begin with this
 BAND = 3.0
@@ -22,6 +22,7 @@ def fused_errors(recording: Recording) -> list[Signal]:
     for i, axis in enumerate(AXES):
         panel = f"fused-{axis}"
         found += [Signal(panel, name, t_s, error[:, i]) for name, t_s, error in errors]
+        # A band on both sides, so that one sees whether the error keeps its own promise.
         if axis in sigmas:
             t_s, value = sigmas[axis].t_s, BAND * sigmas[axis].value
             found.append(Signal(panel, "+3 sigma", t_s, value))
@@ -41,6 +42,6 @@ def error_ned_m(track: Track, truth: Track) -> tuple[Vector, Vector]:
             (track.alt_m, truth.alt_m),
         )
     )
-    north = np.radians(lat) * EARTH_RADIUS_M
-    east = np.radians(lon) * EARTH_RADIUS_M * np.cos(np.radians(track.lat_deg[inside]))
+    north = np.radians(lat) * MEAN_EARTH_RADIUS_M
+    east = np.radians(lon) * MEAN_EARTH_RADIUS_M * np.cos(np.radians(track.lat_deg[inside]))
     return t_s, np.column_stack((north, east, -alt))

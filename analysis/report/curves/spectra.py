@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from analysis.report.recordings.recording import Recording, Signal, Vector
 
+# Below 20 Hz nothing of motors or filters is in the signal.
 LEAST_HZ, LEAST_SAMPLES = 20.0, 512
 EVEN_SHARE, EVEN_WITHIN = 0.8, 0.5  # of the steps must be so near the usual one
 SEGMENT, WINDOW = 1024, 256  # samples of a density's segments, of a spectrogram's windows
@@ -156,6 +157,7 @@ def _density(signal: Signal) -> Spectrum:
     segment = min(SEGMENT, 2 ** int(np.log2(len(signal.value) / 4)))
     found = psd(signal.value, segment, _rate_hz(signal), detrend="mean", noverlap=segment // 2)
     density, frequency_hz = map(np.asarray, found)
+    # Without the mean, which lies at zero and dwarfs the rest.
     return Spectrum(signal.name, frequency_hz[1:], density[1:])
 
 
@@ -165,6 +167,7 @@ def _images(recording: Recording, fast: Sequence[Signal]) -> list[Spectrogram]:
 
     first = [s for s in fast if s.name in ("x", "y", "z", "roll", "pitch", "yaw")] or fast[:3]
     n = min(len(signal.value) for signal in first)
+    # Windows overlap by three quarters; of a long log by less, so that no more columns than pixels.
     hop = max(WINDOW // 4, -(-(n - WINDOW) // COLUMNS))
     total: NDArray[np.float64] = np.zeros(())
     for signal in first:
@@ -174,6 +177,7 @@ def _images(recording: Recording, fast: Sequence[Signal]) -> list[Spectrogram]:
         )
         level, frequency_hz, t_s = map(np.asarray, found)
         total = total + level
+    # Decibels, since motors stand out from the noise by orders of magnitude.
     level_db = 10 * np.log10(np.maximum(total[1:], 1e-12))
     start_s = float(first[0].t_s[0])
     step_s = float(t_s[1] - t_s[0]) if len(t_s) > 1 else 1.0

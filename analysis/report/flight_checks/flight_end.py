@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, Check, Windows
 from analysis.report.recordings.recording import Recording, Signal, Vector
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 
 STOP_S = 0.7  # within which the ground stops a fall
 REST_S = 2.0  # for which the vehicle then lies
@@ -15,7 +16,6 @@ STEP_S = 0.1  # of the axis on which it is judged
 ALOFT_M = 2.0
 FALLING_MPS = 3.0
 OVER_DEG = 60.0
-GRAVITY_MPS2 = 9.80665
 ESTIMATES = ("estimate", "CTUN", "GPS")
 
 
@@ -97,7 +97,7 @@ def _blow(recording: Recording, begin_s: float, end_s: float) -> bool | None:
     if near.sum() < 10:
         return None
     force = np.linalg.norm([axes[name].value[near] for name in "xyz"], axis=0)
-    return bool(np.nanmax(np.abs(force - GRAVITY_MPS2)) > BLOW_MPS2)
+    return bool(np.nanmax(np.abs(force - STANDARD_GRAVITY_MPS2)) > BLOW_MPS2)
 
 
 def _aloft(recording: Recording, armed: Windows | None) -> Check:

@@ -65,6 +65,7 @@ def verdict_of(checks: Sequence[Check]) -> str:
     A log that is whole, or a link without losses, says nothing about the flight.
     """
     worst = max((check.verdict for check in checks), key=RANK.__getitem__, default=NONE)
+    # A bench log passes every formal check and shows no flight.
     if worst == PASS and all(_formal(check) for check in checks if check.verdict == PASS):
         worst = NONE
     return "NO VERDICT" if worst == NONE else worst
@@ -74,8 +75,8 @@ def _formal(check: Check) -> bool:
     return check.name in FORMAL or check.name.startswith("link from")
 
 
-def held(t_s: Vector, beyond: NDArray[np.bool_], hold_s: float) -> list[tuple[float, float]]:
-    """Stretches of at least `hold_s` in which a condition held at every sample.
+def lasting(t_s: Vector, beyond: NDArray[np.bool_], hold_s: float) -> list[tuple[float, float]]:
+    """Stretches of at least `hold_s` in which a condition was true at every sample.
 
     A sample stands for the time until the next one, but not across a gap in the data.
     """
@@ -84,6 +85,7 @@ def held(t_s: Vector, beyond: NDArray[np.bool_], hold_s: float) -> list[tuple[fl
     step = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
     windows = []
     for begin, end in runs(beyond):
+        # The value between two samples is known only if they are close.
         cuts = [begin, *(begin + 1 + np.flatnonzero(np.diff(t_s[begin:end]) > LONG_GAP_S)), end]
         for first, last in itertools.pairwise(cuts):
             stop = float(t_s[last - 1]) + step
@@ -104,9 +106,10 @@ def level(
         return Check(name=name, verdict=NONE, evidence=reason, limit=limits.text(), panel=panel)
     verdict, windows, worst = PASS, [], []
     for label, t_s, value in rows:
+        # One comparison for both kinds of limit.
         sign = -1.0 if limits.below else 1.0
-        failing = held(t_s, sign * value > sign * limits.fail, limits.hold_s)
-        warning = held(t_s, sign * value > sign * limits.warn, limits.hold_s)
+        failing = lasting(t_s, sign * value > sign * limits.fail, limits.hold_s)
+        warning = lasting(t_s, sign * value > sign * limits.warn, limits.hold_s)
         found = FAIL if failing else WARN if warning else PASS
         if RANK[found] > RANK[verdict]:
             verdict = found

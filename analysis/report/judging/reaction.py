@@ -49,10 +49,11 @@ def reactions(
     spoken = [event for event in recording.events if _speaks(event)]
     raised = [e for e in spoken if not (e.kind == "flag" and e.text.endswith("cleared"))]
     heard = [_of_event(e, recording) for e in raised]
+    # The log was changed after the flight: the autopilot never saw the fault.
     if edited:
         heard = _of_checks(checks, recording)
     heard.sort(key=lambda window: window.start_us)
-    watched = {CHECKED[check.name] for check in checks if _held(check)} if edited else set()
+    watched = {CHECKED[check.name] for check in checks if _was_judged(check)} if edited else set()
     if edited or recording.autopilot:
         watched |= {AUTOPILOT, *(name for name, _ in NAMED)}
     rows = outcomes(labels, heard, watched, REACTION_US, witnesses=frozenset({AUTOPILOT}))
@@ -62,7 +63,7 @@ def reactions(
     ]
 
 
-def _held(check: Check) -> bool:
+def _was_judged(check: Check) -> bool:
     return check.name in CHECKED and check.verdict != "not judged"
 
 
@@ -70,7 +71,7 @@ def _of_checks(checks: Sequence[Check], recording: Recording) -> list[Window]:
     return [
         Window(CHECKED[check.name], CHECKED[check.name], begin, end, 1, True)
         for check in checks
-        if _held(check)
+        if _was_judged(check)
         for begin, end in (
             (_stamp(t_s, recording), _stamp(end_s, recording)) for t_s, end_s in check.windows
         )
@@ -100,7 +101,8 @@ def _row(
     start_s = (label.start_us - recording.t0_us) * 1e-6
     end_us = label.end_us
     end_s = recording.duration_s if end_us is None else (end_us - recording.t0_us) * 1e-6
-    later = [(other.start_us - recording.t0_us) * 1e-6 for other in labels]
+    # What is said after the next fault began may be its doing.
+    later = [(one.start_us - recording.t0_us) * 1e-6 for one in labels]
     until = min([end_s + ECHO_S, *(t_s for t_s in later if t_s > start_s)])
     found["reaction"] = [
         {"t_s": round(e.t_s, 3), "after_s": round(e.t_s - start_s, 3), "text": e.text}

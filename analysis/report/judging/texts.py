@@ -43,6 +43,7 @@ def alarming(event: Event) -> bool:
     """Whether something said asks for attention: by its severity, else by its words."""
     if event.kind == "error":
         return event.severity <= WARNING
+    # What is over, and what was refused on the bench, alarms nobody in flight.
     if OVER.search(event.text) or BENCH.search(event.text):
         return False
     if event.severity == UNGRADED:
@@ -80,6 +81,7 @@ def findings(spoken: Sequence[Event], armed: Windows | None) -> list[Finding]:
             finding = found.setdefault(subject, Finding(event.text, WARN, event.severity, []))
             finding.verdict = FAIL if grave else finding.verdict
             finding.severity = min(finding.severity, event.severity)
+            # Half a second wide, so that it can be seen on the page.
             finding.windows.append((event.t_s, event.t_s + 0.5))
     return sorted(found.values(), key=lambda f: (f.verdict != FAIL, f.severity, f.windows[0]))
 
@@ -93,6 +95,7 @@ def _end(finding: Finding | None, t_s: float) -> None:
 
 def _subject(text: str) -> str:
     """A text without numbers and without saying whether it begins or ends."""
+    # So that "GPS glitch" and "GPS glitch cleared" are one subject.
     words = OVER.sub("", re.sub(r"[-+]?\d+(\.\d+)?|error", "", text)).lower()
     return " ".join(words.replace(":", " ").split())
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.page.pack import Block
+from analysis.report.page.pack import PackedNumbers
 from analysis.report.recordings.recording import Message, Vector
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -110,10 +110,10 @@ def _packed(
 ) -> tuple[dict[str, Any], str]:
     """One message's entry in the index and its numbers; at equal steps of rows if it is thinned."""
     step = 1 if most_rows is None else max(1, -(-len(t_s) // most_rows))
-    block = Block()
-    entry: dict[str, Any] = {"step": step, "t": block.times(t_s[::step]), "fields": []}
+    numbers = PackedNumbers()
+    entry: dict[str, Any] = {"step": step, "t": numbers.times(t_s[::step]), "fields": []}
     for name, values in columns.items():
         thin = values[::step]
         first = next((v for v in thin[:1].tolist() if np.isfinite(v) and abs(v) > FAR), 0.0)
-        entry["fields"].append({"name": name, "y": block.values(thin - first), "add": first})
-    return entry, block.text()
+        entry["fields"].append({"name": name, "y": numbers.values(thin - first), "add": first})
+    return entry, numbers.text()

@@ -27,7 +27,7 @@ Place = dict[str, float | int]
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class PackedNumbers:
     """The numbers gathered so far; `parts` grows.
 
     Curves of one message share their times: these are put in once.

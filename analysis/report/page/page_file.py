@@ -11,7 +11,7 @@ from html import escape
 from importlib.resources import files
 
 from analysis.report.page.field_data import FieldData
-from analysis.report.page.pack import Block
+from analysis.report.page.pack import PackedNumbers
 from analysis.report.page.page_body import anchor, css_class, overview, section_html, sections_of
 from analysis.report.page.page_model import page_model
 from analysis.report.page.page_parts import Page
@@ -26,8 +26,8 @@ STYLES = ("uPlot.min.css", "page.css")
 
 def html(page: Page, recording: Recording, fields: FieldData | None = None) -> str:
     """The whole file."""
-    block = Block()
-    model = page_model(page, recording, block)
+    numbers = PackedNumbers()
+    model = page_model(page, recording, numbers)
     fields = fields or FieldData()
     model["fields"] = fields.index
     sections = sections_of(page, recording, model, bool(fields.index))
@@ -53,7 +53,7 @@ def html(page: Page, recording: Recording, fields: FieldData | None = None) -> s
             overview(page, recording),
             *(section_html(section, page, recording, model) for section in sections),
             f'</main><script type="application/json" id="model">{_json(model)}</script>',
-            f'<script type="text/plain" id="numbers">{block.text()}</script>{blocks}',
+            f'<script type="text/plain" id="numbers">{numbers.text()}</script>{blocks}',
             f"<!-- uPlot: {asset('uPlot.LICENSE')} -->",
             f"<script>{script}</script></body></html>\n",
         )

@@ -8,13 +8,13 @@ import numpy as np
 
 from analysis.report.curves.spectra import Spectrogram, SpectrumPanel, marks, spectrum_panels
 from analysis.report.judging.checks import armed_windows
-from analysis.report.page.pack import Block, broken, longest_curve, thinned, unwrapped
+from analysis.report.page.pack import PackedNumbers, broken, longest_curve, thinned, unwrapped
 from analysis.report.page.page_parts import Page
 from analysis.report.page.panels import BY_KEY, PANELS
 from analysis.report.page.series_colours import series_colours
 from analysis.report.recordings.recording import Recording, Signal, Track, Vector
+from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
-EARTH_RADIUS_M = 6_371_000.0  # for a picture of the track; nothing is measured on it
 HEADINGS = {"yaw", "error-yaw", "instance-yaw"}
 MARGIN_S = 2.0  # of a track, before arming and after
 MARKS_SHOWN, TRACK_POINTS = 1000, 20_000
@@ -23,8 +23,8 @@ LEVELS, RANGE_DB = 255, 60.0  # of a spectrogram's picture
 Model = dict[str, Any]
 
 
-def page_model(page: Page, recording: Recording, block: Block) -> Model:
-    """The model of a page; its numbers go into `block`."""
+def page_model(page: Page, recording: Recording, numbers: PackedNumbers) -> Model:
+    """The model of a page; its numbers go into `numbers`."""
     starts = [signal.t_s[0] for signal in recording.signals] + [s.start_s for s in recording.spans]
     ends = [signal.t_s[-1] for signal in recording.signals] + [s.end_s for s in recording.spans]
     start = float(min(starts, default=0.0))
@@ -35,27 +35,29 @@ def page_model(page: Page, recording: Recording, block: Block) -> Model:
         "end": max(float(max(ends, default=1.0)), start + 1e-3),
         "t0_us": recording.t0_us,
         "utc0_us": recording.utc0_us,
-        "panels": _panels(page, recording, block),
+        "panels": _panels(page, recording, numbers),
         "spans": [
             {"lane": s.lane, "start": s.start_s, "end": s.end_s, "text": s.text, "kind": s.kind}
             for s in sorted(recording.spans, key=lambda span: _lane_rank(span.lane))
         ],
         "marks": [asdict(event) for event in recording.events[:MARKS_SHOWN]],
-        "tracks": _tracks(tracks, block),
+        "tracks": _tracks(tracks, numbers),
         "origin": [float(tracks[0].lat_deg[0]), float(tracks[0].lon_deg[0])] if tracks else None,
-        "spectra": [_spectrum(panel, block) for panel in spectra],
+        "spectra": [_spectrum(panel, numbers) for panel in spectra],
         "frequencies": marks(recording),
     }  # fmt: skip
 
 
-def _panels(page: Page, recording: Recording, block: Block) -> list[Model]:
+def _panels(page: Page, recording: Recording, numbers: PackedNumbers) -> list[Model]:
     shown = {panel.key: recording.of(panel.key) for panel in PANELS}
     shown = {key: signals for key, signals in shown.items() if len(signals) >= BY_KEY[key].least}
     longest = longest_curve([len(s.t_s) for signals in shown.values() for s in signals])
-    return [_panel(key, signals, page, block, longest) for key, signals in shown.items()]
+    return [_panel(key, signals, page, numbers, longest) for key, signals in shown.items()]
 
 
-def _panel(key: str, signals: Sequence[Signal], page: Page, block: Block, longest: int) -> Model:
+def _panel(
+    key: str, signals: Sequence[Signal], page: Page, numbers: PackedNumbers, longest: int
+) -> Model:
     panel = BY_KEY[key]
     colours = series_colours([signal.name for signal in signals])
     series = []
@@ -63,7 +65,7 @@ def _panel(key: str, signals: Sequence[Signal], page: Page, block: Block, longes
         t_s, value = thinned(*broken(signal.t_s, signal.value), longest)
         if key in HEADINGS:
             t_s, value = unwrapped(t_s, value)
-        places = {"t": block.times(t_s), "y": block.values(value)}
+        places = {"t": numbers.times(t_s), "y": numbers.values(value)}
         series.append({"name": signal.name, "colour": colour, **places})
     limits = [asdict(limit) for limit in page.limits.get(key, ())]
     words = {"key": key, "title": panel.title, "unit": panel.unit, "log": panel.log}
@@ -98,7 +100,7 @@ def flown(recording: Recording) -> list[Track]:
     return found
 
 
-def _tracks(tracks: Sequence[Track], block: Block) -> list[Model]:
+def _tracks(tracks: Sequence[Track], numbers: PackedNumbers) -> list[Model]:
     """Tracks in metres east, north and up of the first one's first point."""
     if not tracks:
         return []
@@ -106,18 +108,22 @@ def _tracks(tracks: Sequence[Track], block: Block) -> list[Model]:
     colours = series_colours([track.name for track in tracks])
     found = []
     for track, colour in zip(tracks, colours, strict=True):
-        east = np.radians(track.lon_deg - lon0) * EARTH_RADIUS_M * np.cos(np.radians(lat0))
-        north = np.radians(track.lat_deg - lat0) * EARTH_RADIUS_M
+        east = np.radians(track.lon_deg - lon0) * MEAN_EARTH_RADIUS_M * np.cos(np.radians(lat0))
+        north = np.radians(track.lat_deg - lat0) * MEAN_EARTH_RADIUS_M
         step = max(1, len(track.t_s) // TRACK_POINTS)
         axes: tuple[tuple[str, Vector], ...] = (("e", east), ("n", north), ("u", track.alt_m))
-        places: Model = {"name": track.name, "colour": colour, "t": block.times(track.t_s[::step])}
+        places: Model = {
+            "name": track.name,
+            "colour": colour,
+            "t": numbers.times(track.t_s[::step]),
+        }
         for name, values in axes:
-            places[name] = block.values(values[::step])
+            places[name] = numbers.values(values[::step])
         found.append(places)
     return found
 
 
-def _spectrum(panel: SpectrumPanel, block: Block) -> Model:
+def _spectrum(panel: SpectrumPanel, numbers: PackedNumbers) -> Model:
     names = [spectrum.name for spectrum in panel.spectra]
     return {
         "key": panel.key,
@@ -127,16 +133,16 @@ def _spectrum(panel: SpectrumPanel, block: Block) -> Model:
             {
                 "name": spectrum.name,
                 "colour": colour,
-                "t": block.times(spectrum.frequency_hz),
-                "y": block.values(spectrum.density),
+                "t": numbers.times(spectrum.frequency_hz),
+                "y": numbers.values(spectrum.density),
             }
             for spectrum, colour in zip(panel.spectra, series_colours(names), strict=True)
         ],
-        "images": [_image(image, block) for image in panel.images],
+        "images": [_image(image, numbers) for image in panel.images],
     }
 
 
-def _image(image: Spectrogram, block: Block) -> Model:
+def _image(image: Spectrogram, numbers: PackedNumbers) -> Model:
     """Levels of the loudest 60 dB as numbers to 255, the lowest frequency first; -1: no data."""
     highest = float(np.nanmax(image.level_db))
     lowest = highest - RANGE_DB
@@ -145,5 +151,5 @@ def _image(image: Spectrogram, block: Block) -> Model:
     return {
         "title": image.title, "axis": image.axis, "start": image.start, "end": image.end,
         "hz": image.highest_hz, "rows": len(level), "low": lowest, "high": highest,
-        "y": block.values(rounded.ravel()),
+        "y": numbers.values(rounded.ravel()),
     }  # fmt: skip

@@ -219,9 +219,14 @@ def reasons(checks: Sequence[Check]) -> list[tuple[str, str]]:
 def reaction_table(faults: Sequence[Mapping[str, Any]]) -> Table | None:
     """What the autopilot said to each fault; None where that was not looked at."""
     rows = [
-        (str(fault["id"]), f"{said['t_s']:.2f}", f"{said['after_s']:.2f}", str(said["text"]))
+        (
+            str(fault["id"]),
+            f"{reaction['t_s']:.2f}",
+            f"{reaction['after_s']:.2f}",
+            str(reaction["text"]),
+        )
         for fault in faults
-        for said in fault.get("reaction", ())
+        for reaction in fault.get("reaction", ())
     ]
     if not any("reaction" in fault for fault in faults):
         return None

@@ -60,17 +60,17 @@ def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = No
     _add_armed(found, log, start_us)
     _add_timeouts(found, log, start_us)
     _add_core(found, log, start_us)
-    _add_said(found, log, start_us)
+    _add_texts(found, log, start_us)
     _add_parameters(found, log, start_us)
     found.events.sort(key=lambda event: event.t_s)
     if log.cut:
         found.notes.append("the file ends in the middle of a message: it was cut short")
     if log.damaged:
         found.notes.append("parts of the file are damaged and were passed over")
-    if log.left_out:
+    if log.unread_bytes:
         found.notes.append(
-            f"the file is large: its last {log.left_out / 1e6:.0f} MB were not read, the report "
-            "covers the beginning"
+            f"the file is large: its last {log.unread_bytes / 1e6:.0f} MB were not read, the "
+            "report covers the beginning"
         )
     return replace(found, utc0_us=_utc0_us(log, start_us))
 
@@ -98,8 +98,10 @@ def _add_modes(found: Recording, log: DataflashFile, start_us: int) -> None:
     topic = log.topics.get(("MODE", 0))
     if topic is None:
         return
-    said = " ".join(_text(text) for text in log.topics.get(("MSG", 0), {}).get("Message", [])[:20])
-    vehicle = FIXED_WING if "Plane" in said else ROVERS[0] if "Rover" in said else COPTER
+    texts = " ".join(_text(text) for text in log.topics.get(("MSG", 0), {}).get("Message", [])[:20])
+    # The log has no type; the firmware says its name among the first texts.
+    vehicle = FIXED_WING if "Plane" in texts else ROVERS[0] if "Rover" in texts else COPTER
+    # A mode lasts until the next one, the last one to the end.
     t_s = [*_seconds(topic, start_us).tolist(), found.duration_s]
     numbers = topic.get("ModeNum", topic.get("Mode", np.empty(0)))
     for i, number in enumerate(numbers.tolist()):
@@ -169,7 +171,7 @@ def _utc0_us(log: DataflashFile, start_us: int) -> int:
     return GPS_EPOCH_US + gps_us - int(topic["TimeUS"][first]) + start_us
 
 
-def _add_said(found: Recording, log: DataflashFile, start_us: int) -> None:
+def _add_texts(found: Recording, log: DataflashFile, start_us: int) -> None:
     """Texts and errors."""
     if (topic := log.topics.get(("MSG", 0))) is not None:
         for t_s, text in zip(_seconds(topic, start_us).tolist(), topic["Message"], strict=True):

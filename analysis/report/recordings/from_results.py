@@ -177,7 +177,7 @@ def isolation_matrix(
     for result in results:
         if not isinstance(result, Decision):
             continue
-        said = result.excluded or (result.hypothesis,)
+        decided = result.excluded or (result.hypothesis,)
         true = [
             label.id
             for label in labels
@@ -186,7 +186,7 @@ def isolation_matrix(
         ]
         true = true or [AFTER if _just_after(labels, result.t_us) else "no fault"]
         for row in true:
-            for column in said:
+            for column in decided:
                 counts[row][column] += 1
     if not counts[AFTER]:
         del counts[AFTER]

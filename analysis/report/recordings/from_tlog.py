@@ -26,11 +26,13 @@ from analysis.report.recordings.recording import (
     Span,
     Track,
     runs,
+    stretches,
 )
 from mavproxy_fault.wire.tlog import Columns
 
 GROUND_STATION = 6  # MAV_TYPE_GCS
-ARMED = 0x80
+ARMED = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
+NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID: a camera or a gimbal beats too
 HEADER = ("t_us", "system", "component", "seq")  # columns that are no fields of the message
 WALL_US = 1_000_000_000_000_000  # stamps later than this (2001) are those of a computer's clock
 TRUTH = "HIL_STATE_QUATERNION"
@@ -91,9 +93,9 @@ def recording_of(
     for system in systems or [0]:
         own = {key: rows[rows["system"] == system] for key, rows in columns.items()}
         own = {key: rows for key, rows in own.items() if len(rows)} if systems else columns
-        own, said = _without_placeholder(own)
+        own, warnings = _without_placeholder(own)
         clock, notes = clock_of(own, system, t0_us)
-        notes += said
+        notes += warnings
         found.notes.extend(notes)
         suffix = f" (system {system})" if len(systems) > 1 else ""
         vehicles.append(_Vehicle(system, own, clock, suffix, *_kind(own)))
@@ -116,6 +118,7 @@ def recording_of(
 def _utc0_us(columns: Columns, clock: Clock) -> int:
     """The log's stamp where the axis is zero; 0 if stamps are no computer's time."""
     first = min((int(rows["t_us"].min()) for rows in columns.values()), default=0)
+    # Small stamps count from boot and tell no date.
     if first < WALL_US:
         return 0
     return round(first - float(clock.at(np.array([first], float))[0]) * 1e6)
@@ -129,6 +132,7 @@ def _without_placeholder(columns: Columns) -> tuple[Columns, list[str]]:
     same = all(
         np.all(rows[name] == rows[name][0]) for name in ("attitude_quaternion", "lat", "alt")
     )
+    # A vehicle that stands still has a truth that never changes, too.
     turning = np.ptp(columns["HIL_SENSOR"]["xgyro"]) > TURNING_RPS
     if not (same and turning):
         return columns, []
@@ -146,6 +150,7 @@ def vehicle_systems(columns: Columns) -> list[int]:
         stations = set(np.unique(beats["system"][beats["type"] == GROUND_STATION]).tolist())
         flying = set(np.unique(beats["system"][beats["type"] != GROUND_STATION]).tolist())
         systems -= stations - flying
+        # Who sends curves but no heartbeat, as telemetry radios do.
         radios = {s for s in systems if s not in flying}
         systems -= radios if flying & systems else set()
     return sorted(systems)
@@ -156,7 +161,7 @@ def _kind(columns: Columns) -> tuple[int, int]:
     beats = columns.get("HEARTBEAT")
     if beats is None:
         return 0, 0
-    beats = beats[(beats["type"] != GROUND_STATION) & (beats["autopilot"] != 8)]
+    beats = beats[(beats["type"] != GROUND_STATION) & (beats["autopilot"] != NO_AUTOPILOT)]
     return (int(beats["autopilot"][-1]), int(beats["type"][-1])) if len(beats) else (0, 0)
 
 
@@ -202,6 +207,7 @@ def _add_tracks(found: Recording, vehicle: _Vehicle) -> None:
         rows = vehicle.columns.get(message)
         if rows is None:
             continue
+        # 0, 0 stands for no position; nobody flies there.
         rows = rows[(rows["lat"] != 0) | (rows["lon"] != 0)]
         if len(rows) < 2:
             continue
@@ -214,7 +220,7 @@ def _add_modes(found: Recording, vehicle: _Vehicle) -> None:
     beats = vehicle.columns.get("HEARTBEAT")
     if beats is None:
         return
-    beats = beats[(beats["type"] != GROUND_STATION) & (beats["autopilot"] != 8)]
+    beats = beats[(beats["type"] != GROUND_STATION) & (beats["autopilot"] != NO_AUTOPILOT)]
     if len(beats) == 0:
         return
     t_s = vehicle.clock.seconds(beats)
@@ -224,26 +230,13 @@ def _add_modes(found: Recording, vehicle: _Vehicle) -> None:
     armed = ["armed" if mode & ARMED else "disarmed" for mode in beats["base_mode"].tolist()]
     states = [STATES.get(state, "") for state in beats["system_status"].tolist()]
     for lane, values, kind in (("mode", names, "mode"), ("armed", armed, "mode")):
-        found.spans.extend(_stretches(lane + vehicle.suffix, t_s, values, kind))
-    found.spans.extend(_stretches("system status" + vehicle.suffix, t_s, states, "fail"))
+        found.spans.extend(stretches(lane + vehicle.suffix, t_s, values, kind))
+    found.spans.extend(stretches("system status" + vehicle.suffix, t_s, states, "fail"))
     for i in range(1, len(beats)):
         if names[i] != names[i - 1]:
             found.events.append(Event(float(t_s[i]), "mode", f"mode {names[i]}{vehicle.suffix}"))
         if armed[i] != armed[i - 1]:
             found.events.append(Event(float(t_s[i]), "mode", armed[i] + vehicle.suffix))
-
-
-def _stretches(lane: str, t_s: NDArray[np.float64], values: list[str], kind: str) -> list[Span]:
-    """One span per stretch of equal, non-empty values."""
-    spans: list[Span] = []
-    begin = 0
-    for i in range(1, len(values) + 1):
-        if i == len(values) or values[i] != values[begin]:
-            end = float(t_s[min(i, len(values) - 1)])
-            if values[begin]:
-                spans.append(Span(lane, float(t_s[begin]), end, values[begin], kind))
-            begin = i
-    return spans
 
 
 def _add_flags(found: Recording, vehicle: _Vehicle) -> None:

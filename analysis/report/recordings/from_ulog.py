@@ -18,7 +18,9 @@ from analysis.report.recordings.recording import (
     Span,
     Track,
     runs,
+    stretches,
 )
+from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
 Values = NDArray[np.float64]
 NAV_STATES = {
@@ -84,6 +86,7 @@ def _utc0_us(topics: Mapping[tuple[str, int], Topic], start_us: int) -> int:
     topic = topics.get(("vehicle_gps_position", 0), {})
     if "time_utc_usec" not in topic or not topic["time_utc_usec"].any():
         return 0
+    # The last: receivers correct their clock after the first fixes.
     last = int(np.flatnonzero(topic["time_utc_usec"])[-1])
     return int(topic["time_utc_usec"][last]) - int(topic["timestamp"][last]) + start_us
 
@@ -98,6 +101,7 @@ def _tracks(name: str, suffix: str, topic: Topic, t_s: Values) -> list[Track]:
         return _local_track(topic, t_s)
     if name not in labels or "latitude_deg" not in topic:
         return []
+    # Before the first fix the topic is there, with zeros.
     keep = np.isfinite(topic["latitude_deg"]) & (topic["latitude_deg"] != 0)
     if keep.sum() < 2:
         return []
@@ -111,8 +115,8 @@ def _local_track(topic: Topic, t_s: Values) -> list[Track]:
     keep = np.isfinite(lat0) & (lat0 != 0) & np.isfinite(topic["x"])
     if keep.sum() < 2:
         return []
-    lat = lat0 + np.degrees(topic["x"] / 6_371_000.0)
-    lon = lon0 + np.degrees(topic["y"] / 6_371_000.0) / np.cos(np.radians(lat0))
+    lat = lat0 + np.degrees(topic["x"] / MEAN_EARTH_RADIUS_M)
+    lon = lon0 + np.degrees(topic["y"] / MEAN_EARTH_RADIUS_M) / np.cos(np.radians(lat0))
     alt = topic["ref_alt"] - topic["z"]
     return [Track("local estimate", t_s[keep], lat[keep], lon[keep], alt[keep].astype(float))]
 
@@ -123,7 +127,7 @@ def _spans(name: str, suffix: str, topic: Topic, t_s: Values) -> list[Span]:
         armed = (topic["arming_state"] == ARMED).tolist()
         texts = [NAV_STATES.get(state, f"state {state}") for state in states]
         words = ["armed" if now else "disarmed" for now in armed]
-        return _stretches("mode", t_s, texts) + _stretches("armed", t_s, words)
+        return stretches("mode", t_s, texts) + stretches("armed", t_s, words)
     if name == "failsafe_flags":
         return _flag_spans("failsafe", FAILSAFES, topic, t_s)
     if name == "estimator_status_flags":
@@ -131,7 +135,7 @@ def _spans(name: str, suffix: str, topic: Topic, t_s: Values) -> list[Span]:
         return _flag_spans(f"estimator{suffix}", flags, topic, t_s)
     if name == "estimator_selector_status":
         texts = [f"instance {i + 1}" for i in topic["primary_instance"].tolist()]
-        return _stretches("estimator in use", t_s, texts)
+        return stretches("estimator in use", t_s, texts)
     if name == "vehicle_gps_position":
         return _state_spans(f"GPS jamming{suffix}", "jamming_state", JAMMING, topic, t_s) + (
             _state_spans(f"GPS spoofing{suffix}", "spoofing_state", SPOOFING, topic, t_s)
@@ -149,8 +153,7 @@ def _state_spans(
     if states is None:
         return []
     words = [texts.get(state, "") for state in states.tolist()]
-    stretches = _stretches(lane, t_s, words, "flag")
-    return [span for span in stretches if span.text]
+    return stretches(lane, t_s, words, "flag")
 
 
 def _saturated(topic: Topic, t_s: Values) -> list[Span]:
@@ -175,17 +178,6 @@ def _flag_spans(lane: str, flags: Sequence[str], topic: Topic, t_s: Values) -> l
             stop = float(t_s[min(end, len(t_s) - 1)])
             text = flag.replace("_", " ")
             spans.append(Span(f"{lane}: {text}", float(t_s[begin]), stop, text, "flag"))
-    return spans
-
-
-def _stretches(lane: str, t_s: Values, texts: Sequence[str], kind: str = "mode") -> list[Span]:
-    spans = []
-    begin = 0
-    for i in range(1, len(texts) + 1):
-        if i == len(texts) or texts[i] != texts[begin]:
-            end = float(t_s[min(i, len(texts) - 1)])
-            spans.append(Span(lane, float(t_s[begin]), end, texts[begin], kind))
-            begin = i
     return spans
 
 

@@ -3,7 +3,7 @@
 Times are seconds on one axis per report (`t_s`), zero at the start of the schedule or of the log.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -158,3 +158,18 @@ def runs(active: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return list(
         zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
     )
+
+
+def stretches(
+    lane: str, t_s: NDArray[np.float64], values: Sequence[str], kind: str = "mode"
+) -> list[Span]:
+    """One span per stretch of equal, non-empty values."""
+    spans: list[Span] = []
+    begin = 0
+    for i in range(1, len(values) + 1):
+        if i == len(values) or values[i] != values[begin]:
+            end = float(t_s[min(i, len(values) - 1)])
+            if values[begin]:
+                spans.append(Span(lane, float(t_s[begin]), end, values[begin], kind))
+            begin = i
+    return spans

@@ -180,5 +180,5 @@ def _mcap_results(path: Path) -> list[Result]:
 def _with_labels(flight: Flight) -> Flight:
     if not flight.labels and not flight.results:
         return flight
-    said = recording_of_results(flight.labels, flight.results, flight.recording.t0_us)
-    return replace(flight, recording=joined(flight.recording, said))
+    judged = recording_of_results(flight.labels, flight.results, flight.recording.t0_us)
+    return replace(flight, recording=joined(flight.recording, judged))

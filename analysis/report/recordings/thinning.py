@@ -48,6 +48,7 @@ def extremes(value: NDArray[np.float64], buckets: int) -> NDArray[np.int64]:
     table = whole.reshape(buckets, size)
     finite = np.isfinite(table)
     some = finite.any(axis=1)
+    # NaN must never win.
     low = np.where(finite, table, np.inf).argmin(axis=1)
     high = np.where(finite, table, -np.inf).argmax(axis=1)
     starts = np.arange(buckets) * size
@@ -58,6 +59,7 @@ def contents(path: Path) -> Contents:
     """A tlog, thinned if it is large."""
     size = path.stat().st_size
     thin = size > WHOLE_BYTES
+    # What each block may keep, so that all blocks together keep ROWS.
     budget = max(60, ROWS * tlog.BLOCK_FRAMES * LEAST_RECORD // max(size, 1))
     parts: dict[str, list[Rows]] = {}
     links: list[NDArray[np.void]] = []
@@ -90,9 +92,11 @@ def kept_rows(rows: Rows, budget: int) -> Rows:
     if len(rows) <= budget:
         return rows
     names = rows.dtype.names or ()
+    # Texts and modes are not sampled: every change is an event.
     if "custom_mode" in names or any(rows.dtype[name].kind == "S" for name in names):
         return rows[_changes(rows)]
     curves = [column for name in names if name not in SENDING for column in _curves(rows[name])]
+    # Half of the budget for extremes, two for each stretch and curve.
     buckets = max(1, budget // (4 * max(len(curves), 1)))
     picked = [np.arange(0, len(rows), max(1, 2 * len(rows) // budget))]
     picked += [extremes(curve, buckets) for curve in curves]

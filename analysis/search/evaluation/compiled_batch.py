@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from analysis.estimators import Prior, make
 from analysis.estimators.complementary import Mahony
 from analysis.estimators.ekf import Ekf
-from analysis.estimators.estimator import SEA_LEVEL_DENSITY_KGPM3
 from analysis.search.evaluation.traced_flight import Trace, estimated, traced, with_all_sensors
 from analysis.search.lanes import rows
-from analysis.search.lanes.filter_lanes import EKF, HEARD, LEVELLED, MAHONY, MEMORY, Gains
+from analysis.search.lanes.filter_lanes import EKF, FILTER_SIZE, HEARD, LEVELLED, MAHONY, Gains
 from analysis.search.lanes.lane_state import Envelope
 from analysis.search.lanes.noise_kernel import GENERATORS, streams
 from analysis.search.lanes.search_kernel import Plan, fly
@@ -26,12 +25,13 @@ from analysis.search.space.dimensions import (
     space_of,
 )
 from analysis.search.space.test_file import StateScales, TestFile
-from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotation import matrix_from_quat
 from simvehicle.environment.air import GUSTS
 from simvehicle.vehicles.fixedwing import FixedWing
 
 Array = NDArray[np.float64]
+# Usual rates of a magnetometer, a GPS receiver and a pitot tube on a small aircraft.
 FIELD_HZ, VELOCITY_HZ, PRESSURE_HZ = 25.0, 5.0, 10.0
 HEUN = 0
 COMPILED = {"inverse-model": HEUN, "complementary": MAHONY, "mahony": MAHONY, "ekf": EKF}
@@ -44,8 +44,8 @@ class Outcome(NamedTuple):
     the flight left the envelope, minus the share of the time that was left (-1 to 0); `spread_deg`
     (n,) is its standard deviation over the noise draws. `rmse_deg` and `largest_deg` (n, 4): roll,
     pitch, yaw, angle (in the kernels 0 unless the criterion is the angle), means over the noise
-    draws. `lasted_s` (n,); `left` (n,) numbers of `rows.LIMITS`; `steps` that were flown and
-    scored, all in all.
+    draws. `lasted_s` (n,); `broken_limit` (n,) numbers of `rows.LIMITS`; `steps` that were flown
+    and scored, all in all.
     """
 
     fitness: Array
@@ -53,7 +53,7 @@ class Outcome(NamedTuple):
     rmse_deg: Array
     largest_deg: Array
     lasted_s: Array
-    left: NDArray[np.int64]
+    broken_limit: NDArray[np.int64]
     steps: int
 
 
@@ -103,16 +103,20 @@ class Batch:
         """
         flights = flights_of(self.test, values)
         count = flights.shape[1]
+        # Each draw of each evaluation has its own number, so that any split of the work gives the
+        # same.
         numbers = first * draws + np.arange(count * draws).reshape(count, draws)
         if alike:
             numbers = np.broadcast_to(numbers[0], numbers.shape)
+        # For few flights, or where gusts move the aircraft, sorting out does not pay or is wrong.
         if count < 2 * rows.LANES or draws == 1 or self.plan.gusts:
             columns = self._flown(np.repeat(flights, draws, axis=1), seed, numbers.ravel())
             columns = columns.reshape(rows.ROWS, count, draws)
             return outcome_of(columns, self.test)
         once = self._flown(flights, seed, numbers[:, 0])
         columns = np.repeat(once[:, :, None], draws, axis=2)
-        stays = once[rows.LEFT] == 0.0
+        # Only those flights have a fitness that depends on the noise.
+        stays = once[rows.BROKEN_LIMIT] == 0.0
         if stays.any():
             rest = np.repeat(flights[:, stays], draws - 1, axis=1)
             again = self._flown(rest, seed, numbers[stays, 1:].ravel())
@@ -124,13 +128,14 @@ class Batch:
         columns = padded(flights)
         noise = np.ones((GENERATORS, columns.shape[1]), dtype=np.uint64)
         noise[:, : len(numbers)] = streams(seed, numbers)
-        memory = start_memory(self.test.estimator, columns)
-        fly(columns, memory, noise, self.plan)
+        filters = start_filters(self.test.estimator, columns)
+        fly(columns, filters, noise, self.plan)
         if self.test.estimator not in COMPILED:
-            for lane in np.flatnonzero(columns[rows.LEFT, : len(numbers)] == 0.0):
+            for lane in np.flatnonzero(columns[rows.BROKEN_LIMIT, : len(numbers)] == 0.0):
+                # From the start column: the kernel has written over its own copy.
                 column, number = flights[:, lane], int(numbers[lane])
                 plan = with_all_sensors(self.plan)
-                self._score(columns[:, lane], traced(plan, column, memory[lane], seed, number))
+                self._score(columns[:, lane], traced(plan, column, filters[lane], seed, number))
         return columns[:, : len(numbers)]
 
     def _score(self, column: Array, flight: Trace) -> None:
@@ -143,6 +148,7 @@ class Batch:
 
 def plan_of(test: TestFile, vehicle: FixedWing) -> Plan:
     """The kernel's view of a test."""
+    # The field points down by the inclination and east of north by the declination.
     dip, variation = np.radians([test.inclination_deg, test.declination_deg])
     north, down = test.field_gauss * np.cos(dip), test.field_gauss * np.sin(dip)
     return Plan(
@@ -200,6 +206,7 @@ def envelope_of(test: TestFile) -> Envelope:
     """The limits as the kernel compares them."""
     limits = test.envelope
     return Envelope(
+        # Compared as sine and tangents, which are at hand, so that no lane needs an arc function.
         float(np.sin(np.radians(limits.pitch_deg))),
         float(np.tan(np.radians(limits.alpha_deg))),
         float(np.tan(np.radians(limits.beta_deg))),
@@ -214,27 +221,29 @@ def padded(columns: Array) -> Array:
     """Columns filled up to a multiple of LANES with dead copies of the first."""
     missing = -columns.shape[1] % rows.LANES
     filler = np.repeat(columns[:, :1], missing, axis=1)
+    # Dead from the start: they cost time in their vector only, and their scores are cut off.
     filler[rows.ALIVE] = 0.0
     return np.ascontiguousarray(np.concatenate([columns, filler], axis=1))
 
 
-def start_memory(name: str, columns: Array) -> Array:
-    """The filters' start states (n, MEMORY) at the true attitude and velocity."""
+def start_filters(name: str, columns: Array) -> Array:
+    """The filters' start states (n, FILTER_SIZE) at the true attitude and velocity."""
     count = columns.shape[1]
-    memory = np.zeros((count, MEMORY))
+    filters = np.zeros((count, FILTER_SIZE))
     if COMPILED.get(name, HEUN) == HEUN:
-        memory[:, 0] = 1.0
-        return memory
+        filters[:, 0] = 1.0
+        return filters
     estimator = make(name)
+    # Covariance and biases as the estimator starts; attitude and velocity are put in below.
     x = estimator.start(Prior(0, np.array([1.0, 0.0, 0.0, 0.0]))).x
-    memory[:, : len(x)] = x
+    filters[:, : len(x)] = x
     if isinstance(estimator, Ekf):
-        memory[:, HEARD], memory[:, LEVELLED] = -estimator.gps_timeout_s, 0.0
+        filters[:, HEARD], filters[:, LEVELLED] = -estimator.gps_timeout_s, 0.0
     q = columns[rows.STATE + 6 : rows.STATE + 10]
-    memory[:, :4] = q.T
+    filters[:, :4] = q.T
     if COMPILED[name] == EKF:
-        memory[:, 7:10] = ned_velocity(q, columns[rows.STATE + 3 : rows.STATE + 6]).T
-    return memory
+        filters[:, 7:10] = ned_velocity(q, columns[rows.STATE + 3 : rows.STATE + 6]).T
+    return filters
 
 
 def ned_velocity(q: Array, v_b_mps: Array) -> Array:
@@ -246,10 +255,11 @@ def ned_velocity(q: Array, v_b_mps: Array) -> Array:
 def outcome_of(columns: Array, test: TestFile) -> Outcome:
     """Scores from the rows (ROWS, n, draws) that the kernel left."""
     count = columns[rows.COUNT]
+    # A flight may leave the envelope before its first sample is scored.
     safe = np.maximum(count, 1.0)
     rmse = np.degrees(np.sqrt(columns[rows.SQUARES : rows.SQUARES + 4] / safe))
     largest = np.degrees(columns[rows.LARGEST : rows.LARGEST + 4])
-    left = columns[rows.LEFT].max(axis=1).astype(np.int64)
+    limit = columns[rows.BROKEN_LIMIT].max(axis=1).astype(np.int64)
     lasted = np.minimum(count.min(axis=1) * test.dt_s / (test.duration_s + test.dt_s), 1.0)
     state = columns[rows.STATE_SQUARES : rows.STATE_SQUARES + 12] / safe
     worst = {
@@ -257,15 +267,17 @@ def outcome_of(columns: Array, test: TestFile) -> Outcome:
         "angle": lambda: rmse[3],
         "state": lambda: np.sqrt((state / squares_of(test.state_scales)).mean(axis=0)),
     }[test.criterion]()
-    fitness = np.where(left > 0, lasted - 1.0, worst.mean(axis=1))
+    # From -1 to 0: a search is led back inside, since longer flights are better than shorter.
+    fitness = np.where(limit > 0, lasted - 1.0, worst.mean(axis=1))
     return Outcome(
+        # An estimator that diverges to NaN tells nothing that could be ranked.
         np.nan_to_num(fitness, nan=-1.0),
         worst.std(axis=1),
         rmse.mean(axis=2).T,
         largest.mean(axis=2).T,
         lasted * test.duration_s,
-        left,
-        int(np.where(left > 0, count.max(axis=1), count.sum(axis=1)).sum()),
+        limit,
+        int(np.where(limit > 0, count.max(axis=1), count.sum(axis=1)).sum()),
     )
 
 

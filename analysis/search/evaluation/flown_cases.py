@@ -41,13 +41,13 @@ Array = NDArray[np.float64]
 class Scores(NamedTuple):
     """Of one flight: `rmse_deg` and `largest_deg` (4,) as in `Outcome`; `parts` as `parted` gives.
 
-    `left` is the number of the limit that ended it, as in `rows.LIMITS`.
+    `broken_limit` is the number of the limit that ended it, as in `rows.LIMITS`.
     """
 
     rmse_deg: Array
     largest_deg: Array
     lasted_s: float
-    left: int
+    broken_limit: int
     steps: int
     parts: dict[str, Any]
 
@@ -106,6 +106,7 @@ class Flown:
         flights = []
         for i in range(count):
             mine = {name: float(column[i]) for name, column in values.items()}
+            # The seed of a flight comes from its number, as in the compiled form.
             number = first if alike else first + i
             flights.append(
                 [self.scores(mine, seed, number * draws + draw) for draw in range(draws)]
@@ -144,22 +145,22 @@ def fly(test: TestFile, document: Document) -> Scores:
     flight: Flight
     if test.autopilot is not None:
         flight = AutopilotFlight(scenario, schedule, test.autopilot, watch.hear)
-        left, steps = flight.fly(limit)
+        broken_limit, steps = flight.fly(limit)
     else:
         flight = Flight(scenario, schedule)
-        left = steps = 0
-        while not flight.over and left == 0:
+        broken_limit = steps = 0
+        while not flight.over and broken_limit == 0:
             watch.hear(flight.advance([]).monitor)
-            left, steps = limit(flight.simulation.truth), steps + 1
+            broken_limit, steps = limit(flight.simulation.truth), steps + 1
     watch.hear(flight.finish().monitor)
-    flight.take_labels()
+    flight.drain_labels()
     parts = chosen(test, watch.summary(flight.completed_labels()))
     rmse, largest = parts.get("rmse_deg", {}), parts.get("max_deg", {})
     return Scores(
         np.array([rmse.get(axis, 0.0) for axis in AXES]),
         np.array([largest.get(axis, 0.0) for axis in AXES]),
         flight.t_us * 1e-6,
-        left,
+        broken_limit,
         steps,
         parts,
     )
@@ -181,6 +182,7 @@ def chosen(test: TestFile, summary: dict[str, Any]) -> dict[str, Any]:
             "autopilot: nothing was heard of its attitude; it has to send ATTITUDE or "
             "ATTITUDE_QUATERNION on `link` or `telemetry`"
         )
+    # By name the longer one is the greater.
     found = summary[max(summary)]  # ATTITUDE_QUATERNION, where there are both
     return found
 
@@ -188,6 +190,7 @@ def chosen(test: TestFile, summary: dict[str, Any]) -> dict[str, Any]:
 def broken(truth: Truth, limits: Limits) -> int:
     """The number of the limit that the flight is beyond (see `rows.LIMITS`), 0 within."""
     u, v, w = truth.v_air_b_mps.tolist()
+    # In the airframe's plane of symmetry, where the angle of attack lies.
     plane, speed = float(np.hypot(u, w)), float(np.hypot(np.hypot(u, w), v))
     low, high = limits.airspeed_mps
     _, pitch, _ = euler_angles(truth.q_nb.tolist())
@@ -208,14 +211,14 @@ def outcome_of(flights: Sequence[Sequence[Scores]], test: TestFile) -> Outcome:
     rmse = np.array([[scores.rmse_deg for scores in draws] for draws in flights])
     largest = np.array([[scores.largest_deg for scores in draws] for draws in flights])
     worst = rmse[:, :, 3] if test.criterion == "angle" else rmse[:, :, :3].max(axis=2)
-    left = np.array([max(scores.left for scores in draws) for draws in flights])
+    limit = np.array([max(scores.broken_limit for scores in draws) for draws in flights])
     lasted = np.array([min(scores.lasted_s for scores in draws) for draws in flights])
     return Outcome(
-        np.where(left > 0, np.minimum(lasted / test.duration_s, 1.0) - 1.0, worst.mean(axis=1)),
+        np.where(limit > 0, np.minimum(lasted / test.duration_s, 1.0) - 1.0, worst.mean(axis=1)),
         worst.std(axis=1),
         rmse.mean(axis=1),
         largest.mean(axis=1),
         lasted,
-        left,
+        limit,
         sum(scores.steps for draws in flights for scores in draws),
     )

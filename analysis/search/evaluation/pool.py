@@ -92,21 +92,32 @@ class Processes:
         self._pool.shutdown(cancel_futures=True)
 
 
+def join_ray(address: str) -> tuple[Any, bool]:
+    """Ray, joined to a cluster, and whether that was done here and is ours to end.
+
+    Raises
+    ------
+    ConfigError
+        If Ray is not installed.
+    """
+    try:
+        import ray
+    except ImportError:
+        raise ConfigError(
+            "--ray: Ray is not installed; pip install mavproxy-fault[cluster]"
+        ) from None
+    mine = not ray.is_initialized()
+    if mine:
+        ray.init(address=address, log_to_driver=False)
+    return ray, mine
+
+
 class Cluster:
     """A Ray cluster; a share whose worker dies is done again by another."""
 
     def __init__(self, address: str) -> None:
-        try:
-            import ray
-        except ImportError:
-            raise ConfigError(
-                "--ray: Ray is not installed; pip install mavproxy-fault[cluster]"
-            ) from None
-        self._ray: Any = ray
-        self._mine = not ray.is_initialized()
-        if self._mine:
-            ray.init(address=address, log_to_driver=False)
-        self._work: Callable[..., Any] = ray.remote(max_retries=-1)(work).remote
+        self._ray, self._mine = join_ray(address)
+        self._work: Callable[..., Any] = self._ray.remote(max_retries=-1)(work).remote
 
     def evaluate(self, test: TestFile, points: Array, seed: int, first: int, draws: int) -> Outcome:
         """As `Batch.evaluate`."""

@@ -45,12 +45,15 @@ class Trace:
         return np.array([errors(q, truth) for q, truth in pairs])
 
 
-def traced(plan: Plan, flight: Array, memory: Array, seed: int, number: int) -> Trace:
-    """Fly one column (ROWS,) with noise `number` of `seed`; `memory` (MEMORY,) as the filters'."""
+def traced(plan: Plan, flight: Array, filters: Array, seed: int, number: int) -> Trace:
+    """Fly one column (ROWS,) with noise `number` of `seed`; `filters` (FILTER_SIZE,) as the
+    filters'."""
+    # Whatever the criterion: the quaternion is filled in only for that of the angle.
     plan = plan._replace(angle=True)
+    # The kernel flies whole vectors: the same flight in each lane.
     lanes = np.ascontiguousarray(np.repeat(flight[:, None], rows.LANES, axis=1))
     noise = np.repeat(streams(seed, np.array([number])), rows.LANES, axis=1)
-    out = trace(lanes, np.repeat(memory[None, :], rows.LANES, axis=0), noise, plan)
+    out = trace(lanes, np.repeat(filters[None, :], rows.LANES, axis=0), noise, plan)
     state, measured, estimate, q, alive = np.split(
         out, np.cumsum([13, rows.CHANNELS, 9, 4]), axis=1
     )
@@ -63,11 +66,13 @@ def readings(flight: Trace) -> Iterator[list[Sample]]:
     for k, measured in enumerate(flight.measured):
         t_us = round(k * plan.dt_s * 1e6)
         found: list[Sample] = [ImuSample(t_us, measured[0:3], measured[3:6])]
+        # In the order of the kernel: filters that are fed otherwise give other last bits.
         if k > 0 and k % plan.field_every == 0:
             found.append(MagSample(t_us, measured[6:9]))
         if k > 0 and k % plan.pressure_every == 0:
             found.append(AirspeedSample(t_us, float(measured[12])))
         if k > 0 and k % plan.velocity_every == 0 and not np.isnan(measured[9]):
+            # The place is not used by these estimators; the velocity is what counts.
             found.append(GpsFix(t_us, 0.0, 0.0, 0.0, measured[9:12], 3, 10, 1.0, 1.0, "HIL_GPS"))
         yield found
 
@@ -93,4 +98,5 @@ def estimated(flight: Trace, estimator: Estimator) -> Array:
 
 def with_all_sensors(plan: Plan) -> Plan:
     """The plan with the slow sensors sampled, as estimators in Python may want them."""
+    # The inverse model samples the IMU alone, so that of its plan the slow sensors are missing.
     return plan if plan.estimator > 0 else plan._replace(estimator=MAHONY)

@@ -22,13 +22,15 @@ def break_signals(buf: Buffer, slot: int, first: int, last: int, t_s: float) -> 
             since = t_s - buf[base + rows.START * L + lane]
             mine = buf[base + lane] == channel
             active = (since >= 0.0) & (t_s < buf[base + rows.END * L + lane])
-            held = buf[base + rows.HELD * L + lane]
-            held = healthy if mine & active & (held != held) else held  # NaN before the first
-            buf[base + rows.HELD * L + lane] = held
+            frozen = buf[base + rows.FROZEN * L + lane]
+            frozen = (
+                healthy if mine & active & (frozen != frozen) else frozen
+            )  # NaN before the first
+            buf[base + rows.FROZEN * L + lane] = frozen
             wrong = buf[base + rows.FACTOR * L + lane] * healthy + (
                 buf[base + rows.OFFSET * L + lane]
                 + buf[base + rows.RATE * L + lane] * since
                 + buf[base + rows.SPREAD * L + lane] * buf[N + slot * L + lane]
             )
-            wrong = held if buf[base + rows.HOLD * L + lane] > 0.5 else wrong
+            wrong = frozen if buf[base + rows.HOLD * L + lane] > 0.5 else wrong
             buf[at] = wrong if mine & active else healthy

@@ -15,9 +15,13 @@ L = rows.LANES
 M, Q = rows.MEASURED * L, rows.QUATERNION * L
 ALIVE = rows.ALIVE * L
 MAHONY, EKF = 1, 2  # kinds; 0 is the inverse sensor model
-HEARD, LEVELLED, MEMORY = 91, 92, 93  # behind the longest state x, when GPS came, gravity was used
+HEARD, LEVELLED, FILTER_SIZE = (
+    91,
+    92,
+    93,
+)  # behind the longest state x, when GPS came, gravity was used
 ROUNDING_S = 1e-9
-Memory = NDArray[np.float64]  # (LANES, MEMORY)
+FilterStates = NDArray[np.float64]  # (LANES, FILTER_SIZE)
 Gains = tuple[float, float, float, float, float, float, float, float]
 
 
@@ -32,7 +36,7 @@ def channels(buf: Buffer, row: int, count: int, lane: int) -> Buffer:
 
 @compiled
 def predict(
-    buf: Buffer, memory: Memory, airspeed: Buffer, kind: int, gains: Gains, dt: float
+    buf: Buffer, filters: FilterStates, airspeed: Buffer, kind: int, gains: Gains, dt: float
 ) -> None:
     """Every living lane's estimate after its IMU sample."""
     room = ekf_kernel.new_room()
@@ -40,17 +44,17 @@ def predict(
         if buf[ALIVE + lane] > 0.5:
             imu = channels(buf, M, 6, lane)
             if kind == MAHONY:
-                x = memory[lane, :7]
-                memory[lane, :7] = complementary.predict(
+                x = filters[lane, :7]
+                filters[lane, :7] = complementary.predict(
                     x, imu[:3], imu[3:], airspeed[lane], dt, gains[0], gains[2]
                 )
             else:
-                ekf_kernel.predict(memory[lane], imu, dt, gains[0], gains[1], gains[2], room)
+                ekf_kernel.predict(filters[lane], imu, dt, gains[0], gains[1], gains[2], room)
 
 
 @compiled
 def head(
-    buf: Buffer, memory: Memory, kind: int, gains: Gains, declination_rad: float, dt: float
+    buf: Buffer, filters: FilterStates, kind: int, gains: Gains, declination_rad: float, dt: float
 ) -> None:
     """Every living lane's estimate after its field sample, `dt` after the one before."""
     room = ekf_kernel.new_room()
@@ -58,44 +62,44 @@ def head(
         if buf[ALIVE + lane] > 0.5:
             field = channels(buf, M + 6 * L, 3, lane)
             if kind == MAHONY:
-                x = memory[lane, :7]
-                memory[lane, :7] = complementary.head(
+                x = filters[lane, :7]
+                filters[lane, :7] = complementary.head(
                     x, field, declination_rad, dt, gains[1], gains[2]
                 )
             else:
-                ekf_kernel.head(memory[lane], field, declination_rad, gains[4], room)
+                ekf_kernel.head(filters[lane], field, declination_rad, gains[4], room)
 
 
 @compiled
-def velocity(buf: Buffer, memory: Memory, gains: Gains, t_s: float) -> None:
+def velocity(buf: Buffer, filters: FilterStates, gains: Gains, t_s: float) -> None:
     """Every living lane's EKF after its GPS velocity; one that is NaN never came."""
     room = ekf_kernel.new_room()
     for lane in range(L):
         seen = channels(buf, M + 9 * L, 3, lane)
         if buf[ALIVE + lane] > 0.5 and seen[0] == seen[0]:
-            if t_s - memory[lane, HEARD] >= gains[7]:
-                ekf_kernel.restart_velocity(memory[lane], seen, gains[3])
+            if t_s - filters[lane, HEARD] >= gains[7]:
+                ekf_kernel.restart_velocity(filters[lane], seen, gains[3])
             else:
-                ekf_kernel.correct_velocity(memory[lane], seen, gains[3], room)
-            memory[lane, HEARD] = t_s
+                ekf_kernel.correct_velocity(filters[lane], seen, gains[3], room)
+            filters[lane, HEARD] = t_s
 
 
 @compiled
-def level(buf: Buffer, memory: Memory, airspeed: Buffer, gains: Gains, t_s: float) -> None:
+def level(buf: Buffer, filters: FilterStates, airspeed: Buffer, gains: Gains, t_s: float) -> None:
     """Gravity for every living lane's EKF that has been without GPS for long."""
     room = ekf_kernel.new_room()
     for lane in range(L):
-        blind = t_s - memory[lane, HEARD] >= gains[7] - ROUNDING_S
-        due = t_s - memory[lane, LEVELLED] >= gains[6] - ROUNDING_S
+        blind = t_s - filters[lane, HEARD] >= gains[7] - ROUNDING_S
+        due = t_s - filters[lane, LEVELLED] >= gains[6] - ROUNDING_S
         if buf[ALIVE + lane] > 0.5 and blind and due:
             imu = channels(buf, M, 6, lane)
-            ekf_kernel.level(memory[lane], imu, airspeed[lane], gains[5], room)
-            memory[lane, LEVELLED] = t_s
+            ekf_kernel.level(filters[lane], imu, airspeed[lane], gains[5], room)
+            filters[lane, LEVELLED] = t_s
 
 
 @compiled
-def publish(buf: Buffer, memory: Memory) -> None:
+def publish(buf: Buffer, filters: FilterStates) -> None:
     """QUATERNION from the estimators' states."""
     for lane in range(L):
         for i in range(4):
-            buf[Q + i * L + lane] = memory[lane, i]
+            buf[Q + i * L + lane] = filters[lane, i]

@@ -27,11 +27,11 @@ def slope(x: Nine, gyro: Three, accel: Three, gravity: float) -> Nine:
     p, q, r = gyro
     bound = MIN_COS_PITCH if ct >= 0.0 else -MIN_COS_PITCH
     inverse = 1.0 / (ct if abs(ct) > MIN_COS_PITCH else bound)
-    turn = q * sf + r * cf
+    yaw_part = q * sf + r * cf
     return (
-        p + turn * st * inverse,
+        p + yaw_part * st * inverse,
         q * cf - r * sf,
-        turn * inverse,
+        yaw_part * inverse,
         accel[0] + r * v - q * w - gravity * st,
         accel[1] + p * w - r * u + gravity * ct * sf,
         accel[2] + q * u - p * v + gravity * ct * cf,

@@ -27,7 +27,7 @@ M = rows.MEASURED * L
 N = rows.NOISE * L
 GS, AS = rows.GYRO_SIGMA * L, rows.ACCEL_SIGMA * L
 GB, AB = rows.GYRO_BIAS * L, rows.ACCEL_BIAS * L
-ALIVE, LEFT = rows.ALIVE * L, rows.LEFT * L
+ALIVE, BROKEN_LIMIT = rows.ALIVE * L, rows.BROKEN_LIMIT * L
 
 Buffer = NDArray[np.float64]
 Three = tuple[float, float, float]
@@ -77,14 +77,14 @@ def broken(state: State13, air: Three, force: Three, limits: Envelope) -> float:
     p, q, r = state[10], state[11], state[12]
     fx, fy, fz = force
     load = fx * fx + fy * fy + fz * fz
-    left = 7.0 if -state[2] <= limits.min_height_m else 0.0
-    left = left if load <= limits.load_mps2 * limits.load_mps2 else 6.0
-    left = left if p * p + q * q + r * r <= limits.rate_rps * limits.rate_rps else 5.0
-    left = left if (speed >= low * low) & (speed <= high * high) else 4.0
-    left = left if v * v <= limits.tan_beta * limits.tan_beta * plane else 3.0
-    left = left if abs(w) <= limits.tan_alpha * u else 2.0
+    limit = 7.0 if -state[2] <= limits.min_height_m else 0.0
+    limit = limit if load <= limits.load_mps2 * limits.load_mps2 else 6.0
+    limit = limit if p * p + q * q + r * r <= limits.rate_rps * limits.rate_rps else 5.0
+    limit = limit if (speed >= low * low) & (speed <= high * high) else 4.0
+    limit = limit if v * v <= limits.tan_beta * limits.tan_beta * plane else 3.0
+    limit = limit if abs(w) <= limits.tan_alpha * u else 2.0
     sine = 2.0 * (state[6] * state[8] - state[9] * state[7])
-    return left if abs(sine) <= limits.sin_pitch else 1.0
+    return limit if abs(sine) <= limits.sin_pitch else 1.0
 
 
 @compiled
@@ -124,10 +124,10 @@ def move(buf: Buffer, dt: float, world: World, body: Inertia, aero: Aero, limits
         buf[NOW + 11 * L + lane] = state[11]
         buf[NOW + 12 * L + lane] = state[12]
         wx, wy, wz = to_body(state[6], state[7], state[8], state[9], wind[0], wind[1], wind[2])
-        left = broken(state, (u - wx, v - wy, w - wz), force, limits)
+        limit = broken(state, (u - wx, v - wy, w - wz), force, limits)
         was_alive = buf[ALIVE + lane] > 0.5
-        alive = was_alive & (left < 0.5)
-        buf[LEFT + lane] = left if was_alive else buf[LEFT + lane]
+        alive = was_alive & (limit < 0.5)
+        buf[BROKEN_LIMIT + lane] = limit if was_alive else buf[BROKEN_LIMIT + lane]
         buf[ALIVE + lane] = 1.0 if alive else 0.0
         k2 = derivative(moved(state, k1, 0.5 * dt), controls, wind, down, density, body, aero)
         k3 = derivative(moved(state, k2, 0.5 * dt), controls, wind, down, density, body, aero)

@@ -41,7 +41,7 @@ SQUARES = 77  # 4: sums of squared errors of roll, pitch, yaw and of the angle
 LARGEST = 81  # 4: their greatest magnitudes
 COUNT = 85  # samples scored
 ALIVE = 86  # 1 while within the envelope
-LEFT = 87  # the envelope's limit that was broken first (see `LIMITS`), 0 for none
+BROKEN_LIMIT = 87  # the envelope's limit that was broken first (see `LIMITS`), 0 for none
 
 FAULTS = 88  # SLOTS slots of FAULT_ROWS
 CHANNEL = 0  # offset from MEASURED; -1: none
@@ -51,7 +51,7 @@ OFFSET = 3  # added
 RATE = 4  # added per second since the start
 FACTOR = 5  # times the healthy value
 HOLD = 6  # 1: the first value within the fault stays
-HELD = 7  # that value, NaN before
+FROZEN = 7  # that value, NaN before
 SPREAD = 8  # sigma of noise that is added
 FAULT_ROWS = 9
 SLOTS = 4

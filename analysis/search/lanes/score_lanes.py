@@ -45,8 +45,8 @@ def true_attitude(buf: Buffer, lane: int) -> tuple[float, float, float, float]:
 @inlined
 def wrapped(angle: float) -> float:
     """The angle in [-pi, pi]."""
-    turns = angle * (0.5 / pi) + _ROUND
-    return angle - 2.0 * pi * (turns - _ROUND)
+    revolutions = angle * (0.5 / pi) + _ROUND
+    return angle - 2.0 * pi * (revolutions - _ROUND)
 
 
 @compiled

@@ -109,24 +109,24 @@ def measure(buf: Buffer, generators: Generators, k: int, plan: Plan) -> None:
 
 
 @compiled
-def filter_step(buf: Buffer, memory: Columns, airspeed: Buffer, k: int, plan: Plan) -> None:
+def filter_step(buf: Buffer, filters: Columns, airspeed: Buffer, k: int, plan: Plan) -> None:
     """The filters' share of sample `k` > 0: IMU, field, airspeed, velocity, in this order."""
     kind, gains = plan.estimator, plan.gains
-    predict(buf, memory, airspeed, kind, gains, plan.dt_s)
+    predict(buf, filters, airspeed, kind, gains, plan.dt_s)
     if kind == EKF:
-        level(buf, memory, airspeed, gains, k * plan.dt_s)
+        level(buf, filters, airspeed, gains, k * plan.dt_s)
     if k % plan.field_every == 0:
-        head(buf, memory, kind, gains, plan.declination_rad, plan.field_every * plan.dt_s)
+        head(buf, filters, kind, gains, plan.declination_rad, plan.field_every * plan.dt_s)
     if k % plan.pressure_every == 0:
         airspeeds(buf, airspeed, plan.sea_density_kgpm3)
     if k % plan.velocity_every == 0 and kind == EKF:
-        velocity(buf, memory, gains, k * plan.dt_s)
+        velocity(buf, filters, gains, k * plan.dt_s)
 
 
 @compiled
 def tick(
     buf: Buffer,
-    memory: Columns,
+    filters: Columns,
     airspeed: Buffer,
     generators: Generators,
     k: int,
@@ -147,8 +147,8 @@ def tick(
             score_state(buf)
     else:
         if k > 0:
-            filter_step(buf, memory, airspeed, k, plan)
-        publish(buf, memory)
+            filter_step(buf, filters, airspeed, k, plan)
+        publish(buf, filters)
         euler_of_quaternions(buf)
     score_euler(buf)
     if plan.angle:
@@ -159,16 +159,16 @@ def tick(
 
 
 @compiled
-def fly(flights: Columns, memory: Columns, generators: Generators, plan: Plan) -> None:
+def fly(flights: Columns, filters: Columns, generators: Generators, plan: Plan) -> None:
     """Fly all columns of `flights` (ROWS, n), n a multiple of LANES.
 
-    `memory` (n, MEMORY) holds the filters' start states, `generators` (4, n) the noise.
+    `filters` (n, FILTER_SIZE) holds the filters' start states, `generators` (4, n) the noise.
     """
     buf = np.empty(rows.ROWS * L)
     for first in range(0, flights.shape[1], L):
         for row in range(rows.ROWS):
             buf[row * L : row * L + L] = flights[row, first : first + L]
-        states = memory[first : first + L]
+        states = filters[first : first + L]
         noise = generators[:, first : first + L].copy()
         airspeed = np.zeros(L)
         for k in range(plan.steps + 1):
@@ -180,7 +180,7 @@ def fly(flights: Columns, memory: Columns, generators: Generators, plan: Plan) -
 
 
 @compiled
-def trace(flights: Columns, memory: Columns, generators: Generators, plan: Plan) -> Columns:
+def trace(flights: Columns, filters: Columns, generators: Generators, plan: Plan) -> Columns:
     """The first lane of `flights` (ROWS, LANES), sample by sample.
 
     Rows of the answer: 13 of the true state, CHANNELS measured, 9 of ESTIMATE and 4 of QUATERNION,
@@ -188,7 +188,7 @@ def trace(flights: Columns, memory: Columns, generators: Generators, plan: Plan)
     """
     buf = flights.copy().ravel()
     noise = generators.copy()
-    states = memory.copy()
+    states = filters.copy()
     airspeed = np.zeros(L)
     out = np.empty((plan.steps + 1, 13 + rows.CHANNELS + 14))
     for k in range(plan.steps + 1):

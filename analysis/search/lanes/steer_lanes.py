@@ -32,8 +32,8 @@ def steer(buf: Buffer, t_s: float) -> None:
             buf[T + 3 * L + lane],
             buf[T + 4 * L + lane],
         )
-        held = (buf[O + lane], buf[O + L + lane], buf[O + 2 * L + lane], buf[O + 3 * L + lane])
-        woven = weave(Motion(roll, pitch, state[10], state[11], speed), aim, held, t_s)
+        open_loop = (buf[O + lane], buf[O + L + lane], buf[O + 2 * L + lane], buf[O + 3 * L + lane])
+        woven = weave(Motion(roll, pitch, state[10], state[11], speed), aim, open_loop, t_s)
         on = buf[T + lane] > 0.5
         for i in range(4):
-            buf[C + i * L + lane] = woven[i] if on else held[i]
+            buf[C + i * L + lane] = woven[i] if on else open_loop[i]

@@ -50,6 +50,7 @@ def space_of(entries: Mapping[str, Range]) -> Space:
     names, low, high = [], [], []
     fixed: dict[str, float] = {}
     for name, value in entries.items():
+        # An interval without length is a number: the searchers need a volume.
         if isinstance(value, tuple) and value[0] < value[1]:
             names.append(name)
             low.append(value[0])
@@ -86,6 +87,7 @@ def fault_entries(test: TestFile) -> dict[str, Range]:
     for i, fault in enumerate(test.faults):
         found |= {f"faults[{i}].{key}": value for key, value in fault.ranges().items()}
         count = len(fault.targets)
+        # A choice is searched as a number too: equal parts of an interval stand for the targets.
         found[f"faults[{i}].target"] = (0.0, float(count)) if count > 1 else 0.0
     return found
 
@@ -93,6 +95,7 @@ def fault_entries(test: TestFile) -> dict[str, Range]:
 def target_of(test: TestFile, fault: int, value: float) -> str:
     """The target that a searched number stands for."""
     targets = test.faults[fault].targets
+    # The upper end of the interval belongs to the last one.
     return targets[min(int(value), len(targets) - 1)]
 
 
@@ -104,6 +107,7 @@ def flights_of(test: TestFile, values: Mapping[str, Array]) -> Array:
     radians = {name: np.radians(values[f"controls.{name}_deg"]) for name in SURFACES}
     columns[rows.OPEN_LOOP : rows.OPEN_LOOP + 4] = [*radians.values(), values["controls.throttle"]]
     columns[rows.CONTROL : rows.CONTROL + 4] = columns[rows.OPEN_LOOP : rows.OPEN_LOOP + 4]
+    # A period of zero would divide by it in lanes that fly no mission.
     columns[rows.MISSION + 2] = MISSION_OFF_PERIOD
     if test.mission is not None:
         columns[rows.MISSION : rows.MISSION + 5] = [
@@ -119,6 +123,7 @@ def flights_of(test: TestFile, values: Mapping[str, Array]) -> Array:
     columns[rows.STEADY : rows.STEADY + 3] = columns[rows.WIND : rows.WIND + 3]
     _sensors(columns, values)
     for slot in range(rows.SLOTS):
+        # No channel has this number, so that an unused slot acts on none.
         columns[rows.FAULTS + slot * rows.FAULT_ROWS + rows.CHANNEL] = -1.0
     for slot in range(len(test.faults)):
         _fault(columns, test, slot, values)
@@ -170,6 +175,7 @@ def _fault(columns: Array, test: TestFile, slot: int, values: Mapping[str, Array
     columns[base + rows.CHANNEL] = channel
     columns[base + rows.START] = at_s
     columns[base + rows.END] = at_s + values.get(f"{name}.for_s", zero + np.inf)
+    # Every kind is factor, offset, rate and noise of one formula: lanes need no branch.
     columns[base + rows.FACTOR] = 0.0 if kind == "constant" else value if kind == "scale" else 1.0
     columns[base + rows.OFFSET] = value * unit if kind in ("bias", "constant") else 0.0
     if kind == "drop":
@@ -177,4 +183,4 @@ def _fault(columns: Array, test: TestFile, slot: int, values: Mapping[str, Array
     columns[base + rows.RATE] = value * unit if kind == "drift" else 0.0
     columns[base + rows.SPREAD] = value * unit if kind == "noise" else 0.0
     columns[base + rows.HOLD] = 1.0 if kind == "freeze" else 0.0
-    columns[base + rows.HELD] = np.nan
+    columns[base + rows.FROZEN] = np.nan

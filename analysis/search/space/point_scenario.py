@@ -54,6 +54,7 @@ def faults_of(test: TestFile, values: Mapping[str, float]) -> list[Document]:
     entries = []
     for i, fault in enumerate(test.faults):
         name = f"faults[{i}]"
+        # A schedule refuses a fault without length; to a search it is the absence of one.
         if values.get(f"{name}.for_s") == 0.0:
             continue
         keys = [key for key in ("value", "at_s", "for_s") if f"{name}.{key}" in values]
@@ -87,6 +88,7 @@ def _with(node: Any, path: list[str], value: float, name: str) -> Any:
         items[int(key)] = _with(items[int(key)], rest, value, name) if rest else value
         return items
     if isinstance(node, dict) and key in node:
+        # Copies along the path only: the scenario itself serves the next point.
         return {**node, key: _with(node[key], rest, value, name) if rest else value}
     known = ", ".join(node) if isinstance(node, dict) else f"0 to {len(node or ()) - 1}"
     raise ConfigError(f"{name}: {key} is unknown; known: {known}")
@@ -111,6 +113,7 @@ def _flight(test: TestFile, values: Mapping[str, float]) -> Document:
         "duration_s": test.duration_s,
         "start": {
             "lat_deg": LATITUDE_DEG,
+            # Home lies so that the flight is in the density that the test names.
             "alt_m": altitude_of(test.density_kgpm3) - height_m,
             "height_m": height_m,
             "heading_deg": heading_deg,

@@ -15,6 +15,7 @@ from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.links.spec import parse_spec
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from simvehicle.scenario.scenario_file import read_scenario
 
 AUTOPILOT = "autopilot"
@@ -179,7 +180,7 @@ class TestFile(Section, frozen=True):
     sensors: Sensors = Sensors()
     faults: list[FaultRange] = msgspec.field(default_factory=list)
     envelope: Limits = Limits()
-    density_kgpm3: float = 1.225
+    density_kgpm3: float = SEA_LEVEL_DENSITY_KGPM3
     inclination_deg: float = 64.0
     declination_deg: float = 3.0
     field_gauss: float = 0.48
@@ -233,10 +234,12 @@ def read_test(path: Path | str) -> TestFile:
         raise ConfigError(f"{path}:1: holds no keys; a test file is a YAML mapping")
     named = data.get("scenario")
     if named is not None or data.get("estimator") in SIMULATED:
+        # Behind, what the file says itself.
         data = {**FLOWN_DEFAULTS, **data}
     if isinstance(named, str):
         data["scenario"] = msgspec.to_builtins(read_scenario(Path(path).parent / named))
     if isinstance(named, str | dict):
         duration_s = data["scenario"].get("duration_s", 120.0)
+        # A scenario has an envelope of its own making: by default none is judged.
         data = {"duration_s": duration_s, "envelope": ANYWHERE, **data}
     return decode(document._replace(data=data), TestFile)

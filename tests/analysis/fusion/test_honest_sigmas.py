@@ -7,11 +7,11 @@ import pytest
 from scipy.stats import chi2
 
 from analysis.monitor.pipeline import Pipeline, monitor_config
-from analysis.orbits.broadcast import ned_axes
 from analysis.results import FusedState
 from analysis.samples.block import block_of
 from analysis.samples.sample import TruthSample
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.numerics.earth_kernel import ned_axes
 from mavproxy_fault.numerics.rotation import matrix_from_quat
 
 SEEDS = 21, 22, 23

@@ -14,9 +14,9 @@ from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.graph_start import Node, first_guess
 from analysis.fusion.local_frame import frame_at
 from analysis.fusion.window import key
-from analysis.orbits.broadcast import LIGHT_MPS
 from analysis.orbits.snapshot import design_matrix
 from analysis.samples.sample import Epoch
+from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 
 CLOCK = 40.0, 3.0  # what the graph's clock is counted from
 OFF_M, FASTER_MPS = np.array([4.0, -7.0, 2.0]), np.array([1.0, 2.0, -3.0])
@@ -35,7 +35,7 @@ def seen(flights):
     epoch = [sample for sample in samples if isinstance(sample, Epoch)][-1]
     observed = observe(epoch, core.chosen)
     x = core.motion.x
-    ranges = Ranges(observed, x, core.ionosphere, FusionConfig(), DetectorConfig())
+    ranges = Ranges(observed, x, core, FusionConfig(), DetectorConfig(), 0)
     frame = frame_at(x[:3] + 30.0, stamp_us=0)
     pose = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.3, -0.5, 2.0), frame.local(x[:3]) + OFF_M)
     node = Node(
@@ -66,7 +66,7 @@ def test_the_rows_of_ranges_are_those_of_gtsams_pseudorange_factor(seen):
         factor = ranges.pseudorange(i, X, NUMBER, frame, CLOCK, noise)
         theirs, their_wanted = factor.linearize(values).jacobian()
         assert np.allclose(jacobian[row, :6], theirs[0, :6], rtol=0.0, atol=2e-6 / sigma)
-        assert np.isclose(jacobian[row, 9], theirs[0, 6] / LIGHT_MPS, rtol=1e-12)
+        assert np.isclose(jacobian[row, 9], theirs[0, 6] / SPEED_OF_LIGHT_MPS, rtol=1e-12)
         assert np.isclose(wanted[row], their_wanted[0], rtol=0.0, atol=1e-5 / sigma)
     assert not jacobian[: len(used), 6:9].any()
     assert not jacobian[: len(used), 10].any()

@@ -13,10 +13,10 @@ from analysis.detection.sensors.sensor_tests import References
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.graph import Graph
 from analysis.fusion.smoother import Fusion
-from analysis.orbits.broadcast import ned_axes
 from analysis.results import Decision, FusedState
 from analysis.samples.sample import BaroSample, Epoch, ImuSample, TruthSample
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.numerics.earth_kernel import ned_axes
 
 SECONDS = 14.0
 FAULT_US, FOUND_US = 9_000_000, 10_000_000

@@ -8,7 +8,6 @@ import pytest
 from analysis.orbits.broadcast import (
     TYPICAL_ALPHA,
     TYPICAL_BETA,
-    geodetic,
     klobuchar_m,
     pack_ephemeris,
     satellite_states,
@@ -18,6 +17,7 @@ from analysis.orbits.broadcast import (
 from analysis.orbits.snapshot import solve
 from analysis.samples.sample import EphemerisSample, Epoch, Sample
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.numerics.earth_kernel import geodetic
 from simvehicle.gnss.signal_delays import ionosphere_m
 from simvehicle.gnss.signal_delays import troposphere_m as simulated_troposphere_m
 

@@ -10,7 +10,6 @@ from analysis.detection import Detector, DetectorConfig
 from analysis.detection.detector import run
 from analysis.orbits.broadcast import (
     B1I_HZ,
-    LIGHT_MPS,
     TYPICAL_ALPHA,
     TYPICAL_BETA,
     pack_ephemeris,
@@ -24,6 +23,7 @@ from analysis.recordings.rinex_navigation import read_navigation
 from analysis.recordings.rinex_observations import read_observations
 from analysis.results import Decision
 from analysis.samples.sample import EphemerisSample, Epoch
+from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 
 AUTHORITY = Path(__file__).parents[2] / "authorities/rtklib_states"
 NUMBERS = {"39": "R07", "106": "C01", "126": "C21"}
@@ -41,7 +41,7 @@ def by_rtklib() -> list[tuple[str, np.ndarray, float]]:
         name = NUMBERS[line.split("sat=")[1].split()[0]]
         r = [float(x) for x in line.split("rs=")[1].split("dts=")[0].split()]
         clock_ns = float(line.split("dts=")[1].split()[0])
-        out.append((name, np.array(r), clock_ns * 1e-9 * LIGHT_MPS))
+        out.append((name, np.array(r), clock_ns * 1e-9 * SPEED_OF_LIGHT_MPS))
     return out
 
 
@@ -58,7 +58,7 @@ def test_orbits_and_clocks_are_those_of_rtklib():
         found = states(epoch)
         for name, r, clock_m in expected[:3]:
             assert found[name][:3] == pytest.approx(r, abs=0.01), name
-            with_delay_m = found[name][6] + LIGHT_MPS * rows[name][22]
+            with_delay_m = found[name][6] + SPEED_OF_LIGHT_MPS * rows[name][22]
             assert with_delay_m == pytest.approx(clock_m, abs=0.01), name
         expected = expected[3:]
     assert not expected
@@ -102,7 +102,7 @@ def test_a_glonass_rate_needs_its_channel(tmp_path: Path):
     (epoch,) = read_observations(path)
     assert epoch.carrier_hz is not None
     assert epoch.carrier_hz.tolist() == [1602e6 - 7 * 0.5625e6, 1602e6]
-    assert epoch.doppler_mps[0] == pytest.approx(-1000.0 * LIGHT_MPS / 1598.0625e6)
+    assert epoch.doppler_mps[0] == pytest.approx(-1000.0 * SPEED_OF_LIGHT_MPS / 1598.0625e6)
     assert np.isnan(epoch.doppler_mps[1])
 
 

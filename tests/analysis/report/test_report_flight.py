@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from analysis.report.judging.check_limits import Thresholds, read_thresholds
-from analysis.report.judging.checks import Check, Limits, held, level, verdict_of
+from analysis.report.judging.checks import Check, Limits, lasting, level, verdict_of
 from analysis.report.judging.flight_verdict import Outcome, judged
 from analysis.report.judging.texts import texts_check
 from analysis.report.recordings.recording import UNGRADED, Event, Recording, Signal
@@ -118,7 +118,7 @@ def test_only_what_was_flown_armed_is_judged() -> None:
 
 def test_a_gap_in_the_data_does_not_join_two_excursions() -> None:
     t_s = np.array([0.0, 0.4, 100.0, 100.4])
-    assert held(t_s, np.ones(4, bool), 1.0) == []
+    assert lasting(t_s, np.ones(4, bool), 1.0) == []
 
 
 def test_thresholds_come_from_a_file_and_unknown_ones_are_refused(tmp_path: Path) -> None:

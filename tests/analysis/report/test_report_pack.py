@@ -5,38 +5,45 @@ import zlib
 
 import numpy as np
 
-from analysis.report.page.pack import LONGEST, Block, broken, longest_curve, thinned, unwrapped
+from analysis.report.page.pack import (
+    LONGEST,
+    PackedNumbers,
+    broken,
+    longest_curve,
+    thinned,
+    unwrapped,
+)
 from analysis.report.page.series_colours import PALETTE, series_colours
 
 
-def unpacked(block: Block) -> np.typing.NDArray[np.float32]:
-    planes = np.frombuffer(zlib.decompress(base64.b64decode(block.text())), np.uint8)
+def unpacked(numbers: PackedNumbers) -> np.typing.NDArray[np.float32]:
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(numbers.text())), np.uint8)
     return np.ascontiguousarray(planes.reshape(4, -1).T).view("<f4")[:, 0]
 
 
 def test_values_come_back_where_their_place_says() -> None:
-    block = Block()
-    block.values(np.array([1.0, 2.0]))
-    place = block.values(np.array([3.5, np.nan]))
+    numbers = PackedNumbers()
+    numbers.values(np.array([1.0, 2.0]))
+    place = numbers.values(np.array([3.5, np.nan]))
     assert place == {"at": 2, "n": 2}
-    assert unpacked(block)[2] == 3.5
-    assert np.isnan(unpacked(block)[3])
+    assert unpacked(numbers)[2] == 3.5
+    assert np.isnan(unpacked(numbers)[3])
 
 
 def test_an_even_time_axis_is_two_numbers() -> None:
-    block = Block()
-    place = block.times(1000.0 + 0.004 * np.arange(50_000))
+    numbers = PackedNumbers()
+    place = numbers.times(1000.0 + 0.004 * np.arange(50_000))
     assert set(place) == {"offset", "step", "n"}
-    assert block.parts == []
+    assert numbers.parts == []
 
 
 def test_an_uneven_time_axis_keeps_microseconds_an_hour_into_a_log() -> None:
     rng = np.random.default_rng(1)
     t_s = 3600 + np.cumsum(rng.uniform(0.003, 0.005, 10_000))
-    block = Block()
-    place = block.times(t_s)
+    numbers = PackedNumbers()
+    place = numbers.times(t_s)
     at = int(place["at"])
-    back = place["offset"] + place["step"] * np.arange(10_000) + unpacked(block)[at : at + 10_000]
+    back = place["offset"] + place["step"] * np.arange(10_000) + unpacked(numbers)[at : at + 10_000]
     assert np.abs(back - t_s).max() < 2e-6
 
 

@@ -43,7 +43,7 @@ def lines(results: list[Result]) -> list[bytes]:
 
 @pytest.fixture(scope="module")
 def at_once(frames: list[bytes]) -> list[bytes]:
-    return lines(Monitor(config()).bytes(frames, datagrams=False))
+    return lines(Monitor(config()).push_bytes(frames, datagrams=False))
 
 
 def test_there_is_something_to_compare(at_once: list[bytes]):
@@ -58,13 +58,15 @@ def test_a_stream_cut_anywhere_says_the_same(frames, at_once, data):
     cuts = data.draw(st.sets(st.integers(1, len(frames) - 1), max_size=40))
     monitor, found = Monitor(config()), []
     for begin, end in pairwise([0, *sorted(cuts), len(frames)]):
-        found += lines(monitor.bytes(frames[begin:end], datagrams=False))
+        found += lines(monitor.push_bytes(frames[begin:end], datagrams=False))
     assert found == at_once
 
 
 def test_frames_that_come_one_by_one_say_the_same(frames, at_once):
     monitor = Monitor(config())
-    found = [line for frame in frames for line in lines(monitor.bytes([frame], datagrams=False))]
+    found = [
+        line for frame in frames for line in lines(monitor.push_bytes([frame], datagrams=False))
+    ]
     assert found == at_once
 
 
@@ -72,7 +74,7 @@ def test_a_log_of_the_stream_says_the_same(frames, at_once, tmp_path: Path):
     path = tmp_path / "flight.tlog"
     tlog.write(path, ((1_700_000_000_000_000, frame) for frame in frames))
     monitor = Monitor(config())
-    assert lines([result for block in read_log(path) for result in monitor.block(block)]) == at_once
+    assert lines([result for block in read_log(path) for result in monitor.push(block)]) == at_once
 
 
 def test_a_block_gives_back_the_samples_it_was_made_of(frames, tmp_path: Path):

@@ -31,7 +31,7 @@ def test_an_autopilot_is_searched_in_lockstep():
     flown = Flown(TEST)
     assert flown.space.names == ("faults[0].value",)
     outcome = flown.evaluate(np.array([[0.0], [1.0]]), 1, 0)
-    assert (outcome.left == 0).all()
+    assert (outcome.broken_limit == 0).all()
     assert outcome.fitness[0] < 0.2
     # 0.1 rad/s for 2 s is 11.5 degrees, held for the last 2 s and rising before
     held = np.degrees(0.2)

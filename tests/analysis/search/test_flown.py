@@ -143,7 +143,7 @@ def test_the_projects_own_fusion_is_searched():
         faults=[BIAS],
     )
     outcome = Flown(test).evaluate(np.zeros((1, 0)), 1, 0)
-    assert outcome.left[0] == 0
+    assert outcome.broken_limit[0] == 0
     assert 0.0 < outcome.fitness[0] < 10.0
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from analysis.estimators import make
 from analysis.search.breakdown import breakdown
-from analysis.search.evaluation.compiled_batch import Batch, start_memory
+from analysis.search.evaluation.compiled_batch import Batch, start_filters
 from analysis.search.evaluation.traced_flight import estimated, traced
 from analysis.search.lanes import rows
 from analysis.search.space.dimensions import flights_of
@@ -48,8 +48,8 @@ def flown(test, number=0):
     """One flight of a test without ranges."""
     batch = Batch(test)
     column = flights_of(test, batch.space.values(np.zeros((1, batch.space.dimension))))
-    memory = start_memory(test.estimator, column)[0]
-    return traced(batch.plan, column[:, 0], memory, test.seed, number)
+    filters = start_filters(test.estimator, column)[0]
+    return traced(batch.plan, column[:, 0], filters, test.seed, number)
 
 
 SMALL = st.floats(-1.0, 1.0)
@@ -191,10 +191,10 @@ def test_a_fault_on_a_slow_sensor_is_not_applied_twice_to_one_sample():
 def test_a_flight_that_leaves_the_envelope_scores_by_how_long_it_lasted():
     test = test_of(controls=OpenLoop(elevator_deg=(-25.0, -4.0)), duration_s=20.0)
     outcome = Batch(test).evaluate(np.array([[0.0], [0.5], [1.0]]), 1, 0)
-    assert (outcome.left[:2] > 0).all()
+    assert (outcome.broken_limit[:2] > 0).all()
     assert outcome.fitness[:2] == pytest.approx(outcome.lasted_s[:2] / 20.0 - 1.0, abs=1e-3)
     assert outcome.fitness[0] < outcome.fitness[1] < 0.0
-    assert rows.LIMITS[outcome.left[0]] in ("alpha", "load", "pitch", "rate")
+    assert rows.LIMITS[outcome.broken_limit[0]] in ("alpha", "load", "pitch", "rate")
 
 
 def test_a_mission_rolls_from_side_to_side():

@@ -58,7 +58,7 @@ class Loop:
             if not ready:
                 self._step()
             self.live.serve()
-            labels = self.core.take_labels()
+            labels = self.core.drain_labels()
             self.labels += labels
             figures_now = [figures(self.core, number) for number in range(len(LINKS))]
             self.live.publish(figures_now, labels)

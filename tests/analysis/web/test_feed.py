@@ -19,8 +19,8 @@ def test_a_tick_carries_the_newest_state_and_every_event() -> None:
     viewer = feed.join()
     said(viewer)
     for number in range(5):
-        feed.take("schedule/state", b"%d" % number)
-        feed.take("fdi/events", b"%d" % number)
+        feed.push("schedule/state", b"%d" % number)
+        feed.push("fdi/events", b"%d" % number)
     feed.tick()
     feed.tick()
     assert said(viewer) == [["schedule/state", 4], *(["fdi/events", n] for n in range(5))]
@@ -31,7 +31,7 @@ def test_a_frozen_viewer_holds_a_bounded_queue_and_no_other_viewer() -> None:
     frozen, lively = feed.join(), feed.join()
     said(lively)
     for number in range(3 * WAITING):
-        feed.take("fdi/main/stat", b"%d" % number)
+        feed.push("fdi/main/stat", b"%d" % number)
         feed.tick()
         assert said(lively) == [["fdi/main/stat", number]]
     assert frozen.queue.qsize() <= WAITING
@@ -40,9 +40,9 @@ def test_a_frozen_viewer_holds_a_bounded_queue_and_no_other_viewer() -> None:
 def test_a_viewer_that_fell_behind_is_given_the_whole_picture_again() -> None:
     feed = Feed()
     viewer = feed.join()
-    feed.take("fdi/events", b'"early"')
+    feed.push("fdi/events", b'"early"')
     for number in range(WAITING):
-        feed.take("schedule/state", b"%d" % number)
+        feed.push("schedule/state", b"%d" % number)
         feed.tick()
     assert said(viewer) == [
         ["page/picture", None],
@@ -53,8 +53,8 @@ def test_a_viewer_that_fell_behind_is_given_the_whole_picture_again() -> None:
 
 def test_who_joins_late_is_told_the_events_and_the_newest_samples() -> None:
     feed = Feed()
-    feed.take("proxy/labels", b"1")
-    feed.take("schedule/state", b"2")
+    feed.push("proxy/labels", b"1")
+    feed.push("schedule/state", b"2")
     feed.tick()
     assert said(feed.join()) == [["page/picture", None], ["schedule/state", 2], ["proxy/labels", 1]]
 
@@ -63,8 +63,8 @@ def test_a_sample_that_is_no_json_does_not_spoil_the_batch() -> None:
     feed = Feed()
     viewer = feed.join()
     said(viewer)
-    feed.take("fdi/main/stat", b"{nonsense")
-    feed.take("att/ekf/score", b"3")
+    feed.push("fdi/main/stat", b"{nonsense")
+    feed.push("att/ekf/score", b"3")
     feed.tick()
     assert said(viewer) == [["att/ekf/score", 3]]
 
@@ -74,7 +74,7 @@ def test_a_burst_of_a_curve_is_sent_whole_up_to_a_bound() -> None:
     viewer = feed.join()
     said(viewer)
     for number in range(2 * BURST):
-        feed.take("fdi/main/stat", b"%d" % number)
+        feed.push("fdi/main/stat", b"%d" % number)
     feed.tick()
     assert said(viewer) == [["fdi/main/stat", number] for number in range(BURST, 2 * BURST)]
 
@@ -82,7 +82,7 @@ def test_a_burst_of_a_curve_is_sent_whole_up_to_a_bound() -> None:
 def test_a_late_joiner_is_shown_the_past_of_a_curve() -> None:
     feed = Feed()
     for number in range(3):
-        feed.take("fdi/main/stat", b"%d" % number)
+        feed.push("fdi/main/stat", b"%d" % number)
         feed.tick()
     assert said(feed.join())[1:] == [["fdi/main/stat", number] for number in range(3)]
 

@@ -17,8 +17,8 @@ class Statuses(Feed):
         super().__init__()
         self.heard: queue.Queue[tuple[str, object]] = queue.Queue()
 
-    def take(self, key: str, payload: bytes) -> None:
-        super().take(key, payload)
+    def push(self, key: str, payload: bytes) -> None:
+        super().push(key, payload)
         self.heard.put((key, msgspec.json.decode(payload)))
 
     def next_run(self) -> object:

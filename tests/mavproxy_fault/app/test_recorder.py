@@ -60,7 +60,7 @@ def test_bytes_that_are_no_frame_hide_no_frame_from_readers_of_the_log(tmp_path:
         broken = raw[:-1] + b"\0"
         tape.send(WALL_US + number * 1000 + 1, (b"boot: fine\r\n", broken)[number % 2])
     path = tmp_path / "sent.tlog"
-    path.write_bytes(tape.take().sent)
+    path.write_bytes(tape.drain().sent)
     ours = [raw for _, raw in split(path.read_bytes())]
     assert [raw for raw in ours if raw in frames] == frames
     log = mavutil.mavlink_connection(str(path))

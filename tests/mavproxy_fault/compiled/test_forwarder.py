@@ -15,7 +15,7 @@ from mavproxy_fault.links.link import enlarge_buffers
 from mavproxy_fault.links.udp import UdpClient, UdpServer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.proxy.tape import Taken, Tape
+from mavproxy_fault.proxy.tape import Tape, TapeContents
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
@@ -58,7 +58,7 @@ class Run(NamedTuple):
     got: list[bytes]
     labels: list[Label]
     figures: list[dict[str, Any]]
-    taped: Taken | None
+    taped: TapeContents | None
 
 
 def frame(name: str, seq: int, system: int = 1, component: int = 1, **values: object) -> bytes:
@@ -141,7 +141,7 @@ def run(
     for point in figures:
         for key in ("name", "p50_us", "p99_us", "p99.9_us"):
             del point[key]
-    return Run(got, core.take_labels(), figures, kept.take() if kept else None)
+    return Run(got, core.drain_labels(), figures, kept.drain() if kept else None)
 
 
 @pytest.fixture(scope="module", autouse=True)

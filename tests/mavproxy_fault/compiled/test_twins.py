@@ -171,7 +171,7 @@ def compiled(traffic: Sequence[bytes], schedule: str) -> tuple[Outcome, list[int
         for link in links:
             link.close()
     core.finish(came_us[-1])
-    return Outcome(sent, core.take_labels(), core.states, core.senders), came_us
+    return Outcome(sent, core.drain_labels(), core.states, core.senders), came_us
 
 
 def interpreted(traffic: Sequence[bytes], schedule: str, came_us: Sequence[int]) -> Outcome:
@@ -183,7 +183,7 @@ def interpreted(traffic: Sequence[bytes], schedule: str, came_us: Sequence[int])
         for datagram, now_us in zip(traffic, came_us, strict=True)
     ]
     core.finish(came_us[-1])
-    return Outcome(sent, core.take_labels(), core.states, core.senders)
+    return Outcome(sent, core.drain_labels(), core.states, core.senders)
 
 
 @pytest.fixture(scope="module", autouse=True)

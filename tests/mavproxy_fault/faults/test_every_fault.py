@@ -109,7 +109,7 @@ def test_the_label_covers_the_stretch_and_every_frame_is_counted(name: str) -> N
     for t_us, frame in frames():
         outs = engine.apply(frame, "to-vehicle", t_us)
         touched += not (len(outs) == 1 and outs[0].frame is frame and outs[0].due_us == t_us)
-    labels = [label for label in engine.take_labels() if label.end_us is not None]
+    labels = [label for label in engine.drain_labels() if label.end_us is not None]
     assert len(labels) == 1
     label = labels[0]
     begin_us, end_us = START_US + FIRST * STEP_US, START_US + LAST * STEP_US

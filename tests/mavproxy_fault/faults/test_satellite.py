@@ -128,11 +128,11 @@ def test_a_message_broken_off_leaves_when_its_time_is_over() -> None:
     it = engine({"fault": "bias", "target": "PSEUDORANGE.G12", "value": 50})
     first = fragments(0)[0]
     assert it.apply(first, "to-vehicle", 1_000_000) == []
-    assert it.held_until_us == 1_000_000 + HOLD_US
+    assert it.release_us == 1_000_000 + HOLD_US
     assert it.due(1_000_000 + HOLD_US - 1) == []
     (out,) = it.due(1_000_000 + HOLD_US)
     assert out.frame is first
-    assert it.held_until_us is None
+    assert it.release_us is None
 
 
 def test_a_fault_that_ends_lets_go_of_what_it_kept() -> None:

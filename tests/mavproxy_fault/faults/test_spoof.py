@@ -103,5 +103,5 @@ def test_the_label_tells_metres() -> None:
     layout = known("HIL_GPS")
     for i in range(700):
         engine.apply(Frame(build(layout, GPS), layout), "to-vehicle", i * 100_000)
-    label = engine.take_labels()[-1]
+    label = engine.drain_labels()[-1]
     assert (label.preset, label.magnitude) == ("gps-spoof", pytest.approx(200))

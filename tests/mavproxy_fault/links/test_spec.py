@@ -34,9 +34,9 @@ def test_every_known_form_is_understood(text: str, kind: str, host: str, port: i
 
 
 def test_an_output_sends_where_a_master_would_listen() -> None:
-    assert parse_spec("127.0.0.1:14550", plain_udp="udpout").kind == "udpout"
-    assert parse_spec("udp:127.0.0.1:14550", plain_udp="udpout").kind == "udpout"
-    assert parse_spec("udpin:127.0.0.1:14550", plain_udp="udpout").kind == "udpin"
+    assert parse_spec("127.0.0.1:14550", bare_udp="udpout").kind == "udpout"
+    assert parse_spec("udp:127.0.0.1:14550", bare_udp="udpout").kind == "udpout"
+    assert parse_spec("udpin:127.0.0.1:14550", bare_udp="udpout").kind == "udpin"
 
 
 @pytest.mark.parametrize(

@@ -156,7 +156,7 @@ def test_a_fault_changes_the_frame_and_writes_its_label_into_the_log() -> None:
     assert rates == [0.25] * 10 + [0.75] * 10 + [0.25] * 20
     texts = [v["text"] for v in seen if v["name"] == "STATUSTEXT"]
     assert texts == [b"FAULT g on: bias HIL_SENSOR.xgyro", b"FAULT g off: 10 frames"]
-    (begun, ended) = core.take_labels()
+    (begun, ended) = core.drain_labels()
     assert (begun.start_us, begun.end_us, ended.end_us) == (11_000_000, None, 12_000_000)
     assert ended.t0_us == 10_000_000
 
@@ -169,7 +169,7 @@ def test_a_delay_is_kept_on_the_wall_clock() -> None:
     assert core.next_due_us == WALL_US + 250_000
     assert core.due(WALL_US + 249_999) == []
     assert core.due(WALL_US + 300_000) == [Send(AUTOPILOT, sensor(5.0), WALL_US + 250_000)]
-    assert core.left_us == WALL_US + 250_000
+    assert core.departed_us == WALL_US + 250_000
 
 
 def test_what_is_due_leaves_before_what_comes_later() -> None:
@@ -191,7 +191,7 @@ def test_a_schedule_begun_on_the_wall_clock_begins_anew_with_the_first_stamp() -
     }
     core.received(SIM, sensor(9.5), WALL_US + 5_000_000)
     core.received(SIM, heartbeat(), WALL_US + 6_000_000)
-    assert [label.t0_us for label in core.take_labels()] == [WALL_US, WALL_US, 7_000_000]
+    assert [label.t0_us for label in core.drain_labels()] == [WALL_US, WALL_US, 7_000_000]
 
 
 def test_a_signed_frame_stays_sealed_without_its_key_and_is_signed_again_with_it() -> None:
@@ -220,9 +220,9 @@ def test_the_tape_holds_what_came_and_what_left() -> None:
     tape = Tape()
     core = Core(ROLES[:2], tape=tape)
     core.received(SIM, sensor(1.0) + b"noise", WALL_US)
-    taken = tape.take()
+    taken = tape.drain()
     stamp = WALL_US.to_bytes(8, "big")
     assert taken.received == taken.sent == stamp + sensor(1.0)
     assert taken.received_other == taken.sent_other == stamp + b"\0\0\0\x05noise"
     assert taken.index == bytes((0, 0, len(sensor(1.0)), 0, 0, 0, 0, 1, 5, 0, 0, 0))
-    assert tape.take().received == b""
+    assert tape.drain().received == b""

@@ -55,7 +55,7 @@ def test_an_untouched_frame_is_the_same_object():
 def test_the_label_tells_what_was_done_not_what_was_planned():
     it = engine(BIAS)
     run(it, 0.5)
-    opened, closed = it.take_labels()
+    opened, closed = it.drain_labels()
     assert (opened.start_us, opened.end_us, opened.frames) == (1_100_000, None, 1)
     assert (closed.start_us, closed.end_us, closed.frames) == (1_100_000, 1_300_000, 50)
     assert closed.magnitude == pytest.approx(0.25)
@@ -73,7 +73,7 @@ def test_a_fault_that_meets_no_frame_writes_no_label():
 def test_a_fault_still_active_at_the_end_gets_its_label_closed():
     it = engine("  - {fault: bias, target: HIL_SENSOR.xgyro, value: 5}")
     run(it, 0.1)
-    it.take_labels()
+    it.drain_labels()
     (label,) = it.finish(1_096_000)
     assert (label.end_us, label.frames) == (1_096_000, 25)
 
@@ -135,7 +135,7 @@ def test_a_fault_repeats():
 """)
     struck = [t for t, x, _ in run(it, 0.8) if x > 1]
     assert struck == [round(s + i * 0.004, 3) for s in (0.1, 0.2, 0.3) for i in range(10)]
-    assert [label.frames for label in it.take_labels() if label.end_us] == [10, 10, 10]
+    assert [label.frames for label in it.drain_labels() if label.end_us] == [10, 10, 10]
 
 
 def test_a_jump_of_the_clock_does_not_make_a_repeating_fault_run_wild():
@@ -175,7 +175,7 @@ def test_a_live_fault_starts_when_armed_and_can_be_changed_and_cleared():
     assert run(it, 0.004, 1_504_000)[0][1] == 2.5
     assert it.clear("live")
     assert run(it, 0.004, 1_508_000)[0][1] == 0.5
-    assert it.take_labels()[-1].parameters == {"value": 2}
+    assert it.drain_labels()[-1].parameters == {"value": 2}
     assert not it.clear("live")
 
 
@@ -266,7 +266,7 @@ def test_a_value_changed_while_the_fault_acts_is_told_by_a_label() -> None:
         t_us = 1_000_000 + number * 10_000
         it.apply(sensor(t_us), "to-vehicle", t_us)
         it.update("b", number + 1.5)
-        said += it.take_labels()
+        said += it.drain_labels()
     (done,) = it.finish(2_000_000)
     assert [label.value for label in said] == [None, 20.5, 40.5, 60.5, 80.5]
     assert (done.value, done.start_us, done.frames) == (100.5, said[0].start_us, 100)

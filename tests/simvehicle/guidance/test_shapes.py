@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 
-from simvehicle.guidance.mission import plan, shape_pieces, smallest_size
+from simvehicle.guidance.mission import lap_of, plan, smallest_size
 from simvehicle.guidance.route import PathTrack
 from simvehicle.scenario.scenario_file import (
     Environment,
@@ -77,7 +77,7 @@ def test_a_shape_is_flown_within_its_limits(
 def test_a_closed_shape_ends_where_and_as_it_began(shape: str) -> None:
     path = plan([Leg(shape=shape, size_m=400.0)], (3.0, 4.0, 0.5), 10.0, 0.0, 5.0)  # type: ignore[arg-type]
     run = len(path.north_m) * path.spacing_m
-    length = sum(piece[0] for piece in shape_pieces(shape, 400.0, 20.0))
+    length = sum(arc[0] for arc in lap_of(shape, 400.0, 20.0))
     assert run == pytest.approx(length, abs=2.0 * path.spacing_m)
     assert math.hypot(path.north_m[-1] - 3.0, path.east_m[-1] - 4.0) < 2.0 * path.spacing_m
     assert math.cos(path.course_rad[-1] - 0.5) > 0.99
@@ -86,9 +86,9 @@ def test_a_closed_shape_ends_where_and_as_it_began(shape: str) -> None:
 @pytest.mark.parametrize("shape", SHAPES)
 def test_the_smallest_size_leaves_no_piece_negative_and_a_smaller_one_does(shape: str) -> None:
     least = smallest_size(shape, 20.0)
-    assert min(length for length, _ in shape_pieces(shape, least + 1e-6, 20.0)) > -1e-9
+    assert min(length for length, _ in lap_of(shape, least + 1e-6, 20.0)) > -1e-9
     if shape in ("triangle", "diamond", "trapezoid"):
-        assert min(length for length, _ in shape_pieces(shape, 0.99 * least, 20.0)) < 0.0
+        assert min(length for length, _ in lap_of(shape, 0.99 * least, 20.0)) < 0.0
 
 
 def test_legs_follow_one_another_without_a_jump() -> None:
