@@ -51,7 +51,7 @@ def calibrate(samples: Iterable[Sample], config: DetectorConfig) -> Calibration:
         If there are fewer than 60 epochs that can be tested.
     """
     kept = list(samples)
-    wanted, config = config, _plain(config)
+    wanted, config = config, _memoryless(config)
     rows, decisions, rates = _pass(kept, config)
     if len(decisions) < EPOCHS_MIN:
         raise ConfigError(
@@ -71,7 +71,7 @@ def calibrate(samples: Iterable[Sample], config: DetectorConfig) -> Calibration:
     return Calibration(replace(scaled, slow=wanted.sigma.slow), len(decisions), _per_dof(decisions))
 
 
-def _plain(config: DetectorConfig) -> DetectorConfig:
+def _memoryless(config: DetectorConfig) -> DetectorConfig:
     """The configuration without tests that have a memory, which is what they would remember."""
     return replace(config, p_slow=NEVER, sigma=replace(config.sigma, slow=0.0))
 

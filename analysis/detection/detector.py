@@ -106,8 +106,8 @@ class Detector:
             return [untestable(epoch.t_us, why_none(epoch, core.ephemerides), core.excluded)], state
         if core.ranges_us is None:
             core = _forgotten(core)  # what there is came from the receiver's own position
-        else:
-            core = _spaced(core, epoch.t_us - core.ranges_us)
+        elif core.motion is not None:  # it is at the epoch before, testable or not
+            core = _spaced(core, epoch.t_us - core.motion.t_us)
         reset_us = self._reset_us(core)
         motion = core.motion
         if motion is not None:
@@ -115,10 +115,11 @@ class Detector:
             if -reset_us < since_us <= 0:
                 reason = f"time went back by {-since_us * 1e-6:.3f} s"
                 return [untestable(epoch.t_us, reason, core.excluded)], state
+            alone_us = epoch.t_us - _fed_us(core)
             if since_us <= 0:
                 core = _forgotten(core)
-            elif since_us > reset_us:
-                core = _interrupted(core, since_us, self.config)
+            elif alone_us > reset_us:
+                core = _interrupted(core, alone_us, self.config)
             motion = core.motion
         run, pending = split_pending(pending, epoch.t_us)
         if motion is None:
@@ -225,6 +226,14 @@ def run(detector: Detector, samples: Iterable[Sample]) -> list[Result]:
 def _forgotten(core: Core) -> Core:
     """The core without its filter."""
     return core._replace(motion=None, excluded={}, frozen=NOTHING_FROZEN, ramps=None, history=())
+
+
+def _fed_us(core: Core) -> int:
+    """When the filter last was given anything: it goes on predicting while nothing is testable."""
+    assert core.motion is not None
+    if core.ranges_us is None:
+        return core.motion.t_us
+    return max(core.ranges_us, core.last_fix[0] if core.last_fix is not None else 0)
 
 
 def _interrupted(core: Core, gap_us: int, config: DetectorConfig) -> Core:

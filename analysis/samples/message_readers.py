@@ -141,8 +141,8 @@ def _gps_raw_int(rows: Rows) -> list[Read]:
 
 
 def _hil_state(rows: Rows) -> list[Read]:
-    turns = ("attitude_quaternion", "rollspeed", "pitchspeed", "yawspeed")
-    values = _numbers(rows, *turns, "lat", "lon", "alt", "vx", "vy", "vz")
+    angular = ("attitude_quaternion", "rollspeed", "pitchspeed", "yawspeed")
+    values = _numbers(rows, *angular, "lat", "lon", "alt", "vx", "vy", "vz")
     values[:, 7:] *= (1e-7, 1e-7, 1e-3, 1e-2, 1e-2, 1e-2)
     return _whole(TRUTH, rows["time_usec"].astype(np.int64), values)
 
@@ -168,17 +168,17 @@ def _odometry(rows: Rows) -> list[Read]:
 
 def _vision(rows: Rows) -> list[Read]:
     unknown = np.full((len(rows), 3), np.nan)
-    values = np.column_stack([_numbers(rows, "x", "y", "z"), unknown, _turn(rows)])
+    values = np.column_stack([_numbers(rows, "x", "y", "z"), unknown, _attitudes(rows)])
     return _whole(VISION, rows["usec"].astype(np.int64), values)
 
 
-def _turn(rows: Rows) -> Vector:
+def _attitudes(rows: Rows) -> Vector:
     """Attitudes (m, 4) of Euler angles."""
     return quat_from_euler(*_numbers(rows, "roll", "pitch", "yaw").T)
 
 
 def _attitude(rows: Rows) -> list[Read]:
-    return _estimate(rows, _turn(rows), "ATTITUDE")
+    return _estimate(rows, _attitudes(rows), "ATTITUDE")
 
 
 def _attitude_quaternion(rows: Rows) -> list[Read]:

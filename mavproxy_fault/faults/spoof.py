@@ -37,7 +37,8 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
 
     Both are [north, east, down]. Without `ramp_s` the offset is a jump. `value` is short for an
     offset to the north. Acts on HIL_GPS, GPS_RAW_INT, GPS2_RAW, GPS_INPUT, GLOBAL_POSITION_INT,
-    LOCAL_POSITION_NED and ODOMETRY, or those named as target.
+    LOCAL_POSITION_NED and ODOMETRY that does not come from vision, motion capture or lidar, or
+    those of these messages that are named as target.
     """
 
     name: ClassVar[str] = "gps-spoof"

@@ -12,6 +12,8 @@ Three = tuple[float, float, float]
 
 UNKNOWN_U16 = 0xFFFF
 LOCAL_NED, LOCAL_ENU, BODY_FRD = 1, 4, 12  # MAV_FRAME
+# MAV_ESTIMATOR_TYPE: vision, visual-inertial, motion capture, lidar. No satellite speaks in them.
+WITHOUT_SATELLITES = (2, 3, 6, 7)
 
 
 class Move(NamedTuple):
@@ -106,10 +108,11 @@ def local_position(frame: Frame, move: Move) -> dict[str, Number]:
 def odometry(frame: Frame, move: Move) -> dict[str, Number]:
     """ODOMETRY: position in a local frame that knows north, velocity in it or in body axes.
 
-    A frame of reference of unknown heading is left alone, as metres north mean nothing in it.
+    A frame of reference of unknown heading is left alone, as metres north mean nothing in it, and
+    so is a source that sees its way by itself.
     """
     local, child = frame.number("frame_id"), frame.number("child_frame_id")
-    if local not in (LOCAL_NED, LOCAL_ENU):
+    if local not in (LOCAL_NED, LOCAL_ENU) or frame.number("estimator_type") in WITHOUT_SATELLITES:
         return {}
     axes = _enu if local == LOCAL_ENU else _same
     values = _added(frame, ("x", "y", "z"), axes(move.offset_m))

@@ -273,6 +273,7 @@ def _with_presets(document: Document, at: DocumentPath) -> dict[str, Any]:
 
     What is given beside a preset has precedence. Several sensors of a kind get their ids.
     """
+    # Read at each call: a scenario is read once, and the file is small.
     presets = read_document(Path(str(resources.files("simvehicle.sensors"))) / "presets.yaml").data
     check = DocumentCheck(document.where, document.lines)
     sensors = document.data[at[0]] if at else document.data
@@ -285,6 +286,7 @@ def _with_presets(document: Document, at: DocumentPath) -> dict[str, Any]:
                 for index, entry in enumerate(value)
             ]
             out[kind] = [
+                # Numbered as listed, unless the entry numbers itself.
                 {"id": index, **entry} if isinstance(entry, dict) else entry
                 for index, entry in enumerate(filled)
             ]
@@ -303,4 +305,5 @@ def _filled(entry: Any, known: dict[str, Any], check: DocumentCheck, path: Docum
         names = ", ".join(known) or "none"
         check.wrong((*path, "preset"), f"= {name} is unknown; known: {names}")
         return entry
+    # The entry's own keys come last, so that they win.
     return {**known[name], **{key: value for key, value in entry.items() if key != "preset"}}
