@@ -49,7 +49,7 @@ without the preset is the comparison.
 *Acted* are the parts that met a message: a preset names every message in which the sensor speaks,
 and those that are not sent are not used. The *verdict* is that of docs/verdicts.md, of each part
 where they differ; what is missed in ten seconds may be found in a longer flight. *Delay* is from
-the start to the first alarm that can see the fault. *Moved* is how far the true position came to lie
+the start to the first alarm that can see it. *Moved* is how far the true position came to lie
 from that of the clean flight, at most; a dash means below a decimetre.
 """
 
