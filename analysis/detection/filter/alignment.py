@@ -16,7 +16,7 @@ import numpy as np
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import Core
 from analysis.detection.filter.filter_state import Alignment, Motion
-from analysis.detection.filter.inertial import BA, BG, ERRORS, PSI, gravity_ecef, turned
+from analysis.detection.filter.inertial import BA, BG, ERRORS, PSI, gravity_ecef
 from analysis.detection.filter.initial_fix import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.detection.filter.propagation import Segment
 from analysis.samples.sample import Vector
@@ -24,7 +24,7 @@ from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
 from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 from mavproxy_fault.numerics.rotation import quat_from_matrix
-from mavproxy_fault.numerics.rotation_kernel import matrix
+from mavproxy_fault.numerics.rotation_kernel import matrix, turned
 
 LONGEST_S = 20.0
 SHORTEST_S = 2.0
@@ -40,15 +40,12 @@ def _integrate(q: Vector, alpha: Vector, samples: Vector) -> tuple[Vector, Vecto
     alpha = alpha.copy()
     for k in range(samples.shape[0]):
         dt = samples[k, 0]
-        rotvec = np.empty(3)
-        for i in range(3):
-            rotvec[i] = 0.5 * dt * samples[k, 1 + i]
-        mid = matrix(turned(q, rotvec, -1.0))
+        rx, ry, rz = samples[k, 1] * dt, samples[k, 2] * dt, samples[k, 3] * dt
+        mid = matrix(turned(q, 0.5 * rx, 0.5 * ry, 0.5 * rz))
         for i in range(3):
             for j in range(3):
                 alpha[i] += mid[i, j] * samples[k, 4 + j] * dt
-            rotvec[i] *= 2.0
-        q = turned(q, rotvec, -1.0)
+        q = turned(q, rx, ry, rz)
     return q, alpha
 
 

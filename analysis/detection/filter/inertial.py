@@ -61,23 +61,6 @@ def _gravity(x: float, y: float, z: float) -> tuple[float, float, float]:
     return level * x, level * y, factor * (1.0 + bulge * (3.0 - tilt)) * z
 
 
-@compiled
-def turned(q: Vector, rotvec: Vector, sign: float) -> Vector:
-    """q followed (sign 1) or preceded (-1) by that of a rotation vector (3,), normalised."""
-    angle = math.sqrt(rotvec[0] * rotvec[0] + rotvec[1] * rotvec[1] + rotvec[2] * rotvec[2])
-    scale = 0.5 if angle < 1e-8 else math.sin(0.5 * angle) / angle
-    w, x, y, z = math.cos(0.5 * angle), scale * rotvec[0], scale * rotvec[1], scale * rotvec[2]
-    out = np.empty(4)
-    out[0] = w * q[0] - x * q[1] - y * q[2] - z * q[3]
-    out[1] = w * q[1] + x * q[0] + sign * (y * q[3] - z * q[2])
-    out[2] = w * q[2] + y * q[0] + sign * (z * q[1] - x * q[3])
-    out[3] = w * q[3] + z * q[0] + sign * (x * q[2] - y * q[1])
-    size = math.sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2] + out[3] * out[3])
-    for i in range(4):
-        out[i] /= size
-    return out
-
-
 @inlined
 def _mechanise(x: Vector, samples: Vector, row: int, c: Vector, f: Vector) -> None:
     """Advance x in place by the sample of a row; c (9,) becomes the rotation, row by row, and f
