@@ -97,7 +97,7 @@ def judged(recording: Recording, lines: list[str]) -> Found:
                 alarms += result.alarm
                 for satellite in set(result.satellites) - excluded[result.t_us]:
                     counts[satellite] = counts.get(satellite, 0) + 1
-            if true_m is not None:
+            if true_m is not None and result.t_us in filtered:  # both, or the filter alone
                 where = result.position_ecef_m, result.position_sigma_m, true_m
                 scores.add(name, *where)
     often = sorted(name for name, count in counts.items() if count > 0.9 * len(filtered))

@@ -17,7 +17,7 @@ from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.linear import apply, inverse, multiply, transposed
 
-P_CONTRADICTION = 1e-6  # sound flights and walks reach 17, a chi-square of 3 has 31 here
+P_CONTRADICTION = 1e-4  # sound flights and walks reach 17, a chi-square of 3 has 21 here
 VAGUER = 2.0  # times the graph's own `correlation`, by which it begins less sure than the filter
 POSE_SHIFT = 3  # where the shift is among the errors of a pose
 DISTANCE_M, STATISTIC, SIGMA_RATIO = 0, 1, 2

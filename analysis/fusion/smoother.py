@@ -140,7 +140,7 @@ class Fusion:
             graph.slow_m2 = before.slow_m2
         return graph
 
-    def _go_on(self, graph: Graph, now: Now, state: FusionState) -> FusedState:
+    def _go_on(self, graph: Graph, now: Now, state: FusionState) -> FusedState | None:
         """One epoch more on a graph."""
         isolated = isolated_sensors(now.results, self.config)
         attitude = self._watch_imu(graph, now, isolated, state)
@@ -162,7 +162,9 @@ class Fusion:
         state.isolated = isolated
         fused = self._done(graph, used, now, state)
         worse = against_filter(graph, now.motion, self.config.correlation)
-        return self._hand_on(worse, now, state) if worse and self.config.decide else fused
+        if worse and self.config.decide:
+            return self._hand_on(worse, now, state)
+        return fused if any(used.values()) else None  # of a guess alone nothing is told
 
     def _hand_on(self, worse: str, now: Now, state: FusionState) -> FusedState:
         """The filter's answer in place of the graph's, which goes on from there."""

@@ -85,7 +85,7 @@ def test_without_satellites_the_graph_ends_with_the_filter_and_begins_with_it(st
     begin_s = decisions[0].t_s
     assert not [s.reason for s in states if "failed" in s.reason]
     told_s = {round(s.t_s - begin_s) for s in states}
-    assert told_s == {*range(60), *range(150, 200)}
+    assert told_s == {*range(50), *range(150, 200)}
     assert error_m(states) < 1.05 * error_m([d for d in decisions if d.position_ecef_m])
 
 
