@@ -64,7 +64,7 @@ class Estimates(NamedTuple):
     q_nb: Vector
 
     def at(self, rows: Indices) -> "Estimates":
-        """Some of them."""
+        """Those of some rows (m,)."""
         return Estimates(
             self.row[rows], self.source[rows], self.t_us[rows], self.q_nb.take(rows, axis=0)
         )

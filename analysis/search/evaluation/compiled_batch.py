@@ -218,7 +218,7 @@ def envelope_of(test: TestFile) -> Envelope:
 
 
 def padded(columns: Array) -> Array:
-    """Columns filled up to a multiple of LANES with dead copies of the first."""
+    """Columns (rows, n) filled up to a multiple of LANES with dead copies of the first."""
     missing = -columns.shape[1] % rows.LANES
     filler = np.repeat(columns[:, :1], missing, axis=1)
     # Dead from the start: they cost time in their vector only, and their scores are cut off.
