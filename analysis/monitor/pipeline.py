@@ -55,6 +55,7 @@ def monitor_config(values: Any, where: str, lines: Lines | None = None) -> Monit
     ConfigError
         With every name and value that is not allowed.
     """
+    # Below the name that it has in the file: errors then say `monitor.sigma...`.
     document = Document({"monitor": {} if values is None else values}, where, lines or {})
     section = decode(document, MonitorSection, ("monitor",))
     detector = {name: getattr(section, name) for name in DetectorConfig.__struct_fields__}
@@ -67,6 +68,7 @@ class Pipeline:
     """The steps and their states; times in results count from the first stamped sample."""
 
     def __init__(self, config: MonitorConfig) -> None:
+        # The order of the steps: detection, streams, attitude.
         self._attitude = AttitudeScorer(config.attitude)
         self._attitude_state = self._attitude.new_state()
         self._detector = References(config.detector)
@@ -105,6 +107,7 @@ class Pipeline:
             ]
         else:
             found, self._detector_state = self._detector.step_rows(block, self._detector_state)
+        # Whether sensors speak at all is looked at apart from what they say.
         troubles, self._streams_state = self._streams.step(block, self._streams_state)
         found += troubles
         errors, self._attitude_state = self._attitude.step_rows(block, self._attitude_state)
