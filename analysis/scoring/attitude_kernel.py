@@ -43,6 +43,7 @@ def around(truth_us: Stamps, oldest: int, newest: int, t_us: int) -> tuple[int, 
             return -1, -1
         # On the oldest truth itself there is none before: the pair from there on.
         first, second = max(low - 1, oldest), max(low, oldest + 1)
+    # Truth of two flights, or over a pause, is not interpolated.
     span_us = truth_us[second] - truth_us[first]
     return (first, second) if 0 < span_us <= MAX_TRUTH_GAP_US else (-1, -1)
 
