@@ -9,6 +9,8 @@ from analysis.detection.sensors.position_test import Check
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import GpsFix
 
+UNBOUNDED = "the receiver or the IMU is wrong: the position is the receiver's, without a bound"
+
 
 def fix_decision(
     fix: GpsFix,
@@ -35,7 +37,10 @@ def fix_decision(
         hypothesis=hypothesis,
         excluded=tuple(sorted(core.excluded)),
         position_ecef_m=(float(motion.x[0]), float(motion.x[1]), float(motion.x[2])),
-        position_sigma_m=(float(sigma[0]), float(sigma[1]), float(sigma[2])),
+        position_sigma_m=None
+        if core.unbounded
+        else (float(sigma[0]), float(sigma[1]), float(sigma[2])),
+        reason=UNBOUNDED if core.unbounded else "",
         residual_m=tuple(position.v.tolist()) if position else (),
         mode=mode,
     )

@@ -158,12 +158,13 @@ def _hil_state(rows: Rows) -> list[Read]:
 
 
 def _distance(rows: Rows) -> list[Read]:
+    """A distance at or beyond one of the sensor's limits measures nothing, but it was heard."""
+    row = np.flatnonzero(rows["orientation"] == DOWNWARD)
+    rows = rows[row]
     distance = rows["current_distance"]
-    # Beyond its range a sensor reports its limit, which is no distance.
-    inside = (rows["min_distance"] <= distance) & (distance <= rows["max_distance"])
-    row = np.flatnonzero(inside & (rows["orientation"] == DOWNWARD))
-    # Centimetres.
-    return [Read(RANGE, row, _since_boot(rows[row]), distance[row, None] * 1e-2)]
+    inside = (rows["min_distance"] < distance) & (distance < rows["max_distance"])
+    measured_m = np.where(inside, distance * 1e-2, np.nan)  # it counts centimetres
+    return [Read(RANGE, row, _since_boot(rows), measured_m[:, np.newaxis])]
 
 
 def _odometry(rows: Rows) -> list[Read]:

@@ -211,5 +211,5 @@ def _just_after(labels: Sequence[Label], t_us: int) -> bool:
 
 def _rank(name: str) -> tuple[int, str]:
     """Satellites last, "none" first."""
-    order = ("none", "imu", "clock", "multiple-unknown", "untestable")
+    order = ("none", "imu", "GPS-or-imu", "clock", "multiple-unknown", "untestable")
     return (order.index(name), "") if name in order else (len(order), name)
