@@ -87,6 +87,6 @@ def room_for_estimates(kind: Indices) -> tuple[Stamps, Vector]:
 
 @compiled
 def airspeed_mps(diff_pressure_pa: float) -> float:
-    # A pitot tube reads below zero in still air by its noise.
     """Equivalent airspeed from the pitot tube's pressure; 0 where it is negative."""
+    # A pitot tube reads below zero in still air by its noise.
     return sqrt(2.0 * max(diff_pressure_pa, 0.0) / SEA_LEVEL_DENSITY_KGPM3)

@@ -68,7 +68,6 @@ class Pipeline:
     """The steps and their states; times in results count from the first stamped sample."""
 
     def __init__(self, config: MonitorConfig) -> None:
-        # The order of the steps: detection, streams, attitude.
         self._attitude = AttitudeScorer(config.attitude)
         self._attitude_state = self._attitude.new_state()
         self._detector = References(config.detector)

@@ -43,7 +43,6 @@ class Source:
 
         Raises
         ------
-        # The newest only for those who chose none.
         ConfigError
             If there is none of that name.
         """

@@ -27,7 +27,6 @@ Rows = NDArray[Any]
 
 
 def evidence_of(folder: Path) -> tuple[Evidence, float]:
-    # From leaving the ground to the last stamp.
     """Curves and marks of a flight, and how long it was in the air [s]."""
     summary = json.loads((folder / "summary.json").read_text())["autopilot"]
     columns = read_columns(folder / "sent.tlog")
