@@ -4,10 +4,12 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from analysis.monitor.pipeline import MonitorConfig, Pipeline
+from analysis.recordings.position_reference import PositionReference
 from analysis.results import Result
 from analysis.samples.block import Block
 from analysis.samples.decoder import Decoder
 from analysis.scoring.criteria import Criteria
+from analysis.scoring.position_scores import PositionScores
 from analysis.scoring.summary_tally import Tally
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import Label
@@ -17,16 +19,21 @@ from mavproxy_fault.wire.parser import Parser
 class Monitor:
     """Parser, decoder, pipeline and tally in a row."""
 
-    def __init__(self, config: MonitorConfig) -> None:
+    def __init__(self, config: MonitorConfig, reference: PositionReference | None = None) -> None:
         self._parser = Parser()
         self._decoder = Decoder()
         self._pipeline = Pipeline(config)
-        self._tally = Tally()
+        self._tally = Tally(reference)
 
     @property
     def t_s(self) -> float:
         """Seconds from the first sample to the newest, on the vehicle's clock."""
         return self._tally.span_s
+
+    @property
+    def positions(self) -> PositionScores:
+        """Errors of the positions where the truth is known."""
+        return self._tally.positions
 
     def push_bytes(self, chunks: Iterable[bytes], *, datagrams: bool = True) -> list[Result]:
         """Results of the frames in some chunks; a stream's may be cut anywhere."""

@@ -10,7 +10,7 @@ from typing import Any
 
 from analysis.monitor.publish import Publisher
 from analysis.report.curves.twin_curves import effects, twin_curves
-from analysis.report.recordings.recording import Signal
+from analysis.report.recordings.recording import Recording, Signal
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result, read_results
 from analysis.run.clean_twin import FOLDER, start_twin
@@ -158,5 +158,5 @@ def report(
         results=read_results(folder / "results.jsonl"),
         columns=columns,
         title=folder.name,
-        curves=curves,
+        beside=Recording("", signals=list(curves)),
     )
