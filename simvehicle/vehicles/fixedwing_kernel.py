@@ -144,7 +144,6 @@ def forces_moments(
     plane = ur * ur + wr * wr
     va = np.sqrt(plane + vr * vr)
     in_plane = np.sqrt(plane) + _STILL
-    # Flow angles from the velocity relative to the air.
     alpha, beta = atan2(wr, ur), atan2(vr, in_plane)
     inverse = 1.0 / in_plane
     sa, ca = wr * inverse, ur * inverse
@@ -153,8 +152,7 @@ def forces_moments(
 
     linear = aero.cl0 + aero.cla * alpha
     ea = exp(aero.stall_m * alpha)
-    k = aero.blend
-    # Sigma blends linear lift (0) into that of a flat plate (1).
+    k = aero.blend  # sigma blends linear lift (0) into that of a flat plate (1)
     sigma = (ea + k + k * ea * ea) / ((ea + k) * (1.0 + k * ea))
     flat = 2.0 * abs(sa) * sa * ca  # 2 sign(alpha) sin(alpha)^2 cos(alpha)
     lift = (
