@@ -7,11 +7,13 @@ users call, so no list of kernels has to be kept. A wheel's build runs this too 
 import argparse
 import contextlib
 import io
+import os
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from analysis import commands
 from mavproxy_fault.documents.errors import ConfigError
@@ -59,16 +61,44 @@ faults:
 ESTIMATORS = ("ekf", "complementary", "mahony", "inverse-model")
 
 
+def add_warm_up(subparsers: Any) -> None:
+    """`warm-up`: compile now what commands would compile at first use."""
+    parser = subparsers.add_parser("warm-up", help="make all machine code now, once")
+    parser.add_argument(
+        "--portable", metavar="DIR", help="into DIR, for all processors that wheels are made for"
+    )
+    parser.set_defaults(main=main)
+
+
 def main(args: argparse.Namespace) -> int:
     """Carry out the command."""
+    if args.portable is not None:
+        _aim_at_baseline(args.portable)
+    from tempfile import TemporaryDirectory
+
     from mavproxy_fault.compiled import object_file
 
     print(f"the proxy's machine code {_seconds(object_file.make):5.0f} s", flush=True)
-    with tempfile.TemporaryDirectory(prefix="mavproxy-fault-") as folder:
+    with TemporaryDirectory(prefix="mavproxy-fault-") as folder:
         for words in _commands(Path(folder)):
             print(f"{words[0]:8} {Path(words[-1]).name:15}", end=" ", flush=True)
-            print(f"{_seconds(lambda: _carry_out(words)):5.0f} s", flush=True)
+            print(f"{_seconds(partial(_carry_out, words)):5.0f} s", flush=True)
     return 0
+
+
+def _aim_at_baseline(folder: str) -> None:
+    """Let numba and the processes that are started compile for the baseline, into a folder."""
+    from mavproxy_fault.numerics.baseline import BASELINE, runs_baseline
+
+    if not runs_baseline():
+        raise ConfigError(
+            "warm-up --portable: this processor cannot run the code that it would make"
+        )
+    os.environ |= {
+        "MAVPROXY_FAULT_CACHE": str(Path(folder).resolve()),
+        "NUMBA_CPU_NAME": BASELINE,  # read when numba is imported, which nothing here has done yet
+        "NUMBA_CPU_FEATURES": "",
+    }
 
 
 def _commands(folder: Path) -> Iterator[list[str]]:
@@ -94,7 +124,7 @@ def _carry_out(words: list[str]) -> None:
     for add in (commands.add_run, commands.add_monitor, commands.add_report, commands.add_search):
         add(subparsers)
     args = parser.parse_args(words)
-    with contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         if args.main(args) == 2:  # a verdict of so short a flight says nothing
             raise ConfigError(f"{' '.join(words)}: failed; the command alone tells why")
 
@@ -106,4 +136,7 @@ def _seconds(work: Callable[[], None]) -> float:
 
 
 if __name__ == "__main__":
-    sys.exit(main(argparse.Namespace()))
+    # While a wheel is built there is no `mavproxy-fault` command yet.
+    top = argparse.ArgumentParser()
+    add_warm_up(top.add_subparsers())
+    sys.exit((args := top.parse_args(["warm-up", *sys.argv[1:]])).main(args))

@@ -34,7 +34,7 @@ exit codes
 """
 ORDER = (
     "run", "sim", "proxy", "monitor", "replay", "inject", "faults", "campaign", "search", "report",
-    "ui",
+    "ui", "warm-up",
 )  # fmt: skip
 
 
