@@ -26,8 +26,10 @@ class MachineCode(BuildHookInterface[Any]):
         if version == "editable":
             return
         self._folder = Path(tempfile.mkdtemp(prefix="mavproxy-fault-build-"))
-        # Sets in what is pickled would stand in another order each time.
-        environment = {**os.environ, "PYTHONPATH": self.root, "PYTHONHASHSEED": "0"}
+        # The build's own packages may be on the path already. Without a fixed seed, sets in what is
+        # pickled would stand in another order each time.
+        path = os.pathsep.join([self.root, *filter(None, [os.environ.get("PYTHONPATH")])])
+        environment = {**os.environ, "PYTHONPATH": path, "PYTHONHASHSEED": "0"}
         warm_up = [sys.executable, "-m", "analysis.warm_up", "--portable", str(self._folder)]
         if subprocess.run(warm_up, env=environment, cwd=self._folder).returncode != 0:
             self.app.display_warning("no machine code: it will be made when it is first needed")
