@@ -108,7 +108,7 @@ def _commands(folder: Path) -> Iterator[list[str]]:
         flight = folder / name.removesuffix(".yaml")
         yield ["run", "--zenoh", "off", "--out", str(flight), str(folder / name)]
     log = folder / "fixedwing" / "received.tlog"
-    yield ["monitor", "--out", str(folder / "monitor"), "--log", str(log)]
+    yield ["monitor", "--zenoh", "off", "--out", str(folder / "monitor"), "--log", str(log)]
     yield ["report", "--out", str(folder / "report"), str(log)]
     for estimator in ESTIMATORS:
         file = folder / f"{estimator}.yaml"

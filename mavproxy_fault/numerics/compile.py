@@ -78,8 +78,23 @@ class _InstalledImpl(caching.CompileResultCacheImpl):  # type: ignore[misc]
     _locator_classes = (_InstalledLocator,)
 
 
-class _InstalledCache(caching.FunctionCache):  # type: ignore[misc]
-    """Machine code of one function that came with the installation; it is only read."""
+class _FunctionCache(caching.FunctionCache):  # type: ignore[misc]
+    """Machine code of one function in one folder; what cannot be read is not there."""
+
+    def holds(self, signature: Any, codegen: Any) -> bool:
+        """Whether there is code for these types of arguments."""
+        with suppress(OSError):
+            return self._index_key(signature, codegen) in self._cache_file._load_index()
+        return False
+
+    def _load_overload(self, signature: Any, context: Any) -> Any:
+        with suppress(OSError):
+            return super()._load_overload(signature, context)
+        return None
+
+
+class _InstalledCache(_FunctionCache):
+    """Machine code that came with the installation; it is only read."""
 
     _impl_class = _InstalledImpl
 
@@ -89,8 +104,8 @@ class _InstalledCache(caching.FunctionCache):  # type: ignore[misc]
         return signature, (triple, BASELINE, ""), code
 
 
-class _Cache(caching.FunctionCache):  # type: ignore[misc]
-    """Machine code of one function: as it was installed, else as this machine has made it."""
+class _Cache(_FunctionCache):
+    """Machine code as it was installed, else as this machine has made it."""
 
     _impl_class = _CacheImpl
 
@@ -100,19 +115,15 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
         self.lock = Path(self.cache_path) / f"{self._impl.filename_base}.lock"
 
     def holds(self, signature: Any, codegen: Any) -> bool:
-        """Whether there is code for these types of arguments."""
-        return any(
-            cache is not None
-            and cache._index_key(signature, codegen) in cache._cache_file._load_index()
-            for cache in (self._installed, self)
-        )
+        """Whether either has code for these types of arguments."""
+        installed = self._installed is not None and self._installed.holds(signature, codegen)
+        return installed or super().holds(signature, codegen)
 
     def _load_overload(self, signature: Any, context: Any) -> Any:
+        found = None
         if self._installed is not None:
             found = self._installed._load_overload(signature, context)
-            if found is not None:
-                return found
-        return super()._load_overload(signature, context)
+        return super()._load_overload(signature, context) if found is None else found
 
     def _save_overload(self, signature: Any, code: Any) -> None:
         with suppress(OSError):  # it serves this process, and the next one makes it again
