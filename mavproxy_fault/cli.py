@@ -8,6 +8,7 @@ parsed arguments that returns the exit code. Whatever is heavy is imported insid
 import argparse
 import sys
 from collections.abc import Sequence
+from io import TextIOWrapper
 
 from mavproxy_fault import __version__
 from mavproxy_fault.app.commands import OURS, Add
@@ -63,6 +64,12 @@ def _registered() -> dict[str, Add]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one subcommand and return the exit code."""
+    for stream in (
+        sys.stdout,
+        sys.stderr,
+    ):  # names of the user's may be beyond the terminal's letters
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     given = sys.argv[1:] if arguments is None else arguments
     chosen = parser(given[0] if given else "").parse_args(given)
     try:
