@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import sys
 from typing import Any
 
 
@@ -37,9 +38,13 @@ def add_run(commands: Any) -> None:
         help="fly the same without the faults beside it, and tell what each fault did",
     )
     parser.add_argument(
-        "--autopilot", choices=("ardupilot",), help="who flies, instead of the built-in controller"
+        "--autopilot",
+        choices=("ardupilot", "px4"),
+        help="who flies, instead of the built-in controller",
     )
-    parser.add_argument("--binary", metavar="PATH", help="its SITL program (default: arducopter)")
+    parser.add_argument(
+        "--binary", metavar="PATH", help="its SITL program (default: arducopter, px4)"
+    )
     parser.add_argument(
         "--from",
         dest="count_from",
@@ -52,8 +57,19 @@ def add_run(commands: Any) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    from analysis.run.worker import MonitorDiedError
+
+    try:
+        return _fly(args)
+    except MonitorDiedError as died:
+        print(f"mavproxy-fault: {died}; the logs up to then are in the run folder", file=sys.stderr)
+        return 1
+
+
+def _fly(args: argparse.Namespace) -> int:
     if args.autopilot:
-        from analysis.run.autopilot_run import main as fly
+        # Loaded only here: an autopilot's run needs other parts.
+        from analysis.autopilots.autopilot_run import main as fly
 
         return fly(args)
     with contextlib.ExitStack() as stack:

@@ -27,10 +27,12 @@ class Critical:
 
 def bisect(interval: Magnitudes) -> Generator[float, bool, Critical]:
     """Yields magnitudes to fly and is sent whether each was worse."""
+    # The upper end first: where it does no harm, one flight answers the question.
     if not (yield interval.high):
         return Critical(None, interval.high, 1)
     if (yield interval.low):
         return Critical(interval.low, None, 2)
+    # Shares of the way and not magnitudes: the spacing may be logarithmic.
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)

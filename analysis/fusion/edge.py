@@ -6,7 +6,7 @@ import numpy as np
 
 from analysis.detection.detection_config import Noise
 from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.propagation import TURN_SIGMA_RPS, Segment, run_of, segment
+from analysis.detection.filter.propagation import RATE_SIGMA_RPS, Segment, run_of, segment
 from analysis.detection.values import Value
 from analysis.samples.block import ImuRun
 from analysis.samples.sample import ImuSample, Vector
@@ -23,7 +23,7 @@ class Edge(Value, frozen=True):
     noise: Noise
     trusted: bool
     jumped_m: float
-    rate_sigma_rps: float = TURN_SIGMA_RPS
+    rate_sigma_rps: float = RATE_SIGMA_RPS
 
     def sound(self, gap_s: float) -> bool:
         """Whether the IMU ties the two epochs; silence longer than `gap_s` is not bridged."""

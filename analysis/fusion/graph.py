@@ -59,7 +59,7 @@ class Graph:
         self.aligned = beginning.aligned
         self.slow_m2: Vector = np.zeros((3, 3))  # ECEF, what averaging leaves of the position
         self.covariance: Vector = np.zeros((9, 9))
-        self.window = Window(config.lag_s)
+        self.window = Window(config.lag_s, any_scale=beginning.loose)
         self.epochs: dict[int, Epoch] = {}
         self._began = beginning.node
         self._detector = detector

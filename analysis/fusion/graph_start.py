@@ -1,5 +1,6 @@
 """Where a graph begins: at the detector's filter, or where the last one was good."""
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -37,6 +38,7 @@ NO_SPEED = np.zeros(3)
 TINY = 1e-12  # keeps a covariance positive definite
 UNKNOWN_CLOCK = (1e5, 300.0)  # next to nothing beside a range, and no zero to Cholesky
 STILL_RAD = 0.1
+LOOSE_M = 20.0  # a position as unsure as this begins with the epoch's own ranges, and by QR
 DOUBT = 2.0  # the sigmas of the last good state times this
 
 
@@ -66,6 +68,11 @@ class Beginning:
     bias_p: Vector
     clock_sigma: Vector
     aligned: bool
+
+    @property
+    def loose(self) -> bool:
+        """Whether the position is so unsure that more than priors is needed."""
+        return math.sqrt(np.trace(self.pose_p[3:, 3:])) > LOOSE_M
 
     def priors(self) -> list[Any]:
         """The first node's factors."""

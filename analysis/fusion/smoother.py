@@ -16,6 +16,7 @@ from analysis.fusion.factors.factor_weights import isolated_sensors, range_weigh
 from analysis.fusion.factors.gnc import outliers
 from analysis.fusion.factors.range_factors import Ranges
 from analysis.fusion.factors.sensor_factors import WAITING, Others
+from analysis.fusion.filter_check import against_filter
 from analysis.fusion.fused_record import fused_state, gap
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.fusion_state import FusionState, Good, Now, heeded
@@ -31,7 +32,6 @@ from analysis.results import Decision, FusedState, Result, SensorDecision
 from analysis.samples.block import Piece
 from analysis.samples.sample import Epoch, ImuSample, Sample
 
-LOOSE_M = 10.0  # a start less sure than this takes the epoch's own ranges in
 LOST_RAD = 0.1  # an attitude as sure as this needs no help from the detector
 SUSPECT = 0.5  # of the threshold: above it the IMU is suspicious, and taken back if it is isolated
 SHOWS_NOISE = ("none", "satellites")  # hypotheses under which residuals are noise
@@ -106,10 +106,12 @@ class Fusion:
 
     def _epoch(self, now: Now, state: FusionState) -> FusedState | None:
         """The next epoch of the graph, or the first of a new one."""
-        graph = state.graph
+        graph, motion = state.graph, now.motion
+        if now.core.motion is None:  # the detector has lost its place, and nothing else keeps one
+            state.graph = None
+            return None
         if graph is not None and not self._must_restart(graph, now.decision):
             return self._go_on(graph, now, state)
-        motion = now.motion
         if motion is None:
             return None
         state.notes.append("the graph began")
@@ -122,9 +124,10 @@ class Fusion:
 
     def _begin(self, motion: Motion, now: Now, state: FusionState) -> FusedState:
         """A new graph where the detector is."""
-        graph = self._new(at_filter(motion, self.config.correlation), state)
+        beginning = at_filter(motion, self.config.correlation)
+        graph = self._new(beginning, state)
         used = {"imu": float(motion.inertial)}
-        if np.sqrt(motion.p[0, 0]) > LOOSE_M:
+        if beginning.loose:
             used |= self._attach_ranges(graph, now, state)
         return self._done(graph, used, now, state)
 
@@ -157,7 +160,16 @@ class Fusion:
             if share is not None:
                 used[source] = share
         state.isolated = isolated
-        return self._done(graph, used, now, state)
+        fused = self._done(graph, used, now, state)
+        worse = against_filter(graph, now.motion, self.config.correlation)
+        return self._hand_on(worse, now, state) if worse and self.config.decide else fused
+
+    def _hand_on(self, worse: str, now: Now, state: FusionState) -> FusedState:
+        """The filter's answer in place of the graph's, which goes on from there."""
+        motion = now.motion
+        assert motion is not None
+        state.notes = [f"{worse}; it began anew there"]
+        return self._begin(motion, now, state)
 
     def _imu_noise(self, part: Segment, trusted: bool, state: FusionState) -> Noise:
         if not self.config.learn:
@@ -245,9 +257,8 @@ class Fusion:
         observed = record.observed if record else observe(now.sample, now.core.chosen)
         if observed is None:
             return {}
-        core, config = now.core, self.config
-        decision, learnt = now.decision, state.learnt
-        ranges = Ranges(observed, now.motion.x, core.ionosphere, config, self.detector)
+        core, config, decision, learnt = now.core, self.config, now.decision, state.learnt
+        ranges = Ranges(observed, now.motion.x, core, config, self.detector, decision.t_us)
         weights = ranges.weights(range_weights(decision, config))
         if config.learn:
             if decision.hypothesis in SHOWS_NOISE:
@@ -287,7 +298,7 @@ class Fusion:
         if node is None:
             return
         x = navigation_state(graph.frame, node, core.motion.x[X_ISB:])
-        ranges = Ranges(observed, x, core.ionosphere, self.config, self.detector)
+        ranges = Ranges(observed, x, core, self.config, self.detector, sample.t_us)
         if self.config.learn:
             ranges.learn(state.learnt)
         weights = ranges.own_weights(state.excluded)
@@ -306,9 +317,9 @@ class Fusion:
         return self._new(where, state)
 
     def _again(self, now: Now, state: FusionState, why: str) -> FusedState | None:
-        """After a failure: on from the last good state; if that fails too, from the detector's;
-        else the gap is reported and the next epoch tries again."""
-        for begin in (self._again_from_good, self._again_from_detector):
+        """After a failure: the filter's answer where it has tested the epoch, else on from the last
+        good state; where that fails too the gap is reported and the next epoch tries again."""
+        for begin in (self._again_from_detector, self._again_from_good):
             state.notes = [f"the graph failed ({why}) and began anew"]
             try:
                 fused = begin(now, state)
@@ -328,7 +339,9 @@ class Fusion:
 
     def _again_from_detector(self, now: Now, state: FusionState) -> FusedState | None:
         motion = now.motion
-        return self._begin(motion, now, state) if motion is not None else None
+        if motion is None or now.decision.position_ecef_m is None:
+            return None
+        return self._begin(motion, now, state)
 
 
 def _first_line(error: Exception) -> str:

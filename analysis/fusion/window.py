@@ -6,7 +6,8 @@ begins. In the updates between, the newest variables become the root of GTSAM's 
 of an interval hang on it in order of time and leave it without any other being eliminated anew. Of
 shorter intervals what stays has been put in another order by the last marginalisation, and is so by
 each. Variables are relinearised only when they moved so far that it matters. Cholesky takes half
-the time of QR; it asks for variables of like scale (see `factors`).
+the time of QR; it asks for variables of like scale (see `factors`), which a pose that is known to
+thousandths of a radian and tens of metres is not: a graph that begins so has QR (`any_scale`).
 """
 
 import math
@@ -60,9 +61,9 @@ class Window:
     from the next `commit` on.
     """
 
-    def __init__(self, lag_s: float) -> None:
+    def __init__(self, lag_s: float, any_scale: bool = False) -> None:
         params = gtsam.ISAM2Params()
-        params.setFactorization("CHOLESKY")
+        params.setFactorization("QR" if any_scale else "CHOLESKY")
         params.findUnusedFactorSlots = True
         params.relinearizeSkip = 1
         params.enablePartialRelinearizationCheck = True
@@ -165,8 +166,8 @@ class Window:
         for name, stamp_s, count in self._named:
             known = self._entries.get(name)
             before = known.slots if known is not None else ()
-            taken = tuple(slots[start : start + count])
-            self._entries[name] = Entry(stamp_s, before + taken)
+            if stamp_s >= self.oldest_s:  # others went with their variables in the same update
+                self._entries[name] = Entry(stamp_s, before + tuple(slots[start : start + count]))
             start += count
         again = bool(self._back)
         self._clear()

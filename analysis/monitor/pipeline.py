@@ -81,6 +81,7 @@ class Pipeline:
 
             self._fusions.append(Fusion(config.fusion, config.detector))
             if config.fusion.compare:
+                # A second fusion that trusts everything: what isolation gains is seen in one run.
                 believing = msgspec.structs.replace(config.fusion, decide=False)
                 self._fusions.append(Fusion(believing, config.detector, WITHOUT_ISOLATION))
             self._feed_back = fed_back if config.fusion.feedback else None

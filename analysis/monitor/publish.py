@@ -44,6 +44,7 @@ class Publisher:
             self._bus.put(key, data, f"{SCHEMA}.{type(result).__name__}")
             if isinstance(result, Decision) and result.excluded != self._excluded:
                 self._excluded = result.excluded
+                # The last one is kept: who joins late wants to know who is excluded now.
                 self._bus.put("fdi/isolation", data, f"{SCHEMA}.Decision", history=1)
             if self._changed(key, result):
                 schema = f"{SCHEMA}.{type(result).__name__}"

@@ -18,6 +18,7 @@ from analysis.monitor.pipeline import MonitorConfig
 from analysis.results import Result
 from analysis.run import rehearsal
 from analysis.scoring.criteria import Criteria
+from mavproxy_fault.ardupilot.child_process import die_with_parent, ending
 from mavproxy_fault.wire.label import Label
 
 BATCH_BYTES = 32_768
@@ -27,20 +28,27 @@ Order = bytes | tuple[list[Label], Criteria, float]
 
 def _work(orders: "Queue[Order | None]", answers: Connection, config: MonitorConfig) -> None:
     """The process: bytes in, results out; a question is answered by the summary."""
+    # Without this a killed run would leave the monitor behind.
+    die_with_parent()
     from analysis.monitor.monitor import Monitor
 
     monitor = Monitor(config)
     while (order := orders.get()) is not None:
+        # Bytes are work, a tuple asks for the summary, None ends.
         if isinstance(order, bytes):
             answers.send(monitor.push_bytes([order], datagrams=False))
         else:
             answers.send(monitor.summary(*order))
 
 
+class MonitorDiedError(RuntimeError):
+    """The monitor's process ended before its work did."""
+
+
 @contextlib.contextmanager
-def _without_ctrl_c() -> Iterator[None]:
-    """Ctrl-C is the parent's, who still wants a summary: what is started inherits the mask."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+def _without(*signals: signal.Signals) -> Iterator[None]:
+    """Signals are the parent's, who still wants a summary: what is started inherits the mask."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     try:
         yield
     finally:
@@ -58,13 +66,16 @@ class MonitorProcess:
         self._process = context.Process(
             target=_work, args=(self._orders, theirs, config), daemon=True
         )
+        # Only the first run after an installation compiles.
         mark = rehearsal.due()
-        with _without_ctrl_c():
-            self._process.start()
+        with _without(signal.SIGINT):
             if mark is not None:
                 context.Process(target=rehearsal.rehearse, args=(config, mark), daemon=True).start()
+            with _without(signal.SIGTERM):
+                self._process.start()
         # Only the child holds it then, so that its death is seen as the end of the pipe.
         theirs.close()
+        self.pid = self._process.pid or 0
         self._batch = bytearray()
         self.owed = 0  # batches without their results yet
 
@@ -77,8 +88,9 @@ class MonitorProcess:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        # After an error nobody wants results: no waiting.
         if kind is not None:
-            self._process.terminate()
+            self._process.kill()
             # Or the queue's thread would wait for a reader that is gone.
             self._orders.cancel_join_thread()
         else:
@@ -113,7 +125,7 @@ class MonitorProcess:
     def summary(self, labels: Sequence[Label], criteria: Criteria, wall_s: float) -> dict[str, Any]:
         """The content of `summary.json`; after `results`."""
         self._orders.put((list(labels), criteria, wall_s))
-        summary: dict[str, Any] = self._answers.recv()
+        summary: dict[str, Any] = self._answer()
         return summary
 
     def _handed_on(self, batch: bytes) -> bool:
@@ -124,7 +136,17 @@ class MonitorProcess:
         return True
 
     def _receive(self) -> list[Result]:
-        """The oldest results owed; EOFError if the monitor died."""
-        results: list[Result] = self._answers.recv()
+        """The oldest results owed."""
+        results: list[Result] = self._answer()
         self.owed -= 1
         return results
+
+    def _answer(self) -> Any:
+        """What the process sent; MonitorDiedError if it is no more."""
+        try:
+            return self._answers.recv()
+        except EOFError:
+            # Joined first: the exit code is known only then.
+            self._process.join()
+            how = ending(self._process.exitcode or 0)
+            raise MonitorDiedError(f"the monitor's process ended {how}") from None

@@ -58,6 +58,7 @@ def parted(cells: Cells, windows: Sequence[Window], cell_us: int) -> dict[str, A
     those of the turn between estimate and truth, of the first error in each cell.
     """
     within = [_within(cells, window, cell_us) for window in windows]
+    # With a row of zeros, as there may be no window at all.
     faulty = np.any([np.zeros(len(cells.t_us), bool), *within], axis=0)
     flown = sorted({PHASES[i] for i in cells.phase.tolist()})
     return scored(cells) | {
@@ -114,6 +115,7 @@ def phases_of(q_nb: Vector, v_ned_mps: Vector) -> Indices:
         down < -CLIMB_MPS,
         down > CLIMB_MPS,
     ]
+    # The first that holds: on the ground nothing else counts, and a climbing turn is a turn.
     return np.select(conditions, range(4), 4)
 
 

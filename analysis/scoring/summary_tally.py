@@ -72,10 +72,12 @@ class Tally:
         truths = block.rows(TRUTH)
         if self._truth is None and not len(truths):
             return [None] * len(found)
+        # The newest truth at or before the row that led to each result.
         at = np.searchsorted(truths, [row for row, _ in found], side="right") - 1
         places = block.values[truths[at], 7:10] if len(truths) else np.empty((len(at), 3))
         places[at < 0] = np.nan if self._truth is None else self._truth
         if len(truths):
+            # For the results of the next block, until its first truth.
             self._truth = block.values[truths[-1], 7:10].copy()
         lat, lon = np.radians(places[:, :2]).T
         true_m = ecef_from_geodetic(lat, lon, places[:, 2])
@@ -127,6 +129,7 @@ class Tally:
         windows = windows_of(self.alarms)
         false = None if labels is None else false_alarms(labels, windows, self.span_s)
         found_faults = outcomes(labels or (), windows, self._watched, self.epoch_us)
+        # An autopilot that repeats the truth would make every criterion pass.
         first = next((attitude[name] for name in attitude if not name.endswith(REPEATED)), None)
         found: dict[str, Any] = {
             "verdict": "NO VERDICT",

@@ -1,19 +1,17 @@
 """ArduPilot's SITL program, started with the bridge's ports and parameters, and ended with it."""
 
-import ctypes
 import shlex
 import shutil
-import signal
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
+from mavproxy_fault.ardupilot.child_process import die_with_parent
 from mavproxy_fault.ardupilot.hil_readings import TrueState
 from mavproxy_fault.documents.errors import ConfigError
 
 OUTPUT = "autopilot.log"
 PARAMETERS = "bridge.parm"
-PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 SPEEDUP = 100  # above what any machine reaches: the HIL link sets the pace, not ArduPilot's sleep
 
 
@@ -73,10 +71,5 @@ def start(
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
-            preexec_fn=_die_with_parent,
+            preexec_fn=die_with_parent,
         )
-
-
-def _die_with_parent() -> None:
-    """Let the kernel end the program with the bridge, for it waits for physics without end."""
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)

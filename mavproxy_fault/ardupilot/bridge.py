@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from mavproxy_fault.ardupilot.bridge_ports import Datagrams, SensorPort
+from mavproxy_fault.ardupilot.child_process import ending
 from mavproxy_fault.ardupilot.companion import for_ardupilot
 from mavproxy_fault.ardupilot.json_physics import ServoPacket, read_servos
 from mavproxy_fault.ardupilot.observation import Seen
@@ -203,8 +204,3 @@ class Bridge:
     def _next(self) -> int:
         self._seq = (self._seq + 1) & 0xFF
         return self._seq
-
-
-def ending(code: int) -> str:
-    """How a program ended."""
-    return f"with exit code {code}" if code >= 0 else f"by signal {-code}"

@@ -47,6 +47,15 @@ def turned(q: Vector, rx: float, ry: float, rz: float) -> Vector:
 
 
 @compiled
+def turned_in_reference(q: Vector, rx: float, ry: float, rz: float) -> Vector:
+    """The same for a rotation vector given in the axes that q turns to (NED, ECEF)."""
+    out = np.empty(4)
+    out[0], out[1], out[2], out[3] = quaternion_of_rotation(rx, ry, rz)
+    rotate(out, (q[0], q[1], q[2], q[3]))
+    return out
+
+
+@compiled
 def body_axes(q: Vector) -> tuple[Axis, Axis, Axis]:
     """The rows of rot_nb of the attitude in the first four places of q."""
     w, x, y, z = q[0], q[1], q[2], q[3]

@@ -28,6 +28,7 @@ _SLOWEST_MPS = 1.0  # the spectra are of frozen turbulence, so a hovering vehicl
 @inlined
 def standard_air(alt_msl_m: float) -> tuple[float, float, float]:
     """Pressure [Pa], temperature [K] and density [kg/m^3] at a height above mean sea level."""
+    # The standard atmosphere is one of geopotential height: gravity shrinks on the way up.
     h = _EARTH_M * alt_msl_m / (_EARTH_M + alt_msl_m)
     exponent = STANDARD_GRAVITY_MPS2 / (_GAS * _LAPSE_KPM)
     if h < _TROPOPAUSE_M:
@@ -35,6 +36,7 @@ def standard_air(alt_msl_m: float) -> tuple[float, float, float]:
         pressure = SEA_LEVEL_PA * (temperature / SEA_LEVEL_K) ** exponent
     else:
         temperature = SEA_LEVEL_K - _LAPSE_KPM * _TROPOPAUSE_M
+        # Above the tropopause the temperature stays, and pressure falls exponentially.
         edge = SEA_LEVEL_PA * (temperature / SEA_LEVEL_K) ** exponent
         pressure = edge * math.exp(
             -STANDARD_GRAVITY_MPS2 * (h - _TROPOPAUSE_M) / (_GAS * temperature)
@@ -81,6 +83,7 @@ def _second_order(
     q11 = (1.0 - e * e) / (2.0 * a)
     q12 = (1.0 - e * e * (1.0 + 2.0 * ad)) / (4.0 * a * a)
     q22 = (1.0 - e * e * (1.0 + 2.0 * ad + 2.0 * ad * ad)) / (4.0 * a * a * a)
+    # The noise of both states is correlated: this is the Cholesky factor of its covariance.
     l11 = math.sqrt(q11)
     l21 = q12 / l11
     l22 = math.sqrt(max(q22 - l21 * l21, 0.0))
@@ -123,29 +126,21 @@ def wind_step(
         Becomes the wind, NED [m/s].
     """
     airspeed = math.sqrt(v_air[0] * v_air[0] + v_air[1] * v_air[1] + v_air[2] * v_air[2])
+    # The faster one flies through frozen turbulence, the faster it changes.
     speed = max(airspeed, _SLOWEST_MPS)
     e = math.exp(-speed / weather[LENGTH] * dt)
     filters[0] = e * filters[0] + math.sqrt(1.0 - e * e) * noise[0]
+    rate = speed / weather[LENGTH + 1]
     filters[1], filters[2], v = _second_order(
-        filters[1],
-        filters[2],
-        speed / weather[LENGTH + 1],
-        weather[SIGMA + 1],
-        dt,
-        noise[1],
-        noise[2],
+        filters[1], filters[2], rate, weather[SIGMA + 1], dt, noise[1], noise[2]
     )
+    rate = speed / weather[LENGTH + 2]
     filters[3], filters[4], w = _second_order(
-        filters[3],
-        filters[4],
-        speed / weather[LENGTH + 2],
-        weather[SIGMA + 2],
-        dt,
-        noise[3],
-        noise[4],
+        filters[3], filters[4], rate, weather[SIGMA + 2], dt, noise[3], noise[4]
     )
     north, east, down = to_ned(x[6], x[7], x[8], x[9], weather[SIGMA] * filters[0], v, w)
     reference = weather[REFERENCE]
+    # Below a hundredth of the reference the power law would end at no wind at all.
     grown = (max(height, 0.01 * reference) / reference) ** weather[EXPONENT]
     out[0] = weather[STEADY] * grown + north
     out[1] = weather[STEADY + 1] * grown + east

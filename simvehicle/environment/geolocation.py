@@ -75,6 +75,7 @@ def locate(x: Array, wind: Array, home: Array, out: Array) -> None:
     out[0], out[1], out[2] = lat, lon, height
     out[3], out[4], out[5] = standard_air(height - home[12])
     sp, cp, sl, cl = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
+    # Rows of north, east and down here, against those of home: the vertical tilts on the way.
     local = ((-sp * cl, -sp * sl, cp), (-sl, cl, 0.0), (-cp * cl, -cp * sl, -sp))
     c = np.empty((3, 3))  # from the frame of home to local NED
     for i in range(3):
@@ -95,6 +96,7 @@ def locate(x: Array, wind: Array, home: Array, out: Array) -> None:
     out[11] = tw * b - ta * g + tb * w + tg * a
     out[12] = tw * g + ta * b - tb * a + tg * w
     out[13], out[14], out[15] = x[3] - wx, x[4] - wy, x[5] - wz
+    # Along the local down, given in the axes of home in which the vehicle is integrated.
     pull = _gravity(lat, height)
     for i in range(3):
         out[6 + i] = c[i, 0] * vn + c[i, 1] * ve + c[i, 2] * vd

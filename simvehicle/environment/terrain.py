@@ -30,6 +30,7 @@ class Grid:
         rows, columns = self.height_m.shape
         row = (math.degrees(lat_rad) - self.south_deg) / self.cell_deg
         column = (math.degrees(lon_rad) - self.west_deg) / self.cell_deg
+        # A flight that leaves the grid finds the ground of its edge.
         row = min(max(row, 0.0), rows - 1.0)
         column = min(max(column, 0.0), columns - 1.0)
         i, j = min(int(row), rows - 2), min(int(column), columns - 2)
@@ -81,7 +82,9 @@ def read_grid(path: str | Path) -> Grid:
         raise ConfigError(f"{path}: has cells without data; every cell needs a height")
     cell = header["cellsize"]
     return Grid(
+        # The format begins in the north; rows here go to the north.
         np.flipud(values.reshape(shape)).copy(),
+        # The corner of the cell is given; its height is that of the centre.
         header["yllcorner"] + 0.5 * cell,
         header["xllcorner"] + 0.5 * cell,
         cell,

@@ -61,6 +61,11 @@ class Hil:
         Stamp on the wire of the simulation's t_us = 0.
     mav_type : int
         MAV_TYPE of the heartbeat.
+
+    Attributes
+    ----------
+    step_us : int or None
+        Stamp of the last step on the wire, which an autopilot answers.
     """
 
     def __init__(
@@ -71,6 +76,7 @@ class Hil:
         mav_type: int = TYPE_QUADROTOR,
     ) -> None:
         self.start_us = start_us
+        self.step_us: int | None = None
         self._system = system
         self._component = component
         self._mav_type = mav_type
@@ -94,7 +100,7 @@ class Hil:
         readings : iterable of Reading
             What the sensors delivered at this step; their own stamps may lie in the past.
         """
-        stamp = t_us + self.start_us
+        stamp = self.step_us = t_us + self.start_us
         updated = [0] * IMU_IDS
         others = []
         for reading in readings:

@@ -34,8 +34,8 @@ class Lockstep:
         self._heard_s = 0.0
         self._unlocked_s: float | None = None  # when the last time-out was
 
-    def sent(self, stamp_us: int, now_s: float) -> None:
-        """A HIL_SENSOR with this stamp has left."""
+    def sent(self, stamp_us: int | None, now_s: float) -> None:
+        """A HIL_SENSOR with this stamp has left; None where a fault withheld it from the step."""
         self._stamp_us = stamp_us
         self._sent_s = now_s
 

@@ -53,6 +53,7 @@ def contact(
         vz = w + p * y - q * x
         vn, ve, vd = to_ned(e0, e1, e2, e3, vx, vy, vz)
         press = wheels.stiffness * depth + wheels.damping * vd
+        # The ground pushes but never pulls, also where the damper would.
         press = press if depth > 0.0 and press > 0.0 else 0.0
         # Split the horizontal velocity along and across the nose's horizontal direction.
         cn, ce, _ = to_ned(e0, e1, e2, e3, 1.0, 0.0, 0.0)
@@ -60,6 +61,7 @@ def contact(
         cn, ce = cn / length, ce / length
         ahead = vn * cn + ve * ce
         aside = -vn * ce + ve * cn
+        # Friction has a direction but no size by itself; the creep keeps it from jumping at rest.
         slip = np.sqrt(ahead * ahead + aside * aside) + _CREEP_MPS
         rub_along = -wheels.along * press * ahead / slip
         rub_across = -wheels.across * press * aside / slip

@@ -1,7 +1,7 @@
 """Attitude from nothing: the specific force integrated by the IMU against GNSS velocity.
 
 In axes fixed at the start (0), alpha = integral of C_0b f dt; by GNSS the same vector in ECEF is
-beta = v - v_0 - integral of (g - 2 Omega x v) dt. The turn C_e0 with beta = C_e0 alpha for all
+beta = v - v_0 - integral of (g - 2 Omega x v) dt. The rotation C_e0 with beta = C_e0 alpha for all
 epochs is Wahba's problem, solved by the singular value decomposition [1]_ [2]_. Gravity alone
 gives tilt; heading needs horizontal acceleration, or the magnetometer as one more pair.
 
@@ -16,7 +16,7 @@ import numpy as np
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import Core
 from analysis.detection.filter.filter_state import Alignment, Motion
-from analysis.detection.filter.inertial import BA, BG, ERRORS, PSI, gravity_ecef, turned
+from analysis.detection.filter.inertial import BA, BG, ERRORS, PSI, gravity_ecef
 from analysis.detection.filter.initial_fix import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.detection.filter.propagation import Segment
 from analysis.samples.sample import Vector
@@ -24,7 +24,7 @@ from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
 from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 from mavproxy_fault.numerics.rotation import quat_from_matrix
-from mavproxy_fault.numerics.rotation_kernel import matrix
+from mavproxy_fault.numerics.rotation_kernel import matrix, turned
 
 LONGEST_S = 20.0
 SHORTEST_S = 2.0
@@ -40,15 +40,12 @@ def _integrate(q: Vector, alpha: Vector, samples: Vector) -> tuple[Vector, Vecto
     alpha = alpha.copy()
     for k in range(samples.shape[0]):
         dt = samples[k, 0]
-        turn = np.empty(3)
-        for i in range(3):
-            turn[i] = 0.5 * dt * samples[k, 1 + i]
-        mid = matrix(turned(q, turn, -1.0))
+        rx, ry, rz = samples[k, 1] * dt, samples[k, 2] * dt, samples[k, 3] * dt
+        mid = matrix(turned(q, 0.5 * rx, 0.5 * ry, 0.5 * rz))
         for i in range(3):
             for j in range(3):
                 alpha[i] += mid[i, j] * samples[k, 4 + j] * dt
-            turn[i] *= 2.0
-        q = turned(q, turn, -1.0)
+        q = turned(q, rx, ry, rz)
     return q, alpha
 
 
@@ -91,9 +88,9 @@ def aligned(alignment: Alignment, motion: Motion, mag_b: Vector | None) -> Motio
     if np.linalg.eigvalsh(information)[0] < limit**-2.0:
         return None
     left, _, right = np.linalg.svd(cross)
-    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    rotation = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
     x, p = motion.x.copy(), motion.p.copy()
-    x[6:10] = quat_from_matrix(turn @ matrix(alignment.q_0b))
+    x[6:10] = quat_from_matrix(rotation @ matrix(alignment.q_0b))
     x[10:16] = 0.0
     for at in (PSI, BG, BA):
         p[at : at + 3, :] = 0.0

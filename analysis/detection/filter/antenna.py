@@ -32,16 +32,17 @@ def moved_along(
     x, p and the matrix (20, 20) that turns the errors of the one into those of the other.
     """
     c = matrix(x[X_Q : X_Q + 4])
+    # The Earth's rotation seen in body axes is the last row of C times its rate.
     turning = gyro_b_rps - x[X_BG : X_BG + 3] - GNSS_EARTH_RATE_RPS * c[2]
     arm, speed = c @ arm_b_m, c @ np.cross(turning, arm_b_m)
-    turn = np.eye(ERRORS)
-    turn[R : R + 3, PSI : PSI + 3] = -sign * _cross(arm)
-    turn[V : V + 3, PSI : PSI + 3] = -sign * _cross(speed)
-    turn[V : V + 3, BG : BG + 3] = sign * c @ _cross(arm_b_m)
+    jacobian = np.eye(ERRORS)
+    jacobian[R : R + 3, PSI : PSI + 3] = -sign * _cross(arm)
+    jacobian[V : V + 3, PSI : PSI + 3] = -sign * _cross(speed)
+    jacobian[V : V + 3, BG : BG + 3] = sign * c @ _cross(arm_b_m)
     x = x.copy()
     x[R : R + 3] += sign * arm
     x[V : V + 3] += sign * speed
-    return x, turn @ p @ turn.T, turn
+    return x, jacobian @ p @ jacobian.T, jacobian
 
 
 def _cross(v: Vector) -> Vector:

@@ -61,29 +61,12 @@ def _gravity(x: float, y: float, z: float) -> tuple[float, float, float]:
     return level * x, level * y, factor * (1.0 + bulge * (3.0 - tilt)) * z
 
 
-@compiled
-def turned(q: Vector, rotvec: Vector, sign: float) -> Vector:
-    """q followed (sign 1) or preceded (-1) by the turn of a rotation vector (3,), normalised."""
-    angle = math.sqrt(rotvec[0] * rotvec[0] + rotvec[1] * rotvec[1] + rotvec[2] * rotvec[2])
-    scale = 0.5 if angle < 1e-8 else math.sin(0.5 * angle) / angle
-    w, x, y, z = math.cos(0.5 * angle), scale * rotvec[0], scale * rotvec[1], scale * rotvec[2]
-    out = np.empty(4)
-    out[0] = w * q[0] - x * q[1] - y * q[2] - z * q[3]
-    out[1] = w * q[1] + x * q[0] + sign * (y * q[3] - z * q[2])
-    out[2] = w * q[2] + y * q[0] + sign * (z * q[1] - x * q[3])
-    out[3] = w * q[3] + z * q[0] + sign * (x * q[2] - y * q[1])
-    size = math.sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2] + out[3] * out[3])
-    for i in range(4):
-        out[i] /= size
-    return out
-
-
 @inlined
 def _mechanise(x: Vector, samples: Vector, row: int, c: Vector, f: Vector) -> None:
     """Advance x in place by the sample of a row; c (9,) becomes the rotation, row by row, and f
     (3,) the specific force in ECEF at mid-step."""
     earth, dt = GNSS_EARTH_RATE_RPS, samples[row, 0]
-    _turn(x, samples, row, c)
+    _rotate(x, samples, row, c)
     ax, ay, az = samples[row, 4] - x[13], samples[row, 5] - x[14], samples[row, 6] - x[15]
     f[0] = c[0] * ax + c[1] * ay + c[2] * az
     f[1] = c[3] * ax + c[4] * ay + c[5] * az
@@ -101,7 +84,7 @@ def _mechanise(x: Vector, samples: Vector, row: int, c: Vector, f: Vector) -> No
 
 
 @inlined
-def _turn(x: Vector, samples: Vector, row: int, c: Vector) -> None:
+def _rotate(x: Vector, samples: Vector, row: int, c: Vector) -> None:
     """Turn the attitude in x by the rates of a row; c (9,) becomes the rotation at mid-step."""
     earth, dt = GNSS_EARTH_RATE_RPS, samples[row, 0]
     rx, ry, rz = samples[row, 1] - x[10], samples[row, 2] - x[11], samples[row, 3] - x[12]

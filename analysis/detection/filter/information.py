@@ -26,10 +26,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.detection.filter.inertial import PSI, X_Q, turned
+from analysis.detection.filter.inertial import PSI, X_Q
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.linear import apply, lower, lower_inverse, multiply, square, transposed
+from mavproxy_fault.numerics.rotation_kernel import turned_in_reference
 
 Indices = NDArray[np.int64]
 
@@ -198,10 +199,7 @@ def update(x: Vector, p: Vector, normal: Normal, y: Vector) -> tuple[Vector, Vec
 @compiled
 def move(x: Vector, d: Vector) -> None:
     """Add an error d (20,) to the state x (21,), in place."""
-    turn = np.empty(3)
-    for i in range(3):
-        turn[i] = d[PSI + i]
-    q = turned(x[X_Q : X_Q + 4], turn, 1.0)
+    q = turned_in_reference(x[X_Q : X_Q + 4], d[PSI], d[PSI + 1], d[PSI + 2])
     for i in range(PSI):
         x[i] += d[i]
     for i in range(4):

@@ -16,7 +16,7 @@ from mavproxy_fault.numerics.compile import compiled
 PENDING_MAX = 40_000  # samples without an epoch between; older ones are forgotten
 NO_STEPS = np.empty((0, 7))
 NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
-TURN_SIGMA_RPS = 0.5  # how fast a body may turn while its IMU is silent
+RATE_SIGMA_RPS = 0.5  # how fast a body may turn while its IMU is silent
 SHORT_GAP_S = 1.0  # after a longer one the attitude is found anew
 
 
@@ -141,6 +141,6 @@ def advance(
     x, p, phi = propagate_freely(motion.x, motion.p, dt_s, noise)
     inertial = motion.inertial and part.gap_s <= SHORT_GAP_S and part.heard
     if inertial:
-        p[range(PSI, PSI + 3), range(PSI, PSI + 3)] += (TURN_SIGMA_RPS * part.gap_s) ** 2
+        p[range(PSI, PSI + 3), range(PSI, PSI + 3)] += (RATE_SIGMA_RPS * part.gap_s) ** 2
     alignment = motion.alignment if whole and not motion.inertial else None
     return Motion(until_us, x, p, inertial, alignment), phi

@@ -75,9 +75,9 @@ def best_subset(m: Vector, u: Vector, q: float, size: int) -> tuple[float, Indic
             right[i] = u[pick[i]]
             for j in range(size):
                 block[i, j] = m[pick[i], pick[j]]
-        left = q - reduction(block, right)
-        if left < best:
-            best = left
+        remaining = q - reduction(block, right)
+        if remaining < best:
+            best = remaining
             for i in range(size):
                 best_pick[i] = pick[i]
         at = size - 1

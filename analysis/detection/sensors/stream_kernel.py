@@ -19,6 +19,7 @@ IMUS = 3
 STREAMS = ("imu", "imu", "imu", "mag", "baro", "airspeed", "range", "vision", "gps-position",
            "satellites", "link")  # fmt: skip
 LINK = len(STREAMS) - 1
+SATELLITES = LINK - 1  # raw ranges have no stamp of their own, theirs is another message's
 # By kind of sample its stream, and how many of its numbers are measured; -1: only a witness of time
 STREAM_OF = (0, 3, 4, 5, 6, 7, -1, -1, 8, 9, -2, -2)
 NUMBERS = (6, 3, 1, 1, 1, 3, 0, 0, 0, 0, 0, 0)
@@ -27,7 +28,10 @@ FIX_NUMBERS, MOVING_MPS = 5, 1.0  # of a fix: place and level velocity together,
 LEARNT, LEARNT_VALUES = 20, 200  # samples after which a stream and its values are known
 SHARE = 0.05  # of a new interval in what is usual
 SILENT_US = 500_000
-LEAP_US, ALONE_US = 200_000, 1_000_000
+LEAP_US = 200_000
+SURE_US, ALONE_US = 250_000, 1_000_000  # for which a leap of several streams, of one, has to last
+RHYTHM = 5  # samples after which the interval of a stream is about known
+REGULAR = 1.5  # usual intervals after which a sample still comes as it should
 INTERVALS = 5.0  # usual intervals that a pause must be long
 LATE_US = 300_000
 BACK_US = 20_000
@@ -38,9 +42,11 @@ EPOCH_1970_US = 100_000_000_000_000  # later stamps do not count from boot
 AGAIN_US = 500_000  # between two results about the same trouble
 NEVER_US = -(1 << 62)
 
-LAST_US, COUNT, DUE_US, STOOD, TOLD_US, CLOCK, HEARD_US = range(7)  # what is counted of a stream
-# Of a clock: its newest stamp, before when nobody can be silent, and a leap not yet understood
-NEWEST_US, SURE_US, FROM_US, TO_US, BY = range(5)
+# What is counted of a stream
+LAST_US, COUNT, DUE_US, STOOD, REPORTED_US, CLOCK, HEARD_US = range(7)
+# Of a clock: its newest stamp, before when nobody can be silent, and a leap not yet understood,
+# where BY has a bit for each who made it
+NEWEST_US, QUIET_US, FROM_US, TO_US, BY = range(5)
 
 
 class Watched(NamedTuple):
@@ -86,36 +92,51 @@ def _limit_us(watched: Watched, stream: int) -> int:
 
 @inlined
 def _leap(watched: Watched, found: Found, row: int, stream: int, clock: int, t_us: int) -> bool:
-    """Whether the time of a sample may be believed: one that leaps ahead waits for a second one.
+    """Whether the time of a sample may be believed: one that leaps ahead has to wait.
 
-    If another stream is there too, or nobody contradicts it for a second, everything had paused; if
-    not, the first one's stamps are wrong.
+    If time goes on from there for a while and nobody contradicts it, everything had paused; if
+    somebody does, the stamps of all who leapt are wrong. Several sensors often share one clock, so
+    that many who leap together prove nothing.
     """
     at = watched.clocks[clock]
+    own = 1 << (stream + 1)  # the lowest bit is that of the witnesses
     if at[TO_US] != NEVER_US:
-        alone = stream == at[BY] or t_us == at[TO_US]
-        if not alone and t_us - at[FROM_US] < (at[TO_US] - at[FROM_US]) // 2:
-            if at[BY] >= 0 and at[NEWEST_US] - watched.counts[at[BY], TOLD_US] >= AGAIN_US:
-                leap_s = (at[TO_US] - at[FROM_US]) * 1e-6
-                _tell(found, row, at[NEWEST_US], at[BY], AHEAD, leap_s)
-                watched.counts[at[BY], TOLD_US] = at[NEWEST_US]
-            at[TO_US] = NEVER_US
-        elif not alone or t_us - at[TO_US] > ALONE_US:
-            _paused(watched, found, row, clock)
-    if at[NEWEST_US] == NEVER_US or t_us - at[NEWEST_US] <= _leap_us(watched, stream):
+        if t_us - at[FROM_US] < (at[TO_US] - at[FROM_US]) // 2:
+            _contradicted(watched, found, row, clock)
+        else:
+            at[BY] |= own
+            several = at[BY] & (at[BY] - 1) != 0
+            if t_us - at[TO_US] > (SURE_US if several else ALONE_US):
+                _paused(watched, found, row, clock)
+    if at[NEWEST_US] == NEVER_US or not _leaps(watched, stream, t_us - at[NEWEST_US], t_us):
         return True
     if at[TO_US] == NEVER_US:
-        at[FROM_US], at[TO_US], at[BY] = at[NEWEST_US], t_us, stream
+        at[FROM_US], at[TO_US], at[BY] = at[NEWEST_US], t_us, own
     return False
 
 
+@compiled
+def _contradicted(watched: Watched, found: Found, row: int, clock: int) -> None:
+    """Time did not leap: whoever did so is told, if it is known to have gone by this clock."""
+    at = watched.clocks[clock]
+    now_us = at[NEWEST_US]
+    for s in range(LINK):
+        count = watched.counts[s]
+        if at[BY] >> (s + 1) & 1 and count[CLOCK] == clock and count[COUNT] >= RHYTHM:
+            if s != SATELLITES and now_us - count[REPORTED_US] >= AGAIN_US:
+                _tell(found, row, now_us, s, AHEAD, (at[TO_US] - at[FROM_US]) * 1e-6)
+                count[REPORTED_US] = now_us
+            count[DUE_US] = now_us + _limit_us(watched, s)  # it is wrong, but not silent
+    at[TO_US] = NEVER_US
+
+
 @inlined
-def _leap_us(watched: Watched, stream: int) -> int:
-    """A step of time that one stream alone is not believed."""
-    if stream < 0 or watched.counts[stream, COUNT] < LEARNT:
-        return SILENT_US
-    leap_us: int = max(LEAP_US, int(INTERVALS * watched.usual[stream, 0]))
-    return leap_us
+def _leaps(watched: Watched, stream: int, ahead_us: int, t_us: int) -> bool:
+    """Whether a sample is further ahead of the newest than its stream alone is believed."""
+    if stream < 0 or watched.counts[stream, COUNT] < RHYTHM:
+        return ahead_us > SILENT_US
+    regular_us = REGULAR * watched.usual[stream, 0]  # a slow stream alone may carry time on
+    return ahead_us > LEAP_US and t_us - watched.counts[stream, LAST_US] > regular_us
 
 
 @compiled
@@ -135,7 +156,7 @@ def _paused(watched: Watched, found: Found, row: int, clock: int) -> None:
 def _silent(watched: Watched, found: Found, row: int, stream: int, clock: int, t_us: int) -> None:
     """Who has not come for too long when the time goes on to `t_us`; and until when nobody can be
     silent, so that nobody need be asked: whoever comes later may be silent as long himself."""
-    sure_us = t_us + SILENT_US
+    quiet_us = t_us + SILENT_US
     for s in range(LINK):
         count = watched.counts[s]
         if s == stream or count[COUNT] < LEARNT or count[CLOCK] != clock:
@@ -143,8 +164,8 @@ def _silent(watched: Watched, found: Found, row: int, stream: int, clock: int, t
         while count[DUE_US] <= t_us:
             _tell(found, row, count[DUE_US], s, SILENT, (count[DUE_US] - count[HEARD_US]) * 1e-6)
             count[DUE_US] += AGAIN_US
-        sure_us = min(sure_us, count[DUE_US])
-    watched.clocks[clock, SURE_US] = sure_us
+        quiet_us = min(quiet_us, count[DUE_US])
+    watched.clocks[clock, QUIET_US] = quiet_us
 
 
 @inlined
@@ -155,15 +176,15 @@ def _stamped(watched: Watched, found: Found, row: int, s: int, t_us: int, newest
     count[STOOD] = count[STOOD] + 1 if gap_us == 0 else 0
     if gap_us < -BACK_US:
         _tell(found, row, newest_us, s, BACK, -gap_us * 1e-6)
-    elif count[STOOD] >= STANDS and newest_us - count[TOLD_US] >= AGAIN_US:
+    elif count[STOOD] >= STANDS and newest_us - count[REPORTED_US] >= AGAIN_US:
         _tell(found, row, newest_us, s, STANDING, late_us * 1e-6)
-        count[TOLD_US] = newest_us
+        count[REPORTED_US] = newest_us
     elif count[COUNT] >= LEARNT and late_us > watched.usual[s, 1] + max(
         LATE_US, INTERVALS * watched.usual[s, 0]
     ):
-        if newest_us - count[TOLD_US] >= AGAIN_US:
+        if newest_us - count[REPORTED_US] >= AGAIN_US:
             _tell(found, row, newest_us, s, LATE, late_us * 1e-6)
-            count[TOLD_US] = newest_us
+            count[REPORTED_US] = newest_us
     elif gap_us > 0:
         share = max(SHARE, 1.0 / (1.0 + count[COUNT]))
         if count[COUNT] < LEARNT or gap_us < INTERVALS * watched.usual[s, 0]:
@@ -220,9 +241,9 @@ def _measured(
         if kind == FIX
         else _repeated(watched, s, numbers, NUMBERS[kind], t_us)
     )
-    if for_s > 0.0 and t_us - count[TOLD_US] >= AGAIN_US:
+    if for_s > 0.0 and t_us - count[REPORTED_US] >= AGAIN_US:
         _tell(found, row, t_us, s, REPEATED, for_s)
-        count[TOLD_US] = t_us
+        count[REPORTED_US] = t_us
 
 
 @compiled
@@ -243,7 +264,7 @@ def watch(kind: Indices, t_us: Stamps, values: Vector, watched: Watched, found: 
             if at[NEWEST_US] != NEVER_US:
                 watched.usual[LINK, 0] += SHARE * (now_us - at[NEWEST_US] - watched.usual[LINK, 0])
             at[NEWEST_US] = now_us
-            if now_us >= at[SURE_US]:
+            if now_us >= at[QUIET_US]:
                 _silent(watched, found, row, s, clock, now_us)
         if s < 0:
             continue

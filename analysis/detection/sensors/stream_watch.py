@@ -15,10 +15,10 @@ from analysis.detection.sensors.stream_kernel import (
     LATE,
     NEVER_US,
     REPEATED,
+    REPORTED_US,
     SILENT,
     STANDING,
     STREAMS,
-    TOLD_US,
     Found,
     Watched,
     watch,
@@ -45,7 +45,7 @@ class StreamWatch:
         """Nothing came yet."""
         count = len(STREAMS)
         counts = np.zeros((count, 7), np.int64)
-        counts[:, TOLD_US] = NEVER_US
+        counts[:, REPORTED_US] = NEVER_US
         return Watched(
             counts,
             np.zeros((count, 2)),

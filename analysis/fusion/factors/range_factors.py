@@ -11,8 +11,10 @@ import gtsam
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.detector_state import Core
 from analysis.detection.filter.inertial import R
 from analysis.detection.filter.measurement import Observed
+from analysis.detection.filter.offsets import frozen_m
 from analysis.fusion.factors.factor_weights import weight
 from analysis.fusion.factors.range_rows import (
     ABOVE,
@@ -42,24 +44,28 @@ LEAST_WEIGHT = 0.02  # less is left out
 class Ranges:
     """What one epoch measured, corrected by the models at the filter's state x (21,).
 
-    Weights (n,) are those of the satellites in their order, 0 for what is left out.
+    Weights (n,) are those of the satellites in their order, 0 for what is left out. The offsets
+    that the detector has frozen are subtracted here too, so that both stand on the same ranges.
     """
 
     def __init__(
         self,
         observed: Observed,
         x: Vector,
-        ionosphere: Vector,
+        core: Core,
         config: FusionConfig,
         detector: DetectorConfig,
+        t_us: int,
     ) -> None:
         self.satellites = observed.satellites
         self._observed, self._config, self._doppler = observed, config, detector.doppler
         self._r_m = x[R : R + 3]
+        offset_m = frozen_m(core, observed.satellites, t_us, detector)
+        measured = observed.measured
         self.table = range_table(
-            observed.measured,
+            measured._replace(pseudorange_m=measured.pseudorange_m - offset_m),
             x,
-            ionosphere,
+            core.ionosphere,
             detector.sigma.numbers,
             config.correlation,
             math.radians(detector.mask_deg),
@@ -81,6 +87,7 @@ class Ranges:
         """Weights of those above the mask that have one worth it."""
         given = [by_name.get(name, 0.0) for name in self.satellites]
         above = self.table[:, ABOVE].tolist()
+        # 0 where the satellite is below the mask.
         return np.array(
             [a if a >= LEAST_WEIGHT and b else 0.0 for a, b in zip(given, above, strict=True)]
         )

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 
-from analysis.run.hil_exchange import FromAutopilot, Patience, Process, ToAutopilot
+from analysis.autopilots.hil_exchange import FromAutopilot, Patience, Process, ToAutopilot
 from analysis.run.proxied_flight import MONITOR, Flight
 from analysis.search.space.test_file import AutopilotChoice
 from mavproxy_fault.documents.errors import ConfigError
@@ -23,7 +23,7 @@ from simvehicle.app.lockstep_loop import LockstepLoop, PeerGoneError
 from simvehicle.app.sim_progress import Progress
 from simvehicle.app.sim_server import airframe
 from simvehicle.hil.hil_frames import Hil
-from simvehicle.hil.lockstep import AutopilotSilentError
+from simvehicle.hil.lockstep import AutopilotSilentError, Lockstep
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.sensors.readings import Reading
 from simvehicle.vehicles.body import Controls, Truth
@@ -86,13 +86,16 @@ class AutopilotFlight(Flight):
         mav_type, mix = airframe(self.simulation)
         plane = _Plane(self, self._choice.flies, limit)
         with self._served() as (links, patience):
+            lockstep = Lockstep()
+            outward = ToAutopilot(self, Hil(mav_type=mav_type), self._heard)
             loop = LockstepLoop(
                 plane,
-                ToAutopilot(self, Hil(mav_type=mav_type), self._heard),
-                FromAutopilot(self, links, patience, self._heard),
+                outward,
+                FromAutopilot(outward, links, patience, lockstep),
                 mix,
                 math.inf,
                 Progress(time.monotonic(), io.StringIO()),
+                lockstep,
             )
             try:
                 loop.run(round(self.duration_s * 1e6))

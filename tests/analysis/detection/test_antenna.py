@@ -8,12 +8,12 @@ import pytest
 from analysis.detection import DetectorConfig
 from analysis.detection.filter.antenna import moved_along
 from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.inertial import ERRORS, X_SIZE, gravity_ecef, turned
+from analysis.detection.filter.inertial import ERRORS, X_SIZE, gravity_ecef
 from analysis.detection.filter.propagation import Segment, advance
 from analysis.monitor.pipeline import monitor_config
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
-from mavproxy_fault.numerics.rotation_kernel import matrix
+from mavproxy_fault.numerics.rotation_kernel import matrix, turned_in_reference
 
 ARM_M = np.array([1.5, -0.5, -0.3])
 RATE_RPS = 0.8
@@ -30,7 +30,7 @@ def turning_body(at_s: float) -> np.ndarray:
     x[:3] = POLE_M
     half = 0.5 * RATE_RPS * at_s
     spun = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])  # about down
-    x[6:10] = turned(spun, np.array([math.pi, 0.0, 0.0]), 1.0)  # down is against the axis
+    x[6:10] = turned_in_reference(spun, math.pi, 0.0, 0.0)  # down is against the axis
     return x
 
 
@@ -63,7 +63,7 @@ def changed(x: np.ndarray, error: np.ndarray) -> np.ndarray:
     """The state that is true where x is believed and wrong by `error` (20,)."""
     out = x.copy()
     out[:6] += error[:6]
-    out[6:10] = turned(x[6:10], error[6:9], 1.0)
+    out[6:10] = turned_in_reference(x[6:10], *error[6:9])
     out[10:] += error[9:]
     return out
 

@@ -144,3 +144,42 @@ def test_epochs_every_thirty_seconds_are_tested(static):
     spoilt = decisions(shifted(thin, name, 30.0, 300.0, 400.0))
     assert next(d.t_s - spoilt[0].t_s for d in spoilt if d.alarm) == 300.0
     assert spoilt[11].excluded == (name,)
+
+
+def only_gps(samples: list[Sample], from_s: float, until_s: float, count: int) -> list[Sample]:
+    """GPS alone, and no more than a few of its satellites in some time after the first epoch."""
+    begin_us = next(s.t_us for s in samples if isinstance(s, Epoch))
+    out: list[Sample] = []
+    for s in samples:
+        if isinstance(s, Epoch):
+            within = from_s <= (s.t_us - begin_us) * 1e-6 < until_s
+            keep = [i for i, name in enumerate(s.satellites) if name[0] == "G"]
+            s = s.select(keep[:count] if within else keep)
+        out.append(s)
+    return out
+
+
+def test_a_minute_of_too_few_satellites_ends_the_filter(static):
+    found = decisions(only_gps(first_minutes(static, 120.0), 40.0, 100.0, 4))
+    by_s = {round(d.t_s - found[0].t_s): d for d in found}
+    assert {by_s[k].hypothesis for k in range(40, 100)} == {"untestable"}
+    assert by_s[100].mode == "start"
+
+
+def test_satellites_left_out_come_back_where_the_others_are_too_few(static):
+    few = only_gps(first_minutes(static, 120.0), 0.0, 120.0, 7)
+    names = next(s.satellites for s in few if isinstance(s, Epoch))
+    spoilt = shifted(few, names[1], 60.0, 20.0, 40.0)
+    spoilt = shifted(spoilt, names[2], 60.0, 23.0, 40.0)
+    begin_us = next(s.t_us for s in few if isinstance(s, Epoch))
+    fewer = [  # from the exclusions on one satellite less: four are sound
+        s.select([i for i, name in enumerate(s.satellites) if name != names[0]])
+        if isinstance(s, Epoch) and s.t_us > begin_us + 30_000_000
+        else s
+        for s in spoilt
+    ]
+    found = decisions(fewer)
+    by_s = {round(d.t_s - found[0].t_s): d for d in found}
+    assert by_s[29].excluded == tuple(sorted(names[1:3]))
+    assert by_s[35].hypothesis == "untestable"
+    assert by_s[60].position_ecef_m is not None

@@ -121,6 +121,24 @@ def test_a_pause_of_everything_is_the_links_and_nobody_elses() -> None:
     assert (first.t_us * 1e-6, last.t_us * 1e-6) == pytest.approx((10.5, 14.0), abs=0.02)
 
 
+def test_sensors_that_share_a_clock_which_leaps_are_told_and_those_that_do_not_are_sound() -> None:
+    ahead = (ImuSample, MagSample, GpsFix)
+    samples = [
+        replace(sample, t_us=sample.t_us + SECOND // 2)
+        if isinstance(sample, ahead) and BEGIN_US <= sample.t_us < END_US
+        else sample
+        for sample in stream()
+        if not isinstance(sample, TruthSample | AttitudeSample)
+    ]
+    found = troubles(samples)
+    assert {result.sensor for result in found} == {"imu", "mag", "gps-position"}
+    assert {result.reason for result in found} <= {
+        *("its time leaps 0.50 s ahead", "its time leaps 0.51 s ahead"),
+        *("its time leaps 0.52 s ahead", "its time leaps 0.69 s ahead"),
+    }
+    assert all(BEGIN_US - 20_000 <= result.t_us <= END_US for result in found)
+
+
 def test_a_stream_alone_is_believed_after_a_second() -> None:
     alone = [s for s in stream() if isinstance(s, MagSample)]
     found = troubles([s for s in alone if not BEGIN_US <= s.t_us < END_US])

@@ -35,7 +35,7 @@ def seen(flights):
     epoch = [sample for sample in samples if isinstance(sample, Epoch)][-1]
     observed = observe(epoch, core.chosen)
     x = core.motion.x
-    ranges = Ranges(observed, x, core.ionosphere, FusionConfig(), DetectorConfig())
+    ranges = Ranges(observed, x, core, FusionConfig(), DetectorConfig(), 0)
     frame = frame_at(x[:3] + 30.0, stamp_us=0)
     pose = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.3, -0.5, 2.0), frame.local(x[:3]) + OFF_M)
     node = Node(

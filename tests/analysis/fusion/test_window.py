@@ -41,3 +41,20 @@ def test_a_block_leaves_without_anything_else_being_eliminated_anew(chain):
     sizes, eliminated = chain[4:].T
     assert (np.diff(sizes) < 0).sum() == 3
     assert len(set(eliminated)) == 1
+
+
+def test_a_factor_attached_to_what_leaves_in_the_same_update_is_forgotten():
+    window = Window(LAG_S)
+    for epoch in range(2 * round(LAG_S / STEP_S) + 1):
+        name, stamp_s = key("c", epoch), window.stamp(epoch * STEP_S)
+        values = gtsam.Values()
+        values.insert(name, NO_CLOCK)
+        window.insert(values, (name,), stamp_s)
+        window.attach("prior", epoch, stamp_s, gtsam.PriorFactorVector(name, NO_CLOCK, alike(2, 1)))
+        if epoch == 2 * round(LAG_S / STEP_S):  # the first block leaves: its first epoch's prior
+            assert window.remove("prior", 0)  # is changed at the last moment
+            again = gtsam.PriorFactorVector(key("c", 0), NO_CLOCK, alike(2, 2.0))
+            window.attach("prior", 0, 0.0, again)
+        window.commit()
+    assert window.slots("prior", 0) == ()
+    assert all(epoch >= round(LAG_S / STEP_S) for _, epoch in window.named())

@@ -43,7 +43,7 @@ def lines(results: list[Result]) -> list[bytes]:
 
 @pytest.fixture(scope="module")
 def at_once(frames: list[bytes]) -> list[bytes]:
-    return lines(Monitor(config()).bytes(frames, datagrams=False))
+    return lines(Monitor(config()).push_bytes(frames, datagrams=False))
 
 
 def test_there_is_something_to_compare(at_once: list[bytes]):

@@ -82,6 +82,12 @@ def test_odometry_turns_the_velocity_into_body_axes() -> None:
     assert moved == pytest.approx([0, -3, 0], abs=1e-6)
 
 
+def test_a_camera_sees_no_satellite_and_stays_where_it_is() -> None:
+    values = {"x": 5.0, "frame_id": 1, "estimator_type": 2}
+    frame = spoofed("ODOMETRY", 2, values, offset_m=[9, 0, 0])
+    assert frame.number("x") == 5.0
+
+
 def test_odometry_in_a_frame_of_unknown_heading_is_left_alone() -> None:
     frame = spoofed("ODOMETRY", 2, {"x": 5.0, "frame_id": 20}, offset_m=[9, 0, 0])
     assert frame.number("x") == 5

@@ -40,6 +40,8 @@ def test_angles_and_small_turns_are_the_same_in_every_form(
     expected = rotation.quat_multiply(q, rotation.quat_from_rotvec(turn))
     assert rotation_kernel.turned(q, *turn) == pytest.approx(expected, abs=1e-12)
     assert rotation.turned(q.tolist(), turn) == pytest.approx(expected, abs=1e-12)
+    outside = rotation.quat_multiply(rotation.quat_from_rotvec(turn), q)
+    assert rotation_kernel.turned_in_reference(q, *turn) == pytest.approx(outside, abs=1e-12)
     angle = rotation_kernel.errors(q, expected)[3]
     assert angle == pytest.approx(float(rotation.angle_between(q, expected)), abs=1e-7)
     assert angle == pytest.approx(math.sqrt(sum(x * x for x in turn)), abs=1e-7)

@@ -1,12 +1,14 @@
 import pytest
 
-from analysis.run.flight_operator import FlightPlan, Operator, Phase, Waypoint
+from analysis.autopilots.ardupilot_requests import COPTER, ArduPilotRequests
+from analysis.autopilots.flight_operator import Operator, Phase
+from analysis.autopilots.flight_plan import FlightPlan, Waypoint
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.parser import Parser
 
 SECOND_US = 1_000_000
-CORNERS = (Waypoint(47.4, 8.5, 20.0), Waypoint(47.401, 8.5, 25.0))
+CORNERS = (Waypoint(47.4, 8.5, 20.0, 6.0), Waypoint(47.401, 8.5, 25.0, 6.0))
 
 
 def frame(name, **values):
@@ -30,6 +32,10 @@ def commands(frames):
         for item in decoded(frames)
         if item.layout.name == "COMMAND_LONG"
     ]
+
+
+def operator(plan):
+    return Operator(plan, ArduPilotRequests(COPTER))
 
 
 class Autopilot:
@@ -56,7 +62,7 @@ class Autopilot:
 
 
 def test_nothing_is_armed_before_the_estimator_has_a_position():
-    autopilot = Autopilot(Operator(FlightPlan(10.0, 30.0)))
+    autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     frames = autopilot.second(frame("EKF_STATUS_REPORT", flags=0xA7))
     assert names(frames) == ["HEARTBEAT"]
     assert autopilot.operator.phase is Phase.WAITING
@@ -65,14 +71,14 @@ def test_nothing_is_armed_before_the_estimator_has_a_position():
 
 
 def test_what_is_not_answered_is_asked_again_each_second():
-    autopilot = Autopilot(Operator(FlightPlan(10.0, 30.0)))
+    autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     autopilot.up_to(Phase.ARMING)
     assert commands(autopilot.operator.step(autopilot.t_us + 500_000)) == []
     assert commands(autopilot.second()) == [(176, 4.0), (400, 0.0)]
 
 
 def test_a_hover_goes_up_waits_and_comes_down():
-    autopilot = Autopilot(Operator(FlightPlan(10.0, 3.0)))
+    autopilot = Autopilot(operator(FlightPlan(10.0, 3.0)))
     autopilot.up_to(Phase.FLYING)
     assert autopilot.operator.phase is Phase.FLYING
     frames = [autopilot.second() for _ in range(3)]
@@ -85,7 +91,7 @@ def test_a_hover_goes_up_waits_and_comes_down():
 
 
 def test_the_moments_of_a_flight_are_kept():
-    autopilot = Autopilot(Operator(FlightPlan(10.0, 3.0)))
+    autopilot = Autopilot(operator(FlightPlan(10.0, 3.0)))
     autopilot.up_to(Phase.FLYING)
     autopilot.second(frame("MISSION_ITEM_REACHED", seq=2))
     moments = autopilot.operator.moments_us
@@ -96,22 +102,24 @@ def test_the_moments_of_a_flight_are_kept():
 
 
 def test_a_mission_is_uploaded_item_by_item_and_flown():
-    autopilot = Autopilot(Operator(FlightPlan(20.0, 60.0, CORNERS)))
+    autopilot = Autopilot(operator(FlightPlan(20.0, 60.0, CORNERS)))
     (count,) = [
         one
         for one in decoded(autopilot.second(frame("EKF_STATUS_REPORT", flags=0x33F)))
         if one.layout.name == "MISSION_COUNT"
     ]
-    assert count.number("count") == 3  # home, which ArduPilot keeps, and two corners
+    assert count.number("count") == 4  # home, which ArduPilot keeps, a speed and two corners
     items = []
-    for number in range(3):
+    for number in range(4):
         asked = frame("MISSION_REQUEST_INT", seq=number)
         items += [
             i for i in decoded(autopilot.second(asked)) if i.layout.name == "MISSION_ITEM_INT"
         ]
-    assert [item.number("seq") for item in items] == [0, 1, 2]
-    assert items[2].number("x") == 474_010_000
-    assert items[2].number("z") == 25.0
+    assert [item.number("seq") for item in items] == [0, 1, 2, 3]
+    assert [item.number("command") for item in items] == [16, 178, 16, 16]
+    assert items[1].number("param2") == 6.0
+    assert items[3].number("x") == 474_010_000
+    assert items[3].number("z") == 25.0
     assert (176, 4.0) in commands(autopilot.second(frame("MISSION_ACK", type=0)))
     autopilot.second(frame("HEARTBEAT", base_mode=217))
     frames = autopilot.second(frame("GLOBAL_POSITION_INT", relative_alt=19_000))
@@ -119,7 +127,7 @@ def test_a_mission_is_uploaded_item_by_item_and_flown():
 
 
 def test_an_autopilot_that_never_gets_ready_is_given_up_with_the_reason():
-    autopilot = Autopilot(Operator(FlightPlan(10.0, 30.0)))
+    autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     while not autopilot.operator.over:
         autopilot.second()
     assert autopilot.operator.over
@@ -127,7 +135,7 @@ def test_an_autopilot_that_never_gets_ready_is_given_up_with_the_reason():
 
 
 def test_an_autopilot_that_lands_by_itself_ends_the_flight():
-    autopilot = Autopilot(Operator(FlightPlan(10.0, 30.0)))
+    autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     autopilot.up_to(Phase.FLYING)
     autopilot.second(frame("HEARTBEAT", base_mode=81))
     assert autopilot.operator.over
@@ -137,7 +145,7 @@ def test_an_autopilot_that_lands_by_itself_ends_the_flight():
 
 
 def test_motors_that_stop_during_the_take_off_are_told():
-    autopilot = Autopilot(Operator(FlightPlan(10.0, 30.0)))
+    autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     autopilot.up_to(Phase.CLIMBING)
     autopilot.second(frame("HEARTBEAT", base_mode=81))
     assert autopilot.operator.gave_up == "disarmed while taking off"
@@ -145,10 +153,10 @@ def test_motors_that_stop_during_the_take_off_are_told():
 
 @pytest.mark.parametrize("component", [1, 25])
 def test_only_what_the_autopilot_itself_says_is_kept(component):
-    operator = Operator(FlightPlan(10.0, 30.0))
+    ground = operator(FlightPlan(10.0, 30.0))
     layout = known("STATUSTEXT")
     raw = build(layout, {"text": b"PreArm: Compass not healthy"}, component=component)
-    operator.step(3 * SECOND_US)
-    operator.heard(Frame(raw, layout))
+    ground.step(3 * SECOND_US)
+    ground.heard(Frame(raw, layout))
     expected = [(3 * SECOND_US, "PreArm: Compass not healthy")] if component == 1 else []
-    assert operator.texts == expected
+    assert ground.texts == expected

@@ -1,39 +1,32 @@
 """`run --autopilot`: a scenario flown by a real autopilot, watched, recorded and reported.
 
 Simulator and proxy run here in one process, the monitor in one of its own; the autopilot's program
-and its bridge are started and ended with the flight. The schedule counts from a moment of the
-flight, by default from leaving the ground.
+is started and ended with the flight. The schedule counts from a moment of the flight, by default
+from leaving the ground.
 """
 
 import argparse
 import contextlib
-import math
-import shlex
-import subprocess
-import sys
 import time
-from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from analysis.autopilots import ardupilot_program, px4_program
+from analysis.autopilots.flight_operator import Operator, Requests
+from analysis.autopilots.flight_plan import HEIGHTS_M, flight_plan
+from analysis.autopilots.hil_exchange import FromAutopilot, Patience, ToAutopilot
+from analysis.autopilots.program import Program
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
-from analysis.run.flight_operator import COPTER, PLANE, FlightPlan, Operator, Waypoint
-from analysis.run.hil_exchange import FromAutopilot, Patience, Process, ToAutopilot
-from analysis.run.proxied_flight import GROUND, MONITOR, Flight, session
+from analysis.run.proxied_flight import GROUND, MONITOR, Flight, is_hil, session
 from analysis.run.run_command import EXIT_CODES, report
 from analysis.run.setup import Setup, read_setup
 from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary
 from analysis.run.worker import MonitorProcess
 from mavproxy_fault.app.recorder import Recorder
-from mavproxy_fault.ardupilot.autopilot_process import check_command
-from mavproxy_fault.ardupilot.bridge import ending
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.live.journal import JOIN, Journal
-from mavproxy_fault.numerics.earth import radii
 from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.schedule.entries import Schedule
 from mavproxy_fault.schedule.saving import as_yaml
@@ -44,18 +37,13 @@ from simvehicle.app.lockstep_loop import LockstepLoop, PeerGoneError
 from simvehicle.app.pace import parse_speed
 from simvehicle.app.sim_progress import Progress
 from simvehicle.app.sim_server import airframe
-from simvehicle.guidance.route import PathTrack
 from simvehicle.hil.hil_frames import Hil
-from simvehicle.hil.lockstep import AutopilotSilentError
+from simvehicle.hil.lockstep import AutopilotSilentError, Lockstep
 from simvehicle.scenario.scenario_file import Scenario
-from simvehicle.simulation.simulation import Simulation
 
 RECORD_US = 200_000  # simulated time between writes to the logs
 START_S = 60.0  # wall time for the autopilot's program to come
-END_S = 10.0  # for the bridge to end its autopilot
-KINDS = {"multirotor": "copter", "fixedwing": "plane"}  # of the bridge, by the scenario's
-HEIGHTS_M = {"copter": 10.0, "plane": 50.0}  # where no mission names one; TKOFF_ALT of a plane
-CORNER_M = 20.0  # between the corners that a mission's path is flown by
+AUTOPILOTS = {"ardupilot": ardupilot_program, "px4": px4_program}
 LOAD = "@ctl/schedule/load"
 MOMENTS = ("first-stamp", "arming", "take-off", "landing")
 
@@ -66,19 +54,11 @@ class FlightOverError(Exception):
 
 def main(args: argparse.Namespace) -> int:
     """Fly, report, and return the exit code: 1 too where the flight was not flown to its end."""
-    words = check_command(args.binary or "arducopter", option="--binary")
+    autopilot = AUTOPILOTS[args.autopilot]
+    words = autopilot.command(args.binary)
     check_moment(args.count_from)
     setup = read_setup(args.scenario, args.schedule, args.seed)
-    if setup.scenario.vehicle.kind not in KINDS:
-        raise ConfigError(
-            f"vehicle.kind = {setup.scenario.vehicle.kind} is not flown by ArduPilot here; "
-            f"{' or '.join(KINDS)} is"
-        )
-    if setup.scenario.start.height_m > 0.0:
-        raise ConfigError(
-            f"start.height_m = {setup.scenario.start.height_m:g} is in the air; an autopilot "
-            "takes off by itself, so leave it out"
-        )
+    check_vehicle(setup.scenario)
     folder = make_folder(args.out, setup.scenario.name)
     started_s = time.monotonic()
     with contextlib.ExitStack() as stack:
@@ -86,7 +66,10 @@ def main(args: argparse.Namespace) -> int:
         file = stack.enter_context(ResultFile(folder))
         stop = stack.enter_context(stop_requests())
         flown = AutopilotRun(setup, folder, args.count_from, monitor, stop)
-        reason = flown.fly(words, parse_speed(args.speed or "max"))
+        simulation = flown.flight.simulation
+        requests = stack.enter_context(autopilot.requests(simulation))
+        program = autopilot.started(words, simulation, folder)
+        reason = flown.fly(program, requests, parse_speed(args.speed or "max"))
         columns = read_columns(folder / "sent.tlog")
         file.write(flown.results + monitor.results())
         wall_s = time.monotonic() - started_s
@@ -96,6 +79,26 @@ def main(args: argparse.Namespace) -> int:
     report(folder, summary, columns)
     print_summary(summary, folder)
     return 1 if reason else EXIT_CODES[summary["verdict"]]
+
+
+def check_vehicle(scenario: Scenario) -> None:
+    """Refuse what no autopilot flies here.
+
+    Raises
+    ------
+    ConfigError
+        With what is wrong.
+    """
+    if scenario.vehicle.kind not in HEIGHTS_M:
+        raise ConfigError(
+            f"vehicle.kind = {scenario.vehicle.kind} is not flown by an autopilot here; "
+            f"{' or '.join(HEIGHTS_M)} is"
+        )
+    if scenario.start.height_m > 0.0:
+        raise ConfigError(
+            f"start.height_m = {scenario.start.height_m:g} is in the air; an autopilot "
+            "takes off by itself, so leave it out"
+        )
 
 
 def check_moment(moment: str) -> None:
@@ -129,9 +132,8 @@ class AutopilotRun:
         self.flight = Flight(setup.scenario, Schedule(setup.schedule.seed, ()))
         self.results: list[Any] = []
         self._schedule = setup.schedule
-        self._folder, self._count_from, self._stop = folder, count_from, stop
+        self._count_from, self._stop = count_from, stop
         self._monitor = monitor
-        self._operator = Operator(flight_plan(setup.scenario, self.flight.simulation))
         self._journal = Journal(self.flight.core, self.flight.tape)
         self._journal.note(JOIN, b"", self._journal.begin(self.flight.now_us))
         self._recorder = Recorder(
@@ -143,22 +145,32 @@ class AutopilotRun:
         self._progress = Progress(time.monotonic())
         self._phase = ""
 
-    def fly(self, words: Sequence[str], speed: float) -> str:
+    def fly(
+        self, program: AbstractContextManager[Program], requests: Requests, speed: float
+    ) -> str:
         """Fly to the landing; why it did not come to it, or nothing."""
         simulation = self.flight.simulation
+        self._operator = Operator(flight_plan(simulation), requests)
         mav_type, mix = airframe(simulation)
-        # Any free port, so that several runs can be flown at once.
-        link = TcpServer("127.0.0.1", 0)
-        bridge = bridged(words, KINDS[simulation.scenario.vehicle.kind], link.port, self._folder)
-        with contextlib.closing(link), bridge as process:
-            patience = Patience(link, process, START_S)
+        with program as flying:
+            patience = Patience(flying.links[0], flying.process, START_S)
+            lockstep = Lockstep()
+            outward = ToAutopilot(
+                self.flight,
+                Hil(mav_type=mav_type),
+                self._hear,
+                self._commands,
+                flying.links[-1],
+                flying.step,
+            )
             loop = LockstepLoop(
                 simulation,
-                ToAutopilot(self.flight, Hil(mav_type=mav_type), self._hear, self._commands),
-                FromAutopilot(self.flight, [link], patience, self._hear),
+                outward,
+                FromAutopilot(outward, flying.links, patience, lockstep),
                 mix,
                 speed,
                 self._progress,
+                lockstep,
             )
             reason = ""
             try:
@@ -166,9 +178,9 @@ class AutopilotRun:
             except FlightOverError as over:
                 reason = str(over)
             except (PeerGoneError, AutopilotSilentError) as gone:
-                reason = f"{gone} at {loop.t_us * 1e-6:.1f} s{bridge_end(process, self._folder)}"
+                reason = f"{gone} at {loop.t_us * 1e-6:.1f} s{flying.last_words()}"
             except ConfigError as wrong:
-                reason = f"{wrong}{bridge_end(process, self._folder)}"
+                reason = f"{wrong}{flying.last_words()}"
         self._close()
         if reason:
             self._progress.say(f"the flight ended early: {reason}")
@@ -188,7 +200,7 @@ class AutopilotRun:
     def _hear(self, send: Send) -> None:
         if send.link == MONITOR:
             self.results += self._monitor.feed(send.data)
-        elif send.link == GROUND:
+        elif send.link == GROUND and not is_hil(send.data):
             for item in self._parser.push(send.data, datagram=True):
                 if isinstance(item, Frame):
                     self._operator.heard(item)
@@ -233,57 +245,3 @@ class AutopilotRun:
         self._record()
         self._recorder.close(self.flight.core.clock.t0_us, self.flight.now_us)
         self._progress.end(self.flight.t_us, time.monotonic())
-
-
-@contextlib.contextmanager
-def bridged(words: Sequence[str], kind: str, port: int, folder: Path) -> Iterator[Process]:
-    """The bridge's process, which starts the autopilot; both end with the flight."""
-    command = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot"]
-    command += ["--hil", f"tcp:127.0.0.1:{port}", "--command", shlex.join(words)]
-    command += ["--vehicle", kind, "--dir", str(folder / "autopilot")]
-    with (folder / "bridge.log").open("wb") as log:
-        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
-    try:
-        yield process
-    finally:
-        process.terminate()
-        try:
-            process.wait(END_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-
-
-def bridge_end(process: Process, folder: Path) -> str:
-    """How the bridge ended where it was killed, else what it said last; for a message."""
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        if process.wait(END_S) < 0:
-            return f"; the bridge ended {ending(process.returncode)}"
-    lines = (folder / "bridge.log").read_text(errors="replace").strip().splitlines()
-    return f"; the bridge said: {lines[-1]}" if lines else ""
-
-
-def flight_plan(scenario: Scenario, simulation: Simulation) -> FlightPlan:
-    """The scenario's mission as corners of its path, or a hover where there is none."""
-    kind = KINDS[scenario.vehicle.kind]
-    modes = PLANE if kind == "plane" else COPTER
-    if not scenario.mission:
-        return FlightPlan(HEIGHTS_M[kind], scenario.duration_s, modes=modes)
-    track = simulation.controller.track
-    assert isinstance(track, PathTrack)  # as a scenario with a mission has
-    path = track.path
-    every = max(round(CORNER_M / path.spacing_m), 1)
-    lat_deg, lon_deg = scenario.start.lat_deg, scenario.start.lon_deg
-    meridian_m, normal_m = (float(r) for r in radii(math.radians(lat_deg)))
-    # An autopilot rounds its corners itself: more would only slow it down.
-    corners = np.arange(0, len(path.north_m), every)
-    waypoints = tuple(
-        Waypoint(
-            lat_deg + math.degrees(path.north_m[at] / meridian_m),
-            lon_deg + math.degrees(path.east_m[at] / (normal_m * math.cos(math.radians(lat_deg)))),
-            float(path.height_m[at]),
-        )
-        for at in corners
-    )
-    height_m = HEIGHTS_M[kind] if kind == "plane" else waypoints[0].height_m
-    return FlightPlan(height_m, scenario.duration_s, waypoints, modes)

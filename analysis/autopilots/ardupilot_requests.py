@@ -1,0 +1,93 @@
+"""An operator's requests as ArduPilot takes them: plain MAVLink; no I/O."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from analysis.autopilots.flight_operator import COMPONENT, GROUND_STATION
+from analysis.autopilots.flight_plan import Waypoint
+from analysis.autopilots.mission_items import Item, along, corner
+from mavproxy_fault.wire.dialect import Layout, known
+from mavproxy_fault.wire.frame import Frame, build
+
+COMMAND_LONG, MISSION_COUNT = known("COMMAND_LONG"), known("MISSION_COUNT")
+MISSION_ITEM_INT = known("MISSION_ITEM_INT")
+TAKE_OFF, SET_MODE, ARM, START = 22, 176, 400, 300  # MAV_CMD_
+CUSTOM_MODE = 1  # MAV_MODE_FLAG_
+
+
+@dataclass(frozen=True, slots=True)
+class Modes:
+    """Custom modes of a kind of ArduPilot; a plane's TAKEOFF mode needs no command to take off."""
+
+    take_off: int
+    auto: int
+    land: int
+    take_off_command: bool
+
+
+COPTER = Modes(take_off=4, auto=3, land=9, take_off_command=True)  # GUIDED, AUTO, LAND
+PLANE = Modes(take_off=13, auto=10, land=26, take_off_command=False)  # TAKEOFF, AUTO, AUTOLAND
+
+
+class ArduPilotRequests:
+    """Frames for an ArduPilot of system 1.
+
+    Parameters
+    ----------
+    modes : Modes
+    """
+
+    def __init__(self, modes: Modes) -> None:
+        self._modes = modes
+        self._items: list[Item] = []
+        self._seq = 0
+        self._pending: list[bytes] = []
+
+    def pending(self) -> list[bytes]:
+        """What has to be sent now."""
+        frames, self._pending = self._pending, []
+        return frames
+
+    def heard(self, frame: Frame) -> None:
+        """Send the mission's items, each when it is asked for."""
+        if frame.layout.name in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and self._items:
+            number = min(int(frame.number("seq")), len(self._items) - 1)
+            self._send(MISSION_ITEM_INT, {"seq": number, "autocontinue": 1, **self._items[number]})
+
+    def upload(self, waypoints: Sequence[Waypoint]) -> None:
+        """Offer the mission, whose first item is ArduPilot's own home; it asks for the items."""
+        self._items = [corner(waypoints[0]), *along(waypoints)]
+        self._send(MISSION_COUNT, {"count": len(self._items)})
+
+    def arm(self) -> None:
+        """Arm in the mode that takes off."""
+        self._mode(self._modes.take_off)
+        self._command(ARM, 1.0)
+
+    def take_off(self, height_m: float) -> None:
+        """Climb; a plane's mode does so without a word."""
+        if self._modes.take_off_command:
+            self._command(TAKE_OFF, 0, 0, 0, 0, 0, 0, height_m)
+
+    def fly_mission(self) -> None:
+        """Start the mission."""
+        self._mode(self._modes.auto)
+        self._command(START)
+
+    def land(self) -> None:
+        """Change to the mode that lands."""
+        self._mode(self._modes.land)
+
+    def _mode(self, number: int) -> None:
+        self._command(SET_MODE, CUSTOM_MODE, number)
+
+    def _command(self, number: int, *parameters: float) -> None:
+        values: dict[str, object] = {f"param{n}": value for n, value in enumerate(parameters, 1)}
+        self._send(COMMAND_LONG, values | {"command": number})
+
+    def _send(self, layout: Layout, values: Mapping[str, object]) -> None:
+        self._seq = (self._seq + 1) & 0xFF
+        values = {"target_system": 1, "target_component": 1, **values}
+        self._pending.append(
+            build(layout, values, seq=self._seq, system=GROUND_STATION, component=COMPONENT)
+        )

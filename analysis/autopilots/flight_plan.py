@@ -1,0 +1,84 @@
+"""What an autopilot is asked to fly: the scenario's mission as waypoints, or a hover; no I/O."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavproxy_fault.numerics.earth import radii
+from simvehicle.guidance.route import PathTrack
+from simvehicle.scenario.scenario_file import Start
+from simvehicle.simulation.simulation import Simulation
+
+HEIGHTS_M = {"multirotor": 10.0, "fixedwing": 50.0}  # where no mission names one
+CORNERS_M = {"multirotor": 20.0, "fixedwing": 100.0}  # between those of a mission's path
+APPROACH_M = 1000.0  # before the threshold a plane comes down straight from its height
+
+
+@dataclass(frozen=True, slots=True)
+class Waypoint:
+    """One corner of a mission, and how fast to fly to it."""
+
+    lat_deg: float
+    lon_deg: float
+    height_m: float
+    speed_mps: float
+
+
+@dataclass(frozen=True, slots=True)
+class FlightPlan:
+    """What is flown: up, along the corners (or nowhere), and after `duration_s` down."""
+
+    height_m: float
+    duration_s: float  # from leaving the ground
+    waypoints: tuple[Waypoint, ...] = ()
+    landing: tuple[Waypoint, ...] = ()  # a plane's way to the ground
+
+
+def flight_plan(simulation: Simulation) -> FlightPlan:
+    """The scenario's mission as corners of its path, or a hover where there is none."""
+    scenario = simulation.scenario
+    kind = scenario.vehicle.kind
+    height_m = HEIGHTS_M[kind]
+    landing = runway(simulation, height_m) if kind == "fixedwing" else ()
+    if not scenario.mission:
+        return FlightPlan(height_m, scenario.duration_s, landing=landing)
+    track = simulation.controller.track
+    assert isinstance(track, PathTrack)  # as a scenario with a mission has
+    path = track.path
+    every = max(round(CORNERS_M[kind] / path.spacing_m), 1)
+    # An autopilot rounds its corners itself: more would only slow it down.
+    waypoints = tuple(
+        waypoint(
+            scenario.start,
+            (float(path.north_m[at]), float(path.east_m[at]), float(path.height_m[at])),
+            float(path.speed_mps[at]),
+        )
+        for at in np.arange(0, len(path.north_m), every)
+    )
+    if not landing:
+        height_m = waypoints[0].height_m
+    return FlightPlan(height_m, scenario.duration_s, waypoints, landing)
+
+
+def runway(simulation: Simulation, height_m: float) -> tuple[Waypoint, ...]:
+    """The way down to where the plane took off, and in the same direction."""
+    start = simulation.scenario.start
+    heading_rad = math.radians(start.heading_deg)
+    north_m, east_m = -APPROACH_M * math.cos(heading_rad), -APPROACH_M * math.sin(heading_rad)
+    speed_mps = simulation.vehicle.parameters.cruise_mps
+    places = ((north_m, east_m, height_m), (0.0, 0.0, 0.0))
+    return tuple(waypoint(start, place, speed_mps) for place in places)
+
+
+def waypoint(start: Start, place_m: tuple[float, float, float], speed_mps: float) -> Waypoint:
+    """A place north, east and above of the start."""
+    north_m, east_m, height_m = place_m
+    meridian_m, normal_m = (float(r) for r in radii(math.radians(start.lat_deg)))
+    parallel_m = normal_m * math.cos(math.radians(start.lat_deg))
+    return Waypoint(
+        start.lat_deg + math.degrees(north_m / meridian_m),
+        start.lon_deg + math.degrees(east_m / parallel_m),
+        height_m,
+        speed_mps,
+    )

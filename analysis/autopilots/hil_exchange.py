@@ -1,0 +1,172 @@
+"""The proxy's core between the simulator's lockstep loop and an autopilot on a link.
+
+The loop packs frames for the autopilot and reads what it says; here both pass through the core of
+a flight, so that faults act on them. The core's wall clock is simulated time: a delay is one of
+the vehicle's time, however fast the flight is. Nobody waits for what a fault withholds: a step is
+answered by the autopilot's word on it, and where none of it reached the autopilot, by nothing.
+"""
+
+import subprocess
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from analysis.run.proxied_flight import GROUND, SIMULATOR, VEHICLE, Flight, is_hil
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.inbox import Inbox
+from mavproxy_fault.links.link import Link
+from mavproxy_fault.proxy.interfaces import Send
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import STX_V2, Frame
+from mavproxy_fault.wire.parser import Parser
+from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.lockstep import Lockstep
+from simvehicle.sensors.readings import Reading
+from simvehicle.vehicles.body import Truth
+
+Process = subprocess.Popen[bytes]
+Hear = Callable[[Send], None]  # what leaves for monitor and ground station
+STAMP = slice(10, 18)  # time_usec, of every message that steps are answered by
+ANSWER = known("HIL_ACTUATOR_CONTROLS")
+FOR_SIMULATOR = {layout.id.to_bytes(3, "little") for layout in (ANSWER, known("TUNNEL"))}
+
+
+class StepMessage(NamedTuple):
+    """What an autopilot answers a step by: a message of this number, shorter than this payload."""
+
+    number: int
+    below_bytes: int
+
+
+PX4_STEP = StepMessage(107, 65)  # HIL_SENSOR; the id is its last byte, and cut off where it is 0
+BRIDGE_STEP = StepMessage(115, 256)  # HIL_STATE_QUATERNION
+
+
+class ToAutopilot:
+    """The loop's packer: frames as they leave the proxy.
+
+    Parameters
+    ----------
+    flight : Flight
+    packer : Hil
+    hear : callable
+        Is given what leaves for monitor and ground station.
+    commands : callable
+        What a ground station sends before a step.
+    telemetry : Link, optional
+        Where a ground station's frames leave; without it, where the step does.
+    step : StepMessage
+
+    Attributes
+    ----------
+    step_us : int or None
+        The stamp that the autopilot answers, of the last frames.
+    returned : list of Frame
+        What left for the simulator meanwhile: changes of the plant, and answers that were late.
+    """
+
+    def __init__(
+        self,
+        flight: Flight,
+        packer: Hil,
+        hear: Hear,
+        commands: Callable[[], list[bytes]] = list,
+        telemetry: Link | None = None,
+        step: StepMessage = PX4_STEP,
+    ) -> None:
+        self.start_us = packer.start_us
+        self.step_us: int | None = None
+        self.returned: list[Frame] = []
+        self.flight, self.hear = flight, hear
+        self._packer, self._commands = packer, commands
+        self._telemetry, self._step = telemetry, step
+        self._parser = Parser()
+
+    def frames(self, t_us: int, truth: Truth, readings: Sequence[Reading]) -> list[bytes]:
+        """The frames of a step, with faults."""
+        out: list[bytes] = []
+        self.step_us = None
+        # The operator first: its commands belong to the state before this step.
+        received = [(GROUND, raw) for raw in self._commands()]
+        received += [(SIMULATOR, raw) for raw in self._packer.frames(t_us, truth, readings)]
+        for link, raw in received:
+            for send in self.flight.core.received(link, raw, self.flight.now_us):
+                if send.link == VEHICLE:
+                    self._leave(send.data, out)
+                elif send.link == SIMULATOR:
+                    self.returned += self.decoded(send)
+                else:
+                    self.hear(send)
+        return out
+
+    def decoded(self, send: Send) -> list[Frame]:
+        """What left for the simulator and means something to it."""
+        if send.data[0] == STX_V2 and send.data[7:10] not in FOR_SIMULATOR:
+            return []
+        items = self._parser.push(send.data, datagram=True)
+        return [item for item in items if isinstance(item, Frame)]
+
+    def _leave(self, data: bytes, out: list[bytes]) -> None:
+        """To the HIL link with the step, or at once to where telemetry comes from."""
+        if self._telemetry is not None and not is_hil(data):
+            self._telemetry.write(data)
+            return
+        out.append(data)
+        number, below_bytes = self._step
+        if data[0] == STX_V2 and data[7] == number and data[1] < below_bytes:
+            self.step_us = int.from_bytes(data[STAMP], "little")
+
+
+class Patience:
+    """Gives up where no autopilot comes; one that came and went is the loop's to tell."""
+
+    def __init__(self, link: Link, process: Process | None, seconds: float) -> None:
+        self._came = False
+        self._link, self._process, self._seconds = link, process, seconds
+        self._deadline = time.monotonic() + seconds
+
+    def check(self) -> None:
+        """Raise ConfigError where nobody is there and nobody will come."""
+        self._came = self._came or bool(self._link.peer_count)
+        if self._came:
+            return
+        # A program that has ended will not come: no need to wait for the deadline.
+        if self._process is not None and self._process.poll() is not None:
+            code = self._process.returncode
+            raise ConfigError(f"autopilot.command: it ended with code {code}; it has to connect")
+        if time.monotonic() > self._deadline:
+            raise ConfigError(
+                f"autopilot: nobody came to {self._link.name} within {self._seconds:g} s"
+            )
+
+
+class FromAutopilot:
+    """The loop's inbox: what the autopilot says, on the HIL link and on its telemetry.
+
+    An answer frees the step when it comes, whatever a fault does to it then.
+    """
+
+    def __init__(
+        self, outward: ToAutopilot, links: Sequence[Link], patience: Patience, lockstep: Lockstep
+    ) -> None:
+        self.link = links[0]
+        self._outward, self._patience, self._lockstep = outward, patience, lockstep
+        self._inboxes = [Inbox(link) for link in links]
+
+    def frames(self) -> list[Frame]:
+        """What came and left the proxy for the simulator."""
+        self._patience.check()
+        outward = self._outward
+        found, outward.returned = outward.returned, []
+        for inbox in self._inboxes:
+            frames = inbox.frames()
+            for frame in frames:
+                if frame.layout is ANSWER:
+                    self._lockstep.received(int(frame.number("time_usec")), time.monotonic())
+            flight = outward.flight
+            for send in flight.core.received_frames(VEHICLE, frames, flight.now_us):
+                if send.link == SIMULATOR:
+                    found += outward.decoded(send)
+                else:
+                    outward.hear(send)
+        return found

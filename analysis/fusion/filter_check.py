@@ -1,0 +1,71 @@
+"""The graph against the detector's filter, which has had the same data: it must not be worse.
+
+The graph keeps a window and weighs sources by what the flight shows of their noise, so it may well
+differ from the filter, but not by more than both allow; and it knows no less. Where either fails,
+as when taking a satellite's past back leaves the window underdetermined, the filter is right.
+"""
+
+import math
+
+import numpy as np
+
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.inertial import R
+from analysis.detection.isolation.chi_square import chi_square
+from analysis.fusion.graph import Graph
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.linear import apply, inverse, multiply, transposed
+
+P_CONTRADICTION = 1e-6  # sound flights and walks reach 17, a chi-square of 3 has 31 here
+VAGUER = 2.0  # times the graph's own `correlation`, by which it begins less sure than the filter
+POSE_SHIFT = 3  # where the shift is among the errors of a pose
+DISTANCE_M, STATISTIC, SIGMA_RATIO = 0, 1, 2
+
+
+def against_filter(graph: Graph, motion: Motion | None, correlation: float) -> str:
+    """Why the filter's answer is to be used in place of the graph's; empty where it is not."""
+    if motion is None:
+        return ""
+    frame = graph.frame
+    compared = _compared(
+        graph.node.pose.matrix(),
+        graph.covariance,
+        frame.local(motion.x[R : R + 3]),
+        motion.p[R : R + 3, R : R + 3],
+        frame.axes,
+    )
+    distance_m, q, ratio = compared.tolist()
+    if not q <= chi_square(3, P_CONTRADICTION):
+        return f"the graph was {distance_m:.1f} m ({math.sqrt(q):.1f} sigmas) off the filter"
+    if not ratio <= VAGUER * correlation:
+        return f"the graph was {ratio:.0f} times less sure than the filter"
+    return ""
+
+
+@compiled
+def _compared(pose: Vector, p: Vector, filter_m: Vector, filter_p: Vector, axes: Vector) -> Vector:
+    """Distance in m, its square over both covariances, and the graph's sigma over the filter's.
+
+    `pose` (4, 4) and `p` (9, 9) are the graph's, in its own frame and in body axes; `filter_m` (3,)
+    is in that frame, `filter_p` (3, 3) in ECEF, `axes` (3, 3) the frame's rows.
+    """
+    rot = pose[:3, :3].copy()
+    shift = p[POSE_SHIFT : POSE_SHIFT + 3, POSE_SHIFT : POSE_SHIFT + 3].copy()
+    own = multiply(multiply(rot, shift), transposed(rot))
+    known = multiply(multiply(axes, filter_p.copy()), transposed(axes))
+    off, both = np.empty(3), np.empty((3, 3))
+    for i in range(3):
+        off[i] = pose[i, 3] - filter_m[i]
+        for k in range(3):
+            both[i, k] = own[i, k] + known[i, k]
+    weighted, out = apply(inverse(both), off), np.zeros(3)
+    graph_m2 = filter_m2 = 0.0
+    for i in range(3):
+        out[DISTANCE_M] += off[i] ** 2
+        out[STATISTIC] += off[i] * weighted[i]
+        graph_m2 += own[i, i]
+        filter_m2 += known[i, i]
+    out[DISTANCE_M] = math.sqrt(out[DISTANCE_M])
+    out[SIGMA_RATIO] = math.sqrt(graph_m2 / filter_m2)
+    return out

@@ -1,0 +1,16 @@
+"""Processes that one of ours starts: they end with it, and how they ended is told."""
+
+import ctypes
+import signal
+
+PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
+
+
+def die_with_parent() -> None:
+    """Have the kernel end this process with its parent, which alone can end its waiting."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def ending(code: int) -> str:
+    """How a program ended."""
+    return f"with exit code {code}" if code >= 0 else f"by signal {-code}"

@@ -1,0 +1,138 @@
+"""What faults do between the simulator and an autopilot, on the vehicle's time."""
+
+import select
+import socket
+from contextlib import closing, contextmanager
+
+import pytest
+
+from analysis.autopilots.hil_exchange import (
+    BRIDGE_STEP,
+    PX4_STEP,
+    FromAutopilot,
+    Patience,
+    ToAutopilot,
+)
+from analysis.run.proxied_flight import Flight
+from mavproxy_fault.links.tcp import TcpServer
+from mavproxy_fault.schedule.entries import parse_schedule
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.parser import Parser
+from mavproxy_fault.wire.plant_messages import PlantChange, plant_change
+from simvehicle.hil.hil_frames import START_US, Hil
+from simvehicle.hil.lockstep import Lockstep
+from simvehicle.scenario.scenario_file import read_scenario
+
+SCENARIO = """
+name: on the ground
+vehicle: {kind: multirotor, parameters: iris}
+sensors:
+  imu: {preset: consumer-mems, rate_hz: 250}
+  gps: {preset: consumer, rate_hz: 5}
+"""
+
+
+@pytest.fixture
+def flight_of(tmp_path):
+    file = tmp_path / "scenario.yaml"
+    file.write_text(SCENARIO)
+    scenario = read_scenario(str(file))
+
+    def make(**fault) -> Flight:
+        return Flight(scenario, parse_schedule({"faults": [{"id": "f", "at_s": 0, **fault}]}))
+
+    return make
+
+
+def deaf(flight, step=PX4_STEP):
+    return ToAutopilot(flight, Hil(), hear=lambda send: None, step=step)
+
+
+def fly(exchange, steps):
+    """The frames for the autopilot, each with the simulated time of the step they left at."""
+    parser, found = Parser(), []
+    for _ in range(steps):
+        t_us, truth, readings = exchange.flight.simulation.step(None)
+        for raw in exchange.frames(t_us, truth, readings):
+            found += [(t_us, item) for item in parser.push(raw) if isinstance(item, Frame)]
+    return found
+
+
+def test_a_delay_is_one_of_the_vehicles_time(flight_of):
+    flight = flight_of(fault="delay", target="HIL_GPS", value=0.5, for_s=10)
+    late_us = [
+        t_us + START_US - frame.number("time_usec")
+        for t_us, frame in fly(deaf(flight), 400)
+        if frame.layout.name == "HIL_GPS" and frame.number("time_usec") > START_US + 200_000
+    ]
+    assert len(late_us) >= 3
+    assert late_us == pytest.approx([500_000] * len(late_us), abs=4_000)  # of a step
+
+
+def test_steps_go_on_while_their_sensor_frames_are_held_back(flight_of):
+    flight = flight_of(fault="delay", target="HIL_SENSOR", value=0.1, for_s=10)
+    frames = fly(deaf(flight), 100)
+    truths = [t_us for t_us, frame in frames if frame.layout.name == "HIL_STATE_QUATERNION"]
+    assert len(truths) == 100
+    sensors = [
+        t_us + START_US - frame.number("time_usec")
+        for t_us, frame in frames
+        if frame.layout.name == "HIL_SENSOR"
+    ]
+    assert sensors[-1] == pytest.approx(100_000, abs=4_000)
+
+
+def test_a_plant_fault_reaches_the_simulated_vehicle(flight_of):
+    flight = flight_of(fault="plant", target="PLANT.motor_efficiency[0]", value=0.25, for_s=10)
+    exchange = deaf(flight)
+    fly(exchange, 50)
+    changes = [plant_change(frame) for frame in exchange.returned]
+    assert PlantChange("motor_efficiency[0]", 0.25) in changes
+
+
+@pytest.mark.parametrize(("step", "answered"), [(PX4_STEP, 0), (BRIDGE_STEP, 100)])
+def test_only_a_step_that_reached_the_autopilot_is_waited_for(flight_of, step, answered):
+    exchange = deaf(flight_of(fault="drop", target="HIL_SENSOR", for_s=10), step)
+    awaited = []
+    for _ in range(100):
+        fly(exchange, 1)
+        awaited.append(exchange.step_us)
+    assert len([stamp for stamp in awaited if stamp is not None]) == answered
+
+
+def test_a_delayed_step_is_answered_by_the_stamp_that_reached_the_autopilot(flight_of):
+    exchange = deaf(flight_of(fault="delay", target="HIL_SENSOR", value=0.1, for_s=10))
+    fly(exchange, 100)
+    assert exchange.step_us == pytest.approx(START_US + 300_000, abs=4_000)  # now at 400 ms
+
+
+def test_a_delayed_answer_frees_the_step_and_acts_later(flight_of):
+    flight = flight_of(fault="delay", target="HIL_ACTUATOR_CONTROLS", value=0.1, for_s=10)
+    outward, lockstep = deaf(flight), Lockstep()
+    with closing(TcpServer("127.0.0.1", 0)) as link, connected(link) as autopilot:
+        inward = FromAutopilot(outward, [link], Patience(link, None, 5.0), lockstep)
+        acted = []
+        for _ in range(100):
+            fly(outward, 1)
+            lockstep.sent(outward.step_us, 0.0)
+            autopilot.sendall(answer(outward.step_us))
+            select.select([link], [], [], 5.0)
+            found = [f for f in inward.frames() if f.layout.name == "HIL_ACTUATOR_CONTROLS"]
+            acted.append([int(frame.number("time_usec")) for frame in found])
+            assert lockstep.wait_s(0.0) == 0.0
+    assert acted[0] == []
+    assert acted[-1] == [pytest.approx(outward.step_us - 100_000, abs=4_000)]
+
+
+def answer(stamp_us):
+    return build(known("HIL_ACTUATOR_CONTROLS"), {"time_usec": stamp_us, "flags": 1})
+
+
+@contextmanager
+def connected(link):
+    with socket.create_connection(("127.0.0.1", link.port), timeout=5) as autopilot:
+        while not link.peer_count:
+            select.select([link], [], [], 5.0)
+            link.read()
+        yield autopilot

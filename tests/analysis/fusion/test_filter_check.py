@@ -1,0 +1,118 @@
+"""The graph is never worse than the detector's filter: real ranges, and graphs made so."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.detection import DetectorConfig
+from analysis.detection.sensors.sensor_tests import References
+from analysis.fusion.filter_check import against_filter
+from analysis.fusion.fusion_config import FusionConfig
+from analysis.fusion.graph import Graph
+from analysis.fusion.graph_start import at_filter
+from analysis.fusion.smoother import Fusion
+from analysis.recordings.recordings import read_rinex_samples
+from analysis.results import Decision, FusedState
+from analysis.samples.sample import Epoch
+
+ANTENNA_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])  # of the data's README
+CONFIG = FusionConfig()
+
+
+def judged(samples, systems):
+    """Decisions, fused states, and the detector's last state."""
+    config = DetectorConfig(systems=systems)
+    references, fusion = References(config), Fusion(CONFIG, config)
+    detecting, fusing = references.new_state(), fusion.new_state()
+    results = []
+    for sample in samples:
+        found, detecting = references.step(sample, detecting)
+        said, fusing = fusion.step(sample, found, detecting.detector.core, fusing)
+        results += [*found, *said]
+    decisions = [r for r in results if isinstance(r, Decision)]
+    return decisions, [r for r in results if isinstance(r, FusedState)], detecting.detector.core
+
+
+def error_m(results):
+    """Root mean square distance from the antenna."""
+    offs = [np.subtract(r.position_ecef_m, ANTENNA_M) for r in results]
+    return math.sqrt(float(np.mean([off @ off for off in offs])))
+
+
+def epochs(samples, seconds, change):
+    """The samples of the first seconds with every epoch changed, by the seconds since the first."""
+    begin_us = next(s.t_us for s in samples if isinstance(s, Epoch))
+    for sample in samples:
+        if isinstance(sample, Epoch):
+            since_s = (sample.t_us - begin_us) * 1e-6
+            if since_s < seconds:
+                yield change(sample, since_s)
+        else:
+            yield sample
+
+
+@pytest.fixture(scope="module")
+def static(shared_data: Path):
+    folder = shared_data / "gnss_static"
+    return read_rinex_samples(folder / "SEPT078M.21O", folder / "SEPT078M.21P")
+
+
+def test_satellites_left_out_by_turns_cost_the_graph_no_more_than_the_filter(static):
+    first = next(s for s in static if isinstance(s, Epoch)).satellites
+    wrong = [name for name in first if name[0] in "GE"][:6]
+
+    def faulty(epoch, since_s):
+        bad = wrong[int(since_s // 50) % 6], wrong[int(since_s // 70 + 3) % 6]
+        steps = [60.0 if name in bad and since_s % 50 > 20 else 0.0 for name in epoch.satellites]
+        return replace(epoch, pseudorange_m=epoch.pseudorange_m + np.array(steps))
+
+    decisions, states, _ = judged(epochs(static, 300.0, faulty), "GE")
+    assert len(states) == len(decisions) == 300
+    assert len({d.excluded for d in decisions}) > 10
+    assert error_m(states) < 1.05 * error_m(decisions)
+
+
+def test_without_satellites_the_graph_ends_with_the_filter_and_begins_with_it(static):
+    def few(epoch, since_s):
+        count = 4 if 50.0 <= since_s < 150.0 else len(epoch.satellites)
+        keep = [i for i, name in enumerate(epoch.satellites) if name[0] == "G"][:count]
+        return epoch.select(keep)
+
+    decisions, states, _ = judged(epochs(static, 200.0, few), "G")
+    begin_s = decisions[0].t_s
+    assert not [s.reason for s in states if "failed" in s.reason]
+    told_s = {round(s.t_s - begin_s) for s in states}
+    assert told_s == {*range(60), *range(150, 200)}
+    assert error_m(states) < 1.05 * error_m([d for d in decisions if d.position_ecef_m])
+
+
+@pytest.fixture(scope="module")
+def begun(static):
+    """A graph that began at the filter, and the filter."""
+    *_, core = judged(epochs(static, 20.0, lambda epoch, _: epoch), "GE")
+    graph = Graph(at_filter(core.motion, CONFIG.correlation), CONFIG, DetectorConfig())
+    graph.commit()
+    return graph, core.motion
+
+
+def test_a_graph_that_began_at_the_filter_is_as_good(begun):
+    graph, motion = begun
+    assert against_filter(graph, motion, CONFIG.correlation) == ""
+
+
+def test_a_graph_off_the_filter_is_told(begun):
+    graph, motion = begun
+    x = motion.x.copy()
+    x[0] += 100.0
+    told = against_filter(graph, motion._replace(x=x), CONFIG.correlation)
+    assert "100.0 m" in told
+    assert "off the filter" in told
+
+
+def test_a_graph_that_knows_much_less_than_the_filter_is_told(begun):
+    graph, motion = begun
+    told = against_filter(graph, motion._replace(p=motion.p / 100.0), CONFIG.correlation)
+    assert told == "the graph was 30 times less sure than the filter"
