@@ -1,4 +1,4 @@
-"""`warm-up` plays what users call; its files are right, and it leaves numba's settings to wheels."""
+"""`warm-up` plays what users call, its files are right, and only wheels change numba's settings."""
 
 import argparse
 import os
