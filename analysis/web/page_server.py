@@ -25,12 +25,14 @@ def listen(port: int | None) -> socket.socket:
     Raises
     ------
     ConfigError
-        If the port is taken.
+        If the port is taken or none.
     """
     if port is None:
         with contextlib.suppress(ConfigError):
             return listen(USUAL_PORT)
         return listen(0)
+    if not 0 <= port <= 65535:
+        raise ConfigError(f"--port {port}: is no port; allowed: 0 to 65535")
     found = socket.socket()
     # A port that was used a moment ago may be bound again at once.
     found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -73,7 +75,7 @@ def serve(zenoh: str | None = None, port: int | None = None) -> Iterator[str]:
     Raises
     ------
     ConfigError
-        If the port is taken.
+        If the port is taken or none.
     """
     server, bound, address = prepare(zenoh, port)
     thread = threading.Thread(target=server.run, args=([bound],), name="page")

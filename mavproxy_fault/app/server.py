@@ -242,8 +242,7 @@ class Server:
             if code == 0:
                 self.prepare()
             else:
-                maker = "python -m mavproxy_fault.compiled.object_file"
-                print(f"no machine code ({code} from `{maker}`); all goes the slower way",
+                print("no machine code (`mavproxy-fault warm-up` tells why): all goes a slower way",
                       file=sys.stderr, flush=True)  # fmt: skip
 
     def record(self) -> None:
