@@ -135,16 +135,14 @@ class LockstepLoop:
     def _await_answer(self) -> None:
         """Take what comes until the step is answered, its time-out is over and the pace allows."""
         link = self._inbox.link
-        waiting = self.lockstep.locked
         while True:
-            if waiting:
-                select.select([link.fileno()], [], [], self._wait_s())
             for frame in self._inbox.frames():
                 self._receive(frame)
-            if self._wait_s() == 0.0:
+            wait_s = self._wait_s()
+            if wait_s == 0.0:
                 return
             self._check_peer()
-            waiting = True
+            select.select([link.fileno()], [], [], wait_s)
 
     def _check_peer(self) -> None:
         link = self._inbox.link

@@ -105,9 +105,10 @@ class AutopilotFlight(Flight):
                 raise ConfigError(f"autopilot: {gone}, {self.t_us * 1e-6:.1f} s on") from gone
         return 0, plane.steps
 
-    def _heard(self, send: Send) -> None:
-        if send.link == MONITOR:
-            self._hear(send.data)
+    def _heard(self, sends: list[Send]) -> None:
+        for send in sends:
+            if send.link == MONITOR:
+                self._hear(send.data)
 
     @contextmanager
     def _served(self) -> Iterator[tuple[list[Link], Patience]]:
