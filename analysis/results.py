@@ -14,11 +14,12 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=
     """The verdict of the detector on one GNSS epoch.
 
     `hypothesis` is one of none, satellites, imu, clock, gps (without raw ranges: the receiver's own
-    position), multiple-unknown, untestable (then `reason` says why). `excluded` are the satellites
-    left out of the solution at this epoch. `residual_m`, `normalised` and `satellites` run in
-    parallel. `mode` says what predicts the epoch: inertial, free (no sound IMU), start (a first
-    snapshot), position or position-free (no raw ranges). The parity test asks the satellites
-    alone; the slow test is the one with memory, for ramps.
+    position), GPS-or-imu (one of them, and then the position has no sigma), multiple-unknown,
+    untestable (then `reason` says why). `excluded` are the satellites left out of the solution at
+    this epoch. `residual_m`, `normalised` and `satellites` run in parallel. `mode` says what
+    predicts the epoch: inertial, free (no sound IMU), start (a first snapshot), position or
+    position-free (no raw ranges). The parity test asks the satellites alone; the slow test is the
+    one with memory, for ramps.
     """
 
     t_s: float
@@ -101,6 +102,7 @@ class FusedState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
 Result = Decision | SensorDecision | AttitudeError | FusedState
 
 
+# Made once: msgspec builds the code of a schema when an encoder is made.
 _ENCODER = msgspec.json.Encoder()
 _DECODER: msgspec.json.Decoder[Result] = msgspec.json.Decoder(Result)
 
@@ -130,5 +132,6 @@ def read_results(path: Path) -> Iterator[Result]:
     """Results of a file in order; a last line that was cut short is left out."""
     with path.open("rb") as file:
         for line in file:
+            # A run that was killed may have cut the last line.
             if line.endswith(b"\n"):
                 yield decode(line)

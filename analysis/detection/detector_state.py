@@ -14,6 +14,20 @@ RECEIVER = "GPS"  # the receiver's name among what is excluded
 NOTHING_EXCLUDED: dict[str, Exclusion] = {}
 
 
+class LastFix(NamedTuple):
+    """A receiver's fix, as the next one is held against it.
+
+    `forces_b_mps2` are the mean specific forces (3,) of the newest intervals up to it, the newest
+    first (none where there was no IMU), `off_mps` (3,) is how far the receiver's velocity then lay
+    off the filter's.
+    """
+
+    t_us: int
+    r_ecef_m: Vector
+    forces_b_mps2: tuple[Vector, ...]
+    off_mps: Vector
+
+
 class FrozenOffsets(Value, frozen=True):
     """Offsets in m of satellites' ranges at `t_us`, subtracted since other satellites are used."""
 
@@ -29,9 +43,10 @@ class Core(Value, frozen=True):
 
     `imu_bad_until_us` is when a faulty IMU is tried again (None: it is trusted), `unknown_since_us`
     since when every epoch had the verdict "multiple-unknown". `ranges_us` is when raw ranges were
-    last usable, `frozen` what is subtracted from them; `gps_source` and `last_fix` (time and ECEF
-    position) serve when there are none. `spacing_us` is the time between epochs (0: not known),
-    `gap_us` the newest that was another; `before` is the filter as it was before a gap too long.
+    last usable, `frozen` what is subtracted from them; `gps_source` and `last_fix` serve when there
+    are none, and `unbounded` says that the filter may follow a lying receiver. `spacing_us` is the
+    time between epochs (0: not known), `gap_us` the newest that was another; `before` is the filter
+    as it was before a gap too long.
     """
 
     motion: Motion | None
@@ -48,7 +63,8 @@ class Core(Value, frozen=True):
     ramps: RampBank | None = None
     history: "tuple[Record, ...]" = ()
     gps_source: str | None = None
-    last_fix: tuple[int, Vector] | None = None
+    last_fix: LastFix | None = None
+    unbounded: bool = False
     spacing_us: int = 0
     gap_us: int = 0
     before: Motion | None = None

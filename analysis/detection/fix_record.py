@@ -9,6 +9,8 @@ from analysis.detection.sensors.position_test import Check
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import GpsFix
 
+UNBOUNDED = "the receiver or the IMU is wrong: the position is the receiver's, without a bound"
+
 
 def fix_decision(
     fix: GpsFix,
@@ -28,13 +30,17 @@ def fix_decision(
         t_us=fix.t_us,
         statistic=position.statistic if position else None,
         threshold=position.threshold if position else None,
+        # Three components of the position.
         dof=3 if position else 0,
         p_value=p_value(position.statistic, 3) if position else None,
         alarm=alarm,
         hypothesis=hypothesis,
         excluded=tuple(sorted(core.excluded)),
         position_ecef_m=(float(motion.x[0]), float(motion.x[1]), float(motion.x[2])),
-        position_sigma_m=(float(sigma[0]), float(sigma[1]), float(sigma[2])),
+        position_sigma_m=None
+        if core.unbounded
+        else (float(sigma[0]), float(sigma[1]), float(sigma[2])),
+        reason=UNBOUNDED if core.unbounded else "",
         residual_m=tuple(position.v.tolist()) if position else (),
         mode=mode,
     )
@@ -51,6 +57,7 @@ def fix_sensors(
 ) -> list[Result]:
     """The same in the form of the other sensors' verdicts, and a silent IMU."""
     results: list[Result] = []
+    # A receiver once excluded is blamed for what still fails.
     blamed = hypothesis == "gps" or RECEIVER in core.excluded
     for sensor, part in (("gps-position", position), ("gps-velocity", velocity)):
         if part is not None:
@@ -73,6 +80,7 @@ def fix_sensors(
                 t_s=fix.t_us * 1e-6,
                 t_us=fix.t_us,
                 sensor="imu",
+                # Silent: there was nothing to test.
                 statistic=velocity.statistic if velocity and not silent else None,
                 threshold=velocity.threshold if velocity and not silent else None,
                 dof=len(velocity.v) if velocity and not silent else 0,

@@ -16,6 +16,7 @@ IMU, MAG, BARO, AIRSPEED, RANGE, VISION, LINK = (
     *("imu", "mag", "baro", "airspeed", "range", "vision", "link"),
 )
 RECEIVER = frozenset({POSITION, VELOCITY, "GPS", "clock"})  # names by which a receiver is blamed
+OF_RECEIVER = frozenset({SATELLITES, POSITION, VELOCITY})
 EVERY_SATELLITE = "every satellite"
 SATELLITE = re.compile(r"[GRECJSI]\d\d")
 
@@ -53,11 +54,9 @@ def _together(*sights: Sight) -> Sight:
 # The test of an epoch or a fix holds it against the IMU: its alarm may be the IMU's.
 IMU_SIGHT = Sight(frozenset({IMU, SATELLITES, POSITION}), (frozenset({IMU}),), frozenset({IMU}))
 FIX_SIGHT = Sight(frozenset({POSITION, VELOCITY}), (RECEIVER,), RECEIVER)
-RECEIVER_SIGHT = Sight(
-    frozenset({SATELLITES, POSITION, VELOCITY}),
-    (RECEIVER | {EVERY_SATELLITE},),
-    RECEIVER | {EVERY_SATELLITE},
-)
+# As a name "satellites" is the stream of raw ranges, which falls silent as a whole.
+WHOLE_RECEIVER = RECEIVER | {SATELLITES, EVERY_SATELLITE}
+RECEIVER_SIGHT = Sight(OF_RECEIVER, (WHOLE_RECEIVER,), WHOLE_RECEIVER)
 BY_NAME = {name: _sensor(name) for name in (MAG, BARO, AIRSPEED, RANGE, VISION, LINK)}
 BY_NAME |= {IMU: IMU_SIGHT}
 
@@ -142,7 +141,7 @@ def _of_satellite(name: str) -> Sight:
     if not SATELLITE.fullmatch(name):
         return RECEIVER_SIGHT
     own = frozenset({name})
-    return Sight(frozenset({SATELLITES, POSITION, VELOCITY}), (own,), own | RECEIVER)
+    return Sight(OF_RECEIVER, (own,), own | RECEIVER)
 
 
 def _devices(message: str, name: str, parameters: Mapping[str, object]) -> tuple[str, ...]:

@@ -1,7 +1,8 @@
 """The outcome of a fault: what was done against what the monitor said of it. docs/verdicts.md.
 
-A fault is watched from its first frame to one GNSS epoch after its last. Within that time counts
-who was blamed, rightly or wrongly; afterwards, until its echo is over, it may still be found late.
+A fault is watched from its first frame to one GNSS epoch after its last (a receiver's: to its
+last). Within that time counts who was blamed, rightly or wrongly; afterwards, until its echo is
+over, it may still be found late.
 Everything is computed from labels and results, never from the schedule's intention.
 """
 
@@ -11,7 +12,7 @@ from typing import NamedTuple
 import msgspec
 
 from analysis.scoring.alarm_windows import EITHER, Window, without
-from analysis.scoring.fault_channels import Sight, sight
+from analysis.scoring.fault_channels import RECEIVER, Sight, sight
 from mavproxy_fault.wire.label import Label
 
 RECOVERY_S = 10.0  # alarms so long after a fault's end are its echo
@@ -97,7 +98,11 @@ def outcomes(
 def _watch(label: Label, epoch_us: int, witnesses: frozenset[str] = frozenset()) -> _Watch:
     end_us = ENDLESS_US if label.end_us is None else label.end_us
     echo_us = end_us + round(RECOVERY_S * 1e6)
-    return _Watch(label, sight(label), end_us + epoch_us, echo_us, witnesses)
+    seen = sight(label)
+    # The first sound fix after a receiver's fault shows no more than the way back.
+    of_receiver = any(culprits >= RECEIVER for culprits in seen.culprits)
+    until_us = end_us if of_receiver else end_us + epoch_us
+    return _Watch(label, seen, until_us, echo_us, witnesses)
 
 
 def _outcome(

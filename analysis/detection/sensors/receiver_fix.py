@@ -3,7 +3,8 @@
 Three position components have no redundancy among themselves, so who lies is told by the velocity
 and by whether the receiver agrees with itself: a position that leaves while the velocity still
 fits the IMU is the receiver's fault; a velocity that leaves while the receiver's positions move
-with it is the IMU's.
+with it is the receiver's or the IMU's, see `receiver_or_imu`. Where that cannot be told the filter
+follows the receiver, and its position is declared unbounded.
 """
 
 from dataclasses import replace
@@ -15,7 +16,7 @@ from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import RECEIVER, Core, State
 from analysis.detection.filter.alignment import find_attitude
 from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.propagation import advance, segment, split_pending
+from analysis.detection.filter.propagation import Segment, advance, segment, split_pending
 from analysis.detection.fix_record import fix_decision, fix_sensors
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.isolation.exclusion import exclude
@@ -29,9 +30,12 @@ from analysis.detection.sensors.position_test import (
     start_at,
     updated,
 )
+from analysis.detection.sensors.receiver_or_imu import EITHER, culprit, last_fix
 from analysis.results import Result
 from analysis.samples.sample import GpsFix
 
+RECEIVER_VELOCITY = "gps-velocity"  # among what is excluded: beside the position, the velocity
+FREEING = ("imu", EITHER)  # hypotheses after which the filter does not trust the IMU for a while
 LOST_M = 300.0  # a filter as unsure as this is started anew
 
 
@@ -54,24 +58,25 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
             motion = None
     run, pending = split_pending(pending, fix.t_us)
     if motion is None:
-        core = core._replace(motion=start_at(fix.t_us, measured), excluded={}, last_fix=None)
+        motion = start_at(fix.t_us, measured)
+        core = core._replace(motion=motion, excluded={}, last_fix=None, unbounded=False)
         return [fix_decision(fix, core, None, None, "none", False, "start")], State(
             core, pending, mag_b
         )
     part = segment(run, motion, fix.t_us)
     predicted, _ = advance(motion, part, fix.t_us, config)
     position, velocity = check(measured, predicted, config)
-    hypothesis, alarm = _judge(core, measured, fix.t_us, predicted, position, velocity, config)
-    core = _with_hysteresis(core, hypothesis, position, fix.t_us, config)
-    moved = _used(predicted, core, hypothesis, measured, position, velocity, config)
+    hypothesis, alarm = _judge(core, measured, predicted, part, (position, velocity), config)
+    core = _with_hysteresis(core, hypothesis, (position, velocity), fix.t_us, config)
+    moved = _used(predicted, core, hypothesis, measured, (position, velocity), config)
     dt_s = (fix.t_us - motion.t_us) * 1e-6
     moved = find_attitude(core, moved, part, dt_s, config)
-    core = core._replace(motion=moved, last_fix=(fix.t_us, measured.r_ecef_m))
+    core = core._replace(motion=moved, last_fix=last_fix(core.last_fix, measured, part, moved))
     shown = hypothesis
     if hypothesis == "none" and RECEIVER in core.excluded:
         shown = "gps"
     elif hypothesis == "none" and core.imu_bad_until_us is not None:
-        shown = "imu"
+        shown = EITHER if core.unbounded else "imu"
     mode = "position" if moved.inertial else "position-free"
     results: list[Result] = [fix_decision(fix, core, position, velocity, shown, alarm, mode)]
     gap = part.gap_s if predicted.inertial or motion.inertial else 0.0
@@ -79,24 +84,29 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     return results, State(core, pending, mag_b)
 
 
+Tests = tuple[Check, Check | None]  # of a fix's position, and of its velocity where it is known
+
+
 def _judge(
     core: Core,
     measured: Measured,
-    t_us: int,
     motion: Motion,
-    position: Check,
-    velocity: Check | None,
+    part: Segment,
+    tests: Tests,
     config: DetectorConfig,
 ) -> tuple[str, bool]:
-    """Whose fault a failed test is, and whether it is an alarm."""
+    """Whose fault a failed test is, and whether it is an alarm; `part` is the IMU since the last
+    fix, which moved the filter to `motion`."""
+    position, velocity = tests
     if position.passes and (velocity is None or velocity.passes):
         return "none", False
+    agrees = _self_consistent(core, measured, motion.t_us, config)
     if not motion.inertial:  # nothing but steady motion predicts: a jump of position it is, or none
-        return ("none", False) if _self_consistent(core, measured, t_us, config) else ("gps", True)
-    if velocity is None or velocity.passes:
+        return ("none", False) if agrees else ("gps", True)
+    if velocity is None or velocity.passes or RECEIVER in core.excluded:
         return "gps", True
-    if _self_consistent(core, measured, t_us, config):
-        return "imu", True
+    if agrees:
+        return culprit(core.last_fix, measured, motion, velocity, part, config), True
     return ("gps", True) if position.passes else ("multiple-unknown", True)
 
 
@@ -104,9 +114,9 @@ def _self_consistent(core: Core, measured: Measured, t_us: int, config: Detector
     """Whether the receiver's position moved as its velocity says since the last fix."""
     if core.last_fix is None or measured.v_ned_mps is None:
         return True
-    dt_s = (t_us - core.last_fix[0]) * 1e-6
+    dt_s = (t_us - core.last_fix.t_us) * 1e-6
     known = np.isfinite(measured.v_ned_mps)
-    moved = measured.axes @ (measured.r_ecef_m - core.last_fix[1])
+    moved = measured.axes @ (measured.r_ecef_m - core.last_fix.r_ecef_m)
     difference = (moved - np.nan_to_num(measured.v_ned_mps) * dt_s)[known]
     variance = 0.5**2 + (VELOCITY_SIGMA_MPS[0] ** 2 + config.noise.motion_mps2**2 * dt_s) * dt_s**2
     q = float(difference @ difference) / variance
@@ -114,25 +124,30 @@ def _self_consistent(core: Core, measured: Measured, t_us: int, config: Detector
 
 
 def _with_hysteresis(
-    core: Core, hypothesis: str, position: Check, t_us: int, config: DetectorConfig
+    core: Core, hypothesis: str, tests: Tests, t_us: int, config: DetectorConfig
 ) -> Core:
-    """The receiver left out or back in; the IMU held out for a while."""
-    if hypothesis == "imu":
-        return core._replace(imu_bad_until_us=t_us + round(config.imu_hold_s * 1e6))
+    """The receiver left out or back in; the IMU left out for a while."""
+    position, velocity = tests
+    if hypothesis in FREEING:
+        until_us = t_us + round(config.imu_hold_s * 1e6)
+        unbounded = core.unbounded or hypothesis == EITHER
+        return core._replace(imu_bad_until_us=until_us, unbounded=unbounded)
     if core.imu_bad_until_us is not None and t_us >= core.imu_bad_until_us:
         core = core._replace(imu_bad_until_us=None)
     if hypothesis in ("gps", "multiple-unknown"):
-        left = exclude(core.excluded, (RECEIVER,), t_us, t_us)
-        return core._replace(
-            excluded={**left, RECEIVER: replace(left[RECEIVER], healthy_since_us=None)}
-        )
+        fits = velocity is None or velocity.passes
+        names = (RECEIVER,) if fits else (RECEIVER, RECEIVER_VELOCITY)
+        excluded = exclude(core.excluded, names, t_us, t_us)
+        again = replace(excluded[RECEIVER], healthy_since_us=None)
+        return core._replace(excluded={**excluded, RECEIVER: again}, unbounded=False)
     entry = core.excluded.get(RECEIVER)
-    if entry is None or not position.passes:
+    if entry is None or not position.passes or (velocity is not None and not velocity.passes):
         return core
     since = entry.healthy_since_us if entry.healthy_since_us is not None else t_us
     if (t_us - since) * 1e-6 >= config.readmit_s:
         return core._replace(excluded={})
-    return core._replace(excluded={RECEIVER: replace(entry, healthy_since_us=since)})
+    healthy = replace(entry, healthy_since_us=since)
+    return core._replace(excluded={**core.excluded, RECEIVER: healthy})
 
 
 def _used(
@@ -140,17 +155,17 @@ def _used(
     core: Core,
     hypothesis: str,
     measured: Measured,
-    position: Check,
-    velocity: Check | None,
+    tests: Tests,
     config: DetectorConfig,
 ) -> Motion:
     """The filter after what is trusted of the fix."""
-    if hypothesis == "imu" or (hypothesis == "none" and not position.passes):
+    position, velocity = tests
+    if hypothesis in FREEING or (hypothesis == "none" and not position.passes):
         motion = free_position(motion)
         position, velocity = check(measured, motion, config)
     if RECEIVER not in core.excluded and position.passes:
         motion = updated(motion, position)
-    if velocity is not None and velocity.passes:
+    if velocity is not None and velocity.passes and RECEIVER_VELOCITY not in core.excluded:
         again = check(measured, motion, config)[1]
         motion = updated(motion, again if again is not None else velocity)
     return motion

@@ -26,6 +26,7 @@ from mavproxy_fault.numerics.linear import inverse, multiply
 from mavproxy_fault.numerics.rotation_kernel import matrix
 
 FAILS_TO_ISOLATE = 3
+SIZE_SIGMAS = 4.0  # by which the field's size must be off before it is the magnetometer's fault
 STALE_US = 500_000
 SLOW_US, FAILS, ISOLATED, HEALTHY_US = range(4)  # of what is counted for each sensor
 NEVER_US = -(1 << 62)
@@ -170,13 +171,14 @@ def _updated(out: Vector, slow: Vector, m: int, k: int) -> tuple[float, Vector]:
 
 
 @compiled
-def _with_hysteresis(count: Counts, failed: bool, t_us: int, readmit_us: float) -> None:
-    """Isolated after some failures running, and no more after a while of health; in place."""
+def _with_hysteresis(count: Counts, failed: bool, own: bool, t_us: int, readmit_us: float) -> None:
+    """Isolated after some failures running that are its own, and no more after a while of health;
+    in place."""
     since_us = count[HEALTHY_US]
     count[HEALTHY_US] = NEVER_US
     if failed:
         count[FAILS] += 1
-        if count[FAILS] >= FAILS_TO_ISOLATE:
+        if own and count[FAILS] >= FAILS_TO_ISOLATE:
             count[ISOLATED] = 1
         return
     count[FAILS] = 0
@@ -198,6 +200,19 @@ def _sigma(sensor: int, kept: Kept, noise: Vector) -> float:
 
 
 @compiled
+def _own(sensor: int, z: Vector, b: Vector, sigma: float) -> bool:
+    """Whether what failed is the sensor's: a field of the right size in the wrong direction may be
+    the attitude's fault, which is the IMU's."""
+    if sensor != models.MAG:
+        return True
+    size, expected = 0.0, 0.0
+    for i in range(3):
+        size += z[i] ** 2
+        expected += b[i] ** 2
+    return not abs(math.sqrt(size) - math.sqrt(expected)) <= SIZE_SIGMAS * sigma
+
+
+@compiled
 def _test(sensor: int, at: Vector, kept: Kept, limits: Limits) -> tuple[int, float, int]:
     """One sensor's test: code, statistic and degrees of freedom."""
     out = np.zeros((7, 3))
@@ -210,9 +225,8 @@ def _test(sensor: int, at: Vector, kept: Kept, limits: Limits) -> tuple[int, flo
     )
     known = count[SLOW_US] != NEVER_US
     at[LATE_S] = (t_us - kept.stamps[sensor]) * 1e-6
-    code, m = _seen(
-        sensor, kept.values[sensor], at, states[:3], known, _sigma(sensor, kept, noise), out
-    )
+    z, sigma = kept.values[sensor], _sigma(sensor, kept, noise)
+    code, m = _seen(sensor, z, at, states[:3], known, sigma, out)
     if code == STARTED:
         for i in range(k):
             states[i] = out[V, i]
@@ -228,7 +242,8 @@ def _test(sensor: int, at: Vector, kept: Kept, limits: Limits) -> tuple[int, flo
         moved[3 + 4 * i] += noise[WALK, sensor] * dt_s
     q, after = _updated(out, moved, m, k)
     failed = not q <= limits.thresholds[m]
-    _with_hysteresis(count, failed, t_us, limits.readmit_us)
+    own = _own(sensor, z, states[:3], sigma)
+    _with_hysteresis(count, failed, own, t_us, limits.readmit_us)
     if not failed and not count[ISOLATED]:  # or else the slow states keep still
         for i in range(12):
             states[i] = after[i]

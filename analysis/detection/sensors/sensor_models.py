@@ -24,6 +24,7 @@ SEA_LEVEL_PA = 101_325.0  # ICAO standard atmosphere, Doc 7488
 ISA_KELVIN, ISA_LAPSE, ISA_EXPONENT = 288.15, 6.5e-3, 5.25588
 DENSITY_EXPONENT = 4.25588
 LEAST_UPRIGHT = 0.7  # a beam further off the vertical than 45 degrees says little
+UNKNOWN_SLANT = 0.1  # of the distance: what a tilt of up to 25 degrees that nobody knows adds
 SLOW_AIR_MPS = 6.0  # below it a pitot tube says little
 WIND_MPS = 6.0  # one sigma of what the wind may be
 FIX_3D = 3
@@ -196,13 +197,15 @@ def rangefinder(
     """Height less the distance, upright, is that of the terrain."""
     if not np.isfinite(z[0]):
         return NO_RANGE, 0
-    upright = at[ROT + 8] if at[UPRIGHT] != 0.0 else 1.0
+    known_upright = at[UPRIGHT] != 0.0
+    upright = at[ROT + 8] if known_upright else 1.0
     if upright < LEAST_UPRIGHT:
         return TILTED, 0
     level = z[0] * math.sqrt(1.0 - min(upright, 1.0) ** 2)
     tilt = (at[P_ATTITUDE] + at[P_ATTITUDE + 4] + at[P_ATTITUDE + 8]) / 3.0
     out[V, 0] = at[HEIGHT] - z[0] * upright
-    out[S, 0] = sigma**2 + at[P_POSITION + 8] + at[UPRIGHT] * level**2 * tilt
+    slant = level**2 * tilt if known_upright else (UNKNOWN_SLANT * z[0]) ** 2
+    out[S, 0] = sigma**2 + at[P_POSITION + 8] + slant
     return _own(out, b, known, 1)
 
 

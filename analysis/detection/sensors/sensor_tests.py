@@ -164,7 +164,8 @@ def _decided(row: int, results: Sequence[Result], detector: State) -> list[Decid
 
 def _numbers(row: int, decision: Decision, motion: Motion | None) -> tuple[int, int, int, bool]:
     """A decision as the kernel takes it."""
-    how = SOUND if motion is not None and decision.hypothesis in FITTING else UNSOUND
+    bounded = decision.position_sigma_m is not None
+    how = SOUND if motion is not None and decision.hypothesis in FITTING and bounded else UNSOUND
     if decision.mode == "":
         how = UNTESTED
     return row, decision.t_us, how, decision.mode.startswith("position")

@@ -1,0 +1,80 @@
+"""Without raw ranges: who is wrong when a receiver's velocity and the IMU contradict each other.
+
+A spoofer moves position and velocity together, so a receiver that agrees with itself may still lie,
+and two sources alone cannot vote. Two things tell more:
+
+- What is wrong with the IMU stands in its own output. If its specific force changed within the last
+  three intervals, and the velocities differ by what that makes in the time since, it is the IMU.
+- A wrong attitude turns the specific force f. One that is 60 degrees wrong errs by |f|; gyros would
+  have to be 3 rad/s off to get there before they are found. If the difference of the velocities
+  grew faster than that while the IMU showed no such change, it is the receiver.
+
+Whatever neither explains is the receiver or the IMU, and that is the verdict.
+"""
+
+import numpy as np
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.detector_state import LastFix
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.propagation import Segment
+from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.sensors.position_test import VELOCITY_SIGMA_MPS, Check, Measured
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.rotation_kernel import matrix
+
+EITHER = "GPS-or-imu"
+EXCUSED_SIGMAS = 4.0  # of the velocity's noise, that a growth may exceed what an IMU can do
+INTERVALS = 3  # in which a fault of the IMU may have begun before it is found
+FORCE = slice(4, 7)  # of a row of the IMU's segment: specific force, behind its time and rates
+
+
+def last_fix(before: LastFix | None, measured: Measured, part: Segment, motion: Motion) -> LastFix:
+    """The fix as the next one needs it; `motion` is the filter after it."""
+    off = np.zeros(3)
+    if measured.v_ned_mps is not None:
+        off = np.nan_to_num(measured.v_ned_mps - measured.axes @ motion.x[3:6])
+    force = mean_force(part)
+    past = () if before is None else before.forces_b_mps2[: INTERVALS - 1]
+    forces = () if force is None else (force, *past)
+    return LastFix(motion.t_us, measured.r_ecef_m, forces, off)
+
+
+def mean_force(part: Segment) -> Vector | None:
+    """Mean specific force (3,) of an interval in body axes; None without samples."""
+    rows = part.samples
+    total_s = rows[:, 0].sum() if len(rows) else 0.0
+    return rows[:, 0] @ rows[:, FORCE] / total_s if total_s > 0.0 else None
+
+
+def culprit(
+    last: LastFix | None,
+    measured: Measured,
+    predicted: Motion,
+    velocity: Check,
+    part: Segment,
+    config: DetectorConfig,
+) -> str:
+    """`imu`, `gps` or `GPS-or-imu`, for a receiver that agrees with itself but not with the IMU.
+
+    `velocity` is the failed test, `part` the IMU since the last fix, `predicted` the filter moved
+    by it.
+    """
+    force = mean_force(part)
+    if last is None or force is None or not last.forces_b_mps2 or measured.v_ned_mps is None:
+        return EITHER
+    known = np.isfinite(measured.v_ned_mps)
+    dt_s = (predicted.t_us - last.t_us) * 1e-6
+    rot = measured.axes @ matrix(predicted.x[6:10])
+    sigma_mps = np.array([VELOCITY_SIGMA_MPS[0], *VELOCITY_SIGMA_MPS])[known]
+    for since, before in enumerate(last.forces_b_mps2, start=1):
+        changed_mps = (rot @ (force - before) * dt_s)[known]
+        size = float(changed_mps @ changed_mps)
+        times = min(max(-float(velocity.v @ changed_mps) / size, 0.0), since) if size > 0.0 else 0.0
+        remaining = (velocity.v + times * changed_mps) / sigma_mps
+        if float(remaining @ remaining) <= chi_square(len(remaining), config.p_other):
+            return "imu"
+    grown_mps = float(np.linalg.norm(velocity.v - last.off_mps[known]))
+    most_mps2 = max(np.linalg.norm(force), np.linalg.norm(last.forces_b_mps2[0]))
+    excused_mps = float(most_mps2) * dt_s + EXCUSED_SIGMAS * VELOCITY_SIGMA_MPS[0]
+    return "gps" if grown_mps > excused_mps else EITHER

@@ -1,0 +1,125 @@
+"""A spoofer and a faulty IMU against a monitor that has no raw ranges, over many seeds.
+
+`python benchmarks/spoof_without_ranges.py` flies the demo's fixed wing and the examples' quad with
+a receiver that tells position and velocity alone, spoofs it from 20 s to 40 s of a flight of 50 s,
+and prints the table of docs/fdi.md. `SEEDS` flights a row, on all cores.
+"""
+
+import multiprocessing
+from collections import Counter
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from analysis.monitor.monitor import Monitor
+from analysis.monitor.pipeline import MonitorConfig
+from analysis.results import Decision
+from analysis.run.proxied_flight import Flight
+from analysis.run.setup import read_setup
+from analysis.scoring.criteria import Criteria
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.schedule.entries import Schedule, parse_schedule
+from simvehicle.scenario.scenario_file import Scenario
+
+SEEDS = 20
+START_S, END_S, FLOWN_S = 20.0, 40.0, 50.0
+IMU_HZ = 100.0
+BATCH_BYTES = 32_768
+HOVER = Path(__file__).parents[1] / "examples" / "hover.yaml"
+FAULTS: dict[str, dict[str, Any]] = {
+    "none": {},
+    "spoof 20 m at once": {"fault": "gps-spoof", "offset_m": [20, 0, 0]},
+    "spoof 200 m at once": {"fault": "gps-spoof", "offset_m": [200, 0, 0]},
+    "spoof 1 m/s": {"fault": "gps-spoof", "velocity_mps": [1, 0, 0]},
+    "spoof 5 m/s": {"fault": "gps-spoof", "velocity_mps": [5, 0, 0]},
+    "gyro 0.1 rad/s": {"fault": "bias", "target": "HIL_SENSOR.xgyro", "value": 0.1},
+    "accelerometer 1 m/s2": {"fault": "bias", "target": "HIL_SENSOR.xacc", "value": 1.0},
+    "accelerometer 8 m/s2": {"fault": "bias", "target": "HIL_SENSOR.xacc", "value": 8.0},
+}
+
+
+class Flown(NamedTuple):
+    """The fault's row of the summary, and from its start to its end the position's error (n,) in m
+    at each fix with whether the monitor bounds it (n,)."""
+
+    fault: dict[str, Any]
+    error_m: np.ndarray
+    bounded: np.ndarray
+
+
+def scenario_of(vehicle: str, seed: int) -> Scenario:
+    """The vehicle with a receiver that tells no ranges."""
+    hover = read_setup(str(HOVER)).scenario
+    scenario = hover if vehicle == "quad" else read_setup(None).scenario
+    imu = msgspec.structs.replace(scenario.sensors.imu, rate_hz=IMU_HZ)
+    sensors = msgspec.structs.replace(scenario.sensors, imu=imu, gps=hover.sensors.gps)
+    return msgspec.structs.replace(
+        scenario, seed=seed, sensors=sensors, gnss=None, duration_s=FLOWN_S
+    )
+
+
+def flown(job: tuple[str, str, int]) -> Flown:
+    """One flight."""
+    vehicle, fault, seed = job
+    scenario = scenario_of(vehicle, seed)
+    entry = {"id": "it", "at_s": START_S, "for_s": END_S - START_S, **FAULTS[fault]}
+    faults = [entry] if FAULTS[fault] else []
+    schedule = parse_schedule({"seed": seed, "faults": faults}) if faults else Schedule()
+    flight, monitor = Flight(scenario, schedule), Monitor(MonitorConfig())
+    results, truth, batch = [], {}, bytearray()
+    while not flight.over:
+        batch += flight.advance([]).monitor
+        now = flight.simulation.truth
+        truth[round(now.t_us, -4)] = ecef_from_geodetic(now.lat_rad, now.lon_rad, now.height_m)
+        if len(batch) >= BATCH_BYTES:
+            results += monitor.push_bytes([bytes(batch)], datagrams=False)
+            batch.clear()
+    results += monitor.push_bytes([bytes(batch) + flight.finish().monitor], datagrams=False)
+    flight.drain_labels()
+    summary = monitor.summary(flight.completed_labels(), Criteria(), 0.0)
+    fixes = [
+        (r, truth[round(r.t_us - 1_000_000, -4)])
+        for r in results
+        if isinstance(r, Decision)
+        and r.position_ecef_m is not None
+        and START_S <= r.t_us * 1e-6 - 1.0 < END_S
+        and round(r.t_us - 1_000_000, -4) in truth
+    ]
+    errors = np.array([np.linalg.norm(np.subtract(r.position_ecef_m, at)) for r, at in fixes])
+    bounded = np.array([r.position_sigma_m is not None for r, _ in fixes])
+    row = summary["faults"][0] if faults else {"verdict": "-", "delay_s": None, "wrongly": []}
+    return Flown(row | {"false": summary["false_alarms"]}, errors, bounded)
+
+
+def line(vehicle: str, fault: str, flights: list[Flown]) -> str:
+    """A row of the table."""
+    verdicts = Counter(flight.fault["verdict"] for flight in flights)
+    delays = [f.fault["delay_s"] for f in flights if f.fault["delay_s"] is not None]
+    wrong = Counter(blame["who"] for f in flights for blame in f.fault["wrongly"])
+    bounded = np.concatenate([f.error_m[f.bounded] for f in flights])
+    share = np.concatenate([f.bounded for f in flights]).mean()
+    cells = (
+        ", ".join(f"{count} {name}" for name, count in sorted(verdicts.items())),
+        ", ".join(f"{count} {name}" for name, count in sorted(wrong.items())) or "-",
+        f"{np.median(delays):.1f} / {max(delays):.1f}" if delays else "-",
+        f"{np.median(bounded):.1f} / {np.quantile(bounded, 0.95):.1f}" if len(bounded) else "-",
+        f"{100.0 * (1.0 - share):.0f} %",
+    )
+    return f"| {vehicle} | {fault} | {' | '.join(cells)} |"
+
+
+def main() -> None:
+    """Print the table."""
+    print("| vehicle | fault | verdicts | blamed wrongly | delay, s: median / most |", end="")
+    print(" error where bounded, m: 50 % / 95 % | unbounded |\n|---|---|---|---|---|---|---|")
+    with multiprocessing.get_context("spawn").Pool() as pool:
+        for vehicle in ("fixed wing", "quad"):
+            for fault in FAULTS:
+                jobs = [(vehicle, fault, seed) for seed in range(1, SEEDS + 1)]
+                print(line(vehicle, fault, pool.map(flown, jobs, chunksize=1)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
