@@ -140,10 +140,10 @@ class Core:
         arrival = Arrival(link, direction or role.direction, now_us)
         return sends + self._process(items, arrival)
 
-    def received_frames(self, link: int, frames: Sequence[Frame], now_us: int) -> list[Send]:
-        """What to send for frames that somebody has verified already."""
+    def received_frame(self, link: int, frame: Frame, now_us: int) -> list[Send]:
+        """What to send for a frame that somebody has verified already."""
         arrival = Arrival(link, self.links[link].direction, now_us)
-        return self.due(now_us) + self._process(frames, arrival)
+        return self.due(now_us) + self._process((frame,), arrival)
 
     def due(self, now_us: int) -> list[Send]:
         """What falls due by `now_us`, in order."""

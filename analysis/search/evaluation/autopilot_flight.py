@@ -109,10 +109,11 @@ class AutopilotFlight(Flight):
                 raise ConfigError(f"autopilot: {gone}, {self.t_us * 1e-6:.1f} s on") from gone
         return 0, plane.steps
 
-    def _heard(self, send: Send) -> None:
+    def _heard(self, sends: list[Send]) -> None:
         # The estimator sees what left for the monitor, faults included.
-        if send.link == MONITOR:
-            self._hear(send.data)
+        for send in sends:
+            if send.link == MONITOR:
+                self._hear(send.data)
 
     @contextmanager
     def _served(self) -> Iterator[tuple[list[Link], Patience]]:
