@@ -161,7 +161,8 @@ class Detector:
         history: tuple[Record, ...],
     ) -> tuple[list[Result], Core]:
         config = self.config
-        outcome = judge_epoch(epoch.t_us, observed, run, core, config)
+        run_before = history[-1].run if history else None
+        outcome = judge_epoch(epoch.t_us, observed, run, core, config, run_before)
         if history and history[0].t_us < epoch.t_us - config.history_s * 1e6:
             history = history[1:]
         history = (*history, Record(epoch.t_us, core, observed, run))
@@ -210,8 +211,10 @@ class Detector:
         for record in again:
             if core.motion is None:
                 break
-            replayed.append(Record(record.t_us, core, record.observed, record.run))
-            core = judge_epoch(record.t_us, record.observed, record.run, core, self.config).core
+            t_us, observed, run = record.t_us, record.observed, record.run
+            run_before = replayed[-1].run if replayed else None
+            replayed.append(Record(t_us, core, observed, run))
+            core = judge_epoch(t_us, observed, run, core, self.config, run_before).core
         excluded = {**outcome.core.excluded, **core.excluded}
         core = core._replace(excluded=excluded, history=tuple(replayed), chosen=outcome.core.chosen)
         return outcome._replace(core=core)
