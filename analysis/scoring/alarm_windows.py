@@ -55,6 +55,8 @@ def alarms_of(result: Result) -> list[Alarm]:
         found.append(Alarm(result.t_us, "imu", "imu", True))
     elif result.hypothesis == "clock":
         found.append(Alarm(result.t_us, channel, "clock", True))
+    elif result.hypothesis == "gps" and "GPS" not in result.excluded:  # its ranges, all together
+        found.append(Alarm(result.t_us, channel, "GPS", True))
     elif EITHER in result.hypothesis:
         found.append(Alarm(result.t_us, channel, result.hypothesis, False))
     # With somebody excluded the alarm is explained; otherwise it is held against nobody.
