@@ -20,7 +20,8 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=
     predicts the epoch: inertial, free (no sound IMU), start (a first snapshot), position or
     position-free (no raw ranges). The parity test asks the satellites alone; the slow test is the
     one with memory, for ramps. Of a RINEX recording the sky is told too, parallel to
-    `satellites`, and the dilution of precision by those in use.
+    `satellites`, the dilution of precision by those in use and the
+    protection levels.
     """
 
     t_s: float
@@ -52,6 +53,8 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=
     signals: tuple[str, ...] = ()
     hdop: float | None = None
     vdop: float | None = None
+    hpl_m: float | None = None
+    vpl_m: float | None = None
 
 
 class SensorDecision(

@@ -9,7 +9,6 @@ from analysis.results import Result
 from analysis.samples.block import Block
 from analysis.samples.decoder import Decoder
 from analysis.scoring.criteria import Criteria
-from analysis.scoring.position_scores import PositionScores
 from analysis.scoring.summary_tally import Tally
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import Label
@@ -23,17 +22,13 @@ class Monitor:
         self._parser = Parser()
         self._decoder = Decoder()
         self._pipeline = Pipeline(config)
+        self.detector = config.detector
         self._tally = Tally(reference)
 
     @property
     def t_s(self) -> float:
         """Seconds from the first sample to the newest, on the vehicle's clock."""
         return self._tally.span_s
-
-    @property
-    def positions(self) -> PositionScores:
-        """Errors of the positions where the truth is known."""
-        return self._tally.positions
 
     def push_bytes(self, chunks: Iterable[bytes], *, datagrams: bool = True) -> list[Result]:
         """Results of the frames in some chunks; a stream's may be cut anywhere."""

@@ -15,8 +15,11 @@ MOST_POINTS = 30_000
 LEFT_OUT = "#c2231c"
 
 
-def gnss_pictures(results: Sequence[Result], errors: dict[str, Vector]) -> list[Picture]:
-    """Pictures of decisions with their sky; `errors` (n, 2) horizontal and vertical by solution."""
+def gnss_pictures(
+    results: Sequence[Result], errors: dict[str, Vector], levels: dict[str, Vector]
+) -> list[Picture]:
+    """Pictures of decisions with their sky; `errors` (n, 2) horizontal and vertical by solution,
+    `levels` (n, 2) errors and protection levels by direction."""
     seen = [r for r in results if isinstance(r, Decision) and r.elevation_deg]
     found = []
     if seen:
@@ -27,6 +30,7 @@ def gnss_pictures(results: Sequence[Result], errors: dict[str, Vector]) -> list[
         ]
     if errors:
         found.append(("Errors against the truth: share of epochs below", _distribution(errors)))
+    found += [(f"Stanford diagram, {name}", _stanford(table)) for name, table in levels.items()]
     return found
 
 
@@ -105,4 +109,15 @@ def _distribution(errors: dict[str, Vector]) -> bytes:
     axes.axhline(0.95, color="0.5", lw=0.6)
     axes.set(xlabel="error, m", ylabel="share of epochs", ylim=(0, 1))
     axes.legend(loc="lower right", frameon=False)
+    return _svg(figure)
+
+
+def _stanford(table: Vector) -> bytes:
+    """Protection levels over errors: below the line an error was misleading."""
+    figure, axes = _figure(4, 4)
+    axes.loglog(table[:, 0], table[:, 1], ".", ms=2, color=PALETTE[0], rasterized=True)
+    ends = min(table.min(), 0.1), table.max() * 2.0
+    axes.plot(ends, ends, color=LEFT_OUT, lw=0.8)
+    axes.set(xlabel="error, m", ylabel="protection level, m")
+    axes.grid(alpha=0.3)
     return _svg(figure)

@@ -25,6 +25,7 @@ from analysis.run.terminal import print_summary
 from analysis.samples.block import Block
 from analysis.samples.intake import Intake
 from analysis.scoring.criteria import Criteria, receiver_criteria
+from analysis.scoring.integrity import Integrity
 from mavproxy_fault.app.recorder import encoded
 from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.documents.errors import ConfigError
@@ -44,17 +45,17 @@ def main(args: argparse.Namespace) -> int:
     config, criteria = settings(args.scenario, args.sigma)
     if args.calibrate is not None:
         return calibrate_to(Path(args.calibrate), args, config)
-    if args.schedule is not None and args.rinex is None:
-        raise ConfigError("--schedule: is for --rinex; `replay` puts faults into a log")
     reference = None if args.truth is None else read_reference(args.truth)
     if args.rinex is not None:
         config = msgspec.structs.replace(config, streams=False)  # a file has no link
         criteria = criteria if args.scenario else receiver_criteria(reference is not None)
+    elif args.schedule is not None:
+        raise ConfigError("--schedule: is for --rinex; `replay` puts faults into a log")
     # On a link the proxy writes the labels meanwhile: they are read at the end.
     if args.link is None:
         read_known(args.labels)  # a wrong name is told before the work, not after
     folder = make_folder(args.out, "monitor") if args.out else None
-    monitor = Monitor(config, reference)
+    monitor, integrity = Monitor(config, reference), Integrity(reference)
     started_s = time.monotonic()
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(open_run_bus(args.zenoh, "live", "monitor"))
@@ -63,6 +64,7 @@ def main(args: argparse.Namespace) -> int:
         watch = stack.enter_context(Watch()) if args.watch else None
 
         def deliver(results: list[Result]) -> None:
+            integrity.add(results)
             if file is not None:
                 file.write(results)
             if publisher is not None:
@@ -76,11 +78,13 @@ def main(args: argparse.Namespace) -> int:
     if labels is None:  # nothing tells what was done, so no fault can have been missed
         criteria = msgspec.structs.replace(criteria, must_detect=(), must_isolate=())
     summary = monitor.summary(labels, criteria, time.monotonic() - started_s)
+    if reference is not None:
+        summary["integrity"] = integrity.summary()
     if folder is not None:
         write_summary(folder, summary)
         if injected is not None:
             (folder / "labels.jsonl").write_bytes(encoded(injected))
-        _report(args, folder, labels or [], summary, monitor, reference)
+        _report(args, folder, labels or [], summary, reference, integrity)
     print_summary(summary, folder)
     return EXIT_CODES[summary["verdict"]]
 
@@ -138,7 +142,7 @@ def _feed(
         return None
     if args.rinex is not None:
         block, labels = rinex_block(args)
-        deliver(with_sky(block, monitor.push(block)))
+        deliver(with_sky(block, monitor.push(block), monitor.detector))
         return labels
     for block in read_log(args.log):
         deliver(monitor.push(block))
@@ -185,8 +189,8 @@ def _report(
     folder: Path,
     labels: Sequence[Label],
     summary: dict[str, object],
-    monitor: Monitor,
     reference: PositionReference | None,
+    integrity: Integrity,
 ) -> None:
     from analysis.report.run_report import write
     from analysis.results import read_results
@@ -197,7 +201,7 @@ def _report(
     if args.rinex:
         from analysis.report.receiver_files import receiver_files
 
-        beside = receiver_files(folder, results, labels, reference, monitor.positions)
+        beside = receiver_files(folder, results, labels, reference, integrity)
     title = Path(args.log or args.rinex[0]).name if args.log or args.rinex else folder.name
     write(
         folder,

@@ -32,6 +32,14 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
             f"{row['over_sigma_95']}",
             soft_wrap=True,
         )
+    for name, row in summary.get("integrity", {}).items():
+        console.print(
+            f"level           {name}: {row['median_level_m']:.1f} m in the median, error above it"
+            f" in {row['misleading']} of {row['with_level']} epochs (most"
+            f" {row['largest_error_over_level']:.2f} of it); within {row['alert_limit_m']:.0f} m"
+            f" in {100 * row['available_share']:.1f} %",
+            soft_wrap=True,
+        )
     console.print(
         f"epochs          {summary['epochs']}, untestable {summary['untestable_epochs']}, "
         f"alarms {summary['alarms']}, of them false {_known(summary['false_alarms'])}"

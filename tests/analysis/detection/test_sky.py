@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.detection import Detector
+from analysis.detection import Detector, DetectorConfig
 from analysis.detection.sky import with_sky
 from analysis.recordings.recordings import read_rinex
 from analysis.results import Decision
@@ -20,7 +20,7 @@ def decisions(shared_data):
     part = block.between(0, int(block.rows(EPOCH)[SECONDS]))
     detector = Detector()
     results, _ = detector.step(part, detector.new_state())
-    return [r for r in with_sky(part, results) if isinstance(r, Decision)]
+    return [r for r in with_sky(part, results, DetectorConfig()) if isinstance(r, Decision)]
 
 
 def test_every_satellite_of_a_decision_has_its_place(decisions):

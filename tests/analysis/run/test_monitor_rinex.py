@@ -36,6 +36,9 @@ def test_the_verdict_rests_on_epochs_and_errors(folder):
     assert errors["epochs"] == 900
     assert errors["horizontal_95_m"] < 1.5
     assert summary["alarms"] == 0
+    for row in summary["integrity"].values():
+        assert row["with_level"] == 900
+        assert row["misleading"] == 0
 
 
 def test_the_position_file_is_rtklibs_and_holds_the_positions(folder):
@@ -49,7 +52,7 @@ def test_the_position_file_is_rtklibs_and_holds_the_positions(folder):
 
 
 def test_the_report_has_the_sky_and_tracks_for_maps(folder):
-    assert (folder / "report.html").read_text().count("data:image/svg+xml") == 3
+    assert (folder / "report.html").read_text().count("data:image/svg+xml") == 5
     assert "truth" in (folder / "tracks.kml").read_text()
     assert json.loads((folder / "tracks.geojson").read_text())["features"]
 
