@@ -242,3 +242,16 @@ def test_without_machine_code_the_proxy_says_so_and_forwards(
     told = capfd.readouterr().err
     assert "first start" in told
     assert "no machine code (1 from" in told
+
+
+def test_a_proxy_with_a_schedule_is_ready_without_numpy() -> None:
+    schedule = Path(__file__).parents[3] / "examples" / "gyro_bias.yaml"
+    script = (
+        "import sys, mavproxy_fault.app.proxy_command, mavproxy_fault.compiled.forwarder\n"
+        "from mavproxy_fault.proxy.engine import Engine\n"
+        "from mavproxy_fault.schedule.entries import read_schedule\n"
+        f"Engine(read_schedule({str(schedule)!r}))\n"
+        "print('numpy' in sys.modules, 'numba' in sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=True)
+    assert done.stdout.split() == [b"False", b"False"]
