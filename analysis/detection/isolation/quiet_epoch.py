@@ -74,7 +74,7 @@ def quiet_epoch(
     if motion is None or ramps is None or ramps.among is not observed.satellites:
         return None
     # Excluded satellites, an alignment under way and a lever arm are rare and need the long way.
-    if core.excluded or len(ramps.names) > MOST or motion.alignment is not None:
+    if core.excluded or core.distrusted or len(ramps.names) > MOST or motion.alignment is not None:
         return None
     if motion.inertial and config.antenna is not None:
         return None
