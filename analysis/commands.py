@@ -68,6 +68,7 @@ def _run(args: argparse.Namespace) -> int:
 
 def _fly(args: argparse.Namespace) -> int:
     if args.autopilot:
+        # Loaded only here: an autopilot's run needs other parts.
         from analysis.autopilots.autopilot_run import main as fly
 
         return fly(args)

@@ -102,6 +102,7 @@ class FusedState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
 Result = Decision | SensorDecision | AttitudeError | FusedState
 
 
+# Made once: msgspec builds the code of a schema when an encoder is made.
 _ENCODER = msgspec.json.Encoder()
 _DECODER: msgspec.json.Decoder[Result] = msgspec.json.Decoder(Result)
 
@@ -131,5 +132,6 @@ def read_results(path: Path) -> Iterator[Result]:
     """Results of a file in order; a last line that was cut short is left out."""
     with path.open("rb") as file:
         for line in file:
+            # A run that was killed may have cut the last line.
             if line.endswith(b"\n"):
                 yield decode(line)

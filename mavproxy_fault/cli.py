@@ -48,7 +48,9 @@ def parser(command: str = "") -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action="version", version=f"mavproxy-fault {__version__}")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    # Looking for plugins takes longer than a command of ours needs to start.
     adders = OURS if command in OURS else {**_registered(), **OURS}
+    # The order of the help; others' commands follow by name.
     for name in [*(n for n in ORDER if n in adders), *sorted(adders.keys() - set(ORDER))]:
         adders[name](commands)
     return top
@@ -66,13 +68,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = sys.argv[1:] if arguments is None else arguments
     chosen = parser(given[0] if given else "").parse_args(given)
     try:
+        # Commands return their exit code; whatever they raise besides a user's mistake stays loud.
         code: int = chosen.main(chosen)
     except ConfigError as error:
         print(f"mavproxy-fault: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
+        # 128 + SIGINT, as shells count.
         return 130
     except BrokenPipeError:
+        # The reader, `head` for example, has gone: Python would complain at exit.
         sys.stderr.close()
         return 0
     return code

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from analysis.autopilots.flight_plan import Waypoint
 
 WAYPOINT, LAND = 16, 21  # MAV_CMD_NAV_
-CHANGE_SPEED, GROUND_SPEED = 178, 1  # MAV_CMD_DO_CHANGE_SPEED and its param1
-GLOBAL_RELATIVE_INT = 6  # MAV_FRAME_
+CHANGE_SPEED, GROUND_SPEED, SAME_THROTTLE = 178, 1, -1  # MAV_CMD_DO_CHANGE_SPEED
+NO_PLACE, GLOBAL_RELATIVE_INT = 2, 6  # MAV_FRAME_MISSION, MAV_FRAME_
 Item = dict[str, float]
 
 
@@ -16,7 +16,7 @@ def along(waypoints: Sequence[Waypoint]) -> list[Item]:
     for waypoint in waypoints:
         if waypoint.speed_mps != speed_mps:
             speed_mps = waypoint.speed_mps
-            items.append({"command": CHANGE_SPEED, "param1": GROUND_SPEED, "param2": speed_mps})
+            items.append(change_speed(speed_mps))
         items.append(corner(waypoint))
     return items
 
@@ -25,6 +25,17 @@ def approach(waypoints: Sequence[Waypoint]) -> list[Item]:
     """The corners, the last of which is the ground to land on."""
     items = [corner(waypoint) for waypoint in waypoints]
     return [*items[:-1], {**items[-1], "command": LAND}]
+
+
+def change_speed(speed_mps: float) -> Item:
+    """How fast to go on; PX4 takes it in the frame of no place alone."""
+    return {
+        "frame": NO_PLACE,
+        "command": CHANGE_SPEED,
+        "param1": GROUND_SPEED,
+        "param2": speed_mps,
+        "param3": SAME_THROTTLE,
+    }
 
 
 def corner(waypoint: Waypoint) -> Item:

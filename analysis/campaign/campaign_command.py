@@ -14,6 +14,7 @@ from analysis.campaign.results.campaign_report import write_report
 from analysis.campaign.results.outcome_table import print_outcomes
 from mavproxy_fault.documents.errors import ConfigError
 
+# Rough: they only say whether it takes minutes or days.
 SPEED = 15.0  # simulated seconds a worker flies in one of wall time, before anything is known
 LANE_SPEED = 20_000.0
 
@@ -33,6 +34,7 @@ def main(args: argparse.Namespace) -> int:
     folder = Path(args.out) if args.out else new_folder(Path("runs"), campaign.name)
     keep = folder / "flights" if args.export or campaign.keep != "none" else None
     plan = Plan(campaign, keep)
+    # Before anything flies: with `--dry-run` this is the whole answer.
     print(size_of(plan, workers), flush=True)
     if args.dry_run:
         return 0
@@ -55,6 +57,7 @@ def fly(plan: Plan, folder: Path, workers: int, ray_address: str | None) -> None
     finally:
         fleet.close()
         ledger.close()
+        # Nothing known, nothing to write: the first flight may have been refused.
         if ledger.results:
             write_report(folder, plan)
             print_outcomes(folder, plan)
@@ -71,6 +74,7 @@ def new_folder(parent: Path, name: str) -> Path:
 def size_of(plan: Plan, workers: int) -> str:
     """What is about to be flown, and how long that may take."""
     campaign: CampaignFile = plan.campaign
+    # Twins are flights too, but no cells.
     flights, cells = plan.most_flights + len(plan.twins()), plan.most_cells
     speed = LANE_SPEED if campaign.compiled else SPEED
     wall_s = flights * plan.flight_s / speed / workers

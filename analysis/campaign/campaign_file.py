@@ -34,6 +34,7 @@ class Magnitudes(_Section, frozen=True):
     def __post_init__(self) -> None:
         if not self.low < self.high:
             raise ValueError(f"low = {self.low} is not below high = {self.high}; low < high")
+        # A logarithm needs a positive start.
         if self.spacing == "log" and self.low <= 0.0:
             raise ValueError(f"low = {self.low} is not positive; above 0, or spacing: linear")
         if self.count < 2:
@@ -47,6 +48,7 @@ class Magnitudes(_Section, frozen=True):
 
     def listed(self) -> list[float]:
         """All of them, rounded to four digits."""
+        # Four digits: names and keys stay short, and the same after a restart.
         return [float(f"{self.between(i / (self.count - 1)):.4g}") for i in range(self.count)]
 
 
@@ -90,8 +92,10 @@ class FaultChoice(_Section, frozen=True):
         if isinstance(self.magnitudes, Magnitudes):
             return self.magnitudes
         if not self.magnitudes:
+            # One magnitude only would be no interval.
             raise ValueError(f"{self.name}: magnitudes are missing; {{low: , high: }}")
         low, high = min(self.magnitudes), max(self.magnitudes)
+        # Logarithmic where it can be: effects of faults span decades.
         return Magnitudes(low=low, high=high, spacing="log" if low > 0.0 else "linear")
 
     def entry(self, magnitude: float | None, onset_s: float, duration_s: float) -> dict[str, Any]:
@@ -102,6 +106,7 @@ class FaultChoice(_Section, frozen=True):
                 entry[key] = getattr(self, key)
         if magnitude is not None:
             entry[self.sets] = magnitude
+        # Last, so that no further key can move the fault.
         return {**entry, "at_s": onset_s, "for_s": duration_s}
 
 
@@ -144,6 +149,7 @@ class CampaignFile(_Section, frozen=True):
         for onset in self.onsets:
             if isinstance(onset, str) and onset not in PHASES:
                 raise ValueError(f"onsets: {onset} is unknown; seconds or {', '.join(PHASES)}")
+        # Names are keys of results: two faults of one name would be one.
         ids = [fault.name for fault in self.faults]
         for name in ids:
             if ids.count(name) > 1:
@@ -183,8 +189,10 @@ def read_campaign(path: Path | str) -> CampaignFile:
     document = read_document(path)
     if not isinstance(document.data, dict):
         raise ConfigError(f"{path}: holds no keys; a campaign file is a YAML mapping")
+    # Scenarios lie beside the campaign's file.
     data = {**document.data, "folder": str(Path(path).parent)}
     campaign = decode(document._replace(data=data), CampaignFile)
+    # One way of flying in a campaign: the numbers of both would not compare.
     kinds = {isinstance(scenario, CompiledScenario) for scenario in campaign.scenarios}
     if len(kinds) > 1:
         raise ConfigError(f"{path}: scenarios mix compiled ones and files; one kind in a campaign")
@@ -194,6 +202,7 @@ def read_campaign(path: Path | str) -> CampaignFile:
         if isinstance(subject, str) and subject not in known:
             check.wrong(("subjects", i), f"= {subject} is unknown; {near(subject, known)}")
     check.finish()
+    # As a schedule's entry, at the first magnitude: errors come before the first flight.
     for i, fault in enumerate(campaign.faults):
         where = f"{path}:{document.lines.get(('faults', i), 1)}: faults[{i}]"
         parse_entry(fault.entry(fault.listed()[0], 0.0, 1.0), where)

@@ -50,6 +50,7 @@ class LocalFleet:
         self._limit_s = limit_s
         self._jobs: dict[int, Job] = {}
         self._done: queue.SimpleQueue[tuple[int, Future[Answer]]] = queue.SimpleQueue()
+        # Spawned: threads of the parent must not be copied.
         self._pool = ProcessPool(
             max_workers=workers, context=get_context("spawn"), initializer=_without_ctrl_c
         )
@@ -58,6 +59,7 @@ class LocalFleet:
         """Begin a job."""
         self._jobs[number] = job
         future = self._pool.schedule(answer, args=[job], timeout=self._limit_s)
+        # Called by a thread of the pool: a queue takes it over to ours.
         future.add_done_callback(lambda done: self._done.put((number, done)))
 
     def finished(self) -> tuple[int, Answer]:
@@ -66,6 +68,7 @@ class LocalFleet:
         job = self._jobs.pop(number)
         try:
             return number, future.result()
+        # A hung flight is a result like any other, or the campaign would never end.
         except TimeoutError:
             return number, failed(job, f"hung: not over after {self._limit_s:g} s")
         except ProcessExpired as dead:
@@ -90,6 +93,7 @@ class RayFleet:
     def __init__(self, address: str, limit_s: float) -> None:
         self._ray, self._mine = join_ray(address)
         self._limit_s = limit_s
+        # At least one, whatever the cluster says of itself now.
         self.capacity = AHEAD * max(1, int(self._ray.cluster_resources().get("CPU", 1)))
         # Retries of deaths without end; what a flight itself raises comes back as its answer.
         self._answer: Any = self._ray.remote(max_retries=-1)(_answered)
@@ -102,6 +106,7 @@ class RayFleet:
     def finished(self) -> tuple[int, Answer]:
         """Wait for the next answer."""
         while True:
+            # With a time-out, to look for flights that hang.
             done, _ = self._ray.wait(list(self._flying), num_returns=1, timeout=LOOK_S)
             if done:
                 number, _, _ = self._flying.pop(done[0])
@@ -131,6 +136,7 @@ def _answered(job: Job) -> Answer:
 
 
 def fleet_of(workers: int, ray_address: str | None, limit_s: float) -> Fleet:
+    # Named by the user: the cluster; else this machine.
     """The fleet that the command line asks for."""
     if ray_address is not None:
         return RayFleet(ray_address, limit_s)

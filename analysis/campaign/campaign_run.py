@@ -41,10 +41,12 @@ class CampaignRun:
                 return
             number, answer = self.fleet.finished()
             thread = in_air.pop(number)
+            # Kept before anything else: a kill after this loses nothing.
             self.ledger.add(answer.results, answer.flown)
             self.progress(answer.results)
             try:
                 job = thread.send(answer.results)
+            # The thread has its answer: its place is free for another.
             except StopIteration:
                 continue
             count += 1
@@ -67,6 +69,7 @@ class CampaignRun:
         while waiting or in_air:
             while waiting and len(in_air) < self.fleet.capacity:
                 key = waiting.pop(0)
+                # Negative, so that they cannot be mistaken for numbers of jobs.
                 number = -len(jobs) + len(waiting)
                 in_air[number] = key
                 self.fleet.start(number, jobs[key])
@@ -83,6 +86,7 @@ def twin_of(answer: Answer) -> Flown:
         If there was none.
     """
     if answer.flown is None:
+        # Without its twin nothing can be judged.
         first = answer.results[0]
         raise ConfigError(
             f"{first.cell.scenario}: {first.cell.subject} cannot be flown without a fault: "

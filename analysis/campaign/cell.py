@@ -26,6 +26,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def key(self) -> str:
         """What tells it from all other cells."""
+        # Nine digits tell any two magnitudes of a bisection apart.
         return "|".join((*self.series, "" if self.magnitude is None else f"{self.magnitude:.9g}"))
 
     @property
@@ -97,4 +98,5 @@ class Flown(msgspec.Struct, frozen=True):
 
 def key_of(*parts: Any) -> str:
     """A name for a file, made of parts."""
+    # Keys hold bars and slashes, which no file's name should.
     return "-".join("".join(c if c.isalnum() or c in "._" else "_" for c in str(p)) for p in parts)

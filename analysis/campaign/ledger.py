@@ -49,9 +49,11 @@ class Ledger:
         self.folder = folder
         written = msgspec.json.encode(campaign)
         known = folder / CAMPAIGN
+        # Bytes, not data: whatever differs makes it another campaign.
         if known.exists() and known.read_bytes() != written:
             raise ConfigError(f"--out {folder}: holds another campaign; name another folder")
         known.write_bytes(written)
+        # Aborted cells are flown again: the reason may be gone.
         self.results = {
             result.cell.key: result
             for result in read_lines(folder / CELLS, CellResult)
@@ -86,8 +88,10 @@ class Ledger:
 
 def open_whole(path: Path) -> FileIO:
     """A file to append lines to, without the part of a line that a kill left at its end."""
+    # Read and append: the cut line goes, the rest stays.
     file = FileIO(path, "a+")
     file.seek(0)
+    # -1 + 1 where there is no line: the file is emptied.
     file.truncate(file.read().rfind(b"\n") + 1)
     return file
 
@@ -97,6 +101,7 @@ def read_lines(path: Path, kind: type[T]) -> list[T]:
     if not path.is_file():
         return []
     decoder = msgspec.json.Decoder(kind)
+    # A kill may have cut the last line.
     lines = path.read_bytes().splitlines(keepends=True)
     return [decoder.decode(line) for line in lines if line.endswith(b"\n")]
 

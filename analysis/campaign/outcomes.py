@@ -56,6 +56,7 @@ def judged(
     """The outcome of a cell from what its flight and its twin showed."""
     angle = excursion(flight, twin, ATTITUDE, onset_s)
     flown = PATH[0] in flight.curves
+    # By its place where that is known; an estimator moves nothing and is judged by its error.
     place = off_path(flight, twin, onset_s) if flown else excursion(flight, twin, POSITION, onset_s)
     excursion_deg, excursion_m = (float(c[1].max()) if len(c[1]) else None for c in (angle, place))
     # What the healthy twin shows too is not the fault's doing.
@@ -77,6 +78,7 @@ def judged(
         excursion_m=excursion_m,
         detected_s=None if detected is None else detected.t_s - onset_s,
         detected_by="" if detected is None else detected.text,
+        # Recovered only when all that was beyond its limit is back.
         recovery_s=max(recoveries) if recoveries and None not in recoveries else None,  # type: ignore[type-var]
         failsafe="" if failsafe is None else failsafe.text,
         failsafe_s=None if failsafe is None else failsafe.t_s - onset_s,
@@ -85,11 +87,13 @@ def judged(
 
 def outcome_of(excursion_deg: float, excursion_m: float, kinds: set[str], limits: Limits) -> str:
     """The worst that happened."""
+    # Marks of a kind that is itself an outcome.
     happened = kinds & set(RANKS)
     if excursion_deg > limits.attitude_deg or excursion_m > limits.position_m:
         happened.add("degraded")
     if excursion_deg > limits.lost_deg or excursion_m > limits.lost_m:
         happened.add("lost")
+    # Nothing happened, or only what has no rank.
     return max(happened, key=rank, default="unaffected")
 
 
@@ -98,6 +102,7 @@ def excursion(flight: Evidence, twin: Evidence, name: str, onset_s: float) -> tu
     if name not in flight.curves or name not in twin.curves:
         return np.empty(0), np.empty(0)
     t_s, value = _arrays(flight.curves[name])
+    # The outcome counts from the onset on.
     later = t_s >= onset_s
     t_s, value = t_s[later], value[later]
     # The twin flies the same seed: what differs is the fault alone.
@@ -119,8 +124,10 @@ def _arrays(curve: Curve) -> tuple[Vector, Vector]:
 def recovery_s(t_s: Vector, beyond: Vector, limit: float, ends_s: float) -> float | None:
     """Seconds from the fault's end until the excursion stays within the limit; None if never."""
     outside = np.flatnonzero(beyond > limit)
+    # Still outside at the end.
     if outside[-1] == len(t_s) - 1:
         return None
+    # At least zero: it may have been back before the fault ended.
     return max(0.0, float(t_s[outside[-1] + 1]) - ends_s)
 
 

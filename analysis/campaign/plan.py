@@ -47,6 +47,7 @@ class Plan:
     @property
     def most_flights(self) -> int:
         """How many flights those are, without the twins."""
+        # A flight that is shared answers for all its subjects.
         return self.most_cells // (len(self.subjects) if self._shared else 1)
 
     @property
@@ -75,6 +76,7 @@ class Plan:
     def twins(self) -> dict[str, FlightJob]:
         """The flights without a fault, by key."""
         if self.campaign.compiled:
+            # Compiled batches fly their twin along.
             return {}
         found = {}
         for group, scenario, seed in product(self._groups(), self.scenarios, self.campaign.seeds):
@@ -89,6 +91,7 @@ class Plan:
     def twin_key(self, cell: Cell) -> str:
         """What a cell's twin is known by; subjects that share flights share it."""
         subject = self.subjects[0] if self._shared else cell.subject
+        # The first subject stands for all that share the flight.
         return f"{subject}|{cell.scenario}|{cell.seed}"
 
     def _folder(self, cell: Cell) -> str | None:
@@ -134,6 +137,7 @@ class Plan:
     def _lanes(self, known: Results) -> Iterator[Thread]:
         """Compiled batches: cells that differ in magnitude, onset and duration."""
         cells = (cell for group in self._grid() for cell in group if cell.key not in known)
+        # `groupby` wants equals side by side.
         alike = sorted(cells, key=_batch)
         for _, batch in groupby(alike, key=_batch):
             listed = tuple(batch)
@@ -157,6 +161,7 @@ class Plan:
                 if result is None:
                     (result,) = yield self._job((cell,), twins)
                 if result.outcome == "aborted":
+                    # Without an answer the bisection cannot choose a side.
                     return
                 magnitude = search.send(self.campaign.limits.worse(result.outcome))
         except StopIteration:
@@ -173,6 +178,7 @@ class Plan:
                     result := known.get(with_(series, magnitude, series.subject).key)
                 ) is not None:
                     magnitude = search.send(self.campaign.limits.worse(result.outcome))
+            # The generator's return value is what it found.
             except StopIteration as over:
                 found[series.series] = over.value
         return found

@@ -51,6 +51,7 @@ def calibrate(samples: Iterable[Sample], config: DetectorConfig) -> Calibration:
         If there are fewer than 60 epochs that can be tested.
     """
     kept = list(samples)
+    # What the recording is fitted with remembers nothing; `slow` is put back at the end.
     wanted, config = config, _memoryless(config)
     rows, decisions, rates = _pass(kept, config)
     if len(decisions) < EPOCHS_MIN:
@@ -58,14 +59,17 @@ def calibrate(samples: Iterable[Sample], config: DetectorConfig) -> Calibration:
             f"calibrate: {len(decisions)} epochs can be tested; at least {EPOCHS_MIN} are needed"
         )
     shaped = _shape(rows, config.sigma)
+    # The second pass weighs with the fitted shape: only a scale is left to find.
     _, decisions, _ = _pass(kept, replace(config, sigma=shaped))
     ratio = _per_dof(decisions)
     scaled = replace(shaped, scale=shaped.scale * float(np.sqrt(ratio)))
     if rates:
         dof = float(np.median([dof for _, dof in rates]))
+        # The median of chi-square: outliers of the rates do not move it.
         expected = float(chdtri(dof, 0.5))
         measured = float(np.median([statistic for statistic, _ in rates]))
         factor = float(np.sqrt(measured / expected))
+        # A floor: no receiver's rates are better than that for long.
         scaled = replace(scaled, rate_mps=max(config.sigma.rate_mps * factor, 0.02))
     _, decisions, _ = _pass(kept, replace(config, sigma=scaled))
     return Calibration(replace(scaled, slow=wanted.sigma.slow), len(decisions), _per_dof(decisions))
@@ -91,6 +95,7 @@ def _pass(
     for sample in samples:
         results, state = detector.step(sample, state)
         for result in results:
+            # Alarmed epochs hold what is no noise.
             if isinstance(result, Decision) and result.parity_dof and not result.alarm:
                 decisions.append(result)
                 if isinstance(sample, Epoch):
@@ -106,6 +111,7 @@ def _residuals(epoch: Epoch, state: State, config: DetectorConfig) -> Vector:
     if observed is None or core.motion is None:
         return np.empty((3, 0))
     modelled = model(observed, core.motion.x, config.sigma, core.ionosphere)
+    # Satellites that were excluded are no noise either.
     keep = np.array([name not in core.excluded for name in observed.satellites])
     keep &= modelled.elevation_rad >= np.radians(config.mask_deg)
     keep &= np.abs(modelled.v_m) < OUTLIER * np.sqrt(modelled.variance)
@@ -115,10 +121,12 @@ def _residuals(epoch: Epoch, state: State, config: DetectorConfig) -> Vector:
 def _shape(rows: list[Vector], before: SigmaModel) -> SigmaModel:
     """The model's three terms from squared residuals, by least squares without negative terms."""
     table = np.hstack(rows)
+    # 45 dBHz where C/N0 is not given, as the model itself does.
     cn0 = np.where(np.isfinite(table[2]), table[2], 45.0)
     terms = np.column_stack(
         [
             np.ones(table.shape[1]),
+            # 0.05 rad keeps the term finite at the horizon, as in the model.
             np.sin(np.maximum(table[1], 0.05)) ** -2.0,
             10.0 ** ((45.0 - cn0) / 10.0),
         ]
@@ -126,10 +134,12 @@ def _shape(rows: list[Vector], before: SigmaModel) -> SigmaModel:
     # a squared residual's own spread is its mean: weigh by the model so far
     weight = 1.0 / before.sigma_m(table[1], table[2]) ** 2
     found, _ = nnls(terms * weight[:, None], table[0] ** 2 * weight)
+    # Coefficients are variances.
     floor, zenith, thermal = np.sqrt(found)
     return replace(
         before,
         scale=1.0,
+        # A floor of zero would trust a strong satellite in the zenith without limit.
         floor_m=max(float(floor), FLOOR_M),
         zenith_m=float(zenith),
         thermal_m=float(thermal),
@@ -145,6 +155,7 @@ class SigmaFile(msgspec.Struct, frozen=True):
 def write_sigma(path: Path, calibration: Calibration) -> None:
     """The sigma model as YAML, as the `sigma` of a monitor's configuration."""
     numbers = msgspec.structs.asdict(calibration.sigma).items()
+    # Four digits: what a recording can tell.
     text = write_yaml({"sigma": {name: round(value, 4) for name, value in numbers}})
     made = f"{calibration.epochs} epochs, chi-square per dof {calibration.chi_square_per_dof:.3f}"
     path.write_text(f"# Pseudorange noise fitted to a clean recording: {made}\n{text}")

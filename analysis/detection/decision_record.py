@@ -20,6 +20,7 @@ def decision(
     """The decision on a tested epoch; `late` says that a fault was found by its past."""
     motion, slow, dof = core.motion, outcome.slow, outcome.parity_dof
     onsets = [entry.onset_us for entry in core.excluded.values()]
+    # A fault found by its past is one of satellites, also where this epoch passed.
     hypothesis = "satellites" if late and outcome.hypothesis == "none" else outcome.hypothesis
     return Decision(
         t_s=epoch.t_us * 1e-6,
@@ -34,11 +35,13 @@ def decision(
         satellites=outcome.names + outcome.excluded,
         residual_m=tuple(outcome.residual_m),
         normalised=tuple(outcome.normalised),
+        # The newest onset: older exclusions were told before.
         onset_s=max(onsets) * 1e-6 if onsets else None,
         probabilities=dict(outcome.probabilities),
         position_ecef_m=_position(motion) if motion is not None else None,
         position_sigma_m=_sigma(motion) if motion is not None else None,
         mode="inertial" if motion is not None and motion.inertial else "free",
+        # Without a degree of freedom there is no test: zeros, not NaN.
         parity_statistic=outcome.parity if dof else 0.0,
         parity_threshold=chi_square(dof, config.p_false_alarm) if dof else 0.0,
         parity_dof=dof,
@@ -65,6 +68,7 @@ def started(epoch: Epoch, observed: Observed, begun: Start, core: Core) -> Decis
         position_ecef_m=_position(motion),
         position_sigma_m=_sigma(motion),
         mode="start",
+        # One degree of freedom finds a fault, but not whose it is.
         reason="" if begun.dof > 1 else "a start with 1 degree of freedom: it tests little",
     )
 
@@ -89,6 +93,7 @@ def imu_results(epoch: Epoch, outcome: Outcome, config: DetectorConfig) -> list[
     """What the epoch says of the IMU: silence, and the test of the velocity it predicts."""
     silent = outcome.gap_s > config.gap_s
     faulty = silent or outcome.imu_blamed
+    # Silence is told even without rates to test.
     if not outcome.was_inertial or (outcome.rate is None and not faulty):
         return []
     return [

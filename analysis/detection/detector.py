@@ -51,6 +51,7 @@ class Detector:
         """Decisions that a block of samples, or a single one, allows, and the next state."""
         results: list[Result] = []
 
+        # Asked for each fix: whether it is needed may change within a block.
         def wanted(t_us: int) -> bool:
             return self.wants_fix(state.core, t_us)
 
@@ -65,16 +66,19 @@ class Detector:
         if len(piece.ids):
             number = core.imu_id
             if number is None:
+                # The first IMU that speaks stays the one that is used.
                 number = int(piece.ids[0])
                 core = core._replace(imu_id=number)
             pending = keep_pending(piece.of_imu(number), pending)
         if piece.mag >= 0:
+            # A copy: the block's memory is not kept alive for one row.
             mag_b = piece.block.values[piece.mag, :3].copy()
         state = State(core, pending, mag_b)
         if piece.kind == FIX and self.wants_fix(core, piece.t_us):
             fix = piece.event
             assert isinstance(fix, GpsFix)
             return step_position(fix, state, self.config)
+        # Samples of other kinds are no event of the detector's.
         if piece.kind < EPOCH:
             return [], state
         event = piece.event
@@ -98,6 +102,7 @@ class Detector:
     def _epoch(self, epoch: Epoch, state: State) -> tuple[list[Result], State]:
         core, pending, mag_b = state
         chosen = core.chosen
+        # The choice of ephemerides holds for a while; it is made anew when the sky changes.
         if chosen is None or not chosen.serves(epoch):
             chosen = choose(epoch, core.ephemerides, self.config.systems)
             core = core._replace(chosen=chosen)
@@ -112,20 +117,24 @@ class Detector:
         motion = core.motion
         if motion is not None:
             since_us = epoch.t_us - motion.t_us
+            # A small step back is a late epoch; a large one is a new start of the clock.
             if -reset_us < since_us <= 0:
                 reason = f"time went back by {-since_us * 1e-6:.3f} s"
                 return [untestable(epoch.t_us, reason, core.excluded)], state
             alone_us = epoch.t_us - _fed_us(core)
+            # Gone back further: nothing known of before holds.
             if since_us <= 0:
                 core = _forgotten(core)
             elif alone_us > reset_us:
                 core = _interrupted(core, alone_us, self.config)
             motion = core.motion
+        # Before the start too: samples of the past must not move a new filter.
         run, pending = split_pending(pending, epoch.t_us)
         if motion is None:
             results, core = self._start(epoch, observed, core)
             return results, State(core, pending, mag_b)
         history = core.history
+        # Taken out while the epoch is judged: records must not hold each other.
         core = core._replace(history=(), mag_b=mag_b)
         results, core = self._test(epoch, observed, run, core, history)
         return results, State(core, pending, mag_b)
@@ -163,6 +172,7 @@ class Detector:
         config = self.config
         run_before = history[-1].run if history else None
         outcome = judge_epoch(epoch.t_us, observed, run, core, config, run_before)
+        # One in, one out: the history stays as long as `history_s`.
         if history and history[0].t_us < epoch.t_us - config.history_s * 1e6:
             history = history[1:]
         history = (*history, Record(epoch.t_us, core, observed, run))
@@ -170,6 +180,7 @@ class Detector:
         if late:
             outcome = self._repaired(outcome, late, history)
             history = outcome.core.history
+        # Without a filter there is nothing to repair.
         core = outcome.core._replace(history=history if outcome.core.motion else ())
         if outcome.reason:
             return [untestable(epoch.t_us, outcome.reason, core.excluded)], core
@@ -195,6 +206,7 @@ class Detector:
 
         The verdict stays the one of `outcome`; the filter, its ramp tests and its history are new.
         """
+        # From the earliest onset on, every epoch is contaminated.
         since_us = min(late.values())
         kept = tuple(record for record in history if record.t_us <= since_us)
         again = history[len(kept) :]
@@ -209,12 +221,14 @@ class Detector:
         core = core._replace(excluded=excluded)
         replayed = list(kept)
         for record in again:
+            # The replay may lose the filter where the original did not: what is kept ends there.
             if core.motion is None:
                 break
             t_us, observed, run = record.t_us, record.observed, record.run
             run_before = replayed[-1].run if replayed else None
             replayed.append(Record(t_us, core, observed, run))
             core = judge_epoch(t_us, observed, run, core, self.config, run_before).core
+        # What the replay found wins over what was known.
         excluded = {**outcome.core.excluded, **core.excluded}
         core = core._replace(excluded=excluded, history=tuple(replayed), chosen=outcome.core.chosen)
         return outcome._replace(core=core)
@@ -252,8 +266,10 @@ def _interrupted(core: Core, gap_us: int, config: DetectorConfig) -> Core:
 def _spaced(core: Core, gap_us: int) -> Core:
     """The core with the time between epochs, once two gaps running are the same."""
     spacing_us = core.spacing_us
+    # Compared with the known spacing first: the usual case changes nothing.
     if abs(gap_us - spacing_us) <= SAME_SPACING * spacing_us:
         return core
+    # Two gaps running: a single missing epoch is no new spacing.
     if abs(gap_us - core.gap_us) <= SAME_SPACING * gap_us:
         spacing_us = min(gap_us, SPACING_MAX_US)
     return core._replace(spacing_us=spacing_us, gap_us=gap_us)
@@ -271,7 +287,9 @@ def _learn(core: Core, sample: EphemerisSample) -> Core:
     if same_time and stored[at][0] == ephemeris:
         return core
     packed = pack_ephemeris(ephemeris)
+    # The oldest go first.
     kept = (*stored[:at], (ephemeris, packed), *stored[at + same_time :])[-EPHEMERIDES_KEPT:]
+    # A new ephemeris voids the choice.
     return core._replace(ephemerides={**core.ephemerides, ephemeris.satellite: kept}, chosen=None)
 
 

@@ -60,4 +60,5 @@ def imu_bad_until_us(core: Core, blamed: bool, t_us: int, config: DetectorConfig
     if blamed:
         return t_us + round(config.imu_hold_s * 1e6)
     until_us = core.imu_bad_until_us
+    # Its time is over: it is trusted again.
     return None if until_us is not None and t_us >= until_us else until_us

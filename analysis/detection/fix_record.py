@@ -30,6 +30,7 @@ def fix_decision(
         t_us=fix.t_us,
         statistic=position.statistic if position else None,
         threshold=position.threshold if position else None,
+        # Three components of the position.
         dof=3 if position else 0,
         p_value=p_value(position.statistic, 3) if position else None,
         alarm=alarm,
@@ -56,6 +57,7 @@ def fix_sensors(
 ) -> list[Result]:
     """The same in the form of the other sensors' verdicts, and a silent IMU."""
     results: list[Result] = []
+    # A receiver once excluded is blamed for what still fails.
     blamed = hypothesis == "gps" or RECEIVER in core.excluded
     for sensor, part in (("gps-position", position), ("gps-velocity", velocity)):
         if part is not None:
@@ -78,6 +80,7 @@ def fix_sensors(
                 t_s=fix.t_us * 1e-6,
                 t_us=fix.t_us,
                 sensor="imu",
+                # Silent: there was nothing to test.
                 statistic=velocity.statistic if velocity and not silent else None,
                 threshold=velocity.threshold if velocity and not silent else None,
                 dof=len(velocity.v) if velocity and not silent else 0,

@@ -9,6 +9,7 @@ from analysis.report.page.page_parts import Table
 from analysis.report.page.panels import CHECKS
 from analysis.report.recordings.recording import Recording, Signal
 
+# Two autopilots can differ in a thousand parameters: a longer table would drown the page.
 ROWS_SHOWN = 300
 
 
@@ -22,6 +23,7 @@ def overlaid(outcome: Outcome, others: Sequence[Outcome]) -> Recording:
     signals = list(recording.signals)
     notes = list(recording.notes)
     tracks = list(recording.tracks)
+    # A panel that only the other flight has would show a curve with nothing to compare it to.
     panels = {signal.panel for signal in recording.signals}
     for compared in others:
         theirs = compared.flight.recording
@@ -47,6 +49,7 @@ def _shift(recording: Recording, compared: Recording) -> tuple[float, str]:
         )
         for r in (recording, compared)
     ]
+    # Both or neither: one flight's arming against another's first byte would be no common time.
     if armed[0] is not None and armed[1] is not None:
         return armed[0] - armed[1], "armed at the same time"
     return 0.0, "begun at the same time"
@@ -58,11 +61,13 @@ def comparison_tables(outcome: Outcome, others: Sequence[Outcome]) -> list[tuple
     names = [one.flight.recording.name for one in every]
     tables = [(CHECKS, _checks(every, names))]
     histories = [one.flight.recording.parameters for one in every]
+    # `all`: a log without parameters would make every parameter seem to differ.
     if all(histories):
         keys = sorted(set().union(*histories))
         rows = []
         for key in keys:
             values = [_last(history.get(key)) for history in histories]
+            # As text of seven digits, which is what float32 holds of a parameter.
             if len(set(values)) > 1:
                 rows.append((key, *values))
         note = f"{len(rows)} of {len(keys)} parameters differ."
@@ -84,6 +89,7 @@ def _checks(every: Sequence[Outcome], names: Sequence[str]) -> Table:
     rows = []
     for name in dict.fromkeys(name for checks in by_name for name in checks):
         found = [checks.get(name) for checks in by_name]
+        # A check that no flight could be judged by says nothing side by side.
         if all(check is None or check.verdict == NONE for check in found):
             continue
         cells: list[str | tuple[str, str]] = [

@@ -20,6 +20,7 @@ from analysis.results import encode, read_results
 from mavproxy_fault.wire import tlog
 
 Table = dict[str, NDArray[Any]]
+# The log's own time column by kind of log: tlog, ULog, DataFlash; the first that is there counts.
 TIMES = ("t_us", "timestamp", "TimeUS")
 
 
@@ -55,6 +56,7 @@ def tables_of(path: Path, *, with_results: bool = True) -> Iterator[tuple[str, T
         if with_results:
             yield from _result_tables(path / "results.jsonl")
         return
+    # Kinds are told by their first bytes, not by the ending: logs are often renamed.
     with path.open("rb") as file:
         head = file.read(16)
     if is_dataflash(head):
@@ -73,6 +75,7 @@ def _flat(rows: NDArray[np.void]) -> Table:
     table: Table = {}
     for name in rows.dtype.names or ():
         column = rows[name]
+        # CSV and Parquet have no array cells that every tool reads, so each element gets a column.
         if column.ndim == 1:
             table[name] = column
         else:
@@ -84,6 +87,7 @@ def _result_tables(path: Path) -> Iterator[tuple[str, Table]]:
     """Numbers and words of the results by kind; lists stay in results.jsonl."""
     if not path.is_file():
         return
+    # Results of one kind share their fields, so the first one of a kind stands for all.
     kinds: dict[str, list[Any]] = {}
     for result in read_results(path):
         kinds.setdefault(type(result).__name__, []).append(result)
@@ -107,6 +111,7 @@ def _write_csv(path: Path, table: Table) -> None:
 def _python_values(column: NDArray[Any]) -> list[Any]:
     """Python values; bytes as text."""
     if column.dtype.kind == "S":
+        # MAVLink text ends at the first NUL, or fills the field without one.
         return [value.split(b"\0", 1)[0].decode("utf-8", "replace") for value in column.tolist()]
     return list(column.tolist())
 
@@ -117,6 +122,8 @@ def _write_parquet(path: Path, table: Table) -> None:
 
     arrays = {
         name: pa.array(
+            # Fields of a record array lie apart in memory; Arrow copies only what is contiguous at
+            # once.
             _python_values(column) if column.dtype.kind == "S" else np.ascontiguousarray(column)
         )
         for name, column in table.items()
@@ -144,10 +151,12 @@ def _write_channel(writer: Any, name: str, table: Table) -> None:
     channel = writer.register_channel(f"/{name}", "json", schema_id)
     time = next((key for key in TIMES if key in table), None)
     columns = [_python_values(column) for column in table.values()]
+    # MCAP counts in nanoseconds; a table without a time (parameters, formats) stands at zero.
     stamps = table[time].astype(np.int64) * 1000 if time else np.zeros(len(columns[0]), np.int64)
     for stamp, row in zip(stamps.tolist(), zip(*columns, strict=True), strict=True):
         values = {key: _finite(value) for key, value in zip(table, row, strict=True)}
         data = json.dumps(values, allow_nan=False).encode()
+        # MCAP stamps are unsigned: a clock set back below zero would not fit.
         writer.add_message(channel, log_time=max(stamp, 0), data=data, publish_time=max(stamp, 0))
 
 

@@ -11,6 +11,7 @@ from analysis.report.page.series_colours import PALETTE, series_colours
 from analysis.report.recordings.recording import Recording, Track
 
 FORMS = ("kml", "geojson")
+# Longer lines make map programs slow.
 POINTS = 20_000  # of a track at the most
 
 
@@ -36,6 +37,7 @@ def _lines(recording: Recording) -> Iterator[tuple[str, str, Track]]:
             continue
         for track in recording.tracks:
             inside = (track.t_s >= span.start_s) & (track.t_s <= span.end_s)
+            # A line needs two points; a fault shorter than two fixes has no stretch to draw.
             if inside.sum() > 1:
                 name = f"{span.lane.removeprefix('injected: ')} on {track.name}"
                 columns = (track.t_s, track.lat_deg, track.lon_deg, track.alt_m)
@@ -44,6 +46,7 @@ def _lines(recording: Recording) -> Iterator[tuple[str, str, Track]]:
 
 
 def _thin(track: Track) -> Track:
+    # Rounded up, so that the thinned track never exceeds POINTS.
     step = -(-len(track.t_s) // POINTS)
     columns = (track.t_s, track.lat_deg, track.lon_deg, track.alt_m)
     return Track(track.name, *(column[::step] for column in columns))
@@ -59,12 +62,16 @@ def _write_kml(path: Path, name: str, lines: list[tuple[str, str, Track]]) -> No
         ET.SubElement(mark, "name").text = label
         style = ET.SubElement(ET.SubElement(mark, "Style"), "LineStyle")
         red, green, blue = colour[1:3], colour[3:5], colour[5:7]
+        # ff: opaque. KML's order of bytes is the reverse of CSS's `#rrggbb`.
         ET.SubElement(style, "color").text = f"ff{blue}{green}{red}"
         ET.SubElement(style, "width").text = "3"
         line = ET.SubElement(mark, "LineString")
+        # The heights are above mean sea level; the default would drape the line over the ground.
         ET.SubElement(line, "altitudeMode").text = "absolute"
         ET.SubElement(line, "coordinates").text = " ".join(
-            f"{lon:.7f},{lat:.7f},{alt:.2f}" for lon, lat, alt in _places(track)
+            # 1e-7 degree is MAVLink's own step of a position, about a centimetre.
+            f"{lon:.7f},{lat:.7f},{alt:.2f}"
+            for lon, lat, alt in _places(track)
         )
     ET.indent(root)
     ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
@@ -86,6 +93,7 @@ def _write_geojson(path: Path, lines: list[tuple[str, str, Track]]) -> None:
 
 def _places(track: Track) -> list[list[float]]:
     """Longitude, latitude and height of each place; a height that is unknown is zero."""
+    # JSON has no NaN, and all places of a line shall have the same length.
     alt_m = np.nan_to_num(track.alt_m).round(2)
     columns = (track.lon_deg.round(7), track.lat_deg.round(7), alt_m)
     places: list[list[float]] = np.column_stack(columns).tolist()

@@ -41,11 +41,15 @@ def report_folder(folder: Path, args: argparse.Namespace) -> int:
     """
     out = Path(args.out) if args.out else Path(f"{folder.resolve().name}-report")
     logs = {
-        str(path.relative_to(folder)): path for path in _logs(folder) if out not in path.parents
+        # A report folder inside the folder of logs would otherwise be taken for logs the next time.
+        str(path.relative_to(folder)): path
+        for path in _logs(folder)
+        if out not in path.parents
     }
     if not logs:
         known = ", ".join(LOGS)
         raise ConfigError(f"{folder}: no logs in the folder; it may hold {known}, or run folders")
+    # Before any work: what an earlier call reported and has not changed since is not read again.
     before = _index(out / "index.json")
     marks = {name: _mark(path, args) for name, path in logs.items()}
     rows = {name: before[name]["row"] for name in logs if _is_known(before.get(name), marks[name])}
@@ -57,6 +61,7 @@ def report_folder(folder: Path, args: argparse.Namespace) -> int:
         _write(out, folder, {name: {"mark": marks[name], "row": rows[name]} for name in rows})
     print(f"{len(rows)} flights, {len(new)} of them new: {out / 'index.html'}")
     verdicts = {row["verdict"] for row in rows.values()}
+    # Unreadable outranks failed: the exit code must not hide that something was not judged.
     return 2 if UNREADABLE in verdicts else int("FAIL" in verdicts)
 
 
@@ -69,6 +74,7 @@ def _logs(folder: Path) -> Iterator[Path]:
         if path.is_dir():
             yield from _logs(path)
         else:
+            # `flight.bin.gz` is a DataFlash log: the inner ending decides.
             inner = path.with_suffix("") if path.suffix.lower() in PACKED else path
             if inner.suffix.lower() in LOGS:
                 yield path
@@ -77,6 +83,7 @@ def _logs(folder: Path) -> Iterator[Path]:
 def _mark(path: Path, args: argparse.Namespace) -> list[Any]:
     """What a report depends on: the file as it is now, and the options."""
     files = [path] if path.is_file() else [p for p in sorted(path.iterdir()) if p.is_file()]
+    # Size and time of change instead of a digest: a fleet's logs are gigabytes.
     stats = [(file.stat().st_size, file.stat().st_mtime_ns) for file in files]
     criteria = Path(args.criteria).read_text("utf-8") if args.criteria else ""
     return [[list(stat) for stat in stats], criteria, args.data]
@@ -86,6 +93,7 @@ def _index(path: Path) -> Mapping[str, Any]:
     try:
         found: Mapping[str, Any] = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError):
+        # A missing or broken index only costs time: everything is reported anew.
         return {}
     return found
 
@@ -103,6 +111,7 @@ def _reported(
 
     # `spawn`: a fork would copy locks of threads that do not run in the child.
     context = multiprocessing.get_context("spawn")
+    # At least one worker: the pool refuses none, also when nothing is new.
     with ProcessPoolExecutor(min(len(logs) or 1, os.cpu_count() or 1), context) as pool:
         jobs = {pool.submit(_report, path, out, name, args): name for name, path in logs.items()}
         bar = Console(stderr=True)
@@ -115,12 +124,15 @@ def _reported(
 
 def _report(path: Path, out: Path, name: str, args: argparse.Namespace) -> Row:
     """One report, in a process of its own; a row of the index."""
+    # Imported in the child, since the command itself imports this module.
     from analysis.report.report_command import report_on
 
+    # One level of folders: `a/b.ulg` becomes `a-b.ulg`, so that links need no `..`.
     folder = out / name.replace(os.sep, "-")
     try:
         outcome = report_on(path, folder, args)
     except ConfigError as error:
+        # A log that cannot be read is a row of the index, not the end of the fleet.
         words = {"verdict": UNREADABLE, "worst": [str(error)]}
         return {"name": name, "report": "", "duration_s": None, "autopilot": ""} | words
     bad = [check for check in outcome.checks if check.verdict in ("WARN", "FAIL")]
@@ -138,6 +150,7 @@ def _report(path: Path, out: Path, name: str, args: argparse.Namespace) -> Row:
 
 def _write(out: Path, folder: Path, index: Mapping[str, Any]) -> None:
     out.mkdir(parents=True, exist_ok=True)
+    # Written whole each time; the rows are small beside the reports.
     (out / "index.json").write_text(json.dumps(index, indent=1), encoding="utf-8")
     rows = [index[name]["row"] for name in sorted(index)]
     title = f"Flights of {folder.resolve().name}"

@@ -31,8 +31,10 @@ def main(args: argparse.Namespace) -> int:
     from being reported. A folder of logs gets an index page.
     """
     first = Path(args.logs[0])
+    # A run's folder is one flight although it is a folder.
     if len(args.logs) == 1 and first.is_dir() and not is_run_folder(first):
         return report_folder(first, args)
+    # Packed logs are unpacked here and read before the folder goes away.
     with tempfile.TemporaryDirectory() as unpacked:
         return _report_each(args, Path(unpacked))
 
@@ -41,6 +43,7 @@ def _report_each(args: argparse.Namespace, unpacked: Path) -> int:
     thresholds = read_thresholds(args.criteria)
     labels = _labels(args.labels)
     against = [log_file(Path(log), unpacked) for log in args.against]
+    # Labels belong to the flights that are reported, not to those they are compared with.
     others = [judged(read_flight([log], ()), thresholds) for log in against]
     paths, unreadable = log_files([Path(log) for log in args.logs], unpacked)
     flights = group(paths)
@@ -49,6 +52,7 @@ def _report_each(args: argparse.Namespace, unpacked: Path) -> int:
         folder = _folder(args.out, flight_paths, len(args.logs) > 1 and len(flights) > 1)
         try:
             outcome = judged(read_flight(flight_paths, labels), thresholds)
+        # A single flight's error is the command's error; among several it must not stop the rest.
         except ConfigError as error:
             if len(flights) == 1:
                 raise
@@ -71,6 +75,7 @@ def report_on(path: Path, folder: Path, args: argparse.Namespace) -> Outcome:
     ConfigError
         If the log cannot be read.
     """
+    # Only packed logs need the folder, but unpacking and reading must share its life.
     with tempfile.TemporaryDirectory() as unpacked:
         log = log_file(path, Path(unpacked))
         outcome = judged(read_flight([log], ()), read_thresholds(args.criteria))
@@ -85,6 +90,7 @@ def _write_more(
 ) -> None:
     """What is written only when asked for: figures, tables, tracks, PDF."""
     recording = outcome.flight.recording
+    # Matplotlib, Arrow and browsers load slowly: only what was asked for is imported.
     if args.figures:
         from analysis.report.page.figures import write_figures
 
@@ -95,6 +101,7 @@ def _write_more(
         from analysis.report.export import export
 
         export(paths, folder / "export", args.export)
+    # Last, since the browser prints the page that was just written.
     if args.pdf:
         write_pdf(folder / "report.html")
 
@@ -113,6 +120,7 @@ def _labels(path: str | None) -> list[Label]:
 def _folder(out: str | None, paths: Sequence[Path], several: bool) -> Path:
     stem = paths[0].stem if paths[0].is_file() else paths[0].resolve().name
     folder = Path(out) if out else Path(f"{stem}-report")
+    # With `--out` and several flights, each needs its own folder, else the last one would win.
     if out and several:
         folder = folder / stem
     try:

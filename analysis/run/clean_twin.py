@@ -24,7 +24,9 @@ BATCH_BYTES = 32_768
 def start_twin(setup: Setup, folder: Path) -> BaseProcess:
     """Begin to fly the twin in a process of its own, into a folder inside the run's."""
     own = folder / FOLDER
+    # Made here, before the process: a folder that cannot be made is the run's error.
     own.mkdir()
+    # Spawned: a fork would copy threads and their locks.
     process = multiprocessing.get_context("spawn").Process(
         target=fly_twin, args=(setup, own), daemon=True
     )
@@ -46,6 +48,7 @@ def fly_twin(setup: Setup, folder: Path) -> None:
                 file.write(monitor.push_bytes([bytes(batch)], datagrams=False))
                 recorder.write(flight.tape, flight.drain_labels())
                 batch.clear()
+        # The last portion, and what the faults' end still sends.
         batch += flight.finish().monitor
         file.write(monitor.push_bytes([bytes(batch)], datagrams=False))
     recorder.write(flight.tape, flight.drain_labels())

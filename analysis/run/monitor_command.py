@@ -27,6 +27,7 @@ from mavproxy_fault.links.bus import open_run_bus
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.wire.label import Label, read_labels
 
+# NO VERDICT is no failure: nothing was asked, or nothing could be judged.
 EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 
 Deliver = Callable[[list[Result]], None]
@@ -37,6 +38,7 @@ def main(args: argparse.Namespace) -> int:
     config, criteria = settings(args.scenario, args.sigma)
     if args.calibrate is not None:
         return calibrate_to(Path(args.calibrate), args, config)
+    # On a link the proxy writes the labels meanwhile: they are read at the end.
     if args.link is None:
         read_known(args.labels)  # a wrong name is told before the work, not after
     folder = make_folder(args.out, "monitor") if args.out else None
@@ -57,6 +59,7 @@ def main(args: argparse.Namespace) -> int:
                 watch.show(results)
 
         _feed(args, monitor, deliver, stack.enter_context(stop_requests()))
+    # Read at the end again: by now the proxy has written its labels.
     labels = read_known(args.labels)
     if labels is None:  # nothing tells what was done, so no fault can have been missed
         criteria = msgspec.structs.replace(criteria, must_detect=(), must_isolate=())
@@ -87,6 +90,7 @@ def settings(scenario: str | None, sigma: str | None) -> tuple[MonitorConfig, Cr
 def calibrate_to(path: Path, args: argparse.Namespace, config: MonitorConfig) -> int:
     """Fit the noise model of pseudoranges to a clean recording and write it."""
     if args.link is not None:
+        # The fit goes over the samples more than once.
         raise ConfigError("--calibrate: a link cannot be read twice; give --log or --rinex")
     from analysis.detection.calibrate import calibrate, write_sigma  # loads scipy's optimisers
 
@@ -143,6 +147,7 @@ def watch_link(
     link = open_link(spec)
     with Intake(link) as intake:
         print(f"watching {link.name}", file=sys.stderr, flush=True)
+        # The vehicle's own time: a paused simulator does not use it up.
         while not stop() and (for_s is None or monitor.t_s < for_s):
             deliver(monitor.push_bytes(intake.drain(), datagrams=link.datagrams))
     if intake.drops:
@@ -161,6 +166,7 @@ def _report(
         summary=summary,
         labels=labels,
         results=read_results(folder / "results.jsonl"),
+        # Autopilots' logs have no MAVLink columns.
         columns=read_columns(args.log) if args.log and not is_autopilot_log(Path(args.log)) else {},
         title=Path(args.log).name if args.log else folder.name,
     )

@@ -24,6 +24,7 @@ from simvehicle.hil.plant_changes import PlantChanges
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.simulation.simulation import Simulation
 
+# The order of LINKS.
 SIMULATOR, MONITOR, VEHICLE, GROUND = range(4)
 LINKS = (
     LinkRole("simulator", "to-vehicle"),
@@ -31,6 +32,7 @@ LINKS = (
     LinkRole("vehicle", "from-vehicle"),
     LinkRole("ground station", "to-vehicle"),
 )
+# The component by which the simulator's HIL end signs its frames.
 HIL_COMPONENT = 51
 LOG = logging.getLogger(__name__)
 
@@ -146,10 +148,12 @@ class Flight:
 
     def _sort(self, sends: list[Send]) -> Sent:
         """Hand commands to the vehicle; the HIL stream is the monitor's, the rest the ground's."""
+        # One datagram of all: the monitor needs no boundaries on its reliable pipe.
         sent = Sent(b"".join(s.data for s in sends if s.link == MONITOR and is_hil(s.data)), [])
         answers: list[Send] = []
         for link, data, _ in sends:
             self._out[link] += 1
+            # The HIL stream would swamp a ground station.
             if link == GROUND and not is_hil(data):
                 sent.ground.append(data)
             elif link in (VEHICLE, SIMULATOR):
@@ -160,6 +164,7 @@ class Flight:
     def _obey(self, link: int, data: bytes) -> list[Send]:
         """What a frame for the vehicle or for the simulated plant leads to."""
         sends: list[Send] = []
+        # Each send is one datagram: no frame spans two of them.
         for item in self._parser.push(data, datagram=True):
             # The simulator's own frames come round by the router; they are no commands.
             if not isinstance(item, Frame) or item.component == HIL_COMPONENT:
@@ -188,4 +193,5 @@ def session(scenario: str, seed: int, flight: Flight) -> dict[str, Any]:
 
 def is_hil(data: bytes) -> bool:
     """Whether a datagram comes from the simulator's HIL end."""
+    # In MAVLink 2 the component is byte 6 of the header; HIL frames are never version 1.
     return data[0] == STX_V2 and data[6] == HIL_COMPONENT

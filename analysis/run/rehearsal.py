@@ -53,7 +53,9 @@ def _score_attitude(config: MonitorConfig) -> None:
     samples = [
         sample
         for t_us in range(0, 1_000_000, 4000)
+        # One second of samples is enough for every branch of the scores.
         for sample in (
+            # Specific force at rest: gravity upwards, negative along the down axis.
             ImuSample(t_us, still, np.array([0.0, 0.0, -9.81]), config.attitude.imu),
             MagSample(t_us, np.array([0.2, 0.0, 0.4])),
             TruthSample(t_us, level, still, 47.0, 8.0, 500.0, still),

@@ -39,8 +39,10 @@ EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 def main(args: argparse.Namespace) -> int:
     """Fly, report, and return the exit code of the verdict."""
     setup = read_setup(args.scenario, args.schedule, args.seed)
+    # A page can follow the true speed only; without one nobody waits.
     pace = Pace(parse_speed(args.speed or ("1" if args.ui else "max")))
     folder = make_folder(args.out, setup.scenario.name)
+    # Started first, so that both processes compile side by side.
     twin = start_twin(setup, folder) if args.against_clean else None
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(open_run_bus(args.zenoh, folder.name))
@@ -66,8 +68,10 @@ def main(args: argparse.Namespace) -> int:
         started_s = time.monotonic()
         recorder = Recorder(folder, session(setup.scenario.name, setup.schedule.seed, flight))
         fly(flight, monitor, recorder, pace, deliver, link, live, together=args.ui)
+        # Read while the monitor's process still works on its backlog.
         columns = read_columns(folder / "sent.tlog")  # while the monitor catches up
         deliver(monitor.results())
+        # The wall time ends with the last result, not with the report.
         wall_s = time.monotonic() - started_s
         summary = monitor.summary(flight.completed_labels(), setup.criteria, wall_s)
     curves = []
@@ -100,6 +104,7 @@ def fly(
     recorded_us = 0
     with RunProgress(flight.duration_s) as progress:
         with stop_requests() as stop:
+            # A stop is looked for between two steps: logs stay whole.
             while not (flight.over or stop()):
                 # A page that shows verdicts long after the flight would be of no use.
                 hold = together and monitor.owed > MOST_OWED
@@ -107,6 +112,7 @@ def fly(
                 if wait_s > 0.0:
                     time.sleep(wait_s)
                 live.serve()
+                # By the wall clock: it paces the page, nothing of the flight.
                 live.show(time.monotonic())
                 if hold:
                     deliver(monitor.feed(b""))
@@ -121,9 +127,11 @@ def fly(
                     labels = flight.drain_labels()
                     recorder.write(flight.tape, labels, live.edits())
                     live.publish(flight.stats(), labels)
+                    # Somebody watches: results must not wait for a full batch.
                     if together or ground is not None:
                         deliver(monitor.feed(b"", now=True))
                     progress.show(flight.t_us * 1e-6, flight.engine.active)
+        # After the loop too: a stop ends the faults as the scenario's end does.
         deliver(monitor.feed(flight.finish().monitor, now=True))
         recorder.write(flight.tape, flight.drain_labels())
         recorder.close(flight.core.clock.t0_us, flight.now_us)

@@ -50,6 +50,7 @@ class RunProgress:
     def show(self, sim_s: float, active: Sequence[str]) -> None:
         """Draw the state of the run, at most a few times a second."""
         now_s = self.elapsed_s
+        # Drawing takes longer than a step of the flight.
         if now_s < self._next_s:
             return
         self._next_s = now_s + REDRAW_S
@@ -58,6 +59,7 @@ class RunProgress:
         if self._console.is_terminal:
             self._bar.update(self._task, completed=sim_s, status=status)
             return
+        # A line every tenth: a log of a CI's is not flooded.
         tenth = int(10 * sim_s / self._total_s) if self._total_s else 0
         if tenth > self._tenth:
             self._tenth = tenth

@@ -40,6 +40,7 @@ def read_setup(path: str | None, schedule: str | None = None, seed: int | None =
         if seed < 0:
             raise ConfigError(f"--seed: {seed} is negative; 0 or more is allowed")
         scenario = msgspec.structs.replace(scenario, seed=seed)
+    # Wrong parameters are found here, before anything has started.
     kind_of(scenario.vehicle.kind).read(scenario.vehicle.parameters)
     faults = read_schedule(schedule) if schedule is not None else _schedule(scenario, document)
     criteria = Criteria()
@@ -66,7 +67,9 @@ def _schedule(scenario: Scenario, document: Document) -> Schedule:
     section = scenario.schedule
     if isinstance(section, str):
         return read_schedule(Path(document.where).parent / section)
+    # A bare list is the faults alone, a mapping the whole schedule.
     data = section if isinstance(section, dict) else {"faults": section or []}
+    # Lines of errors must be those of the scenario's file.
     lines = _below(document.lines, () if isinstance(section, dict) else ("faults",))
     return parse_schedule(Document({"seed": scenario.seed, **data}, document.where, lines))
 

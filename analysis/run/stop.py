@@ -23,7 +23,9 @@ def stop_requests() -> Iterator[Stop]:
 
     def ask(number: int, frame: FrameType | None) -> None:
         asked.set()
+        # The old handlers are back: the second Ctrl-C interrupts at once.
         restore()
+        # `print` from a signal handler may find the stream's lock taken.
         os.write(2, STOPPING)
 
     for number in before:

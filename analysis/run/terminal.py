@@ -41,6 +41,7 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
     )
     for check in summary["criteria"]:
         if not check["passed"]:
+            # None: nothing to judge by.
             word = "FAILED" if check["passed"] is False else "not judged"
             console.print(
                 f"criterion       {check['name']}: {check['value']} (limit {check['limit']}) {word}"

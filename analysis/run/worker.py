@@ -28,11 +28,13 @@ Order = bytes | tuple[list[Label], Criteria, float]
 
 def _work(orders: "Queue[Order | None]", answers: Connection, config: MonitorConfig) -> None:
     """The process: bytes in, results out; a question is answered by the summary."""
+    # Without this a killed run would leave the monitor behind.
     die_with_parent()
     from analysis.monitor.monitor import Monitor
 
     monitor = Monitor(config)
     while (order := orders.get()) is not None:
+        # Bytes are work, a tuple asks for the summary, None ends.
         if isinstance(order, bytes):
             answers.send(monitor.push_bytes([order], datagrams=False))
         else:
@@ -64,6 +66,7 @@ class MonitorProcess:
         self._process = context.Process(
             target=_work, args=(self._orders, theirs, config), daemon=True
         )
+        # Only the first run after an installation compiles.
         mark = rehearsal.due()
         with _without(signal.SIGINT):
             if mark is not None:
@@ -85,6 +88,7 @@ class MonitorProcess:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        # After an error nobody wants results: no waiting.
         if kind is not None:
             self._process.kill()
             # Or the queue's thread would wait for a reader that is gone.
@@ -142,6 +146,7 @@ class MonitorProcess:
         try:
             return self._answers.recv()
         except EOFError:
+            # Joined first: the exit code is known only then.
             self._process.join()
             how = ending(self._process.exitcode or 0)
             raise MonitorDiedError(f"the monitor's process ended {how}") from None

@@ -18,7 +18,9 @@ from mavproxy_fault.wire.tlog import Columns, row_dtype
 
 Orders = dict[str, Indices]
 
+# READERS and, besides, the message that carries RTCM.
 MESSAGES = (*READERS, "TUNNEL")
+# The stamps that a TUNNEL frame is dated by: the messages of the simulator's own clock.
 STAMPED = ("HIL_SENSOR", "HIL_GPS", "HIL_STATE_QUATERNION")
 _ROW_HEAD = struct.Struct("<qBBB")
 
@@ -32,6 +34,7 @@ def columns_of(frames: Iterable[Frame]) -> tuple[Columns, Orders]:
         if name in MESSAGES:
             head = _ROW_HEAD.pack(0, frame.system, frame.component, frame.seq)
             length = frame.layout.length
+            # MAVLink 2 cuts zeros off the end of a payload; a longer one holds unknown extensions.
             rows.setdefault(name, []).append(head + frame.payload[:length].ljust(length, b"\0"))
             places.setdefault(name, []).append(place)
     columns = {name: np.frombuffer(b"".join(row), row_dtype(name)) for name, row in rows.items()}
@@ -57,12 +60,14 @@ class Decoder:
         parts = []
         stamps = _Stamps(self._stamps)
         for name, rows in columns.items():
+            # A message without a reader, or without a measurement, gives no rows.
             for read in READERS[name](rows) if name in READERS else ():
                 parts.append(Part(read.kind, orders[name][read.row], read.t_us, read.values))
             if name in STAMPED:
                 stamps.learn(_senders(rows), orders[name], rows["time_usec"].astype(np.int64))
         beside: list[tuple[int, Sample]] = []
         if "TUNNEL" in columns:
+            # After the loop: tunnels are dated by the stamps of the whole block.
             beside = self._tunnels(columns["TUNNEL"], orders["TUNNEL"], stamps)
         self._stamps = stamps.newest()
         return joined(parts, beside)
@@ -71,6 +76,7 @@ class Decoder:
         self, rows: NDArray[Any], order: Indices, stamps: "_Stamps"
     ) -> list[tuple[int, Sample]]:
         ours = np.flatnonzero(rows["payload_type"] == PAYLOAD_TYPE)
+        # Records are copied whole by `take`, field by field when indexed.
         rows, order, sender = rows.take(ours), order[ours], _senders(rows)[ours]
         payload = np.ascontiguousarray(rows["payload"])
         messages = self._assembler.add(sender, payload, rows["payload_length"].astype(np.int64))
@@ -114,16 +120,19 @@ class _Stamps:
     def newest(self) -> dict[int, int]:
         """The last stamp of every sender."""
         known = self._by_sender()
+        # Of earlier blocks what no newer stamp replaces.
         return self._before | {number: int(t_us[-1]) for number, (_, t_us) in known.items()}
 
     def _by_sender(self) -> dict[int, tuple[Indices, Stamps]]:
         """Places and stamps of each sender in order; asked for when all have been learnt."""
+        # Sorted once, at the first question.
         if self._known or not self._parts:
             return self._known
         sender, order, t_us = (np.concatenate(c) for c in zip(*self._parts, strict=True))
         by_place = np.argsort(order, kind="stable")
         sender, order, t_us = sender[by_place], order[by_place], t_us[by_place]
         numbers = _each(sender)
+        # One vehicle on the link is the rule: no masks then.
         if len(numbers) == 1:
             self._known = {numbers[0]: (order, t_us)}
         else:

@@ -14,6 +14,7 @@ from mavproxy_fault.links.link import Link
 
 MOST_CHUNKS = 500_000  # about ten minutes of HIL traffic
 CHUNKS_AT_ONCE = 1000
+# Long enough not to spin, short enough to end soon after Ctrl-C.
 PATIENCE_S = 0.1
 
 
@@ -37,6 +38,8 @@ class Intake:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        # The flag first: the thread reads the link until it has seen it, and only then may that
+        # close.
         self._over.set()
         self._thread.join()
         self._link.close()
@@ -52,9 +55,12 @@ class Intake:
 
     def _receive(self) -> None:
         while not self._over.is_set():
+            # `select` with a time limit: the thread must look at the flag also on a silent link.
             select.select([self._link.fileno()], [], [], PATIENCE_S)
             for _, data in self._link.read():
                 try:
                     self._chunks.put_nowait(data)
                 except queue.Full:
+                    # Counted, never waited for: waiting would lose the newest bytes in the kernel
+                    # instead.
                     self.drops += 1

@@ -38,9 +38,11 @@ IMU_BITS = 0x3F
 MAG_BITS = 0x1C0
 BARO_BIT = 0x200
 AIRSPEED_BIT = 0x400
+# MAVLink gives pressure in hectopascal (millibar).
 HECTOPASCAL = 100.0
 DOWNWARD = 25  # MAV_SENSOR_ROTATION_PITCH_270
 BODY_FRD = 12  # MAV_FRAME_BODY_FRD
+# MAVLink's word for unknown in unsigned 16-bit fields.
 UNKNOWN_16 = 0xFFFF
 
 
@@ -71,6 +73,7 @@ def _whole(kind: int, t_us: NDArray[Any], values: Vector) -> list[Read]:
 
 def _some(rows: Rows, bits: int, kind: int, values: Callable[[Rows], Vector]) -> list[Read]:
     """A sample for each row in which all these bits are set."""
+    # All bits: a sample with one stale axis is no sample.
     row = np.flatnonzero(rows["fields_updated"] & bits == bits)
     if not len(row):
         return []
@@ -103,12 +106,14 @@ def _highres_imu(rows: Rows) -> list[Read]:
     ]
 
 
+# Milliseconds since boot.
 def _since_boot(rows: Rows) -> Stamps:
     stamps: Stamps = rows["time_boot_ms"].astype(np.int64) * 1000
     return stamps
 
 
 def _scaled_imu(rows: Rows) -> list[Read]:
+    # Milliradians per second and thousandths of gravity.
     rates = _numbers(rows, "xgyro", "ygyro", "zgyro") * 1e-3
     force = _numbers(rows, "xacc", "yacc", "zacc") * (STANDARD_GRAVITY_MPS2 * 1e-3)
     return _whole(IMU, _since_boot(rows), np.column_stack([rates, force]))
@@ -116,6 +121,7 @@ def _scaled_imu(rows: Rows) -> list[Read]:
 
 def _fix(rows: Rows, source: str, v_ned: Vector, accuracy_m: Vector) -> list[Read]:
     """A receiver's solution, from the fields that HIL_GPS and GPS_RAW_INT have in common."""
+    # Degrees by 1e7, millimetres above mean sea level.
     place = _numbers(rows, "lat", "lon", "alt") * (1e-7, 1e-7, 1e-3)
     state = _numbers(rows, "fix_type", "satellites_visible")
     number = np.full(len(rows), float(SOURCES.index(source)))
@@ -125,14 +131,17 @@ def _fix(rows: Rows, source: str, v_ned: Vector, accuracy_m: Vector) -> list[Rea
 
 def _hil_gps(rows: Rows) -> list[Read]:
     accuracy = _numbers(rows, "eph", "epv")
+    # Centimetres; in HIL_GPS unknown is the largest number.
     accuracy_m = np.where(accuracy != UNKNOWN_16, accuracy * 1e-2, np.nan)
     return _fix(rows, "HIL_GPS", _numbers(rows, "vn", "ve", "vd") * 1e-2, accuracy_m)
 
 
 def _gps_raw_int(rows: Rows) -> list[Read]:
     """Speed and course give the level part of the velocity; an accuracy of 0 is unknown."""
+    # Centimetres per second and hundredths of a degree.
     speed, course = rows["vel"] * 1e-2, np.radians(rows["cog"] * 1e-2)
     known = (rows["vel"] != UNKNOWN_16) & (rows["cog"] != UNKNOWN_16)
+    # Vertical speed is not in this message: it stays NaN.
     v_ned = np.full((len(rows), 3), np.nan)
     v_ned[known, 0] = (speed * np.cos(course))[known]
     v_ned[known, 1] = (speed * np.sin(course))[known]
@@ -141,6 +150,7 @@ def _gps_raw_int(rows: Rows) -> list[Read]:
 
 
 def _hil_state(rows: Rows) -> list[Read]:
+    # The columns after the angular ones are MAVLink's integers: degrees by 1e7, mm and cm/s.
     angular = ("attitude_quaternion", "rollspeed", "pitchspeed", "yawspeed")
     values = _numbers(rows, *angular, "lat", "lon", "alt", "vx", "vy", "vz")
     values[:, 7:] *= (1e-7, 1e-7, 1e-3, 1e-2, 1e-2, 1e-2)
@@ -153,17 +163,20 @@ def _distance(rows: Rows) -> list[Read]:
     rows = rows[row]
     distance = rows["current_distance"]
     inside = (rows["min_distance"] < distance) & (distance < rows["max_distance"])
-    measured_m = np.where(inside, distance * 1e-2, np.nan)
+    measured_m = np.where(inside, distance * 1e-2, np.nan)  # it counts centimetres
     return [Read(RANGE, row, _since_boot(rows), measured_m[:, np.newaxis])]
 
 
 def _odometry(rows: Rows) -> list[Read]:
     q_nb, v = _numbers(rows, "q"), _numbers(rows, "vx", "vy", "vz")
     norm = np.linalg.norm(q_nb, axis=1)
+    # A quaternion of zeros says that there is none.
     row = np.flatnonzero(norm > 0.0)
     q_nb, v = q_nb[row] / norm[row, None], v[row]
     body = rows["child_frame_id"][row] == BODY_FRD
+    # Velocity in body axes is turned by the attitude of the same message.
     v[body] = np.einsum("nij,nj->ni", matrix_from_quat(q_nb[body]), v[body])
+    # Velocity is known as a whole or not at all.
     v[~np.isfinite(v).all(axis=1)] = np.nan
     values = np.column_stack([_numbers(rows[row], "x", "y", "z"), v, q_nb])
     return [Read(VISION, row, rows["time_usec"][row].astype(np.int64), values)]

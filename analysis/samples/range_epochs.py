@@ -65,6 +65,7 @@ class Ranging:
         `stamps_us` (k) is what the sender's clock showed last before.
         """
         ranges = read_ranges(messages)
+        # The rows of an epoch that earlier messages began stand before the new ones.
         rows = Rows(*ranges[3:]).after(self._rows)
         begin, end = 0, len(self._rows.code)
         heads = zip(
@@ -80,6 +81,7 @@ class Ranging:
         for i, (number, tow_ms, more, last, place, stamp_us) in enumerate(heads):
             if number in SYSTEMS:
                 found += [(place, s) for s in self._broadcast(messages.bytes(i), stamp_us)]
+            # No pseudoranges: a broadcast, or another RTCM message.
             if tow_ms == NO_MSM7:
                 continue
             if self._tow_ms not in (NO_MSM7, tow_ms):  # the rest of that epoch did not come
@@ -97,18 +99,22 @@ class Ranging:
             ephemeris = _ephemeris(message)
         except ValueError:  # a peer's bad bytes are no sample
             return []
+        # The newest broadcast tells the week, which MSM leaves open.
         self._week = ephemeris.week, ephemeris.toe_s
         return [EphemerisSample(stamp_us or 0, ephemeris)]
 
     def _epoch(self, rows: Rows, stamp_us: int | None) -> Epoch:
+        # Reset before anything else: whatever comes next begins a new epoch.
         tow_s, self._tow_ms = self._tow_ms / 1000.0, NO_MSM7
         week = self._full_week(tow_s)
         gps_us = round((week * WEEK_S + tow_s) * 1e6)
         if stamp_us is not None:
             offset_us = stamp_us - gps_us
+            # The jump from week 0 to the true week is no clock's drift.
             if self._offsets and abs(offset_us - self._offsets[-1]) > WEEK_S * 1_000_000 // 2:
                 self._offsets.clear()  # the week has become known
             self._offsets.append(offset_us)
+        # The lower median: with an even count it is one of the values, not a mean of two.
         middle = (len(self._offsets) - 1) // 2
         offset_us = sorted(self._offsets)[middle] if self._offsets else 0
         satellites = _satellites(rows.code.tobytes())
@@ -119,6 +125,7 @@ class Ranging:
         if self._week is None:
             return 0
         week, toe_s = self._week
+        # Time of week runs from Sunday: around midnight the ephemeris may be of the other week.
         if tow_s - toe_s > HALF_WEEK_S:
             return week - 1
         return week + 1 if toe_s - tow_s > HALF_WEEK_S else week
@@ -127,6 +134,7 @@ class Ranging:
 _ephemeris = lru_cache(EPHEMERIDES_KEPT)(decode_ephemeris)
 
 
+# Keyed by bytes: arrays cannot be keys.
 @lru_cache(256)
 def _satellites(codes: bytes) -> tuple[str, ...]:
     """Names of satellites; the same for many epochs."""

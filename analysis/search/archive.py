@@ -27,7 +27,9 @@ class Archive:
 
     def add(self, first: int, points: Array, fitness: Array) -> None:
         """Take in evaluations `first`, `first` + 1, ... at points (n, d)."""
+        # What is not better than the last kept case needs no search for neighbours.
         floor = self.cases[-1].fitness if len(self.cases) >= self._limit else -np.inf
+        # Best first: a good point clears its neighbourhood before the worse ones ask for it.
         for i in np.argsort(-fitness, kind="stable"):
             if fitness[i] <= floor:
                 break
@@ -38,7 +40,9 @@ class Archive:
         near = [other for other in self.cases if distance(case.point, other.point) < APART]
         if any(other.fitness >= case.fitness for other in near):
             return
+        # The neighbours by identity: comparing cases would compare arrays.
         kept = [other for other in self.cases if not any(other is n for n in near)]
+        # The number breaks ties, so that the order does not depend on how the batch was cut.
         self.cases = sorted([*kept, case], key=lambda c: (-c.fitness, c.number))[: self._limit]
 
 

@@ -48,6 +48,7 @@ def breakdown(
     windows = [
         Acting(f"drawn-{i}", round(f.at_s * 1e6), _end_us(f.at_s, f.for_s))
         for i, f in enumerate(pinned(test, values).faults)
+        # A fault drawn over a range has no single time to score by.
         if isinstance(f.at_s, float) and not isinstance(f.for_s, tuple)
     ]
     parts = parted(cells_of(flight, error), windows, CELL_US)
@@ -61,6 +62,7 @@ def flight_of(test: TestFile, values: Mapping[str, float], seed: int, number: in
     batch = Batch(test)
     column = flights_of(test, {name: np.array([value]) for name, value in values.items()})
     filters = start_filters(test.estimator, column)[0]
+    # Compiled estimators run inside the flight; others get its recorded sensors afterwards.
     if test.estimator in COMPILED:
         return traced(batch.plan, column[:, 0], filters, seed, number)
     flight = traced(with_all_sensors(batch.plan), column[:, 0], filters, seed, number)
@@ -73,6 +75,7 @@ def _end_us(at_s: float, for_s: float | None) -> int | None:
 
 def cells_of(flight: Trace, error: Array) -> Cells:
     """Errors (n, 4) of a flight in cells of CELL_US."""
+    # Whole steps of the flight in a cell, at least one.
     length = max(1, round(CELL_US * 1e-6 / flight.plan.dt_s))
     begins = np.arange(0, len(error), length)
     velocity = ned_velocity(flight.state[:, 6:10].T, flight.state[:, 3:6].T).T
@@ -94,6 +97,7 @@ def state_rmse(flight: Trace) -> Array:
         [
             flight.estimate[:, 6:9] - flight.state[:, 0:3],
             flight.estimate[:, 3:6] - flight.state[:, 3:6],
+            # Wrapped, or a heading of 179 against -179 degrees would be an error of 358.
             np.degrees((angle + np.pi) % (2.0 * np.pi) - np.pi),
             np.degrees(flight.measured[:, 0:3] - flight.state[:, 10:13]),
         ]

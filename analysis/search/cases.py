@@ -72,6 +72,7 @@ def write_cases(folder: Path, test: TestFile, cases: Sequence[WorstCase]) -> lis
 def scenario_yaml(test: TestFile, scenario: Mapping[str, Any]) -> str:
     """A scenario file; what is left out (None) has its default."""
     text = write_yaml(_given(scenario))
+    # An autopilot is a program outside: a scenario alone cannot start it.
     if test.estimator == AUTOPILOT:
         return (
             "# The autopilot is not in here; `search` flies the test beside it with one.\n" + text
@@ -89,6 +90,7 @@ def _given(node: Any) -> Any:
 def yaml_of(test: TestFile) -> str:
     """A test file that reads back as `test`."""
     document = _given(msgspec.to_builtins(test))
+    # A target that was drawn stands as `target`; the list it came from would choose again.
     for fault in document["faults"]:
         if "target" in fault:
             del fault["any_of"]
@@ -108,10 +110,12 @@ def log_text(test: TestFile, cases: Sequence[WorstCase], totals: Totals) -> str:
         f"Run time                  {totals.wall_s:.1f} s",
     ]
     if not cases:
+        # Every flight left the envelope: there is no worst one to describe.
         return "\n".join([*lines, "No flight stayed within the envelope.", ""])
     worst = cases[0]
     names = ("roll", "pitch", "yaw")
     rmse = ", ".join(f"{n} {v:.4g}" for n, v in zip(names, worst.rmse_deg[:3], strict=True))
+    # The criterion "state" mixes units, so that it has none.
     unit = "" if test.criterion == "state" else " deg"
     lines += [
         f"Greatest error            {worst.error_deg:.4g}{unit} (RMSE, mean of "
@@ -189,6 +193,7 @@ def fault_lines(test: TestFile, values: Mapping[str, float]) -> list[str]:
 
 def quiet(test: TestFile) -> TestFile:
     """The test without noise; biases stay."""
+    # Names of noise hold `_sigma_`; a bias is a part of the case itself.
     names = [n for n in test.sensors.__struct_fields__ if "_sigma_" in n]
     sensors = msgspec.structs.replace(test.sensors, **dict.fromkeys(names, 0.0))
     return msgspec.structs.replace(test, sensors=sensors)
@@ -199,4 +204,5 @@ def quiet_error(test: TestFile, values: Mapping[str, float]) -> float | None:
     if test.flown:
         return None
     batch = Batch(quiet(pinned(test, values)))
+    # A pinned test has no dimension left: one point, and draw number 0.
     return float(batch.evaluate(np.zeros((1, batch.space.dimension)), 0, 0, 1).fitness[0])

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
 
+# Little-endian on every machine: a search may go on on another one.
 RECORD = np.dtype([("fitness", "<f8"), ("broken_limit", "<i4"), ("steps", "<i4")])
 Records = NDArray[np.void]
 
@@ -32,12 +33,15 @@ class History:
         key = folder / "search.json"
         text = json.dumps(what, indent=1, sort_keys=True)
         if key.exists() and key.read_text() != text:
+            # Answers of another search would lead the searcher astray without a sign.
             raise ConfigError(f"{folder}: holds another search; give an empty folder to --out")
         key.write_text(text)
         self._path = folder / "history.bin"
         data = self._path.read_bytes() if self._path.exists() else b""
+        # Only whole records: a kill may have cut the last one.
         self._known = np.frombuffer(data[: len(data) // RECORD.itemsize * RECORD.itemsize], RECORD)
         self._used = 0
+        # "r+b" keeps what is there; "a" would not let a cut record be written over.
         self._file = self._path.open("r+b" if data else "w+b")
 
     @property
@@ -48,6 +52,7 @@ class History:
     def recall(self, count: int) -> Records | None:
         """The next `count` records; None, from then on, where there are not as many."""
         if self._used + count > len(self._known):
+            # What follows belongs to a batch that was cut off: from here on everything is flown.
             self._known = self._known[: self._used]
             return None
         self._used += count
@@ -56,10 +61,12 @@ class History:
     def append(self, records: Records) -> None:
         """Write a batch behind what has been recalled or written; it is on disk on return."""
         self._file.seek(self._used * RECORD.itemsize)
+        # Behind the last used record, whatever a killed search left there.
         self._file.truncate()
         self._file.write(records.tobytes())
         self._file.flush()
         self._used += len(records)
+        # What was known is behind us: nothing may be recalled after something was written.
         self._known = self._known[:0] if self._used > len(self._known) else self._known
 
     def close(self) -> None:

@@ -41,6 +41,8 @@ class Session:
         self.worst_deg = 0.0
         self._batch = Batch(test)
         dimension = self._batch.space.dimension
+        # Without a dimension every method would divide by it; random points of none are the one
+        # test.
         self._searcher = searcher(test.method if dimension else "random", dimension, test.seed, 1)
         self._waiting: list[Array] = []
         self._evaluated: list[tuple[Array, float]] = []
@@ -50,6 +52,7 @@ class Session:
 
     def next(self) -> Trace:
         """Fly the next test."""
+        # A searcher learns in batches: it is told when all points of one have been flown.
         if not self._waiting:
             if self._evaluated:
                 points, fitness = zip(*self._evaluated, strict=True)
@@ -61,6 +64,7 @@ class Session:
         values = self._batch.space.values(point[None, :])
         self.values = {name: float(value[0]) for name, value in values.items()}
         self.trace = flight_of(self.test, self.values, self.test.seed, self.number)
+        # Flown twice: the trace for the eye, the batch for the very fitness that `search` sees.
         outcome = self._batch.evaluate(point[None, :], self.test.seed, self.number, 1)
         self.error_deg = float(outcome.fitness[0])
         self.worst_deg = max(self.worst_deg, self.error_deg)
@@ -70,6 +74,7 @@ class Session:
     @property
     def title(self) -> str:
         """What stands above the figure."""
+        # Fitness is zero or less only where the flight left the envelope.
         if self.error_deg <= 0.0:
             return f"test {self.number}: left the envelope"
         return (
@@ -126,10 +131,12 @@ def show(test: TestFile, folder: Path) -> int:
     session = Session(test, folder)
     figure = plt.figure(figsize=(14, 8))
     picture = Picture(figure)
+    # Backends that draw into files only.
     if plt.get_backend().lower() in ("agg", "pdf", "svg", "ps", "cairo", "template"):
         for _ in range(UNSEEN):
             trace = session.next()
             picture.show(trace, session.title)
+            # The middle of the flight: at its start all flights look alike.
             picture.at(len(trace.state) // 2)
             saved = session.save()
             image = folder / f"test-{session.number:04}.png"
@@ -159,7 +166,9 @@ class Window:
         ):
             button = Button(figure.add_axes((0.05 + 0.12 * i, 0.02, 0.1, 0.05)), label)
             button.on_clicked(action)
+            # Matplotlib keeps callbacks weakly: an unreferenced button would stop working.
             self._buttons.append(button)
+        # Milliseconds between pictures of the animation.
         self._timer = figure.canvas.new_timer(interval=30)
         self._timer.add_callback(self.frame)
 

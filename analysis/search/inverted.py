@@ -19,16 +19,19 @@ class Inverted:
     """
 
     def __init__(self, minimise: Callable[[Function], None]) -> None:
+        # One place each: neither side can run ahead of the other.
         self._points: Queue[Array] = Queue(1)
         self._values: Queue[Array] = Queue(1)
         self._thread = threading.Thread(target=minimise, args=(self._function,), daemon=True)
 
     def _function(self, points: Array) -> Array:
+        # A copy: some minimisers change their points in place.
         self._points.put(np.array(points))
         return self._values.get()
 
     def ask(self) -> Array:
         """The points the minimiser wants to know next."""
+        # Started by the first question, so that an unused searcher leaves no thread behind.
         if not self._thread.is_alive():
             self._thread.start()
         return self._points.get()

@@ -43,7 +43,9 @@ class Picture:
         for axis in (self._space, *self._angles, *self._signals):
             axis.clear()
         t_s = trace.t_s
+        # Unwrapped, so that a heading through north draws no vertical line.
         truth = np.degrees(np.unwrap(euler_from_quat(trace.state[:, 6:10]), axis=0))
+        # Truth plus error: the estimate stays beside the truth where both wrap.
         estimate = truth + np.degrees(trace.errors_rad()[:, :3])
         for i, axis in enumerate(self._angles):
             axis.plot(t_s, truth[:, i], "k", label="truth")
@@ -55,6 +57,8 @@ class Picture:
             axis.set_xlabel("time / s")
         self._cursors = [a.axvline(0.0, color="grey") for a in (*self._angles, *self._signals)]
         path = trace.state[:, :3] @ NED_TO_PLOT.T
+        # A share of the path's extent, or the aircraft would be invisible beside it; at least a
+        # metre.
         self._size = max(float(np.ptp(path, axis=0).max()) * 0.15, 1.0)
         self.at(0)
 
@@ -86,6 +90,7 @@ class Picture:
                 if drawn
                 else Poly3DCollection(shape, facecolors="none", edgecolors="tab:orange")
             )
+        # A cube around the aircraft, so that its shape is not stretched.
         for set_limits, centre in zip(
             (space.set_xlim, space.set_ylim, space.set_zlim), path[k], strict=True
         ):

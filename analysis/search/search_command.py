@@ -42,6 +42,7 @@ Progress = Callable[[int, float, int], None]
 def main(args: argparse.Namespace) -> int:
     """Carry out the command."""
     test = chosen(read_test(args.testfile), args)
+    # Runs get their own folder, numbered: nothing is written over.
     folder = Path(args.out) if args.out else new_folder(Path("runs"))
     if args.interactive:
         from analysis.search.interactive import show
@@ -71,9 +72,11 @@ def chosen(test: TestFile, args: argparse.Namespace) -> TestFile:
         for name in ("budget", "method", "seed")
         if getattr(args, name, None) is not None
     }
+    # `1` where none was given: the test file has been checked already.
     if changes.get("budget", 1) <= 0:
         raise ConfigError(f"--budget: {changes['budget']} is not positive; evaluations, 1 or more")
     choice = test.autopilot
+    # A fixed port can be bound by one worker only.
     several = (getattr(args, "workers", None) or 1) > 1 or getattr(args, "ray", None) is not None
     if choice is not None and several and parse_spec(choice.link).port != 0:
         raise ConfigError(
@@ -120,6 +123,7 @@ def searched(
 ) -> tuple[int, int]:
     """Ask, fly and tell until the budget or the time is used up; tests and steps made."""
     dimension = evaluator(test).space.dimension
+    # With a limit of time alone the budget is out of reach.
     budget = test.budget or (DEFAULT_BUDGET if test.time_s is None else 10**9)
     # Nothing varies: one evaluation says it all.
     if dimension == 0:
@@ -140,6 +144,8 @@ def searched(
             rejected.update(rows.LIMITS[limit] for limit in records["broken_limit"] if limit > 0)
             tests += len(points)
             steps += int(records["steps"].sum())
+            # A generation that was cut short teaches nothing: the methods expect what they asked
+            # for.
             if len(points) == asked:
                 method.tell(points, records["fitness"])
             if progress is not None:
@@ -156,9 +162,11 @@ def evaluated(
 
     Flights in the simulator go in portions; none begins after the deadline but the first.
     """
+    # Flights in the simulator are slow: a checkpoint after each portion loses little to a kill.
     length = PORTION if test.flown else len(points)
     parts: list[np.ndarray[tuple[int], np.dtype[np.void]]] = []
     for start in range(0, len(points), length):
+        # At least one portion, so that a search always has an answer.
         if parts and time.monotonic() > deadline:
             break
         part, number = points[start : start + length], first + start
@@ -176,15 +184,18 @@ def records_of(outcome: Outcome) -> np.ndarray[tuple[int], np.dtype[np.void]]:
     records = np.zeros(len(outcome.fitness), RECORD)
     records["fitness"] = outcome.fitness
     records["broken_limit"] = outcome.broken_limit
+    # The history holds a record for each point, and only the sum of steps is asked for.
     records["steps"][0] = outcome.steps
     return records
 
 
 def rescored(test: TestFile, pool: Pool, cases: list[Case]) -> list[tuple[Case, Outcome]]:
     """Candidates that stayed within the envelope by their error on fresh noise, worst first."""
+    # A fitness of zero or less: the flight left the envelope.
     stayed = [case for case in cases if case.fitness > 0.0]
     if not stayed:
         return []
+    # Fresh noise: the best of many is partly luck, which a second look takes away.
     seed, draws = test.seed + FRESH, test.rescore_draws
     found = [
         (case, pool.evaluate(test, case.point[None, :], seed, case.number, draws))
@@ -197,18 +208,21 @@ def finished(test: TestFile, case: Case, outcome: Outcome) -> WorstCase:
     """Values by name, the error without noise, and the smallest fault that still breaks."""
     values = {k: float(v[0]) for k, v in evaluator(test).space.values(case.point[None, :]).items()}
     error = float(outcome.fitness[0])
+    # The first of its draws: `breakdown` flies that very one.
     number = case.number * test.rescore_draws
     worst = WorstCase(
         case.number,
         values,
         case.fitness,
         error,
+        # The standard error of the mean.
         float(outcome.spread_deg[0] / np.sqrt(test.rescore_draws)),
         quiet_error(test, values),
         tuple(outcome.rmse_deg[0].tolist()),
         seed_of(test.seed + FRESH, number),
         breakdown(test, values, test.seed + FRESH, number),
     )
+    # Without a limit of its own: half of the error still counts as broken.
     limit = test.breaks_at_deg if test.breaks_at_deg is not None else 0.5 * error
     if not test.faults or error < limit:
         return worst
@@ -218,5 +232,6 @@ def finished(test: TestFile, case: Case, outcome: Outcome) -> WorstCase:
 
 
 def _print(tests: int, worst: float, budget: int) -> None:
+    # On a terminal only: carriage returns would litter a log.
     if sys.stderr.isatty():
         print(f"\r{tests} of {budget} tests, worst {worst:.4g} deg ", end="", file=sys.stderr)

@@ -31,6 +31,7 @@ class Random:
 
     def __init__(self, dimension: int, seed: int, budget: int) -> None:
         self._dimension = dimension
+        # A second number per method: two methods on one seed draw different points.
         self._rng = np.random.default_rng([seed, 1])
 
     def ask(self) -> Array:
@@ -54,6 +55,7 @@ class Sobol:
         points: Array = self._sequence.random(BATCH)
         return points
 
+    # Sobol points do not depend on what was found.
     def tell(self, points: Array, fitness: Array) -> None:
         """Nothing is learned."""
 
@@ -64,6 +66,7 @@ class Matyas:
     A Gaussian step from the best point so far is kept if it is better; a tenth of the range wide.
     """
 
+    # A tenth of the range.
     STEP = 0.1
     TOGETHER = 8
 
@@ -106,6 +109,7 @@ class CmaEs:
 
     def ask(self) -> Array:
         """A generation."""
+        # Stopped: converged or stagnant by its own criteria.
         if self._es.stop():
             self._restarts += 1
             self._es = self._started(self._rng.random(self._dimension))
@@ -146,9 +150,13 @@ class DifferentialEvolution:
             differential_evolution(
                 of_columns,
                 Bounds(np.zeros(dimension), np.ones(dimension)),
+                # SciPy multiplies this by the dimension: about 65 points a generation, whatever the
+                # dimension.
                 popsize=max(1, 65 // dimension),
+                # Ended from outside, by the budget.
                 maxiter=1_000_000,
                 tol=0.0,
+                # Polishing would call the function one point at a time.
                 polish=False,
                 vectorized=True,
                 updating="deferred",
@@ -182,6 +190,7 @@ class Mixed:
     def __init__(self, dimension: int, seed: int, budget: int) -> None:
         from scipy.stats.qmc import Sobol as Sequence
 
+        # The usual population of CMA-ES.
         self._size = 4 + int(3 * np.log(dimension))
         self._rng = np.random.default_rng([seed, 6])
         self._sequence = Sequence(dimension, rng=np.random.default_rng([seed, 7]))
@@ -189,6 +198,7 @@ class Mixed:
         self._lap = 0
         self._runs: list[Any] = []
         self._found: list[float] = []  # the best of each run
+        # The middle of the cube until something has been found.
         self._best: tuple[float, Array] = (-np.inf, np.full(dimension, 0.5))
         self._starts: list[Array] = []
 
@@ -197,6 +207,7 @@ class Mixed:
         if not self._starts:
             points: Array = self._sequence.random(self.DESIGN)
             return points
+        # Once, after the last lap of the race.
         if self._lap == self.LAPS:
             order = np.argsort(self._found)[::-1][: self._winners]
             self._runs = [self._runs[k] for k in order]
@@ -204,6 +215,7 @@ class Mixed:
         self._lap += 1
         for k, run in enumerate(self._runs):
             if run.stop():
+                # Small steps around the best point of all: the run that stopped was local already.
                 self._runs[k] = evolution(self._best[1], self.SMALL, self._size, self._rng)
         return np.concatenate([np.array(run.ask()) for run in self._runs])
 
@@ -217,6 +229,7 @@ class Mixed:
             return
         count = len(self._runs)
         for k, (x, f) in enumerate(
+            # `ask` put the generations one after the other, all of one size.
             zip(np.split(points, count), np.split(fitness, count), strict=True)
         ):
             self._runs[k].tell(list(x), list(-f))
@@ -227,6 +240,7 @@ class Mixed:
         for point in points:
             gaps = [np.sqrt(np.mean((point - start) ** 2)) for start in self._starts]
             if (
+                # As many starts as runs may win, or fewer where good points lie close together.
                 len(self._starts) < max(self.RUNS, self._winners)
                 and min(gaps, default=1.0) > self.APART
             ):

@@ -50,6 +50,7 @@ def fault_names(test: TestFile) -> list[str]:
         f"faults[{i}].{key}"
         for i, fault in enumerate(test.faults)
         for key in fault.ranges()
+        # When a fault begins is no measure of its size.
         if key != "at_s"
     ]
 
@@ -58,8 +59,10 @@ def smaller(test: TestFile, name: str, value: float, share: Array) -> Array:
     """Values (n,) between no fault (share 0) and `value` (share 1)."""
     index = int(name[len("faults[") : name.index("]")])
     scale = test.faults[index].fault == "scale" and name.endswith(".value")
+    # The neutral element of a scale is one, of everything else zero.
     healthy = 1.0 if scale else 0.0
     if name.endswith(".for_s"):
+        # A fault that lasts beyond the flight is no longer than the flight.
         value = min(value, test.duration_s)
     return healthy + share * (value - healthy)
 
@@ -76,15 +79,18 @@ def shrunk(
     for name in fault_names(test):
         low, high = 0.0, 1.0
         for _ in range(ROUNDS):
+            # Without the last point: that is the case itself, known to break.
             share = np.linspace(low, high, grid + 1)[:-1]
             tried = [found | {name: float(v)} for v in smaller(test, name, found[name], share)]
             broken = errors_deg(tried) >= limit_deg
             if not broken.any():
                 low = float(share[-1])
                 continue
+            # The first that breaks; what lies above it need not all break.
             k = int(np.argmax(broken))
             high = float(share[k])
             low = float(share[k - 1]) if k else high
+            # Even no fault breaks: the fault is not what breaks the estimator.
             if k == 0:
                 break
         found[name] = float(smaller(test, name, found[name], np.array([high]))[0])
@@ -98,6 +104,7 @@ class Errors:
         self._test, self._seed, self._draws = test, seed, draws
 
     def __call__(self, cases: list[dict[str, float]]) -> Array:
+        # The same noise for all cases: differences are then those of the faults.
         columns = {name: np.array([case[name] for case in cases]) for name in cases[0]}
         flown = evaluator(self._test)
         outcome = flown.of_values(columns, self._seed, 0, self._draws, True)

@@ -17,6 +17,7 @@ class AsyncFault:
 
     async def update(self, value: float) -> None:
         """Change its magnitude [the field's unit] while it acts."""
+        # In a thread: the call waits for the proxy's loop, and asyncio's must go on.
         await asyncio.to_thread(self._fault.update, value)
 
     async def clear(self) -> None:

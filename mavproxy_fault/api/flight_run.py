@@ -115,8 +115,10 @@ def run(
     command = [sys.executable, "-m", "mavproxy_fault.cli", "run", *words]
     command += ["--out", str(folder), "--zenoh", "off", "--speed", "max"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
+    # Its own text without the command's name: the caller's exception names itself.
     if done.returncode == WRONG_INPUT:
         raise ConfigError(done.stderr.strip().removeprefix("mavproxy-fault: "))
+    # Also a FAIL gives a summary; without one the flight itself broke.
     if not (folder / "summary.json").exists():
         raise RuntimeError(f"the flight in {folder} ended without a result:\n{done.stderr}")
     return Run(folder)

@@ -20,6 +20,7 @@ from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.schedule.entries import Schedule
 
+# Far above what the loop needs to end; a thread that hangs must not hang the caller.
 ENDS_S = 10.0
 
 
@@ -47,6 +48,7 @@ class LocalProxy:
         zenoh: str = "off",
     ) -> None:
         self.observed = Observed()
+        # Links first, as their addresses are asked for before anything flows.
         self._links = open_links(master, outs)
         self.addresses = [link.name for link in self._links]
         engine, tape = Engine(schedule), Tape() if logdir else None
@@ -59,6 +61,7 @@ class LocalProxy:
         control = Control(engine, folders=None if zenoh == "off" else ())  # None: any file
         self._live = Live(control, self._server.edit_time, journal, self.observed)
         self._live.open_bus(zenoh)
+        # Before the thread: nothing is shared while it is set up.
         self._server.prepare()
         self._server.join(self._live)
         self._failure: BaseException | None = None
@@ -80,6 +83,7 @@ class LocalProxy:
         ConfigError
             If the request is refused.
         """
+        # A failed loop would leave the caller waiting for an answer.
         self._check()
         return self._live.ask(f"@ctl/{what}", payload)
 
@@ -101,6 +105,7 @@ class LocalProxy:
         with contextlib.suppress(OSError):
             # The loop may sleep for a tenth of a second; a byte wakes it.
             self._wake.send(b"!")
+        # Joined before the links are closed: the loop may be reading them.
         self._thread.join(ENDS_S)
         for link in self._links:
             link.close()

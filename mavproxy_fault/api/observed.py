@@ -60,6 +60,7 @@ class Observed:
             while True:
                 watch(names)  # outside the lock, since the proxy's thread answers it
                 with self._changed:
+                    # Short of the lease: the proxy stops watching when nobody renews.
                     renew_s = min(time.monotonic() + RENEW_S, deadline_s)
                     while not condition.holds(telemetry) and time.monotonic() < renew_s:
                         self._changed.wait(renew_s - time.monotonic())
@@ -78,12 +79,14 @@ def frames_of(watched: Watched) -> list[Frame]:
         return []  # pseudoranges lie in a tunnel; no condition looks at them
     described = known(watched.message)
     frames = []
+    # What left the proxy where a fault changed it, else what came.
     for _, *row in watched.received if watched.sent is None else watched.sent:
         values: dict[str, object] = {}
         arrays: dict[str, list[object]] = {}
         for name, value in zip(watched.fields, row, strict=True):
             base, _, index = name.partition("[")
             if index:
+                # Items of an array come as separate fields and go into one list.
                 values[base] = arrays.setdefault(base, [])
                 arrays[base].append(value)
             else:

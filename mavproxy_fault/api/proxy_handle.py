@@ -44,6 +44,7 @@ class LiveFault:
 
     def clear(self) -> None:
         """End it; ending one that has ended by itself does nothing."""
+        # Ended by itself, by `for_s`: nothing to end.
         state = self._access.ask("state")
         if any(fault["id"] == self.id for fault in state["faults"]):
             self._access.ask(f"fault/{self.id}/disarm")
@@ -108,6 +109,7 @@ class Proxy:
         """
         from mavproxy_fault.api.remote_proxy import RemoteProxy
 
+        # Without `__init__`, which would open links of its own.
         proxy = cls.__new__(cls)
         proxy._access = RemoteProxy(zenoh, run)
         return proxy
@@ -150,6 +152,7 @@ class Proxy:
             If there is no such fault, or a key is wrong or missing.
         """
         entry = live_entry(fault, target, value, {"for_s": for_s, **parameters})
+        # The same default as the command's.
         id = id or fault
         self._access.ask(f"fault/{id}/arm", msgspec.json.encode(entry))
         return LiveFault(self._access, id)
@@ -186,6 +189,7 @@ class Proxy:
         except ValueError as error:
             raise ConfigError(f"wait_for: {error}") from None
 
+        # Asked again and again by `wait_for`: a watch is a lease.
         def watch(names: list[str]) -> object:
             return self._access.ask("watch", msgspec.json.encode(names))
 

@@ -72,6 +72,7 @@ def description(name: str) -> str:
     ConfigError
         If there is neither of that name.
     """
+    # A preset may have the name of a fault; `fault_class` below serves the rest.
     if name in preset_names():
         preset = read_preset(name)
         parts = write_yaml(preset["faults"], flow=None)
@@ -85,10 +86,12 @@ def description(name: str) -> str:
     if acts_on_ranges(kind):
         lines.append(f"   or   {TARGETS['satellites']}")
     for field in msgspec.structs.fields(kind):
+        # What comes from the target is no parameter that a user writes.
         if field.name not in GIVEN:
             lines.append(f"{field.name}: {spelled_type(field.type)}{_default(field)}")
     if hasattr(kind, "example"):
         entry = {"fault": name, "at_s": 20, **kind.example}
+        # One line, however long: it is to be copied.
         text = write_yaml(entry, flow=True, width=1000)
         lines += ["", f"use: - {text.rstrip()}"]
     return "\n".join(lines)
@@ -132,6 +135,7 @@ def _plot(args: argparse.Namespace) -> None:
     from mavproxy_fault.app.preview import draw
 
     name = args.file
+    # A file of that name wins over a preset.
     if name in preset_names() and not Path(name).exists():
         schedule = parse_schedule({"faults": [{"preset": name}]})
     else:
@@ -147,6 +151,7 @@ def schema() -> dict[str, Any]:
     kinds = [Keys, *faults.values()]
     found, components = msgspec.json.schema_components(kinds, ref_template="#/$defs/{name}")
     keys = components[found[0]["$ref"].rsplit("/", 1)[1]]["properties"]
+    # Fields that the binding fills in: no key of a schedule.
     given = set(GIVEN)
     choices = []
     for name, ref in zip(faults, found[1:], strict=True):
@@ -159,6 +164,7 @@ def schema() -> dict[str, Any]:
                 "description": inspect.getdoc(faults[name]),
                 "properties": {**keys, **properties, "fault": {"enum": names}},
                 "required": ["fault", *required],
+                # A misspelt key is the commonest mistake: an editor shall mark it.
                 "additionalProperties": False,
             }
         )
@@ -166,6 +172,7 @@ def schema() -> dict[str, Any]:
         "properties": {**keys, "preset": {"enum": list(preset_names())}},
         "required": ["preset"],
     }
+    # The faults' own schemata are written out above; the rest are parts they refer to.
     used = {name: part for name, part in components.items() if name not in _names(found)}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

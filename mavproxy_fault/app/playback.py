@@ -64,6 +64,7 @@ def open_log(path: Path) -> Source:
     if not path.is_file():
         raise ConfigError(f"{path}: is not a file; allowed: a tlog")
     session, index = path.with_name(SESSION), path.with_name(INDEX)
+    # All three belong together: without index or session the log is any other tlog.
     if path.name == RECEIVED and session.is_file() and index.is_file():
         recorded: dict[str, Any] = json.loads(session.read_text())
         roles = tuple(LinkRole(link["name"], link["direction"]) for link in recorded["links"])
@@ -81,8 +82,10 @@ def _indexed(path: Path, index: Path) -> Iterator[Record]:
         path.with_name(RECEIVED_OTHER).open("rb") as other,
         index.open("rb") as entries,
     ):
+        # A record cut short ends the session: nothing behind it can be placed.
         while len(entry := entries.read(INDEX_RECORD.size)) == INDEX_RECORD.size:
             link, elsewhere, length = INDEX_RECORD.unpack(entry)
+            # A stamp stands before every record, whichever of the two files it lies in.
             stamp = (other if elsewhere else log).read(STAMP.size)
             raw = other.read(LENGTH.size + length)[LENGTH.size :] if elsewhere else log.read(length)
             if len(raw) < length:  # the process was killed while it wrote
@@ -114,6 +117,7 @@ def split(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 def _end(data: bytes, at: int) -> int:
     found = span(data, at) if data[at] in (STX_V1, STX_V2) else None
+    # Without a length that can be trusted the record reaches to the end.
     return len(data) if found is None else min(at + found[0], len(data))
 
 
@@ -121,20 +125,25 @@ def _find(data: bytes, start: int, t_us: int | None) -> int | None:
     """The next place from `start` on that looks like the start of a record."""
     for at in range(start, len(data) - STAMP.size):
         if data[at + STAMP.size] not in (STX_V1, STX_V2):
+            # Most places are ruled out by one byte.
             continue
         (stamp,) = struct.unpack_from(">Q", data, at)
         if t_us is not None and abs(stamp - t_us) > NEAR_US:
+            # A stamp out of the blue is a chance pattern in the payload.
             continue
         end = _end(data, at + STAMP.size)
-        # A start byte may stand anywhere: the next record must begin where this one ends.
+        # A start byte may stand anywhere: the next record must begin where this one ends,
+        # but for the last, which has none behind it.
         if end + STAMP.size >= len(data) or data[end + STAMP.size] in (STX_V1, STX_V2):
             return at
+        # The place where the record before ends: trusted even if what follows is damaged.
         if at == start and t_us is not None:
             return at
     return None
 
 
 def _link_of(raw: bytes, simulators: set[bytes]) -> int:
+    # Less than a header of ten bytes tells neither sender nor message.
     if raw[0] == STX_V2 and len(raw) > 9:
         # System and component; then the message id, three bytes.
         source, known = raw[5:7], layout(int.from_bytes(raw[7:10], "little"))
@@ -142,6 +151,7 @@ def _link_of(raw: bytes, simulators: set[bytes]) -> int:
         source, known = raw[3:5], layout(raw[5])
     else:
         return VEHICLE
+    # An autopilot sends HIL controls; whoever sends other HIL messages simulates.
     if known is not None and known.name.startswith("HIL_") and known.name not in FROM_AUTOPILOT:
         simulators.add(source)
     to_vehicle = (

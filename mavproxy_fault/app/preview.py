@@ -68,6 +68,7 @@ def draw(schedule: Schedule, path: Path, columns: int = COLUMNS) -> None:
     entries = schedule.faults
     if not entries:
         raise ConfigError(f"{path}: the schedule has no faults; there is nothing to draw")
+    # No empty columns for a short schedule.
     columns = min(columns, len(entries))
     rows = math.ceil(len(entries) / columns)
     figure = Figure(figsize=(3.4 * columns, 2.2 * rows), layout="constrained")
@@ -90,9 +91,12 @@ def _axes(axes: Any, entry: Entry, seed: int) -> None:
 
 def window(entry: Entry) -> tuple[float, float]:
     """The seconds to draw: from a little before the start to a little after the end."""
+    # An open end or a long fault is cut, or nothing of the edges would be seen.
     for_s = OPEN_S if entry.for_s is None else min(entry.for_s, LONGEST_S)
     if entry.repeat is not None and entry.repeat.every_s is not None:
+        # Three repetitions show a pattern that goes on for ever.
         for_s += entry.repeat.every_s * ((entry.repeat.times or 3) - 1)
+    # These only show over a longer time.
     if entry.name in ("gps-spoof", "plant", "cycle") and entry.for_s is None:
         for_s = LONGEST_S
     return max(entry.at_s - BEFORE_S, 0.0), entry.at_s + for_s + BEFORE_S
@@ -100,9 +104,11 @@ def window(entry: Entry) -> tuple[float, float]:
 
 def curves(entry: Entry, seed: int) -> list[Curve]:
     """What one entry does, on its own, from the time it is due; triggers are left out."""
+    # Triggers would need telemetry that nobody sends here: the fault begins by the clock.
     at_s = entry.at_s or BEFORE_S
     alone = msgspec.structs.replace(entry, when=None, condition=None, after=None, at_s=at_s)
     begin_s, end_s = window(alone)
+    # Alone in its engine: no other entry disturbs the picture.
     engine = Engine(Schedule(seed, (alone,)))
     engine.start_at(0)
     if isinstance(entry.fault, Satellites):
@@ -110,6 +116,7 @@ def curves(entry: Entry, seed: int) -> list[Curve]:
     elements = getattr(entry.fault, "elements", {})
     if elements:
         number, places = next(iter(elements.items()))
+        # The first message stands for all of the target.
         return _field_curves(engine, known(number).name, places, begin_s, end_s)
     if entry.targets and entry.targets[0].startswith(("PLANT.", "PSEUDORANGE.")):
         return _plant_curves(engine, begin_s, end_s)
@@ -140,7 +147,9 @@ def sample(name: str, t_s: float) -> Frame:
             continue
         if field.code not in "fd":
             value = round(value)
+            # Unsigned fields hold nothing below zero.
             value = value if field.code in "bhiq" else max(value, 0)
+            # The largest number that fits even a signed field of this size.
             value = min(value, 2 ** (8 * field.size - 1) - 1)
         values[field.name] = [value] * field.count if field.count else value
     return Frame(build(described, values, component=51), described)
@@ -158,12 +167,14 @@ def _field_curves(
     for t_s in times(begin_s, end_s):
         healthy = sample(name, t_s)
         for out in passed(engine, healthy, t_s):
+            # Answers to the simulator are no frames of this stream.
             if not isinstance(out.frame, Frame) or out.back:
                 continue
             for curve, (field, index) in zip(found, places, strict=True):
                 curve.t_s.append(t_s)
                 curve.healthy.append(float(healthy.number(field, index)))
                 curve.faulty.append(float(out.frame.number(field, index)))
+    # Latitude in 1e-7 degrees would hide a change of metres.
     return [_change(curve) if max(curve.healthy, default=0) > LARGE else curve for curve in found]
 
 
@@ -185,6 +196,7 @@ def _link_curves(engine: Engine, entry: Entry, begin_s: float, end_s: float) -> 
         for out in outs:
             curve.t_s.append(t_s)
             curve.healthy.append(0.0)
+            # Microseconds to milliseconds, both since the same start.
             curve.faulty.append(round(out.due_us / 1e3 - t_s * 1e3, 3))
     return [curve]
 
@@ -198,6 +210,7 @@ def _plant_curves(engine: Engine, begin_s: float, end_s: float) -> list[Curve]:
                 continue
             curve = found.setdefault(change.name, Curve(change.name, [], [], [], []))
             curve.t_s.append(t_s)
+            # NaN breaks the line where the plant is healthy again.
             curve.faulty.append(math.nan if change.value is None else change.value)
             curve.healthy.append(math.nan)
     return list(found.values())
@@ -209,6 +222,7 @@ def _satellite_curves(
     """Metres added to each satellite, two epochs a second."""
     found = {name: Curve(f"{name}, m", [], [], [], []) for name in names}
     together = Reassembler()
+    # Two epochs a second: pseudoranges come at a few hertz.
     for number, t_s in enumerate(times(begin_s, end_s, 2)):
         for system in sorted({name[0] for name in names}):
             ours = sorted(name for name in names if name[0] == system)

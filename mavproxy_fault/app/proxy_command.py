@@ -35,6 +35,7 @@ def open_links(master: str, outs: Sequence[str]) -> list[Link]:
     try:
         links.append(open_link(master, bare_udp="udpin"))
         links += [open_link(out, bare_udp="udpout") for out in outs]
+    # Every error of a wrong link is a ValueError, `ConfigError` among them.
     except ValueError:
         for link in links:
             link.close()
@@ -75,7 +76,9 @@ def signals(server: Server) -> Iterator[socket.socket]:
     wake, woken = socket.socketpair()
     woken.setblocking(False)
     names = (signal.SIGINT, signal.SIGTERM)
+    # The handler only sets a flag; the wake-up descriptor ends the wait.
     before = [signal.signal(name, lambda *_: server.stop()) for name in names]
+    # Full is harmless: one byte wakes as well as many.
     descriptor = signal.set_wakeup_fd(woken.fileno(), warn_on_full_buffer=False)
     try:
         yield wake
@@ -108,6 +111,7 @@ def signing(args: argparse.Namespace) -> Signing | None:
 
 def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server) -> "Live":
     """Live control over the bus and RflySim's port; loads all that faults need, numpy too."""
+    # Loaded in the background thread, which may take its time.
     import mavproxy_fault.compiled.plans  # noqa: F401  so that no frame waits for it later
     from mavproxy_fault.live.control import Control
     from mavproxy_fault.live.journal import Journal
@@ -121,6 +125,7 @@ def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server)
         engine or Engine(Schedule(0, ())),
         allowed=args.inject,
         rflysim=rflysim,
+        # Tables are opened only below folders that the command line names.
         folders=[Path(one) for one in args.files],
     )
     live = Live(control, server.edit_time, Journal(server.core, server.tape))
@@ -142,6 +147,7 @@ def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server
         try:
             with short_turns():
                 coming.set_result(open_live(args, engine, server))
+        # Into the future, so that the loop sees it: a thread's own traceback would be lost.
         except Exception as error:
             coming.set_exception(error)
 
@@ -151,9 +157,11 @@ def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server
 
 def main(args: argparse.Namespace) -> int:
     """`mavproxy-fault proxy`."""
+    # Before any socket is opened: a wrong name costs nothing then.
     if args.run is not None:
         check_run(args.run)
     engine = None
+    # `session.json` holds all that a replay needs, so it is gathered along the way.
     session: dict[str, Any] = {"seed": None, "schedule": None, "inject": args.inject}
     if args.schedule:
         from mavproxy_fault.proxy.engine import Engine
@@ -162,6 +170,7 @@ def main(args: argparse.Namespace) -> int:
         engine = Engine(read_schedule(args.schedule))
         session |= {"seed": engine.seed, "schedule": Path(args.schedule).read_text()}
     signed = signing(args)
+    # Links first: a port that is taken ends the command before anything is written.
     links = open_links(args.master, args.out)
     admit(links, args.allow_peer, lock=args.lock_peer)
     tape = Tape() if args.logdir else None
@@ -183,6 +192,7 @@ def main(args: argparse.Namespace) -> int:
                 start_live(args, engine, server)
             server.run(wake)
     finally:
+        # Also after an error: ports must be free for the next start.
         for link in links:
             link.close()
     print(table(server.stats()), flush=True)

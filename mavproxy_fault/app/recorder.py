@@ -53,6 +53,7 @@ class Recorder:
         self._edits: list[Edit] = []
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            # An earlier session in the same folder is kept, never mixed with this one.
             _set_aside(folder)
             self._open()
         except OSError as error:
@@ -61,6 +62,7 @@ class Recorder:
     def _open(self) -> None:
         with contextlib.ExitStack() as opened:
             files = {
+                # Unbuffered: what is written survives a kill of the process.
                 name: opened.enter_context((self.folder / name).open("wb", buffering=0))
                 for name in APPENDED
             }
@@ -78,8 +80,10 @@ class Recorder:
 
         Raises nothing where files cannot be written: forwarding must go on.
         """
+        # Counts before and after tell how many records this tape brought.
         before = tape.drained
         drained = tape.drain()
+        # Labels and edits are few and wait for better times; frames are too many.
         self._labels += labels
         self._edits += edits
         data = {
@@ -95,6 +99,7 @@ class Recorder:
             if self._is_gone():
                 self.folder.mkdir(parents=True, exist_ok=True)
                 self._open()
+                # New files begin with this tape: the index counts from their start.
                 before = tape.start_again(tape.count - before)
             self._append(data)
         except OSError as error:
@@ -102,6 +107,7 @@ class Recorder:
             self.lost += tape.count - before
             tape.start_again(before)
             self._edits = [edit.at_record(before) for edit in self._edits]
+            # Said once, not each second.
             if self.failing is None:
                 LOG.warning("recording stops, forwarding goes on: %s", error)
             self.failing = str(error)
@@ -126,6 +132,7 @@ class Recorder:
                 with contextlib.suppress(OSError):
                     # Half a record would make the rest of the file unreadable by its index.
                     self._files[name].truncate(size)
+                    # Behind the cut, or the next write would leave a hole of zeros.
                     self._files[name].seek(size)
             raise
         for name, added in data.items():
@@ -133,6 +140,7 @@ class Recorder:
 
     def close(self, t0_us: int | None, end_us: int) -> None:
         """Close the files; note the first vehicle stamp and the wall time of the end."""
+        # Known only at the end: with them a replay ends where the session did.
         self._session |= {"t0_us": t0_us, "end_us": end_us}
         if self.lost:
             self._session["lost_records"] = self.lost
@@ -152,6 +160,7 @@ class Recorder:
 
 def _write_whole(file: FileIO, data: bytes) -> None:
     """Write all of it; a file that is nearly full takes a part and raises at the next attempt."""
+    # A view: no copy of the rest for each part.
     rest = memoryview(data)
     while rest:
         rest = rest[file.write(rest) :]

@@ -55,6 +55,7 @@ class Playing:
         rflysim = None
         if any(edit.what == RFLYSIM for edit in self._edits):
             rflysim = read_map(source.session.get("rflysim_map", SHIPPED))
+        # Where the session does not say, live faults were allowed.
         allowed = source.session.get("inject", True)
         self._control = Control(engine, allowed=allowed, rflysim=rflysim, folders=None)
         self._count = self._newest_us = 0
@@ -63,6 +64,7 @@ class Playing:
         """What is sent for one record, and for the edits before it."""
         sends = self._edit()
         self._count += 1
+        # Clocks of a merged log may go back: the end is the newest time.
         self._newest_us = max(self._newest_us, record.t_us)
         return sends + self.core.received(record.link, record.raw, record.t_us)
 
@@ -71,6 +73,7 @@ class Playing:
         sends = []
         while self._edits and self._edits[0].at <= self._count:
             edit = self._edits.popleft()
+            # What was due before the edit leaves first, as it did live.
             sends += self.core.due(edit.now_us)
             carry_out(edit, self.core, self._control)
         return sends
@@ -83,6 +86,7 @@ class Playing:
         while end_us is None and (due_us := self.core.next_due_us) is not None:
             self._newest_us = max(self._newest_us, due_us)
             yield self.core.due(self._newest_us)
+        # A recorded end cuts delayed frames off as the session's end did.
         yield self.core.finish(end_us or self._newest_us)
 
 
@@ -92,6 +96,7 @@ def _ran_with(source: Source, schedule: Schedule) -> bool:
 
 
 def _bare(schedule: Schedule) -> Schedule:
+    # Comments, order of keys and the like make no other schedule.
     entries = tuple(msgspec.structs.replace(entry, written={}) for entry in schedule.faults)
     return msgspec.structs.replace(schedule, faults=entries)
 
@@ -116,6 +121,7 @@ def to_log(playing: Playing, tape: Tape, out: Path) -> Path:
         for record in playing.source.records:
             playing.push(record)
             labels.write(encoded(_labels(playing)))
+            # Written in portions: a log of hours does not fit in memory twice.
             if len(tape.sent) >= FLUSH_BYTES:
                 log.write(tape.drain().sent)
         for _ in playing.rest():
@@ -149,6 +155,7 @@ def to_link(playing: Playing, link: Link, clock: Callable[[], float] = time.mono
     start_s, first_us, sent = clock(), -1, 0
 
     def wait_for(t_us: int) -> None:
+        # In slices, so that the peer's bytes are drained meanwhile.
         while (rest_s := start_s + (t_us - first_us) * 1e-6 - clock()) > 0:
             _pause(link, min(rest_s, TEND_S))
 
@@ -170,6 +177,7 @@ def to_link(playing: Playing, link: Link, clock: Callable[[], float] = time.mono
 
 def _pause(link: Link, wait_s: float) -> None:
     """Wait, and drain what the peer sends meanwhile."""
+    # The link's own bytes are of no use here, but unread they would fill the kernel's buffer.
     select.select([link], (), (), wait_s)
     link.read()
 

@@ -53,8 +53,10 @@ class Server:
         self.recorder = recorder
         self.latencies = [Latencies() for _ in links]
         self._busy_poll = busy_poll
+        # One offset for the whole session: setting the system's clock moves no stamp.
         self._base_ns = time.time_ns() - time.monotonic_ns()
         self._stopping = False
+        # From descriptor to link: that is what `select` gives back.
         self._by_fd = {link.fileno(): number for number, link in enumerate(links)}
         self._tend_s = self._flush_s = 0.0
         self._compiler: subprocess.Popen[bytes] | None = None
@@ -105,6 +107,7 @@ class Server:
     def _step_compiled(self, forwarder: "Forwarder") -> None:
         """Let the compiled form forward until something is left to do here."""
         tend_ns, due_us = round(self._tend_s * 1e9), self.core.next_due_us
+        # Frames that are due come first; else the next time to look after the links.
         due_ns = tend_ns if due_us is None else (due_us - AHEAD_US) * 1000 - self._base_ns
         # To the microsecond for frames that are due, not for housekeeping.
         forwarder.forward(min(tend_ns, due_ns), spin=self._busy_poll, precise=due_ns < tend_ns)
@@ -148,6 +151,7 @@ class Server:
             live.journal.note(JOIN, b"", self.edit_time())
         join(self.core, live.control)
         gc.freeze()  # all that is loaded by now stays; to look it through would hold frames up
+        # Not while frames that were handed over wait inside.
         if self._forwarder is not None and not self._forwarder.pending:
             self._forwarder.count()
             self.use_compiled()
@@ -155,6 +159,7 @@ class Server:
     def edit_time(self) -> int:
         """The vehicle's time, at which an edit may now be made; what is due leaves before."""
         now_us = self.now_us()
+        # Edits and frames that are due keep their order, so that a replay can repeat it.
         self._carry_out(self.core.due(now_us))
         journal = None if self.live is None else self.live.journal
         return now_us if journal is None else journal.begin(now_us)
@@ -172,6 +177,7 @@ class Server:
         """How long the loop may sleep."""
         if self._busy_poll:
             return 0.0
+        # Never asleep: the lowest latency costs a core.
         due_us = self.core.next_due_us
         if due_us is None:
             return TEND_S
@@ -182,6 +188,7 @@ class Server:
         """Pass on what one link has."""
         link, core = self.links[number], self.core
         started_ns = time.monotonic_ns()
+        # One time for the batch: it was there when the loop awoke.
         now_us = (self._base_ns + started_ns) // 1000
         count = 0
         for stream, data in link.read():
@@ -201,6 +208,7 @@ class Server:
             # What is sent does not depend on when it is asked for, so only the writing waits.
             sends = self.core.due(max(due_us, now_us))
             due_ns = due_us * 1000 - self._base_ns
+            # The compiled form sends to the microsecond; without it this thread spins.
             if self._forwarder is None or not sends or not self._forwarder.send_at(due_ns, sends):
                 while time.monotonic_ns() < due_ns:
                     pass
@@ -215,16 +223,19 @@ class Server:
         if self.live is not None:
             self.live.show(now_s)
         if self.coming is not None and self.coming.done():
+            # Here, between two steps: the core knows no locks.
             self.join(self.coming.result())
             self.coming = None
 
     def _tend(self) -> None:
         """Let links reconnect; take over what the compiled form has counted."""
         for number in range(len(self.links)):
+            # Links that the compiled form does not serve, streams for example, are drained here.
             if self._forwarder is None or not self._forwarder.serves(number):
                 self._serve(number)
         if self._forwarder is not None:
             self._forwarder.count()
+        # 0 is an exit code: None means that it is still at work.
         elif self._compiler is not None and (code := self._compiler.poll()) is not None:
             self._compiler = None
             # Made: it is loaded like one that was there from the start.
@@ -253,8 +264,10 @@ class Server:
         now_us = self.now_us()
         if self._forwarder is not None:
             self._forwarder.count()
+        # Delayed frames leave now; faults end and say what they did.
         self._carry_out(self.core.finish(now_us))
         if self.coming is not None:
+            # Waits for an opening that is under way: it must be closed again.
             self.live = self.coming.result()
             self.coming = None
         self.record()

@@ -1,9 +1,9 @@
 """The compiled form's faults: elements of a frame read, changed and written back in place.
 
-Each rule has its twin in the interpreted way, which is ten times as fast with Python's own numbers
-as these functions are without a compiler: `_met` is `faults.driven.meet`, `_changed` is
-`faults.elements.changed`, `_segment` is `faults.profile.at`, `_is_for` is `Running.takes`. A
-property of the tests holds the two together: same bytes, labels and counters.
+Each rule has its twin in the interpreted way, which with Python's own numbers takes less than half
+the time of these functions without a compiler (docs/compiled.md): `_met` is `faults.driven.meet`,
+`_changed` is `faults.elements.changed`, `_segment` is `faults.profile.at`, `_is_for` is
+`Running.takes`. A property of the tests holds the two together: same bytes, labels and counters.
 """
 
 import math

@@ -20,7 +20,9 @@ T = TypeVar("T")
 NotFinite = Annotated[float, Meta(extra={"finite": False})]
 """A number that may be `.inf` or `.nan`; everywhere else these are refused."""
 
+# Enough to work on; a file of another kind would give thousands.
 MOST_ERRORS = 30
+# Texts of our own structs begin with the field they mean: `segments[1].at_s = ...`.
 MENTIONED = re.compile(r"([A-Za-z_]\w*)((?:\.\w+|\[\d+\])*) ")
 UNIONS = (typing.Union, types.UnionType)
 
@@ -52,6 +54,7 @@ class DocumentCheck:
 
     def wrong(self, path: Path, text: str) -> None:
         """Note an error at the nearest line known."""
+        # The nearest ancestor with a line: a missing key has none of its own.
         line = next((self.lines[path[:n]] for n in range(len(path), -1, -1)
                      if path[:n] in self.lines), 0)  # fmt: skip
         place = f"{self.where}:{line}" if line else self.where
@@ -66,6 +69,7 @@ class DocumentCheck:
             If there are any.
         """
         if self.errors:
+            # By line, since parts of a file are checked in another order than they stand in.
             in_order = [text for _, text in sorted(self.errors, key=lambda error: error[0])]
             more = len(in_order) - MOST_ERRORS
             last = [f"{self.where}: {more} more errors"] if more > 0 else []
@@ -80,6 +84,7 @@ class DocumentCheck:
 
     def value(self, data: Any, kind: Any, path: Path) -> Any:
         """One value converted to a type; None with the errors noted if it does not fit."""
+        # The first member of a union that fits by its form; scalars are left to msgspec.
         for choice in _choices(kind):
             origin, inner = typing.get_origin(choice), typing.get_args(choice)
             if isinstance(data, dict):
@@ -88,6 +93,7 @@ class DocumentCheck:
                 if origin is dict and inner[0] is str:
                     return {k: self.value(v, inner[1], (*path, str(k))) for k, v in data.items()}
             if isinstance(data, list) and origin in (list, tuple):
+                # A fixed tuple has a type per place, all others one type for each item.
                 each = inner if origin is tuple and inner[1:] != (...,) else inner[:1] * len(data)
                 if len(each) == len(data):
                     parts = zip(data, each, strict=True)
@@ -95,6 +101,7 @@ class DocumentCheck:
         return self._scalar(data, kind, path)
 
     def _scalar(self, data: Any, kind: Any, path: Path) -> Any:
+        # YAML's `.inf` and `.nan` are floats: msgspec would let them pass.
         if isinstance(data, float) and not math.isfinite(data) and not _may_be_infinite(kind):
             self.wrong(path, f"= {data} is not finite; a number is needed")
             return None
@@ -125,6 +132,7 @@ class DocumentCheck:
         if not isinstance(data, dict):
             self.wrong(path, f"= {reprlib.repr(data)} does not fit: expected keys and values")
             return None
+        # Errors of the fields come first: a half-filled struct would add wrong ones.
         before = len(self.errors)
         self.keys(data, (field.name for field in msgspec.structs.fields(kind)), path)
         found = self.arguments(data, kind, path, ())
@@ -141,6 +149,7 @@ class DocumentCheck:
         named = MENTIONED.match(text)
         if named is not None and named[1] in (f.name for f in msgspec.structs.fields(kind)):
             parts = re.findall(r"\.(\w+)|\[(\d+)\]", named[2])
+            # The path is made longer by what the text names, so that the line is the very item's.
             path = (*path, named[1], *(name or int(index) for name, index in parts))
             text = text[named.end() :]
         self.wrong(path, text)
@@ -167,7 +176,9 @@ def _misfit(data: Any, kind: Any, error: str) -> str:
     """Why a value does not fit, and what would."""
     words = [word for choice in _choices(kind) if typing.get_origin(choice) is Literal
              for word in typing.get_args(choice)]  # fmt: skip
+    # A fixed set of words: the likely one is suggested.
     if words and isinstance(data, str):
         return f"is unknown; {near(data, words)}"
+    # msgspec ends its text with the path, which is known here already.
     text = error.split(" - at `$")[0]
     return f"does not fit: {text[0].lower()}{text[1:]}"

@@ -7,9 +7,11 @@ from collections.abc import Iterable
 def near(name: str, known: Iterable[str]) -> str:
     """A sentence about the known names nearest to a wrong one."""
     names = sorted(known)
+    # Names of messages are in capitals: a second look with the wrong name in capitals.
     close = difflib.get_close_matches(name, names, 3, 0.5) or difflib.get_close_matches(
         name.upper(), names, 3, 0.5
     )
     if close:
         return f"did you mean {' or '.join(close)}?"
+    # Forty names fill a terminal; more would hide the sentence.
     return f"known: {', '.join(names[:40])}{', ...' if len(names) > 40 else ''}"

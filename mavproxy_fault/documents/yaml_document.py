@@ -21,6 +21,7 @@ from mavproxy_fault.documents.errors import ConfigError
 Path = tuple[str | int, ...]
 Lines = dict[Path, int]
 
+# Schedules of people are kilobytes; the limits keep out what was not written by hand.
 MOST_BYTES = 8 << 20
 MOST_NODES = 400_000  # scalars, lists and mappings, aliases counted with all they stand for
 DEEPEST = 40
@@ -55,7 +56,9 @@ def read_document(path: FilePath | str) -> Document:
     """
     try:
         with open(path, "rb") as file:
+            # One byte more than allowed tells a larger file without reading it whole.
             content = file.read(MOST_BYTES + 1)
+        # `-sig`: editors on Windows put a byte-order mark first.
         text = content.decode("utf-8-sig")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror}); give a YAML file") from None
@@ -80,6 +83,7 @@ def read_yaml(text: str, where: str) -> Document:
     try:
         builder.build(yaml.parse(text, yaml.CSafeLoader))
     except yaml.YAMLError as error:
+        # Some errors of the parser carry no mark, for example of bytes that are no characters.
         mark = getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark is not None else ""
         problem = getattr(error, "problem", None) or getattr(error, "reason", "is damaged")
@@ -87,6 +91,7 @@ def read_yaml(text: str, where: str) -> Document:
     except UnicodeEncodeError:  # half a surrogate pair, which no file in UTF-8 holds
         raise ConfigError(f"{where}: is not text; YAML in UTF-8 is expected") from None
     if builder.doubles:
+        # All doubled keys at once, as all other errors.
         raise ConfigError("\n".join(builder.doubles[:DEEPEST]))
     return Document(builder.data, where, builder.lines)
 
@@ -106,17 +111,20 @@ def scalar(text: str) -> Any:
     """
     if text in WORDS:
         return WORDS[text]
+    # Before `float`: the time to convert grows with the square of the digits.
     if len(text) > MOST_DIGITS and FLOAT.fullmatch(text):
         raise ValueError(f"has {len(text)} digits; at most {MOST_DIGITS} are read")
     if AMBIGUOUS.fullmatch(text):
         raise ValueError(f"= {text} is octal to some; write {int(text)}, or quote it if it is text")
     if INTEGER.fullmatch(text) or BASED.fullmatch(text):
         number = int(text, 10 if INTEGER.fullmatch(text) else 0)
+        # From the lowest signed to the highest unsigned number of 64 bits.
         if not -(1 << 63) <= number < 1 << 64:
             raise ValueError(f"= {text} does not fit; whole numbers have 64 bits")
         return number
     if FLOAT.fullmatch(text):
         value = float(text)
+        # `1e999` would silently become infinite.
         if abs(value) == float("inf"):
             raise ValueError(f"= {text} does not fit; numbers reach 1.8e308")
         return value
@@ -167,10 +175,12 @@ class _Builder:
         if self._nodes > MOST_NODES:
             self._refuse(event, f"goes beyond {MOST_NODES} values; split the file")
         parent = self._open[-1] if self._open else None
+        # In a mapping keys and values come in turn.
         if parent is not None and isinstance(parent.items, dict) and parent.key is None:
             self._key(event, parent)
             return
         path = _path_below(parent)
+        # The line of a key is known already; items and the root get their own here.
         self.lines.setdefault(path, self._line(event))
         value = self._value(event, path)
         if parent is None:
@@ -186,6 +196,7 @@ class _Builder:
             self._refuse(event, "has a list or mapping as a key; keys are words")
         self._untagged(event)
         line = self._line(event)
+        # Noted, not raised: one run shows every doubled key.
         if event.value in parent.items:
             double = f"{self.where}:{line}: {event.value} stands twice; give each key once"
             self.doubles.append(double)
@@ -197,11 +208,13 @@ class _Builder:
             if event.anchor not in self._anchors:
                 self._refuse(event, f"*{event.anchor} holds itself or is not defined above")
             value, size = self._anchors[event.anchor]
+            # An alias counts as much as it stands for: few bytes can expand to billions.
             self._nodes += size
             return value
         self._untagged(event)
         if isinstance(event, yaml.ScalarEvent):
             value = event.value
+            # A quoted or block scalar is text whatever it looks like.
             if not event.style:
                 try:
                     value = scalar(event.value)
@@ -212,6 +225,7 @@ class _Builder:
         if len(self._open) == DEEPEST:
             self._refuse(event, f"is nested deeper than {DEEPEST} lists or mappings")
         items: Any = [] if isinstance(event, yaml.SequenceStartEvent) else {}
+        # Within itself an anchor is not defined: a value cannot hold itself.
         self._anchors.pop(event.anchor, None)
         self._open.append(_Open(path, items, event.anchor, self._nodes))
         return items
@@ -247,6 +261,7 @@ def spelled(path: Path) -> str:
     """A path as a person writes it: faults[3].profile.segments[0].rate."""
     text = ""
     for part in path:
+        # The first part stands without a dot.
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
     return text
 
@@ -255,5 +270,6 @@ class _Dumper(yaml.SafeDumper):
     """Quotes what YAML 1.2 takes for a number and PyYAML, which follows 1.1, does not."""
 
 
+# The first characters by which PyYAML finds the resolver.
 _Dumper.add_implicit_resolver("tag:yaml.org,2002:float", FLOAT, list("-+.0123456789"))
 _Dumper.add_implicit_resolver("tag:yaml.org,2002:int", BASED, ["0"])

@@ -22,6 +22,7 @@ class AxisSwap(ValueFault, frozen=True, kw_only=True):
     order: tuple[int, ...] | None = None
     signs: tuple[float, ...] | None = None
 
+    # The whole target is checked when the schedule is read: no frame may be the first to fail.
     def __post_init__(self) -> None:
         for places in self.elements.values():
             wanted = list(range(len(places)))
@@ -36,6 +37,7 @@ class AxisSwap(ValueFault, frozen=True, kw_only=True):
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Element i takes the value of element order[i]."""
+        # Reversed by default: with two elements this is the swap.
         order = self.order or tuple(reversed(range(len(before))))
         signs = self.signs or (1,) * len(before)
         return [sign * before[i] for i, sign in zip(order, signs, strict=True)], None

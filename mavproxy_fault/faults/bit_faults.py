@@ -47,6 +47,7 @@ class BitFlip(ValueFault, frozen=True, kw_only=True):
     def _flipped(self, value: Number, packer: struct.Struct, rng: "Generator") -> Number:
         width = 8 * packer.size
         if self.bit is None:
+            # `replace=False`: the same bit flipped twice would be no fault.
             chosen = [int(b) for b in rng.choice(width, min(self.value, width), replace=False)]
         else:
             # A schedule may name bit 40 for fields of 64 and of 32 bits alike.
@@ -69,6 +70,7 @@ class NotANumber(ValueFault, frozen=True, kw_only=True):
     value: Literal["nan", "inf", "-inf"] = "nan"
 
     def __post_init__(self) -> None:
+        # An integer field would be saturated at zero instead, which is another fault.
         for number, places in self.elements.items():
             described = known(number)
             for name, _ in places:

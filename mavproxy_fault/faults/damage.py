@@ -29,6 +29,7 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
         self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
         """Change some bytes, each into another one."""
+        # No draw where every frame is hit: there is nothing to decide.
         if self.value < 1.0 and rng.random() >= self.value:
             return [Outgoing(t_us, frame)], None
         if isinstance(frame, bytes):
@@ -36,6 +37,7 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
         payload = self._mixed(frame.payload, rng)
         if self.crc == "redone":
             return [Outgoing(t_us, frame.with_payload(payload))], None
+        # Header and checksum as they were: receivers refuse such a frame.
         end = frame.payload_at + frame.length
         raw = frame.raw[: frame.payload_at] + payload + frame.raw[end:]
         return [Outgoing(t_us, raw)], None
@@ -43,6 +45,7 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
     def _mixed(self, data: bytes, rng: "Generator") -> bytes:
         mixed = bytearray(data)
         places = rng.choice(len(mixed), min(self.count, len(mixed)), replace=False)
+        # From 1: xor with 0 would leave a byte as it was.
         for place, change in zip(places, rng.integers(1, 256, len(places)), strict=True):
             mixed[place] ^= int(change)
         return bytes(mixed)
@@ -73,6 +76,7 @@ class SequenceGap(LinkFault, frozen=True, kw_only=True):
     name: ClassVar[str] = "sequence-gap"
     example: ClassVar[dict[str, Any]] = {"value": 0.2}
     takes_bytes: ClassVar[bool] = False
+    # A new sequence number would break the signature, which covers the header.
     takes_sealed: ClassVar[bool] = False
 
     value: Share = 0.1
@@ -86,10 +90,12 @@ class SequenceGap(LinkFault, frozen=True, kw_only=True):
         self, frame: Frame, t_us: int, state: int, rng: "Generator"
     ) -> tuple[list[Outgoing], int]:
         """Renumber the frame; once opened, a gap stays until the fault ends."""
+        # The gap adds up and wraps at 256, as a sender's own counter does.
         ahead = (state + self.count * (rng.random() < self.value)) & 0xFF
         if not ahead:
             return [Outgoing(t_us, frame)], 0
         raw = bytearray(frame.raw)
+        # Sequence number: the third byte of version 1, the fifth of version 2.
         at = 4 if frame.version == 2 else 2
         raw[at] = (raw[at] + ahead) & 0xFF
         return [Outgoing(t_us, Frame(bytes(raw), frame.layout).with_payload(frame.payload))], ahead

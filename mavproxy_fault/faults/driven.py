@@ -27,6 +27,7 @@ class Driven(ValueFault, frozen=True, kw_only=True):
         """Replace, add to or scale the healthy values."""
         if self.profile is None:
             assert self.value is not None
+            # The common case, one number on one field, without building lists.
             if len(before) == 1 and isinstance(self.value, float):
                 return [meet(self.mode, before[0], self.value)], None
             values = each(self.value, len(before))
@@ -36,11 +37,14 @@ class Driven(ValueFault, frozen=True, kw_only=True):
         now = self.profile.value(t_s, state)
         if now is None:
             return before, state
+        # A profile may overrule the fault: `mode: replace` in a bias.
         mode = self.profile.mode or self.mode
         return [meet(mode, x, now) for x in before], state
 
     def fed(self, state: ValueState, value: float, t_us: int) -> ValueState:
         """The state after a live value that came at `t_us`."""
+        # Seconds since the start, beside the value: a live profile judges the age of the value by
+        # it.
         return ValueState(state.start_us, ((t_us - state.start_us) / 1e6, value))
 
 
@@ -92,6 +96,7 @@ class Drift(ValueFault, frozen=True, kw_only=True):
     ) -> tuple[list[Number], Any]:
         """Add rate times time."""
         grown = [rate * t_s for rate in each(self.value, len(before))]
+        # The error is limited, not the value: a drift that has run its course stays.
         if self.limit is not None:
             grown = [max(-self.limit, min(self.limit, error)) for error in grown]
         return [x + error for x, error in zip(before, grown, strict=True)], None

@@ -65,6 +65,7 @@ def changed(
     """The frame with other values at some places; the same object if no byte differs."""
     at, length = frame.payload_at, frame.length
     raw = bytearray(frame.raw)
+    # Below every change: the first finite one counts, also a change of zero.
     size = -1.0
     saturated = 0
     for (_, _, start, stop, packer, code), healthy, value in zip(
@@ -72,16 +73,20 @@ def changed(
     ):
         if stop > length:
             return _beyond(frame, t_us, places, before, after)
+        # A float within range needs no fitting; that is nearly every value of a fast stream.
         if code != "f" or not -FLOAT_MAX <= value <= FLOAT_MAX:
             value, cut = fitted(code, value)
             saturated += cut
         packer.pack_into(raw, at + start, value)
+        # Read back: the change that a receiver sees, rounding included.
         step = abs(packer.unpack_from(raw, at + start)[0] - healthy)
         if size < step < math.inf:
             size = step
+    # Nothing differs after rounding: the same object goes on, and counts as untouched.
     if raw == frame.raw:
         return Outgoing(t_us, frame)
     end = at + length
+    # The checksum covers all behind the start byte, and then the message's own CRC_EXTRA.
     crc = mcrf4xx(CRC_EXTRA[frame.layout.crc_extra], mcrf4xx(raw[1:end]))
     raw[end] = crc & 0xFF
     raw[end + 1] = crc >> 8
@@ -113,19 +118,23 @@ def fitted(code: str, value: Number) -> tuple[Number, bool]:
         return math.copysign(FLOAT_MAX, value), True
     if code == "d":
         return value, False
+    # NaN, which no integer holds; the comparisons below would pass it.
     if value != value:
         return 0, True
     low, high = INTEGER_LIMITS[code]
+    # Half a count beyond the limit still rounds to it: nothing is lost.
     if value < low - 0.5:
         return low, True
     if value > high + 0.5:
         return high, True
+    # `round` at the very edge may reach one count beyond.
     return min(max(round(value), low), high), False
 
 
 def largest(before: Sequence[Number], after: Sequence[Number]) -> float | None:
     """The largest finite change."""
     steps = [abs(b - a) for a, b in zip(before, after, strict=True)]
+    # NaN and infinity have no size that a label could hold.
     return max((step for step in steps if math.isfinite(step)), default=None)
 
 

@@ -6,7 +6,7 @@ come from the same lines); its moving part is the state it hands back. It does n
 as `t_us` and chance from `rng`, and never changes its arguments.
 """
 
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import msgspec
 
@@ -70,7 +70,8 @@ class LinkFault(msgspec.Struct, frozen=True, kw_only=True):
         """Nothing to remember, for the faults that treat each frame by itself."""
 
 
-class Holder(Protocol):
+@runtime_checkable
+class Buffering(Protocol):
     """A fault that keeps frames back until others have come."""
 
     def release_us(self, state: Any) -> int | None:

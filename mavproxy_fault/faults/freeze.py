@@ -25,6 +25,7 @@ class Freeze(ValueFault, frozen=True, kw_only=True):
         frozen: dict[Key, list[Number]] = state or {}
         if key in frozen:
             return frozen[key], frozen
+        # A new dictionary: states that were handed out earlier stay as they are.
         return before, {**frozen, key: before}
 
 
@@ -70,7 +71,9 @@ class SlewLimit(ValueFault, frozen=True, kw_only=True):
     ) -> tuple[list[Number], Any]:
         """One step towards the healthy value."""
         last: dict[Key, tuple[float, list[Number]]] = state or {}
+        # The first frame of a sender: no time has passed, so it passes unchanged.
         last_s, previous = last.get(key, (t_s, before))
+        # A clock that goes back gives no step at all.
         most = self.value * max(t_s - last_s, 0.0)
         now = [h + min(max(x - h, -most), most) for x, h in zip(before, previous, strict=True)]
         return now, {**last, key: (t_s, now)}

@@ -52,6 +52,7 @@ class SampleHold(ValueFault, frozen=True, kw_only=True):
         """The values of the last sample."""
         rows: dict[Key, Row] = state or {}
         sampled = rows.get(key)
+        # Within rounding of the period counts as the period: stamps are sums of steps.
         if sampled is not None and t_s - sampled[0] < self.value - CLOSE_S:
             return sampled[1], rows
         return before, {**rows, key: (t_s, before)}

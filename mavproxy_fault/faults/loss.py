@@ -27,6 +27,7 @@ class Drop(LinkFault, frozen=True, kw_only=True):
         self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
         """Lose this frame or not."""
+        # No draw where every frame is lost: there is nothing to decide.
         if self.value < 1.0 and rng.random() >= self.value:
             return [Outgoing(t_us, frame)], None
         return [], None
@@ -92,6 +93,7 @@ class Burst(LinkFault, frozen=True, kw_only=True):
         self, frame: Frame | bytes, t_us: int, state: int, rng: "Generator"
     ) -> tuple[list[Outgoing], int]:
         """Lose this frame or not."""
+        # A burst that has begun takes no draws until it is over.
         remaining = state or (self.frames if rng.random() < self.value else 0)
         return ([], remaining - 1) if remaining else ([Outgoing(t_us, frame)], 0)
 
@@ -124,4 +126,5 @@ class RateLimit(LinkFault, frozen=True, kw_only=True):
         if due_us - t_us > self.queue_s * 1e6:
             return [], state
         late_s = (due_us - t_us) * 1e-6 or None
+        # None: a frame that leaves at once was not touched.
         return [Outgoing(due_us, frame, late_s)], Bucket(due_us + round(1e6 / self.value))

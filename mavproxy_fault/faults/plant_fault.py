@@ -78,8 +78,10 @@ class InSimulator(msgspec.Struct, frozen=True, kw_only=True):
 
     def release(self, t_us: int, state: Sent) -> tuple[list[Outgoing], Sent]:
         """At the end: healthy again."""
+        # Nothing was ever said to the simulator: there is nothing to take back.
         if state.values is None:
             return [], state
+        # None is the simulator's word for healthy.
         healthy = (None,) * len(self.names)
         return self._messages(healthy, state.target, t_us), state._replace(values=healthy)
 
@@ -91,6 +93,7 @@ class InSimulator(msgspec.Struct, frozen=True, kw_only=True):
             Outgoing(
                 t_us,
                 Frame(plant_frame(PlantChange(name, value), target), layout),
+                # The magnitude of the label; what is healthy again has none.
                 None if value is None else abs(value),
                 back=True,
             )
@@ -133,6 +136,7 @@ class InReceiver(InSimulator, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         check_count(self.fault, self.names)
+        # A receiver in the simulator tracks a satellite or does not.
         if isinstance(self.fault, Drop) and self.fault.value < 1.0:
             raise ValueError(
                 f"value = {self.fault.value} cannot be had in the receiver, which loses a satellite"
@@ -143,6 +147,7 @@ class InReceiver(InSimulator, frozen=True, kw_only=True):
         """Metres per satellite, or 1 for lost."""
         if isinstance(self.fault, Drop):
             return (1.0,) * len(self.names), None
+        # On zeros: the values that come out are the errors themselves.
         errors, state = self.fault.after([0.0] * len(self.names), (), t_s, state, rng)
         return tuple(float(error) for error in errors), state
 
@@ -150,6 +155,7 @@ class InReceiver(InSimulator, frozen=True, kw_only=True):
 def receiver_names(satellites: Sequence[str], fault: object) -> tuple[str, ...]:
     """The simulator's names for a fault on some satellites; one name for all that there are."""
     kind = "satellite_lost" if isinstance(fault, Drop) else "pseudorange_m"
+    # One name instead of a list of all.
     if set(satellites) == set(SATELLITES):
         return (f"{kind}[all]",)
     return tuple(f"{kind}[{satellite}]" for satellite in satellites)

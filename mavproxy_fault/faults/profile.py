@@ -35,6 +35,7 @@ class Draw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     normal: tuple[float, NotNegative] | None = None
 
     def __post_init__(self) -> None:
+        # Both or neither: there would be two answers, or none.
         if (self.uniform is None) == (self.normal is None):
             raise ValueError("a drawn number takes either uniform or normal")
 
@@ -112,6 +113,7 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         if self.segments is not None:
             if not self.segments:
                 raise ValueError("segments is empty; give at least one")
+            # Overlaps are judged for our own rule; `param_gen` has a check of its own.
             if self.compat is None:
                 check_apart(self.segments)
             else:
@@ -120,6 +122,7 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     def new_state(self, rng: "Generator") -> Any:
         """What the profile remembers: drawn segments, an open table, or the newest live value."""
         if self.segments is not None:
+            # Drawn once per start, so that a repeated fault draws anew.
             return drawn(self.segments, rng)
         if self.table is not None:
             from mavproxy_fault.faults.series import Series
@@ -173,10 +176,12 @@ def at(segments: Sequence[Piece], t_s: float, *, open_left: bool) -> float | Non
         # param_gen takes the piece before the first whose start has not passed, sorted or not.
         k = next((i for i, piece in enumerate(segments) if t_s <= piece[0]), len(segments)) - 1
     else:
+        # The newest piece that has begun; at a joint the later one.
         k = bisect_right(segments, t_s, key=lambda piece: piece[0]) - 1
     if k < 0:
         return None
     at_s, for_s, start, rate = segments[k]
+    # Before its end; behind it the value is healthy until the next piece.
     return start + (t_s - at_s) * rate if t_s <= at_s + for_s else None
 
 

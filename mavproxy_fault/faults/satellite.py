@@ -70,6 +70,7 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         if not payload[0] & 1:
             return self._patched((frame,), payload[1:], payload[0] >> 3, t_us, state, rng)
         key = (frame.system, frame.component, payload[0] >> 3)
+        # Flags byte: bit 0 fragmented, bits 1 and 2 the fragment, 3 to 7 the message.
         number = payload[0] >> 1 & 3
         old = state.partial.get(key)
         broken: list[Outgoing] = []
@@ -79,6 +80,7 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         since_us, frames, parts = old or PartialMessage(t_us, (), {})
         new = PartialMessage(since_us, (*frames, frame), {**parts, number: payload[1:]})
         whole = rtcm.joined(dict(new.parts))
+        # Completed or not, the entry of this sender is written anew below.
         rest = {sender: part for sender, part in state.partial.items() if sender != key}
         if whole is None:
             return broken, state._replace(partial={**rest, key: new})
@@ -105,9 +107,12 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         # Nothing changed: the fragments leave byte for byte as they came.
         if message == data:
             return healthy, state
+        # A lost satellite has no size in metres: NaN marks the frame as touched all the same.
         size_m = max((abs(change) for change in changes_m.values()), default=math.nan)
         sends = [
             Outgoing(t_us, refilled(frame, payload), size_m)
+            # A message with satellites lost may need fewer fragments: `strict=False` drops the
+            # last.
             for frame, payload in zip(frames, rtcm.fragments(message, sequence), strict=False)
         ]
         return sends, state
@@ -130,6 +135,8 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
             return {}, lost, None
         t_s = (t_us - state.start_us) / 1e6
         key = (frame.system, frame.component)
+        # For every name of the target, also those out of view: a satellite's error must not depend
+        # on who else is there.
         healthy: list[int | float] = [0.0] * len(self.names)
         errors, inner = self.fault.after(healthy, key, t_s, state.inner, rng)
         by_name = dict(zip(self.names, errors, strict=True))
@@ -162,6 +169,7 @@ def check_count(fault: object, names: tuple[str, ...]) -> None:
         If it is longer or shorter.
     """
     value = getattr(fault, "value", None)
+    # Only a list must fit in length.
     if isinstance(value, tuple):
         each(value, len(names))
 

@@ -22,6 +22,7 @@ class Quantise(ValueFault, frozen=True, kw_only=True):
     ) -> tuple[list[Number], Any]:
         """The nearest step."""
         step = self.value
+        # NaN and infinity have no nearest step.
         return [round(x / step) * step if math.isfinite(x) else x for x in before], None
 
 
@@ -43,6 +44,7 @@ class Saturate(ValueFault, frozen=True, kw_only=True):
             raise ValueError(f"low = {low} is above high = {high}; the range must not be empty")
 
     def _range(self) -> tuple[float, float]:
+        # One number gives both sides; `low` or `high` alone leaves the other side open.
         width = math.inf if self.value is None else self.value
         low = -width if self.low is None else self.low
         return low, width if self.high is None else self.high
@@ -68,4 +70,5 @@ class DeadBand(ValueFault, frozen=True, kw_only=True):
     ) -> tuple[list[Number], Any]:
         """What stands out of the band."""
         band = self.value
+        # The sign stays, also of a zero.
         return [math.copysign(max(abs(x) - band, 0.0), x) for x in before], None

@@ -51,6 +51,7 @@ class Series:
 
     def at(self, t_s: float) -> float | None:
         """The value at a time: that of the newest row, or between the two rows around it."""
+        # Time went back: a reader that only goes forward must begin anew.
         if t_s < self._latest_s:
             self._start()
         self._latest_s = t_s
@@ -92,6 +93,7 @@ def read_blocks(table: "Table") -> Iterator[Block]:
     last_s = -math.inf
     source = _parquet if Path(table.file).suffix == ".parquet" else _csv
     for times, values in source(table):
+        # With the last time of the block before, so that the joints are checked too.
         ascending = all(a < b for a, b in itertools.pairwise((last_s, *times)))
         if not ascending or not all(map(math.isfinite, values)):
             raise ConfigError(
@@ -115,6 +117,7 @@ def _csv(table: "Table") -> Iterator[Block]:
     except OSError as error:
         raise ConfigError(f"{table.file}: cannot be read ({error}); give a CSV file") from None
     except (ValueError, IndexError) as error:
+        # A `ConfigError` is a ValueError: one of ours passes as it is.
         if isinstance(error, ConfigError):
             raise
         line = rows.line_num
@@ -138,6 +141,7 @@ def _parquet(table: "Table") -> Iterator[Block]:
         with parquet.ParquetFile(table.file) as file:
             for name in (table.time, table.value):
                 _column(file.schema_arrow.names, name, table.file)
+            # Only two columns are read of a file that may have many.
             for batch in file.iter_batches(BLOCK_ROWS, columns=[table.time, table.value]):
                 if batch.num_rows:
                     times, values = (

@@ -61,12 +61,14 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
 
     def shift(self, t_s: float) -> Shift:
         """The offset and its rate, `t_s` after the spoof began."""
+        # `value` alone: metres north.
         aim = self.offset_m if self.value is None else (self.value, 0.0, 0.0)
         t_s = max(t_s, 0.0)  # a sender whose clock is behind the one that started the fault
         if t_s < self.ramp_s:
             # While it is dragged off, the velocity must fit, or innovation checks see the spoof.
             share, rate = t_s / self.ramp_s, 1.0 / self.ramp_s
             return Shift(_scaled(aim, share), _scaled(aim, rate))
+        # From the end of the ramp on.
         further = _scaled(self.velocity_mps, t_s - self.ramp_s)
         moved = (aim[0] + further[0], aim[1] + further[1], aim[2] + further[2])
         return Shift(moved, self.velocity_mps)
@@ -90,6 +92,7 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
         # It marks position and velocity as unknown: nothing was moved.
         if out.frame is frame:
             return [out], state
+        # The whole offset is the magnitude, not what one field of the message shows of it.
         size = math.hypot(*shift.offset_m) or math.hypot(*self.velocity_error_mps)  # m, or m/s
         return [Outgoing(t_us, out.frame, size, out.saturated)], state
 

@@ -26,12 +26,14 @@ class Move(NamedTuple):
 def moved_degrees(lat_deg: float, alt_m: float, offset_m: Three) -> tuple[float, float]:
     """Degrees of latitude and longitude that so many metres north and east are."""
     lat = math.radians(lat_deg)
+    # Radii of curvature in the prime vertical and in the meridian.
     w2 = 1.0 - WGS84_ECCENTRICITY2 * math.sin(lat) ** 2
     east_radius_m = WGS84_SEMI_MAJOR_M / math.sqrt(w2)
     north_radius_m = east_radius_m * (1.0 - WGS84_ECCENTRICITY2) / w2
     north, east, _ = offset_m
     return (
         math.degrees(north / (north_radius_m + alt_m)),
+        # At the poles a metre east is no angle: a bound instead of a division by zero.
         math.degrees(east / ((east_radius_m + alt_m) * max(math.cos(lat), 1e-6))),
     )
 
@@ -39,11 +41,15 @@ def moved_degrees(lat_deg: float, alt_m: float, offset_m: Three) -> tuple[float,
 def position(frame: Frame, move: Move, alt_scale: float) -> dict[str, Number]:
     """New `lat`, `lon` (degE7) and `alt` (`alt_scale` counts per metre)."""
     lat, lon, alt = frame.number("lat"), frame.number("lon"), frame.number("alt")
+    # GPS_INPUT may hold a height that is not finite.
     alt_m = alt / alt_scale if math.isfinite(alt) else 0.0
     dlat, dlon = moved_degrees(lat * 1e-7, alt_m, move.offset_m)
+    # Longitude wraps at 180 degrees.
     turned = (lon * 1e-7 + dlon + 180.0) % 360.0 - 180.0
     return {
         "lat": lat + round(dlat * 1e7),
+        # Added in counts while it does not wrap: the digits below a count of the healthy value
+        # stay.
         "lon": lon + round(dlon * 1e7) if -180.0 <= lon * 1e-7 + dlon < 180.0 else turned * 1e7,
         "alt": alt - move.offset_m[2] * alt_scale,
     }
@@ -58,12 +64,14 @@ def ground_speed(vn: float, ve: float) -> dict[str, Number]:
 def hil_gps(frame: Frame, move: Move) -> dict[str, Number]:
     """HIL_GPS: velocity in cm/s, its size and course redone where they were known."""
     values = position(frame, move, 1000.0)
+    # A jump without velocity leaves every velocity field byte for byte.
     if not any(move.velocity_mps):
         return values
     old = [frame.number(name) / 100.0 for name in ("vn", "ve", "vd")]
     new = [v + dv for v, dv in zip(old, move.velocity_mps, strict=True)]
     speed = ground_speed(new[0], new[1])
     values |= {"vn": new[0] * 100.0, "ve": new[1] * 100.0, "vd": new[2] * 100.0}
+    # Speed and course only where the receiver gave them.
     return values | {k: v for k, v in speed.items() if frame.number(k) != UNKNOWN_U16}
 
 
@@ -73,9 +81,11 @@ def gps_raw(frame: Frame, move: Move) -> dict[str, Number]:
     if "alt_ellipsoid" in frame.layout.fields and frame.number("alt_ellipsoid"):
         values["alt_ellipsoid"] = frame.number("alt_ellipsoid") - move.offset_m[2] * 1000.0
     vel, cog = frame.number("vel"), frame.number("cog")
+    # Zero is "unknown" in this extension field.
     if UNKNOWN_U16 in (vel, cog) or not any(move.velocity_mps[:2]):
         return values
     course = math.radians(cog / 100.0)
+    # Unknown speed or course stay unknown; a move straight down changes neither.
     vn = vel / 100.0 * math.cos(course) + move.velocity_mps[0]
     ve = vel / 100.0 * math.sin(course) + move.velocity_mps[1]
     return values | ground_speed(vn, ve)
@@ -114,9 +124,11 @@ def odometry(frame: Frame, move: Move) -> dict[str, Number]:
     local, child = frame.number("frame_id"), frame.number("child_frame_id")
     if local not in (LOCAL_NED, LOCAL_ENU) or frame.number("estimator_type") in WITHOUT_SATELLITES:
         return {}
+    # Metres in the axes of the message.
     axes = _enu if local == LOCAL_ENU else _same
     values = _added(frame, ("x", "y", "z"), axes(move.offset_m))
     velocity = axes(move.velocity_mps)
+    # Velocity in the child's axes: the body, the local frame, or one we cannot turn into.
     if child == BODY_FRD:
         q_nb = [float(frame.number("q", i)) for i in range(4)]
         velocity = into_body(q_nb, velocity)
@@ -134,6 +146,7 @@ def _same(ned: Three) -> Three:
 
 
 def _enu(ned: Three) -> Three:
+    # East, north, up.
     return ned[1], ned[0], -ned[2]
 
 

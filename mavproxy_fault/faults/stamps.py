@@ -40,6 +40,7 @@ class Stamps(LinkFault, frozen=True, kw_only=True):
         off_s = self.off_s((t_us - state) / 1e6)
         scales = stamp_fields(frame.layout)
         out = rewritten(
+            # Whole counts: stamps are integers.
             frame,
             t_us,
             {name: frame.number(name) + round(off_s * scale) for name, scale in scales.items()},
@@ -52,6 +53,7 @@ class Stamps(LinkFault, frozen=True, kw_only=True):
 def stamp_fields(layout: Layout) -> dict[str, float]:
     """The fields of a message that hold its sender's time, and their counts per second."""
     return {
+        # A unit that is not a time, by MAVLink's definitions, leaves the field alone.
         name: COUNTS_PER_S[layout.fields[name].unit]
         for name in NAMES
         if name in layout.fields and layout.fields[name].unit in COUNTS_PER_S
@@ -94,4 +96,5 @@ class TimeBackwards(Stamps, frozen=True, kw_only=True):
 
     def off_s(self, t_s: float) -> float:
         """Undo the time that passed, and as much again."""
+        # Once to stand still, and `value` times to run back.
         return -(1.0 + self.value) * t_s

@@ -44,6 +44,7 @@ def fields(targets: Iterable[str]) -> dict[int, tuple[Element, ...]]:
         name, _, rest = target.partition(".")
         described = message(name)
         before, more = found.get(described.id, ()), _elements(described, target, rest)
+        # The same element twice would be changed twice.
         if set(before) & set(more):
             raise ValueError(f"{target} is named twice; once is enough")
         found[described.id] = before + more
@@ -57,6 +58,7 @@ def _elements(described: Layout, target: str, rest: str) -> tuple[Element, ...]:
         raise ValueError(f"{target} is no numeric field of {described.name}; {near(rest, numeric)}")
     field = described.fields[parts[1]]
     if parts[2] is None:
+        # A whole array stands for all its elements.
         return tuple((field.name, i) for i in range(max(field.count, 1)))
     if int(parts[2]) >= max(field.count, 1):
         raise ValueError(f"{target} is out of range; {field.name} has {max(field.count, 1)}")
@@ -95,6 +97,7 @@ def named(targets: Iterable[str], prefix: str) -> tuple[str, ...]:
         if head != prefix or not rest:
             raise ValueError(f"{target} is wrong here; it must be {prefix}.<name>")
         if prefix == RANGES and rest == ALL:
+            # Beside names that stand there already: each satellite once.
             names += [satellite for satellite in SATELLITES if satellite not in names]
             continue
         if prefix == RANGES and not SATELLITE_NAME.fullmatch(rest):

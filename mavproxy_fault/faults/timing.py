@@ -56,12 +56,14 @@ class Jitter(LinkFault, frozen=True, kw_only=True):
         out = late(frame, t_us, self.base_s + self._draw(rng))
         # It would overtake the frame before, so it waits until that one leaves.
         if self.keep_order and out.due_us < state:
+            # Equal due times leave in the order in which they came.
             out = late(frame, t_us, (state - t_us) * 1e-6)
         return [out], max(out.due_us, state)
 
     def _draw(self, rng: "Generator") -> float:
         if self.distribution == "uniform":
             return float(rng.uniform(0.0, self.value))
+        # Cut at zero: a frame cannot leave before it came.
         if self.distribution == "normal":
             return max(float(rng.normal(0.0, self.value)), 0.0)
         if self.distribution == "exponential":
@@ -96,7 +98,12 @@ class Duplicate(LinkFault, frozen=True, kw_only=True):
     by_s: Seconds = 0.0
 
     def apply(
-        self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
+        self,
+        frame: Frame | bytes,
+        t_us: int,
+        state: Any,
+        rng: "Generator",
+        # The copies spread evenly up to `by_s`.
     ) -> tuple[list[Outgoing], Any]:
         """The frame, and its copies."""
         first = Outgoing(t_us, frame)

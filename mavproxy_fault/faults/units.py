@@ -38,7 +38,9 @@ def factors_of(elements: Mapping[int, tuple[Element, ...]]) -> Factors:
         row = []
         for name, _ in places:
             quantity, size = SIZES.get(described.fields[name].unit, ("", 1.0))
+            # The first target of a quantity sets the unit; a field of no known quantity is its own.
             row.append(size / first.setdefault(quantity, size) if quantity else 1.0)
+        # A message without factors costs nothing per frame.
         if any(factor != 1.0 for factor in row):
             found[number] = tuple(row)
     return found

@@ -39,6 +39,7 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         value = getattr(self, "value", None)
+        # One number or a list of one for each element, in every message of the target.
         if isinstance(value, tuple):
             for places in self.elements.values():
                 each(value, len(places))

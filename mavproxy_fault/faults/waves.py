@@ -50,6 +50,7 @@ class Impulse(ValueFault, frozen=True, kw_only=True):
     mode: Mode = "add"
 
     def __post_init__(self) -> None:
+        # A width of the whole period would be a bias under another name.
         if self.width_s >= self.period_s:
             raise ValueError(
                 f"width_s = {self.width_s} must be shorter than period_s = {self.period_s}"
@@ -59,6 +60,7 @@ class Impulse(ValueFault, frozen=True, kw_only=True):
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Healthy between the impulses."""
+        # CLOSE_S: a frame at the very end of an impulse is healthy.
         if since_last(t_s, self.period_s) >= self.width_s - CLOSE_S:
             return before, None
         return [meet(self.mode, x, self.value) for x in before], None
@@ -82,5 +84,6 @@ class Cycle(ValueFault, frozen=True, kw_only=True):
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Only the one whose time it is."""
+        # Integer division of the time, so that lost frames do not shift the cycle.
         active = int((t_s + CLOSE_S) / self.period_s) % len(before)
         return [x + self.value * (i == active) for i, x in enumerate(before)], None

@@ -50,6 +50,7 @@ class Control:
         self.rflysim = rflysim
         self.folders = folders
         self.view = View()
+        # Names of messages that have come, by which a failure command finds what it can act on.
         self._passed: set[str] = set()
         self._latched: set[str] = set()
         # Units are supported once one of their messages has passed; each is looked at only once.
@@ -80,6 +81,7 @@ class Control:
         # NaN is MAVLink's "not given": -1 is no unit and no kind.
         numbers = [int(one) if math.isfinite(one) else -1 for one in parameters]
         unit, kind = UNITS.get(numbers[0]), TYPES.get(numbers[1])
+        # NaN is "not given", which means all.
         instance = 0 if math.isnan(parameters[2]) else numbers[2]
         if unit is None or kind is None or instance < 0:
             return UNSUPPORTED
@@ -101,6 +103,7 @@ class Control:
     def _clear(self, unit: str, instance: int) -> int:
         """End the failures of one instance, or of all of a unit."""
         head = name_of(unit, instance)
+        # Ids are `unit-instance.part`; instance 0 ends those of every instance.
         for id in self.engine.ids():
             if id.rpartition(".")[0] == head or (not instance and id.startswith(f"{head}-")):
                 self.engine.clear(id)
@@ -111,6 +114,7 @@ class Control:
     def packet(self, data: bytes, t_us: int) -> list[str]:
         """Carry out one RflySim packet; the ids of the faults it set. Others are passed over."""
         packet = Packet.read(data)
+        # Others speak to that port too, and a proxy without a map has no use for it.
         if packet is None or self.rflysim is None or not self.allowed:
             return []
         self.engine.tell_time(t_us)
@@ -141,6 +145,7 @@ class Control:
         """
         try:
             names = msgspec.json.decode(payload, type=list[str])
+        # Under the loop's own clock: what viewers watch is no edit of the schedule.
         except msgspec.MsgspecError as error:
             raise ConfigError(f"@ctl/watch: {error}; send a list of messages as JSON") from None
         self.view.watch(names, now_s)
@@ -181,7 +186,9 @@ class Control:
         """
         _, _, what = key.partition("@ctl/")
         if what == "state":
+            # State and schedule change nothing, so a proxy that takes no faults answers them too.
             return lambda t_us: {
+                # The later of both: the engine's time stands still while nothing passes.
                 **self.engine.state(), "now_us": max(self.engine.now_us, t_us)
             }  # fmt: skip
         if what == "schedule/save":
@@ -216,6 +223,7 @@ class Control:
             raise ConfigError(f"@ctl/fault/{id}/{action}: {error}; send JSON") from None
         if action == "arm":
             check_files(data, self.folders, "arm")
+            # The id of the key wins over one in the payload.
             entries = parse_entry({**data, "id": id}, "arm")
             return lambda: {"armed": self.engine.arm(entries)}
         if action != "value" or not isinstance(data.get("value"), int | float):
@@ -257,6 +265,7 @@ def acknowledgement(command: Frame, result: int) -> Frame:
     raw = build(
         layout,
         values,
+        # A command to all (0) is answered as the usual vehicle would.
         system=int(command.number("target_system")) or 1,
         component=int(command.number("target_component")) or AUTOPILOT,
     )

@@ -31,6 +31,7 @@ DELAY_S = 0.5
 INTERMITTENT = {"for_s": 0.5, "repeat": {"every_s": 1.0}}
 
 M_PER_HPA = 8.4  # of height, near the ground
+# One degree of latitude is about 111 km.
 DEGE7_PER_M = 90.0  # of latitude
 
 
@@ -165,12 +166,14 @@ def faults_for(
     chosen = [
         part
         for part in WHAT[unit].parts
+        # A part of one instance is left alone when another instance is meant.
         if part.message in passed and (not part.instance or instance in (0, part.instance))
     ]
     entries = []
     for number, part in enumerate(chosen, 1):
         entry = _of_a_part(WHAT[unit], part, kind, instance)
         if instance and not part.instance and not part.indexed:
+            # MAVLink's instances count from 1, the messages' ids from 0.
             entry["where"] = {"id": instance - 1}
         entries.append({"id": f"{name_of(unit, instance)}.{number}", **entry})
     return entries
@@ -193,6 +196,7 @@ def _of_the_link(kind: str) -> dict[str, Any]:
 def _of_a_part(unit: Unit, part: Part, kind: str, instance: int) -> dict[str, Any]:
     if kind == "intermittent":
         return {**_of_a_part(unit, part, "off", instance), **INTERMITTENT}
+    # A message of its own can be lost or late as a whole.
     if not part.shared and kind in ("off", "slow", "delayed"):
         whole: dict[str, dict[str, Any]] = {
             "off": {"fault": "drop"},
@@ -206,6 +210,7 @@ def _of_a_part(unit: Unit, part: Part, kind: str, instance: int) -> dict[str, An
     fields, scales = _elements(part, instance)
     target: dict[str, Any] = {"target": fields}
     if kind == "off":
+        # A shared message without flags: zero is the nearest to silence.
         return {**target, "fault": "constant", "value": 0.0}
     if kind == "stuck":
         return {**target, "fault": "freeze"}
@@ -229,6 +234,7 @@ def _elements(part: Part, instance: int) -> tuple[list[str], list[float]]:
     for name, scale in part.fields:
         chosen = f"[{instance - 1}]" if part.indexed and instance else ""
         found.append(f"{part.message}.{name}{chosen}")
+        # One number per element: an array field has as many.
         (elements,) = fields([found[-1]]).values()
         scales += [scale] * len(elements)
     return found, scales

@@ -55,6 +55,7 @@ class Journal:
     def note(self, what: str, payload: bytes, t_us: int) -> None:
         """Keep one edit, made at the vehicle's time `t_us`."""
         if self._tape is not None:
+            # Digits, since a packet is no text.
             text = payload.hex() if what == RFLYSIM else payload.decode("utf-8", "replace")
             self._edits.append(Edit(self._tape.count, self._now_us, t_us, what, text))
 
@@ -67,6 +68,7 @@ class Journal:
 def read_edits(path: Path) -> list[Edit]:
     """The whole lines of a file of edits; none if there is no such file."""
     lines = path.read_bytes().splitlines(keepends=True) if path.is_file() else []
+    # A kill may have cut the last line.
     return [msgspec.json.decode(line, type=Edit) for line in lines if line.endswith(b"\n")]
 
 
@@ -75,6 +77,7 @@ def carry_out(edit: Edit, core: Core, control: Control) -> None:
     if edit.what == JOIN:
         join(core, control)
         return
+    # What the running proxy refused, the replay refuses as well.
     with contextlib.suppress(ConfigError):
         if edit.what == RFLYSIM:
             control.packet(bytes.fromhex(edit.payload), edit.t_us)
@@ -86,6 +89,7 @@ def join(core: Core, control: Control) -> None:
     """Let live control take part; its engine takes over if there was none."""
     if core.engine is None:
         if core.clock.t0_us is not None:
+            # The engine's time counts from the vehicle's first stamp, which may have come long ago.
             control.engine.start_at(core.clock.t0_us)
         core.engine = control.engine
     core.control = control

@@ -18,6 +18,7 @@ def check_files(data: Any, folders: Sequence[Path] | None, where: str) -> None:
         If a file lies in none of the folders, or is too large. Nothing of its content is told.
     """
     for name in _files(data) if folders is not None else ():
+        # Resolved first: `..` and links must not lead out of the folders.
         path = Path(name).resolve()
         if not any(path.is_relative_to(folder.resolve()) for folder in folders or ()):
             raise ConfigError(
@@ -32,6 +33,7 @@ def check_files(data: Any, folders: Sequence[Path] | None, where: str) -> None:
 
 def _files(data: Any) -> Iterator[str]:
     """Every value under a key `file`, however deep."""
+    # Without recursion: the depth of a payload is the sender's choice.
     waiting = [data]
     while waiting:
         one = waiting.pop()

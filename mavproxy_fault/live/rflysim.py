@@ -49,6 +49,8 @@ class Packet(msgspec.Struct, frozen=True):
         faults: dict[int, tuple[float, ...]] = {}
         for slot, id in enumerate(ids):
             if id not in (0, NO_FAULT):
+                # A fault with more than two parameters repeats its id: the pairs are joined in
+                # order.
                 faults[id] = faults.get(id, ()) + parameters[2 * slot : 2 * slot + 2]
         return Packet(numbers[1], faults, NO_FAULT in ids)
 
@@ -105,6 +107,7 @@ def read_map(path: Path | str = SHIPPED) -> IdMap:
     check = DocumentCheck(document.where, document.lines)
     meanings = {}
     for id, value in document.data.items() if isinstance(document.data, dict) else ():
+        # Only ASCII digits: `int` would take others too.
         if not (id.isascii() and id.isdigit()):
             check.wrong((id,), "is no fault id; they are whole numbers such as 123450")
             continue
@@ -131,6 +134,7 @@ def _sensor(meaning: Meaning, parameters: tuple[float, ...]) -> list[dict[str, A
     if mode != NOISE_AND_BIAS:
         return []
     entries: list[dict[str, Any]] = []
+    # A gain that is missing is zero: then only the floor of the noise is left.
     for target, bias, gain in zip(targets, numbers[::2], (*numbers[1::2], 0.0), strict=False):
         share = meaning.floor + (1.0 - meaning.floor) * gain
         entries.append({"fault": "bias", "target": target, "value": bias * meaning.scale})
@@ -147,5 +151,6 @@ def _plant(meaning: Meaning, parameters: tuple[float, ...]) -> list[dict[str, An
         values = [meaning.value] * len(meaning.targets)
     return [
         {"fault": "plant", "target": target, "value": value}
+        # Fewer values than targets: the others stay healthy.
         for target, value in zip(meaning.targets, values, strict=False)
     ]

@@ -29,6 +29,7 @@ from mavproxy_fault.wire.label import Label
 PATIENCE_S = 3.0
 LOOK_S = 1.0  # between two looks whether the bus has its router
 DEFAULT_RUN = "live"
+# Python's default of 5 ms would hold a frame up for as long.
 SWITCH_INTERVAL_S = 2e-4
 WATCH = "@ctl/watch"
 SHOW_S = 0.04  # between two looks at what viewers watch
@@ -68,6 +69,7 @@ class Requests:
         self._changed = threading.Condition()
         self._closed = False
         self._reads, self._wakes = socket.socketpair()
+        # Never waited on: a full socket has bytes enough to wake the loop.
         self._reads.setblocking(False)
         self._wakes.setblocking(False)
 
@@ -84,6 +86,7 @@ class Requests:
             If the loop does not come to it in three seconds, or ends.
         """
         outcome: Future[Any] = Future()
+        # Under the lock: nothing may be put in after `close` has emptied the queue.
         with self._changed:
             if self._closed:
                 raise ConfigError("the proxy is ending; ask another")
@@ -94,6 +97,7 @@ class Requests:
         try:
             return outcome.result(PATIENCE_S)
         except TimeoutError:
+            # Or the loop would carry out what nobody waits for any more.
             outcome.cancel()
             raise ConfigError(f"the proxy did not answer within {PATIENCE_S} s") from None
         except CancelledError:
@@ -106,6 +110,7 @@ class Requests:
 
     def serve(self) -> None:
         """Carry out all that waits; called by the loop."""
+        # The bytes only wake; how many there are does not matter.
         with contextlib.suppress(BlockingIOError):
             while self._reads.recv(4096):
                 pass
@@ -115,6 +120,7 @@ class Requests:
                 continue  # whoever asked has given up
             try:
                 outcome.set_result(act())
+            # Also mistakes of ours: they belong to whoever asked, not to the loop.
             except Exception as error:
                 outcome.set_exception(error)
 
@@ -174,6 +180,7 @@ class Live:
             return
         try:
             bus = join_bus(zenoh, run or DEFAULT_RUN, config_file)
+        # Asked for by name it must work; `auto` may do without.
         except ConfigError as error:
             if zenoh != "auto" or config_file:
                 raise
@@ -205,6 +212,7 @@ class Live:
     def _look_after_bus(self, now_s: float) -> None:
         """See that somebody is the router; the proxies that have lost theirs try to be it."""
         if self._bus is None or now_s < self._look_s or self._successor.is_alive():
+            # A look each second, and one successor at a time.
             return
         self._look_s = now_s + LOOK_S
         if not self._bus.is_joined:
@@ -244,6 +252,7 @@ class Live:
         """Carry out one request in the loop's thread."""
         if act is None:
             return self.control.watch(payload, time.monotonic())
+        # The time is taken in the loop's thread, just before the edit.
         t_us = self._now_us()
         if self.journal is not None and not key.endswith(QUESTIONS):
             self.journal.note(key, payload, t_us)
@@ -261,6 +270,7 @@ class Live:
             return
         with contextlib.suppress(BlockingIOError):
             while True:
+                # One byte more than a packet: what is longer is none.
                 data = self._port.recv(PACKED.size + 1)
                 t_us = self._now_us()
                 if self.journal is not None:
@@ -281,6 +291,7 @@ class Live:
         self._show_s = now_s + SHOW_S
         self._look_after_bus(now_s)
         engine = self.control.engine
+        # Only where something changed since the last look.
         if self._bus is not None and self._shown != (engine.revision, engine.changes):
             self._show_faults(self._bus)
         samples = self.control.watched(now_s)
@@ -292,6 +303,7 @@ class Live:
     def _show_faults(self, bus: Bus) -> None:
         engine = self.control.engine
         self._shown = (engine.revision, engine.changes)
+        # The newest state is kept for those who join later.
         bus.put("schedule/state", msgspec.json.encode(engine.state()), history=1)
 
     def publish(self, stats: object, labels: Sequence[Label]) -> None:
@@ -330,6 +342,7 @@ class Live:
 
     def close(self) -> None:
         """Close the bus and the port; requests that wait are given up."""
+        # The successor waits for this very thread to carry out its offer.
         while self._successor.is_alive():
             self._requests.serve()
             self._successor.join(0.01)

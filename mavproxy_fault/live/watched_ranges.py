@@ -20,6 +20,7 @@ class RangeSource:
         """Take a fragment; the ranges of the message that it completes."""
         payload = tunnel_payload(frame)
         epochs = self._epochs[sent]
+        # A viewer that does not look loses epochs, not the proxy its memory.
         if payload is None or len(epochs) >= MOST_EPOCHS:
             return
         for message in self._messages[sent].add(payload):

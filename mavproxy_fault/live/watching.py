@@ -63,6 +63,7 @@ class Source:
                 f"{field.length}x" if field.type == "char" else field.code * max(field.count, 1)
                 for field in fields
             )
+            # Text has no place in a row of numbers: it is skipped by its length.
         )
         self.received: list[Row] = []
         self.sent: list[Row] = []
@@ -72,6 +73,7 @@ class Source:
         """Take a sample, unless its fiftieth of a second has one."""
         period = t_us // PERIOD_US
         rows = self.sent if sent else self.received
+        # Rows are bounded: a viewer may be slow or gone.
         if period == self._periods[sent] or len(rows) >= MOST_ROWS:
             return
         self._periods[sent] = period
@@ -112,6 +114,7 @@ class View:
                 )
 
                 raise ConfigError(f"watch: {name} is no message; {near(name, message_names())}")
+        # Of all viewers together.
         count = len(wanted | self._until_s.keys())
         if count > MOST_MESSAGES:
             raise ConfigError(f"watch: {count} messages are too many; at most {MOST_MESSAGES}")
@@ -120,6 +123,7 @@ class View:
 
     def expire(self, now_s: float) -> None:
         """Forget the messages that nobody asks for any more."""
+        # The usual case, without building anything.
         if all(until_s > now_s for until_s in self._until_s.values()):
             return
         self._until_s = {name: until for name, until in self._until_s.items() if until > now_s}
@@ -139,6 +143,7 @@ class View:
 
     def sent(self, raw: bytes, t_us: int) -> None:
         """Look at bytes that left."""
+        # Too short for the header of a frame.
         if len(raw) < 8:
             return
         # Only the id is read: most bytes that leave are watched by nobody.
@@ -174,6 +179,7 @@ class View:
                         instance=instance,
                         fields=fields,
                         received=received,
+                        # Equal rows are sent once.
                         sent=None if sent == received else sent,
                     )
                 )

@@ -9,7 +9,7 @@ from zlib import crc32
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.faults.fault import Outgoing
+from mavproxy_fault.faults.fault import Buffering, Outgoing
 from mavproxy_fault.schedule.entries import Entry
 from mavproxy_fault.schedule.triggers import Telemetry
 from mavproxy_fault.wire.frame import Frame
@@ -71,7 +71,7 @@ class Running:
         self._anything = self._where == (None, None, None, None)
         self.takes_bytes = entry.ids is None and getattr(entry.fault, "takes_bytes", False)
         self.takes_sealed = getattr(entry.fault, "takes_sealed", False)
-        self.holds = hasattr(entry.fault, "release")
+        self.buffers = isinstance(entry.fault, Buffering)
         self.keeps_back = getattr(entry.fault, "keeps_back", False)
 
     @cached_property
@@ -226,7 +226,7 @@ class Running:
 
     def release_us(self) -> int:
         """When the fault must let go of the oldest frame it keeps."""
-        if not self.holds:
+        if not self.buffers:
             return NEVER_US
         times = [self.fault.release_us(state) for state in self.states.values()]
         return min((time for time in times if time is not None), default=NEVER_US)
@@ -234,7 +234,7 @@ class Running:
     def release(self, t_us: int, *, overdue: bool) -> list[Outgoing]:
         """What the fault keeps: all of it, or only where the oldest is overdue."""
         sends: list[Outgoing] = []
-        for direction, state in self.states.items() if self.holds else ():
+        for direction, state in self.states.items() if self.buffers else ():
             until_us = self.fault.release_us(state)
             if not overdue or (until_us is not None and until_us <= t_us):
                 released, self.states[direction] = self.fault.release(t_us, state)

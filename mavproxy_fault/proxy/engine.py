@@ -37,7 +37,7 @@ class Engine:
         self._all: list[Running] = []
         self._by_id: dict[int, tuple[Running, ...]] = {}
         self._any: tuple[Running, ...] = ()
-        self._holders: tuple[Running, ...] = ()
+        self._buffering: tuple[Running, ...] = ()
         self._watched: dict[int, tuple[Running, ...]] = {}
         self._telemetry = Telemetry()
         self._edge_us = 0
@@ -79,7 +79,7 @@ class Engine:
         """
         if self._kept or self._labels:
             return self.now_us
-        due_us = min((running.release_us() for running in self._holders), default=NEVER_US)
+        due_us = min((running.release_us() for running in self._buffering), default=NEVER_US)
         return due_us if due_us < NEVER_US else None
 
     def due(self, t_us: int) -> list[Outgoing]:
@@ -90,7 +90,7 @@ class Engine:
         if t_us >= self._edge_us:
             self._advance(t_us)
         sends, self._kept = self._kept, []
-        for running in self._holders:
+        for running in self._buffering:
             if running.release_us() <= t_us:
                 sends += running.release(t_us, overdue=True)
         return sends
@@ -132,7 +132,7 @@ class Engine:
         active = [running for running in self._all if running.active]
         ids = {number for running in active for number in running.entry.ids or ()}
         self._any = tuple(r for r in active if r.entry.ids is None)
-        self._holders = tuple(r for r in active if r.holds)
+        self._buffering = tuple(r for r in active if r.buffers)
         self._by_id = {
             number: tuple(r for r in active if r.entry.ids is None or number in r.entry.ids)
             for number in ids

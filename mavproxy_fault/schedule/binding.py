@@ -36,6 +36,7 @@ def aim(name: str, kind: type[Any], names: Sequence[str]) -> Aim:
     ValueError
         If it fits the fault or the dialect in no way; the text starts with the target.
     """
+    # All or none: a fault acts on ranges or on something else.
     on_ranges = [one for one in names if one.startswith(targets.RANGES + ".")]
     if on_ranges:
         if not acts_on_ranges(kind):
@@ -53,6 +54,7 @@ def aim(name: str, kind: type[Any], names: Sequence[str]) -> Aim:
         elements = targets.fields(names)
         given = {"elements": elements, "factors": factors_of(elements)}
         return Aim(given, frozenset(elements))
+    # Without a target: the messages that the fault itself names, if it does.
     ids = targets.messages(names) or targets.messages(getattr(kind, "messages", ()))
     return Aim({}, ids or None)
 
@@ -89,5 +91,6 @@ def bind(kind: type[Any], parameters: dict[str, Any], at: Aim, via: str) -> tupl
         return fault, at.ids
     if via == "simulator":
         names = receiver_names(at.satellites, fault)
+        # The simulator's own frames carry the changes to it.
         return InReceiver(names=names, fault=fault), RIDDEN
     return Satellites(fault=fault, names=at.satellites), at.ids

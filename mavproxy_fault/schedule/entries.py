@@ -131,6 +131,7 @@ def parse_schedule(
     """
     if isinstance(source, str):
         source = read_yaml(source, where)
+    # Data from a program have no lines.
     data, where, lines = source if isinstance(source, Document) else (source, where, None)
     check = DocumentCheck(where, lines)
     if not isinstance(data, dict):
@@ -143,6 +144,7 @@ def parse_schedule(
     if isinstance(listed, list):
         for i, item in enumerate(listed):
             entries += _entries(item, i, check, ("faults", i), via)
+        # On the data as written: an entry that is wrong in itself still counts as there.
         check_together(listed, check)
     else:
         check.wrong(("faults",), "is no list; give `- id: ...` items")
@@ -205,6 +207,7 @@ def _from_preset(
         return []
     entries = []
     parts = preset_parts(name)
+    # The keys of the item overrule those of each part.
     own = {key: value for key, value in data.items() if key != "fault"}
     before = len(check.errors)
     check.value(data.get("id"), str | None, (*path, "id"))
@@ -234,8 +237,10 @@ def _entry(
     _open_table(found, check, path)
     names = keys.pop("target", None) or ()
     names = (names,) if isinstance(names, str) else tuple(names)
+    # A target that was refused already says nothing more.
     for text in wrong_targets(name, kind, names) if None not in names else ():
         check.wrong((*path, "target"), f"= {text}" if names else text)
+    # Binding needs every field right.
     if len(check.errors) > before:
         return None
     at = aim(name, kind, names)
@@ -274,6 +279,7 @@ def _check_repeat(keys: dict[str, Any], check: DocumentCheck, path: Path) -> Non
         check.wrong((*path, "repeat"), "needs for_s; a fault that never ends cannot start again")
     if repeat.every_s is None and keys.get("when") is None:
         check.wrong((*path, "repeat"), "lacks every_s; only a fault with `when` can do without")
+    # A start before the end of the last one would be two faults in one.
     if repeat.every_s is not None and for_s is not None and repeat.every_s < for_s:
         text = f"= {repeat.every_s:g} is shorter than for_s = {for_s:g}; give that or more"
         check.wrong((*path, "repeat", "every_s"), text)

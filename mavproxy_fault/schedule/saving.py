@@ -13,10 +13,13 @@ def as_yaml(seed: int, entries: Iterable[tuple[Entry, float]]) -> str:
     """What `read_schedule` takes: entries, each with the seconds after which its times count."""
     written: dict[str, dict[str, Any]] = {}
     for entry, late_s in entries:
+        # The parts of a preset were one item of the file, and become one again.
         whole = entry.id.rpartition(".")[0] if entry.preset else ""  # one part of several
         data = {"id": whole or entry.id, **entry.written}
+        # Live edits may begin long after the file's own times: they are moved by that much.
         if late_s:
             data["at_s"] = round(late_s + entry.at_s, 6)
+        # Once for all parts.
         written.setdefault(data["id"], data)
     faults = msgspec.to_builtins(list(written.values()))
     return write_yaml({"seed": seed, "faults": faults})

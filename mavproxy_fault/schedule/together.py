@@ -10,6 +10,7 @@ from mavproxy_fault.documents.document_check import DocumentCheck
 from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.schedule.presets import preset_names, preset_parts
 
+# Ids are parts of keys on the bus, where these characters mean something.
 ID = re.compile(r"[^/*$?#]+")
 
 
@@ -42,6 +43,7 @@ def check_together(listed: list[Any], check: DocumentCheck) -> None:
         awaited = _awaited(listed[i].get("after"))
         if awaited is None:
             continue
+        # Waiting for another part of the same item counts as for itself.
         if awaited not in places or places[awaited] == i:
             others = [name for name, place in places.items() if place != i]
             text = f"= {awaited} is no other fault; {near(awaited, others)}"

@@ -33,10 +33,13 @@ ARITHMETIC: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
+    # A division by zero is no value, so that the comparison is false.
     ast.Div: lambda a, b: a / b if b else None,
     ast.BitAnd: lambda a, b: int(a) & int(b),
 }
+# Longer than any condition a person writes; the parser's time and depth are bounded.
 LENGTH_MAX = 500
+# What Python's parser raises for hostile text.
 _SYNTAX = (SyntaxError, RecursionError, MemoryError)
 
 ARMED = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
@@ -72,6 +75,7 @@ class Telemetry:
 
     def note(self, frame: Frame) -> None:
         """Take a frame in; heartbeats of what is no autopilot are passed over."""
+        # A ground station's heartbeat would disarm the vehicle in `armed`.
         if frame.id == 0 and frame.number("autopilot") == NO_AUTOPILOT:
             return
         self.newest[frame.id] = frame
@@ -100,6 +104,7 @@ class Condition:
                 "write for example: HIL_GPS.alt > 500000 and armed"
             ) from None
 
+    # By text: a schedule that is read twice is equal to itself.
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Condition) and other.text == self.text
 
@@ -112,6 +117,7 @@ class Condition:
 
     def _part(self, node: ast.expr) -> Callable[[Telemetry], Value]:
         """A closure for one node of the tree."""
+        # `bool` is an `int` in Python: True and False are numbers here.
         if isinstance(node, ast.Constant) and isinstance(node.value, int | float | str):
             value = node.value
             return lambda telemetry: value
@@ -151,6 +157,7 @@ class Condition:
             self._both(COMPARE.get(type(op), _refused), left, right)
             for op, left, right in zip(node.ops, sides, sides[1:], strict=False)
         ]
+        # `in` and `is` parse, but mean nothing here.
         if any(type(op) not in COMPARE for op in node.ops):
             raise ValueError(f"= {self.text!r}: allowed comparisons are == != < <= > >=")
         return lambda telemetry: all(step(telemetry) for step in steps)
@@ -162,6 +169,7 @@ class Condition:
 
         def joined(telemetry: Telemetry) -> Value:
             a, b = one(telemetry), two(telemetry)
+            # Text is compared with text only; anything else is no answer, so false.
             if a is None or b is None or isinstance(a, str) != isinstance(b, str):
                 return None
             found: Value = act(a, b)
@@ -203,6 +211,7 @@ class Condition:
             raise ValueError(f"= {self.text!r}: {ast.unparse(node)} is no MESSAGE.field")
         layout = message(node.value.id)
         field = layout.fields.get(node.attr)
+        # Text has no number, and an index must exist in the message's definition.
         if field is None or field.type == "char" or not 0 <= index < max(field.count, 1):
             raise ValueError(
                 f"= {self.text!r}: {layout.name} has no number {node.attr}[{index}]; "
@@ -226,6 +235,7 @@ class Condition:
 
         def read(telemetry: Telemetry) -> Value:
             frame = telemetry.newest.get(number)
+            # No heartbeat yet: nothing is known, so nothing is true.
             return None if frame is None else meaning(frame)
 
         return read
@@ -247,6 +257,7 @@ def mode(heartbeat: Frame) -> str | int:
         return number
     main, sub = number >> 16 & 0xFF, number >> 24 & 0xFF
     name = PX4_MAIN[main] if main < len(PX4_MAIN) else str(main)
+    # Sub mode 0 means that the main mode has none.
     if name == "AUTO" and 0 < sub < len(PX4_AUTO):
         return f"AUTO.{PX4_AUTO[sub]}"
     return name

@@ -40,6 +40,7 @@ class Flight:
 
 def fly(scenario: Scenario, seed: int | None = None) -> Flight:
     """Fly a scenario with the built-in controller and keep what a picture shows."""
+    # `None`: the scenario's own seed.
     simulation = Simulation(scenario, seed)
     track = simulation.controller.track
     plan = np.zeros((0, 2))
@@ -49,6 +50,7 @@ def fly(scenario: Scenario, seed: int | None = None) -> Flight:
     next_us = 0
     while simulation.truth.t_us < scenario.duration_s * 1e6:
         t_us, truth, _ = simulation.step()
+        # About 10 Hz: a picture shows no more.
         if t_us < next_us:
             continue
         next_us = t_us + 100_000
@@ -71,6 +73,7 @@ def fly(scenario: Scenario, seed: int | None = None) -> Flight:
 
 def plot_scenario(scenario: Scenario, seed: int | None, path: str | Path) -> int:
     """Fly a scenario and draw it; the exit code."""
+    # Before the flight: a wrong ending costs no minutes.
     if Path(path).suffix.lower() not in _PICTURES:
         raise ConfigError(f"--plot: {path} is no picture; {', '.join(_PICTURES)} are known")
     figure = draw(fly(scenario, seed), scenario.name)
@@ -84,6 +87,7 @@ def plot_scenario(scenario: Scenario, seed: int | None, path: str | Path) -> int
 
 def draw(flight: Flight, title: str) -> Any:
     """Path on the left, states over time on the right."""
+    # `Figure` without pyplot: nothing stays behind, no window is needed.
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(14.0, 8.5), layout="constrained")
@@ -105,6 +109,7 @@ def draw(flight: Flight, title: str) -> Any:
             axes.plot(flight.t_s, column, linewidth=0.9, label=name or None)
         axes.set_ylabel(label, fontsize=8)
         axes.grid(alpha=0.3)
+        # A single curve is named by its axis.
         if len(legend) > 1:
             axes.legend(fontsize=7, ncols=len(legend), loc="upper right")
     axes.set_xlabel("time [s]")
@@ -116,7 +121,9 @@ def path(axes: Any, flight: Flight) -> None:
     if len(flight.plan_m):
         axes.plot(flight.plan_m[:, 1], flight.plan_m[:, 0], "--", color="0.6", label="planned")
     axes.plot(flight.r_ned_m[:, 1], flight.r_ned_m[:, 0], color="tab:blue", label="flown")
+    # Axes are east and north: the order of NED turns round.
     axes.plot(*flight.r_ned_m[0, 1::-1], "o", color="tab:green", label="start")
+    # Metres east and north alike, or a circle would look like an ellipse.
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("east [m]")
     axes.set_ylabel("north [m]")
@@ -132,5 +139,6 @@ def _speeds(flight: Flight) -> Array:
 def _unbroken(angles_deg: Array) -> Array:
     """Angles with a gap instead of a stroke where they wrap."""
     out = angles_deg.copy()
+    # Half a turn between two samples is the wrap, not the vehicle.
     out[1:][np.abs(np.diff(angles_deg, axis=0)) > 180.0] = np.nan
     return out

@@ -120,6 +120,7 @@ class LockstepLoop:
                 connected_s = now_s
             if connected_s is not None and now_s - connected_s > FIRST_WORD_S:
                 break
+            # A connection or a byte wakes it; else it looks again for the time-out.
             select.select([link.fileno()], [], [], 0.2)
         self._progress.say(f"{link.name}: connected")
 
@@ -135,12 +136,14 @@ class LockstepLoop:
     def _await_answer(self) -> None:
         """Take what comes until the step is answered, its time-out is over and the pace allows."""
         link = self._inbox.link
+        # Unlocked there is nobody to wait for at first.
         waiting = self.lockstep.locked
         while True:
             if waiting:
                 select.select([link.fileno()], [], [], self._wait_s())
             for frame in self._inbox.frames():
                 self._receive(frame)
+            # Answered, timed out or not awaited, and the pace allows the next step.
             if self._wait_s() == 0.0:
                 return
             self._check_peer()
@@ -161,6 +164,7 @@ class LockstepLoop:
     def _change_pace(self, locked: bool) -> None:
         """At most real time while nobody is waited for, and a new start of the clock."""
         self._locked = locked
+        # Faster than real time only while an autopilot keeps up by answering.
         self._pace = Pace(self._speed if locked else min(self._speed, 1.0))
         stamp_s = (self.t_us + self._hil.start_us) * 1e-6
         if locked:
@@ -170,6 +174,7 @@ class LockstepLoop:
 
     def _receive(self, frame: Frame) -> None:
         if frame.layout.name == "HIL_ACTUATOR_CONTROLS":
+            # Controls and their stamp: the stamp says which step was answered.
             stamp_us, self._controls = read_controls(frame, self._mix)
             self.lockstep.received(stamp_us, self._clock())
             return
@@ -182,5 +187,6 @@ def serve_autopilot(loop: LockstepLoop, progress: Progress, until_us: int | None
         loop.run(until_us)
     except (PeerGoneError, AutopilotSilentError) as gone:
         progress.say(f"{gone} after {loop.t_us * 1e-6:.3f} s of flight")
+        # Without an end of its own a flight is over when the autopilot leaves.
         return 0 if until_us is None and isinstance(gone, PeerGoneError) else 1
     return 0

@@ -35,6 +35,7 @@ class Pace:
 
     def wait_s(self, t_us: int, now_s: float) -> float:
         """How long to wait before the step at `t_us`; 0 when it is due."""
+        # No clock is asked: at full speed a step is always due.
         if math.isinf(self.speed):
             return 0.0
         if self._start is None:
@@ -42,5 +43,6 @@ class Pace:
         wall_s, from_us = self._start
         ahead_s = (t_us - from_us) * 1e-6 / self.speed - (now_s - wall_s)
         if ahead_s < -LARGEST_LAG_S:
+            # Counted anew from here: hurrying after a long stop would overrun the peers.
             self._start = (now_s, t_us)
         return max(ahead_s, 0.0)

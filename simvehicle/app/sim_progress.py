@@ -13,6 +13,7 @@ class Progress:
     def __init__(self, now_s: float, out: TextIO | None = None) -> None:
         self._out = out or sys.stderr
         self._terminal = self._out.isatty()
+        # A file keeps each line, so it gets fewer.
         self._period_s = TERMINAL_S if self._terminal else FILE_S
         self._start_s = self._last_s = now_s
         self._last_us = 0
@@ -31,6 +32,7 @@ class Progress:
             return
         speed = (t_us - self._last_us) * 1e-6 / span_s
         line = f"{t_us * 1e-6:8.1f} s simulated, {speed:.1f} times real time{note}"
+        # Back to the start of the line, and clear to its end.
         self._out.write("\r\x1b[K" + line if self._terminal else line + "\n")
         self._out.flush()
         self._open = self._terminal
@@ -38,6 +40,7 @@ class Progress:
 
     def end(self, t_us: int, now_s: float) -> None:
         """The whole flight in one line."""
+        # Never zero: a flight may be over within the clock's step.
         wall_s = max(now_s - self._start_s, 1e-9)
         speed = t_us * 1e-6 / wall_s
         self.say(f"{t_us * 1e-6:.1f} s simulated in {wall_s:.1f} s, {speed:.1f} times real time")

@@ -44,6 +44,7 @@ def main(args: argparse.Namespace) -> int:
         from simvehicle.app.flight_plot import plot_scenario
 
         return plot_scenario(scenario, args.seed, args.plot)
+    # TCP is PX4's way; over UDP nobody answers.
     served = args.hil is not None and parse_spec(args.hil).kind in ("tcpin", "tcp")
     if served and args.gcs:
         raise ConfigError(
@@ -64,11 +65,13 @@ def main(args: argparse.Namespace) -> int:
             if served and hil is not None:
                 return _lockstep(simulation, hil, speed, progress)
             loop = FreeLoop(simulation, hil, gcs, speed, progress)
+            # With a ground station the flight goes on until somebody ends it.
             loop.run(None if gcs else round(scenario.duration_s * 1e6))
             return 0
         except KeyboardInterrupt:
             progress.say("stopped")
             return 0
+        # Also after Ctrl-C: how far it came is said at the end.
         finally:
             progress.end(simulation.truth.t_us, time.monotonic())
 
@@ -83,12 +86,14 @@ def check_sensors(scenario: Scenario) -> None:
     """
     for kind, most in (("imu", IMU_IDS), ("mag", MAG_IDS), ("baro", BARO_IDS)):
         fitted = getattr(scenario.sensors, kind) or []
+        # One sensor or several.
         every = fitted if isinstance(fitted, list) else [fitted]
         if len(every) > most:
             raise ConfigError(
                 f"sensors.{kind}: {len(every)} are too many for a HIL link; at most {most}"
             )
         for sensor in every:
+            # Ids count from zero.
             if sensor.id >= most:
                 raise ConfigError(
                     f"sensors.{kind}.id = {sensor.id} is not read from a HIL link; 0 to {most - 1}"
@@ -157,12 +162,14 @@ class FreeLoop:
     def step(self) -> None:
         """One step of the simulation and of everything on the links."""
         pilot = self._pilot
+        # Until a ground station commands, the scenario's own controller flies.
         controls = pilot.controls() if pilot and pilot.flight.flown else None
         self.t_us, truth, readings = self._simulation.step(controls)
         if self._hil:
             for chunk in datagrams(self._packer.frames(self.t_us, truth, readings)):
                 self._hil.link.write(chunk)
             for frame in self._hil.frames():
+                # Plant faults come back on the HIL link.
                 self._changes.carry_out(frame)
         if self._gcs and self._services:
             link = self._gcs.link
@@ -171,6 +178,7 @@ class FreeLoop:
                 for frame in self._gcs.frames()
                 for raw in self._services.received(frame, self.t_us)
             ]
+            # Answers before telemetry: a command is acknowledged at once.
             answers += self._services.tick(self.t_us, truth, readings, throttle(self._simulation))
             for raw in answers:
                 link.write(raw)
@@ -197,6 +205,7 @@ def services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:
     count = kind.motors(simulation.vehicle)
 
     def fail_motor(number: int, off: bool) -> bool:
+        # MAVLink counts motors from 1; 0 means all.
         if not 0 <= number <= count:
             return False
         for motor in range(count) if number == 0 else (number - 1,):
@@ -211,16 +220,19 @@ def _acceptance_m(simulation: Simulation, radius_m: float) -> float:
     """What circles a waypoint is there once on the circle, whatever radius was asked for."""
     cruise = simulation.vehicle.parameters.cruise_mps
     wait = simulation.controller.circle(0.0, 0.0, 0.0, cruise)
+    # A third more than the circle's radius.
     return 1.3 * wait.radius_m if isinstance(wait, CircleTrack) else radius_m
 
 
 def datagrams(frames: list[bytes]) -> list[bytes]:
     """Frames joined to chunks that fit a datagram."""
     whole = b"".join(frames)
+    # The common case, one datagram a step.
     if len(whole) <= DATAGRAM:
         return [whole]
     chunks = [b""]
     for frame in frames:
+        # A frame is never split: receivers of datagrams take whole frames.
         if len(chunks[-1]) + len(frame) > DATAGRAM:
             chunks.append(b"")
         chunks[-1] += frame

@@ -65,6 +65,7 @@ class AutopilotLink:
         self._system = system
         self._start_us = start_us
         self._seq = 0
+        # Nothing is answered before the first step: there is no state to tell yet.
         self._now: Snapshot | None = None
         self._gps: GpsReading | None = None
         self._battery: BatteryReading | None = None
@@ -75,6 +76,7 @@ class AutopilotLink:
     ) -> list[bytes]:
         """The telemetry due at `t_us`, and what the flight has to say; throttle is 0 to 1."""
         for reading in readings:
+            # The first receiver is the one that an autopilot reports.
             if isinstance(reading, GpsReading) and reading.id == 0:
                 self._gps = reading
             elif isinstance(reading, BatteryReading):
@@ -100,6 +102,7 @@ class AutopilotLink:
 
     def received(self, frame: Frame, t_us: int) -> list[bytes]:
         """The answers to one frame; none before the first `tick`, nor to what is not for us."""
+        # A link may carry several vehicles.
         if self._now is None or not self._is_for_us(frame):
             return []
         return [self._pack(m) for m in self._answer(frame, t_us, self._now)]
@@ -113,6 +116,7 @@ class AutopilotLink:
         if name in MISSION_MESSAGES:
             return self._missions.received(frame, t_us)
         if name == "MISSION_SET_CURRENT":
+            # SET_CURRENT has no acknowledgement of its own: the message is the answer.
             self._flight.set_current(int(frame.number("seq")))
             return [self._streams.make("MISSION_CURRENT", now)]
         if name == "SET_MODE":
@@ -133,10 +137,12 @@ class AutopilotLink:
         fields = frame.layout.fields
         system = frame.number("target_system") if "target_system" in fields else 0
         component = frame.number("target_component") if "target_component" in fields else 0
+        # 0 is MAVLink's "to all".
         return system in (0, self._system) and component in (0, AUTOPILOT)
 
     def _draw(self, reading: BatteryReading) -> None:
         if self._battery is not None:
+            # Microseconds to hours.
             hours = (reading.t_us - self._battery.t_us) / 3.6e9
             self._consumed_mah += reading.current_a * 1e3 * hours
         self._battery = reading
@@ -144,6 +150,7 @@ class AutopilotLink:
     def _pack(self, content: Message) -> bytes:
         layout, values = content
         seq = self._seq
+        # The sequence number is a byte.
         self._seq = (seq + 1) & 0xFF
         return build(layout, values, seq=seq, system=self._system, component=AUTOPILOT)
 
@@ -166,6 +173,7 @@ def refuse_ftp(frame: Frame) -> Message:
     .. [1] MAVLink developer guide, "File Transfer Protocol".
     """
     asked = [int(frame.number("payload", i)) for i in range(6)]
+    # An answer's number is one above the request's.
     seq = (asked[0] | asked[1] << 8) + 1 & 0xFFFF
     payload = [seq & 0xFF, seq >> 8, asked[2], FTP_NAK, 1, asked[3], 0, 0, 0, 0, 0, 0, FTP_FAIL]
     return message(

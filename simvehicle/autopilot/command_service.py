@@ -83,6 +83,7 @@ class Commands:
         """Carry out a COMMAND_LONG or COMMAND_INT: its acknowledgement, then what it asked for."""
         request = read_request(frame)
         handler = self._handlers.get(request.command)
+        # What no handler knows is answered too: a ground station repeats what is not.
         result, messages = handler(request, now) if handler else (Result.UNSUPPORTED, [])
         ack = message(
             "COMMAND_ACK",
@@ -91,6 +92,7 @@ class Commands:
             target_system=frame.system,
             target_component=frame.component,
         )
+        # The acknowledgement first: what was asked for follows it.
         return [ack, *messages]
 
     def set_mode(self, frame: WireFrame) -> None:
@@ -112,6 +114,7 @@ class Commands:
 
     def _start_mission(self, request: Request, now: Snapshot) -> Answer:
         first = request.params[0]
+        # NaN: no item was named, the mission begins where it stands.
         if math.isfinite(first) and not self._flight.set_current(whole(first)):
             return Result.DENIED, []
         if not self._flight.set_mode(Mode.MISSION):
@@ -137,6 +140,7 @@ class Commands:
 
     def _reposition(self, request: Request, now: Snapshot) -> Answer:
         speed = request.params[0]
+        # Without a speed in the command it stays as it is.
         if math.isfinite(speed) and speed > 0:
             self._flight.set_speed(speed)
         yaw = request.params[3]
@@ -157,6 +161,7 @@ class Commands:
     def _get_interval(self, request: Request, now: Snapshot) -> Answer:
         number = whole(request.params[0])
         interval = self._streams.interval_us(number)
+        # Also of a message that there is not: its interval is 0.
         return Result.ACCEPTED, [
             message("MESSAGE_INTERVAL", message_id=max(number, 0), interval_us=interval)
         ]
@@ -171,6 +176,7 @@ class Commands:
     def _request_message(self, request: Request, now: Snapshot) -> Answer:
         number, index = whole(request.params[0]), whole(request.params[1])
         if number == PROTOCOL_VERSION.id:
+            # Modes are a list by index and no stream.
             found = [protocol_version()]
         elif number == AVAILABLE_MODES:
             found = available_modes(max(index, 0))
@@ -210,8 +216,10 @@ def read_request(frame: WireFrame) -> Request:
     p1, p2, p3, p4 = (float(frame.number(f"param{i}")) for i in range(1, 5))
     if frame.layout.name == "COMMAND_LONG":
         lat_deg, lon_deg, z_m = (float(frame.number(f"param{i}")) for i in range(5, 8))
+        # COMMAND_LONG names no frame: its heights are above mean sea level.
         kind = int(Frame.GLOBAL)
     else:
+        # COMMAND_INT has degrees by 1e7, which a float could not hold to the metre.
         x, y = int(frame.number("x")), int(frame.number("y"))
         lat_deg = math.nan if x == PLACE_UNKNOWN else x * 1e-7
         lon_deg = math.nan if y == PLACE_UNKNOWN else y * 1e-7

@@ -83,6 +83,7 @@ class Flight:
         self._own_mission = own_mission
         self._parameters = parameters
         self._missions = missions
+        # Missions are known by how often they changed: two may look alike.
         self._mission_seen = missions.changed
         self._locate = locate
         self._acceptance_m = acceptance_m
@@ -109,6 +110,7 @@ class Flight:
 
     def disarm(self, force: bool) -> bool:
         """Motors off; refused in the air unless forced."""
+        # In the air only by force, as PX4 does.
         if self.armed and self.landed != LandedState.ON_GROUND and not force:
             return False
         self.armed = False
@@ -138,6 +140,7 @@ class Flight:
         self.commanded = True
         self.mode = Mode.HOLD
         here = self._here()
+        # NED counts down: height above home is -down.
         alt_m = alt_m if math.isfinite(alt_m) else self.home.alt_m - float(here[2])
         if math.isfinite(lat_deg) and math.isfinite(lon_deg):
             place = self._locate(lat_deg, lon_deg, alt_m)
@@ -148,6 +151,7 @@ class Flight:
 
     def set_speed(self, speed_mps: float) -> bool:
         """Speed over ground from now on; -1 returns to the vehicle's own."""
+        # Very slow is no speed of a vehicle; negative ones mean its own choice.
         if not math.isfinite(speed_mps) or 0 <= speed_mps < MIN_SPEED_MPS:
             return False
         self._speed_mps = speed_mps if speed_mps > 0 else None
@@ -166,6 +170,7 @@ class Flight:
 
     def advance(self, truth: Truth) -> list[Message]:
         """Look at where the vehicle is, set the goal, and tell what was reached."""
+        # The first step tells where "here" is for the goal of the first mode.
         first = self._truth is None
         self._truth = truth
         if first:
@@ -194,6 +199,7 @@ class Flight:
         elif self.mode == Mode.RETURN:
             if self._is_there(self.goal.r_ned_m):
                 self._enter(Mode.LAND)
+        # At the place above home: from there it goes down.
         elif self.mode == Mode.LAND:
             return self._touch_down(truth)
         return []
@@ -202,10 +208,12 @@ class Flight:
         item = self._missions.items[self.seq]
         if item.command == Command.RETURN_TO_LAUNCH:
             self._enter(Mode.RETURN)
+            # The item counts as reached when its command begins.
             return [message("MISSION_ITEM_REACHED", seq=self.seq)]
         if item.command == Command.CHANGE_SPEED:
             self.set_speed(item.params[1])
         elif item.command != Command.DELAY:
+            # By identity: two equal items in a row are two goals.
             if self._aimed_at is not item:
                 self._aimed_at = item
                 kind = Kind.LAND if item.command == Command.LAND else Kind.FLY
@@ -216,6 +224,7 @@ class Flight:
             # Once reached it counts as reached, also where wind carries the vehicle off again.
             if self._reached_us is None and not self._is_there(self.goal.r_ned_m):
                 return []
+        # Items without a place, such as a delay, are reached at once.
         if self._reached_us is None:
             self._reached_us = truth.t_us
         return self._finish_item(item, truth.t_us)
@@ -227,6 +236,7 @@ class Flight:
             return []
         waits = item.command in (Command.WAYPOINT, Command.LOITER_TIME, Command.DELAY)
         wait_s = item.params[0] if waits and math.isfinite(item.params[0]) else 0.0
+        # The time at the place counts, not the way there.
         if self._reached_us is None or t_us - self._reached_us < wait_s * 1e6:
             return []
         reached = message("MISSION_ITEM_REACHED", seq=self.seq)
@@ -272,6 +282,7 @@ class Flight:
         else:
             place = self._here()
         kind = Kind.LAND if mode == Mode.LAND else Kind.FLY
+        # On the ground HOLD holds nothing: the motors stay off.
         if mode == Mode.HOLD and self.landed == LandedState.ON_GROUND:
             kind = Kind.IDLE
         self.goal = Goal(kind, place, self._speed_mps)
@@ -281,6 +292,7 @@ class Flight:
             return LandedState.ON_GROUND
         if self.mode == Mode.TAKEOFF:
             return LandedState.TAKEOFF
+        # A landing item of a mission lands as well.
         landing = self.mode == Mode.LAND or self.goal.kind is Kind.LAND
         return LandedState.LANDING if landing else LandedState.IN_AIR
 
@@ -302,4 +314,5 @@ class Flight:
     def _is_there(self, place: Vector) -> bool:
         north, east, down = (place - self._here()).tolist()
         near = math.hypot(north, east) < self._acceptance_m
+        # A vehicle that circles is near within its circle, in height too.
         return near and abs(down) < max(HEIGHT_TOLERANCE_M, self._acceptance_m)

@@ -76,6 +76,7 @@ class Missions:
             return self._count(frame, kind, t_us)
         if name in ("MISSION_ITEM_INT", "MISSION_ITEM"):
             return self._item(frame, kind, t_us)
+        # Fences and rally points are none here: an empty list, no error.
         if name == "MISSION_REQUEST_LIST":
             count = len(self.items) if kind == MissionType.MISSION else 0
             return [_to(frame, "MISSION_COUNT", count=count, mission_type=kind)]
@@ -83,6 +84,7 @@ class Missions:
             return self._request(frame, kind)
         if name == "MISSION_CLEAR_ALL":
             if kind in (MissionType.MISSION, MissionType.ALL):
+                # A new mission even if it is empty: who flies one must notice.
                 self._accept(())
             return [_ack(frame, MissionResult.ACCEPTED, kind)]
         return []
@@ -93,6 +95,7 @@ class Missions:
         # Every message of an upload is ours to ask for, so loss is ours to notice.
         if upload is None or t_us - upload.asked_us < RETRY_US:
             return []
+        # Given up: the sender is told, so that it does not wait for ever.
         if upload.retries == RETRIES:
             self.upload = None
             return [
@@ -109,6 +112,7 @@ class Missions:
     def _count(self, frame: WireFrame, kind: int, t_us: int) -> list[Message]:
         count = int(frame.number("count"))
         if kind != MissionType.MISSION:
+            # To clear what is not stored is no mistake.
             result = MissionResult.UNSUPPORTED if count else MissionResult.ACCEPTED
             return [_ack(frame, result, kind)]
         if count > MAX_ITEMS:
@@ -122,6 +126,7 @@ class Missions:
     def _item(self, frame: WireFrame, kind: int, t_us: int) -> list[Message]:
         upload = self.upload
         if upload is None or kind != MissionType.MISSION:
+            # An item that nobody asked for.
             return [_ack(frame, MissionResult.ERROR, kind)]
         seq = int(frame.number("seq"))
         if seq < len(upload.items):  # one already taken: the answer to a repeated request
@@ -175,6 +180,7 @@ def read_item(frame: WireFrame) -> Item:
     """The item in a MISSION_ITEM_INT, or a MISSION_ITEM with its position in degrees."""
     x, y = frame.number("x"), frame.number("y")
     if frame.layout.name == "MISSION_ITEM":
+        # NaN is "here" in an item of floats, as 0, 0 is.
         x, y = (round(v * 1e7) if math.isfinite(v) else 0 for v in (x, y))
     return Item(
         int(frame.number("command")),
@@ -195,6 +201,7 @@ def check(item: Item) -> MissionResult | None:
         return None
     if item.frame not in GLOBAL_FRAMES + RELATIVE_FRAMES:
         return MissionResult.UNSUPPORTED_FRAME
+    # 90 and 180 degrees, by 1e7.
     if abs(item.x_degE7) > 900_000_000:
         return MissionResult.INVALID_PARAM5_X
     if abs(item.y_degE7) > 1_800_000_000:

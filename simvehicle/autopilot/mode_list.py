@@ -31,4 +31,5 @@ def available_modes(index: int) -> list[Message]:
         )
         for number, (mode, (name, standard)) in enumerate(LISTED.items(), 1)
     ]
+    # Counted from 1.
     return every if index == 0 else every[index - 1 : index]

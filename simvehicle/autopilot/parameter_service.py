@@ -55,6 +55,7 @@ class Parameters:
     def _asked(self, frame: Frame) -> str:
         index = int(frame.number("param_index"))
         if index < 0:
+            # A negative index means that the name counts.
             return _text(frame)
         return self._names[index] if index < len(self._names) else ""
 
@@ -66,10 +67,12 @@ class Parameters:
         integer = isinstance(self._values[name], int)
         sent_as = frame.number("param_type")
         value = frame.number("param_value")
+        # The bytes of the float are those of the integer.
         if integer and sent_as == PARAM_INT32:
             self._values[name] = struct.unpack("<i", struct.pack("<f", value))[0]
         elif not integer and sent_as == PARAM_REAL32 and math.isfinite(value):
             self._values[name] = float(value)
+        # Also after a refusal: the answer tells what holds.
         return [self._value(name)]
 
     def _value(self, name: str) -> Message:
@@ -78,6 +81,7 @@ class Parameters:
         return message(
             "PARAM_VALUE",
             param_id=name.encode(),
+            # Bytewise, the other way round.
             param_value=struct.unpack("<f", struct.pack("<i", value))[0] if integer else value,
             param_type=PARAM_INT32 if integer else PARAM_REAL32,
             param_count=len(self._names),

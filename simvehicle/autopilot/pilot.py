@@ -25,6 +25,7 @@ class Approach:
 
     def look(self, north_m: float, east_m: float, ahead_m: float) -> Aim:
         """Aim at the place from afar."""
+        # Height and speed are those of the waiting place from the start.
         aim = self.wait.look(north_m, east_m, ahead_m)
         dn, de = self.north_m - north_m, self.east_m - east_m
         if math.hypot(dn, de) < self.near_m:
@@ -39,6 +40,7 @@ class Pilot:
         self._simulation = simulation
         self.flight = flight
         self._goal: Goal | None = None
+        # As many actuators as the vehicle has, all off.
         self._idle = Controls(np.zeros(simulation.vehicle.controls_count), armed=False)
 
     def controls(self) -> Controls | None:
@@ -47,6 +49,7 @@ class Pilot:
         if goal.kind is Kind.IDLE:
             self._goal = None
             return self._idle
+        # By identity: an equal goal that was set anew is followed anew.
         if goal is not self._goal:
             self._goal = goal
             self._follow(goal)
@@ -55,9 +58,11 @@ class Pilot:
     def _follow(self, goal: Goal) -> None:
         controller = self._simulation.controller
         north, east, down = goal.r_ned_m.tolist()
+        # Without a speed of its own a goal is flown at the vehicle's cruise.
         speed = goal.speed_mps or self._simulation.vehicle.parameters.cruise_mps
         wait = controller.circle(north, east, -down, speed)
         if isinstance(wait, CircleTrack):
+            # From within two radii on, the circle is joined as it is.
             wait = Approach(north, east, 2.0 * wait.radius_m, wait)
         else:
             controller.yaw_rad = goal.yaw_rad

@@ -52,6 +52,7 @@ class Streams:
             if now.stamp_us >= due_us:
                 interval = self._interval_us[name]
                 due_us += interval
+                # After a pause one message leaves, not all that were missed.
                 self._due_us[name] = due_us if due_us > now.stamp_us else now.stamp_us + interval
                 out.append(SOURCES[name][0](now))
         return out
@@ -61,6 +62,7 @@ class Streams:
         found = layout(number)
         if found is None or found.name not in SOURCES:
             return 0
+        # MAVLink's words: -1 is off, 0 not available.
         return self._interval_us[found.name] or -1
 
     def set_interval(self, number: int, interval_us: float) -> bool:
@@ -71,8 +73,10 @@ class Streams:
         name = found.name
         if interval_us == 0:
             interval_us = SOURCES[name][1]
+        # Never faster than the simulation steps.
         self._interval_us[name] = max(round(interval_us), FASTEST_US) if interval_us > 0 else 0
         if self._interval_us[name]:
+            # Due at once: who asks for a stream wants to see it.
             self._due_us[name] = 0
         else:
             self._due_us.pop(name, None)
@@ -91,4 +95,5 @@ class Streams:
     def data_stream(self, stream: int, rate_hz: float, start: bool) -> None:
         """The old way to set rates: REQUEST_DATA_STREAM, which has no answer."""
         for name in DATA_STREAMS.get(stream, ()):
+            # -1 stops a stream.
             self.set_interval(known(name).id, S / rate_hz if start and rate_hz > 0 else -1)

@@ -130,23 +130,13 @@ def wind_step(
     speed = max(airspeed, _SLOWEST_MPS)
     e = math.exp(-speed / weather[LENGTH] * dt)
     filters[0] = e * filters[0] + math.sqrt(1.0 - e * e) * noise[0]
+    rate = speed / weather[LENGTH + 1]
     filters[1], filters[2], v = _second_order(
-        filters[1],
-        filters[2],
-        speed / weather[LENGTH + 1],
-        weather[SIGMA + 1],
-        dt,
-        noise[1],
-        noise[2],
+        filters[1], filters[2], rate, weather[SIGMA + 1], dt, noise[1], noise[2]
     )
+    rate = speed / weather[LENGTH + 2]
     filters[3], filters[4], w = _second_order(
-        filters[3],
-        filters[4],
-        speed / weather[LENGTH + 2],
-        weather[SIGMA + 2],
-        dt,
-        noise[3],
-        noise[4],
+        filters[3], filters[4], rate, weather[SIGMA + 2], dt, noise[3], noise[4]
     )
     north, east, down = to_ned(x[6], x[7], x[8], x[9], weather[SIGMA] * filters[0], v, w)
     reference = weather[REFERENCE]

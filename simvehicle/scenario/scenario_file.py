@@ -61,6 +61,7 @@ class Start(_Section, frozen=True):
     height_m: float = 0.0
     heading_deg: float = 0.0
     state: StartState | None = None
+    # Fixed, since the magnetic field and the sky depend on it.
     time: datetime = datetime(2024, 3, 7, 12, 0, tzinfo=UTC)
 
     def __post_init__(self) -> None:
@@ -70,6 +71,7 @@ class Start(_Section, frozen=True):
             raise ValueError(f"lon_deg = {self.lon_deg} is out of range; -180 to 180 is allowed")
         if self.height_m < 0.0:
             raise ValueError(f"height_m = {self.height_m} is below ground; 0 or more is allowed")
+        # On the ground the vehicle stands: it has no motion to begin with.
         if self.state is not None and self.height_m == 0.0:
             raise ValueError("state needs a start in the air; height_m above 0")
         if self.time.tzinfo is None:
@@ -196,6 +198,7 @@ class Scenario(_Section, frozen=True):
             raise ValueError(f"duration_s = {self.duration_s} is not positive; seconds above 0")
         if self.seed < 0:
             raise ValueError(f"seed = {self.seed} is negative; 0 or more is allowed")
+        # Deflections are a fixed wing's.
         if self.controls is not None and (self.mission or self.vehicle.kind != "fixedwing"):
             raise ValueError("controls are those of a fixed wing without a mission; leave one out")
 
@@ -208,12 +211,14 @@ def open_scenario(path: str | Path | None) -> Document:
     ConfigError
         If the file cannot be read, is no YAML, or names sensors that there are not.
     """
+    # In the package: the demo runs without any file.
     if path is None:
         path = Path(str(resources.files("simvehicle.scenario").joinpath("demo.yaml")))
     document = read_document(path)
     if not isinstance(document.data, dict):
         raise ConfigError(f"{document.where}:1: is no scenario; a mapping with keys is expected")
     sensors = document.data.get("sensors")
+    # A name of a file instead of a section.
     if isinstance(sensors, str):
         sensors = _sensor_file(Path(path).parent / sensors)
     elif isinstance(sensors, dict):
@@ -242,6 +247,7 @@ def decode_scenario(document: Document) -> Scenario:
     ConfigError
         With every key and value that is wrong.
     """
+    # Relative to the scenario, wherever the command was started.
     return _beside(decode(document, Scenario), Path(document.where).parent)
 
 
@@ -264,6 +270,7 @@ def _sensor_file(path: Path) -> dict[str, Any]:
     if not isinstance(document.data, dict):
         raise ConfigError(f"{path}:1: holds no sensors; a mapping like imu: {{...}} is expected")
     sensors = _with_presets(document, ())
+    # Checked here, so that errors name this file and its lines.
     decode(document._replace(data=sensors), Sensors)
     return sensors
 

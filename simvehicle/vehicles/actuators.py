@@ -20,6 +20,7 @@ from simvehicle.vehicles.body import Controls, Vector
 
 ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED in HIL_ACTUATOR_CONTROLS.mode
 CHANNELS = 16
+# PX4's channels, counted from 0.
 RUDDER, THROTTLE, LEFT_AILERON, RIGHT_AILERON, ELEVATOR = 2, 4, 5, 6, 7
 
 Mix = Callable[[Sequence[float]], Vector]
@@ -37,6 +38,7 @@ def motors(count: int) -> Mix:
 
 def plane(channels: Sequence[float]) -> Vector:
     """Elevator, aileron, rudder (-1 to 1) and throttle (0 to 1)."""
+    # PX4's surfaces have the opposite sign of Beard and McLain's, see the docstring.
     return np.array(
         [
             -_limited(channels[ELEVATOR], -1.0),
@@ -54,6 +56,7 @@ def read_controls(frame: Frame, mix: Mix) -> tuple[int, Controls]:
     Channels that are not finite stand for actuators that are off, and count as 0.
     """
     stamp_us, _, *rest = _PAYLOAD.unpack(frame.payload.ljust(_PAYLOAD.size, b"\0"))
+    # NaN and infinity minus themselves are no zero.
     channels = [value if value - value == 0.0 else 0.0 for value in rest[:CHANNELS]]
     return stamp_us, Controls(mix(channels), armed=bool(rest[CHANNELS] & ARMED))
 

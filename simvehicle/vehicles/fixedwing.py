@@ -85,6 +85,7 @@ class FixedWing:
 
     def start(self, r_ned_m: Array, v_b_mps: Array, q_nb: Array) -> Array:
         """State array (14,) at a position, velocity and attitude, battery full."""
+        # Rates and the charge drawn begin at zero.
         return np.concatenate([r_ned_m, v_b_mps, q_nb, np.zeros(4)])
 
     def cruise(
@@ -100,6 +101,7 @@ class FixedWing:
         """
         point = self.trim(speed_mps, density, gravity)
         q = quat_from_euler(point.roll_rad, point.pitch_rad, heading_rad)
+        # The air's velocity in body axes, and the wind's share on top.
         relative = speed_mps * np.array([math.cos(point.alpha_rad), 0, math.sin(point.alpha_rad)])
         return self.start(r_ned_m, relative + matrix_from_quat(q).T @ wind_ned_mps, q)
 
@@ -126,10 +128,12 @@ class FixedWing:
         around = surroundings(wind_ned_mps, gravity_ned_mps2, density, ground_down_m)
         fly(x, controls, around, steps, dt, self._packed, after, load)
         battery = self.parameters.battery
+        # With a motor model the kernel gives the current itself.
         if self.parameters.motor is None:
             # The thrust law of the first edition knows no current: it is taken in proportion.
             load[4] = battery.full_throttle_a * min(1.0, max(0.0, float(controls[3])))
             after[13] += load[4] * steps * dt
         volts, load[5] = battery.state(float(after[13]), float(load[4]))
+        # A fault of the battery lowers the voltage that the vehicle sees.
         load[3] = volts * self._volts
         return after, load

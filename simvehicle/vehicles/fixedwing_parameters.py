@@ -119,8 +119,10 @@ class FixedWingParameters(_Struct, frozen=True):
     motor: Motor | None = None
 
     def __post_init__(self) -> None:
+        # Two laws at once would add their thrusts.
         if (self.thrust_law is None) == (self.motor is None):
             raise ValueError("exactly one of thrust_law and motor is needed")
+        # The shipped sets are read through here as well.
         body_of(self, {})  # refuses what is no body
 
 
@@ -131,6 +133,7 @@ def read_fixedwing(name: str | Path) -> FixedWingParameters:
 
 def gear_of(parameters: FixedWingParameters) -> Gear:
     """Wheels that roll along the body and hold across it."""
+    # Wheels: little friction ahead, much aside.
     return gear(np.array(parameters.gear_m), parameters.mass_kg, along=0.05, across=0.8)
 
 
@@ -145,6 +148,7 @@ def aero_of(parameters: FixedWingParameters, plant: Mapping[str, float]) -> Aero
     da = plant.get("aileron_efficiency", 1.0)
     dr = plant.get("rudder_efficiency", 1.0)
     side, roll, yaw = par.side_force, par.roll, par.yaw
+    # Aspect ratio.
     ratio = wing.span_m**2 / wing.area_m2
     return Aero(
         wing.area_m2,
@@ -169,9 +173,11 @@ def _propulsion(par: FixedWingParameters, plant: Mapping[str, float]) -> tuple[f
     power = plant.get("motor_efficiency[0]", 1.0)
     law, motor = par.thrust_law, par.motor
     if law is not None:
+        # Ones stand where the kernel divides.
         rest = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0)
         return (law.disc_m2 * blade, law.k_motor * power, law.k_torque * power, 0.0, *rest)
     assert motor is not None
+    # The torque constant equals the inverse of the speed constant in SI units.
     kq = 60.0 / (2.0 * math.pi * motor.kv_rpm_per_v)
     return (
         *(0.0, 0.0, 0.0, 1.0),

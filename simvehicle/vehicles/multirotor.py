@@ -88,6 +88,7 @@ class Multirotor:
         )
         # Height of the centre of mass above ground when the ground carries it.
         self.standing_height_m = max(point[2] for point in parameters.gear_m)
+        # Skids: alike in both directions.
         self.gear: Gear = gear(np.array(parameters.gear_m), parameters.mass_kg, 0.6, 0.6)
         self.rotors = np.array(
             [
@@ -131,6 +132,7 @@ class Multirotor:
 
     def start(self, r_ned_m: Array, v_b_mps: Array, q_nb: Array) -> Array:
         """State array (15 + n,) with the motors standing, battery full."""
+        # Standing motors, no current, nothing drawn.
         return np.concatenate([r_ned_m, v_b_mps, q_nb, np.zeros(5 + self.controls_count)])
 
     def cruise(
@@ -138,9 +140,11 @@ class Multirotor:
         density: float, gravity: float,
     ) -> Array:  # fmt: skip
         """Hover at a place with the motors at hover speed."""
+        # Level: a quaternion of the heading alone.
         half = 0.5 * heading_rad
         q = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
         x = self.start(r_ned_m, np.zeros(3), q)
+        # Each motor carries its share of the weight.
         each = self.body.mass_kg * gravity / self.controls_count
         thrust = self.parameters.motor.thrust_n_per_rps2 * density / SEA_LEVEL_DENSITY_KGPM3
         # Thrust goes with the square of the speed.
@@ -176,6 +180,7 @@ class Multirotor:
         sag = min(1.0, volts / (battery.cells * 4.2))
         around = surroundings(wind_ned_mps, gravity_ned_mps2, density, ground_down_m, sag)
         fly(x, controls, around, steps, dt, self._packed, after, load)
+        # From the mean cube of the speeds over full speed.
         current = battery.full_throttle_a * float(load[4])
         after[-2] = current
         after[-1] += current * steps * dt

@@ -38,6 +38,7 @@ class Weighed(Protocol):
 
 def body_of(parameters: Weighed, plant: Mapping[str, float]) -> Inertia:
     """Mass and inertia, with the plant faults `mass_kg_add` and `inertia_scale`."""
+    # Scaled together, so that the principal axes stay.
     j, scale = parameters.inertia_kgm2, plant.get("inertia_scale", 1.0)
     mass = parameters.mass_kg + plant.get("mass_kg_add", 0.0)
     return inertia(mass, scale * j.jx, scale * j.jy, scale * j.jz, scale * j.jxz)
@@ -60,7 +61,9 @@ class Battery(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         The open-circuit voltage falls from 4.2 to 3.7 V per cell over most of the charge and to
         3.0 V over the last tenth, a straight-line picture of a lithium-polymer cell's curve.
         """
+        # 3600 ampere seconds are an ampere hour.
         charge = min(1.0, max(0.0, 1.0 - drawn_as / (3600.0 * self.capacity_ah)))
+        # Two straight lines that meet at a tenth of the charge: 3.66 V per cell.
         cell = 3.6 + 0.6 * charge if charge > 0.1 else 3.0 + 6.6 * charge
         return max(0.0, self.cells * cell - self.resistance_ohm * current_a), charge
 
@@ -75,6 +78,7 @@ def read_parameters(name: str | Path, kind: type[T]) -> T:
     """
     shipped = Path(str(resources.files("simvehicle.vehicles")))
     path = Path(name)
+    # A name without an ending is a shipped set.
     if path.suffix not in (".yaml", ".yml"):
         path = shipped / f"{name}.yaml"
         if not path.is_file():

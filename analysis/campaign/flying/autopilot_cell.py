@@ -49,6 +49,7 @@ def fly_autopilot(
         preexec_fn=_end_with_parent,
     )
     if done.returncode == WRONG_INPUT or not (folder / "run" / "summary.json").is_file():
+        # Its last lines say why.
         last = done.stderr.strip().splitlines()[-LAST_LINES:]
         raise ConfigError(f"{subject.name}: no flight came of it; {' '.join(last)}")
     evidence, flown_s = evidence_of(folder / "run")

@@ -27,6 +27,7 @@ Rows = NDArray[Any]
 
 
 def evidence_of(folder: Path) -> tuple[Evidence, float]:
+    # From leaving the ground to the last stamp.
     """Curves and marks of a flight, and how long it was in the air [s]."""
     summary = json.loads((folder / "summary.json").read_text())["autopilot"]
     columns = read_columns(folder / "sent.tlog")
@@ -65,6 +66,7 @@ def attitude_curve(folder: Path, off_ground_s: float) -> dict[str, Curve]:
 
 def path_curves(truth: Rows, since: Any) -> dict[str, Curve]:
     """The true path in metres north, east and up of the first place."""
+    # About 10 Hz: thousands of flights are kept.
     every = max(1, round(_rate_hz(truth) / TRACK_HZ))
     t_s = since(truth["t_us"])[::every]
     flown = t_s >= 0.0
@@ -111,6 +113,7 @@ def text_marks(columns: Columns, since: Any) -> list[Mark]:
             marks.append(Mark(round(t_s, 3), "detected", words))
     for name in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
         if name in columns:
+            # Flags are compared with the ones before; their first value is no change.
             rows = columns[name]
             changed = np.flatnonzero(np.diff(rows["flags"].astype(np.int64))) + 1
             for t_s, flags in zip(
@@ -123,8 +126,10 @@ def text_marks(columns: Columns, since: Any) -> list[Mark]:
 def ground_marks(truth: Rows, since: Any, landed: bool) -> list[Mark]:
     """Landed, crashed, or out of control, by the truth."""
     t_s = since(truth["t_us"])
+    # Above the first place; whatever the ground does there.
     height_m = (truth["alt"] - truth["alt"][0]) * 1e-3
     w, x, y, z = truth["attitude_quaternion"].T
+    # The angle between the body's and the true vertical.
     tilt_deg = np.degrees(np.arccos(np.clip(w * w - x * x - y * y + z * z, -1.0, 1.0)))
     marks = []
     up = np.flatnonzero((t_s > 0.0) & (height_m > AIRBORNE_M))
@@ -133,9 +138,11 @@ def ground_marks(truth: Rows, since: Any, landed: bool) -> list[Mark]:
         marks.append(
             Mark(float(t_s[lost[0]]), "lost", f"tilted by {tilt_deg[lost[0]]:.0f} degrees")
         )
+    # Down again only after having been up.
     down = np.flatnonzero((np.arange(len(t_s)) > (up[0] if len(up) else 0)) & (height_m < GROUND_M))
     if len(up) and len(down):
         at = down[0]
+        # The second before touching the ground: contact itself stops the fall.
         window = slice(max(0, at - round(_rate_hz(truth))), at + 1)
         speed_mps = float(truth["vz"][window].max()) * 1e-2
         kind = "crashed" if speed_mps > CRASH_MPS else "landed"

@@ -32,6 +32,7 @@ def fly_lanes(campaign: CampaignFile, cells: Sequence[Cell]) -> list[CellResult]
     """
     started_s = time.monotonic()
     batch = Batch(lane_test(campaign, cells[0]))
+    # The twin first: its fault never begins.
     at_s = [NEVER_S, *(float(cell.onset) for cell in cells)]
     count = len(at_s)
     values = {name: np.full(count, value) for name, value in batch.space.fixed.items()}

@@ -23,7 +23,9 @@ from analysis.campaign.ledger import read_folder
 from analysis.campaign.outcomes import ABORTED, rank
 from mavproxy_fault.documents.errors import ConfigError
 
+# Beside the single faults: many small changes of one sign show only in the sum.
 ALL = "all faults"
+# The usual level of a significance test, after the correction for many faults.
 SIGNIFICANT = 0.05
 SAME_SHARE = 0.2  # excursions this near, or nearer than SAME, are alike
 SAME = 0.5  # degrees or metres
@@ -61,6 +63,7 @@ def compare_folders(before: Path, after: Path) -> int:
     old, new = (
         {result.cell.key: result for result in read_folder(folder)[1]} for folder in (before, after)
     )
+    # No common cell is a mistake of the user's, not "nothing changed".
     found = changes(old, new)
     if not found:
         raise ConfigError(f"{before} and {after}: have no cell in common; fly the same file twice")
@@ -82,10 +85,12 @@ def changes(old: Mapping[str, CellResult], new: Mapping[str, CellResult]) -> lis
     groups: dict[tuple[str, str], list[tuple[CellResult, CellResult]]] = defaultdict(list)
     for key, was in old.items():
         is_now = new.get(key)
+        # An aborted cell says nothing of the subject: neither side can be worse by it.
         if is_now is not None and ABORTED not in (was.outcome, is_now.outcome):
             groups[was.cell.subject, was.cell.fault].append((was, is_now))
             groups[was.cell.subject, ALL].append((was, is_now))
     found = [_change(names, pairs) for names, pairs in groups.items()]
+    # All probabilities at once: the correction depends on how many there are.
     corrected = holm([change.p_value for change in found])
     found = [c._replace(p_value=p) for c, p in zip(found, corrected, strict=True)]
     return sorted(found, key=lambda change: (change.p_value, -change.worse))
@@ -96,7 +101,9 @@ def _change(names: tuple[str, str], pairs: Sequence[tuple[CellResult, CellResult
     worse = [(was, is_now) for s, was, is_now in signs if s > 0]
     better = sum(s < 0 for s, _, _ in signs)
     differ = len(worse) + better
+    # One-sided: better is no reason to fail. Without a difference there is nothing to test.
     p = binomtest(len(worse), differ, 0.5, alternative="greater").pvalue if differ else 1.0
+    # The largest fall first, of which the table shows three.
     worse.sort(key=lambda pair: rank(pair[1].outcome) - rank(pair[0].outcome), reverse=True)
     return Change(*names, len(pairs), len(worse), better, float(p), tuple(worse[:3]))
 
@@ -106,11 +113,13 @@ def sign(was: CellResult, is_now: CellResult) -> int:
     step = rank(is_now.outcome) - rank(was.outcome)
     if step:
         return 1 if step > 0 else -1
+    # Angles first: where they agree within the tolerance, the positions decide.
     for before, after in (
         (was.excursion_deg, is_now.excursion_deg),
         (was.excursion_m, is_now.excursion_m),
     ):
         if before is not None and after is not None:
+            # Small excursions vary by noise, large ones by their size: the wider of both bounds.
             size = max(SAME, SAME_SHARE * abs(before))
             if abs(after - before) > size:
                 return 1 if after > before else -1
@@ -122,6 +131,7 @@ def holm(p_values: Sequence[float]) -> list[float]:
     order = sorted(range(len(p_values)), key=lambda i: p_values[i])
     corrected, largest = [0.0] * len(p_values), 0.0
     for position, i in enumerate(order):
+        # Never below an earlier one: Holm's probabilities must not decrease.
         largest = max(largest, (len(p_values) - position) * p_values[i])
         corrected[i] = min(1.0, largest)
     return corrected

@@ -33,6 +33,7 @@ def page(
     twins: dict[str, Evidence],
 ) -> str:
     """The whole file; `twins` are the evidence without a fault, by `subject|scenario|seed`."""
+    # The worst are listed: a campaign of the kernels has more results than a browser can hold.
     listed = sorted(results, key=badness, reverse=True)[:MOST_LISTED]
     numbers = {result.cell.key: number for number, result in enumerate(listed)}
     grid = grid_of(results, plan.campaign)
@@ -49,13 +50,16 @@ def page(
         "limits": msgspec.to_builtins(plan.campaign.limits),
         "rows": rows,
         "results": [_numbers(result, plan.campaign) for result in listed],
+        # Curves only of results that are listed.
         "curves": {
             numbers[item.key]: _curves(item.evidence) for item in curves if item.key in numbers
         },
         "twins": {key: _curves(evidence) for key, evidence in twins.items()},
     }
+    # `</script>` within a string would end the block.
     text = json.dumps(model, allow_nan=False).replace("<", "\\u003c")
     name = escape(plan.campaign.name)
+    # The style and the plots are those of the reports.
     shared = files("analysis.report.page") / "assets"
     own = files("analysis.campaign.results") / "assets"
     styles = (shared / "uPlot.min.css", shared / "page.css", own / "campaign.css")
@@ -94,12 +98,14 @@ def _numbers(result: CellResult, campaign: CampaignFile) -> dict[str, object]:
     """What the page tells of one result."""
     fields = msgspec.structs.asdict(result)
     cell = msgspec.structs.asdict(fields.pop("cell"))
+    # Four digits: the page is for reading, `cells.csv` holds the numbers.
     rounded = {k: float(f"{v:.4g}") if isinstance(v, float) else v for k, v in fields.items()}
     return {**cell, **rounded, "again": again(result, campaign)}
 
 
 def again(result: CellResult, campaign: CampaignFile) -> str:
     """The command that flies a cell again, to watch; empty for a compiled one."""
+    # A compiled cell has no scenario file that `run` could fly.
     if campaign.compiled:
         return ""
     cell = result.cell
@@ -109,6 +115,7 @@ def again(result: CellResult, campaign: CampaignFile) -> str:
     words = ["mavproxy-fault", "run", str(Path(campaign.folder) / cell.scenario)]
     words += ["--schedule", "cell.yaml", "--seed", str(cell.seed)]
     if autopilot is None:
+        # Somebody wants to watch; an autopilot's run has no page of its own.
         words.append("--ui")
     else:
         words += ["--autopilot", autopilot.autopilot, "--binary", autopilot.binary]
@@ -123,10 +130,12 @@ def _curves(evidence: Evidence) -> dict[str, list[list[float]]]:
 
 def _thinned(curve: Curve) -> tuple[list[float], list[float]]:
     """Times and, of each stretch, the largest value: the page shows errors."""
+    # Rounded up, so that no curve exceeds its points.
     step = max(1, -(-len(curve.t_s) // MOST_POINTS))
     starts = range(0, len(curve.t_s), step)
     return (
         [round(curve.t_s[i], 2) for i in starts],
+        # The largest, so that no peak is thinned away.
         [round(max(curve.value[i : i + step]), 3) for i in starts],
     )
 
@@ -134,6 +143,7 @@ def _thinned(curve: Curve) -> tuple[list[float], list[float]]:
 def _facts(results: Sequence[CellResult]) -> str:
     counts = Counter(result.outcome for result in results)
     facts = [(str(len(results)), "cells")]
+    # In the order of their rank; an aborted flight has none.
     facts += [(str(counts[name]), name) for name in (*RANKS, "aborted") if counts[name]]
     share = failsafe_share(results)
     if share is not None:
@@ -149,6 +159,7 @@ def _reactions(grid: Sequence[GridRow]) -> str:
         found = [result for cell in row.cells for result in cell.results]
         delays = [r.detected_s for r in found if r.detected_s is not None]
         recoveries = [r.recovery_s for r in found if r.recovery_s is not None]
+        # Recovery is a question only where something had got worse.
         degraded = sum(rank(r.outcome) >= rank("degraded") for r in found)
         rows.append(
             (

@@ -21,8 +21,10 @@ class CampaignProgress:
             TextColumn("{task.fields[worst]}"),
             console=Console(stderr=True),
             transient=True,
+            # Into a file or a pipe nothing is drawn.
             disable=not sys.stderr.isatty(),
         )
+        # Cells known from an earlier call count as done.
         self._task = self._bar.add_task("", total=cells, completed=known, worst="")
         self._worst: CellResult | None = None
 

@@ -22,9 +22,11 @@ MOST_CURVES = 300  # flights whose curves stand in the page: the worst
 def write_report(folder: Path, plan: Plan) -> None:
     """Write `campaign.html`, `campaign-summary.json`, `cells.csv`, `summary.md` and `junit.xml`."""
     campaign, results = read_folder(folder)
+    # Curves are long: only those of the worst flights stand in the page.
     shown = {r.cell.key for r in sorted(results, key=badness, reverse=True)[:MOST_CURVES]}
     curves = [item for item in read_lines(folder / CURVES, CurvesOf) if item.key in shown]
     twins = {
+        # The page looks twins up by subject, scenario and seed; the ledger keys them by flight.
         f"{subject}|{key.partition('|')[2]}": evidence
         for key, flown in ((twin.key, twin.flown) for twin in read_lines(folder / TWINS, TwinOf))
         for subject, evidence in flown.evidence.items()
@@ -67,6 +69,7 @@ def write_csv(path: Path, results: list[CellResult]) -> None:
     """A row for each cell."""
     rows = [flat(result) for result in results]
     with path.open("w", newline="") as file:
+        # The columns of the first row are those of all: every cell has the same fields.
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
@@ -92,6 +95,7 @@ def write_junit(path: Path, name: str, results: list[CellResult], limits: Limits
             name=cell.key,
             time=f"{result.wall_s:.3f}",
         )
+        # JUnit tells an error of the test from a failure of what is tested.
         if result.outcome == ABORTED:
             errors += 1
             ElementTree.SubElement(case, "error", message=result.note)

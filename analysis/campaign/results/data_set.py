@@ -37,6 +37,7 @@ def export(folder: Path, out: Path) -> None:
         If they were not.
     """
     campaign, results = read_folder(folder)
+    # A flight was kept if its log is there; other folders may lie beside it.
     kept = {path.name: path for path in (folder / FLIGHTS).glob("*") if (path / SENT).is_file()}
     if not kept:
         raise ConfigError(f"{folder}: no flight was kept; fly with --export, or with keep: all")
@@ -61,6 +62,7 @@ def export(folder: Path, out: Path) -> None:
 def _flight(result: Any, kept: dict[str, Path]) -> str:
     """The folder of a cell's flight: its own, or that of the subject which shares it."""
     _, _, rest = result.cell.key.partition("|")
+    # Subjects that share a flight differ in the first part of the key alone.
     suffix = "-" + key_of(*rest.split("|"))
     own = key_of(*result.cell.key.split("|"))
     return own if own in kept else next((name for name in kept if name.endswith(suffix)), "")
@@ -74,8 +76,10 @@ def write_flight(folder: Path, out: Path) -> None:
             table = pa.table({name: _column(rows[name]) for name in rows.dtype.names or ()})
             pq.write_table(table, out / f"{message}.{Path(side).stem}.parquet")
     labels = [msgspec.to_builtins(label) for label in read_labels(folder / LABELS)]
+    # Without an order of its own, so that a data set has the same columns for every fault.
     keys = ("id", "fault", "targets", "start_us", "end_us", "frames", "magnitude")
     applied = [{key: label.get(key) for key in keys} for label in labels]
+    # A schema, since a flight without faults has no rows to infer one from.
     schema = pa.schema(
         [("id", pa.string()), ("fault", pa.string()), ("targets", pa.list_(pa.string())),
          ("start_us", pa.int64()), ("end_us", pa.int64()), ("frames", pa.int64()),

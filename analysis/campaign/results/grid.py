@@ -48,6 +48,7 @@ def grid_of(results: Sequence[CellResult], campaign: CampaignFile) -> list[GridR
         cell = result.cell
         found[cell.subject, cell.fault][cell.magnitude].append(result)
     return [
+        # A fault without a magnitude has one column.
         GridRow(*names, tuple(_cell(m, by[m]) for m in sorted(by, key=lambda m: m or 0.0)))
         for names in product(campaign.subject_names, [fault.name for fault in campaign.faults])
         if (by := found.get(names))
@@ -60,11 +61,14 @@ def _cell(magnitude: float | None, results: list[CellResult]) -> GridCell:
 
 def badness(result: CellResult) -> tuple[int, float]:
     """Orders results: by outcome, then by how far the errors went."""
+    # Degrees and metres added: only to order results of the same outcome.
     return rank(result.outcome), (result.excursion_deg or 0.0) + (result.excursion_m or 0.0)
 
 
 def failsafe_share(results: Sequence[CellResult]) -> float | None:
     """Of an autopilot's bad flights, the share in which a failsafe acted; None for an estimator."""
+    # From the rank of a failsafe on: nothing milder calls for one.
     bad = [r for r in results if rank(r.outcome) >= rank("failsafe")]
+    # An estimator alone neither lands nor crashes, and has no failsafe.
     flown = any(r.failsafe or r.outcome in ("landed", "crashed") for r in bad)
     return sum(bool(r.failsafe) for r in bad) / len(bad) if flown else None

@@ -10,6 +10,7 @@ from analysis.campaign.results.grid import GridCell, grid_of
 def markdown(campaign: CampaignFile, results: Sequence[CellResult]) -> str:
     """One row for each subject and fault, one cell for each magnitude."""
     rows = grid_of(results, campaign)
+    # Rows of different length: Markdown wants them filled up.
     width = max((len(row.cells) for row in rows), default=0)
     lines = [
         f"### {campaign.name}: {len(results)} cells",

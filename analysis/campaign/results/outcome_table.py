@@ -24,12 +24,14 @@ def print_outcomes(folder: Path, plan: Plan) -> None:
     for name in ("subject", "fault", "worst outcome from each magnitude on"):
         table.add_column(name)
     for row in grid_of(results, plan.campaign):
+        # Only where the outcome changes, from the smallest magnitude on.
         steps = [next(group) for _, group in groupby(row.cells, lambda c: c.worst.outcome)]
         table.add_row(row.subject, row.fault, "  ".join(map(_text, steps)))
     console.print(table)
     if plan.campaign.find == "critical":
         console.print(_criticals(plan, {result.cell.key: result for result in results}))
     aborted = [result for result in results if result.outcome == "aborted"]
+    # Five are enough to see why; the rest stands in the files.
     for result in aborted[:5]:
         console.print(f"aborted: {result.cell.key}: {result.note}", markup=False, soft_wrap=True)
     console.print(f"{len(results)} cells, {len(aborted)} aborted")
@@ -40,6 +42,7 @@ def _text(cell: GridCell) -> str:
     name = "" if cell.magnitude is None else f"{cell.magnitude:.4g} "
     outcome = cell.worst.outcome
     count = cell.outcomes[outcome]
+    # A share only where there are several flights in the cell.
     share = f" {count}/{len(cell.results)}" if len(cell.results) > 1 else ""
     return f"{name}[{COLOURS[outcome]}]{outcome}{share}[/]"
 

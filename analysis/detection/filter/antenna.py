@@ -32,6 +32,7 @@ def moved_along(
     x, p and the matrix (20, 20) that turns the errors of the one into those of the other.
     """
     c = matrix(x[X_Q : X_Q + 4])
+    # The Earth's rotation seen in body axes is the last row of C times its rate.
     turning = gyro_b_rps - x[X_BG : X_BG + 3] - GNSS_EARTH_RATE_RPS * c[2]
     arm, speed = c @ arm_b_m, c @ np.cross(turning, arm_b_m)
     jacobian = np.eye(ERRORS)

@@ -26,10 +26,14 @@ from analysis.detection.isolation.hypotheses import explain_by_satellites
 from analysis.orbits.snapshot import design_matrix, systems_of
 from analysis.samples.sample import Vector
 
+# More would mean that it wanders.
 ITERATIONS = 12
 CONVERGED_M = 1e-3
+# A position inside this is no place to compute elevations from.
 FAR_FROM_EARTH_M = 1.0e6
+# Wide enough that a system's first ranges alone fix its offset.
 ISB_SIGMA_M = 300.0
+# Of cheap MEMS sensors as they are switched on; the filter narrows them in flight.
 GYRO_BIAS_SIGMA_RPS = 0.02
 ACCEL_BIAS_SIGMA_MPS2 = 0.3
 UNKNOWN_SPEED_SIGMA_MPS = 30.0
@@ -51,6 +55,7 @@ class Start:
 
 def start(t_us: int, observed: Observed, config: DetectorConfig, ionosphere: Vector) -> Start:
     """Least squares over all satellites above the mask, tested, and repaired if it fails."""
+    # First all, since the mask needs a position to tell elevations.
     x = _solve(observed, np.zeros(X_SIZE), config, ionosphere)
     if x is None:
         return Start(None, _too_few(observed))
@@ -62,6 +67,7 @@ def start(t_us: int, observed: Observed, config: DetectorConfig, ionosphere: Vec
     modelled = model(observed, x, config.sigma, ionosphere)
     design = design_matrix(-modelled.h[:, 0:3], observed.system)
     dof = len(design) - design.shape[1]
+    # Without redundancy a faulty start could not be told from a sound one.
     if dof < 1:
         return Start(None, f"{len(design)} satellites; {design.shape[1] + 1} are needed to test")
     m = projected_weights(design, 1.0 / modelled.variance)
@@ -109,6 +115,7 @@ def _repaired(
     modelled = model(observed, x, config.sigma, ionosphere)
     u = m @ modelled.v_m
     unknowns = 3 + len(systems_of(observed.system))
+    # Two satellites of redundancy for each that is left out, or the set is not the only one.
     largest = min(config.left_out, (len(u) - unknowns) // 2)
     found = explain_by_satellites(m, u, q, config.p_false_alarm, largest, unknowns)
     if found is None:
@@ -136,12 +143,15 @@ def _solve(
 ) -> Vector | None:
     """Position, clock and system offsets by Gauss-Newton from x; None where it fails."""
     x = x.copy()
+    # The first system's offset is the clock's; systems out of view have none.
     offset = [X_ISB + kind - 1 for kind in systems_of(observed.system)[1:]]
     x[[i for i in range(X_ISB, X_SIZE) if i not in offset]] = 0.0
     if len(observed.satellites) < 4 + len(offset):
         return None
     for _ in range(ITERATIONS):
+        # From the middle of the Earth the weights, which depend on elevation, mean nothing.
         near = float(x[:3] @ x[:3]) > FAR_FROM_EARTH_M**2
+        # At the exact centre the sight vectors have no direction.
         modelled = model(observed, x if near else x + 1e-3, config.sigma, ionosphere)
         weight = modelled.variance**-0.5 if near else np.ones(len(modelled.v_m))
         design = design_matrix(-modelled.h[:, 0:3], observed.system) * weight[:, None]
@@ -166,19 +176,24 @@ def _motion(
     """The filter at the solution x, with velocity from Doppler where there is enough of it."""
     p = np.zeros((ERRORS, ERRORS))
     weighted = design / np.sqrt(modelled.variance)[:, None]
+    # The cofactor of the solution is the covariance, since the rows are weighted by their sigmas.
     cofactor = np.linalg.inv(weighted.T @ weighted)
     p[range(ISB, ERRORS), range(ISB, ERRORS)] = ISB_SIGMA_M**2
     spots = [0, 1, 2, CLOCK, *(ISB + kind - 1 for kind in systems_of(observed.system)[1:])]
     p[np.ix_(spots, spots)] = cofactor
     x = x.copy()
+    # No attitude yet: any unit quaternion, with 3 rad of sigma below.
     x[6] = 1.0
     known = np.isfinite(observed.doppler_mps)
+    # Four unknowns and one to spare.
     if known.sum() >= 5:
         h = np.hstack([modelled.h[known, 0:3], np.ones((known.sum(), 1))])
         solution, *_ = np.linalg.lstsq(h, modelled.v_mps[known], rcond=None)
         x[3:6] += solution[:3]
         x[17] += solution[3]
+        # Four times the modelled sigma: the start's rates are not tested.
         rate = np.linalg.inv(h.T @ h) * (4.0 * config.sigma.rate_mps) ** 2
+        # A floor of 0.1 m/s, also where the geometry is very good.
         p[np.ix_([3, 4, 5, DRIFT], [3, 4, 5, DRIFT])] = rate + 0.01 * np.eye(4)
     else:
         p[[3, 4, 5], [3, 4, 5]] = UNKNOWN_SPEED_SIGMA_MPS**2

@@ -18,6 +18,7 @@ def frozen_m(core: Core, names: tuple[str, ...], t_us: int, config: DetectorConf
     """The offsets (n,) in m that are subtracted from the ranges at `t_us`."""
     known = core.frozen.offsets_m
     if not known:
+        # Nothing is frozen in most flights: no dictionary is searched then.
         return np.zeros(len(names))
     fading = math.exp(-(t_us - core.frozen.t_us) * 1e-6 / config.sigma.slow_s)
     result: Vector = fading * np.array([known.get(name, 0.0) for name in names])
@@ -38,9 +39,11 @@ def freeze(core: Core, t_us: int, config: DetectorConfig) -> Core:
     ramps = core.ramps
     if ramps is None:
         return core
+    # Names frozen earlier may be out of view now and come back: they stay in the table.
     names = tuple(dict.fromkeys((*core.frozen.offsets_m, *ramps.names)))
     offsets_m = frozen_m(core, names, t_us, config) + learnt(core, names)
     windows = ramps.windows
+    # What the windows knew at their start moves along, so that differences stay.
     windows = windows._replace(
         offset=np.zeros_like(windows.offset), offsets=windows.offsets - windows.offset
     )

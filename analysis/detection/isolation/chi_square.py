@@ -26,11 +26,13 @@ def chi_square(dof: int, p_false_alarm: float) -> float:
     if dof < 1:
         return nan
     spread = 2.0 / (9.0 * dof)
+    # Wilson and Hilferty's cube is near enough for Newton to converge in a few steps.
     x = max(dof * (1.0 - spread + two_sided(2.0 * p_false_alarm) * sqrt(spread)) ** 3, 1e-3)
     for _ in range(ITERATIONS):
         tail = p_value(x, dof)
         density = exp((0.5 * dof - 1.0) * log(0.5 * x) - 0.5 * x - lgamma(0.5 * dof)) / 2.0
         step = tail / density * log(tail / p_false_alarm)
+        # Never below half of it: a long step could leave the positive numbers.
         x = max(x + step, 0.5 * x)
         if abs(step) <= 1e-15 * x:
             break
@@ -44,6 +46,7 @@ def subset_threshold(count: int, left_out: int, p_false_alarm: float, unknowns: 
     The false-alarm probability is shared among all tests with as many left out, so that the right
     one passes with the configured probability whichever it is.
     """
+    # Shared evenly: Bonferroni's bound over all sets of that size.
     return chi_square(count - unknowns - left_out, p_false_alarm / comb(count, left_out))
 
 
@@ -55,12 +58,14 @@ def two_sided(p_false_alarm: float) -> float:
 
 def p_value(statistic: float, dof: int) -> float:
     """Probability of a statistic at least as large without a fault."""
+    # `statistic != statistic` is NaN.
     if not 0.0 < statistic < inf or dof < 1:
         return nan if dof < 1 or statistic != statistic else float(statistic <= 0.0)
     if statistic > BEYOND:
         return 0.0
     half = 0.5 * statistic
     odd = dof % 2 == 1
+    # Even degrees are a sum of exponentials, odd ones add the normal tail.
     total = erfc(sqrt(half)) if odd else 0.0
     term = 2.0 * sqrt(half / pi) * exp(-half) if odd else exp(-half)
     order = 1.5 if odd else 1.0  # the next term is this one times half / order

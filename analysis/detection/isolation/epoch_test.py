@@ -69,15 +69,19 @@ def judge_epoch(
     IMU gave since the last, `run_before` what it gave before that."""
     before = core.motion
     assert before is not None
+    # The fast way first: it returns None wherever there is anything to decide.
     quiet = quiet_epoch(t_us, observed, run, core, config)
     if quiet is not None:
         return quiet
     part = segment(run, before, t_us)
     motion, phi = advance(before, part, t_us, config)
     sight, leapt, motion, core = _seen(t_us, observed, motion, core, config)
+    # Without the IMU one more than the unknowns, three of position and a clock per system; with it
+    # the prediction can be contradicted by three.
     needed = 3 if motion.inertial else 4 + max(sight.tests.systems, 1)
     if len(sight.names) < needed:
         reason = f"{len(sight.names)} healthy satellites above the mask; {needed} are needed"
+        # Too few to test is too few to use: an untested fault would move the filter unseen.
         core = freeze(core, t_us, config)
         return Outcome(core._replace(motion=motion, ramps=None), reason)
     rates = check_rates(motion, sight.used, sight.tests, config)
@@ -86,6 +90,7 @@ def judge_epoch(
     tested = ranges_beyond_imu(tested, rates, core, motion, sight.used)
     judged = Judged(core, part, motion, sight, leapt, rates, tested)
     undisturbed = not leapt and not tested.freed and rates.hypothesis in UNDISTURBED
+    # Ramp tests need one unbroken filter: what was freed or leapt has no response to follow.
     if undisturbed and before.inertial == tested.motion.inertial:
         ramps = ready(
             core.ramps or new_ramps(before.t_us),
@@ -98,6 +103,7 @@ def judge_epoch(
         step = Step(phi, (t_us - before.t_us) * 1e-6, t_us, tested.motion.inertial)
         moved, ramps, found = commit(tested.motion, tested.part, rates.fit, ramps, step, config)
         return _concluded(judged, before, moved, ramps, judge_slow(ramps, found, config), config)
+    # The windows end here; what they had learnt of offsets lives on, frozen.
     moved = absorb(tested.motion, tested.part, rates.fit)
     judged = judged._replace(core=freeze(core, t_us, config))
     return _concluded(judged, before, moved, None, None, config)
@@ -114,6 +120,7 @@ def _concluded(
     """The verdicts together: who is excluded, whether the IMU is trusted, and the core after."""
     core, part, tested, t_us = judged.core, judged.part, judged.tested, moved.t_us
     verdicts = (judged.rates.hypothesis, tested.hypothesis, slow.hypothesis if slow else "none")
+    # Without an inertial prediction its failure is a manoeuvre, not a fault of the IMU.
     imu_blamed = before.inertial and "imu" in verdicts
     if imu_blamed and moved.inertial:
         moved = free_position(moved)
@@ -129,12 +136,15 @@ def _concluded(
         distrusted=distrusted(core, judged.rates, tested),
     )
     moved = find_attitude(core, moved, part, (t_us - before.t_us) * 1e-6, config)
+    # To a free filter an acceleration was the vehicle's own: it says nothing of the IMU.
     if ramps is not None and moved.inertial and not before.inertial:
         ramps = ramps.without_accelerations()
     core = core._replace(motion=moved, ramps=ramps)
     unknown_us = core.unknown_since_us
+    # Nothing has explained the ranges for too long: the filter itself is wrong, start anew.
     if unknown_us is not None and (t_us - unknown_us) * 1e-6 >= config.reset_s:
         core = core._replace(motion=None, ramps=None, unknown_since_us=None, distrusted="")
+    # Silence of the IMU is shown like its fault: the prediction lacks it either way.
     silent = before.inertial and part.gap_s > config.gap_s
     shown_now = shown(core, tested.hypothesis, imu_blamed or silent, judged.leapt)
     alarm = tested.alarm or imu_blamed or silent
@@ -179,10 +189,12 @@ def _tested(
     freed = freed_by(motion, by_rates)
     used, q = sight.used, sight.tests.q
     if freed is not motion:
+        # The statistic is computed again only where the covariance changed.
         q = statistic(freed.p, used.h, used.variance, used.v_m)
     threshold = chi_square(len(sight.names), config.p_false_alarm)
     if q <= threshold:
         return passed(freed, used, q, threshold)
+    # Learnt offsets matter only when somebody is excluded and the geometry changes.
     standing_m = learnt(core, sight.names)
     return blamed(freed, used, q, threshold, standing_m, config)
 
@@ -198,12 +210,14 @@ def _seen(
     trusted = np.array([name not in core.excluded for name in names], dtype=bool)
     ionosphere, offset_m = core.ionosphere, frozen_m(core, names, t_us, config)
     sight = see(observed, trusted, offset_m, motion, ionosphere, config)
+    # The median below is sorted for, so it is asked for only when most innovations are far.
     leap = _leap_m(sight) if sight.tests.far else 0.0
     if leap:
         x = motion.x.copy()
         x[X_CLOCK] += leap
         motion = free_clock(motion._replace(x=x))
         sight = see(observed, trusted, offset_m, motion, ionosphere, config)
+    # Twice `see` at a change of satellites: innovations must be those of the new offsets.
     if core.ramps is not None and core.ramps.names != sight.names:
         core = freeze(core, t_us, config)
         offset_m = frozen_m(core, names, t_us, config)
@@ -214,6 +228,7 @@ def _seen(
 def _leap_m(sight: Sight) -> float:
     """How far the receiver set its clock; 0 if it did not."""
     innovations = sorted((*sight.used.v_m.tolist(), *sight.outside.v_m.tolist()))
+    # The median: a single faulty satellite must not set the clock.
     middle: float = innovations[len(innovations) // 2]
     return middle if abs(middle) > CLOCK_LEAP_M else 0.0
 
@@ -222,4 +237,5 @@ def _unknown_since_us(core: Core, hypothesis: str, t_us: int) -> int | None:
     """Since when nothing of the epochs can be used."""
     if hypothesis not in ("multiple-unknown", "gps"):
         return None
+    # The first epoch of the stretch counts.
     return core.unknown_since_us or t_us

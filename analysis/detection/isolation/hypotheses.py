@@ -20,6 +20,7 @@ from mavproxy_fault.numerics.linear import apply
 
 PENALTY = 2.0  # per freed parameter, as in Akaike's criterion
 RULES = ("explicit", "plain")
+# With one, too many sets would pass for the right one to stand out.
 DOF_LEFT = 2  # degrees of freedom kept after leaving out
 
 
@@ -58,10 +59,12 @@ def explain_by_satellites(
     """
     count = len(u)
     found: Explanation | None = None
+    # Shared among the satellites that might be the one more.
     telling = chi_square(1, p_false_alarm / count)
     for size in range(1, min(largest, count - unknowns - DOF_LEFT) + 1):
         statistic, pick = best_subset(m, u, q, size)
         threshold = subset_threshold(count, size, p_false_alarm, unknowns)
+        # Size by size: once the next satellite is no news the smaller set is the verdict.
         if found is not None and found.statistic - statistic <= telling:
             return found
         if statistic <= threshold:
@@ -77,6 +80,7 @@ def explain_by(
     """The explanation that frees parameters along the columns of g (n, k)."""
     size = g.shape[1]
     statistic = freed(m, u, q, g)
+    # At least one degree: with none the threshold would be NaN and nothing would pass.
     threshold = chi_square(max(len(u) - size, 1), p_false_alarm)
     return Explanation(hypothesis, (), statistic, threshold, statistic + PENALTY * size)
 
@@ -107,6 +111,7 @@ def judge(
     u = apply(m, v)
     q = float(v @ u)
     satellites = explain_by_satellites(m, u, q, p_false_alarm, largest)
+    # The older rule, for comparison: it never weighs the clock.
     if rule == "plain":
         if satellites is None:
             return Verdict("imu", (), {"imu": 1.0})
@@ -121,6 +126,7 @@ def judge(
     chances = _probabilities(rivals, q, chi_square(len(u), p_false_alarm))
     if not passing:
         return Verdict("multiple-unknown", (), chances)
+    # Least J: what remains unexplained, and a price for what was freed.
     best = min(passing, key=lambda rival: rival.cost)
     return Verdict(best.hypothesis, best.subset, chances)
 
@@ -129,7 +135,9 @@ def _probabilities(rivals: list[Explanation], q: float, threshold: float) -> dic
     """Relative likelihoods exp(-J/2); "multiple-unknown" explains all but for its threshold."""
     costs = {rival.hypothesis: rival.cost for rival in rivals}
     costs["none"] = q
+    # As if it freed three parameters, like a wrong position.
     costs["multiple-unknown"] = threshold + 3.0 * PENALTY
+    # Relative to the least, or the exponentials would all underflow to zero.
     least = min(costs.values())
     weights = {name: math.exp(-0.5 * (cost - least)) for name, cost in costs.items()}
     total = sum(weights.values())

@@ -19,6 +19,7 @@ from analysis.samples.sample import Vector
 
 STRIDE_US = round(STRIDE_S * 1e6)
 NOWHERE = np.empty(0, dtype=np.int64)
+# 3 sigma of one parameter.
 LATE = 9.0  # a ramp's likelihood ratio that dates the fault of a satellite found otherwise
 
 
@@ -34,6 +35,7 @@ class RampBank(Value, frozen=True):
 
     def renewed(self, t_us: int) -> "RampBank":
         """The oldest window begun anew where one is due."""
+        # One at a time, a stride apart: the oldest always looks back three strides at least.
         if t_us < self.due_us:
             return self
         return self._replace(due_us=t_us + STRIDE_US, windows=_renewed(self.windows, t_us))
@@ -42,7 +44,9 @@ class RampBank(Value, frozen=True):
         """The windows without what they have seen of an acceleration: to a filter that moves freely
         the vehicle's own is one, to one that the IMU moves it is none."""
         d, sums = self.windows.d.copy(), self.windows.sums.copy()
+        # The last three responses of each window are those of accelerations.
         d.reshape(ERRORS, WINDOW_COUNT, -1)[:, :, -3:] = 0.0
+        # c (3,) and J (3, 3) of the accelerations.
         sums[:, -12:] = 0.0
         return self._replace(windows=self.windows._replace(d=d, sums=sums))
 
@@ -76,10 +80,12 @@ def ready(
     """The ramp tests before an epoch at `t_us` in which `names` (n satellites) are used of `among`;
     `variance` (n,) of their ranges."""
     if ramps.names != names:
+        # A new satellite's offset is as unsure as the noise model allows.
         windows = _rearranged(ramps, names, config.sigma.slow**2 * variance)
         ramps = RampBank(ramps.due_us, names, windows)
     if ramps.among is not among:
         places = np.array([among.index(name) for name in names], dtype=np.int64)
+        # Identity: the names are compared once per change of view, not once per epoch.
         ramps = ramps._replace(among=among, places=places)
     return ramps.renewed(t_us)
 
@@ -96,6 +102,7 @@ def _rearranged(ramps: RampBank, names: tuple[str, ...], most: Vector) -> Window
     place = {name: i for i, name in enumerate(ramps.names)}
     for i, name in enumerate(names):
         at = place.get(name)
+        # Satellites that left take their columns along; one that comes back starts from nothing.
         if at is not None:
             d[:, :, i] = d_before[:, :, at]
             sums[:, i : 5 * new : new] = before.sums[:, at : 5 * old : old]
@@ -107,6 +114,7 @@ def _rearranged(ramps: RampBank, names: tuple[str, ...], most: Vector) -> Window
 
 def _renewed(windows: Windows, t_us: int) -> Windows:
     """The oldest window begun anew."""
+    # A window that has not begun has stamp 0, so it is the oldest.
     oldest, each = int(windows.starts_us.argmin()), len(windows.offset) + 3
     starts_us, d, sums = windows.starts_us.copy(), windows.d.copy(), windows.sums.copy()
     offsets, spreads = windows.offsets.copy(), windows.spreads.copy()
@@ -121,6 +129,7 @@ def judge_slow(ramps: RampBank, found: Strongest, config: DetectorConfig) -> Slo
     """Whether a window has seen a ramp, and whose; the rival is a wrong acceleration."""
     count = len(ramps.names)
     threshold = chi_square(1, config.p_slow / max(count, 1))
+    # Each less a penalty for what it frees: three components of an acceleration, two for a ramp.
     statistic, imu_cost = found.ramp, found.rival - 3.0 * PENALTY
     wrong = found.rival > chi_square(3, config.p_slow)
     if wrong and imu_cost > statistic - 2.0 * PENALTY:
@@ -140,4 +149,5 @@ def onset_of(ramps: RampBank | None, name: str, t_us: int, config: DetectorConfi
     ratios = table[:, ramps.names.index(name)]
     window = int(ratios.argmax())
     start_us = int(windows.starts_us[window])
+    # A window without a ramp dates nothing: then the finding itself does.
     return start_us if start_us and ratios[window] >= LATE else t_us

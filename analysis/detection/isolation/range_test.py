@@ -11,6 +11,7 @@ from analysis.detection.isolation.hypotheses import Verdict, judge
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 
+# What a prediction that was found wrong is trusted to from then on.
 FREE_POSITION_M = 300.0
 FREE_SPEED_MPS = 30.0
 FREE_TILT_RAD = 0.3
@@ -40,6 +41,7 @@ class Tested(Value, frozen=True):
 
 def largest_set(count: int, wanted: int) -> int:
     """How many satellites may be left out: enough must stay for the set to be the only one."""
+    # One satellite may be left out of four even so: the filter's prediction stands beside them.
     return max(min(wanted, (count - 4) // 2), 1 if count >= 4 else 0)
 
 
@@ -68,8 +70,10 @@ def blamed(
     elif verdict.hypothesis != "none":
         part = NO_ROWS
     shown = hypothesis
+    # An IMU found wrong earlier outweighs what is found of the rest.
     if verdict.hypothesis != "none" and hypothesis in ("none", "clock"):
         shown = verdict.hypothesis
+    # Receivers set their clocks: that is shown, and is no alarm.
     alarm = shown not in ("none", "clock")
     subset, chances = verdict.subset, verdict.probabilities
     return Tested(motion, shown, alarm, subset, q, threshold, chances, part, True)
@@ -94,6 +98,7 @@ def _freed(
     hypothesis = "none"
     chances: dict[str, float] = {}
     largest = largest_set(len(modelled.v_m), config.left_out)
+    # Contiguous, since a kernel is compiled anew for each memory layout.
     position = np.ascontiguousarray(modelled.h[:, 0:3])
     clock = np.ascontiguousarray(modelled.h[:, CLOCK : CLOCK + 1])
     for _ in range(ROUNDS):
@@ -102,6 +107,7 @@ def _freed(
             return hypothesis, Verdict("none", (), chances), motion
         m = weights(motion.p, h, variance)
         verdict = judge(m, v, position, clock, config.p_false_alarm, largest, config.rule)
+        # The chances of the first round: those before anything was forgotten.
         chances = chances or verdict.probabilities
         if verdict.hypothesis == "clock":
             motion = free_clock(motion)
@@ -111,6 +117,7 @@ def _freed(
             motion = free_position(motion)
         else:
             return hypothesis, verdict._replace(probabilities=chances), motion
+    # Three rounds did not settle it.
     return hypothesis, Verdict("multiple-unknown", (), chances), motion
 
 
@@ -125,6 +132,7 @@ def free_clock(motion: Motion) -> Motion:
 def free_position(motion: Motion) -> Motion:
     """The filter with its position and velocity forgotten, moved freely from here."""
     p = motion.p.copy()
+    # Added, not set: what is unsure already does not become surer.
     for at, sigma in ((0, FREE_POSITION_M), (3, FREE_SPEED_MPS), (PSI, FREE_TILT_RAD)):
         p[range(at, at + 3), range(at, at + 3)] += sigma**2
     return motion._replace(p=p, inertial=False, alignment=None)

@@ -14,6 +14,7 @@ from analysis.detection.isolation.hypotheses import judge
 from analysis.detection.isolation.range_test import FREE_DRIFT_MPS, free_position, largest_set
 from analysis.detection.values import Value
 
+# Four states and one to spare.
 MIN_RATES = 5
 NO_RATES = Rates(NO_ROWS.v_mps, NO_ROWS.rate_variance, NO_ROWS.h)
 
@@ -41,6 +42,7 @@ def check_rates(
         return RatesTested(tests.q_rate, threshold, count, "none", fit)
     known = np.flatnonzero(np.isfinite(fit.v))
     h, v = rate_rows(fit.h, known), fit.v[known]
+    # Only the rates that are known: a kernel knows no NaN.
     m = weights(motion.p, h, fit.variance[known])
     velocity = np.ascontiguousarray(h[:, 3:6])
     drift = np.ascontiguousarray(h[:, DRIFT : DRIFT + 1])
@@ -49,6 +51,7 @@ def check_rates(
         kept = fit.v.copy()
         kept[known[list(verdict.subset)]] = np.nan
         fit = fit._replace(v=kept)
+    # No explanation: none of the rates is used, the ranges decide alone.
     elif verdict.hypothesis == "multiple-unknown":
         fit = NO_RATES
     return RatesTested(tests.q_rate, threshold, count, verdict.hypothesis, fit)

@@ -31,9 +31,11 @@ def range_weights(decision: Decision, config: FusionConfig) -> dict[str, float]:
         return dict.fromkeys((*decision.satellites, *decision.excluded), 1.0)
     if decision.hypothesis not in SOUND:
         return dict.fromkeys(decision.satellites, 0.0)
+    # Also without an alarm: the detector says that it could not tell.
     weights = dict.fromkeys(decision.satellites, 1.0)
     if not decision.alarm and decision.hypothesis in ("none", "satellites"):
         for name, value in zip(decision.satellites, decision.normalised, strict=False):
+            # A residual that is unknown counts as hopeless.
             residual = float("inf") if value is None else value
             if not abs(residual) <= config.suspicious:
                 weights[name] = weight(residual, config.suspicious, config.hopeless)
@@ -51,8 +53,12 @@ def sensor_weights(
     for result in results:
         if isinstance(result, SensorDecision) and result.statistic is not None and result.threshold:
             weights[result.sensor] = weight(
-                math.sqrt(result.statistic / result.threshold), DOUBTED, 1.0
+                # The root, since statistics are squares of normalised residuals.
+                math.sqrt(result.statistic / result.threshold),
+                DOUBTED,
+                1.0,
             )
+    # Isolated sensors last: what was isolated has no weight, whatever its statistic.
     return weights | dict.fromkeys(isolated, 0.0)
 
 

@@ -32,6 +32,7 @@ def outliers(window: Window, sources: frozenset[str]) -> list[tuple[str, int]]:
     params = gtsam.GncLMParams()
     params.setAllowNonNoiseModelFactors(True)
     params.setLossType(gtsam.GncLossType.TLS)
+    # Everything but the sources in question is taken as sound.
     params.setKnownInliers([i for i, slot in enumerate(slots) if slot not in names])
     optimizer = gtsam.GncLMOptimizer(graph, window.smoother.calculateEstimate(), params)
     optimizer.optimize()

@@ -87,6 +87,7 @@ class Ranges:
         """Weights of those above the mask that have one worth it."""
         given = [by_name.get(name, 0.0) for name in self.satellites]
         above = self.table[:, ABOVE].tolist()
+        # 0 where the satellite is below the mask.
         return np.array(
             [a if a >= LEAST_WEIGHT and b else 0.0 for a, b in zip(given, above, strict=True)]
         )

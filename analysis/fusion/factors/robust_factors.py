@@ -36,6 +36,7 @@ def pseudoranges(
 
 def clock_in_seconds(epoch: int) -> tuple[Any, Any]:
     """The clock in seconds with a first guess, and the factor that ties it."""
+    # A first guess of zero: the tie below sets it at once.
     c, r = key("c", epoch), key("r", epoch)
     guess = gtsam.Values()
     guess.insert(r, 0.0)
@@ -59,4 +60,5 @@ def _loss(robust: str, sigma_m: float) -> Any:
         return gtsam.noiseModel.Robust.Create(estimator.Huber.Create(HUBER), noise)
     if robust == "geman-mcclure":
         return gtsam.noiseModel.Robust.Create(estimator.GemanMcClure.Create(GEMAN), noise)
+    # Without a loss the noise is that of the ranges.
     return noise

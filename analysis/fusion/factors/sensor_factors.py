@@ -68,8 +68,10 @@ class Others:
         `share` is the weight it is to have. A receiver's own position is for epochs decided by it
         alone.
         """
+        # Too little to be worth a factor.
         if share < LEAST_WEIGHT:
             return 0.0
+        # Rows are multiplied by the root, so that the information is by the weight.
         root = math.sqrt(share)
         epoch = self._graph.nearest(sample.t_us, round(STALE_S * 1e6))
         if epoch is None:

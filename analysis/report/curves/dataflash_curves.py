@@ -36,6 +36,7 @@ def _hundredths(name: str) -> Reader:
     """Volts or amperes, which old logs give in hundredths."""
 
     def values(topic: Columns) -> Values:
+        # The median of the voltage tells the age of the log for the current too.
         old = np.nanmedian(column(topic, "Volt")) > HIGH_V
         return column(topic, name) * (0.01 if old else 1.0)
 
@@ -75,6 +76,7 @@ def _estimator(status: str, innovations: str, state: str, core: str) -> tuple[Cu
             Curve(state, panel, f"core{core}", _heading(name) if name == "Yaw" else field(name))
             for panel, name in states
         ),
+        # The last letter of the field is the axis.
         *(Curve(state, "gyro-bias", f"{axis[-1].lower()}{core}", field(axis, 1.0)) for axis in
           ("GX", "GY", "GZ")),
     )  # fmt: skip
@@ -89,6 +91,7 @@ def _controller(message: str, axis: str, letter: str, up: float) -> tuple[Curve,
     )
 
 
+# Names of curves are those of the other kinds of log: the page colours and pairs by name.
 CURVES: tuple[Curve, ...] = (
     Curve("ATT", "roll", "ATTITUDE", field("Roll"), False),
     Curve("ATT", "roll", "desired", field("DesRoll"), False),
@@ -112,6 +115,7 @@ CURVES: tuple[Curve, ...] = (
     Curve("CTUN", "height", "barometer", field("BAlt"), False),
     Curve("GPS", "speed", "GPS", field("Spd")),
     Curve("ARSP", "speed", "air", field("Airspeed"), False),
+    # CTUN gives climb rates in centimetres per second.
     Curve("CTUN", "climb", "CTUN", field("CRt", 0.01), False),
     Curve("CTUN", "climb", "desired", field("DCRt", 0.01), False),
     Curve("GPS", "gps-satellites", "GPS", field("NSats")),
@@ -140,7 +144,9 @@ CURVES: tuple[Curve, ...] = (
         )
         for axis in "xyz"
     ),
+    # Milligauss to gauss.
     Curve("MAG", "mag", "compass", norm("MagX", "MagY", "MagZ", scale=1e-3)),
+    # Pascal to hectopascal.
     Curve("BARO", "baro", "barometer", field("Press", 0.01)),
     Curve("BARO", "temperature", "barometer", field("Temp")),
     Curve("IMU", "temperature", "IMU", field("T")),
@@ -154,6 +160,7 @@ CURVES: tuple[Curve, ...] = (
     Curve("POWR", "board-voltage", "Vcc", field("Vcc"), False),
     Curve("POWR", "board-voltage", "servo rail", used("VServo"), False),
     Curve("POWR", "temperature", "processor", used("MTemp"), False),
+    # PM gives the load in tenths of a percent, the longest loop in microseconds.
     Curve("PM", "load", "processor", field("Load", 0.1), False),
     Curve("PM", "scheduler", "long loops", field("NLon"), False),
     Curve("PM", "loop-time", "longest loop", field("MaxT", 1e-3), False),
@@ -165,6 +172,7 @@ CURVES: tuple[Curve, ...] = (
     Curve("CTUN", "throttle", "throttle", _throttle, False),
     *(
         Curve("RCOU", "outputs", f"output {i}", used(f"C{i}"), False)
+        # `used` alone decides: a channel that is never driven has no curve.
         for i in range(1, CHANNELS + 1)
     ),
     *(Curve("RCIN", "rc", f"channel {i}", used(f"C{i}"), False) for i in range(1, CHANNELS + 1)),

@@ -28,6 +28,7 @@ def derived(recording: Recording) -> tuple[list[Signal], list[Event]]:
     """Signals and events computed from a recording's own."""
     signals, events = [], []
     for track in recording.tracks:
+        # The truth is not tested against itself; three points give two steps.
         if track.name.startswith("truth") or len(track.t_s) < 3:
             continue
         step = step_beyond_speed(track, _speed_of(recording, track))
@@ -35,6 +36,7 @@ def derived(recording: Recording) -> tuple[list[Signal], list[Event]]:
         panel = "gps-jump" if is_gps else "estimate-jump"
         signals.append(Signal(panel, track.name, track.t_s[1:], step))
         if not is_gps:
+            # A receiver may jump by a fault; an estimate that jumps was reset by its filter.
             events.extend(_resets(track, step))
     signals.extend(_position_errors(recording))
     signals.extend(fused_errors(recording))
@@ -46,6 +48,7 @@ def derived(recording: Recording) -> tuple[list[Signal], list[Event]]:
 
 def step_beyond_speed(track: Track, speed_mps: Signal | None) -> Vector:
     """How much further each step of a track is than its speed explains, m; shape (n - 1,)."""
+    # A sphere is enough: steps are compared with speeds, not with maps.
     north = np.radians(np.diff(track.lat_deg)) * MEAN_EARTH_RADIUS_M
     east = np.radians(np.diff(track.lon_deg)) * MEAN_EARTH_RADIUS_M
     east *= np.cos(np.radians(track.lat_deg[1:]))
@@ -90,6 +93,7 @@ def _position_errors(recording: Recording) -> list[Signal]:
     for track in recording.tracks:
         if track is truth:
             continue
+        # Beyond the truth's own time `interp` would hold its last value.
         inside = (track.t_s >= truth.t_s[0]) & (track.t_s <= truth.t_s[-1])
         if inside.sum() < 2:
             continue
@@ -115,8 +119,10 @@ def _attitude_errors(recording: Recording) -> list[Signal]:
         # Yaw may lag by much without harm, and jumps where it wraps.
         if "desired" in curves and part != "yaw":
             found.append(_difference("control-error", part, own, curves["desired"]))
+    # One common sample is no curve.
     found = [signal for signal in found if len(signal.t_s) > 1]
     control = [signal for signal in found if signal.panel == "control-error"]
+    # Both angles or none: the tilt needs them at the same instants.
     if len(control) == 2:
         roll, pitch = control
         there = np.interp(roll.t_s, pitch.t_s, pitch.value)
@@ -137,6 +143,7 @@ def _divergence(recording: Recording) -> list[Signal]:
     """How far each further instance of the estimator leans from the first, degrees."""
     angles = [recording.of(f"instance-{part}") for part in ("roll", "pitch")]
     found = []
+    # `strict=False`: an instance may lack one of the angles; the first is the reference.
     for roll, pitch in list(zip(*angles, strict=False))[1:]:
         apart = []
         for first, further in zip((angles[0][0], angles[1][0]), (roll, pitch), strict=True):
@@ -149,10 +156,12 @@ def _divergence(recording: Recording) -> list[Signal]:
 def _balance(recording: Recording) -> list[Signal]:
     """Each motor's output less the mean of all, smoothed: a motor that is weak works more."""
     motors = [signal for signal in recording.of("actuators") if signal.name.startswith("motor")]
+    # With fewer motors the mean says too little of a single one.
     if len(motors) < 3 or any(len(s.t_s) != len(motors[0].t_s) for s in motors):
         return []
     outputs = np.stack([signal.value for signal in motors])
     t_s = motors[0].t_s
+    # Samples in a second, by the log's own rate.
     samples = max(1, round(BALANCE_S * len(t_s) / max(float(np.ptp(t_s)), 1e-6)))
     if len(t_s) < 2 * samples:
         return []

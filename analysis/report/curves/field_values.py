@@ -36,6 +36,7 @@ def values_of(curve: Curve, columns: Columns) -> Values | None:
         found = curve.values(columns)
     except KeyError:
         return None
+    # A field that is there and never filled is as good as none.
     return found if np.isfinite(found).any() else None
 
 
@@ -49,6 +50,7 @@ def field(name: str, scale: float = 1.0, unknown: float | None = None) -> Reader
 
     def values(columns: Columns) -> Values:
         raw = column(columns, name)
+        # Before scaling: "unknown" is a count of the wire.
         if unknown is not None:
             raw = np.where(raw == unknown, np.nan, raw)
         return raw * scale
@@ -61,6 +63,7 @@ def element(name: str, i: int, scale: float = 1.0, unknown: float | None = None)
 
     def values(columns: Columns) -> Values:
         raw = column(columns, name)[:, i]
+        # Read before scaling for the same reason.
         used = raw.any() if unknown is None else (raw != unknown).any()
         # A channel that nobody feeds: no curve is better than one at zero.
         if not used:

@@ -44,4 +44,5 @@ def error_ned_m(track: Track, truth: Track) -> tuple[Vector, Vector]:
     )
     north = np.radians(lat) * MEAN_EARTH_RADIUS_M
     east = np.radians(lon) * MEAN_EARTH_RADIUS_M * np.cos(np.radians(track.lat_deg[inside]))
+    # Height error to down: the sign turns.
     return t_s, np.column_stack((north, east, -alt))

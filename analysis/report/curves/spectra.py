@@ -14,6 +14,7 @@ from analysis.report.recordings.recording import Recording, Signal, Vector
 
 # Below 20 Hz nothing of motors or filters is in the signal.
 LEAST_HZ, LEAST_SAMPLES = 20.0, 512
+# Loggers drop samples now and then: where most steps are equal, the signal can be resampled.
 EVEN_SHARE, EVEN_WITHIN = 0.8, 0.5  # of the steps must be so near the usual one
 SEGMENT, WINDOW = 1024, 256  # samples of a density's segments, of a spectrogram's windows
 COLUMNS, BINS = 300, 20  # of a spectrogram at the most, of throttle
@@ -84,6 +85,7 @@ def spectrum_panels(
     recording: Recording, window: tuple[float, float] | None = None
 ) -> list[SpectrumPanel]:
     """Spectra of the signals that are fast enough, within a window of time (s) if there is one."""
+    # Parameters and speeds as the log has them; no frequency is guessed.
     found = []
     for key, title, panels, unit in GROUPS:
         fast = _fast_signals(recording, panels, window)
@@ -96,12 +98,15 @@ def spectrum_panels(
 
 def marks(recording: Recording) -> list[tuple[float, str]]:
     """Frequencies of filters by the parameters, and of motors by their speed; (Hz, name)."""
+    # The last value: a filter may have been set on the ground.
     last = {name: history[-1][1] for name, history in recording.parameters.items() if history}
     found = [
         (last[name], text)
         for name, text in FILTERS
+        # Without a switch of its own a filter is on where its frequency is above zero.
         if last.get(name, 0) > 0 and last.get(ENABLED.get(name, name), 1) > 0
     ]
+    # Revolutions per minute to hertz; a motor that stands still has no frequency.
     speeds = [s.value[s.value > 0] / 60 for s in recording.of("rpm") if (s.value > 0).any()]
     if speeds:
         middle = float(np.median(np.concatenate(speeds)))
@@ -123,6 +128,8 @@ def _fast_signals(
             even = _even(signal, window)
             if even is not None:
                 found.append(Signal(panel, name, *even))
+        # The rates are one signal in three panels; of the others the first panel that is fast
+        # enough.
         if found and not axes:
             break
     return found
@@ -133,12 +140,14 @@ def _even(signal: Signal, window: tuple[float, float] | None) -> tuple[Vector, V
     keep = np.isfinite(signal.value)
     if window is not None:
         keep &= (signal.t_s >= window[0]) & (signal.t_s <= window[1])
+    # Thinned or slow logs fall out here.
     t_s, value = signal.t_s[keep], signal.value[keep]
     if len(t_s) < LEAST_SAMPLES:
         return None
     steps = np.diff(t_s)
     step_s = float(np.median(steps))
     even = np.mean(np.abs(steps - step_s) < EVEN_WITHIN * step_s) if step_s > 0 else 0.0
+    # A constant signal has no spectrum but a division by zero.
     if even < EVEN_SHARE or step_s > 1 / LEAST_HZ or np.ptp(value) == 0:
         return None
     # The mean step, since stamps rounded to milliseconds have a median that is off.
@@ -154,6 +163,7 @@ def _rate_hz(signal: Signal) -> float:
 def _density(signal: Signal) -> Spectrum:
     from matplotlib.mlab import psd  # loads in a quarter of scipy.signal's time
 
+    # At least four segments to average over.
     segment = min(SEGMENT, 2 ** int(np.log2(len(signal.value) / 4)))
     found = psd(signal.value, segment, _rate_hz(signal), detrend="mean", noverlap=segment // 2)
     density, frequency_hz = map(np.asarray, found)
@@ -166,6 +176,7 @@ def _images(recording: Recording, fast: Sequence[Signal]) -> list[Spectrogram]:
     from matplotlib.mlab import specgram
 
     first = [s for s in fast if s.name in ("x", "y", "z", "roll", "pitch", "yaw")] or fast[:3]
+    # Axes of one sensor may differ by a sample.
     n = min(len(signal.value) for signal in first)
     # Windows overlap by three quarters; of a long log by less, so that no more columns than pixels.
     hop = max(WINDOW // 4, -(-(n - WINDOW) // COLUMNS))
@@ -182,6 +193,7 @@ def _images(recording: Recording, fast: Sequence[Signal]) -> list[Spectrogram]:
     start_s = float(first[0].t_s[0])
     step_s = float(t_s[1] - t_s[0]) if len(t_s) > 1 else 1.0
     highest_hz = float(frequency_hz[-1])
+    # Half a step on both sides: a column stands for its surroundings.
     begin, end = start_s + float(t_s[0]) - step_s / 2, start_s + float(t_s[-1]) + step_s / 2
     images = [Spectrogram("by time", "time", begin, end, highest_hz, level_db)]
     throttle = recording.of("throttle")
@@ -196,10 +208,12 @@ def _by_throttle(
     throttle: Signal, t_s: Vector, level_db: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
     """Mean level of the columns that fall in each bin of throttle; NaN where there are few."""
+    # Throttle at the middle of each window.
     share = np.interp(t_s, throttle.t_s, np.nan_to_num(throttle.value))
     place = np.clip((share / 100 * BINS).astype(int), 0, BINS - 1)
     table = np.full((len(level_db), BINS), np.nan)
     for i in range(BINS):
         if (place == i).sum() >= LEAST_WINDOWS:
             table[:, i] = level_db[:, place == i].mean(axis=1)
+    # One column of throttle is no picture.
     return table if np.isfinite(table[0]).sum() > 1 else None

@@ -43,6 +43,7 @@ def _battery_v(rows: Columns) -> Values:
     cells = column(rows, "voltages")
     cells[cells == NO_CELL] = np.nan
     total = np.nansum(cells, axis=1) * 1e-3
+    # Sums of nothing are 0 V: such a row is unknown instead.
     return np.where(np.isnan(cells).all(axis=1), np.nan, total)
 
 
@@ -51,6 +52,7 @@ def _dilution(name: str) -> Reader:
 
     def values(rows: Columns) -> Values:
         raw = column(rows, name)
+        # 65535 is above the limit too.
         return np.where((raw == 0) | (raw >= 9999), np.nan, raw * 1e-2)
 
     return values
@@ -70,6 +72,7 @@ def _noise(strongest: int) -> Reader:
     """C/N0 of the satellite of this rank in GPS_STATUS, dB-Hz; 0 is no satellite."""
 
     def values(rows: Columns) -> Values:
+        # Sorted downwards: rank 1 is the strongest.
         ranked = -np.sort(-column(rows, "satellite_snr"), axis=1)[:, strongest - 1]
         return np.where(ranked > 0, ranked, np.nan)
 
@@ -165,6 +168,7 @@ _TABLE: tuple[tuple[str, str, str, Reader], ...] = (
     ("POWER_STATUS", "board-voltage", "Vcc", field("Vcc", 1e-3)),
     ("RADIO_STATUS", "radio", "signal", field("rssi", 1, 255)),
     ("RADIO_STATUS", "radio", "remote signal", field("remrssi", 1, 255)),
+    # 255 is "unknown" in RADIO_STATUS.
     ("RADIO_STATUS", "radio", "noise", field("noise", 1, 255)),
     ("RADIO_STATUS", "radio", "remote noise", field("remnoise", 1, 255)),
     *(

@@ -36,6 +36,7 @@ def twin_curves(folder: Path, twin: Path, t0_us: int) -> list[Signal]:
     if own is not None and clean is not None:
         t_s, ours, theirs = _common(own, clean, t0_us)
         apart = ours - theirs
+        # A quaternion and its negative are the same attitude.
         dot = np.abs(np.einsum("ni,ni->n", ours[:, 6:10], theirs[:, 6:10]))
         angle = np.degrees(2 * np.arccos(np.clip(dot, 0.0, 1.0)))
         found += [
@@ -54,10 +55,12 @@ def twin_curves(folder: Path, twin: Path, t0_us: int) -> list[Signal]:
 
 def effects(curves: Sequence[Signal], labels: Sequence[Label]) -> list[dict[str, Any]]:
     """By fault the greatest and the lasting change of each curve."""
+    # From the label's own zero, which is the axis of the curves too.
     starts_s = [(label.start_us - label.t0_us) * 1e-6 for label in labels]
     rows = []
     for label, start_s in zip(labels, starts_s, strict=True):
         end_s = np.inf if label.end_us is None else (label.end_us - label.t0_us) * 1e-6 + RECOVERY_S
+        # Until the next fault begins: what follows is not told apart.
         end_s = min([end_s, *(other for other in starts_s if other > start_s)])
         row: dict[str, Any] = {"id": label.id}
         for key, panel in PANELS.items():
@@ -71,18 +74,21 @@ def effects(curves: Sequence[Signal], labels: Sequence[Label]) -> list[dict[str,
 
 def _extent(curve: Signal, inside: np.typing.NDArray[np.bool_]) -> Mapping[str, float]:
     t_s, value = curve.t_s[inside], curve.value[inside]
+    # The median of the last second: a single sample may be noise.
     last = value[t_s >= t_s[-1] - LAST_S]
     return {"most": round(float(value.max()), 3), "lasting": round(float(np.median(last)), 3)}
 
 
 def _common(own: Track, clean: Track, t0_us: int) -> tuple[Vector, Vector, Vector]:
     """Time on the report's axis and the values of both where both have one."""
+    # Equal stamps: both flew the same steps, so that no value needs interpolation.
     stamps, ours, theirs = np.intersect1d(own.t_us, clean.t_us, return_indices=True)
     return (stamps - t0_us) * 1e-6, own.values[ours], clean.values[theirs]
 
 
 def _truth(folder: Path) -> Track | None:
     """Position in ECEF, velocity and attitude that really were; the log before the faults."""
+    # Before the faults: the truth in `sent.tlog` may be falsified itself.
     rows = read_columns(folder / "received.tlog", only={TRUTH}).get(TRUTH)
     if rows is None:
         return None
@@ -106,6 +112,7 @@ def _estimates(folder: Path) -> dict[str, Track]:
             if result.estimator == first:
                 angles.append((result.t_us, (result.angle,)))
     found = {"twin-position": _track(places), "twin-attitude": _track(angles)}
+    # An estimator that gave nothing has no curve.
     return {panel: track for panel, track in found.items() if len(track.t_us)}
 
 

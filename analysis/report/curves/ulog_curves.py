@@ -73,6 +73,7 @@ _ATTITUDE = (
 _POSITION = (
     Curve("vehicle_global_position", "altitude", "estimate", field("altitude_msl_m")),
     Curve("vehicle_gps_position", "altitude", "GPS", field("altitude_msl_m")),
+    # Down to up.
     Curve("vehicle_local_position", "height", "estimate", field("z", -1.0)),
     Curve("vehicle_local_position_setpoint", "height", "desired", field("z", -1.0)),
     Curve("vehicle_local_position", "speed", "ground", norm("vx", "vy")),

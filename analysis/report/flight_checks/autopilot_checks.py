@@ -14,9 +14,11 @@ def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[
 def _flags(recording: Recording, armed: Windows | None) -> Check:
     """Flags by which the autopilot itself says that something is wrong."""
     name = "flags of the autopilot"
+    # An empty list: the log says when, and it never was.
     if armed == []:
         return Check(name=name, verdict=NONE, evidence="never armed")
     spans = [s for s in recording.spans if s.kind == "flag"]
+    # Either end inside: flags that were raised on the ground and last count.
     spans = [s for s in spans if within(s.start_s, armed) or within(s.end_s, armed)]
     if not spans:
         known = recording.of("ratio") or recording.of("variance")
@@ -31,6 +33,7 @@ def _flags(recording: Recording, armed: Windows | None) -> Check:
 
 def _status(recording: Recording, armed: Windows | None) -> Check:
     name = "system status of the autopilot"
+    # Heartbeats carry the status.
     if not any(span.lane.startswith("mode") for span in recording.spans):
         return Check(name=name, verdict=NONE, evidence="no heartbeats in the log")
     if armed == []:

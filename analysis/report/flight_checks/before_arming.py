@@ -16,6 +16,7 @@ def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[
 def _before_arming(recording: Recording, th: Thresholds, armed: Windows | None) -> Check:
     """What the checks of GPS and estimator find before the first arming: a warning, no failure."""
     name = "before arming"
+    # Too short to have shown anything.
     if not armed or armed[0][0] < BENCH_S:
         return Check(name=name, verdict=NONE, evidence="the log holds nothing of it")
     bench = [(0.0, armed[0][0])]

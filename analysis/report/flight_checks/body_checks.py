@@ -17,6 +17,7 @@ def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[
     tilt = [signal for signal in of("control-error") if signal.name == "tilt"]
     compass = Limits(*th.compass_change_percent, "% off its median", hold_s=hold)
     remaining = Limits(*th.battery_remaining_percent, "%", below=True, hold_s=hold)
+    # A rail that was never powered has no limit.
     powered = [s for s in of("board-voltage") if s.value.max(initial=0) > 0]
     voltage = Limits(*th.board_voltage_v, "V", below=True)
     return [
@@ -33,6 +34,7 @@ def _clipping(recording: Recording, th: Thresholds, armed: Windows | None) -> Ch
     """Counts since the first one of the log, or since arming."""
     grown = []
     for signal in recording.of("clipping"):
+        # Steps only: the counter may begin anywhere, and a restart counts nothing.
         steps = np.maximum(np.diff(signal.value, prepend=signal.value[:1]), 0)
         if armed is not None:
             inside = np.zeros(len(steps), bool)
@@ -47,6 +49,7 @@ def _compass(recording: Recording) -> list[Signal]:
     """How far each compass' field strength is off its own median, percent."""
     found = []
     for signal in recording.of("mag"):
+        # Its own median: the field's strength differs from place to place.
         middle = float(np.nanmedian(signal.value)) if len(signal.value) else 0.0
         if middle > 0:
             change = 100 * np.abs(signal.value / middle - 1)

@@ -16,6 +16,7 @@ def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[
     far = Limits(*th.position_error_m, "m", hold_s=hold)
     high = Limits(*th.height_error_m, "m", hold_s=hold)
     tilted = Limits(*th.attitude_error_deg, "deg", hold_s=hold)
+    # The two that claim to be the vehicle's position.
     positions = [s for s in of("position-error") if s.name in ("estimate", "fused")]
     return [
         level("innovation test ratios", of("ratio"), ratio, armed),
@@ -35,6 +36,7 @@ def _height_errors(recording: Recording) -> list[Signal]:
     for name in ("estimate", "fused"):
         own = tracks.get(name)
         if truth is not None and own is not None:
+            # Beyond the truth's time there is nothing to compare with.
             inside = (own.t_s >= truth.t_s[0]) & (own.t_s <= truth.t_s[-1])
             there = np.interp(own.t_s[inside], truth.t_s, truth.alt_m)
             off = np.abs(own.alt_m[inside] - there)

@@ -34,6 +34,7 @@ def _impact(recording: Recording, th: Thresholds, armed: Windows | None) -> Chec
     t_s, height_m, sink_mps = motion
     worst, at_s = 0.0, 0.0
     for i in np.flatnonzero(sink_mps > warn):
+        # A little after disarming: the autopilot itself disarms on an impact.
         inside = armed is None or any(a <= t_s[i] <= b + REST_S for a, b in armed)
         if sink_mps[i] > worst and inside and _stopped(recording, t_s, height_m, sink_mps, int(i)):
             worst, at_s = float(sink_mps[i]), float(t_s[i])
@@ -60,6 +61,7 @@ def _motion(recording: Recording) -> tuple[Vector, Vector, Vector] | None:
     climb = _first(recording.of("climb"))
     if climb is not None:
         return t_s, height_m, -np.interp(t_s, climb.t_s, climb.value)
+    # Three samples of smoothing: the difference of heights is noisy.
     smooth = np.convolve(height_m, np.full(3, 1 / 3), "same")
     return (t_s, height_m, -np.gradient(smooth, STEP_S)) if len(t_s) > 3 else None
 
@@ -68,6 +70,7 @@ def _first(signals: list[Signal]) -> Signal | None:
     """The autopilot's own estimate, else a receiver's, with the numbers that are some."""
     for name in ESTIMATES:
         for signal in signals:
+            # A curve of a few numbers is none.
             good = np.isfinite(signal.value)
             if signal.name == name and good.sum() > 10:
                 return Signal(signal.panel, name, signal.t_s[good], signal.value[good])
@@ -82,6 +85,7 @@ def _stopped(
     if stop >= len(t_s) or np.abs(sink_mps[at : stop + 1]).min() > REST_MPS:
         return False
     lies = np.ptp(height_m[stop : rest + 1]) < REST_M
+    # Near the lowest place of the flight: the log may not begin there.
     low = height_m[stop] < np.percentile(height_m, 2) + 2 * ALOFT_M
     blow = _blow(recording, t_s[at], t_s[stop])
     return bool(lies and low and blow is not False)
@@ -92,11 +96,13 @@ def _blow(recording: Recording, begin_s: float, end_s: float) -> bool | None:
     axes = {s.name: s for s in recording.of("accel") if s.name in ("x", "y", "z")}
     if len(axes) < 3 or len({len(s.t_s) for s in axes.values()}) > 1:
         return None
+    # Axes of different length cannot be added.
     t_s = axes["x"].t_s
     near: NDArray[np.bool_] = (t_s >= begin_s - 0.3) & (t_s <= end_s + 0.3)
     if near.sum() < 10:
         return None
     force = np.linalg.norm([axes[name].value[near] for name in "xyz"], axis=0)
+    # The size alone: which axis feels the ground depends on the attitude.
     return bool(np.nanmax(np.abs(force - STANDARD_GRAVITY_MPS2)) > BLOW_MPS2)
 
 
@@ -110,6 +116,7 @@ def _aloft(recording: Recording, armed: Windows | None) -> Check:
     last = t_s > t_s[-1] - 1.0
     height, sink = float(np.median(height_m[last])), float(np.median(sink_mps[last]))
     up = height > np.percentile(height_m, 2) + ALOFT_M or abs(sink) > REST_MPS
+    # Disarmed well before the end, or low and at rest.
     if armed[-1][1] < recording.duration_s - 1.0 or not up:
         return Check(name=name, verdict=PASS, evidence="it does", limit=limit)
     tilt = max((_tilt_at_end(s) for p in ("roll", "pitch") for s in recording.of(p)), default=0.0)

@@ -19,11 +19,13 @@ def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[
         level("GPS satellites", used, satellites, armed),
         level("GPS dilution of precision", of("gps-dilution"), dilution, armed),
         level("GPS jumps", of("gps-jump"), Limits(*th.gps_step_m, "m"), armed),
+        # Jamming matters on the ground too.
         level("GPS jamming indicator", _jamming(recording), jamming, None),
     ]
 
 
 def _has_fix(recording: Recording) -> bool:
+    # A receiver that never had any fix is judged by `_fix`.
     return any(signal.value.max(initial=0) >= FIX_2D for signal in recording.of("gps-fix"))
 
 

@@ -21,6 +21,7 @@ def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[
     motors = motor_outputs(recording)
     gyros = [_mean(signal) for signal in of("gyro-disagreement")]
     accelerometers = [_mean(signal) for signal in of("accel-disagreement")]
+    # Cells that are not connected read about zero.
     cells = [s for s in of("battery-cells") if np.nanmax(s.value, initial=0.0) > LEAST_CELL_V]
     return [
         level("motor balance", _off_mean(motors), Limits(*th.motor_balance, hold_s=hold), armed),
@@ -48,8 +49,10 @@ def motor_outputs(recording: Recording) -> list[Signal]:
     motors = [s for s in recording.of("actuators") if s.name.startswith("motor")]
     if not motors:
         motors = _by_function(recording)
+    # Outputs that never moved are not connected.
     motors = [s for s in motors if np.isfinite(s.value).any() and np.nanmax(s.value) > 0.0]
     same = all(len(s.t_s) == len(motors[0].t_s) for s in motors)
+    # Negative outputs are surfaces or reversible motors.
     surfaces = any(np.nanmin(s.value) < 0.0 for s in motors)
     return motors if len(motors) >= FEWEST_MOTORS and same and not surfaces else []
 
@@ -57,11 +60,13 @@ def motor_outputs(recording: Recording) -> list[Signal]:
 def _by_function(recording: Recording) -> list[Signal]:
     """ArduPilot's outputs, by the function that the parameters give them."""
     parameters = {name: values[-1][1] for name, values in recording.parameters.items()}
+    # Zero says that the parameter is not set.
     low = parameters.get("MOT_PWM_MIN", 0.0) or PWM_US[0]
     high = parameters.get("MOT_PWM_MAX", 0.0) or PWM_US[1]
     found = []
     for signal in recording.of("outputs"):
         function = parameters.get(f"SERVO{signal.name.split()[-1]}_FUNCTION", 0.0)
+        # Motors 1 to 8 by the functions 33 to 40.
         if FIRST_MOTOR <= function < FIRST_MOTOR + MOTORS and high > low:
             share = np.clip((signal.value - low) / (high - low), 0.0, 1.0)
             name = f"motor {int(function) - FIRST_MOTOR + 1}"
@@ -74,6 +79,7 @@ def _mean(signal: Signal) -> Signal:
     count = len(signal.t_s)
     span_s = float(np.ptp(signal.t_s)) if count > 1 else 0.0
     samples = max(1, round(MEAN_S * count / span_s)) if span_s > 0 else 1
+    # Too short for one mean.
     if count < 2 * samples:
         return Signal(signal.panel, signal.name, signal.t_s[:0], signal.value[:0])
     smooth = np.convolve(np.nan_to_num(signal.value), np.full(samples, 1 / samples), "same")
@@ -85,6 +91,7 @@ def _off_mean(motors: list[Signal]) -> list[Signal]:
     if not motors:
         return []
     mean = np.nanmean([signal.value for signal in motors], axis=0)
+    # On the ground motors idle unevenly without harm.
     flies = mean > FLYING
     off = (Signal("balance", s.name, s.t_s[flies], (s.value - mean)[flies]) for s in motors)
     return [_mean(signal) for signal in off]
@@ -95,6 +102,7 @@ def _full(motors: list[Signal]) -> list[Signal]:
     found = []
     for signal in motors:
         full = signal.value >= FULL
+        # While it is full the start of the stretch stands still.
         begin = np.maximum.accumulate(np.where(full, signal.t_s[0], signal.t_s))
         for_s = np.where(full, signal.t_s - begin, 0.0)
         found.append(Signal("actuators", signal.name, signal.t_s, for_s))

@@ -18,6 +18,7 @@ def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[
 
 def _whole(recording: Recording, th: Thresholds) -> Check:
     limits = Limits(*th.broken_bytes_percent, "%")
+    # What the reader of the log noted.
     damage = [note for note in recording.notes if DAMAGE.search(note)]
     if damage:
         return Check(name="log is whole", verdict=WARN, evidence="; ".join(damage))
@@ -35,12 +36,14 @@ def _links(recording: Recording, th: Thresholds) -> list[Check]:
     lost, silent = Limits(*th.frames_lost_percent, "%"), Limits(*th.silence_s, "s")
     checks = []
     for link in recording.links:
+        # Too few frames to tell a share.
         if link.frames < FEWEST_FRAMES or link.system not in vehicles:
             continue
         share = link.lost / (link.frames + link.lost)
         percent = 100 * share
         bad = percent > lost.fail or link.longest_gap_s > silent.fail
         doubtful = percent > lost.warn or link.longest_gap_s > silent.warn
+        # Links merged into one log share the numbers: nearly all seem lost.
         mixed = share > MOST_LOST
         name = f"link from {link.system}/{link.component}"
         checks.append(

@@ -26,6 +26,7 @@ class Thresholds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     vibration_ardupilot_mps2: tuple[float, float] = (30.0, 60.0)
     vibration_px4_mps2: tuple[float, float] = (4.905, 9.81)
     clipping_count: tuple[float, float] = (10.0, 100.0)
+    # Smaller is worse for fix, satellites, battery and voltages: the first number is the larger.
     gps_fix_type: tuple[float, float] = (3.0, 2.0)
     gps_satellites: tuple[float, float] = (6.0, 4.0)
     gps_dilution: tuple[float, float] = (2.5, 5.0)
@@ -63,4 +64,5 @@ def read_thresholds(path: str | None) -> Thresholds:
     if path is None:
         return Thresholds()
     document = read_document(path)
+    # An empty file is no mistake: all defaults.
     return decode(document._replace(data=document.data or {}), Thresholds)

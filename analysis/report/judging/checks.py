@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from analysis.report.recordings.recording import Recording, Signal, Vector, runs
 
 PASS, WARN, FAIL, NONE = "PASS", "WARN", "FAIL", "not judged"
+# A check that was not judged ranks below one that passed.
 RANK = {NONE: 0, PASS: 1, WARN: 2, FAIL: 3}
 Windows = Sequence[tuple[float, float]]  # seconds
 FEWEST = 5  # samples below which a curve bears no verdict
 LONG_GAP_S = 5.0
 FORMAL = {  # checks that may pass without a flight
+    # These pass on a log from the bench as well.
     "log is whole", "messages of the autopilot", "system status of the autopilot",
     "GPS jamming indicator", "before arming", "log ends on the ground", "scheduler",
 }  # fmt: skip
@@ -82,6 +84,7 @@ def lasting(t_s: Vector, beyond: NDArray[np.bool_], hold_s: float) -> list[tuple
     """
     if len(t_s) == 0:
         return []
+    # The last sample stands for as long as the usual one.
     step = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
     windows = []
     for begin, end in runs(beyond):
@@ -100,6 +103,7 @@ def level(
     """Hold curves of one panel against limits, inside the windows `only` (None: everywhere)."""
     panel = signals[0].panel if signals else ""
     rows = [(s.name, *_inside(s, only)) for s in signals]
+    # A handful of samples is an accident of logging, no evidence.
     rows = [row for row in rows if len(row[1]) >= FEWEST]
     if not rows:
         reason = "no data" if not signals or only is None else "no data while armed"
@@ -109,11 +113,14 @@ def level(
         # One comparison for both kinds of limit.
         sign = -1.0 if limits.below else 1.0
         failing = lasting(t_s, sign * value > sign * limits.fail, limits.hold_s)
+        # Beyond the failing limit is beyond the warning one too.
         warning = lasting(t_s, sign * value > sign * limits.warn, limits.hold_s)
         found = FAIL if failing else WARN if warning else PASS
+        # The worst curve of the panel decides.
         if RANK[found] > RANK[verdict]:
             verdict = found
         windows.extend(warning)
+        # Signed, so that the largest is the worst for both kinds of limit.
         worst.append((sign * value.max() if sign > 0 else -value.min(), label, t_s, value))
     _, label, t_s, value = max(worst, key=lambda row: row[0])
     evidence = _evidence(label, t_s, value, limits, len(rows) > 1)
@@ -149,6 +156,7 @@ def _inside(signal: Signal, only: Sequence[tuple[float, float]] | None) -> tuple
 def _evidence(label: str, t_s: Vector, value: Vector, limits: Limits, several: bool) -> str:
     at = int(value.argmin() if limits.below else value.argmax())
     word = "least" if limits.below else "peak"
+    # The percentile tells a lone peak from a habit.
     percent = 1 if limits.below else 99
     unit = f" {limits.unit}" if limits.unit else ""
     who = f"{label}: " if several else ""
@@ -162,6 +170,7 @@ def merged_windows(windows: Sequence[tuple[float, float]]) -> list[tuple[float, 
     """Windows in order, those that touch as one."""
     found: list[tuple[float, float]] = []
     for start, end in sorted(windows):
+        # Windows that touch are one.
         if found and start <= found[-1][1]:
             found[-1] = (found[-1][0], max(end, found[-1][1]))
         else:
@@ -178,5 +187,6 @@ def armed_windows(recording: Recording) -> list[tuple[float, float]] | None:
     """When the vehicle was armed; None if the log does not say."""
     spans = [span for span in recording.spans if span.lane.startswith("armed")]
     if not spans:
+        # Not "never armed": the log does not say.
         return None
     return merged_windows([(s.start_s, s.end_s) for s in spans if s.text == "armed"])

@@ -41,7 +41,9 @@ def judged(flight: Flight, thresholds: Thresholds) -> Outcome:
     raw = flight_checks(recording, thresholds)
     checks = [_expected(check, recording) for check in raw]
     faults = flight.summary.get("faults") or reactions(flight.labels, recording, raw)
+    # A run's own criteria, or what any labelled log is asked for.
     checks += [_criterion(row) for row in flight.summary.get("criteria", ()) or _missed(faults)]
+    # Findings become lanes of the timeline.
     recording = replace(recording, spans=recording.spans + _found(checks))
     flight = replace(flight, recording=recording)
     verdict = verdict_of(checks)
@@ -54,6 +56,7 @@ def _expected(check: Check, recording: Recording) -> Check:
     if check.name not in ALARMS or check.verdict not in (WARN, FAIL) or not injected:
         return check
     inside = all(
+        # A second before: a check's window may begin with the sample before the fault.
         any(s.start_s - 1 <= start and end <= s.end_s + ECHO_S for s in injected)
         for start, end in check.windows
     )
@@ -143,6 +146,7 @@ def _attitude_rmse(recording: Recording) -> dict[str, float] | None:
         value = _rms(own[0].value) if own else None
         if value is not None:
             found[part] = value
+    # Three axes or none: a maximum over fewer would look better than it is.
     return {**found, "max": max(found.values())} if len(found) == 3 else None
 
 
@@ -153,6 +157,7 @@ def _numbers(recording: Recording) -> dict[str, dict[str, dict[str, float | int 
         good = signal.value[np.isfinite(signal.value)]
         if len(good) == 0:
             continue
+        # Percentiles beside the extremes: one bad sample must not stand for the flight.
         low, first, middle, last, high = np.percentile(good, (0, 1, 50, 99, 100)).tolist()
         found.setdefault(signal.panel, {})[signal.name] = {
             "unit": BY_KEY[signal.panel].unit,

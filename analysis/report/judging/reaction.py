@@ -47,15 +47,18 @@ def reactions(
     """One row per label, in the form of `summary.json`'s `faults`, with what was said and when."""
     edited = [label for label in labels if label.recorded]
     spoken = [event for event in recording.events if _speaks(event)]
+    # The end of a trouble blames nobody.
     raised = [e for e in spoken if not (e.kind == "flag" and e.text.endswith("cleared"))]
     heard = [_of_event(e, recording) for e in raised]
     # The log was changed after the flight: the autopilot never saw the fault.
     if edited:
         heard = _of_checks(checks, recording)
     heard.sort(key=lambda window: window.start_us)
+    # Which sensors anybody watched: an unwatched one cannot have been missed.
     watched = {CHECKED[check.name] for check in checks if _was_judged(check)} if edited else set()
     if edited or recording.autopilot:
         watched |= {AUTOPILOT, *(name for name, _ in NAMED)}
+    # Estimators hold out against their sensors for seconds before they give in.
     rows = outcomes(labels, heard, watched, REACTION_US, witnesses=frozenset({AUTOPILOT}))
     return [
         _row(row, label, labels, [] if label.recorded else spoken, recording)
@@ -84,6 +87,7 @@ def _stamp(t_s: float, recording: Recording) -> int:
 
 def _of_event(event: Event, recording: Recording) -> Window:
     t_us = _stamp(event.t_s, recording)
+    # The first word that names a sensor.
     name = next((sensor for sensor, words in NAMED if words.search(event.text)), "")
     return Window(name or AUTOPILOT, name, t_us, t_us, 1, bool(name))
 
@@ -96,6 +100,7 @@ def _row(
     recording: Recording,
 ) -> dict[str, Any]:
     found: dict[str, Any] = msgspec.to_builtins(row)
+    # The log was changed afterwards: silence of the autopilot is no miss.
     if label.recorded and row.verdict == MISSED:
         found |= {"verdict": NOT_JUDGED, "reason": "the autopilot could not react (recorded)"}
     start_s = (label.start_us - recording.t0_us) * 1e-6

@@ -48,6 +48,7 @@ def alarming(event: Event) -> bool:
         return False
     if event.severity == UNGRADED:
         return bool(ALARMING.search(event.text))
+    # Errors and worse alarm by themselves; a warning must do so by its words too.
     if event.severity <= ERROR:
         return True
     return bool((ALARMING if event.severity == WARNING else GRAVE).search(event.text))
@@ -57,6 +58,7 @@ def texts_check(recording: Recording, armed: Windows | None) -> Check:
     """The texts and errors of a flight; those of the bench are left to `before arming`."""
     spoken = [event for event in recording.events if event.kind in ("text", "error")]
     if not spoken:
+        # Silence of a log without messages is not silence of the autopilot.
         return Check(name=NAME, verdict=NONE, evidence="no messages in the log")
     found = findings(spoken, armed)
     if not found:
@@ -80,6 +82,7 @@ def findings(spoken: Sequence[Event], armed: Windows | None) -> list[Finding]:
             grave = event.severity <= ALERT or bool(GRAVE.search(event.text))
             finding = found.setdefault(subject, Finding(event.text, WARN, event.severity, []))
             finding.verdict = FAIL if grave else finding.verdict
+            # The gravest of all that were said of the subject.
             finding.severity = min(finding.severity, event.severity)
             # Half a second wide, so that it can be seen on the page.
             finding.windows.append((event.t_s, event.t_s + 0.5))
@@ -104,5 +107,6 @@ def _shown(finding: Finding) -> str:
     count = len(finding.windows)
     start_s, end_s = finding.windows[0]
     often = f", {count} times" if count > 1 else ""
+    # Half a second is the width that was made up for the page.
     until = f" to {end_s:.1f}" if end_s - start_s > 0.6 else ""
     return f"{finding.text!r} at {start_s:.1f}{until} s{often}"

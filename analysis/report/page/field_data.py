@@ -17,6 +17,7 @@ from analysis.report.page.pack import PackedNumbers
 from analysis.report.recordings.recording import Message, Vector
 from mavproxy_fault.documents.errors import ConfigError
 
+# The value of `--data` that puts the numbers beside the page instead of a size in MB.
 BESIDE = "beside"
 INSIDE_MB = 2.0
 FOLDER = "report-data"
@@ -52,11 +53,14 @@ def field_data(messages: Mapping[str, Message], where: str, folder: Path) -> Fie
         If `where` is neither.
     """
     most_mb = None if where == BESIDE else _megabytes(where)
+    # `--data 0` asks for no fields at all; the search box is then not shown.
     if most_mb == 0:
         return FieldData()
+    # Sorted, so that a message has the same number in every report of the same log.
     tables = [(name, m.t_s, dict(_columns(m.columns))) for name, m in sorted(messages.items())]
     tables = [table for table in tables if table[2] and len(table[1])]
     sizes = [(len(t_s), len(columns) + 1) for _, t_s, columns in tables]
+    # + 1 above: the times are a column too.
     most_rows = None if most_mb is None else _rows(sizes, most_mb * 1e6 / BYTES_OF_A_CELL)
     found = FieldData()
     for number, (name, t_s, columns) in enumerate(tables):
@@ -67,6 +71,7 @@ def field_data(messages: Mapping[str, Message], where: str, folder: Path) -> Fie
             continue
         beside = folder / FOLDER / f"{number}.js"
         beside.parent.mkdir(exist_ok=True)
+        # A script, since a page opened as a file may load scripts beside it, but not fetch data.
         beside.write_text(f'report.fields.arrived({number},"{text}");\n', encoding="ascii")
     return found
 
@@ -74,6 +79,7 @@ def field_data(messages: Mapping[str, Message], where: str, folder: Path) -> Fie
 def _megabytes(where: str) -> float:
     try:
         size = float(where)
+    # Not a number: refused below like a negative one.
     except ValueError:
         size = -1.0
     if not 0 <= size < float("inf"):
@@ -82,6 +88,7 @@ def _megabytes(where: str) -> float:
 
 
 def _rows(sizes: list[tuple[int, int]], cells: float) -> int:
+    # Bisection: the number of cells grows with the rows allowed.
     """How many rows a message may keep for all together to have so many cells."""
     low, high = 2, max((rows for rows, _ in sizes), default=2)
     while low < high:
@@ -96,6 +103,7 @@ def _rows(sizes: list[tuple[int, int]], cells: float) -> int:
 def _columns(columns: Mapping[str, NDArray[Any]]) -> Iterator[tuple[str, Vector]]:
     """Fields that are numbers; an array field as its elements; what is always zero stays."""
     for name, column in columns.items():
+        # These are the times themselves, which every field already carries as its axis.
         if name in ("timestamp", "TimeUS") or column.dtype.kind not in "iufb":
             continue
         if column.ndim == 1:
@@ -109,11 +117,14 @@ def _packed(
     t_s: Vector, columns: Mapping[str, Vector], most_rows: int | None
 ) -> tuple[dict[str, Any], str]:
     """One message's entry in the index and its numbers; at equal steps of rows if it is thinned."""
+    # Rounded up, so that no message exceeds its rows.
     step = 1 if most_rows is None else max(1, -(-len(t_s) // most_rows))
     numbers = PackedNumbers()
     entry: dict[str, Any] = {"step": step, "t": numbers.times(t_s[::step]), "fields": []}
     for name, values in columns.items():
         thin = values[::step]
+        # GPS microseconds or 1e-7 degrees in float32 would lose their last digits; the differences
+        # to the first value keep them.
         first = next((v for v in thin[:1].tolist() if np.isfinite(v) and abs(v) > FAR), 0.0)
         entry["fields"].append({"name": name, "y": numbers.values(thin - first), "add": first})
     return entry, numbers.text()

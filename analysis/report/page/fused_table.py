@@ -17,9 +17,13 @@ def fused_table(recording: Recording) -> Table | None:
     truth = next((track for track in recording.tracks if track.name == "truth"), None)
     tracks = [track for track in recording.tracks if track.name.startswith(FUSED)]
     if truth is None or not tracks:
+        # Without truth there is no error to put in numbers; without fused tracks nothing to
+        # compare.
         return None
     rows = [
-        _row(track, truth, _sigmas(recording) if track.name == FUSED else None) for track in tracks
+        # The curves of sigmas belong to this solution only.
+        _row(track, truth, _sigmas(recording) if track.name == FUSED else None)
+        for track in tracks
     ]
     head = ("solution", "epochs", "position RMSE, m", "largest, m", "within 3 sigma", "NEES")
     return Table("Fused, with and without isolation", head, rows, NOTE)
@@ -40,8 +44,10 @@ def _row(track: Track, truth: Track, sigmas: tuple[Vector, Vector] | None) -> tu
     length = np.sqrt((error**2).sum(axis=1))
     inside = nees = ""
     if sigmas is not None:
+        # Sigmas at the error's times: the two need not share their epochs.
         sigma = np.column_stack([np.interp(t_s, sigmas[0], column) for column in sigmas[1].T])
         shares = error / sigma
+        # Right sigmas of a normal error give 99.7 %.
         inside = f"{100 * float(np.mean(np.abs(shares) < BAND)):.1f} %"
         nees = f"{float((shares**2).sum(axis=1).mean()):.2f}"
     rmse = float(np.sqrt(np.mean(length**2)))

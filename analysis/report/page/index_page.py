@@ -25,6 +25,7 @@ def index_html(title: str, rows: Sequence[Mapping[str, Any]]) -> str:
     )
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        # The policy must stand before any script or style it judges.
         f"{policy(script, style)}"
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{escape(title)}</title><style>{style}</style></head><body>"

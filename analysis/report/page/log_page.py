@@ -18,8 +18,11 @@ from analysis.report.page.report_tables import (
     run_tables,
 )
 
+# Names as the projects write them.
 AUTOPILOTS = {"px4": "PX4", "ardupilot": "ArduPilot"}
+# Facts that only a detector's results give; from a bare log they would all read zero.
 NEEDS_RESULTS = {"flight", "GNSS epochs", "epochs untestable", "false alarms"}
+# Panels whose curve is the very value the check judges; on the others a line would mislead.
 DIRECT = {
     "vibration", "gps-satellites", "gps-fix", "gps-dilution", "gps-jump", "ratio", "variance",
     "estimate-jump", "battery-remaining", "board-voltage", "position-error",

@@ -39,11 +39,13 @@ class PackedNumbers:
     def values(self, values: Vector) -> Place:
         """Put values in; what the page needs to find them: first element and count."""
         at = sum(len(part) for part in self.parts)
+        # Little-endian on every machine: the page reads them so.
         self.parts.append(values.astype("<f4"))
         return {"at": at, "n": len(values)}
 
     def times(self, t_s: Vector) -> Place:
         """Put a time axis in, unless it is there already."""
+        # Equal bytes are equal axes: a message of twenty fields stores its times once.
         key = hash(t_s.tobytes())
         if key not in self.axes:
             self.axes[key] = self._new_axis(t_s)
@@ -52,6 +54,7 @@ class PackedNumbers:
     def _new_axis(self, t_s: Vector) -> Place:
         n = len(t_s)
         offset = float(t_s[0]) if n else 0.0
+        # The line through the first and last sample: a steady clock strays by nothing.
         step = float(t_s[-1] - t_s[0]) / (n - 1) if n > 1 else 0.0
         stray = t_s - (offset + step * np.arange(n))
         place: Place = {"offset": offset, "step": step, "n": n}
@@ -70,8 +73,10 @@ def longest_curve(lengths: Sequence[int], most: int = MOST) -> int:
     """How long one curve may be for all together to have `most` samples; short ones stay whole."""
     room = most
     for i, length in enumerate(sorted(lengths)):
+        # Shortest first: what a short curve does not need is shared among the longer ones.
         share = room // (len(lengths) - i)
         if length > share:
+            # Two samples at least, or there is no line.
             return min(LONGEST, max(share, 2))
         room -= length
     return LONGEST
@@ -79,16 +84,19 @@ def longest_curve(lengths: Sequence[int], most: int = MOST) -> int:
 
 def broken(t_s: Vector, value: Vector) -> tuple[Vector, Vector]:
     """The curve with NaN in its gaps, so that no line is drawn where there were no samples."""
+    # One step has no median to be longer than.
     if len(t_s) < 3:
         return t_s, value
     steps = np.diff(t_s)
     gaps = np.flatnonzero(steps > max(GAP_STEPS * float(np.median(steps)), LEAST_GAP_S))
+    # NaN in the middle of the gap: both neighbours keep their own samples.
     middle = (t_s[gaps] + t_s[gaps + 1]) / 2
     return np.insert(t_s, gaps + 1, middle), np.insert(value, gaps + 1, np.nan)
 
 
 def unwrapped(t_s: Vector, angle_deg: Vector) -> tuple[Vector, Vector]:
     """The angle with NaN where it wraps around, so that no line crosses the plot there."""
+    # A jump over half a turn between two samples is the wrap, not the vehicle.
     wraps = np.flatnonzero(np.abs(np.diff(angle_deg)) > HALF_TURN_DEG)
     middle = (t_s[wraps] + t_s[wraps + 1]) / 2
     return np.insert(t_s, wraps + 1, middle), np.insert(angle_deg, wraps + 1, np.nan)
@@ -99,5 +107,6 @@ def thinned(t_s: Vector, value: Vector, longest: int = LONGEST) -> tuple[Vector,
     n = len(t_s)
     if n <= longest:
         return t_s, value
+    # First and last stay: without them the axis would end elsewhere than the flight.
     picked = np.union1d(extremes(value, longest // 2), [0, n - 1])
     return t_s[picked], value[picked]

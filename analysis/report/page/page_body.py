@@ -13,6 +13,7 @@ from analysis.report.recordings.recording import Recording
 
 VERDICTS = ("PASS", "WARN", "FAIL")
 MAP = "Map"
+# Folded open also on a narrow screen: a reader comes for these first.
 OPEN_WHEN_NARROW = (TIMELINE, CHECKS)
 EVENTS_SHOWN = 400
 NEAR_S = 5.0  # shown before and after an event that is clicked
@@ -20,18 +21,22 @@ NEAR_S = 5.0  # shown before and after an event that is clicked
 
 def anchor(name: str) -> str:
     """The id of a section."""
+    # Letters and digits only: it stands in addresses too.
     return "to-" + "".join(c if c.isalnum() else "-" for c in name.lower())
 
 
 def css_class(word: str) -> str:
     """The class of a verdict."""
+    # A word from outside never becomes a class.
     return word if word in VERDICTS else "NONE"
 
 
 def sections_of(page: Page, recording: Recording, model: Model, fields: bool) -> list[str]:
     """The sections that have something to show, in order."""
     with_plots = {BY_KEY[str(panel["key"])].section for panel in model["panels"]}
+    # The empty name is the overview, which is no foldable section.
     with_tables = {section for section, _ in page.tables if section}
+    # dict.fromkeys: each section once, in the order of the panels.
     every = dict.fromkeys(panel.section for panel in PANELS)
     sections = [name for name in every if name in with_plots | with_tables]
     first = []
@@ -45,6 +50,7 @@ def sections_of(page: Page, recording: Recording, model: Model, fields: bool) ->
         first.append(MAP)
     last = [SPECTRA] if model["spectra"] else []
     sections = first + [name for name in sections if name not in first] + last
+    # Sections known only from tables come last, by name.
     return sections + sorted(with_tables - set(sections))
 
 
@@ -94,6 +100,7 @@ def section_html(section: str, page: Page, recording: Recording, model: Model) -
     parts.extend(_table(table) for name, table in page.tables if name == section)
     if section == TIMELINE:
         parts.append(_events(recording))
+    # The attribute keeps it open where the style folds the others.
     narrow = " data-narrow" if section in OPEN_WHEN_NARROW else ""
     return (
         f'<details class="section" id="{anchor(section)}" open{narrow}><summary>'
@@ -142,6 +149,7 @@ def _events(recording: Recording) -> str:
             Moments([(event.t_s - NEAR_S, event.t_s + NEAR_S)]),
             event.kind,
             (event.text, "FAIL" if event.severity <= 2 else ""),
+            # MAVLink severities: 0 emergency, 1 alert, 2 critical.
         )
         for event in recording.events[:EVENTS_SHOWN]
     ]
@@ -174,6 +182,7 @@ def _cell(cell: Cell, head: str) -> str:
     if isinstance(cell, Moments):
         return f"<td{label}>{_buttons(cell)}</td>"
     text, style = cell if isinstance(cell, tuple) else (cell, "")
+    # A sign and one point at most; the style aligns numbers.
     number = text.replace(".", "", 1).replace("-", "", 1).isdigit()
     styles = " ".join(filter(None, (style, "number" if number else "")))
     classes = f' class="{styles}"' if styles else ""

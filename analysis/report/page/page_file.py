@@ -29,6 +29,7 @@ def html(page: Page, recording: Recording, fields: FieldData | None = None) -> s
     numbers = PackedNumbers()
     model = page_model(page, recording, numbers)
     fields = fields or FieldData()
+    # The index is part of the model; the numbers stand in blocks that are unpacked when asked for.
     model["fields"] = fields.index
     sections = sections_of(page, recording, model, bool(fields.index))
     links = "".join(
@@ -37,6 +38,7 @@ def html(page: Page, recording: Recording, fields: FieldData | None = None) -> s
     script = "\n".join(map(asset, SCRIPTS))
     style = "".join(map(asset, STYLES))
     blocks = "".join(
+        # `text/plain` is never run: the policy's hashes need not cover it.
         f'<script type="text/plain" id="fields-{number}">{text}</script>'
         for number, text in fields.inside.items()
     )
@@ -66,16 +68,19 @@ def asset(name: str) -> str:
 
 
 def _json(value: object) -> str:
+    # `</script>` inside a string would end the block early.
     return json.dumps(value, allow_nan=False).replace("<", "\\u003c")
 
 
 def policy(script: str, style: str) -> str:
     """Nothing but this file's own script and style, and the data that may lie beside it."""
     hashes = [
+        # SHA-256 of the exact text between the tags: one added blank and the browser runs nothing.
         base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
         for text in (script, style)
     ]
     policy = (
+        # 'self' and file: are for the scripts of `report-data/` beside the page.
         f"default-src 'none'; script-src 'sha256-{hashes[0]}' 'self' file:; "
         f"style-src 'sha256-{hashes[1]}'; img-src data: blob:; base-uri 'none'; form-action 'none'"
     )

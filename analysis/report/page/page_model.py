@@ -15,6 +15,7 @@ from analysis.report.page.series_colours import series_colours
 from analysis.report.recordings.recording import Recording, Signal, Track, Vector
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
+# Angles that wrap at a full turn and may be cut there.
 HEADINGS = {"yaw", "error-yaw", "instance-yaw"}
 MARGIN_S = 2.0  # of a track, before arming and after
 MARKS_SHOWN, TRACK_POINTS = 1000, 20_000
@@ -25,6 +26,7 @@ Model = dict[str, Any]
 
 def page_model(page: Page, recording: Recording, numbers: PackedNumbers) -> Model:
     """The model of a page; its numbers go into `numbers`."""
+    # The axis covers curves and spans: an injected fault may outlast the data.
     starts = [signal.t_s[0] for signal in recording.signals] + [s.start_s for s in recording.spans]
     ends = [signal.t_s[-1] for signal in recording.signals] + [s.end_s for s in recording.spans]
     start = float(min(starts, default=0.0))
@@ -32,6 +34,7 @@ def page_model(page: Page, recording: Recording, numbers: PackedNumbers) -> Mode
     spectra = spectrum_panels(recording, longest_armed(recording))
     return {
         "start": start,
+        # An axis of no length cannot be drawn.
         "end": max(float(max(ends, default=1.0)), start + 1e-3),
         "t0_us": recording.t0_us,
         "utc0_us": recording.utc0_us,
@@ -42,6 +45,7 @@ def page_model(page: Page, recording: Recording, numbers: PackedNumbers) -> Mode
         ],
         "marks": [asdict(event) for event in recording.events[:MARKS_SHOWN]],
         "tracks": _tracks(tracks, numbers),
+        # Tracks are given in metres from here.
         "origin": [float(tracks[0].lat_deg[0]), float(tracks[0].lon_deg[0])] if tracks else None,
         "spectra": [_spectrum(panel, numbers) for panel in spectra],
         "frequencies": marks(recording),
@@ -50,6 +54,7 @@ def page_model(page: Page, recording: Recording, numbers: PackedNumbers) -> Mode
 
 def _panels(page: Page, recording: Recording, numbers: PackedNumbers) -> list[Model]:
     shown = {panel.key: recording.of(panel.key) for panel in PANELS}
+    # A panel of fewer curves than `least` compares nothing.
     shown = {key: signals for key, signals in shown.items() if len(signals) >= BY_KEY[key].least}
     longest = longest_curve([len(s.t_s) for signals in shown.values() for s in signals])
     return [_panel(key, signals, page, numbers, longest) for key, signals in shown.items()]
@@ -64,6 +69,7 @@ def _panel(
     for signal, colour in zip(signals, colours, strict=True):
         t_s, value = thinned(*broken(signal.t_s, signal.value), longest)
         if key in HEADINGS:
+            # After thinning, which keeps the extremes and with them both sides of a wrap.
             t_s, value = unwrapped(t_s, value)
         places = {"t": numbers.times(t_s), "y": numbers.values(value)}
         series.append({"name": signal.name, "colour": colour, **places})
@@ -93,6 +99,7 @@ def flown(recording: Recording) -> list[Track]:
     for track in recording.tracks:
         inside = np.zeros(len(track.t_s), bool)
         for start, end in armed:
+            # Some seconds around, so that take-off itself is seen where arming was logged late.
             inside |= (track.t_s >= start - MARGIN_S) & (track.t_s <= end + MARGIN_S)
         if inside.sum() > 1:
             columns = (track.t_s, track.lat_deg, track.lon_deg, track.alt_m)
@@ -108,6 +115,7 @@ def _tracks(tracks: Sequence[Track], numbers: PackedNumbers) -> list[Model]:
     colours = series_colours([track.name for track in tracks])
     found = []
     for track, colour in zip(tracks, colours, strict=True):
+        # A flat earth about the first point is enough for a picture of one flight.
         east = np.radians(track.lon_deg - lon0) * MEAN_EARTH_RADIUS_M * np.cos(np.radians(lat0))
         north = np.radians(track.lat_deg - lat0) * MEAN_EARTH_RADIUS_M
         step = max(1, len(track.t_s) // TRACK_POINTS)
@@ -128,6 +136,7 @@ def _spectrum(panel: SpectrumPanel, numbers: PackedNumbers) -> Model:
     return {
         "key": panel.key,
         "title": panel.title,
+        # A share has no unit to square.
         "unit": f"({panel.unit})²/Hz" if panel.unit != "1" else "1/Hz",
         "series": [
             {
@@ -144,6 +153,7 @@ def _spectrum(panel: SpectrumPanel, numbers: PackedNumbers) -> Model:
 
 def _image(image: Spectrogram, numbers: PackedNumbers) -> Model:
     """Levels of the loudest 60 dB as numbers to 255, the lowest frequency first; -1: no data."""
+    # Relative to its own loudest cell, so that quiet vehicles show their structure too.
     highest = float(np.nanmax(image.level_db))
     lowest = highest - RANGE_DB
     level = np.clip((image.level_db - lowest) / RANGE_DB, 0, 1) * LEVELS

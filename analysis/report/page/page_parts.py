@@ -36,6 +36,7 @@ class Limit:
     kind: str
 
 
+# The statistics are drawn over their thresholds, so that the limit of each is 1.
 SENSOR_LIMIT = {"fdi-sensor": [Limit(1.0, "threshold", "fail")]}
 
 

@@ -111,6 +111,7 @@ PANELS = (
     Panel("gps-noise", GPS, "Jamming and noise indicators", ""),
     Panel("accel", SENSORS, "Accelerometers", "m/s²"),
     Panel("gyro", SENSORS, "Gyroscopes", "rad/s"),
+    # Three axes are one IMU: with fewer than four curves there is nothing to compare.
     Panel("accel-instances", SENSORS, "Accelerometers of every IMU", "m/s²", least=4),
     Panel("gyro-instances", SENSORS, "Gyroscopes of every IMU", "rad/s", least=4),
     Panel("accel-disagreement", SENSORS, "Accelerometers off their mean", "m/s²"),

@@ -24,10 +24,13 @@ def write_pdf(page: Path) -> Path:
     if browser is None:
         raise ConfigError(f"--pdf: no browser found; install one of {', '.join(BROWSERS)}")
     target = page.with_suffix(".pdf")
+    # An old file must not pass for the new one.
     target.unlink(missing_ok=True)
     # A browser of root's refuses its sandbox; the page holds no foreign script (see its policy).
     sandbox = ["--no-sandbox"] if os.geteuid() == 0 else []
+    # A profile of its own: a browser that already runs with the user's would take the command over.
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        # The budget is in milliseconds of the page's time: its scripts draw before it is printed.
         command = [
             browser, "--headless", "--disable-gpu", "--no-first-run", *sandbox,
             "--disable-background-networking", f"--user-data-dir={profile}",

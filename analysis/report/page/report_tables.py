@@ -196,6 +196,7 @@ def checks_tables(checks: Sequence[Check]) -> list[Table]:
     head = ("verdict", "check", "found", "limit", "when")
     rows: dict[str, list[Sequence[Cell]]] = {}
     for check in sorted(checks, key=lambda check: -RANK[check.verdict]):
+        # One table for what needs reading, and one folded for each of the two that do not.
         group = check.verdict if check.verdict in (PASS, NONE) else ""
         cells = ((check.verdict, check.verdict), check.name, check.evidence, check.limit)
         rows.setdefault(group, []).append((*cells, Moments(check.windows, check.panel)))
@@ -210,6 +211,7 @@ def reasons(checks: Sequence[Check]) -> list[tuple[str, str]]:
     """The checks that led to a verdict other than PASS, the worst first."""
     bad = [check for check in checks if check.verdict in (WARN, FAIL)]
     bad.sort(key=lambda check: -RANK[check.verdict])
+    # Worst first, so what is cut off is never worse than what is shown.
     lines = [(check.verdict, f"{check.name}: {check.evidence}") for check in bad[:REASONS]]
     if len(bad) > REASONS:
         lines.append((bad[REASONS].verdict, f"and {len(bad) - REASONS} more, see Checks"))
@@ -228,9 +230,11 @@ def reaction_table(faults: Sequence[Mapping[str, Any]]) -> Table | None:
         for fault in faults
         for reaction in fault.get("reaction", ())
     ]
+    # Asked of the faults: a reaction looked for and not found gives an empty table, not none.
     if not any("reaction" in fault for fault in faults):
         return None
     head = ("fault", "t, s", "after, s", "what it said or did")
+    # A talkative autopilot shall not bury the rest of the section.
     return Table("The autopilot's reaction to what was injected", head, rows[:60])
 
 
@@ -254,6 +258,7 @@ def links_table(recording: Recording) -> Table:
 
 def _differs(value: float, default: float) -> bool:
     """Whether two float32 of a log are not the same number."""
+    # float32 has seven digits: the default and the value may come through different texts.
     return abs(value - default) > 1e-6 * max(abs(value), abs(default))
 
 
@@ -262,6 +267,7 @@ def parameters_table(recording: Recording) -> list[Table]:
     changed = [
         (name, f"{t_s:.2f}", f"{before:.7g}", f"{value:.7g}")
         for name, history in recording.parameters.items()
+        # The first entry of a history is the value at the start of the log, no change.
         for (_, before), (t_s, value) in itertools.pairwise(history)
     ]
     every = [(name, f"{h[-1][1]:.7g}") for name, h in sorted(recording.parameters.items())]
@@ -275,6 +281,7 @@ def parameters_table(recording: Recording) -> list[Table]:
     if unusual:
         title = f"Parameters that are not at their default ({len(unusual)})"
         head = ("parameter", "value", "default")
+        # Folded where the list is longer than a screen.
         tables.insert(0, Table(title, head, unusual, folded=len(unusual) > 40))
     if changed:
         moves = ("parameter", "t, s", "before", "after")

@@ -21,6 +21,7 @@ GATE_COLOUR = 7
 def series_colours(names: Sequence[str]) -> list[int]:
     """A colour for each curve of one plot: its own where it has one, else the next free one."""
     own = {name: KNOWN[name] for name in names if name in KNOWN}
+    # The colour of the gates is kept for them: a grey curve would be read as a limit.
     free = [i for i in range(len(PALETTE)) if i not in own.values() and i != GATE_COLOUR]
     found = []
     for name in names:
@@ -30,5 +31,6 @@ def series_colours(names: Sequence[str]) -> list[int]:
             found.append(own[name])
         else:
             found.append(free[0] if free else len(found) % len(PALETTE))
+            # In a ring: with more curves than colours they come round again.
             free = [*free[1:], *free[:1]]
     return found

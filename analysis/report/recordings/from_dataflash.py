@@ -35,6 +35,7 @@ from analysis.report.recordings.recording import (
 ARMED, DISARMED = 10, 11  # EV.Id
 COPTER = 2  # MAV_TYPE of a quadrotor
 NOT_YET = 3  # severity of an error
+# Bits of the field TS.
 TIMEOUTS = {0: "position timeout", 1: "velocity timeout", 2: "height timeout", 3: "compass timeout"}
 GPS_EPOCH_US = 315_964_800_000_000  # 6 January 1980 in Unix time
 WEEK_US = 604_800_000_000
@@ -49,6 +50,7 @@ def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = No
     for (kind, instance), topic in sorted(log.topics.items()):
         t_s = _seconds(topic, start_us)
         suffix = f" {instance + 1}" if instance else ""
+        # Spaces would end a name in the page's expressions.
         found.messages[f"{kind}{suffix.replace(' ', '_')}"] = Message(t_s, topic)
         for curve in CURVES:
             if curve.message == kind and (curve.every or instance == 0):
@@ -87,6 +89,7 @@ def _tracks(kind: str, suffix: str, topic: Topic, t_s: Vector) -> list[Track]:
     label = {"GPS": "GPS", "POS": "estimate"}.get(kind)
     if label is None or not {"Lat", "Lng", "Alt"} <= topic.keys():
         return []
+    # Zero latitude: no fix yet.
     keep = topic["Lat"] != 0
     if keep.sum() < 2:
         return []
@@ -117,6 +120,7 @@ def _add_armed(found: Recording, log: DataflashFile, start_us: int) -> None:
         return
     since: float | None = None
     first = True
+    # By the first event: a log that begins in flight has a disarming without an arming.
     for t_s, number in zip(_seconds(topic, start_us).tolist(), topic["Id"].tolist(), strict=True):
         if number in EVENTS:
             found.events.append(Event(t_s, "mode", EVENTS[number]))
@@ -132,6 +136,7 @@ def _add_armed(found: Recording, log: DataflashFile, start_us: int) -> None:
 
 def _add_timeouts(found: Recording, log: DataflashFile, start_us: int) -> None:
     """Sensors that the estimator says it has not used for too long."""
+    # The newest filter that the log has.
     topic = next((t for k in ESTIMATORS if (t := log.topics.get((k, 0))) and "TS" in t), None)
     if topic is None:
         return
@@ -140,6 +145,7 @@ def _add_timeouts(found: Recording, log: DataflashFile, start_us: int) -> None:
     for bit, text in TIMEOUTS.items():
         for begin, end in runs(flags >> bit & 1 == 1):
             lane = f"estimator: {text}"
+            # The end of a stretch is the first row without the flag.
             stop = float(t_s[min(end, len(t_s) - 1)])
             found.spans.append(Span(lane, float(t_s[begin]), stop, text, "flag"))
             found.events.append(Event(float(t_s[begin]), "flag", f"{lane} raised", 4))
@@ -148,6 +154,7 @@ def _add_timeouts(found: Recording, log: DataflashFile, start_us: int) -> None:
 def _add_core(found: Recording, log: DataflashFile, start_us: int) -> None:
     """Which core of the estimator flies the vehicle, where there is more than one."""
     topic = next((t for k in ESTIMATORS if (t := log.topics.get((k, 0))) and "PI" in t), None)
+    # Core 0 throughout is the rule and worth no lane.
     if topic is None or not topic["PI"].any():
         return
     t_s, cores = _seconds(topic, start_us), topic["PI"]
@@ -156,6 +163,7 @@ def _add_core(found: Recording, log: DataflashFile, start_us: int) -> None:
         stop = float(t_s[min(end, len(cores) - 1)])
         text = f"core {int(cores[begin]) + 1}"
         found.spans.append(Span("estimator in use", float(t_s[begin]), stop, text, "mode"))
+        # The first row is the state at the start, no change.
         if begin:
             found.events.append(Event(float(t_s[begin]), "mode", f"estimator: {text}", 4))
 
@@ -165,6 +173,7 @@ def _utc0_us(log: DataflashFile, start_us: int) -> int:
     topic = log.topics.get(("GPS", 0), {})
     if not {"GWk", "GMS"} <= topic.keys() or not topic["GWk"].any():
         return 0
+    # Weeks are zero before the first fix.
     first = int(np.flatnonzero(topic["GWk"])[0])
     of_week_us = int(topic["GMS"][first]) * 1000
     gps_us = int(topic["GWk"][first]) * WEEK_US + of_week_us - LEAP_US
@@ -181,6 +190,7 @@ def _add_texts(found: Recording, log: DataflashFile, start_us: int) -> None:
         for t_s, subsystem, code in rows:
             name = ERRORS.get(int(subsystem), f"subsystem {subsystem}")
             text = f"{name}: error {code}" if code else f"{name}: resolved"
+            # A code of zero says that the error is over.
             found.events.append(Event(t_s, "error", text, NOT_YET if code else 6))
 
 
@@ -191,8 +201,10 @@ def _add_parameters(found: Recording, log: DataflashFile, start_us: int) -> None
     t_s_of = _seconds(topic, start_us).tolist()
     for t_s, name, value in zip(t_s_of, topic["Name"], topic["Value"], strict=True):
         history = found.parameters.setdefault(_text(name), [])
+        # Only changes: some versions repeat all parameters.
         if not history or history[-1][1] != float(value):
             history.append((t_s, float(value)))
     if "Default" in topic:
         pairs = zip(topic["Name"], topic["Default"].tolist(), strict=True)
+        # NaN where the firmware knows no default.
         found.defaults.update((_text(name), value) for name, value in pairs if np.isfinite(value))

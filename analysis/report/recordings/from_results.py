@@ -20,6 +20,7 @@ def recording_of_results(
     labels: Sequence[Label], results: Iterable[Result], t0_us: int
 ) -> Recording:
     """Curves, spans and events of labels and results on the axis that starts at `t0_us`."""
+    # Gone through twice.
     results = list(results)
     found = Recording("results", t0_us=t0_us)
     for label in labels:
@@ -44,6 +45,7 @@ def recording_of_results(
             if result.position_ecef_m is not None:
                 solved.append((t_s, result.position_ecef_m))
         elif isinstance(result, SensorDecision):
+            # Over the threshold, so that sensors of any unit share one plot.
             if result.statistic is not None and result.threshold:
                 points["fdi-sensor", result.sensor].append(
                     (t_s, result.statistic / result.threshold)
@@ -71,6 +73,7 @@ def recording_of_results(
 def _injected(label: Label, results: Sequence[Result], t0_us: int) -> Span:
     end_us = label.end_us
     if end_us is None:
+        # A fault that never ended lasts to the last result.
         end_us = max((result.t_us for result in results), default=label.start_us)
     text = f"{label.preset or label.fault} on {', '.join(label.targets) or 'the link'}"
     return Span(
@@ -121,6 +124,7 @@ def _signal(
     panel: str, name: str, rows: list[tuple[float, float]], every: Sequence[float]
 ) -> Signal:
     """A curve; with `every`, on all these times, with NaN at those for which there is no row."""
+    # Rows may come out of order.
     t_s, value = np.array(sorted(rows, key=lambda row: row[0]), float).T
     if not every:
         return Signal(panel, name, t_s, value)
@@ -142,8 +146,10 @@ def _alarm_spans(lane: str, rows: list[tuple[float, bool, str]]) -> list[Span]:
     t_s: Vector = np.array([row[0] for row in rows])
     spans = []
     for begin, end in runs(np.array([row[1] for row in rows])):
+        # Each text once, and four at the most: a lane has little room.
         texts = list(dict.fromkeys(row[2] for row in rows[begin:end]))
         stop = t_s[min(end, len(t_s) - 1)]
+        # Up to the first row that is not in alarm, where there is one.
         spans.append(Span(lane, float(t_s[begin]), float(stop), "; ".join(texts[:4]), "detected"))
     return spans
 
@@ -177,6 +183,7 @@ def isolation_matrix(
     for result in results:
         if not isinstance(result, Decision):
             continue
+        # Excluded satellites are the answer; without, the hypothesis is.
         decided = result.excluded or (result.hypothesis,)
         true = [
             label.id
@@ -184,10 +191,12 @@ def isolation_matrix(
             if label.start_us <= result.t_us
             and (label.end_us is None or result.t_us <= label.end_us)
         ]
+        # After a fault its exclusions stand for a while, rightly.
         true = true or [AFTER if _just_after(labels, result.t_us) else "no fault"]
         for row in true:
             for column in decided:
                 counts[row][column] += 1
+    # Only where there was something to count.
     if not counts[AFTER]:
         del counts[AFTER]
     heads = sorted({column for row in counts.values() for column in row}, key=_rank)

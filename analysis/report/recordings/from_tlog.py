@@ -65,6 +65,7 @@ def merged(logs: Sequence[Columns]) -> Columns:
     together = {}
     for name in names:
         rows = np.concatenate([columns[name] for columns in logs if name in columns])
+        # Stable: rows with one stamp keep the order of their logs.
         together[name] = rows[np.argsort(rows["t_us"], kind="stable")]
     return together
 
@@ -90,13 +91,16 @@ def recording_of(
     systems = vehicle_systems(columns)
     found = Recording(name)
     vehicles = []
+    # Without any vehicle everything is shown as one.
     for system in systems or [0]:
         own = {key: rows[rows["system"] == system] for key, rows in columns.items()}
+        # A log without systems is taken whole.
         own = {key: rows for key, rows in own.items() if len(rows)} if systems else columns
         own, warnings = _without_placeholder(own)
         clock, notes = clock_of(own, system, t0_us)
         notes += warnings
         found.notes.extend(notes)
+        # A single vehicle's curves need no number behind their names.
         suffix = f" (system {system})" if len(systems) > 1 else ""
         vehicles.append(_Vehicle(system, own, clock, suffix, *_kind(own)))
     for vehicle in vehicles:
@@ -104,6 +108,7 @@ def recording_of(
     quality, losses = link_quality(links or {}, vehicles[0].clock)
     found.links.extend(quality)
     found.signals.extend(losses)
+    # The first vehicle stands for the log.
     autopilot = {PX4: "px4", ARDUPILOT: "ardupilot"}.get(vehicles[0].autopilot, "")
     ends = [signal.t_s[-1] for signal in found.signals if len(signal.t_s)]
     found.events.sort(key=lambda event: event.t_s)
@@ -149,6 +154,7 @@ def vehicle_systems(columns: Columns) -> list[int]:
         beats = columns["HEARTBEAT"]
         stations = set(np.unique(beats["system"][beats["type"] == GROUND_STATION]).tolist())
         flying = set(np.unique(beats["system"][beats["type"] != GROUND_STATION]).tolist())
+        # A station that also flies, by another heartbeat, stays.
         systems -= stations - flying
         # Who sends curves but no heartbeat, as telemetry radios do.
         radios = {s for s in systems if s not in flying}
@@ -162,6 +168,7 @@ def _kind(columns: Columns) -> tuple[int, int]:
     if beats is None:
         return 0, 0
     beats = beats[(beats["type"] != GROUND_STATION) & (beats["autopilot"] != NO_AUTOPILOT)]
+    # The last heartbeat: the type may become known late.
     return (int(beats["autopilot"][-1]), int(beats["type"][-1])) if len(beats) else (0, 0)
 
 
@@ -186,6 +193,7 @@ def _add_vehicle(found: Recording, vehicle: _Vehicle) -> None:
 def _message(vehicle: _Vehicle, rows: NDArray[np.void]) -> Message:
     """A message's rows in order of the vehicle's time, as columns."""
     t_s = vehicle.clock.seconds(rows)
+    # Frames may have been logged out of order; curves must not run back.
     if not np.all(np.diff(t_s) >= 0):
         order = np.argsort(t_s, kind="stable")
         t_s, rows = t_s[order], rows[order]
@@ -228,6 +236,7 @@ def _add_modes(found: Recording, vehicle: _Vehicle) -> None:
         mode_name(vehicle.autopilot, vehicle.type, mode) for mode in beats["custom_mode"].tolist()
     ]
     armed = ["armed" if mode & ARMED else "disarmed" for mode in beats["base_mode"].tolist()]
+    # Only states that mean trouble have a name; the others are empty and make no span.
     states = [STATES.get(state, "") for state in beats["system_status"].tolist()]
     for lane, values, kind in (("mode", names, "mode"), ("armed", armed, "mode")):
         found.spans.extend(stretches(lane + vehicle.suffix, t_s, values, kind))
@@ -253,6 +262,7 @@ def _add_flags(found: Recording, vehicle: _Vehicle) -> None:
         for bit, text in bits.items():
             raised = flags.astype(np.int64) >> bit & 1 == 1
             for begin, end in runs(raised):
+                # Up to the first sample without the flag.
                 stop = float(t_s[min(end, len(t_s) - 1)])
                 lane = f"estimator: {text}{vehicle.suffix}"
                 found.spans.append(Span(lane, float(t_s[begin]), stop, text, "flag"))
@@ -265,6 +275,7 @@ def _add_texts(found: Recording, vehicle: _Vehicle) -> None:
     rows = vehicle.columns.get("STATUSTEXT")
     if rows is None:
         return
+    # These messages carry no time of their own: they stand where the log has them.
     t_s = vehicle.clock.at(rows["t_us"])
     for i, row in enumerate(rows):
         text = bytes(row["text"]).split(b"\0", 1)[0].decode("utf-8", "replace").strip()

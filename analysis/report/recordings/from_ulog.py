@@ -46,6 +46,7 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Rec
     start_us = log.start_us if t0_us is None else t0_us
     found = Recording(name)
     log_lacks: list[str] = []
+    # Missing parts are named in the notes of the page.
     for (topic_name, instance), topic in sorted(log.topics.items()):
         t_s: Values = (topic["timestamp"].astype(np.float64) - start_us) * 1e-6
         suffix = f" {instance + 1}" if instance else ""
@@ -63,6 +64,7 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Rec
         Span(
             "log dropout", at_s := (t_us - start_us) * 1e-6, at_s + for_s, f"{for_s:.2f} s", "warn"
         )
+        # In a lane of their own: they explain the gaps of the curves.
         for t_us, for_s in log.dropouts
     )
     for t_us, severity, text in log.messages:
@@ -70,6 +72,7 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Rec
     found.events.extend(_mode_events(found.spans))
     found.events.sort(key=lambda event: event.t_s)
     for parameter, value in log.parameters.items():
+        # Parameters at the start, then the changes in flight.
         found.parameters[parameter] = [(0.0, value)]
     for t_us, parameter, value in log.changes:
         found.parameters.setdefault(parameter, []).append(((t_us - start_us) * 1e-6, value))
@@ -116,6 +119,7 @@ def _local_track(topic: Topic, t_s: Values) -> list[Track]:
     if keep.sum() < 2:
         return []
     lat = lat0 + np.degrees(topic["x"] / MEAN_EARTH_RADIUS_M)
+    # Degrees of longitude grow towards the poles.
     lon = lon0 + np.degrees(topic["y"] / MEAN_EARTH_RADIUS_M) / np.cos(np.radians(lat0))
     alt = topic["ref_alt"] - topic["z"]
     return [Track("local estimate", t_s[keep], lat[keep], lon[keep], alt[keep].astype(float))]
@@ -188,12 +192,14 @@ def _mode_events(spans: Sequence[Span]) -> list[Event]:
         if span.kind == "mode" and span.lane in lanes:  # the first one is no change
             found.append(Event(span.start_s, "mode", span.text))
         lanes.add(span.lane)
+    # Mode events come from the spans, flags too: each stretch is told once.
     return found + [
         Event(s.start_s, "flag", f"{s.lane} raised", 4) for s in spans if s.kind == "flag"
     ]
 
 
 def _notes(log: ULogFile, lacking: Sequence[str]) -> list[str]:
+    # A branch where the build has one, else the beginning of the version.
     version = str(log.info.get("ver_sw_branch", "")) or str(log.info.get("ver_sw", ""))[:10]
     notes = [f"PX4 {version} on {log.info.get('ver_hw', 'unknown hardware')}"]
     if log.dropouts:

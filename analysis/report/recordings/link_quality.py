@@ -43,11 +43,15 @@ def stretches(frames: NDArray[np.void], last: dict[int, Sender]) -> NDArray[np.v
         time between two frames.
     """
     found = [np.empty(0, STRETCHES)]
+    # System and component in one number, to group by.
     sender = frames["system"].astype(np.int32) << 8 | frames["component"]
     for key in np.unique(sender).tolist():
         rows = frames[sender == key]
+        # A sender's first frame follows nothing: no loss before it.
         before = last.get(key, Sender((int(rows["seq"][0]) - 1) % 256, int(rows["t_us"][0])))
+        # Modulo 256, in a type that does not wrap by itself.
         steps = np.diff(rows["seq"].astype(np.int16), prepend=np.int16(before.seq)) % 256
+        # Few stretches of a long log, but none so short that its share means nothing.
         starts = np.arange(0, len(rows), max(LEAST_FRAMES, len(rows) // MOST_STRETCHES))
         some = np.zeros(len(starts), STRETCHES)
         some["sender"] = key
@@ -81,9 +85,11 @@ def link_quality(
 
 def _loss(name: str, t_s: NDArray[np.float64], some: NDArray[np.void]) -> Signal:
     """Percentage of frames lost in each of some equal stretches of time."""
+    # One microsecond more, so that the last stamp falls inside.
     edges = np.linspace(t_s.min(), t_s.max() + 1e-6, max(2, min(2 * MOST_STRETCHES, len(t_s))))
     came = np.histogram(t_s, edges, weights=some["frames"])[0]
     gone = np.histogram(t_s, edges, weights=some["lost"])[0]
+    # No frames and no losses: 0 / 0 is a gap in the curve.
     with np.errstate(invalid="ignore"):
         share = 100 * gone / (came + gone)
     return Signal("link-lost", name, (edges[:-1] + edges[1:]) / 2, share)

@@ -31,10 +31,13 @@ class Clock:
 
     def seconds(self, rows: NDArray[np.void]) -> NDArray[np.float64]:
         """Seconds on the axis of each row of a message."""
+        # By the log's stamp first: that place tells whether the message's own time is the
+        # vehicle's.
         guess = self.at(rows["t_us"])
         own = own_time_us(rows)
         if len(self.stamp_us) == 0 or own is None or len(own) == 0:
             return guess
+        # The median: single frames may be late.
         if np.median(np.abs((own - self.t0_us) * 1e-6 - guess)) > NEAR_US * 1e-6:
             return guess
         return (own - self.t0_us) * 1e-6
@@ -45,6 +48,7 @@ class Clock:
         if len(self.stamp_us) == 0:
             return np.asarray((stamps - self.t0_us) * 1e-6)
         inside: NDArray[np.float64] = np.interp(stamps, self.stamp_us, self.vehicle_us)
+        # Outside the pairs the stamps go on at their own rate.
         inside += np.minimum(stamps - self.stamp_us[0], 0) + np.maximum(
             stamps - self.stamp_us[-1], 0
         )
@@ -54,6 +58,7 @@ class Clock:
 def own_time_us(rows: NDArray[np.void]) -> NDArray[np.float64] | None:
     """The time a message carries itself, microseconds; None if it carries none."""
     names = rows.dtype.names or ()
+    # Boot time first: `time_usec` may be Unix time in the same log.
     if "time_boot_ms" in names:
         return rows["time_boot_ms"].astype(float) * 1e3
     if "time_usec" in names:
@@ -85,6 +90,7 @@ def clock_of(columns: Columns, system: int, t0_us: int | None = None) -> tuple[C
             "times are the log's own stamps"
         )
         return Clock(np.empty(0), np.empty(0), first), [note]
+    # Small steps back are frames out of order: the clock itself goes on.
     times = np.maximum.accumulate(times)
     clock = Clock(stamps, times, times[0])
     if t0_us is not None:
@@ -96,6 +102,7 @@ def clock_of(columns: Columns, system: int, t0_us: int | None = None) -> tuple[C
 
 def _pairs(columns: Columns, system: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Stamps and vehicle times of the messages whose time is surely the vehicle's own."""
+    # HIL messages carry the simulator's clock, which all faults and labels go by.
     names: Sequence[str] = [name for name in columns if name.startswith("HIL_")] or [
         name for name in columns if "time_boot_ms" in (columns[name].dtype.names or ())
     ]
@@ -105,6 +112,7 @@ def _pairs(columns: Columns, system: int) -> tuple[NDArray[np.float64], NDArray[
         rows = rows[rows["system"] == system]
         own = own_time_us(rows)
         if own is not None and (name.startswith("HIL_") or name != "SYSTEM_TIME"):
+            # Zero is "unknown".
             keep = own > 0
             stamps.append(rows["t_us"][keep].astype(float))
             times.append(own[keep])

@@ -47,6 +47,7 @@ FIXED_WING, ROVERS = 1, (10, 11)
 VTOLS = range(19, 26)
 STATES = {5: "CRITICAL", 6: "EMERGENCY"}
 
+# Bits of ESTIMATOR_STATUS_FLAGS.
 ESTIMATOR_FLAGS = {10: "GPS glitch", 11: "accelerometer error"}
 EKF_ARDUPILOT_GLITCH = 15  # bit of EKF_STATUS_FLAGS: EKF_GPS_GLITCHING
 
@@ -55,9 +56,11 @@ def mode_name(autopilot: int, vehicle_type: int, custom_mode: int) -> str:
     """What a ground station would show for a HEARTBEAT's custom mode."""
     if autopilot == PX4:
         main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
+        # Main mode 4 is AUTO.
         if main == 4 and sub in PX4_AUTO:
             return PX4_AUTO[sub]
         return PX4_MAIN.get(main, f"mode {custom_mode}")
+    # Others define their own numbers.
     if autopilot != ARDUPILOT:
         return f"mode {custom_mode}"
     table = COPTER

@@ -52,6 +52,7 @@ def log_file(path: Path, folder: Path) -> Path:
     if path.is_dir():
         return path
     if not path.is_file():
+        # A log is read more than once; a pipe only gives its bytes once.
         raise ConfigError(f"{path}: is a pipe or a device; give a file, which can be read twice")
     try:
         with path.open("rb") as file:
@@ -72,6 +73,7 @@ def _unpacked(path: Path, folder: Path) -> Path:
         target = folder / f"{number}-{path.stem}"
     try:
         with _reader(path) as source, target.open("wb") as file:
+            # In blocks: logs may be larger than memory.
             shutil.copyfileobj(source, file, 1 << 22)
     except (OSError, EOFError, lzma.LZMAError) as error:
         raise ConfigError(f"{path}: cannot be unpacked ({error}); give a whole file") from error
@@ -83,6 +85,7 @@ def _reader(path: Path) -> Any:
         return gzip.open(path)
     if path.suffix == ".xz":
         return lzma.open(path)
+    # Only for zstd, which Python's own library lacks here.
     import pyarrow as pa
 
     return pa.CompressedInputStream(str(path), "zstd")

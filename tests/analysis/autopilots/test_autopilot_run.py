@@ -1,10 +1,12 @@
-"""A scenario under an autopilot: a recorded one that dies, and a real one where there is one.
+"""A scenario under an autopilot: recorded ones that die, and real ones where there are any.
 
-A real ArduCopter is flown where MAVPROXY_FAULT_ARDUPILOT names its SITL program.
+A real ArduCopter is flown where MAVPROXY_FAULT_ARDUPILOT names its SITL program, a real PX4 where
+MAVPROXY_FAULT_PX4 does.
 """
 
 import json
 import os
+import select
 import shutil
 import signal
 import subprocess
@@ -16,6 +18,7 @@ import pytest
 from mavproxy_fault.wire.tlog import read_columns
 
 STAND_IN = Path(__file__).parents[2] / "mavproxy_fault" / "ardupilot" / "recorded_autopilot.py"
+PX4_STAND_IN = Path(__file__).with_name("recorded_px4.py")
 SCENARIO = """
 name: hover
 duration_s: {duration_s}
@@ -30,14 +33,46 @@ schedule:
 """
 
 
-def run(tmp_path, *options, scenario=None):
+IMU_HZ = {"ardupilot": 400, "px4": 250}
+
+
+def run(tmp_path, *options, scenario=None, autopilot="ardupilot"):
     file = tmp_path / "hover.yaml"
-    file.write_text(scenario or SCENARIO.format(duration_s=12))
+    scenario = scenario or SCENARIO.format(duration_s=12)
+    file.write_text(scenario.replace("rate_hz: 400", f"rate_hz: {IMU_HZ[autopilot]}"))
     return subprocess.Popen(
-        [sys.executable, "-m", "mavproxy_fault.cli", "run", str(file), "--autopilot", "ardupilot",
+        [sys.executable, "-m", "mavproxy_fault.cli", "run", str(file), "--autopilot", autopilot,
          "--zenoh", "off", "--out", str(tmp_path / "out"), *options],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
     )  # fmt: skip
+
+
+@pytest.fixture
+def recorded_px4(tmp_path) -> str:
+    """A build of PX4 whose program is the stand-in."""
+    program = tmp_path / "px4" / "bin" / "px4"
+    (program.parent.parent / "etc" / "init.d-posix").mkdir(parents=True)
+    (program.parent.parent / "etc" / "init.d-posix" / "rcS").touch()
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} {PX4_STAND_IN} "$@"\n')
+    program.chmod(0o755)
+    return str(program)
+
+
+def fly_until(process, word):
+    """Read what the run says until a word is in it."""
+    for line in process.stdout:
+        if word in line:
+            return
+    raise AssertionError(f"it never said {word}")
+
+
+@pytest.fixture
+def px4() -> str:
+    path = os.environ.get("MAVPROXY_FAULT_PX4")
+    if path is None or shutil.which(path) is None:
+        pytest.skip("no PX4; set MAVPROXY_FAULT_PX4 to its SITL program")
+    return path
 
 
 @pytest.fixture
@@ -50,9 +85,7 @@ def arducopter() -> str:
 
 def bridge_and_autopilot(process):
     """Their process ids, once the vehicle flies."""
-    for line in process.stdout:
-        if "flying" in line:
-            break
+    fly_until(process, "flying")
     for bridge in children(process.pid):
         for number in children(bridge):
             if "arducopter" in Path(f"/proc/{number}/comm").read_text():
@@ -138,3 +171,70 @@ def test_a_bridge_killed_in_flight_is_told_and_takes_its_autopilot_along(tmp_pat
     assert process.returncode == 1
     assert "the bridge ended by signal 9" in said
     assert not Path(f"/proc/{autopilot}").exists()
+
+
+def test_a_px4_that_dies_leaves_a_readable_folder_and_the_reason(tmp_path, recorded_px4):
+    process = run(tmp_path, "--binary", recorded_px4, autopilot="px4")
+    said, _ = process.communicate(timeout=240)
+    assert process.returncode == 1
+    assert "the autopilot closed the link" in said
+    assert "PX4 said: there is no more" in said
+    assert "Traceback" not in said
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert not summary["autopilot"]["landed"]
+    assert [text for _, text in summary["autopilot"]["texts"]]  # of the recorded telemetry
+    assert len(read_columns(tmp_path / "out" / "sent.tlog")["HIL_ACTUATOR_CONTROLS"]) == 949
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_request_to_stop_ends_the_flight_with_a_report(tmp_path, recorded_px4, number):
+    process = run(tmp_path, "--binary", recorded_px4, "--speed", "0.5", autopilot="px4")
+    fly_until(process, "in lockstep")
+    os.killpg(process.pid, number)  # as a terminal and a container do
+    said, _ = process.communicate(timeout=240)
+    assert process.returncode == 1, said
+    assert "the flight ended early: stopped" in said
+    assert "Traceback" not in said
+    assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_a_killed_run_takes_all_its_processes_along_and_leaves_its_logs(tmp_path, recorded_px4):
+    process = run(tmp_path, "--binary", f"{recorded_px4} --stays", autopilot="px4")
+    fly_until(process, "no answer to the step")
+    watched = [os.pidfd_open(number) for number in children(process.pid)]
+    process.kill()
+    process.communicate(timeout=60)
+    for descriptor in watched:
+        assert select.select([descriptor], [], [], 30.0)[0], "a process outlives the run"
+        os.close(descriptor)
+    assert len(read_columns(tmp_path / "out" / "sent.tlog")["HIL_STATE_QUATERNION"]) > 900
+
+
+def test_a_real_px4_takes_off_meets_the_fault_and_lands(tmp_path, px4):
+    process = run(tmp_path, "--binary", px4, autopilot="px4")
+    said, _ = process.communicate(timeout=600)
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["autopilot"]["landed"], said
+    (fault,) = summary["faults"]
+    assert fault["frames"] == 15
+    columns = read_columns(tmp_path / "out" / "sent.tlog")
+    heights_m = columns["HIL_STATE_QUATERNION"]["alt"] * 1e-3 - 488.0
+    assert 9.0 < heights_m.max() < 17.0  # the GPS tells it 5 m more for a while
+    assert abs(heights_m[-1]) < 0.5
+    assert list((tmp_path / "out" / "autopilot" / "log").glob("*/*.ulg"))
+
+
+def test_a_real_px4_killed_in_flight_is_told(tmp_path, px4):
+    scenario = SCENARIO.format(duration_s=600)
+    process = run(tmp_path, "--binary", px4, scenario=scenario, autopilot="px4")
+    fly_until(process, "flying")
+    (autopilot,) = (
+        number
+        for number in children(process.pid)
+        if "px4" in Path(f"/proc/{number}/comm").read_text()
+    )
+    os.kill(autopilot, signal.SIGKILL)
+    said, _ = process.communicate(timeout=240)
+    assert process.returncode == 1
+    assert "PX4 ended by signal 9" in said
+    assert (tmp_path / "out" / "report.html").exists()

@@ -1,0 +1,50 @@
+"""A scenario as an autopilot is asked to fly it."""
+
+import math
+
+import pytest
+
+from analysis.autopilots.flight_plan import flight_plan
+from simvehicle.scenario.scenario_file import read_scenario
+from simvehicle.simulation.simulation import Simulation
+
+M_PER_DEG = 111_320.0
+
+
+def plan(tmp_path, text):
+    file = tmp_path / "scenario.yaml"
+    file.write_text(f"name: it\nduration_s: 60\nsensors: {{imu: {{}}}}\n{text}")
+    return flight_plan(Simulation(read_scenario(str(file))))
+
+
+def test_without_a_mission_a_quad_hovers(tmp_path):
+    found = plan(tmp_path, "vehicle: {kind: multirotor, parameters: iris}")
+    assert (found.height_m, found.duration_s) == (10.0, 60.0)
+    assert found.waypoints == found.landing == ()
+
+
+def test_a_mission_is_flown_by_its_corners_at_its_speed(tmp_path):
+    found = plan(
+        tmp_path,
+        "vehicle: {kind: multirotor, parameters: iris}\n"
+        "mission: [{shape: line, size_m: 100, height_m: 20, speed_mps: 4}]",
+    )
+    assert found.height_m == 20.0
+    assert {point.speed_mps for point in found.waypoints} == {4.0}
+    north_m = [(p.lat_deg - found.waypoints[0].lat_deg) * M_PER_DEG for p in found.waypoints]
+    assert north_m == pytest.approx([20.0 * n for n in range(len(north_m))], abs=1.0)
+    assert 80.0 <= north_m[-1] <= 101.0
+
+
+def test_a_plane_lands_where_it_took_off_in_the_same_direction(tmp_path):
+    found = plan(
+        tmp_path,
+        "vehicle: {kind: fixedwing, parameters: aerosonde-2025}\n"
+        "start: {lat_deg: 47.0, lon_deg: 8.0, alt_m: 400, heading_deg: 90}",
+    )
+    approach, threshold = found.landing
+    assert (threshold.lat_deg, threshold.lon_deg, threshold.height_m) == (47.0, 8.0, 0.0)
+    assert approach.height_m == found.height_m == 50.0
+    east_m = (approach.lon_deg - 8.0) * M_PER_DEG * math.cos(math.radians(47.0))
+    assert east_m == pytest.approx(-1000.0, abs=5.0)
+    assert approach.lat_deg == pytest.approx(47.0)

@@ -1,0 +1,68 @@
+"""MAVSDK flies the simulator's own vehicle, without a socket, through the operator of a run."""
+
+import time
+from contextlib import closing
+
+import pytest
+
+from analysis.autopilots.flight_operator import Operator
+from analysis.autopilots.flight_plan import FlightPlan, Waypoint
+from analysis.autopilots.mavsdk_requests import MavsdkRequests
+from analysis.run.proxied_flight import Flight
+from mavproxy_fault.schedule.entries import Schedule
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.parser import Parser
+from simvehicle.scenario.scenario_file import read_scenario
+
+SCENARIO = """
+name: on the ground
+vehicle: {kind: multirotor, parameters: iris}
+sensors:
+  imu: {preset: consumer-mems, rate_hz: 100}
+  gps: {preset: ideal, rate_hz: 5}
+"""
+ESTIMATOR_STATUS = known("ESTIMATOR_STATUS")  # which the simulator's vehicle has no word for
+POSITION = Frame(build(ESTIMATOR_STATUS, {"flags": 16}), ESTIMATOR_STATUS)
+LIMIT_S = 60.0
+SPEED = 20.0  # times real time: MAVSDK takes its own
+NORTH = Waypoint(47.3977600, 8.545594, 8.0, 5.0)  # 2 m from the start
+
+
+@pytest.fixture
+def flight(tmp_path):
+    file = tmp_path / "scenario.yaml"
+    file.write_text(SCENARIO)
+    return Flight(read_scenario(str(file)), Schedule(0, ()))
+
+
+def fly(flight, plan):
+    """The operator after the flight, and the greatest height."""
+    parser, highest_m = Parser(), 0.0
+    begin_s = time.monotonic()
+    with closing(MavsdkRequests(plan.landing)) as requests:
+        operator = Operator(plan, requests)
+        operator.heard(POSITION)
+        while not operator.over and (wall_s := time.monotonic() - begin_s) < LIMIT_S:
+            if flight.t_us * 1e-6 > SPEED * wall_s:
+                continue
+            sent = flight.advance(operator.step(flight.t_us))
+            for item in parser.push(b"".join(sent.ground)):
+                if isinstance(item, Frame):
+                    operator.heard(item)
+            highest_m = max(highest_m, flight.simulation.truth.height_agl_m)
+    return operator, highest_m
+
+
+def test_it_arms_takes_off_hovers_and_lands(flight):
+    operator, highest_m = fly(flight, FlightPlan(8.0, 5.0))
+    assert not operator.gave_up
+    assert list(operator.moments_us) == ["first-stamp", "arming", "take-off", "landing", "landed"]
+    assert highest_m > 5.0
+    assert flight.simulation.truth.on_ground
+
+
+def test_it_uploads_a_mission_and_starts_it(flight):
+    operator, _ = fly(flight, FlightPlan(8.0, 20.0, (NORTH,)))
+    assert not operator.gave_up
+    assert "mission-item:1" in operator.moments_us  # item 0 is the speed

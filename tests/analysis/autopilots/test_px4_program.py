@@ -1,0 +1,73 @@
+"""How a run starts PX4: its command, ports, streams and variables."""
+
+import os
+from contextlib import closing
+
+import pytest
+
+from analysis.autopilots import px4_program
+from mavproxy_fault.documents.errors import ConfigError
+from simvehicle.scenario.scenario_file import read_scenario
+from simvehicle.simulation.simulation import Simulation
+
+
+@pytest.fixture
+def binary(tmp_path):
+    """Where a build of PX4 has its program, without its scripts yet."""
+    program = tmp_path / "build" / "bin" / "px4"
+    program.parent.mkdir(parents=True)
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    return program
+
+
+@pytest.fixture
+def simulation(tmp_path):
+    file = tmp_path / "hexa.yaml"
+    file.write_text(
+        "name: hexa\nvehicle: {kind: multirotor, parameters: hexa}\nsensors: {imu: {rate_hz: 250}}"
+    )
+    return Simulation(read_scenario(str(file)))
+
+
+def test_a_missing_program_is_told_with_what_to_do():
+    with pytest.raises(ConfigError, match=r"--binary: 'no-px4' is no program; give PX4's SITL"):
+        px4_program.command("no-px4")
+
+
+def test_a_program_without_its_start_scripts_is_refused(binary):
+    with pytest.raises(ConfigError, match=r"stands without .*/build/etc/init\.d-posix/rcS"):
+        px4_program.command(str(binary))
+
+
+def test_the_scripts_are_found_beside_the_program(binary):
+    scripts = binary.parent.parent / "etc"
+    (scripts / "init.d-posix").mkdir(parents=True)
+    (scripts / "init.d-posix" / "rcS").touch()
+    assert px4_program.command(str(binary)) == [str(binary), "-d", str(scripts)]
+
+
+def test_two_runs_at_once_are_two_instances():
+    first, one = px4_program.free_instance()
+    with closing(one):
+        second, other = px4_program.free_instance()
+        with closing(other):
+            assert second > first
+            assert (one.port, other.port) == (4560 + first, 4560 + second)
+
+
+def test_the_streams_go_to_the_run_on_the_loopback_address():
+    lines = px4_program.streams(18_000, 14_000).splitlines()
+    assert lines[0].startswith("mavlink start -x -u 18000 -o 14000 -t 127.0.0.1 ")
+    assert "mavlink stream -u 18000 -s ATTITUDE -r 20" in lines
+
+
+def test_the_folder_comes_first_and_other_simulators_are_forgotten(
+    simulation, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("PX4_SIMULATOR", "gz")
+    variables = px4_program.environment(simulation, tmp_path)
+    assert "PX4_SIMULATOR" not in variables
+    assert variables["PATH"].split(os.pathsep)[0] == str(tmp_path)
+    assert variables["PX4_SIM_MODEL"] == "none_iris"
+    assert variables["PX4_PARAM_CA_ROTOR_COUNT"] == "6"
