@@ -92,5 +92,4 @@ def _shift(columns: Vector, v: Vector, variance: Vector) -> Vector:
     known = np.isfinite(v)
     weight = 1.0 / np.sqrt(variance[known])
     solution = np.linalg.lstsq(columns[known] * weight[:, np.newaxis], v[known] * weight)[0]
-    shift: Vector = solution[:3]
-    return shift
+    return np.asarray(solution[:3], dtype=np.float64)
