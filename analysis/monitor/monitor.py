@@ -32,7 +32,9 @@ class Monitor:
 
     def push_bytes(self, chunks: Iterable[bytes], *, datagrams: bool = True) -> list[Result]:
         """Results of the frames in some chunks; a stream's may be cut anywhere."""
+        # Frames of a datagram are complete; a stream's may end anywhere.
         items = (item for data in chunks for item in self._parser.push(data, datagram=datagrams))
+        # Bytes that are no frame were counted by the parser and carry no sample.
         return self.push(self._decoder.decode(i for i in items if isinstance(i, Frame)))
 
     def push(self, block: Block) -> list[Result]:

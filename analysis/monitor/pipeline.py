@@ -59,6 +59,7 @@ def monitor_config(values: Any, where: str, lines: Lines | None = None) -> Monit
     ConfigError
         With every name and value that is not allowed.
     """
+    # Below the name that it has in the file: errors then say `monitor.sigma...`.
     document = Document({"monitor": {} if values is None else values}, where, lines or {})
     section = decode(document, MonitorSection, ("monitor",))
     detector = {name: getattr(section, name) for name in DetectorConfig.__struct_fields__}
@@ -109,6 +110,7 @@ class Pipeline:
             ]
         else:
             found, self._detector_state = self._detector.step_rows(block, self._detector_state)
+        # Whether sensors speak at all is looked at apart from what they say.
         troubles: list[tuple[int, SensorDecision]] = []
         if self._streams is not None:
             troubles, self._streams_state = self._streams.step(block, self._streams_state)

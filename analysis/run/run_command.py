@@ -69,7 +69,7 @@ def main(args: argparse.Namespace) -> int:
         recorder = Recorder(folder, session(setup.scenario.name, setup.schedule.seed, flight))
         fly(flight, monitor, recorder, pace, deliver, link, live, together=args.ui)
         # Read while the monitor's process still works on its backlog.
-        columns = read_columns(folder / "sent.tlog")  # while the monitor catches up
+        columns = read_columns(folder / "sent.tlog")
         deliver(monitor.results())
         # The wall time ends with the last result, not with the report.
         wall_s = time.monotonic() - started_s

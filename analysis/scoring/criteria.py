@@ -59,6 +59,7 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
 def judge(criteria: Criteria, summary: Mapping[str, Any]) -> list[Check]:
     """Hold a summary against the criteria, one check per limit that was given."""
     rows = summary["faults"]
+    # Without labels nothing that was found can be called false.
     checks = [] if summary["false_by_channel"] is None else _always(criteria, summary)
     checks += [
         Check(
@@ -106,6 +107,7 @@ def judge(criteria: Criteria, summary: Mapping[str, Any]) -> list[Check]:
         ),
     )
     checks += [
+        # No value, no verdict: a flight that was not measured does not pass.
         Check(name=name, limit=limit, value=value, passed=None if value is None else value <= limit)
         for name, limit, value in limits
         if limit is not None
@@ -134,6 +136,7 @@ def _always(criteria: Criteria, summary: Mapping[str, Any]) -> list[Check]:
         name
         for row in summary["false_by_channel"]
         for name in row["blamed"]
+        # By who was blamed or by the channel that blamed.
         if not {name, row["channel"]} & set(criteria.may_blame)
     ]
     found = _none_or(dict.fromkeys(blamed))
@@ -149,8 +152,10 @@ def faults_missed(criteria: Criteria, rows: Sequence[Mapping[str, Any]]) -> list
         row["id"]
         for row in rows
         if row["verdict"] in (MISSED, LATE)
+        # By id, kind or preset: whichever a scenario names.
         and not {row["id"], row["fault"], row["preset"]} & set(criteria.may_miss)
     ]
+    # Faults that nothing could see bear no verdict.
     judged = any(row["verdict"] != NOT_JUDGED for row in rows)
     found = _none_or(dict.fromkeys(missed)) if judged else None
     passed = not missed if judged else None
@@ -165,6 +170,7 @@ def verdict(checks: Sequence[Check]) -> str:
     """FAIL if any check failed, PASS if all passed, NO VERDICT if there is nothing to go by."""
     if any(check.passed is False for check in checks):
         return "FAIL"
+    # An empty list of checks is no pass.
     all_passed = checks and all(check.passed for check in checks)
     return "PASS" if all_passed else "NO VERDICT"
 
@@ -172,6 +178,7 @@ def verdict(checks: Sequence[Check]) -> str:
 def _all(rows: Sequence[Mapping[str, Any]], id: str, key: str, value: object) -> bool:
     """Whether every stretch in which a fault acted has this value; one that never acted has not."""
     own = [row[key] == value for row in rows if row["id"] == id]
+    # A fault that never acted was not detected.
     return bool(own) and all(own)
 
 

@@ -35,6 +35,7 @@ class Tally:
         self.first_us: int | None = None
         self.last_us = 0
         self.alarms: list[Alarm] = []
+        # The link is always watched: its frames are counted.
         self._watched = {"link"}  # channels that tested something
         self._epochs_us: tuple[int, int] = (0, 0)  # the first and the last
         self._truth: Vector | None = None  # latitude, longitude in degrees, altitude (3,)
@@ -51,10 +52,12 @@ class Tally:
     def epoch_us(self) -> int:
         """The mean time between epochs, in microseconds."""
         first_us, last_us = self._epochs_us
+        # n epochs have n - 1 gaps.
         return (last_us - first_us) // (self.epochs - 1) if self.epochs > 1 else EPOCH_US
 
     def add(self, block: Block, found: Sequence[tuple[int, Result]]) -> None:
         """Count a block of samples, and its results with the rows that led to them."""
+        # Ephemerides and ionosphere carry no stamp of the vehicle.
         stamps = block.t_us[block.kind < EPHEMERIS]
         if len(stamps):
             if self.first_us is None:
@@ -80,12 +83,14 @@ class Tally:
         # The newest truth at or before the row that led to each result.
         at = np.searchsorted(truths, [row for row, _ in found], side="right") - 1
         places = block.values[truths[at], 7:10] if len(truths) else np.empty((len(at), 3))
+        # Before the block's first truth that of the block before, if there was one.
         places[at < 0] = np.nan if self._truth is None else self._truth
         if len(truths):
             # For the results of the next block, until its first truth.
             self._truth = block.values[truths[-1], 7:10].copy()
         lat, lon = np.radians(places[:, :2]).T
         true_m = ecef_from_geodetic(lat, lon, places[:, 2])
+        # One test for all three: they are known together.
         return [None if np.isnan(x) else [x, y, z] for x, y, z in true_m.tolist()]
 
     def _add(self, result: Result, true_m: Sequence[float] | None) -> None:

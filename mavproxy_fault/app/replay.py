@@ -197,8 +197,11 @@ def main(args: argparse.Namespace) -> int:
         # By identity, as a link may point to it under another name.
         if out.exists() and out.samefile(path):
             raise ConfigError(f"{out}: is the log that is replayed; allowed: another file")
-        out.parent.mkdir(parents=True, exist_ok=True)
-        labels = to_log(playing, tape, out)
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            labels = to_log(playing, tape, out)
+        except OSError as error:
+            raise ConfigError(f"--out {out}: {error.strerror}; name a file to write") from None
         print(f"{out}\n{labels}")
         return 0
     link = open_link(args.link, bare_udp="udpout")

@@ -14,7 +14,7 @@ from analysis.report.recordings.recording import Recording
 
 VERDICTS = ("PASS", "WARN", "FAIL")
 MAP = "Map"
-# Folded open also on a narrow screen: a reader comes for these first.
+# Open also on a narrow screen: a reader comes for these first.
 OPEN_WHEN_NARROW = (TIMELINE, CHECKS)
 EVENTS_SHOWN = 400
 NEAR_S = 5.0  # shown before and after an event that is clicked
@@ -158,8 +158,8 @@ def _events(recording: Recording) -> str:
         (
             Moments([(event.t_s - NEAR_S, event.t_s + NEAR_S)]),
             event.kind,
-            (event.text, "FAIL" if event.severity <= 2 else ""),
             # MAVLink severities: 0 emergency, 1 alert, 2 critical.
+            (event.text, "FAIL" if event.severity <= 2 else ""),
         )
         for event in recording.events[:EVENTS_SHOWN]
     ]
