@@ -7,7 +7,11 @@ parsed arguments that returns the exit code. Whatever is heavy is imported insid
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from io import TextIOWrapper
+from signal import SIGINT, SIGTERM, default_int_handler, getsignal, signal
+from threading import current_thread, main_thread
 
 from mavproxy_fault import __version__
 from mavproxy_fault.app.commands import OURS, Add
@@ -34,7 +38,7 @@ exit codes
 """
 ORDER = (
     "run", "sim", "proxy", "monitor", "replay", "inject", "faults", "campaign", "search", "report",
-    "ui",
+    "ui", "warm-up",
 )  # fmt: skip
 
 
@@ -63,13 +67,39 @@ def _registered() -> dict[str, Add]:
     return {point.name: point.load() for point in entry_points(group="mavproxy_fault.commands")}
 
 
+@contextmanager
+def _stoppable() -> Iterator[None]:
+    """Let SIGTERM end a command as Ctrl-C does.
+
+    A shell lets what a script starts with `&` ignore SIGINT; ours hear it all the same.
+    """
+    if current_thread() is not main_thread():  # only that one may set handlers
+        yield
+        return
+    before = {number: getsignal(number) for number in (SIGINT, SIGTERM)}
+    for number in before:
+        signal(number, default_int_handler)
+    try:
+        yield
+    finally:
+        for number, action in before.items():
+            signal(number, action)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one subcommand and return the exit code."""
+    for stream in (
+        sys.stdout,
+        sys.stderr,
+    ):  # names of the user's may be beyond the terminal's letters
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     given = sys.argv[1:] if arguments is None else arguments
     chosen = parser(given[0] if given else "").parse_args(given)
     try:
         # Commands return their exit code; whatever they raise besides a user's mistake stays loud.
-        code: int = chosen.main(chosen)
+        with _stoppable():
+            code: int = chosen.main(chosen)
     except ConfigError as error:
         print(f"mavproxy-fault: {error}", file=sys.stderr)
         return 2

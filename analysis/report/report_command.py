@@ -21,7 +21,7 @@ from analysis.report.recordings.opening import log_file, log_files
 from analysis.report.recordings.sources import group, read_flight
 from analysis.report.report_files import write_json, write_junit
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.wire.label import Label, read_labels
+from mavproxy_fault.wire.label import read_labels
 
 
 def main(args: argparse.Namespace) -> int:
@@ -41,7 +41,7 @@ def main(args: argparse.Namespace) -> int:
 
 def _report_each(args: argparse.Namespace, unpacked: Path) -> int:
     thresholds = read_thresholds(args.criteria)
-    labels = _labels(args.labels)
+    labels = read_labels(Path(args.labels)) if args.labels else []
     against = [log_file(Path(log), unpacked) for log in args.against]
     # Labels belong to the flights that are reported, not to those they are compared with.
     others = [judged(read_flight([log], ()), thresholds) for log in against]
@@ -104,17 +104,6 @@ def _write_more(
     # Last, since the browser prints the page that was just written.
     if args.pdf:
         write_pdf(folder / "report.html")
-
-
-def _labels(path: str | None) -> list[Label]:
-    if path is None:
-        return []
-    try:
-        return read_labels(Path(path))
-    except OSError as error:
-        raise ConfigError(f"--labels {path}: {error.strerror}; give a labels.jsonl") from error
-    except ValueError as error:  # msgspec's decode errors are
-        raise ConfigError(f"--labels {path}: {error}; give a labels.jsonl") from error
 
 
 def _folder(out: str | None, paths: Sequence[Path], several: bool) -> Path:

@@ -5,18 +5,19 @@ other end: it plays attitude scores and sensor tests with made-up samples. The m
 their machine code on the disk. Once done, that leaves a mark beside the machine code.
 """
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from analysis.monitor.pipeline import MonitorConfig
-from mavproxy_fault.numerics.code_cache import folder
+from mavproxy_fault.numerics.code_cache import folder, installed_folder
 
 
 def due() -> Path | None:
     """The mark that a rehearsal is to leave; None if it is there."""
     mark = folder() / "rehearsed"
-    return None if mark.exists() else mark
+    return None if installed_folder() or mark.exists() else mark
 
 
 def rehearse(config: MonitorConfig, mark: Path) -> None:
@@ -24,7 +25,9 @@ def rehearse(config: MonitorConfig, mark: Path) -> None:
     _test_sensors(config)
     _watch_streams()
     _score_attitude(config)
-    mark.touch()
+    with suppress(OSError):  # nothing can be kept here, and the next one begins anew
+        mark.parent.mkdir(parents=True, exist_ok=True)
+        mark.touch()
 
 
 def _test_sensors(config: MonitorConfig) -> None:

@@ -13,9 +13,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.links import datagram_batch
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.interfaces import Send
@@ -76,7 +78,8 @@ class Server:
     def run(self, wake: socket.socket | None = None) -> None:
         """Forward until stopped; `wake` becomes readable when a signal came."""
         # Or every timed wait of this thread ends up to 50 us late.
-        ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1)
+        with suppress(AttributeError):  # Linux only
+            ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1)
         self._wake = None if wake is None else wake.fileno()
         try:
             while not self._stopping:
@@ -126,7 +129,7 @@ class Server:
     def prepare(self) -> None:
         """Take the compiled form, or have it made by another process if this is the first time."""
         # Streams go through the interpreter anyway: loading machine code would gain nothing.
-        if not any(link.datagrams for link in self.links):
+        if not any(link.datagrams for link in self.links) or not datagram_batch.BATCHES:
             return
         from mavproxy_fault.compiled import object_file as machine
 
@@ -242,8 +245,7 @@ class Server:
             if code == 0:
                 self.prepare()
             else:
-                maker = "python -m mavproxy_fault.compiled.object_file"
-                print(f"no machine code ({code} from `{maker}`); all goes the slower way",
+                print("no machine code (`mavproxy-fault warm-up` tells why): all goes a slower way",
                       file=sys.stderr, flush=True)  # fmt: skip
 
     def record(self) -> None:

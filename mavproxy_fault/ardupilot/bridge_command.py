@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import select
-import signal
 import subprocess
 import sys
 import time
@@ -26,7 +25,6 @@ END_S = 3.0  # for the autopilot to close its log
 
 def main(args: argparse.Namespace) -> int:
     """`mavproxy-fault ardupilot`; the exit code is 1 if the flight ended while armed."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended the same way as by Ctrl-C
     words = check_command(args.command)
     folder = Path(args.dir)
     folder.mkdir(parents=True, exist_ok=True)

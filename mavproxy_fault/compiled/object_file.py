@@ -1,12 +1,11 @@
 """Machine code of the compiled form: made once by numba, kept on disk, loaded without numba.
 
 Importing numba takes a second of work in Python, during which the interpreted way would lose frames
-of dense traffic. So another process makes an object file, once after an installation and for this
-kind of processor, and the proxy links that into itself by llvmlite within milliseconds.
+of dense traffic. So an object file is made, while a wheel is built or else once by another process,
+and the proxy links that into itself by llvmlite within milliseconds.
 """
 
 import ctypes
-import fcntl
 import hashlib
 import os
 import re
@@ -16,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import llvmlite.binding as llvm  # type: ignore[import-untyped]
-from llvmlite import __version__ as llvmlite_version
 
-from mavproxy_fault.numerics.code_cache import place
+from mavproxy_fault.numerics.baseline import BASELINE, runs_baseline
+from mavproxy_fault.numerics.code_cache import alone, installed, place
 
 PACKAGE = Path(__file__).parents[1]
 ENTRY = "compiled/sockets.py"
@@ -48,10 +47,12 @@ def sources() -> tuple[str, ...]:
 
 @cache
 def _target() -> tuple[Any, str, str]:
-    """The machine that code is made for: this one."""
+    """The machine that code is made for: the baseline, this one if it is older."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    cpu, features = BASELINE, ""
+    if not runs_baseline():
+        cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
     machine = llvm.Target.from_default_triple().create_target_machine(
         cpu=cpu, features=features, opt=3, reloc="pic", codemodel="jitdefault"
     )
@@ -61,23 +62,23 @@ def _target() -> tuple[Any, str, str]:
 def object_path() -> Path:
     """Where the object file of these sources for this processor lies, or is to lie."""
     _, cpu, features = _target()
-    mark = hashlib.sha256(f"{llvmlite_version} {cpu} {features}".encode())
-    for name in sources():
-        mark.update((PACKAGE / name).read_bytes())
-    return place() / f"forward-{mark.hexdigest()[:16]}.o"
+    mark = hashlib.sha256(f"{cpu} {features}".encode())
+    for source in sources():
+        mark.update((PACKAGE / source).read_bytes())
+    name = f"forward-{mark.hexdigest()[:16]}.o"
+    ready = installed() / name
+    return ready if ready.is_file() else place() / name
 
 
 def make() -> None:
     """Compile `sockets.forward` and keep the object file; takes seconds, but for those who wait."""
     path = object_path()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.with_suffix(".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with alone(path.with_suffix(".lock")):
         if not path.is_file():
             fresh = path.with_suffix(".new")
             fresh.write_bytes(_compiled())
             fresh.replace(path)
-            for old in path.parent.glob("forward-*.[o]"):
+            for old in path.parent.glob("forward-*.o"):
                 if old != path:
                     old.unlink(missing_ok=True)
 

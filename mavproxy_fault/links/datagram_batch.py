@@ -3,11 +3,13 @@
 Python's sockets release the lock around every call; where another thread computes (the compiled
 path being loaded, a bus callback), getting it back costs up to a whole turn of that thread, per
 datagram. These calls never block, so they can keep the lock: one call receives up to 64 datagrams.
-The structures are those of 64-bit Linux (`recvmmsg(2)`).
+The structures are those of 64-bit Linux (`recvmmsg(2)`); where that call is missing, as on macOS,
+datagrams are received one by one, and the compiled form stays away.
 """
 
 import ctypes
 import socket
+from typing import Protocol
 
 BATCH = 64
 # The longest datagram: a shorter buffer would cut one without a word.
@@ -16,9 +18,15 @@ NAME = 32  # bytes kept for a socket address
 DONTWAIT = socket.MSG_DONTWAIT
 
 _LIBC = ctypes.PyDLL(None)  # unlike CDLL it keeps the lock
-_LIBC.recvmmsg.argtypes = [
-    ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p,
+BATCHES = hasattr(_LIBC, "recvmmsg")
+if BATCHES:
+    _LIBC.recvmmsg.argtypes = [
+        ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p,
+    ]  # fmt: skip
+_LIBC.recvfrom.argtypes = [
+    ctypes.c_int, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p,
 ]  # fmt: skip
+_LIBC.recvfrom.restype = ctypes.c_ssize_t
 _LIBC.sendto.argtypes = [
     ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t, ctypes.c_int, ctypes.c_char_p, ctypes.c_uint,
 ]  # fmt: skip
@@ -43,8 +51,43 @@ class _Message(ctypes.Structure):
     )
 
 
-class Receiver:
-    """Buffers for one socket."""
+class Receiver(Protocol):
+    """One socket's incoming side."""
+
+    def receive(self) -> list[tuple[bytes, bytes]]:
+        """The raw addresses and bytes of datagrams that wait, at most 64."""
+        ...
+
+
+def receiver(fileno: int) -> Receiver:
+    """The receiver that this system has the calls for."""
+    return BatchReceiver(fileno) if BATCHES else SingleReceiver(fileno)
+
+
+class SingleReceiver:
+    """Buffers for one datagram."""
+
+    def __init__(self, fileno: int) -> None:
+        self._fileno = fileno
+        self._data, self._name = ctypes.create_string_buffer(ROW), ctypes.create_string_buffer(NAME)
+        self._view = memoryview(self._data)
+
+    def receive(self) -> list[tuple[bytes, bytes]]:
+        """The raw addresses and bytes of datagrams that wait, at most 64."""
+        found: list[tuple[bytes, bytes]] = []
+        while len(found) < BATCH:
+            name_length = ctypes.c_uint(NAME)
+            length = _LIBC.recvfrom(
+                self._fileno, self._data, ROW, DONTWAIT, self._name, ctypes.byref(name_length)
+            )
+            if length < 0:
+                break
+            found.append((self._name.raw[: name_length.value], bytes(self._view[:length])))
+        return found
+
+
+class BatchReceiver:
+    """Buffers for 64 datagrams."""
 
     def __init__(self, fileno: int) -> None:
         self._fileno = fileno

@@ -4,7 +4,7 @@ import socket
 import struct
 import time
 
-from mavproxy_fault.links.datagram_batch import Receiver, send
+from mavproxy_fault.links.datagram_batch import receiver, send
 from mavproxy_fault.links.link import Chunk, LinkCounters, enlarge_buffers
 from mavproxy_fault.links.peers import Peers
 
@@ -38,7 +38,7 @@ class _UdpSocket:
     def __init__(self, host: str, port: int, *, listen: bool) -> None:
         self.sock = _open(host, port, listen=listen)
         self.counters = LinkCounters()
-        self._receiver = Receiver(self.sock.fileno())
+        self._receiver = receiver(self.sock.fileno())
 
     @property
     def lost_in_kernel(self) -> int:

@@ -5,17 +5,22 @@ constants of other files: after an update it would go on with what it had. So th
 comes from all files that have to do with compiled code. Nothing here imports numba.
 """
 
-import atexit
 import hashlib
 import os
 import re
 import shutil
-import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+
+from mavproxy_fault.numerics.baseline import runs_baseline
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("mavproxy_fault", "simvehicle", "analysis")
@@ -38,16 +43,24 @@ def mark() -> str:
     return digest.hexdigest()[:16]
 
 
+def installed() -> Path:
+    """Where machine code lies that was made when the package was built or installed."""
+    return ROOT / PACKAGES[0] / "machine_code"
+
+
 def place() -> Path:
     """Where machine code is kept: the first of these folders that can be written to.
 
-    Beside the sources; in the user's cache; among temporary files, in a folder that only this user
-    can write to, since code is loaded from it. Where there is none, in one that ends with us.
+    The one that the user names; beside the sources; in the user's cache; among temporary files, in
+    a folder that only this user can write to, since code is loaded from it.
     """
-    return next(path for path in _places() if _usable(path))
+    places = list(_places())
+    return next((path for path in places if _usable(path)), places[-1])
 
 
 def _places() -> Iterator[Path]:
+    if chosen := os.environ.get("MAVPROXY_FAULT_CACHE"):
+        yield Path(chosen)
     yield ROOT / PACKAGES[0] / "__pycache__"
     home = os.environ.get("XDG_CACHE_HOME")
     if home is None:
@@ -55,16 +68,13 @@ def _places() -> Iterator[Path]:
             home = str(Path.home() / ".cache")
     if home is not None:
         yield Path(home) / "mavproxy-fault"
-    yield Path(tempfile.gettempdir()) / f"mavproxy-fault-{os.getuid()}"
-    yield _own_folder()
+    # Not `gettempdir`, which fails where nothing can be written to.
+    yield Path(os.environ.get("TMPDIR", "/tmp")) / f"mavproxy-fault-{_user()}"
 
 
-@cache
-def _own_folder() -> Path:
-    """A temporary folder that is removed when the process ends."""
-    own = tempfile.TemporaryDirectory(prefix="mavproxy-fault-")
-    atexit.register(own.cleanup)
-    return Path(own.name)
+def _user() -> int:
+    """This user's number; Windows has none, and gives every file the owner 0."""
+    return os.getuid() if hasattr(os, "getuid") else 0
 
 
 def _usable(path: Path) -> bool:
@@ -74,7 +84,7 @@ def _usable(path: Path) -> bool:
         owner = path.stat().st_uid
     except OSError:
         return False
-    return os.access(path, os.W_OK | os.X_OK) and owner in (os.getuid(), ROOT.stat().st_uid)
+    return os.access(path, os.W_OK | os.X_OK) and owner in (_user(), ROOT.stat().st_uid)
 
 
 @cache
@@ -85,5 +95,30 @@ def folder() -> Path:
         with suppress(OSError):  # another process may remove it too
             if old != path and old.stat().st_mtime < time.time() - STALE_S:
                 shutil.rmtree(old, ignore_errors=True)
-    path.mkdir(parents=True, exist_ok=True)
     return path
+
+
+@cache
+def installed_folder() -> Path | None:
+    """The folder of the same kind that came with the installation, if it serves here."""
+    path = installed() / f"kernels-{mark()}"
+    return path if path.is_dir() and runs_baseline() else None
+
+
+@contextmanager
+def alone(path: Path) -> Iterator[None]:
+    """Hold a lock among this machine's processes.
+
+    Where there is no such lock (Windows, no folder to write to) several may do the same work.
+    """
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        file = path.open("w")
+    except OSError:
+        yield
+        return
+    with file:
+        if fcntl is not None:
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield

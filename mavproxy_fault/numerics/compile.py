@@ -5,7 +5,11 @@ not set those, since they also hold for other people's functions. So each functi
 own cache, and the level is set only while one of ours is being compiled, under numba's lock.
 """
 
-from collections.abc import Callable
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -13,7 +17,10 @@ from numba import config, njit
 from numba.core import caching
 from numba.core.compiler_lock import global_compiler_lock
 
-from mavproxy_fault.numerics.code_cache import folder
+from mavproxy_fault.numerics.baseline import BASELINE
+from mavproxy_fault.numerics.code_cache import alone, folder, installed_folder, mark
+
+LOG = logging.getLogger(__name__)
 
 # Level 1 takes half the time to compile, and plain loops and lanes run as fast. Fast mathematics is
 # left out: fused multiply-add gains a fifth, but what it rounds depends on what was inlined where,
@@ -27,12 +34,16 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 class _Locator(caching._CacheLocator):  # type: ignore[misc]  # numba has no types
-    """Keeps the machine code of one function in our folder, which is named after all sources."""
+    """Where the machine code of one function is kept: a folder named after all sources."""
 
     def __init__(self, function: Callable[..., Any], source: str) -> None:
-        self._path = folder()
-        self._source = source
+        self._py_file = source  # numba names it in a warning
+        self._path = self.folder() / function.__module__
         self._line = function.__code__.co_firstlineno
+
+    def folder(self) -> Path:
+        """The folder of all functions."""
+        return folder()
 
     @classmethod
     def from_function(cls, function: Callable[..., Any], source: str) -> "_Locator":
@@ -40,12 +51,12 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]  # numba has no typ
         return cls(function, source)
 
     def get_cache_path(self) -> str:
-        """The folder of the function's file."""
-        return str(self._path / self.get_suitable_cache_subpath(self._source))
+        """The folder of the function's files."""
+        return str(self._path)
 
     def get_source_stamp(self) -> str:
-        """One stamp for all, as the folder's name changes with any source."""
-        return self._path.name
+        """One stamp for all, as any source may be inlined into the function."""
+        return mark()
 
     def get_disambiguator(self) -> str:
         """Tells functions of one name in one file apart."""
@@ -56,25 +67,102 @@ class _CacheImpl(caching.CompileResultCacheImpl):  # type: ignore[misc]
     _locator_classes = (_Locator,)
 
 
-class _Cache(caching.FunctionCache):  # type: ignore[misc]
+class _InstalledLocator(_Locator):
+    def folder(self) -> Path:
+        found = installed_folder()
+        assert found is not None
+        return found
+
+
+class _InstalledImpl(caching.CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes = (_InstalledLocator,)
+
+
+class _FunctionCache(caching.FunctionCache):  # type: ignore[misc]
+    """Machine code of one function in one folder; what cannot be read is not there."""
+
+    def holds(self, signature: Any, codegen: Any) -> bool:
+        """Whether there is code for these types of arguments."""
+        with suppress(OSError):
+            return self._index_key(signature, codegen) in self._cache_file._load_index()
+        return False
+
+    def _load_overload(self, signature: Any, context: Any) -> Any:
+        with suppress(OSError):
+            return super()._load_overload(signature, context)
+        return None
+
+
+class _InstalledCache(_FunctionCache):
+    """Machine code that came with the installation; it is only read."""
+
+    _impl_class = _InstalledImpl
+
+    def _index_key(self, signature: Any, codegen: Any) -> Any:
+        """The key under which code for the baseline stands, whatever this processor is."""
+        signature, (triple, *_), code = super()._index_key(signature, codegen)
+        return signature, (triple, BASELINE, ""), code
+
+
+class _Cache(_FunctionCache):
+    """Machine code as it was installed, else as this machine has made it."""
+
     _impl_class = _CacheImpl
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        self._installed = _InstalledCache(function) if installed_folder() else None
+        self.lock = Path(self.cache_path) / f"{self._impl.filename_base}.lock"
+
+    def holds(self, signature: Any, codegen: Any) -> bool:
+        """Whether either has code for these types of arguments."""
+        installed = self._installed is not None and self._installed.holds(signature, codegen)
+        return installed or super().holds(signature, codegen)
+
+    def _load_overload(self, signature: Any, context: Any) -> Any:
+        found = None
+        if self._installed is not None:
+            found = self._installed._load_overload(signature, context)
+        return super()._load_overload(signature, context) if found is None else found
+
+    def _save_overload(self, signature: Any, code: Any) -> None:
+        with suppress(OSError):  # it serves this process, and the next one makes it again
+            super()._save_overload(signature, code)
+
+
+@cache
+def _announce() -> None:
+    """Tell once why it takes so long."""
+    LOG.warning("first use: machine code is being made, once, which takes up to a minute")
+
+
+@contextmanager
+def _at_our_level() -> Iterator[None]:
+    with global_compiler_lock:  # another thread's functions keep their own level
+        before, config.OPT = config.OPT, LEVEL
+        try:
+            yield
+        finally:
+            config.OPT = before
 
 
 def _jitted(function: Function, **options: bool) -> Function:
     """A dispatcher with our cache, which compiles at our level."""
     dispatcher: Any = njit(**_OPTIONS, **options)(function)
-    dispatcher._cache = _Cache(function)
-    compile_one = dispatcher._compiler.compile
+    code = dispatcher._cache = _Cache(function)
+    compile_one = dispatcher.compile
 
-    def compile_at_level(*args: Any) -> Any:
-        with global_compiler_lock:  # another thread's functions keep their own level
-            before, config.OPT = config.OPT, LEVEL
-            try:
-                return compile_one(*args)
-            finally:
-                config.OPT = before
+    def load_or_compile(signature: Any) -> Any:
+        with ExitStack() as stack:
+            stack.enter_context(_at_our_level())
+            known = signature in dispatcher.overloads
+            if not known and not code.holds(signature, dispatcher.targetctx.codegen()):
+                # Whoever waited for another process here finds what that one has made.
+                _announce()
+                stack.enter_context(alone(code.lock))
+            return compile_one(signature)
 
-    dispatcher._compiler.compile = compile_at_level
+    dispatcher.compile = load_or_compile
     return cast(Function, dispatcher)
 
 

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import msgspec
 
+from mavproxy_fault.documents.errors import ConfigError
+
 
 class Label(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
     """One stretch in which one fault acted.
@@ -36,8 +38,19 @@ class Label(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
 
 
 def read_labels(path: Path) -> list[Label]:
-    """The complete labels of a file, in order of their start; a cut last line is ignored."""
-    return newest(_lines(path))
+    """The complete labels of a file, in order of their start; a cut last line is ignored.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or holds something else.
+    """
+    try:
+        return newest(_lines(path))
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; give a labels.jsonl") from None
+    except ValueError as error:  # msgspec's decode errors are
+        raise ConfigError(f"{path}: {error}; give a labels.jsonl") from None
 
 
 def newest(labels: Iterable[Label]) -> list[Label]:

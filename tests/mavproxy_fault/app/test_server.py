@@ -14,10 +14,12 @@ import pytest
 
 from mavproxy_fault.app import commands
 from mavproxy_fault.app import proxy_command as proxy
+from mavproxy_fault.app import server as server_module
 from mavproxy_fault.app.proxy_command import roles
 from mavproxy_fault.app.server import Server
 from mavproxy_fault.compiled import object_file as machine
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links import datagram_batch
 from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
@@ -241,4 +243,37 @@ def test_without_machine_code_the_proxy_says_so_and_forwards(
                 station.recv(1000)
     told = capfd.readouterr().err
     assert "first start" in told
-    assert "no machine code (1 from" in told
+    assert "no machine code (`mavproxy-fault warm-up` tells why)" in told
+
+
+def test_a_proxy_with_a_schedule_is_ready_without_numpy() -> None:
+    schedule = Path(__file__).parents[3] / "examples" / "gyro_bias.yaml"
+    script = (
+        "import sys, mavproxy_fault.app.proxy_command, mavproxy_fault.compiled.forwarder\n"
+        "from mavproxy_fault.proxy.engine import Engine\n"
+        "from mavproxy_fault.schedule.entries import read_schedule\n"
+        f"Engine(read_schedule({str(schedule)!r}))\n"
+        "print('numpy' in sys.modules, 'numba' in sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=True)
+    assert done.stdout.split() == [b"False", b"False"]
+
+
+def test_without_the_calls_of_linux_the_interpreted_way_serves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(datagram_batch, "BATCHES", False)
+    monkeypatch.setattr(server_module.ctypes, "CDLL", lambda name: object())
+    master = open_link("udpin:127.0.0.1:0")
+    with udp() as station, udp() as vehicle:
+        links = [master, sending_to(station)]
+        with serving(links) as running:
+            running.prepare()
+            assert running._forwarder is None
+            assert running._compiler is None
+            for seq in range(100):
+                vehicle.sendto(heartbeat(seq), address(master))
+                assert station.recv(999) == heartbeat(seq)
+            station.sendto(heartbeat(system=255), links[1].sock.getsockname())  # type: ignore[attr-defined]
+            assert vehicle.recv(999) == heartbeat(system=255)
+        assert running.stats()[0]["chunks_in"] == 100

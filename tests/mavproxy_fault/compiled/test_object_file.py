@@ -20,6 +20,18 @@ def test_machine_code_that_is_made_later_is_found(
     assert load() is not None
 
 
+def test_machine_code_that_was_installed_is_preferred(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(object_file, "place", lambda: tmp_path / "own")
+    monkeypatch.setattr(object_file, "installed", lambda: tmp_path / "installed")
+    path = tmp_path / "installed" / object_file.object_path().name
+    assert object_file.object_path().parent == tmp_path / "own"
+    path.parent.mkdir()
+    path.touch()
+    assert object_file.object_path() == path
+
+
 def test_every_file_that_is_compiled_in_is_among_the_sources() -> None:
     script = (
         "import sys, mavproxy_fault.compiled.sockets\n"

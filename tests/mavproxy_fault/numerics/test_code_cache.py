@@ -31,6 +31,37 @@ def test_what_was_compiled_or_imported_by_it_renews_the_code(
     assert (kernels.mark.__wrapped__() != before) is renewed
 
 
-def test_the_folder_is_there_and_bears_the_mark() -> None:
-    assert kernels.folder().is_dir()
+def test_the_folder_bears_the_mark() -> None:
     assert kernels.folder().name == f"kernels-{kernels.mark()}"
+
+
+@pytest.mark.parametrize("home", [None, "/", "{file}"])
+def test_without_a_folder_to_write_to_there_is_a_place_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, home: str | None
+) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    monkeypatch.setattr(kernels, "ROOT", file)
+    for name in ("MAVPROXY_FAULT_CACHE", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    if home is not None:
+        monkeypatch.setenv("HOME", home.format(file=file))
+    monkeypatch.setenv("TMPDIR", str(file))
+    monkeypatch.setattr(kernels, "_usable", lambda path: False)
+    assert kernels.place().name.startswith("mavproxy-fault-")
+
+
+def test_the_folder_that_the_user_names_comes_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MAVPROXY_FAULT_CACHE", str(tmp_path / "code"))
+    assert kernels.place() == tmp_path / "code"
+    assert (tmp_path / "code").is_dir()
+
+
+def test_without_file_owners_a_place_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(kernels.os, "getuid")
+    monkeypatch.setattr(kernels, "ROOT", tmp_path)
+    assert kernels.place() == tmp_path / kernels.PACKAGES[0] / "__pycache__"

@@ -3,6 +3,10 @@
 import argparse
 import io
 import math
+import select
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -176,3 +180,23 @@ def test_a_vehicle_that_diverges_is_told(free_loop: Loop) -> None:
 
     with pytest.raises(ConfigError, match="left the numbers at"):
         loop.step()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_flight_begun_in_the_background_ends_with_its_summary(
+    scenario: Path, number: signal.Signals
+) -> None:
+    with closing(open_link("udpin:127.0.0.1:0")) as far:
+        assert isinstance(far, UdpServer)
+        command = f"-m mavproxy_fault.cli sim {scenario} --gcs udpout:127.0.0.1:{far.port}"
+        process = subprocess.Popen(
+            # As a shell without job control starts what ends in `&`.
+            ["sh", "-c", f"trap '' INT; exec {sys.executable} {command}"],
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        select.select([far], (), (), 200)
+        process.send_signal(number)
+        _, told = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert "times real time" in told.splitlines()[-1]

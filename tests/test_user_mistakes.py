@@ -1,0 +1,74 @@
+"""What a user gets wrong on the command line is told in a line, with exit code 2."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mavproxy_fault.cli import main
+
+PROXY = ("proxy", "--zenoh", "off", "--out", "udpout:127.0.0.1:9", "--master")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "file").touch()
+    (tmp_path / "not-text.yaml").write_bytes(b"\xff\xfe\0\n")
+    (tmp_path / "foreign.jsonl").write_text("[1, 2]\n")
+    (tmp_path / "log.tlog").write_bytes(bytes.fromhex("000000000000000afe0001c8010000000000000000"))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ((*PROXY, "udpin:127.0.0.1:0", "--logdir", "file/logs"), "file/logs: "),
+        ((*PROXY, "udpin:127.0.0.1:99999"), "port 99999 is too large"),
+        ((*PROXY, "udpin:127.0.0.1:0", "--run", ""), "--run ''"),
+        (
+            (*PROXY, "udpin:127.0.0.1:0", "--schedule", "not-text.yaml"),
+            "not-text.yaml: is not text",
+        ),
+        (("ui", "--port", "99999"), "--port 99999"),
+        (("report", "log.tlog", "--labels", "foreign.jsonl"), "foreign.jsonl: Expected `object`"),
+        (("report", "log.tlog", "--labels", "not-text.yaml"), "not-text.yaml: "),
+        (("report", "log.tlog", "--criteria", "not-text.yaml"), "not-text.yaml: is not text"),
+        (("monitor", "--log", "log.tlog", "--labels", "foreign.jsonl"), "foreign.jsonl: Expected"),
+        (("monitor", "--log", "log.tlog", "--labels", "none.jsonl"), "none.jsonl: No such file"),
+        (("replay", "log.tlog", "--schedule", "none.yaml", "--out", "x"), "none.yaml: "),
+        (("run", "file/none.yaml", "--out", "out"), "file/none.yaml: cannot be read"),
+        (("run", "--out", "file/out"), "--out file/out: Not a directory"),
+    ],
+)
+def test_a_mistake_is_told_in_a_line(
+    folder: Path, words: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    message = capsys.readouterr().err
+    assert message.startswith("mavproxy-fault: ")
+    assert told in message
+    assert message.count("\n") == 1
+
+
+def test_a_replay_into_a_folder_that_is_a_file_is_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "none.yaml").write_text("faults: []\n")
+    assert main(("replay", "log.tlog", "--schedule", "none.yaml", "--out", "file/x.tlog")) == 2
+    assert "--out file/x.tlog: " in capsys.readouterr().err
+
+
+def test_names_beyond_the_letters_of_the_terminal_are_escaped(folder: Path) -> None:
+    entry = "{id: \N{GRINNING FACE}, fault: bias, target: HIL_SENSOR.xgyro, value: 1}"
+    (folder / "schedule.yaml").write_text(f"faults: [{entry}]\n", encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-m", "mavproxy_fault.cli", "faults", "check", "schedule.yaml"],
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert rb"\U0001f600" in done.stdout
