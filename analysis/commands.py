@@ -92,6 +92,12 @@ def add_monitor(commands: Any) -> None:
         "--rinex", nargs="+", metavar="FILE", help="RINEX 2, 3 or 4: OBS NAV [NAV ...]"
     )
     parser.add_argument("--imu", metavar="CSV", help="IMU samples to go with --rinex")
+    parser.add_argument("--schedule", metavar="FILE", help="faults to put into the --rinex file")
+    parser.add_argument(
+        "--truth",
+        metavar="POINT|FILE",
+        help="where the antenna was: X,Y,Z or LAT,LON,HEIGHT, a .pos file, or a CSV",
+    )
     parser.add_argument("--labels", metavar="FILE", help="what was injected, to score against")
     parser.add_argument("--out", metavar="DIR", help="write results and report here")
     parser.add_argument("--watch", action="store_true", help="a compact live status")

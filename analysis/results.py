@@ -19,7 +19,9 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=
     this epoch. `residual_m`, `normalised` and `satellites` run in parallel. `mode` says what
     predicts the epoch: inertial, free (no sound IMU), start (a first snapshot), position or
     position-free (no raw ranges). The parity test asks the satellites alone; the slow test is the
-    one with memory, for ramps.
+    one with memory, for ramps. Of a RINEX recording the sky is told too, parallel to
+    `satellites`, the dilution of precision by those in use and the
+    protection levels.
     """
 
     t_s: float
@@ -45,6 +47,14 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=
     parity_dof: int = 0
     slow_statistic: float | None = None
     slow_threshold: float | None = None
+    elevation_deg: tuple[float, ...] = ()
+    azimuth_deg: tuple[float, ...] = ()
+    cn0_dbhz: tuple[float | None, ...] = ()
+    signals: tuple[str, ...] = ()
+    hdop: float | None = None
+    vdop: float | None = None
+    hpl_m: float | None = None
+    vpl_m: float | None = None
 
 
 class SensorDecision(

@@ -24,7 +24,6 @@ from mavproxy_fault.wire.tlog import read_columns
 HOVER = Path(__file__).parents[1] / "examples" / "autopilot_table.yaml"
 IMU_HZ = {"px4": "250", "ardupilot": "400"}  # what each is used to
 AT_S, FOR_S = 10.0, 10.0
-BACK_M = 2.0  # from its place a vehicle is there again
 NO_FAULT = "none"
 PRESETS = {
     "GPS": "gps-jump gps-spoof gps-freeze gps-search-failure gps-velocity-error gps-jamming",
@@ -37,6 +36,7 @@ PRESETS = {
     "motor-failure wind-gust clock-jump",
 }
 FLAGS = {10: "GPS glitch", 11: "accelerometer error", 15: "GPS glitch"}  # set; ESTIMATOR_STATUS
+MESSAGES = ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS")
 LOST = {0: "attitude", 1: "velocity", 4: "position", 5: "height"}  # no longer set
 COUNTERS = {  # of PX4's log
     "position": ("vehicle_local_position", "xy_reset_counter"),
@@ -44,11 +44,8 @@ COUNTERS = {  # of PX4's log
     "height": ("vehicle_local_position", "z_reset_counter"),
     "attitude": ("vehicle_attitude", "quat_reset_counter"),
 }
-HEAD = (
-    "| preset | autopilot | flags | resets | lane switch | failsafe | off, m | end |\n"
-    + "|---" * 8
-    + "|"
-)
+COLUMNS = "preset, autopilot, flags, first warning, resets, lane switch, failsafe, off (m), end"
+HEAD = "| " + COLUMNS.replace(", ", " | ") + " |\n" + "|---" * 9 + "|"
 
 
 def main() -> None:
@@ -81,6 +78,7 @@ def row(name: str, autopilot: str, binary: str, runs: Path) -> str:
         + " | ".join(
             (
                 flags(folder),
+                listed(warnings(marks)[:1]),
                 resets(folder, marks),
                 lane_switch(folder, marks),
                 failsafe(folder, marks),
@@ -126,7 +124,7 @@ def flags(folder: Path) -> str:
     shift_us = int(truth["t_us"][0]) - int(truth["time_usec"][0])
     begin_us, end_us = fault_us(folder)
     found: dict[str, float] = {}
-    for message in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
+    for message in MESSAGES:
         if message not in columns:
             continue
         rows = columns[message]
@@ -210,9 +208,17 @@ def changes(folder: Path, topic: str, name: str) -> list[float]:
 
 
 def said(marks: list[Mark], word: str) -> list[tuple[str, float]]:
-    """The first text that holds a word."""
-    texts = [mark for mark in marks if mark.kind == "detected" and word in mark.text.lower()]
-    return [(mark.text.strip(), mark.t_s - AT_S) for mark in texts[:1]]
+    """The first warning that holds a word."""
+    return [(text, t_s) for text, t_s in warnings(marks) if word in text.lower()][:1]
+
+
+def warnings(marks: list[Mark]) -> list[tuple[str, float]]:
+    """What the autopilot warned of, each with its time after the fault's begin [s]."""
+    return [
+        (mark.text.strip(), mark.t_s - AT_S)
+        for mark in marks
+        if mark.kind == "detected" and not mark.text.startswith(MESSAGES)
+    ]
 
 
 def listed(found: Any) -> str:

@@ -33,6 +33,12 @@ START_S, ACTS_S, END_S = 6.0, 10.0, 20.0
 RANGE_M = 150.0  # of the laser, so that the fixed wing at 100 m has one
 IMU_HZ = 100.0  # enough to tell, and a flight takes a second
 BATCH_BYTES = 32_768  # that `run` hands to its monitor at once
+ELEVATOR = "HIL_ACTUATOR_CONTROLS.controls[7]"  # of PX4's plane, which has no channel 0
+# Presets in whose flights somebody sound is still blamed: GPS against Galileo, and after a crash
+KNOWN_WRONG = (
+    *("gnss-carry-off-gps", "motor-failure"),
+    *("actuator-efficiency", "actuator-float", "actuator-hard-over"),
+)
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "presets.md"
 VEHICLES = {"fixed wing": None, "quad": str(ROOT / "examples" / "hover.yaml")}
@@ -44,13 +50,17 @@ Made by `python benchmarks/preset_table.py`, and held against the flights by `--
 flies some of them. Each preset acts from {START_S:.0f} s to {START_S + ACTS_S:.0f} s of a flight of
 {END_S:.0f} s, in the simulator, proxy and monitor of `run`, with every sensor that presets need:
 the demo's fixed wing, and the quad of examples/hover.yaml with the demo's receiver. The same flight
-without the preset is the comparison.
+without the preset is the comparison. The fixed wing's actuator is the elevator, the quad's motor 1.
 
 *Acted* are the parts that met a message: a preset names every message in which the sensor speaks,
 and those that are not sent are not used. The *verdict* is that of docs/verdicts.md, of each part
 where they differ; what is missed in ten seconds may be found in a longer flight. *Delay* is from
 the start to the first alarm that can see it. *Moved* is how far the true position came to lie
 from that of the clean flight, at most; a dash means below a decimetre.
+
+Still wrong: spoofed GPS satellites outvote healthy Galileo (`gnss-carry-off-gps`), and a vehicle
+that hits the ground because of its actuators has its IMU or receiver blamed for the blow. No
+channel watches actuators and motors.
 """
 
 
@@ -118,7 +128,9 @@ def clean(vehicle: str) -> Flown:
 def fly(job: tuple[str, str]) -> Row:
     """One preset on one vehicle."""
     vehicle, preset = job
-    entry = {"preset": preset, "id": "it", "at_s": START_S, "for_s": ACTS_S}
+    entry: dict[str, Any] = {"preset": preset, "id": "it", "at_s": START_S, "for_s": ACTS_S}
+    if vehicle == "fixed wing" and preset.startswith("actuator-"):
+        entry["target"] = ELEVATOR
     seed = setting(vehicle)[0].seed
     schedule = parse_schedule({"seed": seed, "faults": [entry]}, via="simulator")
     found, base = flown(vehicle, schedule), clean(vehicle)

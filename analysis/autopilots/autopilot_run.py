@@ -15,10 +15,10 @@ from typing import Any
 from analysis.autopilots import ardupilot_program, px4_program
 from analysis.autopilots.flight_operator import Operator, Requests
 from analysis.autopilots.flight_plan import HEIGHTS_M, flight_plan
-from analysis.autopilots.hil_exchange import FromAutopilot, Patience, ToAutopilot
+from analysis.autopilots.hil_exchange import FromAutopilot, Patience, ToAutopilot, of_lockstep
 from analysis.autopilots.program import Program
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
-from analysis.run.proxied_flight import GROUND, MONITOR, Flight, is_hil, session
+from analysis.run.proxied_flight import GROUND, MONITOR, Flight, session
 from analysis.run.run_command import EXIT_CODES, report
 from analysis.run.setup import Setup, read_setup
 from analysis.run.stop import Stop, stop_requests
@@ -197,13 +197,14 @@ class AutopilotRun:
             "texts": [[round(t_us * 1e-6, 3), text] for t_us, text in operator.texts],
         }
 
-    def _hear(self, send: Send) -> None:
-        if send.link == MONITOR:
-            self.results += self._monitor.feed(send.data)
-        elif send.link == GROUND and not is_hil(send.data):
-            for item in self._parser.push(send.data, datagram=True):
-                if isinstance(item, Frame):
-                    self._operator.heard(item)
+    def _hear(self, sends: list[Send]) -> None:
+        watched = b"".join([send.data for send in sends if send.link == MONITOR])
+        self.results += self._monitor.feed(watched)
+        for send in sends:
+            if send.link == GROUND and not of_lockstep(send.data):
+                for item in self._parser.push(send.data, datagram=True):
+                    if isinstance(item, Frame):
+                        self._operator.heard(item)
 
     def _commands(self) -> list[bytes]:
         """Called before each step: what the operator sends, and what has to be written."""
@@ -240,8 +241,7 @@ class AutopilotRun:
         self._recorder.write(self.flight.tape, labels, self._journal.drain())
 
     def _close(self) -> None:
-        for send in self.flight.core.finish(self.flight.now_us):
-            self._hear(send)
+        self._hear(self.flight.core.finish(self.flight.now_us))
         self._record()
         self._recorder.close(self.flight.core.clock.t0_us, self.flight.now_us)
         self._progress.end(self.flight.t_us, time.monotonic())

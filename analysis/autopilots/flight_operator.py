@@ -152,15 +152,21 @@ class Operator:
             self.gave_up = f"still {self.phase} after {waited_s:.0f} s"
 
     def _done(self) -> bool:
-        return {
-            Phase.WAITING: self._positioned,
-            Phase.UPLOADING: self._uploaded or not self._plan.waypoints,
-            Phase.ARMING: self._armed,
-            Phase.CLIMBING: self._height_m > REACHED * self._plan.height_m,
-            Phase.FLYING: self._flown_s() >= self._plan.duration_s,
-            Phase.LANDING: not self._armed,
-            Phase.LANDED: False,
-        }[self.phase]
+        match self.phase:
+            case Phase.WAITING:
+                return self._positioned
+            case Phase.UPLOADING:
+                return self._uploaded or not self._plan.waypoints
+            case Phase.ARMING:
+                return self._armed
+            case Phase.CLIMBING:
+                return self._height_m > REACHED * self._plan.height_m
+            case Phase.FLYING:
+                return self._flown_s() >= self._plan.duration_s
+            case Phase.LANDING:
+                return not self._armed
+            case _:
+                return False
 
     def _enter(self, phase: Phase) -> None:
         self.phase = phase

@@ -25,10 +25,11 @@ from simvehicle.sensors.readings import Reading
 from simvehicle.vehicles.body import Truth
 
 Process = subprocess.Popen[bytes]
-Hear = Callable[[Send], None]  # what leaves for monitor and ground station
+Hear = Callable[[list[Send]], None]  # what leaves for monitor and ground station
 STAMP = slice(10, 18)  # time_usec, of every message that steps are answered by
 ANSWER = known("HIL_ACTUATOR_CONTROLS")
-FOR_SIMULATOR = {layout.id.to_bytes(3, "little") for layout in (ANSWER, known("TUNNEL"))}
+ANSWER_ID = ANSWER.id.to_bytes(3, "little")
+FOR_SIMULATOR = {ANSWER_ID, known("TUNNEL").id.to_bytes(3, "little")}
 
 
 class StepMessage(NamedTuple):
@@ -40,6 +41,11 @@ class StepMessage(NamedTuple):
 
 PX4_STEP = StepMessage(107, 65)  # HIL_SENSOR; the id is its last byte, and cut off where it is 0
 BRIDGE_STEP = StepMessage(115, 256)  # HIL_STATE_QUATERNION
+
+
+def of_lockstep(data: bytes) -> bool:
+    """Whether a frame is of the HIL link's own traffic, which no ground station needs."""
+    return is_hil(data) or (data[0] == STX_V2 and data[7:10] == ANSWER_ID)
 
 
 class ToAutopilot:
@@ -63,6 +69,8 @@ class ToAutopilot:
         The stamp that the autopilot answers, of the last frames.
     returned : list of Frame
         What left for the simulator meanwhile: changes of the plant, and answers that were late.
+    unheard : list of Send
+        What left elsewhere; it is heard while the autopilot works on the step.
     """
 
     def __init__(
@@ -77,7 +85,8 @@ class ToAutopilot:
         self.start_us = packer.start_us
         self.step_us: int | None = None
         self.returned: list[Frame] = []
-        self.flight, self.hear = flight, hear
+        self.unheard: list[Send] = []
+        self.flight, self._hear = flight, hear
         self._packer, self._commands = packer, commands
         self._telemetry, self._step = telemetry, step
         self._parser = Parser()
@@ -87,19 +96,32 @@ class ToAutopilot:
         out: list[bytes] = []
         self.step_us = None
         # The operator first: its commands belong to the state before this step.
+        # One by one, for frames that come together leave together, and not all go the same way.
         received = [(GROUND, raw) for raw in self._commands()]
         received += [(SIMULATOR, raw) for raw in self._packer.frames(t_us, truth, readings)]
+        now_us = self.flight.now_us
         for link, raw in received:
-            for send in self.flight.core.received(link, raw, self.flight.now_us):
+            for send in self.flight.core.received(link, raw, now_us):
                 if send.link == VEHICLE:
                     self._leave(send.data, out)
-                elif send.link == SIMULATOR:
-                    self.returned += self.decoded(send)
                 else:
-                    self.hear(send)
+                    self.sort(send, self.returned)
         return out
 
-    def decoded(self, send: Send) -> list[Frame]:
+    def sort(self, send: Send, returned: list[Frame]) -> None:
+        """What left for the simulator is returned to it, the rest is to be heard."""
+        if send.link == SIMULATOR:
+            returned += self._decoded(send)
+        else:
+            self.unheard.append(send)
+
+    def hear_all(self) -> None:
+        """Let what has left be heard."""
+        if self.unheard:
+            heard, self.unheard = self.unheard, []
+            self._hear(heard)
+
+    def _decoded(self, send: Send) -> list[Frame]:
         """What left for the simulator and means something to it."""
         if send.data[0] == STX_V2 and send.data[7:10] not in FOR_SIMULATOR:
             return []
@@ -156,17 +178,14 @@ class FromAutopilot:
     def frames(self) -> list[Frame]:
         """What came and left the proxy for the simulator."""
         self._patience.check()
-        outward = self._outward
+        outward, flight = self._outward, self._outward.flight
+        outward.hear_all()
         found, outward.returned = outward.returned, []
         for inbox in self._inboxes:
-            frames = inbox.frames()
-            for frame in frames:
+            for frame in inbox.frames():
                 if frame.layout is ANSWER:
                     self._lockstep.received(int(frame.number("time_usec")), time.monotonic())
-            flight = outward.flight
-            for send in flight.core.received_frames(VEHICLE, frames, flight.now_us):
-                if send.link == SIMULATOR:
-                    found += outward.decoded(send)
-                else:
-                    outward.hear(send)
+                for send in flight.core.received_frame(VEHICLE, frame, flight.now_us):
+                    outward.sort(send, found)
+        outward.hear_all()
         return found

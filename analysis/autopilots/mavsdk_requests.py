@@ -40,6 +40,7 @@ class MavsdkRequests:
         log_subscribe(lambda *_: True)  # what happens is told by the operator
         station = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
         self._mavsdk = Mavsdk(station)
+        # MAVSDK sends from a thread of its own; the flight takes it along with its next step.
         self._outgoing: SimpleQueue[bytes] = SimpleQueue()
         self._mavsdk.subscribe_raw_bytes_to_be_sent(self._outgoing.put)
         self._mavsdk.add_any_connection("raw://")

@@ -134,6 +134,7 @@ def streams(local: int, remote: int) -> str:
 
 def environment(simulation: Simulation, place: Path) -> dict[str, str]:
     """PX4's variables; those of the user's shell that name another simulator are left out."""
+    # What the user exported for another simulator would start that one.
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PX4_")}
     kept["PATH"] = f"{place}{os.pathsep}{kept.get('PATH', os.defpath)}"
     kept["PX4_SIM_MODEL"] = AIRFRAMES[simulation.scenario.vehicle.kind]

@@ -136,7 +136,6 @@ def _answered(job: Job) -> Answer:
 
 
 def fleet_of(workers: int, ray_address: str | None, limit_s: float) -> Fleet:
-    # Named by the user: the cluster; else this machine.
     """The fleet that the command line asks for."""
     if ray_address is not None:
         return RayFleet(ray_address, limit_s)

@@ -122,7 +122,10 @@ def _arrays(curve: Curve) -> tuple[Vector, Vector]:
 
 
 def recovery_s(t_s: Vector, beyond: Vector, limit: float, ends_s: float) -> float | None:
-    """Seconds from the fault's end until the excursion stays within the limit; None if never."""
+    """Seconds from the fault's end until the excursion stays within the limit; None if never.
+
+    `beyond` (n,) is the excursion in degrees or metres at the times `t_s` (n,), some of it outside.
+    """
     outside = np.flatnonzero(beyond > limit)
     # Still outside at the end.
     if outside[-1] == len(t_s) - 1:

@@ -170,7 +170,8 @@ class Detector:
         history: tuple[Record, ...],
     ) -> tuple[list[Result], Core]:
         config = self.config
-        outcome = judge_epoch(epoch.t_us, observed, run, core, config)
+        run_before = history[-1].run if history else None
+        outcome = judge_epoch(epoch.t_us, observed, run, core, config, run_before)
         # One in, one out: the history stays as long as `history_s`.
         if history and history[0].t_us < epoch.t_us - config.history_s * 1e6:
             history = history[1:]
@@ -223,8 +224,10 @@ class Detector:
             # The replay may lose the filter where the original did not: what is kept ends there.
             if core.motion is None:
                 break
-            replayed.append(Record(record.t_us, core, record.observed, record.run))
-            core = judge_epoch(record.t_us, record.observed, record.run, core, self.config).core
+            t_us, observed, run = record.t_us, record.observed, record.run
+            run_before = replayed[-1].run if replayed else None
+            replayed.append(Record(t_us, core, observed, run))
+            core = judge_epoch(t_us, observed, run, core, self.config, run_before).core
         # What the replay found wins over what was known.
         excluded = {**outcome.core.excluded, **core.excluded}
         core = core._replace(excluded=excluded, history=tuple(replayed), chosen=outcome.core.chosen)

@@ -42,11 +42,12 @@ class Core(Value, frozen=True):
     """Everything but the pending IMU samples.
 
     `imu_bad_until_us` is when a faulty IMU is tried again (None: it is trusted), `unknown_since_us`
-    since when every epoch had the verdict "multiple-unknown". `ranges_us` is when raw ranges were
-    last usable, `frozen` what is subtracted from them; `gps_source` and `last_fix` serve when there
-    are none, and `unbounded` says that the filter may follow a lying receiver. `spacing_us` is the
-    time between epochs (0: not known), `gap_us` the newest that was another; `before` is the filter
-    as it was before a gap too long.
+    since when no epoch could be used, `distrusted` what of all satellites together was wrong at the
+    last one ("ranges", "rates" or nothing). `ranges_us` is when raw ranges were last usable,
+    `frozen` what is subtracted from them; `gps_source` and `last_fix` serve when there are none,
+    and `unbounded` says that the filter may follow a lying receiver. `spacing_us` is the time
+    between epochs (0: not known), `gap_us` the newest that was another; `before` is the filter as
+    it was before a gap too long.
     """
 
     motion: Motion | None
@@ -58,6 +59,7 @@ class Core(Value, frozen=True):
     imu_bad_until_us: int | None = None
     mag_b: Vector | None = None
     unknown_since_us: int | None = None
+    distrusted: str = ""
     ranges_us: int | None = None
     chosen: Chosen | None = None
     ramps: RampBank | None = None

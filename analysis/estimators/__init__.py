@@ -39,9 +39,11 @@ def make(name: str) -> Estimator:
     """
     factory: Callable[[], Estimator]
     if name in BUILT_IN:
+        # Imported by name: an estimator that is not used is not loaded.
         module, _, attribute = BUILT_IN[name].partition(":")
         factory = getattr(import_module(module), attribute)
         return factory()
+    # Others come after ours: a plugin cannot take a name of ours.
     for point in entry_points(group=GROUP, name=name):
         factory = point.load()
         return factory()

@@ -99,9 +99,12 @@ def follow(
     for i in range(len(kind)):
         if kind[i] == IMU:
             dt_s = (t_us[i] - stamps[0]) * 1e-6
+            # A longer pause is not integrated over; the estimate waits for the field and for
+            # gravity.
             if 0.0 < dt_s <= MAX_GAP_S:
                 gyro, accel = values[i, 0:3], values[i, 3:6]
                 x = predict(x, gyro, accel, speed_mps, dt_s, gains[0], gains[2])
+            # The newest stamp: a late sample must not set the clock back.
             stamps[0] = max(t_us[i], stamps[0])
             when[done] = stamps[0]
             for k in range(4):
@@ -109,6 +112,7 @@ def follow(
             done += 1
         # A repeated stamp is the same sample again: it must not count twice.
         elif kind[i] == MAG and t_us[i] > stamps[1]:
+            # Bounded: after a long pause the field may not turn the attitude by more than it knows.
             dt_s = min((t_us[i] - stamps[1]) * 1e-6, MAX_GAP_S)
             x = head(x, values[i, 0:3], declination_rad, dt_s, gains[1], gains[2])
             stamps[1] = t_us[i]
@@ -154,4 +158,5 @@ class Mahony:
 
 def complementary() -> Mahony:
     """The plain complementary filter: no bias, crossover at 0.5 rad/s."""
+    # Without its integral term Mahony's filter is the plain one.
     return Mahony(bias_gain=0.0)

@@ -57,10 +57,12 @@ class Ekf:
 
     def start(self, prior: Prior) -> EkfState:
         """The prior with `start_sigma`; GPS is taken as missing until its first fix."""
+        # The same for the three axes of each error.
         sigma = np.repeat(self.start_sigma, 3)
         # The bias is unknown at start, so that it begins at zero with its sigma.
         x = np.concatenate([prior.q_nb, np.zeros(3), prior.v_ned_mps, np.diag(sigma**2).ravel()])
         timeout_us = round(self.gps_timeout_s * 1e6)
+        # As if the last velocity were too long ago: gravity serves until GPS is there.
         return EkfState(
             prior.t_us, x, 0.0, prior.declination_rad, prior.t_us - timeout_us, prior.t_us
         )

@@ -77,7 +77,7 @@ def predict(
 
 @compiled
 def spread(x: Vector, room: Room, dt_s: float) -> None:
-    """Put F P F' in the place of P, in place.
+    """Put F P F' in the place of P in x (91,), in place.
 
     F is the identity but for what the attitude error does to itself and to the velocity's, the
     first three columns of `room`, and for what the bias does to the attitude in `dt_s`. The rows of
@@ -106,7 +106,7 @@ def spread(x: Vector, room: Room, dt_s: float) -> None:
 
 @inlined
 def put(x: Vector, i: int, j: int, value: float) -> None:
-    """Write an element of the covariance and its mirror image."""
+    """Write an element of the covariance in x (91,) and its mirror image."""
     x[P + N * i + j] = value
     x[P + N * j + i] = value
 
@@ -134,7 +134,7 @@ def correct(x: Vector, gain: Vector, innovation: float, variance: float) -> None
 
 @compiled
 def correct_by_rotation(x: Vector, h: Axis, innovation: float, variance: float, room: Room) -> None:
-    """Take a scalar measurement that only the attitude error moves, by h."""
+    """Take a scalar measurement that only the attitude error moves, by h (3,), into x (91,)."""
     gain = room[0]
     for i in range(N):
         gain[i] = x[P + N * i] * h[0] + x[P + N * i + 1] * h[1] + x[P + N * i + 2] * h[2]
@@ -156,7 +156,8 @@ def correct_velocity(x: Vector, v_ned_mps: Vector, variance: float, room: Room) 
 
 @compiled
 def restart_velocity(x: Vector, v_ned_mps: Vector, variance: float) -> None:
-    """Take the velocity as measured and forget what it had to do with the other errors."""
+    """Take the velocity (3,) in m/s as measured into x (91,) and forget what it had to do with the
+    other errors."""
     for i in range(6, N):
         for j in range(N):
             put(x, i, j, 0.0)

@@ -61,11 +61,13 @@ class Estimator(Protocol):
 def follow(estimator: Estimator, block: Block, state: Any) -> tuple[Stamps, Vector, Any]:
     """Estimates of a block, stamps (m,) and q_nb (m, 4) at its m IMU samples; the next state."""
     at_once = getattr(estimator, "follow", None)
+    # A compiled estimator takes the block at once; any other sample by sample.
     if at_once is not None:
         found: tuple[Stamps, Vector, Any] = at_once(block, state)
         return found
     stamps, attitudes = [], []
     for row, kind in enumerate(block.kind.tolist()):
+        # Truth is for the scores, and another's attitude is no measurement.
         if kind not in (TRUTH, ATTITUDE):
             estimate, state = estimator.update(block.sample(row), state)
             if kind == IMU:
@@ -86,4 +88,5 @@ def room_for_estimates(kind: Indices) -> tuple[Stamps, Vector]:
 @compiled
 def airspeed_mps(diff_pressure_pa: float) -> float:
     """Equivalent airspeed from the pitot tube's pressure; 0 where it is negative."""
+    # A pitot tube reads below zero in still air by its noise.
     return sqrt(2.0 * max(diff_pressure_pa, 0.0) / SEA_LEVEL_DENSITY_KGPM3)

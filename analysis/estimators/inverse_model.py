@@ -60,7 +60,8 @@ def derivative(x: Vector, gyro: Vector, accel: Vector) -> Vector:
 def heun(
     x: Vector, gyro0: Vector, accel0: Vector, gyro1: Vector, accel1: Vector, dt_s: float
 ) -> Vector:
-    """One step of length `dt_s` between two samples."""
+    """One step of x (9,) of length `dt_s` between two samples, rates (3,) in rad/s and specific
+    force (3,) in m/s^2 each."""
     slope0 = derivative(x, gyro0, accel0)
     # With the sample at its own end: that is why the step uses both.
     slope1 = derivative(x + dt_s * slope0, gyro1, accel1)

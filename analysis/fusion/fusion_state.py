@@ -127,7 +127,10 @@ def _later(t_us: Stamps, than_us: int) -> int:
 
 @compiled
 def heeded(kind: Indices, first: int, last: int) -> Indices:
-    """The rows from `first` to `last` that are taken one by one: the IMU's are taken as a whole."""
+    """The rows from `first` to `last` that are taken one by one: the IMU's are taken as a whole.
+
+    `kind` (n,) is that of the block's rows.
+    """
     rows, count = np.empty(last + 1 - first, np.int64), 0
     for row in range(first, last + 1):
         if kind[row] != IMU and kind[row] != TRUTH and kind[row] != ATTITUDE:

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from analysis.monitor.pipeline import MonitorConfig, Pipeline
+from analysis.recordings.position_reference import PositionReference
 from analysis.results import Result
 from analysis.samples.block import Block
 from analysis.samples.decoder import Decoder
@@ -17,11 +18,12 @@ from mavproxy_fault.wire.parser import Parser
 class Monitor:
     """Parser, decoder, pipeline and tally in a row."""
 
-    def __init__(self, config: MonitorConfig) -> None:
+    def __init__(self, config: MonitorConfig, reference: PositionReference | None = None) -> None:
         self._parser = Parser()
         self._decoder = Decoder()
         self._pipeline = Pipeline(config)
-        self._tally = Tally()
+        self.detector = config.detector
+        self._tally = Tally(reference)
 
     @property
     def t_s(self) -> float:
@@ -30,7 +32,9 @@ class Monitor:
 
     def push_bytes(self, chunks: Iterable[bytes], *, datagrams: bool = True) -> list[Result]:
         """Results of the frames in some chunks; a stream's may be cut anywhere."""
+        # Frames of a datagram are complete; a stream's may end anywhere.
         items = (item for data in chunks for item in self._parser.push(data, datagram=datagrams))
+        # Bytes that are no frame were counted by the parser and carry no sample.
         return self.push(self._decoder.decode(i for i in items if isinstance(i, Frame)))
 
     def push(self, block: Block) -> list[Result]:

@@ -17,7 +17,7 @@ from analysis.detection import DetectorConfig
 from analysis.detection.sensors.sensor_tests import References
 from analysis.detection.sensors.stream_watch import StreamWatch
 from analysis.fusion.fusion_config import FusionConfig
-from analysis.results import Result
+from analysis.results import Result, SensorDecision
 from analysis.samples.block import EPHEMERIS, Block, Piece, block_of, pieces
 from analysis.samples.sample import Sample
 from analysis.scoring.attitude_scores import with_repeaters_last
@@ -30,11 +30,15 @@ WITHOUT_ISOLATION = "fused without isolation"
 
 
 class MonitorConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """The detector with the checks of other sensors, attitude scores, and fusion where wanted."""
+    """The detector with the checks of other sensors, attitude scores, and fusion where wanted.
+
+    `streams` asks for what only a link can do: fall silent, repeat itself, lose its time.
+    """
 
     detector: DetectorConfig = DetectorConfig()
     attitude: AttitudeConfig = AttitudeConfig()
     fusion: FusionConfig | None = None
+    streams: bool = True
 
 
 class MonitorSection(DetectorConfig, frozen=True, kw_only=True):
@@ -55,6 +59,7 @@ def monitor_config(values: Any, where: str, lines: Lines | None = None) -> Monit
     ConfigError
         With every name and value that is not allowed.
     """
+    # Below the name that it has in the file: errors then say `monitor.sigma...`.
     document = Document({"monitor": {} if values is None else values}, where, lines or {})
     section = decode(document, MonitorSection, ("monitor",))
     detector = {name: getattr(section, name) for name in DetectorConfig.__struct_fields__}
@@ -71,8 +76,8 @@ class Pipeline:
         self._attitude_state = self._attitude.new_state()
         self._detector = References(config.detector)
         self._detector_state = self._detector.new_state()
-        self._streams = StreamWatch()
-        self._streams_state = self._streams.new_state()
+        self._streams = StreamWatch() if config.streams else None
+        self._streams_state = StreamWatch().new_state()
         self._fusions: list[Any] = []
         self._feed_back: Any = None
         if config.fusion is not None:
@@ -105,7 +110,10 @@ class Pipeline:
             ]
         else:
             found, self._detector_state = self._detector.step_rows(block, self._detector_state)
-        troubles, self._streams_state = self._streams.step(block, self._streams_state)
+        # Whether sensors speak at all is looked at apart from what they say.
+        troubles: list[tuple[int, SensorDecision]] = []
+        if self._streams is not None:
+            troubles, self._streams_state = self._streams.step(block, self._streams_state)
         found += troubles
         errors, self._attitude_state = self._attitude.step_rows(block, self._attitude_state)
         found += errors

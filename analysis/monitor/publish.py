@@ -42,6 +42,7 @@ class Publisher:
         for result in results:
             key, data = suffix(result), encode(result)
             self._bus.put(key, data, f"{SCHEMA}.{type(result).__name__}")
+            # A change of exclusions, not of verdicts: each is told once.
             if isinstance(result, Decision) and result.excluded != self._excluded:
                 self._excluded = result.excluded
                 # The last one is kept: who joins late wants to know who is excluded now.
@@ -59,6 +60,7 @@ class Publisher:
                 key += "" if result.dof else "/stream"  # its samples are judged apart
             case _:
                 return False
+        # Remembered in the same breath, so that each change is an event once.
         return self._verdicts.get(key) != verdict and self._remember(key, verdict)
 
     def _remember(self, key: str, verdict: tuple[object, ...]) -> bool:

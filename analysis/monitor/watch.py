@@ -18,6 +18,7 @@ class Watch:
     def __init__(self) -> None:
         self._console = Console()
         self._rows: dict[str, tuple[str, str, str]] = {}
+        # Redrawn by hand: a thread of its own would cost more than the table.
         self._live = Live(console=self._console, auto_refresh=False)
         self._drawn_s = 0.0
 
@@ -38,6 +39,7 @@ class Watch:
         """Take results and redraw when it is time."""
         for result in results:
             name, row = _row(result)
+            # Into a pipe only changes of the verdict are printed.
             before = self._rows.get(name)
             self._rows[name] = row
             if not self._console.is_terminal and (before is None or before[1] != row[1]):

@@ -38,11 +38,15 @@ def read_log(path: Path | str) -> Iterator[Block]:
 
 
 def read_rinex(
-    observations: Path, navigation: Path | Sequence[Path], imu: Path | None = None
+    observations: Path,
+    navigation: Path | Sequence[Path],
+    imu: Path | None = None,
+    lines: list[str] | None = None,
 ) -> Block:
     """A RINEX observation file with its navigation files, and IMU samples where there are any.
 
-    The IMU file has one sample a line: GPS time on Unix's count of seconds, specific force (3) in g
+    `lines` are those of the observation file where they were changed before they are read. The IMU
+    file has one sample a line: GPS time on Unix's count of seconds, specific force (3) in g
     and rates (3) in rad/s, axes forward-left-up; further columns are passed over. `t_us` counts
     from the start of GPS time; what the navigation files hold comes first, stamped as the first.
 
@@ -52,10 +56,10 @@ def read_rinex(
         If a file cannot be read as what it should be, or does not fit the others.
     """
     from analysis.recordings.rinex_navigation import read_navigation
-    from analysis.recordings.rinex_observations import read_observations
+    from analysis.recordings.rinex_observations import epochs_of, read_observations
 
     files = [navigation] if isinstance(navigation, Path) else list(navigation)
-    epochs = read_observations(observations)
+    epochs = read_observations(observations) if lines is None else epochs_of(observations, lines)
     if not epochs:
         raise ConfigError(f"{observations}: has no epoch with a pseudorange that can be read")
     broadcast = [sample for path in files for sample in read_navigation(path)]

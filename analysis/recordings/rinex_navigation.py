@@ -16,9 +16,10 @@ from pathlib import Path
 
 from analysis.orbits.broadcast import BEIDOU_BEHIND_S, SYSTEMS, WEEK_S
 from analysis.orbits.glonass import leap_seconds
-from analysis.recordings.rinex_observations import gps_time, header_of, read_text
+from analysis.recordings.rinex_observations import gps_time
 from analysis.samples.sample import EphemerisSample, IonosphereSample, StateVector
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.rinex.rinex_text import header_of, read_rinex_text
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
 MESSAGES = ("LNAV", "INAV", "FNAV", "FDMA", "D1", "D2")  # RINEX 4 names the message of each record
@@ -40,7 +41,7 @@ def read_navigation(path: Path) -> list[EphemerisSample | IonosphereSample]:
     ConfigError
         If the file is no RINEX navigation file.
     """
-    lines = read_text(path)
+    lines = read_rinex_text(path)
     version, start = header_of(path, lines, "NE", "a navigation file")
     samples: list[EphemerisSample | IonosphereSample] = []
     try:

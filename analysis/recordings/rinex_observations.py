@@ -12,8 +12,6 @@ References
 """
 
 import math
-import re
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import date
@@ -24,8 +22,8 @@ import numpy as np
 from analysis.orbits.broadcast import B1I_HZ, B3I_HZ
 from analysis.orbits.glonass import CENTRE_HZ, CHANNEL_HZ
 from analysis.samples.sample import Epoch, Vector
-from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
+from mavproxy_fault.rinex.rinex_text import header_of, read_rinex_text
 
 PREFERRED = {
     "G": ("1C", "1X", "1L", "1S", "1W", "1P"),
@@ -38,80 +36,26 @@ GPS_DAY_ZERO = date(1980, 1, 6).toordinal()
 WEEK_DAYS = 7
 FIELD_WIDTH = 16  # F14.3, loss of lock, signal strength
 NOWHERE = 1 << 20  # behind the end of any line
-BYTE_ORDER_MARK = b"\xef\xbb\xbf"
-_Row = tuple[str, tuple[float, float, float], float]  # satellite, its values, carrier
-_COMPRESSED = (".gz", ".z", ".bz2", ".zip", ".crx", ".crx.gz")
+_Row = tuple[str, tuple[float, float, float], float, str]  # satellite, values, carrier, signal
 
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Where code, Doppler and C/N0 of one system begin in a line, and its carrier (of GLONASS:
-    that of channel 0)."""
+    """Where code, Doppler and C/N0 of one signal begin in a line, its name, and its carrier (of
+    GLONASS: that of channel 0)."""
 
     code: int
     doppler: int
     cn0: int
+    signal: str
     carrier_hz: float = L1_HZ
 
 
-def _placed(first: int, places: list[int], carrier_hz: float = L1_HZ) -> _Columns:
+def _placed(first: int, places: list[int], signal: str, carrier_hz: float = L1_HZ) -> _Columns:
     """Columns by their places among the observations (-1: nowhere), in lines whose fields begin at
     `first`."""
     starts = [first + FIELD_WIDTH * place if place >= 0 else NOWHERE for place in places]
-    return _Columns(starts[0], starts[1], starts[2], carrier_hz)
-
-
-def read_text(path: Path) -> list[str]:
-    """The lines of a RINEX file, unpacked where it is compressed.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be read or is not RINEX.
-    """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read; {error.strerror}") from error
-    if path.name.lower().endswith(_COMPRESSED) or b"CRINEX" in data[:80]:
-        data = _decompressed(data, path)
-    lines = data.removeprefix(BYTE_ORDER_MARK).decode("ascii", "replace").splitlines()
-    if not lines or not lines[0][60:].startswith("RINEX VERSION"):
-        raise ConfigError(f"{path}: is not a RINEX file; its first line must end in RINEX VERSION")
-    return lines
-
-
-def _decompressed(data: bytes, path: Path) -> bytes:
-    import hatanaka
-
-    try:
-        unpacked: bytes = hatanaka.decompress(data)
-    except (EOFError, OSError, ValueError, zlib.error, hatanaka.HatanakaException) as error:
-        reason = str(error).strip().splitlines()
-        raise ConfigError(
-            f"{path}: cannot be decompressed ({reason[-1] if reason else type(error).__name__});"
-            " a whole gzip, zip, bzip2, compress or Hatanaka file can"
-        ) from error
-    return unpacked
-
-
-def header_of(path: Path, lines: list[str], kinds: str, called: str) -> tuple[float, int]:
-    """The version of a RINEX file and where its header ends.
-
-    Raises
-    ------
-    ConfigError
-        If the file is of none of the `kinds`, or its header is no header.
-    """
-    version, kind = lines[0][:9].strip(), lines[0][20:21]
-    if kind not in kinds or not kind.strip():
-        raise ConfigError(f"{path}: has type {kind!r}; {called} has {kinds[0]}")
-    if not re.fullmatch(r"[234](\.\d+)?", version):
-        raise ConfigError(f"{path}: has version {version!r}; 2.00 to 4.02 can be read")
-    end = next((i for i, line in enumerate(lines) if line[60:].startswith("END OF HEADER")), None)
-    if end is None:
-        raise ConfigError(f"{path}: has no END OF HEADER; the header is cut short")
-    return float(version), end
+    return _Columns(starts[0], starts[1], starts[2], signal, carrier_hz)
 
 
 def gps_time(year: int, month: int, day: int, seconds_of_day: float) -> tuple[int, float]:
@@ -128,7 +72,11 @@ def read_observations(path: Path) -> list[Epoch]:
     ConfigError
         If the file is no RINEX observation file.
     """
-    lines = read_text(path)
+    return epochs_of(path, read_rinex_text(path))
+
+
+def epochs_of(path: Path, lines: list[str]) -> list[Epoch]:
+    """The same of the lines of a file, which `path` names in errors."""
     version, start = header_of(path, lines, "O", "an observation file")
     channels = _channels(lines[:start])
     if version < 3.0:
@@ -142,6 +90,7 @@ def _signals(system: str, types: list[str]) -> list[_Columns]:
         _placed(
             3,
             [types.index(k + signal) if k + signal in types else -1 for k in "CDS"],
+            signal,
             _carrier_hz(system, signal),
         )
         for signal in PREFERRED[system]
@@ -183,7 +132,7 @@ def _types_2(header: list[str]) -> tuple[int, _Columns]:
             names.extend(line[6:60].split())
     code = names.index("C1") if "C1" in names else names.index("P1") if "P1" in names else -1
     places = [names.index(k) if k in names else -1 for k in ("D1", "S1")]
-    return len(names), _placed(0, [code, *places])
+    return len(names), _placed(0, [code, *places], "1C" if "C1" in names else "1P")
 
 
 def _number(text: str) -> float:
@@ -212,8 +161,8 @@ def _epoch(week: int, tow_s: float, rows: list[_Row], channels: dict[str, int]) 
     # A positive Doppler shift is a satellite that comes nearer.
     rates = table[:, 1] * (-SPEED_OF_LIGHT_MPS / L1_HZ)
     if any(row[2] != L1_HZ for row in rows):
-        carriers = np.array([hz + CHANNEL_HZ * channels.get(name, 0) for name, _, hz in rows])
-        unknown = [name[0] == "R" and name not in channels for name, _, _ in rows]
+        carriers = np.array([hz + CHANNEL_HZ * channels.get(name, 0) for name, _, hz, _ in rows])
+        unknown = [name[0] == "R" and name not in channels for name, *_ in rows]
         rates = np.where(unknown, np.nan, table[:, 1] * (-SPEED_OF_LIGHT_MPS / carriers))
     return Epoch(
         t_us=round((week * 604_800 + tow_s) * 1e6),
@@ -224,6 +173,7 @@ def _epoch(week: int, tow_s: float, rows: list[_Row], channels: dict[str, int]) 
         doppler_mps=rates,
         cn0_dbhz=table[:, 2].copy(),
         carrier_hz=carriers,
+        signals=tuple(row[3] for row in rows),
     )
 
 
@@ -262,7 +212,7 @@ def _row(line: str, signals: list[_Columns], carriers: dict[str, float]) -> _Row
         if values is not None and carriers.setdefault(name, columns.carrier_hz) == (
             columns.carrier_hz
         ):
-            return name, values, columns.carrier_hz
+            return name, values, columns.carrier_hz, columns.signal
     return None
 
 
@@ -301,7 +251,8 @@ def _epochs_2(
             name = "G" + name[1:] if name[:1] == "0" else name
             values = _values("".join(line.ljust(80)[:80] for line in block), columns)
             if values is not None and name[:1] in "GER":
-                rows.append((name, values, CENTRE_HZ if name[0] == "R" else L1_HZ))
+                carrier_hz = CENTRE_HZ if name[0] == "R" else L1_HZ
+                rows.append((name, values, carrier_hz, columns.signal))
         epoch = _epoch(week, tow_s, rows, channels)
         if epoch is not None and at <= len(lines):
             yield epoch

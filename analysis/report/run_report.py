@@ -1,7 +1,6 @@
 """A run's report: `write` for the commands that have everything in memory."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,12 @@ from analysis.report.page.panels import DETECTION, FUSION
 from analysis.report.page.report_tables import criteria_reasons, facts, matrix_table, run_tables
 from analysis.report.recordings.from_results import recording_of_results
 from analysis.report.recordings.from_tlog import recording_of
-from analysis.report.recordings.recording import Recording, Signal, joined
+from analysis.report.recordings.recording import Recording, joined
 from analysis.results import Result
 from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.tlog import Columns
+
+NOTHING_BESIDE = Recording("")
 
 
 def write(
@@ -28,7 +29,8 @@ def write(
     results: Iterable[Result],
     columns: Columns,
     title: str = "Run",
-    curves: Sequence[Signal] = (),
+    beside: Recording = NOTHING_BESIDE,
+    pictures: Sequence[tuple[str, bytes]] = (),
 ) -> Path:
     """Write `report.html` into the folder `out`.
 
@@ -42,8 +44,10 @@ def write(
         What was really done, and the results of the analysis.
     columns : dict of structured arrays
         The log as received (`mavproxy_fault.wire.tlog.read_columns`); empty where there is none.
-    curves : sequence of Signal
-        Curves to show besides.
+    beside : Recording
+        Curves and tracks to show besides: what is called `truth` is what errors are against.
+    pictures : sequence of (title, SVG)
+        What stands beside the plots of the satellites.
 
     Returns
     -------
@@ -56,19 +60,15 @@ def write(
     if t0_us is None:
         t0_us = flight.t0_us
     analysed = recording_of_results(labels, results, t0_us)
-    together = with_derived(joined(flight, analysed))
-    together = replace(together, signals=together.signals + list(curves))
+    together = with_derived(joined(joined(flight, analysed), beside))
     tables = run_tables(summary)
-    matrix = matrix_table(labels, results)
+    matrix, fused = matrix_table(labels, results), fused_table(together)
     if matrix is not None:
         tables.append((DETECTION, matrix))
-    fused = fused_table(together)
     if fused is not None:
         tables.append((FUSION, fused))
-    reasons = criteria_reasons(summary)
-    page = Page(
-        title, str(summary.get("verdict", "")), facts(summary), tables, SENSOR_LIMIT, reasons
-    )
+    reasons, verdict = criteria_reasons(summary), str(summary.get("verdict", ""))
+    page = Page(title, verdict, facts(summary), tables, SENSOR_LIMIT, reasons, pictures)
     path = out / "report.html"
     path.write_text(
         html(page, together, field_data(together.messages, str(INSIDE_MB), out)), encoding="utf-8"

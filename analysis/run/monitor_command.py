@@ -6,14 +6,17 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
+from analysis.detection.sky import with_sky
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.monitor.publish import Publisher
 from analysis.monitor.watch import Watch
 from analysis.recordings.autopilot_logs import is_autopilot_log
+from analysis.recordings.position_reference import PositionReference, read_reference
 from analysis.recordings.recordings import read_log, read_rinex
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result
@@ -21,11 +24,15 @@ from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary
 from analysis.samples.block import Block
 from analysis.samples.intake import Intake
-from analysis.scoring.criteria import Criteria
+from analysis.scoring.criteria import Criteria, receiver_criteria
+from analysis.scoring.integrity import Integrity
+from mavproxy_fault.app.recorder import encoded
+from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import open_run_bus
 from mavproxy_fault.links.spec import open_link
-from mavproxy_fault.wire.label import Label, read_labels
+from mavproxy_fault.schedule.entries import read_schedule
+from mavproxy_fault.wire.label import Label, newest, read_labels
 
 # NO VERDICT is no failure: nothing was asked, or nothing could be judged.
 EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
@@ -38,11 +45,17 @@ def main(args: argparse.Namespace) -> int:
     config, criteria = settings(args.scenario, args.sigma)
     if args.calibrate is not None:
         return calibrate_to(Path(args.calibrate), args, config)
+    reference = None if args.truth is None else read_reference(args.truth)
+    if args.rinex is not None:
+        config = msgspec.structs.replace(config, streams=False)  # a file has no link
+        criteria = criteria if args.scenario else receiver_criteria(reference is not None)
+    elif args.schedule is not None:
+        raise ConfigError("--schedule: is for --rinex; `replay` puts faults into a log")
     # On a link the proxy writes the labels meanwhile: they are read at the end.
     if args.link is None:
         read_known(args.labels)  # a wrong name is told before the work, not after
     folder = make_folder(args.out, "monitor") if args.out else None
-    monitor = Monitor(config)
+    monitor, integrity = Monitor(config, reference), Integrity(reference)
     started_s = time.monotonic()
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(open_run_bus(args.zenoh, "live", "monitor"))
@@ -51,6 +64,7 @@ def main(args: argparse.Namespace) -> int:
         watch = stack.enter_context(Watch()) if args.watch else None
 
         def deliver(results: list[Result]) -> None:
+            integrity.add(results)
             if file is not None:
                 file.write(results)
             if publisher is not None:
@@ -58,15 +72,19 @@ def main(args: argparse.Namespace) -> int:
             if watch is not None:
                 watch.show(results)
 
-        _feed(args, monitor, deliver, stack.enter_context(stop_requests()))
+        injected = _feed(args, monitor, deliver, stack.enter_context(stop_requests()))
     # Read at the end again: by now the proxy has written its labels.
-    labels = read_known(args.labels)
+    labels = read_known(args.labels) if injected is None else newest(injected)
     if labels is None:  # nothing tells what was done, so no fault can have been missed
         criteria = msgspec.structs.replace(criteria, must_detect=(), must_isolate=())
     summary = monitor.summary(labels, criteria, time.monotonic() - started_s)
+    if reference is not None:
+        summary["integrity"] = integrity.summary()
     if folder is not None:
         write_summary(folder, summary)
-        _report(args, folder, labels or [], summary)
+        if injected is not None:
+            (folder / "labels.jsonl").write_bytes(encoded(injected))
+        _report(args, folder, labels or [], summary, reference, integrity)
     print_summary(summary, folder)
     return EXIT_CODES[summary["verdict"]]
 
@@ -115,14 +133,22 @@ def read_known(path: str | None) -> list[Label] | None:
     return None if path is None else read_labels(Path(path))
 
 
-def _feed(args: argparse.Namespace, monitor: Monitor, deliver: Deliver, stop: Stop) -> None:
+def _feed(
+    args: argparse.Namespace, monitor: Monitor, deliver: Deliver, stop: Stop
+) -> list[Label] | None:
+    """Watch the source to its end; the labels of the faults that were put into it, if any were."""
     if args.link is not None:
         watch_link(args.link, monitor, deliver, args.for_s, stop)
-        return
-    for block in blocks_of(args):
+        return None
+    if args.rinex is not None:
+        block, labels = rinex_block(args)
+        deliver(with_sky(block, monitor.push(block), monitor.detector))
+        return labels
+    for block in read_log(args.log):
         deliver(monitor.push(block))
         if stop():
-            return
+            break
+    return None
 
 
 def blocks_of(args: argparse.Namespace) -> Iterator[Block]:
@@ -130,10 +156,18 @@ def blocks_of(args: argparse.Namespace) -> Iterator[Block]:
     if args.log is not None:
         yield from read_log(args.log)
     else:
-        obs, *nav = (Path(path) for path in args.rinex)
-        if not nav:
-            raise ConfigError(f"--rinex {obs}: has no navigation file beside it; give OBS NAV")
-        yield read_rinex(obs, nav, Path(args.imu) if args.imu else None)
+        yield rinex_block(args)[0]
+
+
+def rinex_block(args: argparse.Namespace) -> tuple[Block, list[Label] | None]:
+    """A RINEX recording with the faults of `--schedule` in it, and their labels."""
+    obs, *nav = (Path(path) for path in args.rinex)
+    if not nav:
+        raise ConfigError(f"--rinex {obs}: has no navigation file beside it; give OBS NAV")
+    lines = labels = None
+    if args.schedule is not None:
+        lines, labels = faulted_lines(obs, read_schedule(args.schedule))
+    return read_rinex(obs, nav, Path(args.imu) if args.imu else None, lines), labels
 
 
 def watch_link(
@@ -151,18 +185,31 @@ def watch_link(
 
 
 def _report(
-    args: argparse.Namespace, folder: Path, labels: Sequence[Label], summary: dict[str, object]
+    args: argparse.Namespace,
+    folder: Path,
+    labels: Sequence[Label],
+    summary: dict[str, object],
+    reference: PositionReference | None,
+    integrity: Integrity,
 ) -> None:
     from analysis.report.run_report import write
     from analysis.results import read_results
     from mavproxy_fault.wire.tlog import read_columns
 
+    results = list(read_results(folder / "results.jsonl"))
+    beside: dict[str, Any] = {}
+    if args.rinex:
+        from analysis.report.receiver_files import receiver_files
+
+        beside = receiver_files(folder, results, labels, reference, integrity)
+    title = Path(args.log or args.rinex[0]).name if args.log or args.rinex else folder.name
     write(
         folder,
         summary=summary,
         labels=labels,
-        results=read_results(folder / "results.jsonl"),
+        results=results,
         # Autopilots' logs have no MAVLink columns.
         columns=read_columns(args.log) if args.log and not is_autopilot_log(Path(args.log)) else {},
-        title=Path(args.log).name if args.log else folder.name,
+        title=title,
+        **beside,
     )

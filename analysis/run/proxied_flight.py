@@ -18,6 +18,7 @@ from mavproxy_fault.wire.frame import STX_V2, Frame
 from mavproxy_fault.wire.label import Label, newest
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.app.sim_server import airframe, check_sensors, services, throttle
+from simvehicle.hil.actuator_commands import HIL_ACTUATOR_CONTROLS, ActuatorCommands
 from simvehicle.hil.hil_frames import Hil
 from simvehicle.hil.plant_changes import PlantChanges
 from simvehicle.scenario.scenario_file import Scenario
@@ -62,6 +63,7 @@ class Flight:
         self._hil = Hil(mav_type=airframe(self.simulation)[0])
         self._services, self._pilot = services(self.simulation)
         self._plant = PlantChanges(self.simulation, LOG.warning)
+        self._commands = self._actuator_commands(schedule)
         self._parser = Parser()
         self._start_us = round(scenario.start.time.timestamp() * 1e6)
 
@@ -89,8 +91,10 @@ class Flight:
         """Fly to the next sample of the IMU, with what a ground station sent meanwhile."""
         # Until somebody commands, the scenario's own controller flies.
         controls = self._pilot.controls() if self._pilot.flight.flown else None
+        sends = self._sent_commands() if controls is None else []
+        if controls is None and self._commands is not None:
+            controls = self._commands.driven
         t_us, truth, readings = self.simulation.step(controls)
-        sends: list[Send] = []
         # Sensors before telemetry, commands last: always the same order, for the same bytes.
         for raw in self._hil.frames(t_us, truth, readings):
             sends += self.core.received(SIMULATOR, raw, self.now_us)
@@ -99,6 +103,27 @@ class Flight:
         for data in commands:
             sends += self.core.received(GROUND, data, self.now_us)
         return self._sort(sends)
+
+    def _actuator_commands(self, schedule: Schedule) -> ActuatorCommands | None:
+        """The controller's commands go over the wire where a fault waits for them there."""
+        messages = {
+            target.partition(".")[0] for entry in schedule.faults for target in entry.targets
+        }
+        if HIL_ACTUATOR_CONTROLS.name not in messages:
+            return None
+        kind, vehicle = self.simulation.kind, self.simulation.vehicle
+        return ActuatorCommands(kind.actuators(vehicle), kind.mix(vehicle))
+
+    def _sent_commands(self) -> list[Send]:
+        """What the commands for the next step become; the vehicle's share of it is carried out."""
+        if self._commands is None:
+            return []
+        raw = self._commands.frame(self.vehicle_us, self.simulation.commanded())
+        sends = self.core.received(VEHICLE, raw, self.now_us)
+        for link, data, _ in sends:
+            if link == SIMULATOR:
+                self._obey(link, data)
+        return [send for send in sends if send.link != SIMULATOR]
 
     def finish(self) -> Sent:
         """End the faults that still act."""
@@ -147,6 +172,8 @@ class Flight:
             # Only plant faults speak to the simulator.
             if link == SIMULATOR:
                 self._plant.carry_out(item)
+                if self._commands is not None:
+                    self._commands.receive(item)
                 continue
             for raw in self._services.received(item, self.t_us):
                 sends += self.core.received(VEHICLE, raw, self.now_us)

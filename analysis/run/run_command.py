@@ -10,7 +10,7 @@ from typing import Any
 
 from analysis.monitor.publish import Publisher
 from analysis.report.curves.twin_curves import effects, twin_curves
-from analysis.report.recordings.recording import Signal
+from analysis.report.recordings.recording import Recording, Signal
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result, read_results
 from analysis.run.clean_twin import FOLDER, start_twin
@@ -69,7 +69,7 @@ def main(args: argparse.Namespace) -> int:
         recorder = Recorder(folder, session(setup.scenario.name, setup.schedule.seed, flight))
         fly(flight, monitor, recorder, pace, deliver, link, live, together=args.ui)
         # Read while the monitor's process still works on its backlog.
-        columns = read_columns(folder / "sent.tlog")  # while the monitor catches up
+        columns = read_columns(folder / "sent.tlog")
         deliver(monitor.results())
         # The wall time ends with the last result, not with the report.
         wall_s = time.monotonic() - started_s
@@ -158,5 +158,5 @@ def report(
         results=read_results(folder / "results.jsonl"),
         columns=columns,
         title=folder.name,
-        curves=curves,
+        beside=Recording("", signals=list(curves)),
     )

@@ -32,6 +32,7 @@ from mavproxy_fault.numerics.compile import compiled
 Stamps = NDArray[np.int64]
 Indices = NDArray[np.int64]
 
+# Of the longest row, the truth's: 4 + 3 + 3 + 3 numbers.
 WIDTH = 13
 IMU, MAG, BARO, AIRSPEED, RANGE, VISION, TRUTH, ATTITUDE = range(8)
 FIX, EPOCH, EPHEMERIS, IONOSPHERE = range(8, 12)  # what may lead to a decision: events
@@ -49,6 +50,7 @@ KINDS: dict[type, int] = {
     EphemerisSample: EPHEMERIS,
     IonosphereSample: IONOSPHERE,
 }
+# The index is what stands in a row for the message's name.
 SOURCES = ("HIL_GPS", "GPS_RAW_INT", "ATTITUDE", "ATTITUDE_QUATERNION")
 UNKNOWN_3 = (np.nan, np.nan, np.nan)
 
@@ -86,6 +88,7 @@ class Block(NamedTuple):
 
     def where(self, keep: NDArray[np.bool_]) -> "Block":
         """The rows that `keep` (n,), a mask, lets pass."""
+        # Where each kept row ends up.
         to = np.cumsum(keep) - 1
         beside = {int(to[row]): sample for row, sample in self.beside.items() if keep[row]}
         return Block(self.kind[keep], self.t_us[keep], self.values[keep], beside)
@@ -93,6 +96,7 @@ class Block(NamedTuple):
 
 def block_of(samples: Sample | Iterable[Sample]) -> Block:
     """Samples as a block."""
+    # A lone sample is the common case on a live link.
     listed: Sequence[Sample] = (samples,) if isinstance(samples, Sample) else tuple(samples)
     count = len(listed)
     kind, t_us = np.empty(count, np.int64), np.empty(count, np.int64)
@@ -125,12 +129,14 @@ def joined(parts: Sequence[Part], beside: Sequence[tuple[int, Sample]]) -> Block
     order = np.concatenate([*(p.order for p in parts), np.array([at for at, _ in beside], int)])
     count = len(order)
     row = np.empty(count, np.int64)
+    # Stable: rows of one frame keep the order in which its message was read.
     row[np.argsort(order, kind="stable")] = np.arange(count)
     kind, t_us = np.empty(count, np.int64), np.empty(count, np.int64)
     values = np.zeros((count, WIDTH))
     begin = 0
     for part in parts:
         to = row[begin : begin + len(part.order)]
+        # Behind the last number of a kind stays the zero.
         kind[to], t_us[to] = part.kind, part.t_us
         values[to, : part.values.shape[1]] = part.values
         begin += len(to)
@@ -164,6 +170,7 @@ ROWS: dict[int, Callable[[Any], Sequence[float]]] = {
 
 def _known(v: Vector) -> Vector | None:
     """A velocity; None where nothing of it is known."""
+    # All three: a fix of GPS_RAW_INT knows two components only.
     return None if np.isnan(v).all() else v
 
 
@@ -253,14 +260,17 @@ def pieces(samples: Sample | Block, counts: Callable[[int], bool] = every_fix) -
     last_row = len(block.kind) - 1
     imu, ends, mags, cuts = _cut(block.kind)
     run = ImuRun(block.t_us[imu], block.values[imu, :6])
+    # A block nearly always comes from one IMU: then no rows need to be picked.
     ids = block.values[imu, 6]
     same = int(ids[0]) if len(ids) and (ids == ids[0]).all() else None
     columns = ends, mags, cuts, block.kind[ends], block.t_us[ends]
     first = a = 0
     for last, mag_row, b, kind, t_us in zip(*(c.tolist() for c in columns), strict=True):
+        # The last row ends the block, event or not: what follows comes with the next one.
         if kind == FIX and last < last_row and not counts(t_us):
             continue
         samples_of_imu = ImuRun(run.t_us[a:b], run.values[a:b])
+        # A field sample before the piece belongs to an earlier one.
         newest = mag_row if mag_row >= first else -1
         yield Piece(block, first, last, samples_of_imu, ids[a:b], same, newest, kind, t_us)
         first, a = last + 1, b

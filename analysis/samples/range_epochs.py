@@ -32,7 +32,7 @@ class Rows(NamedTuple):
         return Rows(self.code[at], self.pseudorange_m[at], self.doppler_mps[at], self.cn0_dbhz[at])
 
     def after(self, rows: "Rows") -> "Rows":
-        """The same behind others."""
+        """The same (n,) behind others (m,)."""
         return Rows(
             np.concatenate([rows.code, self.code]),
             np.concatenate([rows.pseudorange_m, self.pseudorange_m]),

@@ -78,6 +78,7 @@ class Epoch:
     `week` and `tow_s` are GPS time by the receiver's clock; `doppler_mps` is the range rate
     (NaN where there is none); satellites are named `G12`, `E05`, `R07`, `C21`. `carrier_hz` is
     what each range was measured on, always the same for a satellite; None: all on L1 or E1.
+    `signals` are RINEX's names of the codes (`1C`); empty where nothing tells.
     """
 
     t_us: int
@@ -88,6 +89,7 @@ class Epoch:
     doppler_mps: Vector
     cn0_dbhz: Vector
     carrier_hz: Vector | None = None
+    signals: tuple[str, ...] = ()
 
     def select(self, keep: Sequence[int]) -> "Epoch":
         """The epoch of some of its satellites, by their places."""
@@ -99,6 +101,7 @@ class Epoch:
             doppler_mps=self.doppler_mps[at],
             cn0_dbhz=self.cn0_dbhz[at],
             carrier_hz=None if self.carrier_hz is None else self.carrier_hz[at],
+            signals=tuple(self.signals[i] for i in at) if self.signals else (),
         )
 
 

@@ -55,6 +55,8 @@ def alarms_of(result: Result) -> list[Alarm]:
         found.append(Alarm(result.t_us, "imu", "imu", True))
     elif result.hypothesis == "clock":
         found.append(Alarm(result.t_us, channel, "clock", True))
+    elif result.hypothesis == "gps" and "GPS" not in result.excluded:  # its ranges, all together
+        found.append(Alarm(result.t_us, channel, "GPS", True))
     elif EITHER in result.hypothesis:
         found.append(Alarm(result.t_us, channel, result.hypothesis, False))
     # With somebody excluded the alarm is explained; otherwise it is held against nobody.
@@ -66,6 +68,7 @@ def alarms_of(result: Result) -> list[Alarm]:
 def channel_of(result: Result) -> str | None:
     """The channel that a result comes from, None where it tested nothing."""
     if isinstance(result, SensorDecision):
+        # An alarm without a statistic is one of silence: that was watched too.
         return result.sensor if result.statistic is not None or result.alarm else None
     if not isinstance(result, Decision) or result.hypothesis == "untestable":
         return None
@@ -76,9 +79,11 @@ def windows_of(alarms: Iterable[Alarm]) -> list[Window]:
     """Alarms joined to windows, in order of start."""
     found: list[Window] = []
     newest: dict[tuple[str, str], int] = {}
+    # By time: channels may hand in their alarms one after the other.
     for alarm in sorted(alarms, key=lambda alarm: alarm.t_us):
         key = alarm.channel, alarm.name
         at = newest.get(key)
+        # Alarms of one name run on over a missing epoch.
         if at is not None and alarm.t_us - found[at].end_us <= PAUSE_US:
             window = found[at]
             found[at] = Window(

@@ -27,8 +27,8 @@ class Scored(NamedTuple):
 
 @compiled
 def around(truth_us: Stamps, oldest: int, newest: int, t_us: int) -> tuple[int, int]:
-    """The truth just before and just after an instant that lies before the newest; (-1, -1) if it
-    is not known close enough."""
+    """The truth just before and just after an instant that lies before the newest of the stamps
+    `truth_us` (k,); (-1, -1) if it is not known close enough."""
     # Nearly always the estimate is newer than the last truth but one.
     first, second = newest - 1, newest
     if t_us < truth_us[first]:
@@ -43,6 +43,7 @@ def around(truth_us: Stamps, oldest: int, newest: int, t_us: int) -> tuple[int, 
             return -1, -1
         # On the oldest truth itself there is none before: the pair from there on.
         first, second = max(low - 1, oldest), max(low, oldest + 1)
+    # Truth of two flights, or over a pause, is not interpolated.
     span_us = truth_us[second] - truth_us[first]
     return (first, second) if 0 < span_us <= MAX_TRUTH_GAP_US else (-1, -1)
 

@@ -79,6 +79,7 @@ def scored(cells: Cells) -> dict[str, Any]:
     count = sums[:, 0].sum()
     rmse = np.degrees(np.sqrt(sums[:, 1:5].sum(axis=0) / count))
     largest = np.degrees(sums[:, 5:].max(axis=0))
+    # Of the first error of each cell: all errors of an hour would fill memory.
     angles = np.degrees(cells.first[:, 3])
     rmse_deg = dict(zip(AXES, rmse.tolist(), strict=True))
     return {

@@ -37,6 +37,7 @@ from analysis.scoring.attitude_scores import Cells, Window, parted, phases_of
 from mavproxy_fault.numerics.magnetic_field import date_of, magnetic_field_gauss
 
 WAITING_MAX = 20_000  # estimates; after a long pause of the truth the oldest cannot be scored
+# The messages by which an autopilot tells its attitude, as columns count them.
 AUTOPILOTS = ("ATTITUDE", "ATTITUDE_QUATERNION")
 FIRST_AUTOPILOT = SOURCES.index(AUTOPILOTS[0])
 
@@ -64,7 +65,7 @@ class Estimates(NamedTuple):
     q_nb: Vector
 
     def at(self, rows: Indices) -> "Estimates":
-        """Some of them."""
+        """Those of some rows (m,)."""
         return Estimates(
             self.row[rows], self.source[rows], self.t_us[rows], self.q_nb.take(rows, axis=0)
         )
@@ -259,6 +260,7 @@ def _measured(block: Block) -> NDArray[np.bool_]:
     fine = np.ones(len(block.kind), bool)
     for kind, width, most in ((IMU, 6, MOST_OF_IMU), (MAG, 3, np.inf), (AIRSPEED, 1, np.inf)):
         rows = block.rows(kind)
+        # Written so that NaN is no measurement either.
         fine[rows] = (np.abs(block.values[rows, :width]) < most).all(axis=1)
     return fine
 

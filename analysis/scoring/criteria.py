@@ -15,7 +15,8 @@ from analysis.scoring.outcome import ISOLATED, LATE, MISSED, NOT_JUDGED
 class Criteria(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Limits; what is not given is not judged. Faults are named by their ids in the schedule.
 
-    `may_miss` loosens by id, fault or preset; `may_blame` by channel or by who was blamed.
+    `may_miss` loosens by id, fault or preset; `may_blame` by channel or by who was blamed. Shares
+    are of all GNSS epochs, between 0 and 1; errors are those of the detector's own position.
     """
 
     must_detect: tuple[str, ...] = ()
@@ -27,6 +28,23 @@ class Criteria(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     max_untestable_epochs: int | None = None
     max_attitude_rmse_deg: float | None = None
     max_position_rmse_m: float | None = None
+    min_tested_share: float | None = None
+    max_unexplained_share: float | None = None
+    max_horizontal_95_m: float | None = None
+    max_vertical_95_m: float | None = None
+
+
+def receiver_criteria(with_truth: bool) -> Criteria:
+    """What is asked of a recording of a receiver alone, where no scenario says otherwise.
+
+    Nine in ten epochs are tested, and one in a hundred at the most is wrong without an explanation.
+    Where the truth is given: the accuracy that GPS itself promises on the global average (SPS
+    Performance Standard, 5th edition, 2020, section 3.8: 8 m and 13 m at 95 %).
+    """
+    asked = Criteria(min_tested_share=0.9, max_unexplained_share=0.01)
+    if not with_truth:
+        return asked
+    return msgspec.structs.replace(asked, max_horizontal_95_m=8.0, max_vertical_95_m=13.0)
 
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
@@ -41,6 +59,7 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
 def judge(criteria: Criteria, summary: Mapping[str, Any]) -> list[Check]:
     """Hold a summary against the criteria, one check per limit that was given."""
     rows = summary["faults"]
+    # Without labels nothing that was found can be called false.
     checks = [] if summary["false_by_channel"] is None else _always(criteria, summary)
     checks += [
         Check(
@@ -62,7 +81,8 @@ def judge(criteria: Criteria, summary: Mapping[str, Any]) -> list[Check]:
     ]
     delays = [row["delay_s"] for row in rows if row["delay_s"] is not None]
     attitude = summary["attitude_rmse_deg"]
-    limits = (
+    errors = summary.get("position_error", {}).get("filter", {})
+    limits: tuple[tuple[str, float | None, float | None], ...] = (
         ("largest detection delay, s", criteria.max_delay_s, max(delays, default=None)),
         ("false alarms", criteria.max_false_alarms, summary["false_alarms"]),
         ("untestable epochs", criteria.max_untestable_epochs, summary["untestable_epochs"]),
@@ -73,11 +93,41 @@ def judge(criteria: Criteria, summary: Mapping[str, Any]) -> list[Check]:
         ),
         ("position RMSE, m", criteria.max_position_rmse_m, summary["position_rmse_m"]),
     )
-    return checks + [
+    limits += (
+        (
+            "horizontal error at 95 %, m",
+            criteria.max_horizontal_95_m,
+            errors.get("horizontal_95_m"),
+        ),
+        ("vertical error at 95 %, m", criteria.max_vertical_95_m, errors.get("vertical_95_m")),
+        (
+            "share of epochs that nothing explains",
+            criteria.max_unexplained_share,
+            _share(summary, "unexplained_epochs"),
+        ),
+    )
+    checks += [
+        # No value, no verdict: a flight that was not measured does not pass.
         Check(name=name, limit=limit, value=value, passed=None if value is None else value <= limit)
         for name, limit, value in limits
         if limit is not None
     ]
+    return [*checks, *_tested(criteria, summary)]
+
+
+def _tested(criteria: Criteria, summary: Mapping[str, Any]) -> list[Check]:
+    """Whether enough epochs could be tested; more is better here."""
+    limit, untested = criteria.min_tested_share, _share(summary, "untestable_epochs")
+    if limit is None:
+        return []
+    tested = None if untested is None else round(1.0 - untested, 4)
+    passed = None if tested is None else tested >= limit
+    return [Check(name="share of epochs tested", limit=limit, value=tested, passed=passed)]
+
+
+def _share(summary: Mapping[str, Any], key: str) -> float | None:
+    epochs = summary.get("epochs")  # a report's log may have none
+    return round(summary[key] / epochs, 4) if epochs else None
 
 
 def _always(criteria: Criteria, summary: Mapping[str, Any]) -> list[Check]:
@@ -86,6 +136,7 @@ def _always(criteria: Criteria, summary: Mapping[str, Any]) -> list[Check]:
         name
         for row in summary["false_by_channel"]
         for name in row["blamed"]
+        # By who was blamed or by the channel that blamed.
         if not {name, row["channel"]} & set(criteria.may_blame)
     ]
     found = _none_or(dict.fromkeys(blamed))
@@ -101,8 +152,10 @@ def faults_missed(criteria: Criteria, rows: Sequence[Mapping[str, Any]]) -> list
         row["id"]
         for row in rows
         if row["verdict"] in (MISSED, LATE)
+        # By id, kind or preset: whichever a scenario names.
         and not {row["id"], row["fault"], row["preset"]} & set(criteria.may_miss)
     ]
+    # Faults that nothing could see bear no verdict.
     judged = any(row["verdict"] != NOT_JUDGED for row in rows)
     found = _none_or(dict.fromkeys(missed)) if judged else None
     passed = not missed if judged else None
@@ -117,6 +170,7 @@ def verdict(checks: Sequence[Check]) -> str:
     """FAIL if any check failed, PASS if all passed, NO VERDICT if there is nothing to go by."""
     if any(check.passed is False for check in checks):
         return "FAIL"
+    # An empty list of checks is no pass.
     all_passed = checks and all(check.passed for check in checks)
     return "PASS" if all_passed else "NO VERDICT"
 
@@ -124,6 +178,7 @@ def verdict(checks: Sequence[Check]) -> str:
 def _all(rows: Sequence[Mapping[str, Any]], id: str, key: str, value: object) -> bool:
     """Whether every stretch in which a fault acted has this value; one that never acted has not."""
     own = [row[key] == value for row in rows if row["id"] == id]
+    # A fault that never acted was not detected.
     return bool(own) and all(own)
 
 

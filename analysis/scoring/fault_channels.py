@@ -35,6 +35,7 @@ class Sight(NamedTuple):
 
     def suspected(self, name: str) -> bool:
         """Whether a name is blamed rightly."""
+        # A fault of the whole sky is rightly blamed on any of them.
         if EVERY_SATELLITE in self.suspects and SATELLITE.fullmatch(name):
             return True
         return name in self.suspects
@@ -93,6 +94,7 @@ def sight(label: Label) -> Sight:
     if not label.targets:
         return _of_link(label.fault)
     found = [_of_target(target, label.parameters) for target in label.targets]
+    # A target that nothing watches does not hide the ones that are watched.
     seen = [one for one in found if one.channels]
     if not seen:
         return found[0]
@@ -138,6 +140,7 @@ def _of_target(target: str, parameters: Mapping[str, object]) -> Sight:
 
 def _of_satellite(name: str) -> Sight:
     """One satellite; a receiver that uses it drags its own position along."""
+    # `all`, or what is no satellite: the receiver as a whole.
     if not SATELLITE.fullmatch(name):
         return RECEIVER_SIGHT
     own = frozenset({name})
@@ -151,6 +154,7 @@ def _devices(message: str, name: str, parameters: Mapping[str, object]) -> tuple
         groups = parameters.get("groups")
         named = [GROUPS[g] for g in groups if g in GROUPS] if isinstance(groups, list) else []
         return tuple(dict.fromkeys(named)) or every
+    # Time stamps belong to every sensor of the message.
     if not name or name.startswith("time") or len(every) == 1:
         return every
     for device, fields in ((IMU, IMU_FIELDS), (MAG, MAG_FIELDS)):

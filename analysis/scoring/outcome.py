@@ -16,6 +16,7 @@ from analysis.scoring.fault_channels import RECEIVER, Sight, sight
 from mavproxy_fault.wire.label import Label
 
 RECOVERY_S = 10.0  # alarms so long after a fault's end are its echo
+# Later than any stamp, with room to add.
 ENDLESS_US = 1 << 62
 
 ISOLATED, WRONG, AMBIGUOUS, DETECTED = "isolated", "wrong", "ambiguous", "detected"
@@ -64,6 +65,7 @@ class _Watch(NamedTuple):
 
     def explains(self, window: Window) -> bool:
         """Whether what a window holds against somebody can be this fault's doing."""
+        # Nobody named: the channel alone tells.
         if not window.name:
             return window.channel in self.sight.channels | self.witnesses
         return any(map(self.sight.suspected, window.name.split(EITHER)))
@@ -96,6 +98,7 @@ def outcomes(
 
 
 def _watch(label: Label, epoch_us: int, witnesses: frozenset[str] = frozenset()) -> _Watch:
+    # A fault still acting at the end of the log.
     end_us = ENDLESS_US if label.end_us is None else label.end_us
     echo_us = end_us + round(RECOVERY_S * 1e6)
     seen = sight(label)
@@ -130,6 +133,7 @@ def _outcome(
         frames=label.frames,
         channels=tuple(sorted(watch.sight.channels)),
         detected=bool(own),
+        # From the fault's start to the first of its windows.
         delay_s=_seconds(label, own[0].start_us - label.start_us + label.t0_us) if own else None,
         isolated=right,
         wrongly=tuple(_blame(label, w) for w in wrongly),
@@ -154,6 +158,7 @@ def _verdict(
     unblamed = [c for c in sight.culprits if not any(Sight(c, (), c).suspected(n) for n in right)]
     if right and sight.culprits and not unblamed:
         return ISOLATED, ""
+    # The detector told that it cannot tell between two: less than isolated, more than an alarm.
     either = sorted({w.name for w in own if EITHER in w.name})
     if either:
         return AMBIGUOUS, ", ".join(either)
@@ -170,9 +175,11 @@ def _afterwards(
     for window in windows:
         if not watch.explains(window):
             continue
+        # What began before and lasted into the fault cannot be told from it.
         if window.start_us < label.start_us <= window.end_us:
             return NOT_JUDGED, f"{window.name or window.channel} was under alarm from before"
         late = watch.until_us < window.start_us <= watch.echo_us
+        # The echo of another fault is no late finding.
         if late and not any(other.explains(window) and _covers(other, window) for other in others):
             after_s = (window.start_us - (label.end_us or 0)) * 1e-6
             return LATE, f"found {after_s:.1f} s after its end"
@@ -246,5 +253,6 @@ def _false_row(
         inside=inside,
         blamed=tuple(sorted({window.name for window, _, _ in found if window.blamed})),
         seconds=round(sum(seconds for window, _, seconds in found if window.blamed), 3),
+        # Windows, not epochs: a long false alarm is one.
         per_hour=round(3600.0 * len(found) / span_s, 2) if span_s > 0 else 0.0,
     )

@@ -1,14 +1,14 @@
-"""The summary of a run, gathered result by result, so that an hour of flight needs no more memory
-than its alarms.
+"""The summary of a run, gathered result by result: an hour of flight needs the memory of its alarms
+and of a few numbers an epoch.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
 import numpy as np
 
+from analysis.recordings.position_reference import PositionReference
 from analysis.results import AttitudeError, Decision, FusedState, Result
 from analysis.samples.block import EPHEMERIS, TRUTH, Block
 from analysis.samples.sample import Vector
@@ -16,28 +16,32 @@ from analysis.scoring.alarm_windows import Alarm, alarms_of, channel_of, windows
 from analysis.scoring.attitude_scores import REPEATED
 from analysis.scoring.criteria import Criteria, judge, verdict
 from analysis.scoring.outcome import false_alarms, outcomes
+from analysis.scoring.position_scores import PositionScores
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.wire.label import Label
 
 PLACED = (Decision, FusedState)  # results that tell a position
+FILTER = "filter"  # the detector's own position among the solutions
 EPOCH_US = 1_000_000  # between epochs, where too few came to tell
 
 
 class Tally:
-    """Counts epochs, collects alarms and adds up the position error."""
+    """Counts epochs, collects alarms and errors of positions; the truth is in the log, or it is the
+    `reference`."""
 
-    def __init__(self) -> None:
+    def __init__(self, reference: PositionReference | None = None) -> None:
         self.epochs = 0
         self.untestable = 0
         self.first_us: int | None = None
         self.last_us = 0
         self.alarms: list[Alarm] = []
+        # The link is always watched: its frames are counted.
         self._watched = {"link"}  # channels that tested something
         self._epochs_us: tuple[int, int] = (0, 0)  # the first and the last
         self._truth: Vector | None = None  # latitude, longitude in degrees, altitude (3,)
-        self._errors = 0
-        self._square_m2 = 0.0
-        self._fused: dict[str, tuple[int, float]] = {}  # how many, sum of squared errors in m^2
+        self._reference = reference
+        self.positions = PositionScores()
+        self.unexplained = 0
 
     @property
     def span_s(self) -> float:
@@ -48,10 +52,12 @@ class Tally:
     def epoch_us(self) -> int:
         """The mean time between epochs, in microseconds."""
         first_us, last_us = self._epochs_us
+        # n epochs have n - 1 gaps.
         return (last_us - first_us) // (self.epochs - 1) if self.epochs > 1 else EPOCH_US
 
     def add(self, block: Block, found: Sequence[tuple[int, Result]]) -> None:
         """Count a block of samples, and its results with the rows that led to them."""
+        # Ephemerides and ionosphere carry no stamp of the vehicle.
         stamps = block.t_us[block.kind < EPHEMERIS]
         if len(stamps):
             if self.first_us is None:
@@ -69,41 +75,42 @@ class Tally:
 
     def _true_positions(self, block: Block, found: Sequence[tuple[int, Result]]) -> list[Any]:
         """Where the vehicle really was at each result, ECEF (3,); None where that is not known."""
+        if self._reference is not None:
+            return [self._reference.at(result.t_us) for _, result in found]
         truths = block.rows(TRUTH)
         if self._truth is None and not len(truths):
             return [None] * len(found)
         # The newest truth at or before the row that led to each result.
         at = np.searchsorted(truths, [row for row, _ in found], side="right") - 1
         places = block.values[truths[at], 7:10] if len(truths) else np.empty((len(at), 3))
+        # Before the block's first truth that of the block before, if there was one.
         places[at < 0] = np.nan if self._truth is None else self._truth
         if len(truths):
             # For the results of the next block, until its first truth.
             self._truth = block.values[truths[-1], 7:10].copy()
         lat, lon = np.radians(places[:, :2]).T
         true_m = ecef_from_geodetic(lat, lon, places[:, 2])
+        # One test for all three: they are known together.
         return [None if np.isnan(x) else [x, y, z] for x, y, z in true_m.tolist()]
 
     def _add(self, result: Result, true_m: Sequence[float] | None) -> None:
         if isinstance(result, FusedState) and true_m is not None:
-            count, total_m2 = self._fused.get(result.name, (0, 0.0))
-            error_m2 = math.dist(true_m, result.position_ecef_m) ** 2
-            self._fused[result.name] = count + 1, total_m2 + error_m2
+            name = result.name.replace(" ", "_")
+            self.positions.add(name, result.position_ecef_m, result.position_sigma_m, true_m)
         if not isinstance(result, Decision):
             return
         first_us = self._epochs_us[0] if self.epochs else result.t_us
         self._epochs_us = first_us, result.t_us
         self.epochs += 1
         self.untestable += result.hypothesis == "untestable"
+        self.unexplained += result.hypothesis == "multiple-unknown"
         if result.position_ecef_m is not None and true_m is not None:
-            self._square_m2 += math.dist(true_m, result.position_ecef_m) ** 2
-            self._errors += 1
+            self.positions.add(FILTER, result.position_ecef_m, result.position_sigma_m, true_m)
 
-    def _fused_summary(self) -> dict[str, float]:
+    def _fused_summary(self) -> dict[str, float | None]:
         """The error of the fused position, where it was fused and the truth is known."""
-        return {
-            f"{name.replace(' ', '_')}_position_rmse_m": round(math.sqrt(total_m2 / count), 3)
-            for name, (count, total_m2) in self._fused.items()
-        }
+        names = [name for name in self.positions.solutions() if name != FILTER]
+        return {f"{name}_position_rmse_m": self.positions.rmse_m(name) for name in names}
 
     def summary(
         self,
@@ -141,10 +148,10 @@ class Tally:
             "alarms": len(windows),
             "untestable_epochs": self.untestable,
             "attitude_rmse_deg": first["rmse_deg"] if first else None,
-            "position_rmse_m": round(math.sqrt(self._square_m2 / self._errors), 3)
-            if self._errors
-            else None,
+            "unexplained_epochs": self.unexplained,
+            "position_rmse_m": self.positions.rmse_m(FILTER),
             **self._fused_summary(),
+            "position_error": self.positions.summary(),
             "faults": msgspec.to_builtins(found_faults),
             "attitude": dict(attitude),
         }

@@ -47,5 +47,5 @@ class Archive:
 
 
 def distance(a: Array, b: Array) -> float:
-    """Root-mean-square difference of two points; 0 for points without numbers."""
+    """Root-mean-square difference of two points (d,); 0 for points without numbers."""
     return float(np.sqrt(np.mean((a - b) ** 2))) if len(a) else 0.0

@@ -84,7 +84,7 @@ class Matyas:
         return np.clip(self._best + steps, 0.0, 1.0)
 
     def tell(self, points: Array, fitness: Array) -> None:
-        """Move to a better point."""
+        """Move to the best of points (n, d) if it is better."""
         k = int(np.argmax(fitness))
         if fitness[k] > self._fitness:
             self._best, self._fitness = points[k], float(fitness[k])
@@ -122,7 +122,7 @@ class CmaEs:
 
 
 def evolution(x: Array, sigma: float, size: int, rng: np.random.Generator) -> Any:
-    """A CMA evolution strategy within the unit cube that draws from `rng` alone."""
+    """A CMA evolution strategy from x (d,) in the unit cube that draws from `rng` alone."""
     import cma
 
     options = {
@@ -220,7 +220,7 @@ class Mixed:
         return np.concatenate([np.array(run.ask()) for run in self._runs])
 
     def tell(self, points: Array, fitness: Array) -> None:
-        """Every run learns from its own generation."""
+        """Every run learns from its own generation among points (n, d)."""
         k = int(np.argmax(fitness))
         if fitness[k] > self._best[0]:
             self._best = float(fitness[k]), points[k]

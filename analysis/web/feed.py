@@ -42,6 +42,7 @@ class Viewer:
         try:
             names = msgspec.json.decode(text, type=list[str])
         except msgspec.MsgspecError:
+            # A viewer that speaks nonsense is not worth an error.
             return
         self.messages = frozenset(
             name for name in names[:MOST_MESSAGES] if name == RANGES or layout(name)
@@ -69,6 +70,7 @@ class Feed:
             if key in LISTED:
                 self._listed.append((key, payload))
                 self._unsent.append((key, payload))
+            # A run that makes up keys must not fill the memory.
             elif key in self._past or len(self._past) < MOST_KEYS:
                 past = PAST if key.startswith(CURVES) else 1
                 burst = 1 if key in STATES else BURST
@@ -97,6 +99,7 @@ class Feed:
         """
         if len(self._viewers) >= MOST_VIEWERS:
             raise ConfigError(f"the page has {MOST_VIEWERS} viewers already; close one")
+        # The picture first: batches alone would start in the middle.
         viewer = Viewer(self._picture())
         self._viewers.add(viewer)
         return viewer
@@ -113,12 +116,14 @@ class Feed:
     def wishes(self) -> list[str]:
         """The messages that viewers want to see, as many as a proxy will show."""
         wanted: set[str] = set()
+        # A copy: viewers come and go on the loop's thread meanwhile.
         for viewer in tuple(self._viewers):
             wanted |= viewer.messages
         return sorted(wanted)[:MOST_MESSAGES]
 
     def tick(self) -> None:
         """Give every viewer what came since the last tick."""
+        # The lock for the moment of the exchange only: the bus pushes from other threads.
         with self._lock:
             samples = ordered(self._unsent, self._fresh)
             self._unsent.clear()
@@ -127,6 +132,7 @@ class Feed:
             return
         batch = encoded(samples)
         for viewer in self._viewers:
+            # It has lost batches: the whole picture puts it right again.
             if viewer.queue.full():
                 while not viewer.queue.empty():
                     viewer.queue.get_nowait()
@@ -151,5 +157,6 @@ def ordered(
 
 def encoded(samples: list[tuple[str, bytes]]) -> str:
     """Samples as JSON: a list of [key, value]."""
+    # The values are JSON already and are put in as they are.
     parts = [f"[{msgspec.json.encode(key).decode()},{data.decode()}]" for key, data in samples]
     return f"[{','.join(parts)}]"

@@ -27,6 +27,7 @@ MOST_POINTS = 600
 def catalogue() -> bytes:
     """Faults with their schema, presets with a line about each, and targets to suggest, as JSON."""
     described = schema()
+    # The last choice is the presets' own.
     choices = described["properties"]["faults"]["items"]["anyOf"][:-1]
     faults = {
         name: {
@@ -85,6 +86,7 @@ def preview(body: bytes) -> dict[str, Any]:
 
 def drawn(curve: Curve) -> dict[str, Any]:
     """A curve thinned to what a small plot can show; None where there is no number."""
+    # Rounded up, so that no curve exceeds its points.
     step = max(1, math.ceil(len(curve.t_s) / MOST_POINTS))
     return {
         "name": curve.name,

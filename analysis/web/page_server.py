@@ -34,6 +34,7 @@ def listen(port: int | None) -> socket.socket:
     if not 0 <= port <= 65535:
         raise ConfigError(f"--port {port}: is no port; allowed: 0 to 65535")
     found = socket.socket()
+    # A port that was used a moment ago may be bound again at once.
     found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         found.bind(("127.0.0.1", port))
@@ -48,7 +49,9 @@ def prepare(zenoh: str | None, port: int | None) -> tuple[uvicorn.Server, socket
     """A server that is not started, its socket, and the address to open, with the token."""
     bound = listen(port)
     number = bound.getsockname()[1]
+    # 18 bytes of chance: nobody guesses it.
     token = secrets.token_urlsafe(18)
+    # Only these names: a foreign name that leads to loopback is refused.
     hosts = frozenset({f"127.0.0.1:{number}", f"localhost:{number}"})
     feed = Feed()
     page = Page(feed, Source(feed, zenoh), token, hosts)
@@ -61,6 +64,7 @@ def prepare(zenoh: str | None, port: int | None) -> tuple[uvicorn.Server, socket
         access_log=False,
         timeout_graceful_shutdown=1,
     )
+    # Behind the `#`: browsers send that part to nobody.
     return uvicorn.Server(config), bound, f"http://127.0.0.1:{number}/#token={token}"
 
 
@@ -96,6 +100,7 @@ def serve_beside(args: argparse.Namespace) -> Iterator[None]:
     if args.zenoh == "off":
         raise ConfigError("--ui: the page listens on Zenoh; leave out --zenoh off")
     if args.zenoh != "auto":
+        # Without a port the address would be another than the proxy's.
         args.zenoh = with_port(args.zenoh)
     with serve(None if args.zenoh == "auto" else args.zenoh) as address:
         print(f"page: {address}", flush=True)

@@ -32,6 +32,7 @@ FILES = {
     **{path.name: path for path in HERE.iterdir() if path.suffix in (".js", ".css")},
     **{name: PLOTS / name for name in ("uPlot.iife.min.js", "uPlot.min.css", "uPlot.LICENSE")},
 }
+# Ids hold no wildcards of the bus: a request names one key.
 CONTROL = re.compile(r"fault/[^/*$?#]+/(arm|disarm|value)|schedule/(load|save|stop)")
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'",
@@ -79,12 +80,15 @@ class Page:
 
     def _refusal(self, call: HTTPConnection, *, changes: bool = False) -> str | None:
         """Why a call is refused; None if it is not."""
+        # A page of another site could reach the port by a name of its own.
         if call.headers.get("host") not in self._hosts:
             return "this page is served on loopback by its own name only"
         origin = call.headers.get("origin")
+        # A browser tells where a call comes from; programs send no origin.
         if origin is not None and origin.removeprefix("http://") not in self._hosts:
             return "another site's page may not use this one"
         given = call.headers.get("x-token", "")
+        # In constant time: the answer's delay must not tell how much was right.
         if changes and not secrets.compare_digest(given.encode(), self._token.encode()):
             return "the token is wrong; open the address that was printed at the start"
         return None
@@ -98,6 +102,7 @@ class Page:
             If it is larger.
         """
         body = b""
+        # Counted as it comes: the length a client announces may be wrong.
         async for part in request.stream():
             body += part
             if len(body) > LARGEST_BODY:
@@ -125,6 +130,7 @@ class Page:
         refusal = self._refusal(request)
         if refusal:
             return refusal_answer(403, refusal)
+        # The first call loads the faults, which takes longer than a tick.
         data = await run_in_threadpool(offered)
         return Response(data, media_type="application/json", headers=HEADERS)
 
@@ -159,6 +165,7 @@ class Page:
             )
         try:
             body = await self._body(request)
+            # The bus waits for its answer; the page must go on meanwhile.
             reply = await run_in_threadpool(self._source.ask, what, body)
         except ConfigError as error:
             return refusal_answer(400, str(error))
@@ -166,12 +173,14 @@ class Page:
 
     async def _live(self, socket: WebSocket) -> None:
         if self._refusal(socket):
+            # 1008: against the policy.
             await socket.close(1008)
             return
         await socket.accept()
         try:
             viewer = self._feed.join()
         except ConfigError as error:
+            # 1013: try again later.
             await socket.close(1013, str(error))
             return
         sending = asyncio.create_task(send(socket, viewer.queue))

@@ -88,6 +88,7 @@ class Source:
             runs = [run_of(key) for key in there if key.endswith(PROXY)]
             coming = [run_of(key) for key in there if key.endswith(RUN)]
             joined = self._bus.run if self._bus is not None else None
+            # The one chosen, else the one followed so far, else the newest.
             wanted = next((run for run in (self._chosen, joined, *runs[-1:]) if run in runs), None)
             changed = (runs, coming) != (self._runs, self._coming)
             self._runs, self._coming = runs, coming
@@ -103,6 +104,7 @@ class Source:
     def _join(self, run: str) -> None:
         self._feed.forget()
         bus = open_bus(self.url, run=run)
+        # Keys are shown without the run's prefix.
         prefix = len(bus.key(""))
         self._bus = bus
         self._say()  # before its first sample: the page clears its plots
@@ -112,6 +114,7 @@ class Source:
     def _leave(self) -> None:
         if self._bus is None:
             return
+        # Cleared first: threads that ask now find none rather than a closed one.
         bus, self._bus = self._bus, None
         bus.close()
         self._say()

@@ -64,8 +64,8 @@ def _proxy(args: argparse.Namespace) -> int:
 
 def add_replay(commands: Any) -> None:
     """`replay`: a log through the proxy."""
-    parser = commands.add_parser("replay", help="send a tlog through the proxy, to a log or a link")
-    parser.add_argument("log", metavar="LOG", help="a tlog")
+    parser = commands.add_parser("replay", help="a tlog through the proxy, or faults into RINEX")
+    parser.add_argument("log", metavar="LOG", help="a tlog, or a RINEX observation file")
     parser.add_argument(
         "--schedule", metavar="FILE", help="faults to apply (default: those of the recording)"
     )

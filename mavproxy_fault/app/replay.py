@@ -17,6 +17,7 @@ import msgspec
 from mavproxy_fault.app.playback import Record, Source, open_log
 from mavproxy_fault.app.proxy_command import signing
 from mavproxy_fault.app.recorder import encoded
+from mavproxy_fault.app.rinex_faults import is_rinex, replay_rinex
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
@@ -185,6 +186,8 @@ def _pause(link: Link, wait_s: float) -> None:
 def main(args: argparse.Namespace) -> int:
     """`mavproxy-fault replay`."""
     path = Path(args.log)
+    if is_rinex(path):
+        return replay_rinex(args)
     source = open_log(path)
     schedule = read_schedule(args.schedule) if args.schedule else own_schedule(source)
     tape = Tape() if args.out else None

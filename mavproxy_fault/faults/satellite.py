@@ -14,6 +14,7 @@ import msgspec
 from mavproxy_fault.faults.fault import ActsOn, Outgoing
 from mavproxy_fault.faults.loss import Drop
 from mavproxy_fault.faults.value_fault import ValueFault, each
+from mavproxy_fault.rinex.range_epoch import RangeEpoch
 from mavproxy_fault.rtcm import transport as rtcm
 from mavproxy_fault.rtcm.msm7 import SYSTEMS, msm7_satellites, patch_msm7
 from mavproxy_fault.wire.dialect import known
@@ -62,7 +63,9 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
     def apply(
         self, frame: Frame, t_us: int, state: Ranges, rng: "Generator"
     ) -> tuple[list[Outgoing], Ranges]:
-        """Keep a fragment back, or patch the message that it completes."""
+        """Keep a fragment back, or patch the message that it completes; or an epoch of a file."""
+        if isinstance(frame, RangeEpoch):
+            return self._in_epoch(frame, t_us, state, rng)
         payload = rtcm.tunnel_payload(frame)
         if payload is None:
             return [Outgoing(t_us, frame)], state
@@ -116,6 +119,20 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
             for frame, payload in zip(frames, rtcm.fragments(message, sequence), strict=False)
         ]
         return sends, state
+
+    def _in_epoch(
+        self, epoch: Any, t_us: int, state: Ranges, rng: "Generator"
+    ) -> tuple[list[Outgoing], Ranges]:
+        """The same for a `RangeEpoch`, which the engine takes for a frame."""
+        present = [n for n in self.names if n in epoch.satellites and n not in epoch.lost]
+        if not present:
+            return [Outgoing(t_us, epoch)], state
+        changes_m, lost, inner = self._errors(epoch, present, t_us, state, rng)
+        state = state._replace(inner=inner)
+        if not lost and not any(changes_m.values()):
+            return [Outgoing(t_us, epoch)], state
+        size_m = max((abs(change) for change in changes_m.values()), default=math.nan)
+        return [Outgoing(t_us, epoch.changed(changes_m, lost), size_m)], state
 
     def _present(self, data: bytes) -> list[str]:
         """Those of our satellites that an MSM7 message holds."""

@@ -36,9 +36,9 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
     """Move the position by `offset_m` within `ramp_s`, then on with `velocity_mps`, everywhere.
 
     Both are [north, east, down]. Without `ramp_s` the offset is a jump. `value` is short for an
-    offset to the north. Acts on HIL_GPS, GPS_RAW_INT, GPS2_RAW, GPS_INPUT, GLOBAL_POSITION_INT,
-    LOCAL_POSITION_NED and ODOMETRY that does not come from vision, motion capture or lidar, or
-    those of these messages that are named as target.
+    offset to the north. `velocity_error_mps` is added to the velocity alone. Acts on HIL_GPS,
+    GPS_RAW_INT, GPS2_RAW, GPS_INPUT, GLOBAL_POSITION_INT, LOCAL_POSITION_NED and ODOMETRY that does
+    not come from vision, motion capture or lidar, or those of these messages named as target.
     """
 
     name: ClassVar[str] = "gps-spoof"
@@ -49,11 +49,15 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
     value: float | None = None
     offset_m: Three = (0.0, 0.0, 0.0)
     velocity_mps: Three = (0.0, 0.0, 0.0)
+    velocity_error_mps: Three = (0.0, 0.0, 0.0)
     ramp_s: Seconds = 0.0
 
     def __post_init__(self) -> None:
-        if self.value is None and not any(self.offset_m) and not any(self.velocity_mps):
-            raise ValueError("moves nothing; give value, offset_m or velocity_mps")
+        moves = (*self.offset_m, *self.velocity_mps, *self.velocity_error_mps)
+        if self.value is None and not any(moves):
+            raise ValueError(
+                "moves nothing; give value, offset_m, velocity_mps or velocity_error_mps"
+            )
 
     def shift(self, t_s: float) -> Shift:
         """The offset and its rate, `t_s` after the spoof began."""
@@ -80,14 +84,17 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
         mover = MOVERS.get(frame.layout.name)
         if mover is None:
             return [Outgoing(t_us, frame)], state
-        shift = self.shift((t_us - state) / 1e6)
+        moved = self.shift((t_us - state) / 1e6)
+        pairs = zip(moved.velocity_mps, self.velocity_error_mps, strict=True)
+        north, east, down = (velocity + error for velocity, error in pairs)
+        shift = Shift(moved.offset_m, (north, east, down))
         out = rewritten(frame, t_us, mover(frame, Move(*shift)))
         # It marks position and velocity as unknown: nothing was moved.
         if out.frame is frame:
             return [out], state
         # The whole offset is the magnitude, not what one field of the message shows of it.
-        size_m = math.hypot(*shift.offset_m)
-        return [Outgoing(t_us, out.frame, size_m, out.saturated)], state
+        size = math.hypot(*shift.offset_m) or math.hypot(*self.velocity_error_mps)  # m, or m/s
+        return [Outgoing(t_us, out.frame, size, out.saturated)], state
 
 
 def _scaled(vector: Three, factor: float) -> Three:

@@ -40,9 +40,9 @@ class Stamps(LinkFault, frozen=True, kw_only=True):
         off_s = self.off_s((t_us - state) / 1e6)
         scales = stamp_fields(frame.layout)
         out = rewritten(
-            # Whole counts: stamps are integers.
             frame,
             t_us,
+            # Whole counts: stamps are integers.
             {name: frame.number(name) + round(off_s * scale) for name, scale in scales.items()},
         )
         if out.frame is frame:

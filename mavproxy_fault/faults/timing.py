@@ -103,12 +103,12 @@ class Duplicate(LinkFault, frozen=True, kw_only=True):
         t_us: int,
         state: Any,
         rng: "Generator",
-        # The copies spread evenly up to `by_s`.
     ) -> tuple[list[Outgoing], Any]:
         """The frame, and its copies."""
         first = Outgoing(t_us, frame)
         if self.value < 1.0 and rng.random() >= self.value:
             return [first], None
+        # The copies spread evenly up to `by_s`.
         step_s = self.by_s / self.copies
         return [first, *(late(frame, t_us, step_s * (i + 1)) for i in range(self.copies))], None
 

@@ -145,7 +145,6 @@ class Control:
         """
         try:
             names = msgspec.json.decode(payload, type=list[str])
-        # Under the loop's own clock: what viewers watch is no edit of the schedule.
         except msgspec.MsgspecError as error:
             raise ConfigError(f"@ctl/watch: {error}; send a list of messages as JSON") from None
         self.view.watch(names, now_s)

@@ -211,8 +211,8 @@ class Live:
 
     def _look_after_bus(self, now_s: float) -> None:
         """See that somebody is the router; the proxies that have lost theirs try to be it."""
+        # A look each second, and one successor at a time.
         if self._bus is None or now_s < self._look_s or self._successor.is_alive():
-            # A look each second, and one successor at a time.
             return
         self._look_s = now_s + LOOK_S
         if not self._bus.is_joined:

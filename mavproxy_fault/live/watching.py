@@ -57,13 +57,13 @@ class Source:
             if field.type != "char"
             for n in range(max(field.count, 1))
         )
+        # Text has no place in a row of numbers: it is skipped by its length.
         self._payload = struct.Struct(
             "<"
             + "".join(
                 f"{field.length}x" if field.type == "char" else field.code * max(field.count, 1)
                 for field in fields
             )
-            # Text has no place in a row of numbers: it is skipped by its length.
         )
         self.received: list[Row] = []
         self.sent: list[Row] = []

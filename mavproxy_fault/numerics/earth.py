@@ -39,7 +39,7 @@ def ecef_from_geodetic(lat_rad: ArrayLike, lon_rad: ArrayLike, height_m: ArrayLi
 
 
 def ecef_of(lat_rad: Array, lon_rad: Array, height_m: Array) -> tuple[Array, Array, Array]:
-    """Earth-fixed x, y, z [m] of geodetic coordinates; scalars and arrays alike, and compiled."""
+    """Earth-fixed x, y, z [m] of geodetic coordinates; scalars and arrays (n,), also compiled."""
     s = np.sin(lat_rad)
     prime = WGS84_SEMI_MAJOR_M / np.sqrt(1.0 - WGS84_ECCENTRICITY2 * s * s)
     across = (prime + height_m) * np.cos(lat_rad)
@@ -51,7 +51,7 @@ def geodetic_of(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
     """Latitude, longitude [rad] and height [m] of Earth-fixed coordinates [m].
 
     Bowring's iteration on the reduced latitude (Survey Review 23, 1976); three rounds leave less
-    than a nanometre up to 10,000 km. Scalars and arrays alike; the simulator compiles it.
+    than a nanometre up to 10,000 km. Scalars and arrays (n,) alike; the simulator compiles it.
     """
     p = np.sqrt(x * x + y * y)
     second = WGS84_ECCENTRICITY2 / (1.0 - WGS84_ECCENTRICITY2)

@@ -12,7 +12,7 @@ Vector = NDArray[np.float64]
 
 @compiled
 def multiply(a: Vector, b: Vector) -> Vector:
-    """a b (n, m)."""
+    """a b (n, m) of a (n, k) and b (k, m)."""
     out = np.zeros((a.shape[0], b.shape[1]))
     for i in range(a.shape[0]):
         for k in range(a.shape[1]):
@@ -25,7 +25,7 @@ def multiply(a: Vector, b: Vector) -> Vector:
 
 @compiled
 def add_product(out: Vector, scale: float, a: Vector, b: Vector) -> None:
-    """Add scale a b to `out`, in place."""
+    """Add scale a b to `out` (n, m), in place; a (n, k), b (k, m)."""
     for i in range(a.shape[0]):
         for k in range(a.shape[1]):
             factor = scale * a[i, k]
@@ -35,7 +35,7 @@ def add_product(out: Vector, scale: float, a: Vector, b: Vector) -> None:
 
 @compiled
 def transposed(a: Vector) -> Vector:
-    """a' as an array of its own."""
+    """a' (m, n) as an array of its own."""
     out = np.empty((a.shape[1], a.shape[0]))
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
@@ -45,7 +45,7 @@ def transposed(a: Vector) -> Vector:
 
 @compiled
 def apply(a: Vector, v: Vector) -> Vector:
-    """a v (n,)."""
+    """a v (n,) of a (n, k) and v (k,)."""
     out = np.zeros(a.shape[0])
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
@@ -55,7 +55,7 @@ def apply(a: Vector, v: Vector) -> Vector:
 
 @compiled
 def lower(s: Vector) -> Vector:
-    """Cholesky's lower triangle of a positive definite matrix; NaN where it is not."""
+    """Cholesky's lower triangle of a positive definite matrix (n, n); NaN where it is not."""
     n = s.shape[0]
     low = np.zeros((n, n))
     for i in range(n):
@@ -72,7 +72,7 @@ def lower(s: Vector) -> Vector:
 
 @compiled
 def lower_inverse(low: Vector) -> Vector:
-    """The inverse of a lower triangle."""
+    """The inverse of a lower triangle (n, n)."""
     n = low.shape[0]
     root = np.zeros((n, n))
     for i in range(n):
@@ -102,5 +102,5 @@ def square(a: Vector) -> Vector:
 
 @compiled
 def inverse(s: Vector) -> Vector:
-    """The inverse of a positive definite matrix, by Cholesky; NaN where it is not."""
+    """The inverse of a positive definite matrix (n, n), by Cholesky; NaN where it is not."""
     return square(lower_inverse(lower(s)))

@@ -27,7 +27,7 @@ def quaternion_of_rotation(rx: float, ry: float, rz: float) -> Quaternion:
 
 @compiled
 def rotate(q: Vector, by: Quaternion) -> None:
-    """Rotate the attitude in the first four places of q in place, in body axes."""
+    """Rotate the attitude in the first four places of q (>= 4,) in place, in body axes."""
     w, x, y, z = by
     a, b, c, d = q[0], q[1], q[2], q[3]
     q0 = a * w - b * x - c * y - d * z
@@ -57,7 +57,7 @@ def turned_in_reference(q: Vector, rx: float, ry: float, rz: float) -> Vector:
 
 @compiled
 def body_axes(q: Vector) -> tuple[Axis, Axis, Axis]:
-    """The rows of rot_nb of the attitude in the first four places of q."""
+    """The rows of rot_nb of the attitude in the first four places of q (>= 4,)."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     return (
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
@@ -177,7 +177,8 @@ def gravity_error(
 
 @compiled
 def errors(q_estimate: Vector | Quaternion, q_truth: Vector | Quaternion) -> Errors:
-    """Differences of roll, pitch and yaw, wrapped, and the angle of the rotation between, rad."""
+    """Differences of roll, pitch and yaw of two quaternions (4,), wrapped, and the angle of the
+    rotation between, rad."""
     a, b = q_estimate, q_truth
     roll_a, pitch_a, yaw_a = euler(a)
     roll_b, pitch_b, yaw_b = euler(b)

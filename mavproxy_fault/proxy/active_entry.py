@@ -25,6 +25,7 @@ TELL_US = 200_000  # between two labels about new values of one fault
 
 def after_s(t_us: int, seconds: float) -> int:
     """A stamp so many seconds later; NEVER_US where no clock gets there."""
+    # Infinite durations and stamps near the end of 64 bits are never reached.
     later_us = t_us + seconds * 1e6
     return t_us + round(seconds * 1e6) if later_us < NEVER_US else NEVER_US
 
@@ -67,6 +68,7 @@ class Running:
         self.unannounced = False  # no label has told the newest value
         self._announced_us = 0
         where = entry.where
+        # In a tuple: read for each frame that passes.
         self._where = (where.system, where.component, where.direction, where.id)
         self._anything = self._where == (None, None, None, None)
         self.takes_bytes = entry.ids is None and getattr(entry.fault, "takes_bytes", False)
@@ -94,10 +96,12 @@ class Running:
 
     def watch(self, t_us: int, telemetry: Telemetry) -> bool:
         """Start if the condition has become true; whether it did."""
+        # One that acts, or waits for its end, is not started a second time.
         if self.active or self.condition is None or t_us < self.earliest_us:
             return False
         if self.start_us < NEVER_US or not self._may_start_again():
             return False
+        # False again: the next time it holds counts as a new start.
         if not self.condition.holds(telemetry):
             self.armed = True
             return False
@@ -126,6 +130,8 @@ class Running:
         self.active = False
         repeat = self.entry.repeat
         if repeat is not None and repeat.every_s is not None:
+            # A clock that leapt ahead passes whole repetitions: they count, but nothing acts in
+            # them.
             missed = int((now_us - self.start_us) * 1e-6 / repeat.every_s) - 1
             self.starts += max(missed, 0)
             if repeat.times is None or self.starts < repeat.times:
@@ -160,18 +166,21 @@ class Running:
 
     @staticmethod
     def _instance(frame: Frame) -> object:
+        # Where a message has no instance of its own, most carry an `id`.
         name = frame.layout.instance or "id"
         return frame.read(name) if name in frame.layout.fields else 0
 
     def takes_junk(self, direction: str) -> bool:
         """Whether bytes that are no frame pass through the fault."""
         system, component, way, instance = self._where
+        # Junk has no sender that a filter could ask for.
         if not self.takes_bytes or (system, component, instance) != (None, None, None):
             return False
         return way is None or way == direction
 
     def act(self, frame: Frame | bytes, direction: str, t_us: int) -> list[Outgoing]:
         """Put a frame through the fault and count what it did."""
+        # No draw without a probability: the stream stays that of the fault.
         if self.entry.probability < 1.0 and self.rng.random() >= self.entry.probability:
             return [Outgoing(t_us, frame)]
         try:
@@ -182,6 +191,7 @@ class Running:
             self.failures += 1
             self.failure = repr(error)
             return [Outgoing(t_us, frame)]
+        # Untouched and on time: nothing was done.
         if len(sends) == 1 and sends[0].frame is frame and sends[0].due_us == t_us:
             return sends
         # What was kept back and leaves as it came was not touched; what changed has a magnitude.
@@ -201,6 +211,7 @@ class Running:
     def _apply(self, frame: Frame | bytes, direction: str, t_us: int) -> list[Outgoing]:
         """What the fault makes of a frame, its state of that direction brought up to date."""
         state = self.states.get(direction)
+        # A new direction starts with a fresh state, also where the value was given live.
         if state is None and direction not in self.states:
             state = self.fault.new_state(self.start_us)
             if self.live is not None:
@@ -221,6 +232,7 @@ class Running:
     def _measure(self, out: Outgoing) -> None:
         self.saturated += out.saturated
         size = out.magnitude
+        # NaN and infinity would stick in the maximum for ever.
         if size is not None and math.isfinite(size):
             self.magnitude = size if self.magnitude is None else max(self.magnitude, size)
 
@@ -276,6 +288,7 @@ class Running:
 
     def news(self, t_us: int) -> Label | None:
         """A label about a value that was changed; None without one, or so soon after another."""
+        # A slider moves many times a second: labels tell of it a few times.
         if not self.unannounced or self.first_us is None or t_us - self._announced_us < TELL_US:
             return None
         self.unannounced = False
@@ -284,6 +297,7 @@ class Running:
 
     def close(self, t_us: int) -> Label | None:
         """The complete label of a stretch that ended, and a clean count; None if it did nothing."""
+        # A stretch in which nothing was touched has no label.
         label = self.label(t_us) if self.first_us is not None else None
         self.frames = self.saturated = 0
         self.magnitude = self.first_us = self.changed_us = None
@@ -303,6 +317,7 @@ class Running:
             self._stream(value, t_us, sent_us, profile.live.timeout_s)
         else:
             self._change(inner, value)
+        # The same value again is no news.
         if value != self.value:
             self.value, self.changed_us, self.unannounced = value, t_us, True
 
@@ -317,6 +332,7 @@ class Running:
             hints = get_type_hints(type(inner), include_extras=True)
             changed = msgspec.structs.replace(inner, value=msgspec.convert(value, hints["value"]))
         except (ValueError, msgspec.ValidationError) as error:
+            # The value's own limits hold for live changes too.
             raise ConfigError(f"update: {self.entry.id} = {value}: {error}") from None
         wrapped = inner is not self.fault
         self.fault = msgspec.structs.replace(self.fault, fault=changed) if wrapped else changed
@@ -325,6 +341,7 @@ class Running:
 
     def _stream(self, value: float, t_us: int, sent_us: int | None, timeout_s: float) -> None:
         if sent_us is not None:
+            # By the sender's clock: a stale command must not move a vehicle.
             self.latency_us = t_us - sent_us
             if self.latency_us > timeout_s * 1e6:
                 raise ConfigError(

@@ -25,5 +25,6 @@ def text(label: "Label") -> str:
 def announcement(label: "Label", system: int) -> Frame:
     """A STATUSTEXT for a label, cut to the message's 50 characters."""
     layout = known("STATUSTEXT")
+    # ASCII: STATUSTEXT of old receivers knows no more.
     values = {"severity": NOTICE, "text": text(label).encode("ascii", "replace")[:TEXT_LENGTH]}
     return Frame(build(layout, values, system=system, component=COMPONENT), layout)

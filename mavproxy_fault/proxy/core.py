@@ -100,6 +100,7 @@ class Core:
         self.departed_us = 0  # when what left last was due; nothing may come before that any more
         self._on_wall_clock = False
         self._doubted = 0  # stamps, on all links
+        # As a mask: one number says to which links something goes.
         self._listeners = sum(
             1 << number for number, role in enumerate(links) if role.direction == "to-vehicle"
         )
@@ -119,6 +120,7 @@ class Core:
 
         `direction` overrides the link's, for a log that holds both.
         """
+        # What was due before leaves first: the order depends on stamps alone.
         sends = self.due(now_us)
         role = self.links[link]
         key = (link, stream)
@@ -138,10 +140,10 @@ class Core:
         arrival = Arrival(link, direction or role.direction, now_us)
         return sends + self._process(items, arrival)
 
-    def received_frames(self, link: int, frames: Sequence[Frame], now_us: int) -> list[Send]:
-        """What to send for frames that somebody has verified already."""
+    def received_frame(self, link: int, frame: Frame, now_us: int) -> list[Send]:
+        """What to send for a frame that somebody has verified already."""
         arrival = Arrival(link, self.links[link].direction, now_us)
-        return self.due(now_us) + self._process(frames, arrival)
+        return self.due(now_us) + self._process((frame,), arrival)
 
     def due(self, now_us: int) -> list[Send]:
         """What falls due by `now_us`, in order."""
@@ -160,6 +162,7 @@ class Core:
             else:
                 sends += self._release_from_engine(when_us)
         for key, since_us in list(self._incomplete_since.items()):
+            # The rest of the frame will not come: the bytes leave as they are.
             if now_us - since_us >= INCOMPLETE_US:
                 del self._incomplete_since[key]
                 arrival = Arrival(key[0], self.links[key[0]].direction, now_us)
@@ -169,6 +172,7 @@ class Core:
     @property
     def next_due_us(self) -> int | None:
         """Wall time at which `due` has something to do; None if nothing waits."""
+        # The earliest of faults, delayed frames and broken-off streams.
         when_us = min(
             self._engine_due_us(),
             self._pending[0][0] if self._pending else NEVER_US,
@@ -189,6 +193,7 @@ class Core:
     def gaps(self) -> dict[tuple[int, int], int]:
         """Frames missing by their sequence numbers, per system and component."""
         missing = self.senders[GAPS : GAPS + SENDERS]
+        # System in the upper byte, component in the lower.
         return {(n >> 8, n & 0xFF): count for n, count in enumerate(missing) if count}
 
     def drain_labels(self) -> "list[Label]":
@@ -198,6 +203,7 @@ class Core:
 
     def parsed(self, link: int) -> ParserCounters:
         """What the parsers of one link have counted, of streams that ended too."""
+        # A copy: the counters of streams that ended stay as they are.
         total = dataclasses.replace(self._ended[link])
         for (number, _), parser in self._parsers.items():
             if number == link:
@@ -215,6 +221,7 @@ class Core:
                 self._frame(item, arrival, departures)
             else:
                 self._junk(item, arrival, departures)
+        # What came in one datagram leaves in one.
         if self.links[arrival.link].datagrams and len(departures) > 1:
             departures = together(departures)
         return self._sends(departures, arrival.now_us)
@@ -240,6 +247,7 @@ class Core:
             state.bad_signatures += sealed
         mask = self._routes.find(frame, arrival.link)
         engine = self.engine
+        # Most frames are wanted by no fault and cost no more than this.
         if engine is None or (engine.wanted is not None and frame.id not in engine.wanted):
             self._leave(mask, frame.raw, arrival.now_us, departures)
             return

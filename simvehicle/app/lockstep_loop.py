@@ -15,6 +15,10 @@ from simvehicle.sensors.readings import Reading
 from simvehicle.vehicles.actuators import CHANNELS, Mix, read_controls
 from simvehicle.vehicles.body import Controls, Truth
 
+RESTART = (
+    "it, or the proxy before it, may have died; start simulator, proxy and autopilot anew "
+    "together, for PX4 does not connect a second time"
+)
 FIRST_WORD_S = 5.0  # after which a peer that only listens is served too
 
 
@@ -91,6 +95,11 @@ class LockstepLoop:
         self._locked = False
         self._pace = Pace(min(speed, 1.0))
 
+    @property
+    def armed(self) -> bool:
+        """Whether the autopilot's motors are on."""
+        return self._controls.armed
+
     def run(self, until_us: int | None = None) -> None:
         """Step until the autopilot goes away or `until_us` is reached.
 
@@ -136,18 +145,15 @@ class LockstepLoop:
     def _await_answer(self) -> None:
         """Take what comes until the step is answered, its time-out is over and the pace allows."""
         link = self._inbox.link
-        # Unlocked there is nobody to wait for at first.
-        waiting = self.lockstep.locked
         while True:
-            if waiting:
-                select.select([link.fileno()], [], [], self._wait_s())
             for frame in self._inbox.frames():
                 self._receive(frame)
+            wait_s = self._wait_s()
             # Answered, timed out or not awaited, and the pace allows the next step.
-            if self._wait_s() == 0.0:
+            if wait_s == 0.0:
                 return
             self._check_peer()
-            waiting = True
+            select.select([link.fileno()], [], [], wait_s)
 
     def _check_peer(self) -> None:
         link = self._inbox.link
@@ -186,7 +192,10 @@ def serve_autopilot(loop: LockstepLoop, progress: Progress, until_us: int | None
     try:
         loop.run(until_us)
     except (PeerGoneError, AutopilotSilentError) as gone:
-        progress.say(f"{gone} after {loop.t_us * 1e-6:.3f} s of flight")
-        # Without an end of its own a flight is over when the autopilot leaves.
-        return 0 if until_us is None and isinstance(gone, PeerGoneError) else 1
+        armed = ", with its motors on" if loop.armed else ""
+        progress.say(f"{gone} after {loop.t_us * 1e-6:.3f} s of flight{armed}")
+        progress.say(RESTART)
+        # Without an end of its own a flight is over when the autopilot leaves on the ground.
+        over = until_us is None and isinstance(gone, PeerGoneError) and not loop.armed
+        return 0 if over else 1
     return 0

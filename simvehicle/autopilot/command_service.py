@@ -219,7 +219,7 @@ def read_request(frame: WireFrame) -> Request:
         # COMMAND_LONG names no frame: its heights are above mean sea level.
         kind = int(Frame.GLOBAL)
     else:
-        # COMMAND_INT has degrees by 1e7, which a float could not hold to the metre.
+        # COMMAND_INT has whole degrees by 1e7, finer than the floats of COMMAND_LONG.
         x, y = int(frame.number("x")), int(frame.number("y"))
         lat_deg = math.nan if x == PLACE_UNKNOWN else x * 1e-7
         lon_deg = math.nan if y == PLACE_UNKNOWN else y * 1e-7

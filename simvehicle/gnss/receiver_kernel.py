@@ -28,7 +28,7 @@ SOLVED, SINGULAR, DIVERGED = 0.0, 1.0, 2.0
 
 @compiled
 def inverted(matrix: Vector) -> Vector:
-    """The inverse of a small positive definite matrix by Gauss and Jordan; empty if singular.
+    """The inverse of a small positive definite matrix (m, m), Gauss and Jordan; empty if singular.
 
     Loops and not slices, here and below: they compile in a fraction of the time.
     """

@@ -46,7 +46,7 @@ def orbits_of(ephemerides: Sequence[Ephemeris], week: int) -> Orbits:
 
 
 def orbits_at(orbits: Orbits, pick: NDArray[np.intp]) -> Orbits:
-    """Some of the satellites."""
+    """The satellites at some places (m,)."""
     names = tuple(orbits.satellites[k] for k in pick)
     return Orbits(names, orbits.week, orbits.table[pick])
 
@@ -89,7 +89,7 @@ def satellite_state(row: Vector, tow_s: float) -> State8:
     """Position (3) and velocity (3), Earth-fixed at `tow_s`, clock and clock rate of one satellite.
 
     The clock is the satellite's minus GPS time as L1 or E1 shows it [s]: polynomial, relativity and
-    group delay.
+    group delay. `row` (20,) is that of `Orbits.table`.
     """
     toe, m0, motion, e, a, omega, cus, cuc, crs, crc, cis, cic, i0, idot, node0, node_rate, toc = (
         row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10],

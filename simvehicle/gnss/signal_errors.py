@@ -54,20 +54,21 @@ def next_clock(clock: Clock, config: ClockConfig, step_s: float, draws: Vector) 
 
 
 def next_wander(value: Vector, time_s: float | Vector, step_s: float, draws: Vector) -> Vector:
-    """Gauss-Markov processes of unit variance and correlation time `time_s`, `step_s` later."""
+    """Gauss-Markov processes (n,) of unit variance and correlation time `time_s`, `step_s` later;
+    `draws` (n,) are standard normal."""
     # Clipped, since a correlation time of 0 means white noise, not a division by it.
     phi = np.exp(-step_s / np.maximum(time_s, TINY_S))
     return np.asarray(phi * value + np.sqrt(1.0 - phi * phi) * draws)
 
 
 def multipath_sigma_m(elevation_rad: Vector) -> Vector:
-    """Standard deviation of multipath [3]_; scalars and arrays alike, here and below."""
+    """Standard deviation (n,) of multipath [3]_; scalars and arrays (n,) alike, here and below."""
     sigma: Vector = 0.13 + 0.53 * np.exp(-np.degrees(elevation_rad) / 10.0)
     return sigma
 
 
 def code_sigma_m(cn0_dbhz: Vector) -> Vector:
-    """Thermal noise of the pseudorange [2]_."""
+    """Thermal noise (n,) of the pseudorange [2]_."""
     ratio = 10.0 ** (cn0_dbhz / 10.0)
     # Grows with the correlators' spacing and the loop's bandwidth, falls with the signal.
     sigma: Vector = CHIP_M * np.sqrt(CORRELATOR_CHIPS * CODE_LOOP_HZ / (2.0 * ratio))
@@ -75,7 +76,7 @@ def code_sigma_m(cn0_dbhz: Vector) -> Vector:
 
 
 def rate_sigma_mps(cn0_dbhz: Vector) -> Vector:
-    """Thermal noise of the range rate [2]_."""
+    """Thermal noise (n,) of the range rate [2]_."""
     ratio = 10.0 ** (cn0_dbhz / 10.0)
     scale = L1_WAVE_M / (2.0 * math.pi * INTEGRATION_S)
     sigma: Vector = scale * np.sqrt(4.0 * FREQUENCY_LOOP_HZ / ratio)

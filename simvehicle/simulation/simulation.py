@@ -69,6 +69,7 @@ class Simulation:
         self._late: list[tuple[int, int, Reading]] = []
         self._order = itertools.count()
         self._controls = np.zeros(self.vehicle.controls_count)
+        self._commands = self._controls
         self._place = self.home.packed
         self._x = self._begin()
         self.truth = self._observe(np.zeros(6), self._weather.steady_mps.copy())
@@ -81,6 +82,13 @@ class Simulation:
     def controls(self) -> Array:
         """The actuator commands now in force, in the vehicle's order."""
         return self._controls
+
+    def commanded(self) -> Array:
+        """What the built-in controller commands for the next step, in the vehicle's order."""
+        if self._t_us >= self._next_control_us:
+            self._commands = self.controller.update(self.truth).values
+            self._next_control_us += 1e6 / self.controller.rate_hz
+        return self._commands
 
     def step(self, controls: Controls | None = None) -> tuple[int, Truth, list[Reading]]:
         """Go on to the next sample of the inertial unit.
@@ -98,12 +106,7 @@ class Simulation:
         readings : list of Reading
             What the sensors delivered by now; the inertial unit's comes first.
         """
-        if controls is None:
-            if self._t_us >= self._next_control_us:
-                self._controls = self.controller.update(self.truth).values
-                self._next_control_us += 1e6 / self.controller.rate_hz
-        else:
-            self._controls = self._checked(controls)
+        self._controls = self.commanded() if controls is None else self._checked(controls)
         self._count += 1
         # From the count: 3 ms and a third, summed up, would drift.
         t_us = round(self._count * 1e6 / self._rate_hz)

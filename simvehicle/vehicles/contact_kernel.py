@@ -30,7 +30,11 @@ class Gear(NamedTuple):
 
 
 def gear(points_m: NDArray[np.float64], mass_kg: float, along: float, across: float) -> Gear:
-    """Gear that carries a mass at 40 rad/s and 0.7 of critical damping (6 mm of static sag)."""
+    """Gear that carries a mass at 40 rad/s and 0.7 of critical damping (6 mm of static sag).
+
+    `points_m` (n, 3) are the points of contact in body axes.
+    """
+    # Every point carries its share.
     each = mass_kg / len(points_m)
     return Gear(points_m, each * 40.0**2, each * 2.0 * 0.7 * 40.0, along, across)
 

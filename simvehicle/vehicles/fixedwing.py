@@ -92,7 +92,7 @@ class FixedWing:
         self, r_ned_m: Array, heading_rad: float, wind_ned_mps: Array, speed_mps: float,
         density: float, gravity: float,
     ) -> Array:  # fmt: skip
-        """State of trimmed flight at a place.
+        """State (14,) of trimmed flight at a place (3,) in a wind (3,).
 
         Raises
         ------

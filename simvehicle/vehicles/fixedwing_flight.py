@@ -125,12 +125,14 @@ def fly(
     g = (around[GRAVITY], around[GRAVITY + 1], around[GRAVITY + 2])
     density = around[DENSITY]
     given = _Given(surfaces, w, density, around[GROUND], aero, wheels, packed[_END + 4])
+    # A tuple: scalars stay in registers over the steps.
     s = (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[9], x[10], x[11], x[12])
     for _ in range(steps):
         s = integrated(s, _loads, given, g, body, dt)
     fx, fy, fz, _mx, _my, _mz = _loads(s, 0, given)
     wx, wy, wz = to_body(s[6], s[7], s[8], s[9], w[0], w[1], w[2])
     airspeed = np.sqrt((s[3] - wx) ** 2 + (s[4] - wy) ** 2 + (s[5] - wz) ** 2)
+    # The current of the last step stands for all of them.
     current = propulsion(airspeed, surfaces[3], density, aero)[2]
     for i in range(13):
         after[i] = s[i]

@@ -85,6 +85,7 @@ def propulsion(
 ) -> tuple[float, float, float]:
     """Thrust [N], torque on the airframe [N m] and motor current [A] (0 without a motor model)."""
     # The first edition: momentum of the air through the disc, section 4.3.
+    # Throttle commands the speed of the exit air.
     square = aero.k_motor * throttle
     simple = 0.5 * density * aero.disc * (square * square - airspeed * airspeed)
     simple_torque = -aero.torque * throttle * throttle
@@ -151,7 +152,7 @@ def forces_moments(
 
     linear = aero.cl0 + aero.cla * alpha
     ea = exp(aero.stall_m * alpha)
-    k = aero.blend
+    k = aero.blend  # sigma blends linear lift (0) into that of a flat plate (1)
     sigma = (ea + k + k * ea * ea) / ((ea + k) * (1.0 + k * ea))
     flat = 2.0 * abs(sa) * sa * ca  # 2 sign(alpha) sin(alpha)^2 cos(alpha)
     lift = (

@@ -122,7 +122,6 @@ class FixedWingParameters(_Struct, frozen=True):
         # Two laws at once would add their thrusts.
         if (self.thrust_law is None) == (self.motor is None):
             raise ValueError("exactly one of thrust_law and motor is needed")
-        # The shipped sets are read through here as well.
         body_of(self, {})  # refuses what is no body
 
 

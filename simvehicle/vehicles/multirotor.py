@@ -139,7 +139,7 @@ class Multirotor:
         self, r_ned_m: Array, heading_rad: float, wind_ned_mps: Array, speed_mps: float,
         density: float, gravity: float,
     ) -> Array:  # fmt: skip
-        """Hover at a place with the motors at hover speed."""
+        """State (15 + n,) of hover at a place (3,), motors at hover speed, whatever the wind."""
         # Level: a quaternion of the heading alone.
         half = 0.5 * heading_rad
         q = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])

@@ -64,7 +64,7 @@ _ROTORS = _END + 4
 
 
 def pack(body: Inertia, frame: Airframe, wheels: Gear, rotors: Array) -> Array:
-    """All parameters of `fly` in one array; the rotors and the contact points are its end."""
+    """All parameters of `fly` in one array; rotors (n, 5) and contact points are its end."""
     ends = (rotors.ravel(), wheels.points_m.ravel())
     return np.concatenate([[*body, *frame, *wheels[1:]], *ends])
 

@@ -50,16 +50,16 @@ class Vehicle(Protocol):
         """Height of the centre of mass when the ground carries it."""
 
     def start(self, r_ned_m: Array, v_b_mps: Array, q_nb: Array) -> Array:
-        """State at a position, velocity and attitude, the rest at rest."""
+        """State (m,) at a position (3,), velocity (3,) and attitude (4,), the rest at rest."""
 
     def cruise(
         self, r_ned_m: Array, heading_rad: float, wind_ned_mps: Array, speed_mps: float,
         density: float, gravity: float,
     ) -> Array:  # fmt: skip
-        """State of steady flight; ValueError if it cannot be flown."""
+        """State (m,) of steady flight at (3,) in a wind (3,); ValueError if it cannot be flown."""
 
     def advance(
         self, x: Array, controls: Array, wind_ned_mps: Array, gravity_ned_mps2: Array,
         density: float, ground_down_m: float, steps: int, dt: float,
     ) -> tuple[Array, Array]:  # fmt: skip
-        """State later, and specific force (3), battery voltage, current and rest then."""
+        """State (m,) later, and then specific force (3), battery voltage, current and rest (6,)."""

@@ -27,7 +27,6 @@ Rows = NDArray[Any]
 
 
 def evidence_of(folder: Path) -> tuple[Evidence, float]:
-    # From leaving the ground to the last stamp.
     """Curves and marks of a flight, and how long it was in the air [s]."""
     summary = json.loads((folder / "summary.json").read_text())["autopilot"]
     columns = read_columns(folder / "sent.tlog")
@@ -65,7 +64,8 @@ def attitude_curve(folder: Path, off_ground_s: float) -> dict[str, Curve]:
 
 
 def path_curves(truth: Rows, since: Any) -> dict[str, Curve]:
-    """The true path in metres north, east and up of the first place."""
+    """The true path in metres north, east and up of the first place; `truth` are the rows (n,) of
+    HIL_STATE_QUATERNION."""
     # About 10 Hz: thousands of flights are kept.
     every = max(1, round(_rate_hz(truth) / TRACK_HZ))
     t_s = since(truth["t_us"])[::every]
@@ -124,7 +124,7 @@ def text_marks(columns: Columns, since: Any) -> list[Mark]:
 
 
 def ground_marks(truth: Rows, since: Any, landed: bool) -> list[Mark]:
-    """Landed, crashed, or out of control, by the truth."""
+    """Landed, crashed, or out of control, by the truth, rows (n,) of HIL_STATE_QUATERNION."""
     t_s = since(truth["t_us"])
     # Above the first place; whatever the ground does there.
     height_m = (truth["alt"] - truth["alt"][0]) * 1e-3

@@ -26,11 +26,15 @@ from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 from mavproxy_fault.numerics.rotation import quat_from_matrix
 from mavproxy_fault.numerics.rotation_kernel import matrix, turned
 
+# An older alignment begins anew: the gyro's bias grows in it with time.
 LONGEST_S = 20.0
+# A shorter one would rest on the noise of a few velocities.
 SHORTEST_S = 2.0
 HEADING_BY_MOTION_RAD = 0.12
 HEADING_BY_MAG_RAD = 0.35  # declination unknown: 20 degrees
+# Motion has this long to give the better heading alone.
 MAG_AFTER_S = 4.0
+# The filter's own variance leaves out errors common to the epochs of an alignment.
 VELOCITY_FLOOR_MPS = 0.2
 FLOOR_RAD = 0.05  # gyro bias and timing over the alignment
 
@@ -41,6 +45,7 @@ def _integrate(q: Vector, alpha: Vector, samples: Vector) -> tuple[Vector, Vecto
     for k in range(samples.shape[0]):
         dt = samples[k, 0]
         rx, ry, rz = samples[k, 1] * dt, samples[k, 2] * dt, samples[k, 3] * dt
+        # The attitude at mid-step: the first order of the turn within the step cancels.
         mid = matrix(turned(q, 0.5 * rx, 0.5 * ry, 0.5 * rz))
         for i in range(3):
             for j in range(3):
@@ -61,12 +66,14 @@ def extend(alignment: Alignment, motion: Motion, samples: Vector, dt_s: float) -
     """One epoch more: the IMU's samples (k, 7) since the last and the filter's velocity now."""
     q, alpha = _integrate(alignment.q_0b, alignment.alpha, samples)
     v = motion.x[3:6]
+    # Coriolis over the interval by the mean velocity of its two ends.
     mean = 0.5 * (v + alignment.v_ecef_mps)
     coriolis = 2.0 * GNSS_EARTH_RATE_RPS * np.array([mean[1], -mean[0], 0.0])
     gravity = gravity_ecef(motion.x[0:3])
     beta = alignment.beta + v - alignment.v_ecef_mps - (gravity + coriolis) * dt_s
     variance = float(np.trace(motion.p[3:6, 3:6])) / 3.0 + VELOCITY_FLOOR_MPS**2
     cross = alignment.cross + np.outer(beta, alpha) / variance
+    # A pair of parallel vectors says nothing of a turn about them: hence the projection.
     information = (
         alignment.information + (beta @ beta * np.eye(3) - np.outer(beta, beta)) / variance
     )
@@ -74,7 +81,10 @@ def extend(alignment: Alignment, motion: Motion, samples: Vector, dt_s: float) -
 
 
 def aligned(alignment: Alignment, motion: Motion, mag_b: Vector | None) -> Motion | None:
-    """The filter with its attitude found, moved by the IMU from here; None while it is not."""
+    """The filter with its attitude found, moved by the IMU from here; None while it is not.
+
+    `mag_b` (3,) is the field in body axes, in any unit: its direction alone is used.
+    """
     span_s = (motion.t_us - alignment.start_us) * 1e-6
     if span_s < SHORTEST_S:
         return None
@@ -84,15 +94,20 @@ def aligned(alignment: Alignment, motion: Motion, mag_b: Vector | None) -> Motio
         alpha, north = _mag_pair(alignment, motion, mag_b)
         cross = cross + np.outer(north, alpha) / HEADING_BY_MAG_RAD**2
         information = information + (np.eye(3) - np.outer(north, north)) / HEADING_BY_MAG_RAD**2
+        # A heading by the magnetometer alone must pass, so the limit lies just above its own sigma.
         limit = 1.01 * HEADING_BY_MAG_RAD
+    # The weakest axis decides; an information of 1 / limit^2 is a sigma of `limit`.
     if np.linalg.eigvalsh(information)[0] < limit**-2.0:
         return None
     left, _, right = np.linalg.svd(cross)
+    # The determinant keeps a rotation: without it noise can make a reflection the best fit.
     rotation = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
     x, p = motion.x.copy(), motion.p.copy()
     x[6:10] = quat_from_matrix(rotation @ matrix(alignment.q_0b))
+    # Biases cannot be told from the attitude in so short a time: they begin at zero.
     x[10:16] = 0.0
     for at in (PSI, BG, BA):
+        # Correlations of the old attitude with anything else are void.
         p[at : at + 3, :] = 0.0
         p[:, at : at + 3] = 0.0
     p[PSI : PSI + 3, PSI : PSI + 3] = np.linalg.inv(information) + FLOOR_RAD**2 * np.eye(3)
@@ -104,10 +119,12 @@ def aligned(alignment: Alignment, motion: Motion, mag_b: Vector | None) -> Motio
 
 def _mag_pair(alignment: Alignment, motion: Motion, mag_b: Vector) -> tuple[Vector, Vector]:
     """The field's horizontal direction in the start's axes, and north in ECEF."""
+    # The integrated specific force points up while the vehicle hardly accelerates.
     up = alignment.alpha / np.linalg.norm(alignment.alpha)
     field = matrix(alignment.q_0b) @ mag_b
     level = field - (field @ up) * up
     lat, lon, _ = geodetic(motion.x[0:3])
+    # A field straight along the vertical has no horizontal direction: no division by zero.
     return level / max(float(np.linalg.norm(level)), 1e-9), ned_axes(lat, lon)[0]
 
 
@@ -117,6 +134,7 @@ def find_attitude(
     """After an epoch without inertial attitude: gather, and switch to the IMU once it is found."""
     if motion.inertial or not len(part.samples) or part.gap_s > config.gap_s:
         return motion
+    # An IMU that was blamed must stay sound for a while before it may give an attitude.
     if core.imu_bad_until_us is not None and motion.t_us < core.imu_bad_until_us:
         return motion
     alignment = motion.alignment

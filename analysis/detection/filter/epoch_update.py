@@ -131,6 +131,7 @@ def commit_to(
     """x (21,) and p (20, 20), with d, sums, offset and spread of the ramp tests' windows, after an
     epoch, as new arrays, and what stands out in these; `y` (c, c) is Y of the ranges, and b of the
     rates changes in place."""
+    # The covariance before the update: `learn_offsets` needs it after `p` has changed.
     prior = block(p, ranges.states)
     x, p = x.copy(), p.copy()
     after, moved = update(x, p, ranges, y)
@@ -138,6 +139,7 @@ def commit_to(
     starts_us = windows.starts_us
     ages = np.zeros(starts_us.shape[0])
     for w in range(ages.shape[0]):
+        # 0 marks a window that has not begun; its age stays zero.
         if starts_us[w] != 0:
             ages[w] = (step.t_us - starts_us[w]) * 1e-6
     d, sums = respond(windows, ages, step.phi, after, ranges, step.dt_s)

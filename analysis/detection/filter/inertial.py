@@ -53,7 +53,9 @@ def _gravity(x: float, y: float, z: float) -> tuple[float, float, float]:
     """The same by components, which needs no memory."""
     square = x * x + y * y + z * z
     size = math.sqrt(square)
+    # At the origin, where no fix is yet, gravity would be infinite.
     factor = -WGS84_GM_M3PS2 / (square * size) if size > 1.0e6 else 0.0
+    # 1.082627e-3 is J2.
     bulge = 1.5 * 1.082627e-3 * WGS84_SEMI_MAJOR_M * WGS84_SEMI_MAJOR_M / square
     tilt = 5.0 * z * z / square
     spin = GNSS_EARTH_RATE_RPS * GNSS_EARTH_RATE_RPS if size > 1.0e6 else 0.0
@@ -73,9 +75,11 @@ def _mechanise(x: Vector, samples: Vector, row: int, c: Vector, f: Vector) -> No
     f[2] = c[6] * ax + c[7] * ay + c[8] * az
     gx, gy, gz = _gravity(x[0], x[1], x[2])
     vx, vy, vz = x[3], x[4], x[5]
+    # Coriolis by the velocity before the step: its change within one is of second order.
     sx = (f[0] + gx + 2.0 * earth * vy) * dt
     sy = (f[1] + gy - 2.0 * earth * vx) * dt
     sz = (f[2] + gz) * dt
+    # The mean of both velocities moves the position.
     x[0] += (vx + 0.5 * sx) * dt
     x[1] += (vy + 0.5 * sy) * dt
     x[2] += (vz + 0.5 * sz) * dt
@@ -144,6 +148,7 @@ def _add_step(phi: Vector, c: Vector, f: Vector, dt: float) -> None:
     fx, fy, fz = f[0] * dt, f[1] * dt, f[2] * dt
     c0, c1, c2, c3, c4 = c[0] * dt, c[1] * dt, c[2] * dt, c[3] * dt, c[4] * dt
     c5, c6, c7, c8 = c[5] * dt, c[6] * dt, c[7] * dt, c[8] * dt
+    # In place by columns: every element of a column is read before one is written.
     for j in range(3, 15):
         vx, vy, vz = phi[60 + j], phi[80 + j], phi[100 + j]
         tx, ty, tz = phi[120 + j], phi[140 + j], phi[160 + j]
@@ -158,12 +163,14 @@ def _add_step(phi: Vector, c: Vector, f: Vector, dt: float) -> None:
         phi[120 + j] = tx + earth * ty - (c0 * gx + c1 * gy + c2 * gz)
         phi[140 + j] = ty - earth * tx - (c3 * gx + c4 * gy + c5 * gz)
         phi[160 + j] = tz - (c6 * gx + c7 * gy + c8 * gz)
+    # 316 is row CLOCK, column DRIFT.
     phi[316] += dt
 
 
 @compiled
 def _add_noise(p: Vector, noise: NoiseDensities, dt: float) -> None:
     """Add what the IMU's noise does in a while to p (400,), in place."""
+    # 21 steps from one diagonal element of (20, 20) to the next.
     for i in range(3):
         p[21 * (V + i)] += noise.accel_mps2 * dt
         p[21 * (PSI + i)] += noise.gyro_rps * dt
@@ -181,6 +188,7 @@ def _add_walks(p: Vector, noise: NoiseDensities, dt: float) -> None:
 @compiled
 def _add_clock_noise(p: Vector, noise: NoiseDensities, dt: float) -> None:
     """The same of the clock and the offsets of systems."""
+    # White noise of the drift's rate, integrated twice, once and not at all.
     p[315] += noise.clock_m * dt + noise.drift_mps * dt * dt * dt / 3.0
     p[316] += noise.drift_mps * dt * dt / 2.0
     p[335] += noise.drift_mps * dt * dt / 2.0
@@ -193,9 +201,11 @@ def _add_clock_noise(p: Vector, noise: NoiseDensities, dt: float) -> None:
 def _carried(p: Vector, phi: Vector, noise: NoiseDensities) -> Vector:
     """The covariance (20, 20) after a while of the transition phi (20, 20): half of the IMU's noise
     comes before it and half after, which is exact but for the third power of the time."""
+    # The clock's own transition is the elapsed time, so `dt` need not be handed in.
     dt, p = phi[CLOCK, DRIFT], p.copy()
     _add_noise(p.reshape(400), noise, 0.5 * dt)
     p = multiply(phi, transposed(multiply(phi, p)))
+    # Rounding makes the product asymmetric, and Cholesky would amplify that.
     for i in range(20):
         for j in range(i):
             p[i, j] = p[j, i] = 0.5 * (p[i, j] + p[j, i])
@@ -239,6 +249,7 @@ def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> int:
     `TOGETHER_S` at most; returns the row after."""
     c, f, until_s = np.empty(9), np.empty(3), TOGETHER_S
     while row < samples.shape[0] and until_s > 0.0:
+        # Two samples with one stamp are one sample.
         dt = samples[row, 0]
         if dt > 0.0:
             _mechanise(x, samples, row, c, f)
@@ -252,7 +263,8 @@ def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> int:
 def propagate_freely(
     x: Vector, p: Vector, dt: float, noise: NoiseDensities
 ) -> tuple[Vector, Vector, Vector]:
-    """The same over `dt` seconds without an IMU: steady velocity with random acceleration."""
+    """The same over `dt` seconds without an IMU: steady velocity with random acceleration; x (21,),
+    p and the transition (20, 20)."""
     x = x.copy()
     phi = np.eye(20)
     for i in range(3):
@@ -262,9 +274,11 @@ def propagate_freely(
     x[16] += x[17] * dt
     p = multiply(multiply(phi, p), transposed(phi))
     _add_walks(p.reshape(400), noise, dt)
+    # Biases keep walking while the IMU is silent.
     _add_clock_noise(p.reshape(400), noise, dt)
     q = noise.motion_mps2
     for i in range(3):
+        # Random acceleration, integrated to position and velocity.
         p[i, i] += q * dt * dt * dt / 3.0
         p[i, 3 + i] += q * dt * dt / 2.0
         p[3 + i, i] += q * dt * dt / 2.0

@@ -113,6 +113,7 @@ def posterior(prior: Vector, information: Vector) -> tuple[Vector, Vector]:
     """P+_c and Y (c, c) of P_c and N."""
     low = lower(prior)
     total = multiply(transposed(low), multiply(information, low))
+    # T is never less than I: it can be inverted whatever the measurements.
     for i in range(total.shape[0]):
         total[i, i] += 1.0
     root = lower_inverse(lower(total))
@@ -128,7 +129,7 @@ def posterior(prior: Vector, information: Vector) -> tuple[Vector, Vector]:
 
 @compiled
 def quadratic(v: Vector, m: Vector) -> float:
-    """v' m v."""
+    """v' m v of v (n,) and m (n, n)."""
     total = 0.0
     for i in range(v.shape[0]):
         for j in range(v.shape[0]):
@@ -186,6 +187,7 @@ def update(x: Vector, p: Vector, normal: Normal, y: Vector) -> tuple[Vector, Vec
     for i in range(p.shape[0]):
         for k in range(states.shape[0]):
             factor = rows[k, i]
+            # The lower half alone, then mirrored: half the work, and symmetric for sure.
             for j in range(i + 1):
                 p[i, j] -= factor * weighted[k, j]
         for j in range(i):
@@ -201,10 +203,12 @@ def move(x: Vector, d: Vector) -> None:
     """Add an error d (20,) to the state x (21,), in place."""
     q = turned_in_reference(x[X_Q : X_Q + 4], d[PSI], d[PSI + 1], d[PSI + 2])
     for i in range(PSI):
+        # The attitude's error turns the quaternion; everything else adds.
         x[i] += d[i]
     for i in range(4):
         x[X_Q + i] = q[i]
     for i in range(PSI + 3, d.shape[0]):
+        # The quaternion has four numbers where its error has three.
         x[1 + i] += d[i]
 
 
@@ -212,7 +216,8 @@ def move(x: Vector, d: Vector) -> None:
 def measured_update(
     x: Vector, p: Vector, h: Vector, variance: Vector, v: Vector
 ) -> tuple[Vector, Vector]:
-    """State and covariance after measurements, as new arrays."""
+    """State x (21,) and covariance p (20, 20) after measurements with innovations v (n,), their
+    variance (n,) and geometry h (n, 20), as new arrays."""
     x, p, normal = x.copy(), p.copy(), normal_equations(h, variance, v)
     update(x, p, normal, posterior(block(p, normal.states), normal.information)[1])
     return x, p

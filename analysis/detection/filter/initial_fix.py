@@ -54,7 +54,10 @@ class Start:
 
 
 def start(t_us: int, observed: Observed, config: DetectorConfig, ionosphere: Vector) -> Start:
-    """Least squares over all satellites above the mask, tested, and repaired if it fails."""
+    """Least squares over all satellites above the mask, tested, and repaired if it fails.
+
+    `ionosphere` (8,) are Klobuchar's coefficients.
+    """
     # First all, since the mask needs a position to tell elevations.
     x = _solve(observed, np.zeros(X_SIZE), config, ionosphere)
     if x is None:

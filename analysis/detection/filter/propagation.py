@@ -39,9 +39,11 @@ def run_of(samples: Iterable[ImuSample]) -> ImuRun:
 
 def keep_pending(run: ImuRun, pending: Pending | None) -> Pending | None:
     """A further run for the next epoch."""
+    # An empty run would only lengthen the chain.
     if not len(run.t_us):
         return pending
     depth = len(run.t_us) + (pending.depth if pending is not None else 0)
+    # Twice the limit before it is cut: joining all runs at each arrival would be quadratic.
     if depth <= 2 * PENDING_MAX:
         return Pending(run, pending, depth)
     whole = _whole(Pending(run, pending, depth))
@@ -53,6 +55,7 @@ def split_pending(pending: Pending | None, until_us: int) -> tuple[ImuRun, Pendi
     if pending is None:
         return NO_RUN, None
     run = _whole(pending)
+    # `right`: a sample at the epoch's own stamp belongs to the time before it.
     at = int(run.t_us.searchsorted(until_us, side="right"))
     if at == len(run.t_us):
         return run, None
@@ -75,6 +78,7 @@ def _whole(pending: Pending) -> ImuRun:
             np.concatenate([one.t_us for one in runs]), np.concatenate([one.values for one in runs])
         )
     if not _rising(run.t_us):
+        # Stamps that go back are left out: sorting would mix two clocks.
         later = np.append(True, run.t_us[1:] > np.maximum.accumulate(run.t_us)[:-1])
         run = ImuRun(run.t_us[later], run.values[later])
     if pending.depth <= PENDING_MAX:
@@ -98,13 +102,16 @@ def segment(run: ImuRun, motion: Motion, until_us: int) -> Segment:
 
 @compiled
 def steps(t_us: Stamps, values: Vector, from_us: int, until_us: int) -> tuple[Vector, float, bool]:
-    """The fields of a `Segment`; without samples if one of them cannot be."""
+    """The fields of a `Segment` from stamps (n,) and values (n, 6), rates in rad/s and specific
+    force in m/s^2; without samples if one of them cannot be."""
     at = 0
+    # Samples before the filter's time have been used already.
     while at < len(t_us) and t_us[at] <= from_us:
         at += 1
     count = len(t_us) - at
     if count == 0:
         return np.empty((0, 7)), (until_us - from_us) * 1e-6, False
+    # One step more than samples: the last one is held until the epoch.
     table = np.empty((count + 1, 7))
     before_us, gap_s, total_s, usable = from_us, -np.inf, 0.0, True
     for k in range(count + 1):
@@ -132,6 +139,7 @@ def advance(
     if motion.inertial and whole and config.antenna is None:
         x, p, phi = propagate_inertial(motion.x, motion.p, part.samples, noise)
         return Motion(until_us, x, p, True), phi
+    # The filter's place is the antenna's, the IMU measures at its own: there and back.
     if motion.inertial and whole and config.antenna is not None:
         first, last, arm = part.samples[0, 1:4], part.samples[-1, 1:4], config.antenna
         x, p, back = moved_along(motion.x, motion.p, first, arm, -1.0)
@@ -139,8 +147,10 @@ def advance(
         x, p, out = moved_along(x, p, last, arm, 1.0)
         return Motion(until_us, x, p, True), out @ phi @ back
     x, p, phi = propagate_freely(motion.x, motion.p, dt_s, noise)
+    # Over a short silence the attitude is still known, only less well.
     inertial = motion.inertial and part.gap_s <= SHORT_GAP_S and part.heard
     if inertial:
         p[range(PSI, PSI + 3), range(PSI, PSI + 3)] += (RATE_SIGMA_RPS * part.gap_s) ** 2
+    # A gap breaks the integrals an alignment rests on.
     alignment = motion.alignment if whole and not motion.inertial else None
     return Motion(until_us, x, p, inertial, alignment), phi

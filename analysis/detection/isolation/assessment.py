@@ -133,11 +133,13 @@ def assess(
 ) -> Assessment:
     """Every test of an epoch at the prediction x (21,) with covariance p (20, 20)."""
     observed = modelled_at(measured, states_at(measured), x, ionosphere, sigma)
+    # Excluded satellites are modelled too: they earn their readmission by these innovations.
     order, count, above = _sorted(observed.elevation_rad, trusted, mask_rad)
     every, far = observed, 0
     if count < order.shape[0]:  # else all are trusted, in the order they have
         every = _in_order(observed, order)
     h, v = every.h[:count], every.v_m
+    # In place: `v` is the array of `every`, new in this call.
     for i in range(order.shape[0]):
         v[i] -= offset_m[order[i]]
         far += i < above and abs(v[i]) > CLOCK_LEAP_M
@@ -157,6 +159,7 @@ def assess(
         parity,
         dof,
         systems,
+        # Half of them at least: no fault has this on most satellites at once.
         2 * far >= above > 0,
     )
     return Assessment(order, every, count, above, statistics, normal, y, rates)
@@ -199,6 +202,7 @@ def normalise(normal: Normal, after: Vector) -> Vector:
         remaining, own = v[i], 1.0 - quadratic_of(a, i, after) / variance
         for j in range(a.shape[1]):
             remaining -= a[i, j] * moved[j]
+        # A satellite that alone sees a state fits it exactly: its residual says nothing.
         known = own > 1e-12 * variance
         out[i] = remaining / math.sqrt(own * variance) if known else np.nan
     return out
@@ -217,6 +221,7 @@ def parity_test(normal: Normal) -> tuple[float, int, int]:
         for j in range(4, a.shape[1]):
             own += a[i, j]
         of_gps += own == 0.0
+    # Without GPS the first system's column equals the clock's: one of the two must go.
     skipped = 0 if of_gps else 1
     unknowns = np.empty(max(a.shape[1] - skipped, 3), dtype=np.int64)
     for j in range(unknowns.shape[0]):
@@ -235,7 +240,9 @@ def _sorted(elevation: Vector, trusted: Mask, mask_rad: float) -> tuple[Indices,
     count, ends = 0, np.zeros(3, dtype=np.int64)
     for kind in range(3):
         for i in range(elevation.shape[0]):
+            # `not >=`, so that a NaN elevation counts as below.
             below = not elevation[i] >= mask_rad
+            # Trusted first, so that the rest of the epoch works on one slice.
             if (2 if below else 0 if trusted[i] else 1) == kind:
                 order[count] = i
                 count += 1
@@ -255,4 +262,5 @@ def rate_equations(h: Vector, variance: Vector, v: Vector) -> Normal:
                 a[count, k] = h[i, k]
             a[count, 3], known_variance[count], known[count] = 1.0, variance[i], v[i]
             count += 1
+    # A copy: a global array is a constant of the compiled code and may not be changed.
     return normal_of(RATE_STATES.copy(), a[:count], known_variance[:count], known[:count])

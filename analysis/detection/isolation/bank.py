@@ -27,13 +27,15 @@ Indices = NDArray[np.int64]
 
 @compiled
 def reduction(block: Vector, right: Vector) -> float:
-    """right' inv(block) right by Cholesky, in place; -1 where the block is singular."""
+    """right' inv(block) right of block (k, k) and right (k,) by Cholesky, in place; -1 where the
+    block is singular."""
     k = right.shape[0]
     total = 0.0
     for i in range(k):
         pivot = block[i, i]
         for j in range(i):
             pivot -= block[i, j] * block[i, j]
+        # Relative to the element: of a smaller pivot only rounding is left.
         if pivot <= 1e-9 * block[i, i] or block[i, i] <= 0.0:
             return -1.0
         root = math.sqrt(pivot)
@@ -81,6 +83,7 @@ def best_subset(m: Vector, u: Vector, q: float, size: int) -> tuple[float, Indic
             for i in range(size):
                 best_pick[i] = pick[i]
         at = size - 1
+        # The next combination in lexical order: the last place that can still move, moves.
         while at >= 0 and pick[at] == n - size + at:
             at -= 1
         if at < 0:
@@ -95,6 +98,7 @@ def freed(m: Vector, u: Vector, q: float, g: Vector) -> float:
     """The statistic with the parameters along the columns of g (n, k) freed; q if not separable."""
     turned = transposed(g)
     lowered = reduction(multiply(turned, multiply(m, g)), apply(turned, u))
+    # Parameters that cannot be separated explain nothing: the statistic stays.
     return q - lowered if lowered >= 0.0 else q
 
 
@@ -106,6 +110,7 @@ def normalised(m: Vector, u: Vector) -> Vector:
     """
     out = np.empty(u.shape[0])
     for i in range(u.shape[0]):
+        # The diagonal vanishes where a measurement alone determines a parameter.
         out[i] = u[i] / math.sqrt(m[i, i]) if m[i, i] > 1e-12 else np.nan
     return out
 

@@ -34,6 +34,11 @@ from analysis.detection.isolation.range_test import (
     passed,
 )
 from analysis.detection.isolation.rate_test import RatesTested, check_rates, freed_by
+from analysis.detection.isolation.whole_receiver import (
+    distrusted,
+    ranges_beyond_imu,
+    rates_beyond_imu,
+)
 from analysis.samples.block import ImuRun
 
 UNDISTURBED = ("none", "satellites")  # verdicts of the rates that leave the prediction sound
@@ -53,10 +58,15 @@ class Judged(NamedTuple):
 
 
 def judge_epoch(
-    t_us: int, observed: Observed, run: ImuRun, core: Core, config: DetectorConfig
+    t_us: int,
+    observed: Observed,
+    run: ImuRun,
+    core: Core,
+    config: DetectorConfig,
+    run_before: ImuRun | None = None,
 ) -> Outcome:
     """Predict, test, isolate, update: the core after an epoch and what it showed; `run` is what the
-    IMU gave since the last."""
+    IMU gave since the last, `run_before` what it gave before that."""
     before = core.motion
     assert before is not None
     # The fast way first: it returns None wherever there is anything to decide.
@@ -75,7 +85,9 @@ def judge_epoch(
         core = freeze(core, t_us, config)
         return Outcome(core._replace(motion=motion, ramps=None), reason)
     rates = check_rates(motion, sight.used, sight.tests, config)
+    rates = rates_beyond_imu(rates, core, motion, sight.used, (run_before, run))
     tested = _tested(core, motion, sight, rates.hypothesis, config)
+    tested = ranges_beyond_imu(tested, rates, core, motion, sight.used)
     judged = Judged(core, part, motion, sight, leapt, rates, tested)
     undisturbed = not leapt and not tested.freed and rates.hypothesis in UNDISTURBED
     # Ramp tests need one unbroken filter: what was freed or leapt has no response to follow.
@@ -121,6 +133,7 @@ def _concluded(
         excluded=excluded,
         imu_bad_until_us=imu_bad_until_us(core, imu_blamed, t_us, config),
         unknown_since_us=_unknown_since_us(core, tested.hypothesis, t_us),
+        distrusted=distrusted(core, judged.rates, tested),
     )
     moved = find_attitude(core, moved, part, (t_us - before.t_us) * 1e-6, config)
     # To a free filter an acceleration was the vehicle's own: it says nothing of the IMU.
@@ -130,7 +143,7 @@ def _concluded(
     unknown_us = core.unknown_since_us
     # Nothing has explained the ranges for too long: the filter itself is wrong, start anew.
     if unknown_us is not None and (t_us - unknown_us) * 1e-6 >= config.reset_s:
-        core = core._replace(motion=None, ramps=None, unknown_since_us=None)
+        core = core._replace(motion=None, ramps=None, unknown_since_us=None, distrusted="")
     # Silence of the IMU is shown like its fault: the prediction lacks it either way.
     silent = before.inertial and part.gap_s > config.gap_s
     shown_now = shown(core, tested.hypothesis, imu_blamed or silent, judged.leapt)
@@ -221,8 +234,8 @@ def _leap_m(sight: Sight) -> float:
 
 
 def _unknown_since_us(core: Core, hypothesis: str, t_us: int) -> int | None:
-    """Since when no explanation fits."""
-    if hypothesis != "multiple-unknown":
+    """Since when nothing of the epochs can be used."""
+    if hypothesis not in ("multiple-unknown", "gps"):
         return None
     # The first epoch of the stretch counts.
     return core.unknown_since_us or t_us

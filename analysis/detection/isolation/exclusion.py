@@ -47,8 +47,10 @@ def _outside(
     `v` are those at the state `before`; what moved in between is subtracted.
     """
     moved = np.zeros(h.shape[1])
+    # Attitude and biases stand between and are not seen by a range.
     for i in range(3):
         moved[i] = after[i] - before[i]
+    # The state has one number more than the error before this, the quaternion's fourth.
     for i in range(CLOCK, h.shape[1]):
         moved[i] = after[i + 1] - before[i + 1]
     out = np.empty((2, v.shape[0]))
@@ -66,6 +68,7 @@ def exclude(
     excluded: dict[str, Exclusion], names: tuple[str, ...], onset_us: int, found_us: int
 ) -> dict[str, Exclusion]:
     """Exclude more satellites since `onset_us`; those excluded already stay as they are."""
+    # The first onset stays: a second finding is the same fault.
     new = {name: Exclusion(onset_us, found_us) for name in names if name not in excluded}
     return {**excluded, **new} if new else excluded
 
@@ -81,10 +84,12 @@ def readmit(
     if not excluded:
         return excluded
     out = dict(excluded)
+    # Over its own sigma: a satellite low over the horizon is noisier, not less healthy.
     healthy = np.abs(outside.normalised) <= two_sided(HEALTHY_P)
     for name, fine in zip(outside.names, healthy.tolist(), strict=True):
         entry = out[name]
         since = entry.healthy_since_us if entry.healthy_since_us is not None else t_us
+        # A break starts the wait again, and so does an epoch from before it was found.
         if not fine or t_us < entry.found_us:
             out[name] = replace(entry, healthy_since_us=None)
         elif (t_us - since) * 1e-6 >= config.readmit_s:

@@ -55,7 +55,8 @@ def explain_by_satellites(
     A set that passes is still enlarged while one satellite more lowers the statistic by what a
     healthy one would with probability `p_false_alarm` only: the omnibus test of what is left can
     miss a second fault that a test of its own sees. `unknowns` is how many parameters `m` has
-    been projected off (0 for innovations of a filter, 4 or 5 for a snapshot).
+    been projected off (0 for innovations of a filter, 4 or 5 for a snapshot). `m` (n, n) is the
+    inverse covariance of the innovations v, `u` (n,) is m v.
     """
     count = len(u)
     found: Explanation | None = None

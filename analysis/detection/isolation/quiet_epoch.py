@@ -70,9 +70,11 @@ def quiet_epoch(
 ) -> Outcome | None:
     """The core after the epoch and what it showed; None where there is anything to decide."""
     motion, ramps = core.motion, core.ramps
+    # Identity, not equality: the names are the same tuple while the view is the same.
     if motion is None or ramps is None or ramps.among is not observed.satellites:
         return None
-    if core.excluded or len(ramps.names) > MOST or motion.alignment is not None:
+    # Excluded satellites, an alignment under way and a lever arm are rare and need the long way.
+    if core.excluded or core.distrusted or len(ramps.names) > MOST or motion.alignment is not None:
         return None
     if motion.inertial and config.antenna is not None:
         return None
@@ -158,11 +160,13 @@ def _quiet(
     samples, gap_s, heard = steps(run.t_us, run.values, prior.t_us, t_us)
     dt_s = (t_us - prior.t_us) * 1e-6
     if prior.inertial:
+        # An inertial epoch without samples is a gap, which is a verdict of its own.
         moved = samples.shape[0] > 0 and gap_s <= limits.gap_s
         x, p, phi = propagate_inertial(prior.x, prior.p, samples, limits.noise)
     else:
         moved = not heard  # an attitude might be found
         x, p, phi = propagate_freely(prior.x, prior.p, dt_s, limits.noise)
+    # No satellite is excluded here, or the caller would not have come.
     trusted = np.ones(offset_m.shape[0], np.bool_)
     assessed = assess(
         measured, trusted, offset_m, x, p, limits.ionosphere, limits.sigma, limits.mask_rad
@@ -174,6 +178,7 @@ def _quiet(
     tested = limits.doppler and tests.rates >= MIN_RATES
     quiet = moved and _is_quiet(assessed, places, prior.inertial, tested, limits.thresholds)
     if not quiet:
+        # The long way begins anew from the state before: nothing of this is used.
         nothing = (x, p, windows.d, windows.sums, windows.offset, windows.spread)
         return False, gap_s, numbers, innovations, nothing, NOTHING_FOUND
     rates = assessed.rates
@@ -192,9 +197,11 @@ def _is_quiet(
 ) -> bool:
     """Whether the same satellites are above the mask as at the last epoch, are enough, and pass."""
     count, tests = assessed.used, assessed.statistics
+    # The same minimum as in `epoch_test`.
     if count != places.shape[0] or tests.far or count < (3 if inertial else 4 + tests.systems):
         return False
     for i in range(count):
+        # Others in view than before: the windows must be arranged anew.
         if assessed.order[i] != places[i]:
             return False
     rates_pass = not tested or bool(tests.q_rate <= thresholds[1, tests.rates])

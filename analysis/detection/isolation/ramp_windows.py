@@ -111,6 +111,7 @@ def respond(
     for w in range(ages.shape[0]):
         for axis in range(3):
             at = w * each + count + axis
+            # Half a t^2 of position and t of velocity per second of acceleration.
             d[axis, at] += 0.5 * dt_s * dt_s
             d[V + axis, at] += dt_s
     sums, known = windows.sums.copy(), _rows(after, ranges.states)
@@ -126,11 +127,13 @@ def respond(
     response = Response(seen, gamma, _whole(seen, gamma, known))
     for w in range(ages.shape[0]):
         for i in range(count):
+            # J_oo: an epoch tells every window the same, but each sums since its own start.
             sums[w, 4 * count + i] += own[i]
         news = _news(windows.offsets[w], ranges, known)
         first = w * each
         _add_ramps(sums[w], response, first, ranges, ages[w], news)
         _add_accelerations(sums[w], response, first + count, news.b, news.moved)
+    # The response follows the update as the state does, after the sums were formed with it.
     add_product(d, 1.0, after, gamma)
     return d, sums
 
@@ -219,7 +222,7 @@ def _add_accelerations(
 @compiled
 def respond_to_rates(d: Vector, sums: Vector, after: Vector, rates: Normal) -> None:
     """The same for Doppler rates, which no fault of a range touches: accelerations alone gain. d
-    and sums change in place."""
+    (20, w s) and sums (w, 5 n + 12) change in place; `after` (20, c) as for ranges."""
     count = (sums.shape[1] - 12) // 5
     known = _rows(after, rates.states)
     seen, gamma = _seen(d, rates)
@@ -238,11 +241,13 @@ def learn_offsets(
     `prior` (c, c) is the covariance of the states that are seen before it; an epoch `dt_s` after
     the last tells min(dt_s, 1 s) of what an independent one would.
     """
+    # Independent news at most once a second: epochs closer share their errors.
     stays, news = math.exp(-dt_s / numbers.offset_s), min(dt_s / NEWS_S, 1.0)
     mean, spread = windows.offset.copy(), windows.spread.copy()
     a, v, variance = ranges.a, ranges.v, ranges.variance
     for i in range(mean.shape[0]):
         mean[i] *= stays
+        # What a first-order Gauss-Markov process of that variance gains in the time.
         fresh = (1.0 - stays * stays) * numbers.offset_share * variance[i]
         spread[i] = stays * stays * spread[i] + fresh
         s = variance[i] + quadratic_of(a, i, prior)
@@ -265,6 +270,7 @@ def strongest(windows: Windows, ages: Vector, inertial: bool, numbers: RampNumbe
         if ages[w] >= YOUNGEST_S:
             rival = max(rival, wrong[w])
             for j in range(ramps.shape[1]):
+                # `worst < 0`: the first old enough window counts even with a ratio of zero.
                 if ramps[w, j] > best or worst < 0:
                     best, window, worst = ramps[w, j], w, j
     return Strongest(best, window, worst, rival)
@@ -282,10 +288,12 @@ def ramp_statistics(sums: Vector, spread: Vector, slope: float) -> Vector:
     for w in range(windows):
         for j in range(count):
             c, info = sums[w, j], sums[w, 2 * count + j]
+            # No spread: the offset is known exactly and takes nothing off.
             if spread[w, j] > 0.0:
                 shared = sums[w, 3 * count + j] / (sums[w, 4 * count + j] + 1.0 / spread[w, j])
                 c -= shared * sums[w, count + j]
                 info -= shared * sums[w, 3 * count + j]
+            # A window without information has no ratio.
             if info > 1e-9:
                 out[w, j] = c * c / (info * (1.0 + slope * info))
     return out
@@ -307,10 +315,12 @@ def acceleration_statistics(sums: Vector, prior: float) -> Vector:
                 info[a, b] = sums[w, 5 * count + 3 + 3 * a + b]
         for a in range(3):
             for b in range(3):
+                # info^2: the prior's share of J, as k J^2 of a ramp.
                 squared = (
                     info[a, 0] * info[0, b] + info[a, 1] * info[1, b] + info[a, 2] * info[2, b]
                 )
                 covariance[a, b] = info[a, b] + prior * squared
+            # Keeps the matrix invertible along an axis without information.
             covariance[a, a] += 1e-9
         if info[0, 0] + info[1, 1] + info[2, 2] > 1e-6:
             out[w] = max(reduction(covariance, c), 0.0)

@@ -80,7 +80,8 @@ def blamed(
 
 
 def without(modelled: Modelled, subset: tuple[int, ...], standing_m: Vector) -> Modelled:
-    """The innovations of the satellites that are not in `subset`, their offsets subtracted."""
+    """The innovations of the satellites that are not in `subset`, their offsets `standing_m` (n,)
+    subtracted."""
     keep = np.ones(len(modelled.v_m), dtype=bool)
     keep[list(subset)] = False
     part = modelled.select(keep)

@@ -1,11 +1,11 @@
 """What each sensor should say where the filter is: one compiled function a sensor.
 
-Each takes the numbers z of the newest sample (see `analysis.samples.block`), the filter's view `at`
-(see `sensor_kernel.view`), the sensor's slow states b (3,) if they are known, and one sigma of its
-noise. It fills in what a test needs, in the rows of `out` (7, 3): the innovation v (m,), then its
-sensitivity h (m, k) to the slow states, then the rest r (m, m) of its variance; or the first slow
-states (k,) as v and their covariance as r. It returns STARTED, TESTED or the number of a reason why
-it cannot be tested, and m or k.
+Each takes the numbers z (WIDTH,) of the newest sample (see `analysis.samples.block`), the filter's
+view `at` (VIEW,) (see `sensor_kernel.view`), the sensor's slow states b (3,) if they are known, and
+one sigma of its noise. It fills in what a test needs, in the rows of `out` (7, 3): the innovation v
+(m,), then its sensitivity h (m, k) to the slow states, then the rest r (m, m) of its variance; or
+the first slow states (k,) as v and their covariance as r. It returns STARTED, TESTED or the number
+of a reason why it cannot be tested, and m or k.
 
 Numbers lie in flat arrays because numba takes seconds to compile functions of many arguments.
 """

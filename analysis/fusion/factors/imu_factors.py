@@ -30,12 +30,12 @@ FREE_RATE_RPS = 30.0  # of a motion that says nothing of the attitude
 
 
 def imu_params(frame: Frame, r_m: Vector, noise: Noise) -> Any:
-    """What preintegration takes for granted at a position of the frame."""
+    """What preintegration takes for granted at a position (3,) in ECEF, in m."""
     return _params(frame.gravity(r_m), frame, noise, noise.gyro_rps, noise.accel_mps2)
 
 
 def preintegrate(samples: Vector, bias: Any, params: Any) -> Any:
-    """The IMU's samples (k, 7) of `fdi.motion.segment`: step in s, rates, specific force."""
+    """The IMU's samples (k, 7) of `propagation.segment`: step in s, rates, specific force."""
     preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
     for row in condensed(samples, STEP_S):
         preintegrated.integrateMeasurement(row[4:7], row[1:4], row[0])

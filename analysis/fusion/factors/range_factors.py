@@ -113,7 +113,7 @@ class Ranges:
         self, node: Node, origin: Any, frame: Frame, clock: Clock, weights: Vector, rates_only: bool
     ) -> Any | None:
         """All pseudoranges and rates of an epoch in one factor on pose, velocity and clock; None
-        where there are none.
+        where there are none. `weights` (n,) are those of the satellites.
 
         The ranges are `PseudorangeFactorArm`s without an arm, linearised at the filter's position:
         they bend by d^2/2R over a distance d, by 2 micrometres over 10 m. `clock` is what the

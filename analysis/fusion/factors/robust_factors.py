@@ -24,7 +24,7 @@ TIED_M = 0.05  # far below a range's sigma
 def pseudoranges(
     ranges: Ranges, weights: Vector, epoch: int, frame: Frame, clock: Clock, robust: str
 ) -> dict[str, Any]:
-    """Factors by satellite, on the pose and the clock in seconds of an epoch."""
+    """Factors by satellite with a weight (n,), on the pose and the clock in seconds of an epoch."""
     x, r = key("x", epoch), key("r", epoch)
     return {
         ranges.satellites[i]: ranges.pseudorange(

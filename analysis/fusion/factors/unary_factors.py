@@ -94,7 +94,7 @@ def baro_factor(epoch: int, pose: Any, offset: int, altitude_m: float, sigma_m: 
 
 
 def mag_factor(epoch: int, field_b_gauss: Vector, frame: Frame, sigma_gauss: float) -> Any:
-    """The field in body axes against the world's magnetic model."""
+    """The field (3,) in body axes against the world's magnetic model."""
     field, noise = frame.field_gauss, alike(3, sigma_gauss)
     size = float(np.linalg.norm(field))  # GTSAM takes the direction alone of its third argument
     return gtsam.MagPoseFactorPose3(key("x", epoch), field_b_gauss, size, field, NO_MAGNET, noise)

@@ -78,7 +78,7 @@ def _formal(check: Check) -> bool:
 
 
 def lasting(t_s: Vector, beyond: NDArray[np.bool_], hold_s: float) -> list[tuple[float, float]]:
-    """Stretches of at least `hold_s` in which a condition was true at every sample.
+    """Stretches of at least `hold_s` in which a condition `beyond` (n,) was true at every sample.
 
     A sample stands for the time until the next one, but not across a gap in the data.
     """

@@ -59,8 +59,8 @@ def field_data(messages: Mapping[str, Message], where: str, folder: Path) -> Fie
     # Sorted, so that a message has the same number in every report of the same log.
     tables = [(name, m.t_s, dict(_columns(m.columns))) for name, m in sorted(messages.items())]
     tables = [table for table in tables if table[2] and len(table[1])]
+    # + 1: the times are a column too.
     sizes = [(len(t_s), len(columns) + 1) for _, t_s, columns in tables]
-    # + 1 above: the times are a column too.
     most_rows = None if most_mb is None else _rows(sizes, most_mb * 1e6 / BYTES_OF_A_CELL)
     found = FieldData()
     for number, (name, t_s, columns) in enumerate(tables):
@@ -88,8 +88,8 @@ def _megabytes(where: str) -> float:
 
 
 def _rows(sizes: list[tuple[int, int]], cells: float) -> int:
-    # Bisection: the number of cells grows with the rows allowed.
     """How many rows a message may keep for all together to have so many cells."""
+    # Bisection: the number of cells grows with the rows allowed.
     low, high = 2, max((rows for rows, _ in sizes), default=2)
     while low < high:
         middle = (low + high + 1) // 2

@@ -37,14 +37,14 @@ class PackedNumbers:
     axes: dict[int, Place] = field(default_factory=dict)
 
     def values(self, values: Vector) -> Place:
-        """Put values in; what the page needs to find them: first element and count."""
+        """Put values (n,) in; what the page needs to find them: first element and count."""
         at = sum(len(part) for part in self.parts)
         # Little-endian on every machine: the page reads them so.
         self.parts.append(values.astype("<f4"))
         return {"at": at, "n": len(values)}
 
     def times(self, t_s: Vector) -> Place:
-        """Put a time axis in, unless it is there already."""
+        """Put a time axis (n,) in, unless it is there already."""
         # Equal bytes are equal axes: a message of twenty fields stores its times once.
         key = hash(t_s.tobytes())
         if key not in self.axes:
@@ -83,7 +83,7 @@ def longest_curve(lengths: Sequence[int], most: int = MOST) -> int:
 
 
 def broken(t_s: Vector, value: Vector) -> tuple[Vector, Vector]:
-    """The curve with NaN in its gaps, so that no line is drawn where there were no samples."""
+    """Times and values (n,) with NaN in the gaps: no line is drawn where there were no samples."""
     # One step has no median to be longer than.
     if len(t_s) < 3:
         return t_s, value
@@ -95,7 +95,7 @@ def broken(t_s: Vector, value: Vector) -> tuple[Vector, Vector]:
 
 
 def unwrapped(t_s: Vector, angle_deg: Vector) -> tuple[Vector, Vector]:
-    """The angle with NaN where it wraps around, so that no line crosses the plot there."""
+    """Times and angle (n,) with NaN where it wraps around, so that no line crosses the plot."""
     # A jump over half a turn between two samples is the wrap, not the vehicle.
     wraps = np.flatnonzero(np.abs(np.diff(angle_deg)) > HALF_TURN_DEG)
     middle = (t_s[wraps] + t_s[wraps + 1]) / 2
@@ -103,7 +103,7 @@ def unwrapped(t_s: Vector, angle_deg: Vector) -> tuple[Vector, Vector]:
 
 
 def thinned(t_s: Vector, value: Vector, longest: int = LONGEST) -> tuple[Vector, Vector]:
-    """The curve itself, or, if it is longer, least and greatest of each bucket, in order."""
+    """Times and values (n,), or, if longer, least and greatest of each bucket, in order."""
     n = len(t_s)
     if n <= longest:
         return t_s, value

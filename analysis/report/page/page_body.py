@@ -3,17 +3,18 @@
 What a log says is text from outside: it is escaped wherever it stands.
 """
 
+import base64
 from collections.abc import Sequence
 from html import escape
 
 from analysis.report.page.page_model import Model
 from analysis.report.page.page_parts import Cell, Moments, Page, Table
-from analysis.report.page.panels import BY_KEY, CHECKS, FIELDS, PANELS, SPECTRA, TIMELINE
+from analysis.report.page.panels import BY_KEY, CHECKS, DETECTION, FIELDS, PANELS, SPECTRA, TIMELINE
 from analysis.report.recordings.recording import Recording
 
 VERDICTS = ("PASS", "WARN", "FAIL")
 MAP = "Map"
-# Folded open also on a narrow screen: a reader comes for these first.
+# Open also on a narrow screen: a reader comes for these first.
 OPEN_WHEN_NARROW = (TIMELINE, CHECKS)
 EVENTS_SHOWN = 400
 NEAR_S = 5.0  # shown before and after an event that is clicked
@@ -95,6 +96,8 @@ def section_html(section: str, page: Page, recording: Recording, model: Model) -
             for panel in model["spectra"]
             for image in panel["images"]
         ]
+    if section == DETECTION:
+        plots += [_picture(title, svg) for title, svg in page.pictures]
     if plots:
         parts.append(f'<div class="plots">{"".join(plots)}</div>')
     parts.extend(_table(table) for name, table in page.tables if name == section)
@@ -112,6 +115,13 @@ def _plot(key: str, title: str) -> str:
     return (
         f'<div class="plot"><h3>{escape(title)}</h3><div class="area" id="plot-{key}"></div></div>'
     )
+
+
+def _picture(title: str, svg: bytes) -> str:
+    """As an image of its own, since the page's policy allows no styles but its own."""
+    data = base64.b64encode(svg).decode("ascii")
+    image = f'<img alt="{escape(title)}" src="data:image/svg+xml;base64,{data}">'
+    return f'<div class="plot"><h3>{escape(title)}</h3>{image}</div>'
 
 
 _TIMELINE = (
@@ -148,8 +158,8 @@ def _events(recording: Recording) -> str:
         (
             Moments([(event.t_s - NEAR_S, event.t_s + NEAR_S)]),
             event.kind,
-            (event.text, "FAIL" if event.severity <= 2 else ""),
             # MAVLink severities: 0 emergency, 1 alert, 2 critical.
+            (event.text, "FAIL" if event.severity <= 2 else ""),
         )
         for event in recording.events[:EVENTS_SHOWN]
     ]

@@ -45,7 +45,8 @@ class Page:
     """What stands on the page besides the recording's own plots.
 
     `limits` are keyed by panel; `tables` by the section they stand at the end of ("" is the
-    overview); `reasons` say in a line each what the verdict rests on: (kind, text).
+    overview); `reasons` say in a line each what the verdict rests on: (kind, text); `pictures` are
+    of the section of satellites: (title, SVG).
     """
 
     title: str
@@ -54,3 +55,4 @@ class Page:
     tables: Sequence[tuple[str, Table]]
     limits: Mapping[str, Sequence[Limit]] = field(default_factory=dict)
     reasons: Sequence[tuple[str, str]] = ()
+    pictures: Sequence[tuple[str, bytes]] = ()

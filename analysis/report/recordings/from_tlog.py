@@ -85,7 +85,7 @@ def recording_of(
         As `mavproxy_fault.wire.tlog.read_columns` gives them (several logs: `merged`).
     t0_us : int, optional
         The vehicle's time that is zero on the axis (a label's `t0_us`); the start by default.
-    links : dict of structured arrays, optional
+    links : dict of structured arrays (k,), optional
         By log name how its frames came (`link.stretches`).
     """
     systems = vehicle_systems(columns)

@@ -30,7 +30,7 @@ def stretches(frames: NDArray[np.void], last: dict[int, Sender]) -> NDArray[np.v
 
     Parameters
     ----------
-    frames : structured array
+    frames : structured array, shape (n,)
         As `mavproxy_fault.wire.tlog.Log.frames`.
     last : dict
         The last frame of each sender (system * 256 + component) in the blocks before; brought up
@@ -67,7 +67,7 @@ def stretches(frames: NDArray[np.void], last: dict[int, Sender]) -> NDArray[np.v
 def link_quality(
     logs: Mapping[str, NDArray[np.void]], clock: Clock
 ) -> tuple[list[LinkQuality], list[Signal]]:
-    """Losses of every sender of each log (`stretches` by name), and their curves."""
+    """Losses of every sender of each log, by name rows (k,) of `stretches`, and their curves."""
     links, signals = [], []
     for log, every in logs.items():
         for key in np.unique(every["sender"]).tolist():

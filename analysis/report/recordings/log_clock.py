@@ -30,7 +30,7 @@ class Clock:
     t0_us: float
 
     def seconds(self, rows: NDArray[np.void]) -> NDArray[np.float64]:
-        """Seconds on the axis of each row of a message."""
+        """Seconds (n,) on the axis of each row (n,) of a message."""
         # By the log's stamp first: that place tells whether the message's own time is the
         # vehicle's.
         guess = self.at(rows["t_us"])
@@ -43,7 +43,7 @@ class Clock:
         return (own - self.t0_us) * 1e-6
 
     def at(self, stamp_us: NDArray[np.int64] | NDArray[np.float64]) -> NDArray[np.float64]:
-        """Seconds on the axis of stamps of the log."""
+        """Seconds (n,) on the axis of stamps (n,) of the log in microseconds."""
         stamps: NDArray[np.float64] = np.asarray(stamp_us, float)
         if len(self.stamp_us) == 0:
             return np.asarray((stamps - self.t0_us) * 1e-6)
@@ -56,7 +56,7 @@ class Clock:
 
 
 def own_time_us(rows: NDArray[np.void]) -> NDArray[np.float64] | None:
-    """The time a message carries itself, microseconds; None if it carries none."""
+    """The time that each row (n,) of a message carries itself, microseconds; None if none."""
     names = rows.dtype.names or ()
     # Boot time first: `time_usec` may be Unix time in the same log.
     if "time_boot_ms" in names:

@@ -163,7 +163,7 @@ def runs(active: NDArray[np.bool_]) -> list[tuple[int, int]]:
 def stretches(
     lane: str, t_s: NDArray[np.float64], values: Sequence[str], kind: str = "mode"
 ) -> list[Span]:
-    """One span per stretch of equal, non-empty values."""
+    """One span per stretch of equal, non-empty values at the times `t_s` (n,)."""
     spans: list[Span] = []
     begin = 0
     for i in range(1, len(values) + 1):

@@ -40,7 +40,7 @@ class Contents:
 
 
 def extremes(value: NDArray[np.float64], buckets: int) -> NDArray[np.int64]:
-    """Places of the least and the greatest value of each of so many equal stretches, in order."""
+    """Places (k,) of the least and greatest of values (n,) in each of so many equal stretches."""
     n = len(value)
     size = -(-n // buckets)
     whole = np.full(buckets * size, np.nan)
@@ -88,7 +88,7 @@ def _sorted(some: Sequence[Rows]) -> Rows:
 
 
 def kept_rows(rows: Rows, budget: int) -> Rows:
-    """About `budget` rows of one message: evenly spaced ones and those that hold the extremes."""
+    """About `budget` rows of a message's (n,): evenly spaced ones and those of the extremes."""
     if len(rows) <= budget:
         return rows
     names = rows.dtype.names or ()

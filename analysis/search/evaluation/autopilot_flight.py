@@ -49,6 +49,7 @@ class _Plane:
 
     def step(self, controls: Controls | None) -> Step:
         """Go on by one step."""
+        # The autopilot is fed either way; only with `flies` do its actuators count.
         found = self._flight.simulation.step(controls if self._flies else None)
         self.steps += 1
         limit = self._limit(found[1])
@@ -86,6 +87,7 @@ class AutopilotFlight(Flight):
         mav_type, mix = airframe(self.simulation)
         plane = _Plane(self, self._choice.flies, limit)
         with self._served() as (links, patience):
+            # Shared by both directions of the link: one sends the step, the other hears the answer.
             lockstep = Lockstep()
             outward = ToAutopilot(self, Hil(mav_type=mav_type), self._heard)
             loop = LockstepLoop(
@@ -93,7 +95,9 @@ class AutopilotFlight(Flight):
                 outward,
                 FromAutopilot(outward, links, patience, lockstep),
                 mix,
+                # As fast as the autopilot answers.
                 math.inf,
+                # Nobody reads the progress of one flight among many.
                 Progress(time.monotonic(), io.StringIO()),
                 lockstep,
             )
@@ -105,9 +109,11 @@ class AutopilotFlight(Flight):
                 raise ConfigError(f"autopilot: {gone}, {self.t_us * 1e-6:.1f} s on") from gone
         return 0, plane.steps
 
-    def _heard(self, send: Send) -> None:
-        if send.link == MONITOR:
-            self._hear(send.data)
+    def _heard(self, sends: list[Send]) -> None:
+        # The estimator sees what left for the monitor, faults included.
+        for send in sends:
+            if send.link == MONITOR:
+                self._hear(send.data)
 
     @contextmanager
     def _served(self) -> Iterator[tuple[list[Link], Patience]]:
@@ -131,6 +137,7 @@ def started(choice: AutopilotChoice, port: int) -> Iterator[Process]:
     ConfigError
         If it cannot be started.
     """
+    # Port 0 is bound by now: the command is told the number it became.
     words = [word.replace("{port}", str(port)) for word in choice.command]
     quiet = subprocess.DEVNULL
     try:

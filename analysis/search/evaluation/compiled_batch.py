@@ -33,6 +33,7 @@ from simvehicle.vehicles.fixedwing import FixedWing
 Array = NDArray[np.float64]
 # Usual rates of a magnetometer, a GPS receiver and a pitot tube on a small aircraft.
 FIELD_HZ, VELOCITY_HZ, PRESSURE_HZ = 25.0, 5.0, 10.0
+# The number of the kernel without a filter; it is flown for its flight alone.
 HEUN = 0
 COMPILED = {"inverse-model": HEUN, "complementary": MAHONY, "mahony": MAHONY, "ekf": EKF}
 
@@ -134,6 +135,7 @@ class Batch:
             for lane in np.flatnonzero(columns[rows.BROKEN_LIMIT, : len(numbers)] == 0.0):
                 # From the start column: the kernel has written over its own copy.
                 column, number = flights[:, lane], int(numbers[lane])
+                # Sensors that the kernel leaves out are wanted by an estimator in Python.
                 plan = with_all_sensors(self.plan)
                 self._score(columns[:, lane], traced(plan, column, filters[lane], seed, number))
         return columns[:, : len(numbers)]
@@ -185,6 +187,7 @@ def plan_of(test: TestFile, vehicle: FixedWing) -> Plan:
 def gains_of(name: str) -> Gains:
     """What the kernels of an estimator take, from its default parameters."""
     estimator = make(name)
+    # Unused numbers of an estimator are zero.
     if isinstance(estimator, Mahony):
         tilt, heading, bias = estimator.tilt_gain, estimator.heading_gain, estimator.bias_gain
         return (tilt, heading, bias, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -218,7 +221,7 @@ def envelope_of(test: TestFile) -> Envelope:
 
 
 def padded(columns: Array) -> Array:
-    """Columns filled up to a multiple of LANES with dead copies of the first."""
+    """Columns (rows, n) filled up to a multiple of LANES with dead copies of the first."""
     missing = -columns.shape[1] % rows.LANES
     filler = np.repeat(columns[:, :1], missing, axis=1)
     # Dead from the start: they cost time in their vector only, and their scores are cut off.
@@ -230,6 +233,7 @@ def start_filters(name: str, columns: Array) -> Array:
     """The filters' start states (n, FILTER_SIZE) at the true attitude and velocity."""
     count = columns.shape[1]
     filters = np.zeros((count, FILTER_SIZE))
+    # Without a filter in the kernel any attitude will do.
     if COMPILED.get(name, HEUN) == HEUN:
         filters[:, 0] = 1.0
         return filters
@@ -237,6 +241,7 @@ def start_filters(name: str, columns: Array) -> Array:
     # Covariance and biases as the estimator starts; attitude and velocity are put in below.
     x = estimator.start(Prior(0, np.array([1.0, 0.0, 0.0, 0.0]))).x
     filters[:, : len(x)] = x
+    # As if GPS had been silent: gravity is used until the first velocity.
     if isinstance(estimator, Ekf):
         filters[:, HEARD], filters[:, LEVELLED] = -estimator.gps_timeout_s, 0.0
     q = columns[rows.STATE + 6 : rows.STATE + 10]
@@ -259,6 +264,7 @@ def outcome_of(columns: Array, test: TestFile) -> Outcome:
     safe = np.maximum(count, 1.0)
     rmse = np.degrees(np.sqrt(columns[rows.SQUARES : rows.SQUARES + 4] / safe))
     largest = np.degrees(columns[rows.LARGEST : rows.LARGEST + 4])
+    # One limit for all draws: any that left counts.
     limit = columns[rows.BROKEN_LIMIT].max(axis=1).astype(np.int64)
     lasted = np.minimum(count.min(axis=1) * test.dt_s / (test.duration_s + test.dt_s), 1.0)
     state = columns[rows.STATE_SQUARES : rows.STATE_SQUARES + 12] / safe
@@ -277,6 +283,7 @@ def outcome_of(columns: Array, test: TestFile) -> Outcome:
         largest.mean(axis=2).T,
         lasted * test.duration_s,
         limit,
+        # A flight that left is flown once, whatever the number of draws.
         int(np.where(limit > 0, count.max(axis=1), count.sum(axis=1)).sum()),
     )
 

@@ -31,6 +31,7 @@ class Evaluator(Protocol):
 
 def evaluator(test: TestFile) -> Evaluator:
     """The evaluator of a test."""
+    # The simulator's parts are loaded for tests that need them.
     if test.flown:
         from analysis.search.evaluation.flown_cases import Flown
 

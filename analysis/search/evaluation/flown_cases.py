@@ -63,6 +63,7 @@ class Watch:
     def hear(self, data: bytes) -> None:
         """Take in what left the proxy for the monitor."""
         items = self._parser.push(data, datagram=False)
+        # Only verified frames are heard, as by the monitor itself.
         block = self._decoder.decode(item for item in items if isinstance(item, Frame))
         _, self._state = self._scorer.step(block, self._state)
 
@@ -80,8 +81,10 @@ class Flown:
     @cached_property
     def space(self) -> Space:
         """What is searched."""
+        # Numbers of the scenario that are varied, by their path.
         entries: dict[str, Range] = {f"vary.{name}": ends for name, ends in self.test.vary.items()}
         if self.test.scenario is None:
+            # The search's own airframe flies in the simulator as well.
             vehicle = FixedWing.read(self.test.vehicle)
             speed = vehicle.parameters.cruise_mps
             trim = vehicle.trim(speed, self.test.density_kgpm3, STANDARD_GRAVITY_MPS2)
@@ -102,6 +105,7 @@ class Flown:
         alike: bool = False,
     ) -> Outcome:
         """Fly values (n,) by name, `draws` times each; with the same noise for all if `alike`."""
+        # All values have a row for each flight.
         count = len(next(iter(values.values())))
         flights = []
         for i in range(count):
@@ -128,6 +132,7 @@ def decoded(document: Document) -> tuple[Scenario, Schedule]:
     """
     where = f"the scenario {document.get('name', '')!r}"
     try:
+        # Built by the program and not read from a file: errors have no lines.
         scenario = msgspec.convert(document, Scenario)
     except msgspec.ValidationError as error:
         raise ConfigError(f"{where}: {error}; vary it less far") from error
@@ -149,9 +154,11 @@ def fly(test: TestFile, document: Document) -> Scores:
     else:
         flight = Flight(scenario, schedule)
         broken_limit = steps = 0
+        # The envelope is looked at after each step, and ends the flight.
         while not flight.over and broken_limit == 0:
             watch.hear(flight.advance([]).monitor)
             broken_limit, steps = limit(flight.simulation.truth), steps + 1
+    # What the faults still keep back leaves too.
     watch.hear(flight.finish().monitor)
     flight.drain_labels()
     parts = chosen(test, watch.summary(flight.completed_labels()))

@@ -48,7 +48,7 @@ def work(job: Job) -> Outcome:
 def shares(
     test: TestFile, points: Array, seed: int, first: int, draws: int, count: int
 ) -> list[Job]:
-    """At most `count` jobs of neighbouring points."""
+    """At most `count` jobs of neighbouring points (n, d)."""
     encoded = msgspec.json.encode(test)
     cuts = np.linspace(0, len(points), min(count, len(points)) + 1).astype(int).tolist()
     return [(encoded, points[a:b], seed, first + a, draws) for a, b in pairwise(cuts)]

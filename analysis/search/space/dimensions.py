@@ -39,6 +39,7 @@ class Space:
 
     def values(self, points: Array) -> dict[str, Array]:
         """All values by name, (n,) each, of points (n, d) in the unit cube."""
+        # Clipped: some methods step out of the unit cube.
         span = self.low + np.clip(points, 0.0, 1.0) * (self.high - self.low)
         count = len(points)
         fixed = {name: np.full(count, value) for name, value in self.fixed.items()}
@@ -77,6 +78,7 @@ def flight_entries(test: TestFile, trim: Trim) -> dict[str, Range]:
         part = getattr(test, section)
         for key, value in msgspec.structs.asdict(part).items() if part is not None else ():
             name = f"{section}.{key}"
+            # None means "as trimmed": only these keys have a value there.
             found[name] = float(trimmed[name]) if value is None else value
     return found
 
@@ -104,8 +106,10 @@ def flights_of(test: TestFile, values: Mapping[str, Array]) -> Array:
     count = len(values["initial.height_m"])
     columns = np.zeros((rows.ROWS, count))
     _start(columns, values)
+    # Surfaces are deflections here, as the kernel takes them.
     radians = {name: np.radians(values[f"controls.{name}_deg"]) for name in SURFACES}
     columns[rows.OPEN_LOOP : rows.OPEN_LOOP + 4] = [*radians.values(), values["controls.throttle"]]
+    # What is set at the start is what was commanded.
     columns[rows.CONTROL : rows.CONTROL + 4] = columns[rows.OPEN_LOOP : rows.OPEN_LOOP + 4]
     # A period of zero would divide by it in lanes that fly no mission.
     columns[rows.MISSION + 2] = MISSION_OFF_PERIOD
@@ -120,6 +124,7 @@ def flights_of(test: TestFile, values: Mapping[str, Array]) -> Array:
     columns[rows.WIND : rows.WIND + 3] = [
         values[f"wind.{a}_mps"] for a in ("north", "east", "down")
     ]
+    # The steady wind is kept beside: gusts add to a copy of it.
     columns[rows.STEADY : rows.STEADY + 3] = columns[rows.WIND : rows.WIND + 3]
     _sensors(columns, values)
     for slot in range(rows.SLOTS):
@@ -144,6 +149,7 @@ def _start(columns: Array, values: Mapping[str, Array]) -> None:
     columns[rows.STATE + 10 : rows.STATE + 13] = np.radians(
         [values[f"initial.{name}_dps"] for name in ("p", "q", "r")]
     )
+    # The estimate starts at the truth.
     columns[rows.ESTIMATE : rows.ESTIMATE + 3] = euler
     columns[rows.ESTIMATE + 3 : rows.ESTIMATE + 6] = velocity
     columns[rows.ESTIMATE + 8] = down
@@ -166,6 +172,7 @@ def _fault(columns: Array, test: TestFile, slot: int, values: Mapping[str, Array
     base = rows.FAULTS + slot * rows.FAULT_ROWS
     name = f"faults[{slot}]"
     kind = test.faults[slot].fault
+    # What is dropped is a message, what is falsified a field.
     known = LOST if kind == "drop" else CHANNELS
     places = [known[target_of(test, slot, value)] for value in values[f"{name}.target"]]
     channel, unit = np.array(places).T
@@ -174,6 +181,7 @@ def _fault(columns: Array, test: TestFile, slot: int, values: Mapping[str, Array
     value = values.get(f"{name}.value", zero)
     columns[base + rows.CHANNEL] = channel
     columns[base + rows.START] = at_s
+    # Without a duration it lasts to the end.
     columns[base + rows.END] = at_s + values.get(f"{name}.for_s", zero + np.inf)
     # Every kind is factor, offset, rate and noise of one formula: lanes need no branch.
     columns[base + rows.FACTOR] = 0.0 if kind == "constant" else value if kind == "scale" else 1.0
@@ -182,5 +190,6 @@ def _fault(columns: Array, test: TestFile, slot: int, values: Mapping[str, Array
         columns[base + rows.OFFSET] = np.nan  # a sample that never came
     columns[base + rows.RATE] = value * unit if kind == "drift" else 0.0
     columns[base + rows.SPREAD] = value * unit if kind == "noise" else 0.0
+    # A frozen value is taken at the onset; until then there is none.
     columns[base + rows.HOLD] = 1.0 if kind == "freeze" else 0.0
     columns[base + rows.FROZEN] = np.nan

@@ -22,6 +22,7 @@ CHANNELS: dict[str, tuple[int, float]] = {
     "HIL_GPS.vd": (11, 0.01),
     "HIL_SENSOR.diff_pressure": (12, 100.0),
 }
+# Three channels of velocity follow the first.
 LOST = {"HIL_GPS": (9, 1.0)}  # what `drop` may silence, by its first channel
 COMPILED = ("bias", "constant", "drift", "drop", "freeze", "noise", "scale")
 WITHOUT_VALUE = ("drop", "freeze")
@@ -43,6 +44,7 @@ class FaultRange(Section, frozen=True):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        # One or the other: both would leave open what is searched.
         if (self.target is None) == (not self.any_of):
             raise ValueError("exactly one of target and any_of is needed")
 
@@ -56,6 +58,7 @@ class FaultRange(Section, frozen=True):
         given = {"value": self.value, "at_s": self.at_s, "for_s": self.for_s}
         return {key: value for key, value in given.items() if value is not None}
 
+    # Checked here, since the simulator knows all faults and the kernels few.
     def check_compiled(self) -> None:
         """Raise ValueError if this is no fault of the compiled kernels."""
         if self.fault not in COMPILED:

@@ -14,6 +14,7 @@ from simvehicle.environment.air import SEA_LEVEL_K, SEA_LEVEL_PA
 Document = dict[str, Any]
 # Where normal gravity at sea level is the 9.80665 m/s^2 of the search (WGS 84 formula)
 LATITUDE_DEG = 45.497
+# The rates of the compiled flights' sensors.
 GPS_HZ, FIELD_HZ, PRESSURE_HZ = 5.0, 25.0, 10.0
 
 
@@ -34,10 +35,12 @@ def document_of(test: TestFile, values: Mapping[str, float], seed: int) -> Docum
         assert isinstance(test.scenario, dict)
         document = _varied(test.scenario, values)
     schedule = document.get("schedule")
+    # A scenario's own faults stay and come first.
     given = schedule if isinstance(schedule, dict) else {"faults": schedule or []}
     monitor = dict(document.get("monitor") or {})
     monitor["attitude"] = {
         **(monitor.get("attitude") or {}),
+        # An autopilot is scored by what it sends, not by an estimator of ours.
         "estimators": [] if test.estimator == AUTOPILOT else [test.estimator],
         "settle_s": test.settle_s,
     }
@@ -75,6 +78,7 @@ def _varied(scenario: Document, values: Mapping[str, float]) -> Document:
     document = scenario
     for name, value in values.items():
         if name.startswith("vary."):
+            # Keys and indices of `a.b[2].c` alike.
             path = re.findall(r"[^.\[\]]+", name.removeprefix("vary."))
             document = _with(document, path, float(value), name)
     return document
@@ -104,6 +108,7 @@ def _flight(test: TestFile, values: Mapping[str, float]) -> Document:
     start, sensors = part("initial"), part("sensors")
     height_m = start.pop("height_m")
     heading_deg = start.pop("yaw_deg")
+    # Names of the sections are those of a scenario, so they pass as they are.
     controls: Document = part("controls")
     if test.mission is not None:
         controls["weave"] = part("mission")
@@ -165,6 +170,7 @@ def _sensors(test: TestFile, values: Mapping[str, float]) -> Document:
 
 def altitude_of(density_kgpm3: float) -> float:
     """Height above sea level [m] at which the standard troposphere is that dense."""
+    # Ideal gas: density by pressure and temperature at sea level.
     sea = SEA_LEVEL_PA / (287.05287 * SEA_LEVEL_K)
     ratio = density_kgpm3 / sea
     return float(SEA_LEVEL_K / 0.0065 * (1.0 - ratio ** (1.0 / 4.25588)))  # ICAO Doc 7488

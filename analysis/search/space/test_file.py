@@ -20,6 +20,7 @@ from simvehicle.scenario.scenario_file import read_scenario
 
 AUTOPILOT = "autopilot"
 SIMULATED = (AUTOPILOT, "fusion")  # estimators that need the simulator's frames
+# As many as `rows` has slots.
 SLOTS = 4  # faults at once in the compiled kernels
 # A flight in the simulator takes a second or so, where the kernels fly thousands
 FLOWN_DEFAULTS = {"budget": 200, "keep": 3, "noise_draws": 1, "rescore_draws": 5}
@@ -63,6 +64,7 @@ class Mission(Section, frozen=True):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        # Of a range the lower end decides.
         shortest = self.period_s[0] if isinstance(self.period_s, tuple) else self.period_s
         if shortest <= 0.0:
             raise ValueError(f"period_s = {shortest} is not positive; seconds above 0")
@@ -190,6 +192,7 @@ class TestFile(Section, frozen=True):
         for name in ("duration_s", "dt_s", "keep", "noise_draws", "rescore_draws"):
             if getattr(self, name) <= 0:
                 raise ValueError(f"{name} = {getattr(self, name)} is not positive; above 0")
+        # Either alone would be a mistake: a section without use, or an autopilot without a link.
         if (self.estimator == AUTOPILOT) != (self.autopilot is not None):
             raise ValueError("estimator: autopilot and the section autopilot need each other")
         if self.vary and self.scenario is None:
@@ -207,6 +210,7 @@ class TestFile(Section, frozen=True):
             raise ValueError(f"faults has {len(self.faults)} entries; at most {SLOTS} are possible")
         for fault in self.faults:
             fault.check_compiled()
+        # Compiled flights are scored from the first sample.
         if self.settle_s > 0.0:
             raise ValueError("settle_s is for flights in the simulator; leave it out")
         if self.criterion == "state" and self.estimator != "inverse-model":

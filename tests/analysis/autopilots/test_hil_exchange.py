@@ -46,7 +46,7 @@ def flight_of(tmp_path):
 
 
 def deaf(flight, step=PX4_STEP):
-    return ToAutopilot(flight, Hil(), hear=lambda send: None, step=step)
+    return ToAutopilot(flight, Hil(), hear=lambda sends: None, step=step)
 
 
 def fly(exchange, steps):

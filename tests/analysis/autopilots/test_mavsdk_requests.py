@@ -62,6 +62,19 @@ def test_it_arms_takes_off_hovers_and_lands(flight):
     assert flight.simulation.truth.on_ground
 
 
+def test_a_plane_leaves_its_automatic_mode_for_a_while_before_it_is_armed():
+    with closing(MavsdkRequests((NORTH, NORTH))) as requests:
+        for _ in range(6):
+            requests.arm()
+        sent = Parser().push(b"".join(requests.pending()))
+    modes = [
+        (frame.number("param2"), frame.number("param3"))
+        for frame in sent
+        if frame.layout.name == "COMMAND_LONG"
+    ]
+    assert modes == [(1, 0), (1, 0), (1, 0), (4, 3)]  # manual for three seconds, then hold
+
+
 def test_it_uploads_a_mission_and_starts_it(flight):
     operator, _ = fly(flight, FlightPlan(8.0, 20.0, (NORTH,)))
     assert not operator.gave_up

@@ -130,6 +130,54 @@ def test_a_faulty_imu_is_told_from_the_receiver_without_raw_ranges(flights):
     assert 30.0 <= first.t_s < 31.0
 
 
+def spoofed(sample: Sample, speed_mps: float) -> Sample:
+    """A fix whose position runs away to the north from 30 s, and its velocity with it."""
+    if not isinstance(sample, GpsFix) or sample.t_us < 30_000_000:
+        return sample
+    assert sample.v_ned_mps is not None
+    away_deg = speed_mps * (sample.t_us - 30_000_000) * 1e-6 / 111_200.0
+    v_ned_mps = sample.v_ned_mps + np.array([speed_mps, 0.0, 0.0])
+    return replace(sample, lat_deg=sample.lat_deg + away_deg, v_ned_mps=v_ned_mps)
+
+
+def test_a_spoofer_that_moves_position_and_velocity_together_is_not_taken_for_the_imu(flights):
+    samples = [s for s in flights(45.0, 2, with_fix=True) if not isinstance(s, Epoch)]
+    spoof = [spoofed(s, 5.0) for s in samples]
+    found = [r for r in run(Detector(DetectorConfig()), spoof) if isinstance(r, Decision)]
+    alarms = [d for d in found if d.alarm]
+    assert alarms[0].t_s == pytest.approx(30.0, abs=0.21)
+    assert alarms[0].excluded == ("GPS", "gps-velocity")
+    assert {d.hypothesis for d in alarms} == {"gps"}
+
+
+def test_what_may_be_the_receiver_or_the_imu_is_called_so_and_bounds_no_position(flights):
+    samples = [s for s in flights(45.0, 2, with_fix=True) if not isinstance(s, Epoch)]
+    faulty = [
+        replace(s, gyro_b_rps=s.gyro_b_rps + np.array([0.1, 0.0, 0.0]))
+        if isinstance(s, ImuSample) and s.t_us >= 30_000_000
+        else s
+        for s in samples
+    ]
+    found = [r for r in run(Detector(DetectorConfig()), faulty) if isinstance(r, Decision)]
+    first = next(d for d in found if d.alarm)
+    assert first.hypothesis == "GPS-or-imu"
+    assert first.position_sigma_m is None
+    assert first.excluded == ()
+
+
+def test_a_field_of_the_right_size_in_a_wrong_direction_is_held_against_nobody(flight):
+    across = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    samples = [
+        replace(s, field_b_gauss=across @ s.field_b_gauss)
+        if isinstance(s, MagSample) and FROM_S <= s.t_us * 1e-6 < UNTIL_S
+        else s
+        for s in with_sensors(flight, "")
+    ]
+    found = [r for r in judged(samples) if r.sensor == "mag"]
+    assert any(r.alarm for r in found)
+    assert not any(r.isolated for r in found)
+
+
 def test_a_fix_that_is_none_is_untestable():
     fix = GpsFix(1, 47.0, 8.0, 400.0, None, 2, 3, 1.0, 1.0, "HIL_GPS")
     cases = [

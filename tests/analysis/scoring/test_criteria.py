@@ -5,7 +5,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from analysis.scoring.criteria import Criteria, judge, verdict
+from analysis.scoring.criteria import Criteria, judge, receiver_criteria, verdict
 
 
 def fault(**changes: Any) -> dict[str, Any]:
@@ -98,3 +98,32 @@ def test_what_was_not_measured_bears_no_verdict() -> None:
 def test_an_unknown_criterion_is_refused() -> None:
     with pytest.raises(msgspec.ValidationError, match="max_smoke"):
         msgspec.convert({"max_smoke": 1}, Criteria)
+
+
+RECEIVER = {
+    "false_by_channel": None,
+    "faults": [],
+    "epochs": 1000,
+    "unexplained_epochs": 10,
+    "untestable_epochs": 100,
+    "position_error": {"filter": {"horizontal_95_m": 8.0, "vertical_95_m": 13.0}},
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "with_truth", "expected"),
+    [
+        ({}, True, "PASS"),
+        ({"position_error": {}}, False, "PASS"),
+        ({"position_error": {}}, True, "NO VERDICT"),
+        ({"unexplained_epochs": 11}, False, "FAIL"),
+        ({"untestable_epochs": 101}, False, "FAIL"),
+        ({"position_error": {"filter": {"horizontal_95_m": 8.1}}}, True, "FAIL"),
+        ({"epochs": 0, "untestable_epochs": 0}, False, "NO VERDICT"),
+    ],
+)
+def test_a_receivers_recording_is_judged_by_its_epochs_and_errors(
+    change: dict[str, Any], with_truth: bool, expected: str
+) -> None:
+    found = summary(**(RECEIVER | change))
+    assert verdict(judge(receiver_criteria(with_truth), found)) == expected

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from pymavlink.dialects.v20 import all as dialect
 
 from mavproxy_fault.links.inbox import Inbox
@@ -200,6 +201,24 @@ def test_a_vanished_autopilot_is_told() -> None:
         next(autopilot.messages())
     assert codes == [1]
     assert "the autopilot closed the link after" in said.getvalue()
+
+
+@pytest.mark.parametrize(("motor_mode", "code"), [(1, 0), (129, 1)])
+def test_a_link_that_closes_in_flight_is_a_failure_and_what_to_do_is_told(motor_mode, code) -> None:
+    with served(Lift(), until_us=None) as (autopilot, codes, said, _):
+        for message in autopilot.messages():
+            if message.get_type() == "HIL_SENSOR":
+                channels = [0.0] * 16
+                autopilot.send(
+                    autopilot.mav.hil_actuator_controls_encode(
+                        message.time_usec, channels, motor_mode, 1
+                    )
+                )
+                if message.time_usec > 1_100_000:
+                    break
+    assert codes == [code]
+    assert ("with its motors on" in said.getvalue()) == bool(code)
+    assert "start simulator, proxy and autopilot anew together" in said.getvalue()
 
 
 def test_a_change_of_the_plant_reaches_the_vehicle() -> None:

@@ -1,0 +1,95 @@
+"""All satellites at once: what no IMU can do to the prediction is the signals' doing, or the
+receiver's.
+
+An IMU's fault reaches the position through the velocity, and the velocity through a force that is
+wrong. So a position that leaves while the Doppler rates still fit, or a velocity that leaves faster
+than a wrongly turned force could drive it while the IMU's own output did not change, is not the
+IMU's. The satellites agree among themselves: the hypothesis is `gps`, and nothing of the epoch is
+used.
+"""
+
+import numpy as np
+
+from analysis.detection.detector_state import Core
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.inertial import CLOCK
+from analysis.detection.filter.measurement import NO_ROWS, Modelled
+from analysis.detection.isolation.range_test import Tested
+from analysis.detection.isolation.rate_test import NO_RATES, RatesTested
+from analysis.samples.block import ImuRun
+from analysis.samples.sample import Vector
+
+RANGES, RATES = "ranges", "rates"  # what of all satellites is distrusted
+LEAST_M = 10.0  # a smaller shift may be the geometry's, when other satellites are used
+SLACK_MPS = 0.5  # of the velocity, for noise and for what has come together before
+
+
+def rates_beyond_imu(
+    rates: RatesTested,
+    core: Core,
+    motion: Motion,
+    used: Modelled,
+    runs: tuple[ImuRun | None, ImuRun],
+) -> RatesTested:
+    """The rates' verdict; `gps` where it blames an IMU that cannot have done it, or that was sound
+    when the satellites began to lie.
+
+    `runs` are what the IMU gave in the interval before, where that is known, and in this one.
+    """
+    if not motion.inertial:
+        return rates
+    wrong = core.distrusted == RATES
+    if rates.hypothesis == "imu" and (core.distrusted or _faster_than_force(used, *runs)):
+        return RatesTested(rates.statistic, rates.threshold, rates.dof, "gps", NO_RATES)
+    return rates._replace(fit=NO_RATES) if wrong else rates  # used again once the ranges fit too
+
+
+def distrusted(core: Core, rates: RatesTested, tested: Tested) -> str:
+    """What is distrusted of all satellites after an epoch."""
+    if tested.hypothesis != "gps":
+        return ""
+    return RATES if rates.hypothesis == "gps" or core.distrusted == RATES else RANGES
+
+
+def _faster_than_force(used: Modelled, before: ImuRun | None, run: ImuRun) -> bool:
+    """Whether the velocity left faster than what the IMU measured could drive it."""
+    if before is None or len(run.t_us) < 2 or len(before.t_us) < 2:
+        return False
+    force, force_before = run.values[:, 3:6].mean(axis=0), before.values[:, 3:6].mean(axis=0)
+    if not np.isfinite(force + force_before).all():
+        return False
+    dt_s = float(run.t_us[-1] - before.t_us[-1]) * 1e-6
+    columns = np.column_stack([used.h[:, 0:3], np.ones(len(used.v_mps))])
+    grown_mps = np.linalg.norm(_shift(columns, used.v_mps, used.rate_variance))
+    changed_mps = np.linalg.norm(force - force_before) * dt_s
+    turned_mps = max(np.linalg.norm(force), np.linalg.norm(force_before)) * dt_s
+    return bool(grown_mps > turned_mps + changed_mps + SLACK_MPS)
+
+
+def ranges_beyond_imu(
+    tested: Tested, rates: RatesTested, core: Core, motion: Motion, used: Modelled
+) -> Tested:
+    """The ranges' verdict; `gps` where it blames an IMU whose velocity the rates confirm.
+
+    `motion` is the prediction before anything of it was forgotten.
+    """
+    confirmed = rates.statistic is not None and rates.hypothesis == "none"
+    if rates.hypothesis != "gps":
+        if not (confirmed and motion.inertial and tested.hypothesis == "imu"):
+            return tested
+        columns = np.column_stack([used.h[:, 0:3], used.h[:, CLOCK]])
+        shift_m = np.linalg.norm(_shift(columns, used.v_m, used.variance))
+        if shift_m < LEAST_M and not core.distrusted:
+            return tested
+    return Tested(
+        motion, "gps", True, (), tested.statistic, tested.threshold, tested.probabilities, NO_ROWS,
+        True,
+    )  # fmt: skip
+
+
+def _shift(columns: Vector, v: Vector, variance: Vector) -> Vector:
+    """What moves all of some innovations v (n,): the weighted solution's first three (3,)."""
+    known = np.isfinite(v)
+    weight = 1.0 / np.sqrt(variance[known])
+    solution = np.linalg.lstsq(columns[known] * weight[:, np.newaxis], v[known] * weight)[0]
+    return np.asarray(solution[:3], dtype=np.float64)

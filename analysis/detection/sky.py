@@ -1,0 +1,111 @@
+"""The sky of a recording's decisions: elevation, azimuth, C/N0, signals, dilution of precision.
+
+It is computed behind the detector, from the same orbits, so that no test of an epoch pays for it.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from msgspec.structs import replace
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.filter.filter_state import Stored
+from analysis.detection.filter.measurement import Chosen, Indices, choose, observe
+from analysis.detection.protection import protection_levels
+from analysis.orbits.broadcast import (
+    AZIMUTH,
+    ELEVATION,
+    SIGHT,
+    pack_ephemeris,
+    predict_ranges,
+)
+from analysis.orbits.snapshot import design_matrix
+from analysis.results import Decision, Result
+from analysis.samples.block import EPHEMERIS, EPOCH, IONOSPHERE, Block
+from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample, Vector
+from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
+
+NO_IONOSPHERE = np.zeros(8)  # directions alone are asked for
+STILL = np.zeros(3)
+Dilution = tuple[float | None, float | None]
+
+
+def with_sky(block: Block, results: Sequence[Result], config: DetectorConfig) -> list[Result]:
+    """The results of a whole recording, its decisions with the sky above their position and how
+    far that may be off."""
+    samples = [block.beside[row] for row in block.rows(EPOCH).tolist()]
+    epochs = {s.t_us: s for s in samples if isinstance(s, Epoch)}
+    orbits, ionosphere, chosen = _orbits(block), _ionosphere(block, config), None
+    found: list[Result] = []
+    for result in results:
+        epoch = epochs.get(result.t_us)
+        if isinstance(result, Decision) and epoch is not None and result.position_ecef_m:
+            if chosen is None or not chosen.serves(epoch):
+                chosen = choose(epoch, orbits, config.systems)
+            result = _seen(result, epoch, chosen, ionosphere, config)
+        found.append(result)
+    return found
+
+
+def _orbits(block: Block) -> dict[str, tuple[Stored, ...]]:
+    found: dict[str, tuple[Stored, ...]] = {}
+    for row in block.rows(EPHEMERIS).tolist():
+        sample = block.beside[row]
+        assert isinstance(sample, EphemerisSample)
+        name = sample.ephemeris.satellite
+        own = (sample.ephemeris, pack_ephemeris(sample.ephemeris))
+        found[name] = (*found.get(name, ()), own)
+    return found
+
+
+def _ionosphere(block: Block, config: DetectorConfig) -> Vector:
+    """Klobuchar's coefficients (8,) of the recording's broadcasts, or those configured."""
+    for row in reversed(block.rows(IONOSPHERE).tolist()):
+        sample = block.beside[row]
+        assert isinstance(sample, IonosphereSample)
+        return np.array(sample.alpha + sample.beta)
+    return np.array(config.ionosphere, dtype=float)
+
+
+def _seen(
+    decision: Decision, epoch: Epoch, chosen: Chosen, ionosphere: Vector, config: DetectorConfig
+) -> Decision:
+    observed = observe(epoch, chosen)
+    if observed is None:
+        return decision
+    r_ecef_m = np.array(decision.position_ecef_m)
+    table = predict_ranges(observed.states, r_ecef_m, STILL, observed.tow_s, NO_IONOSPHERE)
+    places = {name: i for i, name in enumerate(observed.satellites)}
+    if not all(name in places for name in decision.satellites):
+        return decision
+    at = [places[name] for name in decision.satellites]
+    signals = dict(zip(epoch.satellites, epoch.signals, strict=False))
+    used = [places[name] for name in decision.satellites if name not in decision.excluded]
+    hdop, vdop = _dilution(table[used, SIGHT : SIGHT + 3], observed.system[used], r_ecef_m)
+    in_use = np.isin(np.arange(len(places)), used)
+    levels = protection_levels(observed.select(in_use).measured, r_ecef_m, ionosphere, config)
+    return replace(
+        decision,
+        elevation_deg=tuple(np.degrees(table[at, ELEVATION]).round(2).tolist()),
+        azimuth_deg=tuple((np.degrees(table[at, AZIMUTH]) % 360.0).round(2).tolist()),
+        cn0_dbhz=tuple(c if math.isfinite(c) else None for c in observed.cn0_dbhz[at].tolist()),
+        signals=tuple(signals.get(name, "") for name in decision.satellites),
+        hdop=hdop,
+        vdop=vdop,
+        hpl_m=levels[0],
+        vpl_m=levels[1],
+    )
+
+
+def _dilution(
+    sight: Vector, system: Indices, r_ecef_m: Vector
+) -> tuple[float | None, float | None]:
+    """Horizontal and vertical dilution of precision of satellites in the directions (n, 3)."""
+    design = design_matrix(sight, system)
+    if len(design) < design.shape[1] or np.linalg.matrix_rank(design) < design.shape[1]:
+        return None, None
+    lat, lon, _ = geodetic(r_ecef_m)
+    axes = ned_axes(lat, lon)
+    north, east, down = np.diag(axes @ np.linalg.inv(design.T @ design)[:3, :3] @ axes.T)
+    return round(math.sqrt(north + east), 3), round(math.sqrt(down), 3)

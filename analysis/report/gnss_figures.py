@@ -1,0 +1,123 @@
+"""What a GNSS engineer looks at, as SVG: the sky, residuals by elevation, errors' distribution."""
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from analysis.report.page.series_colours import PALETTE, series_colours
+from analysis.results import Decision, Result
+from analysis.samples.sample import Vector
+
+Picture = tuple[str, bytes]  # title, SVG
+MOST_POINTS = 30_000
+LEFT_OUT = "#c2231c"
+
+
+def gnss_pictures(
+    results: Sequence[Result], errors: dict[str, Vector], levels: dict[str, Vector]
+) -> list[Picture]:
+    """Pictures of decisions with their sky; `errors` (n, 2) horizontal and vertical by solution,
+    `levels` (n, 2) errors and protection levels by direction."""
+    seen = [r for r in results if isinstance(r, Decision) and r.elevation_deg]
+    found = []
+    if seen:
+        table, names = _table(seen)
+        found = [
+            ("Sky: in use, and left out (red)", _sky(table, names)),
+            ("Residuals by elevation, left out in red", _residuals(table)),
+        ]
+    if errors:
+        found.append(("Errors against the truth: share of epochs below", _distribution(errors)))
+    found += [(f"Stanford diagram, {name}", _stanford(table)) for name, table in levels.items()]
+    return found
+
+
+def _table(seen: Sequence[Decision]) -> tuple[Vector, list[str]]:
+    """Elevation, azimuth, residual, excluded or not, place of the name (k, 5); the names."""
+    names = sorted({name for decision in seen for name in decision.satellites})
+    places = {name: i for i, name in enumerate(names)}
+    step = max(1, sum(len(d.satellites) for d in seen) // MOST_POINTS)
+    rows = []
+    for decision in seen[::step]:
+        residuals = decision.residual_m or (None,) * len(decision.satellites)
+        for i, name in enumerate(decision.satellites):
+            residual = residuals[i]
+            rows.append(
+                (
+                    decision.elevation_deg[i],
+                    decision.azimuth_deg[i],
+                    np.nan if residual is None else residual,
+                    float(name in decision.excluded),
+                    places[name],
+                )
+            )
+    return np.array(rows), names
+
+
+def _figure(width_in: float, height_in: float, **axes: Any) -> tuple[Any, Any]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    return figure, figure.add_subplot(**axes)
+
+
+def _svg(figure: Any) -> bytes:
+    import matplotlib as mpl
+
+    found = io.BytesIO()
+    with mpl.rc_context({"svg.hashsalt": "gnss", "font.size": 9}):
+        figure.savefig(found, format="svg", metadata={"Date": None}, dpi=130)
+    return found.getvalue()
+
+
+def _sky(table: Vector, names: Sequence[str]) -> bytes:
+    figure, axes = _figure(5, 5, projection="polar")
+    axes.set_theta_zero_location("N")
+    axes.set_theta_direction(-1)
+    axes.set(rlim=(0, 90), yticks=(0, 30, 60, 90), yticklabels=("90°", "60°", "30°", ""))
+    for i, colour in enumerate(series_colours(list(names))):
+        own = table[table[:, 4] == i]
+        angle, radius = np.radians(own[:, 1]), 90.0 - own[:, 0]
+        out = own[:, 3] > 0.0
+        axes.scatter(angle, radius, s=3, color=PALETTE[colour], rasterized=True)
+        axes.scatter(angle[out], radius[out], s=12, color=LEFT_OUT, rasterized=True)
+        axes.annotate(names[i], (angle[-1], radius[-1]), fontsize=8)
+    return _svg(figure)
+
+
+def _residuals(table: Vector) -> bytes:
+    figure, axes = _figure(6, 3)
+    out = table[:, 3] > 0.0
+    for rows, colour, size in ((~out, PALETTE[0], 2), (out, LEFT_OUT, 4)):
+        axes.scatter(table[rows, 0], table[rows, 2], s=size, color=colour, rasterized=True)
+    axes.set(xlabel="elevation, deg", ylabel="innovation, m", yscale="symlog")
+    axes.grid(alpha=0.3)
+    return _svg(figure)
+
+
+def _distribution(errors: dict[str, Vector]) -> bytes:
+    figure, axes = _figure(6, 3)
+    colours = series_colours(list(errors))
+    for (name, table), colour in zip(errors.items(), colours, strict=True):
+        share = np.arange(1, len(table) + 1) / len(table)
+        for column, (kind, line) in enumerate((("horizontal", "-"), ("vertical", "--"))):
+            ordered = np.sort(table[:, column])
+            axes.plot(ordered, share, line, color=PALETTE[colour], label=f"{name}, {kind}")
+    axes.axhline(0.5, color="0.5", lw=0.6)
+    axes.axhline(0.95, color="0.5", lw=0.6)
+    axes.set(xlabel="error, m", ylabel="share of epochs", ylim=(0, 1))
+    axes.legend(loc="lower right", frameon=False)
+    return _svg(figure)
+
+
+def _stanford(table: Vector) -> bytes:
+    """Protection levels over errors: below the line an error was misleading."""
+    figure, axes = _figure(4, 4)
+    axes.loglog(table[:, 0], table[:, 1], ".", ms=2, color=PALETTE[0], rasterized=True)
+    ends = min(table.min(), 0.1), table.max() * 2.0
+    axes.plot(ends, ends, color=LEFT_OUT, lw=0.8)
+    axes.set(xlabel="error, m", ylabel="protection level, m")
+    axes.grid(alpha=0.3)
+    return _svg(figure)

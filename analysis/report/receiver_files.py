@@ -1,0 +1,63 @@
+"""What a recording of a receiver gets beside the report: positions, tracks and pictures."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from analysis.recordings.position_reference import PositionReference
+from analysis.report.gnss_figures import gnss_pictures
+from analysis.report.recordings.from_results import recording_of_results
+from analysis.report.recordings.recording import Recording, Track
+from analysis.report.solution_files import write_solution
+from analysis.results import Decision, FusedState, Result
+from analysis.samples.sample import Vector
+from analysis.scoring.integrity import Integrity
+from analysis.scoring.position_scores import HORIZONTAL, VERTICAL, PositionScores
+from mavproxy_fault.numerics.earth import geodetic_from_ecef
+from mavproxy_fault.wire.label import Label
+
+
+def receiver_files(
+    folder: Path,
+    results: Sequence[Result],
+    labels: Sequence[Label],
+    reference: PositionReference | None,
+    integrity: Integrity,
+) -> dict[str, Any]:
+    """Write positions and tracks into the folder; tracks and pictures for the report."""
+    t0_us = results[0].t_us - round(results[0].t_s * 1e6) if results else 0
+    recording = recording_of_results(labels, results, t0_us)
+    truth = [] if reference is None else _truth(results, reference, t0_us)
+    recording.tracks.extend(truth)
+    write_solution(folder, results, recording)
+    levels = {name: table for name in integrity.pairs if len(table := integrity.table(name))}
+    errors = _errors(results, reference)
+    pictures = gnss_pictures(results, errors, levels)
+    return {"beside": Recording("", tracks=truth), "pictures": pictures}
+
+
+def _errors(results: Sequence[Result], reference: PositionReference | None) -> dict[str, Vector]:
+    """Horizontal and vertical errors (n, 2) by solution."""
+    scores = PositionScores()
+    for result in results:
+        if not isinstance(result, (Decision, FusedState)) or result.position_ecef_m is None:
+            continue
+        true_m = None if reference is None else reference.at(result.t_us)
+        if true_m is not None:
+            name = "filter" if isinstance(result, Decision) else result.name
+            scores.add(name, result.position_ecef_m, result.position_sigma_m, true_m)
+    columns = [HORIZONTAL, VERTICAL]
+    return {name: scores.table(name)[:, columns] for name in scores.solutions()}
+
+
+def _truth(results: Sequence[Result], reference: PositionReference, t0_us: int) -> list[Track]:
+    """The reference at the epochs as a track."""
+    stamps = [result.t_us for result in results if isinstance(result, Decision)]
+    known = [(t_us, place) for t_us in stamps if (place := reference.at(t_us)) is not None]
+    if len(known) < 2:
+        return []
+    lat, lon, height = geodetic_from_ecef(np.array([place for _, place in known]))
+    t_s = (np.array([t_us for t_us, _ in known]) - t0_us) * 1e-6
+    return [Track("truth", t_s, np.degrees(lat), np.degrees(lon), height)]

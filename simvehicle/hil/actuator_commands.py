@@ -1,0 +1,64 @@
+"""The built-in controller's commands as the HIL_ACTUATOR_CONTROLS an autopilot would send.
+
+Where something between controller and vehicle may change them they go out as frames, in PX4's
+channels (see `simvehicle.vehicles.actuators`), and come back as controls.
+"""
+
+import struct
+from collections.abc import Sequence
+
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, framed
+from simvehicle.vehicles.actuators import (
+    ARMED,
+    CHANNELS,
+    ELEVATOR,
+    LEFT_AILERON,
+    RIGHT_AILERON,
+    RUDDER,
+    THROTTLE,
+    Mix,
+    read_controls,
+)
+from simvehicle.vehicles.body import Controls, Vector
+
+HIL_ACTUATOR_CONTROLS = known("HIL_ACTUATOR_CONTROLS")
+SYSTEM, COMPONENT = 1, 1  # the autopilot's
+# Of a surface or throttle: the channels that drive it, with their signs; motors go by their numbers
+CHANNELS_OF: dict[str, tuple[tuple[int, float], ...]] = {
+    "elevator": ((ELEVATOR, -1.0),),
+    "aileron": ((RIGHT_AILERON, 1.0), (LEFT_AILERON, -1.0)),
+    "rudder": ((RUDDER, -1.0),),
+    "throttle": ((THROTTLE, 1.0),),
+}
+_PAYLOAD = struct.Struct("<QQ16fB")
+
+
+class ActuatorCommands:
+    """One vehicle's commands out and back; `driven` is what came back last."""
+
+    def __init__(self, actuators: Sequence[str], mix: Mix) -> None:
+        self.driven: Controls | None = None
+        self._mix = mix
+        self._seq = 0
+        self._channels = [
+            CHANNELS_OF.get(name, ((number, 1.0),)) for number, name in enumerate(actuators)
+        ]
+
+    def frame(self, t_us: int, values: Vector) -> bytes:
+        """The message that commands the actuators to `values` (n,) at `t_us`."""
+        channels = [0.0] * CHANNELS
+        for value, driven in zip(values.tolist(), self._channels, strict=True):
+            for channel, sign in driven:
+                channels[channel] = sign * value
+        payload = _PAYLOAD.pack(t_us, 0, *channels, ARMED)
+        raw = framed(
+            HIL_ACTUATOR_CONTROLS, payload, seq=self._seq, system=SYSTEM, component=COMPONENT
+        )
+        self._seq = (self._seq + 1) % 256
+        return raw
+
+    def receive(self, frame: Frame) -> None:
+        """A message that reached the actuators, whatever was done to it on the way."""
+        if frame.layout.name == HIL_ACTUATOR_CONTROLS.name:
+            self.driven = read_controls(frame, self._mix)[1]

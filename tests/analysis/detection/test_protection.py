@@ -1,0 +1,76 @@
+"""Protection levels against least squares written out here, and against a real antenna's place."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from analysis.detection import Detector, DetectorConfig
+from analysis.detection.filter.measurement import choose, observe
+from analysis.detection.protection import protection_levels
+from analysis.recordings.recordings import read_rinex_samples
+from analysis.samples.sample import Epoch
+
+ANTENNA_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])  # of the data's README
+CONFIG = DetectorConfig()
+
+
+@pytest.fixture(scope="module")
+def seen(shared_data):
+    """What an epoch of a real recording measured, and the coefficients of its ionosphere."""
+    folder = shared_data / "gnss_static"
+    samples = read_rinex_samples(folder / "SEPT078M.21O", folder / "SEPT078M.21P")
+    first = next(i for i, s in enumerate(samples) if isinstance(s, Epoch))
+    detector = Detector(CONFIG)
+    _, state = detector.step(samples[: first + 1], detector.new_state())
+    chosen = choose(samples[first], state.core.ephemerides, "GE")
+    return observe(samples[first], chosen), state.core.ionosphere
+
+
+def levels(seen, keep=None, r_m=ANTENNA_M, config=CONFIG):
+    observed, ionosphere = seen
+    if keep is not None:
+        observed = observed.select(np.array([keep(name) for name in observed.satellites]))
+    return protection_levels(observed.measured, r_m, ionosphere, config)
+
+
+def test_the_true_place_is_well_within_its_levels(seen):
+    horizontal_m, vertical_m = levels(seen)
+    assert 5.0 < horizontal_m < 60.0
+    assert horizontal_m < vertical_m < 100.0
+
+
+def test_a_position_that_is_off_has_levels_that_reach_back(seen):
+    for off in np.eye(3) * 80.0:
+        horizontal_m, vertical_m = levels(seen, r_m=ANTENNA_M + off)
+        assert horizontal_m**2 + vertical_m**2 > 80.0**2
+        before = levels(seen)
+        assert horizontal_m > before[0] or vertical_m > before[1]
+
+
+def test_a_faulty_range_widens_the_levels_by_what_it_moves_the_solution(seen):
+    observed, ionosphere = seen
+    ranges = observed.pseudorange_m.copy()
+    ranges[0] += 30.0
+    moved = observed._replace(pseudorange_m=ranges)
+    wider = protection_levels(moved.measured, ANTENNA_M, ionosphere, CONFIG)
+    assert wider[0] > levels(seen)[0]
+
+
+def test_fewer_satellites_give_wider_levels_and_too_few_none(seen):
+    observed, _ = seen
+    gps = [name for name in observed.satellites if name[0] == "G"]
+    alone = levels(seen, lambda name: name in gps)
+    assert alone[0] is not None
+    few = levels(seen, lambda name: name in gps[:6])
+    assert few[0] is None or few[0] > alone[0]
+    assert levels(seen, lambda name: name in gps[:4]) == (None, None)
+
+
+def test_larger_sigmas_give_wider_levels(seen):
+    wide = with_sigma(CONFIG, scale=10.0)
+    assert levels(seen, config=wide)[0] > levels(seen)[0]
+
+
+def with_sigma(config, **changes):
+    sigma = msgspec.structs.replace(config.sigma, **changes)
+    return msgspec.structs.replace(config, sigma=sigma)

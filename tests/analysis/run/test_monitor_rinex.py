@@ -1,0 +1,82 @@
+"""`monitor --rinex` end to end: a verdict, errors against the truth, files for other programs."""
+
+import json
+
+import numpy as np
+import pytest
+
+from analysis.recordings.position_reference import read_reference
+from mavproxy_fault.cli import main
+
+TRUTH = "-3962108.6836,3381309.5672,3668678.6720"
+
+
+@pytest.fixture(scope="module")
+def folder(shared_data, tmp_path_factory):
+    """The folder of a monitored recording, with its summary."""
+    out, data = tmp_path_factory.mktemp("rinex") / "run", shared_data / "gnss_static"
+    files = [str(data / "SEPT078M.21O"), str(data / "SEPT078M.21P")]
+    code = main(
+        ["monitor", "--rinex", *files, f"--truth={TRUTH}", "--zenoh", "off", "--out", str(out)]
+    )
+    assert code == 0
+    return out
+
+
+def test_the_verdict_rests_on_epochs_and_errors(folder):
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["verdict"] == "PASS"
+    assert [row["name"] for row in summary["criteria"]] == [
+        "horizontal error at 95 %, m",
+        "vertical error at 95 %, m",
+        "share of epochs that nothing explains",
+        "share of epochs tested",
+    ]
+    errors = summary["position_error"]["filter"]
+    assert errors["epochs"] == 900
+    assert errors["horizontal_95_m"] < 1.5
+    assert summary["alarms"] == 0
+    for row in summary["integrity"].values():
+        assert row["with_level"] == 900
+        assert row["misleading"] == 0
+
+
+def test_the_position_file_is_rtklibs_and_holds_the_positions(folder):
+    written = read_reference(str(folder / "solution.pos"))
+    lines = (folder / "results.jsonl").read_text().splitlines()
+    told = [row for row in map(json.loads, lines) if row["type"] == "Decision"]
+    assert written.t_us.tolist() == [row["t_us"] for row in told]
+    apart = written.r_ecef_m - np.array([row["position_ecef_m"] for row in told])
+    assert np.abs(apart).max() < 1e-3
+    assert told[-1]["hdop"] > 0.4
+
+
+def test_the_report_has_the_sky_and_tracks_for_maps(folder):
+    assert (folder / "report.html").read_text().count("data:image/svg+xml") == 5
+    assert "truth" in (folder / "tracks.kml").read_text()
+    assert json.loads((folder / "tracks.geojson").read_text())["features"]
+
+
+def test_faults_of_a_schedule_are_found_in_the_recording(shared_data, tmp_path):
+    data, faults = shared_data / "gnss_static", tmp_path / "faults.yaml"
+    faults.write_text(
+        "faults:\n"
+        "  - {id: step, fault: bias, target: PSEUDORANGE.G19, value: 50, at_s: 300, for_s: 60}\n"
+        "  - {id: ramp, fault: drift, target: PSEUDORANGE.E13, value: 0.5, at_s: 500, for_s: 60}\n"
+    )
+    files = [str(data / "SEPT078M.21O"), str(data / "SEPT078M.21P")]
+    out = tmp_path / "run"
+    given = ["--schedule", str(faults), f"--truth={TRUTH}", "--zenoh", "off", "--out", str(out)]
+    assert main(["monitor", "--rinex", *files, *given]) == 0
+    rows = json.loads((out / "summary.json").read_text())["faults"]
+    assert [(row["verdict"], row["isolated"]) for row in rows] == [
+        ("isolated", ["G19"]),
+        ("isolated", ["E13"]),
+    ]
+    assert (out / "labels.jsonl").is_file()
+
+
+def test_a_schedule_without_a_recording_to_put_it_into_is_refused(tmp_path, capsys):
+    code = main(["monitor", "--log", "flight.tlog", "--schedule", "faults.yaml"])
+    assert code == 2
+    assert "--schedule: is for --rinex" in capsys.readouterr().err

@@ -1,0 +1,55 @@
+"""`replay` of a RINEX file: faults in a real recording, labels beside it, and what is refused."""
+
+import pytest
+
+from mavproxy_fault.app.rinex_faults import faulted_lines
+from mavproxy_fault.cli import main
+from mavproxy_fault.rinex.rinex_text import read_rinex_text
+from mavproxy_fault.schedule.entries import parse_schedule
+from mavproxy_fault.wire.label import newest, read_labels
+
+STEP = {"fault": "bias", "target": "PSEUDORANGE.G19", "value": 50, "at_s": 10, "for_s": 5}
+LOSS = {"fault": "drop", "target": "PSEUDORANGE.G17", "value": 1.0, "at_s": 20, "for_s": 2}
+
+
+@pytest.fixture
+def recording(shared_data):
+    return shared_data / "gnss_static" / "SEPT078M.21O"
+
+
+def schedule(*faults):
+    return parse_schedule({"seed": 1, "faults": list(faults)})
+
+
+def test_faults_act_from_the_first_epoch_on_as_on_a_link(recording):
+    healthy = read_rinex_text(recording)
+    lines, labels = faulted_lines(recording, schedule(STEP, LOSS))
+    changed = [(a, b) for a, b in zip(healthy, lines, strict=True) if a.rstrip() != b.rstrip()]
+    steps = [float(b[3:17]) - float(a[3:17]) for a, b in changed if a.startswith("G19")]
+    assert steps == pytest.approx([50.0] * 5)
+    assert [b[3:17].strip() for a, b in changed if a.startswith("G17")] == ["", ""]
+    assert len(changed) == 7
+    step, loss = newest(labels)
+    assert (step.frames, step.magnitude, step.recorded) == (5, 50.0, True)
+    assert (step.start_us - step.t0_us, step.end_us - step.t0_us) == (10_000_000, 15_000_000)
+    assert loss.frames == 2
+
+
+def test_the_command_writes_file_and_labels(recording, tmp_path):
+    faults, out = tmp_path / "faults.yaml", tmp_path / "faulted.21O"
+    faults.write_text("faults:\n  - {fault: bias, target: PSEUDORANGE.G19, value: 50, for_s: 5}\n")
+    assert main(["replay", str(recording), "--schedule", str(faults), "--out", str(out)]) == 0
+    assert len(read_rinex_text(out)) == len(read_rinex_text(recording))
+    assert [label.frames for label in read_labels(tmp_path / "faulted.21O.labels.jsonl")] == [5]
+
+
+def test_what_cannot_act_on_a_file_is_refused(recording, tmp_path, capsys):
+    faults = tmp_path / "faults.yaml"
+    faults.write_text("faults:\n  - {fault: bias, target: HIL_SENSOR.xgyro, value: 1}\n")
+    out = str(tmp_path / "faulted.21O")
+    assert main(["replay", str(recording), "--schedule", str(faults), "--out", out]) == 2
+    assert "cannot act on a RINEX file; PSEUDORANGE targets can" in capsys.readouterr().err
+    assert main(["replay", str(recording), "--link", "udpout:127.0.0.1:9"]) == 2
+    assert "needs --schedule FILE and --out FILE" in capsys.readouterr().err
+    assert main(["replay", str(recording), "--schedule", str(faults), "--out", str(recording)]) == 2
+    assert "is the file that is replayed" in capsys.readouterr().err
