@@ -172,15 +172,15 @@ def main(args: argparse.Namespace) -> int:
     signed = signing(args)
     # Links first: a port that is taken ends the command before anything is written.
     links = open_links(args.master, args.out)
-    admit(links, args.allow_peer, lock=args.lock_peer)
-    tape = Tape() if args.logdir else None
-    core = Core(roles(links), engine, signing=signed, tape=tape)
-    if args.rflysim is not None and args.rflysim_map:
-        session["rflysim_map"] = str(Path(args.rflysim_map).resolve())
-    session["links"] = [{"name": role.name, "direction": role.direction} for role in core.links]
-    recorder = Recorder(Path(args.logdir), session) if args.logdir else None
-    server = Server(links, core, tape=tape, recorder=recorder, busy_poll=args.busy_poll)
     try:
+        admit(links, args.allow_peer, lock=args.lock_peer)
+        tape = Tape() if args.logdir else None
+        core = Core(roles(links), engine, signing=signed, tape=tape)
+        if args.rflysim is not None and args.rflysim_map:
+            session["rflysim_map"] = str(Path(args.rflysim_map).resolve())
+        session["links"] = [{"name": role.name, "direction": role.direction} for role in core.links]
+        recorder = Recorder(Path(args.logdir), session) if args.logdir else None
+        server = Server(links, core, tape=tape, recorder=recorder, busy_poll=args.busy_poll)
         server.prepare()
         by_name = args.zenoh not in ("auto", "off") or args.rflysim is not None
         if by_name:  # what was asked for by name is there when the proxy is ready
