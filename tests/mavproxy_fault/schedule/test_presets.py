@@ -128,6 +128,9 @@ def test_a_coherent_preset_moves_every_message_of_its_kind(name: str) -> None:
     if name == "clock-jump":
         assert {field.split(".")[0] for field in fields} == targets(name)
         assert {field.split(".")[1] for field in fields} == {"time_usec", "time_boot_ms"}
+    elif name == "gps-velocity-error":
+        assert {field.split(".")[0] for field in fields} == targets(name)
+        assert not {field.split(".")[1] for field in fields} & {"lat", "lon", "alt"}
     else:
         moved_latitudes = {field.split(".")[0] for field in fields if field.endswith(".lat")}
         assert moved_latitudes == {
