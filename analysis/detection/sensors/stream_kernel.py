@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.samples.block import FIX, IMU, Indices, Stamps
+from analysis.samples.block import FIX, IMU, SOURCES, Indices, Stamps
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
 
@@ -23,6 +23,7 @@ SATELLITES = LINK - 1  # raw ranges have no stamp of their own, theirs is anothe
 # By kind of sample its stream, and how many of its numbers are measured; -1: only a witness of time
 STREAM_OF = (0, 3, 4, 5, 6, 7, -1, -1, 8, 9, -2, -2)
 NUMBERS = (6, 3, 1, 1, 1, 3, 0, 0, 0, 0, 0, 0)
+FIX_SOURCE, OWN_SOURCE = 10, SOURCES.index("HIL_GPS")  # a fix's column of who sent it
 FIX_NUMBERS, MOVING_MPS = 5, 1.0  # of a fix: place and level velocity together, while it moves
 
 LEARNT, LEARNT_VALUES = 20, 200  # samples after which a stream and its values are known
@@ -231,6 +232,18 @@ def _fix_repeated(watched: Watched, s: int, numbers: Vector, t_us: int) -> float
 
 
 @inlined
+def _is_receivers(watched: Watched, s: int, source: float) -> bool:
+    """Whether a fix is the receiver's own: what an autopilot passes on comes late and repeats."""
+    known = watched.values[s, FIX_SOURCE]
+    if source == known:
+        return True
+    if source != OWN_SOURCE and not np.isnan(known):
+        return False
+    watched.values[s, FIX_SOURCE], watched.counts[s, COUNT] = source, 0
+    return True
+
+
+@inlined
 def _measured(
     watched: Watched, found: Found, row: int, s: int, kind: int, numbers: Vector, t_us: int
 ) -> None:
@@ -255,6 +268,8 @@ def watch(kind: Indices, t_us: Stamps, values: Vector, watched: Watched, found: 
             continue
         if kind[row] == IMU:
             s = min(max(int(values[row, 6]), 0), IMUS - 1)
+        elif kind[row] == FIX and not _is_receivers(watched, s, values[row, FIX_SOURCE]):
+            s = -1
         now_us = t_us[row]
         clock = 1 if now_us > EPOCH_1970_US else 0
         at = watched.clocks[clock]

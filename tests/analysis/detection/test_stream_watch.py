@@ -114,6 +114,16 @@ def test_a_sound_stream_is_left_alone(options: dict[str, float]) -> None:
     assert troubles(stream(40, **options)) == []
 
 
+def test_what_an_autopilot_passes_on_of_its_receiver_is_no_stream_of_its_own() -> None:
+    samples: list[Sample] = []
+    for sample in stream():
+        samples.append(sample)
+        if isinstance(sample, GpsFix) and sample.t_us > 2 * SECOND:
+            late = sample.t_us - 1_200_000 if sample.t_us % SECOND == 0 else sample.t_us
+            samples.append(replace(sample, t_us=late, source="GPS_RAW_INT"))
+    assert troubles(samples) == []
+
+
 def test_a_pause_of_everything_is_the_links_and_nobody_elses() -> None:
     found = troubles([s for s in stream() if not BEGIN_US <= s.t_us < END_US])
     assert {result.sensor for result in found} == {"link"}
