@@ -1,8 +1,8 @@
 """The oldest processors of each architecture that machine code in a wheel is made for.
 
-x86-64-v3 [1]_ is every Intel processor since 2013 and every AMD one since 2015 but the smallest.
-Older ones lack fused multiply-add, which then is a call: a search takes three times as long. Those,
-and architectures that are not named here, get code of their own at first use.
+x86-64-v3 [1]_ is Intel's Haswell (2013), AMD's Excavator (2015) and what came after, but the
+smallest. Older ones lack fused multiply-add, which then is a call and slow (docs/compiled.md).
+Those, and architectures that are not named here, get code of their own at first use.
 
 References
 ----------
