@@ -2,7 +2,7 @@
 
 `python benchmarks/spoof_without_ranges.py` flies the demo's fixed wing and the examples' quad with
 a receiver that tells position and velocity alone, spoofs it from 20 s to 40 s of a flight of 50 s,
-and prints the table of docs/fdi.md. `SEEDS` flights a row, on all cores.
+and prints a table. `SEEDS` flights a row, on all cores: about a quarter of an hour.
 """
 
 import multiprocessing
