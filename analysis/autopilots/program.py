@@ -38,14 +38,14 @@ class Program:
 
 
 @contextlib.contextmanager
-def ended(process: Process) -> Iterator[Process]:
-    """End a program in the end, kindly first."""
+def ended(process: Process, within_s: float = END_S) -> Iterator[Process]:
+    """End a program in the end: kindly first, as it may want to write its log."""
     try:
         yield process
     finally:
         process.terminate()
         try:
-            process.wait(END_S)
+            process.wait(within_s)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()

@@ -23,7 +23,7 @@ from analysis.orbits.broadcast import B1I_HZ, B3I_HZ
 from analysis.orbits.glonass import CENTRE_HZ, CHANNEL_HZ
 from analysis.samples.sample import Epoch, Vector
 from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
-from mavproxy_fault.rinex.rinex_text import header_of, read_rinex_text
+from mavproxy_fault.rinex.rinex_text import header_of, read_rinex_text, types_2, types_3
 
 PREFERRED = {
     "G": ("1C", "1X", "1L", "1S", "1W", "1P"),
@@ -116,20 +116,12 @@ def _channels(header: list[str]) -> dict[str, int]:
 
 
 def _types_3(header: list[str]) -> dict[str, list[_Columns]]:
-    types: dict[str, list[str]] = {}
-    system = ""
-    for line in header:
-        if line[60:].startswith("SYS / # / OBS TYPES"):
-            system = line[0] if line[0] != " " else system
-            types.setdefault(system, []).extend(line[6:60].split())
+    types = types_3(header)
     return {system: _signals(system, types[system]) for system in PREFERRED if system in types}
 
 
 def _types_2(header: list[str]) -> tuple[int, _Columns]:
-    names: list[str] = []
-    for line in header:
-        if line[60:].startswith("# / TYPES OF OBSERV"):
-            names.extend(line[6:60].split())
+    names = types_2(header)
     code = names.index("C1") if "C1" in names else names.index("P1") if "P1" in names else -1
     places = [names.index(k) if k in names else -1 for k in ("D1", "S1")]
     return len(names), _placed(0, [code, *places], "1C" if "C1" in names else "1P")

@@ -14,6 +14,7 @@ from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
 
 from mavproxy_fault.rinex.range_epoch import RangeEpoch
+from mavproxy_fault.rinex.rinex_text import types_2, types_3
 
 GPS_ZERO = datetime(1980, 1, 6, tzinfo=UTC)
 FIELD, VALUE = 16, 14  # F14.3, loss of lock, signal strength
@@ -90,23 +91,14 @@ def _epochs_3(lines: Sequence[str], at: int, header: Sequence[str]) -> Iterator[
 
 def _columns_3(header: Sequence[str]) -> dict[str, list[int]]:
     """By system where its codes begin in a line."""
-    types: dict[str, list[str]] = {}
-    system = ""
-    for line in header:
-        if line[60:].startswith("SYS / # / OBS TYPES"):
-            system = line[0] if line[0] != " " else system
-            types.setdefault(system, []).extend(line[6:60].split())
     return {
         system: [NAME + FIELD * i for i, name in enumerate(names) if name.startswith("C")]
-        for system, names in types.items()
+        for system, names in types_3(header).items()
     }
 
 
 def _epochs_2(lines: Sequence[str], at: int, header: Sequence[str]) -> Iterator[FileEpoch]:
-    types: list[str] = []
-    for line in header:
-        if line[60:].startswith("# / TYPES OF OBSERV"):
-            types.extend(line[6:60].split())
+    types = types_2(header)
     places = [divmod(i, PER_LINE_2) for i, name in enumerate(types) if name[0] in "CP"]
     per_satellite = -(-len(types) // PER_LINE_2)
     while at < len(lines):

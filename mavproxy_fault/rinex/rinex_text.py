@@ -2,6 +2,7 @@
 
 import re
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 
 from mavproxy_fault.documents.errors import ConfigError
@@ -61,3 +62,24 @@ def header_of(path: Path, lines: list[str], kinds: str, called: str) -> tuple[fl
     if end is None:
         raise ConfigError(f"{path}: has no END OF HEADER; the header is cut short")
     return float(version), end
+
+
+def types_3(header: Sequence[str]) -> dict[str, list[str]]:
+    """What a RINEX 3 or 4 observation file holds of each system, in the order of its fields."""
+    types: dict[str, list[str]] = {}
+    system = ""
+    for line in header:
+        if line[60:].startswith("SYS / # / OBS TYPES"):
+            system = line[0] if line[0] != " " else system  # blank where a list goes on
+            types.setdefault(system, []).extend(line[6:60].split())
+    return types
+
+
+def types_2(header: Sequence[str]) -> list[str]:
+    """The same of a RINEX 2 file, where all systems have the same."""
+    return [
+        name
+        for line in header
+        if line[60:].startswith("# / TYPES OF OBSERV")
+        for name in line[6:60].split()
+    ]

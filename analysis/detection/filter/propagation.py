@@ -14,7 +14,6 @@ from analysis.samples.sample import MOST_OF_IMU, ImuSample, Vector
 from mavproxy_fault.numerics.compile import compiled
 
 PENDING_MAX = 40_000  # samples without an epoch between; older ones are forgotten
-NO_STEPS = np.empty((0, 7))
 NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
 RATE_SIGMA_RPS = 0.5  # how fast a body may turn while its IMU is silent
 SHORT_GAP_S = 1.0  # after a longer one the attitude is found anew

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 
 from analysis.autopilots.hil_exchange import FromAutopilot, Patience, Process, ToAutopilot
+from analysis.autopilots.program import ended
 from analysis.run.proxied_flight import MONITOR, Flight
 from analysis.search.space.test_file import AutopilotChoice
 from mavproxy_fault.documents.errors import ConfigError
@@ -146,13 +147,5 @@ def started(choice: AutopilotChoice, port: int) -> Iterator[Process]:
         )
     except OSError as error:
         raise ConfigError(f"autopilot.command: {words[0]} cannot be started; {error}") from error
-    try:
+    with ended(process, ENDS_S):
         yield process
-    finally:
-        # First kindly: an autopilot may want to write its log.
-        process.terminate()
-        try:
-            process.wait(ENDS_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
