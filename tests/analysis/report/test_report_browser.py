@@ -6,6 +6,8 @@ from typing import Any
 
 import pytest
 
+from analysis.report.run_report import write
+from analysis.results import Decision
 from mavproxy_fault.cli import main
 
 Flight = Callable[..., Path]
@@ -65,6 +67,29 @@ def test_every_plot_and_both_tracks_have_drawn(opened: Opened) -> None:
     areas = opened.page.query_selector_all(".area, #map, #space")
     assert len(areas) >= 12
     assert min(area.evaluate(INKED) for area in areas) > 500
+
+
+def test_a_logarithmic_plot_has_a_range_that_its_curves_can_be_drawn_in(
+    browser: Any, tmp_path: Path
+) -> None:
+    """A grid without curves has ink enough for the test above."""
+    decisions = [
+        Decision(
+            t_s=float(t), t_us=t * 1_000_000, statistic=3.0 + 40.0 * (10 <= t < 20), threshold=18.5,
+            dof=2, p_value=None, alarm=10 <= t < 20, hypothesis="none", excluded=(),
+            satellites=("G01",), residual_m=(0.5,),
+        )
+        for t in range(30)
+    ]  # fmt: skip
+    page = Opened(
+        browser,
+        write(tmp_path, summary={"verdict": "PASS"}, labels=[], results=decisions, columns={}),
+    ).page
+    page.evaluate("report.all()")
+    page.wait_for_timeout(50)
+    logarithmic = "[...report.axis.plots].map((p) => p.scales.y).filter((y) => y.distr === 3)"
+    assert page.evaluate(f"({logarithmic}).map((y) => Number.isFinite(y.max - y.min))") == [True]
+    page.close()
 
 
 def test_plots_draw_by_themselves_when_they_come_into_view(opened: Opened) -> None:

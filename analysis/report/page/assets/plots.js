@@ -147,7 +147,7 @@ function drawPanel(area, panel, page, curves, axis) {
   const digits = (value) => value == null ? "–" : Math.abs(value) >= 1e5 || (value && Math.abs(value) < 1e-3)
     ? value.toExponential(3) : String(+value.toPrecision(6));
   const setup = options(area, axis, panel.height || 230, {
-    scales: { y: panel.log ? { distr: 3, range: logRange } : {} },
+    scales: { y: panel.log ? { distr: 3, range: (u, min, max) => logRange(u, min, max) } : {} },
     axes: axes(panel.unit, axis, panel.log ? { values: (u, ticks) => ticks.map(powerOfTen) } : {}),
     series: [
       { label: "t", value: (u, t) => t == null ? "–" : axis.text(t, 3) },
