@@ -10,11 +10,10 @@ from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.initial_fix import Start
 from analysis.detection.filter.measurement import Observed
 from analysis.detection.isolation.chi_square import chi_square, p_value
+from analysis.detection.isolation.constellations import CONTRADICTION
 from analysis.detection.protection import WORST_M, Bounds
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import Epoch
-
-UNDECIDED = "two systems contradict each other, and nothing tells which one is wrong"
 
 
 def decision(
@@ -47,7 +46,7 @@ def decision(
         position_sigma_m=_sigma(motion, bounds) if motion and not outcome.undecided else None,
         hpl_m=_level(bounds.hpl_m) if bounds else None,
         vpl_m=_level(bounds.vpl_m) if bounds else None,
-        reason=UNDECIDED if outcome.undecided else "",
+        reason=CONTRADICTION if outcome.undecided else "",
         mode="inertial" if motion is not None and motion.inertial else "free",
         # Without a degree of freedom there is no test: zeros, not NaN.
         parity_statistic=outcome.parity if dof else 0.0,

@@ -20,7 +20,9 @@ PENALTY = 2.0  # per freed parameter, as in Akaike's criterion
 SYSTEM_PENALTY = 6.0  # a system fails as a whole less often than one of its satellites
 LEAST_MOVED, LEAST_CLOCK = 5, 3  # satellites of a system; with fewer anything can be explained
 SYSTEM_CLOCK = "system-clock"
-FREED = ((4, LEAST_MOVED, "satellites"), (1, LEAST_CLOCK, SYSTEM_CLOCK))
+CONTRADICTION = "two systems contradict each other, and nothing tells which one is wrong"
+FREED = ((1, LEAST_CLOCK, SYSTEM_CLOCK), (4, LEAST_MOVED, "satellites"))
+NEWS = chi_square(3, 0.01)  # of three parameters more
 TELLING = 10.0  # how much more a rival system must cost, or which one moved cannot be told
 
 
@@ -68,10 +70,13 @@ def explain_by_systems(
     """Each system moved as a whole, or its clock alone; `m`, `u` and `q` as for satellites."""
     found = []
     for group in systems:
+        clock_left = np.inf
         for size, least, hypothesis in FREED:
-            if len(group.rows) < least:
-                continue
             left = freed(m, u, q, np.ascontiguousarray(group.columns[:, 4 - size :]))
+            # A shift is believed where it explains what a clock that left cannot.
+            if len(group.rows) < least or clock_left - left < NEWS:
+                continue
+            clock_left = left
             threshold = chi_square(max(len(u) - size, 1), p_false_alarm)
             cost = left + PENALTY * size + SYSTEM_PENALTY
             subset = group.rows if hypothesis == "satellites" else ()

@@ -112,7 +112,9 @@ def judge_epoch(
         tested, judged = whole, judged._replace(tested=whole)
     # The windows end here; what they had learnt of offsets lives on, frozen.
     moved = absorb(tested.motion, tested.part, rates.fit)
-    judged = judged._replace(core=freeze(core, t_us, config))
+    # What is learnt while a system moves is the system's shift, and no offset of satellites.
+    if not judged.tested.whole:
+        judged = judged._replace(core=freeze(core, t_us, config))
     return _concluded(judged, before, moved, None, None, config)
 
 

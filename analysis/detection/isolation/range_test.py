@@ -71,7 +71,8 @@ def blamed(
     hypothesis, verdict, motion = _freed(motion, modelled, threshold, by_past, config)
     part = modelled
     if verdict.hypothesis == "satellites":
-        part = without(modelled, verdict.subset, standing_m)
+        # What was learnt while a whole system moved is its shift, and no offset of the others.
+        part = without(modelled, verdict.subset, standing_m * (not verdict.whole))
     elif verdict.hypothesis != "none":
         part = NO_ROWS
     shown = hypothesis
