@@ -271,9 +271,9 @@ def watch(kind: Indices, t_us: Stamps, values: Vector, watched: Watched, found: 
         now_us = t_us[row]
         clock = 1 if now_us > EPOCH_1970_US else 0
         # Nothing has to be understood unless this sample leaps, or one has leapt before it.
-        if now_us - clocks[clock, NEWEST_US] > LEAP_US or clocks[clock, TO_US] != NEVER_US:
-            if not _leap(watched, found, row, s, clock, now_us):
-                continue
+        suspect = now_us - clocks[clock, NEWEST_US] > LEAP_US or clocks[clock, TO_US] != NEVER_US
+        if suspect and not _leap(watched, found, row, s, clock, now_us):
+            continue
         newest_us = clocks[clock, NEWEST_US]
         if now_us > newest_us:
             if newest_us != NEVER_US:
@@ -286,8 +286,9 @@ def watch(kind: Indices, t_us: Stamps, values: Vector, watched: Watched, found: 
         if counts[s, COUNT] > 0 and counts[s, CLOCK] == clock:
             gap_us, late_us = now_us - counts[s, LAST_US], newest_us - now_us
             counts[s, STOOD] = counts[s, STOOD] + 1 if gap_us == 0 else 0
-            suspect = gap_us <= 0 or late_us > LATE_US
-            wrong = suspect and _stamp_is_wrong(watched, found, row, s, now_us, newest_us)
+            wrong = (gap_us <= 0 or late_us > LATE_US) and _stamp_is_wrong(
+                watched, found, row, s, now_us, newest_us
+            )
             if gap_us > 0 and not wrong:
                 _learn(usual, s, counts[s, COUNT], gap_us, late_us)
         if kind[row] == FIX:
