@@ -6,6 +6,7 @@ the vehicle's time, however fast the flight is. Nobody waits for what a fault wi
 answered by the autopilot's word on it, and where none of it reached the autopilot, by nothing.
 """
 
+import select
 import subprocess
 import time
 from collections.abc import Callable, Sequence
@@ -16,7 +17,7 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.proxy.interfaces import Send
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import known, layout
 from mavproxy_fault.wire.frame import STX_V2, Frame
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.hil.hil_frames import Hil
@@ -97,16 +98,19 @@ class ToAutopilot:
         self.step_us = None
         # The operator first: its commands belong to the state before this step.
         # One by one, for frames that come together leave together, and not all go the same way.
-        received = [(GROUND, raw) for raw in self._commands()]
-        received += [(SIMULATOR, raw) for raw in self._packer.frames(t_us, truth, readings)]
-        now_us = self.flight.now_us
-        for link, raw in received:
-            for send in self.flight.core.received(link, raw, now_us):
-                if send.link == VEHICLE:
-                    self._leave(send.data, out)
-                else:
-                    self.sort(send, self.returned)
+        core, now_us = self.flight.core, self.flight.now_us
+        for raw in self._commands():
+            self._sort(core.received(GROUND, raw, now_us), out)
+        for raw in self._packer.frames(t_us, truth, readings):
+            self._sort(core.received_frame(SIMULATOR, packed_frame(raw), now_us), out)
         return out
+
+    def _sort(self, sends: list[Send], out: list[bytes]) -> None:
+        for send in sends:
+            if send.link == VEHICLE:
+                self._leave(send.data, out)
+            else:
+                self.sort(send, self.returned)
 
     def sort(self, send: Send, returned: list[Frame]) -> None:
         """What left for the simulator is returned to it, the rest is to be heard."""
@@ -137,6 +141,13 @@ class ToAutopilot:
         number, below_bytes = self._step
         if data[0] == STX_V2 and data[7] == number and data[1] < below_bytes:
             self.step_us = int.from_bytes(data[STAMP], "little")
+
+
+def packed_frame(raw: bytes) -> Frame:
+    """A frame of the packer, which nobody has to verify."""
+    described = layout(int.from_bytes(raw[7:10], "little"))
+    assert described is not None
+    return Frame(raw, described)
 
 
 class Patience:
@@ -173,16 +184,17 @@ class FromAutopilot:
     ) -> None:
         self.link = links[0]
         self._outward, self._patience, self._lockstep = outward, patience, lockstep
-        self._inboxes = [Inbox(link) for link in links]
+        self._inboxes = {link.fileno(): Inbox(link) for link in links}
 
-    def frames(self) -> list[Frame]:
+    def frames(self, wait_s: float = 0.0) -> list[Frame]:
         """What came and left the proxy for the simulator."""
         self._patience.check()
         outward, flight = self._outward, self._outward.flight
         outward.hear_all()
         found, outward.returned = outward.returned, []
-        for inbox in self._inboxes:
-            for frame in inbox.frames():
+        ready, _, _ = select.select(self._inboxes, (), (), wait_s)
+        for descriptor in ready:
+            for frame in self._inboxes[descriptor].frames():
                 if frame.layout is ANSWER:
                     self._lockstep.received(int(frame.number("time_usec")), time.monotonic())
                 for send in flight.core.received_frame(VEHICLE, frame, flight.now_us):

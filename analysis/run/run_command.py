@@ -115,7 +115,7 @@ def fly(
                 # By the wall clock: it paces the page, nothing of the flight.
                 live.show(time.monotonic())
                 if hold:
-                    deliver(monitor.feed(b""))
+                    deliver(monitor.feed(b"", now=True))
                     continue
                 sent = flight.advance([data for _, data in ground.read()] if ground else [])
                 deliver(monitor.feed(sent.monitor))
