@@ -30,7 +30,7 @@ Hear = Callable[[list[Send]], None]  # what leaves for monitor and ground statio
 STAMP = slice(10, 18)  # time_usec, of every message that steps are answered by
 ANSWER = known("HIL_ACTUATOR_CONTROLS")
 ANSWER_ID = ANSWER.id.to_bytes(3, "little")
-FOR_SIMULATOR = {ANSWER_ID, known("TUNNEL").id.to_bytes(3, "little")}
+FOR_SIMULATOR = {ANSWER.id, known("TUNNEL").id}
 
 
 class StepMessage(NamedTuple):
@@ -112,12 +112,17 @@ class ToAutopilot:
             else:
                 self.sort(send, self.returned)
 
-    def sort(self, send: Send, returned: list[Frame]) -> None:
-        """What left for the simulator is returned to it, the rest is to be heard."""
-        if send.link == SIMULATOR:
-            returned += self._decoded(send)
-        else:
+    def sort(self, send: Send, returned: list[Frame], origin: Frame | None = None) -> None:
+        """What left for the simulator is returned to it, the rest is to be heard.
+
+        `origin` is the frame that came, which most often left as it was.
+        """
+        if send.link != SIMULATOR:
             self.unheard.append(send)
+        elif origin is None or send.data is not origin.raw:
+            returned += self._decoded(send)
+        elif origin.id in FOR_SIMULATOR:
+            returned.append(origin)
 
     def hear_all(self) -> None:
         """Let what has left be heard."""
@@ -127,10 +132,8 @@ class ToAutopilot:
 
     def _decoded(self, send: Send) -> list[Frame]:
         """What left for the simulator and means something to it."""
-        if send.data[0] == STX_V2 and send.data[7:10] not in FOR_SIMULATOR:
-            return []
         items = self._parser.push(send.data, datagram=True)
-        return [item for item in items if isinstance(item, Frame)]
+        return [item for item in items if isinstance(item, Frame) and item.id in FOR_SIMULATOR]
 
     def _leave(self, data: bytes, out: list[bytes]) -> None:
         """To the HIL link with the step, or at once to where telemetry comes from."""
@@ -198,6 +201,5 @@ class FromAutopilot:
                 if frame.layout is ANSWER:
                     self._lockstep.received(int(frame.number("time_usec")), time.monotonic())
                 for send in flight.core.received_frame(VEHICLE, frame, flight.now_us):
-                    outward.sort(send, found)
-        outward.hear_all()
+                    outward.sort(send, found, frame)
         return found
