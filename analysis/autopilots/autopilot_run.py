@@ -103,7 +103,8 @@ def main(args: argparse.Namespace) -> int:
         summary = monitor.summary(flown.flight.completed_labels(), setup.criteria, wall_s)
     summary["autopilot"] = flown.account(reason)
     write_summary(folder, summary)
-    report(folder, summary, columns)
+    if args.report:
+        report(folder, summary, columns)
     print_summary(summary, folder)
     return 1 if reason else EXIT_CODES[summary["verdict"]]
 

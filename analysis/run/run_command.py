@@ -81,7 +81,8 @@ def main(args: argparse.Namespace) -> int:
         curves = twin_curves(folder, folder / FOLDER, flight.core.clock.t0_us or 0)
         summary["effects"] = effects(curves, flight.completed_labels())
     write_summary(folder, summary)
-    report(folder, summary, columns, curves)
+    if args.report:
+        report(folder, summary, columns, curves)
     print_summary(summary, folder)
     return EXIT_CODES[summary["verdict"]]
 
