@@ -22,8 +22,8 @@ CONSTANT_SIGMA = 30.0  # of an axis before the flight: the weight, and any trim
 SHARE = 0.15  # one sigma of a coefficient, and of what is not linear in it
 # One sigma of coefficients that are small or missing: a share of the greatest of their kind, and
 # for rates 1/s, for forces rad/s^2 per m/s^2
-SMALL_SHARE, SMALL_COMMAND, SMALL_RATE, SMALL_FORCE = 0.03, 0.03, 0.3, 0.02
-GUST_MPS = 1.5  # one sigma of the air's own motion within a second
+SMALL_SHARE, SMALL_COMMAND, SMALL_RATE, SMALL_FORCE = 0.02, 0.02, 0.3, 0.02
+GUST_MPS = 1.0  # one sigma of the air's own motion within a second
 AUTHORITY_SHARE = 0.006  # of the strongest actuator's effect: what the model is wrong by anyhow
 
 
@@ -56,5 +56,6 @@ class Effects(NamedTuple):
     def disturbance(self) -> Vector:
         """Covariance (AXES, AXES) of what gusts and the model's error do within a second."""
         authority = np.abs(self.coefficients[:, OUTPUT:RATE]).max(axis=1)
-        gusts = GUST_MPS**2 * self.air @ self.air.T
-        return gusts + np.diag((AUTHORITY_SHARE * authority) ** 2)
+        # Axis by axis: which way a gust blows is known, how the axes go together is not.
+        gusts = GUST_MPS**2 * (self.air**2).sum(axis=1)
+        return np.diag(gusts + (AUTHORITY_SHARE * authority) ** 2)

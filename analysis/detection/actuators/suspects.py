@@ -26,7 +26,7 @@ SURE, AHEAD = 25.0, 8.0  # scores better than nobody's, and than the next one's
 FITS, FITS_SHARE = 20.0, 0.08
 LEAST_DEFICIT = 0.05  # of a command of 1
 # A rotor that does more than its command is rare: it has to be stuck higher than it is wanted.
-RARE, LIFTS_MPS2 = 8.0, -1.0
+RARE, LIFTS_MPS2 = 8.0, -2.0
 NOBODY = -1
 
 
@@ -41,19 +41,27 @@ class Suspicion(NamedTuple):
 
 
 @compiled
+def _product(a: Vector, matrix: Vector, b: Vector) -> float:
+    """a' M b of vectors (AXES,)."""
+    total = 0.0
+    for i in range(AXES):
+        for j in range(AXES):
+            total += a[i] * matrix[i, j] * b[j]
+    return total
+
+
+@compiled
 def suspect(mean: Vector, usual: Vector, theta: Vector, p: Vector) -> Suspicion:
     """Who explains m (AXES,), with V (AXES, AXES), and theta with its covariances."""
     inverse = np.linalg.inv(usual)
-    weighted = inverse @ mean
-    statistic = mean @ weighted
+    statistic = _product(mean, inverse, mean)
     if statistic < SURE:
         return Suspicion(statistic, NOBODY, NOBODY, 0.0)
     nobody = statistic + math.log(np.linalg.det(usual))
     first, second, best, following, deficit, rest = NOBODY, NOBODY, nobody, nobody, 0.0, 0.0
     for i in range(COMMANDS):
         effect = theta[:, OUTPUT + i].copy()
-        known = effect @ (inverse @ effect)
-        if known <= 1e-9:  # it drives nothing
+        if _product(effect, inverse, effect) <= 1e-9:  # it drives nothing
             continue
         score, remaining, found = _hypothesis(mean, usual, effect, p, i)
         if score < best:
@@ -73,15 +81,15 @@ def _hypothesis(
 ) -> tuple[float, float, float]:
     """Score of the hypothesis of one actuator, what it leaves, and the deficit."""
     inverse = np.linalg.inv(usual)
-    guess = -(effect @ (inverse @ mean)) / (effect @ (inverse @ effect))
+    guess = -_product(effect, inverse, mean) / _product(effect, inverse, effect)
     own = usual.copy()
     for axis in range(AXES):
         unknown = p[axis, OUTPUT + i, OUTPUT + i] + (SHARE * effect[axis]) ** 2
         own[axis, axis] += guess * guess * unknown
     inverse = np.linalg.inv(own)
-    along = effect @ (inverse @ mean)
-    known = effect @ (inverse @ effect)
-    left = mean @ (inverse @ mean) - along * along / known
+    along = _product(effect, inverse, mean)
+    known = _product(effect, inverse, effect)
+    left = _product(mean, inverse, mean) - along * along / known
     score = left + math.log(np.linalg.det(own))
     if along > 0.0 and effect[AXES - 1] < LIFTS_MPS2:
         score += RARE
