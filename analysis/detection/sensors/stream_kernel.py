@@ -25,8 +25,8 @@ STREAMS = ("imu", "imu", "imu", "mag", "baro", "airspeed", "range", "vision", "g
 LINK = len(STREAMS) - 1
 SATELLITES = LINK - 1  # raw ranges have no stamp of their own, theirs is another message's
 # By kind of sample its stream, and how many of its numbers are measured; -1: only a witness of time
-STREAM_OF = (0, 3, 4, 5, 6, 7, -1, -1, 8, 9, -2, -2)
-NUMBERS = (6, 3, 1, 1, 1, 3, 0, 0, 0, 0, 0, 0)
+STREAM_OF = (0, 3, 4, 5, 6, 7, -1, -1, 8, 9, -2, -2, -2)
+NUMBERS = (6, 3, 1, 1, 1, 3, 0, 0, 0, 0, 0, 0, 0)
 FIX_SOURCE, OWN_SOURCE = 10, SOURCES.index("HIL_GPS")  # a fix's column of who sent it
 FIX_NUMBERS, MOVING_MPS = 5, 1.0  # of a fix: place and level velocity together, while it moves
 
