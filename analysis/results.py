@@ -19,9 +19,9 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=
     this epoch. `residual_m`, `normalised` and `satellites` run in parallel. `mode` says what
     predicts the epoch: inertial, free (no sound IMU), start (a first snapshot), position or
     position-free (no raw ranges). The parity test asks the satellites alone; the slow test is the
-    one with memory, for ramps. Of a RINEX recording the sky is told too, parallel to
-    `satellites`, the dilution of precision by those in use and the
-    protection levels.
+    one with memory, for ramps. `hpl_m` and `vpl_m` are the protection levels. Of a RINEX
+    recording the sky is told too, parallel to `satellites`, and the dilution of precision by those
+    in use.
     """
 
     t_s: float
@@ -60,9 +60,10 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=
 class SensorDecision(
     msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False
 ):
-    """The verdict on another sensor against the inertial reference.
+    """The verdict on another sensor against the inertial reference, or on the actuators.
 
-    `sensor` is one of baro, airspeed, mag, vision, range, gps-position, gps-velocity, imu.
+    `sensor` is one of baro, airspeed, mag, vision, range, gps-position, gps-velocity, imu,
+    actuators. `suspect` is who of them it is, where that is not the sensor itself.
     """
 
     t_s: float
@@ -74,6 +75,7 @@ class SensorDecision(
     alarm: bool
     isolated: bool = False
     reason: str = ""
+    suspect: str = ""
 
 
 class AttitudeError(

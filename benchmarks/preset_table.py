@@ -88,7 +88,8 @@ class Row(msgspec.Struct, frozen=True):
 def setting(vehicle: str) -> tuple[Scenario, MonitorConfig]:
     """A vehicle with all the sensors that presets need, and who watches it."""
     demo = read_setup(None)
-    scenario = read_setup(VEHICLES[vehicle]).scenario
+    setup = read_setup(VEHICLES[vehicle])
+    scenario = setup.scenario
     imu = msgspec.structs.replace(scenario.sensors.imu, rate_hz=IMU_HZ)
     sensors = msgspec.structs.replace(
         scenario.sensors, imu=imu, range=Rangefinder(max_m=RANGE_M), vision=Vision()
@@ -97,7 +98,7 @@ def setting(vehicle: str) -> tuple[Scenario, MonitorConfig]:
         msgspec.structs.replace(
             scenario, sensors=sensors, gnss=demo.scenario.gnss, duration_s=END_S
         ),
-        MonitorConfig(detector=demo.monitor.detector),
+        MonitorConfig(detector=demo.monitor.detector, actuators=setup.monitor.actuators),
     )
 
 

@@ -14,6 +14,9 @@ import numpy as np
 from msgspec.structs import force_setattr
 
 from analysis.detection import DetectorConfig
+from analysis.detection.actuators.actuator_watch import ActuatorWatch
+from analysis.detection.actuators.effects import Effects
+from analysis.detection.actuators.obedience_kernel import Obedience
 from analysis.detection.sensors.sensor_tests import References
 from analysis.detection.sensors.stream_watch import StreamWatch
 from analysis.fusion.fusion_config import FusionConfig
@@ -33,12 +36,14 @@ class MonitorConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The detector with the checks of other sensors, attitude scores, and fusion where wanted.
 
     `streams` asks for what only a link can do: fall silent, repeat itself, lose its time.
+    `actuators` is what commands do to the vehicle, where that is known.
     """
 
     detector: DetectorConfig = DetectorConfig()
     attitude: AttitudeConfig = AttitudeConfig()
     fusion: FusionConfig | None = None
     streams: bool = True
+    actuators: Effects | None = None
 
 
 class MonitorSection(DetectorConfig, frozen=True, kw_only=True):
@@ -78,6 +83,8 @@ class Pipeline:
         self._detector_state = self._detector.new_state()
         self._streams = StreamWatch() if config.streams else None
         self._streams_state = StreamWatch().new_state()
+        self._actuators = None if config.actuators is None else ActuatorWatch(config.actuators)
+        self._actuators_state: Obedience | None = None
         self._fusions: list[Any] = []
         self._feed_back: Any = None
         if config.fusion is not None:
@@ -115,6 +122,9 @@ class Pipeline:
         if self._streams is not None:
             troubles, self._streams_state = self._streams.step(block, self._streams_state)
         found += troubles
+        if self._actuators is not None:
+            disobeyed, self._actuators_state = self._actuators.step(block, self._actuators_state)
+            found += disobeyed
         errors, self._attitude_state = self._attitude.step_rows(block, self._attitude_state)
         found += errors
         # By row, so that results do not hang on how the stream was cut into blocks.
