@@ -14,7 +14,7 @@ import numpy as np
 from msgspec.structs import force_setattr
 
 from analysis.detection import DetectorConfig
-from analysis.detection.actuators.actuator_watch import ActuatorWatch
+from analysis.detection.actuators.actuator_watch import ActuatorWatch, judged
 from analysis.detection.actuators.effects import Effects
 from analysis.detection.actuators.obedience_kernel import Obedience
 from analysis.detection.sensors.sensor_tests import References
@@ -123,8 +123,8 @@ class Pipeline:
             troubles, self._streams_state = self._streams.step(block, self._streams_state)
         found += troubles
         if self._actuators is not None:
-            disobeyed, self._actuators_state = self._actuators.step(block, self._actuators_state)
-            found += disobeyed
+            obeyed, self._actuators_state = self._actuators.step(block, self._actuators_state)
+            found = [(row, judged(r, self._actuators_state)) for row, r in [*found, *obeyed]]
         errors, self._attitude_state = self._attitude.step_rows(block, self._attitude_state)
         found += errors
         # By row, so that results do not hang on how the stream was cut into blocks.
