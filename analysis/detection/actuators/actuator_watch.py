@@ -6,14 +6,13 @@ the actuators obey, and every half second who does not.
 
 from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 
 from analysis.detection.actuators.effects import AXES, Effects
 from analysis.detection.actuators.motion_cells import no_cells
 from analysis.detection.actuators.motion_filter import nothing_learnt
+from analysis.detection.actuators.mutual_judgement import ACTUATORS
 from analysis.detection.actuators.obedience_kernel import (
-    BLOWS,
     COUNTS,
     CRASH_US,
     NEVER_US,
@@ -23,11 +22,9 @@ from analysis.detection.actuators.obedience_kernel import (
     follow,
 )
 from analysis.detection.actuators.suspects import NOBODY, SURE
-from analysis.results import Decision, Result, SensorDecision
+from analysis.results import SensorDecision
 from analysis.samples.block import COMMAND, Block
 
-ACTUATORS = "actuators"
-CRASHED = "after a crash"
 EITHER = "-or-"  # joins two who cannot be told apart
 
 
@@ -66,24 +63,10 @@ class ActuatorWatch:
         ], state
 
 
-def judged(result: Result, state: Obedience | None) -> Result:
-    """A result as it counts: after a crash what the sensors say proves nothing against them."""
-    crashed = state is not None and result.t_us >= state.counts[CRASH_US]
-    if crashed and isinstance(result, Decision):
-        return msgspec.structs.replace(
-            result, alarm=False, hypothesis="untestable", excluded=(), reason=CRASHED
-        )
-    if crashed and isinstance(result, SensorDecision) and result.sensor != ACTUATORS:
-        return msgspec.structs.replace(
-            result, statistic=None, threshold=None, alarm=False, isolated=False, reason=CRASHED
-        )
-    return result
-
-
 def _commanded(effects: Effects) -> Obedience:
     """The state when the first command comes."""
     counts = np.zeros(COUNTS, np.int64)
-    counts[SUSPECT:BLOWS] = NOBODY
+    counts[SUSPECT:CRASH_US] = NOBODY
     counts[CRASH_US] = NEVER_US
     return Obedience(
         no_cells(),

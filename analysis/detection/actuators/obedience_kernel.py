@@ -26,12 +26,12 @@ ALONE, EITHER = 3, 12  # cells in a row that one suspect, or two alike, take to 
 AGAIN_BLAMED, AGAIN_SOUND = 5, 10  # cells between two results
 FLIES_M, FLIES_MPS, STANDS_MPS = 3.0, 3.0, 0.5
 ALT, VELOCITY = 2, 3  # columns of a fix
-BLOW_MPS2, BLOW_SAMPLES = 100.0, 2  # specific force of no manoeuvre
+BLOW_MPS2 = 100.0  # specific force of no manoeuvre
 
 # Of `counts`: whether it flies, loud cells in a row, cells without a suspect, cells in a row with
 # these suspects, cells since the last result; the suspects, and who is blamed (two of each)
 FLIES, LOUD_CELLS, QUIET_CELLS, RUN, SINCE, SUSPECT, BLAMED = 0, 1, 2, 3, 4, 5, 7
-BLOWS, CRASH_US, COUNTS = 9, 10, 11  # samples of a blow in a row; when it crashed; how many
+CRASH_US, COUNTS = 9, 10  # when it crashed; how many there are
 NEVER_US = 1 << 62
 
 
@@ -89,9 +89,8 @@ def follow(
 def _feel(force: Vector, t_us: int, counts: NDArray[np.int64]) -> None:
     """Look for a crash in a specific force (3,)."""
     square = force[0] ** 2 + force[1] ** 2 + force[2] ** 2
-    counts[BLOWS] = counts[BLOWS] + 1 if square > BLOW_MPS2**2 else 0
     blamed = counts[BLAMED + 1] != NOBODY
-    if counts[BLOWS] >= BLOW_SAMPLES and blamed and counts[CRASH_US] == NEVER_US:
+    if square > BLOW_MPS2**2 and blamed and counts[CRASH_US] == NEVER_US:
         counts[CRASH_US] = t_us
 
 
