@@ -19,9 +19,9 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=
     this epoch. `residual_m`, `normalised` and `satellites` run in parallel. `mode` says what
     predicts the epoch: inertial, free (no sound IMU), start (a first snapshot), position or
     position-free (no raw ranges). The parity test asks the satellites alone; the slow test is the
-    one with memory, for ramps. Of a RINEX recording the sky is told too, parallel to
-    `satellites`, the dilution of precision by those in use and the
-    protection levels.
+    one with memory, for ramps. `hpl_m` and `vpl_m` are the protection levels. Of a RINEX
+    recording the sky is told too, parallel to `satellites`, and the dilution of precision by those
+    in use.
     """
 
     t_s: float

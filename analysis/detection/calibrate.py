@@ -27,7 +27,7 @@ from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import read_document, write_yaml
 
-EPOCHS_MIN = 60
+EPOCHS_MIN = 20
 FLOOR_M = 0.05
 NEVER = 1e-100  # a false-alarm probability
 OUTLIER = 5.0  # residuals beyond this many sigma are no noise
@@ -48,7 +48,7 @@ def calibrate(samples: Iterable[Sample], config: DetectorConfig) -> Calibration:
     Raises
     ------
     ConfigError
-        If there are fewer than 60 epochs that can be tested.
+        If there are fewer than 20 epochs that can be tested.
     """
     kept = list(samples)
     # What the recording is fitted with remembers nothing; `slow` is put back at the end.

@@ -10,6 +10,7 @@ from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.initial_fix import Start
 from analysis.detection.filter.measurement import Observed
 from analysis.detection.isolation.chi_square import chi_square, p_value
+from analysis.detection.protection import WORST_M, Bounds
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import Epoch
 
@@ -39,7 +40,9 @@ def decision(
         onset_s=max(onsets) * 1e-6 if onsets else None,
         probabilities=dict(outcome.probabilities),
         position_ecef_m=_position(motion) if motion is not None else None,
-        position_sigma_m=_sigma(motion) if motion is not None else None,
+        position_sigma_m=_sigma(motion, outcome.bounds) if motion is not None else None,
+        hpl_m=_level(outcome.bounds.hpl_m) if outcome.bounds else None,
+        vpl_m=_level(outcome.bounds.vpl_m) if outcome.bounds else None,
         mode="inertial" if motion is not None and motion.inertial else "free",
         # Without a degree of freedom there is no test: zeros, not NaN.
         parity_statistic=outcome.parity if dof else 0.0,
@@ -66,7 +69,9 @@ def started(epoch: Epoch, observed: Observed, begun: Start, core: Core) -> Decis
         excluded=tuple(sorted(core.excluded)),
         satellites=observed.satellites,
         position_ecef_m=_position(motion),
-        position_sigma_m=_sigma(motion),
+        position_sigma_m=_sigma(motion, begun.bounds),
+        hpl_m=_level(begun.bounds.hpl_m) if begun.bounds else None,
+        vpl_m=_level(begun.bounds.vpl_m) if begun.bounds else None,
         mode="start",
         # One degree of freedom finds a fault, but not whose it is.
         reason="" if begun.dof > 1 else "a start with 1 degree of freedom: it tests little",
@@ -116,6 +121,17 @@ def _position(motion: Motion) -> tuple[float, float, float]:
     return x.item(0), x.item(1), x.item(2)
 
 
-def _sigma(motion: Motion) -> tuple[float, float, float]:
-    p = motion.p
-    return math.sqrt(p.item(0, 0)), math.sqrt(p.item(1, 1)), math.sqrt(p.item(2, 2))
+def _sigma(motion: Motion, bounds: Bounds | None) -> tuple[float, float, float]:
+    """What averages out and what lasts, together."""
+    p, (x, y, z) = motion.p, bounds.lasting_m2 if bounds is not None else (0.0, 0.0, 0.0)
+    f = bounds.factor if bounds is not None else 1.0
+    return (
+        math.sqrt(f * p.item(0, 0) + x),
+        math.sqrt(f * p.item(1, 1) + y),
+        math.sqrt(f * p.item(2, 2) + z),
+    )
+
+
+def _level(level_m: float) -> float | None:
+    """A protection level as it is told; None where there is none."""
+    return round(level_m, 3) if level_m < WORST_M else None

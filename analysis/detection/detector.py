@@ -219,7 +219,7 @@ class Detector:
             since = onset_us if known is None else min(onset_us, known.onset_us)
             excluded = {**excluded, name: Exclusion(since, found_us)}
         core = core._replace(excluded=excluded)
-        replayed = list(kept)
+        replayed, bounds = list(kept), outcome.bounds
         for record in again:
             # The replay may lose the filter where the original did not: what is kept ends there.
             if core.motion is None:
@@ -227,11 +227,12 @@ class Detector:
             t_us, observed, run = record.t_us, record.observed, record.run
             run_before = replayed[-1].run if replayed else None
             replayed.append(Record(t_us, core, observed, run))
-            core = judge_epoch(t_us, observed, run, core, self.config, run_before).core
+            again_found = judge_epoch(t_us, observed, run, core, self.config, run_before)
+            core, bounds = again_found.core, again_found.bounds
         # What the replay found wins over what was known.
         excluded = {**outcome.core.excluded, **core.excluded}
         core = core._replace(excluded=excluded, history=tuple(replayed), chosen=outcome.core.chosen)
-        return outcome._replace(core=core)
+        return outcome._replace(core=core, bounds=bounds)
 
 
 def run(detector: Detector, samples: Iterable[Sample]) -> list[Result]:

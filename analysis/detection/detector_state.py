@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 from analysis.detection.filter.filter_state import Exclusion, Motion, Pending, Stored
+from analysis.detection.filter.lasting_errors import Misfit
 from analysis.detection.filter.measurement import Chosen, Observed
 from analysis.detection.filter.propagation import Segment, segment
 from analysis.detection.isolation.ramp_test import RampBank
@@ -47,7 +48,7 @@ class Core(Value, frozen=True):
     `frozen` what is subtracted from them; `gps_source` and `last_fix` serve when there are none,
     and `unbounded` says that the filter may follow a lying receiver. `spacing_us` is the time
     between epochs (0: not known), `gap_us` the newest that was another; `before` is the filter as
-    it was before a gap too long.
+    it was before a gap too long; `misfit` is how the ranges have fitted for the last minute.
     """
 
     motion: Motion | None
@@ -70,6 +71,7 @@ class Core(Value, frozen=True):
     spacing_us: int = 0
     gap_us: int = 0
     before: Motion | None = None
+    misfit: Misfit = Misfit()
 
 
 class Record(Value, frozen=True):

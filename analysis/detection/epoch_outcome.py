@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import Core
 from analysis.detection.isolation.ramp_test import SlowVerdict
+from analysis.detection.protection import Bounds
 from analysis.detection.values import Value
 
 
@@ -16,7 +17,7 @@ class Outcome(Value, frozen=True):
     them, `excluded` those excluded before; innovations `residual_m` and `normalised` are of both.
     The tests: the main one, `parity` over `parity_dof` degrees of freedom, the rates' over
     `rate_dof` (None: there were too few), and the slow one. `gap_s` is how long the IMU was silent,
-    where that matters.
+    where that matters, and `bounds` are those of the position.
     """
 
     core: Core
@@ -40,6 +41,7 @@ class Outcome(Value, frozen=True):
     imu_blamed: bool = False
     was_inertial: bool = False
     gap_s: float = 0.0
+    bounds: Bounds | None = None
 
 
 def shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:

@@ -12,7 +12,6 @@ from msgspec.structs import replace
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.filter_state import Stored
 from analysis.detection.filter.measurement import Chosen, Indices, choose, observe
-from analysis.detection.protection import protection_levels
 from analysis.orbits.broadcast import (
     AZIMUTH,
     ELEVATION,
@@ -22,8 +21,8 @@ from analysis.orbits.broadcast import (
 )
 from analysis.orbits.snapshot import design_matrix
 from analysis.results import Decision, Result
-from analysis.samples.block import EPHEMERIS, EPOCH, IONOSPHERE, Block
-from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample, Vector
+from analysis.samples.block import EPHEMERIS, EPOCH, Block
+from analysis.samples.sample import EphemerisSample, Epoch, Vector
 from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 
 NO_IONOSPHERE = np.zeros(8)  # directions alone are asked for
@@ -32,18 +31,17 @@ Dilution = tuple[float | None, float | None]
 
 
 def with_sky(block: Block, results: Sequence[Result], config: DetectorConfig) -> list[Result]:
-    """The results of a whole recording, its decisions with the sky above their position and how
-    far that may be off."""
+    """The results of a whole recording, its decisions with the sky above their position."""
     samples = [block.beside[row] for row in block.rows(EPOCH).tolist()]
     epochs = {s.t_us: s for s in samples if isinstance(s, Epoch)}
-    orbits, ionosphere, chosen = _orbits(block), _ionosphere(block, config), None
+    orbits, chosen = _orbits(block), None
     found: list[Result] = []
     for result in results:
         epoch = epochs.get(result.t_us)
         if isinstance(result, Decision) and epoch is not None and result.position_ecef_m:
             if chosen is None or not chosen.serves(epoch):
                 chosen = choose(epoch, orbits, config.systems)
-            result = _seen(result, epoch, chosen, ionosphere, config)
+            result = _seen(result, epoch, chosen)
         found.append(result)
     return found
 
@@ -59,18 +57,7 @@ def _orbits(block: Block) -> dict[str, tuple[Stored, ...]]:
     return found
 
 
-def _ionosphere(block: Block, config: DetectorConfig) -> Vector:
-    """Klobuchar's coefficients (8,) of the recording's broadcasts, or those configured."""
-    for row in reversed(block.rows(IONOSPHERE).tolist()):
-        sample = block.beside[row]
-        assert isinstance(sample, IonosphereSample)
-        return np.array(sample.alpha + sample.beta)
-    return np.array(config.ionosphere, dtype=float)
-
-
-def _seen(
-    decision: Decision, epoch: Epoch, chosen: Chosen, ionosphere: Vector, config: DetectorConfig
-) -> Decision:
+def _seen(decision: Decision, epoch: Epoch, chosen: Chosen) -> Decision:
     observed = observe(epoch, chosen)
     if observed is None:
         return decision
@@ -83,8 +70,6 @@ def _seen(
     signals = dict(zip(epoch.satellites, epoch.signals, strict=False))
     used = [places[name] for name in decision.satellites if name not in decision.excluded]
     hdop, vdop = _dilution(table[used, SIGHT : SIGHT + 3], observed.system[used], r_ecef_m)
-    in_use = np.isin(np.arange(len(places)), used)
-    levels = protection_levels(observed.select(in_use).measured, r_ecef_m, ionosphere, config)
     return replace(
         decision,
         elevation_deg=tuple(np.degrees(table[at, ELEVATION]).round(2).tolist()),
@@ -93,8 +78,6 @@ def _seen(
         signals=tuple(signals.get(name, "") for name in decision.satellites),
         hdop=hdop,
         vdop=vdop,
-        hpl_m=levels[0],
-        vpl_m=levels[1],
     )
 
 

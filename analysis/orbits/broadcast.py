@@ -56,8 +56,9 @@ VECTOR = SQRT_A  # where a state vector has its position, velocity and accelerat
 ELEMENTS, GEOSTATIONARY_ORBIT, STATE_VECTOR = 0.0, 1.0, 2.0  # kinds of orbit
 # Columns of `satellite_states`.
 POSITION, VELOCITY, CLOCK, CLOCK_RATE, DELAY_SCALE, STATES = 0, 3, 6, 7, 8, 9
-# Columns of `predict_ranges`: the range, its rate, the unit vector (3), elevation and azimuth.
-RANGE, RATE, SIGHT, ELEVATION, AZIMUTH, PREDICTED = 0, 1, 2, 5, 6, 7
+# Columns of `predict_ranges`: the range, its rate, the unit vector (3), elevation, azimuth and the
+# ionosphere's part of the range.
+RANGE, RATE, SIGHT, ELEVATION, AZIMUTH, DELAY, PREDICTED = 0, 1, 2, 5, 6, 7, 8
 
 
 def pack_ephemeris(ephemeris: Ephemeris | StateVector) -> Vector:
@@ -256,8 +257,8 @@ def predict_ranges(
 
     Returns
     -------
-    (n, 7) : pseudorange in m and its rate in m/s, unit vector to the satellite (3) in ECEF at the
-        time of reception, elevation and azimuth in rad.
+    (n, 8) : pseudorange in m and its rate in m/s, unit vector to the satellite (3) in ECEF at the
+        time of reception, elevation and azimuth in rad, the ionosphere's delay in m.
     """
     out = np.empty((states.shape[0], PREDICTED))
     lat, lon, height = geodetic(r_ecef_m)
@@ -283,11 +284,12 @@ def predict_ranges(
         down = axes[2, 0] * u[0] + axes[2, 1] * u[1] + axes[2, 2] * u[2]
         el = math.asin(min(max(-down, -1.0), 1.0))
         az = math.atan2(east, north)
-        delay = 0.0
+        delay = bent = 0.0
         if el > 0.0:
             delay = troposphere_m(zenith, el)
-            delay += states[i, DELAY_SCALE] * klobuchar_m(lat, lon, az, el, tow_s, ionosphere)
-        out[i, RANGE] = rho - states[i, CLOCK] + delay
+            bent = states[i, DELAY_SCALE] * klobuchar_m(lat, lon, az, el, tow_s, ionosphere)
+        out[i, RANGE] = rho - states[i, CLOCK] + delay + bent
+        out[i, DELAY] = bent
         out[i, RATE] = u[0] * vx + u[1] * vy + u[2] * vz - states[i, CLOCK_RATE]
         out[i, ELEVATION] = el
         out[i, AZIMUTH] = az

@@ -19,10 +19,12 @@ from analysis.detection.filter.inertial import (
     X_SIZE,
     propagate_freely,
 )
+from analysis.detection.filter.lasting_errors import Misfit
 from analysis.detection.filter.measurement import Modelled, Observed, model
 from analysis.detection.isolation.bank import projected_weights
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.isolation.hypotheses import explain_by_satellites
+from analysis.detection.protection import Bounds, bounds
 from analysis.orbits.snapshot import design_matrix, systems_of
 from analysis.samples.sample import Vector
 
@@ -51,6 +53,7 @@ class Start:
     statistic: float = 0.0
     dof: int = 0
     threshold: float = 0.0
+    bounds: Bounds | None = None
 
 
 def start(t_us: int, observed: Observed, config: DetectorConfig, ionosphere: Vector) -> Start:
@@ -79,7 +82,7 @@ def start(t_us: int, observed: Observed, config: DetectorConfig, ionosphere: Vec
     threshold = chi_square(dof, config.p_false_alarm)
     if q <= threshold:
         motion = _motion(t_us, x, observed, modelled, design, config)
-        return Start(motion, "", (), q, dof, threshold)
+        return Start(motion, "", (), q, dof, threshold, _bounds(modelled, x, config))
     return _repaired(t_us, x, observed, m, q, config, ionosphere)
 
 
@@ -134,7 +137,14 @@ def _repaired(
     design = design_matrix(-modelled.h[:, 0:3], observed.system)
     motion = _motion(t_us, solved, observed, modelled, design, config)
     dof = len(u) - unknowns
-    return Start(motion, "", faulty, q, dof, chi_square(dof, config.p_false_alarm))
+    threshold = chi_square(dof, config.p_false_alarm)
+    return Start(motion, "", faulty, q, dof, threshold, _bounds(modelled, solved, config))
+
+
+def _bounds(modelled: Modelled, x: Vector, config: DetectorConfig) -> Bounds:
+    """The bounds of a snapshot x (21,) of its own satellites."""
+    nothing_m = np.zeros(len(modelled.v_m))
+    return bounds(modelled, np.zeros(3), nothing_m, x[:3], Misfit(), config.sigma.slow**2)
 
 
 def _too_few(observed: Observed) -> str:

@@ -21,6 +21,7 @@ from analysis.detection.filter.inertial import (
 )
 from analysis.detection.values import Value
 from analysis.orbits.broadcast import (
+    DELAY,
     ELEVATION,
     PACKED,
     RANGE,
@@ -110,8 +111,8 @@ class Observed(Value, frozen=True):
 class Modelled(NamedTuple):
     """Innovations at a state: ranges and rates with geometry.
 
-    `v_m` and `v_mps` (n,), `variance` and `rate_variance` (n,) of both, `elevation_rad` (n,) and
-    `h` (n, 20) of the ranges.
+    `v_m` and `v_mps` (n,), `variance` and `rate_variance` (n,) of both, `elevation_rad` (n,), the
+    ionosphere's modelled delay `ionosphere_m` (n,) and `h` (n, 20) of the ranges.
     """
 
     v_m: Vector
@@ -119,6 +120,7 @@ class Modelled(NamedTuple):
     variance: Vector
     rate_variance: Vector
     elevation_rad: Vector
+    ionosphere_m: Vector
     h: Vector
 
     def between(self, begin: int, end: int) -> "Modelled":
@@ -131,7 +133,7 @@ class Modelled(NamedTuple):
 
 
 _NONE = np.empty(0)
-NO_ROWS = Modelled(_NONE, _NONE, _NONE, _NONE, _NONE, np.empty((0, ERRORS)))
+NO_ROWS = Modelled(_NONE, _NONE, _NONE, _NONE, _NONE, _NONE, np.empty((0, ERRORS)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,7 +266,8 @@ def modelled_at(
         h[i, CLOCK] = 1.0
         if system > 0:
             h[i, ISB - 1 + system] = 1.0
-    return Modelled(v, v_rate, variance, rate_variance, elevation, h)
+    delay_m = predicted[:, DELAY].copy()
+    return Modelled(v, v_rate, variance, rate_variance, elevation, delay_m, h)
 
 
 @compiled

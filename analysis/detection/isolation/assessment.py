@@ -179,6 +179,7 @@ def _in_order(every: Modelled, order: Indices) -> Modelled:
         _at(every.variance, order),
         _at(every.rate_variance, order),
         _at(every.elevation_rad, order),
+        _at(every.ionosphere_m, order),
         h,
     )
 

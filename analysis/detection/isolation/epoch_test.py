@@ -11,11 +11,12 @@ from analysis.detection.filter.alignment import find_attitude
 from analysis.detection.filter.epoch_update import Step, absorb, commit
 from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.inertial import X_CLOCK
-from analysis.detection.filter.information import statistic
+from analysis.detection.filter.information import normal_equations, statistic
+from analysis.detection.filter.lasting_errors import Misfit
 from analysis.detection.filter.measurement import Observed
 from analysis.detection.filter.offsets import freeze, frozen_m, learnt
 from analysis.detection.filter.propagation import Segment, advance, segment
-from analysis.detection.isolation.assessment import CLOCK_LEAP_M, Sight, see
+from analysis.detection.isolation.assessment import CLOCK_LEAP_M, Sight, parity_test, see
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.isolation.exclusion import Outside, exclude, measure_outside, readmit
 from analysis.detection.isolation.quiet_epoch import quiet_epoch
@@ -32,6 +33,7 @@ from analysis.detection.isolation.range_test import (
     free_clock,
     free_position,
     passed,
+    without,
 )
 from analysis.detection.isolation.rate_test import RatesTested, check_rates, freed_by
 from analysis.detection.isolation.whole_receiver import (
@@ -39,6 +41,7 @@ from analysis.detection.isolation.whole_receiver import (
     ranges_beyond_imu,
     rates_beyond_imu,
 )
+from analysis.detection.protection import Bounds, bounds
 from analysis.samples.block import ImuRun
 
 UNDISTURBED = ("none", "satellites")  # verdicts of the rates that leave the prediction sound
@@ -148,8 +151,10 @@ def _concluded(
     silent = before.inertial and part.gap_s > config.gap_s
     shown_now = shown(core, tested.hypothesis, imu_blamed or silent, judged.leapt)
     alarm = tested.alarm or imu_blamed or silent
-    outcome = _measured(judged, outside, core)
+    misfit, found_bounds = _bounded(judged, moved, core, t_us - before.t_us, config)
+    outcome = _measured(judged, outside, core._replace(misfit=misfit))
     return outcome._replace(
+        bounds=found_bounds,
         slow=slow,
         hypothesis=shown_now,
         alarm=alarm,
@@ -157,6 +162,24 @@ def _concluded(
         was_inertial=before.inertial,
         gap_s=part.gap_s,
     )
+
+
+def _bounded(
+    judged: Judged, moved: Motion, core: Core, since_us: int, config: DetectorConfig
+) -> tuple[Misfit, Bounds]:
+    """How the ranges have fitted, and the bounds of the position after the epoch, by the satellites
+    that were not found faulty."""
+    sight, faulty = judged.sight, judged.tested.faulty
+    tests, names, used = sight.tests, sight.names, sight.used
+    parity, dof = tests.parity, tests.parity_dof
+    if faulty:
+        names = tuple(name for i, name in enumerate(names) if i not in faulty)
+        used = without(used, faulty, np.zeros(len(sight.names)))
+        parity, dof, _ = parity_test(normal_equations(used.h, used.variance, used.v_m))
+    misfit = core.misfit.with_epoch(parity, dof, since_us * 1e-6)
+    moved_m = moved.x[:3] - judged.predicted.x[:3]
+    offset_m, share = frozen_m(judged.core, names, moved.t_us, config), config.sigma.slow**2
+    return misfit, bounds(used, moved_m, offset_m, moved.x[:3], misfit, share)
 
 
 def _measured(judged: Judged, outside: Outside, core: Core) -> Outcome:

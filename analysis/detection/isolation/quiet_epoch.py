@@ -20,7 +20,8 @@ from analysis.detection.epoch_outcome import Outcome, imu_bad_until_us, shown
 from analysis.detection.filter.epoch_update import Filtered, Step, commit_to
 from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.inertial import propagate_freely, propagate_inertial
-from analysis.detection.filter.measurement import Indices, Measured, Observed
+from analysis.detection.filter.lasting_errors import LEAST_FACTOR, Misfit, misfit_after
+from analysis.detection.filter.measurement import Indices, Measured, Modelled, Observed
 from analysis.detection.filter.offsets import frozen_m
 from analysis.detection.filter.propagation import steps
 from analysis.detection.isolation.assessment import Assessment, assess, rate_equations
@@ -28,6 +29,7 @@ from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.isolation.ramp_test import judge_slow
 from analysis.detection.isolation.ramp_windows import Strongest, Windows
 from analysis.detection.isolation.rate_test import MIN_RATES
+from analysis.detection.protection import Bounds, bounded, level_factors
 from analysis.samples.block import ImuRun
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
@@ -52,8 +54,9 @@ class Prior(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What an epoch is judged by: models of the sky and of noise, and the thresholds (2, 65) of
-    ranges and rates by degrees of freedom; in the order of `DetectorConfig.limits`."""
+    """What an epoch is judged by: models of the sky and of noise, the thresholds (2, 65) of ranges
+    and rates by degrees of freedom, in the order of `DetectorConfig.limits`; those of protection
+    levels, and how the ranges have fitted."""
 
     ionosphere: Vector
     sigma: SigmaNumbers
@@ -63,6 +66,8 @@ class Limits(NamedTuple):
     mask_rad: float
     gap_s: float
     doppler: bool
+    level_factors: Vector
+    misfit: Misfit
 
 
 def quiet_epoch(
@@ -73,14 +78,11 @@ def quiet_epoch(
     # Identity, not equality: the names are the same tuple while the view is the same.
     if motion is None or ramps is None or ramps.among is not observed.satellites:
         return None
-    # Excluded satellites, an alignment under way and a lever arm are rare and need the long way.
-    if core.excluded or core.distrusted or len(ramps.names) > MOST or motion.alignment is not None:
-        return None
-    if motion.inertial and config.antenna is not None:
+    if _is_rare(core, motion, config) or len(ramps.names) > MOST:
         return None
     ramps = ramps.renewed(t_us)
     windows = ramps.windows
-    quiet, gap_s, numbers, innovations, after, found = _quiet(
+    quiet, gap_s, numbers, innovations, after, found, bounds = _quiet(
         tuple(observed.measured),
         ramps.places,
         frozen_m(core, observed.satellites, t_us, config),
@@ -88,12 +90,14 @@ def quiet_epoch(
         tuple(run),
         t_us,
         tuple(windows),
-        (core.ionosphere, *config.limits),
+        (core.ionosphere, *config.limits, level_factors(), *core.misfit),
     )
     slow = judge_slow(ramps, Strongest(*found), config) if quiet else None
     if slow is None or slow.hypothesis != "none":
         return None
     x, p, d, sums, offset, spread = after
+    total, dof, *lasting_m2, hpl_m, vpl_m = bounds.tolist()
+    misfit = Misfit(total, dof)
     starts_us, offsets, spreads = windows.starts_us, windows.offsets, windows.spreads
     windows = Windows(starts_us, d, sums, offset, spread, offsets, spreads)
     core = core._replace(
@@ -102,6 +106,7 @@ def quiet_epoch(
         ranges_us=t_us,
         imu_bad_until_us=imu_bad_until_us(core, False, t_us, config),
         unknown_since_us=None,
+        misfit=misfit,
     )
     q, q_rate, parity, rates, parity_dof = numbers
     residual_m, normalised = innovations.tolist()
@@ -122,13 +127,22 @@ def quiet_epoch(
         hypothesis=shown(core, "none", False, False),
         was_inertial=motion.inertial,
         gap_s=gap_s,
+        bounds=Bounds(misfit.factor, tuple(lasting_m2), hpl_m, vpl_m),
     )
+
+
+def _is_rare(core: Core, motion: Motion, config: DetectorConfig) -> bool:
+    """Excluded satellites, an alignment under way and a lever arm need the long way."""
+    if core.excluded or core.distrusted or motion.alignment is not None:
+        return True
+    return motion.inertial and config.antenna is not None
 
 
 @compiled
 def _named(limits: Plain) -> Limits:
     """The limits with their names."""
-    ionosphere, sigma, noise, ramps, thresholds, mask_rad, gap_s, doppler = limits
+    ionosphere, sigma, noise, ramps, thresholds, mask_rad, gap_s, doppler = limits[:8]
+    factors, total, dof = limits[8:]
     return Limits(
         ionosphere,
         SigmaNumbers(*sigma),
@@ -138,6 +152,8 @@ def _named(limits: Plain) -> Limits:
         mask_rad,
         gap_s,
         doppler,
+        factors,
+        Misfit(total, dof),
     )
 
 
@@ -151,9 +167,10 @@ def _quiet(
     t_us: int,
     window_values: Plain,
     limit_values: Plain,
-) -> tuple[bool, float, Numbers, Vector, Filtered, Found]:
+) -> tuple[bool, float, Numbers, Vector, Filtered, Found, Vector]:
     """Whether the epoch is quiet, the longest silence of the IMU, the tests, the innovations (2, n)
-    in m and normalised, and what `commit_to` gives; `places` (n,) of the satellites that were used
+    in m and normalised, what `commit_to` gives, and the fields of a `Misfit` with those of the
+    `Bounds` but the first (7,); `places` (n,) of the satellites that were used
     at the last epoch."""
     measured, prior, run = Measured(*measured_values), Prior(*prior_values), ImuRun(*run_values)
     windows, limits = Windows(*window_values), _named(limit_values)
@@ -180,7 +197,7 @@ def _quiet(
     if not quiet:
         # The long way begins anew from the state before: nothing of this is used.
         nothing = (x, p, windows.d, windows.sums, windows.offset, windows.spread)
-        return False, gap_s, numbers, innovations, nothing, NOTHING_FOUND
+        return False, gap_s, numbers, innovations, nothing, NOTHING_FOUND, np.empty(0)
     rates = assessed.rates
     if not tested:  # too few to be used untested
         every = assessed.every
@@ -188,7 +205,43 @@ def _quiet(
     step = Step(phi, dt_s, t_us, prior.inertial)
     after, found = commit_to(x, p, assessed.ranges, assessed.y, rates, step, windows, limits.ramps)
     strongest = found.ramp, found.window, found.satellite, found.rival
-    return True, gap_s, numbers, innovations, after, strongest
+    told = _told(assessed, offset_m, x, after[0], dt_s, limits)
+    return True, gap_s, numbers, innovations, after, strongest, told
+
+
+@compiled
+def _told(
+    assessed: Assessment, offset_m: Vector, x: Vector, after: Vector, dt_s: float, limits: Limits
+) -> Vector:
+    """How the ranges fit now, and the bounds of the position, as (7,); the state was x (21,) before
+    the epoch and is `after`."""
+    count, every, tests = assessed.used, assessed.every, assessed.statistics
+    used = Modelled(
+        every.v_m[:count],
+        every.v_mps[:count],
+        every.variance[:count],
+        every.rate_variance[:count],
+        every.elevation_rad[:count],
+        every.ionosphere_m[:count],
+        every.h[:count],
+    )
+    frozen_m, out = np.empty(count), np.empty(7)
+    for i in range(count):
+        frozen_m[i] = offset_m[assessed.order[i]]
+    before = limits.misfit
+    total, dof = misfit_after(before.total, before.dof, tests.parity, tests.parity_dof, dt_s)
+    out[0], out[1] = total, dof
+    factor = max(total / dof, LEAST_FACTOR)
+    out[2:] = bounded(
+        used,
+        after[:3] - x[:3],
+        frozen_m,
+        after[:3],
+        factor,
+        limits.ramps.offset_share,
+        limits.level_factors,
+    )
+    return out
 
 
 @compiled

@@ -20,7 +20,7 @@ def test_clean_chi_square_per_degree_of_freedom_becomes_one(flight, tmp_path: Pa
 
 def test_too_little_data_is_refused(flight):
     few = [s for s in flight if not isinstance(s, Epoch) or s.t_us < 2_000_000]
-    with pytest.raises(ConfigError, match="at least 60"):
+    with pytest.raises(ConfigError, match="at least 20"):
         calibrate(few, DetectorConfig())
 
 

@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 
 from analysis.detection import Detector, DetectorConfig
-from analysis.detection.filter.measurement import choose, observe
-from analysis.detection.protection import protection_levels
+from analysis.detection.filter.inertial import X_SIZE
+from analysis.detection.filter.lasting_errors import Misfit
+from analysis.detection.filter.measurement import choose, model, observe
+from analysis.detection.protection import bounds
 from analysis.recordings.recordings import read_rinex_samples
 from analysis.samples.sample import Epoch
 
@@ -30,7 +32,17 @@ def levels(seen, keep=None, r_m=ANTENNA_M, config=CONFIG):
     observed, ionosphere = seen
     if keep is not None:
         observed = observed.select(np.array([keep(name) for name in observed.satellites]))
-    return protection_levels(observed.measured, r_m, ionosphere, config)
+    return levels_of(observed, ionosphere, r_m, config)
+
+
+def levels_of(observed, ionosphere, r_m=ANTENNA_M, config=CONFIG):
+    """Horizontal and vertical level of a place, by every satellite observed."""
+    x = np.zeros(X_SIZE)
+    x[:3] = r_m
+    nothing = np.zeros(len(observed.satellites))
+    used = model(observed, x, config.sigma, ionosphere)
+    found = bounds(used, np.zeros(3), nothing, x[:3], Misfit(), config.sigma.slow**2)
+    return found.hpl_m, found.vpl_m
 
 
 def test_the_true_place_is_well_within_its_levels(seen):
@@ -52,7 +64,7 @@ def test_a_faulty_range_widens_the_levels_by_what_it_moves_the_solution(seen):
     ranges = observed.pseudorange_m.copy()
     ranges[0] += 30.0
     moved = observed._replace(pseudorange_m=ranges)
-    wider = protection_levels(moved.measured, ANTENNA_M, ionosphere, CONFIG)
+    wider = levels_of(moved, ionosphere)
     assert wider[0] > levels(seen)[0]
 
 
@@ -60,10 +72,10 @@ def test_fewer_satellites_give_wider_levels_and_too_few_none(seen):
     observed, _ = seen
     gps = [name for name in observed.satellites if name[0] == "G"]
     alone = levels(seen, lambda name: name in gps)
-    assert alone[0] is not None
+    assert np.isfinite(alone[0])
     few = levels(seen, lambda name: name in gps[:6])
-    assert few[0] is None or few[0] > alone[0]
-    assert levels(seen, lambda name: name in gps[:4]) == (None, None)
+    assert few[0] > alone[0]
+    assert levels(seen, lambda name: name in gps[:4]) == (np.inf, np.inf)
 
 
 def test_larger_sigmas_give_wider_levels(seen):

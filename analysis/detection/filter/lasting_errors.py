@@ -1,0 +1,126 @@
+"""Errors that last for minutes: what they make of the position beyond the filter's covariance.
+
+A filter that takes epochs as independent averages its noise away, but not multipath, orbit and
+clock errors, and what the ionosphere's and the troposphere's models leave: these are the same at
+the next epoch. They are *considered*, not estimated [1]_: gain and tests stay as they are, and the
+covariance that is told of the position is
+
+    f P + S L S',   S = inv(A'WA) A'W,
+
+S the snapshot's response to the ranges, which the filter reaches within seconds, L (diagonal) the
+variances of what lasts, and f the a-posteriori variance factor: chi-square per degree of freedom of
+the parity test over the last minute. Where it is above 1 the excess is multipath, and lasts.
+
+References
+----------
+.. [1] S. F. Schmidt, in Advances in Control Systems 3, 1966, p. 293.
+.. [2] RTCA DO-229D, A.4.2.5 (troposphere), J.2.3 (ionosphere: a fifth of Klobuchar's delay).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from analysis.detection.filter.inertial import ISB
+from analysis.detection.filter.measurement import Modelled
+from analysis.orbits.broadcast import SYSTEMS
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.linear import inverse
+
+SIGNAL_M = 0.5  # orbit and clock: what GPS and Galileo reach in the root mean square
+IONOSPHERE_SHARE, TROPOSPHERE_M = 0.2, 0.12  # of Klobuchar's delay; of the zenith delay [2]_
+MEMORY_S = 60.0  # of the variance factor
+NEWS_S = 1.0  # epochs closer than this share their errors
+ASSUMED_DOF = 10.0  # degrees of freedom in favour of the model as it is
+LEAST_FACTOR = 0.25
+AXES = 3
+VAGUE = 1e-4  # information in 1/m^2 of where an antenna is that too few satellites see
+
+
+class Misfit(NamedTuple):
+    """Parity statistics of the last minute and their degrees of freedom, the older the less."""
+
+    total: float = ASSUMED_DOF
+    dof: float = ASSUMED_DOF
+
+    def with_epoch(self, parity: float, dof: int, dt_s: float) -> "Misfit":
+        """After an epoch `dt_s` after the last."""
+        return Misfit(*misfit_after(self.total, self.dof, parity, dof, dt_s))
+
+    @property
+    def factor(self) -> float:
+        """The a-posteriori variance factor."""
+        return max(self.total / self.dof, LEAST_FACTOR)
+
+
+@compiled
+def misfit_after(
+    total: float, known: float, parity: float, dof: int, dt_s: float
+) -> tuple[float, float]:
+    """The fields of a `Misfit` after an epoch."""
+    stays, news = math.exp(-dt_s / MEMORY_S), min(dt_s / NEWS_S, 1.0)
+    fresh = (1.0 - stays) * ASSUMED_DOF
+    return stays * total + fresh + news * parity, stays * known + fresh + news * dof
+
+
+@compiled
+def snapshot_rows(used: Modelled, axes: Vector) -> Vector:
+    """Geometry (n, c) by the rows of `axes` (3, 3) and a clock for each system that is in use."""
+    count, h = used.h.shape[0], used.h
+    # The last place is GPS's, whose clock is the filter's own.
+    place, systems = np.full(len(SYSTEMS), -1), 0
+    of = np.empty(count, np.int64)
+    for i in range(count):
+        of[i] = len(SYSTEMS) - 1
+        for k in range(len(SYSTEMS) - 1):
+            if h[i, ISB + k] != 0.0:
+                of[i] = k
+        if place[of[i]] < 0:
+            place[of[i]] = systems
+            systems += 1
+    rows = np.zeros((count, AXES + systems))
+    for i in range(count):
+        rows[i, AXES + place[of[i]]] = 1.0
+        for k in range(AXES):
+            for j in range(AXES):
+                rows[i, k] += axes[k, j] * h[i, j]
+    return rows
+
+
+@compiled
+def lasting_variance(used: Modelled, factor: float) -> Vector:
+    """What lasts of each range (n,) in m^2."""
+    out = np.empty(used.variance.shape[0])
+    for i in range(out.shape[0]):
+        wet_m = TROPOSPHERE_M * 1.001 / math.sqrt(0.002001 + math.sin(used.elevation_rad[i]) ** 2)
+        out[i] = SIGNAL_M**2 + (IONOSPHERE_SHARE * used.ionosphere_m[i]) ** 2 + wet_m**2
+        out[i] += max(factor - 1.0, 0.0) * used.variance[i]
+    return out
+
+
+@compiled
+def lasting_position_variance(used: Modelled, rows: Vector, axes: Vector, factor: float) -> Vector:
+    """The diagonal (3,) of S L S' in ECEF, m^2, of rows (n, c) by the rows of `axes` (3, 3)."""
+    lasts, size = lasting_variance(used, factor), rows.shape[1]
+    normal = np.zeros((size, size))
+    for i in range(rows.shape[0]):
+        for k in range(size):
+            share = rows[i, k] / used.variance[i]
+            for j in range(size):
+                normal[k, j] += share * rows[i, j]
+    for k in range(size):
+        normal[k, k] += VAGUE  # directions that nobody sees must not make it singular
+    cofactor, out, response = inverse(normal), np.zeros(AXES), np.empty(AXES)
+    for i in range(rows.shape[0]):
+        for k in range(AXES):
+            response[k] = 0.0
+            for j in range(size):
+                response[k] += cofactor[k, j] * rows[i, j] / used.variance[i]
+        for k in range(AXES):
+            moved = 0.0
+            for j in range(AXES):
+                moved += axes[j, k] * response[j]
+            out[k] += moved * moved * lasts[i]
+    return out

@@ -1,0 +1,107 @@
+"""Errors that last, in the covariance that is told: against algebra, and at a real place."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from analysis.detection import Detector, DetectorConfig
+from analysis.detection.calibrate import calibrate
+from analysis.detection.filter.inertial import X_SIZE
+from analysis.detection.filter.lasting_errors import (
+    IONOSPHERE_SHARE,
+    SIGNAL_M,
+    TROPOSPHERE_M,
+    Misfit,
+)
+from analysis.detection.filter.measurement import choose, model, observe
+from analysis.detection.protection import bounds
+from analysis.recordings.recordings import read_rinex_samples
+from analysis.results import Decision
+from analysis.samples.sample import Epoch
+from analysis.scoring.position_scores import PositionScores
+
+ANTENNA_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])  # of the data's README
+
+
+@pytest.fixture(scope="module")
+def static(shared_data):
+    folder = shared_data / "gnss_static"
+    return read_rinex_samples(folder / "SEPT078M.21O", folder / "SEPT078M.21P")
+
+
+def over_sigma(samples, config):
+    """Percentiles of the error over its sigma."""
+    detector, scores = Detector(config), PositionScores()
+    state = detector.new_state()
+    for sample in samples:
+        results, state = detector.step(sample, state)
+        for result in results:
+            if isinstance(result, Decision) and result.position_ecef_m is not None:
+                scores.add("filter", result.position_ecef_m, result.position_sigma_m, ANTENNA_M)
+    found = scores.summary()["filter"]
+    return found["over_sigma_50"], found["over_sigma_95"]
+
+
+@pytest.mark.parametrize("systems", ["G", "GE"])
+def test_errors_over_sigma_are_honest_by_default_and_calibrated_on_the_half_before(static, systems):
+    config = DetectorConfig(systems=systems)
+    stamps = [s.t_us for s in static if isinstance(s, Epoch)]
+    middle_us = (stamps[0] + stamps[-1]) // 2
+    first = [s for s in static if not isinstance(s, Epoch) or s.t_us < middle_us]
+    second = [s for s in static if not isinstance(s, Epoch) or s.t_us >= middle_us]
+    calibrated = msgspec.structs.replace(config, sigma=calibrate(first, config).sigma)
+    for samples, judged_with in ((static, config), (second, calibrated)):
+        half, most = over_sigma(samples, judged_with)
+        assert 0.7 <= half <= 1.5
+        assert most < 3.0
+
+
+def test_calibration_works_on_epochs_of_every_thirty_seconds(static):
+    first_us = next(s.t_us for s in static if isinstance(s, Epoch))
+    sparse = [
+        s for s in static if not isinstance(s, Epoch) or (s.t_us - first_us) % 30_000_000 == 0
+    ]
+    found = calibrate(sparse, DetectorConfig())
+    assert found.epochs == 28
+    assert found.chi_square_per_dof == pytest.approx(1.0, abs=0.3)
+
+
+def test_what_lasts_is_mapped_by_the_snapshot(static):
+    first = next(i for i, s in enumerate(static) if isinstance(s, Epoch))
+    detector = Detector()
+    _, state = detector.step(static[: first + 1], detector.new_state())
+    epoch, ionosphere = static[first], state.core.ionosphere
+    observed = observe(epoch, choose(epoch, state.core.ephemerides, "GE"))
+    x = np.zeros(X_SIZE)
+    x[:3] = ANTENNA_M
+    used = model(observed, x, DetectorConfig().sigma, ionosphere)
+    misfit = Misfit(total=30.0, dof=10.0)
+    found = bounds(used, np.zeros(3), np.zeros(len(used.v_m)), ANTENNA_M, misfit, 1.0)
+    gps = np.array([name[0] == "G" for name in observed.satellites], dtype=float)
+    design = np.column_stack([used.h[:, :3], gps, 1.0 - gps])
+    weight = 1.0 / used.variance
+    response = np.linalg.inv(design.T * weight @ design) @ (design.T * weight)
+    wet_m = TROPOSPHERE_M * 1.001 / np.sqrt(0.002001 + np.sin(used.elevation_rad) ** 2)
+    lasts = SIGNAL_M**2 + (IONOSPHERE_SHARE * used.ionosphere_m) ** 2 + wet_m**2
+    lasts += (3.0 - 1.0) * used.variance
+    expected = (response[:3] ** 2 * lasts).sum(axis=1)
+    assert found.factor == 3.0
+    assert found.lasting_m2 == pytest.approx(expected.tolist(), rel=1e-2)
+
+
+def test_the_variance_factor_forgets_in_a_minute_and_counts_no_second_twice():
+    misfit = Misfit()
+    assert misfit.factor == 1.0
+    slow = fast = misfit
+    for _ in range(60):
+        slow = slow.with_epoch(parity=50.0, dof=10, dt_s=1.0)
+    for _ in range(600):
+        fast = fast.with_epoch(parity=50.0, dof=10, dt_s=0.1)
+    assert slow.factor == pytest.approx(4.9, abs=0.1)
+    assert fast.factor == pytest.approx(slow.factor, abs=0.05)
+    for _ in range(300):
+        slow = slow.with_epoch(parity=10.0, dof=10, dt_s=1.0)
+    assert slow.factor == pytest.approx(1.0, abs=0.05)
+    assert math.isclose(Misfit(1.0, 100.0).factor, 0.25)
