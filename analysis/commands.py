@@ -38,6 +38,12 @@ def add_run(commands: Any) -> None:
         help="fly the same without the faults beside it, and tell what each fault did",
     )
     parser.add_argument(
+        "--no-report",
+        dest="report",
+        action="store_false",
+        help="write the logs, results and summary alone",
+    )
+    parser.add_argument(
         "--autopilot",
         choices=("ardupilot", "px4"),
         help="who flies, instead of the built-in controller",

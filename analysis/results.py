@@ -60,9 +60,10 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=
 class SensorDecision(
     msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False
 ):
-    """The verdict on another sensor against the inertial reference.
+    """The verdict on another sensor against the inertial reference, or on the actuators.
 
-    `sensor` is one of baro, airspeed, mag, vision, range, gps-position, gps-velocity, imu.
+    `sensor` is one of baro, airspeed, mag, vision, range, gps-position, gps-velocity, imu,
+    actuators. `suspect` is who of them it is, where that is not the sensor itself.
     """
 
     t_s: float
@@ -74,6 +75,7 @@ class SensorDecision(
     alarm: bool
     isolated: bool = False
     reason: str = ""
+    suspect: str = ""
 
 
 class AttitudeError(

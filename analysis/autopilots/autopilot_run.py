@@ -7,7 +7,10 @@ from leaving the ground.
 
 import argparse
 import contextlib
+import gc
+import os
 import time
+from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -42,10 +45,34 @@ from simvehicle.hil.lockstep import AutopilotSilentError, Lockstep
 from simvehicle.scenario.scenario_file import Scenario
 
 RECORD_US = 200_000  # simulated time between writes to the logs
+OPERATOR_US = 20_000  # of the vehicle's time between two looks of the operator
 START_S = 60.0  # wall time for the autopilot's program to come
 AUTOPILOTS = {"ardupilot": ardupilot_program, "px4": px4_program}
 LOAD = "@ctl/schedule/load"
 MOMENTS = ("first-stamp", "arming", "take-off", "landing")
+
+
+PRIORITY = 80  # PX4's logger and telemetry have 74 and below, its sensors and control 90 and above
+
+
+@contextlib.contextmanager
+def ahead_of_logs() -> Iterator[None]:
+    """Run this thread at a real-time priority where that is allowed.
+
+    PX4 started by root runs all its threads so: its logger would hold up the step that it waits
+    for. Threads and processes begun meanwhile do not inherit it.
+    """
+    gc.freeze()  # what is loaded stays; to look it through would hold up a step by 0.1 s
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    with contextlib.suppress(PermissionError):
+        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+        os.sched_setscheduler(0, policy, os.sched_param(PRIORITY))
+    try:
+        yield
+    finally:
+        # Unprivileged threads may always go back.
+        os.sched_setscheduler(0, *before)
+        gc.unfreeze()
 
 
 class FlightOverError(Exception):
@@ -76,7 +103,8 @@ def main(args: argparse.Namespace) -> int:
         summary = monitor.summary(flown.flight.completed_labels(), setup.criteria, wall_s)
     summary["autopilot"] = flown.account(reason)
     write_summary(folder, summary)
-    report(folder, summary, columns)
+    if args.report:
+        report(folder, summary, columns)
     print_summary(summary, folder)
     return 1 if reason else EXIT_CODES[summary["verdict"]]
 
@@ -140,7 +168,7 @@ class AutopilotRun:
             folder, session(setup.scenario.name, setup.schedule.seed, self.flight)
         )
         self._parser = Parser()
-        self._recorded_us = 0
+        self._recorded_us = self._operator_us = 0
         self._scheduled = False
         self._progress = Progress(time.monotonic())
         self._phase = ""
@@ -174,13 +202,15 @@ class AutopilotRun:
             )
             reason = ""
             try:
-                loop.run()
+                with ahead_of_logs():
+                    loop.run()
             except FlightOverError as over:
                 reason = str(over)
             except (PeerGoneError, AutopilotSilentError) as gone:
                 reason = f"{gone} at {loop.t_us * 1e-6:.1f} s{flying.last_words()}"
             except ConfigError as wrong:
                 reason = f"{wrong}{flying.last_words()}"
+        outward.hear_all()
         self._close()
         if reason:
             self._progress.say(f"the flight ended early: {reason}")
@@ -209,7 +239,12 @@ class AutopilotRun:
     def _commands(self) -> list[bytes]:
         """Called before each step: what the operator sends, and what has to be written."""
         t_us = self.flight.vehicle_us
-        frames = self._operator.step(t_us) if t_us else []  # the first stamp is still to come
+        frames: list[bytes] = []
+        if t_us >= self._operator_us:
+            self._operator_us = t_us + OPERATOR_US
+            on_ground = self.flight.simulation.truth.on_ground
+            # Before the first stamp there is no time.
+            frames = self._operator.step(t_us, on_ground=on_ground) if t_us else []
         if not self._scheduled and self._count_from in self._operator.moments_us:
             self._begin_schedule(t_us)
         if self._phase != self._operator.phase:

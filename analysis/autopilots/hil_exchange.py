@@ -6,6 +6,7 @@ the vehicle's time, however fast the flight is. Nobody waits for what a fault wi
 answered by the autopilot's word on it, and where none of it reached the autopilot, by nothing.
 """
 
+import select
 import subprocess
 import time
 from collections.abc import Callable, Sequence
@@ -16,7 +17,7 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.proxy.interfaces import Send
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import known, layout
 from mavproxy_fault.wire.frame import STX_V2, Frame
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.hil.hil_frames import Hil
@@ -29,7 +30,7 @@ Hear = Callable[[list[Send]], None]  # what leaves for monitor and ground statio
 STAMP = slice(10, 18)  # time_usec, of every message that steps are answered by
 ANSWER = known("HIL_ACTUATOR_CONTROLS")
 ANSWER_ID = ANSWER.id.to_bytes(3, "little")
-FOR_SIMULATOR = {ANSWER_ID, known("TUNNEL").id.to_bytes(3, "little")}
+FOR_SIMULATOR = {ANSWER.id, known("TUNNEL").id}
 
 
 class StepMessage(NamedTuple):
@@ -97,23 +98,31 @@ class ToAutopilot:
         self.step_us = None
         # The operator first: its commands belong to the state before this step.
         # One by one, for frames that come together leave together, and not all go the same way.
-        received = [(GROUND, raw) for raw in self._commands()]
-        received += [(SIMULATOR, raw) for raw in self._packer.frames(t_us, truth, readings)]
-        now_us = self.flight.now_us
-        for link, raw in received:
-            for send in self.flight.core.received(link, raw, now_us):
-                if send.link == VEHICLE:
-                    self._leave(send.data, out)
-                else:
-                    self.sort(send, self.returned)
+        core, now_us = self.flight.core, self.flight.now_us
+        for raw in self._commands():
+            self._sort(core.received(GROUND, raw, now_us), out)
+        for raw in self._packer.frames(t_us, truth, readings):
+            self._sort(core.received_frame(SIMULATOR, packed_frame(raw), now_us), out)
         return out
 
-    def sort(self, send: Send, returned: list[Frame]) -> None:
-        """What left for the simulator is returned to it, the rest is to be heard."""
-        if send.link == SIMULATOR:
-            returned += self._decoded(send)
-        else:
+    def _sort(self, sends: list[Send], out: list[bytes]) -> None:
+        for send in sends:
+            if send.link == VEHICLE:
+                self._leave(send.data, out)
+            else:
+                self.sort(send, self.returned)
+
+    def sort(self, send: Send, returned: list[Frame], origin: Frame | None = None) -> None:
+        """What left for the simulator is returned to it, the rest is to be heard.
+
+        `origin` is the frame that came, which most often left as it was.
+        """
+        if send.link != SIMULATOR:
             self.unheard.append(send)
+        elif origin is None or send.data is not origin.raw:
+            returned += self._decoded(send)
+        elif origin.id in FOR_SIMULATOR:
+            returned.append(origin)
 
     def hear_all(self) -> None:
         """Let what has left be heard."""
@@ -123,10 +132,8 @@ class ToAutopilot:
 
     def _decoded(self, send: Send) -> list[Frame]:
         """What left for the simulator and means something to it."""
-        if send.data[0] == STX_V2 and send.data[7:10] not in FOR_SIMULATOR:
-            return []
         items = self._parser.push(send.data, datagram=True)
-        return [item for item in items if isinstance(item, Frame)]
+        return [item for item in items if isinstance(item, Frame) and item.id in FOR_SIMULATOR]
 
     def _leave(self, data: bytes, out: list[bytes]) -> None:
         """To the HIL link with the step, or at once to where telemetry comes from."""
@@ -137,6 +144,13 @@ class ToAutopilot:
         number, below_bytes = self._step
         if data[0] == STX_V2 and data[7] == number and data[1] < below_bytes:
             self.step_us = int.from_bytes(data[STAMP], "little")
+
+
+def packed_frame(raw: bytes) -> Frame:
+    """A frame of the packer, which nobody has to verify."""
+    described = layout(int.from_bytes(raw[7:10], "little"))
+    assert described is not None
+    return Frame(raw, described)
 
 
 class Patience:
@@ -173,19 +187,19 @@ class FromAutopilot:
     ) -> None:
         self.link = links[0]
         self._outward, self._patience, self._lockstep = outward, patience, lockstep
-        self._inboxes = [Inbox(link) for link in links]
+        self._inboxes = {link.fileno(): Inbox(link) for link in links}
 
-    def frames(self) -> list[Frame]:
+    def frames(self, wait_s: float = 0.0) -> list[Frame]:
         """What came and left the proxy for the simulator."""
         self._patience.check()
         outward, flight = self._outward, self._outward.flight
         outward.hear_all()
         found, outward.returned = outward.returned, []
-        for inbox in self._inboxes:
-            for frame in inbox.frames():
+        ready, _, _ = select.select(self._inboxes, (), (), wait_s)
+        for descriptor in ready:
+            for frame in self._inboxes[descriptor].frames():
                 if frame.layout is ANSWER:
                     self._lockstep.received(int(frame.number("time_usec")), time.monotonic())
                 for send in flight.core.received_frame(VEHICLE, frame, flight.now_us):
-                    outward.sort(send, found)
-        outward.hear_all()
+                    outward.sort(send, found, frame)
         return found

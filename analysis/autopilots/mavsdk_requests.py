@@ -16,6 +16,7 @@ from mavsdk.plugins.mission_raw import MissionItem, MissionRaw
 from analysis.autopilots.flight_operator import COMPONENT, GROUND_STATION
 from analysis.autopilots.flight_plan import Waypoint
 from analysis.autopilots.mission_items import Item, along, approach
+from analysis.autopilots.px4_program import STREAMS_HZ
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 
@@ -56,8 +57,9 @@ class MavsdkRequests:
         self._mavsdk.destroy()
 
     def heard(self, frame: Frame) -> None:
-        """Hand a frame on."""
-        self._mavsdk.pass_received_raw_bytes(frame.raw)
+        """Hand a frame on, unless it is of a stream: these it asks nothing of."""
+        if frame.layout.name not in STREAMS_HZ:
+            self._mavsdk.pass_received_raw_bytes(frame.raw)
 
     def pending(self) -> list[bytes]:
         """What MAVSDK has to send."""

@@ -7,6 +7,7 @@ sends on and publishes what comes of it.
 import logging
 from typing import Any, NamedTuple
 
+from analysis.scoring.fault_channels import ACTUATORS, target_sight
 from mavproxy_fault.live.control import Control
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
@@ -18,7 +19,7 @@ from mavproxy_fault.wire.frame import STX_V2, Frame
 from mavproxy_fault.wire.label import Label, newest
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.app.sim_server import airframe, check_sensors, services, throttle
-from simvehicle.hil.actuator_commands import HIL_ACTUATOR_CONTROLS, ActuatorCommands
+from simvehicle.hil.actuator_commands import ActuatorCommands
 from simvehicle.hil.hil_frames import Hil
 from simvehicle.hil.plant_changes import PlantChanges
 from simvehicle.scenario.scenario_file import Scenario
@@ -91,7 +92,7 @@ class Flight:
         """Fly to the next sample of the IMU, with what a ground station sent meanwhile."""
         # Until somebody commands, the scenario's own controller flies.
         controls = self._pilot.controls() if self._pilot.flight.flown else None
-        sends = self._sent_commands() if controls is None else []
+        sends, commanded = self._sent_commands() if controls is None else ([], b"")
         if controls is None and self._commands is not None:
             controls = self._commands.driven
         t_us, truth, readings = self.simulation.step(controls)
@@ -102,28 +103,29 @@ class Flight:
             sends += self.core.received(VEHICLE, raw, self.now_us)
         for data in commands:
             sends += self.core.received(GROUND, data, self.now_us)
-        return self._sort(sends)
+        sent = self._sort(sends)
+        # What was commanded, whatever became of it on the way: against that the vehicle is held.
+        return sent._replace(monitor=commanded + sent.monitor)
 
     def _actuator_commands(self, schedule: Schedule) -> ActuatorCommands | None:
-        """The controller's commands go over the wire where a fault waits for them there."""
-        messages = {
-            target.partition(".")[0] for entry in schedule.faults for target in entry.targets
-        }
-        if HIL_ACTUATOR_CONTROLS.name not in messages:
+        """The controller's commands go over the wire where a fault is one of the actuators."""
+        targets = [target for entry in schedule.faults for target in entry.targets]
+        if not any(ACTUATORS in target_sight(target).channels for target in targets):
             return None
         kind, vehicle = self.simulation.kind, self.simulation.vehicle
         return ActuatorCommands(kind.actuators(vehicle), kind.mix(vehicle))
 
-    def _sent_commands(self) -> list[Send]:
-        """What the commands for the next step become; the vehicle's share of it is carried out."""
+    def _sent_commands(self) -> tuple[list[Send], bytes]:
+        """What the commands for the next step become, and themselves; the vehicle's share of it is
+        carried out."""
         if self._commands is None:
-            return []
+            return [], b""
         raw = self._commands.frame(self.vehicle_us, self.simulation.commanded())
         sends = self.core.received(VEHICLE, raw, self.now_us)
         for link, data, _ in sends:
             if link == SIMULATOR:
                 self._obey(link, data)
-        return [send for send in sends if send.link != SIMULATOR]
+        return [send for send in sends if send.link != SIMULATOR], raw
 
     def finish(self) -> Sent:
         """End the faults that still act."""

@@ -81,7 +81,8 @@ def main(args: argparse.Namespace) -> int:
         curves = twin_curves(folder, folder / FOLDER, flight.core.clock.t0_us or 0)
         summary["effects"] = effects(curves, flight.completed_labels())
     write_summary(folder, summary)
-    report(folder, summary, columns, curves)
+    if args.report:
+        report(folder, summary, columns, curves)
     print_summary(summary, folder)
     return EXIT_CODES[summary["verdict"]]
 
@@ -115,7 +116,7 @@ def fly(
                 # By the wall clock: it paces the page, nothing of the flight.
                 live.show(time.monotonic())
                 if hold:
-                    deliver(monitor.feed(b""))
+                    deliver(monitor.feed(b"", now=True))
                     continue
                 sent = flight.advance([data for _, data in ground.read()] if ground else [])
                 deliver(monitor.feed(sent.monitor))

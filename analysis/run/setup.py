@@ -6,6 +6,7 @@ from pathlib import Path
 import msgspec
 
 from analysis.monitor.pipeline import MonitorConfig, monitor_config
+from analysis.run.vehicle_effects import vehicle_effects
 from analysis.scoring.criteria import Criteria
 from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
@@ -49,6 +50,7 @@ def read_setup(path: str | None, schedule: str | None = None, seed: int | None =
     if schedule is not None:
         criteria = _about(criteria, faults)
     monitor = monitor_config(scenario.monitor, document.where, document.lines)
+    monitor = msgspec.structs.replace(monitor, actuators=vehicle_effects(scenario))
     return Setup(scenario, faults, monitor, criteria)
 
 

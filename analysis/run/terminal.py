@@ -66,7 +66,7 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
         console.print(f"effect          {row['id']}: {_effect(row)}", soft_wrap=True)
     verdict = summary["verdict"]
     console.print(f"verdict         [{COLOURS.get(verdict, 'yellow')}]{verdict}[/]")
-    if folder is not None:
+    if folder is not None and (folder / "report.html").is_file():
         console.print(f"report          {folder / 'report.html'}", soft_wrap=True)
 
 

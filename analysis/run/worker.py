@@ -100,10 +100,13 @@ class MonitorProcess:
         self._answers.close()
 
     def feed(self, data: bytes, *, now: bool = False) -> list[Result]:
-        """Hand on bytes, in batches unless `now`; the results that are there."""
+        """Hand on bytes, in batches unless `now`; the results that are there by then."""
         self._batch += data
         results: list[Result] = []
-        if len(self._batch) >= BATCH_BYTES or (now and self._batch):
+        # Results are looked for with each batch: to ask costs more than to gather a step's bytes.
+        if len(self._batch) < BATCH_BYTES and not now:
+            return results
+        if self._batch:
             batch = bytes(self._batch)
             self._batch.clear()
             # Both queues are bounded: without taking results here, two full ones would wait for

@@ -15,6 +15,7 @@ from analysis.samples.sample import (
     AirspeedSample,
     AttitudeSample,
     BaroSample,
+    CommandSample,
     EphemerisSample,
     Epoch,
     GpsFix,
@@ -36,6 +37,7 @@ Indices = NDArray[np.int64]
 WIDTH = 13
 IMU, MAG, BARO, AIRSPEED, RANGE, VISION, TRUTH, ATTITUDE = range(8)
 FIX, EPOCH, EPHEMERIS, IONOSPHERE = range(8, 12)  # what may lead to a decision: events
+COMMAND = 12  # behind them, as its stamp need not be of the sensors' clock
 KINDS: dict[type, int] = {
     ImuSample: IMU,
     MagSample: MAG,
@@ -49,6 +51,7 @@ KINDS: dict[type, int] = {
     Epoch: EPOCH,
     EphemerisSample: EPHEMERIS,
     IonosphereSample: IONOSPHERE,
+    CommandSample: COMMAND,
 }
 # The index is what stands in a row for the message's name.
 SOURCES = ("HIL_GPS", "GPS_RAW_INT", "ATTITUDE", "ATTITUDE_QUATERNION")
@@ -160,6 +163,7 @@ ROWS: dict[int, Callable[[Any], Sequence[float]]] = {
     VISION: lambda s: (*s.r_ned_m, *_or_unknown(s.v_ned_mps), *s.q_nb),
     TRUTH: lambda s: (*s.q_nb, *s.omega_b_rps, s.lat_deg, s.lon_deg, s.alt_m, *s.v_ned_mps),
     ATTITUDE: lambda s: (*s.q_nb, s.system, SOURCES.index(s.source)),
+    COMMAND: lambda s: s.outputs,
     FIX: lambda s: (
         *(s.lat_deg, s.lon_deg, s.alt_m),
         *_or_unknown(s.v_ned_mps),
@@ -205,6 +209,7 @@ SAMPLES: dict[int, Callable[[int, Vector], Sample]] = {
     TRUTH: _truth,
     ATTITUDE: lambda t, v: AttitudeSample(t, v[0:4], int(v[4]), SOURCES[int(v[5])]),
     FIX: _fix,
+    COMMAND: lambda t, v: CommandSample(t, v[0:12]),
 }
 
 
@@ -290,7 +295,7 @@ def _cut(kind: Indices) -> tuple[Indices, Indices, Indices, Indices]:
             seen += 1
         elif kind[row] == MAG:
             mag = row
-        if kind[row] >= FIX or row == count - 1:
+        if FIX <= kind[row] < COMMAND or row == count - 1:
             ends[cut], mags[cut], cuts[cut] = row, mag, seen
             cut += 1
     return imu[:seen], ends[:cut], mags[:cut], cuts[:cut]

@@ -18,6 +18,7 @@ from analysis.samples.block import (
     AIRSPEED,
     ATTITUDE,
     BARO,
+    COMMAND,
     FIX,
     IMU,
     MAG,
@@ -44,6 +45,7 @@ DOWNWARD = 25  # MAV_SENSOR_ROTATION_PITCH_270
 BODY_FRD = 12  # MAV_FRAME_BODY_FRD
 # MAVLink's word for unknown in unsigned 16-bit fields.
 UNKNOWN_16 = 0xFFFF
+OUTPUTS = 12  # of an autopilot that are read
 
 
 class Read(NamedTuple):
@@ -207,6 +209,13 @@ def _estimate(rows: Rows, q_nb: Vector, source: str) -> list[Read]:
     return _whole(ATTITUDE, _since_boot(rows), values)
 
 
+def _actuator_controls(rows: Rows) -> list[Read]:
+    """The first outputs; one that is not finite is off."""
+    outputs = _numbers(rows, "controls")[:, :OUTPUTS]
+    outputs[~np.isfinite(outputs)] = 0.0
+    return _whole(COMMAND, rows["time_usec"].astype(np.int64), outputs)
+
+
 READERS: dict[str, Callable[[Rows], list[Read]]] = {
     "HIL_SENSOR": _hil_sensor,
     "HIGHRES_IMU": _highres_imu,
@@ -214,6 +223,7 @@ READERS: dict[str, Callable[[Rows], list[Read]]] = {
     "HIL_GPS": _hil_gps,
     "GPS_RAW_INT": _gps_raw_int,
     "HIL_STATE_QUATERNION": _hil_state,
+    "HIL_ACTUATOR_CONTROLS": _actuator_controls,
     "DISTANCE_SENSOR": _distance,
     "ODOMETRY": _odometry,
     "VISION_POSITION_ESTIMATE": _vision,

@@ -187,6 +187,14 @@ class AttitudeSample:
     source: str
 
 
+@dataclass(frozen=True, slots=True)
+class CommandSample:
+    """What an autopilot's first outputs (12,) are driven with, -1 to 1; 0 where there is none."""
+
+    t_us: int
+    outputs: Vector
+
+
 Sample = (
     ImuSample
     | MagSample
@@ -200,4 +208,5 @@ Sample = (
     | VisionSample
     | TruthSample
     | AttitudeSample
+    | CommandSample
 )

@@ -43,7 +43,8 @@ def alarms_of(result: Result) -> list[Alarm]:
     if isinstance(result, SensorDecision):
         if not result.alarm:
             return []
-        return [Alarm(result.t_us, result.sensor, result.sensor, result.isolated)]
+        name = result.suspect or result.sensor
+        return [Alarm(result.t_us, result.sensor, name, result.isolated)]
     if not isinstance(result, Decision):
         return []
     channel = "gps-position" if result.mode.startswith("position") else "satellites"

@@ -164,19 +164,20 @@ class AttitudeScorer:
 
     def _estimates(self, block: Block, begin: int, state: ScorerState) -> Estimates:
         """What waited and what the block brings behind row `begin`, in order."""
-        rows = np.arange(len(block.kind))
+        rows = np.arange(begin + 1, len(block.kind))
+        block = block.between(begin + 1, len(block.kind))
         # Estimators see one IMU, as a flight controller's estimator instance does.
         mine = (block.kind != IMU) | (block.values[:, 6] == self.config.imu)
-        keep = (rows > begin) & mine & _measured(block)
+        keep = mine & _measured(block)
         seen = block if keep.all() else block.where(keep)
         imu = rows[keep & (block.kind == IMU)]
         found = [state.waiting]
         for number, (name, estimator) in enumerate(self._estimators.items()):
             t_us, q_nb, state.estimators[name] = follow(estimator, seen, state.estimators[name])
             found.append(Estimates(imu, np.full(len(imu), number), t_us, q_nb))
-        own = rows[keep & (block.kind == ATTITUDE)]
+        own = np.flatnonzero(keep & (block.kind == ATTITUDE))
         number = block.values[own, 5].astype(np.int64) - FIRST_AUTOPILOT + len(self._estimators)
-        found.append(Estimates(own, number, block.t_us[own], block.values[own, :4]))
+        found.append(Estimates(rows[own], number, block.t_us[own], block.values[own, :4]))
         every = Estimates(*(np.concatenate(column) for column in zip(*found, strict=True)))
         # Stable: of estimates of one row our own come first, in the order they were configured.
         return every.at(np.argsort(every.row, kind="stable"))

@@ -15,6 +15,7 @@ SATELLITES, POSITION, VELOCITY = "satellites", "gps-position", "gps-velocity"
 IMU, MAG, BARO, AIRSPEED, RANGE, VISION, LINK = (
     *("imu", "mag", "baro", "airspeed", "range", "vision", "link"),
 )
+ACTUATORS = "actuators"
 RECEIVER = frozenset({POSITION, VELOCITY, "GPS", "clock"})  # names by which a receiver is blamed
 OF_RECEIVER = frozenset({SATELLITES, POSITION, VELOCITY})
 EVERY_SATELLITE = "every satellite"
@@ -61,6 +62,14 @@ RECEIVER_SIGHT = Sight(OF_RECEIVER, (WHOLE_RECEIVER,), WHOLE_RECEIVER)
 BY_NAME = {name: _sensor(name) for name in (MAG, BARO, AIRSPEED, RANGE, VISION, LINK)}
 BY_NAME |= {IMU: IMU_SIGHT}
 
+# What the outputs of HIL_ACTUATOR_CONTROLS, from 0, drive: a multirotor's motors in their order,
+# and on a fixed wing these [1]_. A plane has no motor 5, and a hexarotor no throttle.
+OUTPUTS = 16
+NOTHING: Mapping[str, object] = {}
+OF_PLANE = {2: "rudder", 4: "throttle", 5: "aileron", 6: "aileron", 7: "elevator"}
+MOTOR = re.compile(r"(motor|propeller)_efficiency\[(\d+)\]")
+SURFACE = re.compile(r"(elevator|aileron|rudder)_efficiency")
+
 MAG_FIELDS = re.compile(r"[xyz]mag")
 IMU_FIELDS = re.compile(r"[xyz](gyro|acc)")
 BARO_FIELDS = ("abs_pressure", "press_abs", "pressure_alt")
@@ -93,7 +102,7 @@ def sight(label: Label) -> Sight:
         return RECEIVER_SIGHT
     if not label.targets:
         return _of_link(label.fault)
-    found = [_of_target(target, label.parameters) for target in label.targets]
+    found = [target_sight(target, label.parameters) for target in label.targets]
     # A target that nothing watches does not hide the ones that are watched.
     seen = [one for one in found if one.channels]
     if not seen:
@@ -118,7 +127,8 @@ def _of_link(fault: str) -> Sight:
     return Sight(frozenset({LINK}), (everybody,), everybody)
 
 
-def _of_target(target: str, parameters: Mapping[str, object]) -> Sight:
+def target_sight(target: str, parameters: Mapping[str, object] = NOTHING) -> Sight:
+    """Who can see that a target is falsified; `parameters` are those of the fault."""
     message, _, path = target.partition(".")
     name = path.partition("[")[0]
     if message in ("PSEUDORANGE", "TUNNEL"):
@@ -129,13 +139,35 @@ def _of_target(target: str, parameters: Mapping[str, object]) -> Sight:
             return _of_satellite(satellite.group())
         if IN_RECEIVER.fullmatch(path):
             return RECEIVER_SIGHT
+        motor, surface = MOTOR.fullmatch(path), SURFACE.fullmatch(path)
+        if motor is not None:
+            number = int(motor[2])
+            # A fixed wing's only motor is its throttle.
+            return _actuator({f"motor {number + 1}", *(["throttle"] if number == 0 else [])})
+        if surface is not None:
+            return _actuator({surface[1]})
         return Sight(frozenset(), reason=f"no channel watches the plant ({path})")
     if message in FIXES:
         return FIX_SIGHT
+    if message == "HIL_ACTUATOR_CONTROLS":
+        return _of_output(path)
     devices = _devices(message, name, parameters)
     if not devices:
         return Sight(frozenset(), reason=f"no channel watches {target}")
     return _together(*(BY_NAME[device] for device in devices))
+
+
+def _actuator(names: set[str]) -> Sight:
+    """Actuators of which one is to blame."""
+    return Sight(frozenset({ACTUATORS}), (frozenset(names),), frozenset(names))
+
+
+def _of_output(path: str) -> Sight:
+    """What one output drives, or any of them where the whole message is meant."""
+    index = re.fullmatch(r"controls\[(\d+)\]", path)
+    outputs = range(OUTPUTS) if index is None else (int(index[1]),)
+    motors = {f"motor {output + 1}" for output in outputs}
+    return _actuator(motors | {OF_PLANE[output] for output in outputs if output in OF_PLANE})
 
 
 def _of_satellite(name: str) -> Sight:

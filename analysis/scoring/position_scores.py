@@ -1,17 +1,17 @@
 """Errors of positions against the truth: percentiles, and whether the sigmas told of them."""
 
-import math
 from array import array
-from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
+from mavproxy_fault.numerics.earth import geodetic_from_ecef, rot_en
 
 HORIZONTAL, VERTICAL, LENGTH, OVER_SIGMA = range(4)
 COLUMNS = 4
 PERCENTILES = (50, 95)
+UNKNOWN = (np.nan, np.nan, np.nan)  # a place, or a sigma
 
 
 class PositionScores:
@@ -23,18 +23,20 @@ class PositionScores:
     def add(
         self,
         solution: str,
-        r_ecef_m: Sequence[float],
-        sigma_m: Sequence[float] | None,
-        true_ecef_m: Sequence[float],
+        r_ecef_m: ArrayLike,
+        sigma_m: ArrayLike | None,
+        true_ecef_m: ArrayLike,
     ) -> None:
-        """A position and its sigmas (3,), in any axes, where the place is known."""
-        off = np.subtract(r_ecef_m, true_ecef_m)
-        lat, lon, _ = geodetic(np.asarray(true_ecef_m, dtype=float))
-        north, east, down = (ned_axes(lat, lon) @ off).tolist()
-        length = math.hypot(north, east, down)
-        sigma = math.hypot(*sigma_m) if sigma_m is not None else math.nan
-        row = math.hypot(north, east), abs(down), length, length / sigma if sigma else math.nan
-        self._rows.setdefault(solution, array("d")).extend(row)
+        """Positions (n, 3) or one (3,), their sigmas in any axes, and where the vehicle was."""
+        true_m = np.atleast_2d(np.asarray(true_ecef_m, dtype=float))
+        off = np.asarray(r_ecef_m, dtype=float) - true_m
+        lat, lon, _ = geodetic_from_ecef(true_m)
+        north, east, down = np.einsum("nij,ni->jn", rot_en(lat, lon), off)
+        length = np.linalg.norm(off, axis=1)
+        sigma = np.linalg.norm(UNKNOWN if sigma_m is None else sigma_m, axis=-1)
+        over_sigma = length / np.where(sigma > 0.0, sigma, np.nan)
+        table = np.column_stack([np.hypot(north, east), np.abs(down), length, over_sigma])
+        self._rows.setdefault(solution, array("d")).frombytes(table.tobytes())
 
     def solutions(self) -> list[str]:
         """Whose errors are known."""

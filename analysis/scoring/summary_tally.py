@@ -9,18 +9,18 @@ import msgspec
 import numpy as np
 
 from analysis.recordings.position_reference import PositionReference
-from analysis.results import AttitudeError, Decision, FusedState, Result
+from analysis.results import Decision, FusedState, Result, SensorDecision
 from analysis.samples.block import EPHEMERIS, TRUTH, Block
 from analysis.samples.sample import Vector
 from analysis.scoring.alarm_windows import Alarm, alarms_of, channel_of, windows_of
 from analysis.scoring.attitude_scores import REPEATED
 from analysis.scoring.criteria import Criteria, judge, verdict
 from analysis.scoring.outcome import false_alarms, outcomes
-from analysis.scoring.position_scores import PositionScores
+from analysis.scoring.position_scores import UNKNOWN, PositionScores
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.wire.label import Label
 
-PLACED = (Decision, FusedState)  # results that tell a position
+Placed = Decision | FusedState  # results that tell a position
 FILTER = "filter"  # the detector's own position among the solutions
 EPOCH_US = 1_000_000  # between epochs, where too few came to tell
 
@@ -63,23 +63,25 @@ class Tally:
             if self.first_us is None:
                 self.first_us = int(stamps[0])
             self.last_us = max(self.last_us, int(stamps.max()))
-        verdicts = [pair for pair in found if not isinstance(pair[1], AttitudeError)]
-        for _, result in verdicts:
+        # Sensors speak for most rows of a block, and mostly without an alarm.
+        sensors = [result for _, result in found if isinstance(result, SensorDecision)]
+        placed = [(row, result) for row, result in found if isinstance(result, Placed)]
+        speaking: list[Result] = [result for result in sensors if result.alarm]
+        speaking += [result for _, result in placed]
+        self._watched.update({result.sensor for result in sensors if result.statistic is not None})
+        self._watched.update(filter(None, map(channel_of, speaking)))
+        for result in speaking:
             self.alarms += alarms_of(result)
-            channel = channel_of(result)
-            if channel is not None:
-                self._watched.add(channel)
-        placed = [pair for pair in verdicts if isinstance(pair[1], PLACED)]
-        for (_, result), true_m in zip(placed, self._true_positions(block, placed), strict=True):
-            self._add(result, true_m)
+            if isinstance(result, Decision):
+                self._count(result)
+        self._add_errors(placed, self._true_positions(block, placed))
 
-    def _true_positions(self, block: Block, found: Sequence[tuple[int, Result]]) -> list[Any]:
-        """Where the vehicle really was at each result, ECEF (3,); None where that is not known."""
+    def _true_positions(self, block: Block, found: Sequence[tuple[int, Placed]]) -> Vector:
+        """Where the vehicle really was at each result, ECEF (n, 3); NaN where that is not known."""
         if self._reference is not None:
-            return [self._reference.at(result.t_us) for _, result in found]
+            known = [self._reference.at(result.t_us) for _, result in found]
+            return np.array([UNKNOWN if place is None else place for place in known]).reshape(-1, 3)
         truths = block.rows(TRUTH)
-        if self._truth is None and not len(truths):
-            return [None] * len(found)
         # The newest truth at or before the row that led to each result.
         at = np.searchsorted(truths, [row for row, _ in found], side="right") - 1
         places = block.values[truths[at], 7:10] if len(truths) else np.empty((len(at), 3))
@@ -89,23 +91,28 @@ class Tally:
             # For the results of the next block, until its first truth.
             self._truth = block.values[truths[-1], 7:10].copy()
         lat, lon = np.radians(places[:, :2]).T
-        true_m = ecef_from_geodetic(lat, lon, places[:, 2])
-        # One test for all three: they are known together.
-        return [None if np.isnan(x) else [x, y, z] for x, y, z in true_m.tolist()]
+        return ecef_from_geodetic(lat, lon, places[:, 2])
 
-    def _add(self, result: Result, true_m: Sequence[float] | None) -> None:
-        if isinstance(result, FusedState) and true_m is not None:
-            name = result.name.replace(" ", "_")
-            self.positions.add(name, result.position_ecef_m, result.position_sigma_m, true_m)
-        if not isinstance(result, Decision):
-            return
+    def _count(self, result: Decision) -> None:
         first_us = self._epochs_us[0] if self.epochs else result.t_us
         self._epochs_us = first_us, result.t_us
         self.epochs += 1
         self.untestable += result.hypothesis == "untestable"
         self.unexplained += result.hypothesis == "multiple-unknown"
-        if result.position_ecef_m is not None and true_m is not None:
-            self.positions.add(FILTER, result.position_ecef_m, result.position_sigma_m, true_m)
+
+    def _add_errors(self, placed: Sequence[tuple[int, Placed]], true_m: Vector) -> None:
+        """Errors by solution, of the results that tell a position, where `true_m` (n, 3) does."""
+        numbers: dict[str, list[int]] = {}
+        for number, (_, result) in enumerate(placed):
+            # One test for all three: they are known together.
+            if result.position_ecef_m is not None and not np.isnan(true_m[number, 0]):
+                name = FILTER if isinstance(result, Decision) else result.name.replace(" ", "_")
+                numbers.setdefault(name, []).append(number)
+        for name, mine in numbers.items():
+            results = [placed[number][1] for number in mine]
+            places = [result.position_ecef_m or UNKNOWN for result in results]
+            sigmas = [result.position_sigma_m or UNKNOWN for result in results]
+            self.positions.add(name, places, sigmas, true_m[mine])
 
     def _fused_summary(self) -> dict[str, float | None]:
         """The error of the fused position, where it was fused and the truth is known."""

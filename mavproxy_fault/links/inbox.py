@@ -1,5 +1,7 @@
 """The frames that come in on a link, whichever of its streams they come on."""
 
+import select
+
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
@@ -12,8 +14,13 @@ class Inbox:
         self.link = link
         self._parsers: dict[int, Parser] = {}
 
-    def frames(self) -> list[Frame]:
-        """What has come since the last call; bytes that are no frame are left out."""
+    def frames(self, wait_s: float = 0.0) -> list[Frame]:
+        """What has come since the last call; bytes that are no frame are left out.
+
+        Waits up to `wait_s` seconds for something to come.
+        """
+        if wait_s > 0.0:
+            select.select([self.link.fileno()], [], [], wait_s)
         found = []
         for stream, data in self.link.read():
             if not data:

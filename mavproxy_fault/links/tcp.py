@@ -38,7 +38,7 @@ class TcpServer:
         self.port: int = self._listener.getsockname()[1]
         self.name = f"tcpin:{host}:{self.port}"
         self.counters = LinkCounters()
-        self._peers: dict[int, tuple[socket.socket, Stream]] = {}  # by stream number
+        self._peers: dict[int, tuple[socket.socket, Stream, int]] = {}  # by descriptor
         self._next_stream = 0
         self._epoll = select.epoll()
         self._epoll.register(self._listener.fileno(), select.EPOLLIN)
@@ -55,8 +55,12 @@ class TcpServer:
     def read(self) -> list[Chunk]:
         """Accept, continue pending writes, and collect what the peers sent."""
         chunks: list[Chunk] = []
-        self._accept()
-        for number, (sock, stream) in list(self._peers.items()):
+        # Only those with something to do: a system call for each of the others is saved.
+        for descriptor, _ in self._epoll.poll(0):
+            if descriptor == self._listener.fileno():
+                self._accept()
+                continue
+            sock, stream, number = self._peers[descriptor]
             stream.flush()
             data, stands = stream.read()
             if data:
@@ -64,7 +68,7 @@ class TcpServer:
             if not stands:
                 stream.abandon()
                 sock.close()
-                del self._peers[number]
+                del self._peers[descriptor]
                 # Empty bytes end the stream: its half frame will never be completed.
                 chunks.append((number, b""))
         return chunks
@@ -80,19 +84,19 @@ class TcpServer:
                 return
             _prepare(sock)
             stream = Stream(sock.fileno(), self._epoll, self.counters, empty_is_end=True)
-            self._peers[self._next_stream] = (sock, stream)
+            self._peers[sock.fileno()] = (sock, stream, self._next_stream)
             self._next_stream += 1
 
     def write(self, data: bytes) -> None:
         """Send to every peer; without peers the chunk is dropped."""
         if not self._peers:
             self.counters.drops += 1
-        for _, stream in self._peers.values():
+        for _, stream, _ in self._peers.values():
             stream.write(data)
 
     def close(self) -> None:
         """Close the listener and all connections."""
-        for sock, stream in self._peers.values():
+        for sock, stream, _ in self._peers.values():
             stream.abandon()
             sock.close()
         self._peers.clear()

@@ -100,6 +100,7 @@ class Core:
         self.departed_us = 0  # when what left last was due; nothing may come before that any more
         self._on_wall_clock = False
         self._doubted = 0  # stamps, on all links
+        self._numbers: dict[int, list[int]] = {}  # links by mask, for the few masks that occur
         # As a mask: one number says to which links something goes.
         self._listeners = sum(
             1 << number for number, role in enumerate(links) if role.direction == "to-vehicle"
@@ -148,7 +149,7 @@ class Core:
     def due(self, now_us: int) -> list[Send]:
         """What falls due by `now_us`, in order."""
         sends: list[Send] = []
-        while True:
+        while self._pending or self.engine is not None:
             engine_us = self._engine_due_us()
             pending_us = self._pending[0][0] if self._pending else NEVER_US
             when_us = min(engine_us, pending_us)
@@ -215,8 +216,9 @@ class Core:
     def _process(self, items: Iterable[Frame | Junk], arrival: Arrival) -> list[Send]:
         departures: Departures = []
         for item in items:
+            is_frame = isinstance(item, Frame)
             if self._tape is not None:
-                self._tape.receive(arrival.now_us, arrival.link, item.raw)
+                self._tape.receive(arrival.now_us, arrival.link, item.raw, is_frame=is_frame)
             if isinstance(item, Frame):
                 self._frame(item, arrival, departures)
             else:
@@ -353,9 +355,11 @@ class Core:
         return [send for mask, data in departures for send in self._to_links(mask, data, when_us)]
 
     def _to_links(self, mask: int, data: bytes, when_us: int) -> list[Send]:
-        return [
-            Send(number, data, when_us) for number in range(len(self.links)) if mask >> number & 1
-        ]
+        numbers = self._numbers.get(mask)
+        if numbers is None:
+            numbers = [number for number in range(len(self.links)) if mask >> number & 1]
+            self._numbers[mask] = numbers
+        return [Send(number, data, when_us) for number in numbers]
 
     # What the engine holds
 

@@ -79,7 +79,9 @@ class Engine:
         """
         if self._kept or self._labels:
             return self.now_us
-        due_us = min((running.release_us() for running in self._buffering), default=NEVER_US)
+        if not self._buffering:  # asked for each frame
+            return None
+        due_us = min(running.release_us() for running in self._buffering)
         return due_us if due_us < NEVER_US else None
 
     def due(self, t_us: int) -> list[Outgoing]:

@@ -1,6 +1,5 @@
 """The loop that flies the simulation under an autopilot on the HIL link, in lockstep."""
 
-import select
 import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -44,8 +43,8 @@ class Incoming(Protocol):
 
     link: Link
 
-    def frames(self) -> list[Frame]:
-        """What has come since the last call."""
+    def frames(self, wait_s: float = 0.0) -> list[Frame]:
+        """What has come since the last call, after waiting so long at most for something."""
 
 
 class PeerGoneError(RuntimeError):
@@ -114,23 +113,22 @@ class LockstepLoop:
             self._step()
 
     def _await_autopilot(self) -> None:
-        """Wait for a peer and its first frame: PX4 speaks first."""
+        """Wait for a peer and its first word: PX4 speaks first."""
         link = self._inbox.link
         self._progress.say(f"{link.name}: waiting for an autopilot")
         connected_s: float | None = None
         while True:
-            frames = self._inbox.frames()
-            if frames:
-                for frame in frames:
-                    self._receive(frame)
+            # A connection or a byte wakes it; else it looks again for the time-out.
+            for frame in self._inbox.frames(0.2):
+                self._receive(frame)
+            # Bytes, for a word that is not for the simulator does not come in as a frame.
+            if link.counters.bytes_in:
                 break
             now_s = self._clock()
             if link.peer_count and connected_s is None:
                 connected_s = now_s
             if connected_s is not None and now_s - connected_s > FIRST_WORD_S:
                 break
-            # A connection or a byte wakes it; else it looks again for the time-out.
-            select.select([link.fileno()], [], [], 0.2)
         self._progress.say(f"{link.name}: connected")
 
     def _step(self) -> None:
@@ -144,16 +142,15 @@ class LockstepLoop:
 
     def _await_answer(self) -> None:
         """Take what comes until the step is answered, its time-out is over and the pace allows."""
-        link = self._inbox.link
+        wait_s = self._wait_s()
         while True:
-            for frame in self._inbox.frames():
+            for frame in self._inbox.frames(wait_s):
                 self._receive(frame)
             wait_s = self._wait_s()
             # Answered, timed out or not awaited, and the pace allows the next step.
             if wait_s == 0.0:
                 return
             self._check_peer()
-            select.select([link.fileno()], [], [], wait_s)
 
     def _check_peer(self) -> None:
         link = self._inbox.link

@@ -24,9 +24,14 @@ LAST_LINES = 3
 
 
 def fly_autopilot(
-    subject: SubjectChoice, scenario: Path, schedule: dict[str, Any], folder: Path
+    subject: SubjectChoice,
+    scenario: Path,
+    schedule: dict[str, Any],
+    folder: Path,
+    *,
+    kept: bool,
 ) -> Flown:
-    """Fly a scenario with the faults of a schedule, its logs in `folder`.
+    """Fly a scenario with the faults of a schedule, its logs in `folder`; with a report if `kept`.
 
     Raises
     ------
@@ -40,6 +45,8 @@ def fly_autopilot(
     words = ["run", str(scenario), "--autopilot", subject.autopilot, "--binary", subject.binary]
     words += ["--schedule", str(faults), "--seed", str(schedule["seed"])]
     words += ["--out", str(folder / "run"), "--zenoh", "off"]
+    if not kept:
+        words += ["--no-report"]
     done = subprocess.run(
         [sys.executable, "-m", "mavproxy_fault.cli", *words, *subject.arguments],
         stdin=subprocess.DEVNULL,

@@ -3,6 +3,10 @@
 A stream is one kind of sample, of the IMU one instance. Its own past says what is usual: the time
 between two samples, how late it is, how often a value stays the same. Clocks that count from boot
 and from 1970 are kept apart.
+
+Nearly every sample comes when it should. What it needs stands in the loop of `watch` and takes
+arrays by themselves, since an array that is taken out of a record costs its count of references;
+what is rare stands in functions of its own, which take the record.
 """
 
 from typing import NamedTuple
@@ -21,8 +25,8 @@ STREAMS = ("imu", "imu", "imu", "mag", "baro", "airspeed", "range", "vision", "g
 LINK = len(STREAMS) - 1
 SATELLITES = LINK - 1  # raw ranges have no stamp of their own, theirs is another message's
 # By kind of sample its stream, and how many of its numbers are measured; -1: only a witness of time
-STREAM_OF = (0, 3, 4, 5, 6, 7, -1, -1, 8, 9, -2, -2)
-NUMBERS = (6, 3, 1, 1, 1, 3, 0, 0, 0, 0, 0, 0)
+STREAM_OF = (0, 3, 4, 5, 6, 7, -1, -1, 8, 9, -2, -2, -2)
+NUMBERS = (6, 3, 1, 1, 1, 3, 0, 0, 0, 0, 0, 0, 0)
 FIX_SOURCE, OWN_SOURCE = 10, SOURCES.index("HIL_GPS")  # a fix's column of who sent it
 FIX_NUMBERS, MOVING_MPS = 5, 1.0  # of a fix: place and level velocity together, while it moves
 
@@ -45,6 +49,8 @@ NEVER_US = -(1 << 62)
 
 # What is counted of a stream
 LAST_US, COUNT, DUE_US, STOOD, REPORTED_US, CLOCK, HEARD_US = range(7)
+# Of each number of a stream: when it took its value, how often it stayed, the most that it ever did
+SINCE_US, RUN, LONGEST = range(3)
 # Of a clock: its newest stamp, before when nobody can be silent, and a leap not yet understood,
 # where BY has a bit for each who made it
 NEWEST_US, QUIET_US, FROM_US, TO_US, BY = range(5)
@@ -53,17 +59,14 @@ NEWEST_US, QUIET_US, FROM_US, TO_US, BY = range(5)
 class Watched(NamedTuple):
     """What is known of s streams; `watch` changes it in place.
 
-    `counts` (s, 7), `usual` (s, 2): interval and lateness in us; `values` (s, w), and for each
-    number `since` (s, w) when it took its value, `run` and `longest` (s, w) how often it stayed;
-    `clocks` (2, 5).
+    `counts` (s, 7), `usual` (s, 2): interval and lateness in us; the newest `values` (s, w) and the
+    `runs` (s, w, 3) of each number; `clocks` (2, 5).
     """
 
     counts: NDArray[np.int64]
     usual: Vector
     values: Vector
-    since: Stamps
-    run: Indices
-    longest: Indices
+    runs: NDArray[np.int64]
     clocks: NDArray[np.int64]
 
 
@@ -86,12 +89,12 @@ def _tell(found: Found, row: int, t_us: int, stream: int, what: int, seconds: fl
 
 
 @inlined
-def _limit_us(watched: Watched, stream: int) -> int:
-    limit_us: int = max(SILENT_US, int(INTERVALS * watched.usual[stream, 0]))
+def _limit_us(usual: Vector, stream: int) -> int:
+    limit_us: int = max(SILENT_US, int(INTERVALS * usual[stream, 0]))
     return limit_us
 
 
-@inlined
+@compiled
 def _leap(watched: Watched, found: Found, row: int, stream: int, clock: int, t_us: int) -> bool:
     """Whether the time of a sample may be believed: one that leaps ahead has to wait.
 
@@ -127,11 +130,11 @@ def _contradicted(watched: Watched, found: Found, row: int, clock: int) -> None:
             if s != SATELLITES and now_us - count[REPORTED_US] >= AGAIN_US:
                 _tell(found, row, now_us, s, AHEAD, (at[TO_US] - at[FROM_US]) * 1e-6)
                 count[REPORTED_US] = now_us
-            count[DUE_US] = now_us + _limit_us(watched, s)  # it is wrong, but not silent
+            count[DUE_US] = now_us + _limit_us(watched.usual, s)  # it is wrong, but not silent
     at[TO_US] = NEVER_US
 
 
-@inlined
+@compiled
 def _leaps(watched: Watched, stream: int, ahead_us: int, t_us: int) -> bool:
     """Whether a sample is further ahead of the newest than its stream alone is believed."""
     if stream < 0 or watched.counts[stream, COUNT] < RHYTHM:
@@ -144,16 +147,16 @@ def _leaps(watched: Watched, stream: int, ahead_us: int, t_us: int) -> bool:
 def _paused(watched: Watched, found: Found, row: int, clock: int) -> None:
     """The whole link had paused: it is told if that was long, and nobody was silent on his own."""
     at = watched.clocks[clock]
-    for e in range(at[FROM_US] + _limit_us(watched, LINK), at[TO_US], AGAIN_US):
+    for e in range(at[FROM_US] + _limit_us(watched.usual, LINK), at[TO_US], AGAIN_US):
         _tell(found, row, e, LINK, SILENT, (e - at[FROM_US]) * 1e-6)
     for s in range(LINK):
         if watched.counts[s, CLOCK] == clock and watched.counts[s, COUNT] > 0:
             watched.counts[s, LAST_US] = watched.counts[s, HEARD_US] = at[TO_US]
-            watched.counts[s, DUE_US] = at[TO_US] + _limit_us(watched, s)
+            watched.counts[s, DUE_US] = at[TO_US] + _limit_us(watched.usual, s)
     at[NEWEST_US], at[TO_US] = at[TO_US], NEVER_US
 
 
-@inlined
+@compiled
 def _silent(watched: Watched, found: Found, row: int, stream: int, clock: int, t_us: int) -> None:
     """Who has not come for too long when the time goes on to `t_us`; and until when nobody can be
     silent, so that nobody need be asked: whoever comes later may be silent as long himself."""
@@ -169,66 +172,76 @@ def _silent(watched: Watched, found: Found, row: int, stream: int, clock: int, t
     watched.clocks[clock, QUIET_US] = quiet_us
 
 
-@inlined
-def _stamped(watched: Watched, found: Found, row: int, s: int, t_us: int, newest_us: int) -> None:
-    """What is wrong with a sample's stamp; learns what is usual."""
+@compiled
+def _stamp_is_wrong(
+    watched: Watched, found: Found, row: int, s: int, t_us: int, newest_us: int
+) -> bool:
+    """Whether a sample's stamp goes back, stands or comes too late, which is told."""
     count = watched.counts[s]
     gap_us, late_us = t_us - count[LAST_US], newest_us - t_us
-    count[STOOD] = count[STOOD] + 1 if gap_us == 0 else 0
+    limit_us = watched.usual[s, 1] + max(LATE_US, INTERVALS * watched.usual[s, 0])
     if gap_us < -BACK_US:
         _tell(found, row, newest_us, s, BACK, -gap_us * 1e-6)
-    elif count[STOOD] >= STANDS and newest_us - count[REPORTED_US] >= AGAIN_US:
-        _tell(found, row, newest_us, s, STANDING, late_us * 1e-6)
+        return True
+    if count[STOOD] >= STANDS and newest_us - count[REPORTED_US] >= AGAIN_US:
+        what = STANDING
+    elif count[COUNT] >= LEARNT and late_us > limit_us:
+        what = LATE
+    else:
+        return False
+    if newest_us - count[REPORTED_US] >= AGAIN_US:
+        _tell(found, row, newest_us, s, what, late_us * 1e-6)
         count[REPORTED_US] = newest_us
-    elif count[COUNT] >= LEARNT and late_us > watched.usual[s, 1] + max(
-        LATE_US, INTERVALS * watched.usual[s, 0]
-    ):
-        if newest_us - count[REPORTED_US] >= AGAIN_US:
-            _tell(found, row, newest_us, s, LATE, late_us * 1e-6)
-            count[REPORTED_US] = newest_us
-    elif gap_us > 0:
-        share = max(SHARE, 1.0 / (1.0 + count[COUNT]))
-        if count[COUNT] < LEARNT or gap_us < INTERVALS * watched.usual[s, 0]:
-            watched.usual[s, 0] += share * (gap_us - watched.usual[s, 0])
-        watched.usual[s, 1] += share * (late_us - watched.usual[s, 1])
+    return True
 
 
 @inlined
-def _repeated(watched: Watched, s: int, numbers: Vector, width: int, t_us: int) -> float:
+def _learn(usual: Vector, s: int, count: int, gap_us: int, late_us: int) -> None:
+    """The interval and the lateness of a stream, from a sample as it should be."""
+    share = max(SHARE, 1.0 / (1.0 + count))
+    if count < LEARNT or gap_us < INTERVALS * usual[s, 0]:
+        usual[s, 0] += share * (gap_us - usual[s, 0])
+    usual[s, 1] += share * (late_us - usual[s, 1])
+
+
+@inlined
+def _repeated(
+    last: Vector, runs: NDArray[np.int64], s: int, known: bool, values: Vector, row: int,
+    width: int, t_us: int,
+) -> float:  # fmt: skip
     """For how long one of a sensor's numbers has stayed the same against its own past, in s."""
     worst = 0.0
-    known = watched.counts[s, COUNT] >= LEARNT_VALUES
     for i in range(width):
-        same = numbers[i] == watched.values[s, i]
-        run, longest = watched.run[s, i], watched.longest[s, i]
-        if same:
-            watched.run[s, i] = run + 1
-            for_us = t_us - watched.since[s, i]
+        run, longest = runs[s, i, RUN], runs[s, i, LONGEST]
+        if values[row, i] == last[s, i]:
+            runs[s, i, RUN] = run + 1
+            for_us = t_us - runs[s, i, SINCE_US]
             if known and run + 1 > RUN_FACTOR * longest + RUN_MORE and for_us >= RUN_US:
                 worst = max(worst, for_us * 1e-6)
             if not known:
-                watched.longest[s, i] = max(longest, run + 1)
+                runs[s, i, LONGEST] = max(longest, run + 1)
         else:
             if run <= RUN_FACTOR * longest + RUN_MORE:
-                watched.longest[s, i] = max(longest, run)
-            watched.run[s, i], watched.since[s, i] = 0, t_us
-            watched.values[s, i] = numbers[i]
+                runs[s, i, LONGEST] = max(longest, run)
+            runs[s, i, RUN], runs[s, i, SINCE_US] = 0, t_us
+            last[s, i] = values[row, i]
     return worst
 
 
-@inlined
+@compiled
 def _fix_repeated(watched: Watched, s: int, numbers: Vector, t_us: int) -> float:
     """The same for a fix, whose numbers repeat together, and only while it says that it moves."""
     same = True
     for i in range(FIX_NUMBERS):
         same &= numbers[i] == watched.values[s, i]
         watched.values[s, i] = numbers[i]
+    run = watched.runs[s, 0]
     if not same or not np.hypot(numbers[3], numbers[4]) > MOVING_MPS:
-        watched.since[s, 0], watched.run[s, 0] = t_us, 0
+        run[SINCE_US], run[RUN] = t_us, 0
         return 0.0
-    watched.run[s, 0] += 1
-    for_us = t_us - watched.since[s, 0]
-    return for_us * 1e-6 if watched.run[s, 0] >= STANDS and for_us >= RUN_US else 0.0
+    run[RUN] += 1
+    for_us = t_us - run[SINCE_US]
+    return for_us * 1e-6 if run[RUN] >= STANDS and for_us >= RUN_US else 0.0
 
 
 @inlined
@@ -243,25 +256,10 @@ def _is_receivers(watched: Watched, s: int, source: float) -> bool:
     return True
 
 
-@inlined
-def _measured(
-    watched: Watched, found: Found, row: int, s: int, kind: int, numbers: Vector, t_us: int
-) -> None:
-    """A sample of a stream whose time is believed."""
-    count = watched.counts[s]
-    for_s = (
-        _fix_repeated(watched, s, numbers, t_us)
-        if kind == FIX
-        else _repeated(watched, s, numbers, NUMBERS[kind], t_us)
-    )
-    if for_s > 0.0 and t_us - count[REPORTED_US] >= AGAIN_US:
-        _tell(found, row, t_us, s, REPEATED, for_s)
-        count[REPORTED_US] = t_us
-
-
 @compiled
 def watch(kind: Indices, t_us: Stamps, values: Vector, watched: Watched, found: Found) -> None:
     """Look at the samples of a block, kind (n,), t_us (n,), values (n, w), one after the other."""
+    counts, usual, last, runs, clocks = watched
     for row in range(len(kind)):
         s = STREAM_OF[kind[row]]
         if s == -2 or t_us[row] <= 0:  # broadcasts, and what has no stamp yet
@@ -272,21 +270,35 @@ def watch(kind: Indices, t_us: Stamps, values: Vector, watched: Watched, found: 
             s = -1
         now_us = t_us[row]
         clock = 1 if now_us > EPOCH_1970_US else 0
-        at = watched.clocks[clock]
-        if not _leap(watched, found, row, s, clock, now_us):
+        # Nothing has to be understood unless this sample leaps, or one has leapt before it.
+        suspect = now_us - clocks[clock, NEWEST_US] > LEAP_US or clocks[clock, TO_US] != NEVER_US
+        if suspect and not _leap(watched, found, row, s, clock, now_us):
             continue
-        if now_us > at[NEWEST_US]:
-            if at[NEWEST_US] != NEVER_US:
-                watched.usual[LINK, 0] += SHARE * (now_us - at[NEWEST_US] - watched.usual[LINK, 0])
-            at[NEWEST_US] = now_us
-            if now_us >= at[QUIET_US]:
+        newest_us = clocks[clock, NEWEST_US]
+        if now_us > newest_us:
+            if newest_us != NEVER_US:
+                usual[LINK, 0] += SHARE * (now_us - newest_us - usual[LINK, 0])
+            clocks[clock, NEWEST_US] = newest_us = now_us
+            if now_us >= clocks[clock, QUIET_US]:
                 _silent(watched, found, row, s, clock, now_us)
         if s < 0:
             continue
-        count = watched.counts[s]
-        if count[COUNT] > 0 and count[CLOCK] == clock:
-            _stamped(watched, found, row, s, now_us, at[NEWEST_US])
-        _measured(watched, found, row, s, kind[row], values[row], now_us)
-        count[LAST_US], count[CLOCK] = now_us, clock
-        count[HEARD_US], count[DUE_US] = at[NEWEST_US], at[NEWEST_US] + _limit_us(watched, s)
-        count[COUNT] += 1
+        if counts[s, COUNT] > 0 and counts[s, CLOCK] == clock:
+            gap_us, late_us = now_us - counts[s, LAST_US], newest_us - now_us
+            counts[s, STOOD] = counts[s, STOOD] + 1 if gap_us == 0 else 0
+            wrong = (gap_us <= 0 or late_us > LATE_US) and _stamp_is_wrong(
+                watched, found, row, s, now_us, newest_us
+            )
+            if gap_us > 0 and not wrong:
+                _learn(usual, s, counts[s, COUNT], gap_us, late_us)
+        if kind[row] == FIX:
+            for_s = _fix_repeated(watched, s, values[row], now_us)
+        else:
+            known, width = counts[s, COUNT] >= LEARNT_VALUES, NUMBERS[kind[row]]
+            for_s = _repeated(last, runs, s, known, values, row, width, now_us)
+        if for_s > 0.0 and now_us - counts[s, REPORTED_US] >= AGAIN_US:
+            _tell(found, row, now_us, s, REPEATED, for_s)
+            counts[s, REPORTED_US] = now_us
+        counts[s, LAST_US], counts[s, CLOCK] = now_us, clock
+        counts[s, HEARD_US], counts[s, DUE_US] = newest_us, newest_us + _limit_us(usual, s)
+        counts[s, COUNT] += 1

@@ -50,9 +50,7 @@ class StreamWatch:
             counts,
             np.zeros((count, 2)),
             np.full((count, WIDTH), np.nan),
-            np.zeros((count, WIDTH), np.int64),
-            np.zeros((count, WIDTH), np.int64),
-            np.zeros((count, WIDTH), np.int64),
+            np.zeros((count, WIDTH, 3), np.int64),
             np.full((2, 5), NEVER_US),
         )
 

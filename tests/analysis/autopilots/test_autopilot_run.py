@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from analysis.autopilots.autopilot_run import ahead_of_logs
 from mavproxy_fault.wire.tlog import read_columns
 
 STAND_IN = Path(__file__).parents[2] / "mavproxy_fault" / "ardupilot" / "recorded_autopilot.py"
@@ -174,9 +175,10 @@ def test_a_bridge_killed_in_flight_is_told_and_takes_its_autopilot_along(tmp_pat
 
 
 def test_a_px4_that_dies_leaves_a_readable_folder_and_the_reason(tmp_path, recorded_px4):
-    process = run(tmp_path, "--binary", recorded_px4, autopilot="px4")
+    process = run(tmp_path, "--binary", recorded_px4, "--no-report", autopilot="px4")
     said, _ = process.communicate(timeout=240)
     assert process.returncode == 1
+    assert not (tmp_path / "out" / "report.html").exists()
     assert "the autopilot closed the link" in said
     assert "PX4 said: there is no more" in said
     assert "Traceback" not in said
@@ -238,3 +240,20 @@ def test_a_real_px4_killed_in_flight_is_told(tmp_path, px4):
     assert process.returncode == 1
     assert "PX4 ended by signal 9" in said
     assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_a_flight_stands_before_what_an_autopilot_does_beside_it():
+    before = os.sched_getscheduler(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
+        os.sched_setscheduler(0, before, os.sched_param(0))
+    except PermissionError:
+        pytest.skip("real-time priorities are not allowed here")
+    with ahead_of_logs():
+        assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+        child = subprocess.run(
+            [sys.executable, "-c", "import os; print(os.sched_getscheduler(0))"],
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+    assert int(child.stdout) == before
+    assert os.sched_getscheduler(0) == before

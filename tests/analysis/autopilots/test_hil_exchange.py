@@ -2,7 +2,10 @@
 
 import select
 import socket
+import threading
+import time
 from contextlib import closing, contextmanager
+from io import StringIO
 
 import pytest
 
@@ -15,14 +18,18 @@ from analysis.autopilots.hil_exchange import (
 )
 from analysis.run.proxied_flight import Flight
 from mavproxy_fault.links.tcp import TcpServer
+from mavproxy_fault.links.udp import UdpServer
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.parser import Parser
 from mavproxy_fault.wire.plant_messages import PlantChange, plant_change
+from simvehicle.app.lockstep_loop import LockstepLoop
+from simvehicle.app.sim_progress import Progress
 from simvehicle.hil.hil_frames import START_US, Hil
 from simvehicle.hil.lockstep import Lockstep
 from simvehicle.scenario.scenario_file import read_scenario
+from simvehicle.vehicles.actuators import motors
 
 SCENARIO = """
 name: on the ground
@@ -123,6 +130,45 @@ def test_a_delayed_answer_frees_the_step_and_acts_later(flight_of):
             assert lockstep.wait_s(0.0) == 0.0
     assert acted[0] == []
     assert acted[-1] == [pytest.approx(outward.step_us - 100_000, abs=4_000)]
+
+
+def test_an_autopilots_first_word_begins_the_flight_whoever_it_is_for(flight_of):
+    outward, lockstep = deaf(flight_of(fault="drop", target="HIL_GPS", for_s=1)), Lockstep()
+    with closing(TcpServer("127.0.0.1", 0)) as link:
+        inward = FromAutopilot(outward, [link], Patience(link, None, 5.0), lockstep)
+        simulation, progress = outward.flight.simulation, Progress(0.0, StringIO())
+        loop = LockstepLoop(
+            simulation, outward, inward, motors(4), float("inf"), progress, lockstep
+        )
+        began_s = time.monotonic()
+        flying = threading.Thread(target=loop.run, args=[4_000])
+        flying.start()
+        with socket.create_connection(("127.0.0.1", link.port), timeout=5) as autopilot:
+            # What PX4 says first: nothing that leaves the proxy for the simulator.
+            autopilot.sendall(build(known("HEARTBEAT"), {"mavlink_version": 3}))
+            flying.join(20)
+    assert loop.t_us == 4_000
+    assert time.monotonic() - began_s < 4.0  # five seconds is what one that only listens gets
+
+
+def test_of_the_links_only_those_with_something_are_read(flight_of):
+    outward = deaf(flight_of(fault="drop", target="HIL_GPS", for_s=1))
+    with closing(TcpServer("127.0.0.1", 0)) as link, connected(link) as autopilot:
+        idle = IdleLink()
+        inward = FromAutopilot(outward, [link, idle], Patience(link, None, 5.0), Lockstep())
+        autopilot.sendall(answer(START_US))
+        assert [frame.layout.name for frame in inward.frames(5.0)] == ["HIL_ACTUATOR_CONTROLS"]
+        idle.close()
+
+
+class IdleLink(UdpServer):
+    """A link on which nothing comes."""
+
+    def __init__(self):
+        super().__init__("127.0.0.1", 0)
+
+    def read(self):
+        raise AssertionError("read though nothing had come")
 
 
 def answer(stamp_us):

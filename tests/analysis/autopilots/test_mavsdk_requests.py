@@ -79,3 +79,13 @@ def test_it_uploads_a_mission_and_starts_it(flight):
     operator, _ = fly(flight, FlightPlan(8.0, 20.0, (NORTH,)))
     assert not operator.gave_up
     assert "mission-item:1" in operator.moments_us  # item 0 is the speed
+
+
+def test_of_the_streams_that_are_recorded_mavsdk_hears_nothing(monkeypatch):
+    attitude, heartbeat = known("ATTITUDE"), known("HEARTBEAT")
+    with closing(MavsdkRequests([])) as requests:
+        heard = []
+        monkeypatch.setattr(requests._mavsdk, "pass_received_raw_bytes", heard.append)
+        for layout in (attitude, heartbeat):
+            requests.heard(Frame(build(layout, {}), layout))
+    assert heard == [build(heartbeat, {})]

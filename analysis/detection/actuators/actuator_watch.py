@@ -1,0 +1,95 @@
+"""Actuators that do not obey: a step of the pipeline beside the detector.
+
+The vehicle's effects are known; commands come with the samples. Every second of flight tells that
+the actuators obey, and every half second who does not.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from analysis.detection.actuators.effects import AXES, Effects
+from analysis.detection.actuators.motion_cells import no_cells
+from analysis.detection.actuators.motion_filter import nothing_learnt
+from analysis.detection.actuators.mutual_judgement import ACTUATORS
+from analysis.detection.actuators.obedience_kernel import (
+    COUNTS,
+    CRASH_US,
+    NEVER_US,
+    SUSPECT,
+    Obedience,
+    Verdicts,
+    follow,
+)
+from analysis.detection.actuators.suspects import NOBODY, SURE
+from analysis.results import SensorDecision
+from analysis.samples.block import COMMAND, Block
+
+EITHER = "-or-"  # joins two who cannot be told apart
+
+
+@dataclass(frozen=True)
+class ActuatorWatch:
+    """A step of the pipeline; without commands it does nothing."""
+
+    effects: Effects
+
+    def new_state(self) -> Obedience | None:
+        """No command came yet."""
+        return None
+
+    def step(
+        self, block: Block, state: Obedience | None
+    ) -> tuple[list[tuple[int, SensorDecision]], Obedience | None]:
+        """Whether the actuators obey, by the row that shows it, and the next state.
+
+        The state is changed in place.
+        """
+        if state is None:
+            if not (block.kind == COMMAND).any():
+                return [], None
+            state = _commanded(self.effects)
+        count = len(block.kind)
+        verdicts = Verdicts(
+            np.empty((count, 4), np.int64), np.empty((count, 2)), np.zeros(1, np.int64)
+        )
+        follow(block.kind, block.t_us, block.values, state, verdicts)
+        filled = int(verdicts.filled[0])
+        rows = zip(verdicts.rows[:filled].tolist(), verdicts.figures[:filled].tolist(), strict=True)
+        names = self.effects.names
+        return [
+            (row, _result(t_us, [names[n] for n in numbers if n != NOBODY], statistic, deficit))
+            for (row, t_us, *numbers), (statistic, deficit) in rows
+        ], state
+
+
+def _commanded(effects: Effects) -> Obedience:
+    """The state when the first command comes."""
+    counts = np.zeros(COUNTS, np.int64)
+    counts[SUSPECT:CRASH_US] = NOBODY
+    counts[CRASH_US] = NEVER_US
+    return Obedience(
+        no_cells(),
+        nothing_learnt(effects),
+        effects.mix,
+        effects.disturbance(),
+        counts,
+        np.array([np.nan]),
+    )
+
+
+def _result(t_us: int, blamed: list[str], statistic: float, deficit: float) -> SensorDecision:
+    side = "below" if deficit > 0.0 else "above"
+    name = EITHER.join(blamed)
+    return SensorDecision(
+        t_s=t_us * 1e-6,
+        t_us=t_us,
+        sensor=ACTUATORS,
+        statistic=statistic,
+        threshold=SURE,
+        dof=AXES,
+        alarm=bool(blamed),
+        isolated=len(blamed) == 1,
+        reason=f"{name}: {abs(deficit):.2f} {side} its command" if blamed and deficit else name,
+        suspect=name,
+    )

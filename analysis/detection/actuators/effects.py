@@ -1,0 +1,61 @@
+"""What is known beforehand of a vehicle's motion: a linear model about steady flight.
+
+The axes are angular acceleration about x, y and z in rad/s^2 and specific force along x and z in
+m/s^2, body axes. On each of them the motion is a sum of terms: a constant, the commands of the
+actuators, the rates in rad/s, and, for the angular ones, the specific force along y and z. That
+stands for the angles of the air, which nobody measures: what turns the body also pushes it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from analysis.samples.sample import Vector
+
+COMMANDS = 12  # outputs of an autopilot in a sample, and the most actuators of a vehicle
+AXES, ANGULAR = 5, 3
+# Where the terms begin in a row of coefficients; behind the last there are `TERMS`.
+CONSTANT, OUTPUT, RATE = 0, 1, 1 + COMMANDS
+FORCE = RATE + 3
+TERMS = FORCE + 2
+CONSTANT_SIGMA = 30.0  # of an axis before the flight: the weight, and any trim
+SHARE = 0.15  # one sigma of a coefficient, and of what is not linear in it
+# One sigma of coefficients that are small or missing: a share of the greatest of their kind, and
+# for rates 1/s, for forces rad/s^2 per m/s^2
+SMALL_SHARE, SMALL_COMMAND, SMALL_RATE, SMALL_FORCE = 0.02, 0.02, 0.3, 0.02
+GUST_MPS = 1.0  # one sigma of the air's own motion within a second
+AUTHORITY_SHARE = 0.006  # of the strongest actuator's effect: what the model is wrong by anyhow
+
+
+class Effects(NamedTuple):
+    """What an autopilot's outputs do to a vehicle with the actuators `names`, n of them.
+
+    `mix` (COMMANDS, COMMANDS) makes the actuators' commands of the outputs, its first n rows;
+    `coefficients` are (AXES, TERMS), and `air` (AXES, 3) is what moving air does, per m/s.
+    """
+
+    names: tuple[str, ...]
+    mix: Vector
+    coefficients: Vector
+    air: Vector
+
+    def covariances(self) -> Vector:
+        """Of the coefficients before the flight (AXES, TERMS, TERMS)."""
+        sigma = SHARE * np.abs(self.coefficients)
+        kinds = ((OUTPUT, RATE, SMALL_COMMAND), (RATE, FORCE, SMALL_RATE))
+        for begin, end, least in (*kinds, (FORCE, TERMS, SMALL_FORCE)):
+            greatest = np.abs(self.coefficients[:, begin:end]).max(axis=1, keepdims=True)
+            sigma[:, begin:end] = np.hypot(
+                sigma[:, begin:end], np.maximum(SMALL_SHARE * greatest, least)
+            )
+        sigma[:, CONSTANT] = CONSTANT_SIGMA
+        # Angular axes alone have the terms of the force.
+        sigma[ANGULAR:, FORCE:] = 0.0
+        return np.array([np.diag(row**2) for row in sigma])
+
+    def disturbance(self) -> Vector:
+        """Covariance (AXES, AXES) of what gusts and the model's error do within a second."""
+        authority = np.abs(self.coefficients[:, OUTPUT:RATE]).max(axis=1)
+        # Axis by axis: which way a gust blows is known, how the axes go together is not.
+        gusts = GUST_MPS**2 * (self.air**2).sum(axis=1)
+        return np.diag(gusts + (AUTHORITY_SHARE * authority) ** 2)

@@ -1,0 +1,140 @@
+"""Samples to cells of a tenth of a second, compiled: mean motion, and what it came from.
+
+The mean rates of two neighbouring cells differ by the angular acceleration, seen through a triangle
+that rises over the first cell and falls over the second. Commands, rates and specific force are
+averaged by the same triangle, so that all of them tell of the same time. Commands pass a lag first,
+which motors and servos have.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.detection.actuators.effects import (
+    ANGULAR,
+    AXES,
+    COMMANDS,
+    CONSTANT,
+    FORCE,
+    OUTPUT,
+    RATE,
+    TERMS,
+)
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled
+
+CELL_US = 100_000
+LAG_S = 0.04  # of motors and servos
+NEVER = -(1 << 40)
+
+# Of a cell's `clock`: its number, the newest sample's stamp, and whether a cell is before it
+NUMBER, SAMPLE_US, FOLLOWS = range(3)
+# Of `sums`: samples, their times in the cell, rates, specific force, lagged commands; then the same
+# weighted by the time in the cell, which rises from 0 to 1
+COUNT, TIME, RATES, FORCES, LAGGED = 0, 1, 2, 5, 8
+WIDTH = LAGGED + COMMANDS
+
+
+class Cells(NamedTuple):
+    """The cell that is being filled, and the one before; `fill` changes them in place.
+
+    `clock` (3,) as named above; `commands` (2, COMMANDS): the newest, and behind their lag; `sums`
+    (2, 2, WIDTH): cell and the one before, plain and weighted. `terms` (TERMS,) and `motion`
+    (AXES,) are those of the last two full cells.
+    """
+
+    clock: NDArray[np.int64]
+    commands: Vector
+    sums: Vector
+    terms: Vector
+    motion: Vector
+
+
+def no_cells() -> Cells:
+    """Nothing came yet."""
+    return Cells(
+        np.array([NEVER, 0, 0]),
+        np.zeros((2, COMMANDS)),
+        np.zeros((2, 2, WIDTH)),
+        np.zeros(TERMS),
+        np.zeros(AXES),
+    )
+
+
+@compiled
+def fill(cells: Cells, t_us: int, rates_force: Vector) -> bool:
+    """Add an IMU sample, rates and specific force (6,); whether `terms` and `motion` are new."""
+    number = t_us // CELL_US
+    clock, ready = cells.clock, False
+    if number != clock[NUMBER]:
+        if number == clock[NUMBER] + 1:
+            ready = clock[FOLLOWS] == 1 and _close(cells)
+            clock[FOLLOWS] = 1
+        else:  # a gap, or the first sample
+            clock[FOLLOWS] = 0
+            cells.commands[1] = cells.commands[0]
+        clock[NUMBER] = number
+        cells.sums[1] = cells.sums[0]
+        cells.sums[0] = 0.0
+    else:
+        elapsed_s = max(0, t_us - clock[SAMPLE_US]) * 1e-6
+        _lag(cells.commands, elapsed_s)
+    clock[SAMPLE_US] = t_us
+    _add(cells, (t_us - number * CELL_US) / CELL_US, rates_force)
+    return ready
+
+
+@compiled
+def _lag(commands: Vector, elapsed_s: float) -> None:
+    share = 1.0 - math.exp(-elapsed_s / LAG_S)
+    for i in range(COMMANDS):
+        commands[1, i] += share * (commands[0, i] - commands[1, i])
+
+
+@compiled
+def _add(cells: Cells, at: float, rates_force: Vector) -> None:
+    """Add a sample at a time of 0 to 1 in its cell."""
+    for k in range(2):
+        weight = at if k else 1.0
+        row = cells.sums[0, k]
+        row[COUNT] += weight
+        row[TIME] += weight * at
+        for i in range(6):
+            row[RATES + i] += weight * rates_force[i]
+        for i in range(COMMANDS):
+            row[LAGGED + i] += weight * cells.commands[1, i]
+
+
+@compiled
+def _close(cells: Cells) -> bool:
+    """Terms and motion of the two cells in `sums`, the second of which is full."""
+    now, before = cells.sums[0], cells.sums[1]
+    if now[0, COUNT] == 0.0 or before[0, COUNT] == 0.0:
+        return False
+    apart_s = (1.0 + now[0, TIME] / now[0, COUNT] - before[0, TIME] / before[0, COUNT]) * (
+        CELL_US * 1e-6
+    )
+    # The weight rises over the cell before and falls over this one.
+    total = before[1, COUNT] + now[0, COUNT] - now[1, COUNT]
+    if total <= 0.0:
+        return False
+    terms, motion = cells.terms, cells.motion
+    terms[CONSTANT] = 1.0
+    for i in range(COMMANDS):
+        at = LAGGED + i
+        terms[OUTPUT + i] = (before[1, at] + now[0, at] - now[1, at]) / total
+    for i in range(3):
+        at = RATES + i
+        terms[RATE + i] = (before[1, at] + now[0, at] - now[1, at]) / total
+        motion[i] = (now[0, at] / now[0, COUNT] - before[0, at] / before[0, COUNT]) / apart_s
+    for i in range(3):
+        at = FORCES + i
+        force = (before[1, at] + now[0, at] - now[1, at]) / total
+        if i == 0:
+            motion[ANGULAR] = force
+        else:
+            terms[FORCE + i - 1] = force
+    motion[ANGULAR + 1] = terms[FORCE + 1]
+    return True

@@ -1,0 +1,158 @@
+"""The coefficients of the motion as they are learnt in flight, compiled: a Kalman filter an axis.
+
+The terms x of a cell predict the motion of each axis by theta' x, theta being constant but for its
+first element, the constant term, which walks: trim, load and steady wind change. What remains, e,
+averaged over a short memory is m. Its spread C is learnt from its own past, so that gusts and model
+errors that last count as what they are; e is taken to be white with the noise that would give m
+the variance that it shows.
+
+A cell is learnt from only some cells later, and only if nothing was suspected meanwhile: otherwise
+a fault would be part of the model before it is seen [1]_.
+
+References
+----------
+.. [1] Klein and Morelli, Aircraft System Identification, 2006, chapters 5 (equation error) and 8
+   (recursive least squares).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.detection.actuators.effects import ANGULAR, AXES, CONSTANT, FORCE, TERMS, Effects
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled
+
+CELL_S = 0.1
+SHORT_S, LONG_S, CONSTANT_S = 0.5, 60.0, 20.0  # memories of m, of C, and of the constant term
+EARLY = 3.0  # memories are at most this part of the flight so far, or its end would never count
+LATER = 8  # cells until one is learnt from
+SPREAD_FROM = 10  # cells after which C is learnt: before, theta is off by its beginning
+NOISE_PER_SPREAD = 3.0  # of e over that of m; 10 would be white noise
+FIRST_SPREAD = 0.03  # variance of m before anything is known
+GREATEST = 3.0  # sigmas of e that are learnt from
+LOUD = 10.0  # m' inv(V) m beyond which m counts less for C
+
+# Of `counts`: cells since the start, cells that wait
+CELLS, WAITING = range(2)
+
+
+class Learnt(NamedTuple):
+    """What is known of the motion; `predict` and `learn` change it in place.
+
+    `theta` (AXES, TERMS), its covariances `p` (AXES, TERMS, TERMS); `mean` (AXES,) is m and
+    `spread` (AXES, AXES) is C; `error` and `doubt` (AXES,): e and the variance of theta' x.
+    `waiting` (LATER + 1, TERMS + 2 AXES + 1): terms, motion, m and its statistic of cells that are
+    not yet learnt from; `counts` (2,).
+    """
+
+    theta: Vector
+    p: Vector
+    mean: Vector
+    spread: Vector
+    error: Vector
+    doubt: Vector
+    waiting: Vector
+    counts: NDArray[np.int64]
+
+
+def nothing_learnt(effects: Effects) -> Learnt:
+    """What is known before the flight."""
+    return Learnt(
+        effects.coefficients.copy(),
+        effects.covariances(),
+        np.zeros(AXES),
+        FIRST_SPREAD * np.eye(AXES),
+        np.zeros(AXES),
+        np.zeros(AXES),
+        np.zeros((LATER + 1, TERMS + 2 * AXES + 1)),
+        np.zeros(2, np.int64),
+    )
+
+
+@compiled
+def _share(memory_s: float, cells: int) -> float:
+    """How much a cell counts in a memory that is short at the beginning."""
+    share: float = max(CELL_S / memory_s, EARLY / (cells + EARLY))
+    return share
+
+
+@compiled
+def _predict(terms: Vector, motion: Vector, learnt: Learnt) -> None:
+    """Fill in error and doubt of the motion in a cell."""
+    for axis in range(AXES):
+        count = TERMS if axis < ANGULAR else FORCE
+        predicted = variance = 0.0
+        for i in range(count):
+            if terms[i] == 0.0:  # most outputs drive nothing
+                continue
+            predicted += learnt.theta[axis, i] * terms[i]
+            for j in range(count):
+                variance += terms[i] * learnt.p[axis, i, j] * terms[j]
+        learnt.error[axis], learnt.doubt[axis] = motion[axis] - predicted, variance
+
+
+@compiled
+def compare(terms: Vector, motion: Vector, learnt: Learnt) -> None:
+    """Predict the motion of a cell, and average what remains."""
+    _predict(terms, motion, learnt)
+    learnt.counts[CELLS] += 1
+    for axis in range(AXES):
+        learnt.mean[axis] += CELL_S / SHORT_S * (learnt.error[axis] - learnt.mean[axis])
+
+
+@compiled
+def learn(terms: Vector, motion: Vector, learnt: Learnt, statistic: float, suspected: bool) -> None:
+    """Let a cell wait, and learn from the one that has waited; `suspected` forgets all that wait.
+
+    `statistic` is m' inv(V) m of the cell.
+    """
+    if suspected:
+        learnt.counts[WAITING] = 0
+        return
+    last = learnt.counts[WAITING]
+    row = learnt.waiting[last]
+    row[:TERMS], row[TERMS : TERMS + AXES] = terms, motion
+    row[TERMS + AXES : TERMS + 2 * AXES] = learnt.mean
+    row[-1] = statistic
+    if last < LATER:
+        learnt.counts[WAITING] = last + 1
+        return
+    first = learnt.waiting[0].copy()
+    learnt.waiting[:-1] = learnt.waiting[1:].copy()
+    _update(first[:TERMS], first[TERMS : TERMS + AXES], learnt)
+    if learnt.counts[CELLS] > SPREAD_FROM:
+        mean = first[TERMS + AXES : TERMS + 2 * AXES]
+        weight = min(1.0, LOUD / max(first[-1], 1e-9))
+        share = _share(LONG_S, learnt.counts[CELLS])
+        for i in range(AXES):
+            for j in range(AXES):
+                learnt.spread[i, j] += share * (weight * mean[i] * mean[j] - learnt.spread[i, j])
+
+
+@compiled
+def _update(terms: Vector, motion: Vector, learnt: Learnt) -> None:
+    """One Kalman update an axis."""
+    _predict(terms, motion, learnt)
+    walk = _share(CONSTANT_S, learnt.counts[CELLS])
+    for axis in range(AXES):
+        count = TERMS if axis < ANGULAR else FORCE
+        noise = NOISE_PER_SPREAD * learnt.spread[axis, axis]
+        variance = learnt.doubt[axis] + noise
+        most = GREATEST * np.sqrt(variance)
+        error = min(most, max(-most, learnt.error[axis]))
+        p = learnt.p[axis]
+        gain = np.zeros(TERMS)
+        for j in range(count):
+            if terms[j] != 0.0:
+                for i in range(count):
+                    gain[i] += p[i, j] * terms[j]
+        for i in range(count):
+            if gain[i] == 0.0:
+                continue
+            learnt.theta[axis, i] += gain[i] / variance * error
+            for j in range(count):
+                p[i, j] -= gain[i] * gain[j] / variance
+        # A share of k a cell is what a walk of k^2 times the noise leads to.
+        p[CONSTANT, CONSTANT] += noise * walk * walk

@@ -1,0 +1,159 @@
+"""The samples of a block in a row, compiled: cells, what remains of them, and who is to blame.
+
+Nothing is judged on the ground, which carries what no motor does: a vehicle flies from when it is
+3 m above its first fix, or faster than 3 m/s, until it stands still near the first height again.
+A blow while an actuator is to blame is a crash: from then on nothing that a sensor says is judged,
+until it flies anew.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.detection.actuators.effects import AXES, COMMANDS
+from analysis.detection.actuators.motion_cells import FOLLOWS, Cells, fill
+from analysis.detection.actuators.motion_filter import CELLS, Learnt, compare, learn
+from analysis.detection.actuators.suspects import LOUD, NOBODY, Suspicion, suspect
+from analysis.samples.block import COMMAND, FIX, IMU, Indices, Stamps
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled
+
+LEARNT = 30  # cells of flight before anybody is suspected
+FRESH = 30  # loud cells after which the noise has changed, or nobody here did it
+QUIET = 10  # cells without a suspect after which learning goes on
+ALONE, EITHER = 3, 12  # cells in a row that one suspect, or two alike, take to be blamed
+AGAIN_BLAMED, AGAIN_SOUND = 5, 10  # cells between two results
+FLIES_M, FLIES_MPS, STANDS_MPS = 3.0, 3.0, 0.5
+ALT, VELOCITY = 2, 3  # columns of a fix
+BLOW_MPS2 = 100.0  # specific force of no manoeuvre
+
+# Of `counts`: whether it flies, loud cells in a row, cells without a suspect, cells in a row with
+# these suspects, cells since the last result; the suspects, and who is blamed (two of each)
+FLIES, LOUD_CELLS, QUIET_CELLS, RUN, SINCE, SUSPECT, BLAMED = 0, 1, 2, 3, 4, 5, 7
+CRASH_US, COUNTS = 9, 10  # when it crashed; how many there are
+NEVER_US = 1 << 62
+
+
+class Obedience(NamedTuple):
+    """All that is kept; `follow` changes it in place.
+
+    `mix` (COMMANDS, COMMANDS) makes commands of outputs; `disturbance` (AXES, AXES) is of gusts
+    and the model; `first_m` (1,) is the first fix's height.
+    """
+
+    cells: Cells
+    learnt: Learnt
+    mix: Vector
+    disturbance: Vector
+    counts: NDArray[np.int64]
+    first_m: Vector
+
+
+class Verdicts(NamedTuple):
+    """Rows (k, 4): row, stamp, two who are blamed; statistic and deficit (k, 2); `filled` (1,)."""
+
+    rows: NDArray[np.int64]
+    figures: Vector
+    filled: NDArray[np.int64]
+
+
+@compiled
+def follow(
+    kind: Indices, t_us: Stamps, values: Vector, kept: Obedience, verdicts: Verdicts
+) -> None:
+    """Look at the samples of a block, kind (n,), t_us (n,), values (n, w), one after the other."""
+    for row in range(len(kind)):
+        if kind[row] == COMMAND:
+            kept.cells.commands[0] = kept.mix @ values[row, :COMMANDS]
+        elif kind[row] == FIX:
+            _fly(values[row], kept)
+        # Of the first IMU alone.
+        elif kind[row] == IMU and values[row, 6] == 0.0 and kept.counts[FLIES]:
+            if not np.isfinite(values[row, :6]).all():
+                continue
+            _feel(values[row, 3:6], t_us[row], kept.counts)
+            if not fill(kept.cells, t_us[row], values[row, :6]):
+                continue
+            found = _judge(kept)
+            if _blame(found, kept.counts):
+                at = verdicts.filled[0]
+                verdicts.rows[at, 0], verdicts.rows[at, 1] = row, t_us[row]
+                verdicts.rows[at, 2:] = kept.counts[BLAMED : BLAMED + 2]
+                verdicts.figures[at, 0] = found.statistic
+                verdicts.figures[at, 1] = found.deficit
+                verdicts.filled[0] += 1
+
+
+@compiled
+def _feel(force: Vector, t_us: int, counts: NDArray[np.int64]) -> None:
+    """Look for a crash in a specific force (3,)."""
+    square = force[0] ** 2 + force[1] ** 2 + force[2] ** 2
+    blamed = counts[BLAMED + 1] != NOBODY
+    if square > BLOW_MPS2**2 and blamed and counts[CRASH_US] == NEVER_US:
+        counts[CRASH_US] = t_us
+
+
+@compiled
+def _fly(fix: Vector, kept: Obedience) -> None:
+    """Take off and land, by a receiver's fix."""
+    if np.isnan(kept.first_m[0]):
+        kept.first_m[0] = fix[ALT]
+    up = abs(fix[ALT] - kept.first_m[0]) > FLIES_M
+    speed = 0.0
+    for i in range(3):
+        if not np.isnan(fix[VELOCITY + i]):
+            speed += fix[VELOCITY + i] ** 2
+    speed = np.sqrt(speed)
+    if not kept.counts[FLIES] and (up or speed > FLIES_MPS):
+        kept.counts[FLIES], kept.counts[CRASH_US] = 1, NEVER_US
+        kept.cells.clock[FOLLOWS] = 0
+        kept.learnt.counts[:] = 0
+        kept.learnt.mean[:] = 0.0
+    elif kept.counts[FLIES] and not up and speed < STANDS_MPS:
+        kept.counts[FLIES] = 0
+        kept.counts[BLAMED : BLAMED + 2] = NOBODY
+
+
+@compiled
+def _judge(kept: Obedience) -> Suspicion:
+    """Compare a full cell with the model, look for suspects, and learn where there is none."""
+    cells, learnt, counts = kept.cells, kept.learnt, kept.counts
+    compare(cells.terms, cells.motion, learnt)
+    usual = learnt.spread + kept.disturbance
+    for axis in range(AXES):
+        usual[axis, axis] += learnt.doubt[axis]
+    found = suspect(learnt.mean, usual, learnt.theta, learnt.p)
+    begun = learnt.counts[CELLS] > LEARNT
+    if not begun:
+        found = Suspicion(found.statistic, NOBODY, NOBODY, 0.0)
+    counts[LOUD_CELLS] = counts[LOUD_CELLS] + 1 if found.statistic >= LOUD else 0
+    counts[QUIET_CELLS] = counts[QUIET_CELLS] + 1 if found.first == NOBODY else 0
+    suspected = counts[QUIET_CELLS] < QUIET or counts[BLAMED + 1] != NOBODY
+    waits = 0 < counts[LOUD_CELLS] < FRESH or suspected
+    learn(cells.terms, cells.motion, learnt, found.statistic, begun and waits)
+    return found
+
+
+@compiled
+def _blame(found: Suspicion, counts: NDArray[np.int64]) -> bool:
+    """Whether there is something to say; who is blamed stands in `counts`."""
+    pair = min(found.first, found.second), max(found.first, found.second)
+    same = pair[0] == counts[SUSPECT] and pair[1] == counts[SUSPECT + 1]
+    counts[RUN] = counts[RUN] + 1 if same else 1
+    counts[SUSPECT], counts[SUSPECT + 1] = pair  # one alone stands second: NOBODY is the least
+    blamed = counts[BLAMED + 1]
+    counts[SINCE] += 1
+    # A fault changes the flight, so that what comes first tells most: who is blamed stays blamed.
+    most = ALONE if pair[0] == NOBODY else EITHER
+    if found.first != NOBODY and blamed == NOBODY and counts[RUN] >= most:
+        counts[BLAMED], counts[BLAMED + 1] = pair
+        counts[SINCE] = AGAIN_BLAMED
+    elif blamed != NOBODY and found.statistic < LOUD:
+        counts[BLAMED], counts[BLAMED + 1] = NOBODY, NOBODY
+        counts[SINCE] = AGAIN_SOUND
+    pause = AGAIN_SOUND if counts[BLAMED + 1] == NOBODY else AGAIN_BLAMED
+    if counts[SINCE] < pause:
+        return False
+    counts[SINCE] = 0
+    return True

@@ -1,0 +1,100 @@
+"""Whose deficit explains what remains of the motion, compiled: one hypothesis an actuator.
+
+An actuator i that does less than its command by g leaves m = -b_i g, where b_i is its column of
+coefficients. With V the covariance of m while all is well, that hypothesis adds what is not known
+of b_i, g^2 var(b_i), and leaves
+
+    q_i = min over g of (m + b_i g)' inv(V_i) (m + b_i g),   score s_i = q_i + ln det V_i,
+
+against q_0 = m' inv(V) m of nobody. It is believed if its score is far better than nobody's, if
+what is left fits, and if the deficit is one that matters; it names its actuator alone if its score
+is better than the next actuator's, and both of them if not (two ailerons turn a wing alike).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from analysis.detection.actuators.effects import AXES, COMMANDS, OUTPUT, SHARE
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled
+
+LOUD = 15.0  # m' inv(V) m beyond which nothing is learnt for a while: chi2inv(0.99, 5)
+SURE, AHEAD = 25.0, 8.0  # scores better than nobody's, and than the next one's
+# What is left may be as large as this, or this share of what there was: the model is linear.
+FITS, FITS_SHARE = 20.0, 0.08
+LEAST_DEFICIT = 0.05  # of a command of 1
+# A rotor that does more than its command is rare: it has to be stuck higher than it is wanted.
+RARE, LIFTS_MPS2 = 8.0, -2.0
+YAW = 2  # among the axes
+NOBODY = -1
+
+
+class Suspicion(NamedTuple):
+    """m' inv(V) m, the actuator that explains it best and its deficit, and another one, if it
+    explains it as well; NOBODY where none does."""
+
+    statistic: float
+    first: int
+    second: int
+    deficit: float
+
+
+@compiled
+def _product(a: Vector, matrix: Vector, b: Vector) -> float:
+    """a' M b of vectors (AXES,)."""
+    total = 0.0
+    for i in range(AXES):
+        for j in range(AXES):
+            total += a[i] * matrix[i, j] * b[j]
+    return total
+
+
+@compiled
+def suspect(mean: Vector, usual: Vector, theta: Vector, p: Vector) -> Suspicion:
+    """Who explains m (AXES,), with V (AXES, AXES), and theta with its covariances."""
+    inverse = np.linalg.inv(usual).astype(np.float64)
+    statistic = _product(mean, inverse, mean)
+    if statistic < SURE:
+        return Suspicion(statistic, NOBODY, NOBODY, 0.0)
+    nobody = statistic + math.log(np.linalg.det(usual))
+    first, second, best, following, deficit, rest = NOBODY, NOBODY, nobody, nobody, 0.0, 0.0
+    for i in range(COMMANDS):
+        effect = theta[:, OUTPUT + i].copy()
+        if _product(effect, inverse, effect) <= 1e-9:  # it drives nothing
+            continue
+        score, remaining, found = _hypothesis(mean, usual, effect, p, i)
+        if score < best:
+            second, following = first, best
+            first, best, deficit, rest = i, score, found, remaining
+        elif score < following:
+            second, following = i, score
+    believed = nobody - best > SURE and rest < max(FITS, FITS_SHARE * statistic)
+    if not believed or abs(deficit) < LEAST_DEFICIT:
+        return Suspicion(statistic, NOBODY, NOBODY, 0.0)
+    return Suspicion(statistic, first, second if following - best < AHEAD else NOBODY, deficit)
+
+
+@compiled
+def _hypothesis(
+    mean: Vector, usual: Vector, effect: Vector, p: Vector, i: int
+) -> tuple[float, float, float]:
+    """Score of the hypothesis of one actuator, what it leaves, and the deficit."""
+    inverse = np.linalg.inv(usual).astype(np.float64)
+    guess = -_product(effect, inverse, mean) / _product(effect, inverse, effect)
+    own = usual.copy()
+    rotor = effect[AXES - 1] < LIFTS_MPS2
+    for axis in range(AXES):
+        # A broken propeller loses lift, but not its drag, which turns the body about z.
+        share = 1.0 if rotor and axis == YAW else SHARE
+        unknown = p[axis, OUTPUT + i, OUTPUT + i] + (share * effect[axis]) ** 2
+        own[axis, axis] += guess * guess * unknown
+    inverse = np.linalg.inv(own).astype(np.float64)
+    along = _product(effect, inverse, mean)
+    known = _product(effect, inverse, effect)
+    left = _product(mean, inverse, mean) - along * along / known
+    score = left + math.log(np.linalg.det(own))
+    if rotor and along > 0.0:
+        score += RARE
+    return score, left, -along / known

@@ -1,0 +1,130 @@
+"""What commands do to a scenario's vehicle, by small changes about its steady flight.
+
+The vehicle is held in steady flight until its motors follow the commands; the motion that the last
+step begins is what they lead to. Everything is told in the channels of HIL_ACTUATOR_CONTROLS.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.detection.actuators.effects import (
+    ANGULAR,
+    COMMANDS,
+    FORCE,
+    OUTPUT,
+    RATE,
+    TERMS,
+    Effects,
+)
+from mavproxy_fault.numerics.constants import (
+    SEA_LEVEL_DENSITY_KGPM3,
+    STANDARD_GRAVITY_MPS2,
+)
+from simvehicle.hil.actuator_commands import CHANNELS_OF
+from simvehicle.scenario.scenario_file import Scenario
+from simvehicle.simulation.kinds import kind_of
+
+Array = NDArray[np.float64]
+STEPS, STEP_S = 30, 5e-3  # six lags of a slow motor
+HEIGHT_M = 100.0  # nothing is touched there
+COMMAND_STEP, RATE_STEP_RPS, SPEED_STEP_MPS = 0.05, 0.05, 0.5
+BODY = 13  # entries of the rigid body in a state
+SPEEDS, RATES = 3, 10  # where they begin
+HALVINGS = 12
+CRUISING_THROTTLE = 0.5
+LEAST_WING_HZ = 0.1  # m/s^2 for each m/s of air across; less is no wing
+
+
+class _Held:
+    """A vehicle held in steady flight at sea level."""
+
+    def __init__(self, vehicle: Any, names: list[str]) -> None:
+        self._vehicle = vehicle
+        self._still = np.zeros(3)
+        self._gravity = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
+        speed_mps = vehicle.parameters.cruise_mps
+        place = np.array([0.0, 0.0, -HEIGHT_M])
+        self._state = vehicle.cruise(
+            place, 0.0, self._still, speed_mps, SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
+        )
+        self.trim = self._trim(names)
+
+    def motion(self, commands: Array, change: Array) -> Array:
+        """Angular acceleration and specific force (6,) for commands (n,), with the body's state
+        changed by `change` (13,)."""
+        state = self._state.copy()
+        held = state[:BODY] + change
+        after = state
+        for _ in range(STEPS):
+            state[:BODY] = held
+            after, load = self._vehicle.advance(
+                state, commands, self._still, self._gravity, SEA_LEVEL_DENSITY_KGPM3, 0.0, 1, STEP_S
+            )
+            state = after.copy()
+        turned = (after[RATES:BODY] - held[RATES:BODY]) / STEP_S
+        return np.concatenate([turned, load[:3]])
+
+    def _trim(self, names: list[str]) -> Array:
+        """Commands (n,) of steady flight: surfaces in the middle, rotors that carry the weight."""
+        rotors = np.array([name.startswith("motor") for name in names])
+        throttle = np.array([name == "throttle" for name in names]) * CRUISING_THROTTLE
+        low, high = 0.0, 1.0
+        for _ in range(HALVINGS if rotors.any() else 0):
+            middle = 0.5 * (low + high)
+            lifts = -self.motion(middle * rotors, np.zeros(BODY))[5] > STANDARD_GRAVITY_MPS2
+            low, high = (low, middle) if lifts else (middle, high)
+        return throttle + high * rotors
+
+
+def vehicle_effects(scenario: Scenario) -> Effects:
+    """The effects of a scenario's vehicle."""
+    kind = kind_of(scenario.vehicle.kind)
+    vehicle = kind.read(scenario.vehicle.parameters)
+    names = kind.actuators(vehicle)
+    held = _Held(vehicle, names)
+
+    def by_state(entry: int, step: float) -> Array:
+        return _slope(lambda change: held.motion(held.trim, change), BODY, entry, step)
+
+    def by_command(number: int, step: float) -> Array:
+        at_rest = np.zeros(BODY)
+        return _slope(
+            lambda change: held.motion(held.trim + change, at_rest), len(names), number, step
+        )
+
+    coefficients, mix = np.zeros((6, TERMS)), np.zeros((COMMANDS, COMMANDS))
+    for i, name in enumerate(names[:COMMANDS]):
+        coefficients[:, OUTPUT + i] = by_command(i, COMMAND_STEP)
+        channels = [pair for pair in CHANNELS_OF.get(name, ((i, 1.0),)) if pair[0] < COMMANDS]
+        for channel, sign in channels:
+            mix[i, channel] = sign / len(channels)
+    for i in range(3):
+        coefficients[:, RATE + i] = by_state(RATES + i, RATE_STEP_RPS)
+    air = np.column_stack([by_state(SPEEDS + i, SPEED_STEP_MPS) for i in range(3)])
+    _tell_by_force(coefficients, air)
+    rows = [0, 1, 2, ANGULAR, ANGULAR + 2]  # the force across tells the air's angle, no actuator
+    # Actuators have their names from their kind, `motor 1` or `elevator`.
+    return Effects(tuple(names[:COMMANDS]), mix, coefficients[rows], air[rows])
+
+
+def _slope(motion: Callable[[Array], Array], size: int, entry: int, step: float) -> Array:
+    """How motion changes with one entry of a change (size,)."""
+    change = np.zeros(size)
+    change[entry] = step
+    return (motion(change) - motion(-change)) / (2.0 * step)
+
+
+def _tell_by_force(coefficients: Array, air: Array) -> None:
+    """Tell the air's moments by the force that comes with them, in place; (6, TERMS), (6, 3)."""
+    for i, axis in enumerate((ANGULAR + 1, ANGULAR + 2)):
+        pushed = air[axis, i + 1]
+        if abs(pushed) > LEAST_WING_HZ:
+            coefficients[:ANGULAR, FORCE + i] = air[:ANGULAR, i + 1] / pushed
+    across = coefficients[:ANGULAR, FORCE:]
+    forces = slice(ANGULAR + 1, ANGULAR + 3)
+    # What a command or a rate does by way of the force is in the force's term already.
+    coefficients[:ANGULAR, :FORCE] -= across @ coefficients[forces, :FORCE]
+    air[:ANGULAR] -= across @ air[forces]
