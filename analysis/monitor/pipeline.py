@@ -16,7 +16,8 @@ from msgspec.structs import force_setattr
 from analysis.detection import DetectorConfig
 from analysis.detection.actuators.actuator_watch import ActuatorWatch
 from analysis.detection.actuators.effects import Effects
-from analysis.detection.actuators.obedience_kernel import Obedience
+from analysis.detection.actuators.mutual_judgement import NEVER_US, judged
+from analysis.detection.actuators.obedience_kernel import CRASH_US, Obedience
 from analysis.detection.sensors.sensor_tests import References
 from analysis.detection.sensors.stream_watch import StreamWatch
 from analysis.fusion.fusion_config import FusionConfig
@@ -85,6 +86,7 @@ class Pipeline:
         self._streams_state = StreamWatch().new_state()
         self._actuators = None if config.actuators is None else ActuatorWatch(config.actuators)
         self._actuators_state: Obedience | None = None
+        self._imu_us = NEVER_US  # when the IMU was blamed last
         self._fusions: list[Any] = []
         self._feed_back: Any = None
         if config.fusion is not None:
@@ -123,12 +125,15 @@ class Pipeline:
             troubles, self._streams_state = self._streams.step(block, self._streams_state)
         found += troubles
         if self._actuators is not None:
-            disobeyed, self._actuators_state = self._actuators.step(block, self._actuators_state)
-            found += disobeyed
+            obeyed, self._actuators_state = self._actuators.step(block, self._actuators_state)
+            found += obeyed
         errors, self._attitude_state = self._attitude.step_rows(block, self._attitude_state)
         found += errors
         # By row, so that results do not hang on how the stream was cut into blocks.
         found.sort(key=itemgetter(0))
+        if self._actuators_state is not None:
+            crash_us = int(self._actuators_state.counts[CRASH_US])
+            found, self._imu_us = judged(found, crash_us, self._imu_us)
         base_us = self._t0_us or 0
         for _, result in found:  # they are this step's own, nobody has seen them yet
             force_setattr(result, "t_s", (result.t_us - base_us) / 1e6)

@@ -11,8 +11,11 @@ import numpy as np
 from analysis.detection.actuators.effects import AXES, Effects
 from analysis.detection.actuators.motion_cells import no_cells
 from analysis.detection.actuators.motion_filter import nothing_learnt
+from analysis.detection.actuators.mutual_judgement import ACTUATORS
 from analysis.detection.actuators.obedience_kernel import (
-    BLAMED,
+    COUNTS,
+    CRASH_US,
+    NEVER_US,
     SUSPECT,
     Obedience,
     Verdicts,
@@ -22,7 +25,6 @@ from analysis.detection.actuators.suspects import NOBODY, SURE
 from analysis.results import SensorDecision
 from analysis.samples.block import COMMAND, Block
 
-ACTUATORS = "actuators"
 EITHER = "-or-"  # joins two who cannot be told apart
 
 
@@ -63,8 +65,9 @@ class ActuatorWatch:
 
 def _commanded(effects: Effects) -> Obedience:
     """The state when the first command comes."""
-    counts = np.zeros(BLAMED + 2, np.int64)
-    counts[SUSPECT:] = NOBODY
+    counts = np.zeros(COUNTS, np.int64)
+    counts[SUSPECT:CRASH_US] = NOBODY
+    counts[CRASH_US] = NEVER_US
     return Obedience(
         no_cells(),
         nothing_learnt(effects),

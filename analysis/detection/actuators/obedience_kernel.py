@@ -2,6 +2,8 @@
 
 Nothing is judged on the ground, which carries what no motor does: a vehicle flies from when it is
 3 m above its first fix, or faster than 3 m/s, until it stands still near the first height again.
+A blow while an actuator is to blame is a crash: from then on nothing that a sensor says is judged,
+until it flies anew.
 """
 
 from typing import NamedTuple
@@ -24,10 +26,13 @@ ALONE, EITHER = 3, 12  # cells in a row that one suspect, or two alike, take to 
 AGAIN_BLAMED, AGAIN_SOUND = 5, 10  # cells between two results
 FLIES_M, FLIES_MPS, STANDS_MPS = 3.0, 3.0, 0.5
 ALT, VELOCITY = 2, 3  # columns of a fix
+BLOW_MPS2 = 100.0  # specific force of no manoeuvre
 
 # Of `counts`: whether it flies, loud cells in a row, cells without a suspect, cells in a row with
-# these suspects, cells since the last result; the suspects, and who is blamed
+# these suspects, cells since the last result; the suspects, and who is blamed (two of each)
 FLIES, LOUD_CELLS, QUIET_CELLS, RUN, SINCE, SUSPECT, BLAMED = 0, 1, 2, 3, 4, 5, 7
+CRASH_US, COUNTS = 9, 10  # when it crashed; how many there are
+NEVER_US = 1 << 62
 
 
 class Obedience(NamedTuple):
@@ -63,7 +68,11 @@ def follow(
             kept.cells.commands[0] = kept.mix @ values[row, :COMMANDS]
         elif kind[row] == FIX:
             _fly(values[row], kept)
+        # Of the first IMU alone.
         elif kind[row] == IMU and values[row, 6] == 0.0 and kept.counts[FLIES]:
+            if not np.isfinite(values[row, :6]).all():
+                continue
+            _feel(values[row, 3:6], t_us[row], kept.counts)
             if not fill(kept.cells, t_us[row], values[row, :6]):
                 continue
             found = _judge(kept)
@@ -74,6 +83,15 @@ def follow(
                 verdicts.figures[at, 0] = found.statistic
                 verdicts.figures[at, 1] = found.deficit
                 verdicts.filled[0] += 1
+
+
+@compiled
+def _feel(force: Vector, t_us: int, counts: NDArray[np.int64]) -> None:
+    """Look for a crash in a specific force (3,)."""
+    square = force[0] ** 2 + force[1] ** 2 + force[2] ** 2
+    blamed = counts[BLAMED + 1] != NOBODY
+    if square > BLOW_MPS2**2 and blamed and counts[CRASH_US] == NEVER_US:
+        counts[CRASH_US] = t_us
 
 
 @compiled
@@ -88,7 +106,7 @@ def _fly(fix: Vector, kept: Obedience) -> None:
             speed += fix[VELOCITY + i] ** 2
     speed = np.sqrt(speed)
     if not kept.counts[FLIES] and (up or speed > FLIES_MPS):
-        kept.counts[FLIES] = 1
+        kept.counts[FLIES], kept.counts[CRASH_US] = 1, NEVER_US
         kept.cells.clock[FOLLOWS] = 0
         kept.learnt.counts[:] = 0
         kept.learnt.mean[:] = 0.0

@@ -27,6 +27,7 @@ FITS, FITS_SHARE = 20.0, 0.08
 LEAST_DEFICIT = 0.05  # of a command of 1
 # A rotor that does more than its command is rare: it has to be stuck higher than it is wanted.
 RARE, LIFTS_MPS2 = 8.0, -2.0
+YAW = 2  # among the axes
 NOBODY = -1
 
 
@@ -53,7 +54,7 @@ def _product(a: Vector, matrix: Vector, b: Vector) -> float:
 @compiled
 def suspect(mean: Vector, usual: Vector, theta: Vector, p: Vector) -> Suspicion:
     """Who explains m (AXES,), with V (AXES, AXES), and theta with its covariances."""
-    inverse = np.linalg.inv(usual)
+    inverse = np.linalg.inv(usual).astype(np.float64)
     statistic = _product(mean, inverse, mean)
     if statistic < SURE:
         return Suspicion(statistic, NOBODY, NOBODY, 0.0)
@@ -80,17 +81,20 @@ def _hypothesis(
     mean: Vector, usual: Vector, effect: Vector, p: Vector, i: int
 ) -> tuple[float, float, float]:
     """Score of the hypothesis of one actuator, what it leaves, and the deficit."""
-    inverse = np.linalg.inv(usual)
+    inverse = np.linalg.inv(usual).astype(np.float64)
     guess = -_product(effect, inverse, mean) / _product(effect, inverse, effect)
     own = usual.copy()
+    rotor = effect[AXES - 1] < LIFTS_MPS2
     for axis in range(AXES):
-        unknown = p[axis, OUTPUT + i, OUTPUT + i] + (SHARE * effect[axis]) ** 2
+        # A broken propeller loses lift, but not its drag, which turns the body about z.
+        share = 1.0 if rotor and axis == YAW else SHARE
+        unknown = p[axis, OUTPUT + i, OUTPUT + i] + (share * effect[axis]) ** 2
         own[axis, axis] += guess * guess * unknown
-    inverse = np.linalg.inv(own)
+    inverse = np.linalg.inv(own).astype(np.float64)
     along = _product(effect, inverse, mean)
     known = _product(effect, inverse, effect)
     left = _product(mean, inverse, mean) - along * along / known
     score = left + math.log(np.linalg.det(own))
-    if along > 0.0 and effect[AXES - 1] < LIFTS_MPS2:
+    if rotor and along > 0.0:
         score += RARE
     return score, left, -along / known

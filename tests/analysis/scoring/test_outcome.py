@@ -2,13 +2,15 @@
 
 from collections.abc import Iterable, Sequence
 
+import msgspec
 import pytest
 
 from analysis.results import Decision, Result, SensorDecision
 from analysis.scoring.alarm_windows import Window, alarms_of, channel_of, windows_of
-from analysis.scoring.fault_channels import sight
+from analysis.scoring.fault_channels import OF_PLANE, sight
 from analysis.scoring.outcome import FaultOutcome, false_alarms, outcomes
 from mavproxy_fault.wire.label import Label
+from simvehicle.hil.actuator_commands import CHANNELS_OF
 
 T0_US = 1_000_000
 
@@ -43,6 +45,11 @@ def decision(t_s: float, excluded: Sequence[str] = (), hypothesis: str = "") -> 
         hypothesis=hypothesis or ("satellites" if excluded else "none"),
         excluded=tuple(excluded),
     )
+
+
+def actuator(t_s: float, name: str) -> SensorDecision:
+    found = sensor(t_s, "actuators", isolated="-or-" not in name)
+    return msgspec.structs.replace(found, suspect=name)
 
 
 def sensor(t_s: float, name: str, isolated: bool = True, alarm: bool = True) -> SensorDecision:
@@ -165,14 +172,46 @@ TRUTH = {
         *("not judged", (), (), "no airspeed in this flight"),
     ),
     "a healthy sensor while the plant is at fault": (
-        "PLANT.motor_efficiency[0]",
+        "PLANT.mass_kg_add",
         [sensor(12, "mag")],
-        *(
-            *("wrong", (), ("mag",)),
-            "in truth no channel watches the plant (motor_efficiency[0])",
-        ),
+        *("wrong", (), ("mag",), "in truth no channel watches the plant (mass_kg_add)"),
+    ),
+    "the motor that is weak": (
+        "PLANT.motor_efficiency[1]",
+        [actuator(12, "motor 2")],
+        *("isolated", ("motor 2",), (), ""),
+    ),
+    "another motor": (
+        "PLANT.motor_efficiency[1]",
+        [actuator(12, "motor 3")],
+        *("wrong", (), ("motor 3",), "in truth missed"),
+    ),
+    "one of two motors": (
+        "PLANT.motor_efficiency[1]",
+        [actuator(12, "motor 2-or-motor 4")],
+        *("ambiguous", (), (), "motor 2-or-motor 4"),
+    ),
+    "a fixed wing's motor": (
+        "PLANT.motor_efficiency[0]",
+        [actuator(12, "throttle")],
+        *("isolated", ("throttle",), (), ""),
+    ),
+    "a surface by its output": (
+        "HIL_ACTUATOR_CONTROLS.controls[7]",
+        [actuator(12, "elevator")],
+        *("isolated", ("elevator",), (), ""),
+    ),
+    "a motor in a flight without commands": (
+        "PLANT.motor_efficiency[1]",
+        [],
+        *("not judged", (), (), "no actuators in this flight"),
     ),
 }
+
+
+def test_the_outputs_of_a_plane_are_those_of_the_simulator() -> None:
+    expected = {number: name for name, outputs in CHANNELS_OF.items() for number, _ in outputs}
+    assert expected == OF_PLANE
 
 
 @pytest.mark.parametrize("case", TRUTH.values(), ids=TRUTH.keys())

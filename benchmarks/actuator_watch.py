@@ -1,0 +1,167 @@
+"""Who is blamed when a motor or surface does not obey, and who in gusts, over seeds.
+
+`python benchmarks/actuator_watch.py` flies the examples' quad, the hexarotor and the demo's fixed
+wing by the simulator alone, `SEEDS` flights a fault and an hour and more of gusts each, gives their
+IMU and commands to the monitor's actuator channel, and prints the tables of docs/verdicts.md.
+"""
+
+import functools
+from collections import Counter
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from analysis.detection.actuators.actuator_watch import ActuatorWatch
+from analysis.detection.actuators.effects import COMMANDS
+from analysis.run.setup import read_setup
+from analysis.run.vehicle_effects import vehicle_effects
+from analysis.samples.block import COMMAND, FIX, IMU, WIDTH, Block
+from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.parser import Parser
+from simvehicle.hil.actuator_commands import ActuatorCommands
+from simvehicle.scenario.scenario_file import Scenario
+from simvehicle.sensors.readings import ImuReading
+from simvehicle.simulation.kinds import kind_of
+from simvehicle.simulation.simulation import Simulation
+from simvehicle.vehicles.body import Controls
+
+SEEDS, GUSTY_SEEDS = range(1, 7), range(11, 24)
+START_S, FLOWN_S, GUSTY_S = 20.0, 32.0, 300.0
+IMU_HZ = 100.0
+LOW_M = 0.5  # a vehicle below it has come down
+HOVER = Path(__file__).parents[1] / "examples" / "hover.yaml"
+CRUISE = (5.0, 0.0, 0.0)  # a velocity that says that it flies
+
+
+class Fault(NamedTuple):
+    """What happens to an actuator from `START_S` on: a plant fault, or a command not obeyed.
+
+    `number` is the actuator's; `does` is "stuck" or what it does instead of its command.
+    """
+
+    name: str
+    number: int
+    plant: str = ""
+    value: float = 0.0
+    does: str | float | None = None
+
+
+ROTORS = (
+    *(Fault("20 % of a motor's power", i, f"motor_efficiency[{i}]", 0.8) for i in (1, 2)),
+    *(Fault("a motor stops", i, f"motor_efficiency[{i}]", 0.0) for i in (1, 2)),
+    *(Fault("a motor at full speed", i, does=1.0) for i in (1, 2)),
+    *(Fault("a motor stuck where it is", i, does="stuck") for i in (1, 2)),
+)
+SURFACES = ("elevator", "aileron", "rudder")
+WING = (
+    Fault("20 % of the motor's power", 3, "motor_efficiency[0]", 0.8),
+    Fault("the motor stops", 3, "motor_efficiency[0]", 0.0),
+    Fault("20 % of the elevator", 0, "elevator_efficiency", 0.8),
+    Fault("half the elevator", 0, "elevator_efficiency", 0.5),
+    *(Fault(f"{name} hard over", i, does=1.0) for i, name in enumerate(SURFACES)),
+    *(Fault(f"{name} stuck where it is", i, does="stuck") for i, name in enumerate(SURFACES)),
+)
+FAULTS = {"quad": ROTORS, "hexa": ROTORS, "fixed wing": WING}
+
+
+@functools.cache
+def scenario_of(vehicle: str) -> Scenario:
+    """A vehicle with the IMU alone."""
+    scenario = read_setup(None if vehicle == "fixed wing" else str(HOVER)).scenario
+    if vehicle == "hexa":
+        parameters = msgspec.structs.replace(scenario.vehicle, parameters="hexa")
+        scenario = msgspec.structs.replace(scenario, vehicle=parameters)
+    imu = msgspec.structs.replace(scenario.sensors.imu, rate_hz=IMU_HZ)
+    sensors = msgspec.structs.replace(scenario.sensors, imu=imu)
+    return msgspec.structs.replace(scenario, sensors=sensors, gnss=None)
+
+
+def flown(vehicle: str, seed: int, duration_s: float, fault: Fault | None) -> Block:
+    """IMU and commands of a flight until it comes down, behind a fix that says that it flies."""
+    scenario = scenario_of(vehicle)
+    gusts: Any = "moderate" if seed % 2 else "light"
+    air = msgspec.structs.replace(scenario.environment, gusts=gusts)
+    simulation = Simulation(
+        msgspec.structs.replace(scenario, seed=seed, duration_s=duration_s, environment=air)
+    )
+    kind = kind_of(scenario.vehicle.kind)
+    commands = ActuatorCommands(kind.actuators(simulation.vehicle), kind.mix(simulation.vehicle))
+    parser, rows, held = Parser(), [(FIX, 0, [0.0] * 3 + list(CRUISE))], None
+    while simulation.truth.t_us < duration_s * 1e6 and simulation.truth.height_agl_m > LOW_M:
+        t_us = simulation.truth.t_us
+        values = np.array(simulation.commanded())
+        (frame,) = parser.push(commands.frame(t_us, values), datagram=True)
+        assert isinstance(frame, Frame)
+        rows.append((COMMAND, t_us, list(frame.values()["controls"][:COMMANDS])))
+        if fault is not None and t_us >= START_S * 1e6:
+            held = values if held is None else held
+            if fault.plant:
+                simulation.plant(fault.plant, fault.value)
+            else:
+                values[fault.number] = held[fault.number] if fault.does == "stuck" else fault.does
+        t_us, _, readings = simulation.step(Controls(values))
+        for reading in readings:
+            if isinstance(reading, ImuReading):
+                rows.append((IMU, t_us, [*reading.gyro_b_rps, *reading.accel_b_mps2]))
+    table = np.zeros((len(rows), WIDTH))
+    for at, (_, _, numbers) in enumerate(rows):
+        table[at, : len(numbers)] = numbers
+    return Block(np.array([r[0] for r in rows]), np.array([r[1] for r in rows]), table, {})
+
+
+def blamed(vehicle: str, block: Block) -> list[tuple[str, float]]:
+    """Who was blamed or suspected with another, and when, once for each."""
+    watch = ActuatorWatch(vehicle_effects(scenario_of(vehicle)))
+    results, _ = watch.step(block, watch.new_state())
+    first: dict[str, float] = {}
+    for _, result in results:
+        if result.alarm:
+            first.setdefault(result.suspect, result.t_us * 1e-6)
+    return list(first.items())
+
+
+def cell(vehicle: str, faults: list[Fault]) -> str:
+    """A cell of the table: how many of the flights were named right, and how soon."""
+    names = kind_of(scenario_of(vehicle).vehicle.kind)
+    actuators = names.actuators(names.read(scenario_of(vehicle).vehicle.parameters))
+    counts, delays = Counter[str](), []
+    for fault in faults:
+        for seed in SEEDS:
+            found = blamed(vehicle, flown(vehicle, seed, FLOWN_S, fault))
+            word = "missed"
+            if found:
+                who, at_s = found[0]
+                own = actuators[fault.number]
+                word = (
+                    "named" if who == own else "ambiguous" if own in who.split("-or-") else "wrong"
+                )
+                word = "wrong" if at_s < START_S else word
+                delays.append(at_s - START_S)
+            counts[word] += 1
+    text = ", ".join(
+        f"{counts[w]} {w}" for w in ("named", "ambiguous", "missed", "wrong") if counts[w]
+    )
+    return f"{text}; {np.median(delays):.1f} / {max(delays):.1f} s" if delays else text
+
+
+def main() -> None:
+    """Print the tables."""
+    faults = dict.fromkeys(fault.name for row in FAULTS.values() for fault in row)
+    for name in faults:
+        cells = []
+        for vehicle, row in FAULTS.items():
+            own = [fault for fault in row if fault.name == name]
+            cells.append(cell(vehicle, own) if own else "")
+        print(f"| {name} | {' | '.join(cells)} |", flush=True)
+    cells = []
+    for vehicle in FAULTS:
+        found = [blamed(vehicle, flown(vehicle, seed, GUSTY_S, None)) for seed in GUSTY_SEEDS]
+        hours = len(GUSTY_SEEDS) * GUSTY_S / 3600.0
+        cells.append(f"{sum(map(len, found))} blamed in {hours:.2f} h")
+    print(f"| gusts alone | {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,165 @@
+"""Motors and surfaces that do not obey, in flights of the simulator through proxy and monitor."""
+
+import functools
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from analysis.detection.actuators.actuator_watch import ActuatorWatch
+from analysis.detection.actuators.mutual_judgement import CRASHED
+from analysis.monitor.monitor import Monitor
+from analysis.results import Decision, Result, SensorDecision
+from analysis.run.proxied_flight import Flight
+from analysis.run.setup import Setup, read_setup
+from analysis.run.vehicle_effects import vehicle_effects
+from analysis.samples.block import Block, block_of
+from analysis.samples.sample import CommandSample, GpsFix, ImuSample
+from mavproxy_fault.schedule.entries import parse_schedule
+
+HOVER = str(Path(__file__).parents[4] / "examples" / "hover.yaml")
+IMU_HZ = 100.0
+# A fault that never acts: commands go over the wire all the same.
+NEVER = {
+    "fault": "constant",
+    "value": 1.0,
+    "target": "HIL_ACTUATOR_CONTROLS.controls[1]",
+    "at_s": 1e4,
+}
+START_US = 1_000_000  # the vehicle's clock at the start of the flight
+
+
+@functools.cache
+def setup_of(vehicle: str) -> Setup:
+    """The demo's fixed wing, or a multirotor, in gusts and with a receiver that is quick to fly."""
+    setup = read_setup(None if vehicle == "fixed wing" else HOVER)
+    hover = read_setup(HOVER).scenario
+    scenario = setup.scenario
+    imu = msgspec.structs.replace(scenario.sensors.imu, rate_hz=IMU_HZ)
+    scenario = msgspec.structs.replace(
+        scenario,
+        gnss=None,
+        sensors=msgspec.structs.replace(scenario.sensors, imu=imu, gps=hover.sensors.gps),
+        environment=msgspec.structs.replace(scenario.environment, gusts="moderate"),
+    )
+    monitor = setup.monitor
+    if vehicle == "hexa":
+        parameters = msgspec.structs.replace(scenario.vehicle, parameters="hexa")
+        scenario = msgspec.structs.replace(scenario, vehicle=parameters)
+        monitor = msgspec.structs.replace(monitor, actuators=vehicle_effects(scenario))
+    return Setup(scenario, setup.schedule, monitor, setup.criteria)
+
+
+def flown(vehicle: str, duration_s: float, *faults: dict[str, Any], seed: int = 1) -> list[Result]:
+    """The monitor's results of a flight with faults from 20 s on."""
+    setup = setup_of(vehicle)
+    scenario = msgspec.structs.replace(setup.scenario, seed=seed, duration_s=duration_s)
+    entries = [{"id": f"fault-{i}", "at_s": 20.0, **fault} for i, fault in enumerate(faults)]
+    flight = Flight(scenario, parse_schedule({"seed": seed, "faults": entries}, via="simulator"))
+    data = bytearray()
+    while not flight.over:
+        data += flight.advance([]).monitor
+    return Monitor(setup.monitor).push_bytes([bytes(data)], datagrams=False)
+
+
+def blamed(results: list[Result]) -> dict[str, float]:
+    """Who of the actuators was blamed, and when first, in seconds of the flight."""
+    found: dict[str, float] = {}
+    for result in results:
+        if isinstance(result, SensorDecision) and result.sensor == "actuators" and result.isolated:
+            found.setdefault(result.suspect, (result.t_us - START_US) * 1e-6)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "target", "value", "name"),
+    [
+        ("quad", "PLANT.motor_efficiency[1]", 0.8, "motor 2"),
+        ("quad", "PLANT.motor_efficiency[2]", 0.0, "motor 3"),
+        ("hexa", "PLANT.motor_efficiency[4]", 0.8, "motor 5"),
+        ("hexa", "PLANT.motor_efficiency[0]", 0.0, "motor 1"),
+        ("fixed wing", "PLANT.motor_efficiency[0]", 0.0, "throttle"),
+        ("fixed wing", "PLANT.elevator_efficiency", 0.5, "elevator"),
+    ],
+)
+def test_a_weak_actuator_is_named(vehicle: str, target: str, value: float, name: str) -> None:
+    found = blamed(flown(vehicle, 23.0, {"fault": "plant", "target": target, "value": value}))
+    assert list(found) == [name]
+    assert 20.0 < found[name] < 22.5
+
+
+@pytest.mark.parametrize(
+    ("target", "fault", "name"),
+    [
+        ("controls[7]", {"fault": "freeze"}, "elevator"),
+        ("controls[7]", {"fault": "constant", "value": 1.0}, "elevator"),
+        ("controls[2]", {"fault": "constant", "value": 1.0}, "rudder"),
+        ("controls[6]", {"fault": "constant", "value": 1.0}, "aileron"),
+    ],
+)
+def test_a_stuck_or_hard_over_surface_is_named(
+    target: str, fault: dict[str, Any], name: str
+) -> None:
+    fault = {"target": f"HIL_ACTUATOR_CONTROLS.{target}", **fault}
+    found = blamed(flown("fixed wing", 24.0, fault))
+    assert list(found) == [name]
+
+
+@pytest.mark.parametrize("vehicle", ["quad", "hexa", "fixed wing"])
+def test_gusts_blame_no_actuator(vehicle: str) -> None:
+    results = flown(vehicle, 60.0, NEVER, seed=7)
+    told = [r for r in results if isinstance(r, SensorDecision) and r.sensor == "actuators"]
+    assert len(told) > 50  # one a second
+    assert not any(result.alarm for result in told)
+
+
+def test_a_gyro_that_says_no_number_blames_no_actuator() -> None:
+    fault = {"fault": "not-a-number", "target": "HIL_SENSOR.xgyro", "for_s": 3.0}
+    assert not blamed(flown("quad", 26.0, fault, NEVER))
+
+
+def test_after_a_crash_nobody_else_is_blamed() -> None:
+    results = flown(
+        "quad", 28.0, {"fault": "plant", "target": "PLANT.motor_efficiency[0]", "value": 0.0}
+    )
+    assert list(blamed(results)) == ["motor 1"]
+    judged = [r for r in results if isinstance(r, Decision | SensorDecision)]
+    others = [r for r in judged if getattr(r, "sensor", "") != "actuators"]
+    assert any(result.reason == CRASHED for result in others)
+    assert not any(result.alarm for result in others)
+
+
+def test_the_cut_into_blocks_changes_nothing() -> None:
+    """Rows one by one, and all at once."""
+    effects = setup_of("quad").monitor.actuators
+    assert effects is not None
+    watch, rng = ActuatorWatch(effects), np.random.default_rng(3)
+    samples: list[Any] = []
+    for k in range(600):
+        t_us = 10_000 * k
+        samples.append(CommandSample(t_us, np.full(12, 0.7)))
+        samples.append(ImuSample(t_us, 0.01 * rng.normal(size=3), np.array([0.0, 0.0, -9.8])))
+    whole = _flying(block_of(samples))
+    at_once, _ = watch.step(whole, watch.new_state())
+    state, one_by_one = watch.new_state(), []
+    for row in range(len(whole.kind)):
+        found, state = watch.step(whole.between(row, row + 1), state)
+        one_by_one += [result for _, result in found]
+    assert [result for _, result in at_once] == one_by_one
+    assert len(one_by_one) == 5
+
+
+def _flying(block: Block) -> Block:
+    """The block behind a fix of a vehicle that moves."""
+    fix = GpsFix(0, 47.0, 8.0, 500.0, np.array([5.0, 0.0, 0.0]), 3, 12, 1.0, 1.0, "HIL_GPS")
+    return block_of([fix, *block.samples()])
+
+
+def test_without_commands_nothing_is_done() -> None:
+    effects = setup_of("quad").monitor.actuators
+    assert effects is not None
+    watch = ActuatorWatch(effects)
+    sample = ImuSample(1, np.zeros(3), np.zeros(3))
+    assert watch.step(block_of(sample), watch.new_state()) == ([], None)
