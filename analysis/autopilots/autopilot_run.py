@@ -242,7 +242,9 @@ class AutopilotRun:
         frames: list[bytes] = []
         if t_us >= self._operator_us:
             self._operator_us = t_us + OPERATOR_US
-            frames = self._operator.step(t_us) if t_us else []  # the first stamp is still to come
+            on_ground = self.flight.simulation.truth.on_ground
+            # Before the first stamp there is no time.
+            frames = self._operator.step(t_us, on_ground=on_ground) if t_us else []
         if not self._scheduled and self._count_from in self._operator.moments_us:
             self._begin_schedule(t_us)
         if self._phase != self._operator.phase:

@@ -21,6 +21,7 @@ POSITION, CONSTANT_POSITION = 0x10, 0x80  # EKF_STATUS_REPORT.flags, ESTIMATOR_S
 AGAIN_US = 1_000_000
 REACHED = 0.9  # of the height, where the take-off is over
 OFF_THE_GROUND_M = 1.0
+LYING_S = 30.0  # on the ground with motors on, after which nothing more will come of a flight
 
 
 class Requests(Protocol):
@@ -92,6 +93,7 @@ class Operator:
         self._t_us = self._since_us = self._again_us = self._hello_us = 0
         self._positioned = self._armed = self._uploaded = False
         self._height_m = 0.0
+        self._aloft_us = 0  # when it last was in the air, or had not yet been
         self._seq = 0
 
     @property
@@ -125,10 +127,12 @@ class Operator:
             assert isinstance(text, bytes)
             self.texts.append((self._t_us, text.decode("utf-8", "replace")))
 
-    def step(self, t_us: int) -> list[bytes]:
-        """What to send at this time of the vehicle."""
+    def step(self, t_us: int, *, on_ground: bool = False) -> list[bytes]:
+        """What to send at this time of the vehicle, which may truly lie on the ground."""
         self._t_us = t_us
         self._note("first-stamp")
+        if not on_ground or "take-off" not in self.moments_us:
+            self._aloft_us = t_us
         self._go_on()
         if t_us >= self._again_us and not self.over:
             self._again_us = t_us + AGAIN_US
@@ -146,8 +150,12 @@ class Operator:
         if self.phase is Phase.FLYING and not self._armed:  # a failsafe of its own has landed it
             self._enter(Phase.LANDED)
         waited_s = (self._t_us - self._since_us) * 1e-6
+        lying_s = (self._t_us - self._aloft_us) * 1e-6
         if self.phase is Phase.CLIMBING and not self._armed:
             self.gave_up = f"disarmed while {self.phase}"
+        # Its estimator may be lost: an autopilot that has crashed would fly on for minutes.
+        elif lying_s > LYING_S and not self.over:
+            self.gave_up = f"on the ground for {LYING_S:.0f} s with its motors on"
         elif waited_s > PATIENCE_S.get(self.phase, float("inf")):
             self.gave_up = f"still {self.phase} after {waited_s:.0f} s"
 

@@ -10,6 +10,7 @@ from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.initial_fix import Start
 from analysis.detection.filter.measurement import Observed
 from analysis.detection.isolation.chi_square import chi_square, p_value
+from analysis.detection.isolation.constellations import CONTRADICTION
 from analysis.detection.protection import WORST_M, Bounds
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import Epoch
@@ -20,6 +21,8 @@ def decision(
 ) -> Decision:
     """The decision on a tested epoch; `late` says that a fault was found by its past."""
     motion, slow, dof = core.motion, outcome.slow, outcome.parity_dof
+    # Where either system may lie nothing bounds the position.
+    bounds = None if outcome.undecided else outcome.bounds
     onsets = [entry.onset_us for entry in core.excluded.values()]
     # A fault found by its past is one of satellites, also where this epoch passed.
     hypothesis = "satellites" if late and outcome.hypothesis == "none" else outcome.hypothesis
@@ -40,9 +43,10 @@ def decision(
         onset_s=max(onsets) * 1e-6 if onsets else None,
         probabilities=dict(outcome.probabilities),
         position_ecef_m=_position(motion) if motion is not None else None,
-        position_sigma_m=_sigma(motion, outcome.bounds) if motion is not None else None,
-        hpl_m=_level(outcome.bounds.hpl_m) if outcome.bounds else None,
-        vpl_m=_level(outcome.bounds.vpl_m) if outcome.bounds else None,
+        position_sigma_m=_sigma(motion, bounds) if motion and not outcome.undecided else None,
+        hpl_m=_level(bounds.hpl_m) if bounds else None,
+        vpl_m=_level(bounds.vpl_m) if bounds else None,
+        reason=CONTRADICTION if outcome.undecided else "",
         mode="inertial" if motion is not None and motion.inertial else "free",
         # Without a degree of freedom there is no test: zeros, not NaN.
         parity_statistic=outcome.parity if dof else 0.0,

@@ -17,7 +17,8 @@ class Outcome(Value, frozen=True):
     them, `excluded` those excluded before; innovations `residual_m` and `normalised` are of both.
     The tests: the main one, `parity` over `parity_dof` degrees of freedom, the rates' over
     `rate_dof` (None: there were too few), and the slow one. `gap_s` is how long the IMU was silent,
-    where that matters, and `bounds` are those of the position.
+    where that matters, `bounds` are those of the position, and `undecided`
+    says that two systems contradict each other.
     """
 
     core: Core
@@ -42,6 +43,7 @@ class Outcome(Value, frozen=True):
     was_inertial: bool = False
     gap_s: float = 0.0
     bounds: Bounds | None = None
+    undecided: bool = False
 
 
 def shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:

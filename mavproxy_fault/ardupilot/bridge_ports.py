@@ -27,13 +27,13 @@ class Datagrams:
         return self._socket.fileno()
 
     def read(self) -> list[bytes]:
-        """The datagrams that wait."""
-        found = []
-        with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
-            while True:
-                data, self._peer = self._socket.recvfrom(DATAGRAM)
-                found.append(data)
-        return found
+        """The datagram that waits longest; while there are more, the port stays readable."""
+        # A step is one datagram: to ask whether there is a second one would cost as much again.
+        try:
+            data, self._peer = self._socket.recvfrom(DATAGRAM)
+        except (BlockingIOError, ConnectionRefusedError):
+            return []
+        return [data]
 
     def write(self, data: bytes) -> None:
         """Send to the peer; before it spoke the datagram is dropped."""

@@ -8,6 +8,7 @@ verbatim chunk `@ctl`, which no wildcard reaches. See docs/zenoh.md for the key 
 import contextlib
 import json
 import logging
+import os
 import re
 import socket
 from collections.abc import Callable, Iterator, Sequence
@@ -15,6 +16,7 @@ from types import TracebackType
 from typing import Any
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.bus_users import CONFIG, USERS, own_folder
 
 DEFAULT_URL = "tcp/127.0.0.1:7447"
 ROOT = "mavfault/v1"
@@ -182,6 +184,8 @@ def open_bus(
         Listen at `url` and be the hub; otherwise connect to it.
     config_file : str
         Zenoh's own configuration, such as TLS, users and access control; ours goes on top of it.
+        Without one that of the variable ZENOH_CONFIG, or else only the user's own programs are let
+        in (see `bus_users`).
 
     Raises
     ------
@@ -189,11 +193,27 @@ def open_bus(
         If the address is taken (router) or nobody listens there (client), or a name or the
         configuration is wrong.
     """
-    import zenoh
-
     check_run(run)
     address = with_port(url or DEFAULT_URL)
-    config = read_config(config_file)
+    config_file = config_file or os.environ.get("ZENOH_CONFIG", "")
+    if config_file:
+        return _opened(address, run, router, read_config(config_file))
+    own = own_folder()
+    config = read_config(str(own / CONFIG))
+    if router:
+        users = json.dumps(str(own / USERS))
+        config.insert_json5("transport/auth/usrpwd/dictionary_file", users)
+        return _opened(address, run, router, config)
+    try:
+        return _opened(address, run, router, config)
+    except ConfigError:
+        # A router of the user's own, such as zenohd or that of ROS 2, may ask for nobody's name.
+        return _opened(address, run, router, read_config(""))
+
+
+def _opened(address: str, run: str, router: bool, config: Any) -> Bus:
+    import zenoh
+
     settings: dict[str, object] = {
         "mode": "router" if router else "client",
         # Nothing leaves this machine that the user has not asked for: no multicast, no gossip.
@@ -216,13 +236,24 @@ def open_bus(
             config.insert_json5(key, json.dumps(value))
         return Bus(zenoh.open(config), address, run, is_router=router)
     except zenoh.ZError as error:
-        wrong = "cannot be opened as the router" if router else "has no router listening"
+        wrong = "cannot be opened as the router" if router else _why_refused(address)
         # Behind it stands a path of Zenoh's own source.
         reason = str(error).split(" at /")[0]
         raise ConfigError(
             f"zenoh {address} {wrong} ({reason}); allowed: tcp/HOST:PORT that is "
             + ("free" if router else "served by a proxy, a run or zenohd")
         ) from error
+
+
+def _why_refused(address: str) -> str:
+    """What a client is told: somebody who listens and refuses is another than nobody at all."""
+    host, _, port = address.partition("/")[2].rpartition(":")
+    with contextlib.suppress(OSError, ValueError), socket.create_connection((host, int(port)), 1.0):
+        return (
+            "refuses us: it is another user's, or asks for users or certificates"
+            " (--zenoh-config FILE, or the variable ZENOH_CONFIG)"
+        )
+    return "has no router listening"
 
 
 def check_run(run: str) -> None:

@@ -55,7 +55,7 @@ def place() -> Path:
     a folder that only this user can write to, since code is loaded from it.
     """
     places = list(_places())
-    return next((path for path in places if _usable(path)), places[-1])
+    return next((path for path in places if is_usable(path)), places[-1])
 
 
 def _places() -> Iterator[Path]:
@@ -69,22 +69,22 @@ def _places() -> Iterator[Path]:
     if home is not None:
         yield Path(home) / "mavproxy-fault"
     # Not `gettempdir`, which fails where nothing can be written to.
-    yield Path(os.environ.get("TMPDIR", "/tmp")) / f"mavproxy-fault-{_user()}"
+    yield Path(os.environ.get("TMPDIR", "/tmp")) / f"mavproxy-fault-{user_number()}"
 
 
-def _user() -> int:
+def user_number() -> int:
     """This user's number; Windows has none, and gives every file the owner 0."""
     return os.getuid() if hasattr(os, "getuid") else 0
 
 
-def _usable(path: Path) -> bool:
+def is_usable(path: Path) -> bool:
     """Whether the folder is there, or could be made, as ours and writable."""
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         owner = path.stat().st_uid
     except OSError:
         return False
-    return os.access(path, os.W_OK | os.X_OK) and owner in (_user(), ROOT.stat().st_uid)
+    return os.access(path, os.W_OK | os.X_OK) and owner in (user_number(), ROOT.stat().st_uid)
 
 
 @cache

@@ -23,6 +23,12 @@ from analysis.detection.filter.lasting_errors import Misfit
 from analysis.detection.filter.measurement import Modelled, Observed, model
 from analysis.detection.isolation.bank import projected_weights
 from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.isolation.constellations import (
+    CONTRADICTION,
+    TELLING,
+    explain_by_systems,
+    groups_of,
+)
 from analysis.detection.isolation.hypotheses import explain_by_satellites
 from analysis.detection.protection import Bounds, bounds
 from analysis.orbits.snapshot import design_matrix, systems_of
@@ -124,8 +130,14 @@ def _repaired(
     # Two satellites of redundancy for each that is left out, or the set is not the only one.
     largest = min(config.left_out, (len(u) - unknowns) // 2)
     found = explain_by_satellites(m, u, q, config.p_false_alarm, largest, unknowns)
+    systems = groups_of(modelled.h[:, 0:3], modelled.h[:, ISB:ERRORS])
+    wholes = explain_by_systems(m, u, q, systems, config.p_false_alarm)
     if found is None:
         return Start(None, "the first solutions fail their test", (), q, len(u) - unknowns)
+    # A snapshot cannot tell which of two systems moved: it must not begin in between.
+    several = len(found.subset) > 1
+    if several and any(whole.cost - found.cost < TELLING for whole in wholes):
+        return Start(None, CONTRADICTION, (), q, len(u) - unknowns)
     keep = np.ones(len(u), dtype=bool)
     keep[list(found.subset)] = False
     faulty = tuple(observed.satellites[i] for i in found.subset)

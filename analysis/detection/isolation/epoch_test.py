@@ -105,11 +105,26 @@ def judge_epoch(
         )
         step = Step(phi, (t_us - before.t_us) * 1e-6, t_us, tested.motion.inertial)
         moved, ramps, found = commit(tested.motion, tested.part, rates.fit, ramps, step, config)
-        return _concluded(judged, before, moved, ramps, judge_slow(ramps, found, config), config)
+        slow = judge_slow(ramps, found, config)
+        whole = _whole_system(judged, config) if slow.hypothesis == "satellites" else None
+        if whole is None:
+            return _concluded(judged, before, moved, ramps, slow, config)
+        tested, judged = whole, judged._replace(tested=whole)
     # The windows end here; what they had learnt of offsets lives on, frozen.
     moved = absorb(tested.motion, tested.part, rates.fit)
-    judged = judged._replace(core=freeze(core, t_us, config))
+    # What is learnt while a system moves is the system's shift, and no offset of satellites.
+    if not judged.tested.whole:
+        judged = judged._replace(core=freeze(core, t_us, config))
     return _concluded(judged, before, moved, None, None, config)
+
+
+def _whole_system(judged: Judged, config: DetectorConfig) -> Tested | None:
+    """The ranges' verdict where a ramp of one satellite is better explained by its whole system."""
+    tested, sight = judged.tested, judged.sight
+    standing_m = learnt(judged.core, sight.names)
+    q, threshold = tested.statistic, tested.threshold
+    found = blamed(tested.motion, sight.used, q, threshold, standing_m, config, by_past=True)
+    return found if found.whole else None
 
 
 def _concluded(
@@ -155,6 +170,7 @@ def _concluded(
     outcome = _measured(judged, outside, core._replace(misfit=misfit))
     return outcome._replace(
         bounds=found_bounds,
+        undecided=tested.whole and tested.hypothesis == "multiple-unknown",
         slow=slow,
         hypothesis=shown_now,
         alarm=alarm,

@@ -11,40 +11,34 @@ older literature, "no leave-out set passes, so it is the IMU", can be chosen for
 """
 
 import math
+from collections.abc import Sequence
 
 from analysis.detection.isolation.bank import best_subset, freed
 from analysis.detection.isolation.chi_square import chi_square, subset_threshold
+from analysis.detection.isolation.constellations import (
+    PENALTY,
+    Explanation,
+    Group,
+    ambiguous,
+    explain_by_systems,
+)
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.linear import apply
 
-PENALTY = 2.0  # per freed parameter, as in Akaike's criterion
 RULES = ("explicit", "plain")
 # With one, too many sets would pass for the right one to stand out.
 DOF_LEFT = 2  # degrees of freedom kept after leaving out
 
 
-class Explanation(Value, frozen=True):
-    """One hypothesis: what it frees, the statistic left, and whether that passes its test."""
-
-    hypothesis: str
-    subset: tuple[int, ...]
-    statistic: float
-    threshold: float
-    cost: float
-
-    @property
-    def passes(self) -> bool:
-        """Whether what is left fits the noise model."""
-        return self.statistic <= self.threshold
-
-
 class Verdict(Value, frozen=True):
-    """The explanation taken, and all that were weighed with their relative likelihoods."""
+    """The explanation taken, and all that were weighed with their relative likelihoods; `whole`
+    says that it is about a system as a whole."""
 
     hypothesis: str
     subset: tuple[int, ...]
     probabilities: dict[str, float]
+    whole: bool = False
 
 
 def explain_by_satellites(
@@ -94,6 +88,7 @@ def judge(
     p_false_alarm: float,
     largest: int,
     rule: str = "explicit",
+    systems: Sequence[Group] = (),
 ) -> Verdict:
     """The verdict on innovations that failed the main test.
 
@@ -108,6 +103,7 @@ def judge(
     largest : int
         Most satellites to leave out.
     rule : {"explicit", "plain"}
+    systems : the satellites of each system, where there are two at least
     """
     u = apply(m, v)
     q = float(v @ u)
@@ -121,6 +117,8 @@ def judge(
         explain_by("imu", m, u, q, position, p_false_alarm),
         explain_by("clock", m, u, q, clock, p_false_alarm),
     ]
+    moved = explain_by_systems(m, u, q, systems, p_false_alarm)
+    rivals += moved
     if satellites is not None:
         rivals.append(satellites)
     passing = [rival for rival in rivals if rival.passes]
@@ -129,12 +127,16 @@ def judge(
         return Verdict("multiple-unknown", (), chances)
     # Least J: what remains unexplained, and a price for what was freed.
     best = min(passing, key=lambda rival: rival.cost)
-    return Verdict(best.hypothesis, best.subset, chances)
+    if best in moved and ambiguous(best, moved):
+        return Verdict("multiple-unknown", (), chances, True)
+    return Verdict(best.hypothesis, best.subset, chances, best in moved)
 
 
 def _probabilities(rivals: list[Explanation], q: float, threshold: float) -> dict[str, float]:
     """Relative likelihoods exp(-J/2); "multiple-unknown" explains all but for its threshold."""
-    costs = {rival.hypothesis: rival.cost for rival in rivals}
+    costs: dict[str, float] = {}
+    for rival in rivals:
+        costs[rival.hypothesis] = min(rival.cost, costs.get(rival.hypothesis, rival.cost))
     costs["none"] = q
     # As if it freed three parameters, like a wrong position.
     costs["multiple-unknown"] = threshold + 3.0 * PENALTY

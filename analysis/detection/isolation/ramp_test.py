@@ -6,7 +6,7 @@ from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.inertial import ERRORS
 from analysis.detection.filter.measurement import Indices
 from analysis.detection.isolation.chi_square import chi_square
-from analysis.detection.isolation.hypotheses import PENALTY
+from analysis.detection.isolation.constellations import PENALTY
 from analysis.detection.isolation.ramp_windows import (
     STRIDE_S,
     WINDOW_COUNT,

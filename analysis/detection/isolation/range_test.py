@@ -4,9 +4,10 @@ import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.inertial import CLOCK, DRIFT, PSI
+from analysis.detection.filter.inertial import CLOCK, DRIFT, ERRORS, ISB, PSI
 from analysis.detection.filter.information import statistic, weights
 from analysis.detection.filter.measurement import NO_ROWS, Modelled
+from analysis.detection.isolation.constellations import SYSTEM_CLOCK, groups_of
 from analysis.detection.isolation.hypotheses import Verdict, judge
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
@@ -25,7 +26,8 @@ class Tested(Value, frozen=True):
 
     `motion` is the prediction, with what was found wrong of it forgotten (`freed`); `part` are the
     innovations of those that are trusted, none where nothing is. `faulty` are indices of
-    satellites found so; the statistic is that of the first round.
+    satellites found so; the statistic is that of the first round. `whole` says that a system is
+    meant as a whole.
     """
 
     motion: Motion
@@ -37,6 +39,7 @@ class Tested(Value, frozen=True):
     probabilities: dict[str, float]
     part: Modelled
     freed: bool
+    whole: bool = False
 
 
 def largest_set(count: int, wanted: int) -> int:
@@ -57,26 +60,30 @@ def blamed(
     threshold: float,
     standing_m: Vector,
     config: DetectorConfig,
+    by_past: bool = False,
 ) -> Tested:
     """The verdict on ranges of `modelled` (n satellites) whose statistic q failed F00.
 
     `standing_m` (n,) is each satellite's learnt offset: where some are excluded it is subtracted
-    from the rest, so that the position does not jump with the geometry.
+    from the rest, so that the position does not jump with the geometry. `by_past` judges them where
+    F00 passed, too.
     """
-    hypothesis, verdict, motion = _freed(motion, modelled, threshold, config)
+    hypothesis, verdict, motion = _freed(motion, modelled, threshold, by_past, config)
     part = modelled
     if verdict.hypothesis == "satellites":
-        part = without(modelled, verdict.subset, standing_m)
+        # What was learnt while a whole system moved is its shift, and no offset of the others.
+        part = without(modelled, verdict.subset, standing_m * (not verdict.whole))
     elif verdict.hypothesis != "none":
         part = NO_ROWS
     shown = hypothesis
     # An IMU found wrong earlier outweighs what is found of the rest.
-    if verdict.hypothesis != "none" and hypothesis in ("none", "clock"):
+    if verdict.hypothesis != "none" and hypothesis in ("none", "clock", SYSTEM_CLOCK):
         shown = verdict.hypothesis
     # Receivers set their clocks: that is shown, and is no alarm.
     alarm = shown not in ("none", "clock")
+    shown = "clock" if shown == SYSTEM_CLOCK else shown
     subset, chances = verdict.subset, verdict.probabilities
-    return Tested(motion, shown, alarm, subset, q, threshold, chances, part, True)
+    return Tested(motion, shown, alarm, subset, q, threshold, chances, part, True, verdict.whole)
 
 
 def without(modelled: Modelled, subset: tuple[int, ...], standing_m: Vector) -> Modelled:
@@ -89,7 +96,7 @@ def without(modelled: Modelled, subset: tuple[int, ...], standing_m: Vector) -> 
 
 
 def _freed(
-    motion: Motion, modelled: Modelled, threshold: float, config: DetectorConfig
+    motion: Motion, modelled: Modelled, threshold: float, by_past: bool, config: DetectorConfig
 ) -> tuple[str, Verdict, Motion]:
     """Judge what failed; forget the clock or the position where they explain it, and judge again.
 
@@ -102,24 +109,32 @@ def _freed(
     # Contiguous, since a kernel is compiled anew for each memory layout.
     position = np.ascontiguousarray(modelled.h[:, 0:3])
     clock = np.ascontiguousarray(modelled.h[:, CLOCK : CLOCK + 1])
-    for _ in range(ROUNDS):
+    systems = groups_of(position, modelled.h[:, ISB:ERRORS])
+    whole = False
+    for number in range(ROUNDS):
         h, variance, v = modelled.h, modelled.variance, modelled.v_m
-        if statistic(motion.p, h, variance, v) <= threshold:
-            return hypothesis, Verdict("none", (), chances), motion
+        asked = by_past and number == 0
+        if not asked and statistic(motion.p, h, variance, v) <= threshold:
+            return hypothesis, Verdict("none", (), chances, whole), motion
         m = weights(motion.p, h, variance)
-        verdict = judge(m, v, position, clock, config.p_false_alarm, largest, config.rule)
+        p = config.p_false_alarm
+        verdict = judge(m, v, position, clock, p, largest, config.rule, systems)
+        whole = whole or verdict.whole
         # The chances of the first round: those before anything was forgotten.
         chances = chances or verdict.probabilities
         if verdict.hypothesis == "clock":
             motion = free_clock(motion)
             hypothesis = "clock" if hypothesis == "none" else hypothesis
+        elif verdict.hypothesis == SYSTEM_CLOCK:
+            motion = free_system_clocks(motion)
+            hypothesis = SYSTEM_CLOCK if hypothesis in ("none", "clock") else hypothesis
         elif verdict.hypothesis == "imu":
             hypothesis = "imu" if motion.inertial else hypothesis
             motion = free_position(motion)
         else:
-            return hypothesis, verdict._replace(probabilities=chances), motion
+            return hypothesis, verdict._replace(probabilities=chances, whole=whole), motion
     # Three rounds did not settle it.
-    return hypothesis, Verdict("multiple-unknown", (), chances), motion
+    return hypothesis, Verdict("multiple-unknown", (), chances, whole), motion
 
 
 def free_clock(motion: Motion) -> Motion:
@@ -127,6 +142,14 @@ def free_clock(motion: Motion) -> Motion:
     p = motion.p.copy()
     p[CLOCK, CLOCK] += FREE_CLOCK_M**2
     p[DRIFT, DRIFT] += FREE_DRIFT_MPS**2
+    return motion._replace(p=p)
+
+
+def free_system_clocks(motion: Motion) -> Motion:
+    """The filter with the systems' offsets forgotten; which clock left is not asked."""
+    motion = free_clock(motion)
+    p = motion.p.copy()
+    p[range(ISB, ERRORS), range(ISB, ERRORS)] += FREE_CLOCK_M**2
     return motion._replace(p=p)
 
 

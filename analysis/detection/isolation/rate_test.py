@@ -5,11 +5,12 @@ import numpy as np
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.epoch_update import Rates
 from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.inertial import DRIFT
+from analysis.detection.filter.inertial import DRIFT, ERRORS, ISB
 from analysis.detection.filter.information import weights
 from analysis.detection.filter.measurement import NO_ROWS, Modelled, rate_rows
 from analysis.detection.isolation.assessment import Statistics
 from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.isolation.constellations import SYSTEM_CLOCK, groups_of
 from analysis.detection.isolation.hypotheses import judge
 from analysis.detection.isolation.range_test import FREE_DRIFT_MPS, free_position, largest_set
 from analysis.detection.values import Value
@@ -46,13 +47,15 @@ def check_rates(
     m = weights(motion.p, h, fit.variance[known])
     velocity = np.ascontiguousarray(h[:, 3:6])
     drift = np.ascontiguousarray(h[:, DRIFT : DRIFT + 1])
-    verdict = judge(m, v, velocity, drift, config.p_other, largest_set(count, config.left_out))
+    largest, p = largest_set(count, config.left_out), config.p_other
+    systems = groups_of(used.h[known, :3], used.h[known, ISB:ERRORS])
+    verdict = judge(m, v, velocity, drift, p, largest, config.rule, systems)
     if verdict.hypothesis == "satellites":
         kept = fit.v.copy()
         kept[known[list(verdict.subset)]] = np.nan
         fit = fit._replace(v=kept)
     # No explanation: none of the rates is used, the ranges decide alone.
-    elif verdict.hypothesis == "multiple-unknown":
+    elif verdict.hypothesis in ("multiple-unknown", SYSTEM_CLOCK):
         fit = NO_RATES
     return RatesTested(tests.q_rate, threshold, count, verdict.hypothesis, fit)
 

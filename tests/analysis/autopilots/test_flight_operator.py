@@ -44,11 +44,11 @@ class Autopilot:
     def __init__(self, operator):
         self.operator, self.t_us = operator, 0
 
-    def second(self, *frames):
+    def second(self, *frames, on_ground=False):
         self.t_us += SECOND_US
         for one in frames:
             self.operator.heard(one)
-        return self.operator.step(self.t_us)
+        return self.operator.step(self.t_us, on_ground=on_ground)
 
     def up_to(self, phase):
         ready = frame("EKF_STATUS_REPORT", flags=0x33F)
@@ -160,3 +160,22 @@ def test_only_what_the_autopilot_itself_says_is_kept(component):
     ground.heard(Frame(raw, layout))
     expected = [(3 * SECOND_US, "PreArm: Compass not healthy")] if component == 1 else []
     assert ground.texts == expected
+
+
+@pytest.mark.parametrize("lying_s", [25, 35])
+def test_a_flight_whose_vehicle_lies_on_the_ground_with_motors_on_is_given_up(lying_s):
+    autopilot = Autopilot(operator(FlightPlan(10.0, 100.0)))
+    autopilot.up_to(Phase.FLYING)
+    # Its estimator goes on flying.
+    for _ in range(lying_s):
+        autopilot.second(frame("GLOBAL_POSITION_INT", relative_alt=9_500), on_ground=True)
+    gave_up = "on the ground for 30 s with its motors on"
+    assert autopilot.operator.gave_up == (gave_up if lying_s > 30 else "")
+
+
+def test_a_vehicle_on_the_ground_before_its_take_off_is_waited_for():
+    autopilot = Autopilot(operator(FlightPlan(10.0, 100.0)))
+    autopilot.up_to(Phase.CLIMBING)
+    for _ in range(40):
+        autopilot.second(on_ground=True)
+    assert not autopilot.operator.gave_up

@@ -47,7 +47,7 @@ def test_without_a_folder_to_write_to_there_is_a_place_all_the_same(
     if home is not None:
         monkeypatch.setenv("HOME", home.format(file=file))
     monkeypatch.setenv("TMPDIR", str(file))
-    monkeypatch.setattr(kernels, "_usable", lambda path: False)
+    monkeypatch.setattr(kernels, "is_usable", lambda path: False)
     assert kernels.place().name.startswith("mavproxy-fault-")
 
 

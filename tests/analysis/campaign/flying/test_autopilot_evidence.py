@@ -1,7 +1,12 @@
 import numpy as np
 
-from analysis.campaign.cell import ATTITUDE, PATH, Cell, Curve, Evidence
-from analysis.campaign.flying.autopilot_evidence import ground_marks, mode_marks, text_marks
+from analysis.campaign.cell import ATTITUDE, PATH, Cell, Curve, Evidence, Mark
+from analysis.campaign.flying.autopilot_evidence import (
+    counts,
+    ground_marks,
+    mode_marks,
+    text_marks,
+)
 from analysis.campaign.outcomes import Limits, judged
 from mavproxy_fault.wire.tlog import row_dtype
 
@@ -73,3 +78,13 @@ def test_a_vehicle_off_its_twins_path_is_degraded() -> None:
     cell = Cell(subject="copter", scenario="x", fault="f", onset=5.0, duration_s=5.0)
     result = judged(cell, 5.0, flown(12.0), flown(0.0), Limits())
     assert (result.outcome, result.excursion_m) == ("degraded", 12.0)
+
+
+def test_after_the_command_to_land_only_a_bad_end_counts() -> None:
+    told_s = 40.0
+    failsafe = Mark(20.0, "failsafe", "LAND")
+    on_the_ground = [Mark(55.0, "failsafe", "LOITER"), Mark(54.0, "landed", "on the ground")]
+    crash = Mark(54.0, "crashed", "at 5.0 m/s")
+    before_take_off = Mark(-3.0, "detected", "EKF_STATUS_REPORT flags 0x1a5")
+    marks = [before_take_off, failsafe, *on_the_ground, crash]
+    assert [mark for mark in marks if counts(mark, told_s)] == [failsafe, crash]

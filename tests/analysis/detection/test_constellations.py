@@ -1,0 +1,148 @@
+"""Whole systems as hypotheses: by algebra, and spoofed in a real recording."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from analysis.detection import Detector
+from analysis.detection.filter.measurement import choose, observe
+from analysis.detection.isolation.constellations import SYSTEM_CLOCK, groups_of
+from analysis.detection.isolation.hypotheses import judge
+from analysis.orbits.broadcast import SIGHT, predict_ranges
+from analysis.recordings.recordings import read_rinex_samples
+from analysis.results import Decision
+from analysis.samples.sample import Epoch
+from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
+
+ANTENNA_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])  # of the data's README
+NORTH_M = ned_axes(*geodetic(ANTENNA_M)[:2])[0]
+BEGIN_S, FOR_S = 60.0, 60.0
+GPS, GALILEO = 8, 7  # satellites of the algebra's epochs
+
+
+def judged(change, seed):
+    """The verdict on innovations of two systems, predicted to 1 sigma, after a change."""
+    rng = np.random.default_rng(seed)
+    count = GPS + GALILEO
+    azimuth, sine = rng.uniform(0.0, 2.0 * np.pi, count), rng.uniform(0.2, 1.0, count)
+    cosine = np.sqrt(1.0 - sine**2)
+    sight = -np.column_stack([cosine * np.sin(azimuth), cosine * np.cos(azimuth), sine])
+    offset = np.zeros((count, 3))
+    offset[GPS:, 0] = 1.0
+    design = np.column_stack([sight, np.ones(count), offset[:, :1]])
+    covariance = design @ design.T + np.eye(count)
+    v = np.linalg.cholesky(covariance) @ rng.standard_normal(count) + change(sight)
+    systems = groups_of(sight, offset)
+    clock = design[:, 3:4].copy()
+    return judge(np.linalg.inv(covariance), v, sight, clock, 1e-4, 3, "explicit", systems)
+
+
+def of_galileo(values):
+    return np.concatenate([np.zeros(GPS), values[GPS:]])
+
+
+def test_a_system_whose_position_jumped_is_left_out_as_a_whole():
+    whole = tuple(range(GPS, GPS + GALILEO))
+    right = 0
+    for seed in range(100):
+        found = judged(lambda sight: of_galileo(sight @ [40.0, -20.0, 10.0]), seed)
+        right += (found.hypothesis, found.subset) == ("satellites", whole) and found.whole
+    # In a few of the random skies most of them lie across the shift.
+    assert right >= 97
+
+
+def test_a_system_whose_clock_left_keeps_its_satellites():
+    found = [judged(lambda sight: of_galileo(np.full(len(sight), 15.0)), s) for s in range(100)]
+    assert sum(verdict.hypothesis == SYSTEM_CLOCK for verdict in found) >= 97
+
+
+def test_single_satellites_are_not_taken_for_their_system():
+    def faulty(sight):
+        change = np.zeros(len(sight))
+        change[GPS + 2] = 10.0
+        return change
+
+    right = sum(judged(faulty, seed).subset == (GPS + 2,) for seed in range(300))
+    assert right >= 297
+
+
+def test_one_system_alone_is_no_hypothesis():
+    assert groups_of(np.ones((6, 3)), np.zeros((6, 3))) == ()
+
+
+@pytest.fixture(scope="module")
+def static(shared_data):
+    folder = shared_data / "gnss_static"
+    return read_rinex_samples(folder / "SEPT078M.21O", folder / "SEPT078M.21P")
+
+
+def spoofed(samples, system, shift_m, clock_m=lambda _: 0.0):
+    """Decisions in a fault that moves one system north by shift_m(s) and its clock by clock_m(s),
+    ranges alone; each with the seconds since its begin."""
+    detector = Detector()
+    state = detector.new_state()
+    for sample in samples:  # the orbits first, as the fault needs directions
+        if not isinstance(sample, Epoch):
+            _, state = detector.step(sample, state)
+    begin_us = next(s.t_us for s in samples if isinstance(s, Epoch)) + round(BEGIN_S * 1e6)
+    decisions = []
+    for sample in samples:
+        since_s = (sample.t_us - begin_us) * 1e-6
+        if not isinstance(sample, Epoch) or since_s >= FOR_S:
+            continue
+        if since_s >= 0.0:
+            sample = moved(
+                sample, state.core.ephemerides, system, shift_m(since_s), clock_m(since_s)
+            )
+        results, state = detector.step(sample, state)
+        decisions += [(since_s, r) for r in results if isinstance(r, Decision) and since_s >= 0.0]
+    return decisions
+
+
+def moved(epoch, ephemerides, system, shift_m, clock_m):
+    """An epoch as received 'shift_m' further north by one system."""
+    observed = observe(epoch, choose(epoch, ephemerides, "GE"))
+    seen = predict_ranges(observed.states, ANTENNA_M, np.zeros(3), observed.tow_s, np.zeros(8))
+    along = dict(zip(observed.satellites, seen[:, SIGHT : SIGHT + 3] @ NORTH_M, strict=True))
+    change = [
+        clock_m - along[name] * shift_m if name[0] == system and name in along else 0.0
+        for name in epoch.satellites
+    ]
+    return replace(epoch, pseudorange_m=epoch.pseudorange_m + np.array(change))
+
+
+def error_m(decision):
+    return float(np.linalg.norm(np.subtract(decision.position_ecef_m, ANTENNA_M)))
+
+
+def test_a_system_s_clock_that_runs_away_costs_no_height_and_no_satellite(static):
+    found = spoofed(static, "E", lambda _: 0.0, lambda since_s: 0.9 * since_s)
+    assert len(found) == FOR_S
+    assert min(s for s, decision in found if decision.alarm) < 6.0
+    assert all(decision.excluded == () for _, decision in found)
+    assert max(error_m(decision) for _, decision in found) < 3.0
+
+
+@pytest.mark.parametrize("system", ["G", "E"])
+def test_a_system_that_jumps_is_left_out_at_once_and_the_position_stays(static, system):
+    found = spoofed(static, system, lambda _: 30.0)
+    for _, decision in found:
+        assert {name[0] for name in decision.excluded} == {system}
+        assert {name[0] for name in decision.satellites} - {system}
+        assert error_m(decision) < 3.5
+    assert found[0][1].alarm
+
+
+@pytest.mark.parametrize("system", ["G", "E"])
+def test_a_slow_carry_off_of_one_system_is_declared_and_followed_by_nobody(static, system):
+    found = spoofed(static, system, lambda since_s: 1.0 * since_s)
+    alarmed_s = min(s for s, decision in found if decision.alarm)
+    assert alarmed_s < 10.0
+    undecided = [d for s, d in found if s >= alarmed_s and d.hypothesis == "multiple-unknown"]
+    assert undecided[0].position_sigma_m is None
+    assert "nothing tells which" in undecided[0].reason
+    for since_s, decision in found:
+        if decision.position_sigma_m is not None:
+            assert error_m(decision) < 8.0, since_s
+        assert not decision.excluded

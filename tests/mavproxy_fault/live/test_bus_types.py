@@ -1,0 +1,62 @@
+"""What is on the bus is what docs/zenoh.schema.json says."""
+
+import json
+import queue
+import runpy
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import jsonschema
+
+from mavproxy_fault.links.bus import open_bus, with_port
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import build
+
+DOCS = Path(__file__).parents[3] / "docs"
+FAULT = b'{"fault": "bias", "target": "SYSTEM_TIME.time_unix_usec", "value": 1}'
+WRITTEN = runpy.run_path(str(DOCS / "write_schemas.py"))
+
+
+def test_the_published_schema_is_that_of_the_sources() -> None:
+    published = (DOCS / "zenoh.schema.json").read_text(encoding="utf-8")
+    assert WRITTEN["text"]() == published, "run python docs/write_schemas.py"
+
+
+def test_every_key_stands_on_the_page_and_the_page_names_no_other() -> None:
+    page = (DOCS / "zenoh.md").read_text(encoding="utf-8")
+    rows = [line.split("`")[1] for line in page.splitlines() if line.startswith("| `")]
+    assert set(WRITTEN["KEYS"]) == set(rows) - {"alive/{component}", "@ctl/..."}
+
+
+def test_what_a_running_proxy_tells_is_valid() -> None:
+    url = with_port("tcp/127.0.0.1:0")
+    command = [sys.executable, "-m", "mavproxy_fault.cli", "proxy", "--zenoh", url]
+    wanted = {"proxy/stats", "proxy/labels", "schedule/state"}
+    told: queue.Queue[tuple[str, bytes]] = queue.Queue()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
+        command += ["--master", "udpin:127.0.0.1:0", "--out", "udpout:127.0.0.1:9"]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert process.stdout is not None
+        try:
+            port = int(process.stdout.readline().split()[1].rsplit(":", 1)[1])
+            with open_bus(url) as bus:
+                bus.subscribe("**", lambda key, data: told.put((key, data)))
+                bus.ask("@ctl/fault/step/arm", FAULT)
+                found = {}
+                while wanted - set(found):
+                    values = {"time_unix_usec": 0, "time_boot_ms": 1000 + len(found)}
+                    frame = build(known("SYSTEM_TIME"), values, system=1, component=1)
+                    vehicle.sendto(frame, ("127.0.0.1", port))
+                    key, data = told.get(timeout=20)
+                    found[key.split("/", 3)[3]] = data
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=20)
+    published = json.loads((DOCS / "zenoh.schema.json").read_text(encoding="utf-8"))
+    for key in wanted:
+        check = {**published["keys"][key], "$defs": published["$defs"]}
+        jsonschema.validate(json.loads(found[key]), check)
+        assert not jsonschema.Draft202012Validator(check).is_valid({"another": 1}), key
