@@ -12,7 +12,7 @@ import msgspec
 from analysis.results import Decision, Result, SensorDecision
 
 ACTUATORS = "actuators"  # the sensor's name in results
-IMU_US = 10_000_000  # after an alarm of the IMU, as long as the detector does without it
+IMU_US = 20_000_000  # after an alarm of the IMU: as long as its hold, and until it is learnt anew
 NEVER_US = -(1 << 62)
 CRASHED, IMU_AT_FAULT = "after a crash", "the IMU is at fault"
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.detection.actuators.effects import AXES, COMMANDS
-from analysis.detection.actuators.motion_cells import FOLLOWS, Cells, fill
+from analysis.detection.actuators.motion_cells import FOLLOWS, SAMPLE_US, Cells, fill
 from analysis.detection.actuators.motion_filter import CELLS, Learnt, compare, learn
 from analysis.detection.actuators.suspects import LOUD, NOBODY, Suspicion, suspect
 from analysis.samples.block import COMMAND, FIX, IMU, Indices, Stamps
@@ -26,6 +26,7 @@ ALONE, EITHER = 3, 12  # cells in a row that one suspect, or two alike, take to 
 AGAIN_BLAMED, AGAIN_SOUND = 5, 10  # cells between two results
 FLIES_M, FLIES_MPS, STANDS_MPS = 3.0, 3.0, 0.5
 ALT, VELOCITY = 2, 3  # columns of a fix
+GAP_US = 500_000  # without a sample of the IMU
 BLOW_MPS2 = 100.0  # specific force of no manoeuvre
 
 # Of `counts`: whether it flies, loud cells in a row, cells without a suspect, cells in a row with
@@ -76,6 +77,8 @@ def follow(
         elif kind[row] == IMU and values[row, 6] == 0.0 and kept.counts[FLIES]:
             if not np.isfinite(values[row, :6]).all():
                 continue
+            if abs(t_us[row] - kept.cells.clock[SAMPLE_US]) > GAP_US:
+                _begin(kept)
             _feel(values[row, 3:6], t_us[row], kept.counts)
             if not fill(kept.cells, t_us[row], values[row, :6]):
                 continue
@@ -99,6 +102,14 @@ def _feel(force: Vector, t_us: int, counts: NDArray[np.int64]) -> None:
 
 
 @compiled
+def _begin(kept: Obedience) -> None:
+    """A flight begins, or goes on after a gap: what it was like before says little."""
+    kept.cells.clock[FOLLOWS] = 0
+    kept.learnt.counts[:] = 0
+    kept.learnt.mean[:] = 0.0
+
+
+@compiled
 def _fly(fix: Vector, kept: Obedience) -> None:
     """Take off and land, by a receiver's fix."""
     if np.isnan(kept.first_m[0]):
@@ -111,9 +122,7 @@ def _fly(fix: Vector, kept: Obedience) -> None:
     speed = np.sqrt(speed)
     if not kept.counts[FLIES] and (up or speed > FLIES_MPS):
         kept.counts[FLIES], kept.counts[CRASH_US] = 1, NEVER_US
-        kept.cells.clock[FOLLOWS] = 0
-        kept.learnt.counts[:] = 0
-        kept.learnt.mean[:] = 0.0
+        _begin(kept)
     elif kept.counts[FLIES] and not up and speed < STANDS_MPS:
         kept.counts[FLIES] = 0
         kept.counts[BLAMED : BLAMED + 2] = NOBODY

@@ -120,6 +120,11 @@ def test_a_gyro_that_says_no_number_blames_no_actuator() -> None:
     assert not blamed(flown("quad", 26.0, fault, NEVER))
 
 
+def test_a_gap_of_the_imu_blames_no_actuator() -> None:
+    outage = {"preset": "communication-interrupted", "for_s": 10.0}
+    assert not blamed(flown("quad", 34.0, outage, NEVER))
+
+
 def test_after_a_crash_nobody_else_is_blamed() -> None:
     results = flown(
         "quad", 28.0, {"fault": "plant", "target": "PLANT.motor_efficiency[0]", "value": 0.0}
