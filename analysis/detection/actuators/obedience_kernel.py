@@ -31,7 +31,7 @@ BLOW_MPS2 = 100.0  # specific force of no manoeuvre
 # Of `counts`: whether it flies, loud cells in a row, cells without a suspect, cells in a row with
 # these suspects, cells since the last result; the suspects, and who is blamed (two of each)
 FLIES, LOUD_CELLS, QUIET_CELLS, RUN, SINCE, SUSPECT, BLAMED = 0, 1, 2, 3, 4, 5, 7
-CRASH_US, COUNTS = 9, 10  # when it crashed; how many there are
+CRASH_US, COMMANDED, COUNTS = 9, 10, 11  # when it crashed; whether a command came; how many
 NEVER_US = 1 << 62
 
 
@@ -66,6 +66,10 @@ def follow(
     for row in range(len(kind)):
         if kind[row] == COMMAND:
             kept.cells.commands[0] = kept.mix @ values[row, :COMMANDS]
+            kept.counts[COMMANDED] = 1
+        # Whatever came before the first command would be seen in a long block only.
+        elif not kept.counts[COMMANDED]:
+            continue
         elif kind[row] == FIX:
             _fly(values[row], kept)
         # Of the first IMU alone.

@@ -25,6 +25,7 @@ from analysis.detection.isolation.bank import projected_weights
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.isolation.constellations import (
     CONTRADICTION,
+    TELLING,
     explain_by_systems,
     groups_of,
 )
@@ -131,11 +132,12 @@ def _repaired(
     found = explain_by_satellites(m, u, q, config.p_false_alarm, largest, unknowns)
     systems = groups_of(modelled.h[:, 0:3], modelled.h[:, ISB:ERRORS])
     wholes = explain_by_systems(m, u, q, systems, config.p_false_alarm)
-    # A snapshot cannot tell which of two systems moved: it must not begin in between.
-    if found is not None and any(whole.cost < found.cost for whole in wholes):
-        return Start(None, CONTRADICTION, (), q, len(u) - unknowns)
     if found is None:
         return Start(None, "the first solutions fail their test", (), q, len(u) - unknowns)
+    # A snapshot cannot tell which of two systems moved: it must not begin in between.
+    several = len(found.subset) > 1
+    if several and any(whole.cost - found.cost < TELLING for whole in wholes):
+        return Start(None, CONTRADICTION, (), q, len(u) - unknowns)
     keep = np.ones(len(u), dtype=bool)
     keep[list(found.subset)] = False
     faulty = tuple(observed.satellites[i] for i in found.subset)

@@ -73,6 +73,8 @@ def explain_by_systems(
         clock_left = np.inf
         for size, least, hypothesis in FREED:
             left = freed(m, u, q, np.ascontiguousarray(group.columns[:, 4 - size :]))
+            if size > 1 and left == q:  # a snapshot has solved for the clocks: the shift alone
+                left = freed(m, u, q, np.ascontiguousarray(group.columns[:, :3]))
             # A shift is believed where it explains what a clock that left cannot.
             if len(group.rows) < least or clock_left - left < NEWS:
                 continue

@@ -152,9 +152,10 @@ def test_the_cut_into_blocks_changes_nothing() -> None:
 
 
 def _flying(block: Block) -> Block:
-    """The block behind a fix of a vehicle that moves."""
+    """The block with fixes of a vehicle that moves, before and after its first command."""
     fix = GpsFix(0, 47.0, 8.0, 500.0, np.array([5.0, 0.0, 0.0]), 3, 12, 1.0, 1.0, "HIL_GPS")
-    return block_of([fix, *block.samples()])
+    command, *others = block.samples()
+    return block_of([fix, command, fix, *others])
 
 
 def test_without_commands_nothing_is_done() -> None:
