@@ -102,6 +102,14 @@ def test_the_size_is_told_before_anything_is_flown(tmp_path: Path, capsys) -> No
     assert not (tmp_path / "none").exists()
 
 
+def test_an_autopilot_is_known_to_fly_slower(capsys) -> None:
+    file = HERE.parents[2] / "examples" / "campaign_px4.yaml"
+    assert cli.main(["campaign", str(file), "--dry-run", "--workers", "2"]) == 0
+    assert capsys.readouterr().out.endswith(
+        "60 cells in 61 flights of 26 s, some 13 min on 2 workers\n"
+    )
+
+
 def test_wrong_arguments_are_told(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="two folders"):
         _main("campaign", "compare", str(tmp_path))
