@@ -79,7 +79,7 @@ def scenario_of(vehicle: str) -> Scenario:
 
 
 def flown(vehicle: str, seed: int, duration_s: float, fault: Fault | None) -> Block:
-    """IMU and commands of a flight until it comes down, behind a fix that says that it flies."""
+    """IMU and commands of a flight until it comes down, with a fix that says that it flies."""
     scenario = scenario_of(vehicle)
     gusts: Any = "moderate" if seed % 2 else "light"
     air = msgspec.structs.replace(scenario.environment, gusts=gusts)
@@ -88,13 +88,15 @@ def flown(vehicle: str, seed: int, duration_s: float, fault: Fault | None) -> Bl
     )
     kind = kind_of(scenario.vehicle.kind)
     commands = ActuatorCommands(kind.actuators(simulation.vehicle), kind.mix(simulation.vehicle))
-    parser, rows, held = Parser(), [(FIX, 0, [0.0] * 3 + list(CRUISE))], None
+    parser, rows, held = Parser(), [], None
     while simulation.truth.t_us < duration_s * 1e6 and simulation.truth.height_agl_m > LOW_M:
         t_us = simulation.truth.t_us
         values = np.array(simulation.commanded())
         (frame,) = parser.push(commands.frame(t_us, values), datagram=True)
         assert isinstance(frame, Frame)
         rows.append((COMMAND, t_us, list(frame.values()["controls"][:COMMANDS])))
+        if len(rows) == 1:  # what comes before the first command is not looked at
+            rows.append((FIX, t_us, [0.0] * 3 + list(CRUISE)))
         if fault is not None and t_us >= START_S * 1e6:
             held = values if held is None else held
             if fault.plant:

@@ -35,7 +35,6 @@ IMU_HZ = 100.0  # enough to tell, and a flight takes a second
 BATCH_BYTES = 32_768  # that `run` hands to its monitor at once
 ELEVATOR = "HIL_ACTUATOR_CONTROLS.controls[7]"  # of PX4's plane, which has no channel 0
 # Presets in whose flights somebody sound is still blamed: GPS against Galileo
-KNOWN_WRONG = ("gnss-carry-off-gps",)
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "presets.md"
 VEHICLES = {"fixed wing": None, "quad": str(ROOT / "examples" / "hover.yaml")}
@@ -55,8 +54,8 @@ where they differ; what is missed in ten seconds may be found in a longer flight
 the start to the first alarm that can see it. *Moved* is how far the true position came to lie
 from that of the clean flight, at most; a dash means below a decimetre.
 
-Still wrong: spoofed GPS satellites outvote healthy Galileo (`gnss-carry-off-gps`). Faults of the
-actuators that move nothing are missed, as is a fifth or a third of a fixed wing's thrust.
+Faults of the actuators that move nothing are missed, as is a fifth or a third of a fixed wing's
+thrust.
 """
 
 
