@@ -23,6 +23,7 @@ LEARNT = 30  # cells of flight before anybody is suspected
 FRESH = 30  # loud cells after which the noise has changed, or nobody here did it
 QUIET = 10  # cells without a suspect after which learning goes on
 ALONE, EITHER = 3, 12  # cells in a row that one suspect, or two alike, take to be blamed
+SLIGHT, SLIGHT_CELLS = 0.15, 8  # a deficit that a gust may look like, and how long it then takes
 AGAIN_BLAMED, AGAIN_SOUND = 5, 10  # cells between two results
 FLIES_M, FLIES_MPS, STANDS_MPS = 3.0, 3.0, 0.5
 ALT, VELOCITY = 2, 3  # columns of a fix
@@ -159,6 +160,8 @@ def _blame(found: Suspicion, counts: NDArray[np.int64]) -> bool:
     counts[SINCE] += 1
     # A fault changes the flight, so that what comes first tells most: who is blamed stays blamed.
     most = ALONE if pair[0] == NOBODY else EITHER
+    if abs(found.deficit) < SLIGHT:
+        most = max(most, SLIGHT_CELLS)
     if found.first != NOBODY and blamed == NOBODY and counts[RUN] >= most:
         counts[BLAMED], counts[BLAMED + 1] = pair
         counts[SINCE] = AGAIN_BLAMED
