@@ -50,8 +50,6 @@ START_S = 60.0  # wall time for the autopilot's program to come
 AUTOPILOTS = {"ardupilot": ardupilot_program, "px4": px4_program}
 LOAD = "@ctl/schedule/load"
 MOMENTS = ("first-stamp", "arming", "take-off", "landing")
-
-
 PRIORITY = 80  # PX4's logger and telemetry have 74 and below, its sensors and control 90 and above
 
 
@@ -63,16 +61,23 @@ def ahead_of_logs() -> Iterator[None]:
     for. Threads and processes begun meanwhile do not inherit it.
     """
     gc.freeze()  # what is loaded stays; to look it through would hold up a step by 0.1 s
-    before = os.sched_getscheduler(0), os.sched_getparam(0)
-    with contextlib.suppress(PermissionError):
-        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-        os.sched_setscheduler(0, policy, os.sched_param(PRIORITY))
-    try:
+    with contextlib.ExitStack() as undo:
+        undo.callback(gc.unfreeze)
+        # Not on every system, and not for every user.
+        with contextlib.suppress(AttributeError, PermissionError):
+            before = os.sched_getscheduler(0), os.sched_getparam(0)
+            policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+            os.sched_setscheduler(0, policy, os.sched_param(PRIORITY))
+            undo.callback(_step_back, *before)
         yield
-    finally:
-        # Unprivileged threads may always go back.
-        os.sched_setscheduler(0, *before)
-        gc.unfreeze()
+
+
+def _step_back(policy: int, priority: os.sched_param) -> None:
+    """Give a real-time priority back; the flag about forks only a privileged thread may drop."""
+    try:
+        os.sched_setscheduler(0, policy, priority)
+    except PermissionError:
+        os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, priority)
 
 
 class FlightOverError(Exception):

@@ -4,6 +4,7 @@ A real ArduCopter is flown where MAVPROXY_FAULT_ARDUPILOT names its SITL program
 MAVPROXY_FAULT_PX4 does.
 """
 
+import gc
 import json
 import os
 import select
@@ -257,3 +258,35 @@ def test_a_flight_stands_before_what_an_autopilot_does_beside_it():
         )  # fmt: skip
     assert int(child.stdout) == before
     assert os.sched_getscheduler(0) == before
+
+
+def test_a_user_who_may_not_drop_the_flag_about_forks_still_ends_a_flight(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    policies: list[int] = []
+
+    def allow(pid: int, policy: int, param: object) -> None:
+        if policies and not policy & os.SCHED_RESET_ON_FORK:
+            raise PermissionError
+        policies.append(policy)
+
+    monkeypatch.setattr(os, "sched_setscheduler", allow)
+    with ahead_of_logs():
+        pass
+    assert policies[-1] & ~os.SCHED_RESET_ON_FORK == os.sched_getscheduler(0)
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_without_the_right_to_a_real_time_priority_a_flight_goes_on(
+    monkeypatch: pytest.MonkeyPatch, missing: bool
+) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError
+
+    if missing:  # as on systems without these calls
+        monkeypatch.delattr(os, "sched_getscheduler")
+    else:
+        monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    with ahead_of_logs():
+        assert gc.get_freeze_count() > 0
+    assert gc.get_freeze_count() == 0
