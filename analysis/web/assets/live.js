@@ -27,6 +27,7 @@ class LiveValue {
   }
   stream(on) {
     clearInterval(this.timer);
+    if (!on) this.wanted = null; // a value that still waits for its turn is not sent after the stop
     this.timer = on ? setInterval(() => this.set(Number(this.range.value)), this.timeout_s * 1000 / 3) : 0;
     this.toggle.setAttribute("aria-pressed", String(on));
     this.toggle.textContent = on ? "Stop streaming" : "Stream";
@@ -39,6 +40,7 @@ class LiveValue {
   }
   set(value) {
     this.wanted = value;
+    if (this.toggle && !this.timer) this.stream(true);
     this.send();
   }
   async send() {
@@ -46,7 +48,6 @@ class LiveValue {
     this.busy = true;
     const value = this.wanted;
     this.wanted = null;
-    if (this.toggle && !this.timer) this.stream(true);
     await attempt("schedule-said", () => ask(`ctl/fault/${encodeURIComponent(this.id)}/value`, JSON.stringify({ value })).then(() => ""));
     setTimeout(() => { this.busy = false; this.send(); }, SLIDER_MS);
   }

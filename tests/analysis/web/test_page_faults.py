@@ -43,6 +43,28 @@ def test_a_slider_changes_what_the_vehicle_is_sent_and_the_change_is_labelled(
     assert page.complaints == []
 
 
+def test_a_stream_stays_stopped_though_a_value_waited_to_be_sent(page: Any, loop: Any) -> None:
+    page.select_option("#kind", "fault:bias")
+    page.fill("[data-key=target]", "HIL_SENSOR.xgyro")
+    page.select_option("[data-key=shape]", "live")
+    page.click("#arm")
+    page.wait_for_selector("#faults li.active input[type=range]")
+    held: list[Any] = []  # a slow server: the first value waits for its answer
+    page.route("**/value", lambda route: route.continue_() if held else held.append(route))
+    page.fill("#faults input[type=number]", "4")
+    with page.expect_request("**/value"):
+        page.press("#faults input[type=number]", "Enter")
+    page.fill("#faults input[type=number]", "6")
+    page.press("#faults input[type=number]", "Enter")  # waits for the answer to the first
+    page.click("#faults button[aria-pressed=true]")
+    with page.expect_response("**/value"):
+        held[0].continue_()
+    page.wait_for_selector("#events li:has-text('bias: fault begins')")
+    page.wait_for_selector(".signal .now:has-text('received 0.5, sent on 0.5')")
+    assert page.get_attribute("#faults button[aria-pressed]", "aria-pressed") == "false"
+    assert [label.value for label in loop.labels if label.value is not None] == [4.0]
+
+
 def test_a_link_fault_drops_what_it_should(page: Any, loop: Any) -> None:
     page.select_option("#kind", "fault:drop")
     page.fill("[data-key=target]", "HIL_SENSOR")
