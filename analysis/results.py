@@ -9,6 +9,8 @@ from pathlib import Path
 
 import msgspec
 
+EITHER = "-or-"  # joins those whom a detector cannot tell apart
+
 
 class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False):
     """The verdict of the detector on one GNSS epoch.

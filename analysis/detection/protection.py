@@ -36,6 +36,7 @@ from analysis.detection.filter.lasting_errors import (
 )
 from analysis.detection.filter.measurement import Modelled
 from analysis.detection.isolation.chi_square import two_sided
+from analysis.orbits.broadcast import geomagnetic_latitude, troposphere_m
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
@@ -119,9 +120,8 @@ def bounded(
 
 @compiled
 def _vertical_m(lat_rad: float, lon_rad: float) -> float:
-    """Sigma of the ionosphere in the zenith by geomagnetic latitude (IS-GPS-200, 20.3.3.5.2.5)."""
-    tilt = 0.064 * math.cos((lon_rad / math.pi - 1.617) * math.pi)
-    away = abs(math.degrees(lat_rad + tilt * math.pi))
+    """Sigma of the ionosphere in the zenith by geomagnetic latitude."""
+    away = 180.0 * abs(geomagnetic_latitude(lat_rad / math.pi, lon_rad / math.pi))
     return VERTICAL_M[0] if away <= 20.0 else VERTICAL_M[1] if away <= 55.0 else VERTICAL_M[2]
 
 
@@ -133,7 +133,7 @@ def _weights(used: Modelled, vertical_m: float, share: float) -> Vector:
         el = used.elevation_rad[i]
         slant = 1.0 / math.sqrt(1.0 - (6378.1363 * math.cos(el) / (6378.1363 + 350.0)) ** 2)
         bent_m = max(IONOSPHERE_SHARE * used.ionosphere_m[i], slant * vertical_m)
-        wet_m = TROPOSPHERE_M * 1.001 / math.sqrt(0.002001 + math.sin(el) ** 2)
+        wet_m = troposphere_m(TROPOSPHERE_M, el)
         out[i] = 1.0 / (share * used.variance[i] + bent_m**2 + wet_m**2 + SIGNAL_M**2)
     return out
 

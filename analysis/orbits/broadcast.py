@@ -195,6 +195,12 @@ def _rotate_from_inertial_geo(t_k: float, out: Vector) -> None:
 
 
 @compiled
+def geomagnetic_latitude(lat: float, lon: float) -> float:
+    """Of a latitude and a longitude, all in semicircles [1]_."""
+    return lat + 0.064 * math.cos((lon - 1.617) * math.pi)
+
+
+@compiled
 def klobuchar_m(
     lat_rad: float, lon_rad: float, az_rad: float, el_rad: float, tow_s: float, coefficients: Vector
 ) -> float:
@@ -204,7 +210,7 @@ def klobuchar_m(
     lat = lat_rad / math.pi + psi * math.cos(az_rad)
     lat = min(max(lat, -0.416), 0.416)
     lon = lon_rad / math.pi + psi * math.sin(az_rad) / math.cos(lat * math.pi)
-    lat_m = lat + 0.064 * math.cos((lon - 1.617) * math.pi)
+    lat_m = geomagnetic_latitude(lat, lon)
     local_s = (4.32e4 * lon + tow_s) % 86400.0
     slant = 1.0 + 16.0 * (0.53 - el) ** 3
     amplitude, period, power = 0.0, 0.0, 1.0

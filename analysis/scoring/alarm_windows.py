@@ -8,10 +8,9 @@ from typing import NamedTuple
 
 import msgspec
 
-from analysis.results import Decision, Result, SensorDecision
+from analysis.results import EITHER, Decision, Result, SensorDecision
 
 PAUSE_US = 1_000_000  # alarms further apart are two
-EITHER = "-or-"  # joins those between whom a detector cannot tell
 
 
 class Alarm(NamedTuple):

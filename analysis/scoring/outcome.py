@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import msgspec
 
-from analysis.scoring.alarm_windows import EITHER, Window, without
+from analysis.results import EITHER
+from analysis.scoring.alarm_windows import Window, without
 from analysis.scoring.fault_channels import RECEIVER, Sight, sight
 from mavproxy_fault.wire.label import Label
 

@@ -22,10 +22,8 @@ from analysis.detection.actuators.obedience_kernel import (
     follow,
 )
 from analysis.detection.actuators.suspects import NOBODY, SURE
-from analysis.results import SensorDecision
+from analysis.results import EITHER, SensorDecision
 from analysis.samples.block import COMMAND, Block
-
-EITHER = "-or-"  # joins two who cannot be told apart
 
 
 @dataclass(frozen=True)

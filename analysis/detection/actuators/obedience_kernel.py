@@ -22,7 +22,7 @@ from mavproxy_fault.numerics.compile import compiled
 LEARNT = 30  # cells of flight before anybody is suspected
 FRESH = 30  # loud cells after which the noise has changed, or nobody here did it
 QUIET = 10  # cells without a suspect after which learning goes on
-ALONE, EITHER = 3, 12  # cells in a row that one suspect, or two alike, take to be blamed
+ALONE, ALIKE = 3, 12  # cells in a row that one suspect, or two alike, take to be blamed
 SLIGHT, SLIGHT_CELLS = 0.15, 8  # a deficit that a gust may look like, and how long it then takes
 AGAIN_BLAMED, AGAIN_SOUND = 5, 10  # cells between two results
 FLIES_M, FLIES_MPS, STANDS_MPS = 3.0, 3.0, 0.5
@@ -159,7 +159,7 @@ def _blame(found: Suspicion, counts: NDArray[np.int64]) -> bool:
     blamed = counts[BLAMED + 1]
     counts[SINCE] += 1
     # A fault changes the flight, so that what comes first tells most: who is blamed stays blamed.
-    most = ALONE if pair[0] == NOBODY else EITHER
+    most = ALONE if pair[0] == NOBODY else ALIKE
     if abs(found.deficit) < SLIGHT:
         most = max(most, SLIGHT_CELLS)
     if found.first != NOBODY and blamed == NOBODY and counts[RUN] >= most:

@@ -19,6 +19,7 @@ import numpy as np
 from analysis.detection.actuators.effects import AXES, COMMANDS, OUTPUT, SHARE
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.linear import inverse
 
 LOUD = 15.0  # m' inv(V) m beyond which nothing is learnt for a while: chi2inv(0.99, 5)
 SURE, AHEAD = 25.0, 8.0  # scores better than nobody's, and than the next one's
@@ -54,17 +55,21 @@ def _product(a: Vector, matrix: Vector, b: Vector) -> float:
 @compiled
 def suspect(mean: Vector, usual: Vector, theta: Vector, p: Vector) -> Suspicion:
     """Who explains m (AXES,), with V (AXES, AXES), and theta with its covariances."""
-    inverse = np.linalg.inv(usual).astype(np.float64)
-    statistic = _product(mean, inverse, mean)
+    information = inverse(usual)
+    statistic = _product(mean, information, mean)
     if statistic < SURE:
         return Suspicion(statistic, NOBODY, NOBODY, 0.0)
     nobody = statistic + math.log(np.linalg.det(usual))
     first, second, best, following, deficit, rest = NOBODY, NOBODY, nobody, nobody, 0.0, 0.0
     for i in range(COMMANDS):
         effect = theta[:, OUTPUT + i].copy()
-        if _product(effect, inverse, effect) <= 1e-9:  # it drives nothing
+        known = _product(effect, information, effect)
+        if known <= 1e-9:  # it drives nothing
             continue
-        score, remaining, found = _hypothesis(mean, usual, effect, p, i)
+        guess = -_product(effect, information, mean) / known
+        score, remaining, found = _hypothesis(
+            mean, usual, effect, guess, p[:, OUTPUT + i, OUTPUT + i]
+        )
         if score < best:
             second, following = first, best
             first, best, deficit, rest = i, score, found, remaining
@@ -78,23 +83,22 @@ def suspect(mean: Vector, usual: Vector, theta: Vector, p: Vector) -> Suspicion:
 
 @compiled
 def _hypothesis(
-    mean: Vector, usual: Vector, effect: Vector, p: Vector, i: int
+    mean: Vector, usual: Vector, effect: Vector, guess: float, variance: Vector
 ) -> tuple[float, float, float]:
-    """Score of the hypothesis of one actuator, what it leaves, and the deficit."""
-    inverse = np.linalg.inv(usual).astype(np.float64)
-    guess = -_product(effect, inverse, mean) / _product(effect, inverse, effect)
+    """Score of the hypothesis of one actuator, what it leaves, and the deficit, of a first guess
+    and the variance (AXES,) of the actuator's effect."""
     own = usual.copy()
     rotor = effect[AXES - 1] < LIFTS_MPS2
     for axis in range(AXES):
         # A broken propeller loses lift, but not its drag, which turns the body about z.
         share = 1.0 if rotor and axis == YAW else SHARE
-        unknown = p[axis, OUTPUT + i, OUTPUT + i] + (share * effect[axis]) ** 2
+        unknown = variance[axis] + (share * effect[axis]) ** 2
         own[axis, axis] += guess * guess * unknown
-    inverse = np.linalg.inv(own).astype(np.float64)
-    along = _product(effect, inverse, mean)
-    known = _product(effect, inverse, effect)
-    left = _product(mean, inverse, mean) - along * along / known
-    score = left + math.log(np.linalg.det(own))
+    information = inverse(own)
+    along = _product(effect, information, mean)
+    known = _product(effect, information, effect)
+    remaining = _product(mean, information, mean) - along * along / known
+    score = remaining + math.log(np.linalg.det(own))
     if rotor and along > 0.0:
         score += RARE
-    return score, left, -along / known
+    return score, remaining, -along / known

@@ -24,7 +24,7 @@ import numpy as np
 
 from analysis.detection.filter.inertial import ISB
 from analysis.detection.filter.measurement import Modelled
-from analysis.orbits.broadcast import SYSTEMS
+from analysis.orbits.broadcast import SYSTEMS, troposphere_m
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.linear import inverse
@@ -94,7 +94,7 @@ def lasting_variance(used: Modelled, factor: float) -> Vector:
     """What lasts of each range (n,) in m^2."""
     out = np.empty(used.variance.shape[0])
     for i in range(out.shape[0]):
-        wet_m = TROPOSPHERE_M * 1.001 / math.sqrt(0.002001 + math.sin(used.elevation_rad[i]) ** 2)
+        wet_m = troposphere_m(TROPOSPHERE_M, used.elevation_rad[i])
         out[i] = SIGNAL_M**2 + (IONOSPHERE_SHARE * used.ionosphere_m[i]) ** 2 + wet_m**2
         out[i] += max(factor - 1.0, 0.0) * used.variance[i]
     return out

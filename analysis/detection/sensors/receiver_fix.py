@@ -30,12 +30,12 @@ from analysis.detection.sensors.position_test import (
     start_at,
     updated,
 )
-from analysis.detection.sensors.receiver_or_imu import EITHER, culprit, last_fix
+from analysis.detection.sensors.receiver_or_imu import UNDECIDED, culprit, last_fix
 from analysis.results import Result
 from analysis.samples.sample import GpsFix
 
 RECEIVER_VELOCITY = "gps-velocity"  # among what is excluded: beside the position, the velocity
-FREEING = ("imu", EITHER)  # hypotheses after which the filter does not trust the IMU for a while
+FREEING = ("imu", UNDECIDED)  # hypotheses after which the filter does not trust the IMU for a while
 LOST_M = 300.0  # a filter as unsure as this is started anew
 
 
@@ -76,7 +76,7 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     if hypothesis == "none" and RECEIVER in core.excluded:
         shown = "gps"
     elif hypothesis == "none" and core.imu_bad_until_us is not None:
-        shown = EITHER if core.unbounded else "imu"
+        shown = UNDECIDED if core.unbounded else "imu"
     mode = "position" if moved.inertial else "position-free"
     results: list[Result] = [fix_decision(fix, core, position, velocity, shown, alarm, mode)]
     gap = part.gap_s if predicted.inertial or motion.inertial else 0.0
@@ -130,7 +130,7 @@ def _with_hysteresis(
     position, velocity = tests
     if hypothesis in FREEING:
         until_us = t_us + round(config.imu_hold_s * 1e6)
-        unbounded = core.unbounded or hypothesis == EITHER
+        unbounded = core.unbounded or hypothesis == UNDECIDED
         return core._replace(imu_bad_until_us=until_us, unbounded=unbounded)
     if core.imu_bad_until_us is not None and t_us >= core.imu_bad_until_us:
         core = core._replace(imu_bad_until_us=None)

@@ -23,7 +23,7 @@ from analysis.detection.sensors.position_test import VELOCITY_SIGMA_MPS, Check, 
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.rotation_kernel import matrix
 
-EITHER = "GPS-or-imu"
+UNDECIDED = "GPS-or-imu"
 EXCUSED_SIGMAS = 4.0  # of the velocity's noise, that a growth may exceed what an IMU can do
 INTERVALS = 3  # in which a fault of the IMU may have begun before it is found
 FORCE = slice(4, 7)  # of a row of the IMU's segment: specific force, behind its time and rates
@@ -62,7 +62,7 @@ def culprit(
     """
     force = mean_force(part)
     if last is None or force is None or not last.forces_b_mps2 or measured.v_ned_mps is None:
-        return EITHER
+        return UNDECIDED
     known = np.isfinite(measured.v_ned_mps)
     dt_s = (predicted.t_us - last.t_us) * 1e-6
     rot = measured.axes @ matrix(predicted.x[6:10])
@@ -77,4 +77,4 @@ def culprit(
     grown_mps = float(np.linalg.norm(velocity.v - last.off_mps[known]))
     most_mps2 = max(np.linalg.norm(force), np.linalg.norm(last.forces_b_mps2[0]))
     excused_mps = float(most_mps2) * dt_s + EXCUSED_SIGMAS * VELOCITY_SIGMA_MPS[0]
-    return "gps" if grown_mps > excused_mps else EITHER
+    return "gps" if grown_mps > excused_mps else UNDECIDED
