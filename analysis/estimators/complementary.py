@@ -23,13 +23,34 @@ from analysis.estimators.estimator import (
     airspeed_mps,
     room_for_estimates,
 )
-from analysis.samples.block import AIRSPEED, IMU, MAG, Block, Indices, Stamps, block_of
+from analysis.samples.block import (
+    AIRSPEED,
+    FORCE,
+    IMU,
+    IMU_ID,
+    MAG,
+    RATES,
+    Block,
+    Indices,
+    Stamps,
+    block_of,
+)
 from analysis.samples.sample import Sample
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotation_kernel import gravity_error, heading_error, matrix, turned
 
 Vector = NDArray[np.float64]
+BIAS, SIZE = 4, 7  # where it begins in x, and its length
+NOW, FIELD = 0, 1  # stamps: of the state, of the newest field sample
+
+
+class Gains(NamedTuple):
+    """For tilt and heading in 1/s, for the bias in 1/s^2."""
+
+    tilt: float
+    heading: float
+    bias: float
 
 
 class FilterState(NamedTuple):
@@ -44,36 +65,28 @@ class FilterState(NamedTuple):
 
 @compiled
 def predict(
-    x: Vector,
-    gyro: Vector,
-    accel: Vector,
-    speed_mps: float,
-    dt_s: float,
-    gain: float,
-    bias_gain: float,
+    x: Vector, gyro: Vector, accel: Vector, speed_mps: float, dt_s: float, gains: Gains
 ) -> Vector:
     """x (7,) after one IMU sample: the rate less its bias, drawn towards measured gravity."""
-    rate = gyro - x[4:7]
-    error = gravity_error(x[:4], accel, rate, speed_mps, STANDARD_GRAVITY_MPS2)
-    step = (rate + gain * error) * dt_s
-    out = np.empty(7)
-    out[:4] = turned(x[:4], step[0], step[1], step[2])
-    out[4:7] = x[4:7] - bias_gain * dt_s * error
+    rate = gyro - x[BIAS:]
+    error = gravity_error(x[:BIAS], accel, rate, speed_mps, STANDARD_GRAVITY_MPS2)
+    step = (rate + gains.tilt * error) * dt_s
+    out = np.empty(SIZE)
+    out[:BIAS] = turned(x[:BIAS], step[0], step[1], step[2])
+    out[BIAS:] = x[BIAS:] - gains.bias * dt_s * error
     return out
 
 
 @compiled
-def head(
-    x: Vector, field: Vector, declination_rad: float, dt_s: float, gain: float, bias_gain: float
-) -> Vector:
+def head(x: Vector, field: Vector, declination_rad: float, dt_s: float, gains: Gains) -> Vector:
     """x (7,) after one field sample (3,): turned about down towards the declination."""
-    error = heading_error(x[:4], field, declination_rad)
-    down = matrix(x[:4])[2]
+    error = heading_error(x[:BIAS], field, declination_rad)
+    down = matrix(x[:BIAS])[2]
     # After a gap at most to where the field points, never beyond.
-    step = min(1.0, gain * dt_s) * error * down
-    out = np.empty(7)
-    out[:4] = turned(x[:4], step[0], step[1], step[2])
-    out[4:7] = x[4:7] - bias_gain * dt_s * error * down
+    step = min(1.0, gains.heading * dt_s) * error * down
+    out = np.empty(SIZE)
+    out[:BIAS] = turned(x[:BIAS], step[0], step[1], step[2])
+    out[BIAS:] = x[BIAS:] - gains.bias * dt_s * error * down
     return out
 
 
@@ -86,36 +99,36 @@ def follow(
     stamps: Stamps,
     speed_mps: float,
     declination_rad: float,
-    gains: Vector,
+    gains: Gains,
 ) -> tuple[Stamps, Vector, Vector, Stamps, float]:
     """The filter over a block (see `analysis.samples.block`).
 
-    `stamps` (2,) are those of the state and of the newest field sample, `gains` (3,) for tilt,
-    heading and bias. Returns stamps (m,) and q_nb (m, 4) after each IMU sample, then the state.
+    `stamps` (2,) are those of the state and of the newest field sample. Returns stamps (m,) and
+    q_nb (m, 4) after each IMU sample, then the state.
     """
     when, q_nb = room_for_estimates(kind)
     stamps = stamps.copy()
     done = 0
     for i in range(len(kind)):
         if kind[i] == IMU:
-            dt_s = (t_us[i] - stamps[0]) * 1e-6
+            dt_s = (t_us[i] - stamps[NOW]) * 1e-6
             # A longer pause is not integrated over; the estimate waits for the field and for
             # gravity.
             if 0.0 < dt_s <= MAX_GAP_S:
-                gyro, accel = values[i, 0:3], values[i, 3:6]
-                x = predict(x, gyro, accel, speed_mps, dt_s, gains[0], gains[2])
+                gyro, accel = values[i, RATES:FORCE], values[i, FORCE:IMU_ID]
+                x = predict(x, gyro, accel, speed_mps, dt_s, gains)
             # The newest stamp: a late sample must not set the clock back.
-            stamps[0] = max(t_us[i], stamps[0])
-            when[done] = stamps[0]
-            for k in range(4):
+            stamps[NOW] = max(t_us[i], stamps[NOW])
+            when[done] = stamps[NOW]
+            for k in range(BIAS):
                 q_nb[done, k] = x[k]
             done += 1
         # A repeated stamp is the same sample again: it must not count twice.
-        elif kind[i] == MAG and t_us[i] > stamps[1]:
+        elif kind[i] == MAG and t_us[i] > stamps[FIELD]:
             # Bounded: after a long pause the field may not turn the attitude by more than it knows.
-            dt_s = min((t_us[i] - stamps[1]) * 1e-6, MAX_GAP_S)
-            x = head(x, values[i, 0:3], declination_rad, dt_s, gains[1], gains[2])
-            stamps[1] = t_us[i]
+            dt_s = min((t_us[i] - stamps[FIELD]) * 1e-6, MAX_GAP_S)
+            x = head(x, values[i, 0:3], declination_rad, dt_s, gains)
+            stamps[FIELD] = t_us[i]
         elif kind[i] == AIRSPEED:
             speed_mps = airspeed_mps(values[i, 0])
     return when, q_nb, x, stamps, speed_mps
@@ -129,6 +142,11 @@ class Mahony:
     heading_gain: float = 0.5
     bias_gain: float = 0.02
 
+    @property
+    def gains(self) -> Gains:
+        """As the kernel takes them."""
+        return Gains(self.tilt_gain, self.heading_gain, self.bias_gain)
+
     def start(self, prior: Prior) -> FilterState:
         """The prior's attitude, no bias."""
         x = np.concatenate([prior.q_nb, np.zeros(3)])
@@ -137,7 +155,7 @@ class Mahony:
     def update(self, reading: Sample, state: FilterState) -> tuple[AttitudeEstimate, FilterState]:
         """IMU moves, field turns, airspeed is kept for the centripetal part."""
         _, _, state = self.follow(block_of(reading), state)
-        return AttitudeEstimate(state.t_us, state.x[:4]), state
+        return AttitudeEstimate(state.t_us, state.x[:BIAS]), state
 
     def follow(self, block: Block, state: FilterState) -> tuple[Stamps, Vector, FilterState]:
         """The same for a block of samples: stamps (m,) and q_nb (m, 4) after each of the IMU's."""
@@ -149,7 +167,7 @@ class Mahony:
             np.array([state.t_us, state.mag_t_us]),
             state.airspeed_mps,
             state.declination_rad,
-            np.array([self.tilt_gain, self.heading_gain, self.bias_gain]),
+            self.gains,
         )
         now_us, mag_t_us = stamps.tolist()
         after = FilterState(now_us, x, airspeed_mps, state.declination_rad, mag_t_us)

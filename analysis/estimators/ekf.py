@@ -83,19 +83,22 @@ class Ekf:
             stamps,
             state.airspeed_mps,
             state.declination_rad,
-            self._numbers,
+            self.tuning,
         )
         now_us, gps_t_us, tilt_t_us = stamps.tolist()
         after = EkfState(now_us, x, airspeed_mps, state.declination_rad, gps_t_us, tilt_t_us)
         return t_us, q_nb, after
 
     @property
-    def _numbers(self) -> Vector:
-        return np.array(
-            [
-                *(self.gyro_density, self.bias_density, self.accel_density),
-                *(self.velocity_sigma_mps**2, self.heading_sigma_rad**2),
-                self.gravity_sigma_mps2**2,
-                *(self.gravity_period_s * 1e6, self.gps_timeout_s * 1e6),
-            ]
+    def tuning(self) -> ekf_kernel.Tuning:
+        """The parameters as the kernel takes them."""
+        return ekf_kernel.Tuning(
+            self.gyro_density,
+            self.bias_density,
+            self.accel_density,
+            self.velocity_sigma_mps**2,
+            self.heading_sigma_rad**2,
+            self.gravity_sigma_mps2**2,
+            self.gravity_period_s,
+            self.gps_timeout_s,
         )

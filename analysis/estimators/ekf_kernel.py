@@ -5,12 +5,23 @@ cost seconds of compilation.
 """
 
 from math import atan2
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators.estimator import MAX_GAP_S, airspeed_mps, room_for_estimates
-from analysis.samples.block import AIRSPEED, FIX, IMU, MAG, Indices, Stamps
+from analysis.samples.block import (
+    AIRSPEED,
+    FIX,
+    FIX_TYPE,
+    FIX_VELOCITY,
+    FORCE,
+    IMU,
+    MAG,
+    Indices,
+    Stamps,
+)
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotation_kernel import (
@@ -22,12 +33,28 @@ from mavproxy_fault.numerics.rotation_kernel import (
 )
 
 Vector = NDArray[np.float64]
-P = 10  # where the covariance begins in x
+BIAS, VELOCITY, P = 4, 7, 10  # where they and the covariance begin in x, behind the quaternion
 N = 9  # error states: attitude, bias, velocity
+D_BIAS, D_VELOCITY = 3, 6  # where these begin among them
 MIN_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 NOW, GPS, TILT = 0, 1, 2  # stamps: of the state, of the newest velocity, of gravity's last use
 
 Room = NDArray[np.float64]  # (6, 12), for what is only needed in between
+FP = 3  # where the rows of F P begin in it, behind the three columns of F
+
+
+class Tuning(NamedTuple):
+    """Densities of the noise of gyro [rad/s/rt(Hz)], its bias and the acceleration, variances of
+    velocity, heading and gravity, how often gravity is used and after which silence of GPS [s]."""
+
+    gyro_density: float
+    bias_density: float
+    accel_density: float
+    velocity_variance: float
+    heading_variance: float
+    gravity_variance: float
+    gravity_period_s: float
+    gps_timeout_s: float
 
 
 @compiled
@@ -41,17 +68,15 @@ def predict(
     x: Vector,
     imu: Vector,
     dt_s: float,
-    gyro_density: float,
-    bias_density: float,
-    accel_density: float,
+    tuning: Tuning,
     room: Room,
 ) -> None:
     """Move state and covariance over one IMU sample, rates and specific force (6,).
 
     The attitude error obeys t' = -omega x t - b, the velocity's v' = -rot (f x t).
     """
-    rx, ry, rz = imu[0] - x[4], imu[1] - x[5], imu[2] - x[6]
-    fx, fy, fz = imu[3], imu[4], imu[5]
+    rx, ry, rz = imu[0] - x[BIAS], imu[1] - x[BIAS + 1], imu[2] - x[BIAS + 2]
+    fx, fy, fz = imu[FORCE], imu[FORCE + 1], imu[FORCE + 2]
     # The force is turned to NED by the attitude in the middle of the step: exact to second order.
     half_way = quaternion_of_rotation(0.5 * rx * dt_s, 0.5 * ry * dt_s, 0.5 * rz * dt_s)
     rotate(x, half_way)
@@ -59,20 +84,20 @@ def predict(
     rotate(x, half_way)
     for i in range(3):
         a, b, c = rows[i]
-        x[7 + i] += dt_s * (a * fx + b * fy + c * fz)
+        x[VELOCITY + i] += dt_s * (a * fx + b * fy + c * fz)
         room[3 + i, 0] = -dt_s * (b * fz - c * fy)
         room[3 + i, 1] = -dt_s * (c * fx - a * fz)
         room[3 + i, 2] = -dt_s * (a * fy - b * fx)
     # The specific force of free fall is zero; down is positive.
-    x[9] += dt_s * STANDARD_GRAVITY_MPS2
+    x[VELOCITY + 2] += dt_s * STANDARD_GRAVITY_MPS2
     room[0, 0], room[0, 1], room[0, 2] = 1.0, dt_s * rz, -dt_s * ry
     room[1, 0], room[1, 1], room[1, 2] = -dt_s * rz, 1.0, dt_s * rx
     room[2, 0], room[2, 1], room[2, 2] = dt_s * ry, -dt_s * rx, 1.0
     spread(x, room, dt_s)
     for i in range(3):
-        x[P + (N + 1) * i] += dt_s * gyro_density * gyro_density
-        x[P + (N + 1) * (i + 3)] += dt_s * bias_density * bias_density
-        x[P + (N + 1) * (i + 6)] += dt_s * accel_density * accel_density
+        x[P + (N + 1) * i] += dt_s * tuning.gyro_density * tuning.gyro_density
+        x[P + (N + 1) * (D_BIAS + i)] += dt_s * tuning.bias_density * tuning.bias_density
+        x[P + (N + 1) * (D_VELOCITY + i)] += dt_s * tuning.accel_density * tuning.accel_density
 
 
 @compiled
@@ -87,21 +112,23 @@ def spread(x: Vector, room: Room, dt_s: float) -> None:
         attitude_0, attitude_1, attitude_2 = x[P + j], x[P + N + j], x[P + 2 * N + j]
         for i in range(3):
             sum_ = room[i, 0] * attitude_0 + room[i, 1] * attitude_1 + room[i, 2] * attitude_2
-            room[i, 3 + j] = sum_ - dt_s * x[P + N * (3 + i) + j]
+            room[i, FP + j] = sum_ - dt_s * x[P + N * (D_BIAS + i) + j]
             sum_ = (
                 room[3 + i, 0] * attitude_0
                 + room[3 + i, 1] * attitude_1
                 + room[3 + i, 2] * attitude_2
             )
-            room[3 + i, 3 + j] = sum_ + x[P + N * (6 + i) + j]
+            room[3 + i, FP + j] = sum_ + x[P + N * (D_VELOCITY + i) + j]
     for i in range(3):
         for j in range(3):
-            put(x, i, 3 + j, room[i, 6 + j])
-            put(x, 3 + j, 6 + i, room[3 + i, 6 + j])
-            put(x, i, 6 + j, through(room, i, 3 + j) + room[i, 9 + j])
+            put(x, i, D_BIAS + j, room[i, FP + D_BIAS + j])
+            put(x, D_BIAS + j, D_VELOCITY + i, room[3 + i, FP + D_BIAS + j])
+            moved_velocity = through(room, i, 3 + j) + room[i, FP + D_VELOCITY + j]
+            put(x, i, D_VELOCITY + j, moved_velocity)
         for j in range(i, 3):
-            put(x, i, j, through(room, i, j) - dt_s * room[i, 6 + j])
-            put(x, 6 + i, 6 + j, through(room, 3 + i, 3 + j) + room[3 + i, 9 + j])
+            put(x, i, j, through(room, i, j) - dt_s * room[i, FP + D_BIAS + j])
+            moved_velocity = through(room, 3 + i, 3 + j) + room[3 + i, FP + D_VELOCITY + j]
+            put(x, D_VELOCITY + i, D_VELOCITY + j, moved_velocity)
 
 
 @inlined
@@ -114,7 +141,8 @@ def put(x: Vector, i: int, j: int, value: float) -> None:
 @inlined
 def through(room: Room, i: int, j: int) -> float:
     """What row i of F P, in `room`, brings about by row j of the attitude's columns."""
-    value: float = room[i, 3] * room[j, 0] + room[i, 4] * room[j, 1] + room[i, 5] * room[j, 2]
+    row, column = room[i], room[j]
+    value: float = row[FP] * column[0] + row[FP + 1] * column[1] + row[FP + 2] * column[2]
     return value
 
 
@@ -128,8 +156,8 @@ def correct(x: Vector, gain: Vector, innovation: float, variance: float) -> None
     size = innovation / variance
     # The error is a rotation, not a number to add to the quaternion; its length stays one.
     rotate(x, quaternion_of_rotation(gain[0] * size, gain[1] * size, gain[2] * size))
-    for i in range(6):
-        x[4 + i] += gain[3 + i] * size
+    for i in range(N - D_BIAS):
+        x[BIAS + i] += gain[D_BIAS + i] * size
 
 
 @compiled
@@ -149,21 +177,21 @@ def correct_velocity(x: Vector, v_ned_mps: Vector, variance: float, room: Room) 
     for axis in range(3):
         for i in range(N):
             # h picks one velocity out, so that P h is a column of P.
-            gain[i] = x[P + N * i + 6 + axis]
-        innovation = v_ned_mps[axis] - x[7 + axis]
-        correct(x, gain, innovation, variance + gain[6 + axis])
+            gain[i] = x[P + N * i + D_VELOCITY + axis]
+        innovation = v_ned_mps[axis] - x[VELOCITY + axis]
+        correct(x, gain, innovation, variance + gain[D_VELOCITY + axis])
 
 
 @compiled
 def restart_velocity(x: Vector, v_ned_mps: Vector, variance: float) -> None:
     """Take the velocity (3,) in m/s as measured into x (91,) and forget what it had to do with the
     other errors."""
-    for i in range(6, N):
+    for i in range(D_VELOCITY, N):
         for j in range(N):
             put(x, i, j, 0.0)
     for axis in range(3):
-        x[7 + axis] = v_ned_mps[axis]
-        put(x, 6 + axis, 6 + axis, variance)
+        x[VELOCITY + axis] = v_ned_mps[axis]
+        put(x, D_VELOCITY + axis, D_VELOCITY + axis, variance)
 
 
 @compiled
@@ -205,10 +233,10 @@ def level(x: Vector, imu: Vector, speed_mps: float, variance: float, room: Room)
         if axis == 0:
             h, expected = (0.0, -gz, gy), gx
         elif axis == 1:
-            h, expected = (gz, 0.0, -gx), gy + (imu[2] - x[6]) * speed_mps
+            h, expected = (gz, 0.0, -gx), gy + (imu[2] - x[BIAS + 2]) * speed_mps
         else:
-            h, expected = (-gy, gx, 0.0), gz - (imu[1] - x[5]) * speed_mps
-        correct_by_rotation(x, h, imu[3 + axis] - expected, variance, room)
+            h, expected = (-gy, gx, 0.0), gz - (imu[1] - x[BIAS + 1]) * speed_mps
+        correct_by_rotation(x, h, imu[FORCE + axis] - expected, variance, room)
 
 
 @compiled
@@ -218,7 +246,7 @@ def moved(
     t_us: int,
     imu: Vector,
     speed_mps: float,
-    numbers: Vector,
+    tuning: Tuning,
     room: Room,
 ) -> None:
     """Move the state to an IMU sample (6,), and its `stamps` with it."""
@@ -227,25 +255,26 @@ def moved(
         return
     # Over a longer gap the IMU tells nothing: the state waits for the other sensors.
     if dt_s <= MAX_GAP_S:
-        predict(x, imu, dt_s, numbers[0], numbers[1], numbers[2], room)
-    if t_us - stamps[GPS] >= numbers[7] and t_us - stamps[TILT] >= numbers[6]:
-        level(x, imu, speed_mps, numbers[5], room)
+        predict(x, imu, dt_s, tuning, room)
+    due = t_us - stamps[TILT] >= 1e6 * tuning.gravity_period_s
+    if due and t_us - stamps[GPS] >= 1e6 * tuning.gps_timeout_s:
+        level(x, imu, speed_mps, tuning.gravity_variance, room)
         stamps[TILT] = t_us
     stamps[NOW] = t_us
 
 
 @compiled
 def with_velocity(
-    x: Vector, stamps: Stamps, t_us: int, v: Vector, numbers: Vector, room: Room
+    x: Vector, stamps: Stamps, t_us: int, fix: Vector, tuning: Tuning, room: Room
 ) -> None:
-    """Take the numbers v (11,) of a fix; one that does not tell the climb is no use."""
-    finite = np.isfinite(v[3]) and np.isfinite(v[4]) and np.isfinite(v[5])
-    if v[6] < MIN_FIX or not finite:
+    """Take the numbers (11,) of a fix; one that does not tell the climb is no use."""
+    v_ned_mps = fix[FIX_VELOCITY:FIX_TYPE]
+    if fix[FIX_TYPE] < MIN_FIX or not np.isfinite(v_ned_mps).all():
         return
-    if t_us - stamps[GPS] >= numbers[7]:
-        restart_velocity(x, v[3:6], numbers[3])
+    if t_us - stamps[GPS] >= 1e6 * tuning.gps_timeout_s:
+        restart_velocity(x, v_ned_mps, tuning.velocity_variance)
     else:
-        correct_velocity(x, v[3:6], numbers[3], room)
+        correct_velocity(x, v_ned_mps, tuning.velocity_variance, room)
     # Fixes may come out of order; the silence counts from the newest.
     stamps[GPS] = max(t_us, stamps[GPS])
 
@@ -259,7 +288,7 @@ def follow(
     stamps: Stamps,
     speed_mps: float,
     declination_rad: float,
-    numbers: Vector,
+    tuning: Tuning,
 ) -> tuple[Stamps, Vector, Vector, Stamps, float]:
     """The filter over a block (see `analysis.samples.block`).
 
@@ -268,9 +297,6 @@ def follow(
     kind, t_us, values : (n,), (n,), (n, WIDTH)
     x, stamps, speed_mps : (91,), (3,)
         The state before.
-    numbers : (8,)
-        Densities of gyro, bias and acceleration, variances of velocity, heading and gravity, how
-        often gravity is used and after which silence of GPS, in us.
 
     Returns
     -------
@@ -281,15 +307,15 @@ def follow(
     done = 0
     for i in range(len(kind)):
         if kind[i] == IMU:
-            moved(x, stamps, t_us[i], values[i], speed_mps, numbers, room)
+            moved(x, stamps, t_us[i], values[i], speed_mps, tuning, room)
             when[done] = stamps[NOW]
             for k in range(4):
                 q_nb[done, k] = x[k]
             done += 1
         elif kind[i] == MAG:
-            head(x, values[i], declination_rad, numbers[4], room)
+            head(x, values[i], declination_rad, tuning.heading_variance, room)
         elif kind[i] == FIX:
-            with_velocity(x, stamps, t_us[i], values[i], numbers, room)
+            with_velocity(x, stamps, t_us[i], values[i], tuning, room)
         elif kind[i] == AIRSPEED:
             speed_mps = airspeed_mps(values[i, 0])
     return when, q_nb, x, stamps, speed_mps

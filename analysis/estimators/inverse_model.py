@@ -24,13 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators.estimator import MAX_GAP_S, AttitudeEstimate, Prior
-from analysis.samples.block import IMU, Block, Indices, Stamps, block_of
+from analysis.samples.block import FORCE, IMU, IMU_ID, Block, Indices, Stamps, block_of
 from analysis.samples.sample import Sample
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotation_kernel import euler, matrix, quaternion_of_euler
 
 Vector = NDArray[np.float64]
+VELOCITY, POSITION, SIZE = 3, 6, 9  # where they begin in x, behind the angles; its length
 MIN_COS_PITCH = 1e-6  # keeps the Euler rates finite at the pole
 
 
@@ -39,20 +40,20 @@ def derivative(x: Vector, gyro: Vector, accel: Vector) -> Vector:
     """The right-hand side: x (9,), gyro (3,) in rad/s, accel (3,) in m/s^2 -> (9,)."""
     sf, cf, st, ct = sin(x[0]), cos(x[0]), sin(x[1]), cos(x[1])
     sy, cy = sin(x[2]), cos(x[2])
-    u, v, w = x[3], x[4], x[5]
+    u, v, w = x[VELOCITY], x[VELOCITY + 1], x[VELOCITY + 2]
     p, q, r = gyro[0], gyro[1], gyro[2]
     safe = ct if abs(ct) > MIN_COS_PITCH else (MIN_COS_PITCH if ct >= 0.0 else -MIN_COS_PITCH)
     yaw_part = q * sf + r * cf
-    out = np.empty(9)
+    out = np.empty(SIZE)
     out[0] = p + yaw_part * st / safe
     out[1] = q * cf - r * sf
     out[2] = yaw_part / safe
-    out[3] = accel[0] + r * v - q * w - STANDARD_GRAVITY_MPS2 * st
-    out[4] = accel[1] + p * w - r * u + STANDARD_GRAVITY_MPS2 * ct * sf
-    out[5] = accel[2] + q * u - p * v + STANDARD_GRAVITY_MPS2 * ct * cf
-    out[6] = ct * cy * u + (sf * st * cy - cf * sy) * v + (cf * st * cy + sf * sy) * w
-    out[7] = ct * sy * u + (sf * st * sy + cf * cy) * v + (cf * st * sy - sf * cy) * w
-    out[8] = -st * u + sf * ct * v + cf * ct * w
+    out[VELOCITY] = accel[0] + r * v - q * w - STANDARD_GRAVITY_MPS2 * st
+    out[VELOCITY + 1] = accel[1] + p * w - r * u + STANDARD_GRAVITY_MPS2 * ct * sf
+    out[VELOCITY + 2] = accel[2] + q * u - p * v + STANDARD_GRAVITY_MPS2 * ct * cf
+    out[POSITION] = ct * cy * u + (sf * st * cy - cf * sy) * v + (cf * st * cy + sf * sy) * w
+    out[POSITION + 1] = ct * sy * u + (sf * st * sy + cf * cy) * v + (cf * st * sy - sf * cy) * w
+    out[POSITION + 2] = -st * u + sf * ct * v + cf * ct * w
     return out
 
 
@@ -85,13 +86,13 @@ def follow(
     for i in range(len(kind)):
         if kind[i] != IMU:
             continue
-        v = values[i, 0:6]
+        v = values[i, :IMU_ID]
         # The first sample stands for the one before it: Euler's step, once.
         if np.isnan(before[0]):
             before = v
         dt_s = (t_us[i] - now_us) * 1e-6
         if 0.0 < dt_s <= MAX_GAP_S:
-            x = heun(x, before[0:3], before[3:6], v[0:3], v[3:6], dt_s)
+            x = heun(x, before[:FORCE], before[FORCE:], v[:FORCE], v[FORCE:], dt_s)
         before, now_us = v, max(t_us[i], now_us)
         q = quaternion_of_euler(x[0], x[1], x[2])
         when[done] = now_us

@@ -26,13 +26,13 @@ from mavproxy_fault.numerics.constants import (
 from simvehicle.hil.actuator_commands import CHANNELS_OF
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.simulation.kinds import kind_of
+from simvehicle.vehicles.rigidbody_kernel import RIGID, P, U
+from simvehicle.vehicles.vehicle import surroundings
 
 Array = NDArray[np.float64]
 STEPS, STEP_S = 30, 5e-3  # six lags of a slow motor
 HEIGHT_M = 100.0  # nothing is touched there
 COMMAND_STEP, RATE_STEP_RPS, SPEED_STEP_MPS = 0.05, 0.05, 0.5
-BODY = 13  # entries of the rigid body in a state
-SPEEDS, RATES = 3, 10  # where they begin
 HALVINGS = 12
 CRUISING_THROTTLE = 0.5
 LEAST_WING_HZ = 0.1  # m/s^2 for each m/s of air across; less is no wing
@@ -44,7 +44,8 @@ class _Held:
     def __init__(self, vehicle: Any, names: list[str]) -> None:
         self._vehicle = vehicle
         self._still = np.zeros(3)
-        self._gravity = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
+        gravity = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
+        self._around = surroundings(self._still, gravity, SEA_LEVEL_DENSITY_KGPM3, 0.0)
         speed_mps = vehicle.parameters.cruise_mps
         place = np.array([0.0, 0.0, -HEIGHT_M])
         self._state = vehicle.cruise(
@@ -56,15 +57,13 @@ class _Held:
         """Angular acceleration and specific force (6,) for commands (n,), with the body's state
         changed by `change` (13,)."""
         state = self._state.copy()
-        held = state[:BODY] + change
+        held = state[:RIGID] + change
         after = state
         for _ in range(STEPS):
-            state[:BODY] = held
-            after, load = self._vehicle.advance(
-                state, commands, self._still, self._gravity, SEA_LEVEL_DENSITY_KGPM3, 0.0, 1, STEP_S
-            )
+            state[:RIGID] = held
+            after, load = self._vehicle.advance(state, commands, self._around, 1, STEP_S)
             state = after.copy()
-        turned = (after[RATES:BODY] - held[RATES:BODY]) / STEP_S
+        turned = (after[P:RIGID] - held[P:RIGID]) / STEP_S
         return np.concatenate([turned, load[:3]])
 
     def _trim(self, names: list[str]) -> Array:
@@ -74,7 +73,8 @@ class _Held:
         low, high = 0.0, 1.0
         for _ in range(HALVINGS if rotors.any() else 0):
             middle = 0.5 * (low + high)
-            lifts = -self.motion(middle * rotors, np.zeros(BODY))[5] > STANDARD_GRAVITY_MPS2
+            *_, down_mps2 = self.motion(middle * rotors, np.zeros(RIGID))
+            lifts = -down_mps2 > STANDARD_GRAVITY_MPS2
             low, high = (low, middle) if lifts else (middle, high)
         return throttle + high * rotors
 
@@ -87,10 +87,10 @@ def vehicle_effects(scenario: Scenario) -> Effects:
     held = _Held(vehicle, names)
 
     def by_state(entry: int, step: float) -> Array:
-        return _slope(lambda change: held.motion(held.trim, change), BODY, entry, step)
+        return _slope(lambda change: held.motion(held.trim, change), RIGID, entry, step)
 
     def by_command(number: int, step: float) -> Array:
-        at_rest = np.zeros(BODY)
+        at_rest = np.zeros(RIGID)
         return _slope(
             lambda change: held.motion(held.trim + change, at_rest), len(names), number, step
         )
@@ -102,8 +102,8 @@ def vehicle_effects(scenario: Scenario) -> Effects:
         for channel, sign in channels:
             mix[i, channel] = sign / len(channels)
     for i in range(3):
-        coefficients[:, RATE + i] = by_state(RATES + i, RATE_STEP_RPS)
-    air = np.column_stack([by_state(SPEEDS + i, SPEED_STEP_MPS) for i in range(3)])
+        coefficients[:, RATE + i] = by_state(P + i, RATE_STEP_RPS)
+    air = np.column_stack([by_state(U + i, SPEED_STEP_MPS) for i in range(3)])
     _tell_by_force(coefficients, air)
     rows = [0, 1, 2, ANGULAR, ANGULAR + 2]  # the force across tells the air's angle, no actuator
     # Actuators have their names from their kind, `motor 1` or `elevator`.

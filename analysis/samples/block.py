@@ -55,6 +55,9 @@ KINDS: dict[type, int] = {
 }
 # The index is what stands in a row for the message's name.
 SOURCES = ("HIL_GPS", "GPS_RAW_INT", "ATTITUDE", "ATTITUDE_QUATERNION")
+# Columns of a row, where vectors and what follows them begin (see `ROWS`).
+RATES, FORCE, IMU_ID = 0, 3, 6  # of an IMU
+FIX_VELOCITY, FIX_TYPE = 3, 6  # of a fix
 UNKNOWN_3 = (np.nan, np.nan, np.nan)
 
 
@@ -185,7 +188,7 @@ def _fix(t_us: int, v: Vector) -> GpsFix:
         lat,
         lon,
         alt,
-        _known(v[3:6]),
+        _known(v[FIX_VELOCITY:FIX_TYPE]),
         int(fix_type),
         int(satellites),
         eph_m,
@@ -200,7 +203,7 @@ def _truth(t_us: int, v: Vector) -> TruthSample:
 
 
 SAMPLES: dict[int, Callable[[int, Vector], Sample]] = {
-    IMU: lambda t, v: ImuSample(t, v[0:3], v[3:6], int(v[6])),
+    IMU: lambda t, v: ImuSample(t, v[RATES:FORCE], v[FORCE:IMU_ID], int(v[IMU_ID])),
     MAG: lambda t, v: MagSample(t, v[0:3]),
     BARO: lambda t, v: BaroSample(t, float(v[0]), float(v[1])),
     AIRSPEED: lambda t, v: AirspeedSample(t, float(v[0])),
@@ -264,9 +267,9 @@ def pieces(samples: Sample | Block, counts: Callable[[int], bool] = every_fix) -
     block = samples if isinstance(samples, Block) else block_of(samples)
     last_row = len(block.kind) - 1
     imu, ends, mags, cuts = _cut(block.kind)
-    run = ImuRun(block.t_us[imu], block.values[imu, :6])
+    run = ImuRun(block.t_us[imu], block.values[imu, :IMU_ID])
     # A block nearly always comes from one IMU: then no rows need to be picked.
-    ids = block.values[imu, 6]
+    ids = block.values[imu, IMU_ID]
     same = int(ids[0]) if len(ids) and (ids == ids[0]).all() else None
     columns = ends, mags, cuts, block.kind[ends], block.t_us[ends]
     first = a = 0

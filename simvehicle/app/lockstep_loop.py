@@ -1,7 +1,7 @@
 """The loop that flies the simulation under an autopilot on the HIL link, in lockstep."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 from mavproxy_fault.links.link import Link
@@ -78,7 +78,6 @@ class LockstepLoop:
         speed: float,
         progress: Progress,
         lockstep: Lockstep | None = None,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.t_us = 0
         self.lockstep = lockstep or Lockstep()
@@ -88,7 +87,6 @@ class LockstepLoop:
         self._changes = PlantChanges(simulation, progress.say)
         self._mix = mix
         self._progress = progress
-        self._clock = clock
         self._controls = Controls(mix([0.0] * CHANNELS), armed=False)  # until PX4's first answer
         self._speed = speed
         self._locked = False
@@ -124,7 +122,7 @@ class LockstepLoop:
             # Bytes, for a word that is not for the simulator does not come in as a frame.
             if link.counters.bytes_in:
                 break
-            now_s = self._clock()
+            now_s = time.monotonic()
             if link.peer_count and connected_s is None:
                 connected_s = now_s
             if connected_s is not None and now_s - connected_s > FIRST_WORD_S:
@@ -135,7 +133,7 @@ class LockstepLoop:
         self.t_us, truth, readings = self._simulation.step(self._controls)
         # Sent in one piece: an autopilot must not be woken by half a step.
         self._inbox.link.write(b"".join(self._hil.frames(self.t_us, truth, readings)))
-        now_s = self._clock()
+        now_s = time.monotonic()
         self.lockstep.sent(self._hil.step_us, now_s)
         self._await_answer()
         self._progress.step(self.t_us, now_s, "" if self._locked else ", not in lockstep")
@@ -158,7 +156,7 @@ class LockstepLoop:
             raise PeerGoneError(f"{link.name}: the autopilot closed the link")
 
     def _wait_s(self) -> float:
-        now_s = self._clock()
+        now_s = time.monotonic()
         answer_s = self.lockstep.wait_s(now_s)
         if self.lockstep.locked != self._locked:
             self._change_pace(self.lockstep.locked)
@@ -179,7 +177,7 @@ class LockstepLoop:
         if frame.layout.name == "HIL_ACTUATOR_CONTROLS":
             # Controls and their stamp: the stamp says which step was answered.
             stamp_us, self._controls = read_controls(frame, self._mix)
-            self.lockstep.received(stamp_us, self._clock())
+            self.lockstep.received(stamp_us, time.monotonic())
             return
         self._changes.carry_out(frame)
 

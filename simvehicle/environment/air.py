@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotation_kernel import to_ned
+from simvehicle.vehicles.rigidbody_kernel import E0, E1, E2, E3
 
 Array = NDArray[np.float64]
 
@@ -59,6 +60,7 @@ class Gusts:
     length_m: tuple[float, float, float]
 
 
+ACROSS, UP = 1, 3  # where the second-order filters begin among the states of all
 SIGMA, LENGTH, REFERENCE, EXPONENT, STEADY = 0, 3, 6, 7, 8  # where they begin in `weather`
 
 GUSTS = {
@@ -71,12 +73,11 @@ GUSTS = {
 
 
 @inlined
-def _second_order(
-    x1: float, x2: float, a: float, sigma: float, dt: float, n1: float, n2: float
-) -> tuple[float, float, float]:
-    """One exact step of the lateral Dryden filter; returns its states and the gust.
+def _second_order(x: Array, a: float, sigma: float, dt: float, noise: Array) -> float:
+    """One exact step of the lateral Dryden filter with the states x (2,), in place; the gust.
 
-    H(s) = sigma sqrt(3 a) (s + a / sqrt(3)) / (s + a)^2 for white noise of unit density, a = V / L.
+    H(s) = sigma sqrt(3 a) (s + a / sqrt(3)) / (s + a)^2 for white noise of unit density, a = V / L;
+    `noise` (2,) are standard normal numbers.
     """
     e = math.exp(-a * dt)
     ad = a * dt
@@ -87,10 +88,10 @@ def _second_order(
     l11 = math.sqrt(q11)
     l21 = q12 / l11
     l22 = math.sqrt(max(q22 - l21 * l21, 0.0))
-    x2 = e * (x2 + dt * x1) + l21 * n1 + l22 * n2
-    x1 = e * x1 + l11 * n1
-    gust = sigma * math.sqrt(3.0 * a) * (x1 + (a / math.sqrt(3.0) - a) * x2)
-    return x1, x2, gust
+    x[1] = e * (x[1] + dt * x[0]) + l21 * noise[0] + l22 * noise[1]
+    x[0] = e * x[0] + l11 * noise[0]
+    gust: float = sigma * math.sqrt(3.0 * a) * (x[0] + (a / math.sqrt(3.0) - a) * x[1])
+    return gust
 
 
 @compiled
@@ -131,14 +132,11 @@ def wind_step(
     e = math.exp(-speed / weather[LENGTH] * dt)
     filters[0] = e * filters[0] + math.sqrt(1.0 - e * e) * noise[0]
     rate = speed / weather[LENGTH + 1]
-    filters[1], filters[2], v = _second_order(
-        filters[1], filters[2], rate, weather[SIGMA + 1], dt, noise[1], noise[2]
-    )
+    v = _second_order(filters[ACROSS:UP], rate, weather[SIGMA + 1], dt, noise[ACROSS:UP])
     rate = speed / weather[LENGTH + 2]
-    filters[3], filters[4], w = _second_order(
-        filters[3], filters[4], rate, weather[SIGMA + 2], dt, noise[3], noise[4]
-    )
-    north, east, down = to_ned(x[6], x[7], x[8], x[9], weather[SIGMA] * filters[0], v, w)
+    w = _second_order(filters[UP:], rate, weather[SIGMA + 2], dt, noise[UP:])
+    u = weather[SIGMA] * filters[0]
+    north, east, down = to_ned(x[E0], x[E1], x[E2], x[E3], u, v, w)
     reference = weather[REFERENCE]
     # Below a hundredth of the reference the power law would end at no wind at all.
     grown = (max(height, 0.01 * reference) / reference) ** weather[EXPONENT]

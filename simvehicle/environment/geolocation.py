@@ -18,8 +18,12 @@ from mavproxy_fault.numerics.earth import ecef_from_geodetic, gravity, rot_en
 from mavproxy_fault.numerics.earth_kernel import geodetic_of
 from mavproxy_fault.numerics.rotation_kernel import to_body, to_ned
 from simvehicle.environment.air import standard_air
+from simvehicle.vehicles.rigidbody_kernel import DOWN, E0, E1, E2, E3, EAST, NORTH, U, V, W
 
 Array = NDArray[np.float64]
+# Where they begin in what `locate` fills in, and its length; latitude, longitude and height first.
+AIR, VELOCITY, ATTITUDE, AIR_VELOCITY, PULL, PLACE = 3, 6, 9, 13, 16, 19
+_AXES, _GEOID = 3, 12  # in `Home.packed`, behind the position
 _gravity = cast(Callable[[float, float], float], inlined(gravity))
 
 
@@ -66,38 +70,39 @@ def locate(x: Array, wind: Array, home: Array, out: Array) -> None:
         temperature [K] and density [kg/m^3]; velocity in local NED (3), attitude to local NED (4),
         velocity relative to the air in body axes (3), gravity in the frame of home (3).
     """
-    n, e, d = x[0], x[1], x[2]
+    n, e, d, u, v, w = x[NORTH], x[EAST], x[DOWN], x[U], x[V], x[W]
+    e0, e1, e2, e3 = x[E0], x[E1], x[E2], x[E3]
+    axes = home[_AXES:_GEOID].reshape(3, 3)
     lat, lon, height = geodetic_of(
-        home[0] + home[3] * n + home[4] * e + home[5] * d,
-        home[1] + home[6] * n + home[7] * e + home[8] * d,
-        home[2] + home[9] * n + home[10] * e + home[11] * d,
+        home[0] + axes[0, 0] * n + axes[0, 1] * e + axes[0, 2] * d,
+        home[1] + axes[1, 0] * n + axes[1, 1] * e + axes[1, 2] * d,
+        home[2] + axes[2, 0] * n + axes[2, 1] * e + axes[2, 2] * d,
     )
     out[0], out[1], out[2] = lat, lon, height
-    out[3], out[4], out[5] = standard_air(height - home[12])
+    out[AIR], out[AIR + 1], out[AIR + 2] = standard_air(height - home[_GEOID])
     sp, cp, sl, cl = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
     # Rows of north, east and down here, against those of home: the vertical tilts on the way.
     local = ((-sp * cl, -sp * sl, cp), (-sl, cl, 0.0), (-cp * cl, -cp * sl, -sp))
     c = np.empty((3, 3))  # from the frame of home to local NED
     for i in range(3):
         for j in range(3):
-            c[i, j] = (
-                local[i][0] * home[3 + j] + local[i][1] * home[6 + j] + local[i][2] * home[9 + j]
-            )
-    w, a, b, g = x[6], x[7], x[8], x[9]
-    vn, ve, vd = to_ned(w, a, b, g, x[3], x[4], x[5])
-    wx, wy, wz = to_body(w, a, b, g, wind[0], wind[1], wind[2])
+            c[i, j] = local[i][0] * axes[0, j] + local[i][1] * axes[1, j] + local[i][2] * axes[2, j]
+    vn, ve, vd = to_ned(e0, e1, e2, e3, u, v, w)
+    wx, wy, wz = to_body(e0, e1, e2, e3, wind[0], wind[1], wind[2])
     # The turn between the verticals is small, so its quaternion's scalar part is the large one.
-    tw = 0.5 * math.sqrt(1.0 + c[0, 0] + c[1, 1] + c[2, 2])
-    ta = (c[2, 1] - c[1, 2]) / (4.0 * tw)
-    tb = (c[0, 2] - c[2, 0]) / (4.0 * tw)
-    tg = (c[1, 0] - c[0, 1]) / (4.0 * tw)
-    out[9] = tw * w - ta * a - tb * b - tg * g
-    out[10] = tw * a + ta * w + tb * g - tg * b
-    out[11] = tw * b - ta * g + tb * w + tg * a
-    out[12] = tw * g + ta * b - tb * a + tg * w
-    out[13], out[14], out[15] = x[3] - wx, x[4] - wy, x[5] - wz
+    t0 = 0.5 * math.sqrt(1.0 + c[0, 0] + c[1, 1] + c[2, 2])
+    t1 = (c[2, 1] - c[1, 2]) / (4.0 * t0)
+    t2 = (c[0, 2] - c[2, 0]) / (4.0 * t0)
+    t3 = (c[1, 0] - c[0, 1]) / (4.0 * t0)
+    out[ATTITUDE] = t0 * e0 - t1 * e1 - t2 * e2 - t3 * e3
+    out[ATTITUDE + 1] = t0 * e1 + t1 * e0 + t2 * e3 - t3 * e2
+    out[ATTITUDE + 2] = t0 * e2 - t1 * e3 + t2 * e0 + t3 * e1
+    out[ATTITUDE + 3] = t0 * e3 + t1 * e2 - t2 * e1 + t3 * e0
+    out[AIR_VELOCITY] = u - wx
+    out[AIR_VELOCITY + 1] = v - wy
+    out[AIR_VELOCITY + 2] = w - wz
     # Along the local down, given in the axes of home in which the vehicle is integrated.
     pull = _gravity(lat, height)
     for i in range(3):
-        out[6 + i] = c[i, 0] * vn + c[i, 1] * ve + c[i, 2] * vd
-        out[16 + i] = c[2, i] * pull
+        out[VELOCITY + i] = c[i, 0] * vn + c[i, 1] * ve + c[i, 2] * vd
+        out[PULL + i] = c[2, i] * pull

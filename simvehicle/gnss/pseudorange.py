@@ -28,6 +28,9 @@ Vector = NDArray[np.float64]
 
 FLIGHT_S = 0.075  # typical; where the iteration starts
 NONE = np.zeros(0)
+# Rows of `sights`, in the order of `Sight`; the direction has three.
+(RANGE, RANGE_RATE, SAT_CLOCK, SAT_CLOCK_RATE, SAT_ELEVATION, SAT_AZIMUTH, DELAY, TOWARD) = range(8)
+SIGHT = TOWARD + 3
 LOWEST_RAD = 3.0 * pi / 180.0  # the atmosphere's models end about here
 
 
@@ -79,7 +82,8 @@ def sight(
         atmosphere.coefficients,
         atmosphere.troposphere,
     )
-    return Sight(out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7:].T)
+    range_m, rate_mps, clock_s, clock_rate, elevation, azimuth, delay = out[:TOWARD]
+    return Sight(range_m, rate_mps, clock_s, clock_rate, elevation, azimuth, delay, out[TOWARD:].T)
 
 
 @compiled
@@ -99,7 +103,7 @@ def sights(
     rx, ry, rz = r_ecef_m[0], r_ecef_m[1], r_ecef_m[2]
     lat, lon, height = geodetic_of(rx, ry, rz)
     s_lat, c_lat, s_lon, c_lon = sin(lat), cos(lat), sin(lon), cos(lon)
-    out = np.empty((10, len(table)))
+    out = np.empty((SIGHT, len(table)))
     for k in range(len(table)):
         flight = FLIGHT_S
         # The orbit moves 3 km/s: where it was when the signal left asks for the time of flight
@@ -136,8 +140,10 @@ def sights(
             delay += ionosphere_m(tow_s, lat, lon, above, azimuth, coefficients)
         if troposphere:
             delay += troposphere_m(lat, height, above)
-        out[0, k], out[1, k] = distance, closing / (1.0 + drag / SPEED_OF_LIGHT_MPS)
-        out[2, k], out[3, k] = clock + clock_rate * (start - flight), clock_rate
-        out[4, k], out[5, k], out[6, k] = elevation, azimuth, delay
-        out[7, k], out[8, k], out[9, k] = ex, ey, ez
+        out[RANGE, k] = distance
+        out[RANGE_RATE, k] = closing / (1.0 + drag / SPEED_OF_LIGHT_MPS)
+        out[SAT_CLOCK, k] = clock + clock_rate * (start - flight)
+        out[SAT_CLOCK_RATE, k] = clock_rate
+        out[SAT_ELEVATION, k], out[SAT_AZIMUTH, k], out[DELAY, k] = elevation, azimuth, delay
+        out[TOWARD, k], out[TOWARD + 1, k], out[TOWARD + 2, k] = ex, ey, ez
     return out

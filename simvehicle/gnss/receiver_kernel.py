@@ -9,7 +9,16 @@ from numpy.typing import NDArray
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth_kernel import geodetic_of, ned_axes
-from simvehicle.gnss.pseudorange import sights
+from simvehicle.gnss.pseudorange import (
+    DELAY,
+    RANGE,
+    RANGE_RATE,
+    SAT_CLOCK,
+    SAT_CLOCK_RATE,
+    SAT_ELEVATION,
+    TOWARD,
+    sights,
+)
 
 Vector = NDArray[np.float64]
 
@@ -21,6 +30,7 @@ SINE_MIN = 0.05
 PIVOT_MIN = 1e-12
 
 # rows of the answer
+FIRST_CLOCK = 3  # in what is solved for: behind the position
 STATUS, PLACE, CLOCK, MOTION, DRIFT, SIGMA, GEODETIC, MOTION_NED = 0, 1, 4, 6, 9, 10, 13, 16
 SIZE = 19
 SOLVED, SINGULAR, DIVERGED = 0.0, 1.0, 2.0
@@ -111,7 +121,7 @@ def navigate(
     [m] and its standard deviation, for one satellite too few, or NaN. The answer (19,) has the rows
     named above; the rest is as in `receiver.solve`.
     """
-    table, code_m = observed.table, observed.code_m
+    table = observed.table
     n, m = len(table), len(start)
     rows = n if np.isnan(known_height[0]) else n + 1
     out = np.zeros(SIZE)
@@ -121,17 +131,12 @@ def navigate(
     weights, residual = np.ones(rows), np.zeros(rows)
     design, still = np.zeros((rows, m)), np.zeros(3)
     for _ in range(ROUNDS_MAX):
-        seen = sights(table, tow_s - x[3] / SPEED_OF_LIGHT_MPS, x, still, coefficients, troposphere)
-        for i in range(n):
-            own = 3 + observed.system[i]
-            # Moving towards a satellite shortens its range.
-            design[i, 0], design[i, 1], design[i, 2] = -seen[7, i], -seen[8, i], -seen[9, i]
-            design[i, own] = 1.0
-            model = seen[0, i] - SPEED_OF_LIGHT_MPS * seen[2, i] + seen[6, i] + x[own]
-            residual[i] = code_m[i] - model
-            if near:
-                # Errors grow towards the horizon about as one over the sine.
-                weights[i] = (max(sin(seen[4, i]), SINE_MIN) / ZENITH_SIGMA_M) ** 2
+        own_s = tow_s - x[FIRST_CLOCK] / SPEED_OF_LIGHT_MPS
+        seen = sights(table, own_s, x, still, coefficients, troposphere)
+        _linearise(observed, seen, x, design, residual)
+        for i in range(n if near else 0):
+            # Errors grow towards the horizon about as one over the sine.
+            weights[i] = (max(sin(seen[SAT_ELEVATION, i]), SINE_MIN) / ZENITH_SIGMA_M) ** 2
         if rows > n:
             _hold(known_height, x, design, residual)
             weights[n] = 1.0 / known_height[1] ** 2 if near else 1.0
@@ -158,6 +163,21 @@ def navigate(
 
 
 @compiled
+def _linearise(
+    observed: Observed, seen: Vector, x: Vector, design: Vector, residual: Vector
+) -> None:
+    """Fill the rows of the n ranges: what each changes by, and what it is off by."""
+    for i in range(len(observed.code_m)):
+        own = FIRST_CLOCK + observed.system[i]
+        # Moving towards a satellite shortens its range.
+        for a in range(3):
+            design[i, a] = -seen[TOWARD + a, i]
+        design[i, own] = 1.0
+        model_m = seen[RANGE, i] - SPEED_OF_LIGHT_MPS * seen[SAT_CLOCK, i]
+        residual[i] = observed.code_m[i] - (model_m + seen[DELAY, i] + x[own])
+
+
+@compiled
 def _hold(known_height: tuple[float, float], x: Vector, design: Vector, residual: Vector) -> None:
     """Make the last row that of a height which is measured."""
     lat, lon, height = geodetic_of(x[0], x[1], x[2])
@@ -177,8 +197,10 @@ def _add_motion(
     """
     residual = np.zeros(len(design))
     for i in range(len(rate_mps)):
-        residual[i] = rate_mps[i] - seen[1, i] + SPEED_OF_LIGHT_MPS * seen[3, i]
-        design[i, 3] = 1.0
+        residual[i] = (
+            rate_mps[i] - seen[RANGE_RATE, i] + SPEED_OF_LIGHT_MPS * seen[SAT_CLOCK_RATE, i]
+        )
+        design[i, FIRST_CLOCK] = 1.0
     # A literal 4 would have `least_squares` compiled once more, for that literal.
     motion, _ = least_squares(design, residual, weights, 1 + DRIFT - MOTION)
     for a in range(len(motion)):

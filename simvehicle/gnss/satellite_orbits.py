@@ -9,6 +9,7 @@ from math import atan2, cos, sin, sqrt
 
 import msgspec
 import numpy as np
+from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
@@ -25,6 +26,8 @@ State8 = tuple[float, float, float, float, float, float, float, float]
 
 MU_M3PS2 = {"G": GPS_GM_M3PS2, "E": WGS84_GM_M3PS2}
 WEEK_S = 604_800.0
+ROW = 20  # numbers of a satellite in a table, in the order of `_row`
+VELOCITY, CLOCK, CLOCK_RATE, STATE = 3, 6, 7, 8  # where they begin in a state, after the position
 KEPLER_STEPS = 4  # Newton from E = M leaves under 1e-14 rad at the eccentricity 0.16 of E14, E18
 
 
@@ -41,7 +44,7 @@ class Orbits(msgspec.Struct, frozen=True):
 
 def orbits_of(ephemerides: Sequence[Ephemeris], week: int) -> Orbits:
     """Ephemerides as a table, with their times counted in GPS week `week`."""
-    table = np.array([_row(e, week) for e in ephemerides], dtype=float).reshape(-1, 20)
+    table = np.array([_row(e, week) for e in ephemerides], dtype=float).reshape(-1, ROW)
     return Orbits(tuple(e.satellite for e in ephemerides), week, table)
 
 
@@ -91,10 +94,10 @@ def satellite_state(row: Vector, tow_s: float) -> State8:
     The clock is the satellite's minus GPS time as L1 or E1 shows it [s]: polynomial, relativity and
     group delay. `row` (20,) is that of `Orbits.table`.
     """
-    toe, m0, motion, e, a, omega, cus, cuc, crs, crc, cis, cic, i0, idot, node0, node_rate, toc = (
-        row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10],
-        row[11], row[12], row[13], row[14], row[15], row[16],
-    )  # fmt: skip
+    (
+        toe, m0, motion, e, a, omega, cus, cuc, crs, crc, cis, cic, i0, idot, node0, node_rate,
+        toc, af0, af1, af2,
+    ) = to_fixed_tuple(row, ROW)  # fmt: skip
     t = tow_s - toe
     mean = m0 + motion * t
     # Kepler's equation, with the first step of the series as a start.
@@ -133,18 +136,18 @@ def satellite_state(row: Vector, tow_s: float) -> State8:
     age = tow_s - toc
     # Fast at perigee, the satellite's clock runs slow there: 20 ns at e = 0.01.
     relativity = -2.0 * motion * a * a * e / SPEED_OF_LIGHT_MPS**2
-    clock = row[17] + age * (row[18] + age * row[19]) + relativity * se
-    clock_rate = row[18] + 2.0 * age * row[19] + relativity * ce * anomaly_rate
+    clock = af0 + age * (af1 + age * af2) + relativity * se
+    clock_rate = af1 + 2.0 * age * af2 + relativity * ce * anomaly_rate
     return px, py, pz, vx, vy, vz, clock, clock_rate
 
 
 @compiled
 def _states(table: Vector, tow_s: Vector) -> Vector:
-    out = np.empty((len(table), 8))
+    out = np.empty((len(table), STATE))
     for k in range(len(table)):
-        px, py, pz, vx, vy, vz, clock, clock_rate = satellite_state(table[k], tow_s[k])
-        out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4], out[k, 5] = px, py, pz, vx, vy, vz
-        out[k, 6], out[k, 7] = clock, clock_rate
+        state = satellite_state(table[k], tow_s[k])
+        for i in range(STATE):
+            out[k, i] = state[i]
     return out
 
 
@@ -166,4 +169,4 @@ def satellite_states(orbits: Orbits, tow_s: Vector) -> tuple[Vector, Vector, Vec
         See `satellite_state`.
     """
     out = _states(orbits.table, tow_s)
-    return out[:, :3], out[:, 3:6], out[:, 6], out[:, 7]
+    return out[:, :VELOCITY], out[:, VELOCITY:CLOCK], out[:, CLOCK], out[:, CLOCK_RATE]

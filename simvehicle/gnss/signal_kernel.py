@@ -5,12 +5,21 @@ from math import sin
 from typing import NamedTuple, cast
 
 import numpy as np
+from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth_kernel import ecef_of, ned_axes
-from simvehicle.gnss.pseudorange import sights
+from simvehicle.gnss.pseudorange import (
+    DELAY,
+    RANGE,
+    RANGE_RATE,
+    SAT_CLOCK,
+    SAT_CLOCK_RATE,
+    SAT_ELEVATION,
+    sights,
+)
 from simvehicle.gnss.signal_errors import code_sigma_m, multipath_sigma_m, rate_sigma_mps
 
 Vector = NDArray[np.float64]
@@ -68,23 +77,25 @@ def signals(
         Standard-normal draws of range and rate.
     """
     offset_s, drift = clock
-    axes = ned_axes(where[0], where[1])
+    lat, lon, height, north, east, down = to_fixed_tuple(where, 6)
+    axes = ned_axes(lat, lon)
     place, motion = np.empty(3), np.empty(3)
-    x, y, z = ecef_of(where[0], where[1], where[2])
-    place[0], place[1], place[2] = x, y, z
+    place[0], place[1], place[2] = ecef_of(lat, lon, height)
     for i in range(3):
-        motion[i] = axes[0, i] * where[3] + axes[1, i] * where[4] + axes[2, i] * where[5]
+        motion[i] = axes[0, i] * north + axes[1, i] * east + axes[2, i] * down
         # The receiver samples when its own clock says so: by then it is a little further.
         place[i] -= motion[i] * offset_s
     levels = channel.levels
     seen = sights(table, tow_s - offset_s, place, motion, channel.coefficients, channel.troposphere)
     out = np.empty((4, len(table)))
     for k in range(len(table)):
-        elevation = seen[4, k]
+        elevation = seen[SAT_ELEVATION, k]
         # Antennas lose towards the horizon, roughly with the sine of the elevation.
         cn0 = levels[CN0_HORIZON] + levels[CN0_RISE] * sin(elevation)
         cn0 += levels[CN0_SIGMA] * wander[2, k] - faults[1, k]
-        code = seen[0, k] + SPEED_OF_LIGHT_MPS * (offset_s - seen[2, k]) + seen[6, k]
+        code = (
+            seen[RANGE, k] + SPEED_OF_LIGHT_MPS * (offset_s - seen[SAT_CLOCK, k]) + seen[DELAY, k]
+        )
         # One offset of Galileo's time against GPS's for all its satellites: the receiver solves for
         # it.
         code += levels[GALILEO] * channel.galileo[k] + faults[0, k]
@@ -92,7 +103,7 @@ def signals(
         # Multipath wanders by itself but shrinks with elevation, so it is scaled only here.
         code += levels[MULTIPATH] * _multipath_sigma(elevation) * wander[0, k]
         code += levels[THERMAL] * _code_sigma(cn0) * noise[0, k]
-        rate = seen[1, k] + SPEED_OF_LIGHT_MPS * (drift - seen[3, k])
+        rate = seen[RANGE_RATE, k] + SPEED_OF_LIGHT_MPS * (drift - seen[SAT_CLOCK_RATE, k])
         rate += levels[THERMAL] * _rate_sigma(cn0) * noise[1, k]
         out[ELEVATION, k], out[CN0, k], out[CODE, k], out[RATE, k] = elevation, cn0, code, rate
     return out

@@ -48,6 +48,9 @@ TYPE_QUADROTOR = 2  # MAV_TYPE_QUADROTOR
 PA_PER_HPA = 100.0
 
 _SENSOR = struct.Struct("<Q13fIB")
+# Places among HIL_SENSOR's floats.
+_ACC, _GYRO, _MAG = slice(0, 3), slice(3, 6), slice(6, 9)
+_PRESSURE, _DIFF_PRESSURE, _PRESSURE_ALT, _TEMPERATURE, _FLOATS = range(9, 14)
 
 
 class Hil:
@@ -83,7 +86,8 @@ class Hil:
         self._seq = 0
         self._rtcm = 0  # RTCM messages sent
         self._heartbeat_us = 0
-        self._sensor_fields = [[0.0] * 13 for _ in range(IMU_IDS)]  # HIL_SENSOR's floats, by id
+        # HIL_SENSOR's floats, by id.
+        self._sensor_fields = [[0.0] * _FLOATS for _ in range(IMU_IDS)]
         self._truth = TruthPayload()
         self._consumed_mah = 0.0
         self._battery_us: int | None = None
@@ -144,20 +148,20 @@ class Hil:
         """Take a reading into the fields of its HIL_SENSOR and mark them as new."""
         if isinstance(reading, ImuReading):
             fields = self._sensor_fields[reading.id]
-            fields[0:3] = reading.accel_b_mps2
-            fields[3:6] = reading.gyro_b_rps
+            fields[_ACC] = reading.accel_b_mps2
+            fields[_GYRO] = reading.gyro_b_rps
             updated[reading.id] |= ACCEL | GYRO
         elif isinstance(reading, MagReading):
-            self._sensor_fields[reading.id][6:9] = reading.field_b_gauss
+            self._sensor_fields[reading.id][_MAG] = reading.field_b_gauss
             updated[reading.id] |= MAG
         elif isinstance(reading, PressureReading):
             fields = self._sensor_fields[reading.id]
-            fields[9] = reading.pressure_pa / PA_PER_HPA
-            fields[11] = reading.pressure_alt_m
-            fields[12] = reading.temperature_c
+            fields[_PRESSURE] = reading.pressure_pa / PA_PER_HPA
+            fields[_PRESSURE_ALT] = reading.pressure_alt_m
+            fields[_TEMPERATURE] = reading.temperature_c
             updated[reading.id] |= BARO
         else:
-            self._sensor_fields[0][10] = reading.diff_pressure_pa / PA_PER_HPA
+            self._sensor_fields[0][_DIFF_PRESSURE] = reading.diff_pressure_pa / PA_PER_HPA
             updated[0] |= DIFF_PRESSURE
 
     def _message(self, reading: Reading) -> Message:

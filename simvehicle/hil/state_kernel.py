@@ -13,6 +13,10 @@ Array = NDArray[np.float64]
 MPS2_TO_MILLI_G = 1000.0 / STANDARD_GRAVITY_MPS2
 RAD_TO_DEGE7 = 1e7 * 180.0 / math.pi
 CM = 100.0
+# Where a payload's floats, places and shorts begin, in bytes, and its size.
+FLOATS, PLACES, SHORTS, SIZE = 8, 36, 48, 64
+RATES = 4  # among the floats, behind the quaternion
+INDICATED, TRUE_AIRSPEED, FORCE = 3, 4, 5  # among the shorts, behind the velocity
 
 
 class TruthPayload:
@@ -24,8 +28,8 @@ class TruthPayload:
     """
 
     def __init__(self) -> None:
-        self.bytes = np.zeros(64, dtype=np.uint8)
-        self.stamp = self.bytes[:8].view(np.uint64)
+        self.bytes = np.zeros(SIZE, dtype=np.uint8)
+        self.stamp = self.bytes[:FLOATS].view(np.uint64)
 
 
 @inlined
@@ -56,19 +60,21 @@ def fill(
     [kg/m^3]. Accelerations are the specific force in mG, as other simulators do (-1000 at rest);
     what lies beyond the wire's range saturates.
     """
-    floats, places = payload[8:36].view(np.float32), payload[36:48].view(np.int32)
-    shorts = payload[48:64].view(np.int16)
+    floats = payload[FLOATS:PLACES].view(np.float32)
+    places = payload[PLACES:SHORTS].view(np.int32)
+    shorts = payload[SHORTS:SIZE].view(np.int16)
     for i in range(4):
         floats[i] = q_nb[i]
     square = 0.0
     for i in range(3):
-        floats[4 + i] = omega_b_rps[i]
+        floats[RATES + i] = omega_b_rps[i]
         shorts[i] = _short(v_ned_mps[i] * CM)
-        shorts[5 + i] = _short(force_b_mps2[i] * MPS2_TO_MILLI_G)
+        shorts[FORCE + i] = _short(force_b_mps2[i] * MPS2_TO_MILLI_G)
         square += v_air_b_mps[i] * v_air_b_mps[i]
-    places[0] = int(np.rint(place[0] * RAD_TO_DEGE7))
-    places[1] = int(np.rint(place[1] * RAD_TO_DEGE7))
-    places[2] = int(np.rint(place[2] * 1e3))
+    lat, lon, alt, density = place
+    places[0] = int(np.rint(lat * RAD_TO_DEGE7))
+    places[1] = int(np.rint(lon * RAD_TO_DEGE7))
+    places[2] = int(np.rint(alt * 1e3))
     airspeed = math.sqrt(square) * CM
-    shorts[3] = _speed(airspeed * math.sqrt(place[3] / SEA_LEVEL_DENSITY_KGPM3))
-    shorts[4] = _speed(airspeed)
+    shorts[INDICATED] = _speed(airspeed * math.sqrt(density / SEA_LEVEL_DENSITY_KGPM3))
+    shorts[TRUE_AIRSPEED] = _speed(airspeed)

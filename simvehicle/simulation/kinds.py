@@ -20,6 +20,7 @@ from simvehicle.guidance.rudderless_controller import RudderlessController, has_
 from simvehicle.vehicles.actuators import Mix, motors, plane
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.fixedwing import FixedWing
+from simvehicle.vehicles.fixedwing_flight import THROTTLE
 from simvehicle.vehicles.multirotor import Multirotor
 from simvehicle.vehicles.vehicle import Vehicle
 
@@ -85,7 +86,7 @@ KINDS = {
         mix=lambda _: plane,
         actuators=lambda _: ["elevator", "aileron", "rudder", "throttle"],
         motors=lambda _: 1,
-        throttle=lambda controls: float(controls[3]),
+        throttle=lambda controls: float(controls[THROTTLE]),
         parameters={"SYS_AUTOSTART": 1030, "MIS_TAKEOFF_ALT": 50.0, "RTL_RETURN_ALT": 100.0},
     ),
     "multirotor": Kind(

@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.rotation import quat_from_euler
-from simvehicle.environment.geolocation import Home, locate
+from simvehicle.environment.geolocation import (
+    AIR,
+    AIR_VELOCITY,
+    ATTITUDE,
+    PLACE,
+    PULL,
+    VELOCITY,
+    Home,
+    locate,
+)
 from simvehicle.environment.terrain import Grid, Level, read_grid
 from simvehicle.guidance.mission import plan
 from simvehicle.guidance.open_loop import OpenLoopController
@@ -28,10 +37,11 @@ from simvehicle.simulation.onboard import fit
 from simvehicle.simulation.weather import Weather
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.fixedwing import FixedWing
+from simvehicle.vehicles.rigidbody_kernel import DOWN, RIGID, P, U
+from simvehicle.vehicles.vehicle import VOLTS, surroundings
 
 Array = NDArray[np.float64]
 _LONGEST_STEP_S = 0.005  # a ground contact is stiff
-_PLACE = 19  # entries of what `locate` fills in
 _WINDS = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
 
 
@@ -117,16 +127,9 @@ class Simulation:
         steps = max(1, math.ceil(dt / _LONGEST_STEP_S - 1e-9))
         # Held over the whole step: gusts are slow against it.
         wind = self._weather.wind(self._x, truth, dt)
-        self._x, load = self.vehicle.advance(
-            self._x,
-            self._controls,
-            wind,
-            self._gravity,
-            truth.density_kgpm3,
-            float(self._x[2]) + truth.height_agl_m,
-            steps,
-            dt / steps,
-        )
+        ground_down_m = float(self._x[DOWN]) + truth.height_agl_m
+        around = surroundings(wind, self._gravity, truth.density_kgpm3, ground_down_m)
+        self._x, load = self.vehicle.advance(self._x, self._controls, around, steps, dt / steps)
         self.truth = self._observe(load, wind)
         return t_us, self.truth, self._read()
 
@@ -195,12 +198,12 @@ class Simulation:
             s = start.state
             q_nb = quat_from_euler(math.radians(s.roll_deg), math.radians(s.pitch_deg), heading)
             x = vehicle.start(r, np.array([s.u_mps, s.v_mps, s.w_mps]), q_nb)
-            x[10:13] = np.radians([s.p_dps, s.q_dps, s.r_dps])
+            x[P:RIGID] = np.radians([s.p_dps, s.q_dps, s.r_dps])
             return x
         level = vehicle.start(r, zero, quat_from_euler(0.0, 0.0, heading))
-        place = np.empty(_PLACE)
+        place = np.empty(PLACE)
         locate(level, zero, self._place, place)
-        density, self._gravity = float(place[5]), place[16:]
+        density, self._gravity = float(place[AIR + 2]), place[PULL:]
         pull = float(np.linalg.norm(self._gravity))
         speeds = [leg.speed_mps or vehicle.parameters.cruise_mps for leg in scenario.mission]
         states, wind = [], self._weather.steady_mps
@@ -235,19 +238,19 @@ class Simulation:
 
     def _observe(self, load: Array, wind: Array) -> Truth:
         """The truth of the state now."""
-        x, place = self._x, np.empty(_PLACE)
+        x, place = self._x, np.empty(PLACE)
         locate(x, wind, self._place, place)
-        lat, lon, height, pressure, temperature, density = place[:6].tolist()
+        lat, lon, height, pressure, temperature, density = place[:VELOCITY].tolist()
         # The height depends on all the rest, so that it shows any divergence.
         if not math.isfinite(height):
             raise ConfigError(
                 f"the simulation left the numbers at {self._t_us * 1e-6:.3f} s; the vehicle's "
                 "parameters, controls or faults let it diverge"
             )
-        self._gravity = place[16:]
+        self._gravity = place[PULL:]
         alt = height - self.home.geoid_m
         agl = alt - self.terrain.ground(lat, lon)
-        volts, amperes, charge = load[3:].tolist()
+        volts, amperes, charge = load[VOLTS:].tolist()
         return Truth(
             self._t_us,
             lat,
@@ -255,12 +258,12 @@ class Simulation:
             height,
             alt,
             agl,
-            x[:3],
-            place[6:9],
-            place[9:13],
-            x[10:13],
-            load[:3],
-            place[13:16],
+            x[:U],
+            place[VELOCITY:ATTITUDE],
+            place[ATTITUDE:AIR_VELOCITY],
+            x[P:RIGID],
+            load[:VOLTS],
+            place[AIR_VELOCITY:PULL],
             wind,
             pressure,
             temperature,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.rotation import matrix_from_quat, quat_from_euler
 from simvehicle.vehicles.contact_kernel import Gear
-from simvehicle.vehicles.fixedwing_flight import fly, pack
+from simvehicle.vehicles.fixedwing_flight import DRAWN, STATE, THROTTLE, fly, pack
 from simvehicle.vehicles.fixedwing_kernel import Aero
 from simvehicle.vehicles.fixedwing_parameters import (
     FixedWingParameters,
@@ -24,7 +24,7 @@ from simvehicle.vehicles.fixedwing_parameters import (
 from simvehicle.vehicles.parameter_file import body_of
 from simvehicle.vehicles.rigidbody_kernel import Inertia
 from simvehicle.vehicles.trim import Trim, trim
-from simvehicle.vehicles.vehicle import surroundings
+from simvehicle.vehicles.vehicle import CHARGE, CURRENT, LOAD, VOLTS
 
 Array = NDArray[np.float64]
 
@@ -106,17 +106,9 @@ class FixedWing:
         return self.start(r_ned_m, relative + matrix_from_quat(q).T @ wind_ned_mps, q)
 
     def advance(
-        self,
-        x: Array,
-        controls: Array,
-        wind_ned_mps: Array,
-        gravity_ned_mps2: Array,
-        density: float,
-        ground_down_m: float,
-        steps: int,
-        dt: float,
+        self, x: Array, controls: Array, around: Array, steps: int, dt: float
     ) -> tuple[Array, Array]:
-        """Fly `steps` steps of `dt` seconds.
+        """Fly `steps` steps of `dt` seconds in `surroundings`.
 
         Returns
         -------
@@ -124,16 +116,16 @@ class FixedWing:
         load : array, shape (6,)
             Specific force in body axes [m/s^2]; battery voltage [V], current [A], rest (0 to 1).
         """
-        after, load = np.empty(14), np.empty(6)
-        around = surroundings(wind_ned_mps, gravity_ned_mps2, density, ground_down_m)
+        after, load = np.empty(STATE), np.empty(LOAD)
         fly(x, controls, around, steps, dt, self._packed, after, load)
         battery = self.parameters.battery
         # With a motor model the kernel gives the current itself.
         if self.parameters.motor is None:
             # The thrust law of the first edition knows no current: it is taken in proportion.
-            load[4] = battery.full_throttle_a * min(1.0, max(0.0, float(controls[3])))
-            after[13] += load[4] * steps * dt
-        volts, load[5] = battery.state(float(after[13]), float(load[4]))
+            throttle = min(1.0, max(0.0, float(controls[THROTTLE])))
+            load[CURRENT] = battery.full_throttle_a * throttle
+            after[DRAWN] += load[CURRENT] * steps * dt
+        volts, load[CHARGE] = battery.state(float(after[DRAWN]), float(load[CURRENT]))
         # A fault of the battery lowers the voltage that the vehicle sees.
-        load[3] = volts * self._volts
+        load[VOLTS] = volts * self._volts
         return after, load

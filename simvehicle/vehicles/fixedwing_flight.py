@@ -13,16 +13,19 @@ from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.rotation_kernel import to_body
 from simvehicle.vehicles.contact_kernel import Gear, contact
 from simvehicle.vehicles.fixedwing_kernel import Aero, forces_moments, propulsion
-from simvehicle.vehicles.rigidbody_kernel import Inertia, Loads, State13, integrated
-from simvehicle.vehicles.vehicle import DENSITY, GRAVITY, GROUND, WIND
+from simvehicle.vehicles.rigidbody_kernel import RIGID, Inertia, Loads, State13, integrated
+from simvehicle.vehicles.vehicle import CURRENT, DENSITY, FORCE, GRAVITY, GROUND, WIND
 
 Array = NDArray[np.float64]
 _CLEAR_M = 5.0  # above this height nothing can touch the ground
 _BRAKES = 0.4  # friction along the body while the throttle is closed
+DRAWN, STATE = RIGID, RIGID + 1  # where the charge drawn is in a state, and a state's length
+ELEVATOR, AILERON, RUDDER, THROTTLE = range(4)  # of the controls
 _BODY = len(Inertia._fields)
 _AERO = len(Aero._fields)
 _END = _BODY + _AERO
-_POINTS = _END + 8  # after the rest of the gear, the shift and the throws
+# What `pack` puts behind the named tuples; the contact points come last.
+_STIFFNESS, _DAMPING, _ALONG, _ACROSS, _SHIFT, _THROW, _POINTS = (*range(_END, _END + 6), _END + 8)
 
 
 class _Given(NamedTuple):
@@ -51,19 +54,20 @@ def pack(
 @inlined
 def _loads(state: State13, stage: int, given: _Given) -> Loads:
     """Air, propeller and ground; the same at every stage of a step."""
+    _, _, down, u, v, w, e0, e1, e2, e3, p, q, r = state
     wind = given.wind
-    wx, wy, wz = to_body(state[6], state[7], state[8], state[9], wind[0], wind[1], wind[2])
-    air = (state[3] - wx, state[4] - wy, state[5] - wz)
-    rates = (state[10], state[11], state[12])
-    fx, fy, fz, mx, my, mz = forces_moments(air, rates, given.surfaces, given.density, given.aero)
+    wx, wy, wz = to_body(e0, e1, e2, e3, wind[0], wind[1], wind[2])
+    fx, fy, fz, mx, my, mz = forces_moments(
+        (u - wx, v - wy, w - wz), (p, q, r), given.surfaces, given.density, given.aero
+    )
     # The coefficients hold about the old centre of mass; the force acts there still.
     my += given.shift * fz
     mz -= given.shift * fy
     # Down is positive: this is below five metres, higher up there is nothing to touch.
-    if state[2] > given.ground - _CLEAR_M:
-        g = contact(state, given.ground, given.wheels)
-        fx, fy, fz = fx + g[0], fy + g[1], fz + g[2]
-        mx, my, mz = mx + g[3], my + g[4], mz + g[5]
+    if down > given.ground - _CLEAR_M:
+        gx, gy, gz, gl, gm, gn = contact(state, given.ground, given.wheels)
+        fx, fy, fz = fx + gx, fy + gy, fz + gz
+        mx, my, mz = mx + gl, my + gm, mz + gn
     return fx, fy, fz, mx, my, mz
 
 
@@ -76,10 +80,10 @@ def _clipped(value: float, low: float, high: float) -> float:
 def _surfaces(controls: Array, packed: Array) -> tuple[float, float, float, float]:
     """Deflections [rad] and throttle that are commanded, within their limits."""
     return (
-        _clipped(controls[0], -1.0, 1.0) * packed[_END + 5],
-        _clipped(controls[1], -1.0, 1.0) * packed[_END + 6],
-        _clipped(controls[2], -1.0, 1.0) * packed[_END + 7],
-        _clipped(controls[3], 0.0, 1.0),
+        _clipped(controls[ELEVATOR], -1.0, 1.0) * packed[_THROW + ELEVATOR],
+        _clipped(controls[AILERON], -1.0, 1.0) * packed[_THROW + AILERON],
+        _clipped(controls[RUDDER], -1.0, 1.0) * packed[_THROW + RUDDER],
+        _clipped(controls[THROTTLE], 0.0, 1.0),
     )
 
 
@@ -111,33 +115,34 @@ def fly(
     after : array, shape (14,)
         Becomes the new state.
     load : array, shape (>= 5,)
-        Becomes the specific force in body axes [m/s^2] at the new state, and [4] the motor
-        current [A].
+        Becomes the specific force in body axes [m/s^2] at the new state, and the motor's current
+        [A]; places as in `vehicle`.
     """
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
     aero = Aero(*to_fixed_tuple(packed[_BODY:_END], _AERO))
     # A pilot who closes the throttle on the ground brakes.
-    rolling = packed[_END + 2] if controls[3] > 0.0 else _BRAKES
+    rolling = packed[_ALONG] if controls[THROTTLE] > 0.0 else _BRAKES
     points_m = packed[_POINTS:].reshape(-1, 3)
-    wheels = Gear(points_m, packed[_END], packed[_END + 1], rolling, packed[_END + 3])
+    wheels = Gear(points_m, packed[_STIFFNESS], packed[_DAMPING], rolling, packed[_ACROSS])
     surfaces = _surfaces(controls, packed)
-    w = (around[WIND], around[WIND + 1], around[WIND + 2])
+    wind = (around[WIND], around[WIND + 1], around[WIND + 2])
     g = (around[GRAVITY], around[GRAVITY + 1], around[GRAVITY + 2])
     density = around[DENSITY]
-    given = _Given(surfaces, w, density, around[GROUND], aero, wheels, packed[_END + 4])
+    given = _Given(surfaces, wind, density, around[GROUND], aero, wheels, packed[_SHIFT])
     # A tuple: scalars stay in registers over the steps.
-    s = (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[9], x[10], x[11], x[12])
+    s = to_fixed_tuple(x[:RIGID], RIGID)
     for _ in range(steps):
         s = integrated(s, _loads, given, g, body, dt)
     fx, fy, fz, _mx, _my, _mz = _loads(s, 0, given)
-    wx, wy, wz = to_body(s[6], s[7], s[8], s[9], w[0], w[1], w[2])
-    airspeed = np.sqrt((s[3] - wx) ** 2 + (s[4] - wy) ** 2 + (s[5] - wz) ** 2)
+    _, _, _, u, v, w, e0, e1, e2, e3, _, _, _ = s
+    wx, wy, wz = to_body(e0, e1, e2, e3, wind[0], wind[1], wind[2])
+    airspeed = np.sqrt((u - wx) ** 2 + (v - wy) ** 2 + (w - wz) ** 2)
     # The current of the last step stands for all of them.
-    current = propulsion(airspeed, surfaces[3], density, aero)[2]
-    for i in range(13):
+    _, _, current = propulsion(airspeed, surfaces[THROTTLE], density, aero)
+    for i in range(RIGID):
         after[i] = s[i]
-    after[13] = x[13] + current * steps * dt
-    load[0] = fx / body.mass_kg
-    load[1] = fy / body.mass_kg
-    load[2] = fz / body.mass_kg
-    load[4] = current
+    after[DRAWN] = x[DRAWN] + current * steps * dt
+    load[FORCE] = fx / body.mass_kg
+    load[FORCE + 1] = fy / body.mass_kg
+    load[FORCE + 2] = fz / body.mass_kg
+    load[CURRENT] = current

@@ -203,10 +203,10 @@ def derivative(
         Of the air [kg/m^3].
     body, aero : Inertia, Aero
     """
-    wx, wy, wz = to_body(state[6], state[7], state[8], state[9], wind[0], wind[1], wind[2])
-    air = (state[3] - wx, state[4] - wy, state[5] - wz)
-    rates = (state[10], state[11], state[12])
-    fx, fy, fz, mx, my, mz = forces_moments(air, rates, controls, density, aero)
+    _, _, _, u, v, w, e0, e1, e2, e3, p, q, r = state
+    wx, wy, wz = to_body(e0, e1, e2, e3, wind[0], wind[1], wind[2])
+    air = (u - wx, v - wy, w - wz)
+    fx, fy, fz, mx, my, mz = forces_moments(air, (p, q, r), controls, density, aero)
     return rigid_body(state, (fx, fy, fz), (mx, my, mz), gravity, body)
 
 

@@ -17,7 +17,8 @@ from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from simvehicle.vehicles.contact_kernel import Gear, gear
 from simvehicle.vehicles.multirotor_flight import Airframe, fly, pack
 from simvehicle.vehicles.parameter_file import Battery, Moments, body_of, read_parameters
-from simvehicle.vehicles.vehicle import surroundings
+from simvehicle.vehicles.rigidbody_kernel import RIGID
+from simvehicle.vehicles.vehicle import CHARGE, CURRENT, LOAD, SAG, VOLTS
 
 Array = NDArray[np.float64]
 
@@ -148,21 +149,13 @@ class Multirotor:
         each = self.body.mass_kg * gravity / self.controls_count
         thrust = self.parameters.motor.thrust_n_per_rps2 * density / SEA_LEVEL_DENSITY_KGPM3
         # Thrust goes with the square of the speed.
-        x[13:-2] = math.sqrt(each / thrust)
+        x[RIGID:-2] = math.sqrt(each / thrust)
         return x
 
     def advance(
-        self,
-        x: Array,
-        controls: Array,
-        wind_ned_mps: Array,
-        gravity_ned_mps2: Array,
-        density: float,
-        ground_down_m: float,
-        steps: int,
-        dt: float,
+        self, x: Array, controls: Array, around: Array, steps: int, dt: float
     ) -> tuple[Array, Array]:
-        """Fly `steps` steps of `dt` seconds.
+        """Fly `steps` steps of `dt` seconds in `surroundings`.
 
         Returns
         -------
@@ -175,14 +168,13 @@ class Multirotor:
         current = float(x[-2])
         volts, charge = battery.state(float(x[-1]), current * self._resistance)
         volts *= self._volts
-        after, load = np.empty(len(x)), np.empty(6)
+        after, load = np.empty(len(x)), np.empty(LOAD)
         # 4.2 V is a full lithium cell: the full speed of the file is that of a full pack.
-        sag = min(1.0, volts / (battery.cells * 4.2))
-        around = surroundings(wind_ned_mps, gravity_ned_mps2, density, ground_down_m, sag)
+        around[SAG] = min(1.0, volts / (battery.cells * 4.2))
         fly(x, controls, around, steps, dt, self._packed, after, load)
         # From the mean cube of the speeds over full speed.
-        current = battery.full_throttle_a * float(load[4])
+        current = battery.full_throttle_a * float(load[CURRENT])
         after[-2] = current
         after[-1] += current * steps * dt
-        load[3], load[4], load[5] = volts, current, charge
+        load[VOLTS], load[CURRENT], load[CHARGE] = volts, current, charge
         return after, load

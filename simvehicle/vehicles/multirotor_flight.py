@@ -18,8 +18,8 @@ from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from mavproxy_fault.numerics.rotation_kernel import to_body
 from simvehicle.vehicles.contact_kernel import Gear, contact
-from simvehicle.vehicles.rigidbody_kernel import Inertia, Loads, State13, integrated
-from simvehicle.vehicles.vehicle import DENSITY, GRAVITY, GROUND, SAG, WIND
+from simvehicle.vehicles.rigidbody_kernel import RIGID, Inertia, Loads, State13, integrated
+from simvehicle.vehicles.vehicle import CURRENT, DENSITY, FORCE, GRAVITY, GROUND, SAG, WIND
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,9 @@ class _Given(NamedTuple):
 _BODY = len(Inertia._fields)
 _FRAME = len(Airframe._fields)
 _END = _BODY + _FRAME
-_ROTORS = _END + 4
+# What `pack` puts behind the named tuples; the rotors and then the contact points come last.
+_STIFFNESS, _DAMPING, _ALONG, _ACROSS, _ROTORS = range(_END, _END + 5)
+_RIGHT, _REACTION, _PROPELLER, _POWER, _ROTOR = range(1, 6)  # columns of a rotor behind x
 
 
 def pack(body: Inertia, frame: Airframe, wheels: Gear, rotors: Array) -> Array:
@@ -75,15 +77,15 @@ def _loads(state: State13, stage: int, given: _Given) -> Loads:
     rotors, frame, density, wind = given.rotors, given.frame, given.density, given.wind
     # Stages 1 and 2 of Runge-Kutta lie both in the middle of the step.
     when = (stage + 1) // 2
-    wx, wy, wz = to_body(state[6], state[7], state[8], state[9], wind[0], wind[1], wind[2])
-    ax, ay, az = state[3] - wx, state[4] - wy, state[5] - wz
-    p, q, r = state[10], state[11], state[12]
+    _, _, _, u, v, w, e0, e1, e2, e3, p, q, r = state
+    wx, wy, wz = to_body(e0, e1, e2, e3, wind[0], wind[1], wind[2])
+    ax, ay, az = u - wx, v - wy, w - wz
     fx, fy, fz, mx, my, mz = contact(state, given.ground, given.wheels)
     for i in range(rotors.shape[0]):
-        x, y = rotors[i, 0] - frame.shift_x, rotors[i, 1] - frame.shift_y
+        x, y = rotors[i, 0] - frame.shift_x, rotors[i, _RIGHT] - frame.shift_y
         omega = given.speeds[when, i]
         thrust = frame.thrust * omega * omega * density / SEA_LEVEL_DENSITY_KGPM3
-        lift = thrust * rotors[i, 3]
+        lift = thrust * rotors[i, _PROPELLER]
         # The disc sees the air of its own place, moved by the yaw rate as well.
         hx = -frame.rotor_drag * omega * (ax - r * y)
         hy = -frame.rotor_drag * omega * (ay + r * x)
@@ -94,7 +96,7 @@ def _loads(state: State13, stage: int, given: _Given) -> Loads:
         mx -= y * lift
         my += x * lift
         # Yaw: the drag of the discs at their arms, and the reaction to the propellers' torque.
-        mz += x * hy - y * hx + rotors[i, 2] * frame.torque_per_thrust * thrust
+        mz += x * hy - y * hx + rotors[i, _REACTION] * frame.torque_per_thrust * thrust
     drag = 0.5 * density * frame.drag_area * np.sqrt(ax * ax + ay * ay + az * az)
     return (
         fx - drag * ax,
@@ -121,7 +123,7 @@ def _spin(
 ) -> None:
     """Fill in the motors' speeds at the middle and the end of a step, exactly."""
     for i in range(controls.shape[0]):
-        wanted = _commanded(controls[i], sag, rotors[i, 4], frame)
+        wanted = _commanded(controls[i], sag, rotors[i, _POWER], frame)
         # Brakes are weaker than drives: spinning down takes longer.
         lag = frame.spin_up_s if wanted > speeds[0, i] else frame.spin_down_s
         remaining = math.exp(-0.5 * dt / lag)  # of the difference after half a step
@@ -151,24 +153,25 @@ def fly(
     controls : array, shape (n,)
         0 to 1 between idle and full speed, clipped; 0 stops the motor.
     around : array, shape (9,)
-        [8] is the battery's voltage over that of a full pack, which lowers the full speed.
+        The battery's sag, the last of them, lowers the full speed.
     load : array, shape (>= 5,)
-        [4] becomes the mean cube of the motors' speeds over full speed, which power goes with.
+        In the current's place comes the mean cube of the motors' speeds over full speed, which
+        power goes with.
     """
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
     frame = Airframe(*to_fixed_tuple(packed[_BODY:_END], _FRAME))
     n = controls.shape[0]
     # Behind the fixed part of `packed` come five numbers a rotor, then the contact points.
-    points = _ROTORS + 5 * n
-    rotors, points_m = packed[_ROTORS:points].reshape(n, 5), packed[points:].reshape(-1, 3)
-    wheels = Gear(points_m, packed[_END], packed[_END + 1], packed[_END + 2], packed[_END + 3])
+    points = _ROTORS + _ROTOR * n
+    rotors, points_m = packed[_ROTORS:points].reshape(n, _ROTOR), packed[points:].reshape(-1, 3)
+    wheels = Gear(points_m, packed[_STIFFNESS], packed[_DAMPING], packed[_ALONG], packed[_ACROSS])
     speeds = np.empty((3, n))
     for i in range(n):
-        speeds[0, i] = x[13 + i]
+        speeds[0, i] = x[RIGID + i]
     w = (around[WIND], around[WIND + 1], around[WIND + 2])
     g = (around[GRAVITY], around[GRAVITY + 1], around[GRAVITY + 2])
     given = _Given(speeds, rotors, w, around[DENSITY], around[GROUND], frame, wheels)
-    s = (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[9], x[10], x[11], x[12])
+    s = to_fixed_tuple(x[:RIGID], RIGID)
     for _ in range(steps):
         _spin(speeds, controls, around[SAG], rotors, frame, dt)
         s = integrated(s, _loads, given, g, body, dt)
@@ -176,13 +179,12 @@ def fly(
             speeds[0, i] = speeds[2, i]
     # After the last step the stage 0 speeds are those of now.
     f = _loads(s, 0, given)
-    for i in range(13):
+    for i in range(RIGID):
         after[i] = s[i]
     for i in range(3):
-        load[i] = f[i] / body.mass_kg
-    load[4] = 0.0
+        load[FORCE + i] = f[i] / body.mass_kg
+    load[CURRENT] = 0.0
     for i in range(n):
-        after[13 + i] = speeds[0, i]
-        load[4] += (speeds[0, i] / frame.full) ** 3 / n
-    after[13 + n] = x[13 + n]
-    after[14 + n] = x[14 + n]
+        after[RIGID + i] = speeds[0, i]
+        load[CURRENT] += (speeds[0, i] / frame.full) ** 3 / n
+    after[RIGID + n :] = x[RIGID + n :]

@@ -18,6 +18,8 @@ from mavproxy_fault.numerics.rotation_kernel import to_body, to_ned
 State13 = tuple[
     float, float, float, float, float, float, float, float, float, float, float, float, float
 ]
+(NORTH, EAST, DOWN, U, V, W, E0, E1, E2, E3, P, Q, R) = range(13)  # columns of a state array
+RIGID = 13  # how many there are
 Loads = tuple[float, float, float, float, float, float]
 """Force [N] and moment about the centre of mass [N m], without gravity, body axes."""
 
@@ -90,7 +92,8 @@ def rigid_body(
     _, _, _, u, v, w, e0, e1, e2, e3, p, q, r = state
     fx, fy, fz = force
     mx, my, mz = moment
-    gx, gy, gz = to_body(e0, e1, e2, e3, gravity[0], gravity[1], gravity[2])
+    gn, ge, gd = gravity
+    gx, gy, gz = to_body(e0, e1, e2, e3, gn, ge, gd)
     vn, ve, vd = to_ned(e0, e1, e2, e3, u, v, w)
     # One division for three products: it costs as much as several of those.
     im = 1.0 / body.mass_kg
@@ -116,44 +119,32 @@ def rigid_body(
 @inlined
 def moved(state: State13, rate: State13, dt: float) -> State13:
     """State + dt * rate (the quaternion is left as it comes)."""
+    # Written out, as a loop over a tuple would keep LLVM from making SIMD code of it.
+    north, east, down, u, v, w, e0, e1, e2, e3, p, q, r = state
+    dn, de, dd, du, dv, dw, de0, de1, de2, de3, dp, dq, dr = rate
     return (
-        # Written out, as a loop over a tuple would keep LLVM from making SIMD code of it.
-        fma(dt, rate[0], state[0]),
-        fma(dt, rate[1], state[1]),
-        fma(dt, rate[2], state[2]),
-        fma(dt, rate[3], state[3]),
-        fma(dt, rate[4], state[4]),
-        fma(dt, rate[5], state[5]),
-        fma(dt, rate[6], state[6]),
-        fma(dt, rate[7], state[7]),
-        fma(dt, rate[8], state[8]),
-        fma(dt, rate[9], state[9]),
-        fma(dt, rate[10], state[10]),
-        fma(dt, rate[11], state[11]),
-        fma(dt, rate[12], state[12]),
+        fma(dt, dn, north),
+        fma(dt, de, east),
+        fma(dt, dd, down),
+        fma(dt, du, u),
+        fma(dt, dv, v),
+        fma(dt, dw, w),
+        fma(dt, de0, e0),
+        fma(dt, de1, e1),
+        fma(dt, de2, e2),
+        fma(dt, de3, e3),
+        fma(dt, dp, p),
+        fma(dt, dq, q),
+        fma(dt, dr, r),
     )
 
 
 @inlined
-def normalised(s: State13) -> State13:
+def normalised(state: State13) -> State13:
     """The state with its quaternion back at length one."""
-    e0, e1, e2, e3 = s[6], s[7], s[8], s[9]
+    north, east, down, u, v, w, e0, e1, e2, e3, p, q, r = state
     inv = 1.0 / np.sqrt(e0 * e0 + e1 * e1 + e2 * e2 + e3 * e3)
-    return (
-        s[0],
-        s[1],
-        s[2],
-        s[3],
-        s[4],
-        s[5],
-        e0 * inv,
-        e1 * inv,
-        e2 * inv,
-        e3 * inv,
-        s[10],
-        s[11],
-        s[12],
-    )
+    return north, east, down, u, v, w, e0 * inv, e1 * inv, e2 * inv, e3 * inv, p, q, r
 
 
 @inlined

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotation import quat_from_euler
 from simvehicle.vehicles.fixedwing_kernel import Aero, derivative
-from simvehicle.vehicles.rigidbody_kernel import Inertia, State13
+from simvehicle.vehicles.rigidbody_kernel import E0, Inertia, P, State13, U, V, W
 
 Array = NDArray[np.float64]
-_LONGITUDINAL = [3, 5, 7, 10]
-LATERAL = [4, 6, 9, 11]
+ROLL, PITCH, RATES = 6, 7, 9  # where they are, or begin, among the 12
+_LONGITUDINAL = [U, W, PITCH, RATES + 1]
+LATERAL = [V, ROLL, RATES, RATES + 2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +38,9 @@ class Trim:
     def state12(self) -> Array:
         """The 12 states at the origin, heading north."""
         x = np.zeros(12)
-        x[3] = self.airspeed_mps * math.cos(self.alpha_rad)
-        x[5] = self.airspeed_mps * math.sin(self.alpha_rad)
-        x[6] = self.roll_rad
-        x[7] = self.pitch_rad
+        x[U] = self.airspeed_mps * math.cos(self.alpha_rad)
+        x[W] = self.airspeed_mps * math.sin(self.alpha_rad)
+        x[ROLL], x[PITCH] = self.roll_rad, self.pitch_rad
         return x
 
     def controls(self) -> Array:
@@ -64,19 +64,19 @@ def euler_derivative(
     x: Array, controls: Array, body: Inertia, aero: Aero, density: float, gravity: float
 ) -> Array:
     """Time derivative (12,) of the Euler-angle state, from the quaternion kernel."""
-    roll, pitch = x[6], x[7]
-    q = quat_from_euler(roll, pitch, x[8])
-    state = cast(State13, tuple(np.concatenate([x[:6], q, x[9:]]).tolist()))
+    roll, pitch, yaw = x[ROLL:RATES]
+    q = quat_from_euler(roll, pitch, yaw)
+    state = cast(State13, tuple(np.concatenate([x[:ROLL], q, x[RATES:]]).tolist()))
     de, da, dr, dt = controls.tolist()
     rate = _derivative(state, (de, da, dr, dt), gravity, density, body, aero)
-    p, qq, r = x[9:]
+    p, qq, r = x[RATES:]
     yaw_part = qq * math.sin(roll) + r * math.cos(roll)
     angles = (
         p + yaw_part * math.tan(pitch),
         qq * math.cos(roll) - r * math.sin(roll),
         yaw_part / math.cos(pitch),
     )
-    return np.array([*rate[:6], *angles, *rate[10:]])
+    return np.array([*rate[:E0], *angles, *rate[P:]])
 
 
 def trim(

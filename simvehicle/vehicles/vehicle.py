@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 WIND, GRAVITY, DENSITY, GROUND, SAG = 0, 3, 6, 7, 8  # where they begin in `surroundings`
+FORCE, VOLTS, CURRENT, CHARGE, LOAD = 0, 3, 4, 5, 6  # and in what `advance` gives beside the state
 
 
 def surroundings(
-    wind_ned_mps: Array, gravity_ned_mps2: Array, density: float, ground_down_m: float,
-    sag: float = 1.0,
-) -> Array:  # fmt: skip
+    wind_ned_mps: Array, gravity_ned_mps2: Array, density: float, ground_down_m: float
+) -> Array:
     """What acts on a vehicle from outside during a step (9,), as the kernels take it.
 
-    `density` is the air's [kg/m^3], `ground_down_m` the ground's down coordinate, `sag` the
-    battery's voltage over that of a full pack.
+    `density` is the air's [kg/m^3], `ground_down_m` the ground's down coordinate. The last entry is
+    the vehicle's own: its battery's voltage over that of a full pack.
     """
     out = np.empty(9)
     out[WIND : WIND + 3] = wind_ned_mps
     out[GRAVITY : GRAVITY + 3] = gravity_ned_mps2
-    out[DENSITY], out[GROUND], out[SAG] = density, ground_down_m, sag
+    out[DENSITY], out[GROUND], out[SAG] = density, ground_down_m, 1.0
     return out
 
 
@@ -59,7 +59,8 @@ class Vehicle(Protocol):
         """State (m,) of steady flight at (3,) in a wind (3,); ValueError if it cannot be flown."""
 
     def advance(
-        self, x: Array, controls: Array, wind_ned_mps: Array, gravity_ned_mps2: Array,
-        density: float, ground_down_m: float, steps: int, dt: float,
-    ) -> tuple[Array, Array]:  # fmt: skip
-        """State (m,) later, and then specific force (3), battery voltage, current and rest (6,)."""
+        self, x: Array, controls: Array, around: Array, steps: int, dt: float
+    ) -> tuple[Array, Array]:
+        """State (m,) after so many steps of `dt` seconds in `surroundings`, and what it is under
+        then (6,): specific force [m/s^2], battery voltage [V], current [A], charge left (0 to 1).
+        """

@@ -42,13 +42,15 @@ def weave(motion: Motion, aim: Four, open_loop: Four, t_s: float) -> Four:
     t_s : float
         Since the start.
     """
-    sine, _ = sin_cos(2.0 * pi * t_s / aim[1])
-    elevator = PITCH_RATE * motion.q - PITCH * (aim[2] - motion.pitch)
-    aileron = ROLL * (aim[0] * sine - motion.roll) - ROLL_RATE * motion.p
-    throttle = open_loop[3] + SPEED * (aim[3] - motion.airspeed_mps)
+    roll_rad, period_s, pitch_rad, airspeed_mps = aim
+    elevator, aileron, rudder, throttle = open_loop
+    sine, _ = sin_cos(2.0 * pi * t_s / period_s)
+    more_elevator = PITCH_RATE * motion.q - PITCH * (pitch_rad - motion.pitch)
+    more_aileron = ROLL * (roll_rad * sine - motion.roll) - ROLL_RATE * motion.p
+    throttle += SPEED * (airspeed_mps - motion.airspeed_mps)
     return (
-        open_loop[0] + min(THROW_RAD, max(-THROW_RAD, elevator)),
-        open_loop[1] + min(THROW_RAD, max(-THROW_RAD, aileron)),
-        open_loop[2],
+        elevator + min(THROW_RAD, max(-THROW_RAD, more_elevator)),
+        aileron + min(THROW_RAD, max(-THROW_RAD, more_aileron)),
+        rudder,
         min(1.0, max(0.0, throttle)),
     )

@@ -13,7 +13,7 @@ from analysis.estimators.complementary import Mahony
 from analysis.estimators.ekf import Ekf
 from analysis.search.evaluation.traced_flight import Trace, estimated, traced, with_all_sensors
 from analysis.search.lanes import rows
-from analysis.search.lanes.filter_lanes import EKF, FILTER_SIZE, HEARD, LEVELLED, MAHONY, Gains
+from analysis.search.lanes.filter_lanes import EKF, FILTER_SIZE, HEARD, LEVELLED, MAHONY, Tunings
 from analysis.search.lanes.lane_state import Envelope
 from analysis.search.lanes.noise_kernel import GENERATORS, streams
 from analysis.search.lanes.search_kernel import Plan, fly
@@ -176,7 +176,7 @@ def plan_of(test: TestFile, vehicle: FixedWing) -> Plan:
         angle=test.criterion == "angle",
         state=test.criterion == "state",
         estimator=COMPILED.get(test.estimator, HEUN),
-        gains=gains_of(test.estimator),
+        tunings=tunings_of(test.estimator),
         sea_density_kgpm3=SEA_LEVEL_DENSITY_KGPM3,
         limits=envelope_of(test),
         body=vehicle.body,
@@ -184,25 +184,12 @@ def plan_of(test: TestFile, vehicle: FixedWing) -> Plan:
     )
 
 
-def gains_of(name: str) -> Gains:
-    """What the kernels of an estimator take, from its default parameters."""
+def tunings_of(name: str) -> Tunings:
+    """What the kernels take, from the default parameters of the estimator of that name."""
     estimator = make(name)
-    # Unused numbers of an estimator are zero.
-    if isinstance(estimator, Mahony):
-        tilt, heading, bias = estimator.tilt_gain, estimator.heading_gain, estimator.bias_gain
-        return (tilt, heading, bias, 0.0, 0.0, 0.0, 0.0, 0.0)
-    if isinstance(estimator, Ekf):
-        return (
-            estimator.gyro_density,
-            estimator.bias_density,
-            estimator.accel_density,
-            estimator.velocity_sigma_mps**2,
-            estimator.heading_sigma_rad**2,
-            estimator.gravity_sigma_mps2**2,
-            estimator.gravity_period_s,
-            estimator.gps_timeout_s,
-        )
-    return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    mahony = estimator if isinstance(estimator, Mahony) else Mahony()
+    ekf = estimator if isinstance(estimator, Ekf) else Ekf()
+    return Tunings(mahony.gains, ekf.tuning)
 
 
 def envelope_of(test: TestFile) -> Envelope:

@@ -3,12 +3,12 @@
 import numpy as np
 
 from analysis.search.lanes import rows
-from analysis.search.lanes.lane_state import Buffer
+from analysis.search.lanes.lane_state import Buffer, true_attitude, true_velocity
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotation_kernel import to_body, to_ned
 
 L = rows.LANES
-NOW, W, N = rows.NOW * L, rows.WIND * L, rows.NOISE * L
+W, N = rows.WIND * L, rows.NOISE * L
 B, V, P = rows.FIELD * L, rows.VELOCITY * L, rows.DIFF_PRESSURE * L
 BS, VS, PS = rows.FIELD_SIGMA * L, rows.VELOCITY_SIGMA * L, rows.PRESSURE_SIGMA * L
 
@@ -19,8 +19,7 @@ Three = tuple[float, float, float]
 def sense_field(buf: Buffer, field_ned: Three) -> None:
     """The field of the place in body axes with noise numbers 0 to 2."""
     for lane in range(L):
-        e0, e1 = buf[NOW + 6 * L + lane], buf[NOW + 7 * L + lane]
-        e2, e3 = buf[NOW + 8 * L + lane], buf[NOW + 9 * L + lane]
+        e0, e1, e2, e3 = true_attitude(buf, lane)
         x, y, z = to_body(e0, e1, e2, e3, field_ned[0], field_ned[1], field_ned[2])
         sigma = buf[BS + lane]
         buf[B + lane] = x + sigma * buf[N + lane]
@@ -32,10 +31,8 @@ def sense_field(buf: Buffer, field_ned: Three) -> None:
 def sense_velocity(buf: Buffer) -> None:
     """Velocity over ground, NED, with noise numbers 3 to 5."""
     for lane in range(L):
-        e0, e1 = buf[NOW + 6 * L + lane], buf[NOW + 7 * L + lane]
-        e2, e3 = buf[NOW + 8 * L + lane], buf[NOW + 9 * L + lane]
-        u, v = buf[NOW + 3 * L + lane], buf[NOW + 4 * L + lane]
-        w = buf[NOW + 5 * L + lane]
+        e0, e1, e2, e3 = true_attitude(buf, lane)
+        u, v, w = true_velocity(buf, lane)
         north, east, down = to_ned(e0, e1, e2, e3, u, v, w)
         sigma = buf[VS + lane]
         buf[V + lane] = north + sigma * buf[N + 3 * L + lane]
@@ -47,14 +44,11 @@ def sense_velocity(buf: Buffer) -> None:
 def sense_pressure(buf: Buffer, density: float) -> None:
     """Dynamic pressure of the air past the body with noise number 0."""
     for lane in range(L):
-        e0, e1 = buf[NOW + 6 * L + lane], buf[NOW + 7 * L + lane]
-        e2, e3 = buf[NOW + 8 * L + lane], buf[NOW + 9 * L + lane]
+        e0, e1, e2, e3 = true_attitude(buf, lane)
         north, east, down = buf[W + lane], buf[W + L + lane], buf[W + 2 * L + lane]
         x, y, z = to_body(e0, e1, e2, e3, north, east, down)
-        u = buf[NOW + 3 * L + lane] - x
-        v = buf[NOW + 4 * L + lane] - y
-        w = buf[NOW + 5 * L + lane] - z
-        square = u * u + v * v + w * w
+        u, v, w = true_velocity(buf, lane)
+        square = (u - x) * (u - x) + (v - y) * (v - y) + (w - z) * (w - z)
         buf[P + lane] = 0.5 * density * square + buf[PS + lane] * buf[N + lane]
 
 

@@ -3,26 +3,35 @@
 A lane at a time, without SIMD: what the search finds is what the estimator does elsewhere.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators import complementary, ekf_kernel
+from analysis.estimators.complementary import SIZE, Gains
+from analysis.estimators.ekf_kernel import Tuning
+from analysis.samples.block import FORCE, IMU_ID
 from analysis.search.lanes import rows
 from analysis.search.lanes.lane_state import Buffer
 from mavproxy_fault.numerics.compile import compiled
 
 L = rows.LANES
 M, Q = rows.MEASURED * L, rows.QUATERNION * L
+FIELD, VELOCITY = rows.FIELD * L, rows.VELOCITY * L
 ALIVE = rows.ALIVE * L
 MAHONY, EKF = 1, 2  # kinds; 0 is the inverse sensor model
-HEARD, LEVELLED, FILTER_SIZE = (
-    91,
-    92,
-    93,
-)  # behind the longest state x, when GPS came, gravity was used
+# Behind the longest state x: when GPS came, when gravity was used.
+HEARD, LEVELLED, FILTER_SIZE = 91, 92, 93
 ROUNDING_S = 1e-9
 FilterStates = NDArray[np.float64]  # (LANES, FILTER_SIZE)
-Gains = tuple[float, float, float, float, float, float, float, float]
+
+
+class Tunings(NamedTuple):
+    """What Mahony's filter and the EKF are tuned to; the one that does not fly is not looked at."""
+
+    mahony: Gains
+    ekf: Tuning
 
 
 @compiled
@@ -36,64 +45,69 @@ def channels(buf: Buffer, row: int, count: int, lane: int) -> Buffer:
 
 @compiled
 def predict(
-    buf: Buffer, filters: FilterStates, airspeed: Buffer, kind: int, gains: Gains, dt: float
+    buf: Buffer, filters: FilterStates, airspeed: Buffer, kind: int, tunings: Tunings, dt: float
 ) -> None:
     """Every living lane's estimate after its IMU sample."""
     room = ekf_kernel.new_room()
     for lane in range(L):
         if buf[ALIVE + lane] > 0.5:
-            imu = channels(buf, M, 6, lane)
+            imu = channels(buf, M, IMU_ID, lane)
             if kind == MAHONY:
-                x = filters[lane, :7]
-                filters[lane, :7] = complementary.predict(
-                    x, imu[:3], imu[3:], airspeed[lane], dt, gains[0], gains[2]
+                x = filters[lane, :SIZE]
+                filters[lane, :SIZE] = complementary.predict(
+                    x, imu[:FORCE], imu[FORCE:], airspeed[lane], dt, tunings.mahony
                 )
             else:
-                ekf_kernel.predict(filters[lane], imu, dt, gains[0], gains[1], gains[2], room)
+                ekf_kernel.predict(filters[lane], imu, dt, tunings.ekf, room)
 
 
 @compiled
 def head(
-    buf: Buffer, filters: FilterStates, kind: int, gains: Gains, declination_rad: float, dt: float
+    buf: Buffer,
+    filters: FilterStates,
+    kind: int,
+    tunings: Tunings,
+    declination_rad: float,
+    dt: float,
 ) -> None:
     """Every living lane's estimate after its field sample, `dt` after the one before."""
-    room = ekf_kernel.new_room()
+    room, variance = ekf_kernel.new_room(), tunings.ekf.heading_variance
     for lane in range(L):
         if buf[ALIVE + lane] > 0.5:
-            field = channels(buf, M + 6 * L, 3, lane)
+            field = channels(buf, FIELD, 3, lane)
             if kind == MAHONY:
-                x = filters[lane, :7]
-                filters[lane, :7] = complementary.head(
-                    x, field, declination_rad, dt, gains[1], gains[2]
+                x = filters[lane, :SIZE]
+                filters[lane, :SIZE] = complementary.head(
+                    x, field, declination_rad, dt, tunings.mahony
                 )
             else:
-                ekf_kernel.head(filters[lane], field, declination_rad, gains[4], room)
+                ekf_kernel.head(filters[lane], field, declination_rad, variance, room)
 
 
 @compiled
-def velocity(buf: Buffer, filters: FilterStates, gains: Gains, t_s: float) -> None:
+def velocity(buf: Buffer, filters: FilterStates, tuning: Tuning, t_s: float) -> None:
     """Every living lane's EKF after its GPS velocity; one that is NaN never came."""
-    room = ekf_kernel.new_room()
+    room, variance = ekf_kernel.new_room(), tuning.velocity_variance
     for lane in range(L):
-        seen = channels(buf, M + 9 * L, 3, lane)
+        seen = channels(buf, VELOCITY, 3, lane)
         if buf[ALIVE + lane] > 0.5 and seen[0] == seen[0]:
-            if t_s - filters[lane, HEARD] >= gains[7]:
-                ekf_kernel.restart_velocity(filters[lane], seen, gains[3])
+            if t_s - filters[lane, HEARD] >= tuning.gps_timeout_s:
+                ekf_kernel.restart_velocity(filters[lane], seen, variance)
             else:
-                ekf_kernel.correct_velocity(filters[lane], seen, gains[3], room)
+                ekf_kernel.correct_velocity(filters[lane], seen, variance, room)
             filters[lane, HEARD] = t_s
 
 
 @compiled
-def level(buf: Buffer, filters: FilterStates, airspeed: Buffer, gains: Gains, t_s: float) -> None:
+def level(buf: Buffer, filters: FilterStates, airspeed: Buffer, tuning: Tuning, t_s: float) -> None:
     """Gravity for every living lane's EKF that has been without GPS for long."""
-    room = ekf_kernel.new_room()
+    room, variance = ekf_kernel.new_room(), tuning.gravity_variance
     for lane in range(L):
-        blind = t_s - filters[lane, HEARD] >= gains[7] - ROUNDING_S
-        due = t_s - filters[lane, LEVELLED] >= gains[6] - ROUNDING_S
+        blind = t_s - filters[lane, HEARD] >= tuning.gps_timeout_s - ROUNDING_S
+        due = t_s - filters[lane, LEVELLED] >= tuning.gravity_period_s - ROUNDING_S
         if buf[ALIVE + lane] > 0.5 and blind and due:
-            imu = channels(buf, M, 6, lane)
-            ekf_kernel.level(filters[lane], imu, airspeed[lane], gains[5], room)
+            imu = channels(buf, M, IMU_ID, lane)
+            ekf_kernel.level(filters[lane], imu, airspeed[lane], variance, room)
             filters[lane, LEVELLED] = t_s
 
 

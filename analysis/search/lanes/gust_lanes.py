@@ -7,6 +7,7 @@ from analysis.search.lanes.lane_state import Buffer, Three
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotation_kernel import to_body
 from simvehicle.environment.air import LENGTH, REFERENCE, SIGMA, STEADY, wind_step
+from simvehicle.vehicles.rigidbody_kernel import E0, E1, E2, E3, RIGID, U
 
 L = rows.LANES
 S, W, N = rows.STATE * L, rows.WIND * L, rows.NOISE * L
@@ -34,11 +35,11 @@ def blow(buf: Buffer, sigma: Three, length: Three, dt: float) -> None:
         if buf[ALIVE + lane] > 0.5:
             filters, noise = gather(buf, G, 5, lane), gather(buf, N, 5, lane)
             weather[STEADY:], wind = gather(buf, T, 3, lane), gather(buf, W, 3, lane)
-            x = gather(buf, S, 13, lane)
-            past = to_body(x[6], x[7], x[8], x[9], wind[0], wind[1], wind[2])
+            x = gather(buf, S, RIGID, lane)
+            past = to_body(x[E0], x[E1], x[E2], x[E3], wind[0], wind[1], wind[2])
             v_air = np.empty(3)
             for i in range(3):
-                v_air[i] = x[3 + i] - past[i]
+                v_air[i] = x[U + i] - past[i]
             wind_step(filters, noise, weather, x, v_air, ANY_HEIGHT_M, dt, wind)
             for i in range(5):
                 buf[G + i * L + lane] = filters[i]

@@ -5,10 +5,13 @@ from analysis.search.lanes.lane_state import Buffer
 from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.polynomial import sin_cos
+from mavproxy_fault.numerics.rotation_lanes import quaternion_of_euler
 
 L = rows.LANES
-E = rows.ESTIMATE * L
+ANGLES = rows.ESTIMATE * L
+VELOCITY, POSITION = ANGLES + 3 * L, ANGLES + 6 * L
 M = rows.MEASURED * L
+ACCEL = (rows.ACCEL - rows.MEASURED) * L  # in a sample, behind the rates
 B = rows.BEFORE * L
 Q = rows.QUATERNION * L
 MIN_COS_PITCH = 1e-6  # as in `analysis.estimators.inverse_model`
@@ -20,10 +23,10 @@ Three = tuple[float, float, float]
 @inlined
 def slope(x: Nine, gyro: Three, accel: Three, gravity: float) -> Nine:
     """The right-hand side; x is roll, pitch, yaw, u, v, w, north, east, down."""
-    sf, cf = sin_cos(x[0])
-    st, ct = sin_cos(x[1])
-    sy, cy = sin_cos(x[2])
-    u, v, w = x[3], x[4], x[5]
+    roll, pitch, yaw, u, v, w, _, _, _ = x
+    sf, cf = sin_cos(roll)
+    st, ct = sin_cos(pitch)
+    sy, cy = sin_cos(yaw)
     p, q, r = gyro
     bound = MIN_COS_PITCH if ct >= 0.0 else -MIN_COS_PITCH
     inverse = 1.0 / (ct if abs(ct) > MIN_COS_PITCH else bound)
@@ -41,49 +44,71 @@ def slope(x: Nine, gyro: Three, accel: Three, gravity: float) -> Nine:
     )
 
 
+@inlined
+def estimate_at(buf: Buffer, lane: int) -> Nine:
+    """The estimate of one lane before the step."""
+    return (
+        buf[ANGLES + lane],
+        buf[ANGLES + L + lane],
+        buf[ANGLES + 2 * L + lane],
+        buf[VELOCITY + lane],
+        buf[VELOCITY + L + lane],
+        buf[VELOCITY + 2 * L + lane],
+        buf[POSITION + lane],
+        buf[POSITION + L + lane],
+        buf[POSITION + 2 * L + lane],
+    )
+
+
+@inlined
+def along(x: Nine, slope_: Nine, dt: float) -> Nine:
+    """x + dt slope."""
+    # Written out, as a loop over a tuple would keep LLVM from making SIMD code of it.
+    roll, pitch, yaw, u, v, w, north, east, down = x
+    d_roll, d_pitch, d_yaw, du, dv, dw, dn, de, dd = slope_
+    return (
+        roll + dt * d_roll,
+        pitch + dt * d_pitch,
+        yaw + dt * d_yaw,
+        u + dt * du,
+        v + dt * dv,
+        w + dt * dw,
+        north + dt * dn,
+        east + dt * de,
+        down + dt * dd,
+    )
+
+
+@inlined
+def total(a: Nine, b: Nine) -> Nine:
+    """a + b, component by component."""
+    return along(a, b, 1.0)
+
+
+@inlined
+def imu_at(buf: Buffer, row: int, lane: int) -> tuple[Three, Three]:
+    """Rates and specific force of a sample that begins at the offset `row`."""
+    gyro = (buf[row + lane], buf[row + L + lane], buf[row + 2 * L + lane])
+    force = row + ACCEL
+    return gyro, (buf[force + lane], buf[force + L + lane], buf[force + 2 * L + lane])
+
+
 @compiled
 def heun(buf: Buffer, dt: float, gravity: float) -> None:
     """One step from the samples BEFORE to the samples MEASURED."""
     wide()
     for lane in range(L):
-        x = (
-            buf[E + lane],
-            buf[E + L + lane],
-            buf[E + 2 * L + lane],
-            buf[E + 3 * L + lane],
-            buf[E + 4 * L + lane],
-            buf[E + 5 * L + lane],
-            buf[E + 6 * L + lane],
-            buf[E + 7 * L + lane],
-            buf[E + 8 * L + lane],
-        )
-        gyro0 = (buf[B + lane], buf[B + L + lane], buf[B + 2 * L + lane])
-        accel0 = (buf[B + 3 * L + lane], buf[B + 4 * L + lane], buf[B + 5 * L + lane])
-        gyro1 = (buf[M + lane], buf[M + L + lane], buf[M + 2 * L + lane])
-        accel1 = (buf[M + 3 * L + lane], buf[M + 4 * L + lane], buf[M + 5 * L + lane])
-        k = slope(x, gyro0, accel0, gravity)
-        ahead = (
-            x[0] + dt * k[0],
-            x[1] + dt * k[1],
-            x[2] + dt * k[2],
-            x[3] + dt * k[3],
-            x[4] + dt * k[4],
-            x[5] + dt * k[5],
-            0.0,
-            0.0,
-            0.0,
-        )
-        n = slope(ahead, gyro1, accel1, gravity)
+        x = estimate_at(buf, lane)
+        gyro0, accel0 = imu_at(buf, B, lane)
+        gyro1, accel1 = imu_at(buf, M, lane)
+        first = slope(x, gyro0, accel0, gravity)
+        second = slope(along(x, first, dt), gyro1, accel1, gravity)
         half = 0.5 * dt
-        buf[E + lane] = x[0] + half * (k[0] + n[0])
-        buf[E + L + lane] = x[1] + half * (k[1] + n[1])
-        buf[E + 2 * L + lane] = x[2] + half * (k[2] + n[2])
-        buf[E + 3 * L + lane] = x[3] + half * (k[3] + n[3])
-        buf[E + 4 * L + lane] = x[4] + half * (k[4] + n[4])
-        buf[E + 5 * L + lane] = x[5] + half * (k[5] + n[5])
-        buf[E + 6 * L + lane] = x[6] + half * (k[6] + n[6])
-        buf[E + 7 * L + lane] = x[7] + half * (k[7] + n[7])
-        buf[E + 8 * L + lane] = x[8] + half * (k[8] + n[8])
+        roll, pitch, yaw, u, v, w, north, east, down = along(x, total(first, second), half)
+        buf[ANGLES + lane], buf[ANGLES + L + lane], buf[ANGLES + 2 * L + lane] = roll, pitch, yaw
+        buf[VELOCITY + lane], buf[VELOCITY + L + lane], buf[VELOCITY + 2 * L + lane] = u, v, w
+        buf[POSITION + lane], buf[POSITION + L + lane] = north, east
+        buf[POSITION + 2 * L + lane] = down
 
 
 @compiled
@@ -91,17 +116,14 @@ def attitudes(buf: Buffer) -> None:
     """QUATERNION from the Euler angles of ESTIMATE."""
     wide()
     for lane in range(L):
-        sr, cr = sin_cos(0.5 * buf[E + lane])
-        sp, cp = sin_cos(0.5 * buf[E + L + lane])
-        sy, cy = sin_cos(0.5 * buf[E + 2 * L + lane])
-        buf[Q + lane] = cr * cp * cy + sr * sp * sy
-        buf[Q + L + lane] = sr * cp * cy - cr * sp * sy
-        buf[Q + 2 * L + lane] = cr * sp * cy + sr * cp * sy
-        buf[Q + 3 * L + lane] = cr * cp * sy - sr * sp * cy
+        roll, pitch, yaw = buf[ANGLES + lane], buf[ANGLES + L + lane], buf[ANGLES + 2 * L + lane]
+        e0, e1, e2, e3 = quaternion_of_euler(roll, pitch, yaw)
+        buf[Q + lane], buf[Q + L + lane] = e0, e1
+        buf[Q + 2 * L + lane], buf[Q + 3 * L + lane] = e2, e3
 
 
 @compiled
 def keep(buf: Buffer) -> None:
     """The samples just used become those before."""
-    for i in range(6 * L):
+    for i in range(2 * ACCEL):
         buf[B + i] = buf[M + i]

@@ -14,16 +14,36 @@ from analysis.search.lanes.noise_kernel import gauss_pair, next_bits
 from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.rotation_kernel import to_body
+from simvehicle.vehicles.fixedwing_flight import AILERON, ELEVATOR, RUDDER, THROTTLE
 from simvehicle.vehicles.fixedwing_kernel import Aero, derivative
-from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, moved, runge_kutta
+from simvehicle.vehicles.rigidbody_kernel import (
+    DOWN,
+    E0,
+    E1,
+    E2,
+    E3,
+    EAST,
+    NORTH,
+    Inertia,
+    P,
+    Q,
+    R,
+    State13,
+    U,
+    V,
+    W,
+    moved,
+    runge_kutta,
+)
 
 L = rows.LANES
 S = rows.STATE * L
 NOW = rows.NOW * L
+NOW_RATE = NOW + P * L
 C = rows.CONTROL * L
-W = rows.WIND * L
+WIND = rows.WIND * L
 F = rows.FORCE * L
-M = rows.MEASURED * L
+RATE, ACCEL = rows.GYRO * L, rows.ACCEL * L
 N = rows.NOISE * L
 GS, AS = rows.GYRO_SIGMA * L, rows.ACCEL_SIGMA * L
 GB, AB = rows.GYRO_BIAS * L, rows.ACCEL_BIAS * L
@@ -38,19 +58,78 @@ World = tuple[float, float]  # gravity in m/s^2, density of the air in kg/m^3
 def state_at(buf: Buffer, lane: int) -> State13:
     """The state of one lane before the step."""
     return (
-        buf[S + lane],
-        buf[S + L + lane],
-        buf[S + 2 * L + lane],
-        buf[S + 3 * L + lane],
-        buf[S + 4 * L + lane],
-        buf[S + 5 * L + lane],
-        buf[S + 6 * L + lane],
-        buf[S + 7 * L + lane],
-        buf[S + 8 * L + lane],
-        buf[S + 9 * L + lane],
-        buf[S + 10 * L + lane],
-        buf[S + 11 * L + lane],
-        buf[S + 12 * L + lane],
+        buf[S + NORTH * L + lane],
+        buf[S + EAST * L + lane],
+        buf[S + DOWN * L + lane],
+        buf[S + U * L + lane],
+        buf[S + V * L + lane],
+        buf[S + W * L + lane],
+        buf[S + E0 * L + lane],
+        buf[S + E1 * L + lane],
+        buf[S + E2 * L + lane],
+        buf[S + E3 * L + lane],
+        buf[S + P * L + lane],
+        buf[S + Q * L + lane],
+        buf[S + R * L + lane],
+    )
+
+
+@inlined
+def true_attitude(buf: Buffer, lane: int) -> tuple[float, float, float, float]:
+    """The quaternion when the sensors sampled."""
+    return (
+        buf[NOW + E0 * L + lane],
+        buf[NOW + E1 * L + lane],
+        buf[NOW + E2 * L + lane],
+        buf[NOW + E3 * L + lane],
+    )
+
+
+@inlined
+def true_velocity(buf: Buffer, lane: int) -> Three:
+    """The velocity over ground in body axes when the sensors sampled."""
+    return (buf[NOW + U * L + lane], buf[NOW + V * L + lane], buf[NOW + W * L + lane])
+
+
+@inlined
+def put_state(buf: Buffer, row: int, lane: int, state: State13) -> None:
+    """Write a state from the offset `row` on."""
+    # Written out, as a loop over a tuple would keep LLVM from making SIMD code of it.
+    north, east, down, u, v, w, e0, e1, e2, e3, p, q, r = state
+    buf[row + NORTH * L + lane] = north
+    buf[row + EAST * L + lane] = east
+    buf[row + DOWN * L + lane] = down
+    buf[row + U * L + lane] = u
+    buf[row + V * L + lane] = v
+    buf[row + W * L + lane] = w
+    buf[row + E0 * L + lane] = e0
+    buf[row + E1 * L + lane] = e1
+    buf[row + E2 * L + lane] = e2
+    buf[row + E3 * L + lane] = e3
+    buf[row + P * L + lane] = p
+    buf[row + Q * L + lane] = q
+    buf[row + R * L + lane] = r
+
+
+@inlined
+def chosen(first: bool, one: State13, other: State13) -> State13:
+    """One of two states."""
+    n, e, d, u, v, w, e0, e1, e2, e3, p, q, r = one
+    n_, e_, d_, u_, v_, w_, e0_, e1_, e2_, e3_, p_, q_, r_ = other
+    return (
+        n if first else n_,
+        e if first else e_,
+        d if first else d_,
+        u if first else u_,
+        v if first else v_,
+        w if first else w_,
+        e0 if first else e0_,
+        e1 if first else e1_,
+        e2 if first else e2_,
+        e3 if first else e3_,
+        p if first else p_,
+        q if first else q_,
+        r if first else r_,
     )
 
 
@@ -74,16 +153,16 @@ def broken(state: State13, air: Three, force: Three, limits: Envelope) -> float:
     plane = u * u + w * w
     speed = plane + v * v  # squares, which saves two roots
     low, high = limits.min_airspeed_mps, limits.max_airspeed_mps
-    p, q, r = state[10], state[11], state[12]
+    _, _, down, _, _, _, e0, e1, e2, e3, p, q, r = state
     fx, fy, fz = force
     load = fx * fx + fy * fy + fz * fz
-    limit = 7.0 if -state[2] <= limits.min_height_m else 0.0
+    limit = 7.0 if -down <= limits.min_height_m else 0.0
     limit = limit if load <= limits.load_mps2 * limits.load_mps2 else 6.0
     limit = limit if p * p + q * q + r * r <= limits.rate_rps * limits.rate_rps else 5.0
     limit = limit if (speed >= low * low) & (speed <= high * high) else 4.0
     limit = limit if v * v <= limits.tan_beta * limits.tan_beta * plane else 3.0
     limit = limit if abs(w) <= limits.tan_alpha * u else 2.0
-    sine = 2.0 * (state[6] * state[8] - state[9] * state[7])
+    sine = 2.0 * (e0 * e2 - e3 * e1)
     return limit if abs(sine) <= limits.sin_pitch else 1.0
 
 
@@ -98,32 +177,27 @@ def move(buf: Buffer, dt: float, world: World, body: Inertia, aero: Aero, limits
     gravity, density = world
     for lane in range(L):
         state = state_at(buf, lane)
-        controls = (buf[C + lane], buf[C + L + lane], buf[C + 2 * L + lane], buf[C + 3 * L + lane])
-        wind = (buf[W + lane], buf[W + L + lane], buf[W + 2 * L + lane])
+        controls = (
+            buf[C + ELEVATOR * L + lane],
+            buf[C + AILERON * L + lane],
+            buf[C + RUDDER * L + lane],
+            buf[C + THROTTLE * L + lane],
+        )
+        wind = (buf[WIND + lane], buf[WIND + L + lane], buf[WIND + 2 * L + lane])
         down = (0.0, 0.0, gravity)
         k1 = derivative(state, controls, wind, down, density, body, aero)
-        u, v, w, p, q, r = state[3], state[4], state[5], state[10], state[11], state[12]
-        gx, gy, gz = to_body(state[6], state[7], state[8], state[9], 0.0, 0.0, gravity)
+        _, _, _, u, v, w, e0, e1, e2, e3, p, q, r = state
+        gx, gy, gz = to_body(e0, e1, e2, e3, 0.0, 0.0, gravity)
+        _, _, _, du, dv, dw, _, _, _, _, _, _, _ = k1
+        # What the body feels: its acceleration without gravity and the turning of its axes.
         force = (
-            k1[3] - (r * v - q * w) - gx,
-            k1[4] - (p * w - r * u) - gy,
-            k1[5] - (q * u - p * v) - gz,
+            du - (r * v - q * w) - gx,
+            dv - (p * w - r * u) - gy,
+            dw - (q * u - p * v) - gz,
         )
         buf[F + lane], buf[F + L + lane], buf[F + 2 * L + lane] = force
-        buf[NOW + lane] = state[0]
-        buf[NOW + L + lane] = state[1]
-        buf[NOW + 2 * L + lane] = state[2]
-        buf[NOW + 3 * L + lane] = state[3]
-        buf[NOW + 4 * L + lane] = state[4]
-        buf[NOW + 5 * L + lane] = state[5]
-        buf[NOW + 6 * L + lane] = state[6]
-        buf[NOW + 7 * L + lane] = state[7]
-        buf[NOW + 8 * L + lane] = state[8]
-        buf[NOW + 9 * L + lane] = state[9]
-        buf[NOW + 10 * L + lane] = state[10]
-        buf[NOW + 11 * L + lane] = state[11]
-        buf[NOW + 12 * L + lane] = state[12]
-        wx, wy, wz = to_body(state[6], state[7], state[8], state[9], wind[0], wind[1], wind[2])
+        put_state(buf, NOW, lane, state)
+        wx, wy, wz = to_body(e0, e1, e2, e3, wind[0], wind[1], wind[2])
         limit = broken(state, (u - wx, v - wy, w - wz), force, limits)
         was_alive = buf[ALIVE + lane] > 0.5
         alive = was_alive & (limit < 0.5)
@@ -133,19 +207,7 @@ def move(buf: Buffer, dt: float, world: World, body: Inertia, aero: Aero, limits
         k3 = derivative(moved(state, k2, 0.5 * dt), controls, wind, down, density, body, aero)
         k4 = derivative(moved(state, k3, dt), controls, wind, down, density, body, aero)
         after = runge_kutta(state, k1, k2, k3, k4, dt)
-        buf[S + lane] = after[0] if alive else state[0]
-        buf[S + L + lane] = after[1] if alive else state[1]
-        buf[S + 2 * L + lane] = after[2] if alive else state[2]
-        buf[S + 3 * L + lane] = after[3] if alive else state[3]
-        buf[S + 4 * L + lane] = after[4] if alive else state[4]
-        buf[S + 5 * L + lane] = after[5] if alive else state[5]
-        buf[S + 6 * L + lane] = after[6] if alive else state[6]
-        buf[S + 7 * L + lane] = after[7] if alive else state[7]
-        buf[S + 8 * L + lane] = after[8] if alive else state[8]
-        buf[S + 9 * L + lane] = after[9] if alive else state[9]
-        buf[S + 10 * L + lane] = after[10] if alive else state[10]
-        buf[S + 11 * L + lane] = after[11] if alive else state[11]
-        buf[S + 12 * L + lane] = after[12] if alive else state[12]
+        put_state(buf, S, lane, chosen(alive, after, state))
 
 
 @compiled
@@ -176,15 +238,7 @@ def sense_imu(buf: Buffer) -> None:
     """Rates and specific force with bias and noise, noise drawn before."""
     for lane in range(L):
         gyro, accel = buf[GS + lane], buf[AS + lane]
-        buf[M + lane] = buf[NOW + 10 * L + lane] + buf[GB + lane] + gyro * buf[N + lane]
-        buf[M + L + lane] = buf[NOW + 11 * L + lane] + buf[GB + L + lane] + gyro * buf[N + L + lane]
-        buf[M + 2 * L + lane] = (
-            buf[NOW + 12 * L + lane] + buf[GB + 2 * L + lane] + gyro * buf[N + 2 * L + lane]
-        )
-        buf[M + 3 * L + lane] = buf[F + lane] + buf[AB + lane] + accel * buf[N + 3 * L + lane]
-        buf[M + 4 * L + lane] = (
-            buf[F + L + lane] + buf[AB + L + lane] + accel * buf[N + 4 * L + lane]
-        )
-        buf[M + 5 * L + lane] = (
-            buf[F + 2 * L + lane] + buf[AB + 2 * L + lane] + accel * buf[N + 5 * L + lane]
-        )
+        for i in range(3):
+            k = i * L + lane
+            buf[RATE + k] = buf[NOW_RATE + k] + buf[GB + k] + gyro * buf[N + k]
+            buf[ACCEL + k] = buf[F + k] + buf[AB + k] + accel * buf[N + 3 * L + k]

@@ -1,52 +1,23 @@
 """Errors of the estimate against the truth, over lanes."""
 
-from math import pi
-
 import numpy as np
 
+from analysis.estimators.inverse_model import POSITION, VELOCITY
 from analysis.search.lanes import rows
-from analysis.search.lanes.lane_state import Buffer
+from analysis.search.lanes.lane_state import Buffer, true_attitude
 from analysis.search.lanes.wide import wide
-from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.polynomial import atan2
+from mavproxy_fault.numerics.rotation_lanes import euler, wrapped
+from simvehicle.vehicles.rigidbody_kernel import P, U
 
 L = rows.LANES
 NOW = rows.NOW * L
 E, Q = rows.ESTIMATE * L, rows.QUATERNION * L
 SQ, LG = rows.SQUARES * L, rows.LARGEST * L
 ALIVE, COUNT = rows.ALIVE * L, rows.COUNT * L
+ANGLE = 3  # among the scores, behind roll, pitch and yaw
 M, T = rows.MEASURED * L, rows.STATE_SQUARES * L
-_ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to the nearest integer
-
-
-@inlined
-def euler(e0: float, e1: float, e2: float, e3: float) -> tuple[float, float, float]:
-    """Roll, pitch, yaw in rad of a unit quaternion."""
-    sine = 2.0 * (e0 * e2 - e3 * e1)
-    rest = 1.0 - sine * sine
-    return (
-        atan2(2.0 * (e0 * e1 + e2 * e3), 1.0 - 2.0 * (e1 * e1 + e2 * e2)),
-        atan2(sine, np.sqrt(rest if rest > 0.0 else 0.0)),
-        atan2(2.0 * (e0 * e3 + e1 * e2), 1.0 - 2.0 * (e2 * e2 + e3 * e3)),
-    )
-
-
-@inlined
-def true_attitude(buf: Buffer, lane: int) -> tuple[float, float, float, float]:
-    """The quaternion when the sensors sampled."""
-    return (
-        buf[NOW + 6 * L + lane],
-        buf[NOW + 7 * L + lane],
-        buf[NOW + 8 * L + lane],
-        buf[NOW + 9 * L + lane],
-    )
-
-
-@inlined
-def wrapped(angle: float) -> float:
-    """The angle in [-pi, pi]."""
-    revolutions = angle * (0.5 / pi) + _ROUND
-    return angle - 2.0 * pi * (revolutions - _ROUND)
 
 
 @compiled
@@ -96,8 +67,8 @@ def score_angle(buf: Buffer) -> None:
         z = a0 * e3 - a1 * e2 + a2 * e1 - a3 * e0
         angle = 2.0 * atan2(np.sqrt(x * x + y * y + z * z), abs(w))
         angle = angle if alive else 0.0
-        buf[SQ + 3 * L + lane] += angle * angle
-        buf[LG + 3 * L + lane] = max(angle, buf[LG + 3 * L + lane])
+        buf[SQ + ANGLE * L + lane] += angle * angle
+        buf[LG + ANGLE * L + lane] = max(angle, buf[LG + ANGLE * L + lane])
 
 
 @compiled
@@ -110,12 +81,11 @@ def score_state(buf: Buffer) -> None:
         roll, pitch, yaw = euler(*true_attitude(buf, lane))
         alive = buf[ALIVE + lane] > 0.5
         for i in range(3):
-            place = buf[E + (6 + i) * L + lane] - buf[NOW + i * L + lane]
-            speed = buf[E + (3 + i) * L + lane] - buf[NOW + (3 + i) * L + lane]
+            place = buf[E + (POSITION + i) * L + lane] - buf[NOW + i * L + lane]
+            speed = buf[E + (VELOCITY + i) * L + lane] - buf[NOW + (U + i) * L + lane]
             true = roll if i == 0 else pitch if i == 1 else yaw
             angle = wrapped(buf[E + i * L + lane] - true)
-            rate = buf[M + i * L + lane] - buf[NOW + (10 + i) * L + lane]
-            buf[T + i * L + lane] += place * place if alive else 0.0
-            buf[T + (3 + i) * L + lane] += speed * speed if alive else 0.0
-            buf[T + (6 + i) * L + lane] += angle * angle if alive else 0.0
-            buf[T + (9 + i) * L + lane] += rate * rate if alive else 0.0
+            rate = buf[M + i * L + lane] - buf[NOW + (P + i) * L + lane]
+            squares = (place * place, speed * speed, angle * angle, rate * rate)
+            for k in range(4):
+                buf[T + (3 * k + i) * L + lane] += squares[k] if alive else 0.0

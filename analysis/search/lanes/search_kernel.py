@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from analysis.search.lanes import rows
 from analysis.search.lanes.aid_lanes import airspeeds, sense_field, sense_pressure, sense_velocity
 from analysis.search.lanes.fault_lanes import break_signals
-from analysis.search.lanes.filter_lanes import EKF, Gains, head, level, predict, publish, velocity
+from analysis.search.lanes.filter_lanes import EKF, Tunings, head, level, predict, publish, velocity
 from analysis.search.lanes.gust_lanes import blow
 from analysis.search.lanes.heun_lanes import attitudes, heun, keep
 from analysis.search.lanes.lane_state import Buffer, Envelope, draw, living, move, sense_imu
@@ -40,8 +40,8 @@ Generators = NDArray[np.uint64]
 class Plan(NamedTuple):
     """What all flights of a test share; every field is a plain number, as numba wants them.
 
-    `estimator` is 0 for the inverse sensor model, 1 for Mahony, 2 for the EKF, with its `gains`;
-    `field_every`, `velocity_every` and `pressure_every` count IMU samples.
+    `estimator` is 0 for the inverse sensor model, 1 for Mahony, 2 for the EKF; `field_every`,
+    `velocity_every` and `pressure_every` count IMU samples.
     """
 
     steps: int
@@ -62,7 +62,7 @@ class Plan(NamedTuple):
     angle: bool
     state: bool
     estimator: int
-    gains: Gains
+    tunings: Tunings
     sea_density_kgpm3: float
     limits: Envelope
     body: Inertia
@@ -111,16 +111,16 @@ def measure(buf: Buffer, generators: Generators, k: int, plan: Plan) -> None:
 @compiled
 def filter_step(buf: Buffer, filters: Columns, airspeed: Buffer, k: int, plan: Plan) -> None:
     """The filters' share of sample `k` > 0: IMU, field, airspeed, velocity, in this order."""
-    kind, gains = plan.estimator, plan.gains
-    predict(buf, filters, airspeed, kind, gains, plan.dt_s)
+    kind, tunings = plan.estimator, plan.tunings
+    predict(buf, filters, airspeed, kind, tunings, plan.dt_s)
     if kind == EKF:
-        level(buf, filters, airspeed, gains, k * plan.dt_s)
+        level(buf, filters, airspeed, tunings.ekf, k * plan.dt_s)
     if k % plan.field_every == 0:
-        head(buf, filters, kind, gains, plan.declination_rad, plan.field_every * plan.dt_s)
+        head(buf, filters, kind, tunings, plan.declination_rad, plan.field_every * plan.dt_s)
     if k % plan.pressure_every == 0:
         airspeeds(buf, airspeed, plan.sea_density_kgpm3)
     if k % plan.velocity_every == 0 and kind == EKF:
-        velocity(buf, filters, gains, k * plan.dt_s)
+        velocity(buf, filters, tunings.ekf, k * plan.dt_s)
 
 
 @compiled

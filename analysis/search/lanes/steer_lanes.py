@@ -4,10 +4,10 @@ import numpy as np
 
 from analysis.search.lanes import rows
 from analysis.search.lanes.lane_state import Buffer, state_at
-from analysis.search.lanes.score_lanes import euler
 from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotation_kernel import to_body
+from mavproxy_fault.numerics.rotation_lanes import euler
 from simvehicle.vehicles.weave_kernel import Motion, weave
 
 L = rows.LANES
@@ -20,11 +20,11 @@ def steer(buf: Buffer, t_s: float) -> None:
     wide()
     for lane in range(L):
         state = state_at(buf, lane)
-        e0, e1, e2, e3 = state[6], state[7], state[8], state[9]
+        _, _, _, u, v, w, e0, e1, e2, e3, p, q, _ = state
         roll, pitch, _ = euler(e0, e1, e2, e3)
         north, east, down = buf[W + lane], buf[W + L + lane], buf[W + 2 * L + lane]
         x, y, z = to_body(e0, e1, e2, e3, north, east, down)
-        u, v, w = state[3] - x, state[4] - y, state[5] - z
+        u, v, w = u - x, v - y, w - z
         speed = np.sqrt(u * u + v * v + w * w)
         aim = (
             buf[T + L + lane],
@@ -33,7 +33,7 @@ def steer(buf: Buffer, t_s: float) -> None:
             buf[T + 4 * L + lane],
         )
         open_loop = (buf[O + lane], buf[O + L + lane], buf[O + 2 * L + lane], buf[O + 3 * L + lane])
-        woven = weave(Motion(roll, pitch, state[10], state[11], speed), aim, open_loop, t_s)
+        woven = weave(Motion(roll, pitch, p, q, speed), aim, open_loop, t_s)
         on = buf[T + lane] > 0.5
         for i in range(4):
             buf[C + i * L + lane] = woven[i] if on else open_loop[i]

@@ -1,9 +1,9 @@
 """What faults do between the simulator and an autopilot, on the vehicle's time."""
 
+import math
 import select
 import socket
 import threading
-import time
 from contextlib import closing, contextmanager
 from io import StringIO
 
@@ -24,6 +24,7 @@ from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.parser import Parser
 from mavproxy_fault.wire.plant_messages import PlantChange, plant_change
+from simvehicle.app import lockstep_loop
 from simvehicle.app.lockstep_loop import LockstepLoop
 from simvehicle.app.sim_progress import Progress
 from simvehicle.hil.hil_frames import START_US, Hil
@@ -132,7 +133,8 @@ def test_a_delayed_answer_frees_the_step_and_acts_later(flight_of):
     assert acted[-1] == [pytest.approx(outward.step_us - 100_000, abs=4_000)]
 
 
-def test_an_autopilots_first_word_begins_the_flight_whoever_it_is_for(flight_of):
+def test_an_autopilots_first_word_begins_the_flight_whoever_it_is_for(flight_of, monkeypatch):
+    monkeypatch.setattr(lockstep_loop, "FIRST_WORD_S", math.inf)  # only a word can begin it
     outward, lockstep = deaf(flight_of(fault="drop", target="HIL_GPS", for_s=1)), Lockstep()
     with closing(TcpServer("127.0.0.1", 0)) as link:
         inward = FromAutopilot(outward, [link], Patience(link, None, 5.0), lockstep)
@@ -140,7 +142,6 @@ def test_an_autopilots_first_word_begins_the_flight_whoever_it_is_for(flight_of)
         loop = LockstepLoop(
             simulation, outward, inward, motors(4), float("inf"), progress, lockstep
         )
-        began_s = time.monotonic()
         flying = threading.Thread(target=loop.run, args=[4_000])
         flying.start()
         with socket.create_connection(("127.0.0.1", link.port), timeout=5) as autopilot:
@@ -148,7 +149,6 @@ def test_an_autopilots_first_word_begins_the_flight_whoever_it_is_for(flight_of)
             autopilot.sendall(build(known("HEARTBEAT"), {"mavlink_version": 3}))
             flying.join(20)
     assert loop.t_us == 4_000
-    assert time.monotonic() - began_s < 4.0  # five seconds is what one that only listens gets
 
 
 def test_of_the_links_only_those_with_something_are_read(flight_of):

@@ -26,6 +26,7 @@ from analysis.search.space.test_file import (
 )
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.rotation import euler_from_quat
+from simvehicle.vehicles.vehicle import surroundings
 
 QUIET = Sensors(
     gyro_sigma_dps=0.0,
@@ -86,10 +87,12 @@ def test_lanes_and_the_simulator_fly_the_same(attitude, rates, surfaces, throttl
     after, _ = vehicle.advance(
         np.append(flight.state[0], 0.0),
         np.append(np.radians(8.0 * np.array(surfaces)) / vehicle.throw_rad, throttle),
-        np.array([8.0 * wind[0], 8.0 * wind[1], 2.0 * wind[2]]),
-        np.array([0.0, 0.0, 9.80665]),
-        1.225,
-        0.0,
+        surroundings(
+            np.array([8.0 * wind[0], 8.0 * wind[1], 2.0 * wind[2]]),
+            np.array([0.0, 0.0, 9.80665]),
+            1.225,
+            0.0,
+        ),
         200,
         0.01,
     )

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavproxy_fault.numerics import one_rotation, rotation, rotation_kernel
+from mavproxy_fault.numerics import one_rotation, rotation, rotation_kernel, rotation_lanes
 
 ANGLES = st.tuples(*(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1)))
 VECTORS = st.tuples(*[st.floats(-1e3, 1e3)] * 3)
@@ -37,6 +37,9 @@ def test_angles_and_small_turns_are_the_same_in_every_form(
     q = rotation.quat_from_euler(*angles)
     for found in (rotation_kernel.euler(q), one_rotation.euler_angles(q.tolist())):
         assert found == pytest.approx(rotation.euler_from_quat(q).tolist(), abs=1e-12)
+    assert rotation_lanes.euler(*q.tolist()) == pytest.approx(angles, abs=1e-7)
+    assert rotation_lanes.quaternion_of_euler(*angles) == pytest.approx(q, abs=1e-7)
+    assert rotation_lanes.wrapped(angles[0] + 4.0 * math.pi) == pytest.approx(angles[0], abs=1e-12)
     expected = rotation.quat_multiply(q, rotation.quat_from_rotvec(turn))
     assert rotation_kernel.turned(q, *turn) == pytest.approx(expected, abs=1e-12)
     assert one_rotation.turned(q.tolist(), turn) == pytest.approx(expected, abs=1e-12)

@@ -13,6 +13,7 @@ from simvehicle.simulation import kinds
 from simvehicle.simulation.kinds import Kind, kind_of
 from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.body import Controls, Truth
+from simvehicle.vehicles.vehicle import DENSITY, GRAVITY
 
 
 class Material:
@@ -39,11 +40,10 @@ class Stone:
         return self.start(r, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 
     def advance(
-        self, x: np.ndarray, controls: Any, wind: Any, gravity: np.ndarray, *rest: Any
+        self, x: np.ndarray, controls: Any, around: np.ndarray, steps: int, dt: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        *_, steps, dt = rest
         after = x.copy()
-        after[3:6] += gravity * steps * dt
+        after[3:6] += around[GRAVITY:DENSITY] * steps * dt
         after[:3] += 0.5 * (x[3:6] + after[3:6]) * steps * dt
         return after, np.zeros(6)
 

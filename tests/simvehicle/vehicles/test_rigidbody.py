@@ -12,6 +12,7 @@ from simvehicle.vehicles.multirotor import Multirotor
 from simvehicle.vehicles.parameter_file import body_of
 from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, inertia
 from simvehicle.vehicles.trim import trim
+from simvehicle.vehicles.vehicle import surroundings
 
 PARAMETERS = read_fixedwing("aerosonde-2025")
 BODY, AERO = body_of(PARAMETERS, {}), aero_of(PARAMETERS, {})
@@ -94,8 +95,8 @@ def test_a_body_without_air_falls_by_half_g_t_squared() -> None:
 def test_a_multirotor_without_air_and_motors_falls_and_keeps_what_it_has() -> None:
     iris = Multirotor.read("iris")
     start = iris.start(np.array([0.0, 0.0, -100.0]), np.array([3.0, 1.0, 0.0]), UPRIGHT)
-    still, gravity = np.zeros(3), np.array([0.0, 0.0, 9.81])
-    end, load = iris.advance(start, np.zeros(4), still, gravity, 0.0, 0.0, 600, 0.005)
+    around = surroundings(np.zeros(3), np.array([0.0, 0.0, 9.81]), 0.0, 0.0)
+    end, load = iris.advance(start, np.zeros(4), around, 600, 0.005)
     assert end[:3] == pytest.approx([9.0, 3.0, -100.0 + 0.5 * 9.81 * 9.0], abs=1e-9)
     assert end[3:6] == pytest.approx([3.0, 1.0, 9.81 * 3.0], abs=1e-9)
     assert load[:3] == pytest.approx([0.0, 0.0, 0.0])  # weightless
@@ -128,10 +129,8 @@ def test_halving_the_step_divides_the_error_by_sixteen() -> None:
 def test_one_vehicle_is_flown_by_the_same_equations_as_many() -> None:
     vehicle = FixedWing.read("aerosonde-2025")
     throw = np.array([*vehicle.throw_rad, 1.0])
-    end, _ = vehicle.advance(
-        np.append(START, 0.0), np.array(CONTROLS) / throw, np.array([1.0, -2.0, 0.0]),
-        np.array([0.0, 0.0, 9.81]), 1.2, 0.0, 200, 0.005,
-    )  # fmt: skip
+    around = surroundings(np.array([1.0, -2.0, 0.0]), np.array([0.0, 0.0, 9.81]), 1.2, 0.0)
+    end, _ = vehicle.advance(np.append(START, 0.0), np.array(CONTROLS) / throw, around, 200, 0.005)
     assert end[:13] == pytest.approx(flown(START, 1.0, 0.005, density=1.2), rel=1e-11, abs=1e-11)
 
 

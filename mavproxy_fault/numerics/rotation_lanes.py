@@ -1,0 +1,48 @@
+"""Rotations without branches, for loops over lanes that become SIMD code.
+
+A test holds them to `rotation_kernel`, which has them one at a time.
+"""
+
+from math import pi
+
+import numpy as np
+
+from mavproxy_fault.numerics.compile import inlined
+from mavproxy_fault.numerics.polynomial import atan2, sin_cos
+
+_ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to the nearest integer
+
+
+@inlined
+def euler(e0: float, e1: float, e2: float, e3: float) -> tuple[float, float, float]:
+    """Roll, pitch, yaw in rad of a unit quaternion."""
+    sine = 2.0 * (e0 * e2 - e3 * e1)
+    rest = 1.0 - sine * sine
+    return (
+        atan2(2.0 * (e0 * e1 + e2 * e3), 1.0 - 2.0 * (e1 * e1 + e2 * e2)),
+        # A sine beyond one by a rounding is one.
+        atan2(sine, np.sqrt(rest if rest > 0.0 else 0.0)),
+        atan2(2.0 * (e0 * e3 + e1 * e2), 1.0 - 2.0 * (e2 * e2 + e3 * e3)),
+    )
+
+
+@inlined
+def quaternion_of_euler(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """The quaternion of Euler angles 3-2-1 in rad."""
+    sr, cr = sin_cos(0.5 * roll)
+    sp, cp = sin_cos(0.5 * pitch)
+    sy, cy = sin_cos(0.5 * yaw)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+@inlined
+def wrapped(angle: float) -> float:
+    """The angle in [-pi, pi]."""
+    revolutions = angle * (0.5 / pi) + _ROUND
+    # The rounded number less the constant is whole revolutions.
+    return angle - 2.0 * pi * (revolutions - _ROUND)
