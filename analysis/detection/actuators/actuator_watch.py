@@ -16,12 +16,14 @@ from analysis.detection.actuators.obedience_kernel import (
     COUNTS,
     CRASH_US,
     NEVER_US,
+    OFF,
     SUSPECT,
     Obedience,
     Verdicts,
     follow,
 )
 from analysis.detection.actuators.suspects import NOBODY, SURE
+from analysis.detection.actuators.switched_off import no_outputs
 from analysis.results import EITHER, SensorDecision
 from analysis.samples.block import COMMAND, Block
 
@@ -69,6 +71,7 @@ def _commanded(effects: Effects) -> Obedience:
     return Obedience(
         no_cells(),
         nothing_learnt(effects),
+        no_outputs(),
         effects.mix,
         effects.disturbance(),
         counts,
@@ -77,17 +80,27 @@ def _commanded(effects: Effects) -> Obedience:
 
 
 def _result(t_us: int, blamed: list[str], statistic: float, deficit: float) -> SensorDecision:
-    side = "below" if deficit > 0.0 else "above"
     name = EITHER.join(blamed)
     return SensorDecision(
         t_s=t_us * 1e-6,
         t_us=t_us,
         sensor=ACTUATORS,
-        statistic=statistic,
-        threshold=SURE,
+        statistic=None if statistic == OFF else statistic,
+        threshold=None if statistic == OFF else SURE,
         dof=AXES,
         alarm=bool(blamed),
         isolated=len(blamed) == 1,
-        reason=f"{name}: {abs(deficit):.2f} {side} its command" if blamed and deficit else name,
+        reason=_reason(name, deficit),
         suspect=name,
     )
+
+
+def _reason(name: str, deficit: float) -> str:
+    if not name:
+        return ""
+    if deficit == OFF:
+        return f"{name}: its output is switched off in flight"
+    if deficit == 0.0:  # nobody is suspected now, but was
+        return name
+    side = "below" if deficit > 0.0 else "above"
+    return f"{name}: {abs(deficit):.2f} {side} its command"

@@ -29,6 +29,8 @@ LEAST_DEFICIT = 0.05  # of a command of 1
 # A rotor that does more than its command is rare: it has to be stuck higher than it is wanted.
 RARE, LIFTS_MPS2 = 8.0, -2.0
 YAW = 2  # among the axes
+# Of a learnt effect: sigmas, and what lifts: a controller that meets gusts hides a part of it
+KNOWN, LEARNT_LIFTS_MPS2 = 5.0, -0.3
 NOBODY = -1
 
 
@@ -53,8 +55,28 @@ def _product(a: Vector, matrix: Vector, b: Vector) -> float:
 
 
 @compiled
-def suspect(mean: Vector, usual: Vector, theta: Vector, p: Vector) -> Suspicion:
-    """Who explains m (AXES,), with V (AXES, AXES), and theta with its covariances."""
+def _known_rotor(i: int, theta: Vector, p: Vector) -> bool:
+    """Whether an output of an unknown vehicle is known to lift it."""
+    lift, at = theta[AXES - 1, OUTPUT + i], OUTPUT + i
+    surest = 0.0
+    for axis in range(AXES):
+        surest = max(surest, theta[axis, at] ** 2 / p[axis, at, at])
+    return lift < LEARNT_LIFTS_MPS2 and surest > KNOWN**2
+
+
+@compiled
+def known_rotors(theta: Vector, p: Vector) -> int:
+    """How many outputs are known to lift the vehicle."""
+    count = 0
+    for i in range(COMMANDS):
+        count += _known_rotor(i, theta, p)
+    return count
+
+
+@compiled
+def suspect(mean: Vector, usual: Vector, theta: Vector, p: Vector, rotors_alone: bool) -> Suspicion:
+    """Who explains m (AXES,), with V (AXES, AXES), and theta with its covariances; of an unknown
+    vehicle known rotors alone are asked."""
     information = inverse(usual)
     statistic = _product(mean, information, mean)
     if statistic < SURE:
@@ -64,11 +86,15 @@ def suspect(mean: Vector, usual: Vector, theta: Vector, p: Vector) -> Suspicion:
     for i in range(COMMANDS):
         effect = theta[:, OUTPUT + i].copy()
         known = _product(effect, information, effect)
-        if known <= 1e-9:  # it drives nothing
+        if known <= 1e-9 or (rotors_alone and not _known_rotor(i, theta, p)):  # it drives nothing
             continue
         guess = -_product(effect, information, mean) / known
         score, remaining, found = _hypothesis(
-            mean, usual, effect, guess, p[:, OUTPUT + i, OUTPUT + i]
+            mean,
+            usual,
+            effect,
+            guess,
+            p[:, OUTPUT + i, OUTPUT + i],
         )
         if score < best:
             second, following = first, best
