@@ -167,12 +167,12 @@ def _orbit(packed: Vector, i: int, t_k: float, out: Vector) -> float:
     x_rate = r_rate * math.cos(u) - y * u_rate
     y_rate = r_rate * math.sin(u) + x * u_rate
     so, co, si, ci = math.sin(node), math.cos(node), math.sin(inc), math.cos(inc)
-    out[i, 0] = x * co - y * ci * so
-    out[i, 1] = x * so + y * ci * co
-    out[i, 2] = y * si
-    out[i, 3] = x_rate * co - y_rate * ci * so + y * si * so * inc_rate - out[i, 1] * node_rate
-    out[i, 4] = x_rate * so + y_rate * ci * co - y * si * co * inc_rate + out[i, 0] * node_rate
-    out[i, 5] = y_rate * si + y * ci * inc_rate
+    px, py = x * co - y * ci * so, x * so + y * ci * co
+    out[i, POSITION], out[i, POSITION + 1], out[i, POSITION + 2] = px, py, y * si
+    vx = x_rate * co - y_rate * ci * so + y * si * so * inc_rate - py * node_rate
+    vy = x_rate * so + y_rate * ci * co - y * si * co * inc_rate + px * node_rate
+    out[i, VELOCITY], out[i, VELOCITY + 1] = vx, vy
+    out[i, VELOCITY + 2] = y_rate * si + y * ci * inc_rate
     if packed[i, KIND] == GEOSTATIONARY_ORBIT:
         _rotate_from_inertial_geo(t_k, out[i])
     relativity: float = (
@@ -187,11 +187,11 @@ def _rotate_from_inertial_geo(t_k: float, out: Vector) -> None:
     given in axes that do not turn with the earth, tilted by 5 degrees [2]_."""
     rate, tilt = BEIDOU_EARTH_RATE_RPS, -5.0 * math.pi / 180.0
     s, c, st, ct = math.sin(rate * t_k), math.cos(rate * t_k), math.sin(tilt), math.cos(tilt)
-    for at in (0, 3):
+    for at in (POSITION, VELOCITY):
         x, y, z = out[at], ct * out[at + 1] + st * out[at + 2], ct * out[at + 2] - st * out[at + 1]
         out[at], out[at + 1], out[at + 2] = c * x + s * y, c * y - s * x, z
-    out[3] += rate * out[1]
-    out[4] -= rate * out[0]
+    out[VELOCITY] += rate * out[POSITION + 1]
+    out[VELOCITY + 1] -= rate * out[POSITION]
 
 
 @compiled

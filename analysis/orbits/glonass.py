@@ -17,6 +17,8 @@ import numpy as np
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
+VELOCITY = 3  # where it begins in a state, behind the position
+
 CENTRE_HZ, CHANNEL_HZ = 1602.0e6, 0.5625e6  # L1 of channel 0, and from one channel to the next
 STEP_S = 60.0
 
@@ -45,11 +47,11 @@ def _accelerated(s: Vector, a: Vector, out: Vector) -> None:
     bulge = 1.5 * j2 * pull * radius * radius / square
     tilt = 5.0 * s[2] * s[2] / square
     for i in range(3):
-        out[i] = s[3 + i]
+        out[i] = s[VELOCITY + i]
     level = rate * rate - pull - bulge * (1.0 - tilt)
-    out[3] = level * s[0] + 2.0 * rate * s[4] + a[0]
-    out[4] = level * s[1] - 2.0 * rate * s[3] + a[1]
-    out[5] = -(pull + bulge * (3.0 - tilt)) * s[2] + a[2]
+    out[VELOCITY] = level * s[0] + 2.0 * rate * s[VELOCITY + 1] + a[0]
+    out[VELOCITY + 1] = level * s[1] - 2.0 * rate * s[VELOCITY] + a[1]
+    out[VELOCITY + 2] = -(pull + bulge * (3.0 - tilt)) * s[2] + a[2]
 
 
 @compiled

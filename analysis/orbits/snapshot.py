@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.orbits.broadcast import SYSTEMS, predict_ranges, satellite_states
+from analysis.orbits.broadcast import AZIMUTH, ELEVATION, SYSTEMS, predict_ranges, satellite_states
 from analysis.samples.sample import Epoch, Vector
 
 Indices = NDArray[np.int64]
@@ -108,6 +108,6 @@ def solve(
         cofactor=cofactor,
         dof=len(design) - unknowns,
         statistic=float(((residual / sigma_m) ** 2).sum()),
-        elevation_rad=predicted[:, 5].copy(),
-        azimuth_rad=predicted[:, 6].copy(),
+        elevation_rad=predicted[:, ELEVATION].copy(),
+        azimuth_rad=predicted[:, AZIMUTH].copy(),
     )

@@ -19,17 +19,23 @@ from analysis.orbits.glonass import leap_seconds
 from analysis.recordings.rinex_observations import gps_time
 from analysis.samples.sample import EphemerisSample, IonosphereSample, StateVector
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.rinex.navigation_record import (
+    ACCURACY,
+    DELAY,
+    DELAY_B,
+    HEALTH,
+    IODE,
+    SOURCE,
+    TOE,
+    WEEK,
+    orbit,
+)
 from mavproxy_fault.rinex.rinex_text import header_of, read_rinex_text
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
 MESSAGES = ("LNAV", "INAV", "FNAV", "FDMA", "D1", "D2")  # RINEX 4 names the message of each record
 BEIDOU_WEEK_ZERO = 1356  # in GPS weeks
 FNAV_ONLY = 0b010  # bit 1 of Galileo's data source word: F/NAV on E5a
-# The 24 numbers behind a record's first line [1]_. DELAY is T_GD, BGD(E1,E5a) or BeiDou's T_GD1;
-# DELAY_B is Galileo's BGD(E1,E5b) and stands where GPS has the IODC.
-(IODE, CRS, DELTA_N, M0, CUC, ECCENTRICITY, CUS, SQRT_A) = range(8)
-(TOE, CIC, OMEGA0, CIS, I0, CRC, OMEGA, OMEGA_DOT) = range(8, 16)
-(IDOT, SOURCE, WEEK, L2P, ACCURACY, HEALTH, DELAY, DELAY_B) = range(16, 24)
 ACCURACY_INDEX_M = (2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24.0, 48.0, 96.0, 192.0)  # IS-GPS-200N
 
 
@@ -63,9 +69,9 @@ def _ionosphere(header: list[str]) -> Iterator[IonosphereSample]:
     for line in header:
         label = line[60:].strip()
         if label == "IONOSPHERIC CORR" and line[:4] in ("GPSA", "GPSB"):
-            found[line[3]] = _four(line, 5)
+            found[line[:4].removeprefix("GPS")] = _four(line, 5)
         elif label in ("ION ALPHA", "ION BETA"):
-            found[label[4]] = _four(line, 2)
+            found[label.removeprefix("ION ")[:1]] = _four(line, 2)
     if len(found) == 2:
         yield IonosphereSample(0, found["A"], found["B"])
 
@@ -76,7 +82,8 @@ def _ionosphere_4(lines: list[str]) -> Iterator[IonosphereSample]:
         if line.startswith("> ION G") and line[10:].split() == ["LNAV"] and i + 3 < len(lines):
             rows = ((lines[i + 1], 1, 4), (lines[i + 2], 0, 4), (lines[i + 3], 0, 1))
             v = [_float(t[4 + 19 * k : 23 + 19 * k]) for t, a, b in rows for k in range(a, b)]
-            yield IonosphereSample(0, (v[0], v[1], v[2], v[3]), (v[4], v[5], v[6], v[7]))
+            a0, a1, a2, a3, b0, b1, b2, b3 = v
+            yield IonosphereSample(0, (a0, a1, a2, a3), (b0, b1, b2, b3))
 
 
 def _four(line: str, first: int) -> tuple[float, float, float, float]:
@@ -127,8 +134,9 @@ def _ephemeris(name: str, head: str, body: list[str], indent: int) -> tuple[Ephe
     if indent == 3:
         # GPS began in 1980: two digits are enough until 2079.
         year += 1900 if year >= 80 else 2000
-    month, day, hour, minute = (int(p) for p in parts[1:5])
-    toc = gps_time(year, month, day, hour * 3600 + minute * 60 + float(parts[5]))
+    *moment, second = parts[1:]
+    month, day, hour, minute = (int(p) for p in moment)
+    toc = gps_time(year, month, day, hour * 3600 + minute * 60 + float(second))
     af0, af1, af2 = (_float(head[start + 19 * i : start + 19 * i + 19]) for i in range(3))
     v = [_float(line[indent + 19 * i : indent + 19 * i + 19]) for line in body for i in range(4)]
     galileo, week, toe_s = name[0] == "E", int(v[WEEK]), v[TOE]
@@ -148,21 +156,7 @@ def _ephemeris(name: str, head: str, body: list[str], indent: int) -> tuple[Ephe
         af2_per_s=af2,
         iode=int(v[IODE]),
         iodc=int(v[DELAY_B]) if name[0] == "G" else int(v[IODE]),
-        sqrt_a=v[SQRT_A],
-        eccentricity=v[ECCENTRICITY],
-        i0_rad=v[I0],
-        omega0_rad=v[OMEGA0],
-        omega_rad=v[OMEGA],
-        m0_rad=v[M0],
-        delta_n_rps=v[DELTA_N],
-        omega_dot_rps=v[OMEGA_DOT],
-        idot_rps=v[IDOT],
-        crs_m=v[CRS],
-        crc_m=v[CRC],
-        cus_rad=v[CUS],
-        cuc_rad=v[CUC],
-        cis_rad=v[CIS],
-        cic_rad=v[CIC],
+        **orbit(v),
         group_delay_s=delay,
         group_delay_e5a_s=v[DELAY] if galileo else 0.0,
         accuracy=0 if name[0] != "G" else sum(v[ACCURACY] > limit for limit in ACCURACY_INDEX_M),
@@ -183,6 +177,7 @@ def _state_vector(name: str, head: str, body: list[str]) -> StateVector:
     utc = gps_time(year, month, day, hour * 3600 + minute * 60 + second)
     week, toe_s = _later(*utc, leap_seconds(date(year, month, day)))
     rows = [[_float(line[4 + 19 * i : 23 + 19 * i]) for i in range(4)] for line in body]
+    # A line an axis: position, velocity, acceleration; behind the first axis the health.
     r, v, a = (tuple(1000.0 * row[i] for row in rows) for i in range(3))
     return StateVector(
         satellite=name,
@@ -193,5 +188,5 @@ def _state_vector(name: str, head: str, body: list[str]) -> StateVector:
         a_mps2=(a[0], a[1], a[2]),
         af0_s=_float(head[23:42]),
         af1=_float(head[42:61]),
-        health=int(rows[0][3]),
+        health=int(rows[0][-1]),
     )

@@ -78,9 +78,9 @@ def _sky(table: Vector, names: Sequence[str]) -> bytes:
     axes.set_theta_direction(-1)
     axes.set(rlim=(0, 90), yticks=(0, 30, 60, 90), yticklabels=("90°", "60°", "30°", ""))
     for i, colour in enumerate(series_colours(list(names))):
-        own = table[table[:, 4] == i]
-        angle, radius = np.radians(own[:, 1]), 90.0 - own[:, 0]
-        out = own[:, 3] > 0.0
+        elevation, azimuth, _, excluded, _ = table[table[:, -1] == i].T
+        angle, radius = np.radians(azimuth), 90.0 - elevation
+        out = excluded > 0.0
         axes.scatter(angle, radius, s=3, color=PALETTE[colour], rasterized=True)
         axes.scatter(angle[out], radius[out], s=12, color=LEFT_OUT, rasterized=True)
         axes.annotate(names[i], (angle[-1], radius[-1]), fontsize=8)
@@ -89,9 +89,10 @@ def _sky(table: Vector, names: Sequence[str]) -> bytes:
 
 def _residuals(table: Vector) -> bytes:
     figure, axes = _figure(6, 3)
-    out = table[:, 3] > 0.0
+    elevation, _, residual, excluded, _ = table.T
+    out = excluded > 0.0
     for rows, colour, size in ((~out, PALETTE[0], 2), (out, LEFT_OUT, 4)):
-        axes.scatter(table[rows, 0], table[rows, 2], s=size, color=colour, rasterized=True)
+        axes.scatter(elevation[rows], residual[rows], s=size, color=colour, rasterized=True)
     axes.set(xlabel="elevation, deg", ylabel="innovation, m", yscale="symlog")
     axes.grid(alpha=0.3)
     return _svg(figure)

@@ -62,7 +62,8 @@ CONTROLS, OUTPUTS = SOURCES.index("HIL_ACTUATOR_CONTROLS"), SOURCES.index("OUTPU
 # Columns of a row, where vectors and what follows them begin (see `ROWS`).
 RATES, FORCE, IMU_ID = 0, 3, 6  # of an IMU
 FIX_VELOCITY, FIX_TYPE = 3, 6  # of a fix
-COMMAND_SOURCE = 12
+COMMAND_SOURCE = 12  # of a command, behind the outputs
+ATTITUDE_SOURCE = 5  # of an attitude, behind the quaternion and the system
 UNKNOWN_3 = (np.nan, np.nan, np.nan)
 
 
@@ -215,7 +216,7 @@ SAMPLES: dict[int, Callable[[int, Vector], Sample]] = {
     RANGE: lambda t, v: RangeSample(t, float(v[0])),
     VISION: lambda t, v: VisionSample(t, v[0:3], _known(v[3:6]), v[6:10]),
     TRUTH: _truth,
-    ATTITUDE: lambda t, v: AttitudeSample(t, v[0:4], int(v[4]), SOURCES[int(v[5])]),
+    ATTITUDE: lambda t, v: AttitudeSample(t, v[0:4], int(v[4]), SOURCES[int(v[ATTITUDE_SOURCE])]),
     FIX: _fix,
     COMMAND: lambda t, v: CommandSample(t, v[:COMMAND_SOURCE], SOURCES[int(v[COMMAND_SOURCE])]),
 }

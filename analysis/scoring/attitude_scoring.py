@@ -21,7 +21,9 @@ from analysis.results import AttitudeError
 from analysis.samples.block import (
     AIRSPEED,
     ATTITUDE,
+    ATTITUDE_SOURCE,
     IMU,
+    IMU_ID,
     MAG,
     SOURCES,
     TRUTH,
@@ -167,7 +169,7 @@ class AttitudeScorer:
         rows = np.arange(begin + 1, len(block.kind))
         block = block.between(begin + 1, len(block.kind))
         # Estimators see one IMU, as a flight controller's estimator instance does.
-        mine = (block.kind != IMU) | (block.values[:, 6] == self.config.imu)
+        mine = (block.kind != IMU) | (block.values[:, IMU_ID] == self.config.imu)
         keep = mine & _measured(block)
         seen = block if keep.all() else block.where(keep)
         imu = rows[keep & (block.kind == IMU)]
@@ -176,7 +178,8 @@ class AttitudeScorer:
             t_us, q_nb, state.estimators[name] = follow(estimator, seen, state.estimators[name])
             found.append(Estimates(imu, np.full(len(imu), number), t_us, q_nb))
         own = np.flatnonzero(keep & (block.kind == ATTITUDE))
-        number = block.values[own, 5].astype(np.int64) - FIRST_AUTOPILOT + len(self._estimators)
+        source = block.values[own, ATTITUDE_SOURCE].astype(np.int64)
+        number = source - FIRST_AUTOPILOT + len(self._estimators)
         found.append(Estimates(rows[own], number, block.t_us[own], block.values[own, :4]))
         every = Estimates(*(np.concatenate(column) for column in zip(*found, strict=True)))
         # Stable: of estimates of one row our own come first, in the order they were configured.

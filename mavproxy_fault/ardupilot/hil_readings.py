@@ -96,13 +96,14 @@ class Readings:
 
     def _sensor(self, frame: Frame) -> None:
         _, *values, updated, number = _SENSOR.unpack(frame.payload.ljust(_SENSOR.size, b"\0"))
+        ax, ay, az, p, q, r, mx, my, mz, pressure, diff_pressure, _, temperature_c = values
         self.imus[number] = Imu(
-            (values[0], values[1], values[2]),
-            (values[3], values[4], values[5]),
-            (values[6], values[7], values[8]),
-            values[9] * PA_PER_HPA,
-            values[10] * PA_PER_HPA,
-            values[12],
+            (ax, ay, az),
+            (p, q, r),
+            (mx, my, mz),
+            pressure * PA_PER_HPA,
+            diff_pressure * PA_PER_HPA,
+            temperature_c,
         )
         self.updated |= updated
         self.fresh_imu |= number == 0 and updated & INERTIAL == INERTIAL

@@ -11,6 +11,19 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.rinex.navigation_record import (
+    ACCURACY,
+    DELAY,
+    DELAY_B,
+    FIT,
+    HEALTH,
+    IODE,
+    L2P,
+    SOURCE,
+    TOE,
+    WEEK,
+    orbit,
+)
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris, decode_ephemeris, encode_ephemeris
 
 SHIPPED = Path(__file__).with_name("constellation.nav")
@@ -132,43 +145,30 @@ def _ephemeris(record: list[str], line: int, where: str) -> Ephemeris | None:
     toc_s = _clock_time(record[0][4:23], line, where)
     clock = [_number(record[0][23 + 19 * k : 42 + 19 * k], line, where) for k in range(3)]
     v = [
-        [_number(text[4 + 19 * k : 23 + 19 * k], line + i, where) for k in range(4)]
+        _number(text[4 + 19 * k : 23 + 19 * k], line + i, where)
         for i, text in enumerate(record[1:], 1)
+        for k in range(4)
     ]
     galileo = name[0] == "E"
-    if galileo and v[4][1] and not int(v[4][1]) & INAV_CLOCK:
+    if galileo and v[SOURCE] and not int(v[SOURCE]) & INAV_CLOCK:
         return None
     ephemeris = Ephemeris(
         satellite=name,
-        week=int(v[4][2]),
-        toe_s=v[2][0],
+        week=int(v[WEEK]),
+        toe_s=v[TOE],
         toc_s=toc_s,
         af0_s=clock[0],
         af1=clock[1],
         af2_per_s=clock[2],
-        iode=int(v[0][0]),
-        iodc=int(v[0][0]) if galileo else int(v[5][3]),
-        sqrt_a=v[1][3],
-        eccentricity=v[1][1],
-        i0_rad=v[3][0],
-        omega0_rad=v[2][2],
-        omega_rad=v[3][2],
-        m0_rad=v[0][3],
-        delta_n_rps=v[0][2],
-        omega_dot_rps=v[3][3],
-        idot_rps=v[4][0],
-        crs_m=v[0][1],
-        crc_m=v[3][1],
-        cus_rad=v[1][2],
-        cuc_rad=v[1][0],
-        cis_rad=v[2][3],
-        cic_rad=v[2][1],
-        group_delay_s=v[5][3] if galileo else v[5][2],
-        group_delay_e5a_s=v[5][2] if galileo else 0.0,
-        accuracy=sisa_index(v[5][0]) if galileo else ura_index(v[5][0]),
-        health=_galileo_health(int(v[5][1])) if galileo else int(v[5][1]),
-        codes=(0, 0) if galileo else (int(v[4][1]), int(v[4][3])),
-        long_fit=not galileo and v[6][1] > 4.0,
+        iode=int(v[IODE]),
+        iodc=int(v[IODE]) if galileo else int(v[DELAY_B]),
+        **orbit(v),
+        group_delay_s=v[DELAY_B] if galileo else v[DELAY],
+        group_delay_e5a_s=v[DELAY] if galileo else 0.0,
+        accuracy=sisa_index(v[ACCURACY]) if galileo else ura_index(v[ACCURACY]),
+        health=_galileo_health(int(v[HEALTH])) if galileo else int(v[HEALTH]),
+        codes=(0, 0) if galileo else (int(v[SOURCE]), int(v[L2P])),
+        long_fit=not galileo and v[FIT] > 4.0,
     )
     try:
         return decode_ephemeris(encode_ephemeris(ephemeris), ephemeris.week // 1024 * 1024)

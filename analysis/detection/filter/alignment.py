@@ -16,7 +16,7 @@ import numpy as np
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import Core
 from analysis.detection.filter.filter_state import Alignment, Motion
-from analysis.detection.filter.inertial import BA, BG, ERRORS, PSI, gravity_ecef
+from analysis.detection.filter.inertial import BA, BG, ERRORS, GYRO, PSI, gravity_ecef
 from analysis.detection.filter.initial_fix import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.detection.filter.propagation import Segment
 from analysis.samples.sample import Vector
@@ -44,7 +44,7 @@ def _integrate(q: Vector, alpha: Vector, samples: Vector) -> tuple[Vector, Vecto
     alpha = alpha.copy()
     for k in range(samples.shape[0]):
         dt = samples[k, 0]
-        rx, ry, rz = samples[k, 1] * dt, samples[k, 2] * dt, samples[k, 3] * dt
+        rx, ry, rz = samples[k, GYRO] * dt, samples[k, GYRO + 1] * dt, samples[k, GYRO + 2] * dt
         # The attitude at mid-step: the first order of the turn within the step cancels.
         mid = matrix(turned(q, 0.5 * rx, 0.5 * ry, 0.5 * rz))
         for i in range(3):

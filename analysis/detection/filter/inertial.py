@@ -33,10 +33,14 @@ from mavproxy_fault.numerics.constants import (
 )
 from mavproxy_fault.numerics.linear import multiply, transposed
 
+Three = tuple[float, float, float]
+Nine = tuple[float, float, float, float, float, float, float, float, float]
 X_SIZE = 21
 ERRORS = 20
 R, V, PSI, BG, BA, CLOCK, DRIFT, ISB = 0, 3, 6, 9, 12, 15, 16, 17
 X_Q, X_BG, X_BA, X_CLOCK, X_DRIFT, X_ISB = 6, 10, 13, 16, 17, 18
+DT, GYRO, ACCEL, SAMPLE = 0, 1, 4, 7  # columns of a sample, and how many
+DIAGONAL = ERRORS + 1  # from one diagonal element of a covariance (400,) to the next
 TOGETHER_S = 0.25  # so much at most of the covariance's way at once
 
 
@@ -64,40 +68,47 @@ def _gravity(x: float, y: float, z: float) -> tuple[float, float, float]:
 
 
 @inlined
-def _mechanise(x: Vector, samples: Vector, row: int, c: Vector, f: Vector) -> None:
-    """Advance x in place by the sample of a row; c (9,) becomes the rotation, row by row, and f
-    (3,) the specific force in ECEF at mid-step."""
-    earth, dt = GNSS_EARTH_RATE_RPS, samples[row, 0]
-    _rotate(x, samples, row, c)
-    ax, ay, az = samples[row, 4] - x[13], samples[row, 5] - x[14], samples[row, 6] - x[15]
-    f[0] = c[0] * ax + c[1] * ay + c[2] * az
-    f[1] = c[3] * ax + c[4] * ay + c[5] * az
-    f[2] = c[6] * ax + c[7] * ay + c[8] * az
-    gx, gy, gz = _gravity(x[0], x[1], x[2])
-    vx, vy, vz = x[3], x[4], x[5]
+def _mechanise(x: Vector, samples: Vector, row: int) -> tuple[Nine, Three]:
+    """Advance x in place by the sample of a row; the rotation, row by row, and the specific force
+    in ECEF at mid-step."""
+    earth, dt = GNSS_EARTH_RATE_RPS, samples[row, DT]
+    c = _rotate(x, samples, row)
+    c0, c1, c2, c3, c4, c5, c6, c7, c8 = c
+    ax = samples[row, ACCEL] - x[X_BA]
+    ay = samples[row, ACCEL + 1] - x[X_BA + 1]
+    az = samples[row, ACCEL + 2] - x[X_BA + 2]
+    fx = c0 * ax + c1 * ay + c2 * az
+    fy = c3 * ax + c4 * ay + c5 * az
+    fz = c6 * ax + c7 * ay + c8 * az
+    gx, gy, gz = _gravity(x[R], x[R + 1], x[R + 2])
+    vx, vy, vz = x[V], x[V + 1], x[V + 2]
     # Coriolis by the velocity before the step: its change within one is of second order.
-    sx = (f[0] + gx + 2.0 * earth * vy) * dt
-    sy = (f[1] + gy - 2.0 * earth * vx) * dt
-    sz = (f[2] + gz) * dt
+    sx = (fx + gx + 2.0 * earth * vy) * dt
+    sy = (fy + gy - 2.0 * earth * vx) * dt
+    sz = (fz + gz) * dt
     # The mean of both velocities moves the position.
-    x[0] += (vx + 0.5 * sx) * dt
-    x[1] += (vy + 0.5 * sy) * dt
-    x[2] += (vz + 0.5 * sz) * dt
-    x[3], x[4], x[5] = vx + sx, vy + sy, vz + sz
-    x[16] += x[17] * dt
+    x[R] += (vx + 0.5 * sx) * dt
+    x[R + 1] += (vy + 0.5 * sy) * dt
+    x[R + 2] += (vz + 0.5 * sz) * dt
+    x[V], x[V + 1], x[V + 2] = vx + sx, vy + sy, vz + sz
+    x[X_CLOCK] += x[X_DRIFT] * dt
+    return c, (fx, fy, fz)
 
 
 @inlined
-def _rotate(x: Vector, samples: Vector, row: int, c: Vector) -> None:
-    """Turn the attitude in x by the rates of a row; c (9,) becomes the rotation at mid-step."""
-    earth, dt = GNSS_EARTH_RATE_RPS, samples[row, 0]
-    rx, ry, rz = samples[row, 1] - x[10], samples[row, 2] - x[11], samples[row, 3] - x[12]
-    w, i, j, k = x[6], x[7], x[8], x[9]
+def _rotate(x: Vector, samples: Vector, row: int) -> Nine:
+    """Turn the attitude in x by the rates of a row; the rotation at mid-step, row by row."""
+    earth, dt = GNSS_EARTH_RATE_RPS, samples[row, DT]
+    rx = samples[row, GYRO] - x[X_BG]
+    ry = samples[row, GYRO + 1] - x[X_BG + 1]
+    rz = samples[row, GYRO + 2] - x[X_BG + 2]
+    w, i, j, k = x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3]
     rx = (rx - earth * 2.0 * (i * k - w * j)) * dt
     ry = (ry - earth * 2.0 * (j * k + w * i)) * dt
     rz = (rz - earth * (1.0 - 2.0 * (i * i + j * j))) * dt
     a, scale = _quarter(rx * rx + ry * ry + rz * rz)
     b, d, e = scale * rx, scale * ry, scale * rz
+    c = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     for half in range(2):  # the same turn to mid-step and to the end
         w, i, j, k = (
             a * w - b * i - d * j - e * k,
@@ -106,23 +117,21 @@ def _rotate(x: Vector, samples: Vector, row: int, c: Vector) -> None:
             a * k + e * w - b * j + d * i,
         )
         if half == 0:
-            c[0], c[1], c[2] = (
+            c = (
                 1.0 - 2.0 * (j * j + k * k),
                 2.0 * (i * j - w * k),
                 2.0 * (i * k + w * j),
-            )
-            c[3], c[4], c[5] = (
                 2.0 * (i * j + w * k),
                 1.0 - 2.0 * (i * i + k * k),
                 2.0 * (j * k - w * i),
-            )
-            c[6], c[7], c[8] = (
                 2.0 * (i * k - w * j),
                 2.0 * (j * k + w * i),
                 1.0 - 2.0 * (i * i + j * j),
             )
     length = 1.5 - 0.5 * (w * w + i * i + j * j + k * k)  # of a unit but for rounding, inverted
-    x[6], x[7], x[8], x[9] = w * length, i * length, j * length, k * length
+    x[X_Q], x[X_Q + 1] = w * length, i * length
+    x[X_Q + 2], x[X_Q + 3] = j * length, k * length
+    return c
 
 
 @compiled
@@ -138,42 +147,45 @@ def _quarter(square: float) -> tuple[float, float]:
 
 
 @inlined
-def _add_step(phi: Vector, c: Vector, f: Vector, dt: float) -> None:
+def _add_step(phi: Vector, c: Nine, f: Three, dt: float) -> None:
     """Put one step behind the transition phi, rows of 20 one after the other in (400,), in place.
 
-    What depends on the IMU stands in its rows 0 to 8, columns 3 to 14. The rows'
-    distance is a number known when this is compiled: so it becomes vector instructions.
+    What depends on the IMU stands in the rows of position, velocity and attitude, from the columns
+    of velocity to those of the accelerometer's bias. The rows' distance is a number known when this
+    is compiled: so it becomes vector instructions.
     """
     earth = GNSS_EARTH_RATE_RPS * dt
     fx, fy, fz = f[0] * dt, f[1] * dt, f[2] * dt
-    c0, c1, c2, c3, c4 = c[0] * dt, c[1] * dt, c[2] * dt, c[3] * dt, c[4] * dt
-    c5, c6, c7, c8 = c[5] * dt, c[6] * dt, c[7] * dt, c[8] * dt
+    c0, c1, c2, c3, c4, c5, c6, c7, c8 = c
+    c0, c1, c2, c3, c4 = c0 * dt, c1 * dt, c2 * dt, c3 * dt, c4 * dt
+    c5, c6, c7, c8 = c5 * dt, c6 * dt, c7 * dt, c8 * dt
     # In place by columns: every element of a column is read before one is written.
-    for j in range(3, 15):
-        vx, vy, vz = phi[60 + j], phi[80 + j], phi[100 + j]
-        tx, ty, tz = phi[120 + j], phi[140 + j], phi[160 + j]
-        gx, gy, gz = phi[180 + j], phi[200 + j], phi[220 + j]
-        ax, ay, az = phi[240 + j], phi[260 + j], phi[280 + j]
-        phi[j] += dt * vx
-        phi[20 + j] += dt * vy
-        phi[40 + j] += dt * vz
-        phi[60 + j] = vx + fz * ty - fy * tz - (c0 * ax + c1 * ay + c2 * az) + 2.0 * earth * vy
-        phi[80 + j] = vy + fx * tz - fz * tx - (c3 * ax + c4 * ay + c5 * az) - 2.0 * earth * vx
-        phi[100 + j] = vz + fy * tx - fx * ty - (c6 * ax + c7 * ay + c8 * az)
-        phi[120 + j] = tx + earth * ty - (c0 * gx + c1 * gy + c2 * gz)
-        phi[140 + j] = ty - earth * tx - (c3 * gx + c4 * gy + c5 * gz)
-        phi[160 + j] = tz - (c6 * gx + c7 * gy + c8 * gz)
-    # 316 is row CLOCK, column DRIFT.
-    phi[316] += dt
+    for j in range(V, CLOCK):
+        r, v, t = R * ERRORS + j, V * ERRORS + j, PSI * ERRORS + j
+        g, a = BG * ERRORS + j, BA * ERRORS + j
+        vx, vy, vz = phi[v], phi[v + ERRORS], phi[v + 2 * ERRORS]
+        tx, ty, tz = phi[t], phi[t + ERRORS], phi[t + 2 * ERRORS]
+        gx, gy, gz = phi[g], phi[g + ERRORS], phi[g + 2 * ERRORS]
+        ax, ay, az = phi[a], phi[a + ERRORS], phi[a + 2 * ERRORS]
+        phi[r] += dt * vx
+        phi[r + ERRORS] += dt * vy
+        phi[r + 2 * ERRORS] += dt * vz
+        push_x, push_y = c0 * ax + c1 * ay + c2 * az, c3 * ax + c4 * ay + c5 * az
+        phi[v] = vx + fz * ty - fy * tz - push_x + 2.0 * earth * vy
+        phi[v + ERRORS] = vy + fx * tz - fz * tx - push_y - 2.0 * earth * vx
+        phi[v + 2 * ERRORS] = vz + fy * tx - fx * ty - (c6 * ax + c7 * ay + c8 * az)
+        phi[t] = tx + earth * ty - (c0 * gx + c1 * gy + c2 * gz)
+        phi[t + ERRORS] = ty - earth * tx - (c3 * gx + c4 * gy + c5 * gz)
+        phi[t + 2 * ERRORS] = tz - (c6 * gx + c7 * gy + c8 * gz)
+    phi[CLOCK * ERRORS + DRIFT] += dt
 
 
 @compiled
 def _add_noise(p: Vector, noise: NoiseDensities, dt: float) -> None:
     """Add what the IMU's noise does in a while to p (400,), in place."""
-    # 21 steps from one diagonal element of (20, 20) to the next.
     for i in range(3):
-        p[21 * (V + i)] += noise.accel_mps2 * dt
-        p[21 * (PSI + i)] += noise.gyro_rps * dt
+        p[DIAGONAL * (V + i)] += noise.accel_mps2 * dt
+        p[DIAGONAL * (PSI + i)] += noise.gyro_rps * dt
     _add_walks(p, noise, dt)
 
 
@@ -181,20 +193,20 @@ def _add_noise(p: Vector, noise: NoiseDensities, dt: float) -> None:
 def _add_walks(p: Vector, noise: NoiseDensities, dt: float) -> None:
     """The same of its biases alone."""
     for i in range(3):
-        p[21 * (BG + i)] += noise.gyro_walk * dt
-        p[21 * (BA + i)] += noise.accel_walk * dt
+        p[DIAGONAL * (BG + i)] += noise.gyro_walk * dt
+        p[DIAGONAL * (BA + i)] += noise.accel_walk * dt
 
 
 @compiled
 def _add_clock_noise(p: Vector, noise: NoiseDensities, dt: float) -> None:
     """The same of the clock and the offsets of systems."""
     # White noise of the drift's rate, integrated twice, once and not at all.
-    p[315] += noise.clock_m * dt + noise.drift_mps * dt * dt * dt / 3.0
-    p[316] += noise.drift_mps * dt * dt / 2.0
-    p[335] += noise.drift_mps * dt * dt / 2.0
-    p[336] += noise.drift_mps * dt
-    for i in range(17, 20):
-        p[21 * i] += noise.isb_m * dt
+    p[DIAGONAL * CLOCK] += noise.clock_m * dt + noise.drift_mps * dt * dt * dt / 3.0
+    p[ERRORS * CLOCK + DRIFT] += noise.drift_mps * dt * dt / 2.0
+    p[ERRORS * DRIFT + CLOCK] += noise.drift_mps * dt * dt / 2.0
+    p[DIAGONAL * DRIFT] += noise.drift_mps * dt
+    for i in range(ISB, ERRORS):
+        p[DIAGONAL * i] += noise.isb_m * dt
 
 
 @compiled
@@ -203,14 +215,14 @@ def _carried(p: Vector, phi: Vector, noise: NoiseDensities) -> Vector:
     comes before it and half after, which is exact but for the third power of the time."""
     # The clock's own transition is the elapsed time, so `dt` need not be handed in.
     dt, p = phi[CLOCK, DRIFT], p.copy()
-    _add_noise(p.reshape(400), noise, 0.5 * dt)
+    _add_noise(p.reshape(ERRORS * ERRORS), noise, 0.5 * dt)
     p = multiply(phi, transposed(multiply(phi, p)))
     # Rounding makes the product asymmetric, and Cholesky would amplify that.
-    for i in range(20):
+    for i in range(ERRORS):
         for j in range(i):
             p[i, j] = p[j, i] = 0.5 * (p[i, j] + p[j, i])
-    _add_noise(p.reshape(400), noise, 0.5 * dt)
-    _add_clock_noise(p.reshape(400), noise, dt)
+    _add_noise(p.reshape(ERRORS * ERRORS), noise, 0.5 * dt)
+    _add_clock_noise(p.reshape(ERRORS * ERRORS), noise, dt)
     return p
 
 
@@ -233,11 +245,11 @@ def propagate_inertial(
     -------
     x, p and the transition (20, 20) of the whole run; the arguments stay as they were.
     """
-    x, whole = x.copy(), np.eye(20)
+    x, whole = x.copy(), np.eye(ERRORS)
     row = 0
     while row < samples.shape[0]:
-        phi = np.eye(20)
-        first, row = row, _advance(x, phi.reshape(400), samples, row)
+        phi = np.eye(ERRORS)
+        first, row = row, _advance(x, phi.reshape(ERRORS * ERRORS), samples, row)
         p = _carried(p, phi, noise)
         whole = phi if first == 0 else multiply(phi, whole)
     return x, p, whole
@@ -247,12 +259,12 @@ def propagate_inertial(
 def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> int:
     """Advance x and the transition phi (400,) in place by the samples from a row on, over
     `TOGETHER_S` at most; returns the row after."""
-    c, f, until_s = np.empty(9), np.empty(3), TOGETHER_S
+    until_s = TOGETHER_S
     while row < samples.shape[0] and until_s > 0.0:
         # Two samples with one stamp are one sample.
-        dt = samples[row, 0]
+        dt = samples[row, DT]
         if dt > 0.0:
-            _mechanise(x, samples, row, c, f)
+            c, f = _mechanise(x, samples, row)
             _add_step(phi, c, f, dt)
             until_s -= dt
         row += 1
@@ -266,21 +278,21 @@ def propagate_freely(
     """The same over `dt` seconds without an IMU: steady velocity with random acceleration; x (21,),
     p and the transition (20, 20)."""
     x = x.copy()
-    phi = np.eye(20)
+    phi = np.eye(ERRORS)
     for i in range(3):
-        phi[i, 3 + i] = dt
-        x[i] += x[3 + i] * dt
-    phi[15, 16] = dt
-    x[16] += x[17] * dt
+        phi[R + i, V + i] = dt
+        x[R + i] += x[V + i] * dt
+    phi[CLOCK, DRIFT] = dt
+    x[X_CLOCK] += x[X_DRIFT] * dt
     p = multiply(multiply(phi, p), transposed(phi))
-    _add_walks(p.reshape(400), noise, dt)
+    _add_walks(p.reshape(ERRORS * ERRORS), noise, dt)
     # Biases keep walking while the IMU is silent.
-    _add_clock_noise(p.reshape(400), noise, dt)
+    _add_clock_noise(p.reshape(ERRORS * ERRORS), noise, dt)
     q = noise.motion_mps2
     for i in range(3):
         # Random acceleration, integrated to position and velocity.
-        p[i, i] += q * dt * dt * dt / 3.0
-        p[i, 3 + i] += q * dt * dt / 2.0
-        p[3 + i, i] += q * dt * dt / 2.0
-        p[3 + i, 3 + i] += q * dt
+        p[R + i, R + i] += q * dt * dt * dt / 3.0
+        p[R + i, V + i] += q * dt * dt / 2.0
+        p[V + i, R + i] += q * dt * dt / 2.0
+        p[V + i, V + i] += q * dt
     return x, p, phi

@@ -15,8 +15,11 @@ from analysis.detection.filter.inertial import (
     ISB,
     PSI,
     X_CLOCK,
+    X_DRIFT,
     X_ISB,
+    X_Q,
     X_SIZE,
+    V,
     propagate_freely,
 )
 from analysis.detection.filter.lasting_errors import Misfit
@@ -208,14 +211,15 @@ def _motion(
     p[np.ix_(spots, spots)] = cofactor
     x = x.copy()
     # No attitude yet: any unit quaternion, with 3 rad of sigma below.
-    x[6] = 1.0
+    x[X_Q] = 1.0
     known = np.isfinite(observed.doppler_mps)
     # Four unknowns and one to spare.
     if known.sum() >= 5:
         h = np.hstack([modelled.h[known, 0:3], np.ones((known.sum(), 1))])
         solution, *_ = np.linalg.lstsq(h, modelled.v_mps[known], rcond=None)
-        x[3:6] += solution[:3]
-        x[17] += solution[3]
+        *velocity_mps, drift_mps = solution
+        x[V : V + 3] += velocity_mps
+        x[X_DRIFT] += drift_mps
         # Four times the modelled sigma: the start's rates are not tested.
         rate = np.linalg.inv(h.T @ h) * (4.0 * config.sigma.rate_mps) ** 2
         # A floor of 0.1 m/s, also where the geometry is very good.

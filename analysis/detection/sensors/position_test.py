@@ -6,7 +6,7 @@ import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.inertial import BA, BG, CLOCK, DRIFT, ERRORS, PSI, X_SIZE
+from analysis.detection.filter.inertial import BA, BG, CLOCK, DRIFT, ERRORS, PSI, X_Q, X_SIZE, R
 from analysis.detection.filter.information import measured_update, statistic
 from analysis.detection.filter.initial_fix import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.detection.isolation.chi_square import chi_square
@@ -95,7 +95,7 @@ def updated(motion: Motion, part: Check) -> Motion:
 def start_at(t_us: int, measured: Measured) -> Motion:
     """The filter at a fix."""
     x, p = np.zeros(X_SIZE), np.zeros((ERRORS, ERRORS))
-    x[0:3], x[6] = measured.r_ecef_m, 1.0
+    x[R : R + 3], x[X_Q] = measured.r_ecef_m, 1.0
     p[0:3, 0:3] = measured.axes.T @ np.diag(measured.variance_m2) @ measured.axes
     known = measured.v_ned_mps is not None and np.isfinite(measured.v_ned_mps).all()
     if measured.v_ned_mps is not None:

@@ -18,7 +18,7 @@ from analysis.detection.sensors.sensor_models import (
     S,
     V,
 )
-from analysis.samples.block import FIX, Indices, Stamps
+from analysis.samples.block import FIX, FIX_TYPE, Indices, Stamps
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
@@ -33,7 +33,8 @@ NEVER_US = -(1 << 62)
 SAME_US = 10_000  # a fix belongs to the epoch of this instant: a receiver sends it after the ranges
 ROW, T_US, HOW, BY_FIX = range(4)  # of a decision
 UNTESTED, SOUND, UNSOUND = range(3)  # how
-OUTCOME = 8  # numbers of a test's outcome, see `judge`
+# Columns of an outcome, and how many; the last is a fix's type.
+OF_ROW, SENSOR, CODE, STATISTIC, DOF, IS_OUT, DECIDED_US, FIX_OF, OUTCOME = range(9)
 QUIET_S = 30.0  # in which a sensor shows how quiet it is
 SIGMA, WALK, QUIET = range(3)  # rows of the noise
 # By kind of sample the sensor it belongs to (of a fix the first of two); -1: none
@@ -289,10 +290,11 @@ def _outcomes(row: int, at: Vector, kept: Kept, limits: Limits, found: Vector, c
         if sound:
             code, q, m = _test(sensor, at, kept, limits)
         if code != NOTHING:
-            found[count, 0], found[count, 1], found[count, 2] = row, sensor, code
-            found[count, 3], found[count, 4] = q, m
-            found[count, 5] = kept.counts[sensor, ISOLATED]
-            found[count, 6], found[count, 7] = kept.last[T_US], kept.values[sensor, 6]
+            found[count, OF_ROW], found[count, SENSOR], found[count, CODE] = row, sensor, code
+            found[count, STATISTIC], found[count, DOF] = q, m
+            found[count, IS_OUT] = kept.counts[sensor, ISOLATED]
+            found[count, DECIDED_US] = kept.last[T_US]
+            found[count, FIX_OF] = kept.values[sensor, FIX_TYPE]
             count += 1
     for sensor in range(len(kept.stamps)):
         kept.stamps[sensor] = NEVER_US

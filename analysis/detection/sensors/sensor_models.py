@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from analysis.samples.block import FIX_TYPE, FIX_VELOCITY
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
@@ -237,7 +238,7 @@ def gps_position(
     z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
     """The receiver's position, carried to the epoch by the filter's velocity, is off by little."""
-    if z[6] < FIX_3D:
+    if z[FIX_TYPE] < FIX_3D:
         return NO_FIX, 0
     x, y, z_ = ecef_of(math.radians(z[0]), math.radians(z[1]), z[2])
     off = np.array([x - at[R], y - at[R + 1], z_ - at[R + 2]])
@@ -255,13 +256,13 @@ def gps_velocity(
     z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
     """The receiver's velocity is the filter's; its last part may be missing."""
-    if z[6] < FIX_3D or not np.isfinite(z[3]):
+    if z[FIX_TYPE] < FIX_3D or not np.isfinite(z[FIX_VELOCITY]):
         return NO_VELOCITY, 0
     if not known:
         return STARTED, 0
-    count = 3 if np.isfinite(z[5]) else 2
+    count = 3 if np.isfinite(z[FIX_TYPE - 1]) else 2
     for i in range(count):
-        out[V, i] = z[3 + i] - at[V_NED + i]
+        out[V, i] = z[FIX_VELOCITY + i] - at[V_NED + i]
         for j in range(count):
             out[S + i, j] = at[P_VELOCITY + 3 * i + j]
         out[S + i, i] += sigma**2

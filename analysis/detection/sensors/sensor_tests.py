@@ -31,12 +31,20 @@ from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.inertial import ERRORS, X_SIZE
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.sensors.sensor_kernel import (
+    CODE,
+    DECIDED_US,
+    DOF,
+    FIX_OF,
     HEALTHY_US,
+    IS_OUT,
     NEVER_US,
+    OF_ROW,
+    SENSOR,
     SENSOR_OF,
     SLOW_US,
     SOUND,
     STALE_US,
+    STATISTIC,
     UNSOUND,
     UNTESTED,
     Decisions,
@@ -175,8 +183,9 @@ def _results(outcomes: Vector, thresholds: Vector) -> list[tuple[int, Result]]:
     """The kernel's outcomes (k, OUTCOME), by row of the block, in the words of `results`."""
     if not len(outcomes):
         return []
-    row, sensor, code, dof, t_us = outcomes[:, [0, 1, 2, 4, 6]].astype(np.int64).T
-    statistics, limits = outcomes[:, 3], thresholds[dof]
+    whole = [OF_ROW, SENSOR, CODE, DOF, DECIDED_US]
+    row, sensor, code, dof, t_us = outcomes[:, whole].astype(np.int64).T
+    statistics, limits = outcomes[:, STATISTIC], thresholds[dof]
     failed = ~(statistics <= limits)
     columns = (
         row,
@@ -187,8 +196,8 @@ def _results(outcomes: Vector, thresholds: Vector) -> list[tuple[int, Result]]:
         statistics,
         limits,
         failed,
-        outcomes[:, 5] != 0.0,
-        outcomes[:, 7],
+        outcomes[:, IS_OUT] != 0.0,
+        outcomes[:, FIX_OF],
     )
     return [
         (

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.samples.block import FIX, IMU, SOURCES, Indices, Stamps
+from analysis.samples.block import FIX, FIX_VELOCITY, IMU, IMU_ID, SOURCES, Indices, Stamps
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
 
@@ -82,8 +82,8 @@ class Found(NamedTuple):
 def _tell(found: Found, row: int, t_us: int, stream: int, what: int, seconds: float) -> None:
     at = found.filled[0]
     if at < len(found.rows):
-        found.rows[at, 0], found.rows[at, 1] = row, t_us
-        found.rows[at, 2], found.rows[at, 3] = stream, what
+        for i, number in enumerate((row, t_us, stream, what)):
+            found.rows[at, i] = number
         found.seconds[at] = seconds
         found.filled[0] += 1
 
@@ -236,7 +236,7 @@ def _fix_repeated(watched: Watched, s: int, numbers: Vector, t_us: int) -> float
         same &= numbers[i] == watched.values[s, i]
         watched.values[s, i] = numbers[i]
     run = watched.runs[s, 0]
-    if not same or not np.hypot(numbers[3], numbers[4]) > MOVING_MPS:
+    if not same or not np.hypot(numbers[FIX_VELOCITY], numbers[FIX_VELOCITY + 1]) > MOVING_MPS:
         run[SINCE_US], run[RUN] = t_us, 0
         return 0.0
     run[RUN] += 1
@@ -265,7 +265,7 @@ def watch(kind: Indices, t_us: Stamps, values: Vector, watched: Watched, found: 
         if s == -2 or t_us[row] <= 0:  # broadcasts, and what has no stamp yet
             continue
         if kind[row] == IMU:
-            s = min(max(int(values[row, 6]), 0), IMUS - 1)
+            s = min(max(int(values[row, IMU_ID]), 0), IMUS - 1)
         elif kind[row] == FIX and not _is_receivers(watched, s, values[row, FIX_SOURCE]):
             s = -1
         now_us = t_us[row]

@@ -33,6 +33,7 @@ from analysis.fusion.graph_start import Clock, Node
 from analysis.fusion.learnt_noise import Learnt
 from analysis.fusion.local_frame import Frame
 from analysis.fusion.window import key
+from analysis.orbits.broadcast import CLOCK as SAT_CLOCK
 from analysis.orbits.snapshot import systems_of
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
@@ -150,7 +151,7 @@ class Ranges:
             state[:3],
             NO_ARM,
             frame.pose,
-            state[6] / SPEED_OF_LIGHT_MPS,
+            state[SAT_CLOCK] / SPEED_OF_LIGHT_MPS,
             noise,
         )
 

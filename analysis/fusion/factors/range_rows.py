@@ -8,6 +8,7 @@ import numpy as np
 from analysis.detection.detection_config import SigmaNumbers
 from analysis.detection.filter.inertial import X_CLOCK, X_DRIFT, V
 from analysis.detection.filter.measurement import Indices, Measured, modelled_at, states_at
+from analysis.orbits.broadcast import CLOCK as SAT_CLOCK
 from analysis.orbits.broadcast import SYSTEMS
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
@@ -47,7 +48,7 @@ def range_table(
         )
         white = math.sqrt(modelled.variance[i])
         out[i, REMAINING] = modelled.v_m[i] + x[X_CLOCK]
-        out[i, CORRECTED] = out[i, REMAINING] + math.sqrt(square) + sagnac - states[i, 6]
+        out[i, CORRECTED] = out[i, REMAINING] + math.sqrt(square) + sagnac - states[i, SAT_CLOCK]
         out[i, RATE] = modelled.v_mps[i] + x[X_DRIFT] - along
         out[i, SIGMA] = correlation * white
         out[i, RATE_SIGMA] = math.sqrt(modelled.rate_variance[i])

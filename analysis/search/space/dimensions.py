@@ -12,7 +12,9 @@ from analysis.search.space.fault_range import CHANNELS, LOST
 from analysis.search.space.section import Range
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.numerics.rotation import quat_from_euler
-from simvehicle.vehicles.trim import Trim
+from simvehicle.vehicles.fixedwing_flight import ELEVATOR, THROTTLE
+from simvehicle.vehicles.rigidbody_kernel import U, W
+from simvehicle.vehicles.trim import PITCH, Trim
 
 Array = NDArray[np.float64]
 SECTIONS = ("initial", "controls", "mission", "wind", "sensors")
@@ -65,12 +67,12 @@ def flight_entries(test: TestFile, trim: Trim) -> dict[str, Range]:
     """Start, controls, wind and sensors; what the test leaves open is that of the trim."""
     state, controls = trim.state12(), trim.controls()
     trimmed = {
-        "initial.u_mps": state[3],
-        "initial.w_mps": state[5],
-        "initial.pitch_deg": np.degrees(state[7]),
-        "controls.elevator_deg": np.degrees(controls[0]),
-        "controls.throttle": controls[3],
-        "mission.pitch_deg": np.degrees(state[7]),
+        "initial.u_mps": state[U],
+        "initial.w_mps": state[W],
+        "initial.pitch_deg": np.degrees(state[PITCH]),
+        "controls.elevator_deg": np.degrees(controls[ELEVATOR]),
+        "controls.throttle": controls[THROTTLE],
+        "mission.pitch_deg": np.degrees(state[PITCH]),
         "mission.airspeed_mps": trim.airspeed_mps,
     }
     found = {}

@@ -1,0 +1,58 @@
+"""The numbers behind the first line of a record of a navigation file.
+
+References
+----------
+.. [1] IGS/RTCM, RINEX 3.05, tables A6 (GPS), A8 (Galileo), A14 (BeiDou).
+"""
+
+from collections.abc import Sequence
+from typing import TypedDict
+
+# Four a line. DELAY is T_GD, BGD(E1,E5a) or BeiDou's T_GD1; DELAY_B is Galileo's BGD(E1,E5b) and
+# stands where GPS has the IODC; SOURCE is Galileo's, where GPS tells the codes on L2.
+(IODE, CRS, DELTA_N, M0, CUC, ECCENTRICITY, CUS, SQRT_A) = range(8)
+(TOE, CIC, OMEGA0, CIS, I0, CRC, OMEGA, OMEGA_DOT) = range(8, 16)
+(IDOT, SOURCE, WEEK, L2P, ACCURACY, HEALTH, DELAY, DELAY_B) = range(16, 24)
+SENT, FIT = 24, 25  # when it was sent, and for how many hours GPS's holds
+
+
+class Elements(TypedDict):
+    """Of an orbit, by the names of `Ephemeris`; second harmonics of radius, argument of latitude
+    and inclination are the last six."""
+
+    sqrt_a: float
+    eccentricity: float
+    i0_rad: float
+    omega0_rad: float
+    omega_rad: float
+    m0_rad: float
+    delta_n_rps: float
+    omega_dot_rps: float
+    idot_rps: float
+    crs_m: float
+    crc_m: float
+    cus_rad: float
+    cuc_rad: float
+    cis_rad: float
+    cic_rad: float
+
+
+def orbit(v: Sequence[float]) -> Elements:
+    """The orbit's elements in a record's numbers."""
+    return Elements(
+        sqrt_a=v[SQRT_A],
+        eccentricity=v[ECCENTRICITY],
+        i0_rad=v[I0],
+        omega0_rad=v[OMEGA0],
+        omega_rad=v[OMEGA],
+        m0_rad=v[M0],
+        delta_n_rps=v[DELTA_N],
+        omega_dot_rps=v[OMEGA_DOT],
+        idot_rps=v[IDOT],
+        crs_m=v[CRS],
+        crc_m=v[CRC],
+        cus_rad=v[CUS],
+        cuc_rad=v[CUC],
+        cis_rad=v[CIS],
+        cic_rad=v[CIC],
+    )
