@@ -22,7 +22,7 @@ from analysis.detection.actuators.obedience_kernel import (
     Verdicts,
     follow,
 )
-from analysis.detection.actuators.suspects import NOBODY, SURE
+from analysis.detection.actuators.suspects import LOAD, NOBODY, SURE
 from analysis.detection.actuators.switched_off import no_outputs
 from analysis.results import EITHER, SensorDecision
 from analysis.samples.block import COMMAND, Block
@@ -56,7 +56,7 @@ class ActuatorWatch:
         follow(block.kind, block.t_us, block.values, state, verdicts)
         filled = int(verdicts.filled[0])
         rows = zip(verdicts.rows[:filled].tolist(), verdicts.figures[:filled].tolist(), strict=True)
-        names = self.effects.names
+        names = dict(enumerate(self.effects.names)) | {LOAD: "load"}
         return [
             (row, _result(t_us, [names[n] for n in numbers if n != NOBODY], statistic, deficit))
             for (row, t_us, *numbers), (statistic, deficit) in rows
@@ -75,6 +75,7 @@ def _commanded(effects: Effects) -> Obedience:
         effects.mix,
         effects.disturbance(),
         counts,
+        np.array([np.nan]),
         np.array([np.nan]),
     )
 

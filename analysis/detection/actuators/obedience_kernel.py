@@ -42,13 +42,17 @@ FIX_3D = 3
 FLIES_M, FLIES_MPS, STANDS_MPS = 3.0, 3.0, 0.5
 ALT, VELOCITY = 2, 3  # columns of a fix
 GAP_US = 500_000  # without a sample of the IMU
+# A command that comes so much later or earlier than usual, against the IMU's stamps; the cells that
+# are passed over then, and what a command counts in the usual
+LATE_US, IRREGULAR_CELLS, LAG_SHARE = 60_000, 10, 0.02
 BLOW_MPS2 = 100.0  # specific force of no manoeuvre
 
 # Of `counts`: whether it flies, loud cells in a row, cells without a suspect, cells in a row with
 # these suspects, cells since the last result; the suspects, and who is blamed (two of each)
 FLIES, LOUD_CELLS, QUIET_CELLS, RUN, SINCE, SUSPECT, BLAMED = 0, 1, 2, 3, 4, 5, 7
-# When it crashed; whose commands came, 0 for none yet; how many
-CRASH_US, COMMANDED, COUNTS = 9, 10, 11
+# When it crashed; whose commands came, 0 for none yet; cells until the link is
+# trusted again; how many
+CRASH_US, COMMANDED, IRREGULAR, COUNTS = 9, 10, 11, 12
 NEVER_US = 1 << 62
 OFF = -1.0  # of no statistic
 
@@ -57,7 +61,8 @@ class Obedience(NamedTuple):
     """All that is kept; `follow` changes it in place.
 
     `outputs` are watched for being switched off; `mix` (COMMANDS, COMMANDS) makes commands of them;
-    `disturbance` (AXES, AXES) is of gusts and the model; `first_m` (1,) is the first fix's height.
+    `disturbance` (AXES, AXES) is of gusts and the model; `first_m` (1,) is the first fix's height,
+    `lag_us` (1,) how far commands usually lie behind the IMU.
     """
 
     cells: Cells
@@ -67,6 +72,7 @@ class Obedience(NamedTuple):
     disturbance: Vector
     counts: NDArray[np.int64]
     first_m: Vector
+    lag_us: Vector
 
 
 class Verdicts(NamedTuple):
@@ -95,10 +101,17 @@ def follow(
         elif kind[row] == IMU and values[row, 6] == 0.0 and kept.counts[FLIES]:
             if not np.isfinite(values[row, :6]).all():
                 continue
+            # A link that delays and swaps frames tells commands and motion of different times.
+            if 0 < kept.cells.clock[SAMPLE_US] - t_us[row] < GAP_US:
+                kept.counts[IRREGULAR] = IRREGULAR_CELLS
+                continue
             if abs(t_us[row] - kept.cells.clock[SAMPLE_US]) > GAP_US:
                 _begin(kept)
             _feel(values[row, 3:6], t_us[row], kept.counts)
             if not fill(kept.cells, t_us[row], values[row, :6]):
+                continue
+            if kept.counts[IRREGULAR] > 0:
+                kept.counts[IRREGULAR] -= 1
                 continue
             found = _judge(kept)
             if _can_tell(kept) and _blame(found, kept.counts):
@@ -115,11 +128,24 @@ def _command(row: int, t_us: int, outputs: Vector, kept: Obedience, verdicts: Ve
         counts[COMMANDED] = source
     if source != counts[COMMANDED]:
         return
+    _compare_lag(float(kept.cells.clock[SAMPLE_US] - t_us), kept)
     kept.cells.commands[0] = kept.mix @ outputs[:COMMANDS]
     if source == OUTPUTS:
         off = command(outputs[:COMMANDS], t_us, counts[FLIES] == 1, kept.outputs)
         if off >= 0:
             _tell(row, t_us, (NOBODY, off), (OFF, OFF), verdicts)
+
+
+@compiled
+def _compare_lag(lag_us: float, kept: Obedience) -> None:
+    """Hold how far a command lies behind the IMU against what is usual."""
+    if not kept.counts[FLIES] or abs(lag_us) > GAP_US:
+        return
+    if np.isnan(kept.lag_us[0]):
+        kept.lag_us[0] = lag_us
+    elif abs(lag_us - kept.lag_us[0]) > LATE_US:
+        kept.counts[IRREGULAR] = IRREGULAR_CELLS
+    kept.lag_us[0] += LAG_SHARE * (lag_us - kept.lag_us[0])
 
 
 @compiled

@@ -28,10 +28,11 @@ FITS, FITS_SHARE = 20.0, 0.08
 LEAST_DEFICIT = 0.05  # of a command of 1
 # A rotor that does more than its command is rare: it has to be stuck higher than it is wanted.
 RARE, LIFTS_MPS2 = 8.0, -2.0
-YAW = 2  # among the axes
+ROLL, PITCH, YAW = range(3)  # among the axes
 # Of a learnt effect: sigmas, and what lifts: a controller that meets gusts hides a part of it
 KNOWN, LEARNT_LIFTS_MPS2 = 5.0, -0.3
-NOBODY = -1
+SHIFTS = 0.5  # deficit of an elevator: what a load may do that slides
+NOBODY, LOAD = -1, COMMANDS  # in the place of an actuator
 
 
 class Suspicion(NamedTuple):
@@ -101,10 +102,22 @@ def suspect(mean: Vector, usual: Vector, theta: Vector, p: Vector, rotors_alone:
             first, best, deficit, rest = i, score, found, remaining
         elif score < following:
             second, following = i, score
+    if first != NOBODY and abs(deficit) < SHIFTS and _pitches(theta[:, OUTPUT + first]):
+        along = (information[PITCH] * mean).sum()
+        score = nobody - along**2 / information[PITCH, PITCH]
+        if score < following:
+            second, following = LOAD, score
     believed = nobody - best > SURE and rest < max(FITS, FITS_SHARE * statistic)
     if not believed or abs(deficit) < LEAST_DEFICIT:
         return Suspicion(statistic, NOBODY, NOBODY, 0.0)
     return Suspicion(statistic, first, second if following - best < AHEAD else NOBODY, deficit)
+
+
+@compiled
+def _pitches(effect: Vector) -> bool:
+    """Whether an effect (AXES,) is that of an elevator, which a load that slides is like."""
+    rotor = effect[AXES - 1] < LIFTS_MPS2
+    return not rotor and abs(effect[PITCH]) > abs(effect[ROLL])
 
 
 @compiled

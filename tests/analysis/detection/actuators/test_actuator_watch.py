@@ -77,6 +77,12 @@ def blamed(results: list[Result]) -> dict[str, float]:
     return found
 
 
+def suspected(results: list[Result]) -> set[str]:
+    """Of whom it was said that they may be at fault, one alone or two."""
+    told = (r for r in results if isinstance(r, SensorDecision) and r.sensor == "actuators")
+    return {result.suspect for result in told if result.alarm}
+
+
 @pytest.mark.parametrize(
     ("vehicle", "target", "value", "name"),
     [
@@ -85,13 +91,22 @@ def blamed(results: list[Result]) -> dict[str, float]:
         ("hexa", "PLANT.motor_efficiency[4]", 0.8, "motor 5"),
         ("hexa", "PLANT.motor_efficiency[0]", 0.0, "motor 1"),
         ("fixed wing", "PLANT.motor_efficiency[0]", 0.0, "throttle"),
-        ("fixed wing", "PLANT.elevator_efficiency", 0.5, "elevator"),
     ],
 )
 def test_a_weak_actuator_is_named(vehicle: str, target: str, value: float, name: str) -> None:
     found = blamed(flown(vehicle, 23.0, {"fault": "plant", "target": target, "value": value}))
     assert list(found) == [name]
     assert 20.0 < found[name] < 22.5
+
+
+def test_half_an_elevator_is_not_told_from_a_load_that_slides() -> None:
+    fault = {"fault": "plant", "target": "PLANT.elevator_efficiency", "value": 0.5}
+    assert suspected(flown("fixed wing", 25.0, fault)) == {"elevator-or-load"}
+
+
+@pytest.mark.parametrize("preset", ["load-shift", "link-poor"])
+def test_what_no_actuator_does_blames_none(preset: str) -> None:
+    assert not blamed(flown("fixed wing", 32.0, {"preset": preset, "for_s": 10.0}, NEVER))
 
 
 @pytest.mark.parametrize(
