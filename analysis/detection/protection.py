@@ -30,15 +30,17 @@ from analysis.detection.filter.lasting_errors import (
     AXES,
     IONOSPHERE_SHARE,
     TROPOSPHERE_M,
+    Lines,
     Misfit,
     lasting_position_variance,
-    snapshot_rows,
+    lines_of,
+    normal_matrix,
 )
 from analysis.detection.filter.measurement import Modelled
 from analysis.detection.isolation.chi_square import two_sided
 from analysis.orbits.broadcast import geomagnetic_latitude, troposphere_m
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 from mavproxy_fault.numerics.linear import inverse
 
@@ -105,15 +107,15 @@ def bounded(
     """Lasting variance in ECEF (3) and the two levels."""
     lat, lon, _ = geodetic(r_ecef_m)
     axes = ned_axes(lat, lon)
-    rows = snapshot_rows(used, axes)
+    lines = lines_of(used, axes)
     weight = _weights(used, _vertical_m(lat, lon), max(factor, 1.0) * (1.0 + slow_share))
     v, out = np.empty(weight.shape[0]), np.empty(AXES + 2)
     for i in range(v.shape[0]):
         v[i] = used.v_m[i] + offset_m[i]
         for k in range(AXES):
             v[i] -= used.h[i, k] * moved_m[k]
-    out[:AXES] = lasting_position_variance(used, rows, axes, factor)
-    most = _levels(rows, weight, v, factors)
+    out[:AXES] = lasting_position_variance(used, lines, axes, factor)
+    most = _levels(lines, weight, v, factors)
     out[AXES], out[AXES + 1] = math.hypot(most[0], most[1]), most[2]
     return out
 
@@ -139,91 +141,85 @@ def _weights(used: Modelled, vertical_m: float, share: float) -> Vector:
 
 
 @compiled
-def _levels(rows: Vector, weight: Vector, v: Vector, factors: Vector) -> Vector:
+def _levels(lines: Lines, weight: Vector, v: Vector, factors: Vector) -> Vector:
     """Levels (3,) north, east, down; infinite where a hypothesis cannot be tested."""
-    count, size = rows.shape
-    systems, of_system = size - AXES, np.zeros(size)
+    count, unknowns = v.shape[0], lines.unknowns
+    systems, of_system = unknowns - AXES, np.zeros(unknowns, np.int64)
     for i in range(count):
-        for k in range(AXES, size):
-            of_system[k] += rows[i, k]
+        of_system[lines.clock[i]] += 1
     hypotheses = 1 + count + (systems if systems > 1 else 0)
     healthy, single, whole = factors[min(hypotheses, factors.shape[0] - 1)]
-    off, cofactor, variance = _snapshot(rows, weight, v)
+    off, cofactor = _snapshot(lines, weight, v)
     most = np.zeros(AXES)
-    _widen(most, off, variance, healthy)
+    for k in range(AXES):
+        _widen(most, k, off[k], cofactor[k, k], healthy)
     for i in range(count):
-        alone = 0
-        for k in range(AXES, size):
-            alone += rows[i, k] * of_system[k] == 1.0
         # Without it a state would be unseen, but for its own clock: nobody would notice a fault.
-        if count - 1 < size - alone:
+        if count - 1 < unknowns - (of_system[lines.clock[i]] == 1):
             most[:] = np.inf
             break
-        off_i, variance_i = _without(i, rows, weight, v, off, cofactor)
-        _widen(most, off_i, variance_i, single)
+        _widen_without(most, i, lines, weight, v, off, cofactor, single)
     keep = np.empty(count)
-    for system in range(AXES, size):
-        if systems > 1:
-            for i in range(count):
-                keep[i] = weight[i] * (1.0 - rows[i, system])
-            off_s, _, variance_s = _snapshot(rows, keep, v)
-            _widen(most, off_s, variance_s, whole)
+    for system in range(AXES, unknowns if systems > 1 else AXES):
+        for i in range(count):
+            keep[i] = 0.0 if lines.clock[i] == system else weight[i]
+        off, cofactor = _snapshot(lines, keep, v)
+        for k in range(AXES):
+            _widen(most, k, off[k], cofactor[k, k], whole)
     return most
 
 
 @compiled
-def _without(
-    i: int, rows: Vector, weight: Vector, v: Vector, off: Vector, cofactor: Vector
-) -> tuple[Vector, Vector]:
-    """The snapshot of all but one in the first three states, and its covariance's diagonal."""
-    size = rows.shape[1]
-    g, remaining, own = np.zeros(size), v[i], 1.0
-    for k in range(size):
-        for j in range(size):
-            g[k] += cofactor[k, j] * rows[i, j]
-        own -= weight[i] * rows[i, k] * g[k]
-        remaining -= rows[i, k] * off[k]
-    off_i, variance = np.empty(AXES), np.empty(AXES)
-    for k in range(AXES):
-        off_i[k] = off[k] - weight[i] * g[k] * remaining / own
-        variance[k] = cofactor[k, k] + weight[i] * g[k] * g[k] / own
-    return off_i, variance
+def _widen_without(
+    most: Vector,
+    i: int,
+    lines: Lines,
+    weight: Vector,
+    v: Vector,
+    off: Vector,
+    cofactor: Vector,
+    factor: float,
+) -> None:
+    """Widen levels (3,), in place, by the snapshot of all ranges but one."""
+    w, at = weight[i], lines.clock[i]
+    x, y, z = lines.sight[i, 0], lines.sight[i, 1], lines.sight[i, 2]
+    north = cofactor[0, 0] * x + cofactor[0, 1] * y + cofactor[0, 2] * z + cofactor[0, at]
+    east = cofactor[1, 0] * x + cofactor[1, 1] * y + cofactor[1, 2] * z + cofactor[1, at]
+    down = cofactor[2, 0] * x + cofactor[2, 1] * y + cofactor[2, 2] * z + cofactor[2, at]
+    clock = cofactor[at, 0] * x + cofactor[at, 1] * y + cofactor[at, 2] * z + cofactor[at, at]
+    own = 1.0 - w * (x * north + y * east + z * down + clock)
+    remaining = v[i] - x * off[0] - y * off[1] - z * off[2] - off[at]
+    for k, g in enumerate((north, east, down)):
+        variance = cofactor[k, k] + w * g * g / own
+        _widen(most, k, off[k] - w * g * remaining / own, variance, factor)
+
+
+@inlined
+def _widen(most: Vector, k: int, off_m: float, variance: float, factor: float) -> None:
+    """Widen the level of an axis by a snapshot's shift and variance."""
+    known = 0.0 < variance < WORST_M * WORST_M
+    most[k] = max(most[k], abs(off_m) + factor * math.sqrt(variance) if known else np.inf)
 
 
 @compiled
-def _widen(most: Vector, off: Vector, variance: Vector, factor: float) -> None:
-    """Widen levels (3,), in place, by a snapshot's shift and variances."""
-    for q in range(AXES):
-        known = 0.0 < variance[q] < WORST_M * WORST_M
-        reach = abs(off[q]) + factor * math.sqrt(variance[q]) if known else np.inf
-        most[q] = max(most[q], reach)
-
-
-@compiled
-def _snapshot(rows: Vector, weight: Vector, v: Vector) -> tuple[Vector, Vector, Vector]:
+def _snapshot(lines: Lines, weight: Vector, v: Vector) -> tuple[Vector, Vector]:
     """The snapshot (c,) of those with a weight (n,), from where v (n,) was taken, with its
-    covariance (c, c) and that's diagonal; NaN where they are too few."""
-    count, size = rows.shape
-    normal, b = np.zeros((size, size)), np.zeros(size)
-    clocks, remaining = np.zeros(size), 0
-    for i in range(count):
+    covariance (c, c); NaN where they are too few."""
+    unknowns, remaining = lines.unknowns, 0
+    b, seen = np.zeros(unknowns), np.zeros(unknowns, np.bool_)
+    for i in range(v.shape[0]):
         remaining += weight[i] > 0.0
-        for k in range(size):
-            share = weight[i] * rows[i, k]
-            b[k] += share * v[i]
-            clocks[k] += abs(share)
-            for j in range(size):
-                normal[k, j] += share * rows[i, j]
-    unknowns = AXES
-    for k in range(AXES, size):
-        unknowns += clocks[k] > 0.0
+        seen[lines.clock[i]] |= weight[i] > 0.0
+        b[lines.clock[i]] += weight[i] * v[i]
+        for k in range(AXES):
+            b[k] += weight[i] * lines.sight[i, k] * v[i]
+    if remaining < AXES + seen.sum():
+        return np.full(unknowns, np.nan), np.full((unknowns, unknowns), np.nan)
+    normal = normal_matrix(lines, weight)
+    for k in range(AXES, unknowns):
         normal[k, k] += UNSEEN
-    off, diagonal = np.full(size, np.nan), np.full(size, np.nan)
-    if remaining < unknowns:
-        return off, np.full((size, size), np.nan), diagonal
-    cofactor = inverse(normal)
-    for k in range(size):
-        off[k], diagonal[k] = 0.0, cofactor[k, k]
-        for j in range(size):
+    cofactor, off = inverse(normal), np.zeros(unknowns)
+    for k in range(unknowns):
+        for j in range(unknowns):
             off[k] += cofactor[k, j] * b[j]
-    return off, cofactor, diagonal
+    return off, cofactor

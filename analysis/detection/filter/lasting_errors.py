@@ -25,6 +25,7 @@ import numpy as np
 from analysis.detection.filter.inertial import ISB
 from analysis.detection.filter.measurement import Modelled
 from analysis.orbits.broadcast import SYSTEMS, troposphere_m
+from analysis.samples.block import Indices
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.linear import inverse
@@ -65,28 +66,53 @@ def misfit_after(
     return stays * total + fresh + news * parity, stays * known + fresh + news * dof
 
 
+class Lines(NamedTuple):
+    """The geometry of a snapshot by n ranges: unit vectors by some axes (n, 3), and where among the
+    `unknowns` the clock of each one's system is (n,), behind the position."""
+
+    sight: Vector
+    clock: Indices
+    unknowns: int
+
+
 @compiled
-def snapshot_rows(used: Modelled, axes: Vector) -> Vector:
-    """Geometry (n, c) by the rows of `axes` (3, 3) and a clock for each system that is in use."""
+def lines_of(used: Modelled, axes: Vector) -> Lines:
+    """The geometry by the rows of `axes` (3, 3), with a clock for each system that is in use."""
     count, h = used.h.shape[0], used.h
+    sight, clock = np.zeros((count, AXES)), np.empty(count, np.int64)
     # The last place is GPS's, whose clock is the filter's own.
-    place, systems = np.full(len(SYSTEMS), -1), 0
-    of = np.empty(count, np.int64)
+    place, unknowns = np.full(len(SYSTEMS), -1), AXES
     for i in range(count):
-        of[i] = len(SYSTEMS) - 1
+        system = len(SYSTEMS) - 1
         for k in range(len(SYSTEMS) - 1):
             if h[i, ISB + k] != 0.0:
-                of[i] = k
-        if place[of[i]] < 0:
-            place[of[i]] = systems
-            systems += 1
-    rows = np.zeros((count, AXES + systems))
-    for i in range(count):
-        rows[i, AXES + place[of[i]]] = 1.0
+                system = k
+        if place[system] < 0:
+            place[system] = unknowns
+            unknowns += 1
+        clock[i] = place[system]
         for k in range(AXES):
             for j in range(AXES):
-                rows[i, k] += axes[k, j] * h[i, j]
-    return rows
+                sight[i, k] += axes[k, j] * h[i, j]
+    return Lines(sight, clock, unknowns)
+
+
+@compiled
+def normal_matrix(lines: Lines, weight: Vector) -> Vector:
+    """A'WA (c, c) for weights (n,)."""
+    sight, clock, unknowns = lines
+    out = np.zeros((unknowns, unknowns))
+    for i in range(sight.shape[0]):
+        w, at = weight[i], clock[i]
+        for k in range(AXES):
+            for j in range(k + 1):
+                out[k, j] += w * sight[i, k] * sight[i, j]
+            out[at, k] += w * sight[i, k]
+        out[at, at] += w
+    for k in range(unknowns):
+        for j in range(k):
+            out[j, k] = out[k, j]
+    return out
 
 
 @compiled
@@ -101,26 +127,21 @@ def lasting_variance(used: Modelled, factor: float) -> Vector:
 
 
 @compiled
-def lasting_position_variance(used: Modelled, rows: Vector, axes: Vector, factor: float) -> Vector:
-    """The diagonal (3,) of S L S' in ECEF, m^2, of rows (n, c) by the rows of `axes` (3, 3)."""
-    lasts, size = lasting_variance(used, factor), rows.shape[1]
-    normal = np.zeros((size, size))
-    for i in range(rows.shape[0]):
-        for k in range(size):
-            share = rows[i, k] / used.variance[i]
-            for j in range(size):
-                normal[k, j] += share * rows[i, j]
-    for k in range(size):
+def lasting_position_variance(used: Modelled, lines: Lines, axes: Vector, factor: float) -> Vector:
+    """The diagonal (3,) of S L S' in ECEF, m^2, of a geometry by the rows of `axes` (3, 3)."""
+    lasts, weight = lasting_variance(used, factor), 1.0 / used.variance
+    normal = normal_matrix(lines, weight)
+    for k in range(lines.unknowns):
         normal[k, k] += VAGUE  # directions that nobody sees must not make it singular
     cofactor, out, response = inverse(normal), np.zeros(AXES), np.empty(AXES)
-    for i in range(rows.shape[0]):
+    for i in range(weight.shape[0]):
         for k in range(AXES):
-            response[k] = 0.0
-            for j in range(size):
-                response[k] += cofactor[k, j] * rows[i, j] / used.variance[i]
+            response[k] = cofactor[k, lines.clock[i]]
+            for j in range(AXES):
+                response[k] += cofactor[k, j] * lines.sight[i, j]
         for k in range(AXES):
             moved = 0.0
             for j in range(AXES):
                 moved += axes[j, k] * response[j]
-            out[k] += moved * moved * lasts[i]
+            out[k] += moved * moved * lasts[i] * weight[i] * weight[i]
     return out
