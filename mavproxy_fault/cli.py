@@ -37,8 +37,8 @@ exit codes
   0 fine    1 the verdict failed    2 the input is wrong
 """
 ORDER = (
-    "run", "sim", "proxy", "monitor", "replay", "inject", "faults", "campaign", "search", "report",
-    "ui", "warm-up",
+    "run", "sim", "proxy", "monitor", "replay", "inject", "schedule", "faults", "campaign",
+    "search", "report", "ui", "warm-up",
 )  # fmt: skip
 
 

@@ -95,15 +95,50 @@ def add_inject(commands: Any) -> None:
     parser.add_argument("--value", type=float, metavar="X", help="magnitude in the field's unit")
     parser.add_argument("--for", dest="for_s", type=float, metavar="S", help="end after S seconds")
     parser.add_argument("--id", metavar="ID", help="the fault's id (default: its name)")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE",
+        help="any other key of a schedule's entry, such as probability=0.2; may be given again",
+    )  # fmt: skip
     parser.add_argument("--clear", metavar="ID", help="end this fault (its id, or 'all')")
-    parser.add_argument("--run", metavar="NAME", help="the run (default: the only one there is)")
-    parser.add_argument("--zenoh", metavar="URL", help="the proxy's router")
-    parser.add_argument("--zenoh-config", default="", metavar="FILE", help="Zenoh's own")
+    parser.add_argument("--list", action="store_true", help="the faults there are")
+    _add_run(parser)
     parser.set_defaults(main=_inject)
+
+
+def _add_run(parser: argparse.ArgumentParser) -> None:
+    """Which proxy a command speaks to."""
+    parser.add_argument("--run", metavar="NAME", help="the run (default: the only one there is)")
+    parser.add_argument(
+        "--zenoh", metavar="URL", help="the proxy's router (default: tcp/127.0.0.1:7447)"
+    )
+    parser.add_argument(
+        "--zenoh-config", default="", metavar="FILE", help="Zenoh's own: TLS, users, access control"
+    )
 
 
 def _inject(args: argparse.Namespace) -> int:
     from mavproxy_fault.app.inject import main
+
+    return main(args)
+
+
+def add_schedule(commands: Any) -> None:
+    """`schedule`: the schedule of a running proxy."""
+    parser = commands.add_parser("schedule", help="load, save, show or clear a running schedule")
+    actions = parser.add_subparsers(dest="action", title="actions", metavar="ACTION", required=True)
+    load = actions.add_parser("load", help="put a file in the place of the running schedule")
+    load.add_argument("file", metavar="FILE", help="YAML; its times count from now on")
+    save = actions.add_parser("save", help="write the running schedule, live faults included")
+    save.add_argument("file", nargs="?", metavar="FILE", help="(default: to the terminal)")
+    state = actions.add_parser("state", help="every fault and what it has done, as JSON")
+    clear = actions.add_parser("clear", help="end every fault")
+    for action in (load, save, state, clear):
+        _add_run(action)
+    parser.set_defaults(main=_schedule)
+
+
+def _schedule(args: argparse.Namespace) -> int:
+    from mavproxy_fault.app.schedule_command import main
 
     return main(args)
 
@@ -163,5 +198,6 @@ OURS: dict[str, Add] = {
     "proxy": add_proxy,
     "replay": add_replay,
     "inject": add_inject,
+    "schedule": add_schedule,
     "faults": add_faults,
 }

@@ -7,43 +7,53 @@ from typing import Any
 
 import msgspec
 
+from mavproxy_fault.app.running_proxy import asked, joined
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.documents.yaml_document import read_yaml
 from mavproxy_fault.faults.registry import fault_class, known_faults
-from mavproxy_fault.links.bus import open_bus, running_proxies
+from mavproxy_fault.live.bus_types import ScheduleState
 from mavproxy_fault.schedule.entries import parse_entry
 from mavproxy_fault.schedule.presets import preset_names
-
-ANY = "*"
 
 
 def main(args: argparse.Namespace) -> int:
     """Send one request and say what the proxy made of it."""
-    # Exactly one of the two.
-    if (args.fault is None) == (args.clear is None):
-        raise ConfigError("inject: takes either FAULT or --clear ID; see `mavproxy-fault faults`")
+    # Exactly one of the three.
+    if [args.fault is None, args.clear is None, not args.list].count(False) != 1:
+        raise ConfigError(
+            "inject: takes one of FAULT, --clear ID and --list; see `mavproxy-fault faults`"
+        )
+    if args.list:
+        with joined(args) as bus:
+            print(table_of(asked(bus, "state")))
+        return 0
     what, data = request(args)
-    # A bus is opened for any run first: which ones there are is asked on it.
-    with open_bus(args.zenoh, run=args.run or ANY, config_file=args.zenoh_config) as bus:
-        bus.run = args.run or only_run(bus.who())
-        for reply in bus.ask(f"@ctl/{what}", msgspec.json.encode(data)):
-            print(json.dumps(json.loads(reply)))
+    with joined(args) as bus:
+        print(json.dumps(asked(bus, what, msgspec.json.encode(data))))
     return 0
 
 
-def only_run(alive: Sequence[str]) -> str:
-    """The run of the only proxy there is, by the keys of all components that are alive.
-
-    Raises
-    ------
-    ConfigError
-        If there are several, or none.
-    """
-    runs = running_proxies(alive)
-    if len(runs) != 1:
-        there = f"{len(runs)} proxies are there: {', '.join(runs)}" if runs else "no proxy is there"
-        raise ConfigError(f"inject: {there}; " + ("name one by --run" if runs else "start one"))
-    return runs[0]
+def table_of(state: ScheduleState) -> str:
+    """The faults of a run, a line each, with seconds from the schedule's start."""
+    rows = [("ID", "STATE", "FAULT", "FROM", "UNTIL", "FRAMES", "ON")]
+    t0_us = state["t0_us"] or 0
+    for fault in state["faults"]:
+        begin, end = fault.get("start_us"), fault.get("end_us")
+        rows.append(
+            (
+                fault["id"],
+                fault["state"],
+                fault.get("preset") or fault["fault"],
+                "" if begin is None else f"{(begin - t0_us) * 1e-6:.1f}",
+                "" if end is None else f"{(end - t0_us) * 1e-6:.1f}",
+                str(fault.get("frames", 0)),
+                ", ".join(fault.get("targets", [])),
+            )
+        )
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ("  ".join(text.ljust(w) for text, w in zip(row, widths, strict=True)) for row in rows)
+    return "\n".join(line.rstrip() for line in lines) if len(rows) > 1 else "no faults"
 
 
 def request(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
@@ -59,8 +69,26 @@ def request(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
         what = "schedule/stop" if args.clear == "all" else f"fault/{args.clear}/disarm"
         return what, {}
     several = args.target.split(",") if args.target is not None else None
-    entry = live_entry(args.fault, several, args.value, {"for_s": args.for_s})
+    keys = {"for_s": args.for_s, **settings(args.set)}
+    entry = live_entry(args.fault, several, args.value, keys)
     return f"fault/{args.id or args.fault}/arm", entry
+
+
+def settings(pairs: Sequence[str]) -> dict[str, Any]:
+    """Further keys of an entry, from KEY=VALUE with the value as in a schedule.
+
+    Raises
+    ------
+    ConfigError
+        If one is not such a pair, or its value is no YAML.
+    """
+    found: dict[str, Any] = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not equals or not key.isidentifier():
+            raise ConfigError(f"--set: {pair} is no KEY=VALUE; such as probability=0.2")
+        found[key] = read_yaml(f"{key}: {value}", "--set").data[key]
+    return found
 
 
 def live_entry(

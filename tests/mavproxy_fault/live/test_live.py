@@ -86,7 +86,10 @@ def test_inject_takes_presets_and_clears_all(loop: Loop) -> None:
         (["bais"], "did you mean"),
         (["bias", "--target", "HIL_SENSOR.xgyr", "--value", "1"], "did you mean xgyro"),
         (["--clear", "nothing"], "nothing is no fault"),
-        ([], "takes either FAULT or --clear"),
+        ([], "takes one of FAULT, --clear ID and --list"),
+        (["bias", "--list"], "takes one of"),
+        (["noise", "--target", "HIL_SENSOR.xgyro", "--set", "spread"], "is no KEY=VALUE"),
+        (["noise", "--target", "HIL_SENSOR.xgyro", "--set", "spread=1"], "spread"),
     ],
 )
 def test_inject_says_what_is_wrong(
@@ -94,6 +97,45 @@ def test_inject_says_what_is_wrong(
 ) -> None:
     assert inject(loop, *words) == 2
     assert said in capsys.readouterr().err
+
+
+def test_inject_sets_any_key_of_an_entry_and_lists_what_there_is(
+    loop: Loop, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert inject(loop, "--list") == 0
+    assert capsys.readouterr().out == "no faults\n"
+    keys = ["--set", "probability=0.25", "--set", "repeat={every_s: 20}"]
+    assert inject(loop, "drop", "--target", "HIL_GPS", *keys, "--for", "2", "--id", "gaps") == 0
+    saved = loop.engine.save()
+    assert "probability: 0.25" in saved
+    assert "every_s: 20" in saved
+    capsys.readouterr()
+    assert inject(loop, "--list") == 0
+    head, line = capsys.readouterr().out.splitlines()
+    assert head.split() == ["ID", "STATE", "FAULT", "FROM", "UNTIL", "FRAMES", "ON"]
+    assert line.split() == ["gaps", "active", "drop", "4.0", "6.0", "0", "HIL_GPS"]
+
+
+def test_a_running_schedule_is_loaded_shown_saved_and_cleared(
+    loop: Loop, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def schedule(*words: str) -> tuple[int, str]:
+        assert loop.live.url is not None
+        code = main(["schedule", *words, "--zenoh", loop.live.url])
+        return code, capsys.readouterr().out
+
+    good, wrong, saved = (tmp_path / name for name in ("good.yaml", "wrong.yaml", "saved.yaml"))
+    good.write_text("faults:\n- {id: still, fault: freeze, target: HIL_SENSOR.zacc}\n")
+    wrong.write_text("faults:\n- {id: still, fault: freeez, target: HIL_SENSOR.zacc}\n")
+    assert schedule("load", str(good)) == (0, "1 faults loaded: still\n")
+    assert schedule("load", str(wrong))[0] == 2
+    assert loop.engine.ids() == ["still"]
+    assert schedule("save", str(saved))[0] == 0
+    assert "id: still" in saved.read_text()
+    assert schedule("save") == (0, saved.read_text())
+    assert '"id": "still"' in schedule("state")[1]
+    assert schedule("clear")[0] == 0
+    assert loop.engine.ids() == []
 
 
 def test_inject_without_a_proxy_says_so(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,41 @@
+"""`mavproxy-fault schedule`: the schedule of a running proxy, over the bus."""
+
+import argparse
+import json
+from pathlib import Path
+
+from mavproxy_fault.app.running_proxy import asked, joined
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.yaml_document import read_document
+from mavproxy_fault.schedule.entries import parse_schedule
+
+
+def main(args: argparse.Namespace) -> int:
+    """Carry out one action."""
+    if args.action == "load":
+        parse_schedule(read_document(args.file))  # a mistake is told with its line, and not sent
+        text = Path(args.file).read_bytes()
+        with joined(args) as bus:
+            loaded = asked(bus, "schedule/load", text)["faults"]
+        print(f"{len(loaded)} faults loaded: {', '.join(loaded)}" if loaded else "no faults loaded")
+    elif args.action == "save":
+        with joined(args) as bus:
+            _save(asked(bus, "schedule/save")["yaml"], args.file)
+    elif args.action == "clear":
+        with joined(args) as bus:
+            cleared = asked(bus, "schedule/stop")["cleared"]
+        print("every fault has ended" if cleared else "there was no fault")
+    else:
+        with joined(args) as bus:
+            print(json.dumps(asked(bus, "state"), indent=2))
+    return 0
+
+
+def _save(text: str, file: str | None) -> None:
+    if file is None:
+        print(text, end="")
+        return
+    try:
+        Path(file).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{file}: cannot be written ({error.strerror})") from None
