@@ -14,10 +14,10 @@ import msgspec
 import numpy as np
 
 from analysis.detection.actuators.actuator_watch import ActuatorWatch
-from analysis.detection.actuators.effects import COMMANDS
+from analysis.detection.actuators.effects import COMMANDS, unknown_effects
 from analysis.run.setup import read_setup
 from analysis.run.vehicle_effects import vehicle_effects
-from analysis.samples.block import COMMAND, FIX, IMU, WIDTH, Block
+from analysis.samples.block import COMMAND, CONTROLS, FIX, IMU, WIDTH, Block
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.hil.actuator_commands import ActuatorCommands
@@ -28,15 +28,19 @@ from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.body import Controls
 
 SEEDS, GUSTY_SEEDS = range(1, 7), range(11, 24)
-START_S, FLOWN_S, GUSTY_S = 20.0, 32.0, 300.0
+LEARNT = "quad, effects learnt"
+# When faults begin: an unknown vehicle takes longer to know.
+START_S = {"quad": 20.0, LEARNT: 60.0, "hexa": 20.0, "fixed wing": 20.0}
+WATCHED_S, GUSTY_S = 12.0, 300.0
 IMU_HZ = 100.0
 LOW_M = 0.5  # a vehicle below it has come down
 HOVER = Path(__file__).parents[1] / "examples" / "hover.yaml"
+FIX_3D = 3.0
 CRUISE = (5.0, 0.0, 0.0)  # a velocity that says that it flies
 
 
 class Fault(NamedTuple):
-    """What happens to an actuator from `START_S` on: a plant fault, or a command not obeyed.
+    """What happens to an actuator after a while: a plant fault, or a command not obeyed.
 
     `number` is the actuator's; `does` is "stuck" or what it does instead of its command.
     """
@@ -63,7 +67,7 @@ WING = (
     *(Fault(f"{name} hard over", i, does=1.0) for i, name in enumerate(SURFACES)),
     *(Fault(f"{name} stuck where it is", i, does="stuck") for i, name in enumerate(SURFACES)),
 )
-FAULTS = {"quad": ROTORS, "hexa": ROTORS, "fixed wing": WING}
+FAULTS = {"quad": ROTORS, LEARNT: ROTORS, "hexa": ROTORS, "fixed wing": WING}
 
 
 @functools.cache
@@ -83,6 +87,7 @@ def flown(vehicle: str, seed: int, duration_s: float, fault: Fault | None) -> Bl
     scenario = scenario_of(vehicle)
     gusts: Any = "moderate" if seed % 2 else "light"
     air = msgspec.structs.replace(scenario.environment, gusts=gusts)
+    start_s = START_S[vehicle]
     simulation = Simulation(
         msgspec.structs.replace(scenario, seed=seed, duration_s=duration_s, environment=air)
     )
@@ -94,10 +99,10 @@ def flown(vehicle: str, seed: int, duration_s: float, fault: Fault | None) -> Bl
         values = np.array(simulation.commanded())
         (frame,) = parser.push(commands.frame(t_us, values), datagram=True)
         assert isinstance(frame, Frame)
-        rows.append((COMMAND, t_us, list(frame.values()["controls"][:COMMANDS])))
+        rows.append((COMMAND, t_us, [*frame.values()["controls"][:COMMANDS], CONTROLS]))
         if len(rows) == 1:  # what comes before the first command is not looked at
-            rows.append((FIX, t_us, [0.0] * 3 + list(CRUISE)))
-        if fault is not None and t_us >= START_S * 1e6:
+            rows.append((FIX, t_us, [0.0] * 3 + list(CRUISE) + [FIX_3D]))
+        if fault is not None and t_us >= start_s * 1e6:
             held = values if held is None else held
             if fault.plant:
                 simulation.plant(fault.plant, fault.value)
@@ -115,7 +120,8 @@ def flown(vehicle: str, seed: int, duration_s: float, fault: Fault | None) -> Bl
 
 def blamed(vehicle: str, block: Block) -> list[tuple[str, float]]:
     """Who was blamed or suspected with another, and when, once for each."""
-    watch = ActuatorWatch(vehicle_effects(scenario_of(vehicle)))
+    known = vehicle != LEARNT
+    watch = ActuatorWatch(vehicle_effects(scenario_of(vehicle)) if known else unknown_effects())
     results, _ = watch.step(block, watch.new_state())
     first: dict[str, float] = {}
     for _, result in results:
@@ -131,7 +137,7 @@ def cell(vehicle: str, faults: list[Fault]) -> str:
     counts, delays = Counter[str](), []
     for fault in faults:
         for seed in SEEDS:
-            found = blamed(vehicle, flown(vehicle, seed, FLOWN_S, fault))
+            found = blamed(vehicle, flown(vehicle, seed, START_S[vehicle] + WATCHED_S, fault))
             word = "missed"
             if found:
                 who, at_s = found[0]
@@ -139,8 +145,8 @@ def cell(vehicle: str, faults: list[Fault]) -> str:
                 word = (
                     "named" if who == own else "ambiguous" if own in who.split("-or-") else "wrong"
                 )
-                word = "wrong" if at_s < START_S else word
-                delays.append(at_s - START_S)
+                word = "wrong" if at_s < START_S[vehicle] else word
+                delays.append(at_s - START_S[vehicle])
             counts[word] += 1
     text = ", ".join(
         f"{counts[w]} {w}" for w in ("named", "ambiguous", "missed", "wrong") if counts[w]

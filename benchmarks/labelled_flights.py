@@ -3,18 +3,24 @@
     python benchmarks/labelled_flights.py FOLDER [--split test]
 
 FOLDER holds logs and `labels.csv` (file, class, split): `split` says whether a log was looked at
-while checks were made (`tune`) or only judged (`test`). Prints the table of docs/verdicts.md.
+while checks were made (`tune`) or only judged (`test`). Prints the table of docs/verdicts.md, and
+whom of its motors the monitor blames in each log that is named after those which are off (`m1m3`).
 """
 
 import argparse
 import csv
+import re
 from collections import Counter, defaultdict
 from pathlib import Path
 
+from analysis.monitor.monitor import Monitor
+from analysis.monitor.pipeline import MonitorConfig
+from analysis.recordings.recordings import read_log
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, WARN
 from analysis.report.judging.flight_verdict import judged
 from analysis.report.recordings.sources import read_flight
+from analysis.results import SensorDecision
 from mavproxy_fault.documents.errors import ConfigError
 
 UNREADABLE = "unreadable"
@@ -29,8 +35,11 @@ def main() -> None:
     with (args.folder / "labels.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["split"] == args.split]
     flights = Counter(row["class"] for row in rows)
+    named: dict[str, Counter[str]] = defaultdict(Counter)
     spoke: dict[str, Counter[str]] = defaultdict(Counter)
     for row in rows:
+        if motors := re.findall(r"m(\d)", Path(row["file"]).stem):
+            named[row["class"]][word(args.folder / row["file"], motors)] += 1
         for name, verdict in verdicts(args.folder / row["file"]).items():
             spoke[name][row["class"]] += 1
             spoke[name][f"{row['class']} {verdict}"] += 1
@@ -39,6 +48,8 @@ def main() -> None:
     for name, counts in sorted(spoke.items(), key=lambda item: (item[0] != "verdict", item[0])):
         cells = (_cell(counts, kind) for kind in flights)
         print(f"| {name} | " + " | ".join(cells) + " |")
+    for kind, words in named.items():
+        print(f"{kind}: motors named: " + ", ".join(f"{n} {w}" for w, n in words.items()))
 
 
 def verdicts(path: Path) -> dict[str, str]:
@@ -49,6 +60,18 @@ def verdicts(path: Path) -> dict[str, str]:
         return {"verdict": UNREADABLE}
     bad = {check.name: check.verdict for check in found.checks if check.verdict in (WARN, FAIL)}
     return bad | ({"verdict": found.verdict} if found.verdict in (WARN, FAIL) else {})
+
+
+def word(path: Path, motors: list[str]) -> str:
+    """Who of the actuators was blamed, held against the motors that are off."""
+    off = {f"motor {number}" for number in motors}
+    monitor = Monitor(MonitorConfig())
+    results = [result for block in read_log(path) for result in monitor.push(block)]
+    told = [r for r in results if isinstance(r, SensorDecision) and r.sensor == "actuators"]
+    blamed = {result.suspect for result in told if result.isolated}
+    if blamed - off:
+        return "wrong"
+    return "none" if not blamed else "all" if blamed == off else "one of two"
 
 
 def _cell(counts: Counter[str], kind: str) -> str:

@@ -15,9 +15,10 @@ from msgspec.structs import force_setattr
 
 from analysis.detection import DetectorConfig
 from analysis.detection.actuators.actuator_watch import ActuatorWatch
-from analysis.detection.actuators.effects import Effects
+from analysis.detection.actuators.effects import Effects, unknown_effects
 from analysis.detection.actuators.mutual_judgement import NEVER_US, judged
 from analysis.detection.actuators.obedience_kernel import CRASH_US, Obedience
+from analysis.detection.sensors.level_watch import LevelWatch
 from analysis.detection.sensors.sensor_tests import References
 from analysis.detection.sensors.stream_watch import StreamWatch
 from analysis.fusion.fusion_config import FusionConfig
@@ -37,14 +38,14 @@ class MonitorConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The detector with the checks of other sensors, attitude scores, and fusion where wanted.
 
     `streams` asks for what only a link can do: fall silent, repeat itself, lose its time.
-    `actuators` is what commands do to the vehicle, where that is known.
+    `actuators` is what commands do to the vehicle; where that is not known it is learnt in flight.
     """
 
     detector: DetectorConfig = DetectorConfig()
     attitude: AttitudeConfig = AttitudeConfig()
     fusion: FusionConfig | None = None
     streams: bool = True
-    actuators: Effects | None = None
+    actuators: Effects = unknown_effects()
 
 
 class MonitorSection(DetectorConfig, frozen=True, kw_only=True):
@@ -84,7 +85,9 @@ class Pipeline:
         self._detector_state = self._detector.new_state()
         self._streams = StreamWatch() if config.streams else None
         self._streams_state = StreamWatch().new_state()
-        self._actuators = None if config.actuators is None else ActuatorWatch(config.actuators)
+        self._levels = LevelWatch()
+        self._levels_state = self._levels.new_state()
+        self._actuators = ActuatorWatch(config.actuators)
         self._actuators_state: Obedience | None = None
         self._imu_us = NEVER_US  # when the IMU was blamed last
         self._fusions: list[Any] = []
@@ -123,10 +126,11 @@ class Pipeline:
         troubles: list[tuple[int, SensorDecision]] = []
         if self._streams is not None:
             troubles, self._streams_state = self._streams.step(block, self._streams_state)
+            left, self._levels_state = self._levels.step(block, self._levels_state)
+            troubles += left
         found += troubles
-        if self._actuators is not None:
-            obeyed, self._actuators_state = self._actuators.step(block, self._actuators_state)
-            found += obeyed
+        obeyed, self._actuators_state = self._actuators.step(block, self._actuators_state)
+        found += obeyed
         errors, self._attitude_state = self._attitude.step_rows(block, self._attitude_state)
         found += errors
         # By row, so that results do not hang on how the stream was cut into blocks.

@@ -17,9 +17,12 @@ from analysis.samples.block import (
     AIRSPEED,
     ATTITUDE,
     BARO,
+    COMMAND,
+    COMMAND_SOURCE,
     FIX,
     IMU,
     MAG,
+    OUTPUTS,
     RANGE,
     SOURCES,
     WIDTH,
@@ -36,6 +39,7 @@ Topics = Mapping[tuple[str, int], Topic]
 HEAD = 16
 SYSTEM = 1  # whose attitude it is
 MILLIGAUSS = 1e-3
+PER_OUTPUT = 1e-3  # of a sample, for microseconds of a pulse
 MOST_HECTOPASCAL = 2000.0
 GPS_SOURCE, ATTITUDE_SOURCE = SOURCES.index("GPS_RAW_INT"), SOURCES.index("ATTITUDE_QUATERNION")
 
@@ -140,6 +144,17 @@ def _ardupilot_attitude(topic: Topic) -> list[NDArray[Any]]:
     return [*q_nb, _filled(topic, SYSTEM), _filled(topic, ATTITUDE_SOURCE)]
 
 
+def _outputs(first: str, *others: str) -> Columns:
+    """The first outputs, in thousands; those that a board does not have stay 0."""
+
+    def columns(topic: Topic) -> list[NDArray[Any]]:
+        none = _filled(topic, 0.0)
+        found = [topic[first], *(topic.get(name, none) for name in others)]
+        return [*(np.nan_to_num(output) * PER_OUTPUT for output in found), none + OUTPUTS]
+
+    return columns
+
+
 _AXES = range(3)
 ULOG: tuple[tuple[str, int, Columns], ...] = (
     (
@@ -162,6 +177,7 @@ ULOG: tuple[tuple[str, int, Columns], ...] = (
     ("vehicle_gps_position", FIX, _px4_fix),
     ("sensor_gps", FIX, _px4_fix),
     ("vehicle_attitude", ATTITUDE, _px4_attitude),
+    ("actuator_outputs", COMMAND, _outputs(*(f"output[{i}]" for i in range(COMMAND_SOURCE)))),
 )
 DATAFLASH: tuple[tuple[str, int, Columns], ...] = (
     (
@@ -178,4 +194,6 @@ DATAFLASH: tuple[tuple[str, int, Columns], ...] = (
     ("RFND", RANGE, _each("Dist")),
     ("GPS", FIX, _ardupilot_fix),
     ("ATT", ATTITUDE, _ardupilot_attitude),
+    ("RCOU", COMMAND, _outputs(*(f"C{i + 1}" for i in range(COMMAND_SOURCE)))),
+    ("RCOU", COMMAND, _outputs(*(f"Ch{i + 1}" for i in range(COMMAND_SOURCE)))),
 )

@@ -54,10 +54,15 @@ KINDS: dict[type, int] = {
     CommandSample: COMMAND,
 }
 # The index is what stands in a row for the message's name.
-SOURCES = ("HIL_GPS", "GPS_RAW_INT", "ATTITUDE", "ATTITUDE_QUATERNION")
+SOURCES = (
+    *("HIL_GPS", "GPS_RAW_INT", "ATTITUDE", "ATTITUDE_QUATERNION"),
+    *("HIL_ACTUATOR_CONTROLS", "OUTPUTS"),
+)
+CONTROLS, OUTPUTS = SOURCES.index("HIL_ACTUATOR_CONTROLS"), SOURCES.index("OUTPUTS")
 # Columns of a row, where vectors and what follows them begin (see `ROWS`).
 RATES, FORCE, IMU_ID = 0, 3, 6  # of an IMU
 FIX_VELOCITY, FIX_TYPE = 3, 6  # of a fix
+COMMAND_SOURCE = 12  # of a command, behind the outputs
 ATTITUDE_SOURCE = 5  # of an attitude, behind the quaternion and the system
 UNKNOWN_3 = (np.nan, np.nan, np.nan)
 
@@ -167,7 +172,7 @@ ROWS: dict[int, Callable[[Any], Sequence[float]]] = {
     VISION: lambda s: (*s.r_ned_m, *_or_unknown(s.v_ned_mps), *s.q_nb),
     TRUTH: lambda s: (*s.q_nb, *s.omega_b_rps, s.lat_deg, s.lon_deg, s.alt_m, *s.v_ned_mps),
     ATTITUDE: lambda s: (*s.q_nb, s.system, SOURCES.index(s.source)),
-    COMMAND: lambda s: s.outputs,
+    COMMAND: lambda s: (*s.outputs, SOURCES.index(s.source)),
     FIX: lambda s: (
         *(s.lat_deg, s.lon_deg, s.alt_m),
         *_or_unknown(s.v_ned_mps),
@@ -213,7 +218,7 @@ SAMPLES: dict[int, Callable[[int, Vector], Sample]] = {
     TRUTH: _truth,
     ATTITUDE: lambda t, v: AttitudeSample(t, v[0:4], int(v[4]), SOURCES[int(v[ATTITUDE_SOURCE])]),
     FIX: _fix,
-    COMMAND: lambda t, v: CommandSample(t, v[0:12]),
+    COMMAND: lambda t, v: CommandSample(t, v[:COMMAND_SOURCE], SOURCES[int(v[COMMAND_SOURCE])]),
 }
 
 

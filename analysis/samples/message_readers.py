@@ -19,9 +19,12 @@ from analysis.samples.block import (
     ATTITUDE,
     BARO,
     COMMAND,
+    COMMAND_SOURCE,
+    CONTROLS,
     FIX,
     IMU,
     MAG,
+    OUTPUTS,
     RANGE,
     SOURCES,
     TRUTH,
@@ -45,7 +48,7 @@ DOWNWARD = 25  # MAV_SENSOR_ROTATION_PITCH_270
 BODY_FRD = 12  # MAV_FRAME_BODY_FRD
 # MAVLink's word for unknown in unsigned 16-bit fields.
 UNKNOWN_16 = 0xFFFF
-OUTPUTS = 12  # of an autopilot that are read
+PER_OUTPUT = 1e-3  # of a sample, for microseconds of a pulse
 
 
 class Read(NamedTuple):
@@ -211,9 +214,26 @@ def _estimate(rows: Rows, q_nb: Vector, source: str) -> list[Read]:
 
 def _actuator_controls(rows: Rows) -> list[Read]:
     """The first outputs; one that is not finite is off."""
-    outputs = _numbers(rows, "controls")[:, :OUTPUTS]
+    return _commands(rows, _numbers(rows, "controls"), CONTROLS)
+
+
+def _servo_outputs(rows: Rows) -> list[Read]:
+    """The main outputs; those of an extension board come as another port."""
+    names = [f"servo{i + 1}_raw" for i in range(COMMAND_SOURCE)]
+    main = np.flatnonzero(rows["port"] == 0)
+    values = _numbers(rows[main], *names) * PER_OUTPUT
+    return [read._replace(row=main) for read in _commands(rows[main], values, OUTPUTS)]
+
+
+def _output_status(rows: Rows) -> list[Read]:
+    return _commands(rows, _numbers(rows, "actuator") * PER_OUTPUT, OUTPUTS)
+
+
+def _commands(rows: Rows, values: Vector, source: int) -> list[Read]:
+    outputs = values[:, :COMMAND_SOURCE]
     outputs[~np.isfinite(outputs)] = 0.0
-    return _whole(COMMAND, rows["time_usec"].astype(np.int64), outputs)
+    known = np.column_stack([outputs, np.full(len(rows), float(source))])
+    return _whole(COMMAND, rows["time_usec"].astype(np.int64), known)
 
 
 READERS: dict[str, Callable[[Rows], list[Read]]] = {
@@ -224,6 +244,8 @@ READERS: dict[str, Callable[[Rows], list[Read]]] = {
     "GPS_RAW_INT": _gps_raw_int,
     "HIL_STATE_QUATERNION": _hil_state,
     "HIL_ACTUATOR_CONTROLS": _actuator_controls,
+    "SERVO_OUTPUT_RAW": _servo_outputs,
+    "ACTUATOR_OUTPUT_STATUS": _output_status,
     "DISTANCE_SENSOR": _distance,
     "ODOMETRY": _odometry,
     "VISION_POSITION_ESTIMATE": _vision,

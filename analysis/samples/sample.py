@@ -189,10 +189,15 @@ class AttitudeSample:
 
 @dataclass(frozen=True, slots=True)
 class CommandSample:
-    """What an autopilot's first outputs (12,) are driven with, -1 to 1; 0 where there is none."""
+    """What an autopilot's first outputs (12,) are driven with; 0 where there is none.
+
+    HIL_ACTUATOR_CONTROLS tells it from -1 to 1; `OUTPUTS` are thousands of whatever drives the
+    motors (pulse widths in ms, or steps of a digital protocol).
+    """
 
     t_us: int
     outputs: Vector
+    source: str = "HIL_ACTUATOR_CONTROLS"
 
 
 Sample = (

@@ -16,12 +16,14 @@ from analysis.detection.actuators.obedience_kernel import (
     COUNTS,
     CRASH_US,
     NEVER_US,
+    OFF,
     SUSPECT,
     Obedience,
     Verdicts,
     follow,
 )
-from analysis.detection.actuators.suspects import NOBODY, SURE
+from analysis.detection.actuators.suspects import LOAD, NOBODY, SURE
+from analysis.detection.actuators.switched_off import no_outputs
 from analysis.results import EITHER, SensorDecision
 from analysis.samples.block import COMMAND, Block
 
@@ -54,7 +56,7 @@ class ActuatorWatch:
         follow(block.kind, block.t_us, block.values, state, verdicts)
         filled = int(verdicts.filled[0])
         rows = zip(verdicts.rows[:filled].tolist(), verdicts.figures[:filled].tolist(), strict=True)
-        names = self.effects.names
+        names = dict(enumerate(self.effects.names)) | {LOAD: "load"}
         return [
             (row, _result(t_us, [names[n] for n in numbers if n != NOBODY], statistic, deficit))
             for (row, t_us, *numbers), (statistic, deficit) in rows
@@ -69,25 +71,37 @@ def _commanded(effects: Effects) -> Obedience:
     return Obedience(
         no_cells(),
         nothing_learnt(effects),
+        no_outputs(),
         effects.mix,
         effects.disturbance(),
         counts,
+        np.array([np.nan]),
         np.array([np.nan]),
     )
 
 
 def _result(t_us: int, blamed: list[str], statistic: float, deficit: float) -> SensorDecision:
-    side = "below" if deficit > 0.0 else "above"
     name = EITHER.join(blamed)
     return SensorDecision(
         t_s=t_us * 1e-6,
         t_us=t_us,
         sensor=ACTUATORS,
-        statistic=statistic,
-        threshold=SURE,
+        statistic=None if statistic == OFF else statistic,
+        threshold=None if statistic == OFF else SURE,
         dof=AXES,
         alarm=bool(blamed),
         isolated=len(blamed) == 1,
-        reason=f"{name}: {abs(deficit):.2f} {side} its command" if blamed and deficit else name,
+        reason=_reason(name, deficit),
         suspect=name,
     )
+
+
+def _reason(name: str, deficit: float) -> str:
+    if not name:
+        return ""
+    if deficit == OFF:
+        return f"{name}: its output is switched off in flight"
+    if deficit == 0.0:  # nobody is suspected now, but was
+        return name
+    side = "below" if deficit > 0.0 else "above"
+    return f"{name}: {abs(deficit):.2f} {side} its command"

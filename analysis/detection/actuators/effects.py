@@ -23,6 +23,10 @@ SHARE = 0.15  # one sigma of a coefficient, and of what is not linear in it
 # One sigma of coefficients that are small or missing: a share of the greatest of their kind, and
 # for rates 1/s, for forces rad/s^2 per m/s^2
 SMALL_SHARE, SMALL_COMMAND, SMALL_RATE, SMALL_FORCE = 0.02, 0.02, 0.3, 0.02
+# The same for a vehicle of which nothing is known, of any output
+UNKNOWN_SIGMA, UNKNOWN_RATE_HZ, UNKNOWN_FORCE = 50.0, 1.0, 0.1
+UNKNOWN_LIFT_MPS2 = 5.0  # of one of four rotors that hover at half their power
+UNKNOWN_AIR_HZ = 0.1  # what moving air does to it, on any axis
 GUST_MPS = 1.0  # one sigma of the air's own motion within a second
 AUTHORITY_SHARE = 0.006  # of the strongest actuator's effect: what the model is wrong by anyhow
 
@@ -31,16 +35,25 @@ class Effects(NamedTuple):
     """What an autopilot's outputs do to a vehicle with the actuators `names`, n of them.
 
     `mix` (COMMANDS, COMMANDS) makes the actuators' commands of the outputs, its first n rows;
-    `coefficients` are (AXES, TERMS), and `air` (AXES, 3) is what moving air does, per m/s.
+    `coefficients` are (AXES, TERMS), and `air` (AXES, 3) is what moving air does, per m/s. Of an
+    unknown vehicle they are learnt, and its rotors alone are judged.
     """
 
     names: tuple[str, ...]
     mix: Vector
     coefficients: Vector
     air: Vector
+    unknown: bool = False
 
     def covariances(self) -> Vector:
         """Of the coefficients before the flight (AXES, TERMS, TERMS)."""
+        if self.unknown:
+            sigma = np.full((AXES, TERMS), UNKNOWN_RATE_HZ)
+            sigma[:, CONSTANT], sigma[:, FORCE:] = CONSTANT_SIGMA, UNKNOWN_FORCE
+            # Rotors lift and turn, and push nowhere else.
+            sigma[:ANGULAR, OUTPUT:RATE] = UNKNOWN_SIGMA
+            sigma[AXES - 1, OUTPUT:RATE] = UNKNOWN_LIFT_MPS2 / 2.0
+            return np.array([np.diag(row**2) for row in sigma])
         sigma = SHARE * np.abs(self.coefficients)
         kinds = ((OUTPUT, RATE, SMALL_COMMAND), (RATE, FORCE, SMALL_RATE))
         for begin, end, least in (*kinds, (FORCE, TERMS, SMALL_FORCE)):
@@ -59,3 +72,16 @@ class Effects(NamedTuple):
         # Axis by axis: which way a gust blows is known, how the axes go together is not.
         gusts = GUST_MPS**2 * (self.air**2).sum(axis=1)
         return np.diag(gusts + (AUTHORITY_SHARE * authority) ** 2)
+
+
+def unknown_effects() -> Effects:
+    """Of a vehicle of which nothing is known: every output may be a motor, by its number."""
+    coefficients = np.zeros((AXES, TERMS))
+    coefficients[AXES - 1, OUTPUT:RATE] = -UNKNOWN_LIFT_MPS2
+    return Effects(
+        tuple(f"motor {i + 1}" for i in range(COMMANDS)),
+        np.eye(COMMANDS),
+        coefficients,
+        np.full((AXES, 3), UNKNOWN_AIR_HZ),
+        unknown=True,
+    )

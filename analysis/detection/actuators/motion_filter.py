@@ -20,7 +20,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.detection.actuators.effects import ANGULAR, AXES, CONSTANT, FORCE, TERMS, Effects
+from analysis.detection.actuators.effects import (
+    ANGULAR,
+    AXES,
+    CONSTANT,
+    FORCE,
+    TERMS,
+    Effects,
+)
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
@@ -34,8 +41,9 @@ FIRST_SPREAD = 0.03  # variance of m before anything is known
 GREATEST = 3.0  # sigmas of e that are learnt from
 LOUD = 10.0  # m' inv(V) m beyond which m counts less for C
 
-# Of `counts`: cells since the start, cells that wait
-CELLS, WAITING = range(2)
+
+# Of `counts`: cells since the start, cells that wait, whether nothing was known beforehand
+CELLS, WAITING, UNKNOWN = range(3)
 
 
 class Learnt(NamedTuple):
@@ -44,7 +52,7 @@ class Learnt(NamedTuple):
     `theta` (AXES, TERMS), its covariances `p` (AXES, TERMS, TERMS); `mean` (AXES,) is m and
     `spread` (AXES, AXES) is C; `error` and `doubt` (AXES,): e and the variance of theta' x.
     `waiting` (LATER + 1, TERMS + 2 AXES + 1): terms, motion, m and its statistic of cells that are
-    not yet learnt from; `counts` (2,).
+    not yet learnt from; `counts` (3,).
     """
 
     theta: Vector
@@ -67,7 +75,7 @@ def nothing_learnt(effects: Effects) -> Learnt:
         np.zeros(AXES),
         np.zeros(AXES),
         np.zeros((LATER + 1, TERMS + 2 * AXES + 1)),
-        np.zeros(2, np.int64),
+        np.array([0, 0, effects.unknown]),
     )
 
 

@@ -11,49 +11,73 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.detection.actuators.effects import AXES, COMMANDS
+from analysis.detection.actuators.effects import AXES, COMMANDS, OUTPUT, RATE
 from analysis.detection.actuators.motion_cells import FOLLOWS, SAMPLE_US, Cells, fill
-from analysis.detection.actuators.motion_filter import CELLS, Learnt, compare, learn
-from analysis.detection.actuators.suspects import LOUD, NOBODY, Suspicion, suspect
-from analysis.samples.block import COMMAND, FIX, IMU, Indices, Stamps
+from analysis.detection.actuators.motion_filter import CELLS, UNKNOWN, Learnt, compare, learn
+from analysis.detection.actuators.suspects import LOUD, NOBODY, Suspicion, known_rotors, suspect
+from analysis.detection.actuators.switched_off import Outputs, command
+from analysis.samples.block import (
+    COMMAND,
+    COMMAND_SOURCE,
+    CONTROLS,
+    FIX,
+    FIX_TYPE,
+    IMU,
+    OUTPUTS,
+    Indices,
+    Stamps,
+)
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
 LEARNT = 30  # cells of flight before anybody is suspected
+ROTORS = 4  # that a controller moves apart from each other: of more, effects cannot be told
+LEARNT_SHARE = 0.02  # of a learnt effect: what is not linear in it
 FRESH = 30  # loud cells after which the noise has changed, or nobody here did it
 QUIET = 10  # cells without a suspect after which learning goes on
 ALONE, ALIKE = 3, 12  # cells in a row that one suspect, or two alike, take to be blamed
 SLIGHT, SLIGHT_CELLS = 0.15, 8  # a deficit that a gust may look like, and how long it then takes
 AGAIN_BLAMED, AGAIN_SOUND = 5, 10  # cells between two results
+FIX_3D = 3
 FLIES_M, FLIES_MPS, STANDS_MPS = 3.0, 3.0, 0.5
 ALT, VELOCITY = 2, 3  # columns of a fix
 GAP_US = 500_000  # without a sample of the IMU
+# A command that comes so much later or earlier than usual, against the IMU's stamps; the cells that
+# are passed over then, and what a command counts in the usual
+LATE_US, IRREGULAR_CELLS, LAG_SHARE = 60_000, 10, 0.02
 BLOW_MPS2 = 100.0  # specific force of no manoeuvre
 
 # Of `counts`: whether it flies, loud cells in a row, cells without a suspect, cells in a row with
 # these suspects, cells since the last result; the suspects, and who is blamed (two of each)
 FLIES, LOUD_CELLS, QUIET_CELLS, RUN, SINCE, SUSPECT, BLAMED = 0, 1, 2, 3, 4, 5, 7
-CRASH_US, COMMANDED, COUNTS = 9, 10, 11  # when it crashed; whether a command came; how many
+# When it crashed; whose commands came, 0 for none yet; cells until the link is
+# trusted again; how many
+CRASH_US, COMMANDED, IRREGULAR, COUNTS = 9, 10, 11, 12
 NEVER_US = 1 << 62
+OFF = -1.0  # of no statistic
 
 
 class Obedience(NamedTuple):
     """All that is kept; `follow` changes it in place.
 
-    `mix` (COMMANDS, COMMANDS) makes commands of outputs; `disturbance` (AXES, AXES) is of gusts
-    and the model; `first_m` (1,) is the first fix's height.
+    `outputs` are watched for being switched off; `mix` (COMMANDS, COMMANDS) makes commands of them;
+    `disturbance` (AXES, AXES) is of gusts and the model; `first_m` (1,) is the first fix's height,
+    `lag_us` (1,) how far commands usually lie behind the IMU.
     """
 
     cells: Cells
     learnt: Learnt
+    outputs: Outputs
     mix: Vector
     disturbance: Vector
     counts: NDArray[np.int64]
     first_m: Vector
+    lag_us: Vector
 
 
 class Verdicts(NamedTuple):
-    """Rows (k, 4): row, stamp, two who are blamed; statistic and deficit (k, 2); `filled` (1,)."""
+    """Rows (k, 4): row, stamp, two who are blamed; statistic and deficit (k, 2), both `OFF` for an
+    output that is switched off; `filled` (1,)."""
 
     rows: NDArray[np.int64]
     figures: Vector
@@ -67,8 +91,7 @@ def follow(
     """Look at the samples of a block, kind (n,), t_us (n,), values (n, w), one after the other."""
     for row in range(len(kind)):
         if kind[row] == COMMAND:
-            kept.cells.commands[0] = kept.mix @ values[row, :COMMANDS]
-            kept.counts[COMMANDED] = 1
+            _command(row, t_us[row], values[row], kept, verdicts)
         # Whatever came before the first command would be seen in a long block only.
         elif not kept.counts[COMMANDED]:
             continue
@@ -78,19 +101,63 @@ def follow(
         elif kind[row] == IMU and values[row, 6] == 0.0 and kept.counts[FLIES]:
             if not np.isfinite(values[row, :6]).all():
                 continue
+            # A link that delays and swaps frames tells commands and motion of different times.
+            if 0 < kept.cells.clock[SAMPLE_US] - t_us[row] < GAP_US:
+                kept.counts[IRREGULAR] = IRREGULAR_CELLS
+                continue
             if abs(t_us[row] - kept.cells.clock[SAMPLE_US]) > GAP_US:
                 _begin(kept)
             _feel(values[row, 3:6], t_us[row], kept.counts)
             if not fill(kept.cells, t_us[row], values[row, :6]):
                 continue
+            if kept.counts[IRREGULAR] > 0:
+                kept.counts[IRREGULAR] -= 1
+                continue
             found = _judge(kept)
-            if _blame(found, kept.counts):
-                at = verdicts.filled[0]
-                verdicts.rows[at, 0], verdicts.rows[at, 1] = row, t_us[row]
-                verdicts.rows[at, 2:] = kept.counts[BLAMED : BLAMED + 2]
-                verdicts.figures[at, 0] = found.statistic
-                verdicts.figures[at, 1] = found.deficit
-                verdicts.filled[0] += 1
+            if _can_tell(kept) and _blame(found, kept.counts):
+                who = kept.counts[BLAMED], kept.counts[BLAMED + 1]
+                _tell(row, t_us[row], who, (found.statistic, found.deficit), verdicts)
+
+
+@compiled
+def _command(row: int, t_us: int, outputs: Vector, kept: Obedience, verdicts: Verdicts) -> None:
+    """Take commands of the source that came first, or that the vehicle is known by."""
+    counts = kept.counts
+    source = int(outputs[COMMAND_SOURCE])
+    if not counts[COMMANDED] and (source == CONTROLS or kept.learnt.counts[UNKNOWN]):
+        counts[COMMANDED] = source
+    if source != counts[COMMANDED]:
+        return
+    _compare_lag(float(kept.cells.clock[SAMPLE_US] - t_us), kept)
+    kept.cells.commands[0] = kept.mix @ outputs[:COMMANDS]
+    if source == OUTPUTS:
+        off = command(outputs[:COMMANDS], t_us, counts[FLIES] == 1, kept.outputs)
+        if off >= 0:
+            _tell(row, t_us, (NOBODY, off), (OFF, OFF), verdicts)
+
+
+@compiled
+def _compare_lag(lag_us: float, kept: Obedience) -> None:
+    """Hold how far a command lies behind the IMU against what is usual."""
+    if not kept.counts[FLIES] or abs(lag_us) > GAP_US:
+        return
+    if np.isnan(kept.lag_us[0]):
+        kept.lag_us[0] = lag_us
+    elif abs(lag_us - kept.lag_us[0]) > LATE_US:
+        kept.counts[IRREGULAR] = IRREGULAR_CELLS
+    kept.lag_us[0] += LAG_SHARE * (lag_us - kept.lag_us[0])
+
+
+@compiled
+def _tell(
+    row: int, t_us: int, who: tuple[int, int], figures: tuple[float, float], verdicts: Verdicts
+) -> None:
+    """Add a verdict: two who are blamed; statistic and deficit."""
+    at = verdicts.filled[0]
+    verdicts.rows[at, 0], verdicts.rows[at, 1] = row, t_us
+    verdicts.rows[at, 2], verdicts.rows[at, 3] = who
+    verdicts.figures[at, 0], verdicts.figures[at, 1] = figures
+    verdicts.filled[0] += 1
 
 
 @compiled
@@ -106,13 +173,15 @@ def _feel(force: Vector, t_us: int, counts: NDArray[np.int64]) -> None:
 def _begin(kept: Obedience) -> None:
     """A flight begins, or goes on after a gap: what it was like before says little."""
     kept.cells.clock[FOLLOWS] = 0
-    kept.learnt.counts[:] = 0
+    kept.learnt.counts[:UNKNOWN] = 0
     kept.learnt.mean[:] = 0.0
 
 
 @compiled
 def _fly(fix: Vector, kept: Obedience) -> None:
     """Take off and land, by a receiver's fix."""
+    if fix[FIX_TYPE] < FIX_3D:
+        return
     if np.isnan(kept.first_m[0]):
         kept.first_m[0] = fix[ALT]
     up = abs(fix[ALT] - kept.first_m[0]) > FLIES_M
@@ -130,6 +199,14 @@ def _fly(fix: Vector, kept: Obedience) -> None:
 
 
 @compiled
+def _can_tell(kept: Obedience) -> bool:
+    """Whether the effects of the actuators are known; with a motor off the vehicle is another."""
+    learnt = kept.learnt
+    known = not learnt.counts[UNKNOWN] or known_rotors(learnt.theta, learnt.p) == ROTORS
+    return known and not kept.outputs.gone.any()
+
+
+@compiled
 def _judge(kept: Obedience) -> Suspicion:
     """Compare a full cell with the model, look for suspects, and learn where there is none."""
     cells, learnt, counts = kept.cells, kept.learnt, kept.counts
@@ -137,8 +214,11 @@ def _judge(kept: Obedience) -> Suspicion:
     usual = learnt.spread + kept.disturbance
     for axis in range(AXES):
         usual[axis, axis] += learnt.doubt[axis]
-    found = suspect(learnt.mean, usual, learnt.theta, learnt.p)
-    begun = learnt.counts[CELLS] > LEARNT
+        if learnt.counts[UNKNOWN]:
+            strongest = np.abs(learnt.theta[axis, OUTPUT:RATE]).max()
+            usual[axis, axis] += (LEARNT_SHARE * strongest) ** 2
+    found = suspect(learnt.mean, usual, learnt.theta, learnt.p, learnt.counts[UNKNOWN] == 1)
+    begun = learnt.counts[CELLS] > LEARNT and _can_tell(kept)
     if not begun:
         found = Suspicion(found.statistic, NOBODY, NOBODY, 0.0)
     counts[LOUD_CELLS] = counts[LOUD_CELLS] + 1 if found.statistic >= LOUD else 0

@@ -28,8 +28,11 @@ FITS, FITS_SHARE = 20.0, 0.08
 LEAST_DEFICIT = 0.05  # of a command of 1
 # A rotor that does more than its command is rare: it has to be stuck higher than it is wanted.
 RARE, LIFTS_MPS2 = 8.0, -2.0
-YAW = 2  # among the axes
-NOBODY = -1
+ROLL, PITCH, YAW = range(3)  # among the axes
+# Of a learnt effect: sigmas, and what lifts: a controller that meets gusts hides a part of it
+KNOWN, LEARNT_LIFTS_MPS2 = 5.0, -0.3
+SHIFTS = 0.5  # deficit of an elevator: what a load may do that slides
+NOBODY, LOAD = -1, COMMANDS  # in the place of an actuator
 
 
 class Suspicion(NamedTuple):
@@ -53,8 +56,28 @@ def _product(a: Vector, matrix: Vector, b: Vector) -> float:
 
 
 @compiled
-def suspect(mean: Vector, usual: Vector, theta: Vector, p: Vector) -> Suspicion:
-    """Who explains m (AXES,), with V (AXES, AXES), and theta with its covariances."""
+def _known_rotor(i: int, theta: Vector, p: Vector) -> bool:
+    """Whether an output of an unknown vehicle is known to lift it."""
+    lift, at = theta[AXES - 1, OUTPUT + i], OUTPUT + i
+    surest = 0.0
+    for axis in range(AXES):
+        surest = max(surest, theta[axis, at] ** 2 / p[axis, at, at])
+    return lift < LEARNT_LIFTS_MPS2 and surest > KNOWN**2
+
+
+@compiled
+def known_rotors(theta: Vector, p: Vector) -> int:
+    """How many outputs are known to lift the vehicle."""
+    count = 0
+    for i in range(COMMANDS):
+        count += _known_rotor(i, theta, p)
+    return count
+
+
+@compiled
+def suspect(mean: Vector, usual: Vector, theta: Vector, p: Vector, rotors_alone: bool) -> Suspicion:
+    """Who explains m (AXES,), with V (AXES, AXES), and theta with its covariances; of an unknown
+    vehicle known rotors alone are asked."""
     information = inverse(usual)
     statistic = _product(mean, information, mean)
     if statistic < SURE:
@@ -64,21 +87,37 @@ def suspect(mean: Vector, usual: Vector, theta: Vector, p: Vector) -> Suspicion:
     for i in range(COMMANDS):
         effect = theta[:, OUTPUT + i].copy()
         known = _product(effect, information, effect)
-        if known <= 1e-9:  # it drives nothing
+        if known <= 1e-9 or (rotors_alone and not _known_rotor(i, theta, p)):  # it drives nothing
             continue
         guess = -_product(effect, information, mean) / known
         score, remaining, found = _hypothesis(
-            mean, usual, effect, guess, p[:, OUTPUT + i, OUTPUT + i]
+            mean,
+            usual,
+            effect,
+            guess,
+            p[:, OUTPUT + i, OUTPUT + i],
         )
         if score < best:
             second, following = first, best
             first, best, deficit, rest = i, score, found, remaining
         elif score < following:
             second, following = i, score
+    if first != NOBODY and abs(deficit) < SHIFTS and _pitches(theta[:, OUTPUT + first]):
+        along = (information[PITCH] * mean).sum()
+        score = nobody - along**2 / information[PITCH, PITCH]
+        if score < following:
+            second, following = LOAD, score
     believed = nobody - best > SURE and rest < max(FITS, FITS_SHARE * statistic)
     if not believed or abs(deficit) < LEAST_DEFICIT:
         return Suspicion(statistic, NOBODY, NOBODY, 0.0)
     return Suspicion(statistic, first, second if following - best < AHEAD else NOBODY, deficit)
+
+
+@compiled
+def _pitches(effect: Vector) -> bool:
+    """Whether an effect (AXES,) is that of an elevator, which a load that slides is like."""
+    rotor = effect[AXES - 1] < LIFTS_MPS2
+    return not rotor and abs(effect[PITCH]) > abs(effect[ROLL])
 
 
 @compiled

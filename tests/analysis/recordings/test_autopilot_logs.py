@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from analysis.recordings.recordings import read_log
-from analysis.samples.block import ATTITUDE, BARO, FIX, IMU, MAG
-from analysis.samples.sample import GpsFix, ImuSample, MagSample
+from analysis.samples.block import ATTITUDE, BARO, COMMAND, FIX, IMU, MAG
+from analysis.samples.sample import CommandSample, GpsFix, ImuSample, MagSample
 from mavproxy_fault.documents.errors import ConfigError
 
 HEAD = b"\xa3\x95"
@@ -19,6 +19,7 @@ FORMATS = {  # name: (type, struct code, dataflash code, columns)
     "BARO": (12, "Qff", "Qff", "TimeUS,Alt,Press"),
     "GPS": (13, "QBBfiiffff", "QBBfLLffff", "TimeUS,Status,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ"),
     "ATT": (14, "Qfff", "Qfff", "TimeUS,Roll,Pitch,Yaw"),
+    "RCOU": (15, "QHHHH", "QHHHH", "TimeUS,C1,C2,C3,C4"),
 }
 
 
@@ -41,6 +42,7 @@ def dataflash(path: Path, *names: str) -> Path:
             "MAG": (t_us + 1, 200, 0, 400),
             "BARO": (t_us + 2, 0.0, 95_000.0),
             "ATT": (t_us + 4, 0.0, 0.0, 90.0),
+            "RCOU": (t_us + 5, 1500, 1510, 1520, 1000),
         }
         data += b"".join(row(name, *rows[name]) for name in names)
     path.write_bytes(data)
@@ -62,6 +64,14 @@ def test_a_dataflash_log_holds_what_the_monitor_needs(tmp_path: Path) -> None:
     assert block.sample(4).q_nb == pytest.approx([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
 
 
+def test_the_outputs_of_a_dataflash_log_are_read(tmp_path: Path) -> None:
+    (block,) = read_log(dataflash(tmp_path / "a.bin", "GPS", "IMU", "RCOU"))
+    sample = block.sample(int(block.rows(COMMAND)[0]))
+    assert isinstance(sample, CommandSample)
+    assert sample.outputs.tolist() == pytest.approx([1.5, 1.51, 1.52, 1.0] + 8 * [0.0])
+    assert sample.source == "OUTPUTS"
+
+
 @pytest.mark.parametrize(("names", "missing"), [(("IMU", "MAG"), "GPS"), (("GPS",), "IMU")])
 def test_a_log_that_cannot_be_tested_is_refused(
     tmp_path: Path, names: tuple[str, ...], missing: str
@@ -72,7 +82,9 @@ def test_a_log_that_cannot_be_tested_is_refused(
 
 def test_a_real_ulog_is_read_with_all_its_sensors(shared_data: Path) -> None:
     (block,) = read_log(shared_data / "ulog" / "gps_interference.ulg")
-    assert {IMU, MAG, BARO, FIX, ATTITUDE} <= set(block.kind.tolist())
+    assert {IMU, MAG, BARO, FIX, ATTITUDE, COMMAND} <= set(block.kind.tolist())
+    outputs = block.values[block.rows(COMMAND), :12]
+    assert outputs.max(axis=0) == pytest.approx([0.65, 0.762, 0.759, 0.826] + 8 * [0.0])
     force = np.median(block.values[block.rows(IMU), 5])
     assert force == pytest.approx(-9.8, abs=0.5)
     strength = np.linalg.norm(block.values[block.rows(MAG), :3], axis=1)

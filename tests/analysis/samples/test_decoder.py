@@ -10,6 +10,7 @@ from analysis.samples.sample import (
     AirspeedSample,
     AttitudeSample,
     BaroSample,
+    CommandSample,
     EphemerisSample,
     Epoch,
     GpsFix,
@@ -202,3 +203,18 @@ def test_broken_rtcm_is_no_sample():
     assert (
         samples_of(decoder, frame("TUNNEL", payload_type=1, payload_length=3, payload=b"abc")) == []
     )
+
+
+def test_what_drives_the_motors_comes_in_thousands() -> None:
+    main = {f"servo{i + 1}_raw": 1100 + i for i in range(4)}
+    frames = [
+        frame("SERVO_OUTPUT_RAW", component=1, time_usec=7, port=0, **main),
+        frame("SERVO_OUTPUT_RAW", component=1, time_usec=8, port=1, **main),
+        frame("ACTUATOR_OUTPUT_STATUS", component=1, time_usec=9, actuator=[900.0] + 31 * [0.0]),
+    ]
+    first, second = samples_of(Decoder(), *frames)
+    assert isinstance(first, CommandSample)
+    assert isinstance(second, CommandSample)
+    assert (first.t_us, first.source) == (7, "OUTPUTS")
+    assert first.outputs.tolist() == pytest.approx([1.1, 1.101, 1.102, 1.103] + 8 * [0.0])
+    assert (second.t_us, second.outputs[0]) == (9, pytest.approx(0.9))

@@ -11,6 +11,7 @@ import pytest
 from analysis.detection.actuators.actuator_watch import ActuatorWatch
 from analysis.detection.actuators.mutual_judgement import CRASHED
 from analysis.monitor.monitor import Monitor
+from analysis.monitor.pipeline import MonitorConfig
 from analysis.results import Decision, Result, SensorDecision
 from analysis.run.proxied_flight import Flight
 from analysis.run.setup import Setup, read_setup
@@ -52,8 +53,10 @@ def setup_of(vehicle: str) -> Setup:
     return Setup(scenario, setup.schedule, monitor, setup.criteria)
 
 
-def flown(vehicle: str, duration_s: float, *faults: dict[str, Any], seed: int = 1) -> list[Result]:
-    """The monitor's results of a flight with faults from 20 s on."""
+def flown(
+    vehicle: str, duration_s: float, *faults: dict[str, Any], seed: int = 1, unknown: bool = False
+) -> list[Result]:
+    """The monitor's results of a flight with faults from 20 s on; it may not know the vehicle."""
     setup = setup_of(vehicle)
     scenario = msgspec.structs.replace(setup.scenario, seed=seed, duration_s=duration_s)
     entries = [{"id": f"fault-{i}", "at_s": 20.0, **fault} for i, fault in enumerate(faults)]
@@ -61,7 +64,8 @@ def flown(vehicle: str, duration_s: float, *faults: dict[str, Any], seed: int = 
     data = bytearray()
     while not flight.over:
         data += flight.advance([]).monitor
-    return Monitor(setup.monitor).push_bytes([bytes(data)], datagrams=False)
+    config = MonitorConfig() if unknown else setup.monitor
+    return Monitor(config).push_bytes([bytes(data)], datagrams=False)
 
 
 def blamed(results: list[Result]) -> dict[str, float]:
@@ -73,6 +77,12 @@ def blamed(results: list[Result]) -> dict[str, float]:
     return found
 
 
+def suspected(results: list[Result]) -> set[str]:
+    """Of whom it was said that they may be at fault, one alone or two."""
+    told = (r for r in results if isinstance(r, SensorDecision) and r.sensor == "actuators")
+    return {result.suspect for result in told if result.alarm}
+
+
 @pytest.mark.parametrize(
     ("vehicle", "target", "value", "name"),
     [
@@ -81,13 +91,22 @@ def blamed(results: list[Result]) -> dict[str, float]:
         ("hexa", "PLANT.motor_efficiency[4]", 0.8, "motor 5"),
         ("hexa", "PLANT.motor_efficiency[0]", 0.0, "motor 1"),
         ("fixed wing", "PLANT.motor_efficiency[0]", 0.0, "throttle"),
-        ("fixed wing", "PLANT.elevator_efficiency", 0.5, "elevator"),
     ],
 )
 def test_a_weak_actuator_is_named(vehicle: str, target: str, value: float, name: str) -> None:
     found = blamed(flown(vehicle, 23.0, {"fault": "plant", "target": target, "value": value}))
     assert list(found) == [name]
     assert 20.0 < found[name] < 22.5
+
+
+def test_half_an_elevator_is_not_told_from_a_load_that_slides() -> None:
+    fault = {"fault": "plant", "target": "PLANT.elevator_efficiency", "value": 0.5}
+    assert suspected(flown("fixed wing", 25.0, fault)) == {"elevator-or-load"}
+
+
+@pytest.mark.parametrize("preset", ["load-shift", "link-poor"])
+def test_what_no_actuator_does_blames_none(preset: str) -> None:
+    assert not blamed(flown("fixed wing", 32.0, {"preset": preset, "for_s": 10.0}, NEVER))
 
 
 @pytest.mark.parametrize(
@@ -105,6 +124,25 @@ def test_a_stuck_or_hard_over_surface_is_named(
     fault = {"target": f"HIL_ACTUATOR_CONTROLS.{target}", **fault}
     found = blamed(flown("fixed wing", 24.0, fault))
     assert list(found) == [name]
+
+
+@pytest.mark.parametrize("value", [0.0, 0.8])
+def test_a_weak_motor_is_named_by_what_was_learnt_of_an_unknown_quad(value: float) -> None:
+    fault = {"fault": "plant", "target": "PLANT.motor_efficiency[2]", "value": value}
+    assert list(blamed(flown("quad", 23.0, fault, unknown=True))) == ["motor 3"]
+
+
+@pytest.mark.parametrize("vehicle", ["hexa", "fixed wing"])
+def test_what_cannot_be_learnt_of_an_unknown_vehicle_is_not_judged(vehicle: str) -> None:
+    results = flown(vehicle, 40.0, NEVER, unknown=True)
+    assert not [r for r in results if isinstance(r, SensorDecision) and r.sensor == "actuators"]
+
+
+def test_gusts_blame_no_motor_of_an_unknown_quad() -> None:
+    results = flown("quad", 60.0, NEVER, seed=7, unknown=True)
+    told = [r for r in results if isinstance(r, SensorDecision) and r.sensor == "actuators"]
+    assert len(told) > 30
+    assert not any(result.alarm for result in told)
 
 
 @pytest.mark.parametrize("vehicle", ["quad", "hexa", "fixed wing"])

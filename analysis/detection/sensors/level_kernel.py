@@ -1,0 +1,85 @@
+"""Quantities that stay about the same in sound sensors, compiled: whether one has left its level.
+
+Of each quantity a short mean is held against a long one, and against how far the short mean usually
+lies from it. The long mean waits while they differ, so that a step stays one; after a while the new
+level is the usual one.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled
+
+FIELD, HAS_FIX, SIGNAL = LEVELS = range(3)
+# Of each level: the least change that counts, upwards and downwards
+UP = np.array([0.05, np.inf, np.inf])
+DOWN = np.array([0.05, 0.5, 6.0])
+SIGMAS = 8.0  # of the short mean about the long one
+SHORT_S, LONG_S, LEARNT_S, USUAL_S = 0.3, 30.0, 4.0, 20.0
+LASTS_US, AGAIN_US = 300_000, 500_000
+GAP_US = 1_000_000  # after which a stream begins anew
+
+# Of the means; of the stamps in us: begin, newest, since when it is off, when that was told last
+SHORT, LONG, SQUARE = range(3)
+BEGAN, NEWEST, OFF, TOLD = range(4)
+NEVER_US = -(1 << 62)
+
+
+class Levels(NamedTuple):
+    """What is known of each level: `means` (l, 3) and `stamps` (l, 4); `follow` changes it."""
+
+    means: Vector
+    stamps: NDArray[np.int64]
+
+
+def no_levels() -> Levels:
+    """Nothing came yet."""
+    return Levels(np.zeros((len(LEVELS), 3)), np.full((len(LEVELS), 4), NEVER_US))
+
+
+@compiled
+def follow(
+    level: NDArray[np.int64], t_us: NDArray[np.int64], value: Vector, kept: Levels
+) -> Vector:
+    """How far (n,) each quantity is off where that is to be told, 0 elsewhere.
+
+    `level`, `t_us` and `value` (n,) are the quantities in their order.
+    """
+    off = np.zeros(len(level))
+    for i in range(len(level)):
+        off[i] = _step(level[i], t_us[i], value[i], kept.means[level[i]], kept.stamps[level[i]])
+    return off
+
+
+@compiled
+def _step(level: int, t_us: int, value: float, means: Vector, stamps: NDArray[np.int64]) -> float:
+    elapsed_us = t_us - stamps[NEWEST]
+    if stamps[BEGAN] == NEVER_US or elapsed_us > GAP_US or elapsed_us < 0:
+        means[:] = value, value, 0.0
+        stamps[:] = t_us, t_us, NEVER_US, NEVER_US
+        return 0.0
+    stamps[NEWEST] = t_us
+    elapsed_s = elapsed_us * 1e-6
+    means[SHORT] += min(1.0, elapsed_s / SHORT_S) * (value - means[SHORT])
+    change = means[SHORT] - means[LONG]
+    least = UP[level] if change > 0.0 else DOWN[level]
+    known = t_us - stamps[BEGAN] > LEARNT_S * 1e6
+    if known and abs(change) > max(least, SIGMAS * np.sqrt(means[SQUARE])):
+        if stamps[OFF] == NEVER_US:
+            stamps[OFF] = t_us
+        since_us = t_us - stamps[OFF]
+        if since_us > USUAL_S * 1e6:  # what lasts is what it is like now
+            means[LONG], stamps[OFF] = means[SHORT], NEVER_US
+        elif since_us >= LASTS_US and t_us - stamps[TOLD] >= AGAIN_US:
+            stamps[TOLD] = t_us
+            return float(change)
+        return 0.0
+    stamps[OFF] = NEVER_US
+    age_s = (t_us - stamps[BEGAN]) * 1e-6
+    share = min(1.0, elapsed_s / min(LONG_S, max(age_s, SHORT_S)))
+    means[LONG] += share * (value - means[LONG])
+    means[SQUARE] += share * (change * change - means[SQUARE])
+    return 0.0

@@ -1,0 +1,94 @@
+"""Sensors that leave their own level: a step of the pipeline that needs no filter and no attitude.
+
+- The size of the magnetic field, whichever way the vehicle points.
+- Whether a receiver says that it has a fix.
+- The mean strength of the satellites' signals.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from analysis.detection.sensors.level_kernel import (
+    FIELD,
+    HAS_FIX,
+    SIGNAL,
+    Levels,
+    follow,
+    no_levels,
+)
+from analysis.results import SensorDecision
+from analysis.samples.block import EPOCH, FIX, FIX_TYPE, MAG, Block, Indices
+from analysis.samples.sample import Epoch, Vector
+
+FIX_3D = 3
+SENSOR_OF = {FIELD: "mag", HAS_FIX: "gps-position", SIGNAL: "satellites"}
+REASONS = {
+    FIELD: "the field's size is off by {:.3f} gauss",
+    HAS_FIX: "says that it has no fix",
+    SIGNAL: "signals are {:.0f} dB off",
+}
+Quantities = tuple[int, Indices, Vector]  # of a level: rows of the block, and values
+
+
+@dataclass(frozen=True)
+class LevelWatch:
+    """A step of the pipeline."""
+
+    def new_state(self) -> Levels:
+        """Nothing came yet."""
+        return no_levels()
+
+    def step(self, block: Block, state: Levels) -> tuple[list[tuple[int, SensorDecision]], Levels]:
+        """Who has left its level, by the row that shows it, and the next state.
+
+        The state is changed in place.
+        """
+        quantities = [_field(block), _has_fix(block), _signal(block)]
+        row = np.concatenate([rows for _, rows, _ in quantities])
+        order = np.argsort(row, kind="stable")
+        level = np.concatenate([np.full(len(rows), number) for number, rows, _ in quantities])
+        value = np.concatenate([values for *_, values in quantities])
+        row, level = row[order], level[order]
+        off = follow(level, block.t_us[row], value[order], state)
+        return [
+            (int(row[i]), _result(int(block.t_us[row[i]]), int(level[i]), float(off[i])))
+            for i in np.flatnonzero(off)
+        ], state
+
+
+def _field(block: Block) -> Quantities:
+    rows = block.rows(MAG)
+    size = np.linalg.norm(block.values[rows, :3], axis=1)
+    known = np.isfinite(size)
+    return FIELD, rows[known], size[known]
+
+
+def _has_fix(block: Block) -> Quantities:
+    rows = block.rows(FIX)
+    return HAS_FIX, rows, (block.values[rows, FIX_TYPE] >= FIX_3D).astype(float)
+
+
+def _signal(block: Block) -> Quantities:
+    found = [(row, block.beside[row]) for row in block.rows(EPOCH).tolist()]
+    strengths = [
+        (row, float(np.nanmean(epoch.cn0_dbhz)))
+        for row, epoch in found
+        if isinstance(epoch, Epoch) and np.isfinite(epoch.cn0_dbhz).any()
+    ]
+    rows = np.array([row for row, _ in strengths], np.int64)
+    return SIGNAL, rows, np.array([strength for _, strength in strengths], float)
+
+
+def _result(t_us: int, level: int, off: float) -> SensorDecision:
+    return SensorDecision(
+        t_s=t_us * 1e-6,
+        t_us=t_us,
+        sensor=SENSOR_OF[level],
+        statistic=None,
+        threshold=None,
+        dof=0,
+        alarm=True,
+        isolated=True,
+        reason=REASONS[level].format(abs(off)),
+    )

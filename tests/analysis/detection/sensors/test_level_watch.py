@@ -1,0 +1,104 @@
+"""Sensors that leave their own level: field, fix, strength of signals."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from analysis.detection.sensors.level_watch import LevelWatch
+from analysis.results import SensorDecision
+from analysis.samples.block import Block, block_of
+from analysis.samples.sample import Epoch, GpsFix, MagSample, Sample
+
+CHANGES_S, BACK_S, ENDS_S = 10.0, 15.0, 20.0
+FIELD_GAUSS = np.array([0.2, 0.0, 0.43])
+SATELLITES = ("G01", "G02", "E01")
+
+
+def flight(make: Callable[[int, bool], Sample], hz: float = 10.0) -> Block:
+    """Samples made of their stamp and whether they are wrong, as those between two times are."""
+    stamps = [int(1e6 * k / hz) for k in range(int(ENDS_S * hz))]
+    return block_of([make(t_us, CHANGES_S <= t_us * 1e-6 < BACK_S) for t_us in stamps])
+
+
+def told(block: Block) -> list[SensorDecision]:
+    watch = LevelWatch()
+    return [result for _, result in watch.step(block, watch.new_state())[0]]
+
+
+def field_of(factor: float, noise_gauss: float = 0.002) -> Callable[[int, bool], Sample]:
+    """A field that turns once in ten seconds, and is wrong by a factor."""
+    rng = np.random.default_rng(1)
+
+    def make(t_us: int, wrong: bool) -> Sample:
+        angle = 2.0 * np.pi * t_us * 1e-7
+        level, down = FIELD_GAUSS[0], FIELD_GAUSS[2]
+        field = np.array([level * np.cos(angle), level * np.sin(angle), down])
+        scale = factor if wrong else 1.0
+        return MagSample(t_us, scale * field + rng.normal(0.0, noise_gauss, 3))
+
+    return make
+
+
+def fix_of(fix_type: int) -> Callable[[int, bool], Sample]:
+    def make(t_us: int, wrong: bool) -> Sample:
+        kind = fix_type if wrong else 3
+        return GpsFix(t_us, 47.0, 8.0, 500.0, None, kind, 12, 1.0, 1.0, "HIL_GPS")
+
+    return make
+
+
+def epoch_of(drop_dbhz: float, of: int = len(SATELLITES)) -> Callable[[int, bool], Sample]:
+    """An epoch, of which some satellites are weaker."""
+
+    def make(t_us: int, wrong: bool) -> Sample:
+        strength = np.full(len(SATELLITES), 45.0)
+        strength[:of] -= drop_dbhz if wrong else 0.0
+        unknown = np.full(len(SATELLITES), np.nan)
+        return Epoch(t_us, 2300, t_us * 1e-6, SATELLITES, unknown, unknown, strength)
+
+    return make
+
+
+@pytest.mark.parametrize(
+    ("make", "sensor"),
+    [
+        (field_of(1.3), "mag"),
+        (field_of(0.8), "mag"),
+        (fix_of(2), "gps-position"),
+        (epoch_of(20.0), "satellites"),
+    ],
+)
+def test_who_leaves_its_level_is_blamed_while_it_does(
+    make: Callable[[int, bool], Sample], sensor: str
+) -> None:
+    found = told(flight(make))
+    assert {result.sensor for result in found} == {sensor}
+    assert all(result.isolated for result in found)
+    assert 300_000 <= found[0].t_us - CHANGES_S * 1e6 < 1_000_000
+    assert -600_000 < found[-1].t_us - BACK_S * 1e6 < 1_000_000
+
+
+@pytest.mark.parametrize("make", [field_of(1.05), fix_of(4), epoch_of(12.0, of=1)])
+def test_small_changes_blame_nobody(make: Callable[[int, bool], Sample]) -> None:
+    assert told(flight(make)) == []
+
+
+def test_a_noisy_field_has_to_change_by_more() -> None:
+    assert told(flight(field_of(1.15, noise_gauss=0.1))) == []
+
+
+def test_what_lasts_becomes_the_usual_level() -> None:
+    stamps = range(0, 60_000_000, 100_000)
+    block = block_of([fix_of(2)(t_us, t_us > 10_000_000) for t_us in stamps])
+    assert 29.0 < told(block)[-1].t_us * 1e-6 < 31.0
+
+
+def test_the_cut_into_blocks_changes_nothing() -> None:
+    whole = flight(field_of(1.3))
+    watch = LevelWatch()
+    state, one_by_one = watch.new_state(), []
+    for row in range(len(whole.kind)):
+        found, state = watch.step(whole.between(row, row + 1), state)
+        one_by_one += [result for _, result in found]
+    assert one_by_one == told(whole)
