@@ -25,6 +25,7 @@ import numpy as np
 from mavproxy_fault.api.proxy_handle import Proxy
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import open_bus
+from mavproxy_fault.links.link import enlarge_buffers
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import build
 
@@ -49,6 +50,7 @@ class Traffic:
         self.station = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.station.bind(("127.0.0.1", 0))
         self.station.settimeout(0.5)
+        enlarge_buffers(self.station)  # a busy machine's pause must not be taken for a loss
         self.rate_hz = rate_hz
         self.sent = 0
         self.due_s: dict[int, float] = {}
@@ -118,6 +120,7 @@ def command(*words: str) -> Iterator[tuple[int, str]]:
             yield process.pid, process.stdout.readline()
         finally:
             process.terminate()
+            print(process.stdout.read())  # a proxy ends with what it counted, losses too
 
 
 @contextlib.contextmanager
