@@ -52,6 +52,9 @@ def add_run(commands: Any) -> None:
         "--binary", metavar="PATH", help="its SITL program (default: arducopter, px4)"
     )
     parser.add_argument(
+        "--parameters", metavar="FILE", help="its parameters, NAME VALUE a line, over the run's own"
+    )
+    parser.add_argument(
         "--from",
         dest="count_from",
         default="take-off",

@@ -10,6 +10,7 @@ from pathlib import Path
 from analysis.autopilots.ardupilot_requests import COPTER, PLANE, ArduPilotRequests
 from analysis.autopilots.flight_operator import Requests
 from analysis.autopilots.hil_exchange import BRIDGE_STEP
+from analysis.autopilots.parameter_file import text_of
 from analysis.autopilots.program import Program, ended
 from mavproxy_fault.ardupilot.autopilot_process import check_command
 from mavproxy_fault.links.tcp import TcpServer
@@ -31,14 +32,20 @@ def requests(simulation: Simulation) -> Iterator[Requests]:
 
 
 @contextlib.contextmanager
-def started(words: Sequence[str], simulation: Simulation, folder: Path) -> Iterator[Program]:
-    """The bridge and its autopilot; both end with the flight."""
+def started(
+    words: Sequence[str], simulation: Simulation, folder: Path, own: dict[str, float]
+) -> Iterator[Program]:
+    """The bridge and its autopilot with the user's `own` parameters; both end with the flight."""
     # Any free port, so that several runs can be flown at once.
     with contextlib.closing(TcpServer("127.0.0.1", 0)) as link:
         bridge = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot"]
         bridge += ["--hil", f"tcp:127.0.0.1:{link.port}", "--command", shlex.join(words)]
         bridge += ["--vehicle", KINDS[simulation.scenario.vehicle.kind]]
         bridge += ["--dir", str(folder / "autopilot")]
+        if own:
+            file = folder / "own.parm"
+            file.write_text(text_of(own))
+            bridge += ["--parameters", str(file)]
         path = folder / "bridge.log"
         with path.open("wb") as log:
             process = subprocess.Popen(

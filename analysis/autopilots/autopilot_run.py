@@ -19,6 +19,7 @@ from analysis.autopilots import ardupilot_program, px4_program
 from analysis.autopilots.flight_operator import Operator, Requests
 from analysis.autopilots.flight_plan import HEIGHTS_M, flight_plan
 from analysis.autopilots.hil_exchange import FromAutopilot, Patience, ToAutopilot, of_lockstep
+from analysis.autopilots.parameter_file import read_parameters
 from analysis.autopilots.program import Program
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.run.proxied_flight import GROUND, MONITOR, Flight, session
@@ -89,6 +90,7 @@ def main(args: argparse.Namespace) -> int:
     autopilot = AUTOPILOTS[args.autopilot]
     words = autopilot.command(args.binary)
     check_moment(args.count_from)
+    own = read_parameters(args.parameters)
     setup = read_setup(args.scenario, args.schedule, args.seed)
     check_vehicle(setup.scenario)
     folder = make_folder(args.out, setup.scenario.name)
@@ -100,7 +102,7 @@ def main(args: argparse.Namespace) -> int:
         flown = AutopilotRun(setup, folder, args.count_from, monitor, stop)
         simulation = flown.flight.simulation
         requests = stack.enter_context(autopilot.requests(simulation))
-        program = autopilot.started(words, simulation, folder)
+        program = autopilot.started(words, simulation, folder, own)
         reason = flown.fly(program, requests, parse_speed(args.speed or "max"))
         columns = read_columns(folder / "sent.tlog")
         file.write(flown.results + monitor.results())

@@ -76,8 +76,10 @@ def requests(simulation: Simulation) -> Iterator[Requests]:
 
 
 @contextlib.contextmanager
-def started(words: Sequence[str], simulation: Simulation, folder: Path) -> Iterator[Program]:
-    """PX4 in a folder of its own; it ends with the flight."""
+def started(
+    words: Sequence[str], simulation: Simulation, folder: Path, own: dict[str, float]
+) -> Iterator[Program]:
+    """PX4 in a folder of its own, with the user's `own` parameters; it ends with the flight."""
     place = (folder / "autopilot").resolve()
     place.mkdir(parents=True, exist_ok=True)
     with contextlib.ExitStack() as stack:
@@ -89,7 +91,7 @@ def started(words: Sequence[str], simulation: Simulation, folder: Path) -> Itera
         with path.open("wb") as log:
             process = subprocess.Popen(
                 [*words, "-i", str(instance), "-w", str(place)],
-                env=environment(simulation, place),
+                env=environment(simulation, place, own),
                 cwd=place,
                 stdin=subprocess.DEVNULL,
                 stdout=log,
@@ -132,11 +134,12 @@ def streams(local: int, remote: int) -> str:
     return "\n".join(lines) + "\n"
 
 
-def environment(simulation: Simulation, place: Path) -> dict[str, str]:
-    """PX4's variables; those of the user's shell that name another simulator are left out."""
+def environment(simulation: Simulation, place: Path, own: dict[str, float]) -> dict[str, str]:
+    """PX4's variables, with `own` parameters over those of the run; those of the user's shell that
+    name another simulator are left out."""
     # What the user exported for another simulator would start that one.
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PX4_")}
     kept["PATH"] = f"{place}{os.pathsep}{kept.get('PATH', os.defpath)}"
     kept["PX4_SIM_MODEL"] = AIRFRAMES[simulation.scenario.vehicle.kind]
-    values = parameters(simulation, flight_plan(simulation).height_m)
-    return kept | {f"PX4_PARAM_{name}": f"{value:g}" for name, value in values.items()}
+    values = parameters(simulation, flight_plan(simulation).height_m) | own
+    return kept | {f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in values.items()}

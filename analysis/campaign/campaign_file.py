@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from analysis.autopilots.parameter_file import read_parameters
 from analysis.campaign.cell import MONITOR
 from analysis.campaign.outcomes import Limits
 from analysis.estimators import names
@@ -111,12 +112,21 @@ class FaultChoice(_Section, frozen=True):
 
 
 class SubjectChoice(_Section, frozen=True):
-    """An autopilot under test, as `mavproxy-fault run` takes it; `arguments` are further ones."""
+    """An autopilot under test, as `mavproxy-fault run` takes it; the file of its `parameters` lies
+    beside the campaign's, and `arguments` are further ones."""
 
     name: str
     autopilot: str
     binary: str
+    parameters: str = ""
     arguments: tuple[str, ...] = ()
+
+    def options(self, folder: str | Path) -> list[str]:
+        """The words that `run` takes, for a campaign whose file lies in `folder`."""
+        words = ["--autopilot", self.autopilot, "--binary", self.binary]
+        if self.parameters:
+            words += ["--parameters", str(Path(folder) / self.parameters)]
+        return [*words, *self.arguments]
 
 
 class CompiledScenario(_Section, frozen=True):
@@ -201,6 +211,9 @@ def read_campaign(path: Path | str) -> CampaignFile:
     for i, subject in enumerate(campaign.subjects):
         if isinstance(subject, str) and subject not in known:
             check.wrong(("subjects", i), f"= {subject} is unknown; {near(subject, known)}")
+        elif not isinstance(subject, str) and subject.parameters:
+            # Before the first flight: each would end for the same reason.
+            read_parameters(str(Path(campaign.folder) / subject.parameters))
     check.finish()
     # As a schedule's entry, at the first magnitude: errors come before the first flight.
     for i, fault in enumerate(campaign.faults):

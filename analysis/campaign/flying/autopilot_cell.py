@@ -9,10 +9,10 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from analysis.campaign.campaign_file import SubjectChoice
 from analysis.campaign.cell import Flown
 from analysis.campaign.flying.autopilot_evidence import evidence_of
 from mavproxy_fault.documents.errors import ConfigError
@@ -24,14 +24,15 @@ LAST_LINES = 3
 
 
 def fly_autopilot(
-    subject: SubjectChoice,
-    scenario: Path,
+    subject: str,
+    run: Sequence[str],
     schedule: dict[str, Any],
     folder: Path,
     *,
     kept: bool,
 ) -> Flown:
-    """Fly a scenario with the faults of a schedule, its logs in `folder`; with a report if `kept`.
+    """Fly `mavproxy-fault run` with the words `run` and the faults of a schedule, its logs in
+    `folder`; with a report if `kept`.
 
     Raises
     ------
@@ -42,13 +43,12 @@ def fly_autopilot(
     folder.mkdir(parents=True, exist_ok=True)
     faults = folder / "schedule.yaml"
     faults.write_text(write_yaml(schedule))
-    words = ["run", str(scenario), "--autopilot", subject.autopilot, "--binary", subject.binary]
-    words += ["--schedule", str(faults), "--seed", str(schedule["seed"])]
+    words = ["run", *run, "--schedule", str(faults), "--seed", str(schedule["seed"])]
     words += ["--out", str(folder / "run"), "--zenoh", "off"]
     if not kept:
         words += ["--no-report"]
     done = subprocess.run(
-        [sys.executable, "-m", "mavproxy_fault.cli", *words, *subject.arguments],
+        [sys.executable, "-m", "mavproxy_fault.cli", *words],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
@@ -58,10 +58,10 @@ def fly_autopilot(
     if done.returncode == WRONG_INPUT or not (folder / "run" / "summary.json").is_file():
         # Its last lines say why.
         last = done.stderr.strip().splitlines()[-LAST_LINES:]
-        raise ConfigError(f"{subject.name}: no flight came of it; {' '.join(last)}")
+        raise ConfigError(f"{subject}: no flight came of it; {' '.join(last)}")
     evidence, flown_s = evidence_of(folder / "run")
     return Flown(
-        {subject.name: evidence}, {}, flown_s, time.monotonic() - started_s, str(folder / "run")
+        {subject: evidence}, {}, flown_s, time.monotonic() - started_s, str(folder / "run")
     )
 
 

@@ -117,7 +117,8 @@ def flight_of(job: FlightJob, onset_s: float) -> Flown:
         scenario = Path(campaign.folder) / cell.scenario
         with tempfile.TemporaryDirectory(prefix="campaign-") as scratch:
             folder, kept = Path(job.keep or scratch), job.keep is not None
-            return fly_autopilot(autopilot, scenario, schedule, folder, kept=kept)
+            run = [str(scenario), *autopilot.options(campaign.folder)]
+            return fly_autopilot(autopilot.name, run, schedule, folder, kept=kept)
     subjects = [cell.subject for cell in job.cells]
     setup = setup_of(campaign, cell, subjects)
     faults = parse_schedule(schedule, campaign.name)

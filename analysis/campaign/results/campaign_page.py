@@ -118,8 +118,7 @@ def again(result: CellResult, campaign: CampaignFile) -> str:
         # Somebody wants to watch; an autopilot's run has no page of its own.
         words.append("--ui")
     else:
-        words += ["--autopilot", autopilot.autopilot, "--binary", autopilot.binary]
-        words += autopilot.arguments
+        words += autopilot.options(campaign.folder)
     return f"echo {shlex.quote(schedule)} > cell.yaml && {shlex.join(words)}"
 
 

@@ -66,8 +66,11 @@ def test_the_folder_comes_first_and_other_simulators_are_forgotten(
     simulation, tmp_path, monkeypatch
 ):
     monkeypatch.setenv("PX4_SIMULATOR", "gz")
-    variables = px4_program.environment(simulation, tmp_path)
+    own = {"EKF2_GPS_P_GATE": 100.0, "MIS_TAKEOFF_ALT": 7.25}
+    variables = px4_program.environment(simulation, tmp_path, own)
     assert "PX4_SIMULATOR" not in variables
     assert variables["PATH"].split(os.pathsep)[0] == str(tmp_path)
     assert variables["PX4_SIM_MODEL"] == "none_iris"
     assert variables["PX4_PARAM_CA_ROTOR_COUNT"] == "6"
+    assert variables["PX4_PARAM_EKF2_GPS_P_GATE"] == "100"
+    assert variables["PX4_PARAM_MIS_TAKEOFF_ALT"] == "7.25"  # the user's over the run's
