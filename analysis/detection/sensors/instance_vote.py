@@ -64,10 +64,10 @@ class InstanceVote:
         """
         rows = block.rows(IMU)
         ids = block.values[rows, IMU_ID].astype(int)
-        known = (ids >= 0) & (ids < IMUS) & np.isfinite(block.values[rows, :NUMBERS]).all(axis=1)
-        rows, ids = rows[known], ids[known]
         if state.window is None and not ids.any():
             return [], state
+        known = (ids >= 0) & (ids < IMUS) & np.isfinite(block.values[rows, :NUMBERS]).all(axis=1)
+        rows, ids = rows[known], ids[known]
         windows = block.t_us[rows] // WINDOW_US
         found: list[tuple[int, SensorDecision]] = []
         for begin, end in _runs(windows):
