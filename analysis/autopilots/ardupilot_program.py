@@ -10,7 +10,7 @@ from pathlib import Path
 from analysis.autopilots.ardupilot_requests import COPTER, PLANE, ArduPilotRequests
 from analysis.autopilots.flight_operator import Requests
 from analysis.autopilots.hil_exchange import BRIDGE_STEP
-from analysis.autopilots.parameter_file import text_of
+from analysis.autopilots.own_parameters import text_of
 from analysis.autopilots.program import Program, ended
 from mavproxy_fault.ardupilot.autopilot_process import check_command
 from mavproxy_fault.links.tcp import TcpServer

@@ -19,7 +19,7 @@ from analysis.autopilots import ardupilot_program, px4_program
 from analysis.autopilots.flight_operator import Operator, Requests
 from analysis.autopilots.flight_plan import HEIGHTS_M, flight_plan
 from analysis.autopilots.hil_exchange import FromAutopilot, Patience, ToAutopilot, of_lockstep
-from analysis.autopilots.parameter_file import read_parameters
+from analysis.autopilots.own_parameters import read_parameters
 from analysis.autopilots.program import Program
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.run.proxied_flight import GROUND, MONITOR, Flight, session

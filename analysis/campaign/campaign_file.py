@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from analysis.autopilots.parameter_file import read_parameters
+from analysis.autopilots.own_parameters import read_parameters
 from analysis.campaign.cell import MONITOR
 from analysis.campaign.outcomes import Limits
 from analysis.estimators import names

@@ -34,7 +34,7 @@ def with_sky(block: Block, results: Sequence[Result], config: DetectorConfig) ->
     """The results of a whole recording, its decisions with the sky above their position."""
     samples = [block.beside[row] for row in block.rows(EPOCH).tolist()]
     epochs = {s.t_us: s for s in samples if isinstance(s, Epoch)}
-    orbits, chosen = _orbits(block), None
+    orbits, chosen = orbits_of(block), None
     found: list[Result] = []
     for result in results:
         epoch = epochs.get(result.t_us)
@@ -46,7 +46,8 @@ def with_sky(block: Block, results: Sequence[Result], config: DetectorConfig) ->
     return found
 
 
-def _orbits(block: Block) -> dict[str, tuple[Stored, ...]]:
+def orbits_of(block: Block) -> dict[str, tuple[Stored, ...]]:
+    """All orbits of a recording by satellite."""
     found: dict[str, tuple[Stored, ...]] = {}
     for row in block.rows(EPHEMERIS).tolist():
         sample = block.beside[row]

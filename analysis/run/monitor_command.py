@@ -166,7 +166,7 @@ def rinex_block(args: argparse.Namespace) -> tuple[Block, list[Label] | None]:
         raise ConfigError(f"--rinex {obs}: has no navigation file beside it; give OBS NAV")
     lines = labels = None
     if args.schedule is not None:
-        lines, labels = faulted_lines(obs, read_schedule(args.schedule))
+        lines, labels = faulted_lines(obs, read_schedule(args.schedule), nav)
     return read_rinex(obs, nav, Path(args.imu) if args.imu else None, lines), labels
 
 

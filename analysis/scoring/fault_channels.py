@@ -92,7 +92,7 @@ LOSSES = (
     "sequence-gap",
 )
 IN_RECEIVER = re.compile(
-    r"receiver_off|(cn0_drop_db|pseudorange_m|satellite_lost|spoof_\w+)\[\w+\]"
+    r"receiver_off|(cn0_drop_db|pseudorange_m|range_rate_mps|satellite_lost|spoof_\w+)\[\w+\]"
 )
 
 

@@ -69,6 +69,9 @@ def add_replay(commands: Any) -> None:
     parser.add_argument(
         "--schedule", metavar="FILE", help="faults to apply (default: those of the recording)"
     )
+    parser.add_argument(
+        "--nav", nargs="+", metavar="FILE", help="RINEX navigation files, for spoofs into RINEX"
+    )
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument(
         "--out", metavar="LOG", help="write the tlog that was sent, labels beside it"

@@ -15,6 +15,7 @@ from mavproxy_fault.faults.loss import Drop
 from mavproxy_fault.faults.profile import Profile
 from mavproxy_fault.faults.satellite import check_count
 from mavproxy_fault.faults.value_fault import ValueFault
+from mavproxy_fault.rinex.range_epoch import RangeEpoch, Setting
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.plant_messages import SIMULATOR, PlantChange, plant_frame
@@ -122,6 +123,29 @@ class Plant(InSimulator, frozen=True, kw_only=True):
         if state is None:
             state = self.profile.new_state(rng)
         return (self.profile.value(t_s, state),) * len(self.names), state
+
+    def apply(
+        self, frame: Frame, t_us: int, state: Sent, rng: "Generator"
+    ) -> tuple[list[Outgoing], Sent]:
+        """As for every such fault; an epoch of a recording has no simulator, and is set itself."""
+        epoch: Any = frame
+        if not isinstance(epoch, RangeEpoch):
+            return super().apply(frame, t_us, state, rng)
+        t_s = (t_us - state.start_us) / 1e6
+        values, inner = self.values(t_s, state.inner, rng)
+        later, inner = self.values(t_s + STEP_US / 1e6, inner, rng)
+        state = state._replace(inner=inner)
+        # None: healthy now, or for a rate soon.
+        settings = {
+            name: Setting(value, 0.0 if soon is None else (soon - value) * 1e6 / STEP_US)
+            for name, value, soon in zip(self.names, values, later, strict=True)
+            if value is not None
+        }
+        if not settings:
+            return [Outgoing(t_us, frame)], state
+        size = max(abs(setting.value) for setting in settings.values())
+        changed: Any = epoch.with_settings(settings)
+        return [Outgoing(t_us, changed, size)], state
 
 
 class InReceiver(InSimulator, frozen=True, kw_only=True):

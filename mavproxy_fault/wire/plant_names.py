@@ -14,8 +14,10 @@ SURFACE = ("elevator_efficiency", "aileron_efficiency", "rudder_efficiency")
 BATTERY = ("battery_voltage_scale", "battery_resistance_scale")
 WIND = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
 RECEIVER = ("receiver_off",)
-SATELLITE = ("pseudorange_m", "cn0_drop_db", "satellite_lost")
+SATELLITE = ("pseudorange_m", "cn0_drop_db", "satellite_lost", "range_rate_mps")
 SPOOF = ("spoof_north_m", "spoof_east_m", "spoof_down_m", "spoof_clock_m")
+# What moves more from one epoch to the next has jumped, and has no Doppler of it.
+FASTEST_SPOOF_MPS = 500.0
 GROUPS = ("all", "G", "E")  # satellites together: all, GPS, Galileo
 
 # Numbers that GPS and Galileo give their satellites (RTCM 10403.3, MSM satellite masks).

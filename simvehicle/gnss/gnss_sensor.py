@@ -116,7 +116,7 @@ class GnssSensor:
             broadcast=self._broadcast(self.constellation.start_s, [None] * n),
             tracking=power_off(n, cold=receiver.start == "cold"),
             sent_us=self._unsent,
-            faults=Faults(np.zeros((3, n)), np.zeros((4, n))),
+            faults=Faults(np.zeros((len(SATELLITE), n)), np.zeros((len(SPOOF), n))),
             spoofed=np.zeros((4, n)),
         )
 
@@ -160,7 +160,8 @@ class GnssSensor:
         """The state with one of the plant's parameters set, before the receiver; None is healthy.
 
         `pseudorange_m[G12]` adds to the range, `cn0_drop_db[G12]` weakens the signal,
-        `satellite_lost[G12]` takes it away if not 0; `spoof_north_m[G12]` (and east, down) makes
+        `satellite_lost[G12]` takes it away if not 0, `range_rate_mps[G12]` adds to the Doppler's
+        rate alone; `spoof_north_m[G12]` (and east, down) makes
         it the signal of another place, code and Doppler alike, `spoof_clock_m[G12]` one of another
         time. `[all]` stands for every satellite, `[G]` and `[E]` for those of a system.
         `receiver_off` switches the receiver off if not 0, and its end starts it again, cold.

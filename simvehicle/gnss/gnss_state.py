@@ -15,9 +15,10 @@ Vector = NDArray[np.float64]
 class Faults(msgspec.Struct, frozen=True):
     """What a scenario does to the signals before the receiver.
 
-    The rows of `signals` (3, n) are metres added to the range, decibels taken from the signal, and
-    whether it is lost (not 0); those of `spoof` (4, n) metres north, east and down that its signal
-    is made up for, and of delay. `off` is not 0 where the receiver is.
+    The rows of `signals` (4, n) are metres added to the range, decibels taken from the signal,
+    whether it is lost (not 0), and m/s added to its rate; those of `spoof` (4, n) metres north,
+    east and down that its signal is made up for, and of delay. `off` is not 0 where the receiver
+    is.
     """
 
     signals: Vector

@@ -1,12 +1,10 @@
-"""What a pseudorange is wrong by: receiver clock, thermal noise, multipath, orbits, C/N0.
+"""What a pseudorange is wrong by: receiver clock, multipath, orbits, C/N0.
 
 References
 ----------
 .. [1] Clock of two states: Brown and Hwang, Introduction to Random Signals and Applied Kalman
    Filtering, 4th ed., section 9.3.
-.. [2] Code noise of a delay-locked and frequency noise of a frequency-locked loop: Kaplan and
-   Hegarty, Understanding GPS/GNSS, 3rd ed., section 8.9; without their squaring loss.
-.. [3] Multipath by elevation: RTCA DO-229D, J.2.4 (airborne).
+.. [2] Multipath by elevation: RTCA DO-229D, J.2.4 (airborne).
 """
 
 import math
@@ -15,18 +13,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
 from simvehicle.gnss.gnss_config import ClockConfig
 
 Vector = NDArray[np.float64]
 
-# The C/A code's rate; E1's is the same.
-CHIP_M = SPEED_OF_LIGHT_MPS / 1.023e6
-L1_WAVE_M = SPEED_OF_LIGHT_MPS / L1_HZ
-CORRELATOR_CHIPS = 0.1  # early to late
-CODE_LOOP_HZ = 0.25  # aided by the carrier
-FREQUENCY_LOOP_HZ = 2.0
-INTEGRATION_S = 0.02
 CN0_S = 20.0  # correlation time
 TINY_S = 1e-9  # a process without a correlation time is white
 JUMP_S = 1e-3  # the clock is set back by a millisecond when it is half of one out
@@ -62,22 +52,6 @@ def next_wander(value: Vector, time_s: float | Vector, step_s: float, draws: Vec
 
 
 def multipath_sigma_m(elevation_rad: Vector) -> Vector:
-    """Standard deviation (n,) of multipath [3]_; scalars and arrays (n,) alike, here and below."""
+    """Standard deviation (n,) of multipath [2]_; scalars and arrays (n,) alike."""
     sigma: Vector = 0.13 + 0.53 * np.exp(-np.degrees(elevation_rad) / 10.0)
-    return sigma
-
-
-def code_sigma_m(cn0_dbhz: Vector) -> Vector:
-    """Thermal noise (n,) of the pseudorange [2]_."""
-    ratio = 10.0 ** (cn0_dbhz / 10.0)
-    # Grows with the correlators' spacing and the loop's bandwidth, falls with the signal.
-    sigma: Vector = CHIP_M * np.sqrt(CORRELATOR_CHIPS * CODE_LOOP_HZ / (2.0 * ratio))
-    return sigma
-
-
-def rate_sigma_mps(cn0_dbhz: Vector) -> Vector:
-    """Thermal noise (n,) of the range rate [2]_."""
-    ratio = 10.0 ** (cn0_dbhz / 10.0)
-    scale = L1_WAVE_M / (2.0 * math.pi * INTEGRATION_S)
-    sigma: Vector = scale * np.sqrt(4.0 * FREQUENCY_LOOP_HZ / ratio)
     return sigma

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth_kernel import ecef_of, ned_axes
+from mavproxy_fault.numerics.signal_noise import code_sigma_m, rate_sigma_mps
 from simvehicle.gnss.pseudorange import (
     DELAY,
     RANGE,
@@ -20,7 +21,7 @@ from simvehicle.gnss.pseudorange import (
     SAT_ELEVATION,
     sights,
 )
-from simvehicle.gnss.signal_errors import code_sigma_m, multipath_sigma_m, rate_sigma_mps
+from simvehicle.gnss.signal_errors import multipath_sigma_m
 
 Vector = NDArray[np.float64]
 _Scalar = Callable[[float], float]
@@ -31,6 +32,7 @@ _multipath_sigma = cast(_Scalar, inlined(multipath_sigma_m))
 # entries of `levels`
 CN0_HORIZON, CN0_RISE, CN0_SIGMA, THERMAL, MULTIPATH, ORBIT, GALILEO = range(7)
 ELEVATION, CN0, CODE, RATE = range(4)  # rows of the answer
+LONGER, WEAKER, _, FASTER = range(4)  # rows of the faults, in the order of `SATELLITE`
 
 
 class Channel(NamedTuple):
@@ -71,8 +73,8 @@ def signals(
         The receiver's offset [s] and drift.
     wander : (3, n) array
         Unit-variance processes of multipath, orbit and C/N0.
-    faults : (2, n) array
-        Metres added to the range, and decibels taken from the signal.
+    faults : (4, n) array
+        `Faults.signals`, whose rows are in the order of `SATELLITE`.
     noise : (2, n) array
         Standard-normal draws of range and rate.
     """
@@ -92,18 +94,18 @@ def signals(
         elevation = seen[SAT_ELEVATION, k]
         # Antennas lose towards the horizon, roughly with the sine of the elevation.
         cn0 = levels[CN0_HORIZON] + levels[CN0_RISE] * sin(elevation)
-        cn0 += levels[CN0_SIGMA] * wander[2, k] - faults[1, k]
+        cn0 += levels[CN0_SIGMA] * wander[2, k] - faults[WEAKER, k]
         code = (
             seen[RANGE, k] + SPEED_OF_LIGHT_MPS * (offset_s - seen[SAT_CLOCK, k]) + seen[DELAY, k]
         )
         # One offset of Galileo's time against GPS's for all its satellites: the receiver solves for
         # it.
-        code += levels[GALILEO] * channel.galileo[k] + faults[0, k]
+        code += levels[GALILEO] * channel.galileo[k] + faults[LONGER, k]
         code += levels[ORBIT] * wander[1, k]
         # Multipath wanders by itself but shrinks with elevation, so it is scaled only here.
         code += levels[MULTIPATH] * _multipath_sigma(elevation) * wander[0, k]
         code += levels[THERMAL] * _code_sigma(cn0) * noise[0, k]
         rate = seen[RANGE_RATE, k] + SPEED_OF_LIGHT_MPS * (drift - seen[SAT_CLOCK_RATE, k])
-        rate += levels[THERMAL] * _rate_sigma(cn0) * noise[1, k]
+        rate += faults[FASTER, k] + levels[THERMAL] * _rate_sigma(cn0) * noise[1, k]
         out[ELEVATION, k], out[CN0, k], out[CODE, k], out[RATE, k] = elevation, cn0, code, rate
     return out

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.earth import radii
+from mavproxy_fault.wire.plant_names import FASTEST_SPOOF_MPS
 
 Vector = NDArray[np.float64]
 
 NORTH, DOWN, DELAY = slice(0, 2), 2, 3  # rows of `Faults.spoof`
-FASTEST_MPS = 500.0  # what moves more between two epochs has jumped, and has no Doppler of it
 
 
 class Spoof(NamedTuple):
@@ -61,5 +61,5 @@ def spoofs(spoof: Vector, before: Vector, step_s: float) -> Iterator[Spoof]:
     for change in np.unique(spoof[:, spoof.any(axis=0)], axis=1).T:
         satellites = (spoof == change[:, None]).all(axis=0)
         moved = (change - before[:, satellites][:, 0]) / step_s if step_s > 0.0 else 0.0 * change
-        rate = np.where(np.abs(moved) <= FASTEST_MPS, moved, 0.0)
+        rate = np.where(np.abs(moved) <= FASTEST_SPOOF_MPS, moved, 0.0)
         yield Spoof(change, rate, satellites)

@@ -53,3 +53,26 @@ def test_what_cannot_act_on_a_file_is_refused(recording, tmp_path, capsys):
     assert "needs --schedule FILE and --out FILE" in capsys.readouterr().err
     assert main(["replay", str(recording), "--schedule", str(faults), "--out", str(recording)]) == 2
     assert "is the file that is replayed" in capsys.readouterr().err
+
+
+def test_what_needs_orbits_says_so_and_what_is_no_signal_is_refused(recording, tmp_path, capsys):
+    faults, out = tmp_path / "faults.yaml", str(tmp_path / "faulted.21O")
+    faults.write_text("faults:\n  - {preset: gnss-carry-off}\n")
+    assert main(["replay", str(recording), "--schedule", str(faults), "--out", out]) == 2
+    assert "pretends another place" in (said := capsys.readouterr().err)
+    assert "give --nav FILE" in said
+    faults.write_text("faults:\n  - {fault: plant, target: PLANT.mass_kg_add, value: 1}\n")
+    assert main(["replay", str(recording), "--schedule", str(faults), "--out", out]) == 2
+    assert "PLANT targets of satellites" in capsys.readouterr().err
+
+
+def test_a_jammed_recording_loses_its_signals(recording):
+    lines, labels = faulted_lines(
+        recording, schedule({"preset": "gps-jamming", "at_s": 3, "for_s": 2})
+    )
+    healthy = read_rinex_text(recording)
+    blank = [
+        b for a, b in zip(healthy, lines, strict=True) if a[:1] in "GE" and not b[3:17].strip()
+    ]
+    assert len(blank) > 10
+    assert [label.frames for label in newest(labels)] == [2]

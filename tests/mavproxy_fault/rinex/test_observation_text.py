@@ -1,9 +1,12 @@
-"""Code ranges found and changed in the lines of RINEX 2 and 3, nothing else touched."""
+"""Observations found and changed in the lines of RINEX 2 and 3, nothing else touched."""
 
+import numpy as np
 import pytest
 
-from mavproxy_fault.rinex.observation_text import file_epochs, written
+from mavproxy_fault.rinex.observation_text import file_epochs
 from mavproxy_fault.rinex.range_epoch import RangeEpoch
+from mavproxy_fault.rinex.signal_change import signal_changes
+from mavproxy_fault.rinex.signal_fields import write_change
 
 SECOND_US = 1_000_000
 NOON_US = (2149 * 604_800 + 475_200) * SECOND_US  # 2021-03-19 12:00
@@ -42,12 +45,18 @@ TWO = [
 ]
 
 
+def written(lines, epoch, faulted):
+    """Write what faults made of an epoch into its lines, in place."""
+    for name, change in signal_changes(faulted, epoch.t_us, None):
+        write_change(lines, epoch.observations[name], name, change, np.random.default_rng(1))
+
+
 @pytest.mark.parametrize(("lines", "version", "start"), [(THREE, 3.04, 3), (TWO, 2.11, 2)])
 def test_every_code_is_changed_and_nothing_else(lines, version, start):
     name, changed = "G12", list(lines)
     first = next(file_epochs(changed, version, start))
     assert first.t_us == NOON_US
-    written(changed, first, RangeEpoch(tuple(first.codes), {name: 50.25}))
+    written(changed, first, RangeEpoch(tuple(first.observations), {name: 50.25}))
     rows = [i for i, line in enumerate(lines) if line.rstrip() != changed[i].rstrip()]
     assert rows == ([4] if version > 3 else [3, 4])
     found = "".join(changed[i] for i in rows)
@@ -57,18 +66,16 @@ def test_every_code_is_changed_and_nothing_else(lines, version, start):
 
 def test_names_with_blanks_and_events_are_read_as_receivers_mean_them():
     found = list(file_epochs(THREE, 3.04, 3))
-    assert [list(epoch.codes) for epoch in found] == [["G12", "E05", "G07"], ["G12"]]
+    assert [list(epoch.observations) for epoch in found] == [["G12", "E05", "G07"], ["G12"]]
     assert [epoch.t_us - NOON_US for epoch in found] == [0, 2 * SECOND_US]
-    assert list(next(file_epochs(TWO, 2.11, 2)).codes) == ["G12", "R03"]
+    assert list(next(file_epochs(TWO, 2.11, 2)).observations) == ["G12", "R03"]
 
 
-def test_a_lost_satellite_has_no_code_and_a_blank_one_stays_blank():
+def test_a_lost_satellite_has_no_observation_and_a_blank_one_stays_blank():
     lines = list(THREE)
     first = next(file_epochs(lines, 3.04, 3))
-    written(lines, first, RangeEpoch(tuple(first.codes), {"G07": 9.0}, frozenset({"G12"})))
-    assert lines[4][3:17].strip() == ""
-    assert float(lines[4][19:33]) == 1.0
-    assert lines[4][35:].strip() == ""
+    written(lines, first, RangeEpoch(tuple(first.observations), {"G07": 9.0}, frozenset({"G12"})))
+    assert lines[4] == "G12"
     assert float(lines[6][3:17]) == 21_000_009.0
     assert lines[6][35:].strip() == ""
 

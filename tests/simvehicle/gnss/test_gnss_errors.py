@@ -5,15 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from simvehicle.gnss.gnss_config import ClockConfig
 from simvehicle.gnss.signal_errors import (
     Clock,
-    code_sigma_m,
     multipath_sigma_m,
     next_clock,
     next_wander,
-    rate_sigma_mps,
 )
 
 
@@ -70,13 +67,6 @@ def test_a_clock_half_a_millisecond_out_is_set_back_by_one() -> None:
     config = ClockConfig(h0_s=0.0, h2_hz=0.0)
     clock = next_clock(Clock(0.4999e-3, 1e-6), config, 1.0, np.zeros(2))
     assert clock.offset_s == pytest.approx(0.5009e-3 - 1e-3, abs=1e-15)
-
-
-def test_thermal_noise_follows_carrier_to_noise() -> None:
-    # CHIP sqrt(d B / (2 C/N0)) at 45 dBHz with d = 0.1, B = 0.25 Hz
-    expected = SPEED_OF_LIGHT_MPS / 1.023e6 * math.sqrt(0.025 / (2.0 * 10**4.5))
-    assert code_sigma_m(np.array([45.0, 25.0])) == pytest.approx([expected, 10.0 * expected])
-    assert rate_sigma_mps(np.array([45.0]))[0] == pytest.approx(0.024, abs=0.001)
 
 
 def test_multipath_is_largest_at_the_horizon() -> None:

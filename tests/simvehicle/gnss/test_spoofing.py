@@ -76,3 +76,14 @@ def test_a_jump_has_no_doppler() -> None:
     (found,) = spoofs(spoof, np.zeros((4, 3)), 0.2)
     assert found.rate.tolist() == [0.0] * 4
     assert found.satellites.tolist() == [False, True, True]
+
+
+def test_a_wrong_doppler_is_wrong_alone(flown) -> None:
+    sensor, state, truth_at = flown
+    _, clean, _ = epoch(sensor, state, truth_at, 0.2)
+    state = sensor.with_plant(state, f"range_rate_mps[{clean.satellites[0]}]", 5.0)
+    _, faulty, _ = epoch(sensor, state, truth_at, 0.2)
+    change_mps = faulty.doppler_mps - clean.doppler_mps
+    assert change_mps[0] == pytest.approx(5.0, abs=1e-6)
+    assert np.abs(change_mps[1:]).max() == 0.0
+    assert np.array_equal(faulty.pseudorange_m, clean.pseudorange_m)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from analysis.autopilots.parameter_file import read_parameters, text_of
+from analysis.autopilots.own_parameters import read_parameters, text_of
 from analysis.campaign.campaign_file import read_campaign
 from mavproxy_fault.documents.errors import ConfigError
 

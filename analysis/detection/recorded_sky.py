@@ -1,0 +1,67 @@
+"""Where the satellites of a RINEX recording stand, for whoever makes their signals up."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from analysis.detection.filter.filter_state import Stored
+from analysis.detection.filter.measurement import choose, observe
+from analysis.detection.sky import NO_IONOSPHERE, orbits_of
+from analysis.orbits.broadcast import POSITION, VELOCITY
+from analysis.orbits.snapshot import solve
+from analysis.recordings.recordings import read_rinex
+from analysis.samples.block import EPOCH
+from analysis.samples.sample import Epoch, Vector
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
+
+FEW = 6  # satellites that give a place with one to spare
+
+
+def recorded_sky(
+    observations: Path, navigation: Sequence[Path]
+) -> Callable[[int], Mapping[str, Vector]]:
+    """A function of the stamp of an epoch: to each satellite with an orbit, north, east and down
+    of the receiver [m], and how that changes [m/s] (6,).
+
+    The receiver is where the first epoch with enough satellites puts it: a kilometre further on a
+    satellite's direction is another one by 0.05 mrad.
+
+    Raises
+    ------
+    ConfigError
+        If a file cannot be read, or no epoch gives a place.
+    """
+    block = read_rinex(observations, navigation)
+    samples = [block.beside[row] for row in block.rows(EPOCH).tolist()]
+    epochs = {sample.t_us: sample for sample in samples if isinstance(sample, Epoch)}
+    orbits = orbits_of(block)
+    fixes = (place_of(epoch, orbits) for epoch in epochs.values())
+    r_ecef_m = next((place for place in fixes if place is not None), None)
+    if r_ecef_m is None:
+        raise ConfigError(f"{observations}: no epoch gives a place; a spoof needs one to move")
+    lat, lon, _ = geodetic(r_ecef_m)
+    axes = ned_axes(lat, lon)
+
+    def sky(t_us: int) -> dict[str, Vector]:
+        epoch = epochs.get(t_us)
+        observed = None if epoch is None else observe(epoch, choose(epoch, orbits))
+        if observed is None:
+            return {}
+        states = observed.states
+        place = (states[:, POSITION : POSITION + 3] - r_ecef_m) @ axes.T
+        motion = states[:, VELOCITY : VELOCITY + 3] @ axes.T
+        return dict(zip(observed.satellites, np.hstack([place, motion]), strict=True))
+
+    return sky
+
+
+def place_of(epoch: Epoch, orbits: dict[str, tuple[Stored, ...]]) -> Vector | None:
+    """The receiver (3,), ECEF [m], by one epoch alone."""
+    chosen = choose(epoch, orbits)
+    kept = epoch if chosen.keep is None else epoch.select(chosen.keep.tolist())
+    if len(chosen.names) < FEW:
+        return None
+    fix = solve(kept, chosen.packed, NO_IONOSPHERE, np.ones(len(chosen.names)))
+    return None if fix is None else fix.r_ecef_m

@@ -1,0 +1,40 @@
+"""Thermal noise of a receiver's code and frequency loops by carrier-to-noise density.
+
+References
+----------
+.. [1] Code noise of a delay-locked and frequency noise of a frequency-locked loop: Kaplan and
+   Hegarty, Understanding GPS/GNSS, 3rd ed., section 8.9; without their squaring loss.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
+
+Vector = NDArray[np.float64]
+
+# The C/A code's rate; E1's is the same.
+CHIP_M = SPEED_OF_LIGHT_MPS / 1.023e6
+L1_WAVE_M = SPEED_OF_LIGHT_MPS / L1_HZ
+CORRELATOR_CHIPS = 0.1  # early to late
+CODE_LOOP_HZ = 0.25  # aided by the carrier
+FREQUENCY_LOOP_HZ = 2.0
+INTEGRATION_S = 0.02
+
+
+def code_sigma_m(cn0_dbhz: Vector) -> Vector:
+    """Thermal noise (n,) of the pseudorange [1]_; scalars and arrays alike, here and below."""
+    ratio = 10.0 ** (cn0_dbhz / 10.0)
+    # Grows with the correlators' spacing and the loop's bandwidth, falls with the signal.
+    sigma: Vector = CHIP_M * np.sqrt(CORRELATOR_CHIPS * CODE_LOOP_HZ / (2.0 * ratio))
+    return sigma
+
+
+def rate_sigma_mps(cn0_dbhz: Vector) -> Vector:
+    """Thermal noise (n,) of the range rate [1]_."""
+    ratio = 10.0 ** (cn0_dbhz / 10.0)
+    scale = L1_WAVE_M / (2.0 * math.pi * INTEGRATION_S)
+    sigma: Vector = scale * np.sqrt(4.0 * FREQUENCY_LOOP_HZ / ratio)
+    return sigma

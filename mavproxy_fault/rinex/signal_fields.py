@@ -1,0 +1,95 @@
+"""The observations of one satellite in a RINEX file, and what a changed signal makes of them."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
+from mavproxy_fault.numerics.signal_noise import code_sigma_m, rate_sigma_mps
+from mavproxy_fault.rinex.signal_change import SignalChange
+
+FIELD, VALUE = 16, 14  # F14.3, loss of lock, signal strength
+LOCK_DBHZ = 25.0  # weaker signals are lost, as in the simulator's receiver
+USUAL_DBHZ = 45.0  # where a file does not tell
+CODES = "CP"  # RINEX 2 calls the code on the encrypted signal P
+# Carriers by system and band: RINEX 3.05, tables 4 (GPS) and 6 (Galileo).
+CARRIERS_MHZ = {
+    "G": {"1": 1575.42, "2": 1227.6, "5": 1176.45},
+    "E": {"1": 1575.42, "5": 1176.45, "7": 1207.14, "8": 1191.795, "6": 1278.75},
+}
+
+
+class Observation(NamedTuple):
+    """One field of a satellite: what is observed (`C1C`, or `C1` in RINEX 2), line and column."""
+
+    name: str
+    at: int
+    column: int
+
+    @property
+    def signal(self) -> str:
+        """What all observations of one signal share."""
+        return self.name[1:]
+
+
+def write_change(
+    lines: list[str],
+    observations: Sequence[Observation],
+    satellite: str,
+    change: SignalChange,
+    rng: np.random.Generator,
+) -> None:
+    """Write a changed signal into the fields of its satellite, in place.
+
+    A weaker signal is noisier, by the loops' thermal noise at its new strength beyond that at its
+    old one, and lost below `LOCK_DBHZ`; a field that is lost is blank, "not observed".
+    """
+    strengths = {o.signal: _number(lines, o) for o in observations if o.name[0] == "S"}
+    for signal in sorted({o.signal for o in observations}):
+        own = [o for o in observations if o.signal == signal]
+        before = strengths.get(signal) or USUAL_DBHZ
+        after = before - change.drop_db
+        lost = change.lost or (change.drop_db > 0.0 and after < LOCK_DBHZ)
+        noise_m, noise_mps = rng.standard_normal(2) * _extra_sigma(before, min(before, after))
+        carrier_mhz = CARRIERS_MHZ.get(satellite[0], {}).get(signal[0], math.inf)
+        wave_m = SPEED_OF_LIGHT_MPS * 1e-6 / carrier_mhz
+        added = {code: change.code_m + change.signal_m + float(noise_m) for code in CODES}
+        if wave_m:  # of an unknown carrier the cycles stay
+            added["L"] = change.signal_m / wave_m
+            # A positive Doppler shift is a satellite that comes nearer.
+            added["D"] = -(change.rate_mps + float(noise_mps)) / wave_m
+        added["S"] = -change.drop_db
+        for observation in own:
+            _write(lines, observation, math.nan if lost else added.get(observation.name[0], 0.0))
+
+
+def _extra_sigma(before_dbhz: float, after_dbhz: float) -> NDArray[np.float64]:
+    """Standard deviations (2,) of the noise of range [m] and rate [m/s] that is added."""
+    strengths = np.array([after_dbhz, before_dbhz])
+    variances = np.array([code_sigma_m(strengths), rate_sigma_mps(strengths)]) ** 2
+    return np.asarray(np.sqrt(variances[:, 0] - variances[:, 1]))
+
+
+def _number(lines: Sequence[str], observation: Observation) -> float | None:
+    """What a field holds; None where it is blank or zero, which RINEX knows as "not observed"."""
+    column = observation.column
+    try:
+        value = float(lines[observation.at][column : column + VALUE])
+    except ValueError:
+        return None
+    return value if value != 0.0 and math.isfinite(value) else None
+
+
+def _write(lines: list[str], observation: Observation, added: float) -> None:
+    """Add to a field that holds a number; NaN makes it blank."""
+    before, column = _number(lines, observation), observation.column
+    if before is None or added == 0.0:
+        return
+    line = lines[observation.at].ljust(column + FIELD)
+    value, marks = f"{before + added:{VALUE}.3f}", line[column + VALUE : column + FIELD]
+    if math.isnan(added):
+        value, marks = " " * VALUE, " " * (FIELD - VALUE)
+    lines[observation.at] = (line[:column] + value + marks + line[column + FIELD :]).rstrip()
