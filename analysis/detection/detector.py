@@ -184,8 +184,8 @@ class Detector:
         core = outcome.core._replace(history=history if outcome.core.motion else ())
         if outcome.reason:
             return [untestable(epoch.t_us, outcome.reason, core.excluded)], core
-        said = decision(epoch, outcome, core, bool(late), config)
-        return [said, *imu_results(epoch, outcome, config)], core
+        decided = decision(epoch, outcome, core, bool(late), config)
+        return [decided, *imu_results(epoch, outcome, config)], core
 
     def _late(self, outcome: Outcome, core: Core, t_us: int) -> dict[str, int]:
         """Satellites found faulty now, and since when, where that was earlier."""

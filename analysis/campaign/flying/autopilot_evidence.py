@@ -48,18 +48,18 @@ def evidence_of(folder: Path) -> tuple[Evidence, float]:
     if summary["ended_early"]:
         end_s = float(since(truth["t_us"][-1:])[0])
         marks.append(Mark(end_s, "lost", summary["ended_early"]))
-    told_s = summary["moments_s"].get("landing", math.inf) - float(off_ground_s)
-    marks = sorted((mark for mark in marks if counts(mark, told_s)), key=lambda mark: mark.t_s)
+    landing_s = summary["moments_s"].get("landing", math.inf) - float(off_ground_s)
+    marks = sorted((mark for mark in marks if counts(mark, landing_s)), key=lambda mark: mark.t_s)
     return Evidence(curves, marks), float(since(truth["t_us"][-1:])[0])
 
 
-def counts(mark: Mark, told_s: float) -> bool:
+def counts(mark: Mark, landing_s: float) -> bool:
     """Whether a mark is of the flight: from leaving the ground until it was told to land.
 
     Its modes and flags on the way down come when it touches the ground, which two flights never do
     at the same moment; only a bad end of it counts.
     """
-    return mark.t_s >= 0.0 and (mark.t_s < told_s or mark.kind in ("lost", "crashed"))
+    return mark.t_s >= 0.0 and (mark.t_s < landing_s or mark.kind in ("lost", "crashed"))
 
 
 def attitude_curve(folder: Path, off_ground_s: float) -> dict[str, Curve]:

@@ -38,7 +38,7 @@ NOTHING_FOUND = 0.0, -1, -1, 0.0
 
 # Named tuples go into the compiled call as plain ones and get their names inside it: numba looks up
 # the class of each that crosses its boundary, either way, which takes a microsecond.
-Plain = tuple[Any, ...]
+Fields = tuple[Any, ...]
 # Of `Statistics` what stays of a quiet epoch: q, q_rate, parity, rates and parity_dof.
 Numbers = tuple[float, float, float, int, int]
 Found = tuple[float, int, int, float]  # the fields of `Strongest`
@@ -139,7 +139,7 @@ def _is_rare(core: Core, motion: Motion, config: DetectorConfig) -> bool:
 
 
 @compiled
-def _named(limits: Plain) -> Limits:
+def _named(limits: Fields) -> Limits:
     """The limits with their names."""
     ionosphere, sigma, noise, ramps, thresholds, mask_rad, gap_s, doppler = limits[:8]
     factors, total, dof = limits[8:]
@@ -159,14 +159,14 @@ def _named(limits: Plain) -> Limits:
 
 @compiled
 def _quiet(
-    measured_values: Plain,
+    measured_values: Fields,
     places: Indices,
     offset_m: Vector,
-    prior_values: Plain,
-    run_values: Plain,
+    prior_values: Fields,
+    run_values: Fields,
     t_us: int,
-    window_values: Plain,
-    limit_values: Plain,
+    window_values: Fields,
+    limit_values: Fields,
 ) -> tuple[bool, float, Numbers, Vector, Filtered, Found, Vector]:
     """Whether the epoch is quiet, the longest silence of the IMU, the tests, the innovations (2, n)
     in m and normalised, what `commit_to` gives, and the fields of a `Misfit` with those of the
@@ -205,12 +205,12 @@ def _quiet(
     step = Step(phi, dt_s, t_us, prior.inertial)
     after, found = commit_to(x, p, assessed.ranges, assessed.y, rates, step, windows, limits.ramps)
     strongest = found.ramp, found.window, found.satellite, found.rival
-    told = _told(assessed, offset_m, x, after[0], dt_s, limits)
-    return True, gap_s, numbers, innovations, after, strongest, told
+    fit = _bounds_now(assessed, offset_m, x, after[0], dt_s, limits)
+    return True, gap_s, numbers, innovations, after, strongest, fit
 
 
 @compiled
-def _told(
+def _bounds_now(
     assessed: Assessment, offset_m: Vector, x: Vector, after: Vector, dt_s: float, limits: Limits
 ) -> Vector:
     """How the ranges fit now, and the bounds of the position, as (7,); the state was x (21,) before
