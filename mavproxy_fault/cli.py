@@ -16,6 +16,7 @@ from threading import current_thread, main_thread
 from mavproxy_fault import __version__
 from mavproxy_fault.app.commands import OURS, Add
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.suggestion import near
 
 EPILOG = """\
 examples
@@ -43,7 +44,13 @@ ORDER = (
 
 
 def parser(command: str = "") -> argparse.ArgumentParser:
-    """The parser with every subcommand; with ours alone if `command` is one of them."""
+    """The parser with every subcommand; with ours alone if `command` is one of them.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such command.
+    """
     top = argparse.ArgumentParser(
         prog="mavproxy-fault",
         description="Apply sensor and link faults to MAVLink traffic, and see what happens.",
@@ -54,6 +61,8 @@ def parser(command: str = "") -> argparse.ArgumentParser:
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
     # Looking for plugins takes longer than a command of ours needs to start.
     adders = OURS if command in OURS else {**_registered(), **OURS}
+    if command and not command.startswith("-") and command not in adders:
+        raise ConfigError(f"{command}: is no command; {near(command, adders)}")
     # The order of the help; others' commands follow by name.
     for name in [*(n for n in ORDER if n in adders), *sorted(adders.keys() - set(ORDER))]:
         adders[name](commands)
@@ -95,8 +104,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     given = sys.argv[1:] if arguments is None else arguments
-    chosen = parser(given[0] if given else "").parse_args(given)
     try:
+        chosen = parser(given[0] if given else "").parse_args(given)
         # Commands return their exit code; whatever they raise besides a user's mistake stays loud.
         with _stoppable():
             code: int = chosen.main(chosen)

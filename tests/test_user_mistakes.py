@@ -72,3 +72,10 @@ def test_names_beyond_the_letters_of_the_terminal_are_escaped(folder: Path) -> N
     )
     assert done.returncode == 0, done.stderr
     assert rb"\U0001f600" in done.stdout
+
+
+def test_a_misspelt_command_is_answered_with_the_nearest(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(("injct", "bias")) == 2
+    assert capsys.readouterr().err == "mavproxy-fault: injct: is no command; did you mean inject?\n"

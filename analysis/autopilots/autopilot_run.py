@@ -73,7 +73,7 @@ def ahead_of_logs() -> Iterator[None]:
         yield
 
 
-def _step_back(policy: int, priority: os.sched_param) -> None:
+def _step_back(policy: int, priority: "os.sched_param") -> None:
     """Give a real-time priority back; the flag about forks only a privileged thread may drop."""
     try:
         os.sched_setscheduler(0, policy, priority)

@@ -10,6 +10,7 @@ for an output. An empty host is 127.0.0.1; to listen on all interfaces say 0.0.0
 """
 
 import re
+import select
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -19,6 +20,7 @@ from typing import Literal
 from mavproxy_fault import links
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.link import Link
+from mavproxy_fault.links.open_hint import open_hint
 
 # Scheme to kind of link, and kind to the file of this folder whose OPENERS open it. A further
 # kind is found in the file of its own name.
@@ -102,12 +104,14 @@ def open_link(spec: str | LinkSpec, *, bare_udp: Literal["udpin", "udpout"] = "u
         return _open(spec)
     except OSError as error:
         reason = error.strerror or str(error)
-        raise ConfigError(
-            f"{spec.text}: cannot be opened: {reason}; allowed: a free address or a device"
-        ) from error
+        hint = open_hint(spec.kind, spec.host, spec.port, error)
+        raise ConfigError(f"{spec.text}: cannot be opened: {reason}; {hint}") from error
 
 
 def _open(spec: LinkSpec) -> Link:
+    # One descriptor over several sockets: what macOS has for it is another call.
+    if spec.kind in ("tcp", "tcpin", "serial") and not hasattr(select, "epoll"):
+        raise ConfigError(f"{spec.text}: needs Linux; allowed on this system: udpin and udpout")
     opener = _openers(FILES.get(spec.kind, spec.kind))[spec.kind]
     return opener(spec.host, spec.port)
 

@@ -18,7 +18,7 @@ class Stream:
     """
 
     def __init__(
-        self, fileno: int, epoll: select.epoll, counters: LinkCounters, *, empty_is_end: bool
+        self, fileno: int, epoll: "select.epoll", counters: LinkCounters, *, empty_is_end: bool
     ) -> None:
         self.fileno = fileno
         self.open = True  # False while a TCP connection is still being made

@@ -87,6 +87,14 @@ def test_a_narrow_screen_shows_all_without_scrolling_sideways(page: Any, loop: A
     assert page.evaluate("document.documentElement.scrollWidth") <= 380
 
 
+def test_a_table_that_scrolls_sideways_can_be_reached_by_keys(page: Any) -> None:
+    tables = page.locator(".wide").all()
+    assert len(tables) == 2
+    for table in tables:
+        table.focus()
+        assert table.evaluate("(box) => box === document.activeElement")
+
+
 def test_the_header_says_when_blame_ended_and_why(page: Any, loop: Any) -> None:
     loop.epoch(10.0)
     loop.epoch(12.0, excluded=("G12",))

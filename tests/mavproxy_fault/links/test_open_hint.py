@@ -1,0 +1,46 @@
+import os
+from pathlib import Path
+
+import pytest
+
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links import open_hint
+from mavproxy_fault.links.spec import open_link
+
+
+@pytest.mark.parametrize("scheme", ["udpin", "tcpin"])
+def test_the_error_tells_who_holds_an_occupied_port(scheme: str) -> None:
+    first = open_link(f"{scheme}:127.0.0.1:0")
+    port = first.name.rsplit(":", 1)[1]
+    try:
+        with pytest.raises(ConfigError) as caught:
+            open_link(f"{scheme}:127.0.0.1:{port}")
+    finally:
+        first.close()
+    name = Path("/proc/self/comm").read_text().strip()
+    assert f"port {port} is held by {name} (process {os.getpid()})" in str(caught.value)
+    assert str(caught.value).endswith("; allowed: a free port, or 0 for any")
+
+
+def test_the_holder_stays_unnamed_where_the_system_does_not_show_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(open_hint, "PROC", tmp_path)
+    assert open_hint.holder(14550, tcp=False) == "port 14550 is held by another process"
+
+
+def test_listening_on_a_remote_address_points_to_sending() -> None:
+    # Reserved for documentation (RFC 5737): no machine has it.
+    with pytest.raises(ConfigError, match=r"; to send there say udpout:192\.0\.2\.1:14550$"):
+        open_link("udpin:192.0.2.1:14550")
+    with pytest.raises(ConfigError, match=r"; to send there say tcp:192\.0\.2\.1:14550$"):
+        open_link("tcpin:192.0.2.1:14550")
+
+
+def test_a_missing_device_lists_those_that_exist(monkeypatch: pytest.MonkeyPatch) -> None:
+    from serial.tools import list_ports, list_ports_common
+
+    devices = [list_ports_common.ListPortInfo(name) for name in ("/dev/ttyUSB1", "/dev/ttyACM0")]
+    monkeypatch.setattr(list_ports, "comports", lambda: devices)
+    with pytest.raises(ConfigError, match=r"; allowed: /dev/ttyACM0, /dev/ttyUSB1$"):
+        open_link("/dev/no-such-tty,57600")
