@@ -122,7 +122,7 @@ def main(path: Path) -> None:
         print("| spoof | alarm, s | epochs by verdict | error with sigma, m | without | position |")
         print("|---|---|---|---|---|---|")
         for title, faults in SPOOFS.items():
-            one = epochs[0].satellites[0]
+            one = next(name for name in epochs[0].satellites if name[0] in "GE")
             named = [{k: _with(v, one) for k, v in fault.items()} for fault in faults]
             found = answer(recording, named, at_s)
             alarm = "-" if found.alarm_s is None else f"{found.alarm_s:.0f}"

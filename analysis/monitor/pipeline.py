@@ -18,6 +18,7 @@ from analysis.detection.actuators.actuator_watch import ActuatorWatch
 from analysis.detection.actuators.effects import Effects, unknown_effects
 from analysis.detection.actuators.mutual_judgement import NEVER_US, judged
 from analysis.detection.actuators.obedience_kernel import CRASH_US, Obedience
+from analysis.detection.sensors.instance_vote import InstanceVote
 from analysis.detection.sensors.level_watch import LevelWatch
 from analysis.detection.sensors.sensor_tests import References
 from analysis.detection.sensors.stream_watch import StreamWatch
@@ -85,6 +86,8 @@ class Pipeline:
         self._detector_state = self._detector.new_state()
         self._streams = StreamWatch() if config.streams else None
         self._streams_state = StreamWatch().new_state()
+        self._vote = InstanceVote()
+        self._vote_state = self._vote.new_state()
         self._levels = LevelWatch()
         self._levels_state = self._levels.new_state()
         self._actuators = ActuatorWatch(config.actuators)
@@ -127,7 +130,8 @@ class Pipeline:
         if self._streams is not None:
             troubles, self._streams_state = self._streams.step(block, self._streams_state)
             left, self._levels_state = self._levels.step(block, self._levels_state)
-            troubles += left
+            voted, self._vote_state = self._vote.step(block, self._vote_state)
+            troubles += left + voted
         found += troubles
         obeyed, self._actuators_state = self._actuators.step(block, self._actuators_state)
         found += obeyed

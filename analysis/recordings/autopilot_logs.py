@@ -1,7 +1,7 @@
 """PX4's ULog and ArduPilot's dataflash logs as samples: what the autopilot's sensors measured.
 
-Of each kind of sensor the first is read: IMU, magnetometer, barometer, airspeed, range finder, GPS;
-and the autopilot's own attitude beside them.
+Of each kind of sensor the first is read: magnetometer, barometer, airspeed, range finder, GPS; of
+ArduPilot's IMUs all. The autopilot's own attitude comes beside them.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -21,6 +21,7 @@ from analysis.samples.block import (
     COMMAND_SOURCE,
     FIX,
     IMU,
+    IMU_ID,
     MAG,
     OUTPUTS,
     RANGE,
@@ -37,6 +38,7 @@ Topic = Mapping[str, NDArray[Any]]
 Columns = Callable[[Topic], list[NDArray[Any]]]
 Topics = Mapping[tuple[str, int], Topic]
 HEAD = 16
+IMUS = 3
 SYSTEM = 1  # whose attitude it is
 MILLIGAUSS = 1e-3
 PER_OUTPUT = 1e-3  # of a sample, for microseconds of a pulse
@@ -88,15 +90,22 @@ def _parts(
     """Kind, stamps and numbers of each topic that is there; the first of a kind is enough."""
     done: set[int] = set()
     for name, kind, columns in table:
-        topic = topics.get((name, 0))
-        if topic is None or kind in done:
+        if kind in done:
             continue
-        try:
-            values = np.column_stack(columns(topic)).astype(float)
-        except KeyError:  # another version of the autopilot; the next line may be its form
-            continue
-        done.add(kind)
-        yield kind, topic[stamp].astype(np.int64), values[:, :WIDTH]
+        for number in range(IMUS if name == "IMU" else 1):
+            topic = topics.get((name, number))
+            if topic is None:
+                continue
+            try:
+                values = np.column_stack(columns(topic)).astype(float)
+            except KeyError:  # another version of the autopilot; the next line may be its form
+                continue
+            if kind == IMU:
+                values[:, IMU_ID] = number
+            done.add(kind)
+            # The detector keeps to the IMU that speaks first.
+            spoken = topic[stamp] >= topics.get((name, 0), topic)[stamp][0]
+            yield kind, topic[stamp][spoken].astype(np.int64), values[spoken, :WIDTH]
 
 
 def _each(*names: str, scale: float = 1.0) -> Columns:

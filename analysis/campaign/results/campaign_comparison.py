@@ -89,6 +89,11 @@ def changes(old: Mapping[str, CellResult], new: Mapping[str, CellResult]) -> lis
         if is_now is not None and ABORTED not in (was.outcome, is_now.outcome):
             groups[was.cell.subject, was.cell.fault].append((was, is_now))
             groups[was.cell.subject, ALL].append((was, is_now))
+    faults = [subject for subject, fault in groups if fault != ALL]
+    for subject in set(faults):
+        # Of a single fault the sum says the same again, and would count as a second test.
+        if faults.count(subject) == 1:
+            del groups[subject, ALL]
     found = [_change(names, pairs) for names, pairs in groups.items()]
     # All probabilities at once: the correction depends on how many there are.
     corrected = holm([change.p_value for change in found])

@@ -18,7 +18,7 @@ from analysis.detection.sensors.level_kernel import (
     no_levels,
 )
 from analysis.results import SensorDecision
-from analysis.samples.block import EPOCH, FIX, FIX_TYPE, MAG, Block, Indices
+from analysis.samples.block import EPOCH, FIX, FIX_TYPE, KINDS, MAG, Block, Indices
 from analysis.samples.sample import Epoch, Vector
 
 FIX_3D = 3
@@ -28,6 +28,7 @@ REASONS = {
     HAS_FIX: "says that it has no fix",
     SIGNAL: "signals are {:.0f} dB off",
 }
+IN_LEVELS = np.isin(np.arange(len(KINDS)), (MAG, FIX, EPOCH))
 Quantities = tuple[int, Indices, Vector]  # of a level: rows of the block, and values
 
 
@@ -44,6 +45,8 @@ class LevelWatch:
 
         The state is changed in place.
         """
+        if not IN_LEVELS[block.kind].any():
+            return [], state
         quantities = [_field(block), _has_fix(block), _signal(block)]
         row = np.concatenate([rows for _, rows, _ in quantities])
         order = np.argsort(row, kind="stable")
@@ -70,14 +73,14 @@ def _has_fix(block: Block) -> Quantities:
 
 
 def _signal(block: Block) -> Quantities:
-    found = [(row, block.beside[row]) for row in block.rows(EPOCH).tolist()]
-    strengths = [
-        (row, float(np.nanmean(epoch.cn0_dbhz)))
-        for row, epoch in found
-        if isinstance(epoch, Epoch) and np.isfinite(epoch.cn0_dbhz).any()
-    ]
-    rows = np.array([row for row, _ in strengths], np.int64)
-    return SIGNAL, rows, np.array([strength for _, strength in strengths], float)
+    strengths = {}
+    for row in block.rows(EPOCH).tolist():
+        epoch = block.beside[row]
+        assert isinstance(epoch, Epoch)
+        known = epoch.cn0_dbhz[np.isfinite(epoch.cn0_dbhz)]
+        if len(known):
+            strengths[row] = known.mean()
+    return SIGNAL, np.array([*strengths], np.int64), np.array([*strengths.values()], float)
 
 
 def _result(t_us: int, level: int, off: float) -> SensorDecision:

@@ -15,6 +15,7 @@ HEAD = b"\xa3\x95"
 FORMATS = {  # name: (type, struct code, dataflash code, columns)
     "FMT": (128, "BB4s16s64s", "BBnNZ", "Type,Length,Name,Format,Columns"),
     "IMU": (10, "Qffffff", "Qffffff", "TimeUS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+    "IMU2": (16, "Qffffff", "Qffffff", "TimeUS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
     "MAG": (11, "Qhhh", "Qhhh", "TimeUS,MagX,MagY,MagZ"),
     "BARO": (12, "Qff", "Qff", "TimeUS,Alt,Press"),
     "GPS": (13, "QBBfiiffff", "QBBfLLffff", "TimeUS,Status,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ"),
@@ -39,6 +40,7 @@ def dataflash(path: Path, *names: str) -> Path:
         rows = {
             "GPS": (t_us + 3, 3, 12, 0.8, 470_000_000, 80_000_000 + tick, 500.0, 5.0, 90.0, -1.0),
             "IMU": (t_us, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8),
+            "IMU2": (t_us, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8),
             "MAG": (t_us + 1, 200, 0, 400),
             "BARO": (t_us + 2, 0.0, 95_000.0),
             "ATT": (t_us + 4, 0.0, 0.0, 90.0),
@@ -62,6 +64,12 @@ def test_a_dataflash_log_holds_what_the_monitor_needs(tmp_path: Path) -> None:
     assert (fix.lat_deg, fix.fix_type, fix.satellites) == (pytest.approx(47.0), 3, 12)
     assert fix.v_ned_mps == pytest.approx([0.0, 5.0, -1.0], abs=1e-6)
     assert block.sample(4).q_nb == pytest.approx([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
+
+
+def test_all_imus_of_a_dataflash_log_are_read(tmp_path: Path) -> None:
+    path = dataflash(tmp_path / "a.bin", "GPS", "IMU", "IMU2")
+    (block,) = read_log(path)
+    assert block.values[block.rows(IMU), 6].tolist() == 10 * [0.0, 1.0]
 
 
 def test_the_outputs_of_a_dataflash_log_are_read(tmp_path: Path) -> None:

@@ -41,6 +41,15 @@ def test_a_planted_regression_is_found_and_the_rest_is_not_blamed() -> None:
     assert found["gyro"].p_value == pytest.approx(3 * 0.5**12)
 
 
+def test_a_single_fault_is_one_test_and_not_two() -> None:
+    old = [result("detected", seed=seed) for seed in range(11)]
+    new = [result("degraded" if s < 9 else "unaffected", seed=s) for s in range(11)]
+    (change,) = changes(by_key(old), by_key(new))
+    assert change.fault == "gyro"
+    assert change.p_value == pytest.approx((1 + 11 + 55) * 0.5**11)
+    assert change.regressed
+
+
 def test_as_many_better_as_worse_is_chance() -> None:
     old = [result("degraded", seed=seed) for seed in range(20)]
     new = [result("lost" if s % 2 else "unaffected", seed=s) for s in range(20)]
