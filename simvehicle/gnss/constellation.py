@@ -146,6 +146,8 @@ def _over(navigation: Navigation, lat_rad: float, lon_rad: float) -> Navigation:
                         omega_rad=e.omega_rad + mirror,
                     )
                 ),
+                # The message of GPS carries the week modulo 1024: this is the rollover it counts
+                # from.
                 e.week // 1024 * 1024,
             )
             for e in sets

@@ -111,6 +111,7 @@ class GnssSensor:
                 clock.drift * float(rng.standard_normal()),
             ),
             wander=drawn,
+            # Drawn for a hot start, too: either start leaves the stream's later numbers the same.
             search_s=receiver.search_s * rng.standard_exponential(n),
             message_s=rng.uniform(*receiver.message_s, n),
             broadcast=self._broadcast(self.constellation.start_s, [None] * n),
@@ -132,6 +133,8 @@ class GnssSensor:
         step_s = 0.0 if state.t_us is None else (t_us - state.t_us) * US
         state = self._advanced(state, t_us, rng)
         count = len(self.constellation.satellites)
+        # For every satellite, tracked or not, and with the receiver off: a fault changes no draw,
+        # so the flight without it has the same noise.
         noise = rng.standard_normal((2, count))
         if state.faults.off:
             off = power_off(count, cold=True)
@@ -199,6 +202,8 @@ class GnssSensor:
         out = self._received(here, tow_s, state, noise)
         if state.faults.spoof.any():
             for spoof in spoofs(state.faults.spoof, state.spoofed, step_s):
+                # With the same clock and noise: the receiver is where it is, only the geometry is
+                # another.
                 made_up = self._received(spoof.place(here), tow_s, state, noise)
                 out[CODE, spoof.satellites] = made_up[CODE, spoof.satellites] + spoof.delay_m
                 out[RATE, spoof.satellites] = made_up[RATE, spoof.satellites] + spoof.delay_mps
@@ -235,6 +240,7 @@ class GnssSensor:
         n = len(self.constellation.satellites)
         draws = rng.standard_normal(3 * n + 2)
         tow_s = self.constellation.start_s + t_us * US
+        # The choice goes through all ephemerides, so it is made only when it may change.
         if tow_s > state.broadcast.until_s:
             old = state.broadcast
             new = self._broadcast(tow_s, old.chosen)
@@ -289,6 +295,7 @@ class GnssSensor:
         rate: Vector,
         cn0: Vector,
     ) -> PseudorangeReading:
+        # Inside, seconds count on beyond the week's end; those of a receiver begin anew.
         weeks, tow_s = divmod(tow_s, WEEK_S)
         return PseudorangeReading(
             t_us,

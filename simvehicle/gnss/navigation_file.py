@@ -84,6 +84,7 @@ def parse_navigation(lines: list[str], where: str) -> Navigation:
         ephemeris = _ephemeris(record, number, where)
         if ephemeris is not None and ephemeris.health == 0:
             when = ephemeris.week * WEEK_S + ephemeris.toe_s
+            # Of two with the same time of ephemeris the later one in the file stays.
             found.setdefault(ephemeris.satellite, {})[when] = ephemeris
     if not found:
         raise ConfigError(
@@ -141,6 +142,7 @@ def _records(lines: list[str], start: int, where: str) -> Iterator[tuple[int, li
 
 def _ephemeris(record: list[str], line: int, where: str) -> Ephemeris | None:
     """The ephemeris of one record; None for Galileo's F/NAV."""
+    # Some writers put "G 1" for G01.
     name = record[0][:3].replace(" ", "0")
     toc_s = _clock_time(record[0][4:23], line, where)
     clock = [_number(record[0][23 + 19 * k : 42 + 19 * k], line, where) for k in range(3)]

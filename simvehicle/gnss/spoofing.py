@@ -58,8 +58,10 @@ def spoofs(spoof: Vector, before: Vector, step_s: float) -> Iterator[Spoof]:
     step_s : float
         Time since then; 0 at the first epoch.
     """
+    # Satellites that pretend the same place share one computation of it.
     for change in np.unique(spoof[:, spoof.any(axis=0)], axis=1).T:
         satellites = (spoof == change[:, None]).all(axis=0)
         moved = (change - before[:, satellites][:, 0]) / step_s if step_s > 0.0 else 0.0 * change
+        # A leap is no motion: it shows in the code alone, not in the Doppler.
         rate = np.where(np.abs(moved) <= FASTEST_SPOOF_MPS, moved, 0.0)
         yield Spoof(change, rate, satellites)

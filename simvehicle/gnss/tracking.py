@@ -67,6 +67,7 @@ def next_tracking(
     search_s, message_s : (n,) arrays
         What a cold start takes to find a signal, and to read an ephemeris from then on.
     """
+    # Nothing came or went: the stamps stand as they are.
     if old.running and np.array_equal(signal, old.signal):
         return old
     wait_s = np.full(len(signal), receiver.reacquire_s)
@@ -78,5 +79,6 @@ def next_tracking(
     from_us = np.where(old.from_us == NEVER_US, found_us, old.from_us)
     from_us = np.where(signal, from_us, NEVER_US)
     read_us = from_us + np.where(signal, message_s * US_PER_S, 0.0).astype(np.int64)
+    # What has been read is kept; a reading that was cut off begins anew.
     message_us = np.where(message_us <= t_us, message_us, read_us)
     return Tracking(True, old.cold, signal, from_us, message_us)

@@ -102,6 +102,8 @@ class FixedWingController:
         if isinstance(self.track, PathTrack) and self.track.finished:
             end = self.track.look(north, east, 0.0)
             wait = self.circle(north, east, end.height_m, end.speed_mps)
+            # The centre lies to the right of the course, so that the vehicle is on the circle
+            # already.
             course, radius = math.atan2(ve, vn), wait.radius_m
             wait.north_m -= radius * math.sin(course)
             wait.east_m += radius * math.cos(course)
@@ -110,6 +112,7 @@ class FixedWingController:
         aim = self.track.look(north, east, ground_speed * self.roll_lag_s)
         if self.landing and truth.on_ground:
             return Controls(np.zeros(4))
+        # Close to the ground a bank would put a wing tip into it.
         room = max(0.0, min(1.0, (truth.height_agl_m - _LEVEL_M) / (_FREE_M - _LEVEL_M)))
         limit = self.bank_limit * room
         bank = max(-limit, min(limit, self._bank(aim, math.atan2(ve, vn), ground_speed)))
@@ -120,6 +123,7 @@ class FixedWingController:
         approach = self.track_gain * aim.cross_track_m / ground_speed
         wanted = aim.course_rad - math.asin(max(-0.95, min(0.95, approach)))
         error = math.remainder(wanted - course, 2.0 * math.pi)
+        # Only motion along the track has to follow its bend.
         along = ground_speed * max(0.0, math.cos(aim.course_rad - course))
         lateral = aim.curvature_pm * along * along + self.course_gain * ground_speed * error
         return math.atan(lateral / STANDARD_GRAVITY_MPS2)
@@ -146,6 +150,7 @@ class FixedWingController:
         roll, pitch, _ = euler_angles(truth.q_nb.tolist())
         p, q, r = truth.omega_b_rps.tolist()
         u, v, w = truth.v_air_b_mps.tolist()
+        # Gains are divided by the airspeed, which is zero on the runway.
         airspeed = max(math.sqrt(u * u + v * v + w * w), 0.5 * point.airspeed_mps)
         area = self.vehicle.parameters.wing.area_m2
         qs = 0.5 * truth.density_kgpm3 * airspeed * airspeed * area
@@ -162,6 +167,7 @@ class FixedWingController:
     def _pitch(self, truth: Truth, point: Trim, now: Now, wanted: float, climb: float) -> float:
         """Pitch for a climb rate; the angle of attack that carries the turn is fed forward."""
         aero, integrals = self.vehicle.aero, self._integrals
+        # At the limit of the climb rate, or on the ground, the integral would only wind up.
         if abs(wanted) < _CLIMB_LIMIT * now.airspeed and not truth.on_ground:
             integrals.climb += 0.15 * (wanted - climb) / now.airspeed / self.rate_hz
         integrals.climb = max(-0.15, min(0.15, integrals.climb))

@@ -96,6 +96,7 @@ def lap_of(shape: str, size_m: float, radius_m: float) -> list[Arc]:
 
 def smallest_size(shape: str, radius_m: float) -> float:
     """Smallest `size_m` of a shape whose corners have this radius [m]."""
+    # A rounded corner cuts the radius times the tangent of half its turn off both its sides.
     corner = math.tan(math.radians(60.0))
     blunt = math.tan(math.radians(30.0))
     return radius_m * {
@@ -190,5 +191,6 @@ def _laid(
 def _along(run: Array, bend: Array, course: Array) -> tuple[Array, Array]:
     """North and east moved by `run` metres of constant curvature."""
     half = 0.5 * bend * run
+    # numpy's sinc(x) is sin(pi x) / (pi x), so straights need no case of their own.
     chord = run * np.sinc(half / np.pi)
     return np.asarray(chord * np.cos(course + half)), np.asarray(chord * np.sin(course + half))

@@ -120,5 +120,6 @@ class HoldTrack:
         """Aim at the point, slower and slower."""
         dn, de = self.north_m - north_m, self.east_m - east_m
         distance = math.hypot(dn, de)
+        # Within 3 m the braking law gets too steep to follow: the speed goes with the distance.
         speed = min(self.speed_mps, math.sqrt(2.0 * _BRAKE_MPS2 * distance), distance)
         return Aim(math.atan2(de, dn), 0.0, 0.0, self.height_m, speed, distance)

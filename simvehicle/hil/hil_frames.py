@@ -120,6 +120,7 @@ class Hil:
             else:
                 out.append(self._build(*self._message(reading)))
         if t_us >= self._heartbeat_us:
+            # The next whole second: a late heartbeat does not move those after it.
             self._heartbeat_us = t_us - t_us % HEARTBEAT_US + HEARTBEAT_US
             out.append(self._build(*self._heartbeat()))
         out.append(self.truth(stamp, truth))

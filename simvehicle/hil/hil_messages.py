@@ -152,8 +152,9 @@ def battery(reading: BatteryReading, consumed_mah: float) -> Message:
     """BATTERY_STATUS: the pack as one cell."""
     return BATTERY_STATUS, {
         "current_consumed": round(consumed_mah),
-        "energy_consumed": -1,
+        "energy_consumed": -1,  # not measured
         "temperature": TEMPERATURE_UNKNOWN,
+        # One below the field's largest value, which says that there is no such cell.
         "voltages": (limited(reading.voltage_v * 1e3, 0, 0xFFFE), *CELLS_UNUSED),
         "current_battery": limited(reading.current_a * 100, -0x8000, 0x7FFF),
         "battery_remaining": limited(reading.remaining * 100, 0, 100),

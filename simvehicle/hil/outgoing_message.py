@@ -34,4 +34,4 @@ def message(name: str, **values: object) -> Message:
 
 def statustext(text: str, severity: int = 6) -> Message:
     """STATUSTEXT; severity 6 is MAV_SEVERITY_INFO."""
-    return message("STATUSTEXT", severity=severity, text=text.encode()[:50])
+    return message("STATUSTEXT", severity=severity, text=text.encode()[:50])  # the field's size

@@ -91,7 +91,7 @@ class Leg(_Section, frozen=True):
     shape: Shape
     size_m: float = 600.0
     height_m: float = 100.0
-    speed_mps: float | None = None
+    speed_mps: float | None = None  # None is the vehicle's cruise
     laps: int = 1
 
     def __post_init__(self) -> None:
@@ -141,7 +141,7 @@ class GustChoice(_Section, frozen=True):
 class ShearChoice(_Section, frozen=True):
     """Power law of the wind over height; `wind_ned_mps` is that at `reference_m`."""
 
-    reference_m: float = 10.0
+    reference_m: float = 10.0  # where weather stations measure wind
     exponent: float = 1.0 / 7.0
 
     def __post_init__(self) -> None:
@@ -165,7 +165,7 @@ class Environment(_Section, frozen=True):
 class Sensors(_Section, frozen=True):
     """The sensors on board; a list stands for several of a kind, with ids 0, 1, ..."""
 
-    imu: Imu | list[Imu] = Imu()
+    imu: Imu | list[Imu] = Imu()  # always on board: its rate is that of the simulation's steps
     mag: Magnetometer | list[Magnetometer] | None = None
     baro: Barometer | list[Barometer] | None = None
     airspeed: Airspeed | None = None
@@ -184,7 +184,7 @@ class Scenario(_Section, frozen=True):
     duration_s: float = 120.0
     start: Start = Start()
     vehicle: VehicleChoice = VehicleChoice()
-    mission: list[Leg] = []
+    mission: list[Leg] = []  # msgspec makes a new list for each scenario
     controls: OpenLoop | None = None
     environment: Environment = Environment()
     sensors: Sensors = Sensors()

@@ -49,6 +49,7 @@ class OpticalFlow(SensorParameters, frozen=True, kw_only=True):
     ) -> tuple[FlowReading, FlowState]:
         """One reading; quality is 0 where the ground is out of range."""
         (flow_x, flow_y), flow_state = self.flow.next(state.flow, rng, self.rate_hz)
+        # The flow board has a gyro of its own, whose errors are not those of the IMU.
         (gyro_x, gyro_y, gyro_z), gyro_state = self.gyro.next(state.gyro, rng, self.rate_hz)
         dt = 1.0 / self.rate_hz
         distance = slant_range(truth)

@@ -28,7 +28,9 @@ class GpsError(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Gauss-Markov position error: nu[n+1] = exp(-k T) nu[n] + eta, eta of `kick_m` per sample."""
 
     kick_m: float
-    k_per_s: float = 1.0 / 1100.0
+    k_per_s: float = (
+        1.0 / 1100.0
+    )  # of the book's receiver: an error that wanders over some 18 minutes
 
     def noise(self, rate_hz: float) -> Noise:
         """The same process in the terms of the shared error model."""
@@ -82,7 +84,7 @@ class Gps(SensorParameters, frozen=True, kw_only=True):
             math.degrees(lon),
             truth.alt_msl_m + height[0],
             (gain * vn + speed[0], gain * ve + speed[1], gain * vd + speed[2]),
-            3,
+            3,  # MAVLink's fix_type: three-dimensional
             self.satellites,
             self.eph_m,
             self.epv_m,

@@ -12,6 +12,7 @@ Vector = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 
+# Readings hold no references that could form a cycle: the garbage collector need not look.
 class ImuReading(msgspec.Struct, frozen=True, gc=False):
     """Rates (3,) in rad/s and specific force (3,) in m/s^2, body axes forward-right-down."""
 
@@ -34,7 +35,7 @@ class PressureReading(msgspec.Struct, frozen=True, gc=False):
 
     t_us: int
     pressure_pa: float
-    pressure_alt_m: float
+    pressure_alt_m: float  # in the standard atmosphere, whatever the weather
     temperature_c: float
     id: int = 0
 
@@ -54,7 +55,7 @@ class GpsReading(msgspec.Struct, frozen=True, gc=False):
     lon_deg: float
     alt_m: float
     v_ned_mps: Triple
-    fix_type: int
+    fix_type: int  # MAVLink's GPS_FIX_TYPE
     satellites: int
     eph_m: float
     epv_m: float
@@ -103,7 +104,7 @@ class FlowReading(msgspec.Struct, frozen=True, gc=False):
     flow_xy_rad: tuple[float, float]
     gyro_xyz_rad: Triple
     distance_m: float
-    quality: int
+    quality: int  # 0 is bad, 255 the best, as in MAVLink
 
 
 class VisionReading(msgspec.Struct, frozen=True, gc=False):

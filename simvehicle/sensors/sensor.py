@@ -47,6 +47,7 @@ class SensorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
             raise ValueError(f"rate_hz = {self.rate_hz} is out of range; above 0, at most 2000")
         if self.latency_s < 0.0:
             raise ValueError(f"latency_s = {self.latency_s} is negative; 0 or more is allowed")
+        # On the wire an id is one byte.
         if not 0 <= self.id <= 255:
             raise ValueError(f"id = {self.id} is out of range; 0 to 255 is allowed")
         for name, count in self.channels.items():

@@ -51,12 +51,14 @@ class Vision(SensorParameters, frozen=True, kw_only=True):
         rate = self.rate_hz
         place, position = self.position.next(state.position, rng, rate)
         speed, velocity = self.velocity.next(state.velocity, rng, rate)
+        # The attitude has no scale: its error is a small rotation in body axes.
         tilt, attitude = self.attitude.next(state.attitude, rng, rate)
         reading = VisionReading(
             truth.t_us,
             _measured(truth.r_ned_m, self.position.scale, place),
             _measured(truth.v_ned_mps, self.velocity.scale, speed),
             turned(truth.q_nb.tolist(), tilt),
+            # A claimed sigma is never 0: no estimator can use a measurement without variance.
             max(self.position.sigma, 0.01),
             max(self.velocity.sigma, 0.01),
             self.message == "ODOMETRY",

@@ -74,6 +74,7 @@ class Kind(NamedTuple):
 
 
 def _wing_controller(vehicle: FixedWing, density: float, home_alt_m: float) -> FixedWingController:
+    # Without a rudder, ailerons that hold the bank tightly yaw the nose away until it spins.
     kind = FixedWingController if has_rudder(vehicle) else RudderlessController
     return kind(vehicle, density, home_alt_m)
 
@@ -112,6 +113,7 @@ def kind_of(name: str) -> Kind:
     ConfigError
         If there is no such kind.
     """
+    # The shipped kinds come first: no installed package can change what a scenario means.
     if name in KINDS:
         return KINDS[name]
     others = {point.name: point for point in entry_points(group=GROUP)}

@@ -23,6 +23,7 @@ class Fitted:
         # By name: a further sensor leaves the numbers of the others as they were.
         self.rng = np.random.default_rng([seed, crc32(name.encode())])
         self.state: Any = sensor.new_state(self.rng)
+        # The first sample is due one period after the start: at t_us = 0 nothing is delivered.
         self.count = 1
         self.due_us = 1e6 / sensor.rate_hz
         self.latency_us = round(sensor.latency_s * 1e6)

@@ -76,13 +76,16 @@ class Simulation:
         self._rate_hz = self._fitted[0].sensor.rate_hz
         self._count = 0
         self._t_us = 0
+        # A heap by the time of delivery, then in the order of sampling.
         self._late: list[tuple[int, int, Reading]] = []
         self._order = itertools.count()
         self._controls = np.zeros(self.vehicle.controls_count)
         self._commands = self._controls
         self._place = self.home.packed
         self._x = self._begin()
+        # No step has been made: specific force and battery of this first truth are zero.
         self.truth = self._observe(np.zeros(6), self._weather.steady_mps.copy())
+        # After the first truth, as its gains are made for the air density there.
         self.controller = self._controller()
         self._next_control_us = 0.0
         if scenario.mission:
@@ -97,6 +100,7 @@ class Simulation:
         """What the built-in controller commands for the next step, in the vehicle's order."""
         if self._t_us >= self._next_control_us:
             self._commands = self.controller.update(self.truth).values
+            # Added up, not counted from now: the mean rate is right where steps do not divide it.
             self._next_control_us += 1e6 / self.controller.rate_hz
         return self._commands
 
@@ -231,6 +235,7 @@ class Simulation:
             scenario.mission,
             (float(self._x[0]), float(self._x[1]), math.radians(scenario.start.heading_deg)),
             self.vehicle.parameters.cruise_mps,
+            # A turn flown downwind is the widest; the corners are rounded for it.
             math.hypot(north_mps, east_mps) if controller.drifts else 0.0,
             controller.lateral_mps2,
         )
@@ -288,6 +293,7 @@ class Simulation:
                 # The number keeps readings of one time in order: a heap cannot compare readings.
                 heapq.heappush(self._late, (t_us + fitted.latency_us, next(self._order), reading))
         while self._late and self._late[0][0] <= t_us:
+            # Stamped at delivery: nobody on the link can see how old the measurement is.
             out.append(msgspec.structs.replace(heapq.heappop(self._late)[2], t_us=t_us))
         return out
 

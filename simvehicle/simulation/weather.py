@@ -34,6 +34,7 @@ class Weather:
         law = (shear.reference_m, shear.exponent) if shear else _NO_SHEAR
         steady = environment.wind_ned_mps
         self._law = np.array([*gusts.sigma_mps, *gusts.length_m, *law, *steady])
+        # A view, no copy: what a plant fault writes here is in force at the next step.
         self.steady_mps: Array = self._law[STEADY:]
 
     def wind(self, x: Array, truth: Truth, dt: float) -> Array:
