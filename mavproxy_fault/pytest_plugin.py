@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+# pytest loads this file in every project where we are installed: what is heavy is imported by the
+# fixtures.
 if TYPE_CHECKING:
     from mavproxy_fault.api.flight_run import Run
     from mavproxy_fault.api.proxy_handle import Proxy
@@ -25,7 +27,7 @@ MASTER, OUT, COMMAND = "fault_master", "fault_out", "fault_autopilot"
 SIMULATED = (
     f"{shlex.quote(sys.executable)} -m mavproxy_fault.cli sim --gcs udpout:127.0.0.1:{{port}}"
 )
-ENDS_S = 10.0
+ENDS_S = 10.0  # for a vehicle to close its logs, before it is killed
 FOLDERS = pytest.StashKey[dict[Path, Path]]()  # a folder of logs to the report that it has
 FAILED = pytest.StashKey[bool]()
 
@@ -55,6 +57,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, Any]:
     """Tell in a failure where the logs and the report lie."""
     report = yield
+    # Noted before the fixtures are torn down: they look at it then.
     if report.when == "call" and report.failed:
         item.stash[FAILED] = True
         for folder, page in item.stash.get(FOLDERS, {}).items():
@@ -72,6 +75,7 @@ def fault_proxy(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator["Pro
     master, out = (request.config.getini(name) for name in (MASTER, OUT))
     with Proxy(master, out, schedule=_schedule(request.node), logdir=folder) as proxy:
         yield proxy
+    # The proxy is closed by now: only then are its logs whole.
     if request.node.stash.get(FAILED, False):
         _write_report(folder)
 
@@ -84,6 +88,7 @@ def autopilot(
     vehicle, station = fault_proxy.addresses
     words = shlex.split(request.config.getini(COMMAND).replace("{port}", vehicle.rsplit(":", 1)[1]))
     with (tmp_path / "autopilot.log").open("wb") as log:
+        # In a session of its own: a vehicle may start further programs, and all are to end.
         process = subprocess.Popen(
             words, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
         )
@@ -118,6 +123,7 @@ def _schedule(item: pytest.Item) -> dict[str, Any]:
     from mavproxy_fault.app.inject import live_entry
 
     faults = []
+    # pytest gives the marker nearest to the function first.
     for mark in reversed(list(item.iter_markers("fault"))):
         name, keys = mark.args[0], dict(mark.kwargs)
         target, value = keys.pop("target", None), keys.pop("value", None)

@@ -113,6 +113,7 @@ def run(
         words += ["--seed", str(seed)]
     # The same interpreter, so the same environment and packages.
     command = [sys.executable, "-m", "mavproxy_fault.cli", "run", *words]
+    # Without the bus, on whose one address flights of tests in parallel would meet.
     command += ["--out", str(folder), "--zenoh", "off", "--speed", "max"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     # Its own text without the command's name: the caller's exception names itself.

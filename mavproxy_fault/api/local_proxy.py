@@ -66,6 +66,7 @@ class LocalProxy:
         self._server.join(self._live)
         self._failure: BaseException | None = None
         self._wake, self._woken = socket.socketpair()
+        # A daemon: a program that forgets to close its proxy must still be able to end.
         self._thread = threading.Thread(target=self._run, name="mavproxy-fault", daemon=True)
         self._thread.start()
 

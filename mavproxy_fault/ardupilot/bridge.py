@@ -129,6 +129,7 @@ class Bridge:
         if truth is None:
             return
         for _ in self.physics.read():
+            # 2500 us are a step at 400 Hz: ArduPilot gets to its end only while time goes on.
             later = truth._replace(t_us=(self._sent_us or truth.t_us) + 2500)
             self._sent_us = later.t_us
             self.physics.write(self._feed.step(self._readings, later).physics)
@@ -168,6 +169,7 @@ class Bridge:
 
     def _outputs(self, packet: ServoPacket) -> None:
         """ArduPilot has worked a step off, or asks again for the next one."""
+        # An unchanged count is a request repeated, not an answer to a step.
         if packet.accepted != self._accepted and self._sent_us is not None:
             channels = self._channels(packet.pwm_us)
             self._inbox.link.write(

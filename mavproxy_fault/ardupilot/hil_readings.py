@@ -95,6 +95,7 @@ class Readings:
         return False
 
     def _sensor(self, frame: Frame) -> None:
+        # MAVLink 2 cuts trailing zeros off a payload.
         _, *values, updated, number = _SENSOR.unpack(frame.payload.ljust(_SENSOR.size, b"\0"))
         ax, ay, az, p, q, r, mx, my, mz, pressure, diff_pressure, _, temperature_c = values
         self.imus[number] = Imu(

@@ -62,4 +62,5 @@ def state_line(state: BodyState) -> bytes:
 
 
 def _vector(values: Sequence[float]) -> str:
+    # Nine digits carry every float32 unchanged.
     return "[" + ",".join([f"{value:.9g}" for value in values]) + "]"

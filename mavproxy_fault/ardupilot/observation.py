@@ -47,6 +47,7 @@ def observe(inbox: Inbox, kind: Kind) -> Seen:
     sensors: set[tuple[str, int]] = set()
     hello_s = 0.0
     first: TrueState | None = None
+    # In the vehicle's time: of a slow simulator as many steps are wanted.
     while first is None or stamps[-1] - stamps[0] < OBSERVE_US:
         now_s = time.monotonic()
         if now_s >= hello_s and link.peer_count:

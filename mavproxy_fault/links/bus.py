@@ -137,6 +137,7 @@ class Bus:
         for reply in self._session.get(self.key(suffix), payload=payload, timeout=timeout_s):
             if reply.ok is None:
                 text = reply.err.payload.to_string()
+                # Our own refusals are JSON, Zenoh's errors (such as a time-out) are plain text.
                 raise ConfigError(json.loads(text)["error"] if text[:1] == "{" else text)
             replies.append(reply.ok.payload.to_bytes())
         if not replies:

@@ -65,5 +65,6 @@ def _filled(folder: Path) -> Path:
 
 
 def _write(path: Path, text: str) -> None:
+    # Closed to others before the password is in it.
     path.touch(mode=0o600)
     path.write_text(text)

@@ -46,7 +46,7 @@ class _Message(ctypes.Structure):
         ("control", ctypes.c_void_p),
         ("control_length", ctypes.c_size_t),
         ("flags", ctypes.c_int),
-        ("padding", ctypes.c_int),
+        ("padding", ctypes.c_int),  # `struct msghdr` ends at a multiple of eight bytes
         ("length", ctypes.c_uint),
     )
 
@@ -107,6 +107,7 @@ class BatchReceiver:
         """The raw addresses and bytes of datagrams that wait, at most 64."""
         count = _LIBC.recvmmsg(self._fileno, self._messages, BATCH, DONTWAIT, None)
         found = []
+        # The count is -1 where nothing waits: then there is nothing to go through.
         for n in range(count):
             message = self._messages[n]
             name = bytes(self._name_view[n * NAME : n * NAME + message.name_length])

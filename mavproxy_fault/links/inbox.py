@@ -23,6 +23,7 @@ class Inbox:
             select.select([self.link.fileno()], [], [], wait_s)
         found = []
         for stream, data in self.link.read():
+            # The stream has ended: its half frame must not be joined with what comes next.
             if not data:
                 self._parsers.pop(stream, None)
                 continue

@@ -66,6 +66,8 @@ class SerialPort:
         if hung_up or not stands:
             self._lose()
             chunks.append((self._number, b""))
+            # What comes after plugging in is another stream: half a frame of the old one stays
+            # half.
             self._number += 1
         return chunks
 

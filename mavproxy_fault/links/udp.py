@@ -78,6 +78,7 @@ class UdpServer(_UdpSocket):
             counters.bytes_in += len(data)
             if not self.hear(address, data, now_s):
                 counters.refused += 1
+            # UDP allows empty datagrams, but empty bytes tell the reader that a stream has ended.
             elif data:
                 chunks.append((0, data))
         return chunks
@@ -100,7 +101,7 @@ class UdpClient(_UdpSocket):
     def __init__(self, host: str, port: int) -> None:
         super().__init__(host, port, listen=False)
         self.name = f"udpout:{host}:{port}"
-        self.peer_count = 1
+        self.peer_count = 1  # whether anybody listens there cannot be known
 
     def read(self) -> list[Chunk]:
         """The datagrams that wait."""
@@ -132,6 +133,7 @@ def _send(
 ) -> None:
     """Send and count; a refusal belongs to an earlier datagram and is cleared by reporting it."""
     if not send(sock.fileno(), data, address):
+        # The kernel reports that an earlier datagram was refused at the next call: once more.
         counters.errors += 1
         if not send(sock.fileno(), data, address):
             counters.drops += 1

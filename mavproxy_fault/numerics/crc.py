@@ -20,6 +20,7 @@ def slicing_tables() -> "array[int]":
         for _ in range(8):
             crc = crc >> 1 ^ (POLYNOMIAL if crc & 1 else 0)
         tables[byte] = crc
+    # One more zero behind the byte is one more step of the register.
     for at in range(256, len(tables)):
         shorter = tables[at - 256]
         tables[at] = shorter >> 8 ^ tables[shorter & 0xFF]

@@ -60,6 +60,7 @@ def lower(s: Vector) -> Vector:
     low = np.zeros((n, n))
     for i in range(n):
         for j in range(i + 1):
+            # Rounding leaves a covariance a little asymmetric: the mean of both halves counts.
             total = 0.5 * (s[i, j] + s[j, i])
             for k in range(j):
                 total -= low[i, k] * low[j, k]

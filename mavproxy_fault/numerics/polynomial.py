@@ -21,7 +21,7 @@ _ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it leaves the nearest integer 
 _HALF_PI_HEAD = 2.0 * 7.85398125648498535156e-1
 _HALF_PI_MIDDLE = 2.0 * 3.77489470793079817668e-8
 _HALF_PI_TAIL = 2.0 * 2.69515142907905952645e-15
-_TINY = 1e-300
+_TINY = 1e-300  # keeps 0 / 0 out of the angle at the origin
 _intrinsic: Callable[[Any], Callable[..., Any]] = intrinsic
 
 
@@ -63,6 +63,7 @@ def sin_cos(x: float) -> tuple[float, float]:
     shifted = x * (2.0 / math.pi) + _ROUND
     k = shifted - _ROUND
     quadrant = _bits(shifted)
+    # Half pi in three parts (Cody and Waite): one rounded constant would cost digits of r.
     r = ((x - k * _HALF_PI_HEAD) - k * _HALF_PI_MIDDLE) - k * _HALF_PI_TAIL
     z = r * r
     s = fma(1.58962301576546568060e-10, z, -2.50507477628578072866e-8)
@@ -95,6 +96,7 @@ def exp(x: float) -> float:
     odd = fma(2.5108784815228029737e-8, z, 2.7557245762879120345e-6)
     odd = fma(fma(odd, z, 1.9841269883495880177e-4), z, 8.3333333333232438988e-3)
     odd = fma(odd, z, 1.6666666666666673591e-1)
+    # Two to the k, made of its exponent bits.
     power: float = _float((_bits(shifted) + 1023) << 52)
     result: float = (1.0 + fma(z, fma(r, odd, even), r)) * power
     return result

@@ -194,6 +194,7 @@ def errors(q_estimate: Vector | Quaternion, q_truth: Vector | Quaternion) -> Err
 def between(q0: Quaternion, q1: Quaternion, share: float) -> Quaternion:
     """Along the shorter way from q0 (share 0) to q1 (share 1), normalised linear."""
     dot = q0[0] * q1[0] + q0[1] * q1[1] + q0[2] * q1[2] + q0[3] * q1[3]
+    # q and -q are one attitude: the nearer of the two is meant.
     other = share if dot >= 0.0 else -share
     one = 1.0 - share
     w, x = one * q0[0] + other * q1[0], one * q0[1] + other * q1[1]

@@ -9,6 +9,7 @@ class BitReader:
     __slots__ = ("_remaining_bits", "_value")
 
     def __init__(self, data: bytes) -> None:
+        # One large integer: a field is a shift and a mask, wherever it begins.
         self._value = int.from_bytes(data, "big")
         self._remaining_bits = 8 * len(data)
 
@@ -64,10 +65,12 @@ def pack_columns(columns: Iterable[tuple[Sequence[int], int]]) -> bytes:
     for values, width in columns:
         if not values:
             continue
+        # Whether a field is signed is not known here, so the ranges of both pass.
         if not (-(1 << (width - 1)) <= min(values) and max(values) < 1 << width):
             wrong = next(v for v in values if not -(1 << (width - 1)) <= v < 1 << width)
             raise ValueError(f"{wrong} does not fit {width} bits")
         mask = (1 << width) - 1
+        # A run is joined by itself first: each shift of the whole message copies all of it.
         run = 0
         for value in values:
             run = run << width | value & mask

@@ -157,6 +157,7 @@ def encode_ephemeris(ephemeris: Ephemeris) -> bytes:
         If a value does not fit its field.
     """
     system = ephemeris.satellite[0]
+    # GPS sends ten bits of its week, Galileo twelve bits of a week that it counts itself.
     week = ephemeris.week % 1024 if system == "G" else ephemeris.week - GALILEO_WEEK_OFFSET
     extra = {
         "number": NUMBERS[system],
@@ -171,6 +172,7 @@ def encode_ephemeris(ephemeris: Ephemeris) -> bytes:
         value = extra[name] if name in extra else getattr(ephemeris, name)
         count = round(value / step)
         if name in _WRAPPED:
+            # Half a turn would round to one count more than the field holds.
             count = (count + 2**31) % 2**32 - 2**31
         fields.append((count, abs(bits)))
     return wrap(pack_bits(fields))
@@ -189,6 +191,7 @@ def decode_ephemeris(message: bytes, rollover_week: int = ROLLOVER_WEEK) -> Ephe
     if number not in SYSTEMS:
         raise ValueError(f"RTCM {number} is no ephemeris of GPS or Galileo (1019, 1046)")
     system = SYSTEMS[number]
+    # From the beginning again, as the tables start with the message's number.
     bits = BitReader(body)
     values = {}
     for name, width, step in _ROWS[system]:

@@ -201,6 +201,7 @@ def patch_msm7(message: bytes, changes_m: Mapping[str, float], lost: Collection[
         name = f"{system}{number:02d}"
         if name not in lost:
             satellites[number] = _moved(satellite, changes_m.get(name, 0.0))
+    # Not encoded anew: what no fault touched leaves byte for byte as it came.
     if satellites == raw.satellites:
         return message
     return _encode(replace(raw, satellites=satellites))
@@ -215,6 +216,7 @@ def _range_counts(range_m: float) -> tuple[int, int]:
 
 def _rate_counts(rate: float) -> tuple[int, int]:
     """Whole metres per second, and tenths of millimetres per second beyond them."""
+    # Written so that NaN is out of range, too.
     if not abs(rate) < -RATE_INVALID:
         return RATE_INVALID, FINE_RATE_INVALID
     whole = round(rate)
@@ -268,6 +270,7 @@ def _moved(satellite: _Satellite, change_m: float) -> _Satellite:
     fines = [cell[0] + counts for cell in satellite.cells.values() if cell[0] != FINE_INVALID]
     steps = 0
     if fines and not all(FINE_INVALID < fine < -FINE_INVALID for fine in fines):
+        # One number of steps for all signals, since they share the rough range.
         steps = round(sum(fines) / len(fines) / FINE_PER_ROUGH)
     rough = satellite.rough_ms * ROUGH + satellite.rough + steps
     if not 0 <= rough < ROUGH_INVALID * ROUGH:

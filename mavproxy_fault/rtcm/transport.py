@@ -132,6 +132,7 @@ def fragments(message: bytes, sequence: int) -> list[bytes]:
     flags = sequence % SEQUENCES << 3
     if len(message) <= FRAGMENT_BYTES:
         return [bytes((flags,)) + message]
+    # Not rounded up: after full fragments, unless they are four, an empty one ends the message.
     count = min(len(message) // FRAGMENT_BYTES + 1, FRAGMENTS_MAX)
     return [
         bytes((flags | number << 1 | 1,))

@@ -18,7 +18,7 @@ from typing import Any
 CODES = {
     "char": "c",
     "uint8_t": "B",
-    "uint8_t_mavlink_version": "B",
+    "uint8_t_mavlink_version": "B",  # pymavlink's name for the version in HEARTBEAT
     "int8_t": "b",
     "uint16_t": "H",
     "int16_t": "h",
@@ -29,6 +29,7 @@ CODES = {
     "float": "f",
     "double": "d",
 }
+# Little-endian and without padding, as MAVLink lays its fields out.
 PACKERS = {code: struct.Struct("<" + code) for code in CODES.values()}
 
 
@@ -54,6 +55,7 @@ class Field:
     def __post_init__(self) -> None:
         code = CODES[self.type]
         size = PACKERS[code].size
+        # Set once, though frozen: reading a value must not look them up each time.
         object.__setattr__(self, "code", code)
         object.__setattr__(self, "packer", PACKERS[code])
         object.__setattr__(self, "size", size)
@@ -107,6 +109,7 @@ def layout(key: str | int) -> Layout | None:
         one = Field(field_name, type_name, count, unit, extension, offset)
         fields[field_name] = one
         offset += one.length
+        # Extensions come last, so the length of MAVLink 1 ends before the first of them.
         if not extension:
             base_length = offset
     return Layout(

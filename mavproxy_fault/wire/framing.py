@@ -28,7 +28,7 @@ def _access(bits: int) -> tuple[Any, Any]:
         def code(__: Any, builder: Any, ___: Any, values: Any) -> Any:
             pointer = builder.inttoptr(values[0], ir.IntType(bits).as_pointer())
             loaded = builder.load(pointer)
-            loaded.align = 1
+            loaded.align = 1  # frames begin at any byte
             return loaded
 
         return word(types.uint64), code

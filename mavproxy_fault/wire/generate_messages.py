@@ -22,6 +22,7 @@ def extension_fields() -> dict[str, set[str]]:
             continue
         for message in ET.fromstring(path.read_text()).iter("message"):
             tags = list(message)
+            # Every field behind the empty tag <extensions/> is one.
             marks = [i for i, tag in enumerate(tags) if tag.tag == "extensions"]
             names = (
                 {t.attrib["name"] for t in tags[marks[0] :] if t.tag == "field"} if marks else set()
@@ -59,4 +60,5 @@ def table() -> dict[str, Any]:
 
 if __name__ == "__main__":
     rows = (f"{json.dumps(name)}: {json.dumps(entry)}" for name, entry in table().items())
+    # One message a line: a new release of pymavlink shows as the lines that it changes.
     TABLE.write_text("{\n" + ",\n".join(rows) + "\n}\n")

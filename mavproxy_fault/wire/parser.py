@@ -175,6 +175,7 @@ def begins_with_frame(data: bytes) -> bool:
 
 def _possible(body: bytes, crc: int) -> bool:
     """Whether some CRC extra gives this CRC."""
+    # The last step takes in the extra: it shifts the register and adds one entry of the table.
     return crc ^ (mcrf4xx(body) >> 8) in STEPS
 
 

@@ -64,8 +64,10 @@ def plant_change(frame: Frame) -> PlantChange | None:
     if frame.layout.name != "TUNNEL" or frame.number("payload_type") != PAYLOAD_TYPE:
         return None
     start = frame.layout.fields["payload"].offset
+    # JSON ends in no zero byte, so that MAVLink 2 has cut nothing off it.
     data = frame.payload[start : start + int(frame.number("payload_length"))]
     try:
         return msgspec.json.decode(data, type=PlantChange)
+    # A peer's bytes may be anything: what cannot be read changes nothing.
     except msgspec.MsgspecError:
         return None

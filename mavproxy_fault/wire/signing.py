@@ -54,6 +54,7 @@ class Verifier:
 
 def resigned(frame: Frame, key: bytes) -> Frame:
     """A changed frame signed again, with the link id and stamp it came with."""
+    # With a newer stamp the sender's own next frames would look like replayed ones.
     return Frame(frame.raw[:-DIGEST_LENGTH] + _digest(key, frame.raw), frame.layout)
 
 
