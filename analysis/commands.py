@@ -16,13 +16,16 @@ def add_run(commands: Any) -> None:
         "--schedule", metavar="FILE", help="faults to use instead of the scenario's"
     )
     parser.add_argument(
-        "--speed", metavar="1|N|max", help="times real time (default: max, with --ui 1)"
+        # No default here, as it hangs on --ui: whoever watches a page wants real time.
+        "--speed",
+        metavar="1|N|max",
+        help="times real time (default: max, with --ui 1)",
     )
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
     parser.add_argument("--out", metavar="DIR", help="run folder (default: runs/ and a number)")
     parser.add_argument(
         "--gcs",
-        default="udpout:127.0.0.1:14550",
+        default="udpout:127.0.0.1:14550",  # where QGroundControl listens
         metavar="EP|off",
         help="ground station, unless --speed max (default: udpout:127.0.0.1:14550)",
     )
@@ -56,21 +59,24 @@ def add_run(commands: Any) -> None:
     )
     parser.add_argument(
         "--from",
-        dest="count_from",
+        dest="count_from",  # `args.from` would be no Python
         default="take-off",
         metavar="MOMENT",
         help="what at_s counts from under an autopilot: first-stamp, arming, take-off, "
         "mission-item:N, landing",
     )
+    # The command line calls `main` of the subcommand that was named.
     parser.set_defaults(main=_run)
 
 
 def _run(args: argparse.Namespace) -> int:
+    # Imported here, and so below: numba and GTSAM load slowly, and `--help` needs neither.
     from analysis.run.worker import MonitorDiedError
 
     try:
         return _fly(args)
     except MonitorDiedError as died:
+        # No mistake of the user's, hence 1 and not 2.
         print(f"mavproxy-fault: {died}; the logs up to then are in the run folder", file=sys.stderr)
         return 1
 
@@ -85,6 +91,7 @@ def _fly(args: argparse.Namespace) -> int:
         if args.ui:
             from analysis.web.page_server import serve_beside
 
+            # Around the whole run: the page is there from the first frame to the last.
             stack.enter_context(serve_beside(args))
         from analysis.run.run_command import main
 
@@ -98,7 +105,11 @@ def add_monitor(commands: Any) -> None:
     source.add_argument("--link", metavar="EP", help="live MAVLink, e.g. udpin:127.0.0.1:14551")
     source.add_argument("--log", metavar="LOG", help="a tlog, ULog or dataflash log")
     source.add_argument(
-        "--rinex", nargs="+", metavar="FILE", help="RINEX 2, 3 or 4: OBS NAV [NAV ...]"
+        # The first holds the observations; each system's navigation may be a file of its own.
+        "--rinex",
+        nargs="+",
+        metavar="FILE",
+        help="RINEX 2, 3 or 4: OBS NAV [NAV ...]",
     )
     parser.add_argument("--imu", metavar="CSV", help="IMU samples to go with --rinex")
     parser.add_argument("--schedule", metavar="FILE", help="faults to put into the --rinex file")
@@ -195,7 +206,7 @@ def add_report(commands: Any) -> None:
     parser.add_argument("--pdf", action="store_true", help="print the report, by a browser")
     parser.add_argument(
         "--data",
-        default="2",
+        default="2",  # text, as it is a number or a word
         metavar="MB|beside",
         help="any field for the page's search: so many MB in the file (2), or all beside it",
     )
@@ -211,6 +222,7 @@ def _report(args: argparse.Namespace) -> int:
 def add_ui(commands: Any) -> None:
     """`ui`: the page."""
     parser = commands.add_parser("ui", help="the page: control faults and watch a running proxy")
+    # Without a default: only ours may give way to a free port, not one that was asked for.
     parser.add_argument("--port", type=int, help="TCP port; 8350, or a free one if it is taken")
     parser.add_argument("--zenoh", metavar="URL", help="the proxy's router")
     parser.set_defaults(main=_ui)

@@ -38,7 +38,7 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=
     reason: str = ""
     satellites: tuple[str, ...] = ()
     residual_m: tuple[float | None, ...] = ()
-    normalised: tuple[float | None, ...] = ()
+    normalised: tuple[float | None, ...] = ()  # residuals over their sigmas
     onset_s: float | None = None
     probabilities: dict[str, float] = {}
     position_ecef_m: tuple[float, float, float] | None = None
@@ -75,7 +75,7 @@ class SensorDecision(
     threshold: float | None
     dof: int
     alarm: bool
-    isolated: bool = False
+    isolated: bool = False  # not used any more, which outlasts the alarm
     reason: str = ""
     suspect: str = ""
 
@@ -108,11 +108,12 @@ class FusedState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     position_sigma_m: tuple[float, float, float]
     velocity_sigma_mps: tuple[float, float, float]
     attitude_sigma_deg: tuple[float, float, float]
-    weights: dict[str, float] = {}
+    weights: dict[str, float] = {}  # 0 to 1, by source
     reason: str = ""
     name: str = "fused"
 
 
+# Each carries its name under `type`: one decoder reads a file in which all of them stand.
 Result = Decision | SensorDecision | AttitudeError | FusedState
 
 

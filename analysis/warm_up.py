@@ -24,6 +24,8 @@ SENSORS = """
   baro: {preset: consumer-baro, rate_hz: 50}
 """
 ATTITUDE = "attitude: {estimators: [ekf, complementary, mahony, inverse-model]}"
+# The two differ in what has kernels of its own: the kind of vehicle, raw ranges or a receiver's
+# position, air data or vision.
 SCENARIOS = {
     "fixedwing.yaml": f"""
 duration_s: 6
@@ -97,7 +99,7 @@ def _aim_at_baseline(folder: str) -> None:
     os.environ |= {
         "MAVPROXY_FAULT_CACHE": str(Path(folder).resolve()),
         "NUMBA_CPU_NAME": BASELINE,  # read when numba is imported, which nothing here has done yet
-        "NUMBA_CPU_FEATURES": "",
+        "NUMBA_CPU_FEATURES": "",  # those of that name and no more
     }
 
 
@@ -107,6 +109,7 @@ def _commands(folder: Path) -> Iterator[list[str]]:
         (folder / name).write_text(text)
         flight = folder / name.removesuffix(".yaml")
         yield ["run", "--zenoh", "off", "--out", str(flight), str(folder / name)]
+    # It is there by now: the flight above was carried out before this generator went on.
     log = folder / "fixedwing" / "received.tlog"
     yield ["monitor", "--zenoh", "off", "--out", str(folder / "monitor"), "--log", str(log)]
     yield ["report", "--out", str(folder / "report"), str(log)]
@@ -119,6 +122,7 @@ def _commands(folder: Path) -> Iterator[list[str]]:
 
 def _carry_out(words: list[str]) -> None:
     """Run one command as its user would, but without its output."""
+    # Parsed like a user's line, so that each option has the default that users get.
     parser = argparse.ArgumentParser()
     subparsers = parser.add_subparsers()
     for add in (commands.add_run, commands.add_monitor, commands.add_report, commands.add_search):

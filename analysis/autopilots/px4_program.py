@@ -113,6 +113,7 @@ def free_instance() -> tuple[int, TcpServer]:
     """
     for instance in range(MOST_INSTANCES):
         with contextlib.suppress(OSError):
+            # Opened at once and kept: a port that is only looked at may be taken in between.
             return instance, TcpServer(LOOPBACK, FIRST_PORT + instance)
     raise ConfigError(
         f"--autopilot px4: no TCP port from {FIRST_PORT} to {FIRST_PORT + MOST_INSTANCES - 1} is "

@@ -64,6 +64,7 @@ class Madgwick:
             q = self._filter.updateIMU(state.q_mb, gyro, accel, dt=dt_s)
         else:
             q = self._filter.updateMARG(state.q_mb, gyro, accel, state.field, dt=dt_s)
+        # A field sample serves once: used again it would pull as two.
         return MadgwickState(reading.t_us, q, None, state.declination_rad)
 
 

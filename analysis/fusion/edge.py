@@ -55,5 +55,6 @@ def split(part: Segment, start_us: int, at_us: int, end_us: int) -> tuple[Segmen
 
 def mended(part: Segment, start_us: int, end_us: int, late: Sequence[ImuSample]) -> Segment:
     """The segment with samples that came late."""
+    # By stamp, as a late sample may have been heard before.
     known = {sample.t_us: sample for sample in (*samples_of(part, start_us), *late)}
     return between(run_of(known[t_us] for t_us in sorted(known)), start_us, end_us)

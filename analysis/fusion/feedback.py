@@ -41,6 +41,7 @@ def fed_back(core: Core, graph: Graph | None) -> Core:
     to_filter = _to_filter(graph.frame.axes.T, matrix(x[X_Q : X_Q + 4]))
     p = to_filter @ graph.window.covariance(names) @ to_filter.T
     p[ISB:, ISB:] = motion.p[ISB:, ISB:]
+    # Rounding leaves the product a little asymmetric; a filter expects symmetry.
     return core._replace(motion=motion._replace(x=x, p=0.5 * (p + p.T)))
 
 

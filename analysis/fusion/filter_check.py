@@ -36,6 +36,7 @@ def against_filter(graph: Graph, motion: Motion | None, correlation: float) -> s
         frame.axes,
     )
     distance_m, q, ratio = compared.tolist()
+    # Written so that NaN contradicts, here and below.
     if not q <= chi_square(3, P_CONTRADICTION):
         return f"the graph was {distance_m:.1f} m ({math.sqrt(q):.1f} sigmas) off the filter"
     if not ratio <= VAGUER * correlation:
@@ -50,6 +51,7 @@ def _compared(pose: Vector, p: Vector, filter_m: Vector, filter_p: Vector, axes:
     `pose` (4, 4) and `p` (9, 9) are the graph's, in its own frame and in body axes; `filter_m` (3,)
     is in that frame, `filter_p` (3, 3) in ECEF, `axes` (3, 3) the frame's rows.
     """
+    # Copies lie in a row: for slices the products would be compiled once more.
     rot = pose[:3, :3].copy()
     shift = p[POSE_SHIFT : POSE_SHIFT + 3, POSE_SHIFT : POSE_SHIFT + 3].copy()
     own = multiply(multiply(rot, shift), transposed(rot))

@@ -40,6 +40,7 @@ def fused_state(graph: Graph, name: str, weights: dict[str, float], reason: str)
         q_nb=tuple(numbers[15:]),
         position_sigma_m=each[2],
         velocity_sigma_mps=each[3],
+        # Before it is aligned the graph holds its attitude still, so its small sigma says nothing.
         attitude_sigma_deg=each[4] if graph.aligned else UNKNOWN_DEG,
         weights=weights,
         reason=reason,
@@ -52,7 +53,7 @@ def gap(last: FusedState, t_us: int, why: str) -> FusedState:
         last,
         t_s=t_us * 1e-6,
         t_us=t_us,
-        weights={},
+        weights={},  # nothing was used
         reason=f"the graph failed ({why}); this is the last good state",
     )
 
@@ -77,6 +78,7 @@ def _rows(
     change = _variances(to_ned, p[6:9, 6:9])
     for i in range(3):
         out[3 + i] = speed[i]
+        # The graph takes range errors for independent: what averaging leaves of them is added.
         out[6 + i] = math.sqrt(here[i] + slow[i])
         out[9 + i] = math.sqrt(change[i])
         out[12 + i] = math.degrees(math.sqrt(p[i, i]))

@@ -49,6 +49,7 @@ class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
         """
         for name in self.__struct_fields__:
             value = getattr(self, name)
+            # Written so that NaN is refused, too.
             if isinstance(value, float) and not value > 0.0:
                 raise ValueError(f"{name} = {value} is not positive; it must be")
         if not self.suspicious < self.hopeless:

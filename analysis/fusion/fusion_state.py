@@ -93,6 +93,7 @@ class FusionState:
         if len(run.t_us):
             self.imu.append(run)
             self.depth += len(run.t_us)
+        # Without epochs nobody fetches them, and memory would grow for ever.
         while self.depth > PENDING_MAX and len(self.imu) > 1:
             self.depth -= len(self.imu.popleft().t_us)
 
@@ -100,6 +101,7 @@ class FusionState:
         """What has come up to a time, put together in order of time."""
         stamps = np.concatenate([NO_RUN.t_us, *(one.t_us for one in self.imu)])
         values = np.concatenate([NO_RUN.values, *(one.values for one in self.imu)])
+        # In order of time, each stamp once: late runs may overlap others.
         stamps, first = np.unique(stamps, return_index=True)
         end = int(np.searchsorted(stamps, until_us, side="right"))
         return ImuRun(stamps[:end], values[first[:end]])

@@ -46,6 +46,7 @@ class Frame:
 
     def earth_rate(self) -> Vector:
         """The earth's rotation (3,) in rad/s."""
+        # The earth turns about z of ECEF: the third column is that axis as seen here.
         result: Vector = self.axes[:, 2] * GNSS_EARTH_RATE_RPS
         return result
 

@@ -98,6 +98,7 @@ class Fusion:
             fused = self._epoch(now, state)
         except FAILURES as error:
             fused = self._again(now, state, _first_line(error))
+        # Even where no state came of it: the next epoch begins after this one.
         state.forget(decision.t_us)
         if fused is None:
             return [], state
@@ -136,6 +137,7 @@ class Fusion:
         graph = state.graph = Graph(beginning, self.config, self.detector)
         state.others = Others(graph, self.config)
         state.lost = False
+        # The satellites are the same, and so is what averaging leaves of their errors.
         if before is not None:
             graph.slow_m2 = before.slow_m2
         return graph
@@ -151,6 +153,7 @@ class Fusion:
         jumped_m = JUMP_M if now.decision.hypothesis == "clock" else 0.0
         edge = Edge(node.epoch, part, self._imu_noise(part, trusted, state), trusted, jumped_m)
         sound = graph.extend(t_us, edge, attitude)
+        # Once the IMU was missed the attitude is a guess, until `_watch_imu` finds it known again.
         state.lost = state.lost or (graph.aligned and not sound and attitude is None)
         used = {"imu": float(sound)} | self._attach_ranges(graph, now, state)
         assert state.others is not None
@@ -195,6 +198,7 @@ class Fusion:
     ) -> FusedState:
         """Take back what was found faulty since the last epoch, solve, and say it."""
         excluded = frozenset(now.decision.excluded) if self.config.decide else frozenset()
+        # Only those that are new: the others were taken back when they were found.
         for name in excluded - state.excluded:
             if name in now.core.excluded:
                 graph.remove(name, now.core.excluded[name].onset_us)
@@ -269,6 +273,7 @@ class Fusion:
         graph.attach_ranges(graph.node.epoch, ranges, weights)
         given = zip(ranges.satellites, weights.tolist(), strict=True)
         used = {name: weight for name, weight in given if weight > 0.0}
+        # What averaging leaves changes with the satellites, and slowly with their motion.
         sky = (*used, decision.t_us // SKY_US)
         if sky != state.sky:
             share = learnt.slow(config.slow, ranges.unknowns) if config.learn else config.slow

@@ -118,6 +118,7 @@ def satellite_states(packed: Vector, week: float, tow_s: float, pseudorange_m: V
             - packed[i, TOC]
         )
         clock = packed[i, AF0] + packed[i, AF1] * since_toc + packed[i, AF2] * since_toc * since_toc
+        # So far by the satellite's own clock, but the polynomial is one of GPS time: once more.
         since_toc -= clock
         clock = packed[i, AF0] + packed[i, AF1] * since_toc + packed[i, AF2] * since_toc * since_toc
         relativity = 0.0
@@ -147,6 +148,7 @@ def _orbit(packed: Vector, i: int, t_k: float, out: Vector) -> float:
         ecc -= step
         if abs(step) < 1e-8:  # the rest is below the last digit
             break
+    # The last step to first order, in place of calling both once more.
     sin_e, cos_e = sin_e - step * cos_e, cos_e + step * sin_e
     ecc_rate = n / (1.0 - e * cos_e)
     root = math.sqrt(1.0 - e * e)
@@ -229,6 +231,7 @@ def klobuchar_m(
 @compiled
 def zenith_delay_m(lat_rad: float, height_m: float) -> float:
     """The troposphere's delay in the zenith in the standard atmosphere at 50 % humidity."""
+    # A snapshot's first guess is the earth's centre, where the formulas mean nothing.
     if height_m < -1000.0 or height_m > 20000.0:
         return 0.0
     h = max(height_m, 0.0)

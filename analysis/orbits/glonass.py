@@ -41,6 +41,7 @@ def leap_seconds(day: date) -> int:
 @compiled
 def _accelerated(s: Vector, a: Vector, out: Vector) -> None:
     """The derivative (6,) of position and velocity s (6,) in the turning frame, into `out`."""
+    # PZ-90's own constants, with which the vectors are made.
     mu, j2, radius, rate = 3.9860044e14, 1.0826257e-3, 6378136.0, 7.292115e-5
     square = s[0] * s[0] + s[1] * s[1] + s[2] * s[2]
     pull = mu / (square * np.sqrt(square))

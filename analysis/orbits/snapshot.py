@@ -77,7 +77,12 @@ def solve(
     for _ in range(ITERATIONS):
         near = float(r @ r) > TROPOSPHERE_FROM_M**2
         predicted = predict_ranges(
-            states, r if near else r + 1e-3, np.zeros(3), epoch.tow_s, ionosphere
+            # At the very centre of the earth there is no latitude; a millimetre beside it there is.
+            states,
+            r if near else r + 1e-3,
+            np.zeros(3),
+            epoch.tow_s,
+            ionosphere,
         )
         design = design_matrix(predicted[:, 2:5], system)
         unknowns = design.shape[1]
@@ -96,6 +101,7 @@ def solve(
             break
     if not np.isfinite(r).all():
         return None
+    # Moved by the last step, which is too small to ask for another linearisation.
     residual = residual - design @ step
     return Fix(
         satellites=epoch.satellites,

@@ -73,6 +73,7 @@ def read_autopilot_log(path: Path) -> Block:
             "which both are logged"
         )
     stamps = np.concatenate([t_us for _, t_us, _ in found])
+    # One order over all topics; at equal stamps the topic that stands first in the table.
     rank = np.empty(len(stamps), np.int64)
     rank[np.argsort(stamps, kind="stable")] = np.arange(len(stamps))
     ends = np.cumsum([len(t_us) for _, t_us, _ in found])
@@ -123,6 +124,7 @@ def _pressure(name: str) -> Columns:
 def _sensor_pressure(topic: Topic) -> list[NDArray[Any]]:
     """Pascal in PX4 from 1.14 on, hectopascal before."""
     pressure = topic["pressure"].astype(float)
+    # By its size, since the field has one name in both; the median bears single bad samples.
     scale = 100.0 if np.nanmedian(pressure) < MOST_HECTOPASCAL else 1.0
     return [pressure * scale, _filled(topic, np.nan)]
 
@@ -137,6 +139,7 @@ def _ardupilot_fix(topic: Topic) -> list[NDArray[Any]]:
     course = np.radians(topic["GCrs"])
     v_ned = [topic["Spd"] * np.cos(course), topic["Spd"] * np.sin(course), topic["VZ"]]
     place = [topic[name] for name in ("Lat", "Lng", "Alt")]
+    # ArduPilot logs a receiver's accuracy apart, in GPA.
     unknown = _filled(topic, np.nan)
     state = [topic["Status"], topic["NSats"], unknown, unknown]
     return [*place, *v_ned, *state, _filled(topic, GPS_SOURCE)]

@@ -65,15 +65,18 @@ def read_reference(given: str) -> PositionReference:
         return PositionReference(np.zeros(1, np.int64), _place(point, "--truth")[None])
     path = Path(given)
     try:
+        # Spreadsheets put a byte order mark in front of UTF-8.
         lines = path.read_text("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"--truth {given}: cannot be read as text ({error}); {FORMS}") from error
     heads = [line for line in lines if line.startswith("%")]
+    # RTKLIB names its time scale above the columns; UTC is off by the leap seconds.
     if any(re.match(r"%\s+UTC", line) for line in heads):
         raise ConfigError(f"--truth {given}: its times are UTC; GPST is needed")
     rows = [row for line in lines if (row := _row(line, given)) is not None]
     if not rows:
         raise ConfigError(f"--truth {given}: has no place; {FORMS}")
+    # `at` searches by time; files that were joined need not be in order.
     rows.sort(key=lambda row: row[0])
     table = np.array([row[1] for row in rows])
     return PositionReference(np.array([row[0] for row in rows]), table)

@@ -69,6 +69,7 @@ def read_rinex(
         _check_overlap(imu, part, epochs)
     first_us = min([epoch.t_us for epoch in epochs] + [int(p.t_us.min()) for p in parts])
     beside: list[tuple[int, Sample]] = [(-1, replace(s, t_us=first_us)) for s in broadcast]
+    # Twice the stamp, so that an IMU sample of the same instant fits in behind the epoch.
     beside += [(2 * epoch.t_us, epoch) for epoch in epochs]
     return joined(parts, beside)
 

@@ -122,6 +122,7 @@ def _records(lines: list[str], version: float) -> Iterator[tuple[Ephemeris | Sta
                 yield _state_vector(name, line, body), False
             else:
                 yield _ephemeris(name, line, body, indent)
+        # A broken record is passed over line by line, until the next one shows its name.
         except ValueError:
             continue
         at += count

@@ -106,10 +106,11 @@ def read_ulog(path: str | Path) -> ULogFile:
     topics = {
         (data.name, data.multi_id): _renamed(data.data)
         for data in log.data_list
-        if len(data.data.get("timestamp", ()))
+        if len(data.data.get("timestamp", ()))  # some are announced and never logged
     }
     return ULogFile(
         topics,
+        # The level is the character of a digit; one that is damaged must still be a severity.
         [(m.timestamp, (m.log_level - ord("0")) & 7, m.message) for m in log.logged_messages],
         {name: float(v) for name, v in log.initial_parameters.items() if isinstance(v, NUMBER)},
         [

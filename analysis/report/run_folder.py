@@ -12,7 +12,7 @@ from typing import Any
 from analysis.results import Result, encode_lines
 from mavproxy_fault.documents.errors import ConfigError
 
-FLUSH_S = 1.0
+FLUSH_S = 1.0  # what a killed run may lose of its results
 
 
 def make_folder(out: str | None, name: str) -> Path:
@@ -25,6 +25,7 @@ def make_folder(out: str | None, name: str) -> Path:
     """
     if out is not None:
         folder = Path(out)
+        # A run that was killed has no summary yet, but its log.
         if (folder / "summary.json").exists() or (folder / "received.tlog").exists():
             raise ConfigError(f"--out {out}: the folder holds an earlier run; name another one")
         try:
@@ -34,6 +35,7 @@ def make_folder(out: str | None, name: str) -> Path:
         return folder
     for number in itertools.count(1):
         folder = Path("runs") / f"{number:04d}-{name}"
+        # A number is used once, whatever name stands behind it.
         if not any(Path("runs").glob(f"{number:04d}-*")):
             folder.mkdir(parents=True)
             return folder

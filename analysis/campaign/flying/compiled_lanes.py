@@ -18,7 +18,7 @@ from analysis.search.lanes import rows
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.errors import ConfigError
 
-NEVER_S = 1e9
+NEVER_S = 1e9  # an onset after the end of every flight
 ANGLE = 3  # place of the whole angle among the errors
 
 
@@ -40,9 +40,11 @@ def fly_lanes(campaign: CampaignFile, cells: Sequence[Cell]) -> list[CellResult]
     values["faults[0].for_s"] = np.array([1.0, *(cell.duration_s for cell in cells)])
     if cells[0].magnitude is not None:
         values["faults[0].value"] = np.array([0.0, *(cell.magnitude for cell in cells)], float)
+    # With the same noise in every lane: what differs from the twin is then the fault's doing.
     outcome = batch.of_values(values, cells[0].seed, 0, 1, alike=True)
     largest_deg = outcome.largest_deg[:, ANGLE]
     excursion_deg = largest_deg[1:] - largest_deg[0]
+    # The batch took its time as one; every cell gets its share.
     wall_s = (time.monotonic() - started_s) / len(cells)
     found = []
     for cell, beyond, limit in zip(cells, excursion_deg, outcome.broken_limit[1:], strict=True):

@@ -57,6 +57,7 @@ def answer(job: Job) -> Answer:
         If the file asks for a flight that cannot be made.
     """
     if isinstance(job, LaneJob):
+        # Imported here: whoever flies in the simulator needs none of the search's kernels.
         from analysis.campaign.flying.compiled_lanes import fly_lanes
 
         return Answer(fly_lanes(job.campaign, job.cells))
@@ -80,6 +81,7 @@ def answer(job: Job) -> Answer:
         )
         for cell in job.cells
     ]
+    # Written and then removed: what a flight was worth is known only in the end.
     if job.keep is not None and job.campaign.keep == "interesting" and not _interesting(results):
         shutil.rmtree(job.keep)
     return Answer(results, flown)
@@ -99,6 +101,7 @@ def onset_of(cell: Cell, twin: Flown | None) -> float | None:
     """When the fault sets in; None if the flight never comes to that phase."""
     if not isinstance(cell.onset, str):
         return float(cell.onset)
+    # By the twin: the fault may keep the flight itself from ever coming to that phase.
     return None if twin is None else twin.phases.get(cell.onset)
 
 
@@ -129,6 +132,7 @@ def flight_of(job: FlightJob, onset_s: float) -> Flown:
 def setup_of(campaign: CampaignFile, cell: Cell, subjects: list[str]) -> Setup:
     """The scenario with the cell's seed and the estimators under test."""
     setup = read_setup(str(Path(campaign.folder) / cell.scenario), None, cell.seed)
+    # The monitor runs in any case; it is no estimator of attitude.
     estimators = tuple(name for name in subjects if name != MONITOR)
     attitude = msgspec.structs.replace(setup.monitor.attitude, estimators=estimators)
     monitor = msgspec.structs.replace(setup.monitor, attitude=attitude)

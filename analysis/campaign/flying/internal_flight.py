@@ -79,6 +79,7 @@ def of_estimator(results: Sequence[Result], name: str) -> Evidence:
     errors = [r for r in results if isinstance(r, AttitudeError) and r.estimator == name]
     curve = Curve(
         [round(e.t_s, 3) for e in errors],
+        # An estimate that is no number any more counts as wrong as can be.
         [round(e.angle, 4) if np.isfinite(e.angle) else WIDEST_DEG for e in errors],
     )
     return Evidence({ATTITUDE: curve})

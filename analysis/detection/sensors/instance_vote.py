@@ -64,6 +64,7 @@ class InstanceVote:
         """
         rows = block.rows(IMU)
         ids = block.values[rows, IMU_ID].astype(int)
+        # Only the first IMU has spoken so far: there is nobody to compare it with.
         if state.window is None and not ids.any():
             return [], state
         known = (ids >= 0) & (ids < IMUS) & np.isfinite(block.values[rows, :NUMBERS]).all(axis=1)
@@ -117,11 +118,13 @@ def _is_off(now: Vector, known: Difference) -> bool:
     """Whether a difference (6,) has left what it was, which is learnt where it has not."""
     change = now - known.mean
     least = np.maximum(LEAST, SIGMAS * np.sqrt(known.square))
+    # Nothing is learnt meanwhile, or the fault would become what is usual.
     if known.windows >= LEARNT and (np.abs(change) > least).any():
         known.off += 1
         return known.off >= LASTS
     known.off = 0
     known.windows += 1
+    # A plain mean at first, then one that remembers some 30 s.
     share = 1.0 / min(known.windows, MEMORY)
     known.mean = known.mean + share * change
     known.square = known.square + share * (change**2 * (1.0 - share) - known.square)

@@ -15,7 +15,7 @@ from mavproxy_fault.numerics.compile import compiled
 
 FIELD, HAS_FIX, SIGNAL = LEVELS = range(3)
 # Of each level: the least change that counts, upwards and downwards
-UP = np.array([0.05, np.inf, np.inf])
+UP = np.array([0.05, np.inf, np.inf])  # a fix that comes back, a stronger signal: no fault
 DOWN = np.array([0.05, 0.5, 6.0])
 SIGMAS = 8.0  # of the short mean about the long one
 SHORT_S, LONG_S, LEARNT_S, USUAL_S = 0.3, 30.0, 4.0, 20.0
@@ -79,6 +79,7 @@ def _step(level: int, t_us: int, value: float, means: Vector, stamps: NDArray[np
         return 0.0
     stamps[OFF] = NEVER_US
     age_s = (t_us - stamps[BEGAN]) * 1e-6
+    # A young stream's long mean is that of its age: its first value alone means little.
     share = min(1.0, elapsed_s / min(LONG_S, max(age_s, SHORT_S)))
     means[LONG] += share * (value - means[LONG])
     means[SQUARE] += share * (change * change - means[SQUARE])

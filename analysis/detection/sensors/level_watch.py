@@ -49,6 +49,7 @@ class LevelWatch:
             return [], state
         quantities = [_field(block), _has_fix(block), _signal(block)]
         row = np.concatenate([rows for _, rows, _ in quantities])
+        # By row, as the kernel follows the quantities in the order in which they came.
         order = np.argsort(row, kind="stable")
         level = np.concatenate([np.full(len(rows), number) for number, rows, _ in quantities])
         value = np.concatenate([values for *_, values in quantities])

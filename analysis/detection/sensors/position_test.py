@@ -50,9 +50,11 @@ def measure(fix: GpsFix) -> tuple[Measured | None, str]:
         return None, f"fix type {fix.fix_type}; 3 or more is a position"
     if not np.isfinite([fix.lat_deg, fix.lon_deg, fix.alt_m]).all():
         return None, "the position is not finite"
+    # Receivers that have no position send zeros.
     if fix.lat_deg == 0.0 and fix.lon_deg == 0.0:
         return None, "the position is 0, 0"
     lat, lon = np.radians(fix.lat_deg), np.radians(fix.lon_deg)
+    # Claims are believed upwards only: many receivers are too sure of themselves.
     sigma = [
         max(claimed, floor) if np.isfinite(claimed) and claimed > 0.0 else UNKNOWN_SIGMA_M
         for claimed, floor in zip((fix.eph_m, fix.epv_m), POSITION_SIGMA_M, strict=True)
@@ -104,5 +106,6 @@ def start_at(t_us: int, measured: Measured) -> Motion:
     parts = ((3, speed), (PSI, 3.0), (BG, GYRO_BIAS_SIGMA_RPS), (BA, ACCEL_BIAS_SIGMA_MPS2))
     for at, sigma in parts:
         p[range(at, at + 3), range(at, at + 3)] = sigma**2
+    # Without ranges nothing observes the clock: any variance above zero will do.
     p[CLOCK, CLOCK] = p[DRIFT, DRIFT] = 1.0
     return Motion(t_us, x, p)

@@ -42,6 +42,8 @@ LOST_M = 300.0  # a filter as unsure as this is started anew
 def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[list[Result], State]:
     """The decision on one fix and the next state."""
     core, pending, mag_b = state
+    # The same receiver may come in several messages, which are no second witness: one of them is
+    # followed, HIL_GPS wherever it is.
     if core.gps_source not in (None, fix.source) and fix.source != "HIL_GPS":
         return [], state
     core = core._replace(gps_source=fix.source, mag_b=mag_b)
@@ -166,6 +168,7 @@ def _used(
     if RECEIVER not in core.excluded and position.passes:
         motion = updated(motion, position)
     if velocity is not None and velocity.passes and RECEIVER_VELOCITY not in core.excluded:
+        # Predicted anew, as the position has just moved the filter's velocity, too.
         again = check(measured, motion, config)[1]
         motion = updated(motion, again if again is not None else velocity)
     return motion

@@ -70,6 +70,7 @@ def culprit(
     for since, before in enumerate(last.forces_b_mps2, start=1):
         changed_mps = (rot @ (force - before) * dt_s)[known]
         size = float(changed_mps @ changed_mps)
+        # A fault that began in these intervals has acted for none to all of their time.
         times = min(max(-float(velocity.v @ changed_mps) / size, 0.0), since) if size > 0.0 else 0.0
         remaining = (velocity.v + times * changed_mps) / sigma_mps
         if float(remaining @ remaining) <= chi_square(len(remaining), config.p_other):

@@ -210,6 +210,7 @@ def _own(sensor: int, z: Vector, b: Vector, sigma: float) -> bool:
     for i in range(3):
         size += z[i] ** 2
         expected += b[i] ** 2
+    # Written so that NaN is the sensor's own fault.
     return not abs(math.sqrt(size) - math.sqrt(expected)) <= SIZE_SIGMAS * sigma
 
 
@@ -240,6 +241,7 @@ def _test(sensor: int, at: Vector, kept: Kept, limits: Limits) -> tuple[int, flo
     moved = states.copy()
     dt_s = max((t_us - count[SLOW_US]) * 1e-6, 0.0)
     for i in range(k):
+        # The diagonal of p (3, 3), which lies behind the three states.
         moved[3 + 4 * i] += noise[WALK, sensor] * dt_s
     q, after = _updated(out, moved, m, k)
     failed = not q <= limits.thresholds[m]
@@ -297,6 +299,7 @@ def _outcomes(row: int, at: Vector, kept: Kept, limits: Limits, found: Vector, c
             found[count, FIX_OF] = kept.values[sensor, FIX_TYPE]
             count += 1
     for sensor in range(len(kept.stamps)):
+        # Each sample is tested once.
         kept.stamps[sensor] = NEVER_US
     return count
 
@@ -309,6 +312,7 @@ def judge(rows: Rows, decisions: Decisions, kept: Kept, limits: Limits) -> Vecto
     of freedom, whether it is isolated, the decision's stamp, the sample's seventh number, a fix's
     type.
     """
+    # A bound on the outcomes, so that no array grows in the loop.
     most = len(decisions.numbers)
     for row in range(len(rows.kind)):
         most += rows.kind[row] == FIX

@@ -144,6 +144,7 @@ def mag(
         for j in range(3):
             out[V, i] += at[ROT + 3 * i + j] * z[j]
     x, y, z_ = out[V, 0], out[V, 1], out[V, 2]
+    # A small rotation moves the field by its cross product: the attitude's share of doubt.
     cross = np.array([0.0, -z_, y, z_, 0.0, -x, -y, x, 0.0])
     for i in range(3):
         for j in range(3):
@@ -205,6 +206,7 @@ def rangefinder(
     level = z[0] * math.sqrt(1.0 - min(upright, 1.0) ** 2)
     tilt = (at[P_ATTITUDE] + at[P_ATTITUDE + 4] + at[P_ATTITUDE + 8]) / 3.0
     out[V, 0] = at[HEIGHT] - z[0] * upright
+    # A tilt that is wrong moves the height of the foot by the beam's level part times the angle.
     slant = level**2 * tilt if known_upright else (UNKNOWN_SLANT * z[0]) ** 2
     out[S, 0] = sigma**2 + at[P_POSITION + 8] + slant
     return _own(out, b, known, 1)

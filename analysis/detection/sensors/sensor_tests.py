@@ -149,6 +149,7 @@ class References:
         """The sensors' tests at some decisions; `before` is the filter until the first."""
         if not decided and not _OF_SENSORS[block.kind].any():
             return [], kept
+        # The kernel changes it in place; the state that was handed in stays as it is.
         kept = kept.copy()
         motions = [_START if m is None else m for m in (before, *(m for _, _, m in decided))]
         decisions = Decisions(
@@ -174,6 +175,7 @@ def _numbers(row: int, decision: Decision, motion: Motion | None) -> tuple[int, 
     """A decision as the kernel takes it."""
     bounded = decision.position_sigma_m is not None
     how = SOUND if motion is not None and decision.hypothesis in FITTING and bounded else UNSOUND
+    # The epoch was untestable, so nothing is predicted to test against.
     if decision.mode == "":
         how = UNTESTED
     return row, decision.t_us, how, decision.mode.startswith("position")

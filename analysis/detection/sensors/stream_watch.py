@@ -49,6 +49,7 @@ class StreamWatch:
         return Watched(
             counts,
             np.zeros((count, 2)),
+            # NaN equals nothing: no first value is a repetition.
             np.full((count, WIDTH), np.nan),
             np.zeros((count, WIDTH, 3), np.int64),
             np.full((2, 5), NEVER_US),

@@ -54,6 +54,7 @@ def condensed(samples: Vector, step_s: float) -> Vector:
     for k in range(samples.shape[0]):
         if samples[k, 0] > 0.0:
             count, whole_s = count + 1, whole_s + samples[k, 0]
+    # The tenth keeps rounding from making every run a sample too short.
     size = max(int(step_s * count / whole_s + 0.1), 1) if count else 1
     out = np.zeros(((count + size - 1) // size, 7))
     rotvec, half, push = np.zeros(3), np.zeros(3), np.zeros(3)
@@ -97,6 +98,7 @@ def imagine(dt_s: float, bias: Any, frame: Frame, noise: Noise, rate_sigma_rps: 
     preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
     steps = max(round(dt_s / FICTION_STEP_S), 2)
     for _ in range(steps):
+        # The biases as measured values: GTSAM takes them off, and no force or rotation remains.
         preintegrated.integrateMeasurement(bias.accelerometer(), bias.gyroscope(), dt_s / steps)
     return preintegrated
 

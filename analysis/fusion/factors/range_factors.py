@@ -147,6 +147,7 @@ class Ranges:
         return gtsam.PseudorangeFactorArm(
             pose,
             seconds,
+            # The graph's clock counts from here, which keeps its variable small.
             self.table[i, CORRECTED] - clock[0],
             state[:3],
             NO_ARM,
@@ -166,6 +167,7 @@ class Ranges:
         Multipath, ephemeris and atmosphere stay the same for minutes: a bias of `share` sigmas per
         satellite, which the position follows as the snapshot solution does.
         """
+        # The table's sigmas are widened by the correlation; here those of one epoch are meant.
         sigmas = share / self._config.correlation
         found = snapshot_covariance(self.table, weights, self._observed.system, sigmas)
         return found if math.isfinite(found[0, 0]) else None

@@ -91,6 +91,7 @@ def whitened(
             wanted = ranges if kind == 0 else doppler and np.isfinite(table[i, RATE])
             if not (wanted and weights[i] > 0.0):
                 continue
+            # The root, so that information goes with the weight; behind SIGMA stands RATE_SIGMA.
             share = math.sqrt(weights[i]) / table[i, SIGMA + kind]
             row = out[count]
             count += 1
@@ -123,6 +124,7 @@ def snapshot_covariance(table: Vector, weights: Vector, system: Indices, share: 
             if weights[i] > 0.0 and system[i] == kind:
                 count += 1
         if count > before:
+            # Only for systems that are there: a clock that nothing observes has no inverse.
             clock[kind], size = size, size + 1
     normal, row = np.zeros((size, size)), np.zeros(size)
     for i in range(table.shape[0]):
@@ -138,5 +140,6 @@ def snapshot_covariance(table: Vector, weights: Vector, system: Indices, share: 
     cofactor, out = inverse(normal), np.empty((3, 3))
     for k in range(3):
         for j in range(3):
+            # With fewer satellites than unknowns rounding may still leave something to invert.
             out[k, j] = cofactor[k, j] if count >= size else np.nan
     return out

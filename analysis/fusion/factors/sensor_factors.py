@@ -109,6 +109,7 @@ class Others:
                 old, since_s = key(letter, before), window.span_stamp(before)
                 walked = walk * math.sqrt((span - before) * window.span_s)
                 factor = walk_factor(old, name, walked, len(first))
+                # Only what has been committed has an estimate to begin at.
                 if window.slots(letter, before):
                     first = np.asarray(window.smoother.calculateEstimateVector(old))
             values = gtsam.Values()
@@ -126,6 +127,7 @@ class Others:
         return float(r_m[2]), height
 
     def _baro(self, sample: BaroSample, epoch: int, root: float) -> bool:
+        # One factor a source and epoch: of faster samples the first one counts.
         if not sample.pressure_pa > 0.0 or self._graph.window.holds("baro", epoch):
             return False
         up_m, height = self._up_m(epoch)
