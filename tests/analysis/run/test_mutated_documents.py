@@ -8,6 +8,7 @@ import random
 import re
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -83,7 +84,8 @@ def test_a_broken_file_is_read_or_refused_with_its_name(
     errors = []
     whole = tmp_path / "whole.yaml"
     whole.write_text(text, encoding="utf-8")
-    read(whole)  # what is loaded, or compiled, at the first call is no part of the time
+    with suppress(ConfigError):  # some refer to files that lie beside them
+        read(whole)  # what is loaded, or compiled, at the first call is no part of the time
     for number in range(MUTANTS):
         path = tmp_path / f"{number}.yaml"
         path.write_text(mutated(text, rng), encoding="utf-8")
