@@ -46,7 +46,7 @@ from analysis.samples.sample import (
 )
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.numerics.earth_kernel import ned_axes
-from mavproxy_fault.numerics.rotation import matrix_from_quat
+from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 from mavproxy_fault.schedule.entries import Schedule
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser

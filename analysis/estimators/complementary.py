@@ -38,7 +38,12 @@ from analysis.samples.block import (
 from analysis.samples.sample import Sample
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
-from mavproxy_fault.numerics.rotation_kernel import gravity_error, heading_error, matrix, turned
+from mavproxy_fault.numerics.rotations.rotation_kernel import (
+    gravity_error,
+    heading_error,
+    matrix,
+    turned,
+)
 
 Vector = NDArray[np.float64]
 BIAS, SIZE = 4, 7  # where it begins in x, and its length

@@ -24,7 +24,7 @@ from analysis.samples.block import (
 )
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
-from mavproxy_fault.numerics.rotation_kernel import (
+from mavproxy_fault.numerics.rotations.rotation_kernel import (
     Axis,
     body_axes,
     quaternion_of_rotation,

@@ -22,7 +22,7 @@ from analysis.fusion.smoother import Fusion
 from analysis.results import Decision, FusedState
 from analysis.samples.sample import ImuSample, Sample, Vector
 from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
-from mavproxy_fault.numerics.rotation_kernel import matrix, turned
+from mavproxy_fault.numerics.rotations.rotation_kernel import matrix, turned
 
 PRIOR_RAD = 0.05  # how sure the first attitude is
 

@@ -28,7 +28,7 @@ from analysis.samples.block import FORCE, IMU, IMU_ID, Block, Indices, Stamps, b
 from analysis.samples.sample import Sample
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
-from mavproxy_fault.numerics.rotation_kernel import euler, matrix, quaternion_of_euler
+from mavproxy_fault.numerics.rotations.rotation_kernel import euler, matrix, quaternion_of_euler
 
 Vector = NDArray[np.float64]
 VELOCITY, POSITION, SIZE = 3, 6, 9  # where they begin in x, behind the angles; its length

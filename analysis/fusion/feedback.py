@@ -20,7 +20,7 @@ from analysis.fusion.graph import Graph
 from analysis.fusion.graph_start import navigation_state
 from analysis.fusion.window import key
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.rotation_kernel import matrix
+from mavproxy_fault.numerics.rotations.rotation_kernel import matrix
 
 SIZE = 17  # errors of a node: rotation, shift (body axes), velocity, biases, clock, drift
 

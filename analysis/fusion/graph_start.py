@@ -31,7 +31,7 @@ from analysis.fusion.factors.unary_factors import EPOCHS, NO_CLOCK
 from analysis.fusion.local_frame import Frame, frame_at, quaternion
 from analysis.fusion.window import key
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.rotation_kernel import matrix
+from mavproxy_fault.numerics.rotations.rotation_kernel import matrix
 
 Clock = tuple[float, float]  # clock in m, drift in m/s
 NO_SPEED = np.zeros(3)

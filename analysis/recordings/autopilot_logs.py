@@ -32,7 +32,7 @@ from analysis.samples.block import (
     joined,
 )
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.numerics.rotation import quat_from_euler
+from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
 
 Topic = Mapping[str, NDArray[Any]]
 Columns = Callable[[Topic], list[NDArray[Any]]]

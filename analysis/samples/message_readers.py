@@ -34,7 +34,7 @@ from analysis.samples.block import (
 )
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
-from mavproxy_fault.numerics.rotation import matrix_from_quat, quat_from_euler
+from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat, quat_from_euler
 
 Rows = NDArray[np.void]
 

@@ -8,7 +8,7 @@ import numpy as np
 from analysis.samples.block import Indices, Stamps
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.rotation_kernel import Quaternion, between, errors
+from mavproxy_fault.numerics.rotations.rotation_kernel import Quaternion, between, errors
 
 MAX_TRUTH_GAP_US = 1_000_000  # truth is not interpolated over a longer pause
 LATEST_US = 1_000_000  # how long the truth is kept for estimates that come late

@@ -14,7 +14,7 @@ from analysis.search.evaluation.traced_flight import Trace, estimated, traced, w
 from analysis.search.shrink import pinned
 from analysis.search.space.dimensions import flights_of
 from analysis.search.space.test_file import TestFile
-from mavproxy_fault.numerics.rotation import euler_from_quat
+from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 
 Array = NDArray[np.float64]
 CELL_US = 100_000

@@ -12,7 +12,7 @@ from analysis.search.shrink import pinned
 from analysis.search.space.point_scenario import document_of, faults_of
 from analysis.search.space.test_file import AUTOPILOT, TestFile
 from mavproxy_fault.documents.yaml_document import write_yaml
-from mavproxy_fault.numerics.rotation import quat_from_euler
+from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
 
 
 class WorstCase(NamedTuple):

@@ -18,7 +18,7 @@ from analysis.search.searchers import searcher
 from analysis.search.shrink import pinned
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.numerics.rotation import euler_from_quat
+from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 
 Array = NDArray[np.float64]
 UNSEEN = 3  # figures written where there is no display

@@ -8,7 +8,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import NDArray
 
 from analysis.search.evaluation.traced_flight import Trace
-from mavproxy_fault.numerics.rotation import euler_from_quat, matrix_from_quat
+from mavproxy_fault.numerics.rotations.rotation import euler_from_quat, matrix_from_quat
 
 Array = NDArray[np.float64]
 # outlines in body axes, spans of the wing: wing, fuselage, tailplane, fin

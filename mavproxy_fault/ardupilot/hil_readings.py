@@ -8,7 +8,7 @@ import math
 import struct
 from typing import NamedTuple
 
-from mavproxy_fault.numerics.one_rotation import euler_angles
+from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
 from mavproxy_fault.wire.frame import Frame
 
 INERTIAL, MAG, BARO, DIFF_PRESSURE = 0x3F, 0x1C0, 0x1A00, 0x400  # HIL_SENSOR_UPDATED_*

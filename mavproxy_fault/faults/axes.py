@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from mavproxy_fault.faults.value_fault import ValueFault
-from mavproxy_fault.numerics.one_rotation import Matrix, body_matrix
+from mavproxy_fault.numerics.rotations.one_rotation import Matrix, body_matrix
 from mavproxy_fault.wire.frame import Number
 
 Three = tuple[float, float, float]

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from mavproxy_fault.numerics.constants import WGS84_ECCENTRICITY2, WGS84_SEMI_MAJOR_M
-from mavproxy_fault.numerics.one_rotation import into_body
+from mavproxy_fault.numerics.rotations.one_rotation import into_body
 from mavproxy_fault.wire.frame import Frame, Number
 
 Three = tuple[float, float, float]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.numerics.rotation import euler_from_quat
+from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 from simvehicle.guidance.route import PathTrack
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.simulation.simulation import Simulation

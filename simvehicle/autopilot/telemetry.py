@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
-from mavproxy_fault.numerics.one_rotation import euler_angles
+from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
 from simvehicle.autopilot.enums import (
     AUTOPILOT_PX4,
     BaseMode,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
-from mavproxy_fault.numerics.rotation_kernel import to_ned
+from mavproxy_fault.numerics.rotations.rotation_kernel import to_ned
 from simvehicle.vehicles.rigidbody_kernel import E0, E1, E2, E3
 
 Array = NDArray[np.float64]

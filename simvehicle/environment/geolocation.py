@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.earth import ecef_from_geodetic, gravity, rot_en
 from mavproxy_fault.numerics.earth_kernel import geodetic_of
-from mavproxy_fault.numerics.rotation_kernel import to_body, to_ned
+from mavproxy_fault.numerics.rotations.rotation_kernel import to_body, to_ned
 from simvehicle.environment.air import standard_air
 from simvehicle.vehicles.rigidbody_kernel import DOWN, E0, E1, E2, E3, EAST, NORTH, U, V, W
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
-from mavproxy_fault.numerics.one_rotation import euler_angles
+from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
 from simvehicle.guidance.route import Aim, CircleTrack, PathTrack, Track
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.fixedwing import FixedWing

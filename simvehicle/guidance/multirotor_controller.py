@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
-from mavproxy_fault.numerics.one_rotation import euler_angles
-from mavproxy_fault.numerics.rotation_kernel import to_body, to_ned
+from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
+from mavproxy_fault.numerics.rotations.rotation_kernel import to_body, to_ned
 from simvehicle.guidance.route import Aim, HoldTrack, PathTrack, Track
 from simvehicle.sensors.readings import Triple
 from simvehicle.vehicles.body import Controls, Truth

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.one_rotation import euler_angles
+from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
 from simvehicle.guidance.fixedwing_controller import FixedWingController
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.fixedwing import FixedWing

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
-from mavproxy_fault.numerics.one_rotation import euler_angles, into_body
+from mavproxy_fault.numerics.rotations.one_rotation import euler_angles, into_body
 from mavproxy_fault.wire.dialect import known
 from simvehicle.hil.outgoing_message import Message
 from simvehicle.sensors.readings import (

@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from mavproxy_fault.numerics.one_rotation import into_body
+from mavproxy_fault.numerics.rotations.one_rotation import into_body
 from simvehicle.sensors.error_model import Noise, NoiseState
 from simvehicle.sensors.rangefinder import check_span, slant_range
 from simvehicle.sensors.readings import FlowReading

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from mavproxy_fault.numerics.one_rotation import into_body
+from mavproxy_fault.numerics.rotations.one_rotation import into_body
 from simvehicle.sensors.error_model import Noise, NoiseState
 from simvehicle.sensors.readings import MagReading
 from simvehicle.sensors.sensor import SensorParameters

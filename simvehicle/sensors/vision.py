@@ -5,7 +5,7 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.numerics.one_rotation import turned
+from mavproxy_fault.numerics.rotations.one_rotation import turned
 from simvehicle.sensors.error_model import Noise, NoiseState
 from simvehicle.sensors.readings import Triple, VisionReading
 from simvehicle.sensors.sensor import SensorParameters

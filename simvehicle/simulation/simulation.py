@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.numerics.rotation import quat_from_euler
+from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
 from simvehicle.environment.geolocation import (
     AIR,
     AIR_VELOCITY,

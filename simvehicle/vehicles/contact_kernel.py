@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import inlined
-from mavproxy_fault.numerics.rotation_kernel import to_body, to_ned
+from mavproxy_fault.numerics.rotations.rotation_kernel import to_body, to_ned
 from simvehicle.vehicles.rigidbody_kernel import State13
 
 _CREEP_MPS = 0.05

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.numerics.rotation import matrix_from_quat, quat_from_euler
+from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat, quat_from_euler
 from simvehicle.vehicles.contact_kernel import Gear
 from simvehicle.vehicles.fixedwing_flight import DRAWN, STATE, THROTTLE, fly, pack
 from simvehicle.vehicles.fixedwing_kernel import Aero

@@ -10,7 +10,7 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
-from mavproxy_fault.numerics.rotation_kernel import to_body
+from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
 from simvehicle.vehicles.contact_kernel import Gear, contact
 from simvehicle.vehicles.fixedwing_kernel import Aero, forces_moments, propulsion
 from simvehicle.vehicles.rigidbody_kernel import RIGID, Inertia, Loads, State13, integrated

@@ -12,7 +12,7 @@ import numpy as np
 
 from mavproxy_fault.numerics.compile import inlined
 from mavproxy_fault.numerics.polynomial import atan2, exp
-from mavproxy_fault.numerics.rotation_kernel import to_body
+from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
 from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, moved, rigid_body, runge_kutta
 
 _REV_PER_RAD = 1.0 / (2.0 * np.pi)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
-from mavproxy_fault.numerics.rotation_kernel import to_body
+from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
 from simvehicle.vehicles.contact_kernel import Gear, contact
 from simvehicle.vehicles.rigidbody_kernel import RIGID, Inertia, Loads, State13, integrated
 from simvehicle.vehicles.vehicle import CURRENT, DENSITY, FORCE, GRAVITY, GROUND, SAG, WIND

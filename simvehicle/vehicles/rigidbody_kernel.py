@@ -13,7 +13,7 @@ import numpy as np
 
 from mavproxy_fault.numerics.compile import inlined
 from mavproxy_fault.numerics.polynomial import fma
-from mavproxy_fault.numerics.rotation_kernel import to_body, to_ned
+from mavproxy_fault.numerics.rotations.rotation_kernel import to_body, to_ned
 
 State13 = tuple[
     float, float, float, float, float, float, float, float, float, float, float, float, float

@@ -11,7 +11,7 @@ from analysis.samples.sample import EphemerisSample, Epoch, GpsFix, ImuSample, S
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
-from mavproxy_fault.numerics.rotation import quat_from_matrix
+from mavproxy_fault.numerics.rotations.rotation import quat_from_matrix
 from mavproxy_fault.rtcm.ephemeris_messages import decode_ephemeris
 from simvehicle.gnss.gnss_config import GnssConfig
 from simvehicle.gnss.gnss_sensor import gnss_sensor

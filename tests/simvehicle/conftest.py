@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
-from mavproxy_fault.numerics.rotation import euler_from_quat
+from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 
 # Front right, rear left, front left, rear right: what turns right, pitches up and yaws right.
 ROLL = np.array([-1.0, 1.0, 1.0, -1.0])

@@ -23,8 +23,8 @@ from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
 from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
-from mavproxy_fault.numerics.rotation import quat_from_matrix
-from mavproxy_fault.numerics.rotation_kernel import matrix, turned
+from mavproxy_fault.numerics.rotations.rotation import quat_from_matrix
+from mavproxy_fault.numerics.rotations.rotation_kernel import matrix, turned
 
 # An older alignment begins anew: the gyro's bias grows in it with time.
 LONGEST_S = 20.0

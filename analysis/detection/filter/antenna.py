@@ -14,7 +14,7 @@ import numpy as np
 from analysis.detection.filter.inertial import BG, ERRORS, PSI, X_BG, X_Q, R, V
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
-from mavproxy_fault.numerics.rotation_kernel import matrix
+from mavproxy_fault.numerics.rotations.rotation_kernel import matrix
 
 
 def moved_along(

@@ -30,7 +30,7 @@ from analysis.detection.filter.inertial import PSI, X_Q
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.linear import apply, lower, lower_inverse, multiply, square, transposed
-from mavproxy_fault.numerics.rotation_kernel import turned_in_reference
+from mavproxy_fault.numerics.rotations.rotation_kernel import turned_in_reference
 
 Indices = NDArray[np.int64]
 

@@ -21,7 +21,7 @@ from analysis.detection.filter.propagation import Segment
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.sensors.position_test import VELOCITY_SIGMA_MPS, Check, Measured
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.rotation_kernel import matrix
+from mavproxy_fault.numerics.rotations.rotation_kernel import matrix
 
 UNDECIDED = "GPS-or-imu"
 EXCUSED_SIGMAS = 4.0  # of the velocity's noise, that a growth may exceed what an IMU can do

@@ -23,7 +23,7 @@ from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 from mavproxy_fault.numerics.linear import inverse, multiply
-from mavproxy_fault.numerics.rotation_kernel import matrix
+from mavproxy_fault.numerics.rotations.rotation_kernel import matrix
 
 FAILS_TO_ISOLATE = 3
 SIZE_SIGMAS = 4.0  # by which the field's size must be off before it is the magnetometer's fault

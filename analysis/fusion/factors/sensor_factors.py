@@ -37,7 +37,7 @@ from analysis.samples.sample import (
     VisionSample,
 )
 from mavproxy_fault.numerics.earth_kernel import geodetic
-from mavproxy_fault.numerics.rotation import matrix_from_quat
+from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 
 WAITING: dict[type, str] = {
     BaroSample: "baro",

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.numerics.rotation import euler_from_quat
+from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 
 Columns = Mapping[str, NDArray[Any]]
 Values = NDArray[np.float64]

@@ -26,7 +26,7 @@ from analysis.search.space.dimensions import (
 )
 from analysis.search.space.test_file import StateScales, TestFile
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
-from mavproxy_fault.numerics.rotation import matrix_from_quat
+from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 from simvehicle.environment.air import GUSTS
 from simvehicle.vehicles.fixedwing import FixedWing
 

@@ -26,7 +26,7 @@ from analysis.search.space.section import Range
 from analysis.search.space.test_file import AUTOPILOT, Limits, TestFile
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
-from mavproxy_fault.numerics.one_rotation import euler_angles
+from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import Label

@@ -12,8 +12,8 @@ from analysis.search.lanes import rows
 from analysis.search.lanes.filter_lanes import MAHONY
 from analysis.search.lanes.noise_kernel import streams
 from analysis.search.lanes.search_kernel import Plan, trace
-from mavproxy_fault.numerics.rotation import matrix_from_quat
-from mavproxy_fault.numerics.rotation_kernel import errors
+from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
+from mavproxy_fault.numerics.rotations.rotation_kernel import errors
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ import numpy as np
 from analysis.search.lanes import rows
 from analysis.search.lanes.lane_state import Buffer, true_attitude, true_velocity
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.rotation_kernel import to_body, to_ned
+from mavproxy_fault.numerics.rotations.rotation_kernel import to_body, to_ned
 
 L = rows.LANES
 W, N = rows.WIND * L, rows.NOISE * L

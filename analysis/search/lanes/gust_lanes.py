@@ -5,7 +5,7 @@ import numpy as np
 from analysis.search.lanes import rows
 from analysis.search.lanes.lane_state import Buffer, Three
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.rotation_kernel import to_body
+from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
 from simvehicle.environment.air import LENGTH, REFERENCE, SIGMA, STEADY, wind_step
 from simvehicle.vehicles.rigidbody_kernel import E0, E1, E2, E3, RIGID, U
 

@@ -5,7 +5,7 @@ from analysis.search.lanes.lane_state import Buffer
 from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.polynomial import sin_cos
-from mavproxy_fault.numerics.rotation_lanes import quaternion_of_euler
+from mavproxy_fault.numerics.rotations.rotation_lanes import quaternion_of_euler
 
 L = rows.LANES
 ANGLES = rows.ESTIMATE * L

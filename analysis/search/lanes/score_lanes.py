@@ -8,7 +8,7 @@ from analysis.search.lanes.lane_state import Buffer, true_attitude
 from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.polynomial import atan2
-from mavproxy_fault.numerics.rotation_lanes import euler, wrapped
+from mavproxy_fault.numerics.rotations.rotation_lanes import euler, wrapped
 from simvehicle.vehicles.rigidbody_kernel import P, U
 
 L = rows.LANES

@@ -6,8 +6,8 @@ from analysis.search.lanes import rows
 from analysis.search.lanes.lane_state import Buffer, state_at
 from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.rotation_kernel import to_body
-from mavproxy_fault.numerics.rotation_lanes import euler
+from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
+from mavproxy_fault.numerics.rotations.rotation_lanes import euler
 from simvehicle.vehicles.weave_kernel import Motion, weave
 
 L = rows.LANES

@@ -11,7 +11,7 @@ from analysis.search.lanes import rows
 from analysis.search.space.fault_range import CHANNELS, LOST
 from analysis.search.space.section import Range
 from analysis.search.space.test_file import TestFile
-from mavproxy_fault.numerics.rotation import quat_from_euler
+from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
 from simvehicle.vehicles.fixedwing_flight import ELEVATOR, THROTTLE
 from simvehicle.vehicles.rigidbody_kernel import U, W
 from simvehicle.vehicles.trim import PITCH, Trim

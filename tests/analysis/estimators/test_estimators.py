@@ -6,7 +6,7 @@ import pytest
 from analysis.estimators import Prior, make, names
 from analysis.samples.sample import GpsFix, ImuSample, MagSample
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.numerics.rotation_kernel import errors, quaternion_of_euler
+from mavproxy_fault.numerics.rotations.rotation_kernel import errors, quaternion_of_euler
 
 DECLINATION_RAD = float(np.arctan2(0.03, 0.21))
 

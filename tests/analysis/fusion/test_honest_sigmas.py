@@ -12,7 +12,7 @@ from analysis.samples.block import block_of
 from analysis.samples.sample import TruthSample
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.numerics.earth_kernel import ned_axes
-from mavproxy_fault.numerics.rotation import matrix_from_quat
+from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 
 SEEDS = 21, 22, 23
 SECONDS, SETTLED_US = 20.0, 12_000_000

@@ -22,7 +22,7 @@ from analysis.samples.sample import (
     VisionSample,
 )
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
-from mavproxy_fault.numerics.rotation import matrix_from_quat
+from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 
 SECONDS = 10.0
 LATE_US = 6_000_000

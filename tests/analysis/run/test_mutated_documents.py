@@ -8,6 +8,7 @@ import random
 import re
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -25,7 +26,7 @@ from simvehicle.vehicles.parameter_file import read_parameters
 
 ROOT = Path(__file__).parents[3]
 MUTANTS = int(os.environ.get("MUTANTS", "60"))  # of each kind of file
-SLOWEST_S = 2.0  # to read or refuse one, on a machine that does other things too
+SLOWEST_S = 2.0  # of processor time, to read or refuse one
 
 HOSTILE = [
     ".inf", "-.inf", ".nan", "1e300", "-1", "0", "1e-300", "''", "[]", "{}", "null", "true", "010",
@@ -81,15 +82,19 @@ def test_a_broken_file_is_read_or_refused_with_its_name(
     text = source.read_text() if isinstance(source, Path) else source
     rng = random.Random(7)
     errors = []
+    whole = tmp_path / "whole.yaml"
+    whole.write_text(text, encoding="utf-8")
+    with suppress(ConfigError):  # some refer to files that lie beside them
+        read(whole)  # what is loaded, or compiled, at the first call is no part of the time
     for number in range(MUTANTS):
         path = tmp_path / f"{number}.yaml"
         path.write_text(mutated(text, rng), encoding="utf-8")
-        began = time.perf_counter()
+        began = time.thread_time()
         try:
             read(path)
         except ConfigError as error:
             errors.append(str(error))
-        assert time.perf_counter() - began < SLOWEST_S, path.read_text()
+        assert time.thread_time() - began < SLOWEST_S, path.read_text()
     assert len(errors) > MUTANTS // 4
     nameless = [text for text in errors if str(tmp_path) not in text and "vehicle." not in text]
     assert nameless == []

@@ -11,7 +11,7 @@ from analysis.scoring.attitude_scoring import (
     AttitudeScorer,
     declination_rad,
 )
-from mavproxy_fault.numerics.rotation_kernel import errors, quaternion_of_euler
+from mavproxy_fault.numerics.rotations.rotation_kernel import errors, quaternion_of_euler
 from mavproxy_fault.wire.label import Label
 
 LEVEL = np.array([0.0, 0.0, -9.80665])

@@ -25,7 +25,7 @@ from analysis.search.space.test_file import (
     Wind,
 )
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.numerics.rotation import euler_from_quat
+from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 from simvehicle.vehicles.vehicle import surroundings
 
 QUIET = Sensors(

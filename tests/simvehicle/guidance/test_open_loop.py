@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mavproxy_fault.numerics.rotation import euler_from_quat
+from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 from simvehicle.guidance.route import CircleTrack
 from simvehicle.scenario.scenario_file import (
     Leg,

@@ -13,7 +13,7 @@ from analysis.detection.filter.propagation import Segment, advance
 from analysis.monitor.pipeline import monitor_config
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
-from mavproxy_fault.numerics.rotation_kernel import matrix, turned_in_reference
+from mavproxy_fault.numerics.rotations.rotation_kernel import matrix, turned_in_reference
 
 ARM_M = np.array([1.5, -0.5, -0.3])
 RATE_RPS = 0.8

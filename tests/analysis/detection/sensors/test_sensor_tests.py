@@ -26,7 +26,7 @@ from analysis.samples.sample import (
     VisionSample,
 )
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
-from mavproxy_fault.numerics.rotation import matrix_from_quat
+from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 
 FROM_S, UNTIL_S = 30.0, 40.0
 FIELD_NED = np.array([0.21, 0.02, 0.43])  # gauss, middle Europe

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mavproxy_fault.numerics import one_rotation, rotation
+from mavproxy_fault.numerics.rotations import one_rotation, rotation
 
 RNG = np.random.default_rng(4)
 SCIPY = Rotation.random(200, rng=RNG)

@@ -7,7 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavproxy_fault.numerics import one_rotation, rotation, rotation_kernel, rotation_lanes
+from mavproxy_fault.numerics.rotations import (
+    one_rotation,
+    rotation,
+    rotation_kernel,
+    rotation_lanes,
+)
 
 ANGLES = st.tuples(*(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1)))
 VECTORS = st.tuples(*[st.floats(-1e3, 1e3)] * 3)
