@@ -76,14 +76,9 @@ def solve(
     clock = np.zeros(len(systems_of(system)))
     for _ in range(ITERATIONS):
         near = float(r @ r) > TROPOSPHERE_FROM_M**2
-        predicted = predict_ranges(
-            # At the very centre of the earth there is no latitude; a millimetre beside it there is.
-            states,
-            r if near else r + 1e-3,
-            np.zeros(3),
-            epoch.tow_s,
-            ionosphere,
-        )
+        # At the very centre of the earth there is no latitude; a millimetre beside it there is.
+        place = r if near else r + 1e-3
+        predicted = predict_ranges(states, place, np.zeros(3), epoch.tow_s, ionosphere)
         design = design_matrix(predicted[:, 2:5], system)
         unknowns = design.shape[1]
         if len(design) < unknowns:

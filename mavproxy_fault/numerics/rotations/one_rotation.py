@@ -49,6 +49,7 @@ def turned(q_nb: Sequence[float], rotvec_b: Sequence[float]) -> tuple[float, flo
     w, x, y, z = q_nb
     a, b, c = rotvec_b
     half = 0.5 * math.sqrt(a * a + b * b + c * c)
+    # The limit for no turn at all, where the quotient is none.
     scale = 0.5 * math.sin(half) / half if half > 0.0 else 0.5
     a, b, c, s = scale * a, scale * b, scale * c, math.cos(half)
     return (

@@ -34,6 +34,7 @@ def rotate(q: Vector, by: Quaternion) -> None:
     q1 = a * x + b * w + c * z - d * y
     q2 = a * y - b * z + c * w + d * x
     q3 = a * z + b * y - c * x + d * w
+    # At every step: an attitude is turned a million times in a flight, and rounding would add up.
     norm = sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
     q[0], q[1], q[2], q[3] = q0 / norm, q1 / norm, q2 / norm, q3 / norm
 
@@ -104,6 +105,7 @@ def to_ned(
     e0: float, e1: float, e2: float, e3: float, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
     """Turn a body vector into NED."""
+    # The inverse of a unit quaternion is its conjugate.
     return to_body(e0, -e1, -e2, -e3, x, y, z)
 
 
@@ -136,6 +138,7 @@ def quaternion_of_euler(roll: float, pitch: float, yaw: float) -> Vector:
 @compiled
 def wrapped(angle_rad: float) -> float:
     """The angle in (-pi, pi]."""
+    # The usual case, to the last bit as it came.
     if -pi < angle_rad <= pi:
         return angle_rad
     return atan2(sin(angle_rad), cos(angle_rad))
@@ -159,6 +162,7 @@ def gravity_error(
     The specific force is freed of the centripetal part of a flight along the nose. Its sine is
     scaled down as the force departs from one g, where it says little about down.
     """
+    # A turn pushes sideways by rate times speed, which is no gravity.
     fx = accel[0]
     fy = accel[1] - gyro[2] * speed_mps
     fz = accel[2] + gyro[1] * speed_mps
@@ -186,6 +190,7 @@ def errors(q_estimate: Vector | Quaternion, q_truth: Vector | Quaternion) -> Err
     x = a[0] * b[1] - a[1] * b[0] - a[2] * b[3] + a[3] * b[2]
     y = a[0] * b[2] + a[1] * b[3] - a[2] * b[0] - a[3] * b[1]
     z = a[0] * b[3] - a[1] * b[2] + a[2] * b[1] - a[3] * b[0]
+    # The size of w: q and -q are one attitude, and no angle is above half a turn.
     angle_rad = 2.0 * atan2(sqrt(x * x + y * y + z * z), abs(w))
     return wrapped(roll_a - roll_b), wrapped(pitch_a - pitch_b), wrapped(yaw_a - yaw_b), angle_rad
 

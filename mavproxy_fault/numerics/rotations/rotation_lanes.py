@@ -20,7 +20,7 @@ def euler(e0: float, e1: float, e2: float, e3: float) -> tuple[float, float, flo
     rest = 1.0 - sine * sine
     return (
         atan2(2.0 * (e0 * e1 + e2 * e3), 1.0 - 2.0 * (e1 * e1 + e2 * e2)),
-        # A sine beyond one by a rounding is one.
+        # By tangent, as no arc sine is here; a sine beyond one by a rounding is one.
         atan2(sine, np.sqrt(rest if rest > 0.0 else 0.0)),
         atan2(2.0 * (e0 * e3 + e1 * e2), 1.0 - 2.0 * (e2 * e2 + e3 * e3)),
     )
