@@ -15,11 +15,9 @@ def add_run(commands: Any) -> None:
     parser.add_argument(
         "--schedule", metavar="FILE", help="faults to use instead of the scenario's"
     )
+    # No default here, as it hangs on --ui: whoever watches a page wants real time.
     parser.add_argument(
-        # No default here, as it hangs on --ui: whoever watches a page wants real time.
-        "--speed",
-        metavar="1|N|max",
-        help="times real time (default: max, with --ui 1)",
+        "--speed", metavar="1|N|max", help="times real time (default: max, with --ui 1)"
     )
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
     parser.add_argument("--out", metavar="DIR", help="run folder (default: runs/ and a number)")
