@@ -34,6 +34,7 @@ def rotate(q: Vector, by: Quaternion) -> None:
     q1 = a * x + b * w + c * z - d * y
     q2 = a * y - b * z + c * w + d * x
     q3 = a * z + b * y - c * x + d * w
+    # Over a flight's many small rotations rounding would let the length drift.
     norm = sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
     q[0], q[1], q[2], q[3] = q0 / norm, q1 / norm, q2 / norm, q3 / norm
 
@@ -51,6 +52,7 @@ def turned_in_reference(q: Vector, rx: float, ry: float, rz: float) -> Vector:
     """The same for a rotation vector given in the axes that q turns to (NED, ECEF)."""
     out = np.empty(4)
     out[0], out[1], out[2], out[3] = quaternion_of_rotation(rx, ry, rz)
+    # The attitude behind the rotation: its axes are then those of the reference.
     rotate(out, (q[0], q[1], q[2], q[3]))
     return out
 
@@ -136,6 +138,7 @@ def quaternion_of_euler(roll: float, pitch: float, yaw: float) -> Vector:
 @compiled
 def wrapped(angle_rad: float) -> float:
     """The angle in (-pi, pi]."""
+    # Nearly always so; and an angle that needs nothing keeps its last bit.
     if -pi < angle_rad <= pi:
         return angle_rad
     return atan2(sin(angle_rad), cos(angle_rad))
@@ -169,6 +172,7 @@ def gravity_error(
     dx, dy, dz = rot[2, 0], rot[2, 1], rot[2, 2]
     mx, my, mz = scale * fx, scale * fy, scale * fz
     out = np.empty(3)
+    # The cross product of both downs is the axis, as long as the sine of the angle between.
     out[0] = my * dz - mz * dy
     out[1] = mz * dx - mx * dz
     out[2] = mx * dy - my * dx
@@ -186,6 +190,7 @@ def errors(q_estimate: Vector | Quaternion, q_truth: Vector | Quaternion) -> Err
     x = a[0] * b[1] - a[1] * b[0] - a[2] * b[3] + a[3] * b[2]
     y = a[0] * b[2] + a[1] * b[3] - a[2] * b[0] - a[3] * b[1]
     z = a[0] * b[3] - a[1] * b[2] + a[2] * b[1] - a[3] * b[0]
+    # The shorter way by the absolute value; the arc cosine would lose small angles.
     angle_rad = 2.0 * atan2(sqrt(x * x + y * y + z * z), abs(w))
     return wrapped(roll_a - roll_b), wrapped(pitch_a - pitch_b), wrapped(yaw_a - yaw_b), angle_rad
 
