@@ -102,12 +102,9 @@ def add_monitor(commands: Any) -> None:
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--link", metavar="EP", help="live MAVLink, e.g. udpin:127.0.0.1:14551")
     source.add_argument("--log", metavar="LOG", help="a tlog, ULog or dataflash log")
+    # The first holds the observations; each system's navigation may be a file of its own.
     source.add_argument(
-        # The first holds the observations; each system's navigation may be a file of its own.
-        "--rinex",
-        nargs="+",
-        metavar="FILE",
-        help="RINEX 2, 3 or 4: OBS NAV [NAV ...]",
+        "--rinex", nargs="+", metavar="FILE", help="RINEX 2, 3 or 4: OBS NAV [NAV ...]"
     )
     parser.add_argument("--imu", metavar="CSV", help="IMU samples to go with --rinex")
     parser.add_argument("--schedule", metavar="FILE", help="faults to put into the --rinex file")

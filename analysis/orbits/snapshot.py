@@ -75,10 +75,10 @@ def solve(
     r = np.zeros(3) if guess is None else guess.copy()
     clock = np.zeros(len(systems_of(system)))
     for _ in range(ITERATIONS):
-        near = float(r @ r) > TROPOSPHERE_FROM_M**2
-        # At the very centre of the earth there is no latitude; a millimetre beside it there is.
-        place = r if near else r + 1e-3
-        predicted = predict_ranges(states, place, np.zeros(3), epoch.tow_s, ionosphere)
+        near = float(r @ r) > TROPOSPHERE_FROM_M**2  # else 1 mm off: the centre has no latitude
+        predicted = predict_ranges(
+            states, r if near else r + 1e-3, np.zeros(3), epoch.tow_s, ionosphere
+        )
         design = design_matrix(predicted[:, 2:5], system)
         unknowns = design.shape[1]
         if len(design) < unknowns:
@@ -96,8 +96,7 @@ def solve(
             break
     if not np.isfinite(r).all():
         return None
-    # Moved by the last step, which is too small to ask for another linearisation.
-    residual = residual - design @ step
+    residual = residual - design @ step  # the last step is too small to linearise anew
     return Fix(
         satellites=epoch.satellites,
         r_ecef_m=r,

@@ -28,9 +28,7 @@ class GpsError(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Gauss-Markov position error: nu[n+1] = exp(-k T) nu[n] + eta, eta of `kick_m` per sample."""
 
     kick_m: float
-    k_per_s: float = (
-        1.0 / 1100.0
-    )  # of the book's receiver: an error that wanders over some 18 minutes
+    k_per_s: float = 1.0 / 1100.0  # of the book: the error wanders over some 18 minutes
 
     def noise(self, rate_hz: float) -> Noise:
         """The same process in the terms of the shared error model."""

@@ -15,6 +15,7 @@ def euler_angles(q_nb: Sequence[float]) -> tuple[float, float, float]:
     w, x, y, z = q_nb
     return (
         math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        # Rounding may take the sine of a vertical nose beyond one.
         math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x)))),
         math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
     )
@@ -49,7 +50,7 @@ def turned(q_nb: Sequence[float], rotvec_b: Sequence[float]) -> tuple[float, flo
     w, x, y, z = q_nb
     a, b, c = rotvec_b
     half = 0.5 * math.sqrt(a * a + b * b + c * c)
-    # The limit for no turn at all, where the quotient is none.
+    # The limit where nothing turns and the quotient is 0 / 0.
     scale = 0.5 * math.sin(half) / half if half > 0.0 else 0.5
     a, b, c, s = scale * a, scale * b, scale * c, math.cos(half)
     return (

@@ -30,7 +30,7 @@ def euler_from_quat(q: ArrayLike) -> Array:
     """Roll, pitch, yaw (..., 3) [rad]; pitch within +-pi/2."""
     w, x, y, z = np.moveaxis(np.asarray(q, dtype=float), -1, 0)
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    # A product of rounded numbers may exceed one, where the arc sine has no value.
+    # Rounding may take the sine of a vertical nose beyond one.
     pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
     yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     return np.stack([roll, pitch, yaw], axis=-1)
@@ -77,7 +77,6 @@ def quat_from_matrix(rot: ArrayLike) -> Array:
     best = np.argmax(squares, axis=-1)
     q = np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    # q and -q are one attitude; the sign is fixed so that results can be compared.
     return np.asarray(np.where(q[..., :1] < 0.0, -q, q))
 
 
@@ -112,10 +111,10 @@ def quat_from_rotvec(rotvec: ArrayLike) -> Array:
 def rotvec_from_quat(q: ArrayLike) -> Array:
     """Rotation vector (..., 3) [rad] of length at most pi."""
     quat = np.asarray(q, dtype=float)
-    # Of the two ways round, the shorter one.
+    # The other sign is the same rotation the long way round, by more than pi.
     quat = np.where(quat[..., :1] < 0.0, -quat, quat)
-    # The arc tangent keeps its digits near no turn and near half a turn alike.
     sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
+    # Not by the arc cosine, which loses half the digits of small angles.
     half = np.arctan2(sine, quat[..., :1])
     return np.asarray(quat[..., 1:] * (2.0 / np.sinc(half / np.pi)))
 
@@ -129,4 +128,5 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> Array:
 
 def wrap(angle: ArrayLike) -> Array:
     """Angle brought into [-pi, pi) [rad]."""
+    # The remainder has the divisor's sign, so negative angles need no case of their own.
     return np.asarray((np.asarray(angle, dtype=float) + np.pi) % (2.0 * np.pi) - np.pi)

@@ -34,7 +34,7 @@ def rotate(q: Vector, by: Quaternion) -> None:
     q1 = a * x + b * w + c * z - d * y
     q2 = a * y - b * z + c * w + d * x
     q3 = a * z + b * y - c * x + d * w
-    # At every step: an attitude is turned a million times in a flight, and rounding would add up.
+    # Over a flight's many small rotations rounding would let the length drift.
     norm = sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
     q[0], q[1], q[2], q[3] = q0 / norm, q1 / norm, q2 / norm, q3 / norm
 
@@ -52,6 +52,7 @@ def turned_in_reference(q: Vector, rx: float, ry: float, rz: float) -> Vector:
     """The same for a rotation vector given in the axes that q turns to (NED, ECEF)."""
     out = np.empty(4)
     out[0], out[1], out[2], out[3] = quaternion_of_rotation(rx, ry, rz)
+    # The attitude behind the rotation: its axes are then those of the reference.
     rotate(out, (q[0], q[1], q[2], q[3]))
     return out
 
@@ -105,7 +106,6 @@ def to_ned(
     e0: float, e1: float, e2: float, e3: float, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
     """Turn a body vector into NED."""
-    # The inverse of a unit quaternion is its conjugate.
     return to_body(e0, -e1, -e2, -e3, x, y, z)
 
 
@@ -138,7 +138,7 @@ def quaternion_of_euler(roll: float, pitch: float, yaw: float) -> Vector:
 @compiled
 def wrapped(angle_rad: float) -> float:
     """The angle in (-pi, pi]."""
-    # The usual case, to the last bit as it came.
+    # Nearly always so; and an angle that needs nothing keeps its last bit.
     if -pi < angle_rad <= pi:
         return angle_rad
     return atan2(sin(angle_rad), cos(angle_rad))
@@ -162,7 +162,6 @@ def gravity_error(
     The specific force is freed of the centripetal part of a flight along the nose. Its sine is
     scaled down as the force departs from one g, where it says little about down.
     """
-    # A turn pushes sideways by rate times speed, which is no gravity.
     fx = accel[0]
     fy = accel[1] - gyro[2] * speed_mps
     fz = accel[2] + gyro[1] * speed_mps
@@ -173,6 +172,7 @@ def gravity_error(
     dx, dy, dz = rot[2, 0], rot[2, 1], rot[2, 2]
     mx, my, mz = scale * fx, scale * fy, scale * fz
     out = np.empty(3)
+    # The cross product of both downs is the axis, as long as the sine of the angle between.
     out[0] = my * dz - mz * dy
     out[1] = mz * dx - mx * dz
     out[2] = mx * dy - my * dx
@@ -190,7 +190,7 @@ def errors(q_estimate: Vector | Quaternion, q_truth: Vector | Quaternion) -> Err
     x = a[0] * b[1] - a[1] * b[0] - a[2] * b[3] + a[3] * b[2]
     y = a[0] * b[2] + a[1] * b[3] - a[2] * b[0] - a[3] * b[1]
     z = a[0] * b[3] - a[1] * b[2] + a[2] * b[1] - a[3] * b[0]
-    # The size of w: q and -q are one attitude, and no angle is above half a turn.
+    # The shorter way by the absolute value; the arc cosine would lose small angles.
     angle_rad = 2.0 * atan2(sqrt(x * x + y * y + z * z), abs(w))
     return wrapped(roll_a - roll_b), wrapped(pitch_a - pitch_b), wrapped(yaw_a - yaw_b), angle_rad
 
