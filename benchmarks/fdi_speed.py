@@ -87,10 +87,10 @@ def single_epochs(samples: list[Sample]) -> None:
         place = len(spent["quiet"]) % len(sample.satellites)
         wrong = sample.pseudorange_m + 50.0 * (np.arange(len(sample.satellites)) == place)
         for title, given in zip(spent, (sample, replace(sample, pseudorange_m=wrong)), strict=True):
-            times = []
+            times, block = [], block_of([given])
             for _ in range(3):  # the least: what else the machine does is not the detector's
                 began = time.perf_counter()
-                _, after = detector.step(block_of([given]), state)
+                _, after = detector.step(block, state)
                 times.append(time.perf_counter() - began)
             spent[title].append(min(times) * 1e6)
             following = after if title == "quiet" else following

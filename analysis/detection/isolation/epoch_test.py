@@ -34,7 +34,6 @@ from analysis.detection.isolation.range_test import (
     free_clock,
     free_position,
     passed,
-    without,
 )
 from analysis.detection.isolation.rate_test import RatesTested, check_rates, freed_by
 from analysis.detection.isolation.whole_receiver import (
@@ -221,7 +220,9 @@ def _bounded(
     parity, dof = tests.parity, tests.parity_dof
     if faulty:
         names = tuple(name for i, name in enumerate(names) if i not in faulty)
-        used = without(used, faulty, np.zeros(len(sight.names)))
+        keep = np.ones(len(sight.names), dtype=bool)
+        keep[list(faulty)] = False
+        used = used.select(keep)
         parity, dof, _ = parity_test(normal_equations(used.h, used.variance, used.v_m))
     misfit = core.misfit.with_epoch(parity, dof, since_us * 1e-6)
     moved_m = moved.x[:3] - judged.predicted.x[:3]
