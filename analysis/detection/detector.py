@@ -6,7 +6,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from analysis.detection.decision_record import decision, imu_results, started, untestable
+from analysis.detection.decision_record import (
+    decision,
+    imu_results,
+    rate_results,
+    started,
+    untestable,
+)
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import NOTHING_FROZEN, Core, Record, State
 from analysis.detection.epoch_outcome import Outcome
@@ -185,7 +191,8 @@ class Detector:
         if outcome.reason:
             return [untestable(epoch.t_us, outcome.reason, core.excluded)], core
         decided = decision(epoch, outcome, core, bool(late), config)
-        return [decided, *imu_results(epoch, outcome, config)], core
+        beside = imu_results(epoch, outcome, config) + rate_results(epoch, outcome)
+        return [decided, *beside], core
 
     def _late(self, outcome: Outcome, core: Core, t_us: int) -> dict[str, int]:
         """Satellites found faulty now, and since when, where that was earlier."""
@@ -256,12 +263,13 @@ def _fed_us(core: Core) -> int:
 
 def _interrupted(core: Core, gap_us: int, config: DetectorConfig) -> Core:
     """The core after a gap too long to bridge: its place and its exclusions are still known."""
-    excluded = {}
+    excluded, leapt_m = {}, None
     if gap_us <= config.sigma.slow_s * 1e6:  # what is wrong with a satellite lasts about so long
+        leapt_m = core.leapt_m
         excluded = {
             name: replace(entry, healthy_since_us=None) for name, entry in core.excluded.items()
         }
-    return _forgotten(core)._replace(excluded=excluded, before=core.motion)
+    return _forgotten(core)._replace(excluded=excluded, leapt_m=leapt_m, before=core.motion)
 
 
 def _spaced(core: Core, gap_us: int) -> Core:

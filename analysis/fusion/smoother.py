@@ -16,7 +16,7 @@ from analysis.fusion.factors.factor_weights import isolated_sensors, range_weigh
 from analysis.fusion.factors.gnc import outliers
 from analysis.fusion.factors.range_factors import Ranges
 from analysis.fusion.factors.sensor_factors import WAITING, Others
-from analysis.fusion.filter_check import against_filter
+from analysis.fusion.filter_check import against_filter, told_apart
 from analysis.fusion.fused_record import fused_state, gap
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.fusion_state import FusionState, Good, Now, heeded
@@ -102,6 +102,8 @@ class Fusion:
         state.forget(decision.t_us)
         if fused is None:
             return [], state
+        if self.config.decide:
+            fused = told_apart(fused, decision)
         state.last = fused
         return [fused], state
 

@@ -264,3 +264,25 @@ def test_without_ephemerides_nothing_is_tested(flight):
     epochs = [s for s in flight if isinstance(s, Epoch)][:3]
     found = decisions(list(epochs))
     assert {d.reason for d in found} == {"no ephemeris for any satellite in view"}
+
+
+def test_a_wrong_doppler_rate_of_one_satellite_is_told_and_its_range_stays_in_use(flight):
+    name = satellites(flight)[2]
+
+    def faulty(sample: Sample) -> Sample:
+        if not isinstance(sample, Epoch) or not FROM_S <= sample.t_us * 1e-6 < UNTIL_S:
+            return sample
+        rates = sample.doppler_mps.copy()
+        rates[sample.satellites.index(name)] += 5.0
+        return replace(sample, doppler_mps=rates)
+
+    results = run(Detector(), [faulty(sample) for sample in flight])
+    told = [r for r in results if isinstance(r, SensorDecision) and r.sensor == "satellites"]
+    assert {result.suspect for result in told} == {name}
+    spacing_s = 1e-6 * np.diff([s.t_us for s in flight if isinstance(s, Epoch)]).max()
+    # At the third epoch running, so that one noisy epoch blames nobody.
+    assert FROM_S + 1.5 * spacing_s < told[0].t_s < FROM_S + 2.5 * spacing_s
+    assert UNTIL_S - 1.5 * spacing_s < told[-1].t_s < UNTIL_S
+    assert not any(r.excluded for r in results if isinstance(r, Decision))
+    clean = run(Detector(), flight)
+    assert not any(isinstance(r, SensorDecision) and r.sensor == "satellites" for r in clean)
