@@ -1,9 +1,6 @@
-"""ArduPilot in a run: the bridge's process, which starts the autopilot and ends it."""
+"""ArduPilot in a run: the bridge, which starts the autopilot and ends it."""
 
 import contextlib
-import shlex
-import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -11,12 +8,17 @@ from analysis.autopilots.ardupilot_requests import COPTER, PLANE, ArduPilotReque
 from analysis.autopilots.flight_operator import Requests
 from analysis.autopilots.hil_exchange import BRIDGE_STEP
 from analysis.autopilots.own_parameters import text_of
-from analysis.autopilots.program import Program, ended
+from analysis.autopilots.program import Program
 from mavproxy_fault.ardupilot.autopilot_process import check_command
-from mavproxy_fault.links.tcp import TcpServer
+from mavproxy_fault.ardupilot.bridge_command import checked_parameters
+from mavproxy_fault.ardupilot.bridged_autopilot import BridgedAutopilot
+from mavproxy_fault.ardupilot.parameters import Kind
 from simvehicle.simulation.simulation import Simulation
 
-KINDS = {"multirotor": "copter", "fixedwing": "plane"}  # of the bridge, by the scenario's
+KINDS: dict[str, Kind] = {
+    "multirotor": "copter",
+    "fixedwing": "plane",
+}  # of the bridge, by the scenario's
 MODES = {"multirotor": COPTER, "fixedwing": PLANE}
 
 
@@ -36,24 +38,16 @@ def started(
     words: Sequence[str], simulation: Simulation, folder: Path, own: dict[str, float]
 ) -> Iterator[Program]:
     """The bridge and its autopilot with the user's `own` parameters; both end with the flight."""
-    # Any free port, so that several runs can be flown at once.
-    with contextlib.closing(TcpServer("127.0.0.1", 0)) as link:
-        bridge = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot"]
-        bridge += ["--hil", f"tcp:127.0.0.1:{link.port}", "--command", shlex.join(words)]
-        bridge += ["--vehicle", KINDS[simulation.scenario.vehicle.kind]]
-        bridge += ["--dir", str(folder / "autopilot")]
-        if own:
-            file = folder / "own.parm"
-            file.write_text(text_of(own))
-            bridge += ["--parameters", str(file)]
-        path = folder / "bridge.log"
-        with path.open("wb") as log:
-            process = subprocess.Popen(
-                bridge,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                process_group=0,  # Ctrl-C is the run's
-            )
-        with ended(process):
-            yield Program("the bridge", process, [link], path, BRIDGE_STEP)
+    path, kind = folder / "bridge.log", KINDS[simulation.scenario.vehicle.kind]
+    files = []
+    if own:
+        file = folder / "own.parm"
+        file.write_text(text_of(own))
+        files = checked_parameters(str(file))
+    with path.open("w", buffering=1) as log, contextlib.ExitStack() as stack:
+        # In this process: a process of its own would cost each step two changes between them.
+        bridged = BridgedAutopilot(
+            words, kind, folder / "autopilot", files, lambda line: print(line, file=log)
+        )
+        stack.callback(bridged.close)
+        yield Program("ArduPilot", bridged, [bridged], path, BRIDGE_STEP)

@@ -7,10 +7,9 @@ answered by the autopilot's word on it, and where none of it reached the autopil
 """
 
 import select
-import subprocess
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from analysis.run.proxied_flight import GROUND, SIMULATOR, VEHICLE, Flight, is_hil
 from mavproxy_fault.documents.errors import ConfigError
@@ -25,7 +24,6 @@ from simvehicle.hil.lockstep import Lockstep
 from simvehicle.sensors.readings import Reading
 from simvehicle.vehicles.body import Truth
 
-Process = subprocess.Popen[bytes]
 Hear = Callable[[list[Send]], None]  # what leaves for monitor and ground station
 STAMP = slice(10, 18)  # time_usec, of every message that steps are answered by
 ANSWER = known("HIL_ACTUATOR_CONTROLS")
@@ -153,10 +151,20 @@ def packed_frame(raw: bytes) -> Frame:
     return Frame(raw, described)
 
 
+class Ending(Protocol):
+    """What is asked of a program; `subprocess.Popen` is one."""
+
+    def poll(self) -> int | None:
+        """Its exit code, once it has ended."""
+
+    def wait(self, timeout: float) -> int:
+        """Its exit code; TimeoutExpired where it does not end in time."""
+
+
 class Patience:
     """Gives up where no autopilot comes; one that came and went is the loop's to tell."""
 
-    def __init__(self, link: Link, process: Process | None, seconds: float) -> None:
+    def __init__(self, link: Link, process: Ending | None, seconds: float) -> None:
         self._came = False
         self._link, self._process, self._seconds = link, process, seconds
         self._deadline = time.monotonic() + seconds
@@ -167,8 +175,8 @@ class Patience:
         if self._came:
             return
         # A program that has ended will not come: no need to wait for the deadline.
-        if self._process is not None and self._process.poll() is not None:
-            code = self._process.returncode
+        code = None if self._process is None else self._process.poll()
+        if code is not None:
             raise ConfigError(f"autopilot.command: it ended with code {code}; it has to connect")
         if time.monotonic() > self._deadline:
             raise ConfigError(

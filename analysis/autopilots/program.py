@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from analysis.autopilots.hil_exchange import StepMessage
+from analysis.autopilots.hil_exchange import Ending, StepMessage
 from mavproxy_fault.ardupilot.child_process import ending
 from mavproxy_fault.links.link import Link
 
@@ -23,7 +23,7 @@ class Program:
     """
 
     name: str
-    process: Process
+    process: Ending
     links: Sequence[Link]
     log: Path
     step: StepMessage
@@ -31,8 +31,8 @@ class Program:
     def last_words(self) -> str:
         """How it ended where it was killed, else what it said last; for a message."""
         with contextlib.suppress(subprocess.TimeoutExpired):
-            if self.process.wait(END_S) < 0:
-                return f"; {self.name} ended {ending(self.process.returncode)}"
+            if (code := self.process.wait(END_S)) < 0:
+                return f"; {self.name} ended {ending(code)}"
         lines = self.log.read_text(errors="replace").strip().splitlines()
         return f"; {self.name} said: {lines[-1]}" if lines else ""
 

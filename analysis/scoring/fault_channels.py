@@ -100,6 +100,8 @@ def sight(label: Label) -> Sight:
     """Who can see the fault of a label."""
     if label.fault == "gps-spoof":
         return RECEIVER_SIGHT
+    if label.fault == "command":
+        return Sight(frozenset(), reason="a command to the vehicle falsifies nothing")
     if not label.targets:
         return _of_link(label.fault)
     found = [target_sight(target, label.parameters) for target in label.targets]

@@ -6,16 +6,18 @@ from mavsdk import ComponentType, Configuration, Mavsdk
 from mavsdk.plugins.telemetry import FixType, GpsInfo, Telemetry
 
 CONNECTS_S = 30.0
+SETTLES_S = 1.0  # a first report that is bad may still get better
 LEAST_SATELLITES = 6
 
 
-def objections(url: str, patience_s: float = 3.0) -> list[str]:
-    """What still speaks against a take-off after some seconds; `url` is MAVSDK's address."""
+def objections(url: str, silence_s: float = 30.0) -> list[str]:
+    """What speaks against a take-off; `url` is MAVSDK's address, a GPS may be silent so long."""
     wrong = ["the vehicle says nothing of its GPS"]
-    ready = threading.Event()
+    heard, ready = threading.Event(), threading.Event()
 
     def look(info: GpsInfo, _: object) -> None:
         wrong[:] = wrong_with(info)
+        heard.set()
         if not wrong:
             ready.set()
 
@@ -27,7 +29,8 @@ def objections(url: str, patience_s: float = 3.0) -> list[str]:
             return ["there is no vehicle"]
         telemetry = Telemetry(vehicle)
         handle = telemetry.subscribe_gps_info(look)
-        ready.wait(patience_s)
+        if heard.wait(silence_s):
+            ready.wait(SETTLES_S)
         telemetry.unsubscribe_gps_info(handle)
     return wrong
 

@@ -42,6 +42,10 @@ def add_proxy(commands: Any) -> None:
         "--no-inject", dest="inject", action="store_false", help="refuse live faults"
     )
     parser.add_argument(
+        "--allow-commands", action="store_true",
+        help="let schedules and live control arm, fly and land the vehicle",
+    )  # fmt: skip
+    parser.add_argument(
         "--rflysim", type=int, metavar="PORT", help="take RflySim's fault packets on this UDP port"
     )
     parser.add_argument("--rflysim-map", metavar="FILE", help="its fault ids (YAML)")
@@ -101,6 +105,14 @@ def add_inject(commands: Any) -> None:
     )  # fmt: skip
     parser.add_argument("--clear", metavar="ID", help="end this fault (its id, or 'all')")
     parser.add_argument("--list", action="store_true", help="the faults there are")
+    parser.add_argument(
+        "--through", choices=["mavsdk"],
+        help="send the standard's failure command instead; FAULT is UNIT:TYPE[:INSTANCE]",
+    )  # fmt: skip
+    parser.add_argument(
+        "--vehicle", metavar="URL",
+        help="where --through finds it (default: udpin://127.0.0.1:14540)",
+    )  # fmt: skip
     _add_run(parser)
     parser.set_defaults(main=_inject)
 
@@ -117,6 +129,10 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
 
 
 def _inject(args: argparse.Namespace) -> int:
+    if args.through is not None:
+        from mavproxy_fault.app.standard_failure import main as standard
+
+        return standard(args)
     from mavproxy_fault.app.inject import main
 
     return main(args)
@@ -176,9 +192,11 @@ def add_ardupilot(commands: Any) -> None:
     parser.add_argument(
         "--hil", default="tcp:127.0.0.1:4560", metavar="EP", help="simulator or proxy (4560)"
     )
+    parser.add_argument("--command", metavar="PATH", help="ArduPilot's SITL binary, with options")
     parser.add_argument(
-        "--command", required=True, metavar="PATH", help="ArduPilot's SITL binary, with options"
+        "--vectornav", metavar="EP", help="instead: the line to a board's external AHRS port"
     )
+    parser.add_argument("--mavlink", metavar="EP", help="and the line to its MAVLink port")
     parser.add_argument("--vehicle", choices=("copter", "plane"), default="copter")
     parser.add_argument("--parameters", metavar="FILE", help="your own, after the bridge's")
     parser.add_argument(

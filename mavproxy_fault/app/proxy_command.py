@@ -122,7 +122,7 @@ def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server)
 
     rflysim = read_map(args.rflysim_map or SHIPPED) if args.rflysim is not None else None
     control = Control(
-        engine or Engine(Schedule(0, ())),
+        engine or Engine(Schedule(0, ()), commands=args.allow_commands),
         allowed=args.inject,
         rflysim=rflysim,
         # Tables are opened only below folders that the command line names.
@@ -167,7 +167,7 @@ def main(args: argparse.Namespace) -> int:
         from mavproxy_fault.proxy.engine import Engine
         from mavproxy_fault.schedule.entries import read_schedule
 
-        engine = Engine(read_schedule(args.schedule))
+        engine = Engine(read_schedule(args.schedule), commands=args.allow_commands)
         session |= {"seed": engine.seed, "schedule": Path(args.schedule).read_text()}
     signed = signing(args)
     # Links first: a port that is taken ends the command before anything is written.

@@ -1,56 +1,163 @@
-"""The `ardupilot` command: the bridge, and the ArduPilot that it starts and ends."""
+"""The `ardupilot` command: the bridge, and the ArduPilot that it starts and ends.
+
+PX4 speaks first, and so does the bridge: a simulator waits for a word.
+"""
 
 import argparse
 import contextlib
 import select
-import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol
 
-from mavproxy_fault.ardupilot.autopilot_process import PARAMETERS, Ports, check_command, start
-from mavproxy_fault.ardupilot.bridge import Bridge, FlightEndError
-from mavproxy_fault.ardupilot.bridge_ports import Datagrams, SensorPort
-from mavproxy_fault.ardupilot.observation import observe
-from mavproxy_fault.ardupilot.outputs import motor_channels, plane_channels
-from mavproxy_fault.ardupilot.parameters import check, file_text, parameters
+from mavproxy_fault.ardupilot.autopilot_process import check_command
+from mavproxy_fault.ardupilot.bridged_autopilot import BridgedAutopilot
+from mavproxy_fault.ardupilot.child_process import ending
+from mavproxy_fault.ardupilot.parameters import Kind, check
+from mavproxy_fault.ardupilot.wired_autopilot import WiredAutopilot
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.inbox import Inbox
+from mavproxy_fault.links.link import Chunk, Link
 from mavproxy_fault.links.spec import open_link
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
 
-CHANNELS = {"copter": motor_channels, "plane": plane_channels}
-END_S = 3.0  # for the autopilot to close its log
+MAV_TYPES: dict[Kind, int] = {"copter": 2, "plane": 1}
+ARDUPILOT = 3  # MAV_AUTOPILOT_ARDUPILOTMEGA
+WAIT_S = 0.5  # between looks at both sides
+SILENCE_S = 5.0  # without a step, after which it is told
+
+
+class FlightEndError(RuntimeError):
+    """A side of the bridge went away."""
 
 
 def main(args: argparse.Namespace) -> int:
     """`mavproxy-fault ardupilot`; the exit code is 1 if the flight ended while armed."""
-    words = check_command(args.command)
-    folder = Path(args.dir)
-    folder.mkdir(parents=True, exist_ok=True)
-    defaults = [folder / PARAMETERS, *checked_parameters(args.parameters)]
+    check_lines(args)
+    words = [] if args.command is None else check_command(args.command)
+    own = checked_parameters(args.parameters)
     with contextlib.ExitStack() as stack:
-        link = open_link(args.hil)
-        ports = Datagrams(), Datagrams(), SensorPort()
-        for opened in (link, *ports):
-            stack.callback(opened.close)
-        inbox = Inbox(link)
+        link = stack.enter_context(contextlib.closing(open_link(args.hil)))
+        autopilot: Autopilot
+        if words:
+            folder = Path(args.dir)
+            autopilot = BridgedAutopilot(words, args.vehicle, folder, own, say, link.name)
+        else:
+            lines = open_link(args.vectornav), open_link(args.mavlink)
+            autopilot = WiredAutopilot(*lines, args.vehicle, say, link.name)
+        stack.callback(autopilot.close)
         try:
             say(f"{link.name}: waiting for the simulator")
-            seen = observe(inbox, args.vehicle)
-            defaults[0].write_text(file_text(parameters(args.vehicle, seen.fitted)))
-            say(f"{words[0]}: starting in {folder}, {seen.fitted.rate_hz:g} steps a second")
-            numbers = Ports(*(port.port for port in ports))
-            process = start(words, folder, numbers, seen.home, defaults)
-            bridge = Bridge(inbox, seen, ports, CHANNELS[args.vehicle], say)
-            with ended(process, bridge):
-                bridge.run(process)
+            Exchange(link, autopilot, say).run(hello(args.vehicle))
         except FlightEndError as end:
             say(str(end))
-            return int(end.in_flight)
+            return int(autopilot.armed)
         except KeyboardInterrupt:
             say("stopped")
     return 0
+
+
+def check_lines(args: argparse.Namespace) -> None:
+    """Refuse half a board, and a board beside a program.
+
+    Raises
+    ------
+    ConfigError
+        With the option that is missing or too many.
+    """
+    wired = args.vectornav is not None, args.mavlink is not None
+    if args.command is not None and any(wired):
+        raise ConfigError("--command: is a program; --vectornav and --mavlink are lines to a board")
+    if args.command is None and not all(wired):
+        raise ConfigError(
+            "ardupilot: needs --command, ArduPilot's SITL program, or --vectornav and --mavlink, "
+            "the lines to a board"
+        )
+
+
+class Autopilot(Protocol):
+    """What the exchange needs of ArduPilot, whether a program or a board."""
+
+    @property
+    def started(self) -> bool: ...
+    @property
+    def armed(self) -> bool: ...
+    @property
+    def steps(self) -> int: ...
+    @property
+    def t_us(self) -> int: ...
+    def fileno(self) -> int: ...
+    def poll(self) -> int | None: ...
+    def receive(self, frame: Frame) -> None: ...
+    def read(self) -> list[Chunk]: ...
+    def close(self) -> None: ...
+
+
+class Exchange:
+    """Carries frames between a HIL link and the autopilot until either goes away."""
+
+    def __init__(
+        self,
+        link: Link,
+        autopilot: Autopilot,
+        say: Callable[[str], None],
+        silence_s: float = SILENCE_S,
+    ) -> None:
+        self._link, self._autopilot = link, autopilot
+        self._say, self._silence_s = say, silence_s
+        self._steps = -1  # at the last look
+        self._silent_s: float | None = None  # when the last step was seen; None once it is told
+
+    def run(self, word: bytes) -> None:
+        """Exchange, after a first `word` that is repeated until the autopilot has started.
+
+        Raises
+        ------
+        FlightEndError
+            With what went away and when.
+        ConfigError
+            If the autopilot does not fly on what comes.
+        """
+        link, autopilot, inbox = self._link, self._autopilot, Inbox(self._link)
+        look_s = 0.0
+        while True:
+            select.select([link.fileno(), autopilot.fileno()], [], [], WAIT_S)
+            for frame in inbox.frames():
+                autopilot.receive(frame)
+            for _, data in autopilot.read():
+                link.write(data)
+            if autopilot.started and not link.peer_count:
+                raise self._ended(f"{link.name}: the HIL link was closed")
+            if (now_s := time.monotonic()) >= look_s:
+                look_s = now_s + WAIT_S
+                if not autopilot.started and link.peer_count:
+                    link.write(word)
+                if (code := autopilot.poll()) is not None:
+                    raise self._ended(f"the autopilot's program ended {ending(code)}")
+                self._watch_silence(now_s)
+
+    def _watch_silence(self, now_s: float) -> None:
+        """Tell once that no step comes: the simulator may have died behind a proxy."""
+        if self._autopilot.steps != self._steps:
+            self._steps, self._silent_s = self._autopilot.steps, now_s
+        elif self._silent_s is not None and now_s - self._silent_s > self._silence_s:
+            self._say(f"{self._link.name}: no step for {self._silence_s:g} s; still waiting")
+            self._silent_s = None
+
+    def _ended(self, reason: str) -> FlightEndError:
+        """The error that says what ended the flight, and when."""
+        flying = ", in flight" if self._autopilot.armed else ""
+        at_s = self._autopilot.t_us * 1e-6
+        return FlightEndError(f"{reason} at {at_s:.3f} s of vehicle time{flying}")
+
+
+def hello(kind: Kind) -> bytes:
+    """The bridge's first word."""
+    values = {"type": MAV_TYPES[kind], "autopilot": ARDUPILOT, "mavlink_version": 3}
+    return build(known("HEARTBEAT"), values)
 
 
 def checked_parameters(file: str | None) -> list[Path]:
@@ -63,21 +170,6 @@ def checked_parameters(file: str | None) -> list[Path]:
         raise ConfigError(f"{file}: cannot be read ({error}); give a parameter file") from None
     check(lines, file)
     return [Path(file)]
-
-
-@contextlib.contextmanager
-def ended(process: "subprocess.Popen[bytes]", bridge: Bridge) -> Iterator[None]:
-    """End the program in the end: it closes its log while it is still given physics."""
-    try:
-        yield
-    finally:
-        process.terminate()
-        until_s = time.monotonic() + END_S
-        while process.poll() is None and time.monotonic() < until_s:
-            select.select([bridge.physics], [], [], 0.1)
-            bridge.drain()
-        process.kill()
-        process.wait()
 
 
 def say(text: str) -> None:

@@ -1,24 +1,16 @@
 """What the HIL link shows before the autopilot starts: its sensors, its rate, where it stands.
 
-PX4 speaks first, and so does the bridge: a simulator waits for a word. It then goes on without an
-answer until the autopilot is there.
+The simulator goes on without an answer until the autopilot is there.
 """
 
-import select
-import time
 from dataclasses import dataclass
 
 from mavproxy_fault.ardupilot.hil_readings import BARO, MAG, Readings, TrueState
-from mavproxy_fault.ardupilot.parameters import Fitted, Kind
+from mavproxy_fault.ardupilot.parameters import Fitted
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.inbox import Inbox
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.frame import Frame
 
-MAV_TYPES: dict[Kind, int] = {"copter": 2, "plane": 1}
-ARDUPILOT = 3  # MAV_AUTOPILOT_ARDUPILOTMEGA
-HELLO_S = 0.5
-OBSERVE_US = 1_000_000  # of vehicle time, in which every sensor shows itself
+OBSERVE_US = 1_000_000
 SLOWEST_HZ, FASTEST_HZ = 50.0, 1000.0
 
 
@@ -31,49 +23,56 @@ class Seen:
     fitted: Fitted
 
 
-def observe(inbox: Inbox, kind: Kind) -> Seen:
-    """Wait for the simulator and watch it for a second of its time.
+class Observation:
+    """A second of the vehicle's time on the HIL link, in which every sensor shows itself.
 
-    Raises
-    ------
-    ConfigError
-        If ArduPilot cannot fly on what it sends.
+    Parameters
+    ----------
+    where : str
+        The HIL link's name, for messages.
     """
-    link, readings = inbox.link, Readings()
-    hello = build(
-        known("HEARTBEAT"), {"type": MAV_TYPES[kind], "autopilot": ARDUPILOT, "mavlink_version": 3}
-    )
-    stamps: list[int] = []
-    sensors: set[tuple[str, int]] = set()
-    hello_s = 0.0
-    first: TrueState | None = None
-    # In the vehicle's time: of a slow simulator as many steps are wanted.
-    while first is None or stamps[-1] - stamps[0] < OBSERVE_US:
-        now_s = time.monotonic()
-        if now_s >= hello_s and link.peer_count:
-            hello_s = now_s + HELLO_S
-            link.write(hello)
-        select.select([link.fileno()], [], [], HELLO_S)
-        for frame in inbox.frames():
-            if "id" in frame.layout.fields:
-                sensors.add((frame.layout.name, int(frame.number("id"))))
-            if readings.update(frame) and readings.truth is not None:
-                first = first or readings.truth
-                stamps.append(readings.truth.t_us)
-    check_sensors(readings, link.name)
-    rate_hz = 1e6 * (len(stamps) - 1) / (stamps[-1] - stamps[0])
-    if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
-        raise ConfigError(
-            f"{link.name}: {rate_hz:g} steps a second are not for ArduPilot; "
-            f"{SLOWEST_HZ:g} to {FASTEST_HZ:g} are, 400 for a copter"
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self._readings = Readings()
+        self._stamps: list[int] = []
+        self._sensors: set[tuple[str, int]] = set()
+        self._first: TrueState | None = None
+
+    def update(self, frame: Frame) -> Seen | None:
+        """Read a frame; what was seen, once it is enough.
+
+        Raises
+        ------
+        ConfigError
+            If ArduPilot cannot fly on what comes.
+        """
+        if "id" in frame.layout.fields:
+            self._sensors.add((frame.layout.name, int(frame.number("id"))))
+        truth = self._readings.truth if self._readings.update(frame) else None
+        if truth is None:
+            return None
+        self._first = self._first or truth
+        self._stamps.append(truth.t_us)
+        # In the vehicle's time: of a slow simulator as many steps are wanted.
+        if self._stamps[-1] - self._stamps[0] < OBSERVE_US:
+            return None
+        check_sensors(self._readings, self._where)
+        return Seen(self._readings, self._first, self._fitted())
+
+    def _fitted(self) -> Fitted:
+        rate_hz = 1e6 * (len(self._stamps) - 1) / (self._stamps[-1] - self._stamps[0])
+        if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
+            raise ConfigError(
+                f"{self._where}: {rate_hz:g} steps a second are not for ArduPilot; "
+                f"{SLOWEST_HZ:g} to {FASTEST_HZ:g} are, 400 for a copter"
+            )
+        return Fitted(
+            rate_hz,
+            second_imu=("HIL_SENSOR", 1) in self._sensors,
+            second_gps=("HIL_GPS", 1) in self._sensors,
+            rangefinder=("DISTANCE_SENSOR", 0) in self._sensors,
         )
-    fitted = Fitted(
-        rate_hz,
-        second_imu=("HIL_SENSOR", 1) in sensors,
-        second_gps=("HIL_GPS", 1) in sensors,
-        rangefinder=("DISTANCE_SENSOR", 0) in sensors,
-    )
-    return Seen(readings, first, fitted)
 
 
 def check_sensors(readings: Readings, where: str) -> None:

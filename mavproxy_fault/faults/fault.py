@@ -42,7 +42,8 @@ class Fault(Protocol):
     A fault of a schedule also has a `name`, which the registry finds it by, and an `example`: what
     stands beside `fault: NAME` in the entry that `faults show` prints and the tests run. It may
     have `aliases`, further names, and `on_ranges`, true if its error does not depend on the healthy
-    value, so that it acts on PSEUDORANGE targets too.
+    value, so that it acts on PSEUDORANGE targets too. One with `done(state)` ends as soon as that
+    is true, before its `for_s`.
     """
 
     acts_on: ClassVar[ActsOn]

@@ -14,7 +14,14 @@ import msgspec
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.documents.yaml_document import read_yaml
-from mavproxy_fault.live.failure_command import MESSAGES, TYPES, UNITS, faults_for, name_of
+from mavproxy_fault.live.failure_command import (
+    MESSAGES,
+    TYPES,
+    UNITS,
+    Extent,
+    faults_for,
+    name_of,
+)
 from mavproxy_fault.live.named_files import check_files
 from mavproxy_fault.live.rflysim import IdMap, Packet
 from mavproxy_fault.live.watching import View, Watched
@@ -26,6 +33,8 @@ from mavproxy_fault.wire.frame import Frame, build
 INJECT_FAILURE = 420  # MAV_CMD
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3  # MAV_RESULT
 COMMANDS = frozenset(known(name).id for name in ("COMMAND_LONG", "COMMAND_INT"))
+PARAMETER = known("PARAM_VALUE").id
+ENABLES = b"SYS_FAILURE_EN"  # PX4's parameter; 0 in whatever type, is 0 in the bytes of all
 NAMES = {known(name).id: name for name in MESSAGES}
 QUESTIONS = ("state", "schedule/save")  # these change nothing
 AUTOPILOT = 1  # component that answers a command to all
@@ -55,7 +64,8 @@ class Control:
         self._latched: set[str] = set()
         # Units are supported once one of their messages has passed; each is looked at only once.
         self._unheard: frozenset[int] = frozenset(NAMES)
-        self.wanted: frozenset[int] = COMMANDS | self._unheard
+        self._enabled = True  # until the vehicle tells that it wants no failures
+        self.wanted: frozenset[int] = COMMANDS | {PARAMETER} | self._unheard
 
     # -- MAVLink ---------------------------------------------------------------------------------
 
@@ -69,27 +79,33 @@ class Control:
                 # Looked at once: from then on frames of this message pass without coming here.
                 self._unheard -= {frame.id}
                 self._want()
+            if frame.id == PARAMETER and frame.read("param_id") == ENABLES:
+                self._enabled = frame.number("param_value") != 0.0
             return None
         if frame.number("command") != INJECT_FAILURE:
             return None
-        result = self._inject([frame.number(f"param{n}") for n in (1, 2, 3)], t_us)
+        # COMMAND_INT has whole numbers where the duration would be.
+        several = range(1, 6 if "param5" in frame.layout.fields else 5)
+        result = self._inject([frame.number(f"param{n}") for n in several], t_us)
         return [acknowledgement(frame, result)]
 
     def _inject(self, parameters: list[int | float], t_us: int) -> int:
-        if not self.allowed:
+        if not self.allowed or not self._enabled:
             return DENIED
         # NaN is MAVLink's "not given": -1 is no unit and no kind.
         numbers = [int(one) if math.isfinite(one) else -1 for one in parameters]
         unit, kind = UNITS.get(numbers[0]), TYPES.get(numbers[1])
         # NaN is "not given", which means all.
         instance = 0 if math.isnan(parameters[2]) else numbers[2]
+        # 0 stands for "not given" too: what does not fill a field leaves it 0.
+        given = [one if math.isfinite(one) and one > 0.0 else None for one in parameters[3:]]
         if unit is None or kind is None or instance < 0:
             return UNSUPPORTED
         self.engine.tell_time(t_us)
         if kind == "ok":
             return self._clear(unit, instance)
         try:
-            entries = faults_for(unit, kind, instance, self._passed)
+            entries = faults_for(unit, kind, instance, self._passed, Extent(*given))
         except ValueError:
             return UNSUPPORTED  # no such instance, for example the seventeenth motor
         if not entries:
@@ -160,7 +176,7 @@ class Control:
         return self.view.drain()
 
     def _want(self) -> None:
-        self.wanted = COMMANDS | self._unheard | self.view.ids
+        self.wanted = COMMANDS | {PARAMETER} | self._unheard | self.view.ids
 
     # -- the bus ---------------------------------------------------------------------------------
 

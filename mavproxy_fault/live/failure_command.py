@@ -1,6 +1,7 @@
 """MAV_CMD_INJECT_FAILURE: what each unit and type of failure means on the messages that pass.
 
-The command has no magnitudes, so each unit has some that a vehicle notices. A unit that has a
+The standard has no magnitudes, so each unit has some that a vehicle notices; params 4 and 5, which
+it leaves free, are a magnitude and a duration of one's own. A unit that has a
 message of its own is switched off by losing it; a sensor that shares HIL_SENSOR with others loses
 its `fields_updated` bits instead, and is late or slow by its values, since that message is also the
 vehicle's clock [1]_.
@@ -28,6 +29,7 @@ TYPES = {
 
 SLOW_S = 1.0  # a slow sensor renews its values this often
 DELAY_S = 0.5
+LINK_HZ = 10.0  # of a slow link
 INTERMITTENT = {"for_s": 0.5, "repeat": {"every_s": 1.0}}
 
 M_PER_HPA = 8.4  # of height, near the ground
@@ -142,8 +144,20 @@ def name_of(unit: str, instance: int) -> str:
     return f"mav-{unit}-{instance}" if instance else f"mav-{unit}"
 
 
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """How large and how long; None for what the unit has, and for good."""
+
+    magnitude: float | None = None
+    for_s: float | None = None
+
+    def of(self, usual: float) -> float:
+        """The magnitude, or the usual one."""
+        return usual if self.magnitude is None else self.magnitude
+
+
 def faults_for(
-    unit: str, kind: str, instance: int, passed: Collection[str]
+    unit: str, kind: str, instance: int, passed: Collection[str], extent: Extent = Extent()
 ) -> list[dict[str, Any]]:
     """The entries of a schedule that carry out a failure on the messages that have passed.
 
@@ -155,6 +169,8 @@ def faults_for(
         1 for the first sensor or motor, 0 for all.
     passed : collection of str
         Names of the messages seen so far.
+    extent : Extent
+        In the unit's own measure (as `WHAT` has it), or seconds for what is slow or delayed.
 
     Returns
     -------
@@ -162,7 +178,8 @@ def faults_for(
         Empty if no message of the unit has passed.
     """
     if unit == "mavlink":
-        return [{"id": f"{name_of(unit, instance)}.1", **_of_the_link(kind)}] if passed else []
+        whole = {"id": f"{name_of(unit, instance)}.1", **_of_the_link(kind, extent)}
+        return [_lasting(whole, extent)] if passed else []
     chosen = [
         part
         for part in WHAT[unit].parts
@@ -171,7 +188,7 @@ def faults_for(
     ]
     entries = []
     for number, part in enumerate(chosen, 1):
-        entry = _of_a_part(WHAT[unit], part, kind, instance)
+        entry = _lasting(_of_a_part(WHAT[unit], part, kind, instance, extent), extent)
         if instance and not part.instance and not part.indexed:
             # MAVLink's instances count from 1, the messages' ids from 0.
             entry["where"] = {"id": instance - 1}
@@ -179,29 +196,36 @@ def faults_for(
     return entries
 
 
-def _of_the_link(kind: str) -> dict[str, Any]:
+def _lasting(entry: dict[str, Any], extent: Extent) -> dict[str, Any]:
+    """An entry that ends in time; what comes and goes by itself has a time of its own."""
+    if extent.for_s is None or "repeat" in entry:
+        return entry
+    return {**entry, "for_s": extent.for_s}
+
+
+def _of_the_link(kind: str, extent: Extent) -> dict[str, Any]:
     whole: dict[str, dict[str, Any]] = {
         "off": {"fault": "outage"},
         "stuck": {"fault": "outage"},
         "garbage": {"fault": "corrupt", "count": 3},
         "wrong": {"fault": "corrupt", "crc": "redone"},
-        "slow": {"fault": "rate-limit", "value": 10},
-        "delayed": {"fault": "delay", "value": DELAY_S},
+        "slow": {"fault": "rate-limit", "value": 1.0 / extent.of(1.0 / LINK_HZ)},
+        "delayed": {"fault": "delay", "value": extent.of(DELAY_S)},
         "intermittent": {"fault": "outage", **INTERMITTENT},
-        "drift": {"fault": "jitter", "value": DELAY_S},
+        "drift": {"fault": "jitter", "value": extent.of(DELAY_S)},
     }
     return whole[kind]
 
 
-def _of_a_part(unit: Unit, part: Part, kind: str, instance: int) -> dict[str, Any]:
+def _of_a_part(unit: Unit, part: Part, kind: str, instance: int, extent: Extent) -> dict[str, Any]:
     if kind == "intermittent":
-        return {**_of_a_part(unit, part, "off", instance), **INTERMITTENT}
+        return {**_of_a_part(unit, part, "off", instance, extent), **INTERMITTENT}
     # A message of its own can be lost or late as a whole.
     if not part.shared and kind in ("off", "slow", "delayed"):
         whole: dict[str, dict[str, Any]] = {
             "off": {"fault": "drop"},
-            "slow": {"fault": "rate-limit", "value": 1.0 / SLOW_S},
-            "delayed": {"fault": "delay", "value": DELAY_S},
+            "slow": {"fault": "rate-limit", "value": 1.0 / extent.of(SLOW_S)},
+            "delayed": {"fault": "delay", "value": extent.of(DELAY_S)},
         }
         return {"target": part.message, **whole[kind]}
     if kind == "off" and part.group:
@@ -215,14 +239,18 @@ def _of_a_part(unit: Unit, part: Part, kind: str, instance: int) -> dict[str, An
     if kind == "stuck":
         return {**target, "fault": "freeze"}
     if kind == "slow":
-        return {**target, "fault": "sample-hold", "value": SLOW_S}
+        return {**target, "fault": "sample-hold", "value": extent.of(SLOW_S)}
     if kind == "delayed":
-        return {**target, "fault": "lag", "value": DELAY_S}
+        return {**target, "fault": "lag", "value": extent.of(DELAY_S)}
     if kind == "garbage":
-        return {**target, "fault": "noise", "value": [unit.noise * abs(s) for s in scales]}
+        return {
+            **target,
+            "fault": "noise",
+            "value": [extent.of(unit.noise) * abs(s) for s in scales],
+        }
     if kind == "wrong":
-        return {**target, "fault": "bias", "value": [unit.wrong * s for s in scales]}
-    return {**target, "fault": "drift", "value": [unit.drift * s for s in scales]}
+        return {**target, "fault": "bias", "value": [extent.of(unit.wrong) * s for s in scales]}
+    return {**target, "fault": "drift", "value": [extent.of(unit.drift) * s for s in scales]}
 
 
 def _elements(part: Part, instance: int) -> tuple[list[str], list[float]]:

@@ -50,6 +50,8 @@ class Running:
         self.armed = True  # a condition starts the fault when it becomes true, not while it is
         self.earliest_us = after_s(base_us, entry.at_s)
         self.start_us = NEVER_US if entry.when or entry.after else self.earliest_us
+        # With both, the condition counts from the event on.
+        self._waits = entry.after is not None
         self.end_us = self._end()
         self.active = False
         self.starts = 0
@@ -74,6 +76,7 @@ class Running:
         self.takes_bytes = entry.ids is None and getattr(entry.fault, "takes_bytes", False)
         self.takes_sealed = getattr(entry.fault, "takes_sealed", False)
         self.buffers = isinstance(entry.fault, Buffering)
+        self.ends_itself = hasattr(entry.fault, "done")
         self.keeps_back = getattr(entry.fault, "keeps_back", False)
 
     @cached_property
@@ -94,10 +97,20 @@ class Running:
         self.start_us = t_us
         self.end_us = self._end()
 
+    def follow(self, t_us: int) -> None:
+        """The event that it waited for has come: start at `t_us`, or look at the condition from
+        then on."""
+        if not self._waits:
+            return
+        self._waits = False
+        self.earliest_us = max(t_us, self.earliest_us)
+        if self.condition is None:
+            self.trigger(self.earliest_us)
+
     def watch(self, t_us: int, telemetry: Telemetry) -> bool:
         """Start if the condition has become true; whether it did."""
         # One that acts, or waits for its end, is not started a second time.
-        if self.active or self.condition is None or t_us < self.earliest_us:
+        if self.active or self.condition is None or self._waits or t_us < self.earliest_us:
             return False
         if self.start_us < NEVER_US or not self._may_start_again():
             return False
@@ -217,7 +230,10 @@ class Running:
             if self.live is not None:
                 state = self.fault.fed(state, *self.live)
         sends: list[Outgoing]
-        sends, self.states[direction] = self.fault.apply(frame, t_us, state, self.rng)
+        sends, state = self.fault.apply(frame, t_us, state, self.rng)
+        self.states[direction] = state
+        if self.ends_itself and self.fault.done(state):
+            self.end_us = t_us
         return sends
 
     def credit(self, frames: int, saturated: int, last_us: int, magnitude: float) -> None:

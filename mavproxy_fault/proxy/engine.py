@@ -24,9 +24,16 @@ ENDED_KEPT = 32  # injected faults that are over
 
 
 class Engine:
-    """Applies a schedule; `revision` changes whenever `wanted` may have."""
+    """Applies a schedule; `revision` changes whenever `wanted` may have.
 
-    def __init__(self, schedule: Schedule, seed: int | None = None) -> None:
+    With `commands` false a schedule that commands the vehicle is refused by ConfigError.
+    """
+
+    def __init__(
+        self, schedule: Schedule, seed: int | None = None, *, commands: bool = True
+    ) -> None:
+        self._commands = commands
+        self._check(schedule.faults)
         self.seed = schedule.seed if seed is None else seed
         self.revision = 0
         self.changes = 0  # how often it has changed who acts on what
@@ -126,7 +133,7 @@ class Engine:
             if after is None or running.starts or running.start_us < NEVER_US:
                 continue
             if after.id == leader.entry.id and after.event == event:
-                running.trigger(max(after_s(t_us, after.delay_s), running.earliest_us))
+                running.follow(after_s(t_us, after.delay_s))
 
     def _index(self) -> None:
         """Who acts on which message now, and when that changes by the clock."""
@@ -195,6 +202,8 @@ class Engine:
                 sends = running.act(frame, direction, t_us)
             else:
                 sends = _through(running, sends, direction, t_us)
+            if running.ends_itself and running.end_us <= t_us:
+                self._edge_us = t_us  # with the next frame
             if known is None and running.first_us is not None:
                 self._labels.append(running.opened(t_us))
             elif running.unannounced and (news := running.news(t_us)) is not None:
@@ -258,6 +267,7 @@ class Engine:
         if isinstance(entry, dict):
             entry = parse_entry(entry, "arm")
         entries = [entry] if isinstance(entry, Entry) else entry
+        self._check(entries)
         if self.t0_us is None:
             ids = {one.id for one in entries}
             kept = [one for one in self._schedule.faults if one.id not in ids]
@@ -271,6 +281,15 @@ class Engine:
             self._forget()
         self._edited()
         return [one.id for one in entries]
+
+    def _check(self, entries: Iterable[Entry]) -> None:
+        """Refuse commands to the vehicle where they are not allowed."""
+        for entry in entries:
+            if not self._commands and getattr(entry.fault, "commands_vehicle", False):
+                raise ConfigError(
+                    f"{entry.id}: commands the vehicle, which this proxy does not do; start it "
+                    "with --allow-commands"
+                )
 
     def _forget(self) -> None:
         """Let go of the injected faults that ended first, beyond some that a page may show."""
@@ -310,6 +329,7 @@ class Engine:
 
     def replace(self, schedule: Schedule) -> None:
         """Take another schedule; entries that stand in both as they were go on undisturbed."""
+        self._check(schedule.faults)
         self._schedule = schedule
         if self.t0_us is not None:
             fresh = {entry.id: entry for entry in schedule.faults}

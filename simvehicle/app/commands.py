@@ -12,6 +12,10 @@ def add_sim(commands: Any) -> None:
     parser.add_argument(
         "--gcs", metavar="EP", help="telemetry and commands, e.g. udpout:127.0.0.1:14550"
     )
+    parser.add_argument(
+        "--real-time", action="store_true",
+        help="an autopilot on its own board: wait for no answer (so on serial devices)",
+    )  # fmt: skip
     parser.add_argument("--speed", default="1", metavar="1|N|max", help="times real time")
     parser.add_argument("--seed", type=int, metavar="N")
     parser.add_argument("--plot", metavar="PNG", help="fly without links and draw path and states")

@@ -33,6 +33,13 @@ class Pace:
         self.speed = speed
         self._start: tuple[float, int] | None = None
 
+    def late_s(self, t_us: int, now_s: float) -> float:
+        """How long ago the step after the one at `t_us` was due; 0 before the first."""
+        if self._start is None or math.isinf(self.speed):
+            return 0.0
+        wall_s, from_us = self._start
+        return max((now_s - wall_s) - (t_us - from_us) * 1e-6 / self.speed, 0.0)
+
     def wait_s(self, t_us: int, now_s: float) -> float:
         """How long to wait before the step at `t_us`; 0 when it is due."""
         # No clock is asked: at full speed a step is always due.

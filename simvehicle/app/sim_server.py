@@ -1,8 +1,9 @@
 """`sim`: a scenario flown in real time, faster, or in lockstep with an autopilot.
 
-With `--hil tcpin:` (or `tcp:`) an autopilot flies the vehicle in lockstep; else its own controller
-does, and HIL frames are published to whoever listens. With `--gcs` a ground station commands it;
-a mission of the scenario's own is flown until it does. Without one the scenario ends in time.
+With `--hil tcpin:` (or `tcp:`) an autopilot flies the vehicle in lockstep, on a serial device or
+with `--real-time` one that runs on its own board; else the vehicle's own controller does, and HIL
+frames are published to whoever listens. With `--gcs` a ground station commands it; a mission of the
+scenario's own is flown until it does. Without one the scenario ends in time.
 """
 
 import argparse
@@ -18,6 +19,7 @@ from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link, parse_spec
 from simvehicle.app.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.app.pace import Pace, parse_speed
+from simvehicle.app.real_time_loop import RealTimeLoop
 from simvehicle.app.sim_progress import Progress
 from simvehicle.autopilot.autopilot_link import AutopilotLink
 from simvehicle.autopilot.enums import MavType
@@ -44,8 +46,11 @@ def main(args: argparse.Namespace) -> int:
         from simvehicle.app.flight_plot import plot_scenario
 
         return plot_scenario(scenario, args.seed, args.plot)
-    # TCP is PX4's way; over UDP nobody answers.
-    served = args.hil is not None and parse_spec(args.hil).kind in ("tcpin", "tcp")
+    kind = parse_spec(args.hil).kind if args.hil else ""
+    real_time = args.real_time or kind == "serial"
+    check_real_time(args, real_time=real_time)
+    # TCP is PX4's way; over UDP nobody answers but hardware.
+    served = real_time or kind in ("tcpin", "tcp")
     if served and args.gcs:
         raise ConfigError(
             f"--gcs: {args.gcs} is not served beside --hil {args.hil}, whose autopilot answers "
@@ -62,6 +67,8 @@ def main(args: argparse.Namespace) -> int:
             for text in (args.hil, args.gcs)
         )
         try:
+            if real_time and hil is not None:
+                return _in_real_time(simulation, hil, progress)
             if served and hil is not None:
                 return _lockstep(simulation, hil, speed, progress)
             loop = FreeLoop(simulation, hil, gcs, speed, progress)
@@ -74,6 +81,20 @@ def main(args: argparse.Namespace) -> int:
         # Also after Ctrl-C: how far it came is said at the end.
         finally:
             progress.end(simulation.truth.t_us, time.monotonic())
+
+
+def check_real_time(args: argparse.Namespace, *, real_time: bool) -> None:
+    """Refuse what hardware cannot have.
+
+    Raises
+    ------
+    ConfigError
+        With the option.
+    """
+    if args.real_time and not args.hil:
+        raise ConfigError("--real-time: needs --hil, the link to the autopilot")
+    if real_time and args.speed != "1":
+        raise ConfigError(f"--speed: {args.speed} is not for hardware, whose clock is real; 1 is")
 
 
 def check_sensors(scenario: Scenario) -> None:
@@ -105,6 +126,15 @@ def _lockstep(simulation: Simulation, link: Link, speed: float, progress: Progre
     packer = Hil(mav_type=mav_type)
     loop = LockstepLoop(simulation, packer, Inbox(link), mix, speed, progress)
     return serve_autopilot(loop, progress, None)
+
+
+def _in_real_time(simulation: Simulation, link: Link, progress: Progress) -> int:
+    mav_type, mix = airframe(simulation)
+    loop = RealTimeLoop(simulation, Hil(mav_type=mav_type), Inbox(link), mix, progress)
+    try:
+        return serve_autopilot(loop, progress, None)
+    finally:
+        progress.say(loop.overruns.text())
 
 
 def airframe(simulation: Any) -> tuple[MavType, Mix]:

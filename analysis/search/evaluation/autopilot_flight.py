@@ -11,8 +11,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 
-from analysis.autopilots.hil_exchange import FromAutopilot, Patience, Process, ToAutopilot
-from analysis.autopilots.program import ended
+from analysis.autopilots.hil_exchange import FromAutopilot, Patience, ToAutopilot
+from analysis.autopilots.program import Process, ended
 from analysis.run.proxied_flight import MONITOR, Flight
 from analysis.search.space.test_file import AutopilotChoice
 from mavproxy_fault.documents.errors import ConfigError

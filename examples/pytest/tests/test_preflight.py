@@ -20,7 +20,7 @@ def test_few_satellites_are_told(autopilot):
 
 def test_a_fault_may_come_and_go(autopilot):
     with autopilot.proxy.fault("drop", target="GPS_RAW_INT"):
-        assert objections(autopilot.url) == ["the vehicle says nothing of its GPS"]
+        assert objections(autopilot.url, silence_s=3.0) == ["the vehicle says nothing of its GPS"]
     autopilot.proxy.wait_for("GPS_RAW_INT.fix_type >= 3")
     assert objections(autopilot.url) == []
     assert [label.fault for label in autopilot.proxy.labels] == ["drop"]

@@ -12,12 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault.ardupilot.bridge import Bridge, FlightEndError
-from mavproxy_fault.ardupilot.bridge_ports import Datagrams, SensorPort
-from mavproxy_fault.ardupilot.hil_readings import Readings, TrueState
-from mavproxy_fault.ardupilot.observation import Seen
-from mavproxy_fault.ardupilot.outputs import motor_channels
-from mavproxy_fault.ardupilot.parameters import Fitted
+from mavproxy_fault.ardupilot.bridge_command import Exchange, FlightEndError
+from mavproxy_fault.ardupilot.bridge_ports import Datagrams
+from mavproxy_fault.ardupilot.bridged_autopilot import BridgedAutopilot
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.wire.dialect import known
@@ -153,25 +151,51 @@ def test_parameters_that_let_the_truth_in_are_refused(tmp_path, line):
 
 
 def test_a_simulator_that_falls_silent_behind_a_proxy_is_told_once():
-    said = []
+    told = []
 
-    class Process:
+    class Autopilot:
+        """One that has started, and ends once something was told."""
+
+        started, armed, steps, t_us = True, False, 0, 0
+
+        def fileno(self):
+            return quiet.fileno()
+
+        def read(self):
+            return []
+
         def poll(self):
-            return 0 if said else None
+            return 0 if told else None
 
     with closing(TcpServer("127.0.0.1", 0)) as link, contextlib.ExitStack() as stack:
         peer = stack.enter_context(socket.create_connection(("127.0.0.1", link.port)))
-        ports = Datagrams(), Datagrams(), SensorPort()
-        for port in ports:
-            stack.callback(port.close)
-        inbox = Inbox(link)
+        quiet = stack.enter_context(closing(Datagrams()))
         while not link.peer_count:
-            inbox.frames()
-        home = TrueState(0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, (0.0, 0.0, 0.0))
-        fitted = Fitted(400.0, second_imu=False, second_gps=False, rangefinder=False)
-        seen = Seen(Readings(), home, fitted)
-        bridge = Bridge(inbox, seen, ports, motor_channels, said.append, silence_s=0.1)
+            link.read()
+        exchange = Exchange(link, Autopilot(), told.append, silence_s=0.1)
         with pytest.raises(FlightEndError, match="ended with exit code 0"):
-            bridge.run(Process())
+            exchange.run(b"")
         assert peer.fileno() >= 0
-    assert said == [f"{link.name}: no step for 0.1 s; still waiting"]
+    assert told == [f"{link.name}: no step for 0.1 s; still waiting"]
+
+
+def test_within_a_process_it_is_a_link_that_ends_with_its_program(tmp_path):
+    told: list[str] = []
+    words = [sys.executable, str(STAND_IN)]
+    with closing(BridgedAutopilot(words, "copter", tmp_path, [], told.append)) as autopilot:
+        simulator = Simulator(Inbox(autopilot))
+        assert autopilot.peer_count == 1
+        fly(simulator, lambda: len(simulator.answers) >= 115)
+        assert simulator.answers[-1].number("controls", 0) > 0.6
+        fly(simulator, lambda: autopilot.peer_count == 0)
+        assert autopilot.poll() == 3
+    assert told[0] == f"{sys.executable}: starting in {tmp_path}, 400 steps a second"
+
+
+def test_within_a_process_a_vehicle_without_gps_is_refused(tmp_path):
+    with closing(BridgedAutopilot(["true"], "copter", tmp_path, [], print)) as autopilot:
+        simulator = Simulator(Inbox(autopilot), gps=False)
+        with pytest.raises(ConfigError, match="the HIL link: no HIL_GPS comes"):
+            fly(simulator, lambda: False)
+        assert autopilot.poll() is None
+    assert not (tmp_path / "autopilot.log").exists()

@@ -30,7 +30,7 @@ EXAMPLES = {name: kind.example for name, kind in known_faults().items()}
 
 
 def frames() -> list[tuple[int, Frame]]:
-    """HIL_SENSOR at 250 Hz and HIL_GPS with every tenth of them."""
+    """HIL_SENSOR at 250 Hz; with every tenth HIL_GPS and what an autopilot says."""
     made = []
     for i in range(FRAMES):
         t_us = START_US + i * STEP_US
@@ -47,6 +47,13 @@ def frames() -> list[tuple[int, Frame]]:
         for name, values in [("HIL_SENSOR", sensor)] + [("HIL_GPS", gps)] * (i % 10 == 0):
             layout = known(name)
             made.append((t_us, Frame(build(layout, values, seq=i % 256, component=51), layout)))
+        place = {"time_boot_ms": t_us // 1000, "alt": 488_000, "relative_alt": 0}
+        for name, values in [
+            ("GLOBAL_POSITION_INT", place),
+            ("HEARTBEAT", {"type": 2, "autopilot": 12}),
+        ] * (i % 10 == 0):
+            layout = known(name)
+            made.append((t_us, Frame(build(layout, values, component=1), layout)))
     return made
 
 

@@ -1,4 +1,5 @@
 import json
+import math
 import struct
 
 import pytest
@@ -26,6 +27,16 @@ def failure(unit: float, kind: float, instance: float = 0, name: str = "COMMAND_
         "target_system": 1, "target_component": 1,
     }  # fmt: skip
     return Frame(build(known(name), values, system=255, component=190), known(name))
+
+
+def failure_with(*params: float, unit: int = 0, kind: int = 4) -> Frame:
+    """A failure of all instances with params 4 and 5."""
+    extra = {f"param{place}": value for place, value in enumerate(params, 4)}
+    values = {"command": 420, "param1": unit, "param2": kind, "target_system": 1}
+    values |= {"target_component": 1, **extra}
+    return Frame(
+        build(known("COMMAND_LONG"), values, system=255, component=190), known("COMMAND_LONG")
+    )
 
 
 def control(*passed: str, **options: bool) -> Control:
@@ -251,3 +262,40 @@ def test_queries_are_refused_when_live_control_is_off_but_the_state_is_told() ->
     with pytest.raises(ConfigError, match="switched off"):
         ask(it, "fault/it/arm", BIAS)
     assert isinstance(ask(it, "state"), dict)
+
+
+def test_params_4_and_5_are_a_magnitude_and_a_duration() -> None:
+    it = control("HIL_SENSOR")
+    assert result(it, failure_with(0.25, 3.0)) == ACCEPTED
+    (entry,) = parse_schedule(it.engine.save()).faults
+    assert (entry.parameters["value"], entry.for_s) == ([0.25, 0.25, 0.25], 3.0)
+    # Left out, or NaN: as the standard has it, without either.
+    for params in ((), (0.0, 0.0), (math.nan, math.nan)):
+        assert result(it, failure_with(*params)) == ACCEPTED
+        (entry,) = parse_schedule(it.engine.save()).faults
+        assert (entry.parameters["value"], entry.for_s) == ([0.5, 0.5, 0.5], None)
+
+
+def test_a_delay_and_a_slow_sensor_take_their_seconds_from_param_4() -> None:
+    it = control("HIL_SENSOR", "HIL_GPS")
+    for kind, message, value in ((6, 4, 2.5), (5, 4, 2.0), (6, 0, 0.25)):
+        it.engine.clear("all")
+        assert result(it, failure_with(value, unit=message, kind=kind)) == ACCEPTED
+        (entry,) = parse_schedule(it.engine.save()).faults
+        expected = 1.0 / value if entry.name == "rate-limit" else value
+        assert entry.parameters["value"] == expected
+
+
+def test_a_vehicle_that_wants_no_failures_has_them_denied() -> None:
+    it = control("HIL_SENSOR")
+    told = frame("PARAM_VALUE", param_id=b"SYS_FAILURE_EN", param_value=0.0)
+    assert it.consume(told, 1_500_000) is None
+    assert result(it, failure(0, 1)) == DENIED
+    bytewise = struct.unpack("<f", struct.pack("<i", 1))[0]  # as PX4 sends its integers
+    assert (
+        it.consume(frame("PARAM_VALUE", param_id=b"SYS_FAILURE_EN", param_value=bytewise), 0)
+        is None
+    )
+    assert result(it, failure(0, 1)) == ACCEPTED
+    it.consume(frame("PARAM_VALUE", param_id=b"SYS_FAILURE", param_value=0.0), 0)
+    assert result(it, failure(0, 1)) == ACCEPTED

@@ -66,12 +66,17 @@ def flying(port: int) -> Iterator[None]:
         vehicle.close()
 
 
+def free_port() -> int:
+    """A UDP port that MAVSDK may bind."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
 @contextlib.contextmanager
 def flown(folder: Path, *options: str) -> Iterator[Failure]:
     """The failure plugin of MAVSDK, connected through a proxy."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     log_subscribe(lambda *_: True)
     station = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
     with proxy(folder, port, *options) as master, flying(master), Mavsdk(station) as mavsdk:
@@ -103,3 +108,37 @@ def test_mavsdk_is_denied_when_live_faults_are_refused(tmp_path: Path) -> None:
         pytest.raises(FailureError, match=r"(?i)denied"),
     ):
         failure.inject(FailureUnit.SENSOR_GYRO, FailureType.WRONG, 0)
+
+
+def injected(port: int, failure: str, *options: str) -> subprocess.CompletedProcess[str]:
+    """The command that sends a failure through MAVSDK."""
+    command = [sys.executable, "-m", "mavproxy_fault.cli", "inject", failure, *options]
+    command += ["--through", "mavsdk", "--vehicle", f"udpin://127.0.0.1:{port}"]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_the_command_line_sends_the_standard_failure_and_takes_it_back(tmp_path: Path) -> None:
+    port = free_port()
+    with proxy(tmp_path, port) as master, flying(master):
+        done = injected(port, "gyro:wrong", "--for", "0.3")
+        assert (done.returncode, done.stdout) == (0, "gyro:wrong: accepted\ngyro:wrong: over\n")
+        refused = injected(port, "battery:off")
+        assert refused.returncode == 1
+        assert refused.stderr == "battery:off: the vehicle does not know this failure\n"
+    labels = [json.loads(line) for line in (tmp_path / "labels.jsonl").read_text().splitlines()]
+    assert labels[-1]["id"] == "mav-gyro.1"
+    assert labels[-1]["end_us"] is not None
+
+
+@pytest.mark.parametrize(
+    ("failure", "reason"),
+    [
+        ("gps:of", "gps:of has no type; give UNIT:TYPE[:INSTANCE], such as gps:off, with ok, off"),
+        ("gyros:off", "'gyros' is no unit of MAVSDK's; did you mean gyro"),
+        ("gps:off:first", "first is no instance; 1 and up, 0 for all"),
+    ],
+)
+def test_a_failure_that_is_none_is_told_before_anything_is_sent(failure: str, reason: str) -> None:
+    done = injected(0, failure)
+    assert done.returncode == 2
+    assert reason in done.stderr

@@ -85,6 +85,8 @@ def kind(name: str) -> str:
         return "satellites"
     if faults & {"gps-spoof", "time-jump"}:
         return "coherent"
+    if "command" in faults:
+        return "command"
     return "plant" if "plant" in faults else "fields"
 
 
@@ -102,6 +104,11 @@ def test_a_preset_changes_its_targets_and_nothing_else(name: str) -> None:
     assert fields
     assert fields <= named
     assert (moved, told) == (FRAMES * len(silenced(name)), [])
+
+
+@pytest.mark.parametrize("name", of_kind("command"))
+def test_a_switch_of_the_autopilot_leaves_every_frame_as_it_was(name: str) -> None:
+    assert changes(name)[:2] == (set(), 0)
 
 
 @pytest.mark.parametrize("name", of_kind("link"))
@@ -161,9 +168,8 @@ def test_a_preset_of_satellites_patches_the_tunnelled_ranges(name: str) -> None:
 
 
 def test_every_preset_is_told_in_one_line() -> None:
-    assert sum(len(of_kind(k)) for k in ("fields", "link", "plant", "coherent", "satellites")) == (
-        len(NAMES)
-    )
+    kinds = "fields", "link", "plant", "coherent", "satellites", "command"
+    assert sum(len(of_kind(kind)) for kind in kinds) == len(NAMES)
     for name in NAMES:
         about = read_preset(name)["about"]
         assert "\n" not in about

@@ -1,0 +1,122 @@
+"""`inject UNIT:TYPE --through mavsdk`: the standard's failure command to any vehicle, by MAVSDK.
+
+What acts on it is the vehicle, or a proxy on the way: PX4 does with SYS_FAILURE_EN at 1, ArduPilot
+does not know the command.
+"""
+
+import argparse
+import contextlib
+import sys
+import time
+from typing import Any
+
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.suggestion import near
+
+FIND_S = 10.0
+USUAL = "udpin://127.0.0.1:14540"  # where PX4 and `mavsdk` look for each other
+REASONS = {
+    "UNSUPPORTED": "the vehicle does not know this failure",
+    "DENIED": "the vehicle refuses it now (PX4 does while its SYS_FAILURE_EN is 0)",
+    "DISABLED": "the vehicle's SYS_FAILURE_EN is 0; set it to 1",
+    "TIMEOUT": "the vehicle did not answer",
+}
+
+
+def main(args: argparse.Namespace) -> int:
+    """Send the failure; with `--for` take it back in the end. 1 where the vehicle refuses."""
+    unit, kind, instance = failure_of(args.fault or "")
+    with vehicle(args.vehicle or USUAL) as failure:
+        refusal = sent(failure, unit, kind, instance)
+        if refusal:
+            print(f"{args.fault}: {refusal}", file=sys.stderr)
+            return 1
+        print(f"{args.fault}: accepted")
+        if args.for_s is None:
+            return 0
+        try:
+            time.sleep(args.for_s)
+        except KeyboardInterrupt:
+            print("ended early")
+        refusal = sent(failure, unit, kinds()["ok"], instance)
+        print(f"{args.fault}: {refusal or 'over'}")
+        return 1 if refusal else 0
+
+
+def units() -> dict[str, Any]:
+    """MAVSDK's units by our short names, such as `gps` or `motor`."""
+    from mavsdk.plugins.failure import FailureUnit
+
+    return {
+        unit.name.removeprefix("SENSOR_").removeprefix("SYSTEM_").lower().replace("_", "-"): unit
+        for unit in FailureUnit
+    }
+
+
+def kinds() -> dict[str, Any]:
+    """Its types by name."""
+    from mavsdk.plugins.failure import FailureType
+
+    return {kind.name.lower(): kind for kind in FailureType}
+
+
+def failure_of(text: str) -> tuple[Any, Any, int]:
+    """Unit, type and instance of `UNIT:TYPE[:INSTANCE]`, instances from 1, 0 for all.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such failure.
+    """
+    unit, _, rest = text.partition(":")
+    kind, _, number = rest.partition(":")
+    if unit not in units():
+        raise ConfigError(f"inject: {unit!r} is no unit of MAVSDK's; {near(unit, [*units()])}")
+    if kind not in kinds():
+        raise ConfigError(
+            f"inject: {text} has no type; give UNIT:TYPE[:INSTANCE], such as gps:off, with "
+            f"{', '.join(kinds())}"
+        )
+    if not (number or "0").isdigit():
+        raise ConfigError(f"inject: {text}: {number} is no instance; 1 and up, 0 for all")
+    return units()[unit], kinds()[kind], int(number or 0)
+
+
+def sent(failure: Any, unit: Any, kind: Any, instance: int) -> str:
+    """Why the vehicle refuses, or nothing."""
+    from mavsdk.plugins.failure import FailureError, FailureResult
+
+    try:
+        failure.inject(unit, kind, instance)
+    except FailureError as error:
+        found = next((one for one in error.args if isinstance(one, FailureResult)), None)
+        name = "" if found is None else found.name
+        return REASONS.get(name, f"MAVSDK says {name or error}")
+    return ""
+
+
+@contextlib.contextmanager
+def vehicle(address: str) -> Any:
+    """MAVSDK's failure plugin for the vehicle at an address.
+
+    Raises
+    ------
+    ConfigError
+        If the address is wrong or nobody is there.
+    """
+    from mavsdk import ComponentType, Configuration, Mavsdk, log_subscribe
+    from mavsdk.plugins.failure import Failure
+
+    log_subscribe(lambda *_: True)  # what happens is told here
+    station = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
+    with Mavsdk(station) as mavsdk:
+        opened = mavsdk.add_any_connection(address)
+        if opened.name != "SUCCESS":
+            raise ConfigError(
+                f"--vehicle: {address} cannot be opened ({opened.name.lower()}); give a MAVSDK "
+                f"address such as {USUAL}, tcpout://HOST:PORT or serial:///dev/ttyACM0:57600"
+            )
+        system = mavsdk.first_autopilot(FIND_S)
+        if system is None:
+            raise ConfigError(f"--vehicle: no vehicle speaks at {address} within {FIND_S:g} s")
+        yield Failure(system)

@@ -1,0 +1,175 @@
+"""Commands to the vehicle as steps of a schedule: arm, take off, inject, land.
+
+A command rides on the autopilot's HEARTBEAT, which tells whose dialect of modes to speak, and is
+repeated with it, once a second, until COMMAND_ACK accepts it; then it is over, so that the next
+step may follow. It falsifies nothing.
+
+References
+----------
+.. [1] MAVLink common message set, MAV_CMD; PX4, `px4_custom_mode.h`.
+"""
+
+import math
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+
+import msgspec
+
+from mavproxy_fault.faults.fault import ActsOn, Outgoing
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+Parameters = tuple[float, ...]
+Call = tuple[int, Parameters]
+
+AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
+COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+INVALID, ARDUPILOT = 8, 3  # MAV_AUTOPILOT_
+FIXED_WING = 1  # MAV_TYPE_
+ACCEPTED, IN_PROGRESS = 0, 5  # MAV_RESULT_
+AGAIN_US = 900_000  # heartbeats come once a second, more or less
+LOITER, RETURN, LAND, TAKE_OFF = 17, 20, 21, 22  # MAV_CMD_NAV_
+SET_MODE, MISSION_START, ARM = 176, 300, 400  # MAV_CMD_
+GUIDED, PLANE_TAKE_OFF = 4, 13  # modes of ArduCopter, of ArduPlane
+PX4_HOLD = (1.0, 4.0, 3.0)  # custom mode: automatic, loiter
+NOTHING_TOLD = math.nan
+
+Deed = Literal["arm", "disarm", "take-off", "hold", "return", "land", "mission"]
+SIMPLE: dict[str, Call] = {
+    "arm": (ARM, (1.0,)),
+    "disarm": (ARM, (0.0,)),
+    "return": (RETURN, ()),
+    "land": (LAND, ()),
+    "mission": (MISSION_START, ()),
+}
+
+
+class Asked(NamedTuple):
+    """How far it is: calls granted of how many, when and to whom the last one went, the field's
+    height."""
+
+    granted: int = 0
+    calls: int = 1
+    at_us: int | None = None
+    target: tuple[int, int] = (1, AUTOPILOT)
+    field_m: float = NOTHING_TOLD  # above mean sea level
+
+
+class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
+    """Command the vehicle (`do`, or a MAV_CMD by `number`); needs `proxy --allow-commands`"""
+
+    name: ClassVar[str] = "command"
+    example: ClassVar[dict[str, Any]] = {"do": "take-off", "height_m": 10}
+    acts_on: ClassVar[ActsOn] = "frames"
+    messages: ClassVar[tuple[str, ...]] = ("HEARTBEAT", "COMMAND_ACK", "GLOBAL_POSITION_INT")
+    commands_vehicle: ClassVar[bool] = True
+
+    do: Deed | None = None
+    height_m: float = 10.0  # of a take-off, above the field
+    number: int | None = None
+    params: Parameters = ()
+    afterwards: Parameters | None = None  # the parameters of `number` once it ends
+
+    def __post_init__(self) -> None:
+        if (self.do is None) == (self.number is None):
+            raise ValueError("takes either do or number")
+        if self.number is None and (self.params or self.afterwards is not None):
+            raise ValueError("params and afterwards are those of number")
+        if max(len(self.params), len(self.afterwards or ())) > 7:
+            raise ValueError("a command has seven params at most")
+        if not 0.0 < self.height_m < 1e4:
+            raise ValueError(f"height_m = {self.height_m:g} is no height; above 0, below 10000")
+
+    def new_state(self, start_us: int) -> Asked:
+        """Nothing asked yet."""
+        return Asked()
+
+    def apply(
+        self, frame: Frame, t_us: int, state: Asked, rng: "Generator"
+    ) -> tuple[list[Outgoing], Asked]:
+        """Pass the frame; with a heartbeat goes the command that is not granted yet."""
+        passed = Outgoing(t_us, frame)
+        name = frame.layout.name
+        if frame.component != AUTOPILOT:
+            return [passed], state
+        if name == "GLOBAL_POSITION_INT":
+            above_m = frame.number("alt") - frame.number("relative_alt")
+            return [passed], state._replace(field_m=above_m * 1e-3)
+        if name == "COMMAND_ACK":
+            return [passed], self._acknowledged(frame, state)
+        autopilot = int(frame.number("autopilot"))
+        waited = state.at_us is None or t_us - state.at_us >= AGAIN_US
+        if autopilot == INVALID or not waited:
+            return [passed], state
+        calls = self._calls(autopilot, int(frame.number("type")), state.field_m)
+        if state.granted >= len(calls):
+            return [passed], state
+        target = frame.system, frame.component
+        asked = Outgoing(t_us, command(*calls[state.granted], target), back=True)
+        return [passed, asked], state._replace(at_us=t_us, target=target, calls=len(calls))
+
+    def done(self, state: Asked) -> bool:
+        """Whether all is granted; what is to be taken back stays until its time is over."""
+        return state.granted >= state.calls and self.afterwards is None
+
+    def _acknowledged(self, frame: Frame, state: Asked) -> Asked:
+        """The next call is due once the one before was granted."""
+        if state.at_us is None or frame.number("result") not in (ACCEPTED, IN_PROGRESS):
+            return state
+        # Whose answer it is: with several calls the first stands for one of them at a time.
+        expected = {self.number} if self.number is not None else NUMBERS[self.do or "arm"]
+        if int(frame.number("command")) not in expected:
+            return state
+        return state._replace(granted=state.granted + 1, at_us=None)
+
+    def _calls(self, autopilot: int, kind: int, field_m: float) -> list[Call]:
+        """The commands, one after the other; empty while something is not known yet."""
+        if self.number is not None:
+            return [(self.number, self.params)]
+        ardupilot = autopilot == ARDUPILOT
+        if self.do == "hold":
+            return [(LOITER, ())] if ardupilot else [(SET_MODE, PX4_HOLD)]
+        if self.do != "take-off":
+            return [SIMPLE[self.do or "arm"]]
+        if ardupilot and kind == FIXED_WING:
+            return [(SET_MODE, (1.0, float(PLANE_TAKE_OFF)))]
+        height: Parameters = (0.0, 0.0, 0.0, math.nan, math.nan, math.nan)
+        if ardupilot:
+            above = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, self.height_m)
+            return [(SET_MODE, (1.0, float(GUIDED))), (TAKE_OFF, above)]
+        # PX4 counts heights of a take-off from the sea.
+        if math.isnan(field_m):
+            return []
+        return [(TAKE_OFF, (*height, field_m + self.height_m))]
+
+    def release_us(self, state: Asked) -> None:
+        """It keeps nothing back."""
+
+    def release(self, t_us: int, state: Asked) -> tuple[list[Outgoing], Asked]:
+        """At the end: the command with the parameters for afterwards, if it was given."""
+        if self.number is None or self.afterwards is None or not state.granted:
+            return [], state
+        last = command(self.number, self.afterwards, state.target)
+        return [Outgoing(t_us, last, back=True)], state
+
+
+NUMBERS = {
+    **{deed: {call[0]} for deed, call in SIMPLE.items()},
+    "hold": {LOITER, SET_MODE},
+    "take-off": {TAKE_OFF, SET_MODE},
+}
+
+
+def command(number: int, parameters: Parameters, target: tuple[int, int]) -> Frame:
+    """A COMMAND_LONG to a component, from the vehicle's own onboard computer."""
+    system, component = target
+    values: dict[str, float] = {
+        "command": number,
+        "target_system": system,
+        "target_component": component,
+        **{f"param{place}": value for place, value in enumerate(parameters, 1)},
+    }
+    layout = known("COMMAND_LONG")
+    return Frame(build(layout, values, system=system, component=COMPONENT), layout)

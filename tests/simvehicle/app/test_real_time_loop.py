@@ -1,0 +1,135 @@
+"""Hardware in the loop on a pty: the whole command, and an autopilot that says what PX4 said."""
+
+import itertools
+import os
+import pty
+import signal
+import subprocess
+import sys
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.parser import Parser
+from simvehicle.app.pace import Pace
+from simvehicle.app.real_time_loop import FreeRunning, Overruns
+from simvehicle.hil.lockstep import AutopilotSilentError
+
+RECORDED = Path(__file__).resolve().parents[2] / "data" / "px4" / "hil.bin"
+SCENARIO = """
+name: bench
+vehicle: {kind: multirotor, parameters: iris}
+sensors:
+  imu: {preset: consumer-mems, rate_hz: 250}
+  mag: {preset: consumer-mag, rate_hz: 50}
+  baro: {preset: consumer-baro, rate_hz: 50}
+  gps: {preset: consumer, rate_hz: 5}
+"""
+
+
+class Board:
+    """The autopilot's end of the serial line."""
+
+    def __init__(self, master: int) -> None:
+        self._master, self._parser = master, Parser()
+        self.frames: list[Frame] = []
+
+    def read(self) -> list[Frame]:
+        found = self._parser.push(os.read(self._master, 65536))
+        frames = [item for item in found if isinstance(item, Frame)]
+        self.frames += frames
+        return frames
+
+    def of(self, name: str) -> list[Frame]:
+        return [frame for frame in self.frames if frame.layout.name == name]
+
+    def until(self, count: int, name: str, answers: Iterator[bytes]) -> None:
+        """Answer every other HIL_SENSOR, as a board does that runs at a rate of its own."""
+        heard = 0
+        while len(self.of(name)) < count:
+            for frame in self.read():
+                heard += frame.layout.name == "HIL_SENSOR"
+                if frame.layout.name == "HIL_SENSOR" and heard % 2:
+                    os.write(self._master, next(answers))
+
+
+@contextmanager
+def simulator(tmp_path: Path, *options: str) -> Iterator[tuple[Board, "subprocess.Popen[str]"]]:
+    master, slave = pty.openpty()
+    tty.setraw(master)
+    tty.setraw(slave)
+    scenario = tmp_path / "bench.yaml"
+    scenario.write_text(SCENARIO)
+    command = [sys.executable, "-m", "mavproxy_fault.cli", "sim", str(scenario)]
+    process = subprocess.Popen(
+        [*command, "--hil", f"{os.ttyname(slave)},921600", *options],
+        stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        yield Board(master), process
+    finally:
+        process.kill()
+        process.communicate()
+        os.close(master)
+        os.close(slave)
+
+
+def recorded() -> Iterator[bytes]:
+    """What PX4 said, over and over."""
+    while True:
+        for item in Parser().push(RECORDED.read_bytes()):
+            assert isinstance(item, Frame)
+            yield item.raw
+
+
+def full_throttle() -> Iterator[bytes]:
+    controls = known("HIL_ACTUATOR_CONTROLS")
+    while True:
+        yield build(controls, {"time_usec": 1, "controls": [0.9] * 4 + [0.0] * 12, "mode": 129})
+
+
+def test_a_board_that_answers_at_its_own_rate_flies_the_vehicle_in_real_time(tmp_path):
+    with simulator(tmp_path) as (board, process):
+        board.until(100, "HIL_SENSOR", recorded())
+        stamps = [frame.number("time_usec") for frame in board.of("HIL_SENSOR")]
+        assert {later - one for one, later in itertools.pairwise(stamps)} == {4000}
+        on_ground = board.of("HIL_STATE_QUATERNION")[-1].number("alt")
+        board.until(400, "HIL_SENSOR", full_throttle())
+        assert board.of("HIL_STATE_QUATERNION")[-1].number("alt") > on_ground + 1000
+        process.send_signal(signal.SIGINT)
+        assert process.stderr is not None
+        said = process.stderr.read()
+        assert process.wait() == 0
+    assert "steps over 1 ms late, the latest" in said
+    assert "lockstep from" not in said
+
+
+def test_hardware_has_no_other_pace_than_the_clock(tmp_path):
+    with simulator(tmp_path, "--speed", "4") as (_, process):
+        assert process.stderr is not None
+        said = process.stderr.read()
+        assert process.wait() == 2
+    assert "--speed: 4 is not for hardware, whose clock is real; 1 is" in said
+
+
+def test_controls_that_stop_end_the_flight_but_none_at_all_do_not():
+    free = FreeRunning()
+    free.sent(4000, 0.0)
+    assert free.wait_s(100.0) == 0.0  # still starting up
+    free.received(77, 100.0)
+    assert (free.wait_s(129.0), free.silent_s(129.0)) == (0.0, 29.0)
+    with pytest.raises(AutopilotSilentError, match="has sent nothing for 30 s"):
+        free.wait_s(131.0)
+
+
+def test_overruns_are_counted_from_the_millisecond_on():
+    pace, overruns = Pace(1.0), Overruns()
+    pace.wait_s(0, 10.0)
+    for t_us, now_s in ((4000, 10.0041), (8000, 10.0092), (12000, 10.0115), (16000, 10.0185)):
+        overruns.add(pace.late_s(t_us, now_s))
+    assert overruns.text() == "2 of 4 steps over 1 ms late, the latest 2.5 ms"
