@@ -1,6 +1,7 @@
 """An epoch's usable satellites and what the model makes of them."""
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -91,6 +92,13 @@ class Observed(Value, frozen=True):
     def states(self) -> Vector:
         """Satellites (n, 9) when they sent what was received, as `broadcast.satellite_states`."""
         return states_at(self.measured)
+
+    def without_rates(self, names: Collection[str]) -> "Observed":
+        """The same without the Doppler rates of some satellites."""
+        if not names:
+            return self
+        wrong = [name in names for name in self.satellites]
+        return self._replace(doppler_mps=np.where(wrong, np.nan, self.doppler_mps))
 
     def select(self, keep: Mask) -> "Observed":
         """Those that `keep` (n,), a mask, keeps."""
