@@ -18,7 +18,6 @@ from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.parser import Parser
-
 from tests.mavproxy_fault.ardupilot.test_bridge import PATIENCE_S, Simulator
 
 HANDSHAKE = Path(__file__).resolve().parents[2] / "data" / "arducopter" / "handshake.txt"
