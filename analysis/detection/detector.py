@@ -254,7 +254,9 @@ def run(detector: Detector, samples: Iterable[Sample]) -> list[Result]:
 
 def _forgotten(core: Core) -> Core:
     """The core without its filter."""
-    return core._replace(motion=None, excluded={}, frozen=NOTHING_FROZEN, ramps=None, history=())
+    return core._replace(
+        motion=None, excluded={}, frozen=NOTHING_FROZEN, ramps=None, history=(), leapt_m=None
+    )
 
 
 def _fed_us(core: Core) -> int:
