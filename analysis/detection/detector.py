@@ -40,6 +40,8 @@ from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 SPACINGS = 2.5  # epochs that may be missing at the rate they come, whatever `reset_s`
 SAME_SPACING = 0.2  # of a gap: less is jitter
 SPACING_MAX_US = 120_000_000  # the filter knows nothing of the motion after longer
+# Broadcast coefficients leave a fifth of the delay, typical ones about half of it.
+TYPICAL_DOUBT = 2.5
 EPHEMERIDES_KEPT = 512  # per satellite: three days of Galileo's
 
 
@@ -51,7 +53,9 @@ class Detector:
 
     def new_state(self) -> State:
         """Nothing known."""
-        return State(Core(None, {}, np.array(self.config.ionosphere, dtype=float)))
+        typical = self.config.ionosphere == DetectorConfig().ionosphere
+        doubt = TYPICAL_DOUBT if typical else 1.0
+        return State(Core(None, {}, np.array([*self.config.ionosphere, doubt], dtype=float)))
 
     def step(self, samples: Sample | Block, state: State) -> tuple[list[Result], State]:
         """Decisions that a block of samples, or a single one, allows, and the next state."""
@@ -93,7 +97,7 @@ class Detector:
         if isinstance(event, EphemerisSample):
             return [], State(_learn(core, event), pending, mag_b)
         if isinstance(event, IonosphereSample):
-            known = np.array(event.alpha + event.beta)
+            known = np.array((*event.alpha, *event.beta, 1.0))
             return [], State(core._replace(ionosphere=known), pending, mag_b)
         return [], state
 

@@ -43,6 +43,8 @@ NOTHING_FROZEN = FrozenOffsets(0, {})
 class Core(Value, frozen=True):
     """Everything but the pending IMU samples.
 
+    `ionosphere` (9,) are Klobuchar's coefficients and how much more than broadcast ones they may be
+    off.
     `imu_bad_until_us` is when a faulty IMU is tried again (None: it is trusted), `unknown_since_us`
     since when no epoch could be used, `distrusted` what of all satellites together was wrong at the
     last one ("ranges", "rates" or nothing). `ranges_us` is when raw ranges were last usable,

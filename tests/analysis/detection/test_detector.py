@@ -286,3 +286,15 @@ def test_a_wrong_doppler_rate_of_one_satellite_is_told_and_its_range_stays_in_us
     assert not any(r.excluded for r in results if isinstance(r, Decision))
     clean = run(Detector(), flight)
     assert not any(isinstance(r, SensorDecision) and r.sensor == "satellites" for r in clean)
+
+
+@pytest.mark.parametrize("epoch_steps", [10, 20, 200, 400])
+def test_epochs_at_twenty_ten_one_and_half_a_hertz_need_no_setting(flights, epoch_steps: int):
+    samples = flights(50.0, epoch_steps=epoch_steps)
+    assert not any(decision.alarm for decision in decisions(samples))
+    name = satellites(samples)[3]
+    found = decisions(with_ranges(samples, {name: lambda t: 50.0}))
+    acting = [decision for decision in found if FROM_S <= decision.t_s < UNTIL_S]
+    assert acting[0].alarm
+    assert {decision.excluded for decision in acting} == {(name,)}
+    assert errors(samples, found).max() < 3.0

@@ -15,10 +15,12 @@ from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.graph import Graph
 from analysis.fusion.graph_start import at_filter
 from analysis.fusion.smoother import Fusion
-from analysis.recordings.recordings import read_rinex_samples
+from analysis.recordings.recordings import read_rinex, read_rinex_samples
 from analysis.results import Decision, FusedState
 from analysis.samples.sample import Epoch, TruthSample
+from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.schedule.entries import parse_schedule
 
 ANTENNA_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])  # of the data's README
 CONFIG = FusionConfig()
@@ -46,6 +48,7 @@ def error_m(results):
 
 def epochs(samples, seconds, change):
     """The samples of the first seconds with every epoch changed, by the seconds since the first."""
+    samples = list(samples)
     begin_us = next(s.t_us for s in samples if isinstance(s, Epoch))
     for sample in samples:
         if isinstance(sample, Epoch):
@@ -89,6 +92,17 @@ def test_without_satellites_the_graph_ends_with_the_filter_and_begins_with_it(st
     told_s = {round(s.t_s - begin_s) for s in states}
     assert told_s == {*range(50), *range(150, 200)}
     assert error_m(states) < 1.05 * error_m([d for d in decisions if d.position_ecef_m])
+
+
+def test_where_nothing_bounds_the_filter_no_fused_state_is_told(shared_data: Path):
+    folder = shared_data / "gnss_static"
+    obs, nav = folder / "SEPT078M.21O", folder / "SEPT078M.21P"
+    jump = {"preset": "gnss-spoof-jump", "at_s": 40, "for_s": 20}
+    lines, _ = faulted_lines(obs, parse_schedule({"faults": [jump]}), [nav])
+    spoofed = epochs(read_rinex(obs, nav, None, lines).samples(), 80.0, lambda epoch, _: epoch)
+    decisions, states, _ = judged(list(spoofed), "GE")
+    begin_s = decisions[0].t_s
+    assert {round(s.t_s - begin_s) for s in states} == {*range(40), *range(60, 80)}
 
 
 @pytest.fixture(scope="module")

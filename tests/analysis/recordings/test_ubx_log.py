@@ -198,13 +198,14 @@ def test_a_receiver_that_does_not_know_the_time_yet_has_no_epochs(tmp_path: Path
         ("a.ubx.gz", gzip.compress(rawx(EPOCH))[:-9], "cannot be read as a u-blox log"),
         ("b.ubx", rawx(EPOCH), "no ephemeris that can be read"),
     ],
+    ids=["no frames", "cut", "no orbits"],
 )
 def test_what_cannot_be_judged_ends_in_a_line(
     name: str, content: bytes, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     log = tmp_path / name
     log.write_bytes(content)
-    assert main(["monitor", "--rinex", str(log)]) == 2
+    assert main(["monitor", "--rinex", str(log), "--zenoh", "off"]) == 2
     assert words in capsys.readouterr().err
 
 
@@ -212,5 +213,6 @@ def test_faults_are_put_into_rinex_files_alone(tmp_path: Path, capsys: pytest.Ca
     log, schedule = tmp_path / "a.ubx", tmp_path / "faults.yaml"
     log.write_bytes(rawx(EPOCH))
     schedule.write_text("faults: []\n")
-    assert main(["monitor", "--rinex", str(log), "--schedule", str(schedule)]) == 2
+    command = ["monitor", "--rinex", str(log), "--zenoh", "off"]
+    assert main([*command, "--schedule", str(schedule)]) == 2
     assert "is a u-blox log" in capsys.readouterr().err
