@@ -168,6 +168,8 @@ def main(args: argparse.Namespace) -> int:
         from mavproxy_fault.schedule.entries import read_schedule
 
         engine = Engine(read_schedule(args.schedule), commands=args.allow_commands)
+        if engine.draws:  # or the first frame that a fault draws for would wait for it
+            import numpy.random  # noqa: F401
         session |= {"seed": engine.seed, "schedule": Path(args.schedule).read_text()}
     signed = signing(args)
     # Links first: a port that is taken ends the command before anything is written.

@@ -31,6 +31,7 @@ class BitFlip(ValueFault, frozen=True, kw_only=True):
 
     name: ClassVar[str] = "bit-flip"
     example: ClassVar[dict[str, Any]] = {"target": GYRO}
+    draws: ClassVar[bool] = True
 
     value: Annotated[int, Meta(ge=1, le=64)] = 1
     bit: Annotated[int, Meta(ge=0, le=63)] | None = None

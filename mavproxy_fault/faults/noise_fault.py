@@ -13,6 +13,7 @@ class Noise(ValueFault, frozen=True, kw_only=True):
 
     name: ClassVar[str] = "noise"
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1}
+    draws: ClassVar[bool] = True
     on_ranges: ClassVar[bool] = True
 
     value: NotNegative | tuple[NotNegative, ...]
@@ -35,6 +36,7 @@ class RandomWalk(ValueFault, frozen=True, kw_only=True):
 
     name: ClassVar[str] = "random-walk"
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1}
+    draws: ClassVar[bool] = True
     on_ranges: ClassVar[bool] = True
     by_sender: ClassVar[bool] = True
 

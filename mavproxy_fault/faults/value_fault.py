@@ -34,6 +34,7 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
 
     acts_on: ClassVar[ActsOn] = "fields"
     by_sender: ClassVar[bool] = False
+    draws: ClassVar[bool] = False  # whether `after` uses its generator
     elements: Mapping[int, tuple[Element, ...]] = {}
     factors: Factors = {}
 

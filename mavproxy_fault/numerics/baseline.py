@@ -12,8 +12,6 @@ References
 import platform
 from functools import cache
 
-import llvmlite.binding as llvm  # type: ignore[import-untyped]
-
 _NEEDS = {
     "x86-64-v3": ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"),
     "generic": (),  # any 64-bit ARM
@@ -26,5 +24,8 @@ BASELINE = _OF_MACHINE.get(platform.machine(), "")  # as LLVM calls it
 @cache
 def runs_baseline() -> bool:
     """Whether this processor runs code for its architecture's baseline."""
+    # Here: a proxy that only needs a folder would pay for it at each start.
+    import llvmlite.binding as llvm  # type: ignore[import-untyped]
+
     features = llvm.get_host_cpu_features()
     return BASELINE in _NEEDS and all(features.get(name) for name in _NEEDS[BASELINE])

@@ -3,7 +3,7 @@
 import logging
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import TYPE_CHECKING, Any, cast, get_type_hints
 from zlib import crc32
 
 import msgspec
@@ -28,6 +28,22 @@ def after_s(t_us: int, seconds: float) -> int:
     # Infinite durations and stamps near the end of 64 bits are never reached.
     later_us = t_us + seconds * 1e6
     return t_us + round(seconds * 1e6) if later_us < NEVER_US else NEVER_US
+
+
+class Chance:
+    """A generator of random numbers that loads numpy when it is first drawn from."""
+
+    def __init__(self, seed: int, name: str) -> None:
+        self._seeds = [seed, crc32(name.encode())]
+
+    def __getattr__(self, name: str) -> Any:
+        from numpy.random import default_rng
+
+        generator = self.__dict__.get("_generator") or default_rng(self._seeds)
+        self._generator = generator
+        found = getattr(generator, name)
+        setattr(self, name, found)  # asked for once: the next draw costs nothing here
+        return found
 
 
 class Running:
@@ -81,10 +97,8 @@ class Running:
 
     @cached_property
     def rng(self) -> "Generator":
-        """The entry's own chance; numpy is loaded for what draws, and only there."""
-        from numpy.random import default_rng
-
-        return default_rng([self.seed, crc32(self.entry.id.encode())])
+        """The entry's own chance."""
+        return cast("Generator", Chance(self.seed, self.entry.id))
 
     def _end(self) -> int:
         for_s = self.entry.for_s

@@ -19,6 +19,7 @@ from mavproxy_fault.proxy.announcements import announcement
 from mavproxy_fault.proxy.interfaces import Control, Direction, Engine, LinkRole, Send
 from mavproxy_fault.proxy.numbering import Numbering
 from mavproxy_fault.proxy.outgoing import Departures, source_of, together
+from mavproxy_fault.proxy.patience import Patience
 from mavproxy_fault.proxy.routing import LoopGuard, Routes
 from mavproxy_fault.proxy.sender_rules import missing_before
 from mavproxy_fault.proxy.senders import (
@@ -41,9 +42,6 @@ if TYPE_CHECKING:
     from mavproxy_fault.faults.fault import Outgoing
     from mavproxy_fault.wire.label import Label
 
-INCOMPLETE_US = (
-    500_000  # how long a stream may owe the rest of a frame; 280 bytes at 9600 baud take 0.3 s
-)
 NEVER_US = 1 << 62
 
 
@@ -94,7 +92,8 @@ class Core:
         self._labels: list[Label] = []
         self._parsers: dict[tuple[int, int], Parser] = {}
         self._ended = [ParserCounters() for _ in links]
-        self._incomplete_since: dict[tuple[int, int], int] = {}
+        self._patience: dict[tuple[int, int], Patience] = {}
+        self._give_up_us: dict[tuple[int, int], int] = {}  # streams that owe the rest of a frame
         self._pending: list[tuple[int, int, int, bytes]] = []  # due, order, links, bytes
         self._order = itertools.count()
         self.departed_us = 0  # when what left last was due; nothing may come before that any more
@@ -134,10 +133,11 @@ class Core:
             items = parser.release()
             self._ended[link].add(parser.counters)
             del self._parsers[key]
-        if not role.datagrams:
-            self._incomplete_since.pop(key, None)
-            if parser.incomplete:
-                self._incomplete_since[key] = now_us
+            self._patience.pop(key, None)
+            self._give_up_us.pop(key, None)
+        if data and not role.datagrams:
+            self._patience.setdefault(key, Patience()).came(len(data), now_us)
+            self._wait_for_rest(key)
         arrival = Arrival(link, direction or role.direction, now_us)
         return sends + self._process(items, arrival)
 
@@ -162,13 +162,20 @@ class Core:
                 sends += self._to_links(mask, raw, when_us)
             else:
                 sends += self._release_from_engine(when_us)
-        for key, since_us in list(self._incomplete_since.items()):
+        for key in list(self._give_up_us):
             # The rest of the frame will not come: the bytes leave as they are.
-            if now_us - since_us >= INCOMPLETE_US:
-                del self._incomplete_since[key]
+            while self._give_up_us.get(key, NEVER_US) <= now_us:
                 arrival = Arrival(key[0], self.links[key[0]].direction, now_us)
-                sends += self._process(self._parsers[key].release(), arrival)
+                sends += self._process(self._parsers[key].give_up(), arrival)
+                self._wait_for_rest(key)
         return sends
+
+    def _wait_for_rest(self, key: tuple[int, int]) -> None:
+        """Note until when a stream may owe the rest of a frame, if it does."""
+        due_us = self._patience[key].due_us(self._parsers[key])
+        self._give_up_us.pop(key, None)
+        if due_us is not None:
+            self._give_up_us[key] = due_us
 
     @property
     def next_due_us(self) -> int | None:
@@ -177,7 +184,7 @@ class Core:
         when_us = min(
             self._engine_due_us(),
             self._pending[0][0] if self._pending else NEVER_US,
-            min(self._incomplete_since.values(), default=NEVER_US) + INCOMPLETE_US,
+            min(self._give_up_us.values(), default=NEVER_US),
         )
         return None if when_us >= NEVER_US else when_us
 

@@ -52,6 +52,16 @@ class Engine:
         self._kept: list[Outgoing] = []  # let go by a fault that ended
         self._edited()
 
+    @property
+    def draws(self) -> bool:
+        """Whether an entry may draw random numbers, for which numpy is loaded at the first one."""
+        return any(
+            entry.probability < 1.0
+            or getattr(entry.fault, "draws", True)
+            or getattr(entry.fault, "profile", None) is not None
+            for entry in self._entries()
+        )
+
     # -- time ------------------------------------------------------------------------------------
 
     def start_at(self, t0_us: int) -> None:

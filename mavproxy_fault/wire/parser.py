@@ -9,6 +9,7 @@ show that the bytes are no frame, and those 256 pass as a frame of unknown conte
 verified frame begins inside.
 """
 
+import re
 from dataclasses import dataclass
 from typing import Literal
 
@@ -26,6 +27,7 @@ from mavproxy_fault.wire.frame import (
 )
 
 CRC_LENGTH = 2
+START = re.compile(b"[%c%c]" % (STX_V1, STX_V2))
 STEPS = frozenset(mcrf4xx(bytes((last,)), 0) for last in range(256))  # the CRC's table of bytes
 JunkKind = Literal["foreign", "crc", "unknown"]
 
@@ -82,15 +84,25 @@ class Parser:
             self._incomplete = b""
         return self._parse(data, final=datagram)
 
+    @property
+    def holds_frame(self) -> bool:
+        """Whether a verified frame lies inside of what waits for more of the stream."""
+        return _holds_frame(self._incomplete, 1, len(self._incomplete))
+
     def release(self) -> list[Frame | Junk]:
-        """Give up waiting: what is incomplete is parsed as if the stream had ended."""
+        """The stream has ended: what is incomplete is parsed as far as it goes."""
         data, self._incomplete = self._incomplete, b""
         return self._parse(data, final=True)
 
-    def _parse(self, data: bytes, *, final: bool) -> list[Frame | Junk]:
+    def give_up(self) -> list[Frame | Junk]:
+        """Take the first byte of what is incomplete for no beginning; what follows may be one."""
+        data, self._incomplete = self._incomplete, b""
+        return self._parse(data, final=False, at=1)
+
+    def _parse(self, data: bytes, *, final: bool, at: int = 0) -> list[Frame | Junk]:
         found: list[Frame | Junk] = []
         counters = self.counters
-        at = junk_from = 0
+        junk_from = 0
         end = len(data)
         crc_errors = counters.crc_errors
         while at < end:
@@ -182,9 +194,8 @@ def _possible(body: bytes, crc: int) -> bool:
 def _holds_frame(data: bytes, start: int, end: int) -> bool:
     """Whether a verified frame lies wholly inside a stretch of the data."""
     # A message that is unknown and by chance passes must not hide a known one.
-    for at in range(start, end - HEADER_V1 - CRC_LENGTH + 1):
-        if data[at] != STX_V2 and data[at] != STX_V1:
-            continue
+    for begin in START.finditer(data, start, max(start, end - HEADER_V1 - CRC_LENGTH + 1)):
+        at = begin.start()
         place = span(data, at)
         if place is None or at + place[0] > end:
             continue

@@ -2,27 +2,32 @@
 
     python tests/hardening/soak.py --minutes 240 --rate 20000 --page
 
-Prints a row of figures now and then: what the proxy holds, how late its frames are, and with
-`--page` what a browser (Debian's Chromium) and the page's server take. SIGSTOP pauses it: traffic
-goes on where it was.
+Prints a row of figures now and then (`--csv FILE` keeps them): what the proxy holds, how late its
+frames are, and with `--page` what a browser (Debian's Chromium) and the page's server take. Edits
+are counted row by row. Ctrl-C or SIGTERM end it with a last row and what the proxy itself counted;
+SIGSTOP pauses it: traffic goes on where it was.
 """
 
 import argparse
 import contextlib
+import csv
 import os
 import shutil
+import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from fastcrc.crc16 import mcrf4xx
 
-from mavproxy_fault.api.proxy_handle import Proxy
+from mavproxy_fault.api.proxy_handle import LiveFault, Proxy
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.links.link import enlarge_buffers
@@ -31,14 +36,15 @@ from mavproxy_fault.wire.frame import build
 
 MARKED = 42  # the system whose heartbeats are timed
 MARK_EVERY = 50  # frames
-TURN_S = 0.01  # between two bursts of frames
+BURST_S = 0.005  # between two bursts of frames
+SO_TIMESTAMPNS = 35  # Linux <asm-generic/socket.h>
 FIELDS = (
     "xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "xmag", "ymag", "zmag", "abs_pressure",
 )  # fmt: skip
 COLUMNS = (
-    "min", "frames/s", "edits", "unanswered", "marks missing", "proxy, of a core", "proxy MB",
-    "descriptors", "p50 ms", "p99 ms", "max ms", "server, of a core", "server MB", "script s/s",
-    "heap MB",
+    "min", "sent/s", "came/s", "edits", "unanswered", "marks missing", "proxy, of a core",
+    "proxy MB", "descriptors", "p50 ms", "p99 ms", "max ms", "server, of a core", "server MB",
+    "script s/s", "heap MB",
 )  # fmt: skip
 
 
@@ -51,54 +57,65 @@ class Traffic:
         self.station.bind(("127.0.0.1", 0))
         self.station.settimeout(0.5)
         enlarge_buffers(self.station)  # a busy machine's pause must not be taken for a loss
+        # The kernel says when a frame came: this process may be late to look.
+        self.station.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
         self.rate_hz = rate_hz
-        self.sent = 0
+        self.sent = self.came = self._sensors = 0
         self.due_s: dict[int, float] = {}
         self.late_s: list[float] = []
         self.over = threading.Event()
+        rest = {"zacc": -9.81, "abs_pressure": 1013.0, "fields_updated": 0x1FFF}
+        self._sensor = bytearray(
+            build(known("HIL_SENSOR"), {"time_usec": 1 << 40, **rest}, system=1, component=51)
+        )
 
     def send(self) -> None:
-        """Frames in bursts, each stamped with the time it would have at its rate."""
-        while not self.over.wait(TURN_S):
-            for _ in range(round(self.rate_hz * TURN_S)):
+        """Frames in bursts; what was missed while this process had to wait is not made up for."""
+        next_s = time.monotonic()
+        while not self.over.wait(max(next_s - time.monotonic(), 0.0)):
+            next_s = max(next_s + BURST_S, time.monotonic() - BURST_S)
+            for _ in range(round(self.rate_hz * BURST_S)):
                 self.sent += 1
                 self.vehicle.send(self.frame(self.sent))
 
     def frame(self, number: int) -> bytes:
         """The marks are heartbeats, the rest what a simulator sends."""
         if number % MARK_EVERY == 0:
-            self.due_s[number] = time.monotonic()
+            self.due_s[number] = time.time()
             values = {"type": 2, "custom_mode": number}
             return build(known("HEARTBEAT"), values, seq=number // MARK_EVERY & 255, system=MARKED,
                          component=1)  # fmt: skip
         t_us = 1_000_000 + number * 1_000_000 // self.rate_hz
         if number % 40 == 1:
-            turn = {"time_boot_ms": t_us // 1000, "roll": 0.3 * np.sin(t_us / 1e6), "yaw": 1.0}
-            return build(known("ATTITUDE"), turn, seq=number & 255, system=1, component=1)
-        values = {
-            "time_usec": t_us,
-            "zacc": -9.81,
-            "abs_pressure": 1013.0,
-            "fields_updated": 0x1FFF,
-        }
-        return build(known("HIL_SENSOR"), values, seq=number & 255, system=1, component=51)
+            values = {"time_boot_ms": t_us // 1000, "roll": 0.3 * np.sin(t_us / 1e6), "yaw": 1.0}
+            return build(known("ATTITUDE"), values, seq=number // 40 & 255, system=1, component=1)
+        # 20,000 times a second only what changes is written.
+        raw = self._sensor
+        self._sensors += 1
+        raw[4] = self._sensors & 255
+        raw[10:18] = t_us.to_bytes(8, "little")
+        extra = bytes((known("HIL_SENSOR").crc_extra,))
+        raw[-2:] = mcrf4xx(bytes(raw[1:-2]) + extra).to_bytes(2, "little")
+        return bytes(raw)
 
     def receive(self) -> None:
         """Note how late each mark is."""
         while not self.over.is_set():
             with contextlib.suppress(TimeoutError):
-                data = self.station.recv(2048)
+                data, ancillary, _, _ = self.station.recvmsg(2048, 64)
+                self.came += 1
                 if data[5] == MARKED:  # the sender's system in a frame of version 2
+                    seconds, nanoseconds = struct.unpack("qq", ancillary[0][2])
                     number = int.from_bytes(data[10:14], "little")
-                    self.late_s.append(time.monotonic() - self.due_s.pop(number))
+                    self.late_s.append(seconds + 1e-9 * nanoseconds - self.due_s.pop(number))
 
     def missing(self) -> int:
         """The marks that have not come after five seconds."""
-        return sum(time.monotonic() - due_s > 5.0 for due_s in list(self.due_s.values()))
+        return sum(time.time() - due_s > 5.0 for due_s in list(self.due_s.values()))
 
     def latencies(self) -> list[str]:
         """Median, 99th percentile and maximum in ms since they were asked for last."""
-        late_ms, self.late_s = 1e3 * np.array(self.late_s), []
+        late_ms, self.late_s = 1e3 * np.array(self.late_s or [np.nan]), []
         return [f"{late:.2f}" for late in np.percentile(late_ms, [50, 99, 100])]
 
 
@@ -149,39 +166,76 @@ def browser_usage(session: Any) -> tuple[float, float]:
     return found["ScriptDuration"], found["JSHeapUsedSize"] / 1e6
 
 
+class Rows:
+    """The table of figures: printed, and written to a file as it grows."""
+
+    def __init__(self, path: str | None) -> None:
+        self._path = path
+        if path:
+            Path(path).write_text("")
+        self._write(COLUMNS)
+        print("|---" * len(COLUMNS) + "|", flush=True)
+
+    def add(self, row: Sequence[object]) -> None:
+        """One more row; a file that is cut off in the middle has all rows before."""
+        self._write([str(one) for one in row] + [""] * (len(COLUMNS) - len(row)))
+
+    def _write(self, row: Sequence[str]) -> None:
+        print("| " + " | ".join(row) + " |", flush=True)
+        if self._path:
+            with open(self._path, "a", newline="") as file:
+                csv.writer(file).writerow(row)
+
+
+def edit(proxy: Proxy, faults: list[LiveFault], until_s: float) -> tuple[int, int]:
+    """One edit a second until a time; how many, and how many had no answer."""
+    edits = unanswered = 0
+    while (now_s := time.monotonic()) < until_s:
+        edits += 1
+        try:
+            faults[edits % len(faults)].update(0.1 + edits % 7)
+        except ConfigError:  # counted: a busy machine may let the bus's time run out
+            unanswered += 1
+        time.sleep(max(min(now_s + 1.0, until_s) - time.monotonic(), 0.0))
+    return edits, unanswered
+
+
 def watch(args: argparse.Namespace, traffic: Traffic, pids: list[int], router: str,
           session: Any) -> None:  # fmt: skip
-    """Edit a fault every second, and print a row after each `--every` minutes."""
-    print("| " + " | ".join(COLUMNS) + " |\n" + "|---" * len(COLUMNS) + "|", flush=True)
-    edits = unanswered = 0
+    """Edit a fault every second, and add a row after each `--every` minutes, also the last."""
+    rows = Rows(args.csv)
     begin_s = time.monotonic()
+    end_s = begin_s + 60 * args.minutes
+    stopped = False
     with Proxy.attach(router) as proxy:
         faults = [
             proxy.fault("bias", id=name, target=f"HIL_SENSOR.{name}", value=0.1) for name in FIELDS
         ]
-        while time.monotonic() - begin_s < 60 * args.minutes:
+        while not stopped and (from_s := time.monotonic()) < end_s:
             cpu_s = [usage(pid)[0] for pid in pids]
             script_s = browser_usage(session)[0] if session else 0.0
-            from_s, from_sent = time.monotonic(), traffic.sent
-            while (span_s := time.monotonic() - from_s) < 60 * args.every:
-                edits += 1
-                try:
-                    faults[edits % len(faults)].update(0.1 + edits % 7)
-                except ConfigError:  # counted: a busy machine may let the bus's time run out
-                    unanswered += 1
-                time.sleep(1.0)
+            from_sent, from_came = traffic.sent, traffic.came
+            edits = unanswered = 0
+            try:
+                while time.monotonic() < min(from_s + 60 * args.every, end_s):
+                    more = edit(proxy, faults, time.monotonic() + 10.0)
+                    edits, unanswered = edits + more[0], unanswered + more[1]
+            except KeyboardInterrupt:  # Ctrl-C or SIGTERM: a last row, and the proxy's own words
+                stopped = True
+            span_s = time.monotonic() - from_s
             used = [usage(pid) for pid in pids]
             share = [f"{(one[0] - before_s) / span_s:.1%}"
                      for one, before_s in zip(used, cpu_s, strict=True)]  # fmt: skip
             row = [f"{(time.monotonic() - begin_s) / 60:.1f}",
-                   f"{(traffic.sent - from_sent) / span_s:.0f}", edits, unanswered,
+                   f"{(traffic.sent - from_sent) / span_s:.0f}",
+                   f"{(traffic.came - from_came) / span_s:.0f}", edits, unanswered,
                    traffic.missing(), share[0], f"{used[0][1]:.1f}", used[0][2],
                    *traffic.latencies()]  # fmt: skip
             if session:
                 script_now_s, heap_mb = browser_usage(session)
                 row += [share[1], f"{used[1][1]:.1f}", f"{(script_now_s - script_s) / span_s:.3f}",
                         f"{heap_mb:.1f}"]  # fmt: skip
-            print("| " + " | ".join(map(str, row)) + " |", flush=True)
+            rows.add(row)
 
 
 def main() -> None:
@@ -191,7 +245,9 @@ def main() -> None:
     parser.add_argument("--every", type=float, default=10.0, help="minutes between two rows")
     parser.add_argument("--rate", type=int, default=20_000, help="frames a second")
     parser.add_argument("--page", action="store_true", help="watch the page in a browser, too")
+    parser.add_argument("--csv", help="file for the rows, besides the printed table")
     args = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     traffic = Traffic(args.rate)
     station = traffic.station.getsockname()[1]
     with contextlib.ExitStack() as stack:

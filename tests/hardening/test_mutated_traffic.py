@@ -26,7 +26,7 @@ from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known, message_names
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.frame import SIGNATURE_LENGTH, Frame, build
 from mavproxy_fault.wire.signing import key_of, signed
 
 BYTES = int(os.environ.get("HARDENING_BYTES", "150000"))
@@ -165,6 +165,8 @@ def test_marks_between_mutated_bytes_leave_once_in_order_and_soon(
         make()
         assert load() is not None
     rng = random.Random(f"{kind} {schedule}")
+    # On a stream a signed frame whose end was cut takes what follows for its signature.
+    apart = b"" if kind.startswith("udp") else bytes(SIGNATURE_LENGTH)
     sent = number = 0
     slowest_s = 0.0
     with (
@@ -179,7 +181,7 @@ def test_marks_between_mutated_bytes_leave_once_in_order_and_soon(
                 sent += len(data)
             number += 1
             begun_s = time.monotonic()
-            write(mark(number))
+            write(apart + mark(number))
             came = b""
             while mark(number) not in came:
                 came += station.recv(65_535)

@@ -259,6 +259,42 @@ def test_a_proxy_with_a_schedule_is_ready_without_numpy() -> None:
     assert done.stdout.split() == [b"False", b"False"]
 
 
+# Every fault that says it draws nothing, on a second of the messages that it asks for.
+FAULTS_THAT_DRAW_NOTHING = """
+import json, sys
+from mavproxy_fault.faults.registry import known_faults
+from mavproxy_fault.proxy.core import Core, LinkRole
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.schedule.entries import parse_schedule
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import build
+
+tried = []
+for name, kind in known_faults().items():
+    entry = {"id": name, "fault": name, **(getattr(kind, "example", None) or {})}
+    engine = Engine(parse_schedule(json.dumps({"seed": 1, "faults": [entry]})))
+    if engine.draws:
+        continue
+    core = Core([LinkRole("a", "to-vehicle"), LinkRole("b", "from-vehicle")], engine)
+    for n in range(100):
+        values = {"time_usec": 1_000_000 + 10_000 * n}
+        frame = build(known("HIL_SENSOR"), values, seq=n, system=1, component=1)
+        core.received(0, frame, 10_000 * n)
+    state = engine.state()["faults"][0]
+    assert not state.get("failure"), state
+    tried.append(name)
+print(len(tried), "bias" in tried, "numpy" in sys.modules)
+"""
+
+
+def test_a_fault_that_draws_nothing_never_loads_numpy_amid_the_traffic() -> None:
+    done = subprocess.run([sys.executable, "-c", FAULTS_THAT_DRAW_NOTHING], capture_output=True)
+    assert done.returncode == 0, done.stderr
+    count, has_bias, has_numpy = done.stdout.split()
+    assert int(count) > 15
+    assert (has_bias, has_numpy) == (b"True", b"False")
+
+
 def test_without_the_calls_of_linux_the_interpreted_way_serves(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

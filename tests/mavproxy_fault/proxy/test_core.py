@@ -1,7 +1,11 @@
 from collections.abc import Mapping
 
+from hypothesis import given
+from hypothesis import strategies as st
+
 from mavproxy_fault.proxy.core import Core, LinkRole, Send
 from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.proxy.patience import BEGUN_US, HOLDING_US
 from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known
@@ -78,6 +82,53 @@ def test_a_stream_that_owes_the_rest_of_a_frame_is_not_waited_for_long() -> None
     assert due_us is not None
     assert core.due(due_us - 1) == []
     assert b"".join(send.data for send in core.due(due_us)) == b"\xfd\xff\0\0" + heartbeat()
+
+
+def test_a_foreign_byte_holds_no_frame_of_a_slow_stream_back_for_long() -> None:
+    core = Core((LinkRole("sim", "to-vehicle", datagrams=False), ROLES[1]))
+    core.received(SIM, b"\xfd\xff", WALL_US)
+    late_us = []
+    for n in range(20):
+        came_us = WALL_US + n * 250_000  # four a second never let the stream fall silent
+        left = core.received(SIM, heartbeat(seq=n), came_us)
+        while not any(send.data == heartbeat(seq=n) for send in left):
+            due_us = core.next_due_us
+            assert due_us is not None
+            left = core.due(due_us)
+            late_us.append(due_us - came_us)
+    assert max(late_us) <= HOLDING_US
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(0, 700_000),
+            st.one_of(
+                st.just(heartbeat()), st.binary(max_size=9), st.sampled_from([b"\xfd", b"\xfe\xff"])
+            ),
+        ),
+        max_size=60,
+    )
+)
+def test_no_byte_of_a_stream_waits_for_more_than_a_second(chunks: list[tuple[int, bytes]]) -> None:
+    core = Core((LinkRole("sim", "to-vehicle", datagrams=False), ROLES[1]))
+    now_us, came, left = WALL_US, b"", b""
+    came_us: list[int] = []  # of each byte
+
+    def leave(sends: list[Send], when_us: int) -> None:
+        nonlocal left
+        left += b"".join(send.data for send in sends if send.link == AUTOPILOT)
+        assert all(when_us - us <= BEGUN_US for us in came_us[len(left) :])
+
+    for pause_us, data in [*chunks, (2 * BEGUN_US, b"")]:
+        now_us += pause_us
+        while (due_us := core.next_due_us) is not None and due_us <= now_us:
+            leave(core.due(due_us), due_us)
+        if data:
+            came += data
+            came_us += [now_us] * len(data)
+            leave(core.received(SIM, data, now_us), now_us)
+    assert left == came
 
 
 def test_a_stream_that_ends_leaves_nothing_behind() -> None:
