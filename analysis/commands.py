@@ -5,6 +5,8 @@ import contextlib
 import sys
 from typing import Any
 
+from mavproxy_fault.app.commands import add_bus, add_router
+
 
 def add_run(commands: Any) -> None:
     """`run`: simulator, proxy, monitor and report from one scenario."""
@@ -20,7 +22,8 @@ def add_run(commands: Any) -> None:
         "--speed", metavar="1|N|max", help="times real time (default: max, with --ui 1)"
     )
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
-    parser.add_argument("--out", metavar="DIR", help="run folder (default: runs/ and a number)")
+    out = "folder of logs and results (default: runs/ and a number)"
+    parser.add_argument("--out", "--logdir", metavar="DIR", help=out)
     parser.add_argument(
         "--gcs",
         default="udpout:127.0.0.1:14550",  # where QGroundControl listens
@@ -30,9 +33,7 @@ def add_run(commands: Any) -> None:
     parser.add_argument(
         "--ui", action="store_true", help="serve the page for control and live view"
     )
-    parser.add_argument(
-        "--zenoh", default="auto", metavar="auto|off|URL", help="where results are published"
-    )
+    add_bus(parser, "results")
     parser.add_argument(
         "--against-clean",
         action="store_true",
@@ -127,9 +128,7 @@ def add_monitor(commands: Any) -> None:
     parser.add_argument(
         "--for", dest="for_s", type=float, metavar="S", help="end after S seconds of vehicle time"
     )
-    parser.add_argument(
-        "--zenoh", default="auto", metavar="auto|off|URL", help="where results are published"
-    )
+    add_bus(parser, "results")
     parser.set_defaults(main=_monitor)
 
 
@@ -222,7 +221,7 @@ def add_ui(commands: Any) -> None:
     parser = commands.add_parser("ui", help="the page: control faults and watch a running proxy")
     # Without a default: only ours may give way to a free port, not one that was asked for.
     parser.add_argument("--port", type=int, help="TCP port; 8350, or a free one if it is taken")
-    parser.add_argument("--zenoh", metavar="URL", help="the proxy's router")
+    add_router(parser)
     parser.set_defaults(main=_ui)
 
 

@@ -59,7 +59,7 @@ def main(args: argparse.Namespace) -> int:
     monitor, integrity = Monitor(config, reference), Integrity(reference)
     started_s = time.monotonic()
     with contextlib.ExitStack() as stack:
-        bus = stack.enter_context(open_run_bus(args.zenoh, "live", "monitor"))
+        bus = stack.enter_context(open_run_bus(args.zenoh, "live", "monitor", args.zenoh_config))
         publisher = Publisher(bus) if bus else None
         file = stack.enter_context(ResultFile(folder)) if folder else None
         watch = stack.enter_context(Watch()) if args.watch else None

@@ -6,6 +6,7 @@ import secrets
 import socket
 import threading
 from collections.abc import Iterator
+from types import FrameType
 
 import uvicorn
 
@@ -45,8 +46,19 @@ def listen(port: int | None) -> socket.socket:
     return found
 
 
-def prepare(zenoh: str | None, port: int | None) -> tuple[uvicorn.Server, socket.socket, str]:
-    """A server that is not started, its socket, and the address to open, with the token."""
+class PageServer(uvicorn.Server):  # type: ignore[misc]
+    """A server that ends in order at a second Ctrl-C too: it takes a second at most."""
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """End; uvicorn would leave the source's thread behind at the second signal."""
+        super().handle_exit(sig, frame)
+        self.force_exit = False
+
+
+def prepare(
+    zenoh: str | None, port: int | None, config_file: str = ""
+) -> tuple[PageServer, Source, socket.socket, str]:
+    """A server that is not started, its source, its socket, and the address with the token."""
     bound = listen(port)
     number = bound.getsockname()[1]
     # 18 bytes of chance: nobody guesses it.
@@ -54,7 +66,8 @@ def prepare(zenoh: str | None, port: int | None) -> tuple[uvicorn.Server, socket
     # Only these names: a foreign name that leads to loopback is refused.
     hosts = frozenset({f"127.0.0.1:{number}", f"localhost:{number}"})
     feed = Feed()
-    page = Page(feed, Source(feed, zenoh), token, hosts)
+    source = Source(feed, zenoh, config_file)
+    page = Page(feed, source, token, hosts)
     config = uvicorn.Config(
         page.app,
         ws="websockets-sansio",
@@ -65,11 +78,13 @@ def prepare(zenoh: str | None, port: int | None) -> tuple[uvicorn.Server, socket
         timeout_graceful_shutdown=1,
     )
     # Behind the `#`: browsers send that part to nobody.
-    return uvicorn.Server(config), bound, f"http://127.0.0.1:{number}/#token={token}"
+    return PageServer(config), source, bound, f"http://127.0.0.1:{number}/#token={token}"
 
 
 @contextlib.contextmanager
-def serve(zenoh: str | None = None, port: int | None = None) -> Iterator[str]:
+def serve(
+    zenoh: str | None = None, port: int | None = None, config_file: str = ""
+) -> Iterator[str]:
     """Serve the page from a thread for the length of the block; the address to open.
 
     Raises
@@ -77,7 +92,7 @@ def serve(zenoh: str | None = None, port: int | None = None) -> Iterator[str]:
     ConfigError
         If the port is taken or none.
     """
-    server, bound, address = prepare(zenoh, port)
+    server, source, bound, address = prepare(zenoh, port, config_file)
     thread = threading.Thread(target=server.run, args=([bound],), name="page")
     thread.start()
     try:
@@ -85,6 +100,7 @@ def serve(zenoh: str | None = None, port: int | None = None) -> Iterator[str]:
     finally:
         server.should_exit = True
         thread.join()
+        source.close()
         bound.close()
 
 
@@ -102,15 +118,19 @@ def serve_beside(args: argparse.Namespace) -> Iterator[None]:
     if args.zenoh != "auto":
         # Without a port the address would be another than the proxy's.
         args.zenoh = with_port(args.zenoh)
-    with serve(None if args.zenoh == "auto" else args.zenoh) as address:
+    router = None if args.zenoh == "auto" else args.zenoh
+    with serve(router, config_file=args.zenoh_config) as address:
         print(f"page: {address}", flush=True)
         yield
 
 
 def main(args: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C."""
-    server, bound, address = prepare(args.zenoh, args.port)
+    server, source, bound, address = prepare(args.zenoh, args.port, args.zenoh_config)
     print(f"page: {address}", flush=True)
-    with contextlib.suppress(KeyboardInterrupt):
-        server.run([bound])
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            server.run([bound])
+    finally:
+        source.close()
     return 0

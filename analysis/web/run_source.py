@@ -17,16 +17,18 @@ PROXY, RUN = "/alive/proxy", "/alive/run"
 class Source:
     """Feeds what the live run publishes, and carries requests to it."""
 
-    def __init__(self, feed: Feed, url: str | None) -> None:
+    def __init__(self, feed: Feed, url: str | None, config_file: str = "") -> None:
         self._feed = feed
         self.url = url or DEFAULT_URL
+        self._config_file = config_file
         self._over = threading.Event()
         self._bus: Bus | None = None
         self._watch: Bus | None = None
         self._runs: list[str] = []
         self._coming: list[str] = []  # runs, of which some are still getting ready
         self._chosen: str | None = None
-        self._thread = threading.Thread(target=self._follow, name="bus of the page", daemon=True)
+        # No daemon: one that is inside Zenoh when the interpreter ends aborts the process.
+        self._thread = threading.Thread(target=self._follow, name="bus of the page")
 
     def start(self) -> None:
         """Begin to look for a proxy or run."""
@@ -34,9 +36,10 @@ class Source:
         self._thread.start()
 
     def close(self) -> None:
-        """Leave the bus."""
+        """Leave the bus, if it was joined; closing twice does nothing more."""
         self._over.set()
-        self._thread.join()
+        if self._thread.ident is not None:  # it was started
+            self._thread.join()
 
     def choose(self, run: str) -> None:
         """Follow another of the runs that are there.
@@ -83,7 +86,7 @@ class Source:
         """Join the run that is alive, leave the one that is not."""
         try:
             if self._watch is None:
-                self._watch = stack.enter_context(open_bus(self.url, run="*"))
+                self._watch = stack.enter_context(self._open("*"))
             there = self._watch.who()
             runs = [run_of(key) for key in there if key.endswith(PROXY)]
             coming = [run_of(key) for key in there if key.endswith(RUN)]
@@ -101,9 +104,12 @@ class Source:
         except ConfigError:
             self._leave()
 
+    def _open(self, run: str) -> Bus:
+        return open_bus(self.url, run=run, config_file=self._config_file)
+
     def _join(self, run: str) -> None:
         self._feed.forget()
-        bus = open_bus(self.url, run=run)
+        bus = self._open(run)
         # Keys are shown without the run's prefix.
         prefix = len(bus.key(""))
         self._bus = bus

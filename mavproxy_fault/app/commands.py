@@ -27,13 +27,8 @@ def add_proxy(commands: Any) -> None:
         help="let a udpin hear and answer only the first to send a verified frame",
     )  # fmt: skip
     parser.add_argument("--busy-poll", action="store_true", help="spin for lowest latency")
-    parser.add_argument(
-        "--zenoh", default="auto", metavar="auto|off|URL", help="control and statistics"
-    )
+    add_bus(parser, "control and statistics")
     parser.add_argument("--run", metavar="NAME", help="this proxy's name on Zenoh (default: live)")
-    parser.add_argument(
-        "--zenoh-config", default="", metavar="FILE", help="Zenoh's own: TLS, users, access control"
-    )
     parser.add_argument(
         "--files", action="append", default=[], metavar="DIR",
         help="let requests name tables of this folder; may be given again (default: none)",
@@ -117,15 +112,34 @@ def add_inject(commands: Any) -> None:
     parser.set_defaults(main=_inject)
 
 
-def _add_run(parser: argparse.ArgumentParser) -> None:
-    """Which proxy a command speaks to."""
-    parser.add_argument("--run", metavar="NAME", help="the run (default: the only one there is)")
+def add_bus(parser: argparse.ArgumentParser, what: str) -> None:
+    """Where a command publishes; `auto` is the address where all others look."""
+    parser.add_argument(
+        "--zenoh", default="auto", metavar="auto|off|URL",
+        help=f"{what} on Zenoh (default: auto, tcp/127.0.0.1:7447)",
+    )  # fmt: skip
+    _add_bus_config(parser)
+
+
+def add_router(parser: argparse.ArgumentParser) -> None:
+    """Whose router a command looks at."""
     parser.add_argument(
         "--zenoh", metavar="URL", help="the proxy's router (default: tcp/127.0.0.1:7447)"
     )
+    _add_bus_config(parser)
+
+
+def _add_bus_config(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--zenoh-config", default="", metavar="FILE", help="Zenoh's own: TLS, users, access control"
-    )
+        "--zenoh-config", default="", metavar="FILE",
+        help="Zenoh's own: TLS, users, access control (default: $ZENOH_CONFIG, or this user only)",
+    )  # fmt: skip
+
+
+def _add_run(parser: argparse.ArgumentParser) -> None:
+    """Which proxy a command speaks to."""
+    parser.add_argument("--run", metavar="NAME", help="the run (default: the only one there is)")
+    add_router(parser)
 
 
 def _inject(args: argparse.Namespace) -> int:

@@ -316,7 +316,9 @@ def join_bus(choice: str, run: str, config_file: str = "") -> Bus:
 
 
 @contextlib.contextmanager
-def open_run_bus(choice: str, run: str, component: str = "run") -> Iterator[Bus | None]:
+def open_run_bus(
+    choice: str, run: str, component: str = "run", config_file: str = ""
+) -> Iterator[Bus | None]:
     """The bus of a run: the router, or a client of the one that is there already.
 
     `choice` is `auto` (the default address), `off` or an address.
@@ -329,7 +331,7 @@ def open_run_bus(choice: str, run: str, component: str = "run") -> Iterator[Bus 
     if choice == "off":
         yield None
         return
-    with join_bus(choice, run) as bus:
+    with join_bus(choice, run, config_file) as bus:
         bus.alive(component)
         yield bus
 

@@ -1,5 +1,6 @@
 import queue
 from collections.abc import Iterator
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -8,6 +9,7 @@ from analysis.web.feed import STATUS, Feed
 from analysis.web.run_source import Source
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import open_bus
+from mavproxy_fault.links.bus_users import CONFIG
 
 
 class Statuses(Feed):
@@ -62,6 +64,24 @@ def test_the_source_follows_a_proxy_that_goes_and_comes_back(
             assert feed.next_run() == run
             assert msgspec.json.decode(source.ask("schedule/save", b"")) == {"run": run}
         assert feed.next_run() is None
+
+
+def test_a_source_of_another_user_joins_with_the_configuration_it_is_given(
+    feed: Statuses, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "theirs"))
+    with open_bus("tcp/127.0.0.1:0", run="first", router=True) as proxy:
+        proxy.alive("proxy")
+        monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "ours"))
+        with pytest.raises(ConfigError, match="refuses us"):
+            open_bus(proxy.url)
+        source = Source(feed, proxy.url, str(*tmp_path.glob(f"theirs/*/*/{CONFIG}")))
+        source.start()
+        try:
+            assert feed.next_run() is None
+            assert feed.next_run() == "first"
+        finally:
+            source.close()
 
 
 def test_a_run_that_is_not_there_cannot_be_chosen(source: Source) -> None:
