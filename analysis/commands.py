@@ -105,7 +105,10 @@ def add_monitor(commands: Any) -> None:
     source.add_argument("--log", metavar="LOG", help="a tlog, ULog or dataflash log")
     # The first holds the observations; each system's navigation may be a file of its own.
     source.add_argument(
-        "--rinex", nargs="+", metavar="FILE", help="RINEX 2, 3 or 4: OBS NAV [NAV ...]"
+        "--rinex",
+        nargs="+",
+        metavar="FILE",
+        help="RINEX 2, 3 or 4: OBS NAV [NAV ...]; u-blox: LOG.ubx [NAV ...]",
     )
     parser.add_argument("--imu", metavar="CSV", help="IMU samples to go with --rinex")
     parser.add_argument("--schedule", metavar="FILE", help="faults to put into the --rinex file")

@@ -3,7 +3,7 @@
 Run by hand: `python benchmarks/fusion.py flight DIR` on the folder of a `mavproxy-fault run` (its
 received.tlog is the flight without faults, its sent.tlog the one with them), `... walk DATA` on the
 folder gnss_imu_walk (needs RTKLIB's rnx2rtkp), or `... time`, `... nees [FLIGHTS]`,
-`... memory [SECONDS [EVERY]]` on simulated flights of its own.
+`... seeds [FIRST [LAST]]`, `... memory [SECONDS [EVERY]]` on simulated flights of its own.
 """
 
 import math
@@ -70,7 +70,7 @@ NOISES = {"learnt (default)": FusionConfig(), "as configured": FusionConfig(lear
 WALK_GEOID_M = 21.387  # of the folder's README: heights of the reference are above sea level
 STEP_M, STEP_FROM_S, STEP_FOR_S = 50.0, 60.0, 30.0
 TIMED_S, TIMED_RUNS = 40.0, 4
-NEES_S = 40.0
+NEES_S, SEED_S = 40.0, 60.0
 FIRST_SEED = 1000  # flights that nothing was set on
 PERIOD_S = 40.0  # of the tests' flight
 GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
@@ -452,6 +452,54 @@ def normalised_squares(state: FusedState, truth: TruthSample) -> tuple[float, fl
     return found[0], found[1], found[2]
 
 
+def seeds(first: int = 31, last: int = 42) -> None:
+    """Fused error over the filter's of single flights: clean, with faults, and the demo's."""
+    print("| seed | tests' flight, clean: filter m, ratio | with faults | demo, clean |")
+    print("|---|---|---|---|")
+    for seed in range(first, last + 1):
+        samples = flight_of(SEED_S, seed)
+        flights = [(samples, DEFAULT), (faulted(samples, seed), DEFAULT), demo_flight(seed)]
+        cells = []
+        for flown, detector in flights:
+            truths = {
+                s.t_us: (math.radians(s.lat_deg), math.radians(s.lon_deg), s.alt_m)
+                for s in flown
+                if isinstance(s, TruthSample)
+            }
+            rows = detected(flown, detector)
+            found = errors(fused(rows, FusionConfig(), detector), truths)
+            both = {t: e for t, e in errors(decisions(rows), truths).items() if t in found}
+            own = rmse({t: found[t] for t in both})
+            cells.append(f"{rmse(both):.2f}, {own / rmse(both):.2f}")
+        print(f"| {seed} | {' | '.join(cells)} |", flush=True)
+
+
+def faulted(samples: list[Sample], seed: int) -> list[Sample]:
+    """A flight with three faults of ten seconds: of a step, a ramp and two steps on its satellites
+    and one on a gyro, in an order and of sizes by chance."""
+    rng = np.random.default_rng(seed)
+    names = sorted({n for s in samples if isinstance(s, Epoch) for n in s.satellites})
+    kinds = rng.permutation(["step", "ramp", "two", "gyro"])[:3].tolist()
+    found: list[Sample] = []
+    plans = [
+        (kind, at_s, rng.choice(names, 2 if kind == "two" else 1, replace=False), size_m)
+        for kind, at_s, size_m in zip(kinds, (15.0, 29.0, 43.0), (50.0, -30.0, 20.0), strict=True)
+    ]
+    for sample in samples:
+        for kind, at_s, faulty, size_m in plans:
+            since_s = sample.t_us * 1e-6 - at_s
+            if not 0.0 <= since_s < 10.0:
+                continue
+            if kind == "gyro" and isinstance(sample, ImuSample):
+                sample = replace(sample, gyro_b_rps=sample.gyro_b_rps + np.array([0.2, 0.0, 0.0]))
+            elif kind != "gyro" and isinstance(sample, Epoch):
+                change_m = size_m if kind != "ramp" else since_s
+                wrong = np.isin(sample.satellites, faulty)
+                sample = replace(sample, pseudorange_m=sample.pseudorange_m + change_m * wrong)
+        found.append(sample)
+    return found
+
+
 def hour(seconds: float, every: int) -> Iterable[Sample]:
     """A flight of any length with ten satellites, without keeping it: the eight takes 40 s.
 
@@ -509,4 +557,6 @@ if __name__ == "__main__":
     if section in ("flight", "walk"):
         {"flight": flight, "walk": walk}[section](Path(given[0]))
     else:
-        {"time": timing, "nees": honesty, "memory": memory}[section](*(int(n) for n in given))
+        {"time": timing, "nees": honesty, "seeds": seeds, "memory": memory}[section](
+            *(int(n) for n in given)
+        )

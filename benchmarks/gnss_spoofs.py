@@ -14,9 +14,10 @@ import numpy as np
 from gnss_sets import Recording, recordings
 
 from analysis.detection import DetectorConfig
+from analysis.detection.sensors.jamming_watch import JammingWatch
 from analysis.detection.sensors.sensor_tests import References
 from analysis.recordings.recordings import read_rinex
-from analysis.results import Decision
+from analysis.results import Decision, SensorDecision
 from analysis.samples.block import pieces
 from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.schedule.entries import parse_schedule
@@ -75,14 +76,21 @@ def answer(recording: Recording, faults: list[dict[str, Any]], at_s: float) -> A
     schedule = parse_schedule({"faults": entries})
     lines, _labels = faulted_lines(recording.obs, schedule, recording.nav)
     references = References(DetectorConfig(systems=recording.systems))
-    state, decisions = references.new_state(), []
+    state, found = references.new_state(), []
     block = read_rinex(recording.obs, recording.nav, None, lines)
     for piece in pieces(block):
         results, state = references.step_piece(piece, state)
-        decisions += [result for result in results if isinstance(result, Decision)]
+        found += results
+    watch = JammingWatch()
+    beside = [result for _, result in watch.step(block, watch.new_state())[0]]
+    beside += [result for result in found if isinstance(result, SensorDecision)]
+    decisions = [result for result in found if isinstance(result, Decision)]
     begin_us = decisions[0].t_us + at_s * 1e6
-    acting = [d for d in decisions if begin_us <= d.t_us < begin_us + FOR_S * 1e6]
-    alarms = [d for d in acting if d.alarm or d.hypothesis not in ("none", "untestable")]
+    end_us = begin_us + FOR_S * 1e6
+    acting = [d for d in decisions if begin_us <= d.t_us < end_us]
+    alarms = [d.t_us for d in acting if d.alarm or d.hypothesis not in ("none", "untestable")]
+    told = [d for d in beside if begin_us <= d.t_us < end_us and d.alarm]
+    alarms = sorted(alarms + [d.t_us for d in told])
     bounded, unbounded = [0.0], [0.0]
     for decision in acting:
         true_m = recording.truth.at(decision.t_us)
@@ -91,18 +99,20 @@ def answer(recording: Recording, faults: list[dict[str, Any]], at_s: float) -> A
             (unbounded if decision.position_sigma_m is None else bounded).append(error_m)
     placed = sum(decision.position_ecef_m is not None for decision in acting)
     return Answer(
-        (alarms[0].t_us - begin_us) * 1e-6 if alarms else None,
-        _said(acting),
+        (alarms[0] - begin_us) * 1e-6 if alarms else None,
+        _said(acting, told),
         max(bounded),
         max(unbounded),
         placed / max(len(acting), 1),
     )
 
 
-def _said(acting: list[Decision]) -> str:
-    """The hypotheses with the systems left out, the most frequent first."""
+def _said(acting: list[Decision], told: list[SensorDecision]) -> str:
+    """The hypotheses with the systems left out, and what is told beside them, the most frequent
+    first."""
     said = Counter(_words(decision) for decision in acting)
-    return ", ".join(f"{words} {count}" for words, count in said.most_common(3))
+    said.update("Doppler of one" if d.suspect else d.reason.split(":")[0] for d in told)
+    return ", ".join(f"{words} {count}" for words, count in said.most_common(4))
 
 
 def _words(decision: Decision) -> str:

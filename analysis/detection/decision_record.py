@@ -5,12 +5,12 @@ from collections.abc import Iterable
 
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import Core
-from analysis.detection.epoch_outcome import Outcome
+from analysis.detection.epoch_outcome import Outcome, shown
 from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.initial_fix import Start
 from analysis.detection.filter.measurement import Observed
 from analysis.detection.isolation.chi_square import chi_square, p_value
-from analysis.detection.isolation.constellations import CONTRADICTION
+from analysis.detection.isolation.whole_receiver import LEAPT
 from analysis.detection.protection import WORST_M, Bounds
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import Epoch
@@ -21,8 +21,7 @@ def decision(
 ) -> Decision:
     """The decision on a tested epoch; `late` says that a fault was found by its past."""
     motion, slow, dof = core.motion, outcome.slow, outcome.parity_dof
-    # Where either system may lie nothing bounds the position.
-    bounds = None if outcome.undecided else outcome.bounds
+    bounds = None if outcome.unbounded else outcome.bounds
     onsets = [entry.onset_us for entry in core.excluded.values()]
     # A fault found by its past is one of satellites, also where this epoch passed.
     hypothesis = "satellites" if late and outcome.hypothesis == "none" else outcome.hypothesis
@@ -43,10 +42,10 @@ def decision(
         onset_s=max(onsets) * 1e-6 if onsets else None,
         probabilities=dict(outcome.probabilities),
         position_ecef_m=_position(motion) if motion is not None else None,
-        position_sigma_m=_sigma(motion, bounds) if motion and not outcome.undecided else None,
+        position_sigma_m=_sigma(motion, bounds) if motion and not outcome.unbounded else None,
         hpl_m=_level(bounds.hpl_m) if bounds else None,
         vpl_m=_level(bounds.vpl_m) if bounds else None,
-        reason=CONTRADICTION if outcome.undecided else "",
+        reason=outcome.unbounded,
         mode="inertial" if motion is not None and motion.inertial else "free",
         # Without a degree of freedom there is no test: zeros, not NaN.
         parity_statistic=outcome.parity if dof else 0.0,
@@ -59,8 +58,10 @@ def decision(
 
 def started(epoch: Epoch, observed: Observed, begun: Start, core: Core) -> Decision:
     """The decision on the epoch the filter started with."""
-    motion = begun.motion
+    motion, leapt = begun.motion, core.leapt_m is not None
     assert motion is not None
+    few = "" if begun.dof > 1 else "a start with 1 degree of freedom: it tests little"
+    bounds = None if leapt else begun.bounds
     return Decision(
         t_s=epoch.t_us * 1e-6,
         t_us=epoch.t_us,
@@ -69,16 +70,16 @@ def started(epoch: Epoch, observed: Observed, begun: Start, core: Core) -> Decis
         dof=begun.dof,
         p_value=p_value(begun.statistic, begun.dof),
         alarm=bool(begun.faulty),
-        hypothesis="satellites" if core.excluded else "none",
+        hypothesis=shown(core, "none", False, False),
         excluded=tuple(sorted(core.excluded)),
         satellites=observed.satellites,
         position_ecef_m=_position(motion),
-        position_sigma_m=_sigma(motion, begun.bounds),
-        hpl_m=_level(begun.bounds.hpl_m) if begun.bounds else None,
-        vpl_m=_level(begun.bounds.vpl_m) if begun.bounds else None,
+        position_sigma_m=None if leapt else _sigma(motion, bounds),
+        hpl_m=_level(bounds.hpl_m) if bounds else None,
+        vpl_m=_level(bounds.vpl_m) if bounds else None,
         mode="start",
         # One degree of freedom finds a fault, but not whose it is.
-        reason="" if begun.dof > 1 else "a start with 1 degree of freedom: it tests little",
+        reason=LEAPT if leapt else few,
     )
 
 
@@ -117,6 +118,26 @@ def imu_results(epoch: Epoch, outcome: Outcome, config: DetectorConfig) -> list[
             isolated=faulty,
             reason=f"no IMU samples for {outcome.gap_s:.2f} s" if silent else "",
         )
+    ]
+
+
+def rate_results(epoch: Epoch, outcome: Outcome) -> list[Result]:
+    """The satellites whose Doppler rate contradicts the others' and the prediction: left out of the
+    velocity alone."""
+    return [
+        SensorDecision(
+            t_s=epoch.t_us * 1e-6,
+            t_us=epoch.t_us,
+            sensor="satellites",
+            suspect=name,
+            statistic=outcome.rate,
+            threshold=outcome.rate_threshold,
+            dof=outcome.rate_dof,
+            alarm=True,
+            isolated=True,
+            reason="its Doppler rate is wrong, its range is not",
+        )
+        for name in outcome.rate_faulty
     ]
 
 

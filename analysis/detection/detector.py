@@ -6,7 +6,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from analysis.detection.decision_record import decision, imu_results, started, untestable
+from analysis.detection.decision_record import (
+    decision,
+    imu_results,
+    rate_results,
+    started,
+    untestable,
+)
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import NOTHING_FROZEN, Core, Record, State
 from analysis.detection.epoch_outcome import Outcome
@@ -34,6 +40,8 @@ from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 SPACINGS = 2.5  # epochs that may be missing at the rate they come, whatever `reset_s`
 SAME_SPACING = 0.2  # of a gap: less is jitter
 SPACING_MAX_US = 120_000_000  # the filter knows nothing of the motion after longer
+# Broadcast coefficients leave a fifth of the delay, typical ones about half of it.
+TYPICAL_DOUBT = 2.5
 EPHEMERIDES_KEPT = 512  # per satellite: three days of Galileo's
 
 
@@ -45,7 +53,9 @@ class Detector:
 
     def new_state(self) -> State:
         """Nothing known."""
-        return State(Core(None, {}, np.array(self.config.ionosphere, dtype=float)))
+        typical = self.config.ionosphere == DetectorConfig().ionosphere
+        doubt = TYPICAL_DOUBT if typical else 1.0
+        return State(Core(None, {}, np.array([*self.config.ionosphere, doubt], dtype=float)))
 
     def step(self, samples: Sample | Block, state: State) -> tuple[list[Result], State]:
         """Decisions that a block of samples, or a single one, allows, and the next state."""
@@ -87,7 +97,7 @@ class Detector:
         if isinstance(event, EphemerisSample):
             return [], State(_learn(core, event), pending, mag_b)
         if isinstance(event, IonosphereSample):
-            known = np.array(event.alpha + event.beta)
+            known = np.array((*event.alpha, *event.beta, 1.0))
             return [], State(core._replace(ionosphere=known), pending, mag_b)
         return [], state
 
@@ -185,7 +195,8 @@ class Detector:
         if outcome.reason:
             return [untestable(epoch.t_us, outcome.reason, core.excluded)], core
         decided = decision(epoch, outcome, core, bool(late), config)
-        return [decided, *imu_results(epoch, outcome, config)], core
+        beside = imu_results(epoch, outcome, config) + rate_results(epoch, outcome)
+        return [decided, *beside], core
 
     def _late(self, outcome: Outcome, core: Core, t_us: int) -> dict[str, int]:
         """Satellites found faulty now, and since when, where that was earlier."""
@@ -243,7 +254,9 @@ def run(detector: Detector, samples: Iterable[Sample]) -> list[Result]:
 
 def _forgotten(core: Core) -> Core:
     """The core without its filter."""
-    return core._replace(motion=None, excluded={}, frozen=NOTHING_FROZEN, ramps=None, history=())
+    return core._replace(
+        motion=None, excluded={}, frozen=NOTHING_FROZEN, ramps=None, history=(), leapt_m=None
+    )
 
 
 def _fed_us(core: Core) -> int:
@@ -256,12 +269,13 @@ def _fed_us(core: Core) -> int:
 
 def _interrupted(core: Core, gap_us: int, config: DetectorConfig) -> Core:
     """The core after a gap too long to bridge: its place and its exclusions are still known."""
-    excluded = {}
+    excluded, leapt_m = {}, None
     if gap_us <= config.sigma.slow_s * 1e6:  # what is wrong with a satellite lasts about so long
+        leapt_m = core.leapt_m
         excluded = {
             name: replace(entry, healthy_since_us=None) for name, entry in core.excluded.items()
         }
-    return _forgotten(core)._replace(excluded=excluded, before=core.motion)
+    return _forgotten(core)._replace(excluded=excluded, leapt_m=leapt_m, before=core.motion)
 
 
 def _spaced(core: Core, gap_us: int) -> Core:

@@ -13,6 +13,7 @@ from analysis.samples.sample import Vector
 
 RECEIVER = "GPS"  # the receiver's name among what is excluded
 NOTHING_EXCLUDED: dict[str, Exclusion] = {}
+NO_RATES_OFF: dict[str, int] = {}
 
 
 class LastFix(NamedTuple):
@@ -42,13 +43,17 @@ NOTHING_FROZEN = FrozenOffsets(0, {})
 class Core(Value, frozen=True):
     """Everything but the pending IMU samples.
 
+    `ionosphere` (9,) are Klobuchar's coefficients and how much more than broadcast ones they may be
+    off.
     `imu_bad_until_us` is when a faulty IMU is tried again (None: it is trusted), `unknown_since_us`
     since when no epoch could be used, `distrusted` what of all satellites together was wrong at the
     last one ("ranges", "rates" or nothing). `ranges_us` is when raw ranges were last usable,
     `frozen` what is subtracted from them; `gps_source` and `last_fix` serve when there are none,
     and `unbounded` says that the filter may follow a lying receiver. `spacing_us` is the time
     between epochs (0: not known), `gap_us` the newest that was another; `before` is the filter as
-    it was before a gap too long; `misfit` is how the ranges have fitted for the last minute.
+    it was before a gap too long; `misfit` is how the ranges have fitted for the last minute;
+    `leapt_m` (3,) is how far all satellites together leapt, with nothing to tell whether rightly;
+    `rates_off` counts the epochs running in which a satellite's Doppler rate alone was wrong.
     """
 
     motion: Motion | None
@@ -72,6 +77,8 @@ class Core(Value, frozen=True):
     gap_us: int = 0
     before: Motion | None = None
     misfit: Misfit = Misfit()
+    leapt_m: Vector | None = None
+    rates_off: dict[str, int] = NO_RATES_OFF
 
 
 class Record(Value, frozen=True):

@@ -16,9 +16,10 @@ class Outcome(Value, frozen=True):
     `names` are the satellites that were used, `faulty` the places of those found faulty among
     them, `excluded` those excluded before; innovations `residual_m` and `normalised` are of both.
     The tests: the main one, `parity` over `parity_dof` degrees of freedom, the rates' over
-    `rate_dof` (None: there were too few), and the slow one. `gap_s` is how long the IMU was silent,
-    where that matters, `bounds` are those of the position, and `undecided`
-    says that two systems contradict each other.
+    `rate_dof` (None: there were too few) with the names whose rates alone were found wrong, and the
+    slow one. `gap_s` is how long the IMU was silent,
+    where that matters, `bounds` are those of the position, and `unbounded`
+    says why there are none.
     """
 
     core: Core
@@ -36,6 +37,7 @@ class Outcome(Value, frozen=True):
     rate: float | None = None
     rate_threshold: float | None = None
     rate_dof: int = 0
+    rate_faulty: tuple[str, ...] = ()
     slow: SlowVerdict | None = None
     hypothesis: str = "untestable"
     alarm: bool = False
@@ -43,7 +45,7 @@ class Outcome(Value, frozen=True):
     was_inertial: bool = False
     gap_s: float = 0.0
     bounds: Bounds | None = None
-    undecided: bool = False
+    unbounded: str = ""
 
 
 def shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:
@@ -56,6 +58,8 @@ def shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:
         return "clock"
     if core.imu_bad_until_us is not None:
         return "imu"
+    if core.leapt_m is not None:
+        return "gps"
     return "satellites" if core.excluded else "none"
 
 

@@ -3,16 +3,23 @@
 The graph keeps a window and weighs sources by what the flight shows of their noise, so it may well
 differ from the filter, but not by more than both allow; and it knows no less. Where either fails,
 as when taking a satellite's past back leaves the window underdetermined, the filter is right.
+
+Most of the position's error lasts for minutes and is in both. Where they differ by much less than
+that, neither is known to be nearer, and the filter's position is told: a graph that is not told
+apart cannot be worse.
 """
 
 import math
 
+import msgspec
 import numpy as np
 
 from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.inertial import R
 from analysis.detection.isolation.chi_square import chi_square
+from analysis.fusion.factors.factor_weights import weight
 from analysis.fusion.graph import Graph
+from analysis.results import Decision, FusedState
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.linear import apply, inverse, multiply, transposed
@@ -21,6 +28,8 @@ P_CONTRADICTION = 1e-4  # sound flights and walks reach 17, a chi-square of 3 ha
 VAGUER = 2.0  # times the graph's own `correlation`, by which it begins less sure than the filter
 POSE_SHIFT = 3  # where the shift is among the errors of a pose
 DISTANCE_M, STATISTIC, SIGMA_RATIO = 0, 1, 2
+SAME, APART = 0.25, 0.5  # of the filter's sigma, which holds what lasts
+FILTER = "filter"  # the source's name among the weights
 
 
 def against_filter(graph: Graph, motion: Motion | None, correlation: float) -> str:
@@ -42,6 +51,19 @@ def against_filter(graph: Graph, motion: Motion | None, correlation: float) -> s
     if not ratio <= VAGUER * correlation:
         return f"the graph was {ratio:.0f} times less sure than the filter"
     return ""
+
+
+def told_apart(fused: FusedState, decision: Decision) -> FusedState:
+    """The fused state with the filter's position where the two are not told apart, smoothly the
+    graph's where they are; the weights say how much of it is the filter's."""
+    if decision.position_ecef_m is None or decision.position_sigma_m is None:
+        return fused
+    ours, theirs = np.array(fused.position_ecef_m), np.array(decision.position_ecef_m)
+    share = weight(math.dist(ours, theirs) / math.hypot(*decision.position_sigma_m), SAME, APART)
+    x, y, z = (ours + share * (theirs - ours)).tolist()
+    return msgspec.structs.replace(
+        fused, position_ecef_m=(x, y, z), weights=fused.weights | {FILTER: share}
+    )
 
 
 @compiled

@@ -12,11 +12,16 @@ from analysis.detection.filter.inertial import X_ISB
 from analysis.detection.filter.measurement import choose, observe
 from analysis.detection.filter.propagation import Segment, run_of
 from analysis.fusion.edge import Edge, between
-from analysis.fusion.factors.factor_weights import isolated_sensors, range_weights, sensor_weights
+from analysis.fusion.factors.factor_weights import (
+    isolated_sensors,
+    range_weights,
+    sensor_weights,
+    wrong_rates,
+)
 from analysis.fusion.factors.gnc import outliers
 from analysis.fusion.factors.range_factors import Ranges
 from analysis.fusion.factors.sensor_factors import WAITING, Others
-from analysis.fusion.filter_check import against_filter
+from analysis.fusion.filter_check import against_filter, told_apart
 from analysis.fusion.fused_record import fused_state, gap
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.fusion_state import FusionState, Good, Now, heeded
@@ -102,6 +107,10 @@ class Fusion:
         state.forget(decision.t_us)
         if fused is None:
             return [], state
+        if self.config.decide:
+            if _unbounded(sample, decision):
+                return [], state
+            fused = told_apart(fused, decision)
         state.last = fused
         return [fused], state
 
@@ -264,6 +273,8 @@ class Fusion:
         if observed is None:
             return {}
         core, config, decision, learnt = now.core, self.config, now.decision, state.learnt
+        if config.decide:
+            observed = observed.without_rates(wrong_rates(now.results))
         ranges = Ranges(observed, now.motion.x, core, config, self.detector, decision.t_us)
         weights = ranges.weights(range_weights(decision, config))
         if config.learn:
@@ -349,6 +360,12 @@ class Fusion:
         if motion is None or now.decision.position_ecef_m is None:
             return None
         return self._begin(motion, now, state)
+
+
+def _unbounded(sample: Sample, decision: Decision) -> bool:
+    """Whether the filter follows ranges that nothing bounds: what is made of them is told by it."""
+    placed = decision.position_ecef_m is not None
+    return isinstance(sample, Epoch) and placed and decision.position_sigma_m is None
 
 
 def _first_line(error: Exception) -> str:

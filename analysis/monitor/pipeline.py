@@ -19,6 +19,7 @@ from analysis.detection.actuators.effects import Effects, unknown_effects
 from analysis.detection.actuators.mutual_judgement import NEVER_US, judged
 from analysis.detection.actuators.obedience_kernel import CRASH_US, Obedience
 from analysis.detection.sensors.instance_vote import InstanceVote
+from analysis.detection.sensors.jamming_watch import JammingWatch
 from analysis.detection.sensors.level_watch import LevelWatch
 from analysis.detection.sensors.sensor_tests import References
 from analysis.detection.sensors.stream_watch import StreamWatch
@@ -90,6 +91,8 @@ class Pipeline:
         self._vote_state = self._vote.new_state()
         self._levels = LevelWatch()
         self._levels_state = self._levels.new_state()
+        self._jamming = JammingWatch()
+        self._jamming_state = self._jamming.new_state()
         self._actuators = ActuatorWatch(config.actuators)
         self._actuators_state: Obedience | None = None
         self._imu_us = NEVER_US  # when the IMU was blamed last
@@ -132,7 +135,8 @@ class Pipeline:
             left, self._levels_state = self._levels.step(block, self._levels_state)
             voted, self._vote_state = self._vote.step(block, self._vote_state)
             troubles += left + voted
-        found += troubles
+        jammed, self._jamming_state = self._jamming.step(block, self._jamming_state)
+        found += troubles + jammed
         obeyed, self._actuators_state = self._actuators.step(block, self._actuators_state)
         found += obeyed
         errors, self._attitude_state = self._attitude.step_rows(block, self._attitude_state)

@@ -1,4 +1,4 @@
-"""Files of others as samples: RINEX observations and navigation, ULog, dataflash, an IMU's CSV.
+"""Files of others as samples: RINEX, u-blox logs, ULog, dataflash, an IMU's CSV.
 
 A *recording* hands out samples in the order of their stamps, whatever files it was made of.
 """

@@ -45,10 +45,12 @@ def read_rinex(
 ) -> Block:
     """A RINEX observation file with its navigation files, and IMU samples where there are any.
 
-    `lines` are those of the observation file where they were changed before they are read. The IMU
-    file has one sample a line: GPS time on Unix's count of seconds, specific force (3) in g
-    and rates (3) in rad/s, axes forward-left-up; further columns are passed over. `t_us` counts
-    from the start of GPS time; what the navigation files hold comes first, stamped as the first.
+    A u-blox log takes the place of the observation file, and of the navigation files where it has
+    what the satellites sent. `lines` are those of the observation file where they were changed
+    before they are read. The IMU file has one sample a line: GPS time on Unix's count of seconds,
+    specific force (3) in g and rates (3) in rad/s, axes forward-left-up; further columns are passed
+    over. `t_us` counts from the start of GPS time; what the navigation files hold comes first,
+    stamped as the first.
 
     Raises
     ------
@@ -57,13 +59,20 @@ def read_rinex(
     """
     from analysis.recordings.rinex_navigation import read_navigation
     from analysis.recordings.rinex_observations import epochs_of, read_observations
+    from analysis.recordings.ubx_log import is_ubx, read_ubx
 
     files = [navigation] if isinstance(navigation, Path) else list(navigation)
-    epochs = read_observations(observations) if lines is None else epochs_of(observations, lines)
+    broadcast: list[EphemerisSample | IonosphereSample] = []
+    if is_ubx(observations):
+        epochs, broadcast = read_ubx(observations)
+    else:
+        epochs = (
+            read_observations(observations) if lines is None else epochs_of(observations, lines)
+        )
     if not epochs:
         raise ConfigError(f"{observations}: has no epoch with a pseudorange that can be read")
-    broadcast = [sample for path in files for sample in read_navigation(path)]
-    _check_orbits(observations, files, epochs, broadcast)
+    broadcast += [sample for path in files for sample in read_navigation(path)]
+    _check_orbits(observations, files or [observations], epochs, broadcast)
     parts = [] if imu is None else [_read_imu(imu)]
     for part in parts:
         _check_overlap(imu, part, epochs)

@@ -36,7 +36,8 @@ GPS_DAY_ZERO = date(1980, 1, 6).toordinal()
 WEEK_DAYS = 7
 FIELD_WIDTH = 16  # F14.3, loss of lock, signal strength
 NOWHERE = 1 << 20  # behind the end of any line
-_Row = tuple[str, tuple[float, float, float], float, str]  # satellite, values, carrier, signal
+# Satellite; code in m, Doppler in Hz, C/N0 in dBHz; carrier in Hz (GLONASS: channel 0); signal.
+Measured = tuple[str, tuple[float, float, float], float, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +146,10 @@ def _values(line: str, columns: _Columns) -> tuple[float, float, float] | None:
         return None
 
 
-def _epoch(week: int, tow_s: float, rows: list[_Row], channels: dict[str, int]) -> Epoch | None:
+def epoch_of(
+    week: int, tow_s: float, rows: list[Measured], channels: dict[str, int]
+) -> Epoch | None:
+    """An epoch of what was measured; `channels` are those of GLONASS. None without a range."""
     if not rows:
         return None
     table = np.array([row[1] for row in rows])
@@ -191,12 +195,12 @@ def _epochs_3(
             row = _row(line, types.get(line[:1], []), carriers)
             if row is not None:
                 rows.append(row)
-        epoch = _epoch(week, tow_s, rows, channels)
+        epoch = epoch_of(week, tow_s, rows, channels)
         if epoch is not None and (at == last or at < len(lines)):
             yield epoch
 
 
-def _row(line: str, signals: list[_Columns], carriers: dict[str, float]) -> _Row | None:
+def _row(line: str, signals: list[_Columns], carriers: dict[str, float]) -> Measured | None:
     """A satellite's first signal that has a value, on the carrier it has always had."""
     name = line[:3].replace(" ", "0")
     for columns in signals:
@@ -245,6 +249,6 @@ def _epochs_2(
             if values is not None and name[:1] in "GER":
                 carrier_hz = CENTRE_HZ if name[0] == "R" else L1_HZ
                 rows.append((name, values, carrier_hz, columns.signal))
-        epoch = _epoch(week, tow_s, rows, channels)
+        epoch = epoch_of(week, tow_s, rows, channels)
         if epoch is not None and at <= len(lines):
             yield epoch

@@ -44,6 +44,8 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
         f"epochs          {summary['epochs']}, untestable {summary['untestable_epochs']}, "
         f"alarms {summary['alarms']}, of them false {_known(summary['false_alarms'])}"
     )
+    for limit in _limits(summary):
+        console.print(f"cannot tell     {limit}", soft_wrap=True)
     for row in summary["false_by_channel"] or ():
         who = ", ".join(row["blamed"]) or "nobody"
         console.print(
@@ -90,6 +92,17 @@ def _effect(row: Mapping[str, Any]) -> str:
         for key in units
         for name, extent in row.get(key, {}).items()
     )
+
+
+def _limits(summary: Mapping[str, Any]) -> list[str]:
+    """What the epochs of a run could not tell."""
+    found, epochs = [], summary["epochs"]
+    # With an IMU the first seconds have none yet: its attitude is being found.
+    if 2 * summary["epochs_without_imu"] > epochs:
+        found.append("without an IMU satellites that are carried off all together are believed")
+    if summary["unbounded_epochs"]:
+        found.append(f"{summary['unbounded_epochs']} of {epochs} positions, which nothing bounds")
+    return found
 
 
 def _known(count: int | None) -> str:

@@ -42,6 +42,8 @@ class Tally:
         self._reference = reference
         self.positions = PositionScores()
         self.unexplained = 0
+        self.without_imu = 0  # epochs of raw ranges that no IMU predicted
+        self.unbounded = 0  # epochs with a position and nothing that bounds it
 
     @property
     def span_s(self) -> float:
@@ -99,6 +101,9 @@ class Tally:
         self.epochs += 1
         self.untestable += result.hypothesis == "untestable"
         self.unexplained += result.hypothesis == "multiple-unknown"
+        self.without_imu += result.mode in ("free", "start")
+        placed = result.position_ecef_m is not None
+        self.unbounded += placed and result.position_sigma_m is None
 
     def _add_errors(self, placed: Sequence[tuple[int, Placed]], true_m: Vector) -> None:
         """Errors by solution, of the results that tell a position, where `true_m` (n, 3) does."""
@@ -156,6 +161,8 @@ class Tally:
             "untestable_epochs": self.untestable,
             "attitude_rmse_deg": first["rmse_deg"] if first else None,
             "unexplained_epochs": self.unexplained,
+            "epochs_without_imu": self.without_imu,
+            "unbounded_epochs": self.unbounded,
             "position_rmse_m": self.positions.rmse_m(FILTER),
             **self._fused_summary(),
             "position_error": self.positions.summary(),

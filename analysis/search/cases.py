@@ -74,9 +74,7 @@ def scenario_yaml(test: TestFile, scenario: Mapping[str, Any]) -> str:
     text = write_yaml(_given(scenario))
     # An autopilot is a program outside: a scenario alone cannot start it.
     if test.estimator == AUTOPILOT:
-        return (
-            "# The autopilot is not in here; `search` flies the test beside it with one.\n" + text
-        )
+        return "# With `run --autopilot`, or by `search` with the test beside it.\n" + text
     return text
 
 

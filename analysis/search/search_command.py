@@ -1,10 +1,9 @@
 """`search`: look for the worst case of an estimator until the budget is used up."""
 
 import argparse
-import sys
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import msgspec
@@ -26,15 +25,15 @@ from analysis.search.evaluation.pool import Pool, pool_of
 from analysis.search.history import RECORD, History
 from analysis.search.lanes import rows
 from analysis.search.lanes.noise_kernel import seed_of
+from analysis.search.search_progress import SearchProgress
 from analysis.search.searchers import searcher
 from analysis.search.shrink import Errors, shrunk
 from analysis.search.space.test_file import TestFile, read_test
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.spec import parse_spec
 
 DEFAULT_BUDGET = 2000
 FRESH = 1_000_003  # added to the seed for noise that the search has not seen
-PORTION = 8  # flights in the simulator between two checkpoints
+PORTION, FEW = 8, 2  # flights in the simulator between two checkpoints, and under an autopilot
 Array = NDArray[np.float64]
 Progress = Callable[[int, float, int], None]
 
@@ -50,7 +49,8 @@ def main(args: argparse.Namespace) -> int:
         return show(test, folder)
     pool = pool_of(args.workers, args.ray)
     try:
-        cases, totals = campaign(test, pool, folder, progress=_print)
+        progress = SearchProgress()
+        cases, totals = campaign(test, pool, folder, progress, progress.say)
     finally:
         pool.close()
     text = log_text(test, cases, totals)
@@ -75,14 +75,6 @@ def chosen(test: TestFile, args: argparse.Namespace) -> TestFile:
     # `1` where none was given: the test file has been checked already.
     if changes.get("budget", 1) <= 0:
         raise ConfigError(f"--budget: {changes['budget']} is not positive; evaluations, 1 or more")
-    choice = test.autopilot
-    # A fixed port can be bound by one worker only.
-    several = (getattr(args, "workers", None) or 1) > 1 or getattr(args, "ray", None) is not None
-    if choice is not None and several and parse_spec(choice.link).port != 0:
-        raise ConfigError(
-            f"autopilot.link: {choice.link} cannot be shared by several workers; port 0, with"
-            " {port} in autopilot.command"
-        )
     return msgspec.structs.replace(test, **changes)
 
 
@@ -95,7 +87,11 @@ def new_folder(parent: Path) -> Path:
 
 
 def campaign(
-    test: TestFile, pool: Pool, folder: Path, progress: Progress | None = None
+    test: TestFile,
+    pool: Pool,
+    folder: Path,
+    progress: Progress | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> tuple[list[WorstCase], Totals]:
     """Search, score the candidates on fresh noise, shrink the faults of the worst.
 
@@ -105,12 +101,21 @@ def campaign(
     archive = Archive(test.keep)
     rejected: Counter[str] = Counter()
     tests, steps = searched(test, pool, folder, archive, rejected, progress)
-    cases = [
-        finished(test, case, outcome)
-        for case, outcome in rescored(test, pool, archive.cases)[: test.keep]
-    ]
+    # In the simulator and under an autopilot this takes as long as many tests.
+    say = say if say is not None and test.flown else _silent
+    say(f"the worst {len(archive.cases)} on fresh noise, {test.rescore_draws} flights each")
+    ranked = rescored(test, pool, archive.cases)[: test.keep]
+    cases = []
+    for rank, (case, outcome) in enumerate(ranked, 1):
+        error = float(outcome.fitness[0])
+        say(f"number {rank} of {len(ranked)}: {error:.4g} deg; making it smaller")
+        cases.append(finished(test, case, outcome))
     totals = Totals(tests, dict(rejected), steps, time.perf_counter() - started, steps * test.dt_s)
     return cases, totals
+
+
+def _silent(text: str) -> None:
+    """Nobody listens."""
 
 
 def searched(
@@ -138,7 +143,13 @@ def searched(
             asked = len(points)
             # The last batch may be larger than what is left of the budget.
             points = points[: budget - tests]
-            records = evaluated(test, pool, history, points, tests, deadline)
+            parts = []
+            for part in evaluated(test, pool, history, points, tests, deadline):
+                parts.append(part)
+                if progress is not None:
+                    worst = max([c.fitness for c in archive.cases] + [float(part["fitness"].max())])
+                    progress(tests + sum(map(len, parts)), worst, budget)
+            records = np.concatenate(parts)
             points = points[: len(records)]
             archive.add(tests, points, records["fitness"])
             rejected.update(rows.LIMITS[limit] for limit in records["broken_limit"] if limit > 0)
@@ -148,8 +159,6 @@ def searched(
             # for.
             if len(points) == asked:
                 method.tell(points, records["fitness"])
-            if progress is not None:
-                progress(tests, max((c.fitness for c in archive.cases), default=0.0), budget)
     finally:
         history.close()
     return tests, steps
@@ -157,17 +166,16 @@ def searched(
 
 def evaluated(
     test: TestFile, pool: Pool, history: History, points: Array, first: int, deadline: float
-) -> np.ndarray[tuple[int], np.dtype[np.void]]:
+) -> Iterator[np.ndarray[tuple[int], np.dtype[np.void]]]:
     """What became of points (n, d), from the history as far as it goes, else flown and written.
 
     Flights in the simulator go in portions; none begins after the deadline but the first.
     """
     # Flights in the simulator are slow: a checkpoint after each portion loses little to a kill.
-    length = PORTION if test.flown else len(points)
-    parts: list[np.ndarray[tuple[int], np.dtype[np.void]]] = []
+    length = FEW if test.autopilot else PORTION if test.flown else len(points)
     for start in range(0, len(points), length):
         # At least one portion, so that a search always has an answer.
-        if parts and time.monotonic() > deadline:
+        if start and time.monotonic() > deadline:
             break
         part, number = points[start : start + length], first + start
         records = history.recall(len(part))
@@ -175,8 +183,7 @@ def evaluated(
             outcome = pool.evaluate(test, part, test.seed, number, test.noise_draws)
             records = records_of(outcome)
             history.append(records)
-        parts.append(records)
-    return np.concatenate(parts)
+        yield records
 
 
 def records_of(outcome: Outcome) -> np.ndarray[tuple[int], np.dtype[np.void]]:
@@ -229,9 +236,3 @@ def finished(test: TestFile, case: Case, outcome: Outcome) -> WorstCase:
     errors = Errors(test, test.seed + FRESH, test.noise_draws)
     least = shrunk(test, values, limit, errors)
     return worst._replace(shrunk=least, shrunk_deg=float(errors([least])[0]))
-
-
-def _print(tests: int, worst: float, budget: int) -> None:
-    # On a terminal only: carriage returns would litter a log.
-    if sys.stderr.isatty():
-        print(f"\r{tests} of {budget} tests, worst {worst:.4g} deg ", end="", file=sys.stderr)

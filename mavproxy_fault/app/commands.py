@@ -206,9 +206,11 @@ def add_ardupilot(commands: Any) -> None:
     parser.add_argument(
         "--hil", default="tcp:127.0.0.1:4560", metavar="EP", help="simulator or proxy (4560)"
     )
+    parser.add_argument("--command", metavar="PATH", help="ArduPilot's SITL binary, with options")
     parser.add_argument(
-        "--command", required=True, metavar="PATH", help="ArduPilot's SITL binary, with options"
+        "--vectornav", metavar="EP", help="instead: the line to a board's external AHRS port"
     )
+    parser.add_argument("--mavlink", metavar="EP", help="and the line to its MAVLink port")
     parser.add_argument("--vehicle", choices=("copter", "plane"), default="copter")
     parser.add_argument("--parameters", metavar="FILE", help="your own, after the bridge's")
     parser.add_argument(

@@ -7,12 +7,12 @@ and autopilot are in lockstep. Before ArduPilot asks for its first line the simu
 from collections.abc import Callable
 
 from mavproxy_fault.ardupilot.bridge_ports import Datagrams, SensorPort
-from mavproxy_fault.ardupilot.companion import for_ardupilot
-from mavproxy_fault.ardupilot.json_physics import ServoPacket, read_servos
+from mavproxy_fault.ardupilot.feeding.companion import for_ardupilot
+from mavproxy_fault.ardupilot.feeding.json_physics import ServoPacket, read_servos
+from mavproxy_fault.ardupilot.feeding.sensor_feed import SensorFeed
 from mavproxy_fault.ardupilot.observation import Seen
 from mavproxy_fault.ardupilot.outputs import MODE_ARMED, Channels, actuator_frame
 from mavproxy_fault.ardupilot.preparation import Preparation
-from mavproxy_fault.ardupilot.sensor_feed import SensorFeed
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 

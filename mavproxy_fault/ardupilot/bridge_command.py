@@ -10,17 +10,19 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol
 
 from mavproxy_fault.ardupilot.autopilot_process import check_command
 from mavproxy_fault.ardupilot.bridged_autopilot import BridgedAutopilot
 from mavproxy_fault.ardupilot.child_process import ending
 from mavproxy_fault.ardupilot.parameters import Kind, check
+from mavproxy_fault.ardupilot.wired_autopilot import WiredAutopilot
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.inbox import Inbox
-from mavproxy_fault.links.link import Link
+from mavproxy_fault.links.link import Chunk, Link
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.frame import Frame, build
 
 MAV_TYPES: dict[Kind, int] = {"copter": 2, "plane": 1}
 ARDUPILOT = 3  # MAV_AUTOPILOT_ARDUPILOTMEGA
@@ -34,11 +36,18 @@ class FlightEndError(RuntimeError):
 
 def main(args: argparse.Namespace) -> int:
     """`mavproxy-fault ardupilot`; the exit code is 1 if the flight ended while armed."""
-    words, folder = check_command(args.command), Path(args.dir)
+    check_lines(args)
+    words = [] if args.command is None else check_command(args.command)
     own = checked_parameters(args.parameters)
     with contextlib.ExitStack() as stack:
         link = stack.enter_context(contextlib.closing(open_link(args.hil)))
-        autopilot = BridgedAutopilot(words, args.vehicle, folder, own, say, link.name)
+        autopilot: Autopilot
+        if words:
+            folder = Path(args.dir)
+            autopilot = BridgedAutopilot(words, args.vehicle, folder, own, say, link.name)
+        else:
+            lines = open_link(args.vectornav), open_link(args.mavlink)
+            autopilot = WiredAutopilot(*lines, args.vehicle, say, link.name)
         stack.callback(autopilot.close)
         try:
             say(f"{link.name}: waiting for the simulator")
@@ -51,13 +60,49 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
+def check_lines(args: argparse.Namespace) -> None:
+    """Refuse half a board, and a board beside a program.
+
+    Raises
+    ------
+    ConfigError
+        With the option that is missing or too many.
+    """
+    wired = args.vectornav is not None, args.mavlink is not None
+    if args.command is not None and any(wired):
+        raise ConfigError("--command: is a program; --vectornav and --mavlink are lines to a board")
+    if args.command is None and not all(wired):
+        raise ConfigError(
+            "ardupilot: needs --command, ArduPilot's SITL program, or --vectornav and --mavlink, "
+            "the lines to a board"
+        )
+
+
+class Autopilot(Protocol):
+    """What the exchange needs of ArduPilot, whether a program or a board."""
+
+    @property
+    def started(self) -> bool: ...
+    @property
+    def armed(self) -> bool: ...
+    @property
+    def steps(self) -> int: ...
+    @property
+    def t_us(self) -> int: ...
+    def fileno(self) -> int: ...
+    def poll(self) -> int | None: ...
+    def receive(self, frame: Frame) -> None: ...
+    def read(self) -> list[Chunk]: ...
+    def close(self) -> None: ...
+
+
 class Exchange:
     """Carries frames between a HIL link and the autopilot until either goes away."""
 
     def __init__(
         self,
         link: Link,
-        autopilot: BridgedAutopilot,
+        autopilot: Autopilot,
         say: Callable[[str], None],
         silence_s: float = SILENCE_S,
     ) -> None:
@@ -79,7 +124,7 @@ class Exchange:
         link, autopilot, inbox = self._link, self._autopilot, Inbox(self._link)
         look_s = 0.0
         while True:
-            select.select([link, autopilot], [], [], WAIT_S)
+            select.select([link.fileno(), autopilot.fileno()], [], [], WAIT_S)
             for frame in inbox.frames():
                 autopilot.receive(frame)
             for _, data in autopilot.read():

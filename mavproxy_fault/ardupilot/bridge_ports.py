@@ -3,7 +3,7 @@
 import contextlib
 import socket
 
-from mavproxy_fault.ardupilot.vectornav_handshake import Handshake
+from mavproxy_fault.ardupilot.feeding.vectornav_handshake import Handshake
 from mavproxy_fault.links.link import Link, enlarge_buffers
 from mavproxy_fault.links.tcp import TcpServer
 

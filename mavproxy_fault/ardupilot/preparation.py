@@ -14,7 +14,8 @@ from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 
 COMMAND_LONG, PARAM_REQUEST_READ = known("COMMAND_LONG"), known("PARAM_REQUEST_READ")
-PREFLIGHT_CALIBRATION, FIXED_MAG_CAL_YAW = 241, 42006  # MAV_CMD_
+PREFLIGHT_CALIBRATION, SET_MESSAGE_INTERVAL, FIXED_MAG_CAL_YAW = 241, 511, 42006  # MAV_CMD_
+OUTPUTS_US = 10_000.0  # 100 Hz of SERVO_OUTPUT_RAW are 5 kB/s
 SIMPLE_ACCEL = 4.0  # PREFLIGHT_CALIBRATION.param5
 ACCEPTED = 0  # MAV_RESULT_
 AGAIN_US = 1_000_000
@@ -38,10 +39,13 @@ class Preparation:
     ----------
     at_rest : TrueState
         Where the vehicle stands and which way it points.
+    first : Request, optional
+        What is asked before all.
     """
 
-    def __init__(self, at_rest: TrueState) -> None:
-        self._pending = [*map(_read_back, REQUIRED), _accelerometer(), _compass(at_rest)]
+    def __init__(self, at_rest: TrueState, first: Request | None = None) -> None:
+        self._pending = [] if first is None else [first]
+        self._pending += [*map(_read_back, REQUIRED), _accelerometer(), _compass(at_rest)]
         self._again_us = 0
 
     @property
@@ -87,6 +91,12 @@ def _read_back(name: str) -> Request:
         "target_component": 1,
     }
     return Request(name, build(PARAM_REQUEST_READ, values, component=COMPONENT), answered)
+
+
+def servo_outputs() -> Request:
+    """SERVO_OUTPUT_RAW as a stream, for a board whose outputs come no other way."""
+    values = {"param1": float(known("SERVO_OUTPUT_RAW").id), "param2": OUTPUTS_US}
+    return _command("stream of outputs", SET_MESSAGE_INTERVAL, values)
 
 
 def _accelerometer() -> Request:

@@ -326,7 +326,8 @@ class Core:
         frame = outgoing.frame
         raw = frame if isinstance(frame, bytes) else frame.raw
         if origin is not None and frame is not origin and source_of(raw) != source_of(origin.raw):
-            mask = self._links_of_pending(frame)
+            # What goes back reaches where its cause came from, whoever else signs as it does there.
+            mask = self._links_of_pending(frame) | (mask if outgoing.back else 0)
         if isinstance(frame, Frame) and frame.signed and frame is not origin and self._signing:
             raw = self._signing.leave(frame).raw
         if outgoing.back and isinstance(frame, Frame):  # the proxy's own word to a simulator
@@ -379,6 +380,8 @@ class Core:
         departures: Departures = []
         for outgoing in self.engine.due(when_us - self.senders[LEAD]):
             mask = self._links_of_pending(outgoing.frame)
+            if outgoing.back:  # to whom it went before, wherever that is
+                mask = self._routes.everywhere
             self._emit(outgoing, None, mask, self.senders[LEAD], when_us, departures)
         self._announce(self.engine.drain_labels(), when_us, departures)
         return self._sends(departures, when_us)

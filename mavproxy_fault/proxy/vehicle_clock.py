@@ -23,7 +23,8 @@ def stamp_place(name: str) -> tuple[int, int, int] | None:
     """Offset and size of a message's stamp, and microseconds per count; None without one."""
     fields = known(name).fields
     for field, scale in STAMP_FIELDS.items():
-        if field in fields and not fields[field].extension:
+        # Microseconds in 32 bits (SERVO_OUTPUT_RAW) begin anew every 72 minutes: no clock.
+        if field in fields and not fields[field].extension and fields[field].size * scale >= 8:
             return fields[field].offset, fields[field].size, scale
     return None
 

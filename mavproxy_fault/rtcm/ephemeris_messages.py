@@ -78,10 +78,10 @@ class Ephemeris:
         return 10_800.0 if self.long_fit else 7_200.0
 
 
-_Row = tuple[str, int, float]  # attribute, bits (negative: signed), size of one count
+Row = tuple[str, int, float]  # attribute, bits (negative: signed), size of one count
 
 # Galileo took these two runs of fields over from GPS, bits and scales alike.
-_SHAPE_ROWS: tuple[_Row, ...] = (
+SHAPE_ROWS: tuple[Row, ...] = (
     ("crs_m", -16, 2**-5),
     ("delta_n_rps", -16, SEMICIRCLE * 2**-43),
     ("m0_rad", -32, SEMICIRCLE * 2**-31),
@@ -90,7 +90,7 @@ _SHAPE_ROWS: tuple[_Row, ...] = (
     ("cus_rad", -16, 2**-29),
     ("sqrt_a", 32, 2**-19),
 )
-_ORIENTATION_ROWS: tuple[_Row, ...] = (
+ORIENTATION_ROWS: tuple[Row, ...] = (
     ("cic_rad", -16, 2**-29),
     ("omega0_rad", -32, SEMICIRCLE * 2**-31),
     ("cis_rad", -16, 2**-29),
@@ -100,7 +100,7 @@ _ORIENTATION_ROWS: tuple[_Row, ...] = (
     ("omega_dot_rps", -24, SEMICIRCLE * 2**-43),
 )
 
-GPS_ROWS: tuple[_Row, ...] = (
+GPS_ROWS: tuple[Row, ...] = (
     ("number", 12, 1),
     ("prn", 6, 1),
     ("week", 10, 1),
@@ -113,16 +113,16 @@ GPS_ROWS: tuple[_Row, ...] = (
     ("af1", -16, 2**-43),
     ("af0_s", -22, 2**-31),
     ("iodc", 10, 1),
-    *_SHAPE_ROWS,
+    *SHAPE_ROWS,
     ("toe_s", 16, 16),
-    *_ORIENTATION_ROWS,
+    *ORIENTATION_ROWS,
     ("group_delay_s", -8, 2**-31),
     ("health", 6, 1),
     ("l2p", 1, 1),
     ("long_fit", 1, 1),
 )
 
-GALILEO_ROWS: tuple[_Row, ...] = (
+GALILEO_ROWS: tuple[Row, ...] = (
     ("number", 12, 1),
     ("prn", 6, 1),
     ("week", 12, 1),
@@ -133,9 +133,9 @@ GALILEO_ROWS: tuple[_Row, ...] = (
     ("af2_per_s", -6, 2**-59),
     ("af1", -21, 2**-46),
     ("af0_s", -31, 2**-34),
-    *_SHAPE_ROWS,
+    *SHAPE_ROWS,
     ("toe_s", 14, 60),
-    *_ORIENTATION_ROWS,
+    *ORIENTATION_ROWS,
     ("group_delay_e5a_s", -10, 2**-32),
     ("group_delay_s", -10, 2**-32),
     ("health", 6, 1),
@@ -192,12 +192,22 @@ def decode_ephemeris(message: bytes, rollover_week: int = ROLLOVER_WEEK) -> Ephe
         raise ValueError(f"RTCM {number} is no ephemeris of GPS or Galileo (1019, 1046)")
     system = SYSTEMS[number]
     # From the beginning again, as the tables start with the message's number.
-    bits = BitReader(body)
-    values = {}
-    for name, width, step in _ROWS[system]:
-        count = bits.signed(-width) if width < 0 else bits.unsigned(width)
-        values[name] = count * step
+    values = read_fields(BitReader(body), _ROWS[system])
     offset = GALILEO_WEEK_OFFSET if system == "E" else rollover_week
+    name = f"{system}{int(values['prn']):02d}"
+    return ephemeris_of(name, int(values["week"]) + offset, values)
+
+
+def read_fields(bits: BitReader, rows: tuple[Row, ...]) -> dict[str, float]:
+    """The fields of a table one after another, in its units."""
+    values: dict[str, float] = {}
+    for name, width, step in rows:
+        values[name] = (bits.signed(-width) if width < 0 else bits.unsigned(width)) * step
+    return values
+
+
+def ephemeris_of(satellite: str, week: int, values: dict[str, float]) -> Ephemeris:
+    """The ephemeris of the fields that a message holds; those it does not know are passed over."""
     counts = {name: int(values[name]) for name in ("iode", "accuracy", "health")}
     reals = {
         name: float(value)
@@ -206,8 +216,8 @@ def decode_ephemeris(message: bytes, rollover_week: int = ROLLOVER_WEEK) -> Ephe
     }
     rest: dict[str, Any] = {**counts, **reals}
     return Ephemeris(
-        satellite=f"{system}{int(values['prn']):02d}",
-        week=int(values["week"]) + offset,
+        satellite=satellite,
+        week=week,
         iodc=int(values.get("iodc", values["iode"])),
         codes=(int(values.get("code", 0)), int(values.get("l2p", 0))),
         long_fit=bool(values.get("long_fit", 0)),

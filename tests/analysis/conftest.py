@@ -52,10 +52,12 @@ def _attitudes(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([forward, right, down], axis=2), force
 
 
-def make_flight(seconds: float, seed: int = 1, with_fix: bool = False) -> list[Sample]:
-    """IMU at 200 Hz, pseudoranges at 5 Hz and the truth of a flight."""
+def make_flight(
+    seconds: float, seed: int = 1, with_fix: bool = False, epoch_steps: int = EPOCH_STEPS
+) -> list[Sample]:
+    """IMU at 200 Hz, pseudoranges at 5 Hz, or every so many steps, and the truth of a flight."""
     rng = np.random.default_rng(seed)
-    gnss = gnss_sensor(GnssConfig(), LAT, LON)
+    gnss = gnss_sensor(GnssConfig(rate_hz=1e6 / STEP_US / epoch_steps), LAT, LON)
     state = gnss.new_state(rng)
     dt = STEP_US * 1e-6
     count = round(seconds / dt) + 1
@@ -77,7 +79,7 @@ def make_flight(seconds: float, seed: int = 1, with_fix: bool = False) -> list[S
     samples: list[Sample] = []
     for k in range(count):
         samples.append(ImuSample(k * STEP_US, gyro[k], accel[k]))
-        if k % EPOCH_STEPS == 0:
+        if k % epoch_steps == 0:
             lat, lon, height = geodetic(r[k])
             here = ned_axes(lat, lon)
             truth = _truth(k * STEP_US, lat, lon, height, here @ v[k], here @ rot[k])

@@ -1,26 +1,13 @@
-"""A cell flown by a real autopilot: one `mavproxy-fault run --autopilot`, read from its run folder.
+"""A cell flown by a real autopilot: one `mavproxy-fault run --autopilot`, and its run folder."""
 
-Each flight is a process group of its own with its own ports and folder, so that nothing of one
-reaches another; it ends with the worker that started it.
-"""
-
-import ctypes
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from analysis.autopilots.flight_process import fly_in_process
 from analysis.campaign.cell import Flown
 from analysis.campaign.flying.autopilot_evidence import evidence_of
-from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.yaml_document import write_yaml
-
-PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
-WRONG_INPUT = 2
-LAST_LINES = 3
 
 
 def fly_autopilot(
@@ -31,40 +18,8 @@ def fly_autopilot(
     *,
     kept: bool,
 ) -> Flown:
-    """Fly `mavproxy-fault run` with the words `run` and the faults of a schedule, its logs in
-    `folder`; with a report if `kept`.
-
-    Raises
-    ------
-    ConfigError
-        If the command refuses the scenario or the autopilot, or leaves no result.
-    """
+    """Fly a cell; arguments and errors as `fly_in_process` has them."""
     started_s = time.monotonic()
-    folder.mkdir(parents=True, exist_ok=True)
-    faults = folder / "schedule.yaml"
-    faults.write_text(write_yaml(schedule))
-    words = ["run", *run, "--schedule", str(faults), "--seed", str(schedule["seed"])]
-    words += ["--out", str(folder / "run"), "--zenoh", "off"]
-    if not kept:
-        words += ["--no-report"]
-    done = subprocess.run(
-        [sys.executable, "-m", "mavproxy_fault.cli", *words],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        check=False,
-        preexec_fn=_end_with_parent,
-    )
-    if done.returncode == WRONG_INPUT or not (folder / "run" / "summary.json").is_file():
-        # Its last lines say why.
-        last = done.stderr.strip().splitlines()[-LAST_LINES:]
-        raise ConfigError(f"{subject}: no flight came of it; {' '.join(last)}")
-    evidence, flown_s = evidence_of(folder / "run")
-    return Flown(
-        {subject: evidence}, {}, flown_s, time.monotonic() - started_s, str(folder / "run")
-    )
-
-
-def _end_with_parent() -> None:
-    """Have the kernel end the flight when its worker is killed."""
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    flown = fly_in_process(subject, run, schedule, folder, kept=kept)
+    evidence, flown_s = evidence_of(flown)
+    return Flown({subject: evidence}, {}, flown_s, time.monotonic() - started_s, str(flown))

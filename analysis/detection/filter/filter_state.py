@@ -39,11 +39,13 @@ class Alignment:
 
 @dataclass(frozen=True, slots=True)
 class Exclusion:
-    """A satellite left out: since when, when found, and since when it looks healthy again."""
+    """A satellite left out: since when, when found, since when it looks healthy again, and whether
+    it was left out with its whole system, not for what it did itself."""
 
     onset_us: int
     found_us: int
     healthy_since_us: int | None = None
+    whole: bool = False
 
 
 class Motion(Value, frozen=True):

@@ -1,6 +1,7 @@
 """An epoch's usable satellites and what the model makes of them."""
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -39,6 +40,7 @@ from mavproxy_fault.numerics.constants import L1_HZ
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+COEFFICIENTS = 8  # Klobuchar's; behind them, how much more than broadcast ones they are off
 CHOSEN_US = 30_000_000  # the choice is looked at again
 # Of the variance, in the order of SYSTEMS: GLONASS's channels have delays of their own (RTKLIB's
 # factor), BeiDou's B3I wanders as much more on a recorded walk.
@@ -91,6 +93,13 @@ class Observed(Value, frozen=True):
         """Satellites (n, 9) when they sent what was received, as `broadcast.satellite_states`."""
         return states_at(self.measured)
 
+    def without_rates(self, names: Collection[str]) -> "Observed":
+        """The same without the Doppler rates of some satellites."""
+        if not names:
+            return self
+        wrong = [name in names for name in self.satellites]
+        return self._replace(doppler_mps=np.where(wrong, np.nan, self.doppler_mps))
+
     def select(self, keep: Mask) -> "Observed":
         """Those that `keep` (n,), a mask, keeps."""
         names = tuple(
@@ -112,7 +121,8 @@ class Modelled(NamedTuple):
     """Innovations at a state: ranges and rates with geometry.
 
     `v_m` and `v_mps` (n,), `variance` and `rate_variance` (n,) of both, `elevation_rad` (n,), the
-    ionosphere's modelled delay `ionosphere_m` (n,) and `h` (n, 20) of the ranges.
+    ionosphere's delay `ionosphere_m` (n,) by which its model may be off, and `h` (n, 20) of the
+    ranges.
     """
 
     v_m: Vector
@@ -234,7 +244,11 @@ def why_none(epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]]) -> str:
 
 
 def model(observed: Observed, x: Vector, sigma: SigmaModel, ionosphere: Vector) -> Modelled:
-    """Innovations, their geometry and variance at the state x (21,)."""
+    """Innovations, their geometry and variance at the state x (21,).
+
+    `ionosphere` (8,) or (9,) are Klobuchar's coefficients, and how much more than broadcast ones
+    they are off.
+    """
     return modelled_at(observed.measured, observed.states, x, ionosphere, sigma.numbers)
 
 
@@ -266,7 +280,9 @@ def modelled_at(
         h[i, CLOCK] = 1.0
         if system > 0:
             h[i, ISB - 1 + system] = 1.0
-    delay_m = predicted[:, DELAY].copy()
+    # Coefficients that nobody has sent are off by more: as if there were so much more to model.
+    doubt = ionosphere[COEFFICIENTS] if ionosphere.shape[0] > COEFFICIENTS else 1.0
+    delay_m = doubt * predicted[:, DELAY]
     return Modelled(v, v_rate, variance, rate_variance, elevation, delay_m, h)
 
 

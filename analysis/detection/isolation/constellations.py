@@ -54,12 +54,16 @@ def groups_of(sight: Vector, offsets: Vector) -> tuple[Group, ...]:
     innovations, `offsets` (n, k) what the systems' clock offsets do; none where there is only one.
     """
     system = (offsets != 0.0) @ np.arange(1, offsets.shape[1] + 1)
-    kinds = sorted(set(system.tolist()))
+    of = system.tolist()
+    kinds = sorted(set(of))
     if len(kinds) < 2:
         return ()
-    moved = np.column_stack([sight, np.ones(len(sight))])
+    moved = np.ones((len(of), 4))
+    moved[:, :3] = sight
     return tuple(
-        Group(tuple(np.flatnonzero(system == kind).tolist()), moved * (system == kind)[:, None])
+        Group(
+            tuple(i for i, one in enumerate(of) if one == kind), moved * (system == kind)[:, None]
+        )
         for kind in kinds
     )
 

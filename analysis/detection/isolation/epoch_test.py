@@ -18,6 +18,7 @@ from analysis.detection.filter.offsets import freeze, frozen_m, learnt
 from analysis.detection.filter.propagation import Segment, advance, segment
 from analysis.detection.isolation.assessment import CLOCK_LEAP_M, Sight, parity_test, see
 from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.isolation.constellations import CONTRADICTION
 from analysis.detection.isolation.exclusion import Outside, exclude, measure_outside, readmit
 from analysis.detection.isolation.quiet_epoch import quiet_epoch
 from analysis.detection.isolation.ramp_test import (
@@ -33,23 +34,29 @@ from analysis.detection.isolation.range_test import (
     free_clock,
     free_position,
     passed,
-    without,
 )
 from analysis.detection.isolation.rate_test import RatesTested, check_rates, freed_by
 from analysis.detection.isolation.whole_receiver import (
+    LEAPT,
+    after_leap,
     distrusted,
+    followed,
+    leap_m,
     ranges_beyond_imu,
     rates_beyond_imu,
 )
 from analysis.detection.protection import Bounds, bounds
 from analysis.samples.block import ImuRun
+from analysis.samples.sample import Vector
 
+RUNNING = 3  # epochs in which a rate alone is wrong before that is told
 UNDISTURBED = ("none", "satellites")  # verdicts of the rates that leave the prediction sound
 
 
 class Judged(NamedTuple):
     """An epoch after its tests: the core and the IMU's samples before it, the prediction, what was
-    seen, whether the clock leapt, and the verdicts of rates and ranges."""
+    seen, whether the clock leapt, the verdicts of rates and ranges, and how far (3,) the satellites
+    leapt together."""
 
     core: Core
     part: Segment
@@ -58,6 +65,7 @@ class Judged(NamedTuple):
     leapt: bool
     rates: RatesTested
     tested: Tested
+    leap_m: Vector | None = None
 
 
 def judge_epoch(
@@ -91,7 +99,11 @@ def judge_epoch(
     rates = rates_beyond_imu(rates, core, motion, sight.used, (run_before, run))
     tested = _tested(core, motion, sight, rates.hypothesis, config)
     tested = ranges_beyond_imu(tested, rates, core, motion, sight.used)
-    judged = Judged(core, part, motion, sight, leapt, rates, tested)
+    since_s = (t_us - before.t_us) * 1e-6
+    leap = leap_m(tested, motion, sight.used, sight.tests, since_s, config.p_false_alarm)
+    if leap is not None:
+        tested = followed(tested, motion, sight.used)
+    judged = Judged(core, part, motion, sight, leapt, rates, tested, leap)
     undisturbed = not leapt and not tested.freed and rates.hypothesis in UNDISTURBED
     # Ramp tests need one unbroken filter: what was freed or leapt has no response to follow.
     if undisturbed and before.inertial == tested.motion.inertial:
@@ -145,13 +157,16 @@ def _concluded(
     sight = judged.sight
     outside = measure_outside(sight.excluded, sight.outside, judged.predicted, moved)
     excluded = readmit(core.excluded, outside, t_us, config)
-    excluded = exclude(excluded, tuple(sight.names[i] for i in tested.faulty), t_us, t_us)
+    faulty = tuple(sight.names[i] for i in tested.faulty)
+    excluded = exclude(excluded, faulty, t_us, t_us, tested.whole)
     core = core._replace(
         ranges_us=t_us,
         excluded=excluded,
         imu_bad_until_us=imu_bad_until_us(core, imu_blamed, t_us, config),
-        unknown_since_us=_unknown_since_us(core, tested.hypothesis, t_us),
-        distrusted=distrusted(core, judged.rates, tested),
+        unknown_since_us=_unknown_since_us(core, judged, t_us),
+        distrusted=distrusted(core, judged.rates, tested) if judged.leap_m is None else "",
+        leapt_m=after_leap(core.leapt_m, judged.leap_m),
+        rates_off=_rates_off(judged),
     )
     moved = find_attitude(core, moved, part, (t_us - before.t_us) * 1e-6, config)
     # To a free filter an acceleration was the vehicle's own: it says nothing of the IMU.
@@ -170,7 +185,7 @@ def _concluded(
     outcome = _measured(judged, outside, core._replace(misfit=misfit))
     return outcome._replace(
         bounds=found_bounds,
-        undecided=tested.whole and tested.hypothesis == "multiple-unknown",
+        unbounded=_unbounded(judged, core),
         slow=slow,
         hypothesis=shown_now,
         alarm=alarm,
@@ -178,6 +193,21 @@ def _concluded(
         was_inertial=before.inertial,
         gap_s=part.gap_s,
     )
+
+
+def _unbounded(judged: Judged, core: Core) -> str:
+    """Why nothing bounds the position; empty where something does."""
+    if judged.tested.whole and judged.tested.hypothesis == "multiple-unknown":
+        return CONTRADICTION
+    return LEAPT if core.leapt_m is not None else ""
+
+
+def _rates_off(judged: Judged) -> dict[str, int]:
+    """How many epochs running each satellite's Doppler rate alone was wrong."""
+    names, before = judged.sight.names, judged.core.rates_off
+    # One that the ranges blame too is shown as excluded.
+    wrong = [names[i] for i in judged.rates.faulty if i not in judged.tested.faulty]
+    return {name: before.get(name, 0) + 1 for name in wrong}
 
 
 def _bounded(
@@ -190,7 +220,9 @@ def _bounded(
     parity, dof = tests.parity, tests.parity_dof
     if faulty:
         names = tuple(name for i, name in enumerate(names) if i not in faulty)
-        used = without(used, faulty, np.zeros(len(sight.names)))
+        keep = np.ones(len(sight.names), dtype=bool)
+        keep[list(faulty)] = False
+        used = used.select(keep)
         parity, dof, _ = parity_test(normal_equations(used.h, used.variance, used.v_m))
     misfit = core.misfit.with_epoch(parity, dof, since_us * 1e-6)
     moved_m = moved.x[:3] - judged.predicted.x[:3]
@@ -218,6 +250,7 @@ def _measured(judged: Judged, outside: Outside, core: Core) -> Outcome:
         rate=rates.statistic,
         rate_threshold=rates.threshold,
         rate_dof=rates.dof,
+        rate_faulty=tuple(name for name, times in core.rates_off.items() if times >= RUNNING),
     )
 
 
@@ -272,9 +305,10 @@ def _leap_m(sight: Sight) -> float:
     return middle if abs(middle) > CLOCK_LEAP_M else 0.0
 
 
-def _unknown_since_us(core: Core, hypothesis: str, t_us: int) -> int | None:
+def _unknown_since_us(core: Core, judged: Judged, t_us: int) -> int | None:
     """Since when nothing of the epochs can be used."""
-    if hypothesis not in ("multiple-unknown", "gps"):
+    unknown = judged.tested.hypothesis in ("multiple-unknown", "gps")
+    if not unknown or judged.leap_m is not None:
         return None
     # The first epoch of the stretch counts.
     return core.unknown_since_us or t_us

@@ -8,24 +8,28 @@ import numpy as np
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.filter_state import Exclusion, Motion
 from analysis.detection.filter.inertial import CLOCK
+from analysis.detection.filter.lasting_errors import lasting_variance
 from analysis.detection.filter.measurement import Modelled
 from analysis.detection.isolation.chi_square import two_sided
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
+RETURNED = 0.75  # share of a system's satellites that look healthy once it is
 HEALTHY_P = 1e-3  # a satellite looks healthy within the bounds of this probability
 
 
 class Outside(Value, frozen=True):
-    """Excluded satellites, with their innovations (n,) in m and over their own sigma."""
+    """Excluded satellites, with their innovations (n,) in m and over their own sigma, without and
+    with what lasts in it."""
 
     names: tuple[str, ...]
     v_m: Vector
     normalised: Vector
+    lasting: Vector
 
 
-NOBODY = Outside((), np.empty(0), np.empty(0))
+NOBODY = Outside((), np.empty(0), np.empty(0), np.empty(0))
 
 
 def measure_outside(
@@ -34,18 +38,18 @@ def measure_outside(
     """Those excluded against the filter after the epoch, which does not use them."""
     if not names:
         return NOBODY
-    table = _outside(modelled.v_m, modelled.variance, modelled.h, before.x, after.x, after.p)
-    return Outside(names, table[0], table[1])
+    table = _outside(modelled, before.x, after.x, after.p)
+    return Outside(names, table[0], table[1], table[2])
 
 
 @compiled
-def _outside(
-    v: Vector, variance: Vector, h: Vector, before: Vector, after: Vector, p: Vector
-) -> Vector:
-    """Innovations (2, n), in m and over their sigma, at the state `after` with covariance p.
+def _outside(modelled: Modelled, before: Vector, after: Vector, p: Vector) -> Vector:
+    """Innovations (3, n), in m and over their sigma without and with what lasts, at the state
+    `after` with covariance p.
 
-    `v` are those at the state `before`; what moved in between is subtracted.
+    Those of `modelled` are at the state `before`; what moved in between is subtracted.
     """
+    v, h, lasts = modelled.v_m, modelled.h, lasting_variance(modelled, 1.0)
     moved = np.zeros(h.shape[1])
     # Attitude and biases stand between and are not seen by a range.
     for i in range(3):
@@ -53,23 +57,31 @@ def _outside(
     # The state has one number more than the error before this, the quaternion's fourth.
     for i in range(CLOCK, h.shape[1]):
         moved[i] = after[i + 1] - before[i + 1]
-    out = np.empty((2, v.shape[0]))
+    out = np.empty((3, v.shape[0]))
     for i in range(v.shape[0]):
-        remaining, total = v[i], variance[i]
+        remaining, total = v[i], modelled.variance[i]
         for j in range(h.shape[1]):
             remaining -= h[i, j] * moved[j]
             for k in range(h.shape[1]):
                 total += h[i, j] * p[j, k] * h[i, k]
         out[0, i], out[1, i] = remaining, remaining / math.sqrt(total)
+        out[2, i] = remaining / math.sqrt(total + lasts[i])
     return out
 
 
 def exclude(
-    excluded: dict[str, Exclusion], names: tuple[str, ...], onset_us: int, found_us: int
+    excluded: dict[str, Exclusion],
+    names: tuple[str, ...],
+    onset_us: int,
+    found_us: int,
+    whole: bool = False,
 ) -> dict[str, Exclusion]:
-    """Exclude more satellites since `onset_us`; those excluded already stay as they are."""
+    """Exclude more satellites since `onset_us`, as a `whole` system or each for itself; those
+    excluded already stay as they are."""
     # The first onset stays: a second finding is the same fault.
-    new = {name: Exclusion(onset_us, found_us) for name in names if name not in excluded}
+    new = {
+        name: Exclusion(onset_us, found_us, None, whole) for name in names if name not in excluded
+    }
     return {**excluded, **new} if new else excluded
 
 
@@ -84,10 +96,14 @@ def readmit(
     if not excluded:
         return excluded
     out = dict(excluded)
+    bound = two_sided(HEALTHY_P)
     # Over its own sigma: a satellite low over the horizon is noisier, not less healthy.
-    healthy = np.abs(outside.normalised) <= two_sided(HEALTHY_P)
-    for name, fine in zip(outside.names, healthy.tolist(), strict=True):
+    healthy = (np.abs(outside.normalised) <= bound).tolist()
+    returned = _returned_systems(excluded, outside, bound)
+    for i, (name, fine) in enumerate(zip(outside.names, healthy, strict=True)):
         entry = out[name]
+        if entry.whole:
+            fine = name[0] in returned and bool(abs(outside.lasting[i]) <= bound)
         since = entry.healthy_since_us if entry.healthy_since_us is not None else t_us
         # A break starts the wait again, and so does an epoch from before it was found.
         if not fine or t_us < entry.found_us:
@@ -97,3 +113,16 @@ def readmit(
         else:
             out[name] = replace(entry, healthy_since_us=since)
     return out
+
+
+def _returned_systems(excluded: dict[str, Exclusion], outside: Outside, bound: float) -> set[str]:
+    """The systems that were left out as a whole and nearly all of whose satellites look healthy.
+
+    One that lies across a spoofer's shift looks so alone. Each may be off by what lasts: nothing
+    was held against it, and what had been learnt of it in use is lost.
+    """
+    looks: dict[str, list[bool]] = {}
+    for name, normalised in zip(outside.names, outside.lasting.tolist(), strict=True):
+        if excluded[name].whole:
+            looks.setdefault(name[0], []).append(abs(normalised) <= bound)
+    return {system for system, fine in looks.items() if sum(fine) >= RETURNED * len(fine)}

@@ -15,7 +15,7 @@ from analysis.detection.detection_config import (
     RampNumbers,
     SigmaNumbers,
 )
-from analysis.detection.detector_state import Core
+from analysis.detection.detector_state import NO_RATES_OFF, Core
 from analysis.detection.epoch_outcome import Outcome, imu_bad_until_us, shown
 from analysis.detection.filter.epoch_update import Filtered, Step, commit_to
 from analysis.detection.filter.filter_state import Motion
@@ -107,6 +107,7 @@ def quiet_epoch(
         imu_bad_until_us=imu_bad_until_us(core, False, t_us, config),
         unknown_since_us=None,
         misfit=misfit,
+        rates_off=NO_RATES_OFF,
     )
     q, q_rate, parity, rates, parity_dof = numbers
     residual_m, normalised = innovations.tolist()
@@ -132,8 +133,8 @@ def quiet_epoch(
 
 
 def _is_rare(core: Core, motion: Motion, config: DetectorConfig) -> bool:
-    """Excluded satellites, an alignment under way and a lever arm need the long way."""
-    if core.excluded or core.distrusted or motion.alignment is not None:
+    """Excluded satellites, a leap, an alignment under way and a lever arm need the long way."""
+    if core.excluded or core.distrusted or core.leapt_m is not None or motion.alignment is not None:
         return True
     return motion.inertial and config.antenna is not None
 

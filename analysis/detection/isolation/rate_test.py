@@ -21,13 +21,15 @@ NO_RATES = Rates(NO_ROWS.v_mps, NO_ROWS.rate_variance, NO_ROWS.h)
 
 
 class RatesTested(Value, frozen=True):
-    """The rates' test of the prediction, and those that fit."""
+    """The rates' test of the prediction, those that fit, and the places among the satellites in use
+    of those that were found wrong."""
 
     statistic: float | None
     threshold: float | None
     dof: int
     hypothesis: str
     fit: Rates
+    faulty: tuple[int, ...] = ()
 
 
 def check_rates(
@@ -50,14 +52,16 @@ def check_rates(
     largest, p = largest_set(count, config.left_out), config.p_other
     systems = groups_of(used.h[known, :3], used.h[known, ISB:ERRORS])
     verdict = judge(m, v, velocity, drift, p, largest, config.rule, systems)
+    faulty: tuple[int, ...] = ()
     if verdict.hypothesis == "satellites":
+        faulty = tuple(known[list(verdict.subset)].tolist())
         kept = fit.v.copy()
-        kept[known[list(verdict.subset)]] = np.nan
+        kept[list(faulty)] = np.nan
         fit = fit._replace(v=kept)
     # No explanation: none of the rates is used, the ranges decide alone.
     elif verdict.hypothesis in ("multiple-unknown", SYSTEM_CLOCK):
         fit = NO_RATES
-    return RatesTested(tests.q_rate, threshold, count, verdict.hypothesis, fit)
+    return RatesTested(tests.q_rate, threshold, count, verdict.hypothesis, fit, faulty)
 
 
 def freed_by(motion: Motion, hypothesis: str) -> Motion:

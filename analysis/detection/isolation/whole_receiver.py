@@ -6,15 +6,21 @@ wrong. So a position that leaves while the Doppler rates still fit, or a velocit
 than a wrongly turned force could drive it while the IMU's own output did not change, is not the
 IMU's. The satellites agree among themselves: the hypothesis is `gps`, and nothing of the epoch is
 used.
+
+Without an IMU a place that leaps as no vehicle does, while the satellites agree, is `gps` too. The
+filter follows, as nothing else tells where it is, but nothing bounds the position until the
+satellites have leapt back.
 """
 
 import numpy as np
 
 from analysis.detection.detector_state import Core
 from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.inertial import CLOCK
+from analysis.detection.filter.inertial import CLOCK, ERRORS
 from analysis.detection.filter.measurement import NO_ROWS, Modelled
-from analysis.detection.isolation.range_test import Tested
+from analysis.detection.isolation.assessment import Statistics
+from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.isolation.range_test import Tested, free_position, free_system_clocks
 from analysis.detection.isolation.rate_test import NO_RATES, RatesTested
 from analysis.samples.block import ImuRun
 from analysis.samples.sample import Vector
@@ -22,6 +28,10 @@ from analysis.samples.sample import Vector
 RANGES, RATES = "ranges", "rates"  # what of all satellites is distrusted
 LEAST_M = 10.0  # a smaller shift may be the geometry's, when other satellites are used
 SLACK_MPS = 0.5  # of the velocity, for noise and for what has come together before
+LEAP_M, LEAP_MPS2 = 30.0, 50.0  # geometry and multipath; five times gravity is no vehicle's
+LEAP_SIGMAS = 5.0  # of the prediction
+AGREEING_DOF = 3  # that the satellites must agree by
+LEAPT = "all satellites leapt together, and nothing tells which place is right"
 
 
 def rates_beyond_imu(
@@ -85,6 +95,49 @@ def ranges_beyond_imu(
         motion, "gps", True, (), tested.statistic, tested.threshold, tested.probabilities, NO_ROWS,
         True,
     )  # fmt: skip
+
+
+def leap_m(
+    tested: Tested, motion: Motion, used: Modelled, tests: Statistics, dt_s: float, p_agree: float
+) -> Vector | None:
+    """How far (3,) all satellites together have leapt, where no vehicle has, else None.
+
+    `motion` is the prediction over `dt_s`, `tested` what the main test says of it, `p_agree` the
+    false-alarm probability of the test whether the satellites agree.
+    """
+    explained = tested.hypothesis == "satellites" or tested.whole
+    if motion.inertial or not tested.freed or explained:
+        return None
+    dof = tests.parity_dof
+    if dof < AGREEING_DOF or tests.parity > chi_square(dof, p_agree):
+        return None
+    clocks = used.h[:, CLOCK:ERRORS]
+    shift_m = _shift(
+        np.hstack([used.h[:, :3], clocks[:, clocks.any(axis=0)]]), used.v_m, used.variance
+    )
+    unsure_m = LEAP_SIGMAS * np.sqrt(np.trace(motion.p[:3, :3]))
+    most_m = LEAP_M + 0.5 * LEAP_MPS2 * dt_s**2 + unsure_m
+    return shift_m if np.linalg.norm(shift_m) > most_m else None
+
+
+def followed(tested: Tested, motion: Motion, used: Modelled) -> Tested:
+    """The verdict on satellites that leapt together: all are followed."""
+    free = free_system_clocks(free_position(motion))
+    chances = tested.probabilities
+    return Tested(
+        free, "gps", True, (), tested.statistic, tested.threshold, chances, used, True
+    )  # fmt: skip
+
+
+def after_leap(so_far_m: Vector | None, shift_m: Vector | None) -> Vector | None:
+    """How far (3,) the satellites have leapt since they were where they belong; None: not at all.
+
+    A leap back ends it: as far as geometry and the vehicle's own motion let it.
+    """
+    if shift_m is None:
+        return so_far_m
+    total_m = shift_m if so_far_m is None else so_far_m + shift_m
+    return total_m if np.linalg.norm(total_m) > 0.5 * np.linalg.norm(shift_m) else None
 
 
 def _shift(columns: Vector, v: Vector, variance: Vector) -> Vector:

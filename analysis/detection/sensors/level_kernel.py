@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
-FIELD, HAS_FIX, SIGNAL = LEVELS = range(3)
+FIELD, HAS_FIX = LEVELS = range(2)
 # Of each level: the least change that counts, upwards and downwards
-UP = np.array([0.05, np.inf, np.inf])  # a fix that comes back, a stronger signal: no fault
-DOWN = np.array([0.05, 0.5, 6.0])
+UP = np.array([0.05, np.inf])  # a fix that comes back is no fault
+DOWN = np.array([0.05, 0.5])
 SIGMAS = 8.0  # of the short mean about the long one
 SHORT_S, LONG_S, LEARNT_S, USUAL_S = 0.3, 30.0, 4.0, 20.0
 LASTS_US, AGAIN_US = 300_000, 500_000

@@ -2,7 +2,6 @@
 
 - The size of the magnetic field, whichever way the vehicle points.
 - Whether a receiver says that it has a fix.
-- The mean strength of the satellites' signals.
 """
 
 from dataclasses import dataclass
@@ -12,23 +11,21 @@ import numpy as np
 from analysis.detection.sensors.level_kernel import (
     FIELD,
     HAS_FIX,
-    SIGNAL,
     Levels,
     follow,
     no_levels,
 )
 from analysis.results import SensorDecision
-from analysis.samples.block import EPOCH, FIX, FIX_TYPE, KINDS, MAG, Block, Indices
-from analysis.samples.sample import Epoch, Vector
+from analysis.samples.block import FIX, FIX_TYPE, KINDS, MAG, Block, Indices
+from analysis.samples.sample import Vector
 
 FIX_3D = 3
-SENSOR_OF = {FIELD: "mag", HAS_FIX: "gps-position", SIGNAL: "satellites"}
+SENSOR_OF = {FIELD: "mag", HAS_FIX: "gps-position"}
 REASONS = {
     FIELD: "the field's size is off by {:.3f} gauss",
     HAS_FIX: "says that it has no fix",
-    SIGNAL: "signals are {:.0f} dB off",
 }
-IN_LEVELS = np.isin(np.arange(len(KINDS)), (MAG, FIX, EPOCH))
+IN_LEVELS = np.isin(np.arange(len(KINDS)), (MAG, FIX))
 Quantities = tuple[int, Indices, Vector]  # of a level: rows of the block, and values
 
 
@@ -47,7 +44,7 @@ class LevelWatch:
         """
         if not IN_LEVELS[block.kind].any():
             return [], state
-        quantities = [_field(block), _has_fix(block), _signal(block)]
+        quantities = [_field(block), _has_fix(block)]
         row = np.concatenate([rows for _, rows, _ in quantities])
         # By row, as the kernel follows the quantities in the order in which they came.
         order = np.argsort(row, kind="stable")
@@ -71,17 +68,6 @@ def _field(block: Block) -> Quantities:
 def _has_fix(block: Block) -> Quantities:
     rows = block.rows(FIX)
     return HAS_FIX, rows, (block.values[rows, FIX_TYPE] >= FIX_3D).astype(float)
-
-
-def _signal(block: Block) -> Quantities:
-    strengths = {}
-    for row in block.rows(EPOCH).tolist():
-        epoch = block.beside[row]
-        assert isinstance(epoch, Epoch)
-        known = epoch.cn0_dbhz[np.isfinite(epoch.cn0_dbhz)]
-        if len(known):
-            strengths[row] = known.mean()
-    return SIGNAL, np.array([*strengths], np.int64), np.array([*strengths.values()], float)
 
 
 def _result(t_us: int, level: int, off: float) -> SensorDecision:

@@ -43,6 +43,15 @@ def range_weights(decision: Decision, config: FusionConfig) -> dict[str, float]:
     return weights
 
 
+def wrong_rates(results: Sequence[Result]) -> frozenset[str]:
+    """Satellites whose Doppler rate was found wrong at this epoch, and whose range was not."""
+    return frozenset(
+        result.suspect
+        for result in results
+        if isinstance(result, SensorDecision) and result.sensor == "satellites" and result.suspect
+    )
+
+
 def sensor_weights(
     results: Sequence[Result], isolated: Iterable[str], config: FusionConfig
 ) -> dict[str, float]:

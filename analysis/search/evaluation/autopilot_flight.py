@@ -1,151 +1,123 @@
-"""A flight under the eyes of an autopilot on a link: HIL frames go to it, in lockstep.
+"""A flight under an autopilot: armed, from take-off to landing, by `run --autopilot`.
 
-The simulator's own loop keeps the step; what passes between it and the link goes through the
-proxy's core, so that faults act on what the autopilot is told, and on what it says.
+Its error is the autopilot's attitude against the truth in the air, less that of the same flight
+without the faults of the search: root of the difference of the mean squares.
 """
 
-import io
-import math
-import subprocess
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+import json
+import tempfile
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from analysis.autopilots.hil_exchange import FromAutopilot, Patience, ToAutopilot
-from analysis.autopilots.program import Process, ended
-from analysis.run.proxied_flight import MONITOR, Flight
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.autopilots.flight_process import fly_in_process
+from analysis.results import AttitudeError, read_results
+from analysis.scoring.attitude_scores import AXES
+from analysis.scoring.attitude_scoring import AUTOPILOTS
 from analysis.search.space.test_file import AutopilotChoice
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.link import Link
-from mavproxy_fault.links.spec import open_link
-from mavproxy_fault.proxy.interfaces import Send
-from mavproxy_fault.schedule.entries import Schedule
-from simvehicle.app.lockstep_loop import LockstepLoop, PeerGoneError
-from simvehicle.app.sim_progress import Progress
-from simvehicle.app.sim_server import airframe
-from simvehicle.hil.hil_frames import Hil
-from simvehicle.hil.lockstep import AutopilotSilentError, Lockstep
-from simvehicle.scenario.scenario_file import Scenario
-from simvehicle.sensors.readings import Reading
-from simvehicle.vehicles.body import Controls, Truth
+from mavproxy_fault.documents.yaml_document import write_yaml
 
-ENDS_S = 5.0  # how long a process may take to end
-Step = tuple[int, Truth, Sequence[Reading]]
+Array = NDArray[np.float64]
+TRIES = 3  # on a busy machine a take-off may fail by the operator's time-outs
 
 
-class LeftError(Exception):
-    """The flight is beyond a limit of the envelope."""
+class Estimate(NamedTuple):
+    """Of an autopilot in the air: mean squares (4,) and largest errors (4,) in degrees, how long it
+    flew, and why the flight ended early, if it did."""
 
-    def __init__(self, limit: int) -> None:
-        super().__init__(limit)
-        self.limit = limit
-
-
-class _Plane:
-    """The loop's simulation: flown by the autopilot or by itself, and watched."""
-
-    def __init__(self, flight: Flight, flies: bool, limit: Callable[[Truth], int]) -> None:
-        self._flight, self._flies, self._limit = flight, flies, limit
-        self.steps = 0
-
-    def step(self, controls: Controls | None) -> Step:
-        """Go on by one step."""
-        # The autopilot is fed either way; only with `flies` do its actuators count.
-        found = self._flight.simulation.step(controls if self._flies else None)
-        self.steps += 1
-        limit = self._limit(found[1])
-        if limit:
-            # An exception, since the loop that is shared with the simulator knows no envelope.
-            raise LeftError(limit)
-        return found
-
-    def plant(self, name: str, value: float | None) -> None:
-        """A change of the plant."""
-        self._flight.simulation.plant(name, value)
+    mean_square: Array
+    largest_deg: Array
+    lasted_s: float
+    ended_early: str
 
 
-class AutopilotFlight(Flight):
-    """A scenario flown once with an autopilot on the link."""
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        schedule: Schedule,
-        choice: AutopilotChoice,
-        hear: Callable[[bytes], None],
-    ) -> None:
-        super().__init__(scenario, schedule)
-        self._choice, self._hear = choice, hear
-
-    def fly(self, limit: Callable[[Truth], int]) -> tuple[int, int]:
-        """Fly to the end, or to where `limit` says so: its number (0 for none), and the steps.
-
-        Raises
-        ------
-        ConfigError
-            If no autopilot comes, or it goes.
-        """
-        mav_type, mix = airframe(self.simulation)
-        plane = _Plane(self, self._choice.flies, limit)
-        with self._served() as (links, patience):
-            # Shared by both directions of the link: one sends the step, the other hears the answer.
-            lockstep = Lockstep()
-            outward = ToAutopilot(self, Hil(mav_type=mav_type), self._heard)
-            loop = LockstepLoop(
-                plane,
-                outward,
-                FromAutopilot(outward, links, patience, lockstep),
-                mix,
-                # As fast as the autopilot answers.
-                math.inf,
-                # Nobody reads the progress of one flight among many.
-                Progress(time.monotonic(), io.StringIO()),
-                lockstep,
-            )
-            try:
-                loop.run(round(self.duration_s * 1e6))
-            except LeftError as error:
-                return error.limit, plane.steps
-            except (PeerGoneError, AutopilotSilentError) as gone:
-                raise ConfigError(f"autopilot: {gone}, {self.t_us * 1e-6:.1f} s on") from gone
-        return 0, plane.steps
-
-    def _heard(self, sends: list[Send]) -> None:
-        # The estimator sees what left for the monitor, faults included.
-        for send in sends:
-            if send.link == MONITOR:
-                self._hear(send.data)
-
-    @contextmanager
-    def _served(self) -> Iterator[tuple[list[Link], Patience]]:
-        """The links, and the autopilot started where it is ours to start."""
-        choice = self._choice
-        with ExitStack() as stack:
-            names = [choice.link, *([choice.telemetry] if choice.telemetry else [])]
-            links = [stack.enter_context(closing(open_link(name))) for name in names]
-            process = None
-            if choice.command:
-                process = stack.enter_context(started(choice, getattr(links[0], "port", 0)))
-            yield links, Patience(links[0], process, choice.start_s)
-
-
-@contextmanager
-def started(choice: AutopilotChoice, port: int) -> Iterator[Process]:
-    """The autopilot's process; it is ended in the end.
+def estimate(
+    choice: AutopilotChoice, document: Mapping[str, Any], settle_s: float
+) -> tuple[Estimate, Array]:
+    """A scenario flown with its faults: what it showed, and the errors (4,) in degrees that the
+    faults made, roll, pitch, yaw, angle.
 
     Raises
     ------
     ConfigError
-        If it cannot be started.
+        If the autopilot does not fly it, or says nothing of its attitude.
     """
-    # Port 0 is bound by now: the command is told the number it became.
-    words = [word.replace("{port}", str(port)) for word in choice.command]
-    quiet = subprocess.DEVNULL
-    try:
-        process = subprocess.Popen(
-            words, cwd=choice.folder, stdin=quiet, stdout=quiet, stderr=quiet
-        )
-    except OSError as error:
-        raise ConfigError(f"autopilot.command: {words[0]} cannot be started; {error}") from error
-    with ended(process, ENDS_S):
-        yield process
+    healthy = {**document, "schedule": {"faults": []}}
+    base = _healthy(choice, json.dumps(healthy, sort_keys=True), settle_s)
+    found = _fly(choice, document, settle_s)
+    return found, np.sqrt(np.maximum(found.mean_square - base.mean_square, 0.0))
+
+
+@cache
+def _healthy(choice: AutopilotChoice, document: str, settle_s: float) -> Estimate:
+    """The flight without faults, flown once for each scenario."""
+    return _fly(choice, json.loads(document), settle_s)
+
+
+def _fly(choice: AutopilotChoice, document: Mapping[str, Any], settle_s: float) -> Estimate:
+    """Fly, again where no flight came of it: no fault had begun."""
+    reason = ""
+    for _ in range(TRIES):
+        found = _flown(choice, document, settle_s)
+        if not isinstance(found, str):
+            return found
+        reason = found
+    raise ConfigError(f"autopilot: no flight came of it, {TRIES} times; {reason}")
+
+
+def _flown(choice: AutopilotChoice, document: Mapping[str, Any], settle_s: float) -> Estimate | str:
+    """One flight, or why there was none."""
+    with tempfile.TemporaryDirectory(prefix="search-") as folder:
+        file = Path(folder) / "scenario.yaml"
+        scenario = {key: value for key, value in document.items() if key != "schedule"}
+        file.write_text(write_yaml(_given(scenario)))
+        words = [str(file), "--autopilot", choice.kind]
+        for option, value in (("--binary", choice.binary), ("--parameters", choice.parameters)):
+            words += [option, value] if value is not None else []
+        schedule = {"seed": document["seed"], "faults": document["schedule"]["faults"]}
+        run = fly_in_process("autopilot", words, schedule, Path(folder), kept=False)
+        return _read(run, settle_s)
+
+
+def _read(run: Path, settle_s: float) -> Estimate | str:
+    """What a run folder tells of the time in the air, from `settle_s` after leaving the ground."""
+    flown = json.loads((run / "summary.json").read_text())["autopilot"]
+    off_ground_s = flown["moments_s"].get("take-off")
+    if off_ground_s is None:
+        return f"it never left the ground; {flown['ended_early']}"
+    errors = [
+        result
+        for result in read_results(run / "results.jsonl")
+        if isinstance(result, AttitudeError) and result.estimator in AUTOPILOTS
+    ]
+    until_s = flown["moments_s"].get("landing", np.inf)
+    # By name the longer one is the greater: ATTITUDE_QUATERNION, where there are both.
+    name = max((error.estimator for error in errors), default="")
+    rows = np.array(
+        [
+            [getattr(error, axis) for axis in AXES]
+            for error in errors
+            if error.estimator == name and off_ground_s + settle_s <= error.t_us * 1e-6 < until_s
+        ]
+    )
+    if not len(rows):
+        return "nothing was heard of its attitude in the air"
+    last_s = errors[-1].t_us * 1e-6
+    return Estimate(
+        np.mean(rows**2, axis=0),
+        np.abs(rows).max(axis=0),
+        min(last_s, until_s) - off_ground_s,
+        flown["ended_early"] if not flown["landed"] else "",
+    )
+
+
+def _given(node: Any) -> Any:
+    """A document without the keys that have no value."""
+    if isinstance(node, Mapping):
+        return {key: _given(value) for key, value in node.items() if value is not None}
+    return [_given(item) for item in node] if isinstance(node, (list, tuple)) else node

@@ -17,13 +17,13 @@ from analysis.run.proxied_flight import Flight
 from analysis.samples.decoder import Decoder
 from analysis.scoring.attitude_scores import AXES
 from analysis.scoring.attitude_scoring import AttitudeConfig, AttitudeScorer
-from analysis.search.evaluation.autopilot_flight import AutopilotFlight
+from analysis.search.evaluation.autopilot_flight import estimate
 from analysis.search.evaluation.compiled_batch import Outcome
 from analysis.search.lanes.noise_kernel import seed_of
 from analysis.search.space.dimensions import Space, fault_entries, flight_entries, space_of
 from analysis.search.space.point_scenario import Document, document_of
 from analysis.search.space.section import Range
-from analysis.search.space.test_file import AUTOPILOT, Limits, TestFile
+from analysis.search.space.test_file import AutopilotChoice, Limits, TestFile
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
@@ -36,6 +36,7 @@ from simvehicle.vehicles.body import Truth
 from simvehicle.vehicles.fixedwing import FixedWing
 
 Array = NDArray[np.float64]
+GROUND = 7  # the limit of the height
 
 
 class Scores(NamedTuple):
@@ -141,27 +142,24 @@ def decoded(document: Document) -> tuple[Scenario, Schedule]:
 
 def fly(test: TestFile, document: Document) -> Scores:
     """Fly a scenario to its end or to the end of the envelope, and score the estimator."""
+    if test.autopilot is not None:
+        return flown_by_autopilot(test.autopilot, test, document)
     scenario, schedule = decoded(document)
     watch = Watch(msgspec.convert(document["monitor"]["attitude"], AttitudeConfig))
 
     def limit(truth: Truth) -> int:
         return broken(truth, test.envelope)
 
-    flight: Flight
-    if test.autopilot is not None:
-        flight = AutopilotFlight(scenario, schedule, test.autopilot, watch.hear)
-        broken_limit, steps = flight.fly(limit)
-    else:
-        flight = Flight(scenario, schedule)
-        broken_limit = steps = 0
-        # The envelope is looked at after each step, and ends the flight.
-        while not flight.over and broken_limit == 0:
-            watch.hear(flight.advance([]).monitor)
-            broken_limit, steps = limit(flight.simulation.truth), steps + 1
+    flight = Flight(scenario, schedule)
+    broken_limit = steps = 0
+    # The envelope is looked at after each step, and ends the flight.
+    while not flight.over and broken_limit == 0:
+        watch.hear(flight.advance([]).monitor)
+        broken_limit, steps = limit(flight.simulation.truth), steps + 1
     # What the faults still keep back leaves too.
     watch.hear(flight.finish().monitor)
     flight.drain_labels()
-    parts = chosen(test, watch.summary(flight.completed_labels()))
+    parts = watch.summary(flight.completed_labels()).get(test.estimator, {})
     rmse, largest = parts.get("rmse_deg", {}), parts.get("max_deg", {})
     return Scores(
         np.array([rmse.get(axis, 0.0) for axis in AXES]),
@@ -173,25 +171,27 @@ def fly(test: TestFile, document: Document) -> Scores:
     )
 
 
-def chosen(test: TestFile, summary: dict[str, Any]) -> dict[str, Any]:
-    """The scores of the estimator under test.
+def flown_by_autopilot(choice: AutopilotChoice, test: TestFile, document: Document) -> Scores:
+    """The same under an autopilot; a flight that does not end by its landing counts as one that
+    met the ground."""
+    scenario, _ = decoded(document)
+    found, error_deg = estimate(choice, document, test.settle_s)
+    named = dict(zip(AXES, error_deg.tolist(), strict=True))
+    rate_hz = float(getattr(first_imu(scenario), "rate_hz", 0.0))
+    return Scores(
+        error_deg,
+        found.largest_deg,
+        found.lasted_s,
+        GROUND if found.ended_early else 0,
+        round(found.lasted_s * rate_hz),
+        {"rmse_deg": named},
+    )
 
-    Raises
-    ------
-    ConfigError
-        If an autopilot said nothing of its attitude.
-    """
-    found: dict[str, Any] = summary.get(test.estimator, {})
-    if test.estimator != AUTOPILOT:
-        return found
-    if not summary:
-        raise ConfigError(
-            "autopilot: nothing was heard of its attitude; it has to send ATTITUDE or "
-            "ATTITUDE_QUATERNION on `link` or `telemetry`"
-        )
-    # By name the longer one is the greater.
-    found = summary[max(summary)]  # ATTITUDE_QUATERNION, where there are both
-    return found
+
+def first_imu(scenario: Scenario) -> Any:
+    """The IMU whose rate is that of the steps."""
+    imu = scenario.sensors.imu
+    return imu[0] if isinstance(imu, list) else imu
 
 
 def broken(truth: Truth, limits: Limits) -> int:

@@ -14,7 +14,6 @@ from analysis.search.space.section import Range, Section
 from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import read_document
-from mavproxy_fault.links.spec import parse_spec
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from simvehicle.scenario.scenario_file import read_scenario
 
@@ -120,25 +119,14 @@ class StateScales(Section, frozen=True):
 
 
 class AutopilotChoice(Section, frozen=True):
-    """An autopilot behind a MAVLink link, flown in lockstep.
+    """An autopilot that flies the scenario from take-off to landing, as `run --autopilot` does.
 
-    It connects to `link`, is fed HIL frames and answers each HIL_SENSOR by HIL_ACTUATOR_CONTROLS.
-    Its ATTITUDE or ATTITUDE_QUATERNION may come on that link or on `telemetry`. `command` starts it
-    anew for each flight, `{port}` standing for the port of the link; without it the autopilot has
-    to come back by itself. With `flies` its actuators fly the vehicle, else the scenario does.
+    `at_s` of the faults counts from leaving the ground.
     """
 
-    link: str = "tcpin:127.0.0.1:4560"
-    telemetry: str | None = None
-    command: list[str] = msgspec.field(default_factory=list)
-    folder: str | None = None
-    flies: bool = False
-    start_s: float = 60.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if parse_spec(self.link).kind not in ("tcpin", "tcp"):
-            raise ValueError(f"link = {self.link} cannot be held in lockstep; tcpin: or tcp:")
+    kind: Literal["ardupilot", "px4"]
+    binary: str | None = None
+    parameters: str | None = None
 
 
 class TestFile(Section, frozen=True):
@@ -192,9 +180,11 @@ class TestFile(Section, frozen=True):
         for name in ("duration_s", "dt_s", "keep", "noise_draws", "rescore_draws"):
             if getattr(self, name) <= 0:
                 raise ValueError(f"{name} = {getattr(self, name)} is not positive; above 0")
-        # Either alone would be a mistake: a section without use, or an autopilot without a link.
+        # Either alone would be a mistake: a section without use, or an autopilot that nobody asks.
         if (self.estimator == AUTOPILOT) != (self.autopilot is not None):
             raise ValueError("estimator: autopilot and the section autopilot need each other")
+        if self.autopilot is not None and self.scenario is None:
+            raise ValueError("an autopilot flies a scenario; give scenario too")
         if self.vary and self.scenario is None:
             raise ValueError("vary is for the keys of a scenario; give scenario too")
         for name, (low, high) in self.vary.items():

@@ -264,3 +264,37 @@ def test_without_ephemerides_nothing_is_tested(flight):
     epochs = [s for s in flight if isinstance(s, Epoch)][:3]
     found = decisions(list(epochs))
     assert {d.reason for d in found} == {"no ephemeris for any satellite in view"}
+
+
+def test_a_wrong_doppler_rate_of_one_satellite_is_told_and_its_range_stays_in_use(flight):
+    name = satellites(flight)[2]
+
+    def faulty(sample: Sample) -> Sample:
+        if not isinstance(sample, Epoch) or not FROM_S <= sample.t_us * 1e-6 < UNTIL_S:
+            return sample
+        rates = sample.doppler_mps.copy()
+        rates[sample.satellites.index(name)] += 5.0
+        return replace(sample, doppler_mps=rates)
+
+    results = run(Detector(), [faulty(sample) for sample in flight])
+    told = [r for r in results if isinstance(r, SensorDecision) and r.sensor == "satellites"]
+    assert {result.suspect for result in told} == {name}
+    spacing_s = 1e-6 * np.diff([s.t_us for s in flight if isinstance(s, Epoch)]).max()
+    # At the third epoch running, so that one noisy epoch blames nobody.
+    assert FROM_S + 1.5 * spacing_s < told[0].t_s < FROM_S + 2.5 * spacing_s
+    assert UNTIL_S - 1.5 * spacing_s < told[-1].t_s < UNTIL_S
+    assert not any(r.excluded for r in results if isinstance(r, Decision))
+    clean = run(Detector(), flight)
+    assert not any(isinstance(r, SensorDecision) and r.sensor == "satellites" for r in clean)
+
+
+@pytest.mark.parametrize("epoch_steps", [10, 20, 200, 400])
+def test_epochs_at_twenty_ten_one_and_half_a_hertz_need_no_setting(flights, epoch_steps: int):
+    samples = flights(50.0, epoch_steps=epoch_steps)
+    assert not any(decision.alarm for decision in decisions(samples))
+    name = satellites(samples)[3]
+    found = decisions(with_ranges(samples, {name: lambda t: 50.0}))
+    acting = [decision for decision in found if FROM_S <= decision.t_s < UNTIL_S]
+    assert acting[0].alarm
+    assert {decision.excluded for decision in acting} == {(name,)}
+    assert errors(samples, found).max() < 3.0

@@ -8,7 +8,8 @@ from analysis.detection import Detector, DetectorConfig
 from analysis.detection.filter.inertial import X_SIZE
 from analysis.detection.filter.lasting_errors import Misfit
 from analysis.detection.filter.measurement import choose, model, observe
-from analysis.detection.protection import bounds
+from analysis.detection.isolation.chi_square import two_sided
+from analysis.detection.protection import AXES, RISK, SATELLITE_PRIOR, bounds, level_factors
 from analysis.recordings.recordings import read_rinex_samples
 from analysis.samples.sample import Epoch
 
@@ -86,3 +87,13 @@ def test_larger_sigmas_give_wider_levels(seen):
 def with_sigma(config, **changes):
     sigma = msgspec.structs.replace(config.sigma, **changes)
     return msgspec.structs.replace(config, sigma=sigma)
+
+
+def test_the_factors_are_those_of_the_standards():
+    # RTCA DO-229: K_V for a vertical risk of 1e-7.
+    assert two_sided(1e-7) == pytest.approx(5.33, abs=0.005)
+    healthy, satellite, system = level_factors()[20]
+    assert healthy == pytest.approx(two_sided(RISK / (AXES * 20)))
+    # What is rarely faulty needs a smaller part of the risk.
+    assert satellite == pytest.approx(two_sided(RISK / (AXES * 20) / SATELLITE_PRIOR))
+    assert satellite < system < healthy

@@ -5,7 +5,12 @@ import itertools
 import msgspec
 import pytest
 
-from analysis.fusion.factors.factor_weights import isolated_sensors, range_weights, weight
+from analysis.fusion.factors.factor_weights import (
+    isolated_sensors,
+    range_weights,
+    weight,
+    wrong_rates,
+)
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.monitor.pipeline import monitor_config
 from analysis.results import Decision, SensorDecision
@@ -96,3 +101,14 @@ def test_a_wrong_setting_is_refused_by_name(values, told):
 def test_fusion_is_off_unless_asked_for():
     assert monitor_config({}, "x").fusion is None
     assert monitor_config({"fusion": {}}, "x").fusion == FusionConfig()
+
+
+def test_a_wrong_rate_is_that_of_the_satellite_it_is_told_of():
+    def told(sensor: str, suspect: str) -> SensorDecision:
+        return SensorDecision(
+            t_s=0.0, t_us=0, sensor=sensor, statistic=40.0, threshold=30.0, dof=8, alarm=True,
+            isolated=True, suspect=suspect,
+        )  # fmt: skip
+
+    results = [told("satellites", "G05"), told("satellites", ""), told("actuators", "motor 2")]
+    assert wrong_rates(results) == {"G05"}

@@ -41,6 +41,20 @@ def test_the_verdict_rests_on_epochs_and_errors(folder):
         assert row["misleading"] == 0
 
 
+def test_what_cannot_be_told_is_told(shared_data, tmp_path, capsys):
+    data, schedule = shared_data / "gnss_static", tmp_path / "leap.yaml"
+    schedule.write_text("faults: [{preset: gnss-spoof-jump, at_s: 100, for_s: 60}]\n")
+    files = [str(data / "SEPT078M.21O"), str(data / "SEPT078M.21P")]
+    given = ["--schedule", str(schedule), "--zenoh", "off", "--out", str(tmp_path / "run")]
+    main(["monitor", "--rinex", *files, *given])
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["epochs_without_imu"] == 900
+    assert summary["unbounded_epochs"] == 60
+    told = capsys.readouterr().out
+    assert "carried off all together are believed" in told
+    assert "60 of 900 positions, which nothing bounds" in told
+
+
 def test_the_position_file_is_rtklibs_and_holds_the_positions(folder):
     written = read_reference(str(folder / "solution.pos"))
     lines = (folder / "results.jsonl").read_text().splitlines()

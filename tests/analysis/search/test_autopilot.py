@@ -1,55 +1,129 @@
-"""An autopilot in the loop, behind a MAVLink link: a stand-in process in lockstep."""
+"""Flights of a search under an autopilot: what is read from their run folders, and a real one."""
 
-import sys
+import json
+import os
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from analysis.results import AttitudeError, encode_lines
+from analysis.search.evaluation import autopilot_flight
 from analysis.search.evaluation.flown_cases import Flown
-from analysis.search.space.fault_range import FaultRange
-from analysis.search.space.test_file import AutopilotChoice, Initial, Sensors, TestFile
+from analysis.search.space.test_file import TestFile, read_test
 from mavproxy_fault.documents.errors import ConfigError
 
-STAND_IN = Path(__file__).with_name("stand_in.py")
-CHOICE = AutopilotChoice(
-    link="tcpin:127.0.0.1:0", command=[sys.executable, str(STAND_IN), "{port}"]
+EXAMPLE = Path(__file__).parents[3] / "examples" / "autopilot_search.yaml"
+VALUES = {"faults[0].value": 0.05, "faults[0].at_s": 6.0, "faults[0].for_s": 5.0}
+VALUES |= {"faults[0].target": 0.0}
+DOCUMENT = {"seed": 1, "schedule": {"faults": [{"id": "x"}]}}
+HEALTHY_DEG, FAULTED_DEG = 3.0, 5.0
+
+
+def written(
+    folder: Path, error_deg: float, *, off_ground: bool = True, landed: bool = True
+) -> Path:
+    """A run folder: on the ground to 10 s, in the air to 20 s, with an error of roll."""
+    run = folder / "run"
+    run.mkdir(parents=True, exist_ok=True)
+    moments = {"arming": 5.0} | ({"take-off": 10.0, "landing": 20.0} if off_ground else {})
+    ended = "" if landed else "it fell"
+    account = {"landed": landed, "ended_early": ended, "moments_s": moments}
+    (run / "summary.json").write_text(json.dumps({"autopilot": account}))
+    errors = [
+        AttitudeError(
+            t_s=t,
+            t_us=t * 1_000_000,
+            estimator=estimator,
+            pitch=0.0,
+            yaw=0.0,
+            angle=roll,
+            roll=roll,
+        )
+        for t in range(30)
+        # Far off on the ground and while landing, which is not of the flight.
+        for estimator, roll in (
+            ("ATTITUDE", error_deg if 10 <= t < 20 else 90.0),
+            ("ekf", 70.0),
+        )
+    ]
+    (run / "results.jsonl").write_bytes(encode_lines(errors))
+    return run
+
+
+@pytest.fixture
+def flights(monkeypatch):
+    """What each flight is to show, taken one after the other; the healthy one is always alike."""
+    coming: list[dict] = []
+    flown: list[dict] = []
+
+    def fly(subject, words, schedule, folder, *, kept):
+        flown.append({"words": words, "schedule": schedule})
+        if not schedule["faults"]:
+            return written(folder, HEALTHY_DEG)
+        return written(folder, **coming.pop(0))
+
+    monkeypatch.setattr(autopilot_flight, "fly_in_process", fly)
+    autopilot_flight._healthy.cache_clear()
+    yield coming, flown
+    autopilot_flight._healthy.cache_clear()
+
+
+@pytest.fixture
+def choice():
+    test = read_test(EXAMPLE)
+    assert test.autopilot is not None
+    return test.autopilot
+
+
+def test_the_error_is_that_in_the_air_less_the_flight_without_faults(flights, choice):
+    coming, flown = flights
+    coming += [{"error_deg": FAULTED_DEG}, {"error_deg": 1.0}]
+    found, error_deg = autopilot_flight.estimate(choice, DOCUMENT, 0.0)
+    assert error_deg.tolist() == pytest.approx([4.0, 0.0, 0.0, 4.0])  # 5^2 = 3^2 + 4^2
+    assert (found.lasted_s, found.ended_early) == (10.0, "")
+    _, error_deg = autopilot_flight.estimate(choice, DOCUMENT, 0.0)
+    assert error_deg.tolist() == [0.0] * 4  # better than without: no fault has done that
+    assert [bool(one["schedule"]["faults"]) for one in flown] == [False, True, True]
+    assert flown[0]["words"][1:] == ["--autopilot", "px4"]
+
+
+def test_a_flight_that_never_began_is_flown_again_and_then_told(flights, choice):
+    coming, _ = flights
+    coming += [{"error_deg": 0.0, "off_ground": False}] * 2 + [{"error_deg": FAULTED_DEG}]
+    found, _ = autopilot_flight.estimate(choice, DOCUMENT, 0.0)
+    assert found.lasted_s == 10.0
+    coming += [{"error_deg": 0.0, "off_ground": False, "landed": False}] * 3
+    with pytest.raises(ConfigError, match="no flight came of it, 3 times; it never left the gr"):
+        autopilot_flight.estimate(choice, DOCUMENT, 0.0)
+
+
+def test_a_flight_that_does_not_land_by_itself_met_the_ground(flights):
+    coming, _ = flights
+    coming += [{"error_deg": FAULTED_DEG, "landed": False}]
+    flown = Flown(read_test(EXAMPLE))
+    outcome = flown.of_values({name: np.array([v]) for name, v in VALUES.items()}, 1, 0, 1)
+    assert outcome.broken_limit.tolist() == [7]
+    assert outcome.fitness[0] < 0.0  # worse than any that stayed in the air
+
+
+def test_an_autopilot_needs_a_scenario():
+    choice = {"kind": "px4"}
+    with pytest.raises(ValueError, match="an autopilot flies a scenario; give scenario too"):
+        TestFile(estimator="autopilot", autopilot=choice)  # type: ignore[arg-type]
+
+
+@pytest.mark.skipif(
+    shutil.which(os.environ.get("MAVPROXY_FAULT_PX4", "")) is None,
+    reason="MAVPROXY_FAULT_PX4 names no SITL program of PX4",
 )
-FAULT = FaultRange(fault="bias", target="HIL_SENSOR.xgyro", value=(0.0, 0.1), at_s=1.0, for_s=2.0)
-TEST = TestFile(
-    estimator="autopilot",
-    autopilot=CHOICE,
-    duration_s=5.0,
-    noise_draws=1,
-    initial=Initial(height_m=1000.0),
-    sensors=Sensors(gyro_sigma_dps=0.01),
-    faults=[FAULT],
-)
-
-
-def test_an_autopilot_is_searched_in_lockstep():
-    flown = Flown(TEST)
-    assert flown.space.names == ("faults[0].value",)
-    outcome = flown.evaluate(np.array([[0.0], [1.0]]), 1, 0)
-    assert (outcome.broken_limit == 0).all()
-    assert outcome.fitness[0] < 0.2
-    # 0.1 rad/s for 2 s is 11.5 degrees, held for the last 2 s and rising before
-    held = np.degrees(0.2)
-    expected = held * np.sqrt((2.0 / 3.0 + 2.0) / 5.0)
-    assert outcome.rmse_deg[1, 0] == pytest.approx(expected, rel=0.02)
-
-
-def test_an_autopilot_that_does_not_start_is_the_users_error():
-    choice = AutopilotChoice(link="tcpin:127.0.0.1:0", command=["no-such-autopilot"])
-    test = TestFile(estimator="autopilot", autopilot=choice)
-    with pytest.raises(
-        ConfigError, match=r"autopilot.command: no-such-autopilot cannot be started"
-    ):
-        Flown(test).evaluate(np.zeros((1, 0)), 1, 0)
-
-
-def test_an_autopilot_that_ends_at_once_is_the_users_error():
-    choice = AutopilotChoice(link="tcpin:127.0.0.1:0", command=[sys.executable, "-c", ""])
-    test = TestFile(estimator="autopilot", autopilot=choice)
-    with pytest.raises(ConfigError, match="it ended with code 0"):
-        Flown(test).evaluate(np.zeros((1, 0)), 1, 0)
+def test_a_real_px4_is_turned_by_a_gyro_bias_of_the_search(tmp_path):
+    text = EXAMPLE.read_text().replace(
+        "kind: px4", f"kind: px4, binary: {os.environ['MAVPROXY_FAULT_PX4']}"
+    )
+    (tmp_path / "search.yaml").write_text(text)
+    shutil.copy(EXAMPLE.with_name("px4_brief_hover.yaml"), tmp_path)
+    flown = Flown(read_test(tmp_path / "search.yaml"))
+    outcome = flown.of_values({name: np.array([v]) for name, v in VALUES.items()}, 1, 0, 1)
+    assert outcome.rmse_deg[0, 3] > 2.0

@@ -1,6 +1,6 @@
 import pytest
 
-from mavproxy_fault.ardupilot.json_physics import read_servos
+from mavproxy_fault.ardupilot.feeding.json_physics import read_servos
 from mavproxy_fault.ardupilot.outputs import actuator_frame, motor_channels, plane_channels
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser

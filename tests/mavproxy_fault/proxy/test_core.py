@@ -277,3 +277,21 @@ def test_the_tape_holds_what_came_and_what_left() -> None:
     assert taken.received_other == taken.sent_other == stamp + b"\0\0\0\x05noise"
     assert taken.index == bytes((0, 0, len(sensor(1.0)), 0, 0, 0, 0, 1, 5, 0, 0, 0))
     assert tape.drain().received == b""
+
+
+def test_a_command_reaches_the_vehicle_though_another_signs_as_the_proxy_does_on_its_link() -> None:
+    """A bridge beside an autopilot speaks as component 191, as the proxy's own frames do."""
+    core = core_with(
+        "faults: [{fault: command, number: 218, params: [65, 2], afterwards: [65, 0], for_s: 1}]"
+    )
+    beside = heartbeat(component=191)
+    vehicle = Frame(build(known("HEARTBEAT"), {"autopilot": 3, "type": 2}), known("HEARTBEAT")).raw
+    granted = build(known("COMMAND_ACK"), {"command": 218, "result": 0})
+    heard: list[list[float]] = []
+    for now_us, data in ((0, beside), (1000, vehicle), (2000, granted), (2_000_000, beside)):
+        for send in core.received(0, data, now_us) + core.due(now_us):
+            for item in Parser().push(send.data):
+                assert isinstance(item, Frame)
+                if send.link == 0 and item.layout.name == "COMMAND_LONG":
+                    heard.append([item.number("param1"), item.number("param2")])
+    assert heard == [[65, 2], [65, 0]]

@@ -81,3 +81,15 @@ def test_a_stamp_that_no_clock_can_show_is_read_as_none() -> None:
         assert clock.read(frame("HIL_SENSOR", time_usec=stamp), 55) == 55
         clock.read(frame("HIL_SENSOR", time_usec=1_000), 60)
         assert clock.read(frame("HIL_SENSOR", time_usec=stamp), 65) == 1_000
+
+
+def test_microseconds_in_32_bits_are_no_clock() -> None:
+    """SERVO_OUTPUT_RAW begins anew every 72 minutes, while its sender's other stamps go on."""
+    hours = 3 * 3600 * 1000
+    outputs = frame("SERVO_OUTPUT_RAW", time_usec=(hours * 1000) % 2**32)
+    assert stamp_us(outputs) == 0
+    clock = VehicleClock()
+    clock.read(frame("ATTITUDE", time_boot_ms=hours), 0)
+    for n in range(1, 5):
+        assert clock.read(outputs, n) == (hours + n - 1) * 1000
+        assert clock.read(frame("ATTITUDE", time_boot_ms=hours + n), n) == (hours + n) * 1000

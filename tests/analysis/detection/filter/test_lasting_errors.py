@@ -19,7 +19,8 @@ from analysis.detection.filter.measurement import choose, model, observe
 from analysis.detection.protection import bounds
 from analysis.recordings.recordings import read_rinex_samples
 from analysis.results import Decision
-from analysis.samples.sample import Epoch
+from analysis.samples.block import block_of
+from analysis.samples.sample import Epoch, IonosphereSample
 from analysis.scoring.position_scores import PositionScores
 
 ANTENNA_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])  # of the data's README
@@ -56,6 +57,35 @@ def test_errors_over_sigma_are_honest_by_default_and_calibrated_on_the_half_befo
         half, most = over_sigma(samples, judged_with)
         assert 0.7 <= half <= 1.5
         assert most < 3.0
+
+
+def test_coefficients_that_nobody_has_sent_make_the_position_less_sure(static):
+    kept = [s for s in static if not isinstance(s, IonosphereSample)]
+    assert len(kept) < len(static)
+    sent, none = (sigmas(samples) for samples in (first(static), first(kept)))
+    assert np.all(none > 1.2 * sent)
+
+
+def test_coefficients_of_the_user_are_taken_for_known(static):
+    kept = first([s for s in static if not isinstance(s, IonosphereSample)])
+    typical = DetectorConfig().ionosphere
+    a_little_other = (typical[0] * 1.0001, *typical[1:])
+    own = sigmas(kept, DetectorConfig(ionosphere=a_little_other))
+    assert np.all(own < 0.8 * sigmas(kept))
+
+
+def first(samples, epochs=60):
+    """The samples up to an epoch."""
+    ends = [i for i, s in enumerate(samples) if isinstance(s, Epoch)]
+    return samples[: ends[epochs]]
+
+
+def sigmas(samples, config=None):
+    """The positions' sigmas (n,) in m."""
+    detector = Detector(config or DetectorConfig())
+    results, _ = detector.step(block_of(samples), detector.new_state())
+    told = [r.position_sigma_m for r in results if isinstance(r, Decision)]
+    return np.linalg.norm([sigma for sigma in told if sigma is not None], axis=1)
 
 
 def test_calibration_works_on_epochs_of_every_thirty_seconds(static):

@@ -1,4 +1,4 @@
-"""Sensors that leave their own level: field, fix, strength of signals."""
+"""Sensors that leave their own level: field and fix."""
 
 from collections.abc import Callable
 
@@ -8,11 +8,10 @@ import pytest
 from analysis.detection.sensors.level_watch import LevelWatch
 from analysis.results import SensorDecision
 from analysis.samples.block import Block, block_of
-from analysis.samples.sample import Epoch, GpsFix, MagSample, Sample
+from analysis.samples.sample import GpsFix, MagSample, Sample
 
 CHANGES_S, BACK_S, ENDS_S = 10.0, 15.0, 20.0
 FIELD_GAUSS = np.array([0.2, 0.0, 0.43])
-SATELLITES = ("G01", "G02", "E01")
 
 
 def flight(make: Callable[[int, bool], Sample], hz: float = 10.0) -> Block:
@@ -48,25 +47,12 @@ def fix_of(fix_type: int) -> Callable[[int, bool], Sample]:
     return make
 
 
-def epoch_of(drop_dbhz: float, of: int = len(SATELLITES)) -> Callable[[int, bool], Sample]:
-    """An epoch, of which some satellites are weaker."""
-
-    def make(t_us: int, wrong: bool) -> Sample:
-        strength = np.full(len(SATELLITES), 45.0)
-        strength[:of] -= drop_dbhz if wrong else 0.0
-        unknown = np.full(len(SATELLITES), np.nan)
-        return Epoch(t_us, 2300, t_us * 1e-6, SATELLITES, unknown, unknown, strength)
-
-    return make
-
-
 @pytest.mark.parametrize(
     ("make", "sensor"),
     [
         (field_of(1.3), "mag"),
         (field_of(0.8), "mag"),
         (fix_of(2), "gps-position"),
-        (epoch_of(20.0), "satellites"),
     ],
 )
 def test_who_leaves_its_level_is_blamed_while_it_does(
@@ -79,7 +65,7 @@ def test_who_leaves_its_level_is_blamed_while_it_does(
     assert -600_000 < found[-1].t_us - BACK_S * 1e6 < 1_000_000
 
 
-@pytest.mark.parametrize("make", [field_of(1.05), fix_of(4), epoch_of(12.0, of=1)])
+@pytest.mark.parametrize("make", [field_of(1.05), fix_of(4)])
 def test_small_changes_blame_nobody(make: Callable[[int, bool], Sample]) -> None:
     assert told(flight(make)) == []
 

@@ -3,7 +3,7 @@ import struct
 
 import pytest
 
-from mavproxy_fault.ardupilot.json_physics import BodyState, read_servos, state_line
+from mavproxy_fault.ardupilot.feeding.json_physics import BodyState, read_servos, state_line
 
 STATE = BodyState(
     t_us=1_002_500,

@@ -2,7 +2,7 @@ import struct
 
 from fastcrc.crc16 import xmodem
 
-from mavproxy_fault.ardupilot.vectornav import (
+from mavproxy_fault.ardupilot.feeding.vectornav import (
     GnssOutput,
     ImuOutput,
     gnss_packet,

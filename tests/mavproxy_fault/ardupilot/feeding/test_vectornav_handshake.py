@@ -3,7 +3,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavproxy_fault.ardupilot.vectornav_handshake import Handshake, checksum, sentence_of
+from mavproxy_fault.ardupilot.feeding.vectornav_handshake import Handshake, checksum, sentence_of
 
 
 def test_a_real_driver_is_answered_line_for_line(handshake_lines):

@@ -5,13 +5,13 @@ is no sensor of a HIL simulator (commands, missions, a companion's messages) pas
 HIL_OPTICAL_FLOW is left out: ArduPilot's driver counts flow in whole numbers too coarse for it.
 """
 
-from mavproxy_fault.ardupilot.hil_readings import ID_GPS
-from mavproxy_fault.ardupilot.sensor_feed import (
+from mavproxy_fault.ardupilot.feeding.sensor_feed import (
     DOP_PER_M,
     GPS_EPOCH_US,
     SPEED_SIGMA_MPS,
     WORST_DOP,
 )
+from mavproxy_fault.ardupilot.hil_readings import ID_GPS
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 

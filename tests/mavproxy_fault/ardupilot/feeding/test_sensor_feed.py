@@ -3,8 +3,8 @@ import struct
 
 import pytest
 
+from mavproxy_fault.ardupilot.feeding.sensor_feed import SensorFeed
 from mavproxy_fault.ardupilot.hil_readings import Readings, TrueState
-from mavproxy_fault.ardupilot.sensor_feed import SensorFeed
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 

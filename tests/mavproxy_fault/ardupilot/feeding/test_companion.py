@@ -1,4 +1,4 @@
-from mavproxy_fault.ardupilot.companion import for_ardupilot
+from mavproxy_fault.ardupilot.feeding.companion import for_ardupilot
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.parser import Parser

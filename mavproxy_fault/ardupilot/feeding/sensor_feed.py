@@ -8,6 +8,14 @@ one out and repeats its last.
 import math
 from typing import NamedTuple
 
+from mavproxy_fault.ardupilot.feeding.json_physics import BodyState, state_line
+from mavproxy_fault.ardupilot.feeding.vectornav import (
+    GnssOutput,
+    ImuOutput,
+    gnss_packet,
+    imu_packet,
+    ins_packet,
+)
 from mavproxy_fault.ardupilot.hil_readings import (
     DIFF_PRESSURE,
     ID_GPS,
@@ -15,14 +23,6 @@ from mavproxy_fault.ardupilot.hil_readings import (
     Readings,
     TrueState,
     true_airspeed,
-)
-from mavproxy_fault.ardupilot.json_physics import BodyState, state_line
-from mavproxy_fault.ardupilot.vectornav import (
-    GnssOutput,
-    ImuOutput,
-    gnss_packet,
-    imu_packet,
-    ins_packet,
 )
 from mavproxy_fault.wire.frame import Frame
 

@@ -1,0 +1,58 @@
+"""`run --autopilot` as a process: for whoever flies many flights.
+
+Each flight is a process group of its own with its own ports and folder, so that nothing of one
+reaches another; it ends with the worker that started it.
+"""
+
+import ctypes
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.yaml_document import write_yaml
+
+PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
+WRONG_INPUT = 2
+LAST_LINES = 3
+
+
+def fly_in_process(
+    subject: str, run: Sequence[str], schedule: dict[str, Any], folder: Path, *, kept: bool
+) -> Path:
+    """Fly `mavproxy-fault run` with the words `run` and the faults of a schedule, its logs in
+    `folder`; with a report if `kept`. The run folder.
+
+    Raises
+    ------
+    ConfigError
+        If the command refuses the scenario or the autopilot, or leaves no result.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    faults = folder / "schedule.yaml"
+    faults.write_text(write_yaml(schedule))
+    words = ["run", *run, "--schedule", str(faults), "--seed", str(schedule["seed"])]
+    words += ["--out", str(folder / "run"), "--zenoh", "off"]
+    if not kept:
+        words += ["--no-report"]
+    done = subprocess.run(
+        [sys.executable, "-m", "mavproxy_fault.cli", *words],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=_end_with_parent,
+    )
+    if done.returncode == WRONG_INPUT or not (folder / "run" / "summary.json").is_file():
+        # Its last lines say why.
+        last = done.stderr.strip().splitlines()[-LAST_LINES:]
+        raise ConfigError(f"{subject}: no flight came of it; {' '.join(last)}")
+    return folder / "run"
+
+
+def _end_with_parent() -> None:
+    """Have the kernel end the flight when its worker is killed."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)

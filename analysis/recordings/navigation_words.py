@@ -1,0 +1,160 @@
+"""Ephemerides from the bits that satellites send: GPS subframes and Galileo I/NAV words.
+
+Fields, their bits and their scales are those of RTCM 1019 and 1046, which took them over; here
+stands where they lie [1]_ [2]_. The week of an ephemeris is the one that puts its time next to that
+of the recording: ten or twelve bits of it are sent, and a satellite sends nothing a week old.
+
+References
+----------
+.. [1] IS-GPS-200N, figures 20-1 (subframes 1 to 3, and page 18 of 4), tables 20-I to 20-III, 20-X.
+.. [2] Galileo OS SIS ICD 2.1, sections 4.3.2 (pages), 4.3.5 (words 1 to 5), 5.1.9.4 (CRC).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mavproxy_fault.rtcm.bit_fields import BitReader
+from mavproxy_fault.rtcm.ephemeris_messages import (
+    GALILEO_ROWS,
+    GPS_ROWS,
+    ORIENTATION_ROWS,
+    SHAPE_ROWS,
+    Ephemeris,
+    Row,
+    ephemeris_of,
+    read_fields,
+)
+from mavproxy_fault.rtcm.transport import crc24q
+
+Coefficients = tuple[float, float, float, float]  # of Klobuchar's model
+Fields = dict[str, float]
+
+WEEK_S = 604_800
+PREAMBLE = 0x8B
+KLOBUCHAR_PAGE = 56  # the page's id in subframe 4
+KLOBUCHAR_STEPS = (2**-30, 2**-27, 2**-24, 2**-24, 2**11, 2**14, 2**16, 2**16)
+INAV_WORDS = (1, 2, 3, 4, 5)
+
+
+def _rows(table: tuple[Row, ...], names: str) -> tuple[Row, ...]:
+    """The rows of a table by name; a number stands for so many bits that are passed over."""
+    known = {row[0]: row for row in table}
+    return tuple(("", int(n), 1) if n.isdigit() else known[n] for n in names.split())
+
+
+_SUBFRAMES: dict[int, tuple[Row, ...]] = {
+    1: (
+        *_rows(GPS_ROWS, "week code accuracy health"),
+        ("iodc_high", 2, 1),
+        *_rows(GPS_ROWS, "l2p 87 group_delay_s"),
+        ("iodc_low", 8, 1),
+        *_rows(GPS_ROWS, "toc_s af2_per_s af1 af0_s"),
+    ),
+    2: (*_rows(GPS_ROWS, "iode"), *SHAPE_ROWS, *_rows(GPS_ROWS, "toe_s long_fit")),
+    3: (*ORIENTATION_ROWS, *_rows(GPS_ROWS, "iode idot_rps")),
+}
+_INAV: dict[int, tuple[Row, ...]] = {
+    1: _rows(GALILEO_ROWS, "iode toe_s m0_rad eccentricity sqrt_a"),
+    2: _rows(GALILEO_ROWS, "iode omega0_rad i0_rad omega_rad idot_rps"),
+    3: _rows(GALILEO_ROWS, "iode omega_dot_rps delta_n_rps cuc_rad cus_rad crc_m crs_m accuracy"),
+    4: _rows(GALILEO_ROWS, "iode prn cic_rad cis_rad toc_s af0_s af1 af2_per_s"),
+    5: (
+        *_rows(GALILEO_ROWS, "41 group_delay_e5a_s group_delay_s"),
+        ("e5b_health", 2, 1),
+        ("e1_health", 2, 1),
+        ("e5b_invalid", 1, 1),
+        ("e1_invalid", 1, 1),
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Subframe:
+    """Ten words of 24 bits without their parity; `number` 1 to 5."""
+
+    number: int
+    data: bytes
+
+
+def subframe(words: Sequence[int]) -> Subframe | None:
+    """A subframe of ten words of 30 bits; None where it does not begin with the preamble."""
+    if len(words) < 10:
+        return None
+    data = b"".join((word >> 6 & 0xFFFFFF).to_bytes(3, "big") for word in words[:10])
+    return Subframe(data[5] >> 2 & 7, data) if data[0] == PREAMBLE else None
+
+
+def klobuchar(found: Subframe) -> tuple[Coefficients, Coefficients] | None:
+    """Alpha and beta, where the subframe is the page that holds them."""
+    if found.number != 4 or found.data[6] & 0x3F != KLOBUCHAR_PAGE:
+        return None
+    counts = BitReader(found.data[7:15]).many_signed(8, 8)
+    a0, a1, a2, a3, b0, b1, b2, b3 = (
+        count * step for count, step in zip(counts, KLOBUCHAR_STEPS, strict=True)
+    )
+    return (a0, a1, a2, a3), (b0, b1, b2, b3)
+
+
+def gps_ephemeris(
+    satellite: str, subframes: dict[int, Subframe], near_s: float
+) -> Ephemeris | None:
+    """The ephemeris of the newest subframes 1, 2 and 3; None while they are of different issues.
+
+    `near_s` is a time of GPS's count of seconds near which they were sent.
+    """
+    if not all(number in subframes for number in _SUBFRAMES):
+        return None
+    parts = {
+        k: read_fields(BitReader(subframes[k].data[6:]), rows) for k, rows in _SUBFRAMES.items()
+    }
+    if not parts[1]["iodc_low"] == parts[2]["iode"] == parts[3]["iode"]:
+        return None
+    values = parts[1] | parts[2] | parts[3]
+    values["iodc"] = 256 * values["iodc_high"] + values["iodc_low"]
+    return ephemeris_of(satellite, _week(values, near_s), values)
+
+
+def inav_word(words: Sequence[int]) -> tuple[int, bytes] | None:
+    """Type and 128 bits of the I/NAV word in a page: even and odd part of four words of 32 bits.
+
+    None where it is an alert page, or its checksum is wrong.
+    """
+    if len(words) < 8:
+        return None
+    even, odd = (
+        int.from_bytes(b"".join(word.to_bytes(4, "big") for word in words[k : k + 4]), "big")
+        for k in (0, 4)
+    )
+    # The two leading bits of each part: even or odd, nominal or alert.
+    if even >> 126 != 0b00 or odd >> 126 != 0b10:
+        return None
+    # 114 bits of the even part and 82 of the odd one are summed up in 24 bits.
+    summed = even >> 14 << 82 | odd >> 46
+    if crc24q(summed.to_bytes(25, "big")) != odd >> 22 & 0xFFFFFF:
+        return None
+    word = ((even >> 14 & (1 << 112) - 1) << 16 | odd >> 110 & 0xFFFF).to_bytes(16, "big")
+    return word[0] >> 2, word
+
+
+def inav_ephemeris(satellite: str, words: dict[int, bytes], near_s: float) -> Ephemeris | None:
+    """The ephemeris of the newest I/NAV words 1 to 5; None while they are of different issues."""
+    if not all(kind in words for kind in INAV_WORDS):
+        return None
+    parts: dict[int, Fields] = {}
+    for kind, rows in _INAV.items():
+        bits = BitReader(words[kind])
+        bits.unsigned(6)  # the word's type
+        parts[kind] = read_fields(bits, rows)
+    # Word 5 has no issue of its own.
+    if len({parts[kind]["iode"] for kind in (1, 2, 3, 4)}) > 1:
+        return None
+    if int(parts[4]["prn"]) != int(satellite[1:]):
+        return None
+    values = {name: value for part in parts.values() for name, value in part.items()}
+    e5b = 2 * values["e5b_health"] + values["e5b_invalid"]
+    values["health"] = 8 * e5b + 2 * values["e1_health"] + values["e1_invalid"]
+    return ephemeris_of(satellite, _week(values, near_s), values)
+
+
+def _week(values: Fields, near_s: float) -> int:
+    return round((near_s - values["toe_s"]) / WEEK_S)

@@ -1,0 +1,150 @@
+"""ArduPilot on its own board: a VectorNav on one serial line, its MAVLink on another.
+
+Nothing is in lockstep: the board has its own clock. Its outputs come as SERVO_OUTPUT_RAW and act
+when they come, so the simulator has to go on in real time.
+"""
+
+import select
+from collections.abc import Callable
+
+from mavproxy_fault.ardupilot.bridge_ports import SensorPort
+from mavproxy_fault.ardupilot.bridged_autopilot import CHANNELS
+from mavproxy_fault.ardupilot.feeding.companion import for_ardupilot
+from mavproxy_fault.ardupilot.feeding.sensor_feed import SensorFeed
+from mavproxy_fault.ardupilot.observation import Observation, Seen
+from mavproxy_fault.ardupilot.outputs import CHANNELS as OUTPUTS
+from mavproxy_fault.ardupilot.outputs import MODE_ARMED, actuator_frame
+from mavproxy_fault.ardupilot.parameters import Kind
+from mavproxy_fault.ardupilot.preparation import Preparation, servo_outputs
+from mavproxy_fault.links.inbox import Inbox
+from mavproxy_fault.links.link import Chunk, Link, LinkCounters
+from mavproxy_fault.wire.frame import Frame
+
+AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
+SERVOS = [f"servo{output}_raw" for output in range(1, OUTPUTS + 1)]
+
+
+class WiredAutopilot:
+    """The board as a `Link`: HIL frames are received, its answers and its own MAVLink read.
+
+    Parameters
+    ----------
+    vectornav, mavlink : Link
+        The lines to the board's external AHRS and telemetry ports; closed with this.
+    vehicle : {"copter", "plane"}
+    say : callable
+        Takes a line for the person who flies.
+    hil : str
+        The HIL link's name, for messages.
+    """
+
+    datagrams = False
+
+    def __init__(
+        self, vectornav: Link, mavlink: Link, vehicle: Kind, say: Callable[[str], None], hil: str
+    ) -> None:
+        self.name = "ArduPilot"
+        self.counters = LinkCounters(bytes_in=1)
+        self.armed = False
+        self.steps = self.t_us = 0
+        self._sensor, self._mavlink = SensorPort(vectornav), mavlink
+        self._inbox = Inbox(mavlink)
+        self._channels, self._say = CHANNELS[vehicle], say
+        self._observation = Observation(hil)
+        self._seen: Seen | None = None
+        self._answers: list[Chunk] = []
+        self._seq = 0
+        self._epoll = select.epoll()
+        for link in (self._sensor, mavlink):
+            self._epoll.register(link.fileno(), select.EPOLLIN)
+
+    @property
+    def started(self) -> bool:
+        """Whether the sensors were seen, and the board is fed."""
+        return self._seen is not None
+
+    @property
+    def peer_count(self) -> int:
+        """1 while its MAVLink device is there."""
+        return self._mavlink.peer_count
+
+    def poll(self) -> None:
+        """A board does not end."""
+
+    def fileno(self) -> int:
+        """The epoll descriptor over both lines."""
+        return self._epoll.fileno()
+
+    def receive(self, frame: Frame) -> None:
+        """A frame of the HIL link.
+
+        Raises
+        ------
+        ConfigError
+            If ArduPilot cannot fly on what comes.
+        """
+        if self._seen is None:
+            if (seen := self._observation.update(frame)) is not None:
+                self._start(seen)
+        elif self._seen.readings.update(frame):
+            self._end_step(self._seen)
+        elif (raw := for_ardupilot(frame)) is not None:
+            self._mavlink.write(raw)
+
+    def _start(self, seen: Seen) -> None:
+        self._seen = seen
+        self._feed = SensorFeed(seen.home)
+        self._preparation = Preparation(seen.home, servo_outputs())
+        self._say(f"feeding the board, {seen.fitted.rate_hz:g} steps a second")
+
+    def _end_step(self, seen: Seen) -> None:
+        truth = seen.readings.truth
+        if truth is None:
+            return
+        self.steps, self.t_us = self.steps + 1, truth.t_us
+        self._sensor.write(self._feed.step(seen.readings, truth).vectornav)
+        seen.readings.begin_step()
+        if (request := self._preparation.due(truth.t_us)) is not None:
+            self._mavlink.write(request)
+
+    def read(self) -> list[Chunk]:
+        """What the board has to say.
+
+        Raises
+        ------
+        ConfigError
+            If it does not fly on the VectorNav.
+        """
+        self._sensor.serve()
+        for frame in self._inbox.frames():
+            self._heard(frame)
+        answers, self._answers = self._answers, []
+        return answers
+
+    def _heard(self, frame: Frame) -> None:
+        name = frame.layout.name
+        if name == "SERVO_OUTPUT_RAW":
+            if self.started and frame.number("port") == 0:
+                self._answer(frame)
+            return
+        self._answers.append((0, frame.raw))
+        if name == "HEARTBEAT" and frame.component == AUTOPILOT:
+            self.armed = bool(int(frame.number("base_mode")) & MODE_ARMED)
+        if self.started and (waiting := self._preparation.pending):
+            self._preparation.received(frame)
+            if self._preparation.pending != waiting:
+                self._say(f"{waiting}: done")
+
+    def _answer(self, frame: Frame) -> None:
+        """The outputs as HIL_ACTUATOR_CONTROLS; the monitor hears them as they came, too."""
+        pwm_us = [int(frame.number(servo)) for servo in SERVOS]
+        self._seq = (self._seq + 1) & 0xFF
+        channels = self._channels(pwm_us)
+        raw = actuator_frame(self.t_us, channels, self._seq, armed=self.armed)
+        self._answers += [(0, frame.raw), (0, raw)]
+
+    def close(self) -> None:
+        """Close both lines."""
+        self._epoll.close()
+        self._sensor.close()
+        self._mavlink.close()

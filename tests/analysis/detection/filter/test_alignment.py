@@ -1,0 +1,86 @@
+"""Attitude of an IMU that lies still beside a real antenna: level, heading by the magnetometer."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.detection import Detector
+from analysis.detection.filter.initial_fix import GYRO_BIAS_SIGMA_RPS
+from analysis.recordings.recordings import read_rinex_samples
+from analysis.results import Decision
+from analysis.samples.block import block_of
+from analysis.samples.sample import Epoch, ImuSample, MagSample, Sample
+from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
+from mavproxy_fault.numerics.rotations.rotation_kernel import matrix
+
+EPOCHS, IMU_US = 60, 20_000
+ROLL_RAD, HEADING_RAD = 0.1, 0.7
+GRAVITY_MPS2 = 9.797  # at the antenna, to a millimetre per second squared
+
+
+@pytest.fixture(scope="module")
+def static(shared_data: Path) -> list[Sample]:
+    folder = shared_data / "gnss_static"
+    samples = read_rinex_samples(folder / "SEPT078M.21O", folder / "SEPT078M.21P")
+    ends = [i for i, sample in enumerate(samples) if isinstance(sample, Epoch)]
+    return samples[: ends[EPOCHS]]
+
+
+def at_rest(samples: Sequence[Sample], with_mag: bool) -> list[Sample]:
+    """The recording with an IMU that lies rolled and turned beside the antenna."""
+    rng = np.random.default_rng(4)
+    roll = np.array([[1, 0, 0], [0, *turn(ROLL_RAD)[0]], [0, *turn(ROLL_RAD)[1]]])
+    heading = np.eye(3)
+    heading[:2, :2] = turn(HEADING_RAD)
+    rot_bn = roll @ heading
+    force, field = rot_bn @ [0.0, 0.0, -GRAVITY_MPS2], rot_bn @ [0.3, 0.0, 0.35]
+    found: list[Sample] = []
+    last_us = None
+    for sample in samples:
+        if isinstance(sample, Epoch):
+            stamps = range(last_us or sample.t_us - IMU_US, sample.t_us, IMU_US)
+            for t_us in stamps:
+                rates = rng.normal(0.0, 0.002, 3)
+                found.append(ImuSample(t_us, rates, force + rng.normal(0.0, 0.02, 3)))
+                if with_mag and t_us % 100_000 == 0:
+                    found.append(MagSample(t_us, field))
+            last_us = sample.t_us
+        found.append(sample)
+    return found
+
+
+def turn(angle_rad: float) -> np.ndarray:
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, s], [-s, c]])
+
+
+def test_an_imu_at_rest_is_aligned_with_the_magnetometer_s_heading(static: list[Sample]) -> None:
+    detector = Detector()
+    results, state = detector.step(block_of(at_rest(static, True)), detector.new_state())
+    decisions = [r for r in results if isinstance(r, Decision)]
+    assert decisions[-1].mode == "inertial"
+    assert not any(decision.alarm for decision in decisions)
+    motion = state.core.motion
+    assert motion is not None
+    lat, lon, _ = geodetic(motion.x[:3])
+    rot_nb = ned_axes(lat, lon) @ matrix(motion.x[6:10])
+    sigma_rad = np.sqrt(np.diag(motion.p)[6:9]).max()
+    roll_rad = math.atan2(rot_nb[2, 1], rot_nb[2, 2])
+    heading_rad = math.atan2(rot_nb[1, 0], rot_nb[0, 0])
+    assert abs(roll_rad - ROLL_RAD) < 0.02
+    assert abs(heading_rad - HEADING_RAD) < 3.0 * sigma_rad
+    # From 0.35 rad it grows no faster than by a gyro bias that nothing sees.
+    assert sigma_rad < math.hypot(0.35, GYRO_BIAS_SIGMA_RPS * EPOCHS)
+
+
+def test_without_a_magnetometer_its_heading_stays_unknown_and_it_moves_nothing(
+    static: list[Sample],
+) -> None:
+    detector = Detector()
+    results, _ = detector.step(block_of(at_rest(static, False)), detector.new_state())
+    decisions = [r for r in results if isinstance(r, Decision)]
+    assert {decision.mode for decision in decisions} == {"start", "free"}
+    assert not any(decision.alarm for decision in decisions)
