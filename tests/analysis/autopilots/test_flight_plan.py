@@ -42,7 +42,8 @@ def test_a_mission_is_flown_by_its_corners_at_its_speed(tmp_path):
 def test_the_way_between_corners_follows_the_path(tmp_path, shape):
     file = tmp_path / "scenario.yaml"
     file.write_text(
-        "name: it\nduration_s: 60\nsensors: {imu: {}}\nvehicle: {kind: multirotor, parameters: iris}\n"
+        "name: it\nduration_s: 60\nsensors: {imu: {}}\n"
+        "vehicle: {kind: multirotor, parameters: iris}\n"
         f"mission: [{{shape: {shape}, size_m: 60, height_m: 20, speed_mps: 4}}]"
     )
     simulation = Simulation(read_scenario(str(file)))
