@@ -26,18 +26,23 @@ class MachineCode(BuildHookInterface[Any]):
         if version == "editable":
             return
         self._folder = Path(tempfile.mkdtemp(prefix="mavproxy-fault-build-"))
+        # By another name: pip takes every folder off its build's path that the surrounding
+        # environment has on its own, and an editable installation of these sources has this one.
+        sources, made = self._folder / "sources", self._folder / "made"
+        sources.symlink_to(self.root)
+        made.mkdir()
         # The build's own packages may be on the path already. Without a fixed seed, sets in what is
         # pickled would stand in another order each time.
-        path = os.pathsep.join([self.root, *filter(None, [os.environ.get("PYTHONPATH")])])
+        path = os.pathsep.join([str(sources), *filter(None, [os.environ.get("PYTHONPATH")])])
         environment = {**os.environ, "PYTHONPATH": path, "PYTHONHASHSEED": "0"}
-        warm_up = [sys.executable, "-m", "analysis.warm_up", "--portable", str(self._folder)]
+        warm_up = [sys.executable, "-m", "analysis.warm_up", "--portable", str(made)]
         if subprocess.run(warm_up, env=environment, cwd=self._folder).returncode != 0:
             self.app.display_warning("no machine code: it will be made when it is first needed")
             return
-        for path in sorted(self._folder.rglob("*")):
-            if path.suffix in KINDS:
-                place = path.relative_to(self._folder).as_posix()
-                build_data["force_include"][str(path)] = f"{INSIDE}/{place}"
+        for file in sorted(made.rglob("*")):
+            if file.suffix in KINDS:
+                place = file.relative_to(made).as_posix()
+                build_data["force_include"][str(file)] = f"{INSIDE}/{place}"
         build_data["pure_python"] = False
         build_data["infer_tag"] = True
 

@@ -1,6 +1,6 @@
 """The wheel as users get it: built, installed without a network, tried where nothing is allowed.
 
-    python tests/hardening/wheel.py [--wheel FILE] [--twice] [--folder DIR]
+    python tests/hardening/wheel.py [--wheel FILE] [--twice] [--folder DIR] [--python PATH]
 
 Builds a wheel (`--twice`: two, and compares them), fetches what it needs from the registry, and
 installs all of it in an empty environment without a network. Then another user, who can write
@@ -77,10 +77,10 @@ def compare(one: Path, two: Path) -> None:
         MISSED.append("two builds, same bytes")
 
 
-def install(wheel: Path, folder: Path) -> Path:
+def install(wheel: Path, folder: Path, python: str) -> Path:
     """Install in an empty environment without a network; where its commands are."""
     venv, house = folder / "venv", folder / "house"
-    processor_s(sys.executable, "-m", "venv", venv)
+    processor_s(python, "-m", "venv", venv)
     pip = venv / "bin" / "pip"
     processor_s(pip, "download", "--quiet", "--dest", house, wheel)
     needed = [path for path in house.iterdir() if path.name != wheel.name]
@@ -141,13 +141,18 @@ def main() -> int:
     parser.add_argument("--wheel", type=Path, help="one that is built already")
     parser.add_argument("--twice", action="store_true", help="build twice and compare")
     parser.add_argument("--folder", type=Path, help="where all this is done (default: a new one)")
+    parser.add_argument(
+        "--python", default=sys.executable, help="one that every user may run (default: this one)"
+    )
     args = parser.parse_args()
+    if subprocess.run([*NOBODY, args.python, "-c", ""], capture_output=True, cwd="/").returncode:
+        parser.error(f"--python {args.python}: another user cannot run it; give /usr/bin/python3")
     folder = args.folder or Path(tempfile.mkdtemp(prefix="mavproxy-fault-wheel-"))
     folder.chmod(0o755)
     wheel = args.wheel or build(folder / "one")
     if args.twice:
         compare(wheel, build(folder / "two"))
-    commands = install(wheel.resolve(), folder)
+    commands = install(wheel.resolve(), folder, args.python)
     print(f"as user 65534, {os.uname().machine}, {os.cpu_count()} cores\n| what | found | limit |")
     print("|---|---|---|")
     demo(commands, folder)
