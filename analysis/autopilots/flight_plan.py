@@ -4,14 +4,17 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.earth import radii
+from simvehicle.guidance.mission import Path
 from simvehicle.guidance.route import PathTrack
 from simvehicle.scenario.scenario_file import Start
 from simvehicle.simulation.simulation import Simulation
 
 HEIGHTS_M = {"multirotor": 10.0, "fixedwing": 50.0}  # where no mission names one
-CORNERS_M = {"multirotor": 20.0, "fixedwing": 100.0}  # between those of a mission's path
+CORNERS_M = {"multirotor": 20.0, "fixedwing": 100.0}  # between those of a mission's path, at most
+CHORD_M = {"multirotor": 1.0, "fixedwing": 5.0}  # by which the way between two may leave the path
 APPROACH_M = 1000.0  # before the threshold a plane comes down straight from its height
 
 
@@ -46,7 +49,6 @@ def flight_plan(simulation: Simulation) -> FlightPlan:
     track = simulation.controller.track
     assert isinstance(track, PathTrack)  # as a scenario with a mission has
     path = track.path
-    every = max(round(CORNERS_M[kind] / path.spacing_m), 1)
     # An autopilot rounds its corners itself: more would only slow it down.
     waypoints = tuple(
         waypoint(
@@ -54,11 +56,33 @@ def flight_plan(simulation: Simulation) -> FlightPlan:
             (float(path.north_m[at]), float(path.east_m[at]), float(path.height_m[at])),
             float(path.speed_mps[at]),
         )
-        for at in np.arange(0, len(path.north_m), every)
+        for at in corners(path, CORNERS_M[kind], CHORD_M[kind])
     )
     if not landing:
         height_m = waypoints[0].height_m
     return FlightPlan(height_m, scenario.duration_s, waypoints, landing)
+
+
+def corners(path: Path, longest_m: float, chord_m: float) -> list[int]:
+    """Points of a path by whose straight connections it is followed to within `chord_m`."""
+    places = path.north_m + 1j * path.east_m
+    most = max(round(longest_m / path.spacing_m), 1)
+    chosen = [0]
+    while (first := chosen[-1]) < len(places) - 1:
+        last = min(first + most, len(places) - 1)
+        # Shorter, until all that lies between is near enough to the chord.
+        while last > first + 1 and _off_chord(places[first : last + 1]) > chord_m:
+            last -= 1
+        chosen.append(last)
+    return chosen
+
+
+def _off_chord(places: NDArray[np.complex128]) -> float:
+    """How far points (n,) of the plane are from the chord of the first and last, at most."""
+    chord = places[-1] - places[0]
+    if abs(chord) == 0.0:
+        return float(np.abs(places - places[0]).max())
+    return float(np.abs(((places - places[0]) * chord.conjugate()).imag).max() / abs(chord))
 
 
 def runway(simulation: Simulation, height_m: float) -> tuple[Waypoint, ...]:

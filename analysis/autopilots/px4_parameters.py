@@ -18,6 +18,7 @@ PLANE = {  # faster than PX4's own
     "NAV_LOITER_RAD": 150,
     "FW_LND_USETER": 0,  # the ground is where the mission says, with or without a range finder
 }
+CORNER_M = 2.0  # as ArduCopter's WPNAV_RADIUS
 
 
 def parameters(simulation: Simulation, height_m: float) -> dict[str, float]:
@@ -28,7 +29,10 @@ def parameters(simulation: Simulation, height_m: float) -> dict[str, float]:
         "MIS_TAKEOFF_ALT": height_m,
     }
     vehicle = simulation.vehicle
-    return found | (rotors(vehicle) if isinstance(vehicle, Multirotor) else PLANE)
+    if not isinstance(vehicle, Multirotor):
+        return found | PLANE
+    # By default a waypoint 10 m away counts as reached: small shapes lose their corners.
+    return found | {"NAV_ACC_RAD": CORNER_M} | rotors(vehicle)
 
 
 def rotors(vehicle: Multirotor) -> dict[str, float]:

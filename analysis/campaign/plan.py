@@ -48,7 +48,7 @@ class Plan:
     def most_flights(self) -> int:
         """How many flights those are, without the twins."""
         # A flight that is shared answers for all its subjects.
-        return self.most_cells // (len(self.subjects) if self._shared else 1)
+        return self.most_cells // len(self.subjects) * len(self._groups())
 
     @property
     def flight_s(self) -> float:
@@ -60,16 +60,18 @@ class Plan:
             lengths = [read_setup(str(folder / s)).scenario.duration_s for s in self.scenarios]
         return float(sum(lengths) / len(lengths))
 
-    @property
-    def _shared(self) -> bool:
-        """Whether one flight answers for all subjects."""
-        own = [isinstance(subject, SubjectChoice) for subject in self.campaign.subjects]
-        grid = self.campaign.find == "outcomes"
-        return grid and not self.campaign.compiled and not any(own)
-
     def _groups(self) -> list[list[str]]:
-        """Subjects that share their flights."""
-        return [self.subjects] if self._shared else [[name] for name in self.subjects]
+        """Subjects that share their flights: those that the simulator's controller flies."""
+        if self.campaign.find == "critical" or self.campaign.compiled:
+            return [[name] for name in self.subjects]
+        groups: list[list[str]] = []
+        onboard: list[str] = []
+        for name, subject in zip(self.subjects, self.campaign.subjects, strict=True):
+            if isinstance(subject, SubjectChoice):
+                groups.append([name])
+            else:
+                onboard.append(name)
+        return [onboard, *groups] if onboard else groups
 
     # -- twins -----------------------------------------------------------------------------------
 
@@ -90,9 +92,9 @@ class Plan:
 
     def twin_key(self, cell: Cell) -> str:
         """What a cell's twin is known by; subjects that share flights share it."""
-        subject = self.subjects[0] if self._shared else cell.subject
         # The first subject stands for all that share the flight.
-        return f"{subject}|{cell.scenario}|{cell.seed}"
+        first = next(group[0] for group in self._groups() if cell.subject in group)
+        return f"{first}|{cell.scenario}|{cell.seed}"
 
     def _folder(self, cell: Cell) -> str | None:
         """Where the logs of a flight go."""

@@ -77,6 +77,7 @@ def read_ubx(path: Path) -> tuple[list[Epoch], list[Broadcast]]:
     """
     payloads: dict[bytes, list[bytes]] = {RAWX: [], SFRBX: []}
     for kind, payload in _frames(_bytes(path)):
+        # Its checksum is right: a payload this short was meant so, by a receiver without a fix.
         if len(payload) >= HEAD_BYTES:
             payloads[kind].append(payload)
     if not payloads[RAWX]:
@@ -104,6 +105,7 @@ def _frames(data: bytes) -> Iterator[tuple[bytes, bytes]]:
         kind, length = data[at + 2 : at + 4], int.from_bytes(data[at + 4 : at + 6], "little")
         end = at + AROUND + length
         body, summed = data[at + 2 : end - 2], data[end - 2 : end]
+        # A start that was none, or a damaged length, must not swallow the frames behind it.
         if kind in (RAWX, SFRBX) and end <= len(data) and _checksum(body) == summed:
             yield kind, data[at + 6 : end - 2]
             at = end - 1

@@ -68,6 +68,7 @@ def check_lines(args: argparse.Namespace) -> None:
     ConfigError
         With the option that is missing or too many.
     """
+    # Sensors without outputs fly nothing, and outputs without sensors neither.
     wired = args.vectornav is not None, args.mavlink is not None
     if args.command is not None and any(wired):
         raise ConfigError("--command: is a program; --vectornav and --mavlink are lines to a board")
@@ -129,10 +130,12 @@ class Exchange:
                 autopilot.receive(frame)
             for _, data in autopilot.read():
                 link.write(data)
+            # Before that a proxy may still be starting, or start anew.
             if autopilot.started and not link.peer_count:
                 raise self._ended(f"{link.name}: the HIL link was closed")
             if (now_s := time.monotonic()) >= look_s:
                 look_s = now_s + WAIT_S
+                # Again and again: on UDP the first may be lost.
                 if not autopilot.started and link.peer_count:
                     link.write(word)
                 if (code := autopilot.poll()) is not None:

@@ -147,10 +147,12 @@ class BridgedAutopilot:
         """
         for descriptor, _ in self._epoll.poll(0):
             self._serve[descriptor]()
+        # Handed over whole: what comes while they are read belongs to the next time.
         answers, self._answers = self._answers, []
         return answers
 
     def _start(self, seen: Seen) -> None:
+        # Later files win: the user's stand behind the bridge's.
         file = self._folder / PARAMETERS
         file.write_text(file_text(parameters(self._vehicle, seen.fitted)))
         rate_hz = seen.fitted.rate_hz
@@ -168,6 +170,7 @@ class BridgedAutopilot:
 
     def close(self) -> None:
         """End the program: it closes its log while it is still given physics."""
+        # Refused before it was started: nothing runs yet.
         if self._process is not None and self._bridge is not None:
             end(self._process, self._bridge)
         for port in self._ports:

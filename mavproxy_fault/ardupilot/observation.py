@@ -47,6 +47,7 @@ class Observation:
         ConfigError
             If ArduPilot cannot fly on what comes.
         """
+        # Ids tell whether there is a second IMU or receiver.
         if "id" in frame.layout.fields:
             self._sensors.add((frame.layout.name, int(frame.number("id"))))
         truth = self._readings.truth if self._readings.update(frame) else None

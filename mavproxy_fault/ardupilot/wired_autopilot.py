@@ -53,6 +53,7 @@ class WiredAutopilot:
         self._observation = Observation(hil)
         self._seen: Seen | None = None
         self._answers: list[Chunk] = []
+        # Both kinds of link have a descriptor of their own that stays while devices come and go.
         self._seq = 0
         self._epoll = select.epoll()
         for link in (self._sensor, mavlink):
@@ -102,6 +103,7 @@ class WiredAutopilot:
         if truth is None:
             return
         self.steps, self.t_us = self.steps + 1, truth.t_us
+        # The line of physics is for SITL: a board has no other world than its sensors.
         self._sensor.write(self._feed.step(seen.readings, truth).vectornav)
         seen.readings.begin_step()
         if (request := self._preparation.due(truth.t_us)) is not None:
@@ -123,6 +125,7 @@ class WiredAutopilot:
 
     def _heard(self, frame: Frame) -> None:
         name = frame.layout.name
+        # Before the sensors are known there is no step that outputs could answer.
         if name == "SERVO_OUTPUT_RAW":
             if self.started and frame.number("port") == 0:
                 self._answer(frame)
@@ -137,6 +140,7 @@ class WiredAutopilot:
 
     def _answer(self, frame: Frame) -> None:
         """The outputs as HIL_ACTUATOR_CONTROLS; the monitor hears them as they came, too."""
+        # Port 1 are the outputs of an extension board, which drive no motor here.
         pwm_us = [int(frame.number(servo)) for servo in SERVOS]
         self._seq = (self._seq + 1) & 0xFF
         channels = self._channels(pwm_us)

@@ -1,10 +1,12 @@
 """A scenario as an autopilot is asked to fly it."""
 
+import itertools
 import math
 
+import numpy as np
 import pytest
 
-from analysis.autopilots.flight_plan import flight_plan
+from analysis.autopilots.flight_plan import corners, flight_plan
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
 
@@ -32,8 +34,28 @@ def test_a_mission_is_flown_by_its_corners_at_its_speed(tmp_path):
     assert found.height_m == 20.0
     assert {point.speed_mps for point in found.waypoints} == {4.0}
     north_m = [(p.lat_deg - found.waypoints[0].lat_deg) * M_PER_DEG for p in found.waypoints]
-    assert north_m == pytest.approx([20.0 * n for n in range(len(north_m))], abs=1.0)
-    assert 80.0 <= north_m[-1] <= 101.0
+    assert north_m[:-1] == pytest.approx([20.0 * n for n in range(len(north_m) - 1)], abs=1.0)
+    assert north_m[-1] == pytest.approx(100.0, abs=1.0)
+
+
+@pytest.mark.parametrize("shape", ["trapezoid", "triangle", "circle", "eight", "s"])
+def test_the_way_between_corners_follows_the_path(tmp_path, shape):
+    file = tmp_path / "scenario.yaml"
+    file.write_text(
+        "name: it\nduration_s: 60\nsensors: {imu: {}}\n"
+        "vehicle: {kind: multirotor, parameters: iris}\n"
+        f"mission: [{{shape: {shape}, size_m: 60, height_m: 20, speed_mps: 4}}]"
+    )
+    simulation = Simulation(read_scenario(str(file)))
+    path = simulation.controller.track.path
+    places = path.north_m + 1j * path.east_m
+    chosen = corners(path, 20.0, 1.0)
+    assert (chosen[0], chosen[-1]) == (0, len(places) - 1)
+    for first, last in itertools.pairwise(chosen):
+        assert (last - first) * path.spacing_m < 20.0 + path.spacing_m
+        along = np.linspace(places[first], places[last], 200)
+        off_m = np.abs(places[first : last + 1, None] - along).min(axis=1)
+        assert off_m.max() < 1.1
 
 
 def test_a_plane_lands_where_it_took_off_in_the_same_direction(tmp_path):

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import msgspec
 
-from analysis.campaign.campaign_file import CampaignFile, read_campaign
+from analysis.campaign.campaign_file import CampaignFile, SubjectChoice, read_campaign
 from analysis.campaign.cell import CellResult, Flown
 from analysis.campaign.plan import Plan
 
@@ -27,6 +27,18 @@ def test_subjects_of_the_simulator_share_their_flights() -> None:
     jobs = [next(thread) for thread in Plan(SMALL).threads({}, TWINS)]
     assert [[cell.subject for cell in job.cells] for job in jobs] == [["ekf", "mahony"]] * 2
     assert [job.cells[0].magnitude for job in jobs] == [0.001, 2.0]
+
+
+def test_an_autopilot_beside_them_flies_alone() -> None:
+    px4 = SubjectChoice(name="px4", autopilot="px4", binary="px4")
+    mixed = Plan(msgspec.structs.replace(SMALL, subjects=("ekf", px4, "mahony")))
+    twins = {key: Flown({}) for key in mixed.twins()}
+    jobs = [next(thread) for thread in mixed.threads({}, twins)]
+    assert list(twins) == ["ekf|short.yaml|1", "px4|short.yaml|1"]
+    assert [[cell.subject for cell in job.cells] for job in jobs] == (
+        [["ekf", "mahony"]] * 2 + [["px4"]] * 2
+    )
+    assert (mixed.most_cells, mixed.most_flights) == (6, 4)
 
 
 def test_what_is_known_is_not_flown_again() -> None:
