@@ -152,9 +152,9 @@ def main() -> int:
     wheel = args.wheel or build(folder / "one")
     if args.twice:
         compare(wheel, build(folder / "two"))
-    commands = install(wheel.resolve(), folder, args.python)
     print(f"as user 65534, {os.uname().machine}, {os.cpu_count()} cores\n| what | found | limit |")
     print("|---|---|---|")
+    commands = install(wheel.resolve(), folder, args.python)
     demo(commands, folder)
     proxies(commands, folder)
     print("missed: " + (", ".join(MISSED) or "nothing"))
