@@ -11,6 +11,7 @@ from analysis.samples.block import Block, Indices, Part, Stamps, joined
 from analysis.samples.message_readers import READERS
 from analysis.samples.range_epochs import Ranging
 from analysis.samples.sample import Sample
+from analysis.samples.wrapped_stamps import WRAPPED, BootTime
 from mavproxy_fault.rtcm.transport import PAYLOAD_TYPE
 from mavproxy_fault.rtcm.tunnel_columns import Assembler
 from mavproxy_fault.wire.frame import Frame
@@ -44,11 +45,12 @@ def columns_of(frames: Iterable[Frame]) -> tuple[Columns, Orders]:
 class Decoder:
     """Frames of one stream to samples; holds what spans frames."""
 
-    __slots__ = ("_assembler", "_ranging", "_stamps")
+    __slots__ = ("_assembler", "_boot", "_ranging", "_stamps")
 
     def __init__(self) -> None:
         self._assembler = Assembler()
         self._ranging = Ranging()
+        self._boot = BootTime()
         self._stamps: dict[int, int] = {}
 
     def decode(self, frames: Iterable[Frame]) -> Block:
@@ -62,7 +64,10 @@ class Decoder:
         for name, rows in columns.items():
             # A message without a reader, or without a measurement, gives no rows.
             for read in READERS[name](rows) if name in READERS else ():
-                parts.append(Part(read.kind, orders[name][read.row], read.t_us, read.values))
+                place, t_us = orders[name][read.row], read.t_us
+                if name == WRAPPED:
+                    t_us = self._boot.unwrapped(t_us, place, columns, orders)
+                parts.append(Part(read.kind, place, t_us, read.values))
             if name in STAMPED:
                 stamps.learn(_senders(rows), orders[name], rows["time_usec"].astype(np.int64))
         beside: list[tuple[int, Sample]] = []

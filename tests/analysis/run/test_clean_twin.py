@@ -25,7 +25,7 @@ def test_the_twin_shows_what_a_gust_did_to_the_truth(tmp_path: Path) -> None:
     out = tmp_path / "out"
     args = argparse.Namespace(
         scenario=str(SHORT), schedule=str(schedule), seed=None, speed="max", out=str(out),
-        gcs="off", ui=False, zenoh="off", against_clean=True, report=True,
+        gcs="off", ui=False, zenoh="off", zenoh_config="", against_clean=True, report=True,
     )  # fmt: skip
     main(args)
     summary = json.loads((out / "summary.json").read_text())

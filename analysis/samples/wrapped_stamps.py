@@ -1,0 +1,52 @@
+"""Stamps that begin anew: SERVO_OUTPUT_RAW counts microseconds since boot in 32 bits [1]_.
+
+After 72 minutes it is at 0 again, while `time_boot_ms` of the same stream goes on; that tells which
+round it is in.
+
+References
+----------
+.. [1] MAVLink common message set, SERVO_OUTPUT_RAW.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.samples.block import Indices, Stamps
+
+ROUND_US = 1 << 32
+WRAPPED = "SERVO_OUTPUT_RAW"
+BOOT = "time_boot_ms"
+
+
+class BootTime:
+    """The time since boot along a stream, by whatever message has it."""
+
+    def __init__(self) -> None:
+        self._newest_us: int | None = None
+
+    def unwrapped(
+        self,
+        t_us: Stamps,
+        place: Indices,
+        columns: Mapping[str, NDArray[Any]],
+        orders: Mapping[str, Indices],
+    ) -> Stamps:
+        """Stamps (m,) of frames at places (m,) of the stream, in the round that they belong to."""
+        timed = [name for name in columns if BOOT in (columns[name].dtype.names or ())]
+        places = [np.zeros(0, np.int64)] + [orders[name] for name in timed]
+        times = [np.zeros(0, np.int64)] + [columns[n][BOOT].astype(np.int64) for n in timed]
+        known_at, known_us = np.concatenate(places), np.concatenate(times) * 1000
+        by_place = np.argsort(known_at, kind="stable")
+        known_at, known_us = known_at[by_place], known_us[by_place]
+        if self._newest_us is not None:  # of the frames before
+            known_at, known_us = np.append(-1, known_at), np.append(self._newest_us, known_us)
+        if not len(known_at):
+            return t_us
+        self._newest_us = int(known_us[-1])
+        # The last one before; for the first frames of all the first one after.
+        near = np.maximum(np.searchsorted(known_at, place) - 1, 0)
+        rounds: Stamps = np.round((known_us[near] - t_us) / ROUND_US).astype(np.int64)
+        return t_us + rounds * ROUND_US
