@@ -138,6 +138,8 @@ def open_page(browser: Any) -> Iterator[Callable[[str], Any]]:
         found.complaints = complaints
         found.goto(address)
         found.wait_for_selector("#connection.there")
+        # The stream subscribed last has come: what is published from now on is heard on all.
+        found.wait_for_selector("#links-title:not([hidden])")
         found.wait_for_selector("#kind option", state="attached")
         return found
 
