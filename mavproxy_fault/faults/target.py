@@ -25,6 +25,9 @@ def message(name: str) -> Layout:
     ValueError
         If the dialect has none of that name; the text suggests others.
     """
+    if name == PLANT:
+        text = f"{PLANT} is the simulated plant and no message; `fault: plant` changes it"
+        raise ValueError(text)
     found = layout(name)
     if found is None:
         raise ValueError(f"{name} is no message; {near(name, message_names())}")

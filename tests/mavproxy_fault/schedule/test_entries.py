@@ -209,3 +209,9 @@ def test_a_number_that_is_none_may_replace_a_value() -> None:
     text = "{fault: constant, target: HIL_SENSOR.xacc, value: %s}"
     for value in (".nan", "-.inf"):
         assert len(parse_schedule(f"faults: [{text % value}]").faults) == 1
+
+
+def test_the_plant_is_told_apart_from_messages() -> None:
+    entry = {"fault": "bias", "target": "PLANT.wind_n_mps", "value": 1}
+    with pytest.raises(ConfigError, match="PLANT is the simulated plant and no message; `fault: p"):
+        parse_schedule({"faults": [entry]})
