@@ -89,6 +89,7 @@ class ToAutopilot:
         self._packer, self._commands = packer, commands
         self._telemetry, self._step = telemetry, step
         self._parser = Parser()
+        self._answers: list[bytes] = []  # the proxy's own word to the autopilot
 
     def frames(self, t_us: int, truth: Truth, readings: Sequence[Reading]) -> list[bytes]:
         """The frames of a step, with faults."""
@@ -97,6 +98,9 @@ class ToAutopilot:
         # The operator first: its commands belong to the state before this step.
         # One by one, for frames that come together leave together, and not all go the same way.
         core, now_us = self.flight.core, self.flight.now_us
+        answers, self._answers = self._answers, []
+        for raw in answers:
+            self._leave(raw, out)
         for raw in self._commands():
             self._sort(core.received(GROUND, raw, now_us), out)
         for raw in self._packer.frames(t_us, truth, readings):
@@ -111,11 +115,14 @@ class ToAutopilot:
                 self.sort(send, self.returned)
 
     def sort(self, send: Send, returned: list[Frame], origin: Frame | None = None) -> None:
-        """What left for the simulator is returned to it, the rest is to be heard.
+        """What left for the simulator is returned to it, what goes back to the autopilot leaves
+        with the next step, the rest is to be heard.
 
         `origin` is the frame that came, which most often left as it was.
         """
-        if send.link != SIMULATOR:
+        if send.link == VEHICLE:
+            self._answers.append(send.data)
+        elif send.link != SIMULATOR:
             self.unheard.append(send)
         elif origin is None or send.data is not origin.raw:
             returned += self._decoded(send)

@@ -16,7 +16,7 @@ from analysis.autopilots.hil_exchange import (
     Patience,
     ToAutopilot,
 )
-from analysis.run.proxied_flight import Flight
+from analysis.run.proxied_flight import VEHICLE, Flight
 from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.links.udp import UdpServer
 from mavproxy_fault.schedule.entries import parse_schedule
@@ -182,3 +182,20 @@ def connected(link):
             select.select([link], [], [], 5.0)
             link.read()
         yield autopilot
+
+
+def test_a_command_of_the_schedule_leaves_for_the_autopilot_with_the_next_step(flight_of):
+    exchange = deaf(flight_of(fault="command", do="arm"))
+    fly(exchange, 2)  # the schedule counts from the first stamp
+    heartbeat = Frame(build(known("HEARTBEAT"), {"autopilot": 3, "type": 2}), known("HEARTBEAT"))
+    returned: list[Frame] = []
+    flight = exchange.flight
+    for send in flight.core.received_frame(VEHICLE, heartbeat, flight.now_us):
+        exchange.sort(send, returned, heartbeat)
+    commands = [
+        (frame.number("command"), frame.number("param1"))
+        for _, frame in fly(exchange, 2)
+        if frame.layout.name == "COMMAND_LONG"
+    ]
+    assert commands == [(400, 1)]
+    assert returned == []
