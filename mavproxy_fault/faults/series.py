@@ -131,12 +131,8 @@ def _column(names: list[str], name: str, file: str) -> int:
 
 
 def _parquet(table: "Table") -> Iterator[Block]:
-    try:
-        import pyarrow.parquet as parquet
-    except ImportError:
-        raise ConfigError(
-            f"{table.file}: reading Parquet needs pyarrow; pip install 'mavproxy-fault[parquet]'"
-        ) from None
+    import pyarrow.parquet as parquet  # heavy: loaded by those who read such a table
+
     try:
         with parquet.ParquetFile(table.file) as file:
             for name in (table.time, table.value):

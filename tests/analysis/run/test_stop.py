@@ -1,10 +1,19 @@
 """The first request to stop is asked for between steps; the second one interrupts."""
 
 import signal
+from collections.abc import Iterator
 
 import pytest
 
 from analysis.run.stop import stop_requests
+
+
+@pytest.fixture(autouse=True)
+def python_handles_sigint() -> Iterator[None]:
+    """A shell ignores SIGINT for what it runs in the background; here Python handles it."""
+    inherited = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, inherited)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
