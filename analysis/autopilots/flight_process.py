@@ -18,6 +18,7 @@ from mavproxy_fault.documents.yaml_document import write_yaml
 PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 WRONG_INPUT = 2
 LAST_LINES = 3
+RUN = "run"  # the run folder within a flight's own
 
 
 def fly_in_process(
@@ -32,10 +33,11 @@ def fly_in_process(
         If the command refuses the scenario or the autopilot, or leaves no result.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    flown = folder / RUN
     faults = folder / "schedule.yaml"
     faults.write_text(write_yaml(schedule))
     words = ["run", *run, "--schedule", str(faults), "--seed", str(schedule["seed"])]
-    words += ["--out", str(folder / "run"), "--zenoh", "off"]
+    words += ["--out", str(flown), "--zenoh", "off"]
     if not kept:
         words += ["--no-report"]
     done = subprocess.run(
@@ -46,11 +48,11 @@ def fly_in_process(
         check=False,
         preexec_fn=_end_with_parent,
     )
-    if done.returncode == WRONG_INPUT or not (folder / "run" / "summary.json").is_file():
+    if done.returncode == WRONG_INPUT or not (flown / "summary.json").is_file():
         # Its last lines say why.
         last = done.stderr.strip().splitlines()[-LAST_LINES:]
         raise ConfigError(f"{subject}: no flight came of it; {' '.join(last)}")
-    return folder / "run"
+    return flown
 
 
 def _end_with_parent() -> None:

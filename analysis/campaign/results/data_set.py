@@ -16,6 +16,7 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from analysis.autopilots.flight_process import RUN
 from analysis.campaign.cell import key_of
 from analysis.campaign.ledger import read_folder
 from analysis.campaign.results.campaign_report import flat
@@ -37,8 +38,7 @@ def export(folder: Path, out: Path) -> None:
         If they were not.
     """
     campaign, results = read_folder(folder)
-    # A flight was kept if its log is there; other folders may lie beside it.
-    kept = {path.name: path for path in (folder / FLIGHTS).glob("*") if (path / SENT).is_file()}
+    kept = _kept_flights(folder / FLIGHTS)
     if not kept:
         raise ConfigError(f"{folder}: no flight was kept; fly with --export, or with keep: all")
     (out / FLIGHTS).mkdir(parents=True, exist_ok=True)
@@ -57,6 +57,13 @@ def export(folder: Path, out: Path) -> None:
             seeds=", ".join(map(str, campaign.seeds)),
         )
     )
+
+
+def _kept_flights(flights: Path) -> dict[str, Path]:
+    """Where the logs of each kept flight lie, by the flight's name."""
+    # An autopilot's flight is a run with a folder of its own, beside the schedule it was given.
+    runs = {log.parent.parent.name: log.parent for log in flights.glob(f"*/{RUN}/{SENT}")}
+    return runs | {log.parent.name: log.parent for log in flights.glob(f"*/{SENT}")}
 
 
 def _flight(result: Any, kept: dict[str, Path]) -> str:

@@ -7,6 +7,8 @@ from xml.etree import ElementTree
 import pyarrow.parquet as pq
 import pytest
 
+from analysis.autopilots.flight_process import RUN
+from analysis.campaign.results.data_set import export
 from mavproxy_fault import cli
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -93,6 +95,27 @@ def test_the_data_set_holds_sensors_before_and_after_truth_and_labels(flown: Pat
     assert label["frames"] == (after != before).sum() == 200
     assert (flight / "HIL_STATE_QUATERNION.sent.parquet").is_file()
     assert "gyro" in (flown / "data" / "README.md").read_text()
+
+
+def test_an_autopilots_run_is_exported_as_a_simulators_flight_is(
+    flown: Path, tmp_path: Path
+) -> None:
+    campaign = tmp_path / "out"
+    shutil.copytree(flown / "out", campaign)
+    for flight in (campaign / "flights").iterdir():
+        flight.rename(campaign / "moved")
+        flight.mkdir()
+        (campaign / "moved").rename(flight / RUN)
+    export(campaign, tmp_path / "data")
+    found, expected = (
+        {str(file.relative_to(data)) for file in data.rglob("*")}
+        for data in (tmp_path / "data", flown / "data")
+    )
+    assert found == expected
+    cells, expected_cells = (
+        pq.read_table(data / "cells.parquet") for data in (tmp_path / "data", flown / "data")
+    )
+    assert cells.equals(expected_cells)
 
 
 def test_the_size_is_told_before_anything_is_flown(tmp_path: Path, capsys) -> None:
