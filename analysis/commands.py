@@ -22,6 +22,13 @@ def add_run(commands: Any) -> None:
         "--speed", metavar="1|N|max", help="times real time (default: max, with --ui 1)"
     )
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="PATH=VALUE",
+        help="a value of the scenario, such as environment.wind_ned_mps[0]=5; may be given again",
+    )
     out = "folder of logs and results (default: runs/ and a number)"
     parser.add_argument("--out", "--logdir", metavar="DIR", help=out)
     parser.add_argument(
@@ -167,7 +174,10 @@ def add_campaign(commands: Any) -> None:
         "campaign", help="which faults, how large and when, break an estimator or autopilot"
     )
     parser.add_argument(
-        "file", nargs="+", metavar="FILE", help="campaign (YAML); or: compare BEFORE AFTER"
+        "file",
+        nargs="+",
+        metavar="FILE",
+        help="campaign (YAML); or: compare BEFORE AFTER; or: search DIR [CELL]",
     )
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, metavar="N", help="processes (default: all cores)")

@@ -24,7 +24,7 @@ from analysis.autopilots.program import Program
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.run.proxied_flight import GROUND, MONITOR, Flight, session
 from analysis.run.run_command import EXIT_CODES, report
-from analysis.run.setup import Setup, read_setup
+from analysis.run.setup import Setup, setup_of
 from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary
 from analysis.run.worker import MonitorProcess
@@ -91,7 +91,7 @@ def main(args: argparse.Namespace) -> int:
     words = autopilot.command(args.binary)
     check_moment(args.count_from)
     own = read_parameters(args.parameters)
-    setup = read_setup(args.scenario, args.schedule, args.seed)
+    setup = setup_of(args)
     check_vehicle(setup.scenario)
     folder = make_folder(args.out, setup.scenario.name)
     started_s = time.monotonic()

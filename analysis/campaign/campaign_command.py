@@ -1,4 +1,4 @@
-"""`mavproxy-fault campaign`: fly a campaign's cells, show what came of them, compare two."""
+"""`mavproxy-fault campaign`: fly cells, show what came of them, compare two, search around one."""
 
 import argparse
 import os
@@ -22,13 +22,21 @@ AUTOPILOT_SPEED = 1.0
 
 
 def main(args: argparse.Namespace) -> int:
-    """Fly, or compare two campaigns; the exit code."""
+    """Fly, compare two campaigns, or make a search of a cell; the exit code."""
     if args.file[0] == "compare":
         from analysis.campaign.results.campaign_comparison import compare_folders
 
         if len(args.file) != 3:
             raise ConfigError("campaign compare: takes two folders, of before and after")
         return compare_folders(*(Path(name) for name in args.file[1:]))
+    if args.file[0] == "search":
+        from analysis.campaign.results.cell_search import write_search
+
+        if len(args.file) not in (2, 3):
+            raise ConfigError("campaign search: takes a campaign's folder, and a cell's key")
+        path = write_search(Path(args.file[1]), args.file[2] if len(args.file) == 3 else None)
+        print(f"mavproxy-fault search {path}")
+        return 0
     if len(args.file) != 1:
         raise ConfigError("campaign: takes one file; see docs/campaigns.md")
     campaign = read_campaign(args.file[0])

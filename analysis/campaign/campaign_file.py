@@ -1,6 +1,7 @@
 """Campaign files (YAML): who is asked, in which flights, about which faults."""
 
 import math
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
@@ -137,11 +138,15 @@ class CompiledScenario(_Section, frozen=True):
 
 
 class CampaignFile(_Section, frozen=True):
-    """A whole campaign file; the number of cells is the product of its lists."""
+    """A whole campaign file; the number of cells is the product of its lists.
+
+    `vary` are values of the scenarios, such as wind and start, by their paths.
+    """
 
     subjects: tuple[str | SubjectChoice, ...]
     scenarios: tuple[str | CompiledScenario, ...]
     faults: tuple[FaultChoice, ...]
+    vary: dict[str, tuple[float, ...]] = {}
     name: str = "campaign"
     onsets: tuple[float | str, ...] = (20.0,)
     durations_s: tuple[float, ...] = (10.0,)
@@ -159,6 +164,11 @@ class CampaignFile(_Section, frozen=True):
         for onset in self.onsets:
             if isinstance(onset, str) and onset not in PHASES:
                 raise ValueError(f"onsets: {onset} is unknown; seconds or {', '.join(PHASES)}")
+        for path, values in self.vary.items():
+            if not values:
+                raise ValueError(f"vary.{path} is empty; at least one value is needed")
+        if self.vary and self.compiled:
+            raise ValueError("vary is for scenarios of files; a compiled one has its own keys")
         # Names are keys of results: two faults of one name would be one.
         ids = [fault.name for fault in self.faults]
         for name in ids:
@@ -177,6 +187,23 @@ class CampaignFile(_Section, frozen=True):
         """The autopilot of a subject's name; None for an estimator or the monitor."""
         chosen = [s for s in self.subjects if isinstance(s, SubjectChoice) and s.name == name]
         return chosen[0] if chosen else None
+
+    @property
+    def scenario_names(self) -> list[str]:
+        """The scenarios by name; what is varied stands behind, as `run --set` takes it."""
+        if self.compiled:
+            return [s.name for s in self.scenarios if isinstance(s, CompiledScenario)]
+        varied = [[f"{path}={value:g}" for value in values] for path, values in self.vary.items()]
+        return [" ".join(map(str, words)) for words in product(self.scenarios, *varied)]
+
+    def scenario_words(self, name: str) -> list[str]:
+        """The words of `run` that fly a scenario by its name in results."""
+        file = next(str(s) for s in self.scenarios if name == s or name.startswith(f"{s} "))
+        words = [str(Path(self.folder) / file)]
+        # Neither a path in a scenario nor a number has a blank in it.
+        for change in name[len(file) :].split():
+            words += ["--set", change]
+        return words
 
     @property
     def subject_names(self) -> list[str]:

@@ -9,10 +9,9 @@ from itertools import groupby, product
 from pathlib import Path
 
 from analysis.campaign.bisection import HALVINGS, Critical, bisect
-from analysis.campaign.campaign_file import CampaignFile, CompiledScenario, SubjectChoice
+from analysis.campaign.campaign_file import CampaignFile, SubjectChoice
 from analysis.campaign.cell import HEALTHY, Cell, CellResult, Flown, key_of
-from analysis.campaign.flying.flight_job import FlightJob, Job, LaneJob
-from analysis.run.setup import read_setup
+from analysis.campaign.flying.flight_job import FlightJob, Job, LaneJob, setup_by_name
 
 LANES_MOST = 2048  # cells of one batch, so that progress shows and a kill loses little
 Results = Mapping[str, CellResult]
@@ -26,10 +25,7 @@ class Plan:
         self.campaign = campaign
         self._keep = keep
         self.subjects = campaign.subject_names
-        self.scenarios = [
-            scenario.name if isinstance(scenario, CompiledScenario) else scenario
-            for scenario in campaign.scenarios
-        ]
+        self.scenarios = campaign.scenario_names
 
     # -- size ------------------------------------------------------------------------------------
 
@@ -56,8 +52,8 @@ class Plan:
         if self.campaign.compiled:
             lengths = [s.compiled.get("duration_s", 60.0) for s in self.campaign.scenarios]  # type: ignore[union-attr]
         else:
-            folder = Path(self.campaign.folder)
-            lengths = [read_setup(str(folder / s)).scenario.duration_s for s in self.scenarios]
+            setups = [setup_by_name(self.campaign, name) for name in self.scenarios]
+            lengths = [setup.scenario.duration_s for setup in setups]
         return float(sum(lengths) / len(lengths))
 
     def _groups(self) -> list[list[str]]:

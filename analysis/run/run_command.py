@@ -16,7 +16,7 @@ from analysis.results import Result, read_results
 from analysis.run.clean_twin import FOLDER, start_twin
 from analysis.run.proxied_flight import Flight, session
 from analysis.run.run_progress import RunProgress
-from analysis.run.setup import read_setup
+from analysis.run.setup import setup_of
 from analysis.run.stop import stop_requests
 from analysis.run.terminal import print_summary
 from analysis.run.worker import MonitorProcess
@@ -38,7 +38,7 @@ EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 
 def main(args: argparse.Namespace) -> int:
     """Fly, report, and return the exit code of the verdict."""
-    setup = read_setup(args.scenario, args.schedule, args.seed)
+    setup = setup_of(args)
     # A page can follow the true speed only; without one nobody waits.
     pace = Pace(parse_speed(args.speed or ("1" if args.ui else "max")))
     folder = make_folder(args.out, setup.scenario.name)

@@ -1,7 +1,10 @@
 """A scenario file, decoded for every part."""
 
+import argparse
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -13,6 +16,7 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import Document, Lines
 from mavproxy_fault.documents.yaml_document import Path as DocumentPath
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule, read_schedule
+from simvehicle.scenario.changed_scenario import changed, parse_change
 from simvehicle.scenario.scenario_file import Scenario, decode_scenario, open_scenario
 from simvehicle.simulation.kinds import kind_of
 
@@ -27,8 +31,15 @@ class Setup:
     criteria: Criteria
 
 
-def read_setup(path: str | None, schedule: str | None = None, seed: int | None = None) -> Setup:
-    """Read a scenario (None: the demo), with another schedule or seed where given.
+def read_setup(
+    path: str | None,
+    schedule: str | None = None,
+    seed: int | None = None,
+    changes: Mapping[str, Any] | None = None,
+) -> Setup:
+    """Read a scenario (None: the demo), with another schedule, seed or `changes` where given.
+
+    `changes` are values of the scenario by their paths, as in `changed_scenario`.
 
     Raises
     ------
@@ -36,7 +47,7 @@ def read_setup(path: str | None, schedule: str | None = None, seed: int | None =
         If a section is wrong; nothing has been started then.
     """
     document = open_scenario(path)
-    scenario = decode_scenario(document)
+    scenario = changed(decode_scenario(document), changes or {})
     if seed is not None:
         if seed < 0:
             raise ConfigError(f"--seed: {seed} is negative; 0 or more is allowed")
@@ -52,6 +63,12 @@ def read_setup(path: str | None, schedule: str | None = None, seed: int | None =
     monitor = monitor_config(scenario.monitor, document.where, document.lines)
     monitor = msgspec.structs.replace(monitor, actuators=vehicle_effects(scenario))
     return Setup(scenario, faults, monitor, criteria)
+
+
+def setup_of(args: argparse.Namespace) -> Setup:
+    """What the command line of `run` asks for; errors as `read_setup` has them."""
+    changes = dict(map(parse_change, args.set))
+    return read_setup(args.scenario, args.schedule, args.seed, changes)
 
 
 def _about(criteria: Criteria, faults: Schedule) -> Criteria:

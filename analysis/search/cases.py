@@ -49,9 +49,10 @@ class Totals(NamedTuple):
 
 
 def write_cases(folder: Path, test: TestFile, cases: Sequence[WorstCase]) -> list[Path]:
-    """Each case as a scenario for `run` and as a test for `search`, shrunk ones beside them.
+    """Each case as a scenario for `run`, as a test for `search` and as a cell for `campaign`.
 
-    `worst-01.yaml`, `worst-01-test.yaml`, `worst-01-shrunk.yaml`, `worst-01-shrunk-test.yaml`.
+    `worst-01.yaml`, `worst-01-test.yaml`, `worst-01-campaign.yaml`, and with `-shrunk` behind the
+    number the smallest fault found.
     """
     paths = []
     for rank, case in enumerate(cases, 1):
@@ -60,13 +61,41 @@ def write_cases(folder: Path, test: TestFile, cases: Sequence[WorstCase]) -> lis
                 continue
             name = f"worst-{rank:02}{suffix}"
             scenario = {**document_of(test, values, case.run_seed), "name": name}
-            for path, text in (
-                (folder / f"{name}.yaml", scenario_yaml(test, scenario)),
-                (folder / f"{name}-test.yaml", yaml_of(pinned(test, values))),
-            ):
-                path.write_text(text)
-                paths.append(path)
+            texts = {
+                f"{name}.yaml": scenario_yaml(test, scenario),
+                f"{name}-test.yaml": yaml_of(pinned(test, values)),
+            }
+            faults = faults_of(test, values)
+            # A cell of a campaign has one fault.
+            if len(faults) == 1:
+                cell = campaign_of(test, name, faults[0], case.run_seed)
+                texts[f"{name}-campaign.yaml"] = write_yaml(cell)
+            for file, text in texts.items():
+                (folder / file).write_text(text)
+                paths.append(folder / file)
     return paths
+
+
+def campaign_of(test: TestFile, name: str, fault: dict[str, Any], seed: int) -> dict[str, Any]:
+    """A campaign file with the one cell that a case is, the case's scenario beside it."""
+    subject: str | dict[str, Any] = test.estimator
+    if test.autopilot is not None:
+        kind = test.autopilot.kind
+        choice = {"binary": test.autopilot.binary or kind, "parameters": test.autopilot.parameters}
+        subject = _given({"name": kind, "autopilot": kind, **choice})
+    known = ("id", "fault", "target", "value", "at_s", "for_s")
+    entry = {key: fault[key] for key in ("id", "fault", "target")}
+    if "value" in fault:
+        entry["magnitudes"] = [fault["value"]]
+    return {
+        "name": name,
+        "subjects": [subject],
+        "scenarios": [f"{name}.yaml"],
+        "onsets": [fault["at_s"]],
+        "durations_s": [fault.get("for_s", test.duration_s)],
+        "seeds": [seed],
+        "faults": [{**entry, "also": {k: v for k, v in fault.items() if k not in known}}],
+    }
 
 
 def scenario_yaml(test: TestFile, scenario: Mapping[str, Any]) -> str:
@@ -100,7 +129,7 @@ def log_text(test: TestFile, cases: Sequence[WorstCase], totals: Totals) -> str:
     rejected = sum(totals.rejected.values())
     lines = [
         f"Estimator under test      {test.estimator}",
-        f"Vehicle                   {test.vehicle}",
+        f"Vehicle                   {vehicle_of(test)}",
         f"Number of tests           {totals.tests}",
         f"  outside the envelope    {rejected}"
         + "".join(f", {name} {count}" for name, count in sorted(totals.rejected.items())),
@@ -130,6 +159,15 @@ def log_text(test: TestFile, cases: Sequence[WorstCase], totals: Totals) -> str:
     lines += ["", "Worst cases, each in a file of its own", "  rank    test  error" + unit]
     lines += [f"  {i:4} {c.number:7}  {c.error_deg:9.4g}" for i, c in enumerate(cases, 1)]
     return "\n".join([*lines, ""])
+
+
+def vehicle_of(test: TestFile) -> str:
+    """What flies: the scenario's vehicle, or the search's own."""
+    if test.scenario is None:
+        return test.vehicle
+    assert isinstance(test.scenario, dict)
+    vehicle = test.scenario.get("vehicle", {})
+    return f"{vehicle.get('kind', '')} {vehicle.get('parameters', '')}".strip()
 
 
 def part_lines(parts: Mapping[str, Any]) -> list[str]:

@@ -13,6 +13,7 @@ from analysis.campaign.flying.internal_flight import fly
 from analysis.campaign.outcomes import ABORTED, judged, rank
 from analysis.run.setup import Setup, read_setup
 from mavproxy_fault.schedule.entries import parse_schedule
+from simvehicle.scenario.changed_scenario import parse_change
 
 
 @dataclass(frozen=True)
@@ -117,10 +118,9 @@ def flight_of(job: FlightJob, onset_s: float) -> Flown:
     if autopilot is not None:
         from analysis.campaign.flying.autopilot_cell import fly_autopilot
 
-        scenario = Path(campaign.folder) / cell.scenario
         with tempfile.TemporaryDirectory(prefix="campaign-") as scratch:
             folder, kept = Path(job.keep or scratch), job.keep is not None
-            run = [str(scenario), *autopilot.options(campaign.folder)]
+            run = [*campaign.scenario_words(cell.scenario), *autopilot.options(campaign.folder)]
             return fly_autopilot(autopilot.name, run, schedule, folder, kept=kept)
     subjects = [cell.subject for cell in job.cells]
     setup = setup_of(campaign, cell, subjects)
@@ -129,9 +129,16 @@ def flight_of(job: FlightJob, onset_s: float) -> Flown:
     return fly(setup.scenario, faults, setup.monitor, subjects, keep)
 
 
+def setup_by_name(campaign: CampaignFile, scenario: str, seed: int | None = None) -> Setup:
+    """A scenario by its name in results; errors as `read_setup` has them."""
+    file, *changes = campaign.scenario_words(scenario)
+    # Every other word is the option's name.
+    return read_setup(file, None, seed, dict(map(parse_change, changes[1::2])))
+
+
 def setup_of(campaign: CampaignFile, cell: Cell, subjects: list[str]) -> Setup:
     """The scenario with the cell's seed and the estimators under test."""
-    setup = read_setup(str(Path(campaign.folder) / cell.scenario), None, cell.seed)
+    setup = setup_by_name(campaign, cell.scenario, cell.seed)
     # The monitor runs in any case; it is no estimator of attitude.
     estimators = tuple(name for name in subjects if name != MONITOR)
     attitude = msgspec.structs.replace(setup.monitor.attitude, estimators=estimators)

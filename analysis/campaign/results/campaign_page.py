@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
-from pathlib import Path
 from statistics import median
 
 import msgspec
@@ -112,7 +111,7 @@ def again(result: CellResult, campaign: CampaignFile) -> str:
     entry = campaign.fault(cell.fault).entry(cell.magnitude, result.onset_s, cell.duration_s)
     schedule = json.dumps({"seed": cell.seed, "faults": [entry]})
     autopilot = campaign.autopilot(cell.subject)
-    words = ["mavproxy-fault", "run", str(Path(campaign.folder) / cell.scenario)]
+    words = ["mavproxy-fault", "run", *campaign.scenario_words(cell.scenario)]
     words += ["--schedule", "cell.yaml", "--seed", str(cell.seed)]
     if autopilot is None:
         # Somebody wants to watch; an autopilot's run has no page of its own.

@@ -1,6 +1,5 @@
 """A point of a search as a scenario that `run` flies."""
 
-import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -8,8 +7,8 @@ import numpy as np
 
 from analysis.search.space.dimensions import target_of
 from analysis.search.space.test_file import AUTOPILOT, TestFile
-from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.environment.air import SEA_LEVEL_K, SEA_LEVEL_PA
+from simvehicle.scenario.changed_scenario import with_value
 
 Document = dict[str, Any]
 # Where normal gravity at sea level is the 9.80665 m/s^2 of the search (WGS 84 formula)
@@ -78,24 +77,8 @@ def _varied(scenario: Document, values: Mapping[str, float]) -> Document:
     document = scenario
     for name, value in values.items():
         if name.startswith("vary."):
-            # Keys and indices of `a.b[2].c` alike.
-            path = re.findall(r"[^.\[\]]+", name.removeprefix("vary."))
-            document = _with(document, path, float(value), name)
+            document = with_value(document, name.removeprefix("vary."), float(value))
     return document
-
-
-def _with(node: Any, path: list[str], value: float, name: str) -> Any:
-    """A copy of a node with the number at a path replaced."""
-    key, *rest = path
-    if isinstance(node, (list, tuple)) and key.isdigit() and int(key) < len(node):
-        items = list(node)
-        items[int(key)] = _with(items[int(key)], rest, value, name) if rest else value
-        return items
-    if isinstance(node, dict) and key in node:
-        # Copies along the path only: the scenario itself serves the next point.
-        return {**node, key: _with(node[key], rest, value, name) if rest else value}
-    known = ", ".join(node) if isinstance(node, dict) else f"0 to {len(node or ()) - 1}"
-    raise ConfigError(f"{name}: {key} is unknown; known: {known}")
 
 
 def _flight(test: TestFile, values: Mapping[str, float]) -> Document:

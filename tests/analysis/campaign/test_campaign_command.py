@@ -8,7 +8,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from analysis.autopilots.flight_process import RUN
+from analysis.campaign.campaign_file import read_campaign
+from analysis.campaign.flying.flight_job import setup_by_name
+from analysis.campaign.plan import Plan
 from analysis.campaign.results.data_set import export
+from analysis.search.evaluation.flown_cases import Flown
+from analysis.search.space.test_file import read_test
 from mavproxy_fault import cli
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -116,6 +121,44 @@ def test_an_autopilots_run_is_exported_as_a_simulators_flight_is(
         pq.read_table(data / "cells.parquet") for data in (tmp_path / "data", flown / "data")
     )
     assert cells.equals(expected_cells)
+
+
+def test_the_worst_cell_becomes_a_search_around_it(flown: Path, capsys) -> None:
+    assert cli.main(["campaign", "search", str(flown / "out")]) == 0
+    path = capsys.readouterr().out.split()[-1]
+    test = read_test(path)
+    assert test.estimator in ("ekf", "mahony")
+    (fault,) = test.faults
+    assert (fault.fault, fault.target) == ("bias", "HIL_SENSOR.xgyro")
+    assert fault.value == (0.6667, 6.0)
+    assert (fault.at_s, fault.for_s) == ((0.0, 4.0), (1.0, 4.0))
+    # The middle of the search's space is the cell's own flight.
+    assert test.scenario is not None
+    assert Flown(test).space.names == ("faults[0].value", "faults[0].at_s", "faults[0].for_s")
+
+
+def test_a_cell_to_search_around_may_be_named(flown: Path, capsys) -> None:
+    key = "ekf|short.yaml|gyro|2.0|2|1|0.001"
+    assert cli.main(["campaign", "search", str(flown / "out"), key]) == 0
+    assert read_test(capsys.readouterr().out.split()[-1]).faults[0].value == (0.0003333, 0.003)
+    assert cli.main(["campaign", "search", str(flown / "out"), "ekf|nothing"]) == 2
+    assert "no cell of" in capsys.readouterr().err
+
+
+def test_wind_and_start_can_be_dimensions(tmp_path: Path) -> None:
+    shutil.copy(HERE / "short.yaml", tmp_path)
+    vary = '{"environment.wind_ned_mps[0]": [0, 5], start.heading_deg: [90]}'
+    (tmp_path / "c.yaml").write_text((HERE / "small.yaml").read_text() + f"\nvary: {vary}\n")
+    campaign = read_campaign(tmp_path / "c.yaml")
+    plan = Plan(campaign)
+    assert plan.most_cells == 8
+    name = "short.yaml environment.wind_ned_mps[0]=5 start.heading_deg=90"
+    assert plan.scenarios[1] == name
+    scenario = setup_by_name(campaign, name).scenario
+    assert scenario.environment.wind_ned_mps[0] == 5.0
+    assert scenario.start.heading_deg == 90.0
+    words = ["--set", "environment.wind_ned_mps[0]=5", "--set", "start.heading_deg=90"]
+    assert campaign.scenario_words(name) == [str(tmp_path / "short.yaml"), *words]
 
 
 def test_the_size_is_told_before_anything_is_flown(tmp_path: Path, capsys) -> None:

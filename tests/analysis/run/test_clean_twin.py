@@ -24,6 +24,7 @@ def test_the_twin_shows_what_a_gust_did_to_the_truth(tmp_path: Path) -> None:
     schedule.write_text(SCHEDULE)
     out = tmp_path / "out"
     args = argparse.Namespace(
+        set=[],
         scenario=str(SHORT), schedule=str(schedule), seed=None, speed="max", out=str(out),
         gcs="off", ui=False, zenoh="off", zenoh_config="", against_clean=True, report=True,
     )  # fmt: skip

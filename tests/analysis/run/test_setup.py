@@ -1,9 +1,11 @@
+import re
 from pathlib import Path
 
 import pytest
 
 from analysis.run.setup import read_setup
 from mavproxy_fault.documents.errors import ConfigError
+from simvehicle.scenario.changed_scenario import parse_change
 
 
 @pytest.mark.parametrize("head", ["schedule:\n  faults:\n", "schedule:\n"])
@@ -60,3 +62,27 @@ def test_numbers_with_an_exponent_are_numbers_in_every_section(tmp_path: Path) -
     assert setup.scenario.duration_s == 10.0
     assert setup.monitor.detector.p_false_alarm == 1e-4
     assert setup.monitor.detector.sigma.slow_s == 300.0
+
+
+def test_single_values_of_a_scenario_can_be_set() -> None:
+    wind = "environment.wind_ned_mps[1]"
+    setup = read_setup(None, changes=dict([parse_change(f"{wind}=4.5"), parse_change("seed=7")]))
+    assert setup.scenario.environment.wind_ned_mps[1] == 4.5
+    assert setup.scenario.seed == 7
+    assert read_setup(None).scenario.environment.wind_ned_mps[1] != 4.5
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        ("environment.wnd=4", "environment.wnd: wnd is unknown; known: wind_ned_mps"),
+        ("environment.wind_ned_mps[3]=4", "there is no number 3; 0 to 2"),
+        ("seed.x=4", "seed.x: there is no x below"),
+        ("duration_s=long", "duration_s=long: duration_s = 'long' does not fit"),
+        ("duration_s", "--set duration_s: has no =; PATH=VALUE"),
+        ("=4", "names nothing"),
+    ],
+)
+def test_a_value_that_cannot_be_set_is_told(change: str, error: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(error)):
+        read_setup(None, changes=dict([parse_change(change)]))

@@ -5,16 +5,18 @@ import numpy as np
 import pytest
 import yaml
 
+from analysis.campaign.campaign_file import read_campaign
 from analysis.run.proxied_flight import Flight
 from analysis.run.setup import read_setup
 from analysis.scoring.attitude_scoring import AttitudeConfig
-from analysis.search.cases import write_cases
+from analysis.search.cases import campaign_of, write_cases
 from analysis.search.evaluation.compiled_batch import Batch
 from analysis.search.evaluation.flown_cases import Flown, Watch, fly
 from analysis.search.evaluation.pool import Here
 from analysis.search.search_command import campaign
 from analysis.search.space.point_scenario import document_of
 from analysis.search.space.test_file import (
+    AutopilotChoice,
     FaultRange,
     Initial,
     Mission,
@@ -24,6 +26,8 @@ from analysis.search.space.test_file import (
     read_test,
 )
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.yaml_document import write_yaml
+from mavproxy_fault.schedule.entries import parse_schedule
 
 QUIET = Sensors(
     gyro_sigma_dps=0.0,
@@ -85,10 +89,12 @@ def test_a_worst_case_is_a_scenario_that_run_flies_to_the_same_error(tmp_path):
     assert [path.name for path in paths] == [
         "worst-01.yaml",
         "worst-01-test.yaml",
+        "worst-01-campaign.yaml",
         "worst-01-shrunk.yaml",
         "worst-01-shrunk-test.yaml",
+        "worst-01-shrunk-campaign.yaml",
     ]
-    for path, error in ((paths[0], cases[0].error_deg), (paths[2], cases[0].shrunk_deg)):
+    for path, error in ((paths[0], cases[0].error_deg), (paths[3], cases[0].shrunk_deg)):
         setup = read_setup(str(path))
         flight, watch = Flight(setup.scenario, setup.schedule), Watch(setup.monitor.attitude)
         while not flight.over:
@@ -121,6 +127,38 @@ def test_a_scenario_of_any_kind_is_searched_with_any_fault(tmp_path):
         watch.hear(flight.advance([]).monitor)
     rmse = watch.summary([])["mahony"]["rmse_deg"]
     assert rmse["max"] == pytest.approx(cases[0].parts["rmse_deg"]["max"], rel=1e-9)
+
+
+def test_a_worst_case_is_a_cell_of_a_campaign(tmp_path):
+    (tmp_path / "quad.yaml").write_text(SCENARIO)
+    (tmp_path / "search.yaml").write_text(SEARCH)
+    cases, _ = campaign(read_test(tmp_path / "search.yaml"), Here(), tmp_path / "out")
+    write_cases(tmp_path, read_test(tmp_path / "search.yaml"), cases)
+    cell = read_campaign(tmp_path / "worst-01-campaign.yaml")
+    setup = read_setup(str(tmp_path / "worst-01.yaml"))
+    (entry,) = [parsed for parsed in setup.schedule.faults if parsed.id == "drawn-0"]
+    (choice,) = cell.faults
+    again = choice.entry(choice.listed()[0], cell.onsets[0], cell.durations_s[0])
+    assert again.pop("for_s") == setup.scenario.duration_s  # the search's lasts to the end
+    assert parse_schedule({"faults": [again]}, "here").faults[0] == entry
+    assert cell.seeds == (setup.scenario.seed,)
+    assert cell.subject_names == ["mahony"]
+
+
+def test_an_autopilots_worst_case_is_a_cell_with_that_autopilot(tmp_path):
+    choice = AutopilotChoice(kind="px4", binary="/opt/px4", parameters="own.params")
+    test = TestFile(estimator="autopilot", autopilot=choice, scenario={})
+    fault = {"id": "drawn-0", "fault": "freeze", "target": "HIL_SENSOR.zgyro", "at_s": 3.0}
+    (tmp_path / "cell.yaml").write_text(write_yaml(campaign_of(test, "worst-01", fault, 5)))
+    (tmp_path / "own.params").write_text("EKF2_GPS_CTRL 0\n")
+    cell = read_campaign(tmp_path / "cell.yaml")
+    subject = cell.autopilot("px4")
+    assert subject is not None
+    assert subject.options(tmp_path) == [
+        "--autopilot", "px4", "--binary", "/opt/px4", "--parameters", str(tmp_path / "own.params"),
+    ]  # fmt: skip
+    assert cell.durations_s == (test.duration_s,)  # without a duration it lasts to the end
+    assert cell.faults[0].magnitudes is None
 
 
 def test_a_key_that_the_scenario_does_not_have_is_the_users_error(tmp_path):

@@ -1,0 +1,84 @@
+"""A cell of a campaign as a search's test file: what is worst in its neighbourhood?"""
+
+import os
+from pathlib import Path
+from typing import Any
+
+from analysis.campaign.campaign_file import MAGNITUDE, CampaignFile, CompiledScenario
+from analysis.campaign.cell import CellResult, key_of
+from analysis.campaign.ledger import read_folder
+from analysis.campaign.results.grid import badness
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.yaml_document import write_yaml
+
+FACTOR = 3.0  # magnitudes from a third of the cell's to three times as much
+
+
+def write_search(folder: Path, key: str | None) -> Path:
+    """Write the test file of a cell (None: the worst) into the campaign's folder; its path.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such cell, or a search cannot vary its fault.
+    """
+    campaign, results = read_folder(folder)
+    cells = {result.cell.key: result for result in results}
+    if key is not None and key not in cells:
+        known = next(iter(cells), "none at all")
+        raise ConfigError(f"{key}: no cell of {folder}; one of its JUnit names, such as {known}")
+    result = max(results, key=badness) if key is None else cells[key]
+    path = folder / f"search-{key_of(*result.cell.key.split('|'))}.yaml"
+    path.write_text(write_yaml(test_of(campaign, result, folder)))
+    return path
+
+
+def test_of(campaign: CampaignFile, result: CellResult, folder: Path) -> dict[str, Any]:
+    """The test file around a cell: magnitude, onset and duration become ranges."""
+    cell = result.cell
+    fault = campaign.fault(cell.fault)
+    if fault.preset is not None or fault.sets != MAGNITUDE or not isinstance(fault.target, str):
+        raise ConfigError(f"{cell.fault}: a search varies the value of a fault on one target")
+    entry: dict[str, Any] = {"fault": fault.fault, "target": fault.target}
+    if cell.magnitude is not None:
+        # Sorted, since a negative magnitude turns the interval around.
+        ends = (cell.magnitude / FACTOR, cell.magnitude * FACTOR)
+        entry["value"] = sorted(float(f"{end:.4g}") for end in ends)
+    onset_s, lasts_s = result.onset_s, cell.duration_s
+    entry["at_s"] = [max(0.0, onset_s - lasts_s), onset_s + lasts_s]
+    entry["for_s"] = [lasts_s / 2.0, lasts_s * 2.0]
+    if fault.also:
+        entry["also"] = fault.also
+    return {
+        **_flight(campaign, cell.scenario, folder),
+        **_subject(campaign, cell.subject, folder),
+        "criterion": "angle",
+        "seed": cell.seed,
+        "faults": [entry],
+    }
+
+
+def _flight(campaign: CampaignFile, name: str, folder: Path) -> dict[str, Any]:
+    """What flies: the kernels' keys, or the scenario with what was varied."""
+    for scenario in campaign.scenarios:
+        if isinstance(scenario, CompiledScenario) and scenario.name == name:
+            return dict(scenario.compiled)
+    file, *changes = campaign.scenario_words(name)
+    # A path's value as an interval without length stands still.
+    fixed = {path: float(value) for path, _, value in (c.partition("=") for c in changes[1::2])}
+    vary = {path: [value, value] for path, value in fixed.items()}
+    return {"scenario": os.path.relpath(file, folder), "vary": vary}
+
+
+def _subject(campaign: CampaignFile, name: str, folder: Path) -> dict[str, Any]:
+    """Who is asked: an estimator, or an autopilot as `run` starts it."""
+    autopilot = campaign.autopilot(name)
+    if autopilot is None:
+        return {"estimator": name}
+    if autopilot.arguments:
+        raise ConfigError(f"{name}: a search takes no further arguments of an autopilot")
+    choice = {"kind": autopilot.autopilot, "binary": autopilot.binary}
+    if autopilot.parameters:
+        parameters = Path(campaign.folder) / autopilot.parameters
+        choice["parameters"] = str(parameters.resolve())
+    return {"estimator": "autopilot", "autopilot": choice}

@@ -1,0 +1,76 @@
+"""A scenario with single values replaced, by their paths: `environment.wind_ned_mps[0]=5`."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from mavproxy_fault.documents.document_check import decode
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.yaml_document import Document, scalar
+from simvehicle.scenario.scenario_file import Scenario
+
+
+def changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
+    """The scenario with the values of some paths replaced.
+
+    Raises
+    ------
+    ConfigError
+        If a path leads nowhere, or a value is not allowed there.
+    """
+    if not changes:
+        return scenario
+    document = msgspec.to_builtins(scenario)
+    for path, value in changes.items():
+        document = with_value(document, path, value)
+    where = ", ".join(f"{path}={value}" for path, value in changes.items())
+    # Not `decode_scenario`: names of files count from the scenario's folder already.
+    return decode(Document(document, where, {}), Scenario)
+
+
+def with_value(document: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
+    """A copy of a scenario's document with the value at a path such as `a.b[2].c` replaced.
+
+    Raises
+    ------
+    ConfigError
+        If the path leads nowhere.
+    """
+    # Keys and indices alike.
+    steps = re.findall(r"[^.\[\]]+", path)
+    if not steps:
+        raise ConfigError(f"{path!r} names nothing; a path such as environment.wind_ned_mps[0]")
+    found: dict[str, Any] = _with(document, steps, value, path)
+    return found
+
+
+def _with(node: Any, steps: list[str], value: Any, path: str) -> Any:
+    key, *rest = steps
+    if isinstance(node, (list, tuple)) and key.isdigit() and int(key) < len(node):
+        items = list(node)
+        items[int(key)] = _with(items[int(key)], rest, value, path) if rest else value
+        return items
+    if isinstance(node, dict) and key in node:
+        # Copies along the path only: the document itself serves the next change.
+        return {**node, key: _with(node[key], rest, value, path) if rest else value}
+    if isinstance(node, dict):
+        raise ConfigError(f"{path}: {key} is unknown; known: {', '.join(node)}")
+    if isinstance(node, (list, tuple)):
+        raise ConfigError(f"{path}: there is no number {key}; 0 to {len(node) - 1}")
+    raise ConfigError(f"{path}: there is no {key} below {node!r}")
+
+
+def parse_change(text: str) -> tuple[str, Any]:
+    """Path and value of `PATH=VALUE`; the value is one of YAML's scalars.
+
+    Raises
+    ------
+    ConfigError
+        If there is no `=`.
+    """
+    path, equals, value = text.partition("=")
+    if not equals:
+        raise ConfigError(f"--set {text}: has no =; PATH=VALUE")
+    return path.strip(), scalar(value.strip())
