@@ -2,7 +2,7 @@
 // The page: what the socket brings is handed to its part, and drawn at the screen's pace.
 
 const RETRY_MS = 1000;
-let run = null, there = false, socket = null, wished = new Set();
+let run = null, gone = null, there = false, socket = null, wished = new Set();
 
 // -- the socket -------------------------------------------------------------------------------
 
@@ -19,6 +19,7 @@ function showStatus(news) {
     : `${run ? "The proxy is gone; waiting for it to come back" : "No proxy or run yet; waiting"} on ${news.url}`;
   $("connection").title = news.url;
   showRuns(news);
+  if (!news.run && run && !news.runs.includes(run)) gone = run;
   if (news.run && !there) begin();
   if (!news.run && run) showFaults({ faults: [] });
   run = news.run || run;
@@ -40,6 +41,9 @@ function begin() {
   scene.clear();
   $("events").replaceChildren();
   showFaults({ faults: [] });
+  if (gone) offerFaults(gone);
+  else forgetFaults(); // another was chosen
+  gone = null;
 }
 
 const TAKERS = {
@@ -48,7 +52,7 @@ const TAKERS = {
   "schedule/state": showFaults,
   "proxy/labels": showLabel,
   "proxy/stats": showLinks,
-  "proxy/watched": (batch) => store.take(batch),
+  "proxy/watched": (batch) => { store.take(batch); showAnswers(batch); },
   "fdi/events": showEvent,
   "fdi/main/stat": showDecision,
   "fusion/state": showFused,
@@ -101,8 +105,9 @@ function frame(now_ms) {
 }
 
 $("viewing").hidden = Boolean(token);
-for (const id of ["stop", "save", "load", "arm", "run"]) $(id).disabled = !token;
+for (const id of ["stop", "save", "load", "arm", "run", "add-fault", "add-step", "open-sequence", "open-kept"]) $(id).disabled = !token;
 wish([]);
 offer();
+askAllowed();
 connect();
 requestAnimationFrame(frame);

@@ -70,6 +70,31 @@ def test_a_proxy_that_goes_and_comes_back_is_told_and_followed(
             second.close()
 
 
+def test_the_faults_of_a_proxy_that_died_are_offered_to_the_next(
+    open_page: Callable[[str], Any], new_loop: Callable[..., Any]
+) -> None:
+    first = new_loop()
+    with serve(first.bus.url, port=0) as address:
+        page = open_page(address)
+        page.select_option("#kind", "fault:bias")
+        page.fill("[data-key=target]", "HIL_SENSOR.xgyro")
+        page.fill("[data-key=value]", "0.25")
+        with page.expect_response("**/schedule/save"):  # for undo
+            page.click("#arm")
+        with page.expect_response("**/schedule/save"):  # in case the proxy dies
+            page.wait_for_selector("#faults li.active")
+        first.close()
+        page.wait_for_selector("#connection:has-text('The proxy is gone')")
+        second = new_loop(first.bus.url)
+        try:
+            page.click("#adopt button:has-text('Load them here')")
+            page.wait_for_selector("#faults li.active:has-text('bias')")
+            assert second.engine.active == ["bias"]
+            assert page.is_hidden("#adopt")
+        finally:
+            second.close()
+
+
 def test_of_several_runs_the_viewer_chooses_one(page: Any, loop: Any) -> None:
     assert not page.is_visible("#run")
     with open_bus(loop.bus.url, run="other") as other:
