@@ -7,6 +7,7 @@ import numpy as np
 
 from analysis.search.space.dimensions import target_of
 from analysis.search.space.test_file import AUTOPILOT, TestFile
+from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.environment.air import SEA_LEVEL_K, SEA_LEVEL_PA
 from simvehicle.scenario.changed_scenario import with_value
 
@@ -77,7 +78,11 @@ def _varied(scenario: Document, values: Mapping[str, float]) -> Document:
     document = scenario
     for name, value in values.items():
         if name.startswith("vary."):
-            document = with_value(document, name.removeprefix("vary."), float(value))
+            try:
+                document = with_value(document, name.removeprefix("vary."), float(value))
+            except ConfigError as error:
+                # As the file names it.
+                raise ConfigError(f"vary.{error}") from None
     return document
 
 
