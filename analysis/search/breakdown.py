@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +17,7 @@ from analysis.search.space.dimensions import flights_of
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 
+INVERTED_STATES = ("height_m", "airspeed_mps", "position_m")
 Array = NDArray[np.float64]
 CELL_US = 100_000
 STATES = (
@@ -35,7 +37,8 @@ class Acting(NamedTuple):
 def breakdown(
     test: TestFile, values: Mapping[str, float], seed: int, number: int
 ) -> dict[str, Any]:
-    """Scores as `parted` gives them, and `state_rmse` for an estimator of twelve states.
+    """Scores as `parted` gives them, and for the inverse model those of all twelve states and of
+    what the inverted sensor models say.
 
     `seed` and `number` choose the noise.
     """
@@ -54,6 +57,10 @@ def breakdown(
     parts = parted(cells_of(flight, error), windows, CELL_US)
     if test.estimator == "inverse-model":
         parts["state_rmse"] = dict(zip(STATES, state_rmse(flight).tolist(), strict=True))
+        inverted = Batch(msgspec.structs.replace(test, criterion="height"))
+        columns = {name: np.array([value]) for name, value in values.items()}
+        errors = inverted.of_values(columns, seed, number, 1).inverted_rmse[0]
+        parts["inverted_rmse"] = dict(zip(INVERTED_STATES, errors.tolist(), strict=True))
     return parts
 
 

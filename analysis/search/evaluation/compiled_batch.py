@@ -14,6 +14,14 @@ from analysis.estimators.ekf import Ekf
 from analysis.search.evaluation.traced_flight import Trace, estimated, traced, with_all_sensors
 from analysis.search.lanes import rows
 from analysis.search.lanes.filter_lanes import EKF, FILTER_SIZE, HEARD, LEVELLED, MAHONY, Tunings
+from analysis.search.lanes.inverted_lanes import (
+    AIRSPEED,
+    HEIGHT,
+    PLACES,
+    POSITION,
+    PRESSURES,
+    Place,
+)
 from analysis.search.lanes.lane_state import Envelope
 from analysis.search.lanes.noise_kernel import GENERATORS, streams
 from analysis.search.lanes.search_kernel import Plan, fly
@@ -24,6 +32,7 @@ from analysis.search.space.dimensions import (
     flights_of,
     space_of,
 )
+from analysis.search.space.point_scenario import altitude_of
 from analysis.search.space.test_file import StateScales, TestFile
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
@@ -35,18 +44,20 @@ Array = NDArray[np.float64]
 FIELD_HZ, VELOCITY_HZ, PRESSURE_HZ = 25.0, 5.0, 10.0
 # The number of the kernel without a filter; it is flown for its flight alone.
 HEUN = 0
+INVERTED = {"height": HEIGHT, "airspeed": AIRSPEED, "position": POSITION}
 COMPILED = {"inverse-model": HEUN, "complementary": MAHONY, "mahony": MAHONY, "ekf": EKF}
 
 
 class Outcome(NamedTuple):
     """What became of n evaluations.
 
-    `fitness` (n,) is the criterion in degrees (without a unit by that of twelve states), or, where
-    the flight left the envelope, minus the share of the time that was left (-1 to 0); `spread_deg`
-    (n,) is its standard deviation over the noise draws. `rmse_deg` and `largest_deg` (n, 4): roll,
-    pitch, yaw, angle (in the kernels 0 unless the criterion is the angle), means over the noise
-    draws. `lasted_s` (n,); `broken_limit` (n,) numbers of `rows.LIMITS`; `steps` that were flown
-    and scored, all in all.
+    `fitness` (n,) is the criterion in its unit (`TestFile.unit`), or, where the flight left the
+    envelope, minus the share of the time that was left (-1 to 0); `spread_deg` (n,) is its standard
+    deviation over the noise draws. `rmse_deg` and `largest_deg` (n, 4): roll, pitch, yaw, angle (in
+    the kernels 0 unless the criterion is the angle), means over the noise draws. `lasted_s` (n,);
+    `broken_limit` (n,) numbers of `rows.LIMITS`; `steps` that were flown
+    and scored, all in all. `inverted_rmse` (n, 3): height [m], airspeed [m/s] and position [m] of
+    the inverted sensor models, where the criterion is one of them.
     """
 
     fitness: Array
@@ -56,6 +67,7 @@ class Outcome(NamedTuple):
     lasted_s: Array
     broken_limit: NDArray[np.int64]
     steps: int
+    inverted_rmse: Array
 
 
 @dataclass(frozen=True)
@@ -175,6 +187,14 @@ def plan_of(test: TestFile, vehicle: FixedWing) -> Plan:
         noisy=any(fault.fault == "noise" for fault in test.faults),
         angle=test.criterion == "angle",
         state=test.criterion == "state",
+        inverted=test.criterion in INVERTED,
+        place=Place(
+            altitude_of(test.density_kgpm3),
+            test.density_kgpm3,
+            STANDARD_GRAVITY_MPS2,
+            test.static_pressure == "linear",
+            float(np.exp(-test.position_k_per_s / VELOCITY_HZ)),
+        ),
         estimator=COMPILED.get(test.estimator, HEUN),
         tunings=tunings_of(test.estimator),
         sea_density_kgpm3=SEA_LEVEL_DENSITY_KGPM3,
@@ -259,7 +279,7 @@ def outcome_of(columns: Array, test: TestFile) -> Outcome:
         "euler": lambda: rmse[:3].max(axis=0),
         "angle": lambda: rmse[3],
         "state": lambda: np.sqrt((state / squares_of(test.state_scales)).mean(axis=0)),
-    }[test.criterion]()
+    }.get(test.criterion, lambda: inverted_rmse(columns)[INVERTED[test.criterion]])()
     # From -1 to 0: a search is led back inside, since longer flights are better than shorter.
     fitness = np.where(limit > 0, lasted - 1.0, worst.mean(axis=1))
     return Outcome(
@@ -272,7 +292,17 @@ def outcome_of(columns: Array, test: TestFile) -> Outcome:
         limit,
         # A flight that left is flown once, whatever the number of draws.
         int(np.where(limit > 0, count.max(axis=1), count.sum(axis=1)).sum()),
+        inverted_rmse(columns).mean(axis=2).T,
     )
+
+
+def inverted_rmse(columns: Array) -> Array:
+    """RMSE (3, ...) of height [m], airspeed [m/s] and position [m] from rows (ROWS, ...)."""
+    found = columns[rows.INVERTED_SQUARES :]
+    # Pressures and positions come at rates of their own; a flight may end before the first.
+    counts = np.maximum(found[[PRESSURES, PRESSURES, PLACES]], 1.0)
+    rmse: Array = np.sqrt(found[[HEIGHT, AIRSPEED, POSITION]] / counts)
+    return rmse
 
 
 def squares_of(scales: StateScales) -> Array:

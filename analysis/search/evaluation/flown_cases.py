@@ -228,4 +228,5 @@ def outcome_of(flights: Sequence[Sequence[Scores]], test: TestFile) -> Outcome:
         lasted,
         limit,
         sum(scores.steps for draws in flights for scores in draws),
+        np.zeros((len(flights), 3)),
     )

@@ -15,6 +15,13 @@ from analysis.search.lanes.fault_lanes import break_signals
 from analysis.search.lanes.filter_lanes import EKF, Tunings, head, level, predict, publish, velocity
 from analysis.search.lanes.gust_lanes import blow
 from analysis.search.lanes.heun_lanes import attitudes, heun, keep
+from analysis.search.lanes.inverted_lanes import (
+    Place,
+    score_place,
+    score_pressures,
+    sense_place,
+    sense_static,
+)
 from analysis.search.lanes.lane_state import Buffer, Envelope, draw, living, move, sense_imu
 from analysis.search.lanes.score_lanes import (
     euler_of_quaternions,
@@ -32,6 +39,7 @@ IMU = 0
 FIELD = rows.FIELD - rows.MEASURED
 VELOCITY = rows.VELOCITY - rows.MEASURED
 PRESSURE = rows.DIFF_PRESSURE - rows.MEASURED
+PLACE = rows.PLACE - rows.MEASURED
 Columns = NDArray[np.float64]
 Three = tuple[float, float, float]
 Generators = NDArray[np.uint64]
@@ -41,7 +49,8 @@ class Plan(NamedTuple):
     """What all flights of a test share; every field is a plain number, as numba wants them.
 
     `estimator` is 0 for the inverse sensor model, 1 for Mahony, 2 for the EKF; `field_every`,
-    `velocity_every` and `pressure_every` count IMU samples.
+    `velocity_every` and `pressure_every` count IMU samples. With `inverted` height, airspeed and
+    position are made of the pressures and of GPS, and scored.
     """
 
     steps: int
@@ -61,6 +70,8 @@ class Plan(NamedTuple):
     noisy: bool
     angle: bool
     state: bool
+    inverted: bool
+    place: Place
     estimator: int
     tunings: Tunings
     sea_density_kgpm3: float
@@ -82,7 +93,7 @@ def measure(buf: Buffer, generators: Generators, k: int, plan: Plan) -> None:
 
     Generators (4, LANES): IMU, slow sensors, noise faults, gusts.
     """
-    slow = plan.estimator > 0 and k > 0
+    slow = (plan.estimator > 0 or plan.inverted) and k > 0
     pressure = slow and k % plan.pressure_every == 0
     field = slow and k % plan.field_every == 0
     velocity = slow and k % plan.velocity_every == 0
@@ -91,6 +102,7 @@ def measure(buf: Buffer, generators: Generators, k: int, plan: Plan) -> None:
     if pressure:
         draw(buf, generators[1])
         sense_pressure(buf, plan.density_kgpm3)
+        sense_static(buf, plan.place)
     if field or velocity:
         draw(buf, generators[1])
     if field:
@@ -101,11 +113,18 @@ def measure(buf: Buffer, generators: Generators, k: int, plan: Plan) -> None:
         draw(buf, generators[2])
     break_all(buf, IMU, IMU + 6, k, plan)
     if pressure:
-        break_all(buf, PRESSURE, PRESSURE + 1, k, plan)
+        break_all(buf, PRESSURE, PRESSURE + 2, k, plan)
     if field:
         break_all(buf, FIELD, FIELD + 3, k, plan)
     if velocity:
         break_all(buf, VELOCITY, VELOCITY + 3, k, plan)
+    if plan.inverted and velocity:
+        sense_place(buf, generators[1], plan.place, k == plan.velocity_every)
+        break_all(buf, PLACE, PLACE + 3, k, plan)
+    if plan.inverted and pressure:
+        score_pressures(buf, plan.place)
+    if plan.inverted and velocity:
+        score_place(buf)
 
 
 @compiled

@@ -145,7 +145,7 @@ def _start(columns: Array, values: Mapping[str, Array]) -> None:
     euler = np.radians([values[f"initial.{name}_deg"] for name in ("roll", "pitch", "yaw")])
     velocity = [values[f"initial.{name}_mps"] for name in ("u", "v", "w")]
     down = -values["initial.height_m"]
-    columns[rows.STATE + 2] = down
+    columns[rows.STATE + 2] = columns[rows.START_DOWN] = down
     columns[rows.STATE + 3 : rows.STATE + 6] = velocity
     columns[rows.STATE + 6 : rows.STATE + 10] = quat_from_euler(*euler).T
     columns[rows.STATE + 10 : rows.STATE + 13] = np.radians(
@@ -164,6 +164,10 @@ def _sensors(columns: Array, values: Mapping[str, Array]) -> None:
     columns[rows.FIELD_SIGMA] = values["sensors.field_sigma_gauss"]
     columns[rows.VELOCITY_SIGMA] = values["sensors.velocity_sigma_mps"]
     columns[rows.PRESSURE_SIGMA] = values["sensors.pressure_sigma_pa"]
+    for i, name in enumerate(("sigma_pa", "bias_pa", "drift_pa_per_k")):
+        columns[rows.STATIC_SIGMA + i] = values[f"sensors.static_{name}"]
+    columns[rows.PLACE_KICK : rows.PLACE_KICK + 2] = values["sensors.position_kick_m"]
+    columns[rows.PLACE_KICK + 2] = values["sensors.height_kick_m"]
     for i, axis in enumerate("xyz"):
         columns[rows.GYRO_BIAS + i] = np.radians(values[f"sensors.gyro_bias_{axis}_dps"])
         columns[rows.ACCEL_BIAS + i] = values[f"sensors.accel_bias_{axis}_mps2"]

@@ -6,14 +6,13 @@ from typing import Any
 import numpy as np
 
 from analysis.search.space.dimensions import target_of
+from analysis.search.space.fault_range import LATITUDE_DEG
 from analysis.search.space.test_file import AUTOPILOT, TestFile
 from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.environment.air import SEA_LEVEL_K, SEA_LEVEL_PA
 from simvehicle.scenario.changed_scenario import with_value
 
 Document = dict[str, Any]
-# Where normal gravity at sea level is the 9.80665 m/s^2 of the search (WGS 84 formula)
-LATITUDE_DEG = 45.497
 # The rates of the compiled flights' sensors.
 GPS_HZ, FIELD_HZ, PRESSURE_HZ = 5.0, 25.0, 10.0
 
@@ -145,12 +144,16 @@ def _sensors(test: TestFile, values: Mapping[str, float]) -> Document:
             "field_ned_gauss": [float(x) for x in field],
             "noise": {"sigma": values["field_sigma_gauss"]},
         },
-        "baro": {"rate_hz": FIELD_HZ, "noise": {"sigma": 10.0}},
+        "baro": {
+            "rate_hz": FIELD_HZ,
+            "noise": {"sigma": values["static_sigma_pa"], "bias": [values["static_bias_pa"]]},
+            "drift_pa_per_k": values["static_drift_pa_per_k"],
+        },
         "airspeed": {"rate_hz": PRESSURE_HZ, "noise": {"sigma": values["pressure_sigma_pa"]}},
         "gps": {
             "rate_hz": GPS_HZ,
-            "horizontal": {"kick_m": 0.03, "k_per_s": 0.01},
-            "vertical": {"kick_m": 0.05, "k_per_s": 0.01},
+            "horizontal": {"kick_m": values["position_kick_m"], "k_per_s": test.position_k_per_s},
+            "vertical": {"kick_m": values["height_kick_m"], "k_per_s": test.position_k_per_s},
             "velocity": {"sigma": values["velocity_sigma_mps"]},
         },
     }
