@@ -13,7 +13,6 @@ from analysis.scoring.attitude_scores import Cells, parted, phases_of
 from analysis.search.evaluation.compiled_batch import COMPILED, Batch, ned_velocity, start_filters
 from analysis.search.evaluation.traced_flight import Trace, estimated, traced, with_all_sensors
 from analysis.search.shrink import pinned
-from analysis.search.space.dimensions import flights_of
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 
@@ -59,15 +58,18 @@ def breakdown(
         parts["state_rmse"] = dict(zip(STATES, state_rmse(flight).tolist(), strict=True))
         inverted = Batch(msgspec.structs.replace(test, criterion="height"))
         columns = {name: np.array([value]) for name, value in values.items()}
-        errors = inverted.of_values(columns, seed, number, 1).inverted_rmse[0]
-        parts["inverted_rmse"] = dict(zip(INVERTED_STATES, errors.tolist(), strict=True))
+        errors = inverted.of_values(columns, seed, number, 1).inverted_rmse[0].tolist()
+        named = dict(zip(INVERTED_STATES, errors, strict=True))
+        if flight.plan.rotors:
+            del named["airspeed_mps"]  # without a pitot tube
+        parts["inverted_rmse"] = named
     return parts
 
 
 def flight_of(test: TestFile, values: Mapping[str, float], seed: int, number: int) -> Trace:
     """The flight in full, with the attitude that the estimator under test made of it."""
     batch = Batch(test)
-    column = flights_of(test, {name: np.array([value]) for name, value in values.items()})
+    column = batch.columns({name: np.array([value]) for name, value in values.items()})
     filters = start_filters(test.estimator, column)[0]
     # Compiled estimators run inside the flight; others get its recorded sensors afterwards.
     if test.estimator in COMPILED:

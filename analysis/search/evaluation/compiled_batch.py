@@ -24,7 +24,9 @@ from analysis.search.lanes.inverted_lanes import (
 )
 from analysis.search.lanes.lane_state import Envelope
 from analysis.search.lanes.noise_kernel import GENERATORS, streams
+from analysis.search.lanes.quad_lanes import QuadModel
 from analysis.search.lanes.search_kernel import Plan, fly
+from analysis.search.space.airframe import Airframe, hover_rps, read_airframe, trimmed
 from analysis.search.space.dimensions import (
     Space,
     fault_entries,
@@ -38,6 +40,9 @@ from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 from simvehicle.environment.air import GUSTS
 from simvehicle.vehicles.fixedwing import FixedWing
+from simvehicle.vehicles.fixedwing_kernel import Aero
+from simvehicle.vehicles.multirotor import Multirotor
+from simvehicle.vehicles.sway_kernel import quad_of
 
 Array = NDArray[np.float64]
 # Usual rates of a magnetometer, a GPS receiver and a pitot tube on a small aircraft.
@@ -45,6 +50,7 @@ FIELD_HZ, VELOCITY_HZ, PRESSURE_HZ = 25.0, 5.0, 10.0
 # The number of the kernel without a filter; it is flown for its flight alone.
 HEUN = 0
 INVERTED = {"height": HEIGHT, "airspeed": AIRSPEED, "position": POSITION}
+NO_AERO = Aero(*[0.0] * len(Aero._fields))
 COMPILED = {"inverse-model": HEUN, "complementary": MAHONY, "mahony": MAHONY, "ekf": EKF}
 
 
@@ -77,21 +83,20 @@ class Batch:
     test: TestFile
 
     @cached_property
-    def vehicle(self) -> FixedWing:
-        """The airframe."""
-        return FixedWing.read(self.test.vehicle)
+    def airframe(self) -> Airframe:
+        """What flies."""
+        return read_airframe(self.test.vehicle)
 
     @cached_property
     def space(self) -> Space:
         """What is searched."""
-        speed = self.vehicle.parameters.cruise_mps
-        trim = self.vehicle.trim(speed, self.test.density_kgpm3, STANDARD_GRAVITY_MPS2)
+        trim = trimmed(self.airframe, self.test.density_kgpm3)
         return space_of(flight_entries(self.test, trim) | fault_entries(self.test))
 
     @cached_property
     def plan(self) -> Plan:
         """What all flights share."""
-        return plan_of(self.test, self.vehicle)
+        return plan_of(self.test, self.airframe)
 
     def evaluate(self, points: Array, seed: int, first: int, draws: int | None = None) -> Outcome:
         """Fly points (n, d) of the unit cube, each with its own noise.
@@ -114,7 +119,7 @@ class Batch:
         Without gusts chance does not move the aircraft: of many flights, those that leave the
         envelope are flown only once.
         """
-        flights = flights_of(self.test, values)
+        flights = self.columns(values)
         count = flights.shape[1]
         # Each draw of each evaluation has its own number, so that any split of the work gives the
         # same.
@@ -135,6 +140,10 @@ class Batch:
             again = self._flown(rest, seed, numbers[stays, 1:].ravel())
             columns[:, stays, 1:] = again.reshape(rows.ROWS, -1, draws - 1)
         return outcome_of(columns, self.test)
+
+    def columns(self, values: Mapping[str, Array]) -> Array:
+        """Values (n,) by name as columns (ROWS, n) for the kernel."""
+        return flights_of(self.test, values, hover_rps(self.airframe, self.test.density_kgpm3))
 
     def _flown(self, flights: Array, seed: int, numbers: NDArray[np.int64]) -> Array:
         """The columns as the kernel leaves them; `numbers` (n,) choose the noise."""
@@ -160,7 +169,7 @@ class Batch:
         column[rows.LARGEST : rows.LARGEST + 4] = np.abs(error).max(axis=0)
 
 
-def plan_of(test: TestFile, vehicle: FixedWing) -> Plan:
+def plan_of(test: TestFile, airframe: Airframe) -> Plan:
     """The kernel's view of a test."""
     # The field points down by the inclination and east of north by the declination.
     dip, variation = np.radians([test.inclination_deg, test.declination_deg])
@@ -199,9 +208,20 @@ def plan_of(test: TestFile, vehicle: FixedWing) -> Plan:
         tunings=tunings_of(test.estimator),
         sea_density_kgpm3=SEA_LEVEL_DENSITY_KGPM3,
         limits=envelope_of(test),
-        body=vehicle.body,
-        aero=vehicle.aero,
+        body=airframe.body,
+        # The kernel has a place for both kinds; the other one's is never looked at.
+        aero=airframe.aero if isinstance(airframe, FixedWing) else NO_AERO,
+        rotors=isinstance(airframe, Multirotor),
+        quad=quad_model(airframe if isinstance(airframe, Multirotor) else Multirotor.read("iris")),
     )
+
+
+def quad_model(quad: Multirotor) -> QuadModel:
+    """The kernel's view of a quadrotor."""
+    first, second, third, fourth = (
+        (float(row[0]), float(row[1]), float(row[2]), float(row[3])) for row in quad.rotors
+    )
+    return QuadModel(quad.frame, (first, second, third, fourth), quad_of(quad))
 
 
 def tunings_of(name: str) -> Tunings:

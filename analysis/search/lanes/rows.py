@@ -7,7 +7,7 @@ Units are SI, axes as in `simvehicle.vehicles.rigidbody_kernel`.
 LANES = 32
 
 STATE = 0  # 13: position, velocity, quaternion, rates
-CONTROL = 13  # 4: elevator, aileron, rudder, throttle
+CONTROL = 13  # 4: elevator, aileron, rudder, throttle; or a quadrotor's motors
 MISSION = 17  # 5: 1 or 0 (open loop), roll, its period, pitch, airspeed (see `steer_lanes`)
 WIND = 22  # 3: NED, with gusts
 FORCE = 25  # 3: specific force
@@ -70,5 +70,6 @@ GUSTS = OPEN_LOOP + 4  # 5: states of the Dryden filters
 STEADY = GUSTS + 5  # 3: the wind without gusts, NED
 STATE_SQUARES = STEADY + 3  # 12: sums of squared errors of position, velocity, angles, rates
 INVERTED_SQUARES = STATE_SQUARES + 12  # 5: height, airspeed, position; samples of each kind
-ROWS = INVERTED_SQUARES + 5
+MOTOR = INVERTED_SQUARES + 5  # 4: speeds of a quadrotor's motors, rad/s
+ROWS = MOTOR + 4
 LIMITS = ("", "pitch", "alpha", "beta", "airspeed", "rate", "load", "ground")

@@ -23,6 +23,7 @@ from analysis.search.lanes.inverted_lanes import (
     sense_static,
 )
 from analysis.search.lanes.lane_state import Buffer, Envelope, draw, living, move, sense_imu
+from analysis.search.lanes.quad_lanes import QuadModel, move_quad, steer_quad
 from analysis.search.lanes.score_lanes import (
     euler_of_quaternions,
     score_angle,
@@ -50,7 +51,8 @@ class Plan(NamedTuple):
 
     `estimator` is 0 for the inverse sensor model, 1 for Mahony, 2 for the EKF; `field_every`,
     `velocity_every` and `pressure_every` count IMU samples. With `inverted` height, airspeed and
-    position are made of the pressures and of GPS, and scored.
+    position are made of the pressures and of GPS, and scored. With `rotors` a `quad` flies, else
+    the fixed wing of `aero`.
     """
 
     steps: int
@@ -78,6 +80,8 @@ class Plan(NamedTuple):
     limits: Envelope
     body: Inertia
     aero: Aero
+    rotors: bool
+    quad: QuadModel
 
 
 @compiled
@@ -95,14 +99,16 @@ def measure(buf: Buffer, generators: Generators, k: int, plan: Plan) -> None:
     """
     slow = (plan.estimator > 0 or plan.inverted) and k > 0
     pressure = slow and k % plan.pressure_every == 0
+    pitot = pressure and not plan.rotors
     field = slow and k % plan.field_every == 0
     velocity = slow and k % plan.velocity_every == 0
     draw(buf, generators[0])
     sense_imu(buf)
     if pressure:
         draw(buf, generators[1])
-        sense_pressure(buf, plan.density_kgpm3)
         sense_static(buf, plan.place)
+    if pitot:
+        sense_pressure(buf, plan.density_kgpm3)
     if field or velocity:
         draw(buf, generators[1])
     if field:
@@ -136,7 +142,7 @@ def filter_step(buf: Buffer, filters: Columns, airspeed: Buffer, k: int, plan: P
         level(buf, filters, airspeed, tunings.ekf, k * plan.dt_s)
     if k % plan.field_every == 0:
         head(buf, filters, kind, tunings, plan.declination_rad, plan.field_every * plan.dt_s)
-    if k % plan.pressure_every == 0:
+    if k % plan.pressure_every == 0 and not plan.rotors:
         airspeeds(buf, airspeed, plan.sea_density_kgpm3)
     if k % plan.velocity_every == 0 and kind == EKF:
         velocity(buf, filters, tunings.ekf, k * plan.dt_s)
@@ -152,9 +158,14 @@ def tick(
     plan: Plan,
 ) -> None:
     """Sample `k` of every lane: truth, sensors, estimate, score; the truth moves on."""
-    if plan.mission:
-        steer(buf, k * plan.dt_s)
-    move(buf, plan.dt_s, (plan.gravity_mps2, plan.density_kgpm3), plan.body, plan.aero, plan.limits)
+    world = (plan.gravity_mps2, plan.density_kgpm3)
+    if plan.rotors:
+        steer_quad(buf, k * plan.dt_s, world, plan.quad.control)
+        move_quad(buf, plan.dt_s, world, plan.body, plan.quad, plan.limits)
+    else:
+        if plan.mission:
+            steer(buf, k * plan.dt_s)
+        move(buf, plan.dt_s, world, plan.body, plan.aero, plan.limits)
     measure(buf, generators, k, plan)
     if plan.estimator == 0:
         if k > 0:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from analysis.search.space.airframe import has_rotors
 from analysis.search.space.dimensions import target_of
 from analysis.search.space.fault_range import LATITUDE_DEG
 from analysis.search.space.test_file import AUTOPILOT, TestFile
@@ -96,9 +97,6 @@ def _flight(test: TestFile, values: Mapping[str, float]) -> Document:
     height_m = start.pop("height_m")
     heading_deg = start.pop("yaw_deg")
     # Names of the sections are those of a scenario, so they pass as they are.
-    controls: Document = part("controls")
-    if test.mission is not None:
-        controls["weave"] = part("mission")
     wind = part("wind")
     return {
         "name": "worst case",
@@ -111,8 +109,7 @@ def _flight(test: TestFile, values: Mapping[str, float]) -> Document:
             "heading_deg": heading_deg,
             "state": start,
         },
-        "vehicle": {"kind": "fixedwing", "parameters": test.vehicle},
-        "controls": controls,
+        **_controlled(test, part("controls"), part("mission")),
         "environment": {
             "wind_ned_mps": [wind[f"{axis}_mps"] for axis in ("north", "east", "down")],
             "gusts": test.gusts,
@@ -122,11 +119,26 @@ def _flight(test: TestFile, values: Mapping[str, float]) -> Document:
     }
 
 
+def _controlled(test: TestFile, controls: Document, mission: Document) -> Document:
+    """The sections `vehicle` and `controls`."""
+    if has_rotors(test.vehicle):
+        # Without a mission it hovers.
+        mission = mission or {"roll_deg": 0.0, "period_s": 1.0, "pitch_deg": 0.0}
+        weave = {key: value for key, value in mission.items() if key != "airspeed_mps"}
+        kind, controls = "multirotor", {"weave": weave}
+    else:
+        kind = "fixedwing"
+        if test.mission is not None:
+            controls["weave"] = mission
+    return {"vehicle": {"kind": kind, "parameters": test.vehicle}, "controls": controls}
+
+
 def _sensors(test: TestFile, values: Mapping[str, float]) -> Document:
     dip, variation = np.radians([test.inclination_deg, test.declination_deg])
     north, down = test.field_gauss * np.cos(dip), test.field_gauss * np.sin(dip)
     field = [north * np.cos(variation), north * np.sin(variation), down]
     gyro = np.radians([values[f"gyro_bias_{axis}_dps"] for axis in "xyz"])
+    pitot = {"rate_hz": PRESSURE_HZ, "noise": {"sigma": values["pressure_sigma_pa"]}}
     return {
         "imu": {
             "rate_hz": 1.0 / test.dt_s,
@@ -149,7 +161,7 @@ def _sensors(test: TestFile, values: Mapping[str, float]) -> Document:
             "noise": {"sigma": values["static_sigma_pa"], "bias": [values["static_bias_pa"]]},
             "drift_pa_per_k": values["static_drift_pa_per_k"],
         },
-        "airspeed": {"rate_hz": PRESSURE_HZ, "noise": {"sigma": values["pressure_sigma_pa"]}},
+        "airspeed": None if has_rotors(test.vehicle) else pitot,
         "gps": {
             "rate_hz": GPS_HZ,
             "horizontal": {"kick_m": values["position_kick_m"], "k_per_s": test.position_k_per_s},

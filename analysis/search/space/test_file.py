@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from analysis.search.space.airframe import has_rotors
 from analysis.search.space.fault_range import FaultRange
 from analysis.search.space.section import Range, Section
 from mavproxy_fault.documents.document_check import decode
@@ -214,11 +215,24 @@ class TestFile(Section, frozen=True):
         # Compiled flights are scored from the first sample.
         if self.settle_s > 0.0:
             raise ValueError("settle_s is for flights in the simulator; leave it out")
+        self._check_airframe()
         if self.criterion not in ("euler", "angle") and self.estimator != "inverse-model":
             raise ValueError(
                 f"criterion: {self.criterion} needs all twelve states; {self.estimator} estimates "
                 "fewer"
             )
+
+    def _check_airframe(self) -> None:
+        if not has_rotors(self.vehicle):
+            return
+        # Zeros are those of a case that is flown again.
+        if any(msgspec.structs.asdict(self.controls).values()):
+            raise ValueError("controls are a fixed wing's; a quadrotor sways by its mission")
+        if self.mission is not None and self.mission.airspeed_mps:
+            raise ValueError("mission.airspeed_mps is a fixed wing's; a quadrotor holds its height")
+        # Nothing is measured there: it has no pitot tube.
+        if self.criterion == "airspeed":
+            raise ValueError("criterion: airspeed needs a pitot tube; a quadrotor has none")
 
     @property
     def unit(self) -> str:
