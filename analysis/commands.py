@@ -13,21 +13,10 @@ def add_run(commands: Any) -> None:
     parser = commands.add_parser(
         "run", help="play a scenario: simulator + proxy + monitor + report"
     )
-    parser.add_argument("scenario", nargs="?", metavar="SCENARIO", help="YAML (default: the demo)")
-    parser.add_argument(
-        "--schedule", metavar="FILE", help="faults to use instead of the scenario's"
-    )
+    _add_scenario(parser)
     # No default here, as it hangs on --ui: whoever watches a page wants real time.
     parser.add_argument(
         "--speed", metavar="1|N|max", help="times real time (default: max, with --ui 1)"
-    )
-    parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="PATH=VALUE",
-        help="a value of the scenario, such as environment.wind_ned_mps[0]=5; may be given again",
     )
     out = "folder of logs and results (default: runs/ and a number)"
     parser.add_argument("--out", "--logdir", metavar="DIR", help=out)
@@ -73,6 +62,22 @@ def add_run(commands: Any) -> None:
     )
     # The command line calls `main` of the subcommand that was named.
     parser.set_defaults(main=_run)
+
+
+def _add_scenario(parser: argparse.ArgumentParser) -> None:
+    """The scenario, and what is put in the place of parts of it."""
+    parser.add_argument("scenario", nargs="?", metavar="SCENARIO", help="YAML (default: the demo)")
+    parser.add_argument(
+        "--schedule", metavar="FILE", help="faults to use instead of the scenario's"
+    )
+    parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="PATH=VALUE",
+        help="a value of the scenario, such as environment.wind_ned_mps[0]=5; may be given again",
+    )
 
 
 def _run(args: argparse.Namespace) -> int:

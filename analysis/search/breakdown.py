@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,10 +13,10 @@ from analysis.scoring.attitude_scores import Cells, parted, phases_of
 from analysis.search.evaluation.compiled_batch import COMPILED, Batch, ned_velocity, start_filters
 from analysis.search.evaluation.traced_flight import Trace, estimated, traced, with_all_sensors
 from analysis.search.shrink import pinned
-from analysis.search.space.dimensions import flights_of
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 
+INVERTED_STATES = ("height_m", "airspeed_mps", "position_m")
 Array = NDArray[np.float64]
 CELL_US = 100_000
 STATES = (
@@ -35,7 +36,8 @@ class Acting(NamedTuple):
 def breakdown(
     test: TestFile, values: Mapping[str, float], seed: int, number: int
 ) -> dict[str, Any]:
-    """Scores as `parted` gives them, and `state_rmse` for an estimator of twelve states.
+    """Scores as `parted` gives them, and for the inverse model those of all twelve states and of
+    what the inverted sensor models say.
 
     `seed` and `number` choose the noise.
     """
@@ -54,13 +56,20 @@ def breakdown(
     parts = parted(cells_of(flight, error), windows, CELL_US)
     if test.estimator == "inverse-model":
         parts["state_rmse"] = dict(zip(STATES, state_rmse(flight).tolist(), strict=True))
+        inverted = Batch(msgspec.structs.replace(test, criterion="height"))
+        columns = {name: np.array([value]) for name, value in values.items()}
+        errors = inverted.of_values(columns, seed, number, 1).inverted_rmse[0].tolist()
+        named = dict(zip(INVERTED_STATES, errors, strict=True))
+        if flight.plan.rotors:
+            del named["airspeed_mps"]  # without a pitot tube
+        parts["inverted_rmse"] = named
     return parts
 
 
 def flight_of(test: TestFile, values: Mapping[str, float], seed: int, number: int) -> Trace:
     """The flight in full, with the attitude that the estimator under test made of it."""
     batch = Batch(test)
-    column = flights_of(test, {name: np.array([value]) for name, value in values.items()})
+    column = batch.columns({name: np.array([value]) for name, value in values.items()})
     filters = start_filters(test.estimator, column)[0]
     # Compiled estimators run inside the flight; others get its recorded sensors afterwards.
     if test.estimator in COMPILED:

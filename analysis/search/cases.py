@@ -142,8 +142,7 @@ def log_text(test: TestFile, cases: Sequence[WorstCase], totals: Totals) -> str:
     worst = cases[0]
     names = ("roll", "pitch", "yaw")
     rmse = ", ".join(f"{n} {v:.4g}" for n, v in zip(names, worst.rmse_deg[:3], strict=True))
-    # The criterion "state" mixes units, so that it has none.
-    unit = "" if test.criterion == "state" else " deg"
+    unit = f" {test.unit}".rstrip()
     lines += [
         f"Greatest error            {worst.error_deg:.4g}{unit} (RMSE, mean of "
         f"{test.rescore_draws} fresh noise draws, standard error {worst.sigma_deg:.2g})",
@@ -186,6 +185,9 @@ def part_lines(parts: Mapping[str, Any]) -> list[str]:
     if "state_rmse" in parts:
         states = ", ".join(f"{name} {value:.3g}" for name, value in parts["state_rmse"].items())
         lines.append(f"  all twelve states       {states}")
+    if "inverted_rmse" in parts:
+        inverted = ", ".join(f"{name} {v:.3g}" for name, v in parts["inverted_rmse"].items())
+        lines.append(f"  inverted sensors        {inverted}")
     return lines
 
 

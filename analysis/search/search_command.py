@@ -49,7 +49,7 @@ def main(args: argparse.Namespace) -> int:
         return show(test, folder)
     pool = pool_of(args.workers, args.ray)
     try:
-        progress = SearchProgress()
+        progress = SearchProgress(test.unit)
         cases, totals = campaign(test, pool, folder, progress, progress.say)
     finally:
         pool.close()
@@ -108,7 +108,7 @@ def campaign(
     cases = []
     for rank, (case, outcome) in enumerate(ranked, 1):
         error = float(outcome.fitness[0])
-        say(f"number {rank} of {len(ranked)}: {error:.4g} deg; making it smaller")
+        say(f"number {rank} of {len(ranked)}: {error:.4g} {test.unit}; making it smaller")
         cases.append(finished(test, case, outcome))
     totals = Totals(tests, dict(rejected), steps, time.perf_counter() - started, steps * test.dt_s)
     return cases, totals

@@ -9,13 +9,14 @@ LINE_S = 10.0  # between lines in a file; on a terminal one line is written over
 class SearchProgress:
     """How many tests were made and how bad the worst is; then what is done with it."""
 
-    def __init__(self) -> None:
+    def __init__(self, unit: str) -> None:
+        self._unit = unit
         self._last_s = time.monotonic()
         self._open = False  # a line waits to be written over
 
-    def __call__(self, tests: int, worst_deg: float, budget: int) -> None:
+    def __call__(self, tests: int, worst: float, budget: int) -> None:
         """Called whenever tests were made."""
-        line = f"{tests} of {budget} tests, worst {worst_deg:.4g} deg"
+        line = f"{tests} of {budget} tests, worst {worst:.4g} {self._unit}".rstrip()
         if sys.stderr.isatty():
             print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
             self._open = True

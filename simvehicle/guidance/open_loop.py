@@ -37,7 +37,9 @@ class OpenLoopController(FixedWingController):
         self._aim: Four | None = None
         if plan.weave is not None:
             roll, pitch = np.radians([plan.weave.roll_deg, plan.weave.pitch_deg])
-            self._aim = (float(roll), plan.weave.period_s, float(pitch), plan.weave.airspeed_mps)
+            airspeed_mps = plan.weave.airspeed_mps
+            assert airspeed_mps is not None  # as `Scenario` checks
+            self._aim = (float(roll), plan.weave.period_s, float(pitch), airspeed_mps)
 
     def update(self, truth: Truth) -> Controls:
         """Controls for the next step."""

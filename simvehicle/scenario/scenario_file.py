@@ -103,12 +103,13 @@ class Leg(_Section, frozen=True):
 
 
 class WeaveChoice(_Section, frozen=True):
-    """Rolling from side to side by `roll_deg` while holding pitch and airspeed."""
+    """Rolling from side to side by `roll_deg` while holding pitch and, for a fixed wing,
+    airspeed; a quadrotor holds its height."""
 
     roll_deg: float
     period_s: float
     pitch_deg: float
-    airspeed_mps: float
+    airspeed_mps: float | None = None
 
     def __post_init__(self) -> None:
         if self.period_s <= 0.0:
@@ -116,7 +117,8 @@ class WeaveChoice(_Section, frozen=True):
 
 
 class OpenLoop(_Section, frozen=True):
-    """Constant controls of a fixed wing in the place of a mission; `weave` adds feedback."""
+    """Constant controls of a fixed wing in the place of a mission; `weave` adds feedback, and is
+    all that a quadrotor has."""
 
     elevator_deg: float = 0.0
     aileron_deg: float = 0.0
@@ -198,9 +200,18 @@ class Scenario(_Section, frozen=True):
             raise ValueError(f"duration_s = {self.duration_s} is not positive; seconds above 0")
         if self.seed < 0:
             raise ValueError(f"seed = {self.seed} is negative; 0 or more is allowed")
-        # Deflections are a fixed wing's.
-        if self.controls is not None and (self.mission or self.vehicle.kind != "fixedwing"):
-            raise ValueError("controls are those of a fixed wing without a mission; leave one out")
+        if self.controls is not None:
+            self._check_controls(self.controls)
+
+    def _check_controls(self, controls: OpenLoop) -> None:
+        kind, weave = self.vehicle.kind, controls.weave
+        if self.mission or kind not in ("fixedwing", "multirotor"):
+            raise ValueError("controls fly a vehicle without a mission; leave one out")
+        # Deflections are a fixed wing's; a quadrotor without feedback falls over.
+        if kind == "multirotor" and (weave is None or controls != OpenLoop(weave=weave)):
+            raise ValueError("controls of a multirotor are weave alone; leave the others out")
+        if weave is not None and (weave.airspeed_mps is None) != (kind == "multirotor"):
+            raise ValueError("controls.weave.airspeed_mps is for a fixed wing, which needs it")
 
 
 def open_scenario(path: str | Path | None) -> Document:

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from simvehicle.environment.air import pressure_altitude
+from simvehicle.environment.air import SEA_LEVEL_K, pressure_altitude
 from simvehicle.sensors.error_model import Noise, NoiseState
 from simvehicle.sensors.readings import PressureReading
 from simvehicle.sensors.sensor import SensorParameters
@@ -14,12 +14,16 @@ _ICE_K = 273.15
 
 
 class Barometer(SensorParameters, frozen=True, kw_only=True):
-    """Measures static pressure [Pa]; the altitude is that of the standard atmosphere."""
+    """Measures static pressure [Pa]; the altitude is that of the standard atmosphere.
+
+    With the air's temperature it drifts by `drift_pa_per_k`, from 15 degrees Celsius on.
+    """
 
     channels: ClassVar = {"noise": 1}
 
     rate_hz: float = 50.0
     noise: Noise = Noise()
+    drift_pa_per_k: float = 0.0
 
     def new_state(self, rng: np.random.Generator) -> NoiseState:
         """Draw the constant error."""
@@ -30,7 +34,8 @@ class Barometer(SensorParameters, frozen=True, kw_only=True):
     ) -> tuple[PressureReading, NoiseState]:
         """One reading."""
         error, state = self.noise.next(state, rng, self.rate_hz)
-        pressure = (1.0 + self.noise.scale) * truth.pressure_pa + error[0]
+        drift = self.drift_pa_per_k * (truth.temperature_k - SEA_LEVEL_K)
+        pressure = (1.0 + self.noise.scale) * truth.pressure_pa + error[0] + drift
         # A huge bias may push it below zero, where the altitude has no logarithm.
         altitude = pressure_altitude(max(pressure, 1.0))
         celsius = truth.temperature_k - _ICE_K

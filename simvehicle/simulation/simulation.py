@@ -30,6 +30,7 @@ from simvehicle.environment.terrain import Grid, Level, read_grid
 from simvehicle.guidance.mission import plan
 from simvehicle.guidance.open_loop import OpenLoopController
 from simvehicle.guidance.route import PathTrack
+from simvehicle.guidance.sway import SwayController
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.sensors.readings import Reading
 from simvehicle.simulation.kinds import Controller, kind_of
@@ -37,6 +38,7 @@ from simvehicle.simulation.onboard import fit
 from simvehicle.simulation.weather import Weather
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.fixedwing import FixedWing
+from simvehicle.vehicles.multirotor import Multirotor
 from simvehicle.vehicles.rigidbody_kernel import DOWN, RIGID, P, U
 from simvehicle.vehicles.vehicle import VOLTS, surroundings
 
@@ -203,12 +205,11 @@ class Simulation:
             q_nb = quat_from_euler(math.radians(s.roll_deg), math.radians(s.pitch_deg), heading)
             x = vehicle.start(r, np.array([s.u_mps, s.v_mps, s.w_mps]), q_nb)
             x[P:RIGID] = np.radians([s.p_dps, s.q_dps, s.r_dps])
+            if isinstance(vehicle, Multirotor):
+                x[RIGID:-2] = vehicle.hover_rps(*self._around(x))
             return x
         level = vehicle.start(r, zero, quat_from_euler(0.0, 0.0, heading))
-        place = np.empty(PLACE)
-        locate(level, zero, self._place, place)
-        density, self._gravity = float(place[AIR + 2]), place[PULL:]
-        pull = float(np.linalg.norm(self._gravity))
+        density, pull = self._around(level)
         speeds = [leg.speed_mps or vehicle.parameters.cruise_mps for leg in scenario.mission]
         states, wind = [], self._weather.steady_mps
         for number, speed in enumerate(speeds or [vehicle.parameters.cruise_mps]):
@@ -221,10 +222,25 @@ class Simulation:
                 ) from None
         return states[0]
 
+    def _around(self, x: Array) -> tuple[float, float]:
+        """Density of the air [kg/m^3] and gravity [m/s^2] where a state is."""
+        place = np.empty(PLACE)
+        locate(x, np.zeros(3), self._place, place)
+        self._gravity = place[PULL:]
+        return float(place[AIR + 2]), float(np.linalg.norm(self._gravity))
+
     def _controller(self) -> Controller:
         scenario, density = self.scenario, self.truth.density_kgpm3
         if scenario.controls is None:
             return self.kind.controller(self.vehicle, density, scenario.start.alt_m)
+        if isinstance(self.vehicle, Multirotor):
+            weave = scenario.controls.weave
+            assert weave is not None  # as `Scenario` checks
+            aim = (math.radians(weave.roll_deg), weave.period_s, math.radians(weave.pitch_deg))
+            try:
+                return SwayController(self.vehicle, scenario.start.alt_m, aim)
+            except ValueError as error:
+                raise ConfigError(f"controls.weave: {error}") from None
         assert isinstance(self.vehicle, FixedWing)  # as `Scenario` checks
         return OpenLoopController(self.vehicle, density, scenario.start.alt_m, scenario.controls)
 

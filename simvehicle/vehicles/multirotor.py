@@ -145,12 +145,16 @@ class Multirotor:
         half = 0.5 * heading_rad
         q = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
         x = self.start(r_ned_m, np.zeros(3), q)
+        x[RIGID:-2] = self.hover_rps(density, gravity)
+        return x
+
+    def hover_rps(self, density: float, gravity: float) -> float:
+        """Speed of the motors [rad/s] at which they carry the vehicle."""
         # Each motor carries its share of the weight.
         each = self.body.mass_kg * gravity / self.controls_count
         thrust = self.parameters.motor.thrust_n_per_rps2 * density / SEA_LEVEL_DENSITY_KGPM3
         # Thrust goes with the square of the speed.
-        x[RIGID:-2] = math.sqrt(each / thrust)
-        return x
+        return math.sqrt(each / thrust)
 
     def advance(
         self, x: Array, controls: Array, around: Array, steps: int, dt: float

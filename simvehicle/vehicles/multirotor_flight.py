@@ -72,6 +72,50 @@ def pack(body: Inertia, frame: Airframe, wheels: Gear, rotors: Array) -> Array:
 
 
 @inlined
+def rotor_loads(
+    air: tuple[float, float],
+    yaw_rate: float,
+    omega: float,
+    at: tuple[float, float, float, float],
+    density: float,
+    frame: Airframe,
+) -> Loads:
+    """Force [N] and moment [N m] of one rotor at `omega` rad/s.
+
+    `air` is the body's velocity through the air forward and right; `at` the rotor's place [m], the
+    sign of its reaction torque and its propeller's efficiency.
+    """
+    right = at[1] - frame.shift_y
+    x = at[0] - frame.shift_x
+    thrust = frame.thrust * omega * omega * density / SEA_LEVEL_DENSITY_KGPM3
+    lift = thrust * at[3]
+    # The disc sees the air of its own place, moved by the yaw rate as well.
+    hx = -frame.rotor_drag * omega * (air[0] - yaw_rate * right)
+    hy = -frame.rotor_drag * omega * (air[1] + yaw_rate * x)
+    # Down is positive, so that lift is negative. Yaw: the drag of the discs at their arms, and the
+    # reaction to the propellers' torque.
+    turn = x * hy - right * hx + at[2] * frame.torque_per_thrust * thrust
+    return hx, hy, -lift, -right * lift, x * lift, turn
+
+
+@inlined
+def body_drag(
+    air: tuple[float, float, float],
+    rates: tuple[float, float, float],
+    density: float,
+    frame: Airframe,
+) -> Loads:
+    """Force [N] and moment [N m] of the air on the body itself."""
+    x, y, z = air
+    drag = 0.5 * density * frame.drag_area * np.sqrt(x * x + y * y + z * z)
+    p, q, r = rates
+    return (
+        -drag * x, -drag * y, -drag * z,
+        -frame.damping * p, -frame.damping * q, -frame.damping * r,
+    )  # fmt: skip
+
+
+@inlined
 def _loads(state: State13, stage: int, given: _Given) -> Loads:
     """Rotors, drag and ground."""
     rotors, frame, density, wind = given.rotors, given.frame, given.density, given.wind
@@ -82,34 +126,19 @@ def _loads(state: State13, stage: int, given: _Given) -> Loads:
     ax, ay, az = u - wx, v - wy, w - wz
     fx, fy, fz, mx, my, mz = contact(state, given.ground, given.wheels)
     for i in range(rotors.shape[0]):
-        x, y = rotors[i, 0] - frame.shift_x, rotors[i, _RIGHT] - frame.shift_y
-        omega = given.speeds[when, i]
-        thrust = frame.thrust * omega * omega * density / SEA_LEVEL_DENSITY_KGPM3
-        lift = thrust * rotors[i, _PROPELLER]
-        # The disc sees the air of its own place, moved by the yaw rate as well.
-        hx = -frame.rotor_drag * omega * (ax - r * y)
-        hy = -frame.rotor_drag * omega * (ay + r * x)
-        fx += hx
-        fy += hy
-        # Down is positive, so that lift is negative.
-        fz -= lift
-        mx -= y * lift
-        my += x * lift
-        # Yaw: the drag of the discs at their arms, and the reaction to the propellers' torque.
-        mz += x * hy - y * hx + rotors[i, _REACTION] * frame.torque_per_thrust * thrust
-    drag = 0.5 * density * frame.drag_area * np.sqrt(ax * ax + ay * ay + az * az)
+        at = (rotors[i, 0], rotors[i, _RIGHT], rotors[i, _REACTION], rotors[i, _PROPELLER])
+        one = rotor_loads((ax, ay), r, given.speeds[when, i], at, density, frame)
+        fx, fy, fz = fx + one[0], fy + one[1], fz + one[2]
+        mx, my, mz = mx + one[3], my + one[4], mz + one[5]
+    rest = body_drag((ax, ay, az), (p, q, r), density, frame)
     return (
-        fx - drag * ax,
-        fy - drag * ay,
-        fz - drag * az,
-        mx - frame.damping * p,
-        my - frame.damping * q,
-        mz - frame.damping * r,
-    )
+        fx + rest[0], fy + rest[1], fz + rest[2],
+        mx + rest[3], my + rest[4], mz + rest[5],
+    )  # fmt: skip
 
 
 @inlined
-def _commanded(control: float, sag: float, power: float, frame: Airframe) -> float:
+def commanded(control: float, sag: float, power: float, frame: Airframe) -> float:
     """Speed [rad/s] that a motor runs to; power goes with the square of the speed into thrust."""
     u = min(1.0, max(0.0, control))
     # At 0 a motor stands still; just above it idles, as speed controllers do when armed.
@@ -123,7 +152,7 @@ def _spin(
 ) -> None:
     """Fill in the motors' speeds at the middle and the end of a step, exactly."""
     for i in range(controls.shape[0]):
-        wanted = _commanded(controls[i], sag, rotors[i, _POWER], frame)
+        wanted = commanded(controls[i], sag, rotors[i, _POWER], frame)
         # Brakes are weaker than drives: spinning down takes longer.
         lag = frame.spin_up_s if wanted > speeds[0, i] else frame.spin_down_s
         remaining = math.exp(-0.5 * dt / lag)  # of the difference after half a step

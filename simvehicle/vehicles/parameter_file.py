@@ -68,13 +68,13 @@ class Battery(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         return max(0.0, self.cells * cell - self.resistance_ohm * current_a), charge
 
 
-def read_parameters(name: str | Path, kind: type[T]) -> T:
-    """Decode a shipped parameter set by name, or a file by its path.
+def parameter_path(name: str | Path) -> Path:
+    """Where a shipped parameter set lies, or the path that was given.
 
     Raises
     ------
     ConfigError
-        If there is no such set or file, or its content is wrong.
+        If there is no such set.
     """
     shipped = Path(str(resources.files("simvehicle.vehicles")))
     path = Path(name)
@@ -86,4 +86,15 @@ def read_parameters(name: str | Path, kind: type[T]) -> T:
             raise ConfigError(
                 f"vehicle.parameters: {name} is unknown; known: {known}, or the path of a YAML file"
             )
-    return decode(read_document(path), kind)
+    return path
+
+
+def read_parameters(name: str | Path, kind: type[T]) -> T:
+    """Decode a shipped parameter set by name, or a file by its path.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such set or file, or its content is wrong.
+    """
+    return decode(read_document(parameter_path(name)), kind)

@@ -14,9 +14,19 @@ from analysis.estimators.ekf import Ekf
 from analysis.search.evaluation.traced_flight import Trace, estimated, traced, with_all_sensors
 from analysis.search.lanes import rows
 from analysis.search.lanes.filter_lanes import EKF, FILTER_SIZE, HEARD, LEVELLED, MAHONY, Tunings
+from analysis.search.lanes.inverted_lanes import (
+    AIRSPEED,
+    HEIGHT,
+    PLACES,
+    POSITION,
+    PRESSURES,
+    Place,
+)
 from analysis.search.lanes.lane_state import Envelope
 from analysis.search.lanes.noise_kernel import GENERATORS, streams
+from analysis.search.lanes.quad_lanes import QuadModel
 from analysis.search.lanes.search_kernel import Plan, fly
+from analysis.search.space.airframe import Airframe, hover_rps, read_airframe, trimmed
 from analysis.search.space.dimensions import (
     Space,
     fault_entries,
@@ -24,29 +34,36 @@ from analysis.search.space.dimensions import (
     flights_of,
     space_of,
 )
+from analysis.search.space.point_scenario import altitude_of
 from analysis.search.space.test_file import StateScales, TestFile
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 from simvehicle.environment.air import GUSTS
 from simvehicle.vehicles.fixedwing import FixedWing
+from simvehicle.vehicles.fixedwing_kernel import Aero
+from simvehicle.vehicles.multirotor import Multirotor
+from simvehicle.vehicles.sway_kernel import quad_of
 
 Array = NDArray[np.float64]
 # Usual rates of a magnetometer, a GPS receiver and a pitot tube on a small aircraft.
 FIELD_HZ, VELOCITY_HZ, PRESSURE_HZ = 25.0, 5.0, 10.0
 # The number of the kernel without a filter; it is flown for its flight alone.
 HEUN = 0
+INVERTED = {"height": HEIGHT, "airspeed": AIRSPEED, "position": POSITION}
+NO_AERO = Aero(*[0.0] * len(Aero._fields))
 COMPILED = {"inverse-model": HEUN, "complementary": MAHONY, "mahony": MAHONY, "ekf": EKF}
 
 
 class Outcome(NamedTuple):
     """What became of n evaluations.
 
-    `fitness` (n,) is the criterion in degrees (without a unit by that of twelve states), or, where
-    the flight left the envelope, minus the share of the time that was left (-1 to 0); `spread_deg`
-    (n,) is its standard deviation over the noise draws. `rmse_deg` and `largest_deg` (n, 4): roll,
-    pitch, yaw, angle (in the kernels 0 unless the criterion is the angle), means over the noise
-    draws. `lasted_s` (n,); `broken_limit` (n,) numbers of `rows.LIMITS`; `steps` that were flown
-    and scored, all in all.
+    `fitness` (n,) is the criterion in its unit (`TestFile.unit`), or, where the flight left the
+    envelope, minus the share of the time that was left (-1 to 0); `spread_deg` (n,) is its standard
+    deviation over the noise draws. `rmse_deg` and `largest_deg` (n, 4): roll, pitch, yaw, angle (in
+    the kernels 0 unless the criterion is the angle), means over the noise draws. `lasted_s` (n,);
+    `broken_limit` (n,) numbers of `rows.LIMITS`; `steps` that were flown
+    and scored, all in all. `inverted_rmse` (n, 3): height [m], airspeed [m/s] and position [m] of
+    the inverted sensor models, where the criterion is one of them.
     """
 
     fitness: Array
@@ -56,6 +73,7 @@ class Outcome(NamedTuple):
     lasted_s: Array
     broken_limit: NDArray[np.int64]
     steps: int
+    inverted_rmse: Array
 
 
 @dataclass(frozen=True)
@@ -65,21 +83,20 @@ class Batch:
     test: TestFile
 
     @cached_property
-    def vehicle(self) -> FixedWing:
-        """The airframe."""
-        return FixedWing.read(self.test.vehicle)
+    def airframe(self) -> Airframe:
+        """What flies."""
+        return read_airframe(self.test.vehicle)
 
     @cached_property
     def space(self) -> Space:
         """What is searched."""
-        speed = self.vehicle.parameters.cruise_mps
-        trim = self.vehicle.trim(speed, self.test.density_kgpm3, STANDARD_GRAVITY_MPS2)
+        trim = trimmed(self.airframe, self.test.density_kgpm3)
         return space_of(flight_entries(self.test, trim) | fault_entries(self.test))
 
     @cached_property
     def plan(self) -> Plan:
         """What all flights share."""
-        return plan_of(self.test, self.vehicle)
+        return plan_of(self.test, self.airframe)
 
     def evaluate(self, points: Array, seed: int, first: int, draws: int | None = None) -> Outcome:
         """Fly points (n, d) of the unit cube, each with its own noise.
@@ -102,7 +119,7 @@ class Batch:
         Without gusts chance does not move the aircraft: of many flights, those that leave the
         envelope are flown only once.
         """
-        flights = flights_of(self.test, values)
+        flights = self.columns(values)
         count = flights.shape[1]
         # Each draw of each evaluation has its own number, so that any split of the work gives the
         # same.
@@ -123,6 +140,10 @@ class Batch:
             again = self._flown(rest, seed, numbers[stays, 1:].ravel())
             columns[:, stays, 1:] = again.reshape(rows.ROWS, -1, draws - 1)
         return outcome_of(columns, self.test)
+
+    def columns(self, values: Mapping[str, Array]) -> Array:
+        """Values (n,) by name as columns (ROWS, n) for the kernel."""
+        return flights_of(self.test, values, hover_rps(self.airframe, self.test.density_kgpm3))
 
     def _flown(self, flights: Array, seed: int, numbers: NDArray[np.int64]) -> Array:
         """The columns as the kernel leaves them; `numbers` (n,) choose the noise."""
@@ -148,7 +169,7 @@ class Batch:
         column[rows.LARGEST : rows.LARGEST + 4] = np.abs(error).max(axis=0)
 
 
-def plan_of(test: TestFile, vehicle: FixedWing) -> Plan:
+def plan_of(test: TestFile, airframe: Airframe) -> Plan:
     """The kernel's view of a test."""
     # The field points down by the inclination and east of north by the declination.
     dip, variation = np.radians([test.inclination_deg, test.declination_deg])
@@ -175,13 +196,32 @@ def plan_of(test: TestFile, vehicle: FixedWing) -> Plan:
         noisy=any(fault.fault == "noise" for fault in test.faults),
         angle=test.criterion == "angle",
         state=test.criterion == "state",
+        inverted=test.criterion in INVERTED,
+        place=Place(
+            altitude_of(test.density_kgpm3),
+            test.density_kgpm3,
+            STANDARD_GRAVITY_MPS2,
+            test.static_pressure == "linear",
+            float(np.exp(-test.position_k_per_s / VELOCITY_HZ)),
+        ),
         estimator=COMPILED.get(test.estimator, HEUN),
         tunings=tunings_of(test.estimator),
         sea_density_kgpm3=SEA_LEVEL_DENSITY_KGPM3,
         limits=envelope_of(test),
-        body=vehicle.body,
-        aero=vehicle.aero,
+        body=airframe.body,
+        # The kernel has a place for both kinds; the other one's is never looked at.
+        aero=airframe.aero if isinstance(airframe, FixedWing) else NO_AERO,
+        rotors=isinstance(airframe, Multirotor),
+        quad=quad_model(airframe if isinstance(airframe, Multirotor) else Multirotor.read("iris")),
     )
+
+
+def quad_model(quad: Multirotor) -> QuadModel:
+    """The kernel's view of a quadrotor."""
+    first, second, third, fourth = (
+        (float(row[0]), float(row[1]), float(row[2]), float(row[3])) for row in quad.rotors
+    )
+    return QuadModel(quad.frame, (first, second, third, fourth), quad_of(quad))
 
 
 def tunings_of(name: str) -> Tunings:
@@ -259,7 +299,7 @@ def outcome_of(columns: Array, test: TestFile) -> Outcome:
         "euler": lambda: rmse[:3].max(axis=0),
         "angle": lambda: rmse[3],
         "state": lambda: np.sqrt((state / squares_of(test.state_scales)).mean(axis=0)),
-    }[test.criterion]()
+    }.get(test.criterion, lambda: inverted_rmse(columns)[INVERTED[test.criterion]])()
     # From -1 to 0: a search is led back inside, since longer flights are better than shorter.
     fitness = np.where(limit > 0, lasted - 1.0, worst.mean(axis=1))
     return Outcome(
@@ -272,7 +312,17 @@ def outcome_of(columns: Array, test: TestFile) -> Outcome:
         limit,
         # A flight that left is flown once, whatever the number of draws.
         int(np.where(limit > 0, count.max(axis=1), count.sum(axis=1)).sum()),
+        inverted_rmse(columns).mean(axis=2).T,
     )
+
+
+def inverted_rmse(columns: Array) -> Array:
+    """RMSE (3, ...) of height [m], airspeed [m/s] and position [m] from rows (ROWS, ...)."""
+    found = columns[rows.INVERTED_SQUARES :]
+    # Pressures and positions come at rates of their own; a flight may end before the first.
+    counts = np.maximum(found[[PRESSURES, PRESSURES, PLACES]], 1.0)
+    rmse: Array = np.sqrt(found[[HEIGHT, AIRSPEED, POSITION]] / counts)
+    return rmse
 
 
 def squares_of(scales: StateScales) -> Array:

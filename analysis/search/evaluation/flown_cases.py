@@ -20,6 +20,7 @@ from analysis.scoring.attitude_scoring import AttitudeConfig, AttitudeScorer
 from analysis.search.evaluation.autopilot_flight import estimate
 from analysis.search.evaluation.compiled_batch import Outcome
 from analysis.search.lanes.noise_kernel import seed_of
+from analysis.search.space.airframe import read_airframe, trimmed
 from analysis.search.space.dimensions import Space, fault_entries, flight_entries, space_of
 from analysis.search.space.point_scenario import Document, document_of
 from analysis.search.space.section import Range
@@ -33,7 +34,6 @@ from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.vehicles.body import Truth
-from simvehicle.vehicles.fixedwing import FixedWing
 
 Array = NDArray[np.float64]
 GROUND = 7  # the limit of the height
@@ -86,9 +86,8 @@ class Flown:
         entries: dict[str, Range] = {f"vary.{name}": ends for name, ends in self.test.vary.items()}
         if self.test.scenario is None:
             # The search's own airframe flies in the simulator as well.
-            vehicle = FixedWing.read(self.test.vehicle)
-            speed = vehicle.parameters.cruise_mps
-            trim = vehicle.trim(speed, self.test.density_kgpm3, STANDARD_GRAVITY_MPS2)
+            airframe = read_airframe(self.test.vehicle)
+            trim = trimmed(airframe, self.test.density_kgpm3)
             entries = flight_entries(self.test, trim)
         return space_of(entries | fault_entries(self.test))
 
@@ -228,4 +227,5 @@ def outcome_of(flights: Sequence[Sequence[Scores]], test: TestFile) -> Outcome:
         lasted,
         limit,
         sum(scores.steps for draws in flights for scores in draws),
+        np.zeros((len(flights), 3)),
     )

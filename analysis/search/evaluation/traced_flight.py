@@ -69,7 +69,7 @@ def readings(flight: Trace) -> Iterator[list[Sample]]:
         # In the order of the kernel: filters that are fed otherwise give other last bits.
         if k > 0 and k % plan.field_every == 0:
             found.append(MagSample(t_us, measured[6:9]))
-        if k > 0 and k % plan.pressure_every == 0:
+        if k > 0 and k % plan.pressure_every == 0 and not plan.rotors:
             found.append(AirspeedSample(t_us, float(measured[12])))
         if k > 0 and k % plan.velocity_every == 0 and not np.isnan(measured[9]):
             # The place is not used by these estimators; the velocity is what counts.

@@ -15,7 +15,15 @@ from analysis.search.lanes.fault_lanes import break_signals
 from analysis.search.lanes.filter_lanes import EKF, Tunings, head, level, predict, publish, velocity
 from analysis.search.lanes.gust_lanes import blow
 from analysis.search.lanes.heun_lanes import attitudes, heun, keep
+from analysis.search.lanes.inverted_lanes import (
+    Place,
+    score_place,
+    score_pressures,
+    sense_place,
+    sense_static,
+)
 from analysis.search.lanes.lane_state import Buffer, Envelope, draw, living, move, sense_imu
+from analysis.search.lanes.quad_lanes import QuadModel, move_quad, steer_quad
 from analysis.search.lanes.score_lanes import (
     euler_of_quaternions,
     score_angle,
@@ -32,6 +40,7 @@ IMU = 0
 FIELD = rows.FIELD - rows.MEASURED
 VELOCITY = rows.VELOCITY - rows.MEASURED
 PRESSURE = rows.DIFF_PRESSURE - rows.MEASURED
+PLACE = rows.PLACE - rows.MEASURED
 Columns = NDArray[np.float64]
 Three = tuple[float, float, float]
 Generators = NDArray[np.uint64]
@@ -41,7 +50,9 @@ class Plan(NamedTuple):
     """What all flights of a test share; every field is a plain number, as numba wants them.
 
     `estimator` is 0 for the inverse sensor model, 1 for Mahony, 2 for the EKF; `field_every`,
-    `velocity_every` and `pressure_every` count IMU samples.
+    `velocity_every` and `pressure_every` count IMU samples. With `inverted` height, airspeed and
+    position are made of the pressures and of GPS, and scored. With `rotors` a `quad` flies, else
+    the fixed wing of `aero`.
     """
 
     steps: int
@@ -61,12 +72,16 @@ class Plan(NamedTuple):
     noisy: bool
     angle: bool
     state: bool
+    inverted: bool
+    place: Place
     estimator: int
     tunings: Tunings
     sea_density_kgpm3: float
     limits: Envelope
     body: Inertia
     aero: Aero
+    rotors: bool
+    quad: QuadModel
 
 
 @compiled
@@ -82,14 +97,17 @@ def measure(buf: Buffer, generators: Generators, k: int, plan: Plan) -> None:
 
     Generators (4, LANES): IMU, slow sensors, noise faults, gusts.
     """
-    slow = plan.estimator > 0 and k > 0
+    slow = (plan.estimator > 0 or plan.inverted) and k > 0
     pressure = slow and k % plan.pressure_every == 0
+    pitot = pressure and not plan.rotors
     field = slow and k % plan.field_every == 0
     velocity = slow and k % plan.velocity_every == 0
     draw(buf, generators[0])
     sense_imu(buf)
     if pressure:
         draw(buf, generators[1])
+        sense_static(buf, plan.place)
+    if pitot:
         sense_pressure(buf, plan.density_kgpm3)
     if field or velocity:
         draw(buf, generators[1])
@@ -101,11 +119,18 @@ def measure(buf: Buffer, generators: Generators, k: int, plan: Plan) -> None:
         draw(buf, generators[2])
     break_all(buf, IMU, IMU + 6, k, plan)
     if pressure:
-        break_all(buf, PRESSURE, PRESSURE + 1, k, plan)
+        break_all(buf, PRESSURE, PRESSURE + 2, k, plan)
     if field:
         break_all(buf, FIELD, FIELD + 3, k, plan)
     if velocity:
         break_all(buf, VELOCITY, VELOCITY + 3, k, plan)
+    if plan.inverted and velocity:
+        sense_place(buf, generators[1], plan.place, k == plan.velocity_every)
+        break_all(buf, PLACE, PLACE + 3, k, plan)
+    if plan.inverted and pressure:
+        score_pressures(buf, plan.place)
+    if plan.inverted and velocity:
+        score_place(buf)
 
 
 @compiled
@@ -117,7 +142,7 @@ def filter_step(buf: Buffer, filters: Columns, airspeed: Buffer, k: int, plan: P
         level(buf, filters, airspeed, tunings.ekf, k * plan.dt_s)
     if k % plan.field_every == 0:
         head(buf, filters, kind, tunings, plan.declination_rad, plan.field_every * plan.dt_s)
-    if k % plan.pressure_every == 0:
+    if k % plan.pressure_every == 0 and not plan.rotors:
         airspeeds(buf, airspeed, plan.sea_density_kgpm3)
     if k % plan.velocity_every == 0 and kind == EKF:
         velocity(buf, filters, tunings.ekf, k * plan.dt_s)
@@ -133,9 +158,14 @@ def tick(
     plan: Plan,
 ) -> None:
     """Sample `k` of every lane: truth, sensors, estimate, score; the truth moves on."""
-    if plan.mission:
-        steer(buf, k * plan.dt_s)
-    move(buf, plan.dt_s, (plan.gravity_mps2, plan.density_kgpm3), plan.body, plan.aero, plan.limits)
+    world = (plan.gravity_mps2, plan.density_kgpm3)
+    if plan.rotors:
+        steer_quad(buf, k * plan.dt_s, world, plan.quad.control)
+        move_quad(buf, plan.dt_s, world, plan.body, plan.quad, plan.limits)
+    else:
+        if plan.mission:
+            steer(buf, k * plan.dt_s)
+        move(buf, plan.dt_s, world, plan.body, plan.aero, plan.limits)
     measure(buf, generators, k, plan)
     if plan.estimator == 0:
         if k > 0:

@@ -12,9 +12,6 @@ from analysis.search.space.fault_range import CHANNELS, LOST
 from analysis.search.space.section import Range
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
-from simvehicle.vehicles.fixedwing_flight import ELEVATOR, THROTTLE
-from simvehicle.vehicles.rigidbody_kernel import U, W
-from simvehicle.vehicles.trim import PITCH, Trim
 
 Array = NDArray[np.float64]
 SECTIONS = ("initial", "controls", "mission", "wind", "sensors")
@@ -63,25 +60,15 @@ def space_of(entries: Mapping[str, Range]) -> Space:
     return Space(tuple(names), np.array(low), np.array(high), fixed)
 
 
-def flight_entries(test: TestFile, trim: Trim) -> dict[str, Range]:
+def flight_entries(test: TestFile, trim: Mapping[str, float]) -> dict[str, Range]:
     """Start, controls, wind and sensors; what the test leaves open is that of the trim."""
-    state, controls = trim.state12(), trim.controls()
-    trimmed = {
-        "initial.u_mps": state[U],
-        "initial.w_mps": state[W],
-        "initial.pitch_deg": np.degrees(state[PITCH]),
-        "controls.elevator_deg": np.degrees(controls[ELEVATOR]),
-        "controls.throttle": controls[THROTTLE],
-        "mission.pitch_deg": np.degrees(state[PITCH]),
-        "mission.airspeed_mps": trim.airspeed_mps,
-    }
     found = {}
     for section in SECTIONS:
         part = getattr(test, section)
         for key, value in msgspec.structs.asdict(part).items() if part is not None else ():
             name = f"{section}.{key}"
             # None means "as trimmed": only these keys have a value there.
-            found[name] = float(trimmed[name]) if value is None else value
+            found[name] = trim[name] if value is None else value
     return found
 
 
@@ -103,8 +90,9 @@ def target_of(test: TestFile, fault: int, value: float) -> str:
     return targets[min(int(value), len(targets) - 1)]
 
 
-def flights_of(test: TestFile, values: Mapping[str, Array]) -> Array:
-    """Columns (ROWS, n) for the kernel, estimates at the true start."""
+def flights_of(test: TestFile, values: Mapping[str, Array], motor_rps: float) -> Array:
+    """Columns (ROWS, n) for the kernel, estimates at the true start; a quadrotor's motors turn at
+    `motor_rps`."""
     count = len(values["initial.height_m"])
     columns = np.zeros((rows.ROWS, count))
     _start(columns, values)
@@ -134,6 +122,7 @@ def flights_of(test: TestFile, values: Mapping[str, Array]) -> Array:
         columns[rows.FAULTS + slot * rows.FAULT_ROWS + rows.CHANNEL] = -1.0
     for slot in range(len(test.faults)):
         _fault(columns, test, slot, values)
+    columns[rows.MOTOR : rows.MOTOR + 4] = motor_rps
     columns[rows.ALIVE] = 1.0
     return columns
 
@@ -145,7 +134,7 @@ def _start(columns: Array, values: Mapping[str, Array]) -> None:
     euler = np.radians([values[f"initial.{name}_deg"] for name in ("roll", "pitch", "yaw")])
     velocity = [values[f"initial.{name}_mps"] for name in ("u", "v", "w")]
     down = -values["initial.height_m"]
-    columns[rows.STATE + 2] = down
+    columns[rows.STATE + 2] = columns[rows.START_DOWN] = down
     columns[rows.STATE + 3 : rows.STATE + 6] = velocity
     columns[rows.STATE + 6 : rows.STATE + 10] = quat_from_euler(*euler).T
     columns[rows.STATE + 10 : rows.STATE + 13] = np.radians(
@@ -164,6 +153,10 @@ def _sensors(columns: Array, values: Mapping[str, Array]) -> None:
     columns[rows.FIELD_SIGMA] = values["sensors.field_sigma_gauss"]
     columns[rows.VELOCITY_SIGMA] = values["sensors.velocity_sigma_mps"]
     columns[rows.PRESSURE_SIGMA] = values["sensors.pressure_sigma_pa"]
+    for i, name in enumerate(("sigma_pa", "bias_pa", "drift_pa_per_k")):
+        columns[rows.STATIC_SIGMA + i] = values[f"sensors.static_{name}"]
+    columns[rows.PLACE_KICK : rows.PLACE_KICK + 2] = values["sensors.position_kick_m"]
+    columns[rows.PLACE_KICK + 2] = values["sensors.height_kick_m"]
     for i, axis in enumerate("xyz"):
         columns[rows.GYRO_BIAS + i] = np.radians(values[f"sensors.gyro_bias_{axis}_dps"])
         columns[rows.ACCEL_BIAS + i] = values[f"sensors.accel_bias_{axis}_mps2"]

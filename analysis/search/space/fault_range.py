@@ -2,9 +2,17 @@
 
 from typing import Any
 
+import numpy as np
 from msgspec import field
 
 from analysis.search.space.section import Range, Section
+from mavproxy_fault.numerics.earth import radii
+
+# Where the search's own flights are: normal gravity at sea level is 9.80665 m/s^2 there (WGS 84).
+LATITUDE_DEG = 45.497
+_MERIDIAN_M, _PRIME_M = map(float, radii(np.radians(LATITUDE_DEG)))
+METRES_PER_LAT = float(np.radians(1e-7) * _MERIDIAN_M)
+METRES_PER_LON = float(np.radians(1e-7) * _PRIME_M * np.cos(np.radians(LATITUDE_DEG)))
 
 # message field -> measured channel (see `rows`) and SI units per unit of the field
 CHANNELS: dict[str, tuple[int, float]] = {
@@ -21,7 +29,15 @@ CHANNELS: dict[str, tuple[int, float]] = {
     "HIL_GPS.ve": (10, 0.01),
     "HIL_GPS.vd": (11, 0.01),
     "HIL_SENSOR.diff_pressure": (12, 100.0),
+    "HIL_SENSOR.abs_pressure": (13, 100.0),
+    # Metres of a ten-millionth of a degree where the flights are; heights grow against down.
+    "HIL_GPS.lat": (14, METRES_PER_LAT),
+    "HIL_GPS.lon": (15, METRES_PER_LON),
+    "HIL_GPS.alt": (16, -0.001),
 }
+# The kernels know places from the start's ground: a share or a number of a whole latitude is none.
+PLACES = ("HIL_GPS.lat", "HIL_GPS.lon", "HIL_GPS.alt")
+OF_PLACES = ("bias", "drift", "freeze", "noise")
 # Three channels of velocity follow the first.
 LOST = {"HIL_GPS": (9, 1.0)}  # what `drop` may silence, by its first channel
 COMPILED = ("bias", "constant", "drift", "drop", "freeze", "noise", "scale")
@@ -74,3 +90,8 @@ class FaultRange(Section, frozen=True):
         for target in self.targets:
             if target not in known:
                 raise ValueError(f"target {target!r} is unknown; known: {', '.join(known)}")
+            if target in PLACES and self.fault not in OF_PLACES:
+                raise ValueError(
+                    f"faults.fault {self.fault!r} on {target} is not compiled; known: "
+                    f"{', '.join(OF_PLACES)}"
+                )

@@ -5,14 +5,15 @@ from typing import Any
 
 import numpy as np
 
+from analysis.search.space.airframe import has_rotors
 from analysis.search.space.dimensions import target_of
+from analysis.search.space.fault_range import LATITUDE_DEG
 from analysis.search.space.test_file import AUTOPILOT, TestFile
+from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.environment.air import SEA_LEVEL_K, SEA_LEVEL_PA
 from simvehicle.scenario.changed_scenario import with_value
 
 Document = dict[str, Any]
-# Where normal gravity at sea level is the 9.80665 m/s^2 of the search (WGS 84 formula)
-LATITUDE_DEG = 45.497
 # The rates of the compiled flights' sensors.
 GPS_HZ, FIELD_HZ, PRESSURE_HZ = 5.0, 25.0, 10.0
 
@@ -77,7 +78,11 @@ def _varied(scenario: Document, values: Mapping[str, float]) -> Document:
     document = scenario
     for name, value in values.items():
         if name.startswith("vary."):
-            document = with_value(document, name.removeprefix("vary."), float(value))
+            try:
+                document = with_value(document, name.removeprefix("vary."), float(value))
+            except ConfigError as error:
+                # As the file names it.
+                raise ConfigError(f"vary.{error}") from None
     return document
 
 
@@ -92,9 +97,6 @@ def _flight(test: TestFile, values: Mapping[str, float]) -> Document:
     height_m = start.pop("height_m")
     heading_deg = start.pop("yaw_deg")
     # Names of the sections are those of a scenario, so they pass as they are.
-    controls: Document = part("controls")
-    if test.mission is not None:
-        controls["weave"] = part("mission")
     wind = part("wind")
     return {
         "name": "worst case",
@@ -107,8 +109,7 @@ def _flight(test: TestFile, values: Mapping[str, float]) -> Document:
             "heading_deg": heading_deg,
             "state": start,
         },
-        "vehicle": {"kind": "fixedwing", "parameters": test.vehicle},
-        "controls": controls,
+        **_controlled(test, part("controls"), part("mission")),
         "environment": {
             "wind_ned_mps": [wind[f"{axis}_mps"] for axis in ("north", "east", "down")],
             "gusts": test.gusts,
@@ -118,11 +119,26 @@ def _flight(test: TestFile, values: Mapping[str, float]) -> Document:
     }
 
 
+def _controlled(test: TestFile, controls: Document, mission: Document) -> Document:
+    """The sections `vehicle` and `controls`."""
+    if has_rotors(test.vehicle):
+        # Without a mission it hovers.
+        mission = mission or {"roll_deg": 0.0, "period_s": 1.0, "pitch_deg": 0.0}
+        weave = {key: value for key, value in mission.items() if key != "airspeed_mps"}
+        kind, controls = "multirotor", {"weave": weave}
+    else:
+        kind = "fixedwing"
+        if test.mission is not None:
+            controls["weave"] = mission
+    return {"vehicle": {"kind": kind, "parameters": test.vehicle}, "controls": controls}
+
+
 def _sensors(test: TestFile, values: Mapping[str, float]) -> Document:
     dip, variation = np.radians([test.inclination_deg, test.declination_deg])
     north, down = test.field_gauss * np.cos(dip), test.field_gauss * np.sin(dip)
     field = [north * np.cos(variation), north * np.sin(variation), down]
     gyro = np.radians([values[f"gyro_bias_{axis}_dps"] for axis in "xyz"])
+    pitot = {"rate_hz": PRESSURE_HZ, "noise": {"sigma": values["pressure_sigma_pa"]}}
     return {
         "imu": {
             "rate_hz": 1.0 / test.dt_s,
@@ -140,12 +156,16 @@ def _sensors(test: TestFile, values: Mapping[str, float]) -> Document:
             "field_ned_gauss": [float(x) for x in field],
             "noise": {"sigma": values["field_sigma_gauss"]},
         },
-        "baro": {"rate_hz": FIELD_HZ, "noise": {"sigma": 10.0}},
-        "airspeed": {"rate_hz": PRESSURE_HZ, "noise": {"sigma": values["pressure_sigma_pa"]}},
+        "baro": {
+            "rate_hz": FIELD_HZ,
+            "noise": {"sigma": values["static_sigma_pa"], "bias": [values["static_bias_pa"]]},
+            "drift_pa_per_k": values["static_drift_pa_per_k"],
+        },
+        "airspeed": None if has_rotors(test.vehicle) else pitot,
         "gps": {
             "rate_hz": GPS_HZ,
-            "horizontal": {"kick_m": 0.03, "k_per_s": 0.01},
-            "vertical": {"kick_m": 0.05, "k_per_s": 0.01},
+            "horizontal": {"kick_m": values["position_kick_m"], "k_per_s": test.position_k_per_s},
+            "vertical": {"kick_m": values["height_kick_m"], "k_per_s": test.position_k_per_s},
             "velocity": {"sigma": values["velocity_sigma_mps"]},
         },
     }

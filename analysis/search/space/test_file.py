@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from analysis.search.space.airframe import has_rotors
 from analysis.search.space.fault_range import FaultRange
 from analysis.search.space.section import Range, Section
 from mavproxy_fault.documents.document_check import decode
@@ -80,7 +81,9 @@ class Wind(Section, frozen=True):
 class Sensors(Section, frozen=True):
     """Noise of each sample, one sigma, and constant biases.
 
-    Defaults: ADXRS450 and ADXL325 (Beard and McLain, Small Unmanned Aircraft, appendix H), GPS
+    `static` is the absolute pressure, which also drifts with the temperature (from 15 degrees on);
+    the kicks are those of the GPS position's Gauss-Markov error, north, east and up. Defaults:
+    ADXRS450, ADXL325 and MPXAZ6115A (Beard and McLain, Small Unmanned Aircraft, appendix H), GPS
     speed and differential pressure from there too.
     """
 
@@ -89,6 +92,11 @@ class Sensors(Section, frozen=True):
     field_sigma_gauss: Range = 0.002
     velocity_sigma_mps: Range = 0.05
     pressure_sigma_pa: Range = 2.0
+    static_sigma_pa: Range = 10.0
+    static_bias_pa: Range = 0.0
+    static_drift_pa_per_k: Range = 0.0
+    position_kick_m: Range = 0.03
+    height_kick_m: Range = 0.05
     gyro_bias_x_dps: Range = 0.0
     gyro_bias_y_dps: Range = 0.0
     gyro_bias_z_dps: Range = 0.0
@@ -133,7 +141,9 @@ class TestFile(Section, frozen=True):
     """A whole test file.
 
     `criterion` is what is to become large: the greatest of the RMSE of roll, pitch and yaw, the
-    RMSE of the angle between estimate and truth, or that of all twelve states in `state_scales`.
+    RMSE of the angle between estimate and truth, that of all twelve states in `state_scales`, or
+    that of the height, airspeed or position which the inverted sensor models make of the pressures
+    and of GPS. `static_pressure` is that of the standard atmosphere, or falls linearly by rho g h.
     `breaks_at_deg` is the size from which an estimator counts as broken; the worst cases are shrunk
     to the smallest fault that reaches it (None: half their own error). `noise_draws` flights with
     their own noise make an evaluation. `settle_s` at the start of a flight is not scored.
@@ -149,7 +159,7 @@ class TestFile(Section, frozen=True):
     vehicle: str = "aerosonde-2012"
     estimator: str = "inverse-model"
     autopilot: AutopilotChoice | None = None
-    criterion: Literal["euler", "angle", "state"] = "euler"
+    criterion: Literal["euler", "angle", "state", "height", "airspeed", "position"] = "euler"
     state_scales: StateScales = StateScales()
     breaks_at_deg: float | None = None
     duration_s: float = 60.0
@@ -174,6 +184,8 @@ class TestFile(Section, frozen=True):
     inclination_deg: float = 64.0
     declination_deg: float = 3.0
     field_gauss: float = 0.48
+    static_pressure: Literal["standard", "linear"] = "standard"
+    position_k_per_s: float = 0.01
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -192,8 +204,8 @@ class TestFile(Section, frozen=True):
                 raise ValueError(f"vary.{name} = {[low, high]} has its ends reversed; [low, high]")
         if not self.flown:
             self._check_compiled()
-        elif self.criterion == "state":
-            raise ValueError("criterion: state is compiled for the inverse-model only")
+        elif self.criterion not in ("euler", "angle"):
+            raise ValueError(f"criterion: {self.criterion} is compiled for the inverse-model only")
 
     def _check_compiled(self) -> None:
         if len(self.faults) > SLOTS:
@@ -203,10 +215,30 @@ class TestFile(Section, frozen=True):
         # Compiled flights are scored from the first sample.
         if self.settle_s > 0.0:
             raise ValueError("settle_s is for flights in the simulator; leave it out")
-        if self.criterion == "state" and self.estimator != "inverse-model":
+        self._check_airframe()
+        if self.criterion not in ("euler", "angle") and self.estimator != "inverse-model":
             raise ValueError(
-                f"criterion: state needs all twelve states; {self.estimator} estimates fewer"
+                f"criterion: {self.criterion} needs all twelve states; {self.estimator} estimates "
+                "fewer"
             )
+
+    def _check_airframe(self) -> None:
+        if not has_rotors(self.vehicle):
+            return
+        # Zeros are those of a case that is flown again.
+        if any(msgspec.structs.asdict(self.controls).values()):
+            raise ValueError("controls are a fixed wing's; a quadrotor sways by its mission")
+        if self.mission is not None and self.mission.airspeed_mps:
+            raise ValueError("mission.airspeed_mps is a fixed wing's; a quadrotor holds its height")
+        # Nothing is measured there: it has no pitot tube.
+        if self.criterion == "airspeed":
+            raise ValueError("criterion: airspeed needs a pitot tube; a quadrotor has none")
+
+    @property
+    def unit(self) -> str:
+        """The criterion's unit; that of twelve states mixes several and has none."""
+        units = {"state": "", "height": "m", "airspeed": "m/s", "position": "m"}
+        return units.get(self.criterion, "deg")
 
     @property
     def flown(self) -> bool:

@@ -1,0 +1,142 @@
+"""A quadrotor over lanes: the simulator's own rotors, motors and feedback."""
+
+from typing import NamedTuple
+
+from analysis.search.lanes import rows
+from analysis.search.lanes.lane_state import Buffer, Envelope, World, chosen, put_state, state_at
+from analysis.search.lanes.wide import wide
+from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
+from mavproxy_fault.numerics.polynomial import exp
+from mavproxy_fault.numerics.rotations.rotation_kernel import to_body, to_ned
+from mavproxy_fault.numerics.rotations.rotation_lanes import euler
+from simvehicle.vehicles.multirotor_flight import Airframe, body_drag, rotor_loads
+from simvehicle.vehicles.rigidbody_kernel import (
+    Inertia,
+    State13,
+    moved,
+    rigid_body,
+    runge_kutta,
+)
+from simvehicle.vehicles.sway_kernel import Attitude, Four, Quad, sway
+
+L = rows.LANES
+C, M, T, W = rows.CONTROL * L, rows.MOTOR * L, rows.MISSION * L, rows.WIND * L
+F, NOW, START = rows.FORCE * L, rows.NOW * L, rows.START_DOWN * L
+ALIVE, BROKEN_LIMIT = rows.ALIVE * L, rows.BROKEN_LIMIT * L
+MOTORS = 4
+
+Three = tuple[float, float, float]
+
+
+class QuadModel(NamedTuple):
+    """A quadrotor: coefficients, each rotor's place, turning and efficiency, and its feedback."""
+
+    frame: Airframe
+    rotors: tuple[Four, Four, Four, Four]
+    control: Quad
+
+
+@compiled
+def steer_quad(buf: Buffer, t_s: float, world: World, control: Quad) -> None:
+    """CONTROL from the mission and feedback of the truth, at the height of the start."""
+    wide()
+    gravity, density = world
+    for lane in range(L):
+        state = state_at(buf, lane)
+        _, _, down, u, v, w, e0, e1, e2, e3, p, q, r = state
+        roll, pitch, _ = euler(e0, e1, e2, e3)
+        _, _, sink = to_ned(e0, e1, e2, e3, u, v, w)
+        now = Attitude(roll, pitch, (p, q, r), buf[START + lane] - down, -sink)
+        aim = (buf[T + L + lane], buf[T + 2 * L + lane], buf[T + 3 * L + lane])
+        motors = sway(now, aim, control, gravity, density / SEA_LEVEL_DENSITY_KGPM3, t_s)
+        for i in range(MOTORS):
+            buf[C + i * L + lane] = motors[i]
+
+
+@inlined
+def _speed_after(speed: float, command: float, frame: Airframe, dt: float) -> float:
+    """A motor's speed [rad/s] after a time, exactly; commands are 0 to 1 and never 0."""
+    wanted = frame.idle + (frame.full - frame.idle) * command
+    lag = frame.spin_up_s if wanted > speed else frame.spin_down_s
+    return wanted + (speed - wanted) * exp(-dt / lag)
+
+
+@inlined
+def _slope(
+    state: State13, speeds: Four, wind: Three, world: World, body: Inertia, model: QuadModel
+) -> State13:
+    """Time derivative of the 13 states."""
+    gravity, density = world
+    _, _, _, u, v, w, e0, e1, e2, e3, p, q, r = state
+    wx, wy, wz = to_body(e0, e1, e2, e3, wind[0], wind[1], wind[2])
+    air = (u - wx, v - wy, w - wz)
+    fx, fy, fz, mx, my, mz = body_drag(air, (p, q, r), density, model.frame)
+    for i in range(MOTORS):
+        one = rotor_loads((air[0], air[1]), r, speeds[i], model.rotors[i], density, model.frame)
+        fx, fy, fz = fx + one[0], fy + one[1], fz + one[2]
+        mx, my, mz = mx + one[3], my + one[4], mz + one[5]
+    return rigid_body(state, (fx, fy, fz), (mx, my, mz), (0.0, 0.0, gravity), body)
+
+
+@inlined
+def _broken(state: State13, force: Three, limits: Envelope) -> float:
+    """The number of the limit that is broken; a hovering vehicle has no flow angles."""
+    _, _, down, _, _, _, e0, e1, e2, e3, p, q, r = state
+    fx, fy, fz = force
+    load = fx * fx + fy * fy + fz * fz
+    limit = 7.0 if -down <= limits.min_height_m else 0.0
+    limit = limit if load <= limits.load_mps2 * limits.load_mps2 else 6.0
+    limit = limit if p * p + q * q + r * r <= limits.rate_rps * limits.rate_rps else 5.0
+    sine = 2.0 * (e0 * e2 - e3 * e1)
+    return limit if abs(sine) <= limits.sin_pitch else 1.0
+
+
+@compiled
+def move_quad(
+    buf: Buffer, dt: float, world: World, body: Inertia, model: QuadModel, limits: Envelope
+) -> None:
+    """As `move`, for a quadrotor; its motors' speeds move on too."""
+    wide()
+    gravity, _ = world
+    for lane in range(L):
+        state = state_at(buf, lane)
+        wind = (buf[W + lane], buf[W + L + lane], buf[W + 2 * L + lane])
+        s0, s1 = buf[M + lane], buf[M + L + lane]
+        s2, s3 = buf[M + 2 * L + lane], buf[M + 3 * L + lane]
+        c0, c1 = buf[C + lane], buf[C + L + lane]
+        c2, c3 = buf[C + 2 * L + lane], buf[C + 3 * L + lane]
+        frame, half = model.frame, 0.5 * dt
+        first = (s0, s1, s2, s3)
+        middle = (
+            _speed_after(s0, c0, frame, half), _speed_after(s1, c1, frame, half),
+            _speed_after(s2, c2, frame, half), _speed_after(s3, c3, frame, half),
+        )  # fmt: skip
+        last = (
+            _speed_after(s0, c0, frame, dt), _speed_after(s1, c1, frame, dt),
+            _speed_after(s2, c2, frame, dt), _speed_after(s3, c3, frame, dt),
+        )  # fmt: skip
+        k1 = _slope(state, first, wind, world, body, model)
+        _, _, _, u, v, w, e0, e1, e2, e3, p, q, r = state
+        _, _, _, du, dv, dw, _, _, _, _, _, _, _ = k1
+        gx, gy, gz = to_body(e0, e1, e2, e3, 0.0, 0.0, gravity)
+        force = (
+            du - (r * v - q * w) - gx,
+            dv - (p * w - r * u) - gy,
+            dw - (q * u - p * v) - gz,
+        )
+        buf[F + lane], buf[F + L + lane], buf[F + 2 * L + lane] = force
+        put_state(buf, NOW, lane, state)
+        limit = _broken(state, force, limits)
+        was_alive = buf[ALIVE + lane] > 0.5
+        alive = was_alive & (limit < 0.5)
+        buf[BROKEN_LIMIT + lane] = limit if was_alive else buf[BROKEN_LIMIT + lane]
+        buf[ALIVE + lane] = 1.0 if alive else 0.0
+        k2 = _slope(moved(state, k1, half), middle, wind, world, body, model)
+        k3 = _slope(moved(state, k2, half), middle, wind, world, body, model)
+        k4 = _slope(moved(state, k3, dt), last, wind, world, body, model)
+        put_state(
+            buf, rows.STATE * L, lane, chosen(alive, runge_kutta(state, k1, k2, k3, k4, dt), state)
+        )
+        for i in range(MOTORS):
+            buf[M + i * L + lane] = last[i] if alive else first[i]

@@ -1,0 +1,67 @@
+"""What a search flies when it names no scenario: a fixed wing, or a quadrotor."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.yaml_document import read_document
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
+from simvehicle.vehicles.fixedwing import FixedWing
+from simvehicle.vehicles.fixedwing_flight import ELEVATOR, THROTTLE
+from simvehicle.vehicles.multirotor import Multirotor
+from simvehicle.vehicles.parameter_file import parameter_path
+from simvehicle.vehicles.rigidbody_kernel import U, W
+from simvehicle.vehicles.sway_kernel import MOTORS
+from simvehicle.vehicles.trim import PITCH
+
+Airframe = FixedWing | Multirotor
+
+
+def has_rotors(name: str) -> bool:
+    """Whether a parameter set is a multirotor's; errors as `read_airframe` has them."""
+    data: Any = read_document(parameter_path(name)).data
+    return isinstance(data, Mapping) and "rotors" in data
+
+
+def read_airframe(name: str) -> Airframe:
+    """Read a shipped parameter set by name, or a file by its path.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, its content is wrong, or it has other than four rotors.
+    """
+    if not has_rotors(name):
+        return FixedWing.read(name)
+    quad = Multirotor.read(name)
+    if quad.controls_count != MOTORS:
+        raise ConfigError(f"vehicle = {name} has {quad.controls_count} rotors; a search flies four")
+    return quad
+
+
+def trimmed(airframe: Airframe, density_kgpm3: float) -> dict[str, float]:
+    """What a test file may leave open: straight flight at cruising speed, or hover."""
+    if isinstance(airframe, Multirotor):
+        names = ("initial.u_mps", "initial.w_mps", "initial.pitch_deg", "controls.elevator_deg",
+                 "controls.throttle", "mission.pitch_deg", "mission.airspeed_mps")  # fmt: skip
+        return dict.fromkeys(names, 0.0)
+    trim = airframe.trim(airframe.parameters.cruise_mps, density_kgpm3, STANDARD_GRAVITY_MPS2)
+    state, controls = trim.state12(), trim.controls()
+    return {
+        "initial.u_mps": float(state[U]),
+        "initial.w_mps": float(state[W]),
+        "initial.pitch_deg": float(np.degrees(state[PITCH])),
+        "controls.elevator_deg": float(np.degrees(controls[ELEVATOR])),
+        "controls.throttle": float(controls[THROTTLE]),
+        "mission.pitch_deg": float(np.degrees(state[PITCH])),
+        "mission.airspeed_mps": trim.airspeed_mps,
+    }
+
+
+def hover_rps(airframe: Airframe, density_kgpm3: float) -> float:
+    """Speed of a quadrotor's motors that carries it [rad/s]; 0 for a fixed wing."""
+    if isinstance(airframe, Multirotor):
+        return airframe.hover_rps(density_kgpm3, STANDARD_GRAVITY_MPS2)
+    return 0.0
