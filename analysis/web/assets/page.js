@@ -28,10 +28,22 @@ function showStatus(news) {
   document.body.classList.toggle("lost", !there);
 }
 
-function showRuns({ run: joined, runs = [] }) {
+// Where there are several runs, a row of buttons: what each is doing; a press shows that one.
+function showRuns({ run: joined, runs = [], rows: told = {} }) {
   $("runs").hidden = runs.length < 2;
   if (runs.length < 2) return;
-  $("run").replaceChildren(...runs.map((name) => make("option", { value: name, textContent: name, selected: name === joined })));
+  const buttons = [...$("runs").children];
+  if (buttons.map((one) => one.value).join() !== runs.join()) {
+    $("runs").replaceChildren(...runs.map((value) => make("button", { type: "button", value, disabled: !token,
+      onclick: () => attempt("schedule-said", () => ask("run", value).then(() => "")) })));
+  }
+  for (const button of $("runs").children) {
+    const { faults = 0, acting = [], blamed = [] } = told[button.value] || {};
+    const doing = acting.length ? `${briefly(acting)} act${acting.length > 1 ? "" : "s"}` : `${faults} fault${faults === 1 ? "" : "s"}`;
+    button.textContent = `${button.value}: ${doing}${blamed.length ? `, ⚠ ${briefly(blamed)}` : ""}`;
+    button.className = blamed.length ? "bad" : "";
+    button.setAttribute("aria-pressed", String(button.value === joined));
+  }
 }
 
 // A run begins: what the one before has left is wiped away.
@@ -79,7 +91,6 @@ function connect() {
 // -- what it begins with -----------------------------------------------------------------------
 
 $("csv").onclick = () => download("received.csv", store.csv(), "text/csv");
-$("run").onchange = () => attempt("schedule-said", () => ask("run", $("run").value).then(() => ""));
 
 const AXIS_MS = 100; // the time axis moves so often: plots are drawn anew for it
 let moved_ms = 0;
@@ -105,7 +116,7 @@ function frame(now_ms) {
 }
 
 $("viewing").hidden = Boolean(token);
-for (const id of ["stop", "save", "load", "arm", "run", "add-fault", "add-step", "open-sequence", "open-kept"]) $(id).disabled = !token;
+for (const id of ["stop", "save", "load", "arm", "add-fault", "add-step", "open-sequence", "open-kept"]) $(id).disabled = !token;
 wish([]);
 offer();
 askAllowed();
