@@ -30,24 +30,21 @@ def page(
     results: Sequence[CellResult],
     curves: Sequence[CurvesOf],
     twins: dict[str, Evidence],
+    reload_s: float | None = None,
 ) -> str:
-    """The whole file; `twins` are the evidence without a fault, by `subject|scenario|seed`."""
+    """The whole file; `twins` are the evidence without a fault, by `subject|scenario|seed`.
+
+    With `reload_s` the campaign still flies: the page tells how far it is, and loads itself again.
+    """
     # The worst are listed: a campaign of the kernels has more results than a browser can hold.
     listed = sorted(results, key=badness, reverse=True)[:MOST_LISTED]
     numbers = {result.cell.key: number for number, result in enumerate(listed)}
     grid = grid_of(results, plan.campaign)
-    rows = [
-        {
-            "subject": row.subject,
-            "fault": row.fault,
-            "cells": [_cell(cell, numbers) for cell in row.cells],
-        }
-        for row in grid
-    ]
     model = {
+        "reload_s": reload_s,
         "ranks": RANKS,
         "limits": msgspec.to_builtins(plan.campaign.limits),
-        "rows": rows,
+        "rows": [_row(row, numbers) for row in grid],
         "results": [_numbers(result, plan.campaign) for result in listed],
         # Curves only of results that are listed.
         "curves": {
@@ -69,6 +66,7 @@ def page(
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             f"<title>{name}</title><style>{style}</style></head>",
             f"<body><header><h1>{name}</h1></header><main>",
+            "" if reload_s is None else _progress(len(results), plan.most_cells),
             _facts(results),
             '<p class="note">A cell holds one magnitude of a fault and shows the worst outcome of '
             "its flights. Hover for the numbers, click for the flights and their curves.</p>",
@@ -81,6 +79,11 @@ def page(
             f"<script>{(own / 'campaign.js').read_text()}</script></body></html>\n",
         )
     )
+
+
+def _row(row: GridRow, numbers: dict[str, int]) -> dict[str, object]:
+    cells = [_cell(cell, numbers) for cell in row.cells]
+    return {"subject": row.subject, "fault": row.fault, "cells": cells}
 
 
 def _cell(cell: GridCell, numbers: dict[str, int]) -> dict[str, object]:
@@ -135,6 +138,14 @@ def _thinned(curve: Curve) -> tuple[list[float], list[float]]:
         [round(curve.t_s[i], 2) for i in starts],
         # The largest, so that no peak is thinned away.
         [round(max(curve.value[i : i + step]), 3) for i in starts],
+    )
+
+
+def _progress(flown: int, cells: int) -> str:
+    """How far a campaign is that still flies."""
+    return (
+        f'<p role="status"><progress max="{cells}" value="{flown}" aria-label="Cells flown">'
+        f"</progress> {flown} of {cells} cells are flown; the page follows by itself.</p>"
     )
 
 

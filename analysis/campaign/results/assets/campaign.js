@@ -59,7 +59,8 @@ function heatCell(row, cell, line) {
   const worst = cell.results.length ? model.results[cell.results[0]] : null;
   shown.title = `${row.fault} ${cell.magnitude ?? ""}: ${counts}` +
     (worst ? `\nworst: ${numbers(worst)} ${worst.detected_by} ${worst.note}` : "");
-  shown.addEventListener("click", () => { chosen(shown, ".heat td"); detail(row, cell); });
+  shown.dataset.cell = [row.subject, row.fault, cell.magnitude].join("|");
+  shown.addEventListener("click", () => { chosen(shown, ".heat td"); detail(row, cell); location.replace(`#${encodeURIComponent(shown.dataset.cell)}`); });
 }
 
 function detail(row, cell) {
@@ -125,5 +126,7 @@ function shade(u, result) {
 
 legend();
 heatMap();
-const first = document.querySelector(".heat td");
-if (first) first.click();
+// The cell that was looked at before the page loaded itself again, or that a link names.
+const cells = [...document.querySelectorAll(".heat td")], wanted = decodeURIComponent(location.hash.slice(1));
+(cells.find((one) => one.dataset.cell === wanted) || cells[0])?.click();
+if (model.reload_s) setTimeout(() => location.reload(), model.reload_s * 1000);
