@@ -99,13 +99,12 @@ def plain_numpy():
     from search_numpy import fly
 
     from analysis.search.lanes import rows
-    from analysis.search.space.dimensions import flights_of
 
     batch = batch_of(**STEADY)
     points = np.random.default_rng(1).random((1000, batch.space.dimension))
-    flights = flights_of(batch.test, batch.space.values(points))
+    flights = batch.columns(batch.space.values(points))
     x, u = flights[:13], flights[rows.CONTROL : rows.CONTROL + 4]
-    vehicle = batch.vehicle
+    vehicle = batch.airframe
     steps = 200
     _, seconds = cpu(
         lambda: fly(x, u, vehicle.aero, vehicle.body, steps, 0.01, np.random.default_rng(1))

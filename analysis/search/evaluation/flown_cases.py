@@ -20,7 +20,7 @@ from analysis.scoring.attitude_scoring import AttitudeConfig, AttitudeScorer
 from analysis.search.evaluation.autopilot_flight import estimate
 from analysis.search.evaluation.compiled_batch import Outcome
 from analysis.search.lanes.noise_kernel import seed_of
-from analysis.search.space.airframe import read_airframe, trimmed
+from analysis.search.space.airframe import has_rotors, read_airframe, trimmed
 from analysis.search.space.dimensions import Space, fault_entries, flight_entries, space_of
 from analysis.search.space.point_scenario import Document, document_of
 from analysis.search.space.section import Range
@@ -146,8 +146,10 @@ def fly(test: TestFile, document: Document) -> Scores:
     scenario, schedule = decoded(document)
     watch = Watch(msgspec.convert(document["monitor"]["attitude"], AttitudeConfig))
 
+    hovers = test.scenario is None and has_rotors(test.vehicle)
+
     def limit(truth: Truth) -> int:
-        return broken(truth, test.envelope)
+        return broken(truth, test.envelope, hovers)
 
     flight = Flight(scenario, schedule)
     broken_limit = steps = 0
@@ -193,8 +195,11 @@ def first_imu(scenario: Scenario) -> Any:
     return imu[0] if isinstance(imu, list) else imu
 
 
-def broken(truth: Truth, limits: Limits) -> int:
-    """The number of the limit that the flight is beyond (see `rows.LIMITS`), 0 within."""
+def broken(truth: Truth, limits: Limits, hovers: bool) -> int:
+    """The number of the limit that the flight is beyond (see `rows.LIMITS`), 0 within.
+
+    What `hovers` needs no airspeed and has no flow angles.
+    """
     u, v, w = truth.v_air_b_mps.tolist()
     # In the airframe's plane of symmetry, where the angle of attack lies.
     plane, speed = float(np.hypot(u, w)), float(np.hypot(np.hypot(u, w), v))
@@ -202,9 +207,9 @@ def broken(truth: Truth, limits: Limits) -> int:
     _, pitch, _ = euler_angles(truth.q_nb.tolist())
     beyond = (
         abs(np.degrees(pitch)) > limits.pitch_deg,
-        abs(np.degrees(np.arctan2(w, u))) > limits.alpha_deg,
-        np.degrees(np.arctan2(abs(v), plane)) > limits.beta_deg,
-        not low <= speed <= high,
+        not hovers and abs(np.degrees(np.arctan2(w, u))) > limits.alpha_deg,
+        not hovers and np.degrees(np.arctan2(abs(v), plane)) > limits.beta_deg,
+        not hovers and not low <= speed <= high,
         np.degrees(np.linalg.norm(truth.omega_b_rps)) > limits.rate_dps,
         np.linalg.norm(truth.specific_force_b_mps2) > limits.load_g * STANDARD_GRAVITY_MPS2,
         truth.height_agl_m <= limits.height_m,

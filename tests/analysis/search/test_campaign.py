@@ -106,7 +106,8 @@ def test_flights_in_the_simulator_are_kept_in_small_portions(tmp_path):
                 raise Killed
             nothing = np.zeros(len(points))
             axes = np.zeros((len(points), 4))
-            return Outcome(nothing, nothing, axes, axes, nothing, nothing.astype(np.int64), 0)
+            whole = nothing.astype(np.int64)
+            return Outcome(nothing, nothing, axes, axes, nothing, whole, 0, axes[:, :3])
 
     with pytest.raises(Killed):
         campaign(test, Dying(), tmp_path)

@@ -12,7 +12,6 @@ from analysis.search.breakdown import breakdown
 from analysis.search.evaluation.compiled_batch import Batch, start_filters
 from analysis.search.evaluation.traced_flight import estimated, traced
 from analysis.search.lanes import rows
-from analysis.search.space.dimensions import flights_of
 from analysis.search.space.test_file import (
     ANYWHERE,
     FaultRange,
@@ -48,7 +47,7 @@ test_of.__test__ = False
 def flown(test, number=0):
     """One flight of a test without ranges."""
     batch = Batch(test)
-    column = flights_of(test, batch.space.values(np.zeros((1, batch.space.dimension))))
+    column = batch.columns(batch.space.values(np.zeros((1, batch.space.dimension))))
     filters = start_filters(test.estimator, column)[0]
     return traced(batch.plan, column[:, 0], filters, test.seed, number)
 
@@ -83,7 +82,7 @@ def test_lanes_and_the_simulator_fly_the_same(attitude, rates, surfaces, throttl
         envelope=Limits(**{**ANYWHERE, "alpha_deg": 90.0}),  # the lanes compare its tangent
     )
     flight = flown(test)
-    vehicle = Batch(test).vehicle
+    vehicle = Batch(test).airframe
     after, _ = vehicle.advance(
         np.append(flight.state[0], 0.0),
         np.append(np.radians(8.0 * np.array(surfaces)) / vehicle.throw_rad, throttle),

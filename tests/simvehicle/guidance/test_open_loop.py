@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 from simvehicle.guidance.route import CircleTrack
 from simvehicle.scenario.scenario_file import (
@@ -67,10 +68,71 @@ def test_a_track_takes_the_place_of_open_loop_controls():
 
 
 def test_controls_and_a_mission_exclude_each_other():
-    with pytest.raises(ValueError, match="a fixed wing without a mission"):
+    with pytest.raises(ValueError, match="a vehicle without a mission"):
         Scenario(controls=OpenLoop(), mission=[Leg(shape="line")])
 
 
 def test_a_start_state_needs_height():
     with pytest.raises(ValueError, match="state needs a start in the air"):
         Start(state=STATE)
+
+
+def quadrotor(parameters: str = "iris") -> Simulation:
+    """A multirotor that sways by 15 degrees every 5 s, 40 m above the ground."""
+    return Simulation(
+        Scenario(
+            start=Start(height_m=40.0, state=StartState(u_mps=0.0)),
+            vehicle=VehicleChoice(kind="multirotor", parameters=parameters),
+            controls=OpenLoop(weave=WeaveChoice(roll_deg=15.0, period_s=5.0, pitch_deg=-5.0)),
+        )
+    )
+
+
+def test_a_quadrotor_sways_and_holds_its_height() -> None:
+    flight = quadrotor()
+    rolls, pitches, heights = [], [], []
+    for _ in range(10 * 250):
+        _, truth, _ = flight.step()
+        roll, pitch, _ = np.degrees(euler_from_quat(truth.q_nb))
+        rolls.append(roll)
+        pitches.append(pitch)
+        heights.append(truth.height_agl_m)
+    assert max(rolls) == pytest.approx(15.0, abs=2.0)
+    assert min(rolls) == pytest.approx(-15.0, abs=2.0)
+    assert pitches[-1] == pytest.approx(-5.0, abs=2.0)
+    # The battery's voltage falls a little: there is no integral part to make up for it.
+    assert heights == pytest.approx([40.0] * len(heights), abs=1.0)
+
+
+def test_a_sway_ends_where_a_track_begins() -> None:
+    flight = quadrotor()
+    for _ in range(250):
+        flight.step()
+    north_m, east_m, _ = flight.truth.r_ned_m.tolist()
+    flight.controller.track = flight.controller.circle(north_m, east_m, 45.0, 2.0)
+    for _ in range(15 * 250):
+        flight.step()
+    assert flight.truth.height_agl_m == pytest.approx(45.0, abs=0.5)
+
+
+def test_six_rotors_do_not_sway() -> None:
+    with pytest.raises(ConfigError, match="6 rotors do not sway; 4 do"):
+        quadrotor("hexa")
+
+
+@pytest.mark.parametrize(
+    ("kind", "controls", "error"),
+    [
+        ("multirotor", OpenLoop(), "controls of a multirotor are weave alone"),
+        ("multirotor", OpenLoop(throttle=0.5, weave=WEAVE), "controls of a multirotor are weave"),
+        ("multirotor", OpenLoop(weave=WEAVE), "airspeed_mps is for a fixed wing"),
+        (
+            "fixedwing",
+            OpenLoop(weave=WeaveChoice(roll_deg=5.0, period_s=5.0, pitch_deg=0.0)),
+            "airspeed_mps is for a fixed wing, which needs it",
+        ),
+    ],
+)
+def test_controls_are_those_of_the_vehicle(kind: str, controls: OpenLoop, error: str) -> None:
+    with pytest.raises(ValueError, match=error):
+        Scenario(vehicle=VehicleChoice(kind=kind), controls=controls)
