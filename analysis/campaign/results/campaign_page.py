@@ -181,7 +181,7 @@ def _reactions(grid: Sequence[GridRow]) -> str:
             )
         )
     head = ("subject", "fault", "detected", "median delay, s", "recovered", "median recovery, s")
-    return "<h2>Reaction times</h2>" + _table(head, rows)
+    return "<h2>Reaction times</h2>" + _table("Reaction times", head, rows)
 
 
 def _worst(results: Sequence[CellResult]) -> str:
@@ -200,15 +200,16 @@ def _worst(results: Sequence[CellResult]) -> str:
                 result.note or result.detected_by,
             )
         )
-    head = ("outcome", "subject", "fault", "magnitude", "onset", "beyond, deg", "beyond, m", "")
-    return "<h2>The worst</h2>" + _table(head, rows)
+    head = ("outcome", "subject", "fault", "magnitude", "onset", "beyond, deg", "beyond, m", "note")
+    return "<h2>The worst</h2>" + _table("The worst", head, rows)
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     top = "".join(f"<th>{escape(name)}</th>" for name in head)
     body = "".join(
         "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in rows
     )
     return (
-        f'<div class="wide"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+        f'<div class="wide" tabindex="0" role="group" aria-label="{title}">'
+        f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>"
     )
