@@ -236,6 +236,13 @@ def add_ui(commands: Any) -> None:
     parser = commands.add_parser("ui", help="the page: control faults and watch a running proxy")
     # Without a default: only ours may give way to a free port, not one that was asked for.
     parser.add_argument("--port", type=int, help="TCP port; 8350, or a free one if it is taken")
+    parser.add_argument(
+        "--allow-commands", action="store_true",
+        help="let the page command the vehicle: arm, take off, ... (the proxy must allow it too)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--sequences", metavar="DIR", help="keep the page's test sequences in a folder"
+    )
     add_router(parser)
     parser.set_defaults(main=_ui)
 

@@ -7,10 +7,12 @@ from pathlib import Path
 from analysis.campaign.campaign_file import CampaignFile, read_campaign
 from analysis.campaign.campaign_fleet import fleet_of
 from analysis.campaign.campaign_run import CampaignRun
+from analysis.campaign.cell import CellResult
 from analysis.campaign.ledger import Ledger
 from analysis.campaign.plan import Plan
 from analysis.campaign.results.campaign_progress import CampaignProgress
 from analysis.campaign.results.campaign_report import write_report
+from analysis.campaign.results.live_heat_map import LiveHeatMap
 from analysis.campaign.results.outcome_table import print_outcomes
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -63,7 +65,13 @@ def fly(plan: Plan, folder: Path, workers: int, ray_address: str | None) -> None
     fleet = fleet_of(workers, ray_address, campaign.flight_limit_s)
     try:
         with CampaignProgress(plan.most_cells, len(ledger.results)) as progress:
-            CampaignRun(plan, fleet, ledger, progress.show).fly()
+            heat_map = LiveHeatMap(folder, plan)
+
+            def show(results: list[CellResult]) -> None:
+                progress.show(results)
+                heat_map.show(results)
+
+            CampaignRun(plan, fleet, ledger, show).fly()
     finally:
         fleet.close()
         ledger.close()

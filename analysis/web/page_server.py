@@ -6,13 +6,16 @@ import secrets
 import socket
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from types import FrameType
+from typing import NamedTuple
 
 import uvicorn
 
 from analysis.web.feed import Feed
-from analysis.web.routes import Page
+from analysis.web.routes import Access, Page
 from analysis.web.run_source import Source
+from analysis.web.sequence_folder import SequenceFolder
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import with_port
 
@@ -55,10 +58,27 @@ class PageServer(uvicorn.Server):  # type: ignore[misc]
         self.force_exit = False
 
 
+class Offer(NamedTuple):
+    """What the page offers beyond faults: commands to the vehicle, a folder of sequences."""
+
+    commands: bool = False
+    sequences: Path | None = None
+
+
+NOTHING_MORE = Offer()
+
+
 def prepare(
-    zenoh: str | None, port: int | None, config_file: str = ""
+    zenoh: str | None, port: int | None, config_file: str = "", offer: Offer = NOTHING_MORE
 ) -> tuple[PageServer, Source, socket.socket, str]:
-    """A server that is not started, its source, its socket, and the address with the token."""
+    """A server that is not started, its source, its socket, and the address with the token.
+
+    Raises
+    ------
+    ConfigError
+        If the port is taken or none, or the sequences' folder is not there.
+    """
+    folder = SequenceFolder(offer.sequences)
     bound = listen(port)
     number = bound.getsockname()[1]
     # 18 bytes of chance: nobody guesses it.
@@ -67,7 +87,7 @@ def prepare(
     hosts = frozenset({f"127.0.0.1:{number}", f"localhost:{number}"})
     feed = Feed()
     source = Source(feed, zenoh, config_file)
-    page = Page(feed, source, token, hosts)
+    page = Page(feed, source, Access(token, hosts, offer.commands), folder)
     config = uvicorn.Config(
         page.app,
         ws="websockets-sansio",
@@ -83,7 +103,10 @@ def prepare(
 
 @contextlib.contextmanager
 def serve(
-    zenoh: str | None = None, port: int | None = None, config_file: str = ""
+    zenoh: str | None = None,
+    port: int | None = None,
+    config_file: str = "",
+    offer: Offer = NOTHING_MORE,
 ) -> Iterator[str]:
     """Serve the page from a thread for the length of the block; the address to open.
 
@@ -92,7 +115,7 @@ def serve(
     ConfigError
         If the port is taken or none.
     """
-    server, source, bound, address = prepare(zenoh, port, config_file)
+    server, source, bound, address = prepare(zenoh, port, config_file, offer)
     thread = threading.Thread(target=server.run, args=([bound],), name="page")
     thread.start()
     try:
@@ -119,14 +142,16 @@ def serve_beside(args: argparse.Namespace) -> Iterator[None]:
         # Without a port the address would be another than the proxy's.
         args.zenoh = with_port(args.zenoh)
     router = None if args.zenoh == "auto" else args.zenoh
-    with serve(router, config_file=args.zenoh_config) as address:
+    # What flies here is simulated: it may be commanded.
+    with serve(router, config_file=args.zenoh_config, offer=Offer(commands=True)) as address:
         print(f"page: {address}", flush=True)
         yield
 
 
 def main(args: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C."""
-    server, source, bound, address = prepare(args.zenoh, args.port, args.zenoh_config)
+    offer = Offer(args.allow_commands, Path(args.sequences) if args.sequences else None)
+    server, source, bound, address = prepare(args.zenoh, args.port, args.zenoh_config, offer)
     print(f"page: {address}", flush=True)
     try:
         with contextlib.suppress(KeyboardInterrupt):

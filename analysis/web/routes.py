@@ -8,9 +8,9 @@ import asyncio
 import contextlib
 import re
 import secrets
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
@@ -21,6 +21,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from analysis.web.feed import Feed
 from analysis.web.run_source import Source
+from analysis.web.sequence_folder import SequenceFolder
 from mavproxy_fault.documents.errors import ConfigError
 
 TICK_S = 0.04  # a batch holds all that came in it; a screen shows no more
@@ -33,7 +34,7 @@ FILES = {
     **{name: PLOTS / name for name in ("uPlot.iife.min.js", "uPlot.min.css", "uPlot.LICENSE")},
 }
 # Ids hold no wildcards of the bus: a request names one key.
-CONTROL = re.compile(r"fault/[^/*$?#]+/(arm|disarm|value)|schedule/(load|save|stop)")
+CONTROL = re.compile(r"fault/[^/*$?#]+/(arm|disarm|value)|schedule/(load|begin|save|stop)")
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
@@ -42,12 +43,22 @@ HEADERS = {
 }
 
 
-class Page:
-    """The page's routes over one source of data; `hosts` are the names it may be called by."""
+class Access(NamedTuple):
+    """Who may: the token of changes, the names to call the page by, whether it may command."""
 
-    def __init__(self, feed: Feed, source: Source, token: str, hosts: frozenset[str]) -> None:
-        self._feed, self._source = feed, source
-        self._token, self._hosts = token, hosts
+    token: str
+    hosts: frozenset[str]
+    commands: bool = False  # the vehicle: arm, take off, ...
+
+
+class Page:
+    """The page's routes over one source of data."""
+
+    def __init__(
+        self, feed: Feed, source: Source, access: Access, sequences: SequenceFolder
+    ) -> None:
+        self._feed, self._source, self._sequences = feed, source, sequences
+        self._access = access
         self.app = Starlette(
             routes=[
                 Route("/", self._index),
@@ -55,6 +66,10 @@ class Page:
                 Route("/api/catalogue", self._catalogue),
                 Route("/api/preview", self._preview, methods=["POST"]),
                 Route("/api/run", self._choose, methods=["POST"]),
+                Route("/api/sequence/check", self._check, methods=["POST"]),
+                Route("/api/allowed", self._allowed, methods=["POST"]),
+                Route("/api/sequence/read/{name}", self._read, methods=["POST"]),
+                Route("/api/sequence/write/{name}", self._write, methods=["POST"]),
                 Route("/api/ctl/{what:path}", self._control, methods=["POST"]),
                 WebSocketRoute("/api/live", self._live),
             ],
@@ -81,15 +96,15 @@ class Page:
     def _refusal(self, call: HTTPConnection, *, changes: bool = False) -> str | None:
         """Why a call is refused; None if it is not."""
         # A page of another site could reach the port by a name of its own.
-        if call.headers.get("host") not in self._hosts:
+        if call.headers.get("host") not in self._access.hosts:
             return "this page is served on loopback by its own name only"
         origin = call.headers.get("origin")
         # A browser tells where a call comes from; programs send no origin.
-        if origin is not None and origin.removeprefix("http://") not in self._hosts:
+        if origin is not None and origin.removeprefix("http://") not in self._access.hosts:
             return "another site's page may not use this one"
         given = call.headers.get("x-token", "")
         # In constant time: the answer's delay must not tell how much was right.
-        if changes and not secrets.compare_digest(given.encode(), self._token.encode()):
+        if changes and not secrets.compare_digest(given.encode(), self._access.token.encode()):
             return "the token is wrong; open the address that was printed at the start"
         return None
 
@@ -145,14 +160,40 @@ class Page:
             return JSONResponse({"curves": [], "error": str(error)}, headers=HEADERS)
 
     async def _choose(self, request: Request) -> Response:
+        def act(body: bytes) -> dict[str, Any]:
+            self._source.choose(body.decode("utf-8", "replace"))
+            return {}
+
+        return await self._answer(request, act)
+
+    async def _check(self, request: Request) -> Response:
+        return await self._answer(request, checked)
+
+    async def _allowed(self, request: Request) -> Response:
+        """What whoever has the token may do: command the vehicle, keep sequences."""
+        known = {"commands": self._access.commands, "sequences": self._sequences.names()}
+        return await self._answer(request, lambda _: known)
+
+    async def _read(self, request: Request) -> Response:
+        name = request.path_params["name"]
+        return await self._answer(request, lambda _: checked(self._sequences.read(name)))
+
+    async def _write(self, request: Request) -> Response:
+        def act(body: bytes) -> dict[str, Any]:
+            self._sequences.write(request.path_params["name"], checked(body)["yaml"])
+            return {"sequences": self._sequences.names()}
+
+        return await self._answer(request, act)
+
+    async def _answer(self, request: Request, act: Callable[[bytes], dict[str, Any]]) -> Response:
+        """What `act` makes of the body, in a thread of its own; its ConfigError is a refusal."""
         refusal = self._refusal(request, changes=True)
         if refusal:
             return refusal_answer(403, refusal)
         try:
-            self._source.choose((await self._body(request)).decode("utf-8", "replace"))
+            return JSONResponse(await run_in_threadpool(act, await self._body(request)))
         except ConfigError as error:
             return refusal_answer(400, str(error))
-        return JSONResponse({})
 
     async def _control(self, request: Request) -> Response:
         refusal = self._refusal(request, changes=True)
@@ -165,6 +206,8 @@ class Page:
             )
         try:
             body = await self._body(request)
+            if not self._access.commands:
+                await run_in_threadpool(refuse_commands, what, body)
             # The bus waits for its answer; the page must go on meanwhile.
             reply = await run_in_threadpool(self._source.ask, what, body)
         except ConfigError as error:
@@ -219,6 +262,32 @@ def previewed(body: bytes) -> dict[str, Any]:
     from analysis.web.offer import preview
 
     return preview(body)
+
+
+def checked(body: bytes) -> dict[str, Any]:
+    """A test sequence as a schedule file and as steps, likewise.
+
+    Raises
+    ------
+    ConfigError
+        If it is wrong.
+    """
+    from analysis.web.sequence import checked
+
+    return checked(body)
+
+
+def refuse_commands(what: str, body: bytes) -> None:
+    """Refuse a query that commands the vehicle, likewise.
+
+    Raises
+    ------
+    ConfigError
+        If it does.
+    """
+    from analysis.web.sequence import refuse_commands
+
+    refuse_commands(what, body)
 
 
 def refusal_answer(status: int, text: str) -> JSONResponse:

@@ -2,10 +2,12 @@
 
 import contextlib
 import threading
+from typing import Any
 
 import msgspec
 
 from analysis.web.feed import Feed
+from analysis.web.run_rows import SHOWN, RunRows
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import DEFAULT_URL, ROOT, Bus, open_bus
 
@@ -26,6 +28,8 @@ class Source:
         self._watch: Bus | None = None
         self._runs: list[str] = []
         self._coming: list[str] = []  # runs, of which some are still getting ready
+        self._rows = RunRows()
+        self._shown: dict[str, Any] = {}  # the rows that the viewers have
         self._chosen: str | None = None
         # No daemon: one that is inside Zenoh when the interpreter ends aborts the process.
         self._thread = threading.Thread(target=self._follow, name="bus of the page")
@@ -87,14 +91,18 @@ class Source:
         try:
             if self._watch is None:
                 self._watch = stack.enter_context(self._open("*"))
+                for suffix in SHOWN:
+                    self._watch.subscribe(suffix, self._rows.note)
             there = self._watch.who()
             runs = [run_of(key) for key in there if key.endswith(PROXY)]
             coming = [run_of(key) for key in there if key.endswith(RUN)]
             joined = self._bus.run if self._bus is not None else None
             # The one chosen, else the one followed so far, else the newest.
             wanted = next((run for run in (self._chosen, joined, *runs[-1:]) if run in runs), None)
-            changed = (runs, coming) != (self._runs, self._coming)
-            self._runs, self._coming = runs, coming
+            # Of one run all is on the page anyway.
+            rows = self._rows.of(runs) if len(runs) > 1 else {}
+            changed = (runs, coming, rows) != (self._runs, self._coming, self._shown)
+            self._runs, self._coming, self._shown = runs, coming, rows
             if wanted != joined:
                 self._leave()
                 if wanted is not None:
@@ -128,7 +136,8 @@ class Source:
     def _say(self) -> None:
         run = None if self._bus is None else self._bus.run
         coming = [name for name in self._coming if name not in self._runs]
-        self._feed.status({"run": run, "runs": self._runs, "coming": coming, "url": self.url})
+        news = {"run": run, "runs": self._runs, "coming": coming, "url": self.url}
+        self._feed.status({**news, "rows": self._shown})
 
 
 def run_of(key: str) -> str:

@@ -16,11 +16,11 @@ def main(args: argparse.Namespace) -> int:
         parse_schedule(read_document(args.file))  # a mistake is told with its line, and not sent
         text = Path(args.file).read_bytes()
         with joined(args) as bus:
-            loaded = asked(bus, "schedule/load", text)["faults"]
+            loaded = asked(bus, "schedule/begin", text)["faults"]
         print(f"{len(loaded)} faults loaded: {', '.join(loaded)}" if loaded else "no faults loaded")
     elif args.action == "save":
         with joined(args) as bus:
-            _save(asked(bus, "schedule/save")["yaml"], args.file)
+            _save(asked(bus, "schedule/save")["anew"], args.file)
     elif args.action == "clear":
         with joined(args) as bus:
             cleared = asked(bus, "schedule/stop")["cleared"]

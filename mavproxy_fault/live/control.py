@@ -6,6 +6,7 @@ that pass (MAV_CMD_INJECT_FAILURE and nothing else) and answers them in the vehi
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -184,7 +185,9 @@ class Control:
         """The answer to a query whose key ends in `@ctl/<what>`.
 
         `fault/{id}/arm` (an entry as JSON), `fault/{id}/value` (`{"value": 1.5, "sent_us": ...}`),
-        `fault/{id}/disarm`, `schedule/load` (YAML), `schedule/save`, `schedule/stop`, `state`.
+        `fault/{id}/disarm`, `schedule/load` (YAML, its times count from the schedule's start),
+        `schedule/begin` (YAML, from now), `schedule/save` (`yaml` for load, `anew` for begin),
+        `schedule/stop`, `state`.
 
         Raises
         ------
@@ -207,13 +210,14 @@ class Control:
                 **self.engine.state(), "now_us": max(self.engine.now_us, t_us)
             }  # fmt: skip
         if what == "schedule/save":
-            return lambda _: {"yaml": self.engine.save()}
+            return lambda _: {"yaml": self.engine.save(), "anew": self.engine.save(anew=True)}
         if not self.allowed:
             raise ConfigError(f"{what}: live control is switched off; start without --no-inject")
         # An id may hold anything but a slash and wildcards.
         head, _, action = what.rpartition("/")
         edits: dict[str, Callable[[bytes], Callable[[], Any]]] = {
-            "schedule/load": self._load,
+            "schedule/load": partial(self._load, what, anew=False),
+            "schedule/begin": partial(self._load, what, anew=True),
             "schedule/stop": lambda _: lambda: {"cleared": self.engine.clear("all")},
         }
         if head.startswith("fault/"):
@@ -256,13 +260,13 @@ class Control:
         self.engine.update(id, value, sent_us)
         return {"id": id, "value": value}
 
-    def _load(self, payload: bytes) -> Callable[[], Any]:
-        document = read_yaml(payload.decode("utf-8", "replace"), "schedule/load")
-        check_files(document.data, self.folders, "schedule/load")
+    def _load(self, what: str, payload: bytes, *, anew: bool) -> Callable[[], Any]:
+        document = read_yaml(payload.decode("utf-8", "replace"), what)
+        check_files(document.data, self.folders, what)
         schedule = parse_schedule(document)
 
         def act() -> Any:
-            self.engine.replace(schedule)
+            self.engine.replace(schedule, anew=anew)
             return {"faults": [entry.id for entry in schedule.faults]}
 
         return act

@@ -337,18 +337,22 @@ class Engine:
         chosen[0].feed(value, self.now_us, sent_us)
         self._edited()
 
-    def replace(self, schedule: Schedule) -> None:
-        """Take another schedule; entries that stand in both as they were go on undisturbed."""
+    def replace(self, schedule: Schedule, *, anew: bool = False) -> None:
+        """Take another schedule; entries that stand in both as they were go on undisturbed.
+
+        With `anew` the times count from now instead of the start, and every entry begins again.
+        """
         self._check(schedule.faults)
         self._schedule = schedule
         if self.t0_us is not None:
-            fresh = {entry.id: entry for entry in schedule.faults}
+            fresh = {} if anew else {entry.id: _essence(entry) for entry in schedule.faults}
             for running in list(self._all):
-                if running.entry != fresh.get(running.entry.id):
+                if _essence(running.entry, self._late_s(running)) != fresh.get(running.entry.id):
                     self._stop(running.entry.id)
             going = {running.entry.id: running for running in self._all}
+            base_us = self.now_us if anew else self.t0_us
             self._all = [
-                going.get(entry.id) or self._run(entry, self.t0_us) for entry in schedule.faults
+                going.get(entry.id) or self._run(entry, base_us) for entry in schedule.faults
             ]
             self._advance(self.now_us)
         self._edited()
@@ -381,13 +385,28 @@ class Engine:
             else [{"id": one.id, "fault": one.name, "state": "waiting"} for one in self._entries()],
         }
 
-    def save(self) -> str:
-        """The schedule as it stands, live edits included, as YAML that `read_schedule` takes."""
-        first_us = self.t0_us
-        if first_us is None:
+    def save(self, *, anew: bool = False) -> str:
+        """The schedule as it stands, live edits included, as YAML that `read_schedule` takes.
+
+        Its times count from the start, or with `anew` from when the first entry was loaded.
+        """
+        if self.t0_us is None:
             return as_yaml(self.seed, [(entry, 0.0) for entry in self._schedule.faults])
-        late = [(one.entry, (one.base_us - first_us) * 1e-6) for one in self._all]
+        late_s = [self._late_s(running) for running in self._all]
+        first_s = min(late_s, default=0.0) if anew else 0.0
+        late = zip(self._entries(), (one_s - first_s for one_s in late_s), strict=True)
         return as_yaml(self.seed, late)
+
+    def _late_s(self, running: Running) -> float:
+        """Seconds from the start to the moment from which the times of an entry count."""
+        assert self.t0_us is not None
+        return (running.base_us - self.t0_us) * 1e-6
+
+
+def _essence(entry: Entry, late_s: float = 0.0) -> Entry:
+    """An entry without how it was written, its times counted from so much earlier."""
+    # Rounded as in a saved file, so that what was saved and loaded again is the same.
+    return msgspec.structs.replace(entry, at_s=round(late_s + entry.at_s, 6), written={})
 
 
 def _next(running: Running) -> int:

@@ -30,24 +30,21 @@ def page(
     results: Sequence[CellResult],
     curves: Sequence[CurvesOf],
     twins: dict[str, Evidence],
+    reload_s: float | None = None,
 ) -> str:
-    """The whole file; `twins` are the evidence without a fault, by `subject|scenario|seed`."""
+    """The whole file; `twins` are the evidence without a fault, by `subject|scenario|seed`.
+
+    With `reload_s` the campaign still flies: the page tells how far it is, and loads itself again.
+    """
     # The worst are listed: a campaign of the kernels has more results than a browser can hold.
     listed = sorted(results, key=badness, reverse=True)[:MOST_LISTED]
     numbers = {result.cell.key: number for number, result in enumerate(listed)}
     grid = grid_of(results, plan.campaign)
-    rows = [
-        {
-            "subject": row.subject,
-            "fault": row.fault,
-            "cells": [_cell(cell, numbers) for cell in row.cells],
-        }
-        for row in grid
-    ]
     model = {
+        "reload_s": reload_s,
         "ranks": RANKS,
         "limits": msgspec.to_builtins(plan.campaign.limits),
-        "rows": rows,
+        "rows": [_row(row, numbers) for row in grid],
         "results": [_numbers(result, plan.campaign) for result in listed],
         # Curves only of results that are listed.
         "curves": {
@@ -69,6 +66,7 @@ def page(
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             f"<title>{name}</title><style>{style}</style></head>",
             f"<body><header><h1>{name}</h1></header><main>",
+            "" if reload_s is None else _progress(len(results), plan.most_cells),
             _facts(results),
             '<p class="note">A cell holds one magnitude of a fault and shows the worst outcome of '
             "its flights. Hover for the numbers, click for the flights and their curves.</p>",
@@ -81,6 +79,11 @@ def page(
             f"<script>{(own / 'campaign.js').read_text()}</script></body></html>\n",
         )
     )
+
+
+def _row(row: GridRow, numbers: dict[str, int]) -> dict[str, object]:
+    cells = [_cell(cell, numbers) for cell in row.cells]
+    return {"subject": row.subject, "fault": row.fault, "cells": cells}
 
 
 def _cell(cell: GridCell, numbers: dict[str, int]) -> dict[str, object]:
@@ -138,6 +141,14 @@ def _thinned(curve: Curve) -> tuple[list[float], list[float]]:
     )
 
 
+def _progress(flown: int, cells: int) -> str:
+    """How far a campaign is that still flies."""
+    return (
+        f'<p role="status"><progress max="{cells}" value="{flown}" aria-label="Cells flown">'
+        f"</progress> {flown} of {cells} cells are flown; the page follows by itself.</p>"
+    )
+
+
 def _facts(results: Sequence[CellResult]) -> str:
     counts = Counter(result.outcome for result in results)
     facts = [(str(len(results)), "cells")]
@@ -170,7 +181,7 @@ def _reactions(grid: Sequence[GridRow]) -> str:
             )
         )
     head = ("subject", "fault", "detected", "median delay, s", "recovered", "median recovery, s")
-    return "<h2>Reaction times</h2>" + _table(head, rows)
+    return "<h2>Reaction times</h2>" + _table("Reaction times", head, rows)
 
 
 def _worst(results: Sequence[CellResult]) -> str:
@@ -189,15 +200,16 @@ def _worst(results: Sequence[CellResult]) -> str:
                 result.note or result.detected_by,
             )
         )
-    head = ("outcome", "subject", "fault", "magnitude", "onset", "beyond, deg", "beyond, m", "")
-    return "<h2>The worst</h2>" + _table(head, rows)
+    head = ("outcome", "subject", "fault", "magnitude", "onset", "beyond, deg", "beyond, m", "note")
+    return "<h2>The worst</h2>" + _table("The worst", head, rows)
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     top = "".join(f"<th>{escape(name)}</th>" for name in head)
     body = "".join(
         "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in rows
     )
     return (
-        f'<div class="wide"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+        f'<div class="wide" tabindex="0" role="group" aria-label="{title}">'
+        f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>"
     )

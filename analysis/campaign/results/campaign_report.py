@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import msgspec
 
+from analysis.campaign.campaign_file import CampaignFile
 from analysis.campaign.cell import CellResult
 from analysis.campaign.ledger import CURVES, TWINS, CurvesOf, TwinOf, read_folder, read_lines
 from analysis.campaign.outcomes import ABORTED, Limits
@@ -21,6 +22,21 @@ MOST_CURVES = 300  # flights whose curves stand in the page: the worst
 
 def write_report(folder: Path, plan: Plan) -> None:
     """Write `campaign.html`, `campaign-summary.json`, `cells.csv`, `summary.md` and `junit.xml`."""
+    campaign, results = write_page(folder, plan)
+    (folder / "campaign-summary.json").write_text(
+        json.dumps(summary_of(plan, results), indent=1) + "\n"
+    )
+    (folder / "summary.md").write_text(markdown(campaign, results), encoding="utf-8")
+    write_csv(folder / "cells.csv", results)
+    # A campaign of the kernels has more cells than any reader of JUnit wants.
+    if not campaign.compiled:
+        write_junit(folder / "junit.xml", campaign.name, results, campaign.limits)
+
+
+def write_page(
+    folder: Path, plan: Plan, reload_s: float | None = None
+) -> tuple[CampaignFile, list[CellResult]]:
+    """Write `campaign.html`, which loads itself again every `reload_s`; campaign and results."""
     campaign, results = read_folder(folder)
     # Curves are long: only those of the worst flights stand in the page.
     shown = {r.cell.key for r in sorted(results, key=badness, reverse=True)[:MOST_CURVES]}
@@ -31,16 +47,12 @@ def write_report(folder: Path, plan: Plan) -> None:
         for key, flown in ((twin.key, twin.flown) for twin in read_lines(folder / TWINS, TwinOf))
         for subject, evidence in flown.evidence.items()
     }
-    text = page(plan, results, curves, twins)
-    (folder / "campaign.html").write_text(text, encoding="utf-8")
-    (folder / "campaign-summary.json").write_text(
-        json.dumps(summary_of(plan, results), indent=1) + "\n"
-    )
-    (folder / "summary.md").write_text(markdown(campaign, results), encoding="utf-8")
-    write_csv(folder / "cells.csv", results)
-    # A campaign of the kernels has more cells than any reader of JUnit wants.
-    if not campaign.compiled:
-        write_junit(folder / "junit.xml", campaign.name, results, campaign.limits)
+    text = page(plan, results, curves, twins, reload_s)
+    # Put in place whole: a browser may load it at any moment.
+    fresh = folder / "campaign.html.part"
+    fresh.write_text(text, encoding="utf-8")
+    fresh.replace(folder / "campaign.html")
+    return campaign, results
 
 
 def summary_of(plan: Plan, results: list[CellResult]) -> dict[str, object]:

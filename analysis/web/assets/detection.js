@@ -133,6 +133,20 @@ function addEvent(t_us, text, kind) {
   $("no-events").hidden = true;
 }
 
+const RESULTS = ["accepted", "rejected for now", "denied", "unsupported", "failed", "in progress", "cancelled"]; // MAV_RESULT
+const COMMANDS = { 17: "hold", 20: "return", 21: "land", 22: "take off", 176: "set mode", 300: "start mission", 400: "arm or disarm" }; // MAV_CMD
+
+// The vehicle's answers to commands, whoever sent them.
+function showAnswers(batch) {
+  for (const { message, fields, received } of batch) {
+    if (message !== "COMMAND_ACK") continue;
+    const command = fields.indexOf("command") + 1, result = fields.indexOf("result") + 1;
+    for (const row of received) {
+      addEvent(row[0], `command ${COMMANDS[row[command]] || row[command]}: ${RESULTS[row[result]] || row[result]}`, row[result] === 0 || row[result] === 5 ? "done" : "bad");
+    }
+  }
+}
+
 function showEvent(one) {
   const text = one.type === "SensorDecision" ? `${NAMES[one.sensor] || one.sensor}: ${saidOf(one)}`
     : one.hypothesis === "none" ? "satellites: agree" : spoken(one);

@@ -53,6 +53,45 @@ function showFaults(news) {
     rows.get(one.id).show(one);
   }
   signals.follow(news.faults);
+  followSequence(news.faults);
+  if (news.revision !== undefined && news.revision !== lastSet.revision) soonRemember(news.revision);
+}
+
+// -- the faults of a proxy that is gone -----------------------------------------------------------
+
+const REMEMBER_MS = 500;
+// The schedule of the proxy as it stood last, for the case that the proxy dies; `revision` is the one asked for.
+let lastSet = { revision: null, anew: "", count: 0 }, rememberTimer = 0;
+
+function soonRemember(revision) {
+  const count = state.faults.length;
+  lastSet = { ...lastSet, revision, count: Math.min(count, lastSet.count) }; // without faults there is nothing to ask for
+  clearTimeout(rememberTimer);
+  if (token && count) rememberTimer = setTimeout(async () => {
+    try { lastSet = { revision, anew: (await ask("ctl/schedule/save")).anew, count }; } catch { lastSet.revision = null; } // it is just going
+  }, REMEMBER_MS);
+}
+
+function forgetFaults() {
+  clearTimeout(rememberTimer);
+  lastSet = { revision: null, anew: "", count: 0 };
+  $("adopt").hidden = true;
+}
+
+// Another proxy is there: what the one that died had is offered to it.
+function offerFaults(name) {
+  const { anew, count } = lastSet;
+  forgetFaults();
+  $("adopt").hidden = !count;
+  if (!count) return;
+  const load = make("button", { type: "button", className: "small", textContent: "Load them here" });
+  const leave = make("button", { type: "button", className: "small", textContent: "No", onclick: () => { $("adopt").hidden = true; } });
+  load.onclick = () => attempt("schedule-said", async () => {
+    await change("ctl/schedule/begin", anew);
+    $("adopt").hidden = true;
+    return `the faults of ${name} are loaded; their times count from now`;
+  });
+  $("adopt").replaceChildren(`${name} went away with ${count} fault${count > 1 ? "s" : ""} loaded. `, load, " ", leave);
 }
 
 function kindOf({ fault, preset, targets, parameters }) {
@@ -124,13 +163,13 @@ function liveOf(fault) {
 
 $("stop").onclick = () => attempt("schedule-said", () => change("ctl/schedule/stop").then(() => ""));
 $("save").onclick = () => attempt("schedule-said", async () => {
-  download("schedule.yaml", (await ask("ctl/schedule/save")).yaml, "application/yaml");
+  download("schedule.yaml", (await ask("ctl/schedule/save")).anew, "application/yaml");
 });
 $("load").onchange = () => attempt("schedule-said", async () => {
   const file = $("load").files[0];
   $("load").value = "";
   if (!file) return "";
-  const loaded = await change("ctl/schedule/load", await file.text());
+  const loaded = await change("ctl/schedule/begin", await file.text());
   return `${file.name}: ${loaded.faults.length} faults loaded`;
 });
 

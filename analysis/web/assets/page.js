@@ -2,7 +2,7 @@
 // The page: what the socket brings is handed to its part, and drawn at the screen's pace.
 
 const RETRY_MS = 1000;
-let run = null, there = false, socket = null, wished = new Set();
+let run = null, gone = null, there = false, socket = null, wished = new Set();
 
 // -- the socket -------------------------------------------------------------------------------
 
@@ -19,6 +19,7 @@ function showStatus(news) {
     : `${run ? "The proxy is gone; waiting for it to come back" : "No proxy or run yet; waiting"} on ${news.url}`;
   $("connection").title = news.url;
   showRuns(news);
+  if (!news.run && run && !news.runs.includes(run)) gone = run;
   if (news.run && !there) begin();
   if (!news.run && run) showFaults({ faults: [] });
   run = news.run || run;
@@ -27,10 +28,22 @@ function showStatus(news) {
   document.body.classList.toggle("lost", !there);
 }
 
-function showRuns({ run: joined, runs = [] }) {
+// Where there are several runs, a row of buttons: what each is doing; a press shows that one.
+function showRuns({ run: joined, runs = [], rows: told = {} }) {
   $("runs").hidden = runs.length < 2;
   if (runs.length < 2) return;
-  $("run").replaceChildren(...runs.map((name) => make("option", { value: name, textContent: name, selected: name === joined })));
+  const buttons = [...$("runs").children];
+  if (buttons.map((one) => one.value).join() !== runs.join()) {
+    $("runs").replaceChildren(...runs.map((value) => make("button", { type: "button", value, disabled: !token,
+      onclick: () => attempt("schedule-said", () => ask("run", value).then(() => "")) })));
+  }
+  for (const button of $("runs").children) {
+    const { faults = 0, acting = [], blamed = [] } = told[button.value] || {};
+    const doing = acting.length ? `${briefly(acting)} act${acting.length > 1 ? "" : "s"}` : `${faults} fault${faults === 1 ? "" : "s"}`;
+    button.textContent = `${button.value}: ${doing}${blamed.length ? `, ⚠ ${briefly(blamed)}` : ""}`;
+    button.className = blamed.length ? "bad" : "";
+    button.setAttribute("aria-pressed", String(button.value === joined));
+  }
 }
 
 // A run begins: what the one before has left is wiped away.
@@ -40,6 +53,9 @@ function begin() {
   scene.clear();
   $("events").replaceChildren();
   showFaults({ faults: [] });
+  if (gone) offerFaults(gone);
+  else forgetFaults(); // another was chosen
+  gone = null;
 }
 
 const TAKERS = {
@@ -48,7 +64,7 @@ const TAKERS = {
   "schedule/state": showFaults,
   "proxy/labels": showLabel,
   "proxy/stats": showLinks,
-  "proxy/watched": (batch) => store.take(batch),
+  "proxy/watched": (batch) => { store.take(batch); showAnswers(batch); },
   "fdi/events": showEvent,
   "fdi/main/stat": showDecision,
   "fusion/state": showFused,
@@ -75,7 +91,6 @@ function connect() {
 // -- what it begins with -----------------------------------------------------------------------
 
 $("csv").onclick = () => download("received.csv", store.csv(), "text/csv");
-$("run").onchange = () => attempt("schedule-said", () => ask("run", $("run").value).then(() => ""));
 
 const AXIS_MS = 100; // the time axis moves so often: plots are drawn anew for it
 let moved_ms = 0;
@@ -101,8 +116,9 @@ function frame(now_ms) {
 }
 
 $("viewing").hidden = Boolean(token);
-for (const id of ["stop", "save", "load", "arm", "run"]) $(id).disabled = !token;
+for (const id of ["stop", "save", "load", "arm", "add-fault", "add-step", "open-sequence", "open-kept"]) $(id).disabled = !token;
 wish([]);
 offer();
+askAllowed();
 connect();
 requestAnimationFrame(frame);

@@ -4,7 +4,7 @@
 
 const ROWS_KEPT = 30000; // of a message: ten minutes at 50 samples a second
 const ALWAYS = ["HIL_STATE_QUATERNION", "HIL_SENSOR", "HIL_GPS", "GPS_RAW_INT", "ATTITUDE", "ATTITUDE_QUATERNION",
-  "GLOBAL_POSITION_INT", "HEARTBEAT", "SYS_STATUS", "ESTIMATOR_STATUS", "EKF_STATUS_REPORT"];
+  "GLOBAL_POSITION_INT", "HEARTBEAT", "SYS_STATUS", "ESTIMATOR_STATUS", "EKF_STATUS_REPORT", "COMMAND_ACK"];
 
 class Table {
   // Rows [t_us, values...] of one source; `sent` holds the same rows where no fault touched them.

@@ -140,8 +140,14 @@ def test_attitude_scores_stand_by_phase_and_fault() -> None:
     scores = {**part, "nominal": part, "phases": {"climb": part}, "faults": {"jump": part}}
     ((section, table),) = attitude_tables({"attitude": {"ekf": scores}})
     assert section == "Attitude"
+    assert all(table.head)  # a screen reader says every column
     labels = [row[0] for row in table.rows]
     assert labels == ["whole flight", "without faults", "phase: climb", "fault: jump"]
+
+
+def test_every_column_of_a_runs_page_has_a_name(tmp_path: Path) -> None:
+    path = write(tmp_path, summary=SUMMARY, labels=[JUMP], results=decisions(), columns={})
+    assert "<th></th>" not in path.read_text()
 
 
 def test_a_criterion_that_is_not_met_is_the_reason_for_the_verdict(tmp_path: Path) -> None:

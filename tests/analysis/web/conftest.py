@@ -42,6 +42,7 @@ class Loop:
         self.live.offer(self.bus)
         self.publisher = Publisher(self.bus)
         self.labels: list[Label] = []
+        self.commands: list[tuple[int, float]] = []  # that the vehicle was given, with param7
         self.xgyro = 0.0  # as the vehicle was sent it last
         self._t_us = 1_000_000
         self._seq = 0
@@ -71,15 +72,25 @@ class Loop:
             ("HIL_SENSOR", {**stamp, "xgyro": 0.5}),
             ("HIL_STATE_QUATERNION", {**stamp, **TRUE}),
             ("ESTIMATOR_STATUS", {**stamp, "flags": 0x2F, "vel_ratio": 0.2, "mag_ratio": 1.5}),
+            ("GLOBAL_POSITION_INT", {"lat": TRUE["lat"]}),
             ("HEARTBEAT", {"autopilot": 12, "base_mode": 129, "system_status": 4}),
         ]
         for name, values in frames:
             self._seq = (self._seq + 1) & 0xFF
             raw = build(known(name), values, seq=self._seq)
-            for _, sent, _ in self.core.received(0, raw, self._t_us):
+            for link, sent, _ in list(self.core.received(0, raw, self._t_us)):
                 frame = Frame(sent, known(int.from_bytes(sent[7:10], "little")))
-                if frame.layout.name == "HIL_SENSOR":
+                if frame.layout.name == "COMMAND_LONG" and link == 0:
+                    self._grant(frame)
+                elif frame.layout.name == "HIL_SENSOR":
                     self.xgyro = round(float(frame.number("xgyro")), 6)
+
+    def _grant(self, command: Frame) -> None:
+        """Answer a command as a vehicle that does all it is told."""
+        number = int(command.number("command"))
+        self.commands.append((number, command.number("param7")))
+        raw = build(known("COMMAND_ACK"), {"command": number})
+        self.core.received(0, raw, self._t_us)
 
     def epoch(self, t_s: float, excluded: tuple[str, ...] = ()) -> None:
         """Publish what a monitor says of one epoch."""

@@ -70,14 +70,48 @@ def test_a_proxy_that_goes_and_comes_back_is_told_and_followed(
             second.close()
 
 
-def test_of_several_runs_the_viewer_chooses_one(page: Any, loop: Any) -> None:
-    assert not page.is_visible("#run")
+def test_the_faults_of_a_proxy_that_died_are_offered_to_the_next(
+    open_page: Callable[[str], Any], new_loop: Callable[..., Any]
+) -> None:
+    first = new_loop()
+    with serve(first.bus.url, port=0) as address:
+        page = open_page(address)
+        page.select_option("#kind", "fault:bias")
+        page.fill("[data-key=target]", "HIL_SENSOR.xgyro")
+        page.fill("[data-key=value]", "0.25")
+        with page.expect_response("**/schedule/save"):  # for undo
+            page.click("#arm")
+        with page.expect_response("**/schedule/save"):  # in case the proxy dies
+            page.wait_for_selector("#faults li.active")
+        first.close()
+        page.wait_for_selector("#connection:has-text('The proxy is gone')")
+        second = new_loop(first.bus.url)
+        try:
+            page.click("#adopt button:has-text('Load them here')")
+            page.wait_for_selector("#faults li.active:has-text('bias')")
+            assert second.engine.active == ["bias"]
+            assert page.is_hidden("#adopt")
+        finally:
+            second.close()
+
+
+def test_of_several_runs_each_has_a_row_and_the_viewer_chooses_one(page: Any, loop: Any) -> None:
+    assert not page.is_visible("#runs")
     with open_bus(loop.bus.url, run="other") as other:
         other.alive("proxy")
-        page.select_option("#run", "other")
+        page.click("#runs button:has-text('other: 0 faults')")
         page.wait_for_selector("#connection:has-text('connected to other')")
-        page.select_option("#run", "flight-1")
+        page.wait_for_selector("#runs button[aria-pressed=true]:has-text('other')")
+        # What the other run does is seen while this one is looked at.
+        loop.live.ask("@ctl/fault/still/arm", b'{"fault": "freeze", "target": "HIL_SENSOR.zacc"}')
+        page.wait_for_selector("#runs button:has-text('flight-1: still acts')")
+        loop.epoch(12.0, excluded=("G12",))
+        page.wait_for_selector("#runs button.bad:has-text('flight-1: still acts, ⚠ G12')")
+        page.click("#runs button:has-text('flight-1')")
         page.wait_for_selector("#connection:has-text('connected to flight-1')")
+        assert page.is_hidden("#adopt")  # the other one is alive
+    page.wait_for_selector("#runs", state="hidden")
+    assert page.complaints == []
 
 
 def test_a_narrow_screen_shows_all_without_scrolling_sideways(page: Any, loop: Any) -> None:

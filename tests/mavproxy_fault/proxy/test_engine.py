@@ -197,6 +197,36 @@ def test_entries_that_stay_in_a_new_schedule_go_on_undisturbed():
     assert run(it, 0.004, 1_004_000, xgyro=0.9)[0][1] == 0.5
 
 
+def test_a_schedule_that_begins_anew_counts_its_times_from_now():
+    it = engine(BIAS)
+    run(it, 0.5)  # it is over
+    it.replace(parse_schedule("faults:\n" + BIAS), anew=True)
+    again = run(it, 0.5, 1_500_000)
+    # The edit counts from the newest frame, one step before.
+    assert [t for t, x, _ in again if x == 0.75] == [round(0.096 + 0.004 * i, 6) for i in range(50)]
+
+
+def test_a_saved_schedule_loaded_again_leaves_what_acts_alone():
+    it = engine(BIAS)
+    run(it, 0.15)
+    it.arm({"id": "live", "fault": "freeze", "target": "HIL_SENSOR.ygyro"})
+    run(it, 0.05, 1_150_000, ygyro=0.25)
+    it.replace(parse_schedule(it.save()))
+    assert it.active == ["step", "live"]
+    assert run(it, 0.004, 1_200_000)[0][1] == 0.75
+    assert not any(label.end_us for label in it.drain_labels())
+
+
+def test_a_saved_schedule_that_is_to_begin_anew_counts_from_its_first_entry():
+    it = Engine(Schedule(1))
+    run(it, 0.2)
+    it.arm({"id": "a", "fault": "noise", "target": "HIL_SENSOR.ygyro", "value": 1})
+    run(it, 0.1, 1_200_000)
+    it.arm({"id": "b", "fault": "noise", "target": "HIL_SENSOR.xgyro", "value": 1, "at_s": 5})
+    assert [e.at_s for e in parse_schedule(it.save()).faults] == [0.196, 5.296]
+    assert [e.at_s for e in parse_schedule(it.save(anew=True)).faults] == [0.0, 5.1]
+
+
 def test_a_saved_schedule_reads_back_and_does_the_same():
     it = engine(BIAS)
     run(it, 0.2)

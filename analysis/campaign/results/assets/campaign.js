@@ -12,6 +12,13 @@ function element(name, text, parent, style) {
   return made;
 }
 
+// A box for a table that may be wider than the screen; arrow keys move it.
+function wide(parent, label) {
+  const box = element("div", undefined, parent);
+  Object.assign(box, { className: "wide", tabIndex: 0, role: "group", ariaLabel: label });
+  return box;
+}
+
 function chosen(node, selector) {
   for (const one of document.querySelectorAll(selector)) one.classList.remove("chosen");
   node.classList.add("chosen");
@@ -50,33 +57,34 @@ function heatMap() {
 }
 
 function heatCell(row, cell, line) {
-  const shown = element("td", cell.magnitude === null ? "-" : +cell.magnitude.toPrecision(3), line,
-    `var(--${cell.outcome})`);
+  const shown = element("td", undefined, line, `var(--${cell.outcome})`);
+  const button = element("button", cell.magnitude === null ? "-" : +cell.magnitude.toPrecision(3), shown); // for the keyboard
   const total = Object.values(cell.counts).reduce((a, b) => a + b, 0);
   const share = total > 1 ? ` ${cell.counts[cell.outcome]}/${total}` : "";
-  element("small", cell.outcome + share, shown);
+  element("small", cell.outcome + share, button);
   const counts = Object.entries(cell.counts).map(([name, count]) => `${count} ${name}`).join(", ");
   const worst = cell.results.length ? model.results[cell.results[0]] : null;
   shown.title = `${row.fault} ${cell.magnitude ?? ""}: ${counts}` +
     (worst ? `\nworst: ${numbers(worst)} ${worst.detected_by} ${worst.note}` : "");
-  shown.addEventListener("click", () => { chosen(shown, ".heat td"); detail(row, cell); });
+  shown.dataset.cell = [row.subject, row.fault, cell.magnitude].join("|");
+  shown.addEventListener("click", () => { chosen(shown, ".heat td"); detail(row, cell); location.replace(`#${encodeURIComponent(shown.dataset.cell)}`); });
 }
 
 function detail(row, cell) {
   const place = document.getElementById("detail");
   place.replaceChildren();
   element("h2", `${row.subject}: ${row.fault} ${cell.magnitude ?? ""}`, place);
-  const table = element("table", undefined, place);
+  const table = element("table", undefined, wide(place, "Flights of the cell"));
   const head = element("tr", undefined, element("thead", undefined, table));
-  for (const name of ["outcome", "scenario", "onset", "for s", "seed", ""]) element("th", name, head);
+  for (const name of ["outcome", "scenario", "onset", "for s", "seed", "numbers"]) element("th", name, head);
   const body = element("tbody", undefined, table);
   const plots = element("div", undefined, place);
   cell.results.forEach((number, i) => {
     const result = model.results[number];
     const line = element("tr", undefined, body);
     const facts = [numbers(result), result.detected_by, result.note].filter(Boolean).join("; ");
-    for (const text of [result.outcome, result.scenario, result.onset, result.duration_s,
-      result.seed, facts]) element("td", text, line);
+    element("button", result.outcome, element("td", undefined, line));
+    for (const text of [result.scenario, result.onset, result.duration_s, result.seed, facts]) element("td", text, line);
     line.addEventListener("click", () => { chosen(line, "#detail tr"); curves(number, plots); });
     if (i === 0) { line.classList.add("chosen"); curves(number, plots); }
   });
@@ -125,5 +133,7 @@ function shade(u, result) {
 
 legend();
 heatMap();
-const first = document.querySelector(".heat td");
-if (first) first.click();
+// The cell that was looked at before the page loaded itself again, or that a link names.
+const cells = [...document.querySelectorAll(".heat td")], wanted = decodeURIComponent(location.hash.slice(1));
+(cells.find((one) => one.dataset.cell === wanted) || cells[0])?.click();
+if (model.reload_s) setTimeout(() => location.reload(), model.reload_s * 1000);

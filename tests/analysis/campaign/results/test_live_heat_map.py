@@ -1,0 +1,80 @@
+"""A campaign watched while it flies."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from analysis.campaign.campaign_file import read_campaign
+from analysis.campaign.cell import Cell, CellResult
+from analysis.campaign.ledger import Ledger
+from analysis.campaign.plan import Plan
+from analysis.campaign.results.campaign_report import write_page, write_report
+from analysis.campaign.results.live_heat_map import EVERY_S, LiveHeatMap
+
+SMALL = Path(__file__).parents[1] / "small.yaml"
+
+
+class Clock:
+    """Seconds that a test sets."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def plan_of() -> Plan:
+    return Plan(read_campaign(SMALL))
+
+
+def result(subject: str, magnitude: float, outcome: str) -> CellResult:
+    cell = Cell(
+        subject=subject, scenario="short.yaml", fault="gyro", magnitude=magnitude, onset=2.0,
+        duration_s=2.0, seed=1,
+    )  # fmt: skip
+    return CellResult(cell=cell, outcome=outcome)
+
+
+def test_the_page_is_written_while_the_campaign_flies_but_not_for_every_result(
+    tmp_path: Path,
+) -> None:
+    plan, clock, page = plan_of(), Clock(), tmp_path / "campaign.html"
+    ledger = Ledger(tmp_path, plan.campaign)
+    heat_map = LiveHeatMap(tmp_path, plan, clock)
+
+    def fly(subject: str) -> str:
+        results = [result(subject, 2.0, "degraded")]
+        ledger.add(results, None)
+        heat_map.show(results)
+        return page.read_text()
+
+    assert "1 of 4 cells are flown" in fly("ekf")
+    assert "1 of 4 cells are flown" in fly("mahony")
+    clock.now_s += EVERY_S
+    assert "2 of 4 cells are flown" in fly("mahony")
+    write_report(tmp_path, plan)
+    assert "cells are flown" not in page.read_text()  # it is over
+    ledger.close()
+
+
+@pytest.mark.browser
+def test_an_open_heat_map_follows_and_keeps_the_cell_that_is_looked_at(
+    tmp_path: Path, browser: Any
+) -> None:
+    plan = plan_of()
+    ledger = Ledger(tmp_path, plan.campaign)
+    ledger.add([result("ekf", 0.001, "unaffected"), result("ekf", 2.0, "degraded")], None)
+    write_page(tmp_path, plan, reload_s=0.2)
+    shown = browser.new_page()
+    shown.goto((tmp_path / "campaign.html").as_uri())
+    # The page may load itself again at any moment: each look finds its element anew.
+    shown.locator(".heat td", has_text="2").click()
+    shown.wait_for_selector(".heat td.chosen:has-text('2')")
+    ledger.add([result("mahony", 2.0, "lost")], None)
+    write_page(tmp_path, plan)  # the last one: it stays
+    shown.wait_for_selector("section:has-text('mahony') td:has-text('lost')")
+    shown.wait_for_selector(".heat td.chosen:has-text('2degraded')")
+    shown.close()
+    ledger.close()
