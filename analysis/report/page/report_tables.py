@@ -157,7 +157,16 @@ def _attitude_table(name: str, scores: Mapping[str, Any]) -> Table:
         for label, part in parts
         if part.get("samples")
     ]
-    head = ("stretch", "samples", "roll", "pitch", "yaw", "turn", "turn, 95th percentile", "turn, most")
+    head = (
+        "stretch",
+        "samples",
+        "roll",
+        "pitch",
+        "yaw",
+        "turn",
+        "turn, 95th percentile",
+        "turn, most",
+    )
     note = "Root mean squares in degrees; the turn is the angle between estimate and truth."
     return Table(f"Attitude errors of {name}", head, rows, note)
 

@@ -40,6 +40,19 @@ function shadeFaults(u) {
   ctx.restore();
 }
 
+const GAP_S = 3; // between two samples of a curve: longer, and nothing was told meanwhile
+
+// Where a curve is interrupted, in pixels. Its nulls alone say nothing: other curves have samples there.
+function gapsOf(u, number, from, to) {
+  const [t] = u.data, y = u.data[number], found = [];
+  for (let i = from, last = null; i <= to; i++) {
+    if (y[i] == null) continue;
+    if (last !== null && t[i] - t[last] > GAP_S) found.push([last, i].map((one) => Math.round(u.valToPos(t[one], "x", true))));
+    last = i;
+  }
+  return found;
+}
+
 class Sliding {
   // Curves by name over the shared stretch of time; a name that is new adds a curve. With `decades` the
   // axis is logarithmic and so many of them high at most.
@@ -105,7 +118,7 @@ class Sliding {
       axes: plotAxes(), hooks: { drawClear: [shadeFaults] },
       series: [{ label: "t", value: (u, t) => t == null ? "–" : `${t.toFixed(2)} s` },
         ...this.names.map((name, i) => ({
-          label: name, width: 1.4, spanGaps: true, points: { show: false },
+          label: name, width: 1.4, gaps: gapsOf, points: { show: false },
           stroke: () => this.dashed.includes(name) ? colour("--bad") : colour(`--s${i % 6}`),
           dash: this.dashed.includes(name) ? [6, 4] : undefined,
           value: (u, value) => value == null ? "–" : String(+value.toPrecision(4)),

@@ -18,7 +18,7 @@ class Step {
     this.earliest_s = id ? at_s : undefined; // both may stand in a file
     this.begin = make("select");
     this.wait = make("input", { type: "text", inputMode: "decimal", value: id ? delay_s : at_s ?? 0 });
-    this.when = make("input", { type: "text", value: when ?? "", placeholder: "altitude_m > 14", spellcheck: false });
+    this.when = make("input", { type: "text", value: when ?? "", placeholder: "condition", spellcheck: false });
     const height = rest.do === "take-off" ? make("input", { type: "text", inputMode: "decimal", value: rest.height_m ?? 10 }) : null;
     height?.addEventListener("input", () => { this.rest.height_m = scalar(height.value.trim(), { type: "number" }); });
     this.begin.onchange = () => { this.wanted = this.begin.value; };

@@ -129,6 +129,21 @@ def test_a_table_that_scrolls_sideways_can_be_reached_by_keys(page: Any) -> None
         assert table.evaluate("(box) => box === document.activeElement")
 
 
+GAPS = """() => {
+  for (const t of [1, 2, 3, 40, 41]) {
+    others.add(t, { threshold: 1, ...t === 2 ? {} : { IMU: 0.5 } });
+  }
+  others.draw();
+  const { plot } = others;
+  return [1, 2].map((n) => plot.series[n].gaps(plot, n, 0, 4).length);
+}"""
+
+
+def test_a_curve_is_interrupted_where_its_sensor_was_not_tested(page: Any) -> None:
+    # A sample that only the other curve has is no interruption; half a minute without any is.
+    assert page.evaluate(GAPS) == [1, 1]
+
+
 def test_the_header_says_when_blame_ended_and_why(page: Any, loop: Any) -> None:
     loop.epoch(10.0)
     loop.epoch(12.0, excluded=("G12",))
