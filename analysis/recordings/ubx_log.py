@@ -4,10 +4,14 @@ What else is in the log is passed over. A frame whose checksum is wrong, or whos
 looked for again behind its first byte, so that a damaged length swallows nothing. Orbits are read
 of GPS and Galileo; ranges of GLONASS and BeiDou too, for navigation files beside the log [1]_.
 
+A PX4 log holds such bytes where GPS_DUMP_COMM had them logged (message GpsDump) [2]_.
+
 References
 ----------
 .. [1] u-blox, F9 HPG 1.32 interface description (UBX-22008968): 3.2 and 3.4 (frame, checksum),
    3.17.4 (RXM-RAWX), 3.17.6 (RXM-SFRBX); 1.5.3 (signal identifiers).
+.. [2] PX4, msg/GpsDump.msg: up to 79 bytes a message, the top bit of `len` set on those sent to
+   the receiver.
 """
 
 import gzip
@@ -29,6 +33,7 @@ from analysis.recordings.navigation_words import (
     subframe,
 )
 from analysis.recordings.rinex_observations import Measured, epoch_of
+from analysis.recordings.ulog import read_ulog
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import L1_HZ
@@ -60,11 +65,14 @@ GPS, GALILEO = 0, 2
 # C/A; E1 and E5b, 0 on receivers that know E1 alone. Other signals carry other messages.
 MESSAGE_SIGNALS = {GPS: (0,), GALILEO: (0, 1, 5, 6)}
 Broadcast = EphemerisSample | IonosphereSample
+ULOG = ".ulg"
+TO_RECEIVER = 0x80  # bit of a dump's length
+MOST_DUMPED = 79
 
 
 def is_ubx(path: Path) -> bool:
-    """Whether a file is named as a u-blox log."""
-    return path.name.lower().endswith((".ubx", ".ubx.gz"))
+    """Whether a file is named as a u-blox log, or as a PX4 log, which may hold one."""
+    return path.name.lower().endswith((".ubx", ".ubx.gz", ULOG))
 
 
 def read_ubx(path: Path) -> tuple[list[Epoch], list[Broadcast]]:
@@ -91,11 +99,25 @@ def read_ubx(path: Path) -> tuple[list[Epoch], list[Broadcast]]:
 
 
 def _bytes(path: Path) -> bytes:
+    if path.name.lower().endswith(ULOG):
+        return _dumped(path)
     try:
         data = path.read_bytes()
         return gzip.decompress(data) if path.name.lower().endswith(".gz") else data
     except (EOFError, OSError, zlib.error) as error:
         raise ConfigError(f"{path}: cannot be read as a u-blox log ({error})") from error
+
+
+def _dumped(path: Path) -> bytes:
+    """What the first receiver of a PX4 log sent."""
+    dump = read_ulog(path).topics.get(("gps_dump", 0))
+    if dump is None:
+        raise ConfigError(f"{path}: has no gps_dump; set GPS_DUMP_COMM to 1 before the flight")
+    data = np.column_stack([dump[f"data[{i}]"] for i in range(MOST_DUMPED)]).astype(np.uint8)
+    # Two receivers share the topic: their bytes must not be mixed.
+    first = (dump["instance"] == dump["instance"].min()) & (dump["len"] < TO_RECEIVER)
+    lengths = dump["len"][first]
+    return data[first][np.arange(MOST_DUMPED) < lengths[:, None]].tobytes()
 
 
 def _frames(data: bytes) -> Iterator[tuple[bytes, bytes]]:

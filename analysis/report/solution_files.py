@@ -1,18 +1,14 @@
-"""Positions for other programs: RTKLIB's position file, and tracks for maps."""
+"""Positions for other programs: RTKLIB's position file, NMEA sentences, and tracks for maps."""
 
-from collections.abc import Iterable, Sequence
-from datetime import UTC, datetime, timedelta
+from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from analysis.report.export_tracks import FORMS, export_tracks
+from analysis.report.nmea_file import write_nmea
 from analysis.report.recordings.recording import Recording
+from analysis.report.solution_row import SolutionRow, row_of
 from analysis.results import Decision, FusedState, Result
-from mavproxy_fault.numerics.earth import geodetic_from_ecef
-from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 
-GPS_ZERO = datetime(1980, 1, 6, tzinfo=UTC)
 SINGLE, FUSED = 5, 1  # RTKLIB's Q: single point; the fused one is the best there is
 HEAD = (
     "% program   : mavproxy-fault\n"
@@ -24,38 +20,29 @@ HEAD = (
 
 
 def write_solution(folder: Path, results: Sequence[Result], recording: Recording) -> None:
-    """`solution.pos`, `fused.pos` where there is a fused one, `tracks.kml` and `.geojson`."""
+    """`solution` and, where there is one, `fused` as .pos and .nmea; `tracks.kml`, `.geojson`."""
     decisions = [r for r in results if isinstance(r, Decision) and r.position_ecef_m]
-    _write_pos(folder / "solution.pos", decisions)
+    _write_both(folder / "solution", [row_of(state) for state in decisions], SINGLE)
     fused = [r for r in results if isinstance(r, FusedState) and r.name == "fused"]
     if fused:
-        _write_pos(folder / "fused.pos", fused)
+        _write_both(folder / "fused", [row_of(state) for state in fused], FUSED)
     for form in FORMS:
         export_tracks(recording, folder, form)
 
 
-def _write_pos(path: Path, states: Iterable[Decision | FusedState]) -> None:
-    with path.open("w", encoding="ascii") as file:
+def _write_both(path: Path, rows: Sequence[SolutionRow], quality: int) -> None:
+    with path.with_suffix(".pos").open("w", encoding="ascii") as file:
         file.write(HEAD)
-        for state in states:
-            file.write(_line(state))
+        file.writelines(_line(row, quality) for row in rows)
+    write_nmea(path.with_suffix(".nmea"), rows)
 
 
-def _line(state: Decision | FusedState) -> str:
-    time = GPS_ZERO + timedelta(microseconds=state.t_us)
-    r_ecef_m = state.position_ecef_m
-    assert r_ecef_m is not None
-    lat, lon, height = (float(x) for x in geodetic_from_ecef(r_ecef_m))
-    if isinstance(state, FusedState):
-        quality, count = FUSED, sum(w > 0.0 and n[1:].isdigit() for n, w in state.weights.items())
-        north, east, down = state.position_sigma_m
-    else:
-        quality, count = SINGLE, len(set(state.satellites) - set(state.excluded))
-        axes = ned_axes(*geodetic(np.array(r_ecef_m))[:2])
-        variance = np.square(state.position_sigma_m or (0.0, 0.0, 0.0))
-        north, east, down = np.sqrt(axes**2 @ variance)  # without what correlates the axes
+def _line(row: SolutionRow, quality: int) -> str:
+    time = row.gps_time
+    north, east, down = row.sigma_ned_m or (0.0, 0.0, 0.0)
     return (
-        f"{time:%Y/%m/%d %H:%M:%S}.{time.microsecond // 1000:03d} {np.degrees(lat):14.9f}"
-        f" {np.degrees(lon):14.9f} {height:10.4f} {quality:3d} {count:3d} {north:8.4f}"
-        f" {east:8.4f} {down:8.4f}   0.0000   0.0000   0.0000   0.00    0.0\n"
+        f"{time:%Y/%m/%d %H:%M:%S}.{time.microsecond // 1000:03d} {row.lat_deg:14.9f}"
+        f" {row.lon_deg:14.9f} {row.height_m:10.4f} {quality:3d} {len(row.satellites):3d}"
+        f" {north:8.4f} {east:8.4f} {down:8.4f}"
+        "   0.0000   0.0000   0.0000   0.00    0.0\n"
     )

@@ -7,7 +7,7 @@ and autopilot are in lockstep. Before ArduPilot asks for its first line the simu
 from collections.abc import Callable
 
 from mavproxy_fault.ardupilot.bridge_ports import Datagrams, SensorPort
-from mavproxy_fault.ardupilot.feeding.companion import for_ardupilot
+from mavproxy_fault.ardupilot.feeding.companion import CompanionFeed
 from mavproxy_fault.ardupilot.feeding.json_physics import ServoPacket, read_servos
 from mavproxy_fault.ardupilot.feeding.sensor_feed import SensorFeed
 from mavproxy_fault.ardupilot.observation import Seen
@@ -58,6 +58,7 @@ class Bridge:
         self._channels = channels
         self._say = say
         self._feed = SensorFeed(seen.home)
+        self._companion = CompanionFeed()
         self._preparation = Preparation(seen.home)
         self._parser = Parser()
         self._seq = 0
@@ -89,7 +90,7 @@ class Bridge:
         """A frame of the HIL link."""
         if self._readings.update(frame):
             self._end_step()
-        elif (raw := for_ardupilot(frame)) is not None:
+        elif (raw := self._companion.step(frame, self.t_us)) is not None:
             self._mavlink.write(raw)
 
     def _end_step(self) -> None:

@@ -15,6 +15,8 @@ INERTIAL, MAG, BARO, DIFF_PRESSURE = 0x3F, 0x1C0, 0x1A00, 0x400  # HIL_SENSOR_UP
 PA_PER_HPA = 100.0
 ZERO_CELSIUS_K = 273.15
 AIR_J_PER_KG_K = 287.05287  # gas constant of dry air, ISO 2533
+ID_BATTERY = 0
+CELLS, NO_CELL, MV_PER_V = 10, 0xFFFF, 1e3  # of BATTERY_STATUS.voltages
 ID_GPS = 0  # the receiver that is part of the VectorNav
 
 _SENSOR = struct.Struct("<Q13fIB")
@@ -31,6 +33,13 @@ class Imu(NamedTuple):
     pressure_pa: float
     diff_pressure_pa: float
     temperature_c: float
+
+
+class Battery(NamedTuple):
+    """One BATTERY_STATUS."""
+
+    voltage_v: float
+    current_a: float
 
 
 class TrueState(NamedTuple):
@@ -58,6 +67,7 @@ class Readings:
     imus : dict of int to Imu
         By HIL_SENSOR.id.
     truth : TrueState or None
+    battery : Battery or None
     fresh_imu : bool
         An HIL_SENSOR of id 0 with new samples came since `begin_step`.
     fixes : list of Frame
@@ -69,6 +79,7 @@ class Readings:
     def __init__(self) -> None:
         self.imus: dict[int, Imu] = {}
         self.truth: TrueState | None = None
+        self.battery: Battery | None = None
         self.fresh_imu = False
         self.fixes: list[Frame] = []
         self.updated = 0
@@ -85,6 +96,8 @@ class Readings:
             self._sensor(frame)
         elif name == "HIL_GPS":
             self.fixes.append(frame)
+        elif name == "BATTERY_STATUS":
+            self.battery = battery(frame) or self.battery
         elif name == "HIL_STATE_QUATERNION":
             t_us, w, x, y, z, _, _, _, lat, lon, alt, vx, vy, vz = _TRUTH.unpack_from(
                 frame.payload.ljust(_TRUTH.size, b"\0")
@@ -108,6 +121,16 @@ class Readings:
         )
         self.updated |= updated
         self.fresh_imu |= number == 0 and updated & INERTIAL == INERTIAL
+
+
+def battery(frame: Frame) -> Battery | None:
+    """What a BATTERY_STATUS of the first battery tells; None where it has no voltage or current."""
+    cells_mv = [frame.number("voltages", cell) for cell in range(CELLS)]
+    known_mv = [voltage_mv for voltage_mv in cells_mv if voltage_mv != NO_CELL]
+    current_ca = frame.number("current_battery")  # in 0.01 A, -1 where it is not measured
+    if frame.number("id") != ID_BATTERY or not known_mv or current_ca == -1:
+        return None
+    return Battery(sum(known_mv) / MV_PER_V, current_ca * 0.01)
 
 
 def true_airspeed(imu: Imu) -> float:

@@ -12,6 +12,7 @@ from mavproxy_fault.wire.frame import Frame
 
 OBSERVE_US = 1_000_000
 SLOWEST_HZ, FASTEST_HZ = 50.0, 1000.0
+VISION = "ODOMETRY", "VISION_POSITION_ESTIMATE"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +49,8 @@ class Observation:
             If ArduPilot cannot fly on what comes.
         """
         # Ids tell whether there is a second IMU or receiver.
-        if "id" in frame.layout.fields:
-            self._sensors.add((frame.layout.name, int(frame.number("id"))))
+        number = int(frame.number("id")) if "id" in frame.layout.fields else 0
+        self._sensors.add((frame.layout.name, number))
         truth = self._readings.truth if self._readings.update(frame) else None
         if truth is None:
             return None
@@ -73,6 +74,8 @@ class Observation:
             second_imu=("HIL_SENSOR", 1) in self._sensors,
             second_gps=("HIL_GPS", 1) in self._sensors,
             rangefinder=("DISTANCE_SENSOR", 0) in self._sensors,
+            flow=("HIL_OPTICAL_FLOW", 0) in self._sensors,
+            vision=any((name, 0) in self._sensors for name in VISION),
         )
 
 

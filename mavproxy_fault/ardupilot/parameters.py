@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from mavproxy_fault.ardupilot.feeding.optical_flow import SCALER
 from mavproxy_fault.documents.errors import ConfigError
 
 Kind = Literal["copter", "plane"]
@@ -92,6 +93,8 @@ class Fitted:
     second_imu: bool
     second_gps: bool
     rangefinder: bool
+    flow: bool = False
+    vision: bool = False
 
 
 def parameters(kind: Kind, fitted: Fitted) -> dict[str, float]:
@@ -106,6 +109,10 @@ def parameters(kind: Kind, fitted: Fitted) -> dict[str, float]:
         found |= {"GPS2_TYPE": 14, "GPS_TYPE2": 14}  # GPS_INPUT
     if fitted.rangefinder:  # DISTANCE_SENSOR, looking down
         found |= {"RNGFND1_TYPE": 10, "RNGFND1_ORIENT": 25, "RNGFND1_MAX_CM": 4000}
+    if fitted.flow:  # OPTICAL_FLOW
+        found |= {"FLOW_TYPE": 5, "FLOW_FXSCALER": SCALER, "FLOW_FYSCALER": SCALER}
+    if fitted.vision:  # by MAVLink; which of it EKF3 uses is the user's choice, EK3_SRC1_
+        found["VISO_TYPE"] = 1
     return found
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from mavproxy_fault.ardupilot.bridge_ports import SensorPort
 from mavproxy_fault.ardupilot.bridged_autopilot import CHANNELS
-from mavproxy_fault.ardupilot.feeding.companion import for_ardupilot
+from mavproxy_fault.ardupilot.feeding.companion import CompanionFeed
 from mavproxy_fault.ardupilot.feeding.sensor_feed import SensorFeed
 from mavproxy_fault.ardupilot.observation import Observation, Seen
 from mavproxy_fault.ardupilot.outputs import CHANNELS as OUTPUTS
@@ -89,12 +89,13 @@ class WiredAutopilot:
                 self._start(seen)
         elif self._seen.readings.update(frame):
             self._end_step(self._seen)
-        elif (raw := for_ardupilot(frame)) is not None:
+        elif (raw := self._companion.step(frame, self.t_us)) is not None:
             self._mavlink.write(raw)
 
     def _start(self, seen: Seen) -> None:
         self._seen = seen
         self._feed = SensorFeed(seen.home)
+        self._companion = CompanionFeed()
         self._preparation = Preparation(seen.home, servo_outputs())
         self._say(f"feeding the board, {seen.fitted.rate_hz:g} steps a second")
 

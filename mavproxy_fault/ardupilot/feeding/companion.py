@@ -2,9 +2,12 @@
 
 A second receiver becomes GPS_INPUT. ArduPilot reads an ODOMETRY in MAV_FRAME_LOCAL_FRD alone. What
 is no sensor of a HIL simulator (commands, missions, a companion's messages) passes as it is.
-HIL_OPTICAL_FLOW is left out: ArduPilot's driver counts flow in whole numbers too coarse for it.
+HIL_OPTICAL_FLOW becomes OPTICAL_FLOW (`optical_flow`).
 """
 
+import math
+
+from mavproxy_fault.ardupilot.feeding.optical_flow import FlowInput
 from mavproxy_fault.ardupilot.feeding.sensor_feed import (
     DOP_PER_M,
     GPS_EPOCH_US,
@@ -18,19 +21,44 @@ from mavproxy_fault.wire.frame import Frame, build
 GPS_INPUT = known("GPS_INPUT")
 WEEK_US = 604_800_000_000
 LOCAL_NED, LOCAL_FRD = 1, 20  # MAV_FRAME_
+COVARIANCES = {"ODOMETRY": "pose_covariance", "VISION_POSITION_ESTIMATE": "covariance"}
+ATTITUDE_VARIANCES = 15, 18, 20  # of the upper triangle of a 6x6 matrix
 UNREAD = ("HIL_", "TUNNEL")  # raw ranges go to the monitor, not to the autopilot
 
 
-def for_ardupilot(frame: Frame) -> bytes | None:
-    """The frame to send to ArduPilot; None where it takes nothing of the kind."""
-    name = frame.layout.name
-    if name == "HIL_GPS":
-        return gps_input(frame) if frame.number("id") != ID_GPS else None
-    if name.startswith(UNREAD):
-        return None
-    if name == "ODOMETRY" and frame.number("frame_id") == LOCAL_NED:
-        return frame.patched({("frame_id", 0): LOCAL_FRD}).raw
-    return frame.raw
+class CompanionFeed:
+    """What ArduPilot is sent as MAVLink in one flight."""
+
+    def __init__(self) -> None:
+        self._flow = FlowInput()
+
+    def step(self, frame: Frame, t_us: int) -> bytes | None:
+        """The frame to send at the vehicle's time `t_us`; None where ArduPilot takes none of it."""
+        name = frame.layout.name
+        if name == "HIL_GPS":
+            return gps_input(frame) if frame.number("id") != ID_GPS else None
+        if name == "HIL_OPTICAL_FLOW":
+            return self._flow.step(frame, t_us)
+        if name.startswith(UNREAD):
+            return None
+        return vision(frame).raw if name in COVARIANCES else frame.raw
+
+
+def vision(frame: Frame) -> Frame:
+    """A pose as ArduPilot reads it: in its frame, an attitude of unknown variance with none.
+
+    ArduPilot adds the attitude's variances wherever the position's are known: a NaN among them
+    is an internal error, which forbids arming. A variance of 0 becomes its VISO_YAW_M_NSE.
+    """
+    covariance = COVARIANCES[frame.layout.name]
+    values: dict[tuple[str, int], float] = {
+        (covariance, place): 0.0
+        for place in ATTITUDE_VARIANCES
+        if math.isnan(frame.number(covariance, place))
+    }
+    if frame.layout.name == "ODOMETRY" and frame.number("frame_id") == LOCAL_NED:
+        values["frame_id", 0] = LOCAL_FRD
+    return frame.patched(values) if values else frame
 
 
 def gps_input(frame: Frame) -> bytes:

@@ -81,23 +81,23 @@ class SensorFeed:
             packets.append(ins_packet(self._fix, truth.t_us))
         second = readings.imus.get(1, first)
         airspeed = true_airspeed(first) if readings.updated & DIFF_PRESSURE else None
-        return Fed(b"".join(packets), self._line(truth, second, airspeed))
+        line = self._body_state(truth, second)._replace(
+            airspeed_mps=airspeed, battery_va=readings.battery
+        )
+        return Fed(b"".join(packets), state_line(line))
 
-    def _line(self, truth: TrueState, imu: Imu, airspeed_mps: float | None) -> bytes:
+    def _body_state(self, truth: TrueState, imu: Imu) -> BodyState:
         home = self._home
         north_m = (truth.lat_e7 - home.lat_e7) * M_PER_E7_DEG
         east_m = (truth.lon_e7 - home.lon_e7) * M_PER_E7_DEG * longitude_scale(home.lat_e7)
         down_m = (home.alt_mm - truth.alt_mm) * 1e-3
-        return state_line(
-            BodyState(
-                truth.t_us,
-                imu.gyro_b_rps,
-                imu.accel_b_mps2,
-                (north_m, east_m, down_m),
-                truth.q_nb,
-                truth.v_ned_mps,
-                airspeed_mps,
-            )
+        return BodyState(
+            truth.t_us,
+            imu.gyro_b_rps,
+            imu.accel_b_mps2,
+            (north_m, east_m, down_m),
+            truth.q_nb,
+            truth.v_ned_mps,
         )
 
 

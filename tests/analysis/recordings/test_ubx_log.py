@@ -19,6 +19,7 @@ from mavproxy_fault.cli import main
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 from tests.analysis.recordings.ubx_encoding import broadcast, frame, klobuchar_page, rawx, sfrbx
+from tests.analysis.recordings.ulog_encoding import dump_log
 
 WEEK, TOW_S = 2149, 475_200.0
 EPOCH = Epoch(
@@ -216,3 +217,23 @@ def test_faults_are_put_into_rinex_files_alone(tmp_path: Path, capsys: pytest.Ca
     command = ["monitor", "--rinex", str(log), "--zenoh", "off"]
     assert main([*command, "--schedule", str(schedule)]) == 2
     assert "is a u-blox log" in capsys.readouterr().err
+
+
+def test_what_a_receiver_sent_into_a_px4_log_is_read_as_its_own_log(tmp_path: Path) -> None:
+    sent = b"".join(rawx(replace(EPOCH, tow_s=TOW_S + i)) for i in range(5))
+    path, straight = tmp_path / "flight.ulg", tmp_path / "same.ubx"
+    straight.write_bytes(sent)
+    # Between them what PX4 sent to the receiver, and what a second receiver sent.
+    path.write_bytes(dump_log(sent, between=[(0, 0x80, sent[:70]), (1, 0, sent[:79])]))
+    found, expected = read_ubx(path)[0], read_ubx(straight)[0]
+    assert [epoch.tow_s for epoch in found] == [TOW_S + i for i in range(5)]
+    for one, same in zip(found, expected, strict=True):
+        assert one.satellites == same.satellites
+        assert one.pseudorange_m.tolist() == same.pseudorange_m.tolist()
+
+
+def test_a_px4_log_without_a_dump_says_how_to_get_one(tmp_path: Path, capsys) -> None:
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(dump_log(b"", topic="other"))
+    assert main(["monitor", "--rinex", str(path), "--zenoh", "off"]) == 2
+    assert "has no gps_dump; set GPS_DUMP_COMM to 1" in capsys.readouterr().err

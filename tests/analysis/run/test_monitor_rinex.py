@@ -1,12 +1,15 @@
 """`monitor --rinex` end to end: a verdict, errors against the truth, files for other programs."""
 
 import json
+from math import radians
 
 import numpy as np
 import pytest
+from pynmeagps import ERR_RAISE, NMEAReader
 
 from analysis.recordings.position_reference import read_reference
 from mavproxy_fault.cli import main
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
 
 TRUTH = "-3962108.6836,3381309.5672,3668678.6720"
 
@@ -63,6 +66,20 @@ def test_the_position_file_is_rtklibs_and_holds_the_positions(folder):
     apart = written.r_ecef_m - np.array([row["position_ecef_m"] for row in told])
     assert np.abs(apart).max() < 1e-3
     assert told[-1]["hdop"] > 0.4
+
+
+def test_the_positions_are_written_as_nmea_sentences_too(folder):
+    with (folder / "solution.nmea").open("rb") as file:
+        sentences = [parsed for _, parsed in NMEAReader(file, quitonerror=ERR_RAISE)]
+    fixes = [sentence for sentence in sentences if sentence.msgID == "GGA"]
+    lines = (folder / "results.jsonl").read_text().splitlines()
+    told = [row for row in map(json.loads, lines) if row["type"] == "Decision"]
+    places = [(radians(fix.lat), radians(fix.lon), fix.alt + fix.sep) for fix in fixes]
+    found = np.array([ecef_from_geodetic(*place) for place in places])
+    assert np.abs(found - np.array([row["position_ecef_m"] for row in told])).max() < 2e-3
+    assert {fix.quality for fix in fixes} == {1}
+    assert fixes[0].time.isoformat() == "11:59:42"  # of 12:00:00 GPS time
+    assert {sentence.msgID for sentence in sentences} == {"GGA", "RMC", "GST", "GSA"}
 
 
 def test_the_report_has_the_sky_and_tracks_for_maps(folder):

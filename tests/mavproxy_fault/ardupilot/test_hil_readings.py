@@ -55,6 +55,23 @@ def test_an_imu_without_power_gives_no_sample():
     assert not readings.fresh_imu
 
 
+def test_a_battery_is_the_sum_of_its_cells():
+    readings = Readings()
+    cells = (4_000, 4_100, 3_900, *(0xFFFF,) * 7)
+    readings.update(frame("BATTERY_STATUS", voltages=cells, current_battery=250))
+    assert readings.battery == pytest.approx((12.0, 2.5))
+
+
+@pytest.mark.parametrize(
+    "unknown", [{"id": 1}, {"current_battery": -1}, {"voltages": (0xFFFF,) * 10}]
+)
+def test_a_second_battery_or_one_without_figures_changes_nothing(unknown):
+    readings = Readings()
+    values = {"voltages": (12_000, *(0xFFFF,) * 9), "current_battery": 250, **unknown}
+    readings.update(frame("BATTERY_STATUS", **values))
+    assert readings.battery is None
+
+
 @pytest.mark.parametrize("yaw_deg", [0, 45, 190, 359])
 def test_the_heading_of_a_quaternion(yaw_deg):
     half = math.radians(yaw_deg) / 2

@@ -22,6 +22,17 @@ def test_what_is_fitted_twice_is_used_twice():
     assert "GPS2_TYPE" not in parameters("copter", BARE)
 
 
+def test_flow_and_vision_come_by_mavlink_where_there_are_any():
+    values = parameters(
+        "copter",
+        Fitted(
+            400.0, second_imu=False, second_gps=False, rangefinder=False, flow=True, vision=True
+        ),
+    )
+    assert (values["FLOW_TYPE"], values["FLOW_FXSCALER"], values["VISO_TYPE"]) == (5, -990, 1)
+    assert not {"FLOW_TYPE", "VISO_TYPE"} & parameters("copter", BARE).keys()
+
+
 def test_the_loop_is_no_faster_than_the_steps():
     slow = Fitted(250.0, second_imu=False, second_gps=False, rangefinder=False)
     assert parameters("copter", slow)["SCHED_LOOP_RATE"] == 250

@@ -1,4 +1,8 @@
-from mavproxy_fault.ardupilot.feeding.companion import for_ardupilot
+import math
+
+import pytest
+
+from mavproxy_fault.ardupilot.feeding.companion import CompanionFeed
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.parser import Parser
@@ -10,7 +14,7 @@ def frame(name, **values):
 
 
 def sent(one):
-    raw = for_ardupilot(one)
+    raw = CompanionFeed().step(one, 0)
     assert raw is not None
     (found,) = Parser().push(raw)
     assert isinstance(found, Frame)
@@ -19,12 +23,12 @@ def sent(one):
 
 def test_a_command_passes_as_it_is():
     command = frame("COMMAND_LONG", command=400, param1=1)
-    assert for_ardupilot(command) == command.raw
+    assert CompanionFeed().step(command, 0) == command.raw
 
 
 def test_what_the_bridge_itself_reads_does_not_pass():
-    for name in ("HIL_SENSOR", "HIL_STATE_QUATERNION", "HIL_OPTICAL_FLOW", "HIL_GPS", "TUNNEL"):
-        assert for_ardupilot(frame(name)) is None
+    for name in ("HIL_SENSOR", "HIL_STATE_QUATERNION", "HIL_GPS", "TUNNEL"):
+        assert CompanionFeed().step(frame(name), 0) is None
 
 
 def test_a_second_receiver_becomes_gps_input():
@@ -47,4 +51,19 @@ def test_odometry_comes_in_the_frame_that_ardupilot_reads():
     assert found.number("frame_id") == 20
     assert found.number("x") == 1.5
     already = frame("ODOMETRY", frame_id=20, child_frame_id=12)
-    assert for_ardupilot(already) == already.raw
+    assert CompanionFeed().step(already, 0) == already.raw
+
+
+@pytest.mark.parametrize(
+    ("name", "field"),
+    [("ODOMETRY", "pose_covariance"), ("VISION_POSITION_ESTIMATE", "covariance")],
+)
+def test_an_attitude_of_unknown_variance_is_no_number_that_forbids_arming(name, field):
+    covariance = [0.04] * 15 + [math.nan, 0.0, 0.0, math.nan, 0.0, math.nan]
+    found = sent(frame(name, **{field: covariance}))
+    assert [found.number(field, place) for place in (15, 18, 20)] == [0, 0, 0]
+    assert found.number(field, 0) == pytest.approx(0.04)
+
+
+def test_the_simulators_flow_reaches_ardupilot_as_optical_flow():
+    assert sent(frame("HIL_OPTICAL_FLOW", integration_time_us=50_000)).layout.name == "OPTICAL_FLOW"
