@@ -13,10 +13,13 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from queue import Queue
 
 import pytest
 
 from analysis.autopilots.autopilot_run import ahead_of_logs
+from mavproxy_fault.links.bus import open_bus, with_port
+from mavproxy_fault.wire.label import read_labels
 from mavproxy_fault.wire.tlog import read_columns
 
 STAND_IN = Path(__file__).parents[2] / "mavproxy_fault" / "ardupilot" / "recorded_autopilot.py"
@@ -199,6 +202,27 @@ def test_a_request_to_stop_ends_the_flight_with_a_report(tmp_path, recorded_px4,
     assert "the flight ended early: stopped" in said
     assert "Traceback" not in said
     assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_a_flight_is_watched_and_faulted_from_the_bus(tmp_path, recorded_px4):
+    url = with_port("tcp/127.0.0.1:0")
+    options = ("--binary", recorded_px4, "--speed", "0.5", "--zenoh", url, "--no-report")
+    process = run(tmp_path, *options, autopilot="px4")
+    fly_until(process, "in lockstep")
+    with open_bus(url, run="out") as bus:
+        states: Queue[bytes] = Queue()
+        bus.subscribe("schedule/state", lambda _, payload: states.put(payload))
+        entry = {"fault": "bias", "target": "HIL_SENSOR.xgyro", "value": 0.5}
+        (answer,) = bus.ask("@ctl/fault/live/arm", json.dumps(entry).encode(), 60.0)
+        assert json.loads(answer)["armed"] == ["live"]
+        while b'"live"' not in states.get(timeout=60.0):
+            pass
+    os.killpg(process.pid, signal.SIGINT)
+    said, _ = process.communicate(timeout=240)
+    assert "the flight ended early: stopped" in said
+    (label,) = read_labels(tmp_path / "out" / "labels.jsonl")
+    assert label.id == "live"
+    assert label.frames > 0
 
 
 def test_a_killed_run_takes_all_its_processes_along_and_leaves_its_logs(tmp_path, recorded_px4):
