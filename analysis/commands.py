@@ -93,17 +93,17 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _fly(args: argparse.Namespace) -> int:
-    if args.autopilot:
-        # Loaded only here: an autopilot's run needs other parts.
-        from analysis.autopilots.autopilot_run import main as fly
-
-        return fly(args)
     with contextlib.ExitStack() as stack:
         if args.ui:
             from analysis.web.page_server import serve_beside
 
             # Around the whole run: the page is there from the first frame to the last.
             stack.enter_context(serve_beside(args))
+        if args.autopilot:
+            # Loaded only here: an autopilot's run needs other parts.
+            from analysis.autopilots.autopilot_run import main as fly
+
+            return fly(args)
         from analysis.run.run_command import main
 
         return main(args)

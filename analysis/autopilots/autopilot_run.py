@@ -19,6 +19,7 @@ from analysis.autopilots import ardupilot_program, px4_program
 from analysis.autopilots.flight_operator import Operator, Requests
 from analysis.autopilots.flight_plan import HEIGHTS_M, flight_plan
 from analysis.autopilots.hil_exchange import FromAutopilot, Patience, ToAutopilot, of_lockstep
+from analysis.autopilots.onlookers import Onlookers
 from analysis.autopilots.own_parameters import read_parameters
 from analysis.autopilots.program import Program
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
@@ -30,6 +31,7 @@ from analysis.run.terminal import print_summary
 from analysis.run.worker import MonitorProcess
 from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.bus import Bus, open_run_bus
 from mavproxy_fault.live.journal import JOIN, Journal
 from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.schedule.entries import Schedule
@@ -100,10 +102,16 @@ def main(args: argparse.Namespace) -> int:
         file = stack.enter_context(ResultFile(folder))
         stop = stack.enter_context(stop_requests())
         flown = AutopilotRun(setup, folder, args.count_from, monitor, stop)
+        # At full speed nobody watches, and every message costs: only where somebody asks.
+        if args.ui or args.zenoh != "auto":
+            bus = open_run_bus(args.zenoh, folder.name, config_file=args.zenoh_config)
+            flown.show_on(stack.enter_context(bus))
         simulation = flown.flight.simulation
         requests = stack.enter_context(autopilot.requests(simulation))
         program = autopilot.started(words, simulation, folder, own)
-        reason = flown.fly(program, requests, parse_speed(args.speed or "max"))
+        reason = flown.fly(
+            program, requests, parse_speed(args.speed or ("1" if args.ui else "max"))
+        )
         columns = read_columns(folder / "sent.tlog")
         file.write(flown.results + monitor.results())
         wall_s = time.monotonic() - started_s
@@ -179,6 +187,12 @@ class AutopilotRun:
         self._scheduled = False
         self._progress = Progress(time.monotonic())
         self._phase = ""
+        self._onlookers: Onlookers | None = None
+
+    def show_on(self, bus: Bus | None) -> None:
+        """Publish the flight on a bus, and let faults be armed from there."""
+        if bus is not None:
+            self._onlookers = Onlookers(bus, self.flight, self._journal)
 
     def fly(
         self, program: AbstractContextManager[Program], requests: Requests, speed: float
@@ -236,15 +250,22 @@ class AutopilotRun:
 
     def _hear(self, sends: list[Send]) -> None:
         watched = b"".join([send.data for send in sends if send.link == MONITOR])
-        self.results += self._monitor.feed(watched)
+        self._take(self._monitor.feed(watched))
         for send in sends:
             if send.link == GROUND and not of_lockstep(send.data):
                 for item in self._parser.push(send.data, datagram=True):
                     if isinstance(item, Frame):
                         self._operator.heard(item)
 
+    def _take(self, results: list[Any]) -> None:
+        self.results += results
+        if self._onlookers is not None:
+            self._onlookers.tell(results)
+
     def _commands(self) -> list[bytes]:
         """Called before each step: what the operator sends, and what has to be written."""
+        if self._onlookers is not None:
+            self._onlookers.serve()
         t_us = self.flight.vehicle_us
         frames: list[bytes] = []
         if t_us >= self._operator_us:
@@ -281,9 +302,15 @@ class AutopilotRun:
         self._recorded_us = self.flight.t_us
         labels = self.flight.drain_labels()
         self._recorder.write(self.flight.tape, labels, self._journal.drain())
+        if self._onlookers is not None:
+            self._onlookers.tell_labels(labels)
+            # Somebody watches: results must not wait for a full batch.
+            self._take(self._monitor.feed(b"", now=True))
 
     def _close(self) -> None:
         self._hear(self.flight.core.finish(self.flight.now_us))
         self._record()
+        if self._onlookers is not None:
+            self._onlookers.close()
         self._recorder.close(self.flight.core.clock.t0_us, self.flight.now_us)
         self._progress.end(self.flight.t_us, time.monotonic())

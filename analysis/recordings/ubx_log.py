@@ -117,7 +117,7 @@ def _dumped(path: Path) -> bytes:
     # Two receivers share the topic: their bytes must not be mixed.
     first = (dump["instance"] == dump["instance"].min()) & (dump["len"] < TO_RECEIVER)
     lengths = dump["len"][first]
-    return data[first][np.arange(MOST_DUMPED) < lengths[:, None]].tobytes()
+    return bytes(data[first][np.arange(MOST_DUMPED) < lengths[:, None]])
 
 
 def _frames(data: bytes) -> Iterator[tuple[bytes, bytes]]:

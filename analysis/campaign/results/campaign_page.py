@@ -116,11 +116,10 @@ def again(result: CellResult, campaign: CampaignFile) -> str:
     autopilot = campaign.autopilot(cell.subject)
     words = ["mavproxy-fault", "run", *campaign.scenario_words(cell.scenario)]
     words += ["--schedule", "cell.yaml", "--seed", str(cell.seed)]
-    if autopilot is None:
-        # Somebody wants to watch; an autopilot's run has no page of its own.
-        words.append("--ui")
-    else:
+    if autopilot is not None:
         words += autopilot.options(campaign.folder)
+    # Somebody wants to watch.
+    words.append("--ui")
     return f"echo {shlex.quote(schedule)} > cell.yaml && {shlex.join(words)}"
 
 
