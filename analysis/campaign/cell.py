@@ -1,5 +1,6 @@
 """A cell of a campaign and what became of it."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -43,7 +44,8 @@ class CellResult(msgspec.Struct, frozen=True, kw_only=True):
 
     `outcome` is one of `outcomes.RANKS` or `aborted`, with the reason in `note`. Excursions are the
     largest errors beyond those of the twin. `detected_by` names the first flag, alarm or text that
-    the twin does not show.
+    the twin does not show. `verdict` is what the project's monitor made of the fault in the same
+    flight (`docs/verdicts.md`), `blamed` whom it found, `verdict_s` when; empty where none ran.
     """
 
     cell: Cell
@@ -56,6 +58,9 @@ class CellResult(msgspec.Struct, frozen=True, kw_only=True):
     recovery_s: float | None = None
     failsafe: str = ""
     failsafe_s: float | None = None
+    verdict: str = ""
+    blamed: str = ""
+    verdict_s: float | None = None
     note: str = ""
     wall_s: float = 0.0
 
@@ -86,6 +91,25 @@ ATTITUDE, POSITION = "attitude error, deg", "position error, m"
 PATH = ("north, m", "east, m", "up, m")  # curves of where the vehicle truly was
 
 
+class Verdict(msgspec.Struct, frozen=True):
+    """What the monitor made of a flight's fault: the word, whom it blamed, after how long."""
+
+    word: str = ""
+    blamed: str = ""
+    delay_s: float | None = None
+
+
+def verdict_of(faults: Sequence[Mapping[str, Any]]) -> Verdict:
+    """The monitor's verdict from the `faults` of a summary; of a preset's parts the first found."""
+    if not faults:
+        return Verdict()
+    found = [fault for fault in faults if fault["delay_s"] is not None]
+    first = min(found, key=lambda fault: fault["delay_s"]) if found else faults[0]
+    # Somebody may have been blamed several times.
+    blamed = dict.fromkeys([*first["isolated"], *(blame["who"] for blame in first["wrongly"])])
+    return Verdict(first["verdict"], ", ".join(blamed), first["delay_s"])
+
+
 class Flown(msgspec.Struct, frozen=True):
     """A flight that is over: evidence by subject, when each phase began, and how long it took."""
 
@@ -94,6 +118,7 @@ class Flown(msgspec.Struct, frozen=True):
     duration_s: float = 0.0
     wall_s: float = 0.0
     folder: str = ""
+    verdict: Verdict = Verdict()
 
 
 def key_of(*parts: Any) -> str:

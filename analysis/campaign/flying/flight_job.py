@@ -78,6 +78,9 @@ def answer(job: Job) -> Answer:
                 job.twin.evidence.get(cell.subject, Evidence()),
                 job.campaign.limits,
             ),
+            verdict=flown.verdict.word,
+            blamed=flown.verdict.blamed,
+            verdict_s=flown.verdict.delay_s,
             wall_s=flown.wall_s,
         )
         for cell in job.cells

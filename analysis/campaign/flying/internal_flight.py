@@ -11,15 +11,26 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.campaign.cell import ATTITUDE, MONITOR, POSITION, Curve, Evidence, Flown, Mark
+from analysis.campaign.cell import (
+    ATTITUDE,
+    MONITOR,
+    POSITION,
+    Curve,
+    Evidence,
+    Flown,
+    Mark,
+    verdict_of,
+)
 from analysis.campaign.flying.flight_phases import PhaseTrack
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.results import AttitudeError, Decision, Result, SensorDecision
 from analysis.run.proxied_flight import Flight
+from analysis.scoring.criteria import Criteria
 from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.schedule.entries import Schedule
+from mavproxy_fault.wire.label import Label
 from simvehicle.scenario.scenario_file import Scenario
 
 TRACK_US = 100_000
@@ -60,17 +71,20 @@ def fly(
         else of_estimator(results, name)
         for name in subjects
     }
+    labels = flight.drain_labels()
     if keep is not None:
-        write_logs(flight, keep)
+        write_logs(flight, labels, keep)
+    summary = monitor.summary(flight.completed_labels(), Criteria(), 0.0)
     wall_s = time.monotonic() - started_s
-    return Flown(found, phases.begun, scenario.duration_s, wall_s)
+    verdict = verdict_of(summary["faults"])
+    return Flown(found, phases.begun, scenario.duration_s, wall_s, verdict=verdict)
 
 
-def write_logs(flight: Flight, folder: Path) -> None:
+def write_logs(flight: Flight, labels: Sequence[Label], folder: Path) -> None:
     """The flight's tlogs and labels, as `run` leaves them."""
     links = [{"name": role.name, "direction": role.direction} for role in flight.core.links]
     recorder = Recorder(folder, {"schedule": flight.engine.save(), "links": links})
-    recorder.write(flight.tape, flight.drain_labels())
+    recorder.write(flight.tape, labels)
     recorder.close(flight.core.clock.t0_us, flight.now_us)
 
 

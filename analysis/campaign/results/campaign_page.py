@@ -197,9 +197,13 @@ def _worst(results: Sequence[CellResult]) -> str:
                 "" if result.excursion_deg is None else f"{result.excursion_deg:.3g}",
                 "" if result.excursion_m is None else f"{result.excursion_m:.3g}",
                 result.note or result.detected_by,
+                f"{result.verdict} {result.blamed}".strip(),
             )
         )
-    head = ("outcome", "subject", "fault", "magnitude", "onset", "beyond, deg", "beyond, m", "note")
+    head = (
+        "outcome", "subject", "fault", "magnitude", "onset", "beyond, deg", "beyond, m", "note",
+        "monitor",
+    )  # fmt: skip
     return "<h2>The worst</h2>" + _table("The worst", head, rows)
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from analysis.autopilots.flight_process import RUN
 from analysis.campaign.campaign_file import read_campaign
+from analysis.campaign.cell import Verdict, verdict_of
 from analysis.campaign.flying.flight_job import setup_by_name
 from analysis.campaign.plan import Plan
 from analysis.campaign.results.data_set import export
@@ -40,6 +41,28 @@ def test_a_small_fault_is_harmless_and_a_large_one_is_not(flown: Path) -> None:
     assert found["ekf", "2.0"] in ("degraded", "lost")
     summary = json.loads((flown / "out" / "campaign-summary.json").read_text())
     assert summary["cells"] == 4
+
+
+def test_the_monitors_verdict_stands_beside_the_outcome(flown: Path) -> None:
+    with (flown / "out" / "cells.csv").open() as file:
+        rows = {(row["subject"], row["magnitude"]): row for row in csv.DictReader(file)}
+    # One flight, one monitor: the verdict does not depend on the estimator that is asked.
+    small, large = rows["ekf", "0.001"], rows["ekf", "2.0"]
+    assert (small["verdict"], small["blamed"], small["verdict_s"]) == ("missed", "", "")
+    assert large["verdict"] in ("isolated", "wrong", "ambiguous", "detected")
+    assert large["blamed"]
+    for name in ("verdict", "blamed", "verdict_s"):
+        assert large[name] == rows["mahony", "2.0"][name]
+
+
+def test_of_several_parts_the_first_that_was_found_counts() -> None:
+    missed = {"verdict": "missed", "isolated": [], "wrongly": [], "delay_s": None}
+    late = {"verdict": "isolated", "isolated": ["baro"], "wrongly": [], "delay_s": 2.0}
+    blame = {"who": "GPS", "from_s": 1.0, "for_s": 1.0}
+    soon = {"verdict": "wrong", "isolated": ["imu"], "wrongly": [blame, blame], "delay_s": 0.5}
+    assert verdict_of([missed, late, soon]) == Verdict("wrong", "imu, GPS", 0.5)
+    assert verdict_of([missed]) == Verdict("missed", "", None)
+    assert verdict_of([]) == Verdict()
 
 
 def test_each_cell_is_a_test_case(flown: Path) -> None:

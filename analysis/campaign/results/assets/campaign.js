@@ -34,6 +34,12 @@ function numbers(result) {
     .map(([key, text]) => `${result[key]} ${text}`).join(", ");
 }
 
+function monitored(result) {
+  const blamed = result.blamed ? `: ${result.blamed}` : "";
+  const after = result.verdict_s === null ? "" : ` after ${result.verdict_s} s`;
+  return result.verdict + blamed + after;
+}
+
 function legend() {
   const shown = new Set(model.rows.flatMap((row) => row.cells.map((cell) => cell.outcome)));
   for (const name of [...model.ranks, "aborted"]) {
@@ -76,7 +82,7 @@ function detail(row, cell) {
   element("h2", `${row.subject}: ${row.fault} ${cell.magnitude ?? ""}`, place);
   const table = element("table", undefined, wide(place, "Flights of the cell"));
   const head = element("tr", undefined, element("thead", undefined, table));
-  for (const name of ["outcome", "scenario", "onset", "for s", "seed", "numbers"]) element("th", name, head);
+  for (const name of ["outcome", "scenario", "onset", "for s", "seed", "numbers", "monitor"]) element("th", name, head);
   const body = element("tbody", undefined, table);
   const plots = element("div", undefined, place);
   cell.results.forEach((number, i) => {
@@ -84,7 +90,7 @@ function detail(row, cell) {
     const line = element("tr", undefined, body);
     const facts = [numbers(result), result.detected_by, result.note].filter(Boolean).join("; ");
     element("button", result.outcome, element("td", undefined, line));
-    for (const text of [result.scenario, result.onset, result.duration_s, result.seed, facts]) element("td", text, line);
+    for (const text of [result.scenario, result.onset, result.duration_s, result.seed, facts, monitored(result)]) element("td", text, line);
     line.addEventListener("click", () => { chosen(line, "#detail tr"); curves(number, plots); });
     if (i === 0) { line.classList.add("chosen"); curves(number, plots); }
   });
