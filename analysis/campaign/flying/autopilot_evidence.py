@@ -28,16 +28,13 @@ Rows = NDArray[Any]
 
 
 def evidence_of(folder: Path) -> tuple[Evidence, float]:
-    """Curves and marks of a flight, and how long it was in the air [s]."""
+    """Curves and marks of a flight that left the ground, and how long it was in the air [s]."""
     summary = json.loads((folder / "summary.json").read_text())["autopilot"]
     columns = read_columns(folder / "sent.tlog")
     truth = columns["HIL_STATE_QUATERNION"]
     # The log is stamped with another clock; the truth's own stamps tell how far they are apart.
     shift_us = int(truth["t_us"][0]) - int(truth["time_usec"][0])
-    off_ground_s = summary["moments_s"].get("take-off")
-    if off_ground_s is None:
-        reason = summary["ended_early"] or "it never left the ground"
-        return Evidence({}, [Mark(0.0, "lost", reason)]), 0.0
+    off_ground_s = summary["moments_s"]["take-off"]
 
     def since(stamps_us: Rows) -> NDArray[np.float64]:
         return (stamps_us - shift_us) * 1e-6 - float(off_ground_s)

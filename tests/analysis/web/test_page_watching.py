@@ -90,7 +90,7 @@ def test_the_faults_of_a_proxy_that_died_are_offered_to_the_next(
             page.click("#adopt button:has-text('Load them here')")
             page.wait_for_selector("#faults li.active:has-text('bias')")
             assert second.engine.active == ["bias"]
-            assert page.is_hidden("#adopt")
+            page.wait_for_selector("#adopt", state="hidden")
         finally:
             second.close()
 
@@ -109,7 +109,7 @@ def test_of_several_runs_each_has_a_row_and_the_viewer_chooses_one(page: Any, lo
         page.wait_for_selector("#runs button.bad:has-text('flight-1: still acts, ⚠ G12')")
         page.click("#runs button:has-text('flight-1')")
         page.wait_for_selector("#connection:has-text('connected to flight-1')")
-        assert page.is_hidden("#adopt")  # the other one is alive
+        page.wait_for_selector("#adopt", state="hidden")  # the other one is alive
     page.wait_for_selector("#runs", state="hidden")
     assert page.complaints == []
 

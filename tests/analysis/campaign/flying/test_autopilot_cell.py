@@ -1,0 +1,62 @@
+"""A flight that tells nothing of its fault is flown again, and is no outcome in the end."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from analysis.campaign.cell import Evidence, Verdict
+from analysis.campaign.flying import autopilot_cell
+from analysis.campaign.flying.autopilot_cell import TRIES, fly_autopilot
+from mavproxy_fault.documents.errors import ConfigError
+
+FAULT = {"verdict": "isolated", "isolated": ["imu"], "wrongly": [], "delay_s": 0.5}
+ONE: dict[str, Any] = {"seed": 1, "faults": [{"id": "gyro"}]}
+NONE: dict[str, Any] = {"seed": 1, "faults": []}
+
+
+def flights(monkeypatch: pytest.MonkeyPatch, summaries: list[tuple[bool, bool]]) -> list[int]:
+    """Have flights end with summaries of (it took off, its fault acted); counts them."""
+    flown: list[int] = []
+
+    def fly(subject: str, run: Any, schedule: Any, folder: Path, *, kept: bool) -> Path:
+        took_off, acted = summaries[len(flown)]
+        flown.append(len(flown))
+        moments = {"take-off": 12.0} if took_off else {}
+        autopilot = {"moments_s": moments, "ended_early": "" if took_off else "gave up"}
+        (folder / "run").mkdir()
+        summary = {"autopilot": autopilot, "faults": [FAULT] if acted else []}
+        (folder / "run" / "summary.json").write_text(json.dumps(summary))
+        return folder / "run"
+
+    monkeypatch.setattr(autopilot_cell, "fly_in_process", fly)
+    monkeypatch.setattr(autopilot_cell, "evidence_of", lambda _: (Evidence(), 20.0))
+    return flown
+
+
+def test_a_fault_that_never_acted_is_flown_again(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    flown = flights(monkeypatch, [(False, False), (True, False), (True, True)])
+    found = fly_autopilot("px4", [], ONE, tmp_path, kept=True)
+    assert len(flown) == 3
+    assert found.verdict == Verdict("isolated", "imu", 0.5)
+
+
+def test_a_twin_that_never_flew_is_none(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    flown = flights(monkeypatch, [(False, False), (True, False)])
+    assert fly_autopilot("px4", [], NONE, tmp_path, kept=True).verdict == Verdict()
+    assert len(flown) == 2
+
+
+@pytest.mark.parametrize(
+    ("took_off", "error"),
+    [(True, "px4: the fault never acted, 3 times"), (False, "it never left the ground, 3 times")],
+)
+def test_in_the_end_there_is_no_outcome(
+    took_off: bool, error: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    flights(monkeypatch, [(took_off, False)] * TRIES)
+    with pytest.raises(ConfigError, match=error):
+        fly_autopilot("px4", [], ONE, tmp_path, kept=True)
