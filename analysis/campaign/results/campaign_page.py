@@ -16,13 +16,14 @@ import msgspec
 from analysis.campaign.campaign_file import CampaignFile
 from analysis.campaign.cell import CellResult, Curve, Evidence
 from analysis.campaign.ledger import CurvesOf
-from analysis.campaign.outcomes import RANKS, rank
+from analysis.campaign.outcomes import RANKS, Limits, rank
 from analysis.campaign.plan import Plan
 from analysis.campaign.results.grid import GridCell, GridRow, badness, failsafe_share, grid_of
 
 MOST_LISTED = 5000  # results whose numbers stand in the page: the worst
 MOST_POINTS = 200  # of one curve
 WORST = 12  # rows of the table of the worst
+MOST_PARETO = 20
 
 
 def page(
@@ -72,6 +73,7 @@ def page(
             "its flights. Hover for the numbers, click for the flights and their curves.</p>",
             '<div id="legend"></div><div id="map"></div><div id="detail"></div>',
             _reactions(grid),
+            _pareto(grid, plan.campaign.limits),
             _worst(listed[:WORST]),
             f'</main><script type="application/json" id="model">{text}</script>',
             f"<!-- uPlot: {(shared / 'uPlot.LICENSE').read_text()} -->",
@@ -181,6 +183,28 @@ def _reactions(grid: Sequence[GridRow]) -> str:
         )
     head = ("subject", "fault", "detected", "median delay, s", "recovered", "median recovery, s")
     return "<h2>Reaction times</h2>" + _table("Reaction times", head, rows)
+
+
+def _pareto(grid: Sequence[GridRow], limits: Limits) -> str:
+    """Which faults do most of the harm: bad cells, most first, and their share so far."""
+    bad = {
+        (row.subject, row.fault): sum(
+            limits.worse(result.outcome) for cell in row.cells for result in cell.results
+        )
+        for row in grid
+    }
+    total, so_far = sum(bad.values()), 0
+    rows = []
+    for (subject, fault), count in sorted(bad.items(), key=lambda item: -item[1]):
+        # What did no harm has no place among the worst.
+        if count == 0:
+            break
+        so_far += count
+        rows.append((subject, fault, f"{count}", f"{count / total:.0%}", f"{so_far / total:.0%}"))
+    head = ("subject", "fault", f"cells {limits.worse_from} or worse", "share", "with those above")
+    return "<h2>Where the harm comes from (Pareto)</h2>" + _table(
+        "Pareto", head, rows[:MOST_PARETO]
+    )
 
 
 def _worst(results: Sequence[CellResult]) -> str:

@@ -80,6 +80,14 @@ def test_the_page_stands_alone_and_holds_the_curves(flown: Path) -> None:
     assert "ekf|short.yaml|1" in model["twins"]
 
 
+def test_the_page_tells_which_faults_do_most_of_the_harm(flown: Path) -> None:
+    text = (flown / "out" / "campaign.html").read_text()
+    rows = text.split('aria-label="Pareto"')[1].split("</table>")[0]
+    # Both estimators give way to the larger of the two magnitudes.
+    assert "<td>ekf</td><td>gyro</td><td>1</td><td>50%</td><td>50%</td>" in rows
+    assert "<td>mahony</td><td>gyro</td><td>1</td><td>50%</td><td>100%</td>" in rows
+
+
 def test_a_campaign_that_is_over_flies_nothing_again(flown: Path, capsys) -> None:
     before = (flown / "out" / "cells.jsonl").read_bytes()
     words = ["--out", str(flown / "out"), "--workers", "1"]
