@@ -189,3 +189,21 @@ def test_a_fix_that_is_none_is_untestable():
         (result,) = run(Detector(DetectorConfig()), [bad])
         assert result.hypothesis == "untestable"
         assert reason in result.reason
+
+
+def test_what_is_held_against_a_sample_is_not_dated_before_it(flight):
+    # An epoch that is told 60 ms after its stamp, when newer readings are there already.
+    begun_us = round((FROM_S + 0.03) * 1e6)
+    samples = [
+        replace(s, t_us=s.t_us + 64_000) if isinstance(s, MagSample) else s
+        for s in with_sensors(flight, "")
+    ]
+    wrong = [
+        replace(s, field_b_gauss=s.field_b_gauss + np.array([0.3, 0.0, 0.0]))
+        if isinstance(s, MagSample) and s.t_us >= begun_us
+        else s
+        for s in samples
+    ]
+    alarms = [r for r in judged(wrong) if r.sensor == "mag" and r.alarm]
+    assert alarms
+    assert min(r.t_us for r in alarms) >= begun_us
