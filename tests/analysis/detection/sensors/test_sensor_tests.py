@@ -207,3 +207,29 @@ def test_what_is_held_against_a_sample_is_not_dated_before_it(flight):
     alarms = [r for r in judged(wrong) if r.sensor == "mag" and r.alarm]
     assert alarms
     assert min(r.t_us for r in alarms) >= begun_us
+
+
+def falling(speed_mps: float, still_from: int) -> list[Sample]:
+    """Fixes at 5 Hz of something that falls and lies still from one of them on."""
+    fixes: list[Sample] = []
+    for number in range(60):
+        down_mps = speed_mps if number < still_from else 0.0
+        down_m = speed_mps * 0.2 * min(number, still_from)
+        velocity = np.array([0.0, 0.0, down_mps])
+        fixes.append(
+            GpsFix(200_000 * number, 47.4, 8.5, 900 - down_m, velocity, 3, 12, 1.0, 1.5, "HIL_GPS")
+        )
+    return fixes
+
+
+def test_an_impact_with_the_ground_is_not_the_receivers_fault():
+    decisions = run(Detector(DetectorConfig()), falling(20.0, 30))
+    assert {r.hypothesis for r in decisions if isinstance(r, Decision)} == {"none"}
+
+
+def test_a_velocity_that_stands_still_while_the_position_moves_is_the_receivers_fault():
+    fixes = falling(20.0, 60)
+    lying = [replace(s, v_ned_mps=np.zeros(3)) for s in fixes[30:] if isinstance(s, GpsFix)]
+    decisions = run(Detector(DetectorConfig()), [*fixes[:30], *lying])
+    blamed = [r for r in decisions if isinstance(r, Decision) and r.hypothesis == "gps"]
+    assert blamed[0].t_us <= 200_000 * 31
