@@ -66,6 +66,10 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]  # numba has no typ
 class _CacheImpl(caching.CompileResultCacheImpl):  # type: ignore[misc]
     _locator_classes = (_Locator,)
 
+    def reduce(self, result: Any) -> Any:
+        """What is kept, without the annotated listing, which holds paths and addresses."""
+        return super().reduce(result._replace(type_annotation=""))
+
 
 class _InstalledLocator(_Locator):
     def folder(self) -> Path:

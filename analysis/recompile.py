@@ -1,0 +1,48 @@
+"""A wheel's kernels once more, one after the other in a fixed order: `python -m ... DRAFT`.
+
+numba numbers functions as it comes to them and names the loops of array expressions after
+addresses. Flights and their processes come to them in another order each time, so that no two
+folders are the same. This compiles what lies in one of them, for the same types of arguments, into
+the folder of this process; made twice it has the same bytes.
+"""
+
+import sys
+from importlib import import_module
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from numba.core.caching import IndexDataCacheFile
+from numba.np.ufunc import array_exprs  # type: ignore[attr-defined]
+
+from mavproxy_fault.numerics.code_cache import mark
+
+
+def main(draft: Path) -> None:
+    """Compile everything that is found under a folder."""
+    numbers = count()
+    # The module's calls of the builtin find this name first.
+    array_exprs.hash = lambda _: next(numbers)
+    for index in sorted(draft.rglob("*.nbi")):
+        dispatcher = _dispatcher(index)
+        for signature in sorted(_signatures(index), key=str):
+            dispatcher.compile(signature)
+
+
+def _dispatcher(index: Path) -> Any:
+    """The function that an index of machine code is of: the folder is its module's name."""
+    for found in vars(import_module(index.parent.name)).values():
+        cache = getattr(found, "_cache", None)
+        if cache is not None and cache._impl.filename_base == index.stem:
+            return found
+    raise LookupError(f"{index}: no such function is compiled")
+
+
+def _signatures(index: Path) -> list[Any]:
+    """The types of arguments that there is code for."""
+    file = IndexDataCacheFile(str(index.parent), index.stem, mark())
+    return [signature for signature, *_ in file._load_index()]
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
