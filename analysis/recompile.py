@@ -16,6 +16,7 @@ from numba.core.caching import IndexDataCacheFile
 from numba.np.ufunc import array_exprs  # type: ignore[attr-defined]
 
 from mavproxy_fault.numerics.code_cache import mark
+from mavproxy_fault.numerics.compile import MADE
 
 
 def main(draft: Path) -> None:
@@ -23,19 +24,13 @@ def main(draft: Path) -> None:
     numbers = count()
     # The module's calls of the builtin find this name first.
     array_exprs.hash = lambda _: next(numbers)
-    for index in sorted(draft.rglob("*.nbi")):
-        dispatcher = _dispatcher(index)
+    indices = sorted(draft.rglob("*.nbi"))
+    for index in indices:
+        import_module(index.parent.name)  # a folder has its module's name
+    dispatchers = {dispatcher._cache._impl.filename_base: dispatcher for dispatcher in MADE}
+    for index in indices:
         for signature in sorted(_signatures(index), key=str):
-            dispatcher.compile(signature)
-
-
-def _dispatcher(index: Path) -> Any:
-    """The function that an index of machine code is of: the folder is its module's name."""
-    for found in vars(import_module(index.parent.name)).values():
-        cache = getattr(found, "_cache", None)
-        if cache is not None and cache._impl.filename_base == index.stem:
-            return found
-    raise LookupError(f"{index}: no such function is compiled")
+            dispatchers[index.stem].compile(signature)
 
 
 def _signatures(index: Path) -> list[Any]:

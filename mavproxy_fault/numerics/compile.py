@@ -30,6 +30,8 @@ LEVEL = type(config.OPT)(1)
 # Without the entry points for C, which nobody calls: they take a seventh of the time to compile.
 _OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
+MADE: list[Any] = []  # the dispatchers of all functions, as their modules are imported
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -167,6 +169,7 @@ def _jitted(function: Function, **options: bool) -> Function:
             return compile_one(signature)
 
     dispatcher.compile = load_or_compile
+    MADE.append(dispatcher)
     return cast(Function, dispatcher)
 
 
