@@ -20,13 +20,14 @@ NO_RATES_OFF: dict[str, int] = {}
 class LastFix(NamedTuple):
     """A receiver's fix, as the next one is held against it.
 
-    `forces_b_mps2` are the mean specific forces (3,) of the newest intervals up to it, the newest
-    first (none where there was no IMU), `off_mps` (3,) is how far the receiver's velocity then lay
-    off the filter's.
+    `v_ned_mps` (3,) is its velocity, NaN where unknown. `forces_b_mps2` are the mean specific
+    forces (3,) of the newest intervals up to it, the newest first (none where there was no IMU),
+    `off_mps` (3,) is how far the receiver's velocity then lay off the filter's.
     """
 
     t_us: int
     r_ecef_m: Vector
+    v_ned_mps: Vector
     forces_b_mps2: tuple[Vector, ...]
     off_mps: Vector
 

@@ -98,7 +98,7 @@ class Bridge:
         if truth is None:
             return
         self.steps, self.t_us = self.steps + 1, truth.t_us
-        fed = self._feed.step(self._readings, truth)
+        fed = self._feed.step(self._readings, truth, self._sensor.outputs)
         self._readings.begin_step()
         self._sensor.write(fed.vectornav)
         self._line = truth.t_us, fed.physics

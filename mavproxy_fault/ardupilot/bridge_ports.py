@@ -3,6 +3,7 @@
 import contextlib
 import socket
 
+from mavproxy_fault.ardupilot.feeding.vectornav import BinaryOutput
 from mavproxy_fault.ardupilot.feeding.vectornav_handshake import Handshake
 from mavproxy_fault.links.link import Link, enlarge_buffers
 from mavproxy_fault.links.tcp import TcpServer
@@ -70,10 +71,14 @@ class SensorPort:
             else:
                 self._handshake = Handshake()  # a new connection configures the sensor anew
 
+    @property
+    def outputs(self) -> tuple[BinaryOutput, ...]:
+        """The outputs that the driver wants now."""
+        return self._handshake.outputs
+
     def write(self, data: bytes) -> None:
-        """Send outputs, once they are wanted."""
-        if self._handshake.streaming:
-            self._link.write(data)
+        """Send packets of these outputs."""
+        self._link.write(data)
 
     def close(self) -> None:
         """Close the device."""

@@ -33,6 +33,9 @@ SENSORS = {
     "COMPASS_OFS_Y": 0,
     "COMPASS_OFS_Z": 0,
     "INS_GYR_CAL": 1,
+    # SITL's are 0.001 and 1.001; before 4.6 offsets of an IMU that is not there forbid arming
+    **{f"INS_ACC2OFFS_{axis}": 0 for axis in "XYZ"},
+    **{f"INS_ACC2SCAL_{axis}": 1 for axis in "XYZ"},
     "BATT_MONITOR": 0,
     "SIM_FLOAT_EXCEPT": 0,  # a NaN reaches the estimator, as on hardware, and traps nobody
     "FS_THR_ENABLE": 0,  # nobody holds a radio

@@ -105,7 +105,8 @@ class WiredAutopilot:
             return
         self.steps, self.t_us = self.steps + 1, truth.t_us
         # The line of physics is for SITL: a board has no other world than its sensors.
-        self._sensor.write(self._feed.step(seen.readings, truth).vectornav)
+        fed = self._feed.step(seen.readings, truth, self._sensor.outputs)
+        self._sensor.write(fed.vectornav)
         seen.readings.begin_step()
         if (request := self._preparation.due(truth.t_us)) is not None:
             self._mavlink.write(request)

@@ -1,7 +1,8 @@
 """The samples of a block in a row, compiled: cells, what remains of them, and who is to blame.
 
 Nothing is judged on the ground, which carries what no motor does: a vehicle flies from when it is
-3 m above its first fix, or faster than 3 m/s, until it stands still near the first height again.
+3 m above its first fix, or faster than 3 m/s, until it stands still near the first height again. In
+between, low and slow, it may already touch the ground with a leg, and nothing is judged either.
 A blow while an actuator is to blame is a crash: from then on nothing that a sensor says is judged,
 until it flies anew.
 """
@@ -43,15 +44,14 @@ FLIES_M, FLIES_MPS, STANDS_MPS = 3.0, 3.0, 0.5
 ALT, VELOCITY = 2, 3  # columns of a fix
 GAP_US = 500_000  # without a sample of the IMU
 # A command that comes so much later or earlier than usual, against the IMU's stamps; the cells that
-# are passed over then, and what a command counts in the usual
+# are passed over then, or after it was low and slow; and what a command counts in the usual
 LATE_US, IRREGULAR_CELLS, LAG_SHARE = 60_000, 10, 0.02
 BLOW_MPS2 = 100.0  # specific force of no manoeuvre
 
 # Of `counts`: whether it flies, loud cells in a row, cells without a suspect, cells in a row with
 # these suspects, cells since the last result; the suspects, and who is blamed (two of each)
 FLIES, LOUD_CELLS, QUIET_CELLS, RUN, SINCE, SUSPECT, BLAMED = 0, 1, 2, 3, 4, 5, 7
-# When it crashed; whose commands came, 0 for none yet; cells until the link is
-# trusted again; how many
+# When it crashed; whose commands came, 0 for none yet; cells that are passed over yet; how many
 CRASH_US, COMMANDED, IRREGULAR, COUNTS = 9, 10, 11, 12
 NEVER_US = 1 << 62
 OFF = -1.0  # of no statistic
@@ -196,6 +196,8 @@ def _fly(fix: Vector, kept: Obedience) -> None:
     elif kept.counts[FLIES] and not up and speed < STANDS_MPS:
         kept.counts[FLIES] = 0
         kept.counts[BLAMED : BLAMED + 2] = NOBODY
+    elif not up and speed < FLIES_MPS:
+        kept.counts[IRREGULAR] = IRREGULAR_CELLS
 
 
 @compiled

@@ -122,16 +122,26 @@ def _judge(
 
 
 def _self_consistent(core: Core, measured: Measured, t_us: int, config: DetectorConfig) -> bool:
-    """Whether the receiver's position moved as its velocity says since the last fix."""
-    if core.last_fix is None or measured.v_ned_mps is None:
+    """Whether the receiver's position moved as its velocities say since the last fix.
+
+    They say how fast it was at both ends. When in between the speed changed is not known: at an
+    impact with the ground at once. So it may have moved by either velocity, or anything between.
+    """
+    last = core.last_fix
+    if last is None or measured.v_ned_mps is None:
         return True
-    dt_s = (t_us - core.last_fix.t_us) * 1e-6
+    dt_s = (t_us - last.t_us) * 1e-6
     known = np.isfinite(measured.v_ned_mps)
-    moved = measured.axes @ (measured.r_ecef_m - core.last_fix.r_ecef_m)
-    difference = (moved - np.nan_to_num(measured.v_ned_mps) * dt_s)[known]
+    # Without an earlier velocity it is taken for unchanged.
+    earlier = np.where(np.isfinite(last.v_ned_mps), last.v_ned_mps, measured.v_ned_mps)
+    changed = (measured.v_ned_mps - earlier)[known]
+    moved = measured.axes @ (measured.r_ecef_m - last.r_ecef_m)
+    difference = moved[known] - (measured.v_ned_mps[known] - changed / 2) * dt_s
+    between_m = float(np.linalg.norm(changed)) * dt_s / 2
+    unexplained_m = max(float(np.linalg.norm(difference)) - between_m, 0.0)
     variance = 0.5**2 + (VELOCITY_SIGMA_MPS[0] ** 2 + config.noise.motion_mps2**2 * dt_s) * dt_s**2
-    q = float(difference @ difference) / variance
-    return q <= chi_square(int(known.sum()), config.p_other)
+    q = unexplained_m**2 / variance
+    return bool(q <= chi_square(int(known.sum()), config.p_other))
 
 
 def _with_hysteresis(

@@ -31,13 +31,12 @@ FORCE = slice(4, 7)  # of a row of the IMU's segment: specific force, behind its
 
 def last_fix(before: LastFix | None, measured: Measured, part: Segment, motion: Motion) -> LastFix:
     """The fix as the next one needs it; `motion` is the filter after it."""
-    off = np.zeros(3)
-    if measured.v_ned_mps is not None:
-        off = np.nan_to_num(measured.v_ned_mps - measured.axes @ motion.x[3:6])
+    velocity = np.full(3, np.nan) if measured.v_ned_mps is None else measured.v_ned_mps
+    off = np.nan_to_num(velocity - measured.axes @ motion.x[3:6])
     force = mean_force(part)
     past = () if before is None else before.forces_b_mps2[: INTERVALS - 1]
     forces = () if force is None else (force, *past)
-    return LastFix(motion.t_us, measured.r_ecef_m, forces, off)
+    return LastFix(motion.t_us, measured.r_ecef_m, velocity, forces, off)
 
 
 def mean_force(part: Segment) -> Vector | None:

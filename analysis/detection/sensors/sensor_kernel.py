@@ -295,7 +295,8 @@ def _outcomes(row: int, at: Vector, kept: Kept, limits: Limits, found: Vector, c
             found[count, OF_ROW], found[count, SENSOR], found[count, CODE] = row, sensor, code
             found[count, STATISTIC], found[count, DOF] = q, m
             found[count, IS_OUT] = kept.counts[sensor, ISOLATED]
-            found[count, DECIDED_US] = kept.last[T_US]
+            # A fix comes later than its stamp: what is held against a sample is not older than it.
+            found[count, DECIDED_US] = max(kept.last[T_US], kept.stamps[sensor])
             found[count, FIX_OF] = kept.values[sensor, FIX_TYPE]
             count += 1
     for sensor in range(len(kept.stamps)):

@@ -6,15 +6,18 @@ one out and repeats its last.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from mavproxy_fault.ardupilot.feeding.json_physics import BodyState, state_line
 from mavproxy_fault.ardupilot.feeding.vectornav import (
+    NO_FIX,
+    BinaryOutput,
     GnssOutput,
     ImuOutput,
-    gnss_packet,
-    imu_packet,
-    ins_packet,
+    Pace,
+    gnss_values,
+    imu_values,
 )
 from mavproxy_fault.ardupilot.hil_readings import (
     DIFF_PRESSURE,
@@ -27,7 +30,7 @@ from mavproxy_fault.ardupilot.hil_readings import (
 from mavproxy_fault.wire.frame import Frame
 
 GPS_EPOCH_US = 2348 * 604_800_000_000  # 5 January 2025, for simulators that do not tell the date
-INS_PERIOD_US = 20_000
+ESTIMATE_PERIOD_US = 20_000
 SPEED_SIGMA_MPS = 0.3  # HIL_GPS has no figure for it; a consumer receiver's
 M_PER_E7_DEG = 0.011131884502145034  # ArduPilot's scale of --home, Location.h
 DOP_PER_M = 1 / 2.5  # dilution of precision for a receiver with a range error of 2.5 m
@@ -52,39 +55,42 @@ class SensorFeed:
 
     def __init__(self, home: TrueState) -> None:
         self._home = home
-        self._fix: GnssOutput | None = None
-        self._ins_us = 0
+        self._values = gnss_values(NO_FIX)
+        self._estimate_us = 0
 
-    def step(self, readings: Readings, truth: TrueState) -> Fed:
-        """The bytes of a step that the truth has closed."""
-        packets = []
+    def step(
+        self, readings: Readings, truth: TrueState, outputs: Sequence[BinaryOutput] = ()
+    ) -> Fed:
+        """The bytes of a step that the truth has closed; `outputs` are those of the VectorNav."""
         first = readings.imus[0]
-        if readings.fresh_imu:
-            packets.append(
-                imu_packet(
-                    ImuOutput(
-                        truth.t_us,
-                        first.gyro_b_rps,
-                        first.accel_b_mps2,
-                        first.field_b_gauss,
-                        first.temperature_c,
-                        first.pressure_pa,
-                    )
-                )
-            )
+        self._values |= imu_values(
+            ImuOutput(
+                truth.t_us,
+                first.gyro_b_rps,
+                first.accel_b_mps2,
+                first.field_b_gauss,
+                first.temperature_c,
+                first.pressure_pa,
+            ),
+            GPS_EPOCH_US,
+        )
+        packets = self._packets("imu", outputs) if readings.fresh_imu else []
         for frame in readings.fixes:
             if frame.number("id") == ID_GPS:
-                self._fix = gnss_output(frame, truth.t_us)
-                packets.append(gnss_packet(self._fix))
-        if self._fix is not None and truth.t_us - self._ins_us >= INS_PERIOD_US:
-            self._ins_us = truth.t_us
-            packets.append(ins_packet(self._fix, truth.t_us))
+                self._values |= gnss_values(gnss_output(frame))
+                packets += self._packets("gnss", outputs)
+        if truth.t_us - self._estimate_us >= ESTIMATE_PERIOD_US:
+            self._estimate_us = truth.t_us
+            packets += self._packets("estimate", outputs)
         second = readings.imus.get(1, first)
         airspeed = true_airspeed(first) if readings.updated & DIFF_PRESSURE else None
         line = self._body_state(truth, second)._replace(
             airspeed_mps=airspeed, battery_va=readings.battery
         )
         return Fed(b"".join(packets), state_line(line))
+
+    def _packets(self, pace: Pace, outputs: Sequence[BinaryOutput]) -> list[bytes]:
+        return [output.packet(self._values) for output in outputs if output.pace == pace]
 
     def _body_state(self, truth: TrueState, imu: Imu) -> BodyState:
         home = self._home
@@ -106,13 +112,11 @@ def longitude_scale(lat_e7: int) -> float:
     return max(math.cos(math.radians(lat_e7 * 1e-7)), 0.01)
 
 
-def gnss_output(frame: Frame, t_us: int) -> GnssOutput:
+def gnss_output(frame: Frame) -> GnssOutput:
     """A HIL_GPS as the VectorNav's receiver tells it; eph and epv are centimetres of error."""
     read = frame.number
     horizontal_m, vertical_m = read("eph") * 0.01, read("epv") * 0.01
     return GnssOutput(
-        t_us,
-        GPS_EPOCH_US + t_us,
         int(read("satellites_visible")),
         int(read("fix_type")),
         read("lat") * 1e-7,

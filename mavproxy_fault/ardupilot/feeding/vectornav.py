@@ -1,8 +1,9 @@
-"""A VectorNav VN-200 in bytes: the three binary outputs that ArduPilot's driver asks for; no I/O.
+"""A VectorNav's binary outputs: any choice of the fields that ArduPilot's drivers ask for; no I/O.
 
-Binary outputs are a sync byte, the groups and fields chosen, the payload, and a CRC-16 (polynomial
-0x1021, start 0) over all after the sync byte, high byte first [1]_. The groups and fields here are
-those that the driver sets and compares byte for byte.
+An output is a sync byte, the groups chosen and a word of fields for each, the payload, and a CRC-16
+(polynomial 0x1021, start 0) over all after the sync byte, high byte first [1]_. The driver writes
+its choice into registers 75 to 77 and compares the head of each packet byte for byte. ArduPilot 4.6
+asks for IMU, estimate and GNSS apart, 4.5 for IMU and estimate in one.
 
 References
 ----------
@@ -10,25 +11,57 @@ References
 """
 
 import struct
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple
 
 from fastcrc.crc16 import xmodem
 
+from mavproxy_fault.documents.errors import ConfigError
+
 SYNC = b"\xfa"
-IMU_HEAD = bytes.fromhex("01 21 07")
-GNSS_HEAD = bytes.fromhex("49 03 00 B8 26 18 00")
-INS_HEAD = bytes.fromhex("31 01 00 06 01 13 06")
 FIX_3D = 3
 INS_TRACKING = 0x0006  # INS status: mode 2 (tracking), GNSS fix
+NO_FIX_SIGMA_M = 1e3
 
-_IMU = struct.Struct("<Q17f")
-_GNSS = struct.Struct("<QQBB3d3f3ff7fBB")
-_INS = struct.Struct("<Q3f4f3fH3d3fff")
+Values = Mapping[str, Sequence[float]]
+Pace = Literal["imu", "gnss", "estimate"]
+
+# Groups by their bit in the first byte, fields by theirs in the group's word.
+COMMON, TIME, IMU, GNSS1, ATTITUDE, INS, GNSS2 = range(7)
+_GNSS_FIELDS = {
+    3: "satellites",
+    4: "fix",
+    5: "fix_lla",
+    7: "fix_velocity",
+    9: "fix_sigma",
+    10: "velocity_sigma",
+    13: "dop",
+}
+_FIELDS: dict[int, dict[int, str]] = {
+    COMMON: {0: "startup", 1: "gps_time", 5: "gyro", 8: "accel", 9: "raw_imu", 10: "mag_pressure"},
+    TIME: {0: "startup", 1: "gps_time"},
+    # Uncompensated values equal the compensated ones.
+    IMU: {
+        1: "field", 2: "accel", 3: "gyro", 4: "temperature", 5: "pressure",
+        8: "field", 9: "accel", 10: "gyro",
+    },
+    GNSS1: _GNSS_FIELDS,
+    ATTITUDE: {1: "ypr", 2: "quaternion", 8: "ypr_sigma"},
+    INS: {0: "ins_status", 1: "fix_lla", 4: "fix_velocity", 9: "ins_sigma", 10: "velocity_sigma"},
+    # The second receiver is the first one again.
+    GNSS2: _GNSS_FIELDS,
+}  # fmt: skip
+_CODES = {
+    "startup": "Q", "gps_time": "Q", "gyro": "3f", "accel": "3f", "raw_imu": "6f",
+    "mag_pressure": "5f", "field": "3f", "temperature": "f", "pressure": "f", "satellites": "B",
+    "fix": "B", "fix_lla": "3d", "fix_velocity": "3f", "fix_sigma": "3f", "velocity_sigma": "f",
+    "dop": "7f", "ypr": "3f", "quaternion": "4f", "ypr_sigma": "3f", "ins_status": "H",
+    "ins_sigma": "f",
+}  # fmt: skip
 
 
 class ImuOutput(NamedTuple):
-    """What one IMU packet holds."""
+    """What an IMU sample brings."""
 
     t_us: int
     gyro_b_rps: Sequence[float]
@@ -39,10 +72,8 @@ class ImuOutput(NamedTuple):
 
 
 class GnssOutput(NamedTuple):
-    """What one GNSS packet holds."""
+    """What a fix brings."""
 
-    t_us: int
-    gps_time_us: int  # since 6 January 1980
     satellites: int
     fix: int
     lat_deg: float
@@ -54,70 +85,104 @@ class GnssOutput(NamedTuple):
     dop: float
 
 
-def imu_packet(imu: ImuOutput) -> bytes:
-    """IMU, compass and barometer; the uncompensated values equal the compensated ones."""
-    gyro, accel = imu.gyro_b_rps, imu.accel_b_mps2
-    return _packet(
-        IMU_HEAD,
-        _IMU.pack(
-            imu.t_us * 1000,
-            *gyro,
-            *accel,
-            *accel,
-            *gyro,
-            *imu.field_b_gauss,
-            imu.temperature_c,
-            imu.pressure_pa * 1e-3,
-        ),
-    )
+NO_FIX = GnssOutput(
+    0, 0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), (NO_FIX_SIGMA_M,) * 3, NO_FIX_SIGMA_M, 99.0
+)
 
 
-def gnss_packet(gnss: GnssOutput) -> bytes:
-    """A receiver's solution; the VN-200's second receiver is the first one again."""
-    fix = min(gnss.fix, FIX_3D)
-    return _packet(
-        GNSS_HEAD,
-        _GNSS.pack(
-            gnss.t_us * 1000,
-            gnss.gps_time_us * 1000,
-            gnss.satellites,
-            fix,
-            gnss.lat_deg,
-            gnss.lon_deg,
-            gnss.alt_m,
-            *gnss.v_ned_mps,
-            *gnss.sigma_ned_m,
-            gnss.sigma_v_mps,
-            *(gnss.dop,) * 7,
-            gnss.satellites,
-            fix,
-        ),
-    )
+class BinaryOutput:
+    """One output as a register configures it.
 
+    Parameters
+    ----------
+    groups : int
+        A bit for each group.
+    words : sequence of int
+        For each of them, in order, a bit for each field.
 
-def ins_packet(gnss: GnssOutput, t_us: int) -> bytes:
-    """The sensor's own estimate, which ArduPilot asks for health alone: level, at the last fix.
+    Attributes
+    ----------
+    pace : {"imu", "gnss", "estimate"}
+        What it is sent with: each IMU sample, each fix, or every now and then.
 
-    The attitude is not the truth's: nothing may reach the estimator past the faults.
+    Raises
+    ------
+    ConfigError
+        If it has a field that is not served.
     """
-    return _packet(
-        INS_HEAD,
-        _INS.pack(
-            t_us * 1000,
-            *(0.0, 0.0, 0.0),
-            *(0.0, 0.0, 0.0, 1.0),  # x, y, z, w
-            *(1.0, 1.0, 1.0),
-            INS_TRACKING,
-            gnss.lat_deg,
-            gnss.lon_deg,
-            gnss.alt_m,
-            *gnss.v_ned_mps,
-            gnss.sigma_ned_m[0],
-            gnss.sigma_v_mps,
-        ),
-    )
+
+    def __init__(self, groups: int, words: Sequence[int]) -> None:
+        chosen = [group for group in range(8) if groups >> group & 1]
+        if len(chosen) != len(words):
+            raise ConfigError(
+                f"VectorNav: an output of groups {groups:#04x} has {len(words)} words of fields; "
+                "it has one for each group"
+            )
+        self._names = [
+            _name(group, bit)
+            for group, word in zip(chosen, words, strict=True)
+            for bit in range(16)
+            if word >> bit & 1
+        ]
+        self._payload = struct.Struct("<" + "".join(_CODES[name] for name in self._names))
+        self._head = struct.pack(f"<B{len(words)}H", groups, *words)
+        self.pace: Pace = "estimate"
+        if not {"gyro", "accel"}.isdisjoint(self._names):
+            self.pace = "imu"
+        elif GNSS1 in chosen or GNSS2 in chosen:
+            self.pace = "gnss"
+
+    def packet(self, values: Values) -> bytes:
+        """The bytes of one packet; `values` are those of `imu_values` and `gnss_values`."""
+        numbers = [number for name in self._names for number in values[name]]
+        body = self._head + self._payload.pack(*numbers)
+        return SYNC + body + xmodem(body).to_bytes(2, "big")
 
 
-def _packet(head: bytes, payload: bytes) -> bytes:
-    body = head + payload
-    return SYNC + body + xmodem(body).to_bytes(2, "big")
+def _name(group: int, bit: int) -> str:
+    name = _FIELDS.get(group, {}).get(bit)
+    if name is None:
+        raise ConfigError(
+            f"VectorNav: field {bit} of group {group + 1} is asked for and not served; "
+            "ArduPilot 4.5 to 4.7 ask for others"
+        )
+    return name
+
+
+def imu_values(imu: ImuOutput, gps_epoch_us: int) -> dict[str, Sequence[float]]:
+    """IMU, compass, barometer and time, by the names of fields."""
+    gyro, accel, field = imu.gyro_b_rps, imu.accel_b_mps2, imu.field_b_gauss
+    temperature, pressure = imu.temperature_c, imu.pressure_pa * 1e-3
+    return {
+        "startup": (imu.t_us * 1000,),
+        "gps_time": ((gps_epoch_us + imu.t_us) * 1000,),
+        "gyro": gyro,
+        "accel": accel,
+        "raw_imu": (*accel, *gyro),
+        "field": field,
+        "temperature": (temperature,),
+        "pressure": (pressure,),
+        "mag_pressure": (*field, temperature, pressure),
+    }
+
+
+def gnss_values(gnss: GnssOutput) -> dict[str, Sequence[float]]:
+    """A receiver's solution, and the sensor's own estimate: level, at the last fix.
+
+    ArduPilot asks for the estimate for health alone. The attitude is not the truth's: nothing may
+    reach the estimator past the faults.
+    """
+    return {
+        "satellites": (gnss.satellites,),
+        "fix": (min(gnss.fix, FIX_3D),),
+        "fix_lla": (gnss.lat_deg, gnss.lon_deg, gnss.alt_m),
+        "fix_velocity": gnss.v_ned_mps,
+        "fix_sigma": gnss.sigma_ned_m,
+        "velocity_sigma": (gnss.sigma_v_mps,),
+        "dop": (gnss.dop,) * 7,
+        "ins_status": (INS_TRACKING if gnss.fix else 0,),
+        "ins_sigma": (gnss.sigma_ned_m[0],),
+        "ypr": (0.0, 0.0, 0.0),
+        "quaternion": (0.0, 0.0, 0.0, 1.0),  # x, y, z, w
+        "ypr_sigma": (1.0, 1.0, 1.0),
+    }

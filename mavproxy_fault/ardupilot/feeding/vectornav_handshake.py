@@ -7,21 +7,36 @@ itself, which is how the sensor confirms a register; a question for the model by
 from functools import reduce
 from operator import xor
 
+from mavproxy_fault.ardupilot.feeding.vectornav import BinaryOutput
+from mavproxy_fault.documents.errors import ConfigError
+
 MODEL = b"VN-200"  # one receiver
-READ_MODEL = b"VNRRG,01"
-PAUSE, RESUME = b"VNASY,0", b"VNASY,1"
+MODEL_REGISTER = 1
+OUTPUTS = (75, 76, 77)  # registers: port, divisor, groups, their fields (hexadecimal)
 MOST_PENDING = 256  # bytes of a line that never ends
 
 
 class Handshake:
-    """The sensor's side of one serial connection; `streaming` tells whether outputs are wanted."""
+    """The sensor's side of one serial connection."""
 
     def __init__(self) -> None:
-        self.streaming = False
+        self._outputs: dict[int, BinaryOutput] = {}
+        self._paused = False
         self._pending = b""
 
+    @property
+    def outputs(self) -> tuple[BinaryOutput, ...]:
+        """What is wanted now; nothing before it is configured, or while it is paused."""
+        return () if self._paused else tuple(self._outputs.values())
+
     def received(self, data: bytes) -> bytes:
-        """The answers to the lines that these bytes complete."""
+        """The answers to the lines that these bytes complete.
+
+        Raises
+        ------
+        ConfigError
+            If an output is asked for that is not served.
+        """
         *lines, rest = (self._pending + data).split(b"\n")
         self._pending = rest[-MOST_PENDING:]
         return b"".join(self._answer(line.rstrip(b"\r")) for line in lines)
@@ -31,10 +46,25 @@ class Handshake:
         body, star, given = sentence.partition(b"*")
         if not start or not star or given.upper() != b"%02X" % checksum(body):
             return b""  # ArduPilot repeats what was not answered
-        if body in (PAUSE, RESUME):
-            self.streaming = body == RESUME
-        answer = READ_MODEL + b"," + MODEL if body == READ_MODEL else body
-        return sentence_of(answer)
+        try:
+            return sentence_of(self._obey(body))
+        except ConfigError:
+            raise
+        except ValueError:
+            return b""  # a number that is none
+
+    def _obey(self, body: bytes) -> bytes:
+        """Carry a command out; its answer."""
+        match body.split(b","):
+            # ArduPilot 4.5 leaves out the zero.
+            case [b"VNRRG", register] if int(register) == MODEL_REGISTER:
+                return b"VNRRG,%02d,%s" % (MODEL_REGISTER, MODEL)
+            case [b"VNASY", on]:
+                self._paused = on == b"0"
+            case [b"VNWRG", register, _, _, *choice] if choice and int(register) in OUTPUTS:
+                groups, *words = (int(text, 16) for text in choice)
+                self._outputs[int(register)] = BinaryOutput(groups, words)
+        return body
 
 
 def sentence_of(body: bytes) -> bytes:

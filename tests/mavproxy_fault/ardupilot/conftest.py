@@ -8,10 +8,10 @@ RECORDED = Path(__file__).resolve().parents[2] / "data" / "arducopter"
 SERVO_BYTES = 40
 
 
-@pytest.fixture(scope="session")
-def handshake_lines() -> list[bytes]:
-    """The lines of its VectorNav driver, in order."""
-    return (RECORDED / "handshake.txt").read_bytes().splitlines(keepends=True)
+@pytest.fixture(scope="session", params=["handshake.txt", "handshake_4.5.txt"])
+def handshake_lines(request: pytest.FixtureRequest) -> list[bytes]:
+    """The lines of its VectorNav driver, in order; of 4.7 and of 4.5."""
+    return (RECORDED / request.param).read_bytes().splitlines(keepends=True)
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,6 @@
 """Motors and surfaces that do not obey, in flights of the simulator through proxy and monitor."""
 
+import dataclasses
 import functools
 from pathlib import Path
 from typing import Any
@@ -192,6 +193,28 @@ def test_the_cut_into_blocks_changes_nothing() -> None:
         one_by_one += [result for _, result in found]
     assert [result for _, result in at_once] == one_by_one
     assert len(one_by_one) == 5
+
+
+@pytest.mark.parametrize(("alt_m", "judged"), [(502.0, False), (510.0, True)])
+def test_low_and_slow_a_leg_may_touch_the_ground_and_nobody_is_blamed(
+    alt_m: float, judged: bool
+) -> None:
+    """A motor told to do less, and nothing follows: 2 and 10 m above the place of the first fix."""
+    effects = setup_of("quad").monitor.actuators
+    assert effects is not None
+    watch, rng = ActuatorWatch(effects), np.random.default_rng(3)
+    fix = GpsFix(0, 47.0, 8.0, 500.0, np.array([0.0, 0.0, 2.0]), 3, 12, 1.0, 1.0, "HIL_GPS")
+    samples: list[Any] = [CommandSample(0, np.full(12, 0.7)), fix]
+    for k in range(900):
+        t_us, commands = 10_000 * k, np.full(12, 0.7)
+        commands[0] -= 0.2 * (k > 700)
+        if k % 20 == 0:
+            samples.append(dataclasses.replace(fix, t_us=t_us, alt_m=alt_m if k > 600 else 510.0))
+        samples.append(CommandSample(t_us, commands))
+        samples.append(ImuSample(t_us, 0.01 * rng.normal(size=3), np.array([0.0, 0.0, -9.8])))
+    found, _ = watch.step(block_of(samples), watch.new_state())
+    alarms = [r for _, r in found if isinstance(r, SensorDecision) and r.alarm]
+    assert bool(alarms) == judged
 
 
 def _flying(block: Block) -> Block:

@@ -189,3 +189,47 @@ def test_a_fix_that_is_none_is_untestable():
         (result,) = run(Detector(DetectorConfig()), [bad])
         assert result.hypothesis == "untestable"
         assert reason in result.reason
+
+
+def test_what_is_held_against_a_sample_is_not_dated_before_it(flight):
+    # An epoch that is told 60 ms after its stamp, when newer readings are there already.
+    begun_us = round((FROM_S + 0.03) * 1e6)
+    samples = [
+        replace(s, t_us=s.t_us + 64_000) if isinstance(s, MagSample) else s
+        for s in with_sensors(flight, "")
+    ]
+    wrong = [
+        replace(s, field_b_gauss=s.field_b_gauss + np.array([0.3, 0.0, 0.0]))
+        if isinstance(s, MagSample) and s.t_us >= begun_us
+        else s
+        for s in samples
+    ]
+    alarms = [r for r in judged(wrong) if r.sensor == "mag" and r.alarm]
+    assert alarms
+    assert min(r.t_us for r in alarms) >= begun_us
+
+
+def falling(speed_mps: float, still_from: int) -> list[Sample]:
+    """Fixes at 5 Hz of something that falls and lies still from one of them on."""
+    fixes: list[Sample] = []
+    for number in range(60):
+        down_mps = speed_mps if number < still_from else 0.0
+        down_m = speed_mps * 0.2 * min(number, still_from)
+        velocity = np.array([0.0, 0.0, down_mps])
+        fixes.append(
+            GpsFix(200_000 * number, 47.4, 8.5, 900 - down_m, velocity, 3, 12, 1.0, 1.5, "HIL_GPS")
+        )
+    return fixes
+
+
+def test_an_impact_with_the_ground_is_not_the_receivers_fault():
+    decisions = run(Detector(DetectorConfig()), falling(20.0, 30))
+    assert {r.hypothesis for r in decisions if isinstance(r, Decision)} == {"none"}
+
+
+def test_a_velocity_that_stands_still_while_the_position_moves_is_the_receivers_fault():
+    fixes = falling(20.0, 60)
+    lying = [replace(s, v_ned_mps=np.zeros(3)) for s in fixes[30:] if isinstance(s, GpsFix)]
+    decisions = run(Detector(DetectorConfig()), [*fixes[:30], *lying])
+    blamed = [r for r in decisions if isinstance(r, Decision) and r.hypothesis == "gps"]
+    assert blamed[0].t_us <= 200_000 * 31

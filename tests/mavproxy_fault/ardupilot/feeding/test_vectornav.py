@@ -1,19 +1,20 @@
 import struct
 
+import pytest
 from fastcrc.crc16 import xmodem
 
 from mavproxy_fault.ardupilot.feeding.vectornav import (
+    NO_FIX,
+    BinaryOutput,
     GnssOutput,
     ImuOutput,
-    gnss_packet,
-    imu_packet,
-    ins_packet,
+    gnss_values,
+    imu_values,
 )
+from mavproxy_fault.documents.errors import ConfigError
 
 IMU = ImuOutput(2_500, (0.5, -0.25, 0.125), (0.0, 1.0, -9.75), (0.25, 0.0, 0.5), 20.0, 101_000.0)
 FIX = GnssOutput(
-    t_us=5_000,
-    gps_time_us=7_000,
     satellites=14,
     fix=3,
     lat_deg=47.5,
@@ -24,11 +25,19 @@ FIX = GnssOutput(
     sigma_v_mps=0.25,
     dop=0.5,
 )
+VALUES = {**imu_values(IMU, gps_epoch_us=4_500), **gnss_values(FIX)}
+IMU_OUTPUT = BinaryOutput(0x01, [0x0721])
+ESTIMATE_OUTPUT = BinaryOutput(0x31, [0x0001, 0x0106, 0x0613])
+GNSS_OUTPUT = BinaryOutput(0x49, [0x0003, 0x26B8, 0x0018])
+IMU_OUTPUT_4_5 = BinaryOutput(0x34, [0x072E, 0x0106, 0x0612])
+GNSS_OUTPUT_4_5 = BinaryOutput(0x4E, [0x0002, 0x0010, 0x20B8, 0x0018])
+OUTPUTS = (IMU_OUTPUT, ESTIMATE_OUTPUT, GNSS_OUTPUT, IMU_OUTPUT_4_5, GNSS_OUTPUT_4_5)
 
 
 def test_an_imu_packet_byte_for_byte():
+    packet = IMU_OUTPUT.packet(VALUES)
     assert (
-        imu_packet(IMU).hex()
+        packet.hex()
         == (
             "fa012107"
             "a025260000000000"  # 2,500,000 ns
@@ -40,48 +49,86 @@ def test_an_imu_packet_byte_for_byte():
             "0000a041"  # temperature
             "0000ca42"  # 101 kPa
         )
-        + xmodem(imu_packet(IMU)[1:-2]).to_bytes(2, "big").hex()
+        + xmodem(packet[1:-2]).to_bytes(2, "big").hex()
     )
 
 
-def test_the_crc_over_a_packet_and_its_crc_is_zero():
-    for packet in (imu_packet(IMU), gnss_packet(FIX), ins_packet(FIX, 9_000)):
-        assert xmodem(packet[1:]) == 0
+@pytest.mark.parametrize("output", OUTPUTS)
+def test_the_crc_over_a_packet_and_its_crc_is_zero(output):
+    assert xmodem(output.packet(VALUES)[1:]) == 0
 
 
 def test_the_crc_is_that_of_vectornav():
     # CRC-16 with polynomial 0x1021 and start 0, bit by bit as in VectorNav's user manual
     crc = 0
-    for byte in imu_packet(IMU)[1:-2]:
+    for byte in IMU_OUTPUT.packet(VALUES)[1:-2]:
         crc = (crc >> 8 | crc << 8) & 0xFFFF
         crc ^= byte
         crc ^= (crc & 0xFF) >> 4
         crc ^= crc << 12 & 0xFFFF
         crc ^= (crc & 0xFF) << 5 & 0xFFFF
-    assert imu_packet(IMU)[-2:] == crc.to_bytes(2, "big")
+    assert IMU_OUTPUT.packet(VALUES)[-2:] == crc.to_bytes(2, "big")
 
 
-def test_packets_have_the_lengths_that_the_driver_waits_for():
-    lengths = [len(imu_packet(IMU)), len(gnss_packet(FIX)), len(ins_packet(FIX, 0))]
-    assert lengths == [1 + 3 + 76 + 2, 1 + 7 + 100 + 2, 1 + 7 + 94 + 2]
+def test_packets_have_the_lengths_that_the_drivers_wait_for():
+    lengths = [len(output.packet(VALUES)) for output in OUTPUTS]
+    # sync, head, payload, CRC; those of 4.5 stand in its driver
+    assert lengths == [1 + 3 + 76 + 2, 1 + 7 + 94 + 2, 1 + 7 + 100 + 2, 170, 92]
+
+
+def test_outputs_are_sent_with_what_they_hold():
+    paces = [output.pace for output in OUTPUTS]
+    assert paces == ["imu", "estimate", "gnss", "imu", "gnss"]
 
 
 def test_a_fix_can_be_read_back():
-    packet = gnss_packet(FIX)
+    packet = GNSS_OUTPUT.packet(VALUES)
     assert packet[:8].hex() == "fa490300b8261800"
     values = struct.unpack("<QQBB3d3f3ff7fBB", packet[8:-2])
-    assert values[:4] == (5_000_000, 7_000_000, 14, 3)
+    assert values[:4] == (2_500_000, 7_000_000, 14, 3)
     assert values[4:7] == (47.5, 8.5, 488.0)
     assert values[7:10] == (1.0, -2.0, 0.5)
     assert values[-2:] == (14, 3)
 
 
+def test_the_packets_of_4_5_can_be_read_back():
+    packet = IMU_OUTPUT_4_5.packet(VALUES)
+    assert packet[:8].hex() == "fa342e0706011206"
+    values = struct.unpack("<3f3f3ff3f3f3f3f4f3f3d3fff", packet[8:-2])
+    assert values[3:9] == (0.0, 1.0, -9.75, 0.5, -0.25, 0.125)
+    assert values[9] == 101.0
+    assert values[29:32] == (47.5, 8.5, 488.0)
+    packet = GNSS_OUTPUT_4_5.packet(VALUES)
+    assert packet[:10].hex() == "fa4e02001000b8201800"
+    values = struct.unpack("<QfBB3d3f7fBB", packet[10:-2])
+    assert values[:4] == (7_000_000, 20.0, 14, 3)
+
+
 def test_a_better_fix_than_3d_is_3d():
-    packet = gnss_packet(FIX._replace(fix=6))
-    assert struct.unpack("<QQBB", packet[8:26])[3] == 3
+    assert gnss_values(FIX._replace(fix=6))["fix"] == (3,)
 
 
 def test_the_sensor_tells_no_attitude_of_its_own():
-    packet = ins_packet(FIX, 9_000)
-    values = struct.unpack("<Q3f4f3fH3d3fff", packet[8:-2])
+    values = struct.unpack("<Q3f4f3fH3d3fff", ESTIMATE_OUTPUT.packet(VALUES)[8:-2])
     assert values[1:8] == (0, 0, 0, 0, 0, 0, 1)
+    assert values[11] == 6  # tracking, with a fix
+
+
+def test_before_any_fix_the_sensor_tracks_nothing():
+    values = struct.unpack(
+        "<Q3f4f3fH3d3fff", ESTIMATE_OUTPUT.packet({**VALUES, **gnss_values(NO_FIX)})[8:-2]
+    )
+    assert values[11] == 0
+
+
+@pytest.mark.parametrize(
+    ("groups", "words", "message"),
+    [
+        (0x01, [0x0008], "field 3 of group 1 is asked for and not served"),
+        (0x80, [0x0001], "group 8"),
+        (0x05, [0x0001], "has 1 words of fields; it has one for each group"),
+    ],
+)
+def test_an_output_that_is_not_served_is_refused(groups, words, message):
+    with pytest.raises(ConfigError, match=message):
+        BinaryOutput(groups, words)
