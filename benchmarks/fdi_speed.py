@@ -88,7 +88,7 @@ def single_epochs(samples: list[Sample]) -> None:
         wrong = sample.pseudorange_m + 50.0 * (np.arange(len(sample.satellites)) == place)
         for title, given in zip(spent, (sample, replace(sample, pseudorange_m=wrong)), strict=True):
             times, block = [], block_of([given])
-            for _ in range(3):  # the least: what else the machine does is not the detector's
+            for _ in range(REPEATS):  # the least: what else the machine does is not its
                 began = time.perf_counter()
                 _, after = detector.step(block, state)
                 times.append(time.perf_counter() - began)

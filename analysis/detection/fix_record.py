@@ -10,6 +10,7 @@ from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import GpsFix
 
 UNBOUNDED = "the receiver or the IMU is wrong: the position is the receiver's, without a bound"
+COASTING = "the receiver is left out: the IMU alone carries the position, and nothing bounds it"
 
 
 def fix_decision(
@@ -25,6 +26,10 @@ def fix_decision(
     motion = core.motion
     assert motion is not None
     sigma = np.sqrt(np.diag(motion.p)[:3])
+    reason = UNBOUNDED if core.unbounded else ""
+    # Once it is known less well than by a fix, an IMU's own fault would be seen by nobody.
+    if RECEIVER in core.excluded and position and sigma @ sigma > position.variance.sum():
+        reason = COASTING
     return Decision(
         t_s=fix.t_us * 1e-6,
         t_us=fix.t_us,
@@ -37,10 +42,8 @@ def fix_decision(
         hypothesis=hypothesis,
         excluded=tuple(sorted(core.excluded)),
         position_ecef_m=(float(motion.x[0]), float(motion.x[1]), float(motion.x[2])),
-        position_sigma_m=None
-        if core.unbounded
-        else (float(sigma[0]), float(sigma[1]), float(sigma[2])),
-        reason=UNBOUNDED if core.unbounded else "",
+        position_sigma_m=None if reason else (float(sigma[0]), float(sigma[1]), float(sigma[2])),
+        reason=reason,
         residual_m=tuple(position.v.tolist()) if position else (),
         mode=mode,
     )
