@@ -10,6 +10,7 @@ from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import GpsFix
 
 UNBOUNDED = "the receiver or the IMU is wrong: the position is the receiver's, without a bound"
+LASTING = 0.6  # share of a receiver's error that fixes repeat for minutes: no filter averages it
 COASTING = "the receiver is left out: the IMU alone carries the position, and nothing bounds it"
 
 
@@ -30,6 +31,8 @@ def fix_decision(
     # Once it is known less well than by a fix, an IMU's own fault would be seen by nobody.
     if RECEIVER in core.excluded and position and sigma @ sigma > position.variance.sum():
         reason = COASTING
+    if position is not None:
+        sigma = np.sqrt(sigma**2 + LASTING**2 * (position.h[:, :3] ** 2).T @ position.variance)
     return Decision(
         t_s=fix.t_us * 1e-6,
         t_us=fix.t_us,
