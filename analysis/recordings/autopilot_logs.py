@@ -156,13 +156,14 @@ def _ardupilot_attitude(topic: Topic) -> list[NDArray[Any]]:
     return [*q_nb, _filled(topic, SYSTEM), _filled(topic, ATTITUDE_SOURCE)]
 
 
-def _outputs(first: str, *others: str) -> Columns:
-    """The first outputs, in thousands; those that a board does not have stay 0."""
+def _outputs(first: str, *others: str, scale: float = PER_OUTPUT) -> Columns:
+    """The first outputs, in thousands of microseconds or shares of a motor's most; those that a
+    board does not have stay 0."""
 
     def columns(topic: Topic) -> list[NDArray[Any]]:
         none = _filled(topic, 0.0)
         found = [topic[first], *(topic.get(name, none) for name in others)]
-        return [*(np.nan_to_num(output) * PER_OUTPUT for output in found), none + OUTPUTS]
+        return [*(np.nan_to_num(output) * scale for output in found), none + OUTPUTS]
 
     return columns
 
@@ -190,6 +191,12 @@ ULOG: tuple[tuple[str, int, Columns], ...] = (
     ("sensor_gps", FIX, _px4_fix),
     ("vehicle_attitude", ATTITUDE, _px4_attitude),
     ("actuator_outputs", COMMAND, _outputs(*(f"output[{i}]" for i in range(COMMAND_SOURCE)))),
+    # What the allocation commands, from PX4 1.13 on.
+    (
+        "actuator_motors",
+        COMMAND,
+        _outputs(*(f"control[{i}]" for i in range(COMMAND_SOURCE)), scale=1.0),
+    ),
 )
 DATAFLASH: tuple[tuple[str, int, Columns], ...] = (
     (

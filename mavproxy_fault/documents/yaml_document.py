@@ -31,6 +31,7 @@ INTEGER = re.compile(r"[-+]?[0-9]+")
 AMBIGUOUS = re.compile(r"[-+]?0[0-9]+")  # octal for YAML 1.1, decimal for 1.2
 BASED = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
 FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+BRACKETED = re.compile(r"\{.*\w\[\d")  # `{target: controls[1]}`, where `[` begins a list
 WORDS = {
     "": None, "~": None, "null": None, "Null": None, "NULL": None,
     "true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False,
@@ -87,12 +88,16 @@ def read_yaml(text: str, where: str) -> Document:
         mark = getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark is not None else ""
         problem = getattr(error, "problem", None) or getattr(error, "reason", "is damaged")
-        raise ConfigError(f"{where}{line}: not YAML: {problem}; see yaml.org") from None
+        advice = "see yaml.org"
+        told = "".join(text.splitlines()[mark.line :][:1]) if mark is not None else ""
+        if BRACKETED.search(told):
+            advice = 'between braces a name with brackets is quoted: "controls[1]"'
+        raise ConfigError(f"{where}{line}: not YAML: {problem}; {advice}") from None
     except UnicodeEncodeError:  # half a surrogate pair, which no file in UTF-8 holds
         raise ConfigError(f"{where}: is not text; YAML in UTF-8 is expected") from None
-    if builder.doubles:
-        # All doubled keys at once, as all other errors.
-        raise ConfigError("\n".join(builder.doubles[:DEEPEST]))
+    if builder.flaws:
+        # All of them at once, as all other errors.
+        raise ConfigError("\n".join(builder.flaws[:DEEPEST]))
     return Document(builder.data, where, builder.lines)
 
 
@@ -151,7 +156,7 @@ class _Builder:
         self.where = where
         self.data: Any = None
         self.lines: Lines = {}
-        self.doubles: list[str] = []
+        self.flaws: list[str] = []
         self._open: list[_Open] = []
         self._anchors: dict[str, tuple[Any, int]] = {}
         self._nodes = 0
@@ -196,10 +201,8 @@ class _Builder:
             self._refuse(event, "has a list or mapping as a key; keys are words")
         self._untagged(event)
         line = self._line(event)
-        # Noted, not raised: one run shows every doubled key.
         if event.value in parent.items:
-            double = f"{self.where}:{line}: {event.value} stands twice; give each key once"
-            self.doubles.append(double)
+            self._note(event, f"{event.value} stands twice; give each key once")
         parent.key = event.value
         self.lines[(*parent.path, event.value)] = line
 
@@ -219,7 +222,7 @@ class _Builder:
                 try:
                     value = scalar(event.value)
                 except ValueError as error:
-                    self._refuse(event, f"{spelled(path)} {error}".lstrip())
+                    self._note(event, f"{spelled(path)} {error}".lstrip())
             self._remember(event.anchor, value, 1)
             return value
         if len(self._open) == DEEPEST:
@@ -242,6 +245,10 @@ class _Builder:
     def _line(event: Any) -> int:
         line: int = event.start_mark.line + 1
         return line
+
+    def _note(self, event: Any, text: str) -> None:
+        """What is wrong, but does not end the reading: one run shows every such flaw."""
+        self.flaws.append(f"{self.where}:{self._line(event)}: {text}")
 
     def _refuse(self, event: Any, text: str) -> NoReturn:
         raise ConfigError(f"{self.where}:{self._line(event)}: {text}")

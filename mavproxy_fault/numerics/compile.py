@@ -30,6 +30,8 @@ LEVEL = type(config.OPT)(1)
 # Without the entry points for C, which nobody calls: they take a seventh of the time to compile.
 _OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
+MADE: list[Any] = []  # the dispatchers of all functions, as their modules are imported
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -65,6 +67,10 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]  # numba has no typ
 
 class _CacheImpl(caching.CompileResultCacheImpl):  # type: ignore[misc]
     _locator_classes = (_Locator,)
+
+    def reduce(self, result: Any) -> Any:
+        """What is kept, without the annotated listing, which holds paths and addresses."""
+        return super().reduce(result._replace(type_annotation=""))
 
 
 class _InstalledLocator(_Locator):
@@ -163,6 +169,7 @@ def _jitted(function: Function, **options: bool) -> Function:
             return compile_one(signature)
 
     dispatcher.compile = load_or_compile
+    MADE.append(dispatcher)
     return cast(Function, dispatcher)
 
 

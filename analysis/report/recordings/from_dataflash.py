@@ -37,6 +37,7 @@ COPTER = 2  # MAV_TYPE of a quadrotor
 NOT_YET = 3  # severity of an error
 # Bits of the field TS.
 TIMEOUTS = {0: "position timeout", 1: "velocity timeout", 2: "height timeout", 3: "compass timeout"}
+SOLUTION = {14: "GPS glitch"}  # bits of the field SS, nav_filter_status in AP_Nav_Common.h
 GPS_EPOCH_US = 315_964_800_000_000  # 6 January 1980 in Unix time
 WEEK_US = 604_800_000_000
 LEAP_US = 18_000_000  # GPS is ahead of UTC since 2017
@@ -60,7 +61,7 @@ def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = No
         found.tracks.extend(_tracks(kind, suffix, topic, t_s))
     _add_modes(found, log, start_us)
     _add_armed(found, log, start_us)
-    _add_timeouts(found, log, start_us)
+    _add_flags(found, log, start_us)
     _add_core(found, log, start_us)
     _add_texts(found, log, start_us)
     _add_parameters(found, log, start_us)
@@ -134,21 +135,24 @@ def _add_armed(found: Recording, log: DataflashFile, start_us: int) -> None:
         found.spans.append(Span("armed", since, found.duration_s, "armed", "mode"))
 
 
-def _add_timeouts(found: Recording, log: DataflashFile, start_us: int) -> None:
-    """Sensors that the estimator says it has not used for too long."""
+def _add_flags(found: Recording, log: DataflashFile, start_us: int) -> None:
+    """What the estimator says of itself: sensors not used for too long, a receiver that jumps."""
     # The newest filter that the log has.
     topic = next((t for k in ESTIMATORS if (t := log.topics.get((k, 0))) and "TS" in t), None)
     if topic is None:
         return
     t_s = _seconds(topic, start_us)
-    flags: NDArray[np.int64] = topic["TS"].astype(np.int64)
-    for bit, text in TIMEOUTS.items():
-        for begin, end in runs(flags >> bit & 1 == 1):
-            lane = f"estimator: {text}"
-            # The end of a stretch is the first row without the flag.
-            stop = float(t_s[min(end, len(t_s) - 1)])
-            found.spans.append(Span(lane, float(t_s[begin]), stop, text, "flag"))
-            found.events.append(Event(float(t_s[begin]), "flag", f"{lane} raised", 4))
+    for field, texts in (("TS", TIMEOUTS), ("SS", SOLUTION)):
+        if field not in topic:
+            continue
+        flags: NDArray[np.int64] = topic[field].astype(np.int64)
+        for bit, text in texts.items():
+            for begin, end in runs(flags >> bit & 1 == 1):
+                lane = f"estimator: {text}"
+                # The end of a stretch is the first row without the flag.
+                stop = float(t_s[min(end, len(t_s) - 1)])
+                found.spans.append(Span(lane, float(t_s[begin]), stop, text, "flag"))
+                found.events.append(Event(float(t_s[begin]), "flag", f"{lane} raised", 4))
 
 
 def _add_core(found: Recording, log: DataflashFile, start_us: int) -> None:

@@ -10,6 +10,7 @@ from analysis.recordings.ulog import Topic, ULogFile
 from analysis.report.curves.field_values import values_of
 from analysis.report.curves.ulog_curves import CURVES
 from analysis.report.curves.ulog_innovations import innovations
+from analysis.report.recordings.mode_names import ESTIMATOR_FLAGS
 from analysis.report.recordings.recording import (
     Event,
     Message,
@@ -30,6 +31,24 @@ NAV_STATES = {
 }  # fmt: skip
 ARMED = 2
 UNLIKELY_FLAGS = ("fs_", "reject_")  # of estimator_status_flags: faults and refused measurements
+GPS_CHECKS = "gps_check_fail_flags"
+# Bits of estimator_status, as PX4's message definition numbers them; the last field was dropped
+# when estimator_status_flags came.
+ESTIMATOR_BITS = {
+    "solution_status_flags": ESTIMATOR_FLAGS,
+    GPS_CHECKS: {
+        0: "GPS fix refused", 1: "GPS satellites refused", 2: "GPS dilution refused",
+        3: "GPS horizontal accuracy refused", 4: "GPS vertical accuracy refused",
+        5: "GPS speed accuracy refused", 6: "GPS horizontal drift refused",
+        7: "GPS vertical drift refused", 8: "GPS horizontal speed refused",
+        9: "GPS vertical speed refused",
+    },
+    "innovation_check_flags": {
+        0: "velocity refused", 1: "horizontal position refused", 2: "vertical position refused",
+        3: "compass x refused", 4: "compass y refused", 5: "compass z refused", 6: "yaw refused",
+        7: "airspeed refused",
+    },
+}  # fmt: skip
 FAILSAFES = (
     "attitude_invalid", "local_position_invalid", "global_position_invalid", "gcs_connection_lost",
     "manual_control_signal_lost", "battery_unhealthy", "geofence_breached", "mission_failure",
@@ -137,6 +156,12 @@ def _spans(name: str, suffix: str, topic: Topic, t_s: Values) -> list[Span]:
     if name == "estimator_status_flags":
         flags = [key for key in topic if key.startswith(UNLIKELY_FLAGS)]
         return _flag_spans(f"estimator{suffix}", flags, topic, t_s)
+    if name == "estimator_status":
+        return [
+            span
+            for field, texts in ESTIMATOR_BITS.items()
+            for span in _bit_spans(f"estimator{suffix}", (field, texts), topic, t_s)
+        ]
     if name == "estimator_selector_status":
         texts = [f"instance {i + 1}" for i in topic["primary_instance"].tolist()]
         return stretches("estimator in use", t_s, texts)
@@ -183,6 +208,23 @@ def _flag_spans(lane: str, flags: Sequence[str], topic: Topic, t_s: Values) -> l
             text = flag.replace("_", " ")
             spans.append(Span(f"{lane}: {text}", float(t_s[begin]), stop, text, "flag"))
     return spans
+
+
+def _bit_spans(
+    lane: str, bits: tuple[str, Mapping[int, str]], topic: Topic, t_s: Values
+) -> list[Span]:
+    """Stretches in which bits of a field were set that mean trouble."""
+    field, texts = bits
+    found: list[Span] = []
+    # A receiver that is not good enough yet is no alarm: the estimator goes on with what it has.
+    kind = "warn" if field == GPS_CHECKS else "flag"
+    for bit, text in texts.items() if field in topic else ():
+        raised = topic[field].astype(np.int64) >> bit & 1 == 1
+        # A bit that is always set tells of the set-up, not of the flight.
+        for begin, end in [] if raised.all() else runs(raised):
+            stop = float(t_s[min(end, len(t_s) - 1)])
+            found.append(Span(f"{lane}: {text}", float(t_s[begin]), stop, text, kind))
+    return found
 
 
 def _mode_events(spans: Sequence[Span]) -> list[Event]:

@@ -97,3 +97,20 @@ def test_a_real_ulog_is_read_with_all_its_sensors(shared_data: Path) -> None:
     assert force == pytest.approx(-9.8, abs=0.5)
     strength = np.linalg.norm(block.values[block.rows(MAG), :3], axis=1)
     assert 0.2 < np.median(strength) < 0.7
+
+
+def test_without_outputs_the_commands_to_the_motors_are_read(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    whole = shared_data / "ulog" / "gps_interference.ulg"
+    # By another name the topic is unknown; both are logged in this flight.
+    without = tmp_path / "motors.ulg"
+    without.write_bytes(whole.read_bytes().replace(b"actuator_outputs", b"actuator_unknown"))
+    blocks = (next(iter(read_log(path))) for path in (whole, without))
+    by_outputs, by_motors = (block.values[block.rows(COMMAND), :4] for block in blocks)
+    assert len(by_motors) == len(by_outputs) == 624
+    assert by_motors.min() >= 0.0
+    assert by_motors.max() == pytest.approx(0.30857205)
+    # The same commands in other units: the one is a straight line of the other.
+    for output, motor in zip(by_outputs.T, by_motors.T, strict=True):
+        assert np.corrcoef(output, motor)[0, 1] > 0.99

@@ -3,6 +3,7 @@
 import struct
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from analysis.recordings.dataflash import read_dataflash
@@ -11,6 +12,7 @@ from analysis.report.export import tables_of
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.flight_verdict import judged
 from analysis.report.recordings.from_dataflash import recording_of_dataflash
+from analysis.report.recordings.from_ulog import recording_of_ulog
 from analysis.report.recordings.sources import read_flight
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -166,3 +168,38 @@ def test_a_ulog_that_pyulog_would_read_for_ever_is_given_up(tmp_path: Path) -> N
     path.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + 3 * good + cut)
     with pytest.raises(ConfigError, match="damaged beyond reading"):
         read_ulog(path)
+
+
+def test_what_ardupilots_estimator_says_of_a_receiver_is_a_flag(tmp_path: Path) -> None:
+    log = read_dataflash(dataflash(tmp_path / "a.bin"))
+    t_us = np.arange(1_000_000, 11_000_000, 100_000)
+    glitching = (t_us >= 4_000_000) & (t_us < 6_000_000)
+    zeros = np.zeros(len(t_us), np.int64)
+    log.topics[("XKF4", 0)] = {"TimeUS": t_us, "TS": zeros, "SS": 0x1F + (glitching << 14)}
+    found = recording_of_dataflash(log, "a")
+    (span,) = [span for span in found.spans if span.kind == "flag"]
+    assert (span.lane, span.start_s, span.end_s) == ("estimator: GPS glitch", 3.0, 5.0)
+    assert ("flag", "estimator: GPS glitch raised") in {(e.kind, e.text) for e in found.events}
+
+
+def test_what_px4s_estimator_says_of_its_solution_is_a_flag(shared_data: Path) -> None:
+    log = read_ulog(shared_data / "ulog" / "gps_interference.ulg")
+    topic = log.topics[("estimator_status", 0)]
+    assert not [s for s in recording_of_ulog(log, "a").spans if s.lane.startswith("estimator: ")]
+    raised = np.arange(len(topic["timestamp"])) // 100 == 1
+    solution = topic["solution_status_flags"] | raised << 11
+    log.topics[("estimator_status", 0)] = {
+        **topic,
+        "solution_status_flags": solution,
+        "gps_check_fail_flags": raised << 5,
+        "innovation_check_flags": raised << 7,
+    }
+    spans = [s for s in recording_of_ulog(log, "a").spans if s.lane.startswith("estimator: ")]
+    # A receiver that is not good enough for the estimator is shown, and no flag.
+    assert {(span.text, span.kind) for span in spans} == {
+        ("accelerometer error", "flag"),
+        ("GPS speed accuracy refused", "warn"),
+        ("airspeed refused", "flag"),
+    }
+    seconds = (topic["timestamp"][[100, 200]] - log.start_us) * 1e-6
+    assert {(span.start_s, span.end_s) for span in spans} == {tuple(seconds.tolist())}

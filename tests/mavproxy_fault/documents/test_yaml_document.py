@@ -68,6 +68,7 @@ def test_every_key_and_item_has_its_line() -> None:
         ("- " * 100_000, "a.yaml:1: is nested deeper than 40"),
         ("a: \x00", "not YAML"),
         ("a: [\n", "a.yaml:2: not YAML"),
+        ("- {a: b[0], c: 1}\n", "a.yaml:1: not YAML: did not find expected ',' or '}'; between"),
         ("a: '\ud800'", "is not text"),
         ("#" * (yaml_document.MOST_BYTES + 1), "is too large; at most 8 MB"),
         ("- 0\n" * (yaml_document.MOST_NODES + 1), f"goes beyond {yaml_document.MOST_NODES}"),
@@ -75,6 +76,13 @@ def test_every_key_and_item_has_its_line() -> None:
 )
 def test_what_cannot_be_meant_or_would_exhaust_is_refused(text: str, words: str) -> None:
     assert words in error(text)
+
+
+def test_every_flaw_that_does_not_end_the_reading_is_told_at_once() -> None:
+    text = "a: 010\nb: 1\nb: 2\nc: 1e999\n"
+    assert [line.split(" ")[0] for line in error(text).splitlines()] == [
+        "a.yaml:1:", "a.yaml:3:", "a.yaml:4:",
+    ]  # fmt: skip
 
 
 def test_an_alias_bomb_is_counted_as_what_it_stands_for() -> None:
