@@ -18,6 +18,7 @@ from analysis.recordings.recordings import read_rinex, read_rinex_samples
 from analysis.samples.block import EPOCH, IMU, Block, block_of
 from analysis.samples.sample import Epoch, Sample
 
+ROUNDS = 25  # of all epochs, one by one
 REPEATS = 7  # the least of so many: what the machine does beside is not the detector's
 
 
@@ -91,7 +92,7 @@ def single_epochs(samples: list[Sample]) -> None:
     for title, work in jobs.items():
         times = np.full(len(work), np.inf)
         # In rounds, not one epoch often: what else the machine does lasts for seconds.
-        for _ in range(REPEATS):
+        for _ in range(ROUNDS):
             for i, (block, before) in enumerate(work):
                 began = time.perf_counter()
                 detector.step(block, before)
