@@ -1,9 +1,9 @@
 """A wheel's kernels once more, one after the other in a fixed order: `python -m ... DRAFT`.
 
-numba numbers functions as it comes to them and names the loops of array expressions after
-addresses. Flights and their processes come to them in another order each time, so that no two
-folders are the same. This compiles what lies in one of them, for the same types of arguments, into
-the folder of this process; made twice it has the same bytes.
+numba numbers functions as it comes to them and names some of them after addresses. Flights and
+their processes come to them in another order each time, so that no two folders are the same. This
+compiles what lies in one of them, for the same types of arguments, into the folder of this process;
+made twice it has the same bytes.
 """
 
 import sys
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from numba.core.caching import IndexDataCacheFile
+from numba.core.registry import CPUDispatcher
 from numba.np.ufunc import array_exprs  # type: ignore[attr-defined]
 
 from mavproxy_fault.numerics.code_cache import mark
@@ -24,6 +25,10 @@ def main(draft: Path) -> None:
     numbers = count()
     # The module's calls of the builtin find this name first.
     array_exprs.hash = lambda _: next(numbers)
+    # Functions that are given as arguments stand in the names of those that take them.
+    CPUDispatcher.__repr__ = lambda given: (
+        f"{given.py_func.__module__}.{given.py_func.__qualname__}"
+    )
     indices = sorted(draft.rglob("*.nbi"))
     for index in indices:
         import_module(index.parent.name)  # a folder has its module's name

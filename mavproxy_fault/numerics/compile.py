@@ -16,6 +16,7 @@ import numpy as np
 from numba import config, njit
 from numba.core import caching
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.types import Dispatcher
 
 from mavproxy_fault.numerics.baseline import BASELINE
 from mavproxy_fault.numerics.code_cache import alone, folder, installed_folder, mark
@@ -132,6 +133,9 @@ class _Cache(_FunctionCache):
         return super()._load_overload(signature, context) if found is None else found
 
     def _save_overload(self, signature: Any, code: Any) -> None:
+        # A function among the arguments is another one in each process: nobody would find it.
+        if any(isinstance(argument, Dispatcher) for argument in code.signature.args):
+            return
         with suppress(OSError):  # it serves this process, and the next one makes it again
             super()._save_overload(signature, code)
 
