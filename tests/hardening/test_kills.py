@@ -88,7 +88,7 @@ def test_a_killed_run_leaves_logs_and_results_that_can_be_read(kill: int, tmp_pa
     with subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     ) as process:
-        enough = random.Random(kill).randrange(1, 2_000_000)
+        enough = random.Random(kill).randrange(1, 1_000_000)
         while process.poll() is None and size(out / "received.tlog") < enough:
             os.sched_yield()
         assert process.poll() is None
