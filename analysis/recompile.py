@@ -1,9 +1,9 @@
 """A wheel's kernels once more, one after the other in a fixed order: `python -m ... DRAFT`.
 
-numba numbers functions as it comes to them and names the loops of array expressions after
-addresses. Flights and their processes come to them in another order each time, so that no two
-folders are the same. This compiles what lies in one of them, for the same types of arguments, into
-the folder of this process; made twice it has the same bytes.
+numba numbers functions as it comes to them and names some of them after addresses. Flights and
+their processes come to them in another order each time, so that no two folders are the same. This
+compiles what lies in one of them, for the same types of arguments, into the folder of this process;
+made twice it has the same bytes.
 """
 
 import sys
@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from numba.core.caching import IndexDataCacheFile
+from numba.core.registry import CPUDispatcher
 from numba.np.ufunc import array_exprs  # type: ignore[attr-defined]
 
 from mavproxy_fault.numerics.code_cache import mark
+from mavproxy_fault.numerics.compile import MADE
 
 
 def main(draft: Path) -> None:
@@ -23,19 +25,17 @@ def main(draft: Path) -> None:
     numbers = count()
     # The module's calls of the builtin find this name first.
     array_exprs.hash = lambda _: next(numbers)
-    for index in sorted(draft.rglob("*.nbi")):
-        dispatcher = _dispatcher(index)
+    # Functions that are given as arguments stand in the names of those that take them.
+    CPUDispatcher.__repr__ = lambda given: (
+        f"{given.py_func.__module__}.{given.py_func.__qualname__}"
+    )
+    indices = sorted(draft.rglob("*.nbi"))
+    for index in indices:
+        import_module(index.parent.name)  # a folder has its module's name
+    dispatchers = {dispatcher._cache._impl.filename_base: dispatcher for dispatcher in MADE}
+    for index in indices:
         for signature in sorted(_signatures(index), key=str):
-            dispatcher.compile(signature)
-
-
-def _dispatcher(index: Path) -> Any:
-    """The function that an index of machine code is of: the folder is its module's name."""
-    for found in vars(import_module(index.parent.name)).values():
-        cache = getattr(found, "_cache", None)
-        if cache is not None and cache._impl.filename_base == index.stem:
-            return found
-    raise LookupError(f"{index}: no such function is compiled")
+            dispatchers[index.stem].compile(signature)
 
 
 def _signatures(index: Path) -> list[Any]:

@@ -35,6 +35,7 @@ from mavproxy_fault.schedule.entries import parse_schedule
 
 FAULT_S, EDGE_S = 60.0, 20.0
 NEAR_M = 1.0
+SAME_US = 20_000
 FAULTS: dict[str, tuple[int, str, float]] = {  # how many satellites, fault, value
     "50 m step": (1, "bias", 50.0),
     "20 m step": (1, "bias", 20.0),
@@ -104,8 +105,8 @@ def judged(recording: Recording, lines: list[str]) -> Found:
     return Found(often, excluded, filtered, alarms, scores)
 
 
-def rtklib(recording: Recording, lines: list[str]) -> Places:
-    """Positions of rnx2rtkp's single-point solution with RAIM FDE by stamp."""
+def rtklib(recording: Recording, lines: list[str], stamps: list[int]) -> Places:
+    """Positions of rnx2rtkp's single-point solution with RAIM FDE by the stamps of the epochs."""
     with tempfile.TemporaryDirectory() as folder:
         obs, options = Path(folder, "a.obs"), Path(folder, "a.conf")
         out = Path(folder, "a.pos")
@@ -120,7 +121,14 @@ def rtklib(recording: Recording, lines: list[str]) -> Places:
         if not any(not line.startswith("%") for line in out.read_text().splitlines()):
             return {}
         found = read_reference(str(out))
-    return dict(zip(found.t_us.tolist(), found.r_ecef_m, strict=True))
+    # It tells the time less the receiver's clock error, which are milliseconds on some.
+    asked, known = np.array(stamps), found.t_us
+    nearest = known[np.abs(known[:, None] - asked).argmin(axis=0)]
+    return {
+        t_us: found.r_ecef_m[np.searchsorted(known, at)]
+        for t_us, at in zip(stamps, nearest.tolist(), strict=True)
+        if abs(t_us - at) < SAME_US
+    }
 
 
 def row(recording: Recording, trials: int) -> None:
@@ -128,7 +136,7 @@ def row(recording: Recording, trials: int) -> None:
     healthy = read_rinex_text(recording.obs)
     block = read_rinex(recording.obs, recording.nav)
     stamps = block.t_us[block.rows(EPOCH)].tolist()
-    clean, theirs = judged(recording, healthy), rtklib(recording, healthy)
+    clean, theirs = judged(recording, healthy), rtklib(recording, healthy, stamps)
     told = clean.scores.summary()
     rtk = PositionScores()
     for t_us, place in theirs.items():
@@ -156,7 +164,7 @@ def row(recording: Recording, trials: int) -> None:
             entry = {"fault": fault, "value": value, "at_s": at_s, "for_s": FAULT_S}
             entry["target"] = [f"PSEUDORANGE.{name}" for name in names]
             lines, _labels = faulted_lines(recording.obs, parse_schedule({"faults": [entry]}))
-            found, rtk_found = judged(recording, lines), rtklib(recording, lines)
+            found, rtk_found = judged(recording, lines), rtklib(recording, lines, stamps)
             first = stamps[0] + at_s * 1e6
             acting = [t for t in stamps if first <= t < first + FAULT_S * 1e6]
             wanted = frozenset(names)

@@ -114,7 +114,7 @@ class Detector:
         chosen = core.chosen
         # The choice of ephemerides holds for a while; it is made anew when the sky changes.
         if chosen is None or not chosen.serves(epoch):
-            chosen = choose(epoch, core.ephemerides, self.config.systems)
+            chosen = choose(epoch, core.ephemerides, self.config.systems, chosen)
             core = core._replace(chosen=chosen)
         observed = observe(epoch, chosen)
         if observed is None:

@@ -10,6 +10,8 @@ from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import GpsFix
 
 UNBOUNDED = "the receiver or the IMU is wrong: the position is the receiver's, without a bound"
+LASTING = 0.6  # share of a receiver's error that fixes repeat for minutes: no filter averages it
+COASTING = "the receiver is left out: the IMU alone carries the position, and nothing bounds it"
 
 
 def fix_decision(
@@ -25,6 +27,12 @@ def fix_decision(
     motion = core.motion
     assert motion is not None
     sigma = np.sqrt(np.diag(motion.p)[:3])
+    reason = UNBOUNDED if core.unbounded else ""
+    # Once it is known less well than by a fix, an IMU's own fault would be seen by nobody.
+    if RECEIVER in core.excluded and position and sigma @ sigma > position.variance.sum():
+        reason = COASTING
+    if position is not None:
+        sigma = np.sqrt(sigma**2 + LASTING**2 * (position.h[:, :3] ** 2).T @ position.variance)
     return Decision(
         t_s=fix.t_us * 1e-6,
         t_us=fix.t_us,
@@ -37,10 +45,8 @@ def fix_decision(
         hypothesis=hypothesis,
         excluded=tuple(sorted(core.excluded)),
         position_ecef_m=(float(motion.x[0]), float(motion.x[1]), float(motion.x[2])),
-        position_sigma_m=None
-        if core.unbounded
-        else (float(sigma[0]), float(sigma[1]), float(sigma[2])),
-        reason=UNBOUNDED if core.unbounded else "",
+        position_sigma_m=None if reason else (float(sigma[0]), float(sigma[1]), float(sigma[2])),
+        reason=reason,
         residual_m=tuple(position.v.tolist()) if position else (),
         mode=mode,
     )

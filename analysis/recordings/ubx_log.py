@@ -113,11 +113,19 @@ def _dumped(path: Path) -> bytes:
     dump = read_ulog(path).topics.get(("gps_dump", 0))
     if dump is None:
         raise ConfigError(f"{path}: has no gps_dump; set GPS_DUMP_COMM to 1 before the flight")
-    data = np.column_stack([dump[f"data[{i}]"] for i in range(MOST_DUMPED)]).astype(np.uint8)
-    # Two receivers share the topic: their bytes must not be mixed.
-    first = (dump["instance"] == dump["instance"].min()) & (dump["len"] < TO_RECEIVER)
-    lengths = dump["len"][first]
-    return bytes(data[first][np.arange(MOST_DUMPED) < lengths[:, None]])
+    names = [f"data[{i}]" for i in range(MOST_DUMPED)]
+    for name in ("len", *names):
+        if name not in dump or dump[name].dtype != np.uint8:
+            raise ConfigError(
+                f"{path}: gps_dump has no bytes {name}, so the log is damaged or not PX4's; "
+                f"a dump has len and data[0] to {names[-1]}"
+            )
+    # Two receivers share the topic: their bytes must not be mixed. Early PX4 knew one alone.
+    receiver = dump.get("instance", np.zeros_like(dump["len"]))
+    first = (receiver == receiver.min()) & (dump["len"] < TO_RECEIVER)
+    data = np.column_stack([dump[name] for name in names])[first]
+    # A damaged length beyond the message takes all of it: the frames have checksums.
+    return bytes(data[np.arange(MOST_DUMPED) < dump["len"][first, None]])
 
 
 def _frames(data: bytes) -> Iterator[tuple[bytes, bytes]]:

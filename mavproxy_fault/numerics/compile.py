@@ -16,6 +16,7 @@ import numpy as np
 from numba import config, njit
 from numba.core import caching
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.types import Dispatcher
 
 from mavproxy_fault.numerics.baseline import BASELINE
 from mavproxy_fault.numerics.code_cache import alone, folder, installed_folder, mark
@@ -29,6 +30,8 @@ LEVEL = type(config.OPT)(1)
 
 # Without the entry points for C, which nobody calls: they take a seventh of the time to compile.
 _OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True}
+
+MADE: list[Any] = []  # the dispatchers of all functions, as their modules are imported
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -130,6 +133,9 @@ class _Cache(_FunctionCache):
         return super()._load_overload(signature, context) if found is None else found
 
     def _save_overload(self, signature: Any, code: Any) -> None:
+        # A function among the arguments is another one in each process: nobody would find it.
+        if any(isinstance(argument, Dispatcher) for argument in code.signature.args):
+            return
         with suppress(OSError):  # it serves this process, and the next one makes it again
             super()._save_overload(signature, code)
 
@@ -167,6 +173,7 @@ def _jitted(function: Function, **options: bool) -> Function:
             return compile_one(signature)
 
     dispatcher.compile = load_or_compile
+    MADE.append(dispatcher)
     return cast(Function, dispatcher)
 
 

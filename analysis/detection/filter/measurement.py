@@ -41,7 +41,7 @@ from mavproxy_fault.numerics.constants import L1_HZ
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 COEFFICIENTS = 8  # Klobuchar's; behind them, how much more than broadcast ones they are off
-CHOSEN_US = 30_000_000  # the choice is looked at again
+CHOSEN_S = 300.0  # at the latest the choice is looked at again
 # Of the variance, in the order of SYSTEMS: GLONASS's channels have delays of their own (RTKLIB's
 # factor), BeiDou's B3I wanders as much more on a recorded walk.
 SPREAD = (1.0, 1.0, 1.5**2, 1.5**2)
@@ -148,11 +148,12 @@ NO_ROWS = Modelled(_NONE, _NONE, _NONE, _NONE, _NONE, _NONE, np.empty((0, ERRORS
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """The ephemerides of a set of satellites, chosen until `until_us`: indices of those that have
-    one (None: all have), and their packed rows (n, 25)."""
+    """The ephemerides of a set of satellites, which hold from `from_us` until `until_us`: indices
+    of those that have one (None: all have), and their packed rows (n, 25)."""
 
     satellites: tuple[str, ...]
     week: int
+    from_us: int
     until_us: int
     keep: Indices | None
     names: tuple[str, ...]
@@ -161,31 +162,37 @@ class Chosen:
 
     def serves(self, epoch: Epoch) -> bool:
         """Whether the choice still holds for an epoch."""
-        age_us = epoch.t_us - self.until_us + CHOSEN_US
         same = self.satellites == epoch.satellites and self.week == epoch.week
-        return same and 0 <= age_us <= CHOSEN_US
+        return same and self.from_us <= epoch.t_us <= self.until_us
 
 
 def choose(
-    epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]], systems: str = SYSTEMS
+    epoch: Epoch,
+    ephemerides: dict[str, tuple[Stored, ...]],
+    systems: str = SYSTEMS,
+    before: Chosen | None = None,
 ) -> Chosen:
     """The healthy ephemeris nearest in time for each satellite of an epoch that has one.
 
-    `systems` are the first letters of those that are used."""
-    keep, rows = [], []
+    `systems` are the first letters of those that are used, `before` is the last choice."""
+    keep, rows, holds_s = [], [], CHOSEN_S
     carriers = [L1_HZ] * len(epoch.satellites)
     if epoch.carrier_hz is not None:
         carriers = epoch.carrier_hz.tolist()
     for i, name in enumerate(epoch.satellites):
-        packed = _nearest(ephemerides.get(name, ()), epoch)
+        packed, same_s = _nearest(ephemerides.get(name, ()), epoch)
+        holds_s = min(holds_s, same_s)
         if packed is not None and name[0] in systems:
             keep.append(i)
             rows.append(packed if carriers[i] == L1_HZ else packed_for(packed, carriers[i]))
     names = tuple(epoch.satellites[i] for i in keep)
+    # The same object where nothing changed: what follows compares it by identity first.
+    names = before.names if before is not None and before.names == names else names
     return Chosen(
         epoch.satellites,
         epoch.week,
-        epoch.t_us + CHOSEN_US,
+        epoch.t_us,
+        epoch.t_us + int(holds_s * 1e6),
         np.array(keep, dtype=np.int64) if len(keep) < len(epoch.satellites) else None,
         names,
         np.array(rows).reshape(len(rows), PACKED),
@@ -219,14 +226,22 @@ def _all_plausible(ranges: Vector) -> bool:
     return plausible
 
 
-def _nearest(stored: tuple[Stored, ...], epoch: Epoch) -> Vector | None:
-    """The packed ephemeris whose time is nearest, if one is healthy and still holds."""
-    best, age = None, float("inf")
+def _nearest(stored: tuple[Stored, ...], epoch: Epoch) -> tuple[Vector | None, float]:
+    """The packed ephemeris whose time is nearest, if one is healthy and still holds, and for how
+    many seconds that stays so."""
+    best, age, ahead_s, changes_s = None, float("inf"), 0.0, [float("inf")]
+    healthy = []
     for ephemeris, packed in stored:
-        distance = abs((epoch.week - ephemeris.week) * WEEK_S + epoch.tow_s - ephemeris.toe_s)
-        if distance < age and distance <= ephemeris.fit_half_s and ephemeris.health == 0:
-            best, age = packed, distance
-    return best
+        to_come_s = (ephemeris.week - epoch.week) * WEEK_S + ephemeris.toe_s - epoch.tow_s
+        if ephemeris.health != 0:
+            continue
+        healthy.append(to_come_s)
+        changes_s += [to_come_s - ephemeris.fit_half_s, to_come_s + ephemeris.fit_half_s]
+        if abs(to_come_s) < age and abs(to_come_s) <= ephemeris.fit_half_s:
+            best, age, ahead_s = packed, abs(to_come_s), to_come_s
+    # Another one is nearer from half the way to it.
+    changes_s += [0.5 * (to_come_s + ahead_s) for to_come_s in healthy]
+    return best, min(change_s for change_s in changes_s if change_s >= 0.0)
 
 
 def why_none(epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]]) -> str:

@@ -20,9 +20,14 @@ def frozen_m(core: Core, names: tuple[str, ...], t_us: int, config: DetectorConf
     if not known:
         # Nothing is frozen in most flights: no dictionary is searched then.
         return np.zeros(len(names))
-    fading = math.exp(-(t_us - core.frozen.t_us) * 1e-6 / config.sigma.slow_s)
+    fading = _fading(core, t_us, config)
     result: Vector = fading * np.array([known.get(name, 0.0) for name in names])
     return result
+
+
+def _fading(core: Core, t_us: int, config: DetectorConfig) -> float:
+    """What is left at `t_us` of an offset that was frozen."""
+    return math.exp(-(t_us - core.frozen.t_us) * 1e-6 / config.sigma.slow_s)
 
 
 def learnt(core: Core, names: tuple[str, ...]) -> Vector:
@@ -39,13 +44,14 @@ def freeze(core: Core, t_us: int, config: DetectorConfig) -> Core:
     ramps = core.ramps
     if ramps is None:
         return core
+    fading = _fading(core, t_us, config)
     # Names frozen earlier may be out of view now and come back: they stay in the table.
-    names = tuple(dict.fromkeys((*core.frozen.offsets_m, *ramps.names)))
-    offsets_m = frozen_m(core, names, t_us, config) + learnt(core, names)
+    known = {name: fading * offset_m for name, offset_m in core.frozen.offsets_m.items()}
+    for name, offset_m in zip(ramps.names, ramps.windows.offset.tolist(), strict=True):
+        known[name] = known.get(name, 0.0) + offset_m
     windows = ramps.windows
     # What the windows knew at their start moves along, so that differences stay.
     windows = windows._replace(
         offset=np.zeros_like(windows.offset), offsets=windows.offsets - windows.offset
     )
-    known = dict(zip(names, offsets_m.tolist(), strict=True))
     return core._replace(frozen=FrozenOffsets(t_us, known), ramps=ramps._replace(windows=windows))

@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.isolation.bank import freed
+from analysis.detection.isolation.bank import Indices, freed
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled
 
 PENALTY = 2.0  # per freed parameter, as in Akaike's criterion
 SYSTEM_PENALTY = 6.0  # a system fails as a whole less often than one of its satellites
@@ -26,12 +27,15 @@ NEWS = chi_square(3, 0.01)  # of three parameters more
 TELLING = 10.0  # how much more a rival system must cost, or which one moved cannot be told
 
 
-class Group(NamedTuple):
-    """The satellites of one system: their places, and what a shift of position (3) and clock does
-    to the innovations (n, 4)."""
+class Groups(NamedTuple):
+    """The satellites by system: the places of those of each, and what a shift of position (3) and
+    clock of a system does to the innovations (systems, n, 4)."""
 
-    rows: tuple[int, ...]
+    rows: tuple[tuple[int, ...], ...]
     columns: Vector
+
+
+NO_GROUPS = Groups((), np.empty((0, 0, 4)))
 
 
 class Explanation(Value, frozen=True):
@@ -49,43 +53,74 @@ class Explanation(Value, frozen=True):
         return self.statistic <= self.threshold
 
 
-def groups_of(sight: Vector, offsets: Vector) -> tuple[Group, ...]:
+def groups_of(sight: Vector, offsets: Vector) -> Groups:
     """The systems among n satellites: `sight` (n, 3) is what a shift of position does to their
     innovations, `offsets` (n, k) what the systems' clock offsets do; none where there is only one.
     """
-    system = (offsets != 0.0) @ np.arange(1, offsets.shape[1] + 1)
-    of = system.tolist()
-    kinds = sorted(set(of))
-    if len(kinds) < 2:
-        return ()
-    moved = np.ones((len(of), 4))
-    moved[:, :3] = sight
-    return tuple(
-        Group(
-            tuple(i for i, one in enumerate(of) if one == kind), moved * (system == kind)[:, None]
-        )
-        for kind in kinds
-    )
+    # Contiguous, since a kernel is compiled anew for each memory layout.
+    of, columns = _moved(np.ascontiguousarray(sight), np.ascontiguousarray(offsets))
+    if len(columns) < 2:
+        return NO_GROUPS
+    rows: list[list[int]] = [[] for _ in columns]
+    for place, kind in enumerate(of.tolist()):
+        rows[kind].append(place)
+    return Groups(tuple(map(tuple, rows)), columns)
+
+
+@compiled
+def _moved(sight: Vector, offsets: Vector) -> tuple[Indices, Vector]:
+    """Which of the systems that are there each satellite (n,) is of, and the columns of each."""
+    count, most = offsets.shape
+    system, seen = np.zeros(count, np.int64), np.zeros(most + 1, np.int64)
+    for i in range(count):
+        for k in range(most):
+            # The first system's satellites have no offset.
+            if offsets[i, k] != 0.0:
+                system[i] += k + 1
+        seen[system[i]] = 1
+    kinds = 0
+    for k in range(most + 1):
+        here = seen[k]
+        seen[k] = kinds
+        kinds += here
+    columns = np.zeros((kinds, count, 4))
+    for i in range(count):
+        system[i] = seen[system[i]]
+        for axis in range(3):
+            columns[system[i], i, axis] = sight[i, axis]
+        columns[system[i], i, 3] = 1.0
+    return system, columns
+
+
+@compiled
+def _freed_by_system(m: Vector, u: Vector, q: float, columns: Vector) -> Vector:
+    """The statistics left (systems, 2) where the clock of each is freed, and where its position
+    is too."""
+    out = np.empty((columns.shape[0], 2))
+    for k in range(columns.shape[0]):
+        out[k, 0] = freed(m, u, q, np.ascontiguousarray(columns[k, :, 3:]))
+        out[k, 1] = freed(m, u, q, np.ascontiguousarray(columns[k]))
+        if out[k, 1] == q:  # a snapshot has solved for the clocks: the shift alone
+            out[k, 1] = freed(m, u, q, np.ascontiguousarray(columns[k, :, :3]))
+    return out
 
 
 def explain_by_systems(
-    m: Vector, u: Vector, q: float, systems: Sequence[Group], p_false_alarm: float
+    m: Vector, u: Vector, q: float, systems: Groups, p_false_alarm: float
 ) -> list[Explanation]:
     """Each system moved as a whole, or its clock alone; `m`, `u` and `q` as for satellites."""
     found = []
-    for group in systems:
+    remaining = _freed_by_system(m, u, q, systems.columns).tolist() if systems.rows else []
+    for rows, lefts in zip(systems.rows, remaining, strict=True):
         clock_left = np.inf
-        for size, least, hypothesis in FREED:
-            left = freed(m, u, q, np.ascontiguousarray(group.columns[:, 4 - size :]))
-            if size > 1 and left == q:  # a snapshot has solved for the clocks: the shift alone
-                left = freed(m, u, q, np.ascontiguousarray(group.columns[:, :3]))
+        for (size, least, hypothesis), left in zip(FREED, lefts, strict=True):
             # A shift is believed where it explains what a clock that left cannot.
-            if len(group.rows) < least or clock_left - left < NEWS:
+            if len(rows) < least or clock_left - left < NEWS:
                 continue
             clock_left = left
             threshold = chi_square(max(len(u) - size, 1), p_false_alarm)
             cost = left + PENALTY * size + SYSTEM_PENALTY
-            subset = group.rows if hypothesis == "satellites" else ()
+            subset = rows if hypothesis == "satellites" else ()
             found.append(Explanation(hypothesis, subset, left, threshold, cost))
     return found
 

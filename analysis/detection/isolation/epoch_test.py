@@ -222,7 +222,8 @@ def _bounded(
         names = tuple(name for i, name in enumerate(names) if i not in faulty)
         keep = np.ones(len(sight.names), dtype=bool)
         keep[list(faulty)] = False
-        used = used.select(keep)
+        # The verdict has chosen their rows already, with what was learnt of offsets subtracted.
+        used = judged.tested.part._replace(v_m=used.v_m[keep])
         parity, dof, _ = parity_test(normal_equations(used.h, used.variance, used.v_m))
     misfit = core.misfit.with_epoch(parity, dof, since_us * 1e-6)
     moved_m = moved.x[:3] - judged.predicted.x[:3]

@@ -11,14 +11,14 @@ older literature, "no leave-out set passes, so it is the IMU", can be chosen for
 """
 
 import math
-from collections.abc import Sequence
 
 from analysis.detection.isolation.bank import best_subset, freed
 from analysis.detection.isolation.chi_square import chi_square, subset_threshold
 from analysis.detection.isolation.constellations import (
+    NO_GROUPS,
     PENALTY,
     Explanation,
-    Group,
+    Groups,
     ambiguous,
     explain_by_systems,
 )
@@ -88,7 +88,7 @@ def judge(
     p_false_alarm: float,
     largest: int,
     rule: str = "explicit",
-    systems: Sequence[Group] = (),
+    systems: Groups = NO_GROUPS,
 ) -> Verdict:
     """The verdict on innovations that failed the main test.
 

@@ -21,9 +21,15 @@ from analysis.detection.fix_record import fix_decision, fix_sensors
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.isolation.exclusion import exclude
 from analysis.detection.isolation.range_test import free_position
+from analysis.detection.sensors.carried_receiver import (
+    Tests,
+    carried_off,
+    moved_along,
+    still_carried,
+)
+from analysis.detection.sensors.carry_off import taken_back
 from analysis.detection.sensors.position_test import (
     VELOCITY_SIGMA_MPS,
-    Check,
     Measured,
     check,
     measure,
@@ -62,14 +68,20 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     if motion is None:
         motion = start_at(fix.t_us, measured)
         core = core._replace(motion=motion, excluded={}, last_fix=None, unbounded=False)
+        core = core._replace(carry=None, carried=None)
         return [fix_decision(fix, core, None, None, "none", False, "start")], State(
             core, pending, mag_b
         )
     part = segment(run, motion, fix.t_us)
-    predicted, _ = advance(motion, part, fix.t_us, config)
+    predicted, phi = advance(motion, part, fix.t_us, config)
     position, velocity = check(measured, predicted, config)
     hypothesis, alarm = _judge(core, measured, predicted, part, (position, velocity), config)
-    core = _with_hysteresis(core, hypothesis, (position, velocity), fix.t_us, config)
+    tests = (position, velocity)
+    core, found = carried_off(core, (predicted, phi), part, measured, tests, config)
+    if found is not None:
+        predicted, hypothesis, alarm = taken_back(predicted, found), "gps", True
+        position, velocity = check(measured, predicted, config)
+    core = _with_hysteresis(core, hypothesis, measured, (position, velocity), predicted, config)
     moved = _used(predicted, core, hypothesis, measured, (position, velocity), config)
     dt_s = (fix.t_us - motion.t_us) * 1e-6
     moved = find_attitude(core, moved, part, dt_s, config)
@@ -84,9 +96,6 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     gap = part.gap_s if predicted.inertial or motion.inertial else 0.0
     results += fix_sensors(fix, core, position, velocity, gap, hypothesis, config)
     return results, State(core, pending, mag_b)
-
-
-Tests = tuple[Check, Check | None]  # of a fix's position, and of its velocity where it is known
 
 
 def _judge(
@@ -136,18 +145,25 @@ def _self_consistent(core: Core, measured: Measured, t_us: int, config: Detector
 
 
 def _with_hysteresis(
-    core: Core, hypothesis: str, tests: Tests, t_us: int, config: DetectorConfig
+    core: Core,
+    hypothesis: str,
+    measured: Measured,
+    tests: Tests,
+    motion: Motion,
+    config: DetectorConfig,
 ) -> Core:
     """The receiver left out or back in; the IMU left out for a while."""
-    position, velocity = tests
+    (position, velocity), t_us = tests, motion.t_us
     if hypothesis in FREEING:
         until_us = t_us + round(config.imu_hold_s * 1e6)
         unbounded = core.unbounded or hypothesis == UNDECIDED
-        return core._replace(imu_bad_until_us=until_us, unbounded=unbounded)
+        return core._replace(imu_bad_until_us=until_us, unbounded=unbounded, carry=None)
     if core.imu_bad_until_us is not None and t_us >= core.imu_bad_until_us:
         core = core._replace(imu_bad_until_us=None)
     if hypothesis in ("gps", "multiple-unknown"):
-        fits = velocity is None or velocity.passes
+        core = moved_along(core, measured, velocity)
+        # One that is carried off slowly fits at first.
+        fits = core.carried is None
         names = (RECEIVER,) if fits else (RECEIVER, RECEIVER_VELOCITY)
         excluded = exclude(core.excluded, names, t_us, t_us)
         again = replace(excluded[RECEIVER], healthy_since_us=None)
@@ -155,9 +171,12 @@ def _with_hysteresis(
     entry = core.excluded.get(RECEIVER)
     if entry is None or not position.passes or (velocity is not None and not velocity.passes):
         return core
+    if still_carried(core, measured, tests, motion):
+        still = replace(entry, healthy_since_us=None)
+        return core._replace(excluded={**core.excluded, RECEIVER: still})
     since = entry.healthy_since_us if entry.healthy_since_us is not None else t_us
     if (t_us - since) * 1e-6 >= config.readmit_s:
-        return core._replace(excluded={})
+        return core._replace(excluded={}, carried=None)
     healthy = replace(entry, healthy_since_us=since)
     return core._replace(excluded={**core.excluded, RECEIVER: healthy})
 

@@ -19,7 +19,7 @@ from mavproxy_fault.cli import main
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 from tests.analysis.recordings.ubx_encoding import broadcast, frame, klobuchar_page, rawx, sfrbx
-from tests.analysis.recordings.ulog_encoding import dump_log
+from tests.analysis.recordings.ulog_encoding import FIELDS, dump_log
 
 WEEK, TOW_S = 2149, 475_200.0
 EPOCH = Epoch(
@@ -237,3 +237,43 @@ def test_a_px4_log_without_a_dump_says_how_to_get_one(tmp_path: Path, capsys) ->
     path.write_bytes(dump_log(b"", topic="other"))
     assert main(["monitor", "--rinex", str(path), "--zenoh", "off"]) == 2
     assert "has no gps_dump; set GPS_DUMP_COMM to 1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("wrong", "missing"),
+    [
+        (FIELDS.replace(" len", " long"), "len"),
+        (FIELDS.replace("[79] data", "[79] date"), r"data\[0\]"),
+        (FIELDS.replace("[79] data", "[40] data;uint8_t[39] rest"), r"data\[40\]"),
+        (FIELDS.replace("uint8_t len;uint8_t[79]", "uint64_t len;uint8_t[72]"), "len"),
+    ],
+    ids=["no length", "no bytes", "too few bytes", "a length of eight bytes"],
+)
+def test_a_dump_with_other_fields_ends_in_a_line(wrong: str, missing: str, tmp_path: Path) -> None:
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(dump_log(rawx(EPOCH), fields=wrong))
+    with pytest.raises(ConfigError, match=f"flight.ulg: gps_dump has no bytes {missing}, "):
+        read_ubx(path)
+
+
+def test_an_early_px4_log_tells_no_receiver_and_has_one(tmp_path: Path) -> None:
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(dump_log(rawx(EPOCH), fields=FIELDS.replace("instance", "unnamed")))
+    assert [epoch.tow_s for epoch in read_ubx(path)[0]] == [TOW_S]
+
+
+@given(data=st.data())
+@settings(deadline=None)
+def test_a_damaged_px4_log_raises_nothing_but_what_a_user_can_read(
+    data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp("ulg") / "flight.ulg"
+    whole = bytearray(dump_log(3 * rawx(EPOCH)))
+    # Most damage is put where the log says what its messages hold.
+    head = whole.index(b"A", whole.index(FIELDS.encode()) + len(FIELDS))
+    places = st.one_of(st.integers(0, head), st.integers(0, len(whole) - 1))
+    for at in data.draw(st.lists(places, max_size=8)):
+        whole[at] = data.draw(st.integers(0, 255))
+    path.write_bytes(whole[: data.draw(st.sampled_from([len(whole), len(whole) // 2, head]))])
+    with contextlib.suppress(ConfigError):
+        assert len(read_ubx(path)[0]) <= 3

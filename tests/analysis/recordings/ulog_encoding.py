@@ -11,14 +11,18 @@ MOST = 79
 
 
 def dump_log(
-    sent: bytes, between: Sequence[tuple[int, int, bytes]] = (), topic: str = "gps_dump"
+    sent: bytes,
+    between: Sequence[tuple[int, int, bytes]] = (),
+    topic: str = "gps_dump",
+    fields: str = FIELDS,
 ) -> bytes:
     """A log with what a receiver sent; behind each message those of `between`.
 
-    These are an instance, the bit of the direction, and at most 79 bytes.
+    These are an instance, the bit of the direction, and at most 79 bytes. `fields` is what the log
+    says that a message of PX4's form holds.
     """
     log = b"ULog\x01\x12\x35\x01" + pack("<Q", 0)
-    log += _message("B", bytes(40)) + _message("F", f"{topic}:{FIELDS}".encode())
+    log += _message("B", bytes(40)) + _message("F", f"{topic}:{fields}".encode())
     log += _message("A", pack("<BH", 0, 0) + topic.encode())
     chunks = [sent[i : i + MOST] for i in range(0, len(sent), MOST)] or [b""]
     for t_us, chunk in enumerate(chunks, 1):

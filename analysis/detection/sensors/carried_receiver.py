@@ -1,0 +1,91 @@
+"""A receiver that is being carried off, and one left out for it that is not yet back."""
+
+import numpy as np
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.detector_state import Core, LastFix
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.propagation import Segment
+from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.sensors.carry_off import (
+    Carried,
+    Found,
+    extended,
+    fitted,
+    nearer_to_carried,
+    new_carry,
+    renewed,
+    searched,
+)
+from analysis.detection.sensors.position_test import Check, Measured
+from analysis.detection.sensors.receiver_or_imu import mean_force
+from analysis.samples.sample import Vector
+
+AT_REST_MPS = 0.3
+BLOW_MPS2 = 5.0  # more than a flight's own change of mean force from fix to fix
+Tests = tuple[Check, Check | None]  # of a fix's position, and of its velocity where it is known
+
+
+def carried_off(
+    core: Core,
+    predicted: tuple[Motion, Vector],
+    part: Segment,
+    measured: Measured,
+    tests: Tests,
+    config: DetectorConfig,
+) -> tuple[Core, Found | None]:
+    """What the windows say after a fix, before which the IMU's `part` moved the filter; `predicted`
+    are the filter then and the transition phi (20, 20). They begin anew behind all else that was
+    found."""
+    (position, velocity), (motion, phi) = tests, predicted
+    v_ned_mps = measured.v_ned_mps
+    assert core.motion is not None
+    moved = motion.inertial and core.motion.inertial and not core.excluded
+    if v_ned_mps is None or velocity is None:
+        return core._replace(carry=None), None
+    if not (moved and position.passes and velocity.passes):
+        return core._replace(carry=None), None
+    carry = core.carry if core.carry is not None else new_carry(motion.t_us)
+    dt_s = (motion.t_us - core.motion.t_us) * 1e-6
+    fix = fitted(measured, position, velocity, motion.p)
+    carry = extended(carry, motion.t_us, dt_s, phi, measured.axes, fix)
+    if _blow(core.last_fix, part):
+        carry = carry._replace(doubt_us=motion.t_us)
+    found = None
+    # Touching down stops a receiver, by a force that an IMU is often too slow to show.
+    if float(np.linalg.norm(np.nan_to_num(v_ned_mps))) > AT_REST_MPS:
+        # One share for all windows: they overlap nearly whole, and what they say changes slowly.
+        carry, found = searched(carry, motion.t_us, chi_square(3, config.p_slow))
+    if found is not None:
+        return core._replace(carry=None, carried=found.carried), found
+    return core._replace(carry=renewed(carry, motion.t_us)), None
+
+
+def _blow(last: LastFix | None, part: Segment) -> bool:
+    """Whether the specific force changed by so much since the last fix that its integral is not
+    to be relied upon: a collision or a hard landing."""
+    force = mean_force(part)
+    if last is None or force is None or not last.forces_b_mps2:
+        return False
+    return float(np.linalg.norm(force - last.forces_b_mps2[0])) > BLOW_MPS2
+
+
+def moved_along(core: Core, measured: Measured, velocity: Check | None) -> Core:
+    """With what a receiver that is left out now is moved by, where its velocity shows it."""
+    if measured.v_ned_mps is None or velocity is None or velocity.passes:
+        return core
+    if core.carried is not None or core.last_fix is None:
+        return core
+    u_ned_mps = np.zeros(3)
+    u_ned_mps[np.isfinite(measured.v_ned_mps)] = velocity.v
+    return core._replace(carried=Carried(core.last_fix.t_us, u_ned_mps))
+
+
+def still_carried(core: Core, measured: Measured, tests: Tests, motion: Motion) -> bool:
+    """Whether a receiver that was left out for it goes on as it was carried: without it the filter
+    grows so unsure that its position, however wrong, fits."""
+    position, velocity = tests
+    if core.carried is None or velocity is None:
+        return False
+    fix = fitted(measured, position, velocity, motion.p)
+    return nearer_to_carried(core.carried, motion.t_us, fix)

@@ -1,0 +1,197 @@
+"""A receiver that is carried off slowly: found by its past, as the filter follows it.
+
+A spoofer that takes over at t_0 and drags with velocity u adds u (t - t_0) to the receiver's
+position and u to its velocity. What that does to the filter is linear, as in `ramp_windows`: with
+H the geometry of position and velocity, e = [(t - t_0) I; I], K the gain and M the inverse
+innovation covariance,
+
+    D <- Phi D,   g = e - H D,   c += g' M v,   J += g' M g,   D <- D + K g,
+
+u = inv(J) c is the likeliest carry-off and c' inv(J) c its likelihood ratio, chi-square(3) without
+a spoofer. What the filter has followed is D u, and is taken back. As t_0 is unknown, a window
+begins with every fix. A sound receiver's velocity is off by something for seconds (variance k), so
+it is c' inv(J + k J^2) c that is tested.
+
+A wrong acceleration, the IMU's or by its attitude, has three responses of its own and is the rival:
+a step of velocity and one of acceleration look alike at first and grow apart with time. What looks
+more like the rival is held against nobody here.
+
+The noise that the filter assumes of a receiver is one that few exceed; most are far better. So the
+ratios are taken over the squared innovations that this flight had before the windows began.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.inertial import ERRORS, V
+from analysis.detection.filter.information import Indices, move
+from analysis.detection.sensors.position_test import Check, Measured
+from analysis.samples.sample import Vector
+
+WINDOW_COUNT = 20
+STRIDE_US = 180_000  # a window begins with every fix, where those do not come faster
+CARRIED, ACCELERATED = slice(0, 3), slice(3, 6)  # a window's responses, along north, east, down
+EACH = 6
+NATURAL_MPS = 0.2  # what a sound receiver's velocity is off by for seconds
+BETTER = 10.0  # by which a carry-off or its rival must explain more than the other
+SETTLED_US = 10_000_000  # in which the filter follows what was a blow or a wrong acceleration
+MEMORY_S = 30.0  # of the level of the innovations
+FIRST_WEIGHT = 10.0  # fixes in favour of the noise as it is assumed
+LEAST_LEVEL = 0.1
+MOST_SQUARE = 9.0  # one outlier says little of the level
+
+
+class Fitted(NamedTuple):
+    """A fix against the filter: innovations v (n,), which of north, east, down of the position and
+    the velocity they are (n,), geometry h (n, 20), inverse covariance m (n, n), gain (20, n)."""
+
+    v: Vector
+    rows: Indices
+    h: Vector
+    m: Vector
+    gain: Vector
+
+
+class Carry(NamedTuple):
+    """The windows over a flight.
+
+    `starts_us` (w,) is when each began (0: not yet), the next does at `due_us`; `d` (20, 6 w) are
+    the responses, `c` (w, 6) and `j` (w, 6, 6) the sums, `levels` (w,) those of the innovations
+    when a window began. `squares` (6,) are the normalised innovations' mean squares now, of
+    `fixes`, and at `doubt_us` something was seen that no spoofer is needed for.
+    """
+
+    due_us: int
+    starts_us: Indices
+    d: Vector
+    c: Vector
+    j: Vector
+    levels: Vector
+    squares: Vector
+    fixes: float = FIRST_WEIGHT
+    doubt_us: int = -SETTLED_US
+
+
+class Carried(NamedTuple):
+    """A receiver carried off since `onset_us` with a velocity (3,)."""
+
+    onset_us: int
+    u_ned_mps: Vector
+
+
+class Found(NamedTuple):
+    """A carry-off, what the filter has followed of it d (20,), and the covariance of that."""
+
+    carried: Carried
+    d: Vector
+    covariance: Vector
+
+
+def new_carry(t_us: int) -> Carry:
+    """Windows that begin one after the other from `t_us`."""
+    w = WINDOW_COUNT
+    table, sums, squares = np.zeros((ERRORS, w * EACH)), np.zeros((w, EACH)), np.ones(6)
+    starts_us = np.zeros(w, np.int64)
+    return Carry(t_us, starts_us, table, sums, np.zeros((w, EACH, EACH)), np.ones(w), squares)
+
+
+def fitted(measured: Measured, position: Check, velocity: Check, p: Vector) -> Fitted:
+    """A fix whose position and velocity were tested before the covariance p (20, 20)."""
+    assert measured.v_ned_mps is not None
+    rows = np.r_[0:3, 3 + np.flatnonzero(np.isfinite(measured.v_ned_mps))]
+    h = np.vstack((position.h, velocity.h))
+    cross = p @ h.T
+    m = np.linalg.inv(h @ cross + np.diag(np.r_[position.variance, velocity.variance]))
+    return Fitted(np.r_[position.v, velocity.v], rows, h, m, cross @ m)
+
+
+def extended(carry: Carry, t_us: int, dt_s: float, phi: Vector, axes: Vector, fix: Fitted) -> Carry:
+    """One fix more, `dt_s` after the last, with the transition phi (20, 20) between them; `axes`
+    (3, 3) are north, east and down in ECEF."""
+    d = phi @ carry.d
+    by_window, begun = d.reshape(ERRORS, WINDOW_COUNT, EACH), carry.starts_us > 0
+    by_window[0:3, begun, ACCELERATED] += 0.5 * dt_s**2 * axes.T[:, None]
+    by_window[V : V + 3, begun, ACCELERATED] += dt_s * axes.T[:, None]
+    e = np.zeros((6, WINDOW_COUNT, EACH))
+    ages_s = np.where(begun, (t_us - carry.starts_us) * 1e-6, 0.0)
+    for axis in range(3):
+        e[axis, :, axis], e[3 + axis, :, axis] = ages_s, begun
+    g = e.reshape(6, -1)[fix.rows] - fix.h @ d
+    each = g.reshape(-1, WINDOW_COUNT, EACH)
+    weighted = np.einsum("ijk,il->ljk", each, fix.m)
+    c = carry.c + np.einsum("ljk,l->jk", weighted, fix.v)
+    j = carry.j + np.einsum("ljk,ljm->jkm", weighted, each)
+    squares, fixes = _level_after(carry, dt_s, fix)
+    return carry._replace(d=d + fix.gain @ g, c=c, j=j, squares=squares, fixes=fixes)
+
+
+def _level_after(carry: Carry, dt_s: float, fix: Fitted) -> tuple[Vector, float]:
+    """Mean squares (6,) of the normalised innovations, and of how many fixes, after one more."""
+    news = np.minimum(fix.v**2 * np.diag(fix.m), MOST_SQUARE)
+    fixes = min(carry.fixes + 1.0, max(MEMORY_S / dt_s, 1.0))
+    squares = carry.squares.copy()
+    squares[fix.rows] += (news - squares[fix.rows]) / fixes
+    return squares, fixes
+
+
+def renewed(carry: Carry, t_us: int) -> Carry:
+    """The oldest window begun anew where one is due."""
+    if t_us < carry.due_us:
+        return carry
+    oldest = int(carry.starts_us.argmin())
+    starts_us, levels = carry.starts_us.copy(), carry.levels.copy()
+    d, c, j = carry.d.copy(), carry.c.copy(), carry.j.copy()
+    starts_us[oldest], levels[oldest] = t_us, max(float(carry.squares.max()), LEAST_LEVEL)
+    d[:, oldest * EACH : (oldest + 1) * EACH] = 0.0
+    c[oldest], j[oldest] = 0.0, 0.0
+    due_us = t_us + STRIDE_US
+    return carry._replace(due_us=due_us, starts_us=starts_us, d=d, c=c, j=j, levels=levels)
+
+
+def searched(carry: Carry, t_us: int, threshold: float) -> tuple[Carry, Found | None]:
+    """The carry-off that the windows show, if they do beyond the chi-square `threshold`."""
+    begun = np.flatnonzero(carry.starts_us)
+    if not len(begun):
+        return carry, None
+    # From before any of the windows: what they hold must not excuse itself.
+    oldest = begun[carry.starts_us[begun].argmin()]
+    level = float(carry.levels[oldest])
+    ratio, rival = (_ratios(carry, begun, part) / level for part in (CARRIED, ACCELERATED))
+    window = begun[ratio.argmax()]
+    # What follows a wrong acceleration, once the filter has learnt it, looks like a carry-off.
+    if rival.max() > max(threshold, ratio.max() + BETTER):
+        carry = carry._replace(doubt_us=t_us)
+    tempered = _ratios(carry, np.array([window]), CARRIED, NATURAL_MPS)[0] / level
+    clear = tempered > threshold and ratio.max() > rival.max() + BETTER
+    # Nobody is blamed before the filter has settled and all windows have begun behind that.
+    if not clear or carry.starts_us[oldest] < carry.doubt_us + SETTLED_US:
+        return carry, None
+    covariance = np.linalg.inv(carry.j[window, CARRIED, CARRIED])
+    d = carry.d[:, window * EACH : window * EACH + 3]
+    u = covariance @ carry.c[window, CARRIED]
+    return carry, Found(Carried(int(carry.starts_us[window]), u), d @ u, d @ covariance @ d.T)
+
+
+def _ratios(carry: Carry, windows: Indices, part: slice, natural: float = 0.0) -> Vector:
+    """The likelihood ratios of three of the responses of windows (n,)."""
+    c, j = carry.c[windows, part], carry.j[windows, part, part]
+    # The last term keeps an axis without information from dividing by zero.
+    spread = j + natural**2 * j @ j + 1e-9 * np.eye(3)
+    return np.asarray(np.einsum("ij,ij->i", c, np.linalg.solve(spread, c[..., None])[..., 0]))
+
+
+def taken_back(motion: Motion, found: Found) -> Motion:
+    """The filter as if the receiver had not been used since it was carried off."""
+    x = motion.x.copy()
+    move(x, -found.d)
+    return motion._replace(x=x, p=motion.p + found.covariance)
+
+
+def nearer_to_carried(carried: Carried, t_us: int, fix: Fitted) -> bool:
+    """Whether a fix lies where it would have been carried to by now rather than where the filter
+    is, which without a receiver grows unsure."""
+    age_s = (t_us - carried.onset_us) * 1e-6
+    v = fix.v - np.concatenate((carried.u_ned_mps * age_s, carried.u_ned_mps))[fix.rows]
+    return float(v @ fix.m @ v) < float(fix.v @ fix.m @ fix.v)
