@@ -44,13 +44,15 @@ def add_run(commands: Any) -> None:
     parser.add_argument(
         "--autopilot",
         choices=("ardupilot", "px4"),
-        help="who flies, instead of the built-in controller",
+        help="who flies (default: the built-in controller)",
     )
     parser.add_argument(
         "--binary", metavar="PATH", help="its SITL program (default: arducopter, px4)"
     )
     parser.add_argument(
-        "--parameters", metavar="FILE", help="its parameters, NAME VALUE a line, over the run's own"
+        "--parameters",
+        metavar="FILE",
+        help="its parameters, NAME VALUE a line (default: the run's own alone)",
     )
     parser.add_argument(
         "--from",
@@ -68,9 +70,11 @@ def _add_scenario(parser: argparse.ArgumentParser) -> None:
     """The scenario, and what is put in the place of parts of it."""
     parser.add_argument("scenario", nargs="?", metavar="SCENARIO", help="YAML (default: the demo)")
     parser.add_argument(
-        "--schedule", metavar="FILE", help="faults to use instead of the scenario's"
+        "--schedule", metavar="FILE", help="faults to use (default: the scenario's)"
     )
-    parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
+    parser.add_argument(
+        "--seed", type=int, metavar="N", help="for all that is random (default: the scenario's)"
+    )
     parser.add_argument(
         "--set",
         action="append",
@@ -132,13 +136,19 @@ def add_monitor(commands: Any) -> None:
     parser.add_argument("--labels", metavar="FILE", help="what was injected, to score against")
     parser.add_argument("--out", metavar="DIR", help="write results and report here")
     parser.add_argument("--watch", action="store_true", help="a compact live status")
-    parser.add_argument("--scenario", metavar="FILE", help="monitor and criteria sections to use")
+    parser.add_argument(
+        "--scenario", metavar="FILE", help="its monitor and criteria (default: built in)"
+    )
     parser.add_argument(
         "--calibrate", metavar="FILE", help="fit the noise of pseudoranges to clean data, write it"
     )
     parser.add_argument("--sigma", metavar="FILE", help="a noise model that --calibrate wrote")
     parser.add_argument(
-        "--for", dest="for_s", type=float, metavar="S", help="end after S seconds of vehicle time"
+        "--for",
+        dest="for_s",
+        type=float,
+        metavar="S",
+        help="end after S seconds of vehicle time (default: never)",
     )
     add_bus(parser, "results")
     parser.set_defaults(main=_monitor)
@@ -154,13 +164,21 @@ def add_search(commands: Any) -> None:
     """`search`: the worst case of an estimator."""
     parser = commands.add_parser("search", help="random and optimised search for the worst case")
     parser.add_argument("testfile", metavar="TESTFILE", help="what to vary and how far (YAML)")
-    parser.add_argument("--budget", type=int, metavar="N", help="evaluations")
-    parser.add_argument("--method", metavar="M", help="random, matyas, sobol, cmaes, de or mixed")
-    parser.add_argument("--seed", type=int, metavar="N")
+    parser.add_argument(
+        "--budget", type=int, metavar="N", help="evaluations (default: the file's, or 2000)"
+    )
+    parser.add_argument(
+        "--method",
+        metavar="M",
+        help="random, matyas, sobol, cmaes, de or mixed (default: the file's)",
+    )
+    parser.add_argument("--seed", type=int, metavar="N", help="(default: the file's)")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=int, metavar="N", help="processes on this machine")
+    where.add_argument(
+        "--workers", type=int, metavar="N", help="processes on this machine (default: 1)"
+    )
     where.add_argument("--ray", metavar="ADDRESS", help="a Ray cluster")
-    parser.add_argument("--out", metavar="DIR")
+    parser.add_argument("--out", metavar="DIR", help="(default: runs/ and a number)")
     parser.add_argument(
         "--interactive", action="store_true", help="look at one test after the other"
     )
@@ -187,7 +205,9 @@ def add_campaign(commands: Any) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, metavar="N", help="processes (default: all cores)")
     where.add_argument("--ray", metavar="ADDRESS", help="a Ray cluster")
-    parser.add_argument("--out", metavar="DIR", help="its folder; one that was begun goes on")
+    parser.add_argument(
+        "--out", metavar="DIR", help="one that was begun goes on (default: runs/ and a number)"
+    )
     parser.add_argument("--export", metavar="DIR", help="the flights as a labelled data set")
     parser.add_argument("--dry-run", action="store_true", help="tell the size and the time only")
     parser.set_defaults(main=_campaign)
@@ -207,8 +227,10 @@ def add_report(commands: Any) -> None:
     parser.add_argument(
         "--against", action="append", default=[], metavar="LOG", help="a log to compare with"
     )
-    parser.add_argument("--criteria", metavar="FILE", help="thresholds of the checks (YAML)")
-    parser.add_argument("--out", metavar="DIR", help="default: LOG's name and -report")
+    parser.add_argument(
+        "--criteria", metavar="FILE", help="thresholds of the checks, YAML (default: built in)"
+    )
+    parser.add_argument("--out", metavar="DIR", help="(default: LOG's name and -report)")
     parser.add_argument("--figures", action="store_true", help="every plot as PNG, SVG and PDF too")
     parser.add_argument(
         "--export",
@@ -235,7 +257,7 @@ def add_ui(commands: Any) -> None:
     """`ui`: the page."""
     parser = commands.add_parser("ui", help="the page: control faults and watch a running proxy")
     # Without a default: only ours may give way to a free port, not one that was asked for.
-    parser.add_argument("--port", type=int, help="TCP port; 8350, or a free one if it is taken")
+    parser.add_argument("--port", type=int, help="(default: 8350, or a free one if taken)")
     parser.add_argument(
         "--allow-commands", action="store_true",
         help="let the page command the vehicle: arm, take off, ... (the proxy must allow it too)",

@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 HERE = Path(__file__).parent
 OURS = f"{sys.executable} -m mavproxy_fault.cli proxy --zenoh off --master udpin:{{master}} "
-OURS += "--out udpout:{out}"
+OURS += "--to udpout:{out}"
 FAULTS = """\
 seed: 1
 faults:

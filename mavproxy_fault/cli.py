@@ -14,6 +14,7 @@ from signal import SIGINT, SIGTERM, default_int_handler, getsignal, signal
 from threading import current_thread, main_thread
 
 from mavproxy_fault import __version__
+from mavproxy_fault.app.command_parser import CommandParser, CompletionAction
 from mavproxy_fault.app.commands import OURS, Add
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
@@ -21,7 +22,7 @@ from mavproxy_fault.documents.suggestion import near
 EPILOG = """\
 examples
   mavproxy-fault run                                     the built-in demo, report in runs/
-  mavproxy-fault proxy --master udpin:127.0.0.1:14560 --out udpout:127.0.0.1:14550 \\
+  mavproxy-fault proxy --master udpin:127.0.0.1:14560 --to udpout:127.0.0.1:14550 \\
                        --schedule examples/gyro_bias.yaml
   mavproxy-fault report flight.tlog                      any tlog, ULog or dataflash log
 
@@ -30,6 +31,14 @@ connection strings (as in pymavlink)
   tcp:HOST:PORT     TCP client      tcpin:HOST:PORT   TCP server
   /dev/ttyACM0,57600                serial device and baud rate
 
+the same in every command
+  --out     where it writes: a folder, or the one file of `replay` and `faults plot`
+  --link    a connection to watch or to play to
+  --run     a proxy's name on Zenoh; --zenoh its router
+
+completion
+  eval "$(mavproxy-fault --completion bash)"             a line for ~/.bashrc
+
 default ports (all on 127.0.0.1)
   4560 TCP  PX4's HIL link          14550 UDP  ground station
   7447 TCP  Zenoh router            8350 TCP   the page (ui)
@@ -37,6 +46,7 @@ default ports (all on 127.0.0.1)
 exit codes
   0 fine    1 the verdict failed    2 the input is wrong
 """
+SHELLS = ("bash", "zsh", "fish", "tcsh", "powershell")  # those that shtab knows
 ORDER = (
     "run", "sim", "proxy", "monitor", "replay", "inject", "schedule", "faults", "campaign",
     "search", "report", "ui", "warm-up",
@@ -51,13 +61,16 @@ def parser(command: str = "") -> argparse.ArgumentParser:
     ConfigError
         If there is no such command.
     """
-    top = argparse.ArgumentParser(
+    top = CommandParser(
         prog="mavproxy-fault",
         description="Apply sensor and link faults to MAVLink traffic, and see what happens.",
         epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     top.add_argument("--version", action="version", version=f"mavproxy-fault {__version__}")
+    top.add_argument(
+        "--completion", action=CompletionAction, metavar="SHELL", choices=SHELLS,
+        help=f"print what completes commands in {', '.join(SHELLS)} (default: none)",
+    )  # fmt: skip
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
     # Looking for plugins takes longer than a command of ours needs to start.
     adders = OURS if command in OURS else {**_registered(), **OURS}

@@ -9,7 +9,7 @@ import pytest
 
 from mavproxy_fault.cli import main
 
-PROXY = ("proxy", "--zenoh", "off", "--out", "udpout:127.0.0.1:9", "--master")
+PROXY = ("proxy", "--zenoh", "off", "--to", "udpout:127.0.0.1:9", "--master")
 
 
 @pytest.fixture

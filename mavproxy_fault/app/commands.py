@@ -14,8 +14,9 @@ def add_proxy(commands: Any) -> None:
     parser = commands.add_parser("proxy", help="forward MAVLink between links and apply faults")
     parser.add_argument("--master", required=True, metavar="EP", help=f"the vehicle: {ENDPOINT}")
     parser.add_argument(
-        "--out", action="append", required=True, metavar="EP", help="ground station, autopilot ..."
-    )
+        "--to", "--out", action="append", required=True, metavar="EP",
+        help="ground station, autopilot ...; may be given again (--out, as MAVProxy has it)",
+    )  # fmt: skip
     parser.add_argument("--schedule", metavar="FILE", help="faults to apply (YAML)")
     parser.add_argument("--logdir", metavar="DIR", help="write tlogs and labels here")
     parser.add_argument(
@@ -43,7 +44,9 @@ def add_proxy(commands: Any) -> None:
     parser.add_argument(
         "--rflysim", type=int, metavar="PORT", help="take RflySim's fault packets on this UDP port"
     )
-    parser.add_argument("--rflysim-map", metavar="FILE", help="its fault ids (YAML)")
+    parser.add_argument(
+        "--rflysim-map", metavar="FILE", help="its fault ids, YAML (default: built in)"
+    )
     _add_signing(parser)
     parser.set_defaults(main=_proxy)
 
@@ -92,7 +95,9 @@ def add_inject(commands: Any) -> None:
     parser.add_argument("fault", nargs="?", metavar="FAULT", help="fault or preset by name")
     parser.add_argument("--target", metavar="MSG.FIELD", help="what the fault acts on")
     parser.add_argument("--value", type=float, metavar="X", help="magnitude in the field's unit")
-    parser.add_argument("--for", dest="for_s", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument(
+        "--for", dest="for_s", type=float, metavar="S", help="end after S seconds (default: never)"
+    )
     parser.add_argument("--id", metavar="ID", help="the fault's id (default: its name)")
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE",
@@ -181,14 +186,14 @@ def add_faults(commands: Any) -> None:
         action="list"
     )
     show = actions.add_parser("show", help="parameters and an example of one fault or preset")
-    show.add_argument("name")
+    show.add_argument("name", metavar="NAME")
     show.set_defaults(action="show")
     check = actions.add_parser("check", help="check a schedule file")
-    check.add_argument("file")
+    check.add_argument("file", metavar="FILE")
     check.set_defaults(action="check")
     plot = actions.add_parser("plot", help="draw a schedule's fault functions to PNG")
-    plot.add_argument("file")
-    plot.add_argument("--out", metavar="PNG")
+    plot.add_argument("file", metavar="FILE")
+    plot.add_argument("--out", metavar="PNG", help="(default: FILE's name and .png, here)")
     plot.set_defaults(action="plot")
     actions.add_parser("schema", help="JSON Schema of schedules").set_defaults(action="schema")
     parser.set_defaults(main=_faults)
@@ -211,7 +216,9 @@ def add_ardupilot(commands: Any) -> None:
         "--vectornav", metavar="EP", help="instead: the line to a board's external AHRS port"
     )
     parser.add_argument("--mavlink", metavar="EP", help="and the line to its MAVLink port")
-    parser.add_argument("--vehicle", choices=("copter", "plane"), default="copter")
+    parser.add_argument(
+        "--vehicle", choices=("copter", "plane"), default="copter", help="what flies"
+    )
     parser.add_argument("--parameters", metavar="FILE", help="your own, after the bridge's")
     parser.add_argument(
         "--dir", default="ardupilot", metavar="DIR", help="where ArduPilot runs and logs"

@@ -173,7 +173,7 @@ def main(args: argparse.Namespace) -> int:
         session |= {"seed": engine.seed, "schedule": Path(args.schedule).read_text()}
     signed = signing(args)
     # Links first: a port that is taken ends the command before anything is written.
-    links = open_links(args.master, args.out)
+    links = open_links(args.master, args.to)
     try:
         admit(links, args.allow_peer, lock=args.lock_peer)
         tape = Tape() if args.logdir else None

@@ -238,7 +238,7 @@ class Control:
             return lambda: self._disarm(id)
         try:
             data = msgspec.json.decode(payload, type=dict[str, Any])
-        except msgspec.MsgspecError as error:
+        except (msgspec.MsgspecError, UnicodeDecodeError) as error:
             raise ConfigError(f"@ctl/fault/{id}/{action}: {error}; send JSON") from None
         if action == "arm":
             check_files(data, self.folders, "arm")
@@ -249,7 +249,12 @@ class Control:
             raise ConfigError(
                 f"@ctl/fault/{id}/{action}: is unknown; send arm, disarm or value with a number"
             )
-        return lambda: self._update(id, data["value"], data.get("sent_us"))
+        sent_us = data.get("sent_us")
+        if not isinstance(sent_us, int | None):
+            raise ConfigError(
+                f"@ctl/fault/{id}/value: sent_us = {sent_us!r} is no stamp; give whole microseconds"
+            )
+        return lambda: self._update(id, data["value"], sent_us)
 
     def _disarm(self, id: str) -> Any:
         if not self.engine.clear(id):

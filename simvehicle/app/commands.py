@@ -17,7 +17,7 @@ def add_sim(commands: Any) -> None:
         help="an autopilot on its own board: wait for no answer (so on serial devices)",
     )  # fmt: skip
     parser.add_argument("--speed", default="1", metavar="1|N|max", help="times real time")
-    parser.add_argument("--seed", type=int, metavar="N")
+    parser.add_argument("--seed", type=int, metavar="N", help="(default: the scenario's)")
     parser.add_argument("--plot", metavar="PNG", help="fly without links and draw path and states")
     parser.set_defaults(main=_sim)
 

@@ -252,7 +252,7 @@ def main() -> None:
     station = traffic.station.getsockname()[1]
     with contextlib.ExitStack() as stack:
         router = stack.enter_context(open_bus("tcp/127.0.0.1:0", run="soak", router=True)).url
-        links = ("--master", "udpin:127.0.0.1:0", "--out", f"udpout:127.0.0.1:{station}")
+        links = ("--master", "udpin:127.0.0.1:0", "--to", f"udpout:127.0.0.1:{station}")
         pid, ready = stack.enter_context(command("proxy", *links, "--zenoh", router))
         pids, session = [pid], None
         traffic.vehicle.connect(("127.0.0.1", int(ready.split()[1].rpartition(":")[2])))

@@ -115,7 +115,7 @@ def proxies(commands: Path, folder: Path) -> None:
         begun_s = time.monotonic()
         with subprocess.Popen(
             [*NOBODY, commands / "mavproxy-fault", "proxy", "--zenoh", "off",
-             "--master", f"udpin:127.0.0.1:{master}", "--out", f"udpout:127.0.0.1:{out}",
+             "--master", f"udpin:127.0.0.1:{master}", "--to", f"udpout:127.0.0.1:{out}",
              "--schedule", SCHEDULE],
             stdout=subprocess.PIPE, env={"PATH": "/usr/bin:/bin"}, cwd="/",
         ) as proxy:  # fmt: skip

@@ -60,7 +60,7 @@ def test_three_processes_decide_as_one(tmp_path: Path) -> None:
         stack.enter_context(
             started(
                 "ready", "proxy", "--master", f"udpout:127.0.0.1:{to_monitor}",
-                "--out", f"udpin:127.0.0.1:{to_proxy}", "--schedule", schedule,
+                "--to", f"udpin:127.0.0.1:{to_proxy}", "--schedule", schedule,
                 "--logdir", tmp_path / "log", "--zenoh", "off",
             )
         )  # fmt: skip

@@ -26,9 +26,7 @@ from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.signing import key_of, signed
 
-OURS = (
-    f"{sys.executable} -m mavproxy_fault.cli proxy --master udpin:{{master}} --out udpout:{{out}}"
-)
+OURS = f"{sys.executable} -m mavproxy_fault.cli proxy --master udpin:{{master}} --to udpout:{{out}}"
 COMMAND = os.environ.get("MAVPROXY_FAULT_CONFORMANCE", f"{OURS} --zenoh off")
 PATIENCE_S = 5.0
 

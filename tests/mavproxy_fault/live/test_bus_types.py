@@ -37,7 +37,7 @@ def test_what_a_running_proxy_tells_is_valid() -> None:
     wanted = {"proxy/stats", "proxy/labels", "schedule/state"}
     told: queue.Queue[tuple[str, bytes]] = queue.Queue()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
-        command += ["--master", "udpin:127.0.0.1:0", "--out", "udpout:127.0.0.1:9"]
+        command += ["--master", "udpin:127.0.0.1:0", "--to", "udpout:127.0.0.1:9"]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert process.stdout is not None
         try:

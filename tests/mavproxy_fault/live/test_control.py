@@ -268,6 +268,21 @@ def test_a_wrong_query_says_so(what: str, payload: object) -> None:
         ask(control(), what, payload)
 
 
+@pytest.mark.parametrize("action", ["arm", "value"])
+def test_a_payload_that_is_no_text_is_refused_as_the_asker_s_mistake(action: str) -> None:
+    with pytest.raises(ConfigError, match="send JSON"):
+        control().answer(f"mavfault/v1/live/@ctl/fault/a/{action}", b'{"\x88": 1}', 5_000_000)
+
+
+def test_a_streamed_value_whose_stamp_is_no_number_is_refused() -> None:
+    it = control()
+    streamed = {**BIAS, "profile": {"live": {"timeout_s": 2}}}
+    del streamed["value"]
+    ask(it, "fault/it/arm", streamed)
+    with pytest.raises(ConfigError, match="sent_us = 'now' is no stamp"):
+        ask(it, "fault/it/value", {"value": 1, "sent_us": "now"})
+
+
 def test_queries_are_refused_when_live_control_is_off_but_the_state_is_told() -> None:
     it = control(allowed=False)
     with pytest.raises(ConfigError, match="switched off"):

@@ -37,7 +37,7 @@ def proxy(folder: Path, out: int, *options: str) -> Iterator[int]:
     """A proxy process that sends to a port; gives the vehicle's port."""
     command = [sys.executable, "-m", "mavproxy_fault.cli", "proxy", "--logdir", str(folder)]
     command += ["--zenoh", "tcp/127.0.0.1:0", "--master", "udpin:127.0.0.1:0"]
-    command += ["--out", f"udpout:127.0.0.1:{out}", *options]
+    command += ["--to", f"udpout:127.0.0.1:{out}", *options]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     try:

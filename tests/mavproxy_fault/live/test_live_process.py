@@ -42,7 +42,7 @@ def test_a_ground_station_injects_a_failure_through_a_running_proxy(tmp_path: Pa
             "tcp/127.0.0.1:0",
         ]
         command += ["--schedule", str(schedule), "--master", "udpin:127.0.0.1:0"]
-        command += ["--out", "udpin:127.0.0.1:0"]
+        command += ["--to", "udpin:127.0.0.1:0"]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert process.stdout is not None
         words = process.stdout.readline().split()
@@ -74,7 +74,7 @@ def test_a_proxy_without_a_schedule_takes_faults_from_the_bus() -> None:
         free.bind(("127.0.0.1", 0))
         url = f"tcp/127.0.0.1:{free.getsockname()[1]}"
     command = [sys.executable, "-m", "mavproxy_fault.cli", "proxy", "--zenoh", url]
-    command += ["--master", "udpin:127.0.0.1:0", "--out", "udpin:127.0.0.1:0"]
+    command += ["--master", "udpin:127.0.0.1:0", "--to", "udpin:127.0.0.1:0"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     try:

@@ -44,7 +44,7 @@ def free_port(kind: int) -> int:
 def proxy(*options: str) -> Iterator[tuple[int, int]]:
     """A running proxy; the ports of its master and of its output."""
     command = [sys.executable, "-m", "mavproxy_fault.cli", "proxy", *options]
-    command += ["--master", "udpin:127.0.0.1:0", "--out", "udpin:127.0.0.1:0"]
+    command += ["--master", "udpin:127.0.0.1:0", "--to", "udpin:127.0.0.1:0"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     try:

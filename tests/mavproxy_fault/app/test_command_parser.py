@@ -1,0 +1,90 @@
+"""Help tells every default, a refusal what was meant, and shells complete the commands."""
+
+import argparse
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from mavproxy_fault.cli import SHELLS, main, parser
+
+
+def parsers(one: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    yield one
+    for action in one._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for sub in action.choices.values():
+                yield from parsers(sub)
+
+
+def test_the_help_of_every_option_with_a_value_tells_its_default() -> None:
+    every = list(parsers(parser()))
+    assert len(every) > 20
+    for one in every:
+        formatter = one._get_formatter()
+        for action in one._actions:
+            if action.option_strings and action.nargs != 0 and not action.required:
+                formatter.add_argument(action)
+                text = " ".join(one._get_formatter()._format_action(action).split())
+                assert "(default: " in text, (one.prog, text)
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (("injct",), "did you mean inject?"),
+        (("schedule", "laod"), "there is no laod; did you mean load?"),
+        (("faults", "chek", "x.yaml"), "there is no chek; did you mean check"),
+        (("inject", "bias", "--through", "mavsdkk"), "did you mean mavsdk?"),
+    ],
+)
+def test_a_misspelt_word_is_answered_with_the_nearest(
+    words: tuple[str, ...], meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # argparse leaves by itself, ours returns.
+    try:
+        code: object = main(words)
+    except SystemExit as left:
+        code = left.code
+    assert code == 2
+    assert meant in capsys.readouterr().err
+
+
+def test_the_proxy_takes_its_stations_by_either_name() -> None:
+    words = ["proxy", "--master", "udpin:127.0.0.1:1", "--to", "a", "--out", "b"]
+    assert parser("proxy").parse_args(words).to == ["a", "b"]
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash here")
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [("inj", ["inject"]), ("schedule lo", ["load"]), ("proxy --mas", ["--master"]),
+     ("faults check a_sch", ["a_schedule.yaml"])],
+)  # fmt: skip
+def test_bash_completes_what_was_begun(tmp_path: Path, typed: str, offered: list[str]) -> None:
+    (tmp_path / "a_schedule.yaml").touch()
+    made = subprocess.run(
+        [sys.executable, "-m", "mavproxy_fault.cli", "--completion", "bash"],
+        capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
+    words = ["mavproxy-fault", *typed.split()]
+    script = (
+        f"{made}\nCOMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}; "
+        f"_shtab_mavproxy_fault mavproxy-fault {words[-1]} {words[-2]}; "
+        'printf "%s\\n" "${COMPREPLY[@]}"'
+    )
+    done = subprocess.run(
+        ["bash", "-c", script], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    assert done.stdout.split() == offered
+
+
+def test_every_shell_gets_its_script(capsys: pytest.CaptureFixture[str]) -> None:
+    for shell in SHELLS:
+        with pytest.raises(SystemExit) as left:
+            main(("--completion", shell))
+        assert not left.value.code
+        assert "mavproxy-fault" in capsys.readouterr().out
