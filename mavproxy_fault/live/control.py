@@ -5,6 +5,7 @@ that pass (MAV_CMD_INJECT_FAILURE and nothing else) and answers them in the vehi
 """
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -252,17 +253,20 @@ class Control:
         sent_us = data.get("sent_us")
         if not isinstance(sent_us, int | None):
             raise ConfigError(
-                f"@ctl/fault/{id}/value: sent_us = {sent_us!r} is no stamp; give whole microseconds"
+                f"@ctl/fault/{id}/value: sent_us = {sent_us!r} is no stamp; give whole "
+                "microseconds of Unix time"
             )
-        return lambda: self._update(id, data["value"], sent_us)
+        # By the wall clock of both: the vehicle's goes in steps, and at any speed.
+        latency_us = None if sent_us is None else time.time_ns() // 1000 - sent_us
+        return lambda: self._update(id, data["value"], latency_us)
 
     def _disarm(self, id: str) -> Any:
         if not self.engine.clear(id):
             raise ConfigError(f"disarm: {id} is no fault; {near(id, self.engine.ids())}")
         return {"cleared": id}
 
-    def _update(self, id: str, value: float, sent_us: int | None) -> Any:
-        self.engine.update(id, value, sent_us)
+    def _update(self, id: str, value: float, latency_us: int | None) -> Any:
+        self.engine.update(id, value, latency_us)
         return {"id": id, "value": value}
 
     def _load(self, what: str, payload: bytes, *, anew: bool) -> Callable[[], Any]:

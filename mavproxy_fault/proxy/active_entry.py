@@ -333,7 +333,7 @@ class Running:
         self.magnitude = self.first_us = self.changed_us = None
         return label
 
-    def feed(self, value: float, t_us: int, sent_us: int | None) -> None:
+    def feed(self, value: float, t_us: int, latency_us: int | None) -> None:
         """Take a live value, or another constant one.
 
         Raises
@@ -344,7 +344,7 @@ class Running:
         inner = getattr(self.fault, "fault", self.fault)  # what acts on satellites is wrapped
         profile = getattr(inner, "profile", None)
         if profile is not None and profile.live is not None:
-            self._stream(value, t_us, sent_us, profile.live.timeout_s)
+            self._stream(value, t_us, latency_us, profile.live.timeout_s)
         else:
             self._change(inner, value)
         # The same value again is no news.
@@ -369,13 +369,13 @@ class Running:
         written = {**self.entry.written, "value": value}
         self.entry = msgspec.structs.replace(self.entry, fault=self.fault, written=written)
 
-    def _stream(self, value: float, t_us: int, sent_us: int | None, timeout_s: float) -> None:
-        if sent_us is not None:
-            # By the sender's clock: a stale command must not move a vehicle.
-            self.latency_us = t_us - sent_us
-            if self.latency_us > timeout_s * 1e6:
+    def _stream(self, value: float, t_us: int, latency_us: int | None, timeout_s: float) -> None:
+        if latency_us is not None:
+            self.latency_us = latency_us
+            # A stale command must not move a vehicle.
+            if latency_us > timeout_s * 1e6:
                 raise ConfigError(
-                    f"update: {self.entry.id} = {value} is {self.latency_us / 1e6:.3f} s old; "
+                    f"update: {self.entry.id} = {value} is {latency_us / 1e6:.3f} s old; "
                     f"values older than {timeout_s} s are refused"
                 )
         self.live = (value, t_us)

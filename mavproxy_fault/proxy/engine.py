@@ -323,8 +323,10 @@ class Engine:
                 self._end(running, self.now_us)
             self._all.remove(running)
 
-    def update(self, id: str, value: float, sent_us: int | None = None) -> None:
+    def update(self, id: str, value: float, latency_us: int | None = None) -> None:
         """Give a fault another value; a fault with a live profile takes it as its newest.
+
+        `latency_us` is how old the value is by the wall clock, if its sender has told.
 
         Raises
         ------
@@ -334,7 +336,7 @@ class Engine:
         chosen = [running for running in self._all if running.entry.id == id]
         if not chosen:
             raise ConfigError(f"update: {id} is no fault; {near(id, self.ids())}")
-        chosen[0].feed(value, self.now_us, sent_us)
+        chosen[0].feed(value, self.now_us, latency_us)
         self._edited()
 
     def replace(self, schedule: Schedule, *, anew: bool = False) -> None:

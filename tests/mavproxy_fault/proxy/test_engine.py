@@ -251,12 +251,12 @@ def test_streamed_values_act_until_they_are_stale():
   - {id: s, fault: bias, target: HIL_SENSOR.xgyro, profile: {live: {timeout_s: 0.02}}}
 """)
     assert run(it, 0.004)[0][1] == 0.5
-    it.update("s", 0.25, sent_us=999_000)
+    it.update("s", 0.25, latency_us=1000)
     values = [x for _, x, _ in run(it, 0.04, 1_004_000)]
     assert values == [0.75] * 5 + [0.5] * 5
     assert it.state()["faults"][0]["latency_us"] == 1000
     with pytest.raises(ConfigError, match="refused"):
-        it.update("s", 0.25, sent_us=1_000_000)
+        it.update("s", 0.25, latency_us=40_000)
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_entry_does_not_change_them():
