@@ -7,6 +7,7 @@ const attitude = new Sliding($("attitude"));
 const satellites = new Satellites($("satellites"));
 const others = new Sliding($("others"), { decades: 3, dashed: ["threshold"] });
 const sensors = new Map();
+const ratios = new Map(); // of statistic over threshold, the last of each sensor
 let epoch = null;
 let crossed = ""; // when the statistic was last above its threshold: one epoch, if the culprit is found at once
 
@@ -15,6 +16,7 @@ function clearDetection() {
   stretches.clear();
   for (const chip of sensors.values()) chip.remove();
   sensors.clear();
+  ratios.clear();
   satellites.clear();
   $("verdict").hidden = true;
   $("now").textContent = crossed = ended = "";
@@ -90,14 +92,25 @@ function saidOf(decision) {
   return decision.isolated ? "isolated" : decision.alarm ? "alarm" : "agrees";
 }
 
+// A sensor that is isolated may have nothing to test, when silent for example: its last value stands then.
+function followCurve({ sensor, t_us, statistic, threshold, isolated }) {
+  const before = ratios.get(sensor), tested = threshold > 0;
+  if (!tested && !(isolated && before)) return;
+  const ratio = tested ? statistic / threshold : before.ratio;
+  const name = NAMES[sensor] || sensor, values = { threshold: 1 };
+  // The dashed curve begins where the other one ends.
+  if (!isolated || !before?.isolated) values[name] = ratio;
+  if (isolated) values[name + ISOLATED] = ratio;
+  others.add(store.seconds(t_us), values);
+  ratios.set(sensor, { ratio, isolated });
+}
+
 function showSensor(decision) {
   const chip = sensors.get(decision.sensor) || $("sensors").appendChild(make("li"));
   sensors.set(decision.sensor, chip);
   chip.className = decision.alarm || decision.isolated ? "bad" : "";
   chip.textContent = `${NAMES[decision.sensor] || decision.sensor}: ${saidOf(decision)}`;
-  if (decision.threshold > 0) {
-    others.add(store.seconds(decision.t_us), { threshold: 1, [NAMES[decision.sensor] || decision.sensor]: decision.statistic / decision.threshold });
-  }
+  followCurve(decision);
   const { alarm, isolated } = decision;
   store.note(decision.sensor, decision.t_us, { statistic: decision.statistic, threshold: decision.threshold, alarm, isolated });
 }

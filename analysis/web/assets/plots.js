@@ -53,6 +53,9 @@ function gapsOf(u, number, from, to) {
   return found;
 }
 
+// The curve of a sensor goes on while it is isolated: dashed, under a name of its own.
+const ISOLATED = ", isolated";
+
 class Sliding {
   // Curves by name over the shared stretch of time; a name that is new adds a curve. With `decades` the
   // axis is logarithmic and so many of them high at most.
@@ -104,6 +107,10 @@ class Sliding {
     this.end_s = shown.end_s;
     this.plot.setData([this.t, ...this.names.map((name) => this.rows.get(name))]);
   }
+  strokeOf(name) {
+    if (this.dashed.includes(name)) return colour("--bad");
+    return colour(`--s${this.names.indexOf(name.replace(ISOLATED, "")) % 6}`);
+  }
   rebuild() {
     this.plot?.destroy();
     this.plot = null;
@@ -117,10 +124,10 @@ class Sliding {
         y: this.decades ? { distr: 3, range: logRange(this.decades) } : {} },
       axes: plotAxes(), hooks: { drawClear: [shadeFaults] },
       series: [{ label: "t", value: (u, t) => t == null ? "–" : `${t.toFixed(2)} s` },
-        ...this.names.map((name, i) => ({
+        ...this.names.map((name) => ({
           label: name, width: 1.4, gaps: gapsOf, points: { show: false },
-          stroke: () => this.dashed.includes(name) ? colour("--bad") : colour(`--s${i % 6}`),
-          dash: this.dashed.includes(name) ? [6, 4] : undefined,
+          stroke: () => this.strokeOf(name),
+          dash: this.dashed.includes(name) || name.endsWith(ISOLATED) ? [6, 4] : undefined,
           value: (u, value) => value == null ? "–" : String(+value.toPrecision(4)),
         }))],
     }, [this.t, ...this.names.map((name) => this.rows.get(name))], this.area);

@@ -144,6 +144,28 @@ def test_a_curve_is_interrupted_where_its_sensor_was_not_tested(page: Any) -> No
     assert page.evaluate(GAPS) == [1, 1]
 
 
+ISOLATED = """() => {
+  const tell = (t_s, statistic, isolated) => showSensor({ sensor: "mag", t_us: 1e9 + t_s * 1e6,
+    statistic, threshold: statistic === null ? null : 10, alarm: isolated, isolated });
+  tell(1, 5, false);
+  tell(2, 20, true);
+  tell(3, null, true);
+  tell(4, null, true);
+  tell(5, 4, false);
+  others.draw();
+  return others.names.map((name, i) => [name, others.rows.get(name).filter((y) => y !== null),
+    others.plot.series[i + 1].dash?.length]).filter(([name]) => name.startsWith("magnetometer"));
+}"""
+
+
+def test_the_curve_of_an_isolated_sensor_goes_on_dashed(page: Any) -> None:
+    # Also where there is nothing to test, as of a sensor that is silent.
+    assert page.evaluate(ISOLATED) == [
+        ["magnetometer", [0.5, 2, 0.4], None],
+        ["magnetometer, isolated", [2, 2, 2], 2],
+    ]
+
+
 def test_the_header_says_when_blame_ended_and_why(page: Any, loop: Any) -> None:
     loop.epoch(10.0)
     loop.epoch(12.0, excluded=("G12",))
