@@ -26,7 +26,7 @@ NAMED = (
     ("mag", re.compile(r"compass|\bmag\b|magnet", re.IGNORECASE)),
     ("baro", re.compile(r"\bbaro", re.IGNORECASE)),
     ("airspeed", re.compile(r"airspeed|\btas\b", re.IGNORECASE)),
-    ("imu", re.compile(r"gyro|accel|\bimu\b|\bins\b", re.IGNORECASE)),
+    ("imu", re.compile(r"gyro|accel|\bacc\b|\bimu\b|\bins\b", re.IGNORECASE)),
     ("range", re.compile(r"range ?finder|distance sensor", re.IGNORECASE)),
     ("vision", re.compile(r"vision|visual|odometry|flow", re.IGNORECASE)),
 )

@@ -262,6 +262,25 @@ def text(t_s: float, text: str, severity: int = UNGRADED, kind: str = "text") ->
     return Event(t_s, kind, text, severity)
 
 
+@pytest.mark.parametrize(
+    ("flag", "verdict"),
+    [
+        ("estimator: fs bad acc vertical raised", "isolated"),
+        ("estimator: accelerometer error raised", "isolated"),
+        ("estimator: GPS glitch raised", "wrong"),
+        ("estimator: velocity refused raised", "detected"),  # of whom is not said
+    ],
+)
+def test_an_estimators_flag_counts_as_the_autopilots_word_on_a_fault(
+    flag: str, verdict: str
+) -> None:
+    label = jump("accel", targets=("HIL_SENSOR.zacc",))
+    recording = Recording("x", "px4", 1_000_000, 60.0, [signal([0.0] * 600)])
+    recording.events.append(text(12.0, flag, 4, "flag"))
+    found = judged(Source(recording, (Path("x"),), [label]), Thresholds())
+    assert fault_rows(found)["accel"][0] == verdict
+
+
 ARMED = [(10.0, 100.0)]
 TEXTS = {
     "said when it is over": ([text(20, "GPS Glitch cleared", 3)], "PASS", ""),
@@ -271,6 +290,11 @@ TEXTS = {
         [text(20, "BARO #0: no data", 0)],
         "FAIL",
         "'BARO #0: no data' at 20.0 s",
+    ),
+    "a sensor that a simulator cut off": (
+        [text(20, "BARO #0 failed: STALE!", 0)],
+        "FAIL",
+        "'BARO #0 failed: STALE!' at 20.0 s",
     ),
     "sixty times": (
         [text(20 + 0.5 * i, "Throttle saturated", 2) for i in range(60)],

@@ -13,6 +13,7 @@ from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.flight_verdict import judged
 from analysis.report.recordings.from_dataflash import recording_of_dataflash
 from analysis.report.recordings.from_ulog import recording_of_ulog
+from analysis.report.recordings.sources import Flight as Source
 from analysis.report.recordings.sources import read_flight
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -203,3 +204,17 @@ def test_what_px4s_estimator_says_of_its_solution_is_a_flag(shared_data: Path) -
     }
     seconds = (topic["timestamp"][[100, 200]] - log.start_us) * 1e-6
     assert {(span.start_s, span.end_s) for span in spans} == {tuple(seconds.tolist())}
+
+
+def test_a_battery_that_is_not_connected_fails_no_log(shared_data: Path) -> None:
+    log = read_ulog(shared_data / "ulog" / "gps_interference.ulg")
+    battery = log.topics[("battery_status", 0)]
+    rows = len(battery["timestamp"])
+    empty = {**battery, "remaining": np.zeros(rows, np.float32)}
+    found = {}
+    for connected in (0, 1):
+        log.topics[("battery_status", 0)] = {**empty, "connected": np.full(rows, connected)}
+        flight = Source(recording_of_ulog(log, "a"), (Path("a.ulg"),), [])
+        checks = judged(flight, Thresholds()).checks
+        found[connected] = {check.name: check.verdict for check in checks}["battery remaining"]
+    assert found == {0: "not judged", 1: "FAIL"}
