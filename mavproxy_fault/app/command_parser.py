@@ -1,6 +1,7 @@
 """The parser of every command: its help tells all defaults, its refusals what was meant."""
 
 import argparse
+import itertools
 from collections.abc import Iterable
 from typing import Any
 
@@ -23,6 +24,22 @@ class CommandParser(argparse.ArgumentParser):
 
     def __init__(self, *args: Any, **keys: Any) -> None:
         super().__init__(*args, **{"formatter_class": _Help, **keys})
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse; an option that is none is refused before what is missing besides."""
+        # A parser with subcommands sees their options too.
+        if self._subparsers is None and args is not None:
+            for word in itertools.takewhile("--".__ne__, args):
+                self._check_option(word.partition("=")[0])
+        return super().parse_known_args(args, namespace)
+
+    def _check_option(self, word: str) -> None:
+        known = self._option_string_actions
+        # Options may be cut short.
+        if word.startswith("--") and not any(name.startswith(word) for name in known):
+            # Without the hyphens, which make all of them alike.
+            names = [name[2:] for name in known if name.startswith("--")]
+            self.error(f"there is no option {word}; {near(word[2:], names)}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         # Python does so itself from 3.14 on.

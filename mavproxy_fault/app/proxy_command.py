@@ -10,6 +10,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.app.room import ask_for_room
 from mavproxy_fault.app.server import Server
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import check_run
@@ -111,6 +112,7 @@ def signing(args: argparse.Namespace) -> Signing | None:
 
 def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server) -> "Live":
     """Live control over the bus and RflySim's port; loads all that faults need, numpy too."""
+    ask_for_room()
     # Loaded in the background thread, which may take its time.
     import mavproxy_fault.compiled.plans  # noqa: F401  so that no frame waits for it later
     from mavproxy_fault.live.control import Control
@@ -147,8 +149,9 @@ def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server
         try:
             with short_turns():
                 coming.set_result(open_live(args, engine, server))
-        # Into the future, so that the loop sees it: a thread's own traceback would be lost.
-        except Exception as error:
+        # Into the future, so that the loop sees it: a thread's own traceback would be lost, and
+        # the loop would wait for ever for a panic of Zenoh's, which is no Exception.
+        except BaseException as error:
             coming.set_exception(error)
 
     server.coming = coming
@@ -186,7 +189,13 @@ def main(args: argparse.Namespace) -> int:
         server.prepare()
         by_name = args.zenoh not in ("auto", "off") or args.rflysim is not None
         if by_name:  # what was asked for by name is there when the proxy is ready
-            server.join(open_live(args, engine, server))
+            try:
+                server.join(open_live(args, engine, server))
+            except OSError as error:
+                raise ConfigError(
+                    f"live control cannot be had: {error}; "
+                    "allow more descriptors or memory (ulimit -n, -v), or give --zenoh off"
+                ) from None
         with signals(server) as wake:
             others = ", ".join(link.name for link in links[1:])
             print(f"ready: {links[0].name} <-> {others}", flush=True)

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.whole_file import write_whole
 from mavproxy_fault.proxy.tape import Tape
 
 if TYPE_CHECKING:
@@ -152,10 +153,7 @@ class Recorder:
             LOG.warning("the session's end was not recorded: %s", error)
 
     def _write_session(self) -> None:
-        # Written beside and moved: a reader sees the old one or the new one, whole.
-        fresh = self.folder / (SESSION + ".new")
-        fresh.write_text(json.dumps(self._session, indent=1) + "\n")
-        fresh.replace(self.folder / SESSION)
+        write_whole(self.folder / SESSION, json.dumps(self._session, indent=1) + "\n")
 
 
 def _write_whole(file: FileIO, data: bytes) -> None:

@@ -6,7 +6,6 @@ edits are left out.
 """
 
 import argparse
-import select
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -19,6 +18,7 @@ from mavproxy_fault.app.proxy_command import signing
 from mavproxy_fault.app.recorder import encoded
 from mavproxy_fault.app.rinex_faults import is_rinex, replay_rinex
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.descriptors import wait_on
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.live.control import Control
@@ -179,7 +179,7 @@ def to_link(playing: Playing, link: Link, clock: Callable[[], float] = time.mono
 def _pause(link: Link, wait_s: float) -> None:
     """Wait, and drain what the peer sends meanwhile."""
     # The link's own bytes are of no use here, but unread they would fill the kernel's buffer.
-    select.select([link], (), (), wait_s)
+    wait_on([link], wait_s)
     link.read()
 
 

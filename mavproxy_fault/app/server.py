@@ -7,6 +7,7 @@ blocks on a slow one. Recordings are flushed each second. Most goes the compiled
 
 import ctypes
 import gc
+import logging
 import select
 import socket
 import subprocess
@@ -17,6 +18,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links import datagram_batch
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.proxy.core import Core
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from mavproxy_fault.compiled.forwarder import Forwarder
     from mavproxy_fault.live.session import Live
 
+LOG = logging.getLogger(__name__)
 TEND_S = 0.1  # how often links get a chance to reconnect
 FLUSH_S = 1.0
 AHEAD_US = 300  # so long before a frame is due the loop does nothing but prepare to send it
@@ -58,8 +61,6 @@ class Server:
         # One offset for the whole session: setting the system's clock moves no stamp.
         self._base_ns = time.time_ns() - time.monotonic_ns()
         self._stopping = False
-        # From descriptor to link: that is what `select` gives back.
-        self._by_fd = {link.fileno(): number for number, link in enumerate(links)}
         self._tend_s = self._flush_s = 0.0
         self._compiler: subprocess.Popen[bytes] | None = None
         self._forwarder: Forwarder | None = None
@@ -78,7 +79,7 @@ class Server:
     def run(self, wake: socket.socket | None = None) -> None:
         """Forward until stopped; `wake` becomes readable when a signal came."""
         # Or every timed wait of this thread ends up to 50 us late.
-        with suppress(AttributeError):  # Linux only
+        with suppress(AttributeError, TypeError):  # macOS, Windows
             ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1)
         self._wake = None if wake is None else wake.fileno()
         try:
@@ -98,14 +99,14 @@ class Server:
 
     def _step_interpreted(self) -> None:
         """Wait for whatever comes next and pass it on."""
-        # Asked each time, as live control may come and go.
-        waited = [*self._by_fd, *self._waited()]
-        ready, _, _ = select.select(waited, (), (), self._patience_s())
-        for descriptor in ready:
-            if descriptor in self._by_fd:
-                self._serve(self._by_fd[descriptor])
-            elif self.live is not None:
-                self.live.serve()
+        # Asked each time, as live control and a link's connections may come and go.
+        by_fd = {fd: number for number, link in enumerate(self.links) for fd in link.filenos()}
+        ready, _, _ = select.select([*by_fd, *self._waited()], (), (), self._patience_s())
+        # A link with several descriptors is read once.
+        for number in dict.fromkeys(by_fd[fd] for fd in ready if fd in by_fd):
+            self._serve(number)
+        if self.live is not None and not by_fd.keys() >= set(ready):
+            self.live.serve()
 
     def _step_compiled(self, forwarder: "Forwarder") -> None:
         """Let the compiled form forward until something is left to do here."""
@@ -131,11 +132,16 @@ class Server:
         # Streams go through the interpreter anyway: loading machine code would gain nothing.
         if not any(link.datagrams for link in self.links) or not datagram_batch.BATCHES:
             return
-        from mavproxy_fault.compiled import object_file as machine
+        try:
+            from mavproxy_fault.compiled import object_file as machine
 
-        if machine.load() is not None:
-            self.use_compiled()
-        elif self._compiler is None:
+            made = machine.load() is not None
+            if made:
+                self.use_compiled()
+        except (OSError, MemoryError) as error:  # as where `ulimit -v` is low
+            LOG.warning("no machine code, all goes a slower way: %s", error or "no memory")
+            return
+        if not made and self._compiler is None:
             print("first start: machine code is being made, once, while all goes a slower way",
                   file=sys.stderr, flush=True)  # fmt: skip
             quiet = subprocess.DEVNULL  # it may outlive us: nobody must wait for its output to end
@@ -158,6 +164,19 @@ class Server:
         if self._forwarder is not None and not self._forwarder.pending:
             self._forwarder.count()
             self.use_compiled()
+
+    def _opened_live(self) -> "Live | None":
+        """Live control that was being opened; None, and a word, where the system refused it."""
+        assert self.coming is not None
+        coming, self.coming = self.coming, None
+        error = coming.exception()
+        if error is None:
+            return coming.result()
+        if isinstance(error, ConfigError):
+            raise error
+        # No descriptors, threads or memory, say: what passes must not suffer for it.
+        LOG.error("no live control, forwarding goes on: %s: %s", type(error).__name__, error)
+        return None
 
     def edit_time(self) -> int:
         """The vehicle's time, at which an edit may now be made; what is due leaves before."""
@@ -225,10 +244,9 @@ class Server:
             self.record()
         if self.live is not None:
             self.live.show(now_s)
-        if self.coming is not None and self.coming.done():
-            # Here, between two steps: the core knows no locks.
-            self.join(self.coming.result())
-            self.coming = None
+        # Here, between two steps: the core knows no locks.
+        if self.coming is not None and self.coming.done() and (live := self._opened_live()):
+            self.join(live)
 
     def _tend(self) -> None:
         """Let links reconnect; take over what the compiled form has counted."""
@@ -270,8 +288,7 @@ class Server:
         self._carry_out(self.core.finish(now_us))
         if self.coming is not None:
             # Waits for an opening that is under way: it must be closed again.
-            self.live = self.coming.result()
-            self.coming = None
+            self.live = self._opened_live()
         self.record()
         if self.recorder is not None:
             self.recorder.close(self.core.clock.t0_us, now_us)

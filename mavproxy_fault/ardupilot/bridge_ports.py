@@ -61,7 +61,7 @@ class SensorPort:
 
     def fileno(self) -> int:
         """For `select`."""
-        return self._link.fileno()
+        return self._link.filenos()[0]
 
     def serve(self) -> None:
         """Answer what the driver asks."""
@@ -77,8 +77,9 @@ class SensorPort:
         return self._handshake.outputs
 
     def write(self, data: bytes) -> None:
-        """Send packets of these outputs."""
-        self._link.write(data)
+        """Send packets of these outputs, if there are any."""
+        if data:
+            self._link.write(data)
 
     def close(self) -> None:
         """Close the device."""

@@ -114,9 +114,9 @@ class BridgedAutopilot:
         """
         return 0 if self._process is None else self._process.wait(timeout)
 
-    def fileno(self) -> int:
+    def filenos(self) -> list[int]:
         """The epoll descriptor over all that ArduPilot speaks on."""
-        return self._epoll.fileno()
+        return [self._epoll.fileno()]
 
     def write(self, data: bytes) -> None:
         """Bytes of the HIL link, in whole frames."""

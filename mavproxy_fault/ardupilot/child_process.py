@@ -2,13 +2,15 @@
 
 import ctypes
 import signal
+from contextlib import suppress
 
 PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 
 
 def die_with_parent() -> None:
     """Have the kernel end this process with its parent, which alone can end its waiting."""
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    with suppress(AttributeError, TypeError):  # macOS and Windows have no such thing
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def ending(code: int) -> str:

@@ -56,8 +56,8 @@ class WiredAutopilot:
         # Both kinds of link have a descriptor of their own that stays while devices come and go.
         self._seq = 0
         self._epoll = select.epoll()
-        for link in (self._sensor, mavlink):
-            self._epoll.register(link.fileno(), select.EPOLLIN)
+        for fileno in (self._sensor.fileno(), *mavlink.filenos()):
+            self._epoll.register(fileno, select.EPOLLIN)
 
     @property
     def started(self) -> bool:
@@ -72,9 +72,9 @@ class WiredAutopilot:
     def poll(self) -> None:
         """A board does not end."""
 
-    def fileno(self) -> int:
+    def filenos(self) -> list[int]:
         """The epoll descriptor over both lines."""
-        return self._epoll.fileno()
+        return [self._epoll.fileno()]
 
     def receive(self, frame: Frame) -> None:
         """A frame of the HIL link.

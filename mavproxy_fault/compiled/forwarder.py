@@ -49,7 +49,7 @@ class Forwarder:
         self._core = core
         self._tape = tape
         self._latencies = latencies
-        descriptors = [*(link.fileno() for link in links), *waited]
+        descriptors = [*(link.filenos()[0] for link in links), *waited]
         arrays = k.new_arrays(len(links), len(descriptors), keep=tape is not None)
         self._arrays = {**arrays, "senders": core.senders}
         self.loop, self.ports, self.polls = arrays["loop"], arrays["ports"], arrays["polls"]
@@ -106,7 +106,7 @@ class Forwarder:
 
     def _describe_port(self, number: int, link: Link) -> None:
         ports = self.ports
-        ports[number, k.FD] = link.fileno()
+        ports[number, k.FD] = link.filenos()[0]
         ports[number, k.LISTENS] = isinstance(link, UdpServer)
         ports[number, k.COMPILED] = (
             isinstance(link, UdpServer | UdpClient) and link.sock.family == socket.AF_INET

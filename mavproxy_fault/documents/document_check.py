@@ -5,7 +5,7 @@ import re
 import reprlib
 import types
 import typing
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
-from mavproxy_fault.documents.yaml_document import Document, Lines, Path, spelled
+from mavproxy_fault.documents.yaml_document import Document, Flaw, Lines, Path, spelled
 
 T = TypeVar("T")
 
@@ -47,18 +47,23 @@ def decode(document: Document, kind: type[T], at: Path = ()) -> T:
 class DocumentCheck:
     """Gathers every error of one file while its parts are converted."""
 
-    def __init__(self, where: str, lines: Lines | None = None) -> None:
+    def __init__(self, where: str, lines: Lines | None = None, flaws: Sequence[Flaw] = ()) -> None:
         self.where = where
         self.lines = lines or {}
-        self.errors: list[tuple[int, str]] = []
+        self.count = 0  # of all errors, those of flawed values too that are not told twice
+        self._errors: list[tuple[int, str]] = [(flaw.line, flaw.text) for flaw in flaws]
+        self._flawed = {flaw.path for flaw in flaws}
 
     def wrong(self, path: Path, text: str) -> None:
-        """Note an error at the nearest line known."""
+        """Note an error at the nearest line known, unless a value there was refused already."""
+        self.count += 1
+        if any(flawed[: len(path)] == path for flawed in self._flawed):
+            return
         # The nearest ancestor with a line: a missing key has none of its own.
         line = next((self.lines[path[:n]] for n in range(len(path), -1, -1)
                      if path[:n] in self.lines), 0)  # fmt: skip
         place = f"{self.where}:{line}" if line else self.where
-        self.errors.append((line, f"{place}: {spelled(path)}{' ' if path else ''}{text}"))
+        self._errors.append((line, f"{place}: {spelled(path)}{' ' if path else ''}{text}"))
 
     def finish(self) -> None:
         """Raise all errors, in the order of their lines.
@@ -68,9 +73,9 @@ class DocumentCheck:
         ConfigError
             If there are any.
         """
-        if self.errors:
+        if self._errors:
             # By line, since parts of a file are checked in another order than they stand in.
-            in_order = [text for _, text in sorted(self.errors, key=lambda error: error[0])]
+            in_order = [text for _, text in sorted(self._errors, key=lambda error: error[0])]
             more = len(in_order) - MOST_ERRORS
             last = [f"{self.where}: {more} more errors"] if more > 0 else []
             raise ConfigError("\n".join(in_order[:MOST_ERRORS] + last))
@@ -133,10 +138,10 @@ class DocumentCheck:
             self.wrong(path, f"= {reprlib.repr(data)} does not fit: expected keys and values")
             return None
         # Errors of the fields come first: a half-filled struct would add wrong ones.
-        before = len(self.errors)
+        before = self.count
         self.keys(data, (field.name for field in msgspec.structs.fields(kind)), path)
         found = self.arguments(data, kind, path, ())
-        if len(self.errors) > before:
+        if self.count > before:
             return None
         try:
             return kind(**found)

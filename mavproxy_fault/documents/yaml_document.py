@@ -9,7 +9,7 @@ and expanded aliases keep a hostile text from exhausting stack, memory or time.
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple, NoReturn
@@ -39,12 +39,28 @@ WORDS = {
 NOT_FINITE = re.compile(r"([-+]?)\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 
 
+class Flaw(NamedTuple):
+    """A value or key that is refused although the rest of a text can be read."""
+
+    path: Path
+    line: int
+    text: str
+
+
 class Document(NamedTuple):
     """The data of a YAML text, its name in errors, and the line on which each part begins."""
 
     data: Any
     where: str
     lines: Lines
+
+
+class FlawedDocumentError(ConfigError):
+    """The flaws of a document, for those who have more to say of it."""
+
+    def __init__(self, document: Document, flaws: Sequence[Flaw]) -> None:
+        super().__init__("\n".join(flaw.text for flaw in flaws[:DEEPEST]))
+        self.document, self.flaws = document, flaws
 
 
 def read_document(path: FilePath | str) -> Document:
@@ -76,7 +92,9 @@ def read_yaml(text: str, where: str) -> Document:
     Raises
     ------
     ConfigError
-        If the text is no YAML, is beyond the limits, or holds something that is refused.
+        If the text is no YAML or is beyond the limits.
+    FlawedDocumentError
+        If it holds values that are refused: all of them at once, as all other errors.
     """
     if len(text) > MOST_BYTES:
         raise ConfigError(f"{where}: is too large; at most {MOST_BYTES >> 20} MB are read")
@@ -95,10 +113,10 @@ def read_yaml(text: str, where: str) -> Document:
         raise ConfigError(f"{where}{line}: not YAML: {problem}; {advice}") from None
     except UnicodeEncodeError:  # half a surrogate pair, which no file in UTF-8 holds
         raise ConfigError(f"{where}: is not text; YAML in UTF-8 is expected") from None
+    document = Document(builder.data, where, builder.lines)
     if builder.flaws:
-        # All of them at once, as all other errors.
-        raise ConfigError("\n".join(builder.flaws[:DEEPEST]))
-    return Document(builder.data, where, builder.lines)
+        raise FlawedDocumentError(document, builder.flaws)
+    return document
 
 
 def write_yaml(data: Any, *, flow: bool | None = False, width: int = 80) -> str:
@@ -156,7 +174,7 @@ class _Builder:
         self.where = where
         self.data: Any = None
         self.lines: Lines = {}
-        self.flaws: list[str] = []
+        self.flaws: list[Flaw] = []
         self._open: list[_Open] = []
         self._anchors: dict[str, tuple[Any, int]] = {}
         self._nodes = 0
@@ -202,7 +220,8 @@ class _Builder:
         self._untagged(event)
         line = self._line(event)
         if event.value in parent.items:
-            self._note(event, f"{event.value} stands twice; give each key once")
+            path = (*parent.path, event.value)
+            self._note(event, path, f"{event.value} stands twice; give each key once")
         parent.key = event.value
         self.lines[(*parent.path, event.value)] = line
 
@@ -222,7 +241,7 @@ class _Builder:
                 try:
                     value = scalar(event.value)
                 except ValueError as error:
-                    self._note(event, f"{spelled(path)} {error}".lstrip())
+                    self._note(event, path, f"{spelled(path)} {error}".lstrip())
             self._remember(event.anchor, value, 1)
             return value
         if len(self._open) == DEEPEST:
@@ -246,9 +265,10 @@ class _Builder:
         line: int = event.start_mark.line + 1
         return line
 
-    def _note(self, event: Any, text: str) -> None:
+    def _note(self, event: Any, path: Path, text: str) -> None:
         """What is wrong, but does not end the reading: one run shows every such flaw."""
-        self.flaws.append(f"{self.where}:{self._line(event)}: {text}")
+        line = self._line(event)
+        self.flaws.append(Flaw(path, line, f"{self.where}:{line}: {text}"))
 
     def _refuse(self, event: Any, text: str) -> NoReturn:
         raise ConfigError(f"{self.where}:{self._line(event)}: {text}")

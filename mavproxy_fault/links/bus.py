@@ -244,6 +244,14 @@ def _opened(address: str, run: str, router: bool, config: Any) -> Bus:
             f"zenoh {address} {wrong} ({reason}); allowed: tcp/HOST:PORT that is "
             + ("free" if router else "served by a proxy, a run or zenohd")
         ) from error
+    except BaseException as error:
+        # A panic of Zenoh's is no Exception, and its class can only be known by name.
+        if type(error).__name__ != "PanicException":
+            raise
+        raise ConfigError(
+            f"zenoh {address} cannot be opened ({error}); "
+            "allow more descriptors, threads or memory (ulimit -n, -u, -v)"
+        ) from None
 
 
 def _why_refused(address: str) -> str:

@@ -3,34 +3,42 @@
 Python's sockets release the lock around every call; where another thread computes (the compiled
 path being loaded, a bus callback), getting it back costs up to a whole turn of that thread, per
 datagram. These calls never block, so they can keep the lock: one call receives up to 64 datagrams.
-The structures are those of 64-bit Linux (`recvmmsg(2)`); where that call is missing, as on macOS,
-datagrams are received one by one, and the compiled form stays away.
+The structures are those of 64-bit Linux (`recvmmsg(2)`); where that call is missing, as on macOS
+and Windows, `datagram_plain` serves, and the compiled form stays away.
 """
 
 import ctypes
 import socket
-from typing import Protocol
+from typing import Any
 
 BATCH = 64
 # The longest datagram: a shorter buffer would cut one without a word.
 ROW = 65_536
 NAME = 32  # bytes kept for a socket address
-DONTWAIT = socket.MSG_DONTWAIT
+DONTWAIT = getattr(socket, "MSG_DONTWAIT", 0)  # Windows has none
 
-_LIBC = ctypes.PyDLL(None)  # unlike CDLL it keeps the lock
-BATCHES = hasattr(_LIBC, "recvmmsg")
-if BATCHES:
-    _LIBC.recvmmsg.argtypes = [
+
+def _libc() -> Any:
+    """The C library with its calls, or None where it has not those that are needed."""
+    try:
+        found = ctypes.PyDLL(None)  # unlike CDLL it keeps the lock
+    except TypeError:  # Windows has no library of the process itself
+        return None
+    if not hasattr(found, "recvmmsg"):
+        return None
+    found.recvmmsg.argtypes = [
         ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p,
     ]  # fmt: skip
-_LIBC.recvfrom.argtypes = [
-    ctypes.c_int, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p,
-]  # fmt: skip
-_LIBC.recvfrom.restype = ctypes.c_ssize_t
-_LIBC.sendto.argtypes = [
-    ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t, ctypes.c_int, ctypes.c_char_p, ctypes.c_uint,
-]  # fmt: skip
-_LIBC.sendto.restype = ctypes.c_ssize_t
+    found.sendto.argtypes = [
+        ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t, ctypes.c_int, ctypes.c_char_p,
+        ctypes.c_uint,
+    ]  # fmt: skip
+    found.sendto.restype = ctypes.c_ssize_t
+    return found
+
+
+_LIBC = _libc()
+BATCHES = _LIBC is not None
 
 
 class _Part(ctypes.Structure):
@@ -51,46 +59,11 @@ class _Message(ctypes.Structure):
     )
 
 
-class Receiver(Protocol):
-    """One socket's incoming side."""
+class BatchedDatagrams:
+    """One socket, and buffers for 64 datagrams."""
 
-    def receive(self) -> list[tuple[bytes, bytes]]:
-        """The raw addresses and bytes of datagrams that wait, at most 64."""
-        ...
-
-
-def receiver(fileno: int) -> Receiver:
-    """The receiver that this system has the calls for."""
-    return BatchReceiver(fileno) if BATCHES else SingleReceiver(fileno)
-
-
-class SingleReceiver:
-    """Buffers for one datagram."""
-
-    def __init__(self, fileno: int) -> None:
-        self._fileno = fileno
-        self._data, self._name = ctypes.create_string_buffer(ROW), ctypes.create_string_buffer(NAME)
-        self._view = memoryview(self._data)
-
-    def receive(self) -> list[tuple[bytes, bytes]]:
-        """The raw addresses and bytes of datagrams that wait, at most 64."""
-        found: list[tuple[bytes, bytes]] = []
-        while len(found) < BATCH:
-            name_length = ctypes.c_uint(NAME)
-            length = _LIBC.recvfrom(
-                self._fileno, self._data, ROW, DONTWAIT, self._name, ctypes.byref(name_length)
-            )
-            if length < 0:
-                break
-            found.append((self._name.raw[: name_length.value], bytes(self._view[:length])))
-        return found
-
-
-class BatchReceiver:
-    """Buffers for 64 datagrams."""
-
-    def __init__(self, fileno: int) -> None:
-        self._fileno = fileno
+    def __init__(self, sock: socket.socket) -> None:
+        self._fileno = sock.fileno()
         self._data = ctypes.create_string_buffer(BATCH * ROW)
         self._names = ctypes.create_string_buffer(BATCH * NAME)
         self._parts = (_Part * BATCH)()
@@ -116,8 +89,8 @@ class BatchReceiver:
             message.name_length = NAME
         return found
 
-
-def send(fileno: int, data: bytes, name: bytes | None = None) -> bool:
-    """Send one datagram; False if the kernel did not take it."""
-    length = 0 if name is None else len(name)
-    return bool(_LIBC.sendto(fileno, data, len(data), DONTWAIT, name, length) >= 0)
+    def send(self, data: bytes, address: bytes | None = None) -> bool:
+        """Send one datagram; False if the kernel did not take it."""
+        length = 0 if address is None else len(address)
+        sent = _LIBC.sendto(self._fileno, data, len(data), DONTWAIT, address, length)
+        return bool(sent >= 0)

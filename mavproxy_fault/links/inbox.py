@@ -1,7 +1,6 @@
 """The frames that come in on a link, whichever of its streams they come on."""
 
-import select
-
+from mavproxy_fault.links.descriptors import wait_on
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
@@ -20,7 +19,7 @@ class Inbox:
         Waits up to `wait_s` seconds for something to come.
         """
         if wait_s > 0.0:
-            select.select([self.link.fileno()], [], [], wait_s)
+            wait_on([self.link], wait_s)
         found = []
         for stream, data in self.link.read():
             # The stream has ended: its half frame must not be joined with what comes next.

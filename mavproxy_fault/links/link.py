@@ -33,9 +33,9 @@ class LinkCounters:
 class Link(Protocol):
     """The contract of a link.
 
-    `datagrams` tells whether chunks keep their boundaries (UDP) or are pieces of a stream. `fileno`
-    is readable whenever `read` has something to do; `read` also carries on with pending writes and
-    reconnects, so it must be called a few times a second in any case.
+    `datagrams` tells whether chunks keep their boundaries (UDP) or are pieces of a stream. One of
+    `filenos` is readable whenever `read` has something to do; `read` also carries on with pending
+    writes and reconnects, so it must be called a few times a second in any case.
     """
 
     name: str
@@ -46,8 +46,8 @@ class Link(Protocol):
     def peer_count(self) -> int:
         """How many peers `write` would reach now."""
 
-    def fileno(self) -> int:
-        """A descriptor for `select`, the same one for the whole life of the link."""
+    def filenos(self) -> list[int]:
+        """Descriptors for `select`, which may be others after a `read`."""
 
     def read(self) -> list[Chunk]:
         """What has come, as (stream, bytes).

@@ -4,9 +4,11 @@ import contextlib
 import os
 import select
 import time
+from functools import partial
 
 import serial
 
+from mavproxy_fault.links.descriptors import Descriptors
 from mavproxy_fault.links.link import Chunk, LinkCounters
 from mavproxy_fault.links.stream import Stream
 
@@ -14,7 +16,7 @@ REOPEN_S = 0.5
 
 
 class SerialPort:
-    """One device; `fileno` is an epoll descriptor that outlives unplugging."""
+    """One device, which may be unplugged and come back."""
 
     datagrams = False
 
@@ -23,20 +25,22 @@ class SerialPort:
         self.counters = LinkCounters()
         self._device = device
         self._baud = baud
-        self._epoll = select.epoll()
+        self._descriptors = Descriptors()
         self._number = 0
         self._retry_s = 0.0
         self._port: tuple[serial.Serial, Stream] | None = None
         try:
             self._open()
         except OSError:
-            self._epoll.close()
+            self._descriptors.close()
             raise
 
     def _open(self) -> None:
         port = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0)
-        os.set_blocking(port.fileno(), False)
-        stream = Stream(port.fileno(), self._epoll, self.counters, empty_is_end=False)
+        number = port.fileno()
+        os.set_blocking(number, False)
+        calls = partial(os.read, number), partial(os.write, number)
+        stream = Stream(number, calls, self._descriptors, self.counters, empty_is_end=False)
         self._port = (port, stream)
 
     @property
@@ -44,9 +48,9 @@ class SerialPort:
         """1 while the device is there."""
         return int(self._port is not None)
 
-    def fileno(self) -> int:
-        """The epoll descriptor over the device."""
-        return self._epoll.fileno()
+    def filenos(self) -> list[int]:
+        """What to wait on for the device, while it is there."""
+        return self._descriptors.filenos()
 
     def read(self) -> list[Chunk]:
         """Reopen a lost device, continue pending writes, and collect what came."""
@@ -56,14 +60,14 @@ class SerialPort:
                 with contextlib.suppress(OSError):
                     self._open()
             return []
-        _, stream = self._port
+        port, stream = self._port
         stream.flush()
+        # Asked first: what comes between the two calls must not look like a hang-up.
+        waits = bool(select.select([port], (), (), 0)[0])
         data, stands = stream.read()
         chunks = [(self._number, data)] if data else []
-        gone = select.EPOLLHUP | select.EPOLLERR
-        # A pulled USB adapter reads as empty for ever: only the hang-up shows it.
-        hung_up = not data and any(mask & gone for _, mask in self._epoll.poll(0))
-        if hung_up or not stands:
+        # A pulled USB adapter reads as empty for ever, and yet as if something waited.
+        if (waits and not data) or not stands:
             self._lose()
             chunks.append((self._number, b""))
             # What comes after plugging in is another stream: half a frame of the old one stays
@@ -92,7 +96,7 @@ class SerialPort:
             self._port[1].abandon()
             self._port[0].close()
             self._port = None
-        self._epoll.close()
+        self._descriptors.close()
 
 
 OPENERS = {"serial": SerialPort}

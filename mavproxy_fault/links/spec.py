@@ -10,7 +10,6 @@ for an output. An empty host is 127.0.0.1; to listen on all interfaces say 0.0.0
 """
 
 import re
-import select
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -109,9 +108,12 @@ def open_link(spec: str | LinkSpec, *, bare_udp: Literal["udpin", "udpout"] = "u
 
 
 def _open(spec: LinkSpec) -> Link:
-    # One descriptor over several sockets: what macOS has for it is another call.
-    if spec.kind in ("tcp", "tcpin", "serial") and not hasattr(select, "epoll"):
-        raise ConfigError(f"{spec.text}: needs Linux; allowed on this system: udpin and udpout")
+    # Its devices are no files on Windows, and `select` does not wait for them.
+    if spec.kind == "serial" and find_spec("termios") is None:
+        raise ConfigError(
+            f"{spec.text}: serial devices need termios, which this system has not; "
+            "allowed here: udpin, udpout, tcp, tcpin"
+        )
     opener = _openers(FILES.get(spec.kind, spec.kind))[spec.kind]
     return opener(spec.host, spec.port)
 

@@ -1,39 +1,46 @@
 """One open byte stream (a TCP connection or a serial device) with its bounded send queue."""
 
 import contextlib
-import os
-import select
 from collections import deque
+from collections.abc import Callable
 
+from mavproxy_fault.links.descriptors import Descriptors
 from mavproxy_fault.links.link import QUEUE_LIMIT, LinkCounters
 
 READ_SIZE = 32_768  # what is no frame must still fit one datagram
 
 
 class Stream:
-    """A non-blocking descriptor watched by its link's epoll.
+    """A non-blocking descriptor that its link watches, read and written by two calls.
 
     `empty_is_end` tells whether reading nothing means that the peer closed (TCP) or only that
     nothing waits (a serial device).
     """
 
     def __init__(
-        self, fileno: int, epoll: "select.epoll", counters: LinkCounters, *, empty_is_end: bool
+        self,
+        fileno: int,
+        calls: tuple[Callable[[int], bytes], Callable[[bytes], int]],
+        descriptors: Descriptors,
+        counters: LinkCounters,
+        *,
+        empty_is_end: bool,
     ) -> None:
         self.fileno = fileno
         self.open = True  # False while a TCP connection is still being made
-        self._epoll = epoll
+        self._read, self._write = calls  # of a socket or a file: Windows tells them apart
+        self._descriptors = descriptors
         self._counters = counters
         self._empty_is_end = empty_is_end
         self._queue: deque[bytes] = deque()
         self._queued = 0
-        self._events = select.EPOLLIN
-        epoll.register(fileno, self._events)
+        self._awaits_room = False
+        descriptors.add(fileno)
 
     def await_open(self) -> None:
         """Hold what is written until the connection stands."""
         self.open = False
-        self._watch(select.EPOLLIN | select.EPOLLOUT)
+        self._await_room(wanted=True)
 
     def write(self, data: bytes) -> None:
         """Send, or queue what the kernel does not take; drop whole chunks beyond the limit."""
@@ -51,7 +58,7 @@ class Stream:
         queue = self._queue
         while queue:
             try:
-                sent = os.write(self.fileno, queue[0])
+                sent = self._write(queue[0])
             except OSError:  # full, or lost: the next read notices the latter
                 break
             self._queued -= sent
@@ -62,7 +69,7 @@ class Stream:
                 break
             queue.popleft()
             self._counters.chunks_out += 1
-        self._watch(select.EPOLLIN | (select.EPOLLOUT if queue else 0))
+        self._await_room(wanted=bool(queue))
 
     def read(self) -> tuple[bytes, bool]:
         """What has come, and whether the stream still stands.
@@ -70,7 +77,7 @@ class Stream:
         One read, however much waits: other links and due frames get their turn in between.
         """
         try:
-            data = os.read(self.fileno, READ_SIZE)
+            data = self._read(READ_SIZE)
         except BlockingIOError:
             return b"", True
         except OSError:
@@ -88,10 +95,10 @@ class Stream:
         self._queued = 0
         # The kernel forgets a closed descriptor by itself.
         with contextlib.suppress(OSError):
-            self._epoll.unregister(self.fileno)
+            self._descriptors.remove(self.fileno)
 
-    def _watch(self, events: int) -> None:
+    def _await_room(self, *, wanted: bool) -> None:
         # A system call saved for each frame.
-        if events != self._events:
-            self._events = events
-            self._epoll.modify(self.fileno, events)
+        if wanted != self._awaits_room:
+            self._awaits_room = wanted
+            self._descriptors.await_room(self.fileno, wanted=wanted)

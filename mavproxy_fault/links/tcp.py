@@ -1,16 +1,19 @@
 """TCP: a client that reconnects and a server for several peers.
 
-Each link watches its sockets by an epoll descriptor of its own, which is what `fileno` gives: it
-stays the same while connections come and go, and is readable when any of them needs service.
+Each link has descriptors of its own over its sockets, which come and go.
 """
 
-import select
+import contextlib
+import errno
+import logging
 import socket
 import time
 
+from mavproxy_fault.links.descriptors import Descriptors
 from mavproxy_fault.links.link import Chunk, LinkCounters
 from mavproxy_fault.links.stream import Stream
 
+LOG = logging.getLogger(__name__)
 RECONNECT_S = 0.5
 RECEIVE_BUFFER = 1 << 17  # bytes, 2,500 small frames: a fast peer waits rather than its frames
 
@@ -20,6 +23,10 @@ def _prepare(sock: socket.socket) -> None:
     # Frames are small and wanted now: Nagle would hold them back for the next acknowledgement.
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+
+
+def _stream(sock: socket.socket, descriptors: Descriptors, counters: LinkCounters) -> Stream:
+    return Stream(sock.fileno(), (sock.recv, sock.send), descriptors, counters, empty_is_end=True)
 
 
 class TcpServer:
@@ -40,23 +47,25 @@ class TcpServer:
         self.counters = LinkCounters()
         self._peers: dict[int, tuple[socket.socket, Stream, int]] = {}  # by descriptor
         self._next_stream = 0
-        self._epoll = select.epoll()
-        self._epoll.register(self._listener.fileno(), select.EPOLLIN)
+        self._reserve = socket.socket()  # kept for the moment when there are no descriptors
+        self._told = False
+        self._descriptors = Descriptors()
+        self._descriptors.add(self._listener.fileno())
 
     @property
     def peer_count(self) -> int:
         """How many peers are connected."""
         return len(self._peers)
 
-    def fileno(self) -> int:
-        """The epoll descriptor over the listener and all connections."""
-        return self._epoll.fileno()
+    def filenos(self) -> list[int]:
+        """What to wait on for the listener and all connections."""
+        return self._descriptors.filenos()
 
     def read(self) -> list[Chunk]:
         """Accept, continue pending writes, and collect what the peers sent."""
         chunks: list[Chunk] = []
         # Only those with something to do: a system call for each of the others is saved.
-        for descriptor, _ in self._epoll.poll(0):
+        for descriptor in self._descriptors.ready():
             if descriptor == self._listener.fileno():
                 self._accept()
                 continue
@@ -79,13 +88,27 @@ class TcpServer:
                 sock, _ = self._listener.accept()
             except BlockingIOError:
                 return
-            except OSError:
+            except OSError as error:
                 self.counters.errors += 1
+                if error.errno in (errno.EMFILE, errno.ENFILE):
+                    self._turn_away()
                 return
             _prepare(sock)
-            stream = Stream(sock.fileno(), self._epoll, self.counters, empty_is_end=True)
+            stream = _stream(sock, self._descriptors, self.counters)
             self._peers[sock.fileno()] = (sock, stream, self._next_stream)
             self._next_stream += 1
+
+    def _turn_away(self) -> None:
+        """Close a connection for which there is no descriptor, in the place of the reserve."""
+        # Left waiting it would wake the loop for ever.
+        self._reserve.close()
+        with contextlib.suppress(OSError):
+            self._listener.accept()[0].close()
+        with contextlib.suppress(OSError):  # another thread was faster: the next one waits
+            self._reserve = socket.socket()
+        if not self._told:
+            LOG.warning("%s: no descriptor for a further peer; allow more (ulimit -n)", self.name)
+            self._told = True
 
     def write(self, data: bytes) -> None:
         """Send to every peer; without peers the chunk is dropped."""
@@ -101,7 +124,8 @@ class TcpServer:
             sock.close()
         self._peers.clear()
         self._listener.close()
-        self._epoll.close()
+        self._reserve.close()
+        self._descriptors.close()
 
 
 class TcpClient:
@@ -115,7 +139,7 @@ class TcpClient:
         self._address = found[4]
         self.name = f"tcp:{host}:{port}"
         self.counters = LinkCounters()
-        self._epoll = select.epoll()
+        self._descriptors = Descriptors()
         self._peer: tuple[socket.socket, Stream] | None = None
         self._number = 0
         self._retry_s = 0.0
@@ -126,17 +150,17 @@ class TcpClient:
         """1 while the connection stands."""
         return int(self._peer is not None and self._peer[1].open)
 
-    def fileno(self) -> int:
-        """The epoll descriptor over whatever connection there is."""
-        return self._epoll.fileno()
+    def filenos(self) -> list[int]:
+        """What to wait on for whatever connection there is."""
+        return self._descriptors.filenos()
 
     def _connect(self) -> None:
         self._retry_s = time.monotonic() + RECONNECT_S
         sock = socket.socket(self._family, socket.SOCK_STREAM)
         _prepare(sock)
-        # It is under way when this returns; the epoll tells when it stands or has failed.
+        # It is under way when this returns; the descriptor tells when it stands or has failed.
         sock.connect_ex(self._address)
-        stream = Stream(sock.fileno(), self._epoll, self.counters, empty_is_end=True)
+        stream = _stream(sock, self._descriptors, self.counters)
         stream.await_open()
         self._peer = (sock, stream)
 
@@ -159,7 +183,7 @@ class TcpClient:
         return chunks
 
     def _finish_connecting(self, sock: socket.socket, stream: Stream) -> bool:
-        if not self._epoll.poll(0):
+        if not self._descriptors.ready():
             return False
         # Writable also means failed: only the socket's error tells the two apart.
         if sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
@@ -187,7 +211,7 @@ class TcpClient:
             self._peer[1].abandon()
             self._peer[0].close()
             self._peer = None
-        self._epoll.close()
+        self._descriptors.close()
 
 
 OPENERS = {"tcp": TcpClient, "tcpin": TcpServer}

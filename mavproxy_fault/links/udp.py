@@ -4,7 +4,8 @@ import socket
 import struct
 import time
 
-from mavproxy_fault.links.datagram_batch import receiver, send
+from mavproxy_fault.links import datagram_batch
+from mavproxy_fault.links.datagram_plain import PlainDatagrams
 from mavproxy_fault.links.link import Chunk, LinkCounters, enlarge_buffers
 from mavproxy_fault.links.peers import Peers
 
@@ -38,16 +39,30 @@ class _UdpSocket:
     def __init__(self, host: str, port: int, *, listen: bool) -> None:
         self.sock = _open(host, port, listen=listen)
         self.counters = LinkCounters()
-        self._receiver = receiver(self.sock.fileno())
+        batched = datagram_batch.BATCHES
+        kind = datagram_batch.BatchedDatagrams if batched else PlainDatagrams
+        self._datagrams = kind(self.sock)
 
     @property
     def lost_in_kernel(self) -> int:
         """Datagrams that came while the kernel's buffer was full."""
         return lost_in_kernel(self.sock)
 
-    def fileno(self) -> int:
+    def filenos(self) -> list[int]:
         """The socket's descriptor."""
-        return self.sock.fileno()
+        return [self.sock.fileno()]
+
+    def _send(self, data: bytes, address: bytes | None = None) -> None:
+        """Send and count; a refusal belongs to an earlier datagram and is cleared by telling."""
+        counters = self.counters
+        if not self._datagrams.send(data, address):
+            # The kernel reports that an earlier datagram was refused at the next call: once more.
+            counters.errors += 1
+            if not self._datagrams.send(data, address):
+                counters.drops += 1
+                return
+        counters.chunks_out += 1
+        counters.bytes_out += len(data)
 
     def close(self) -> None:
         """Close the socket."""
@@ -73,7 +88,7 @@ class UdpServer(_UdpSocket):
         chunks: list[Chunk] = []
         counters = self.counters
         now_s = time.monotonic()
-        for address, data in self._receiver.receive():
+        for address, data in self._datagrams.receive():
             counters.chunks_in += 1
             counters.bytes_in += len(data)
             if not self.hear(address, data, now_s):
@@ -92,7 +107,7 @@ class UdpServer(_UdpSocket):
         if not self.peers.known:
             self.counters.drops += 1
         for address in self.peers.known:
-            _send(self.sock, data, self.counters, address)
+            self._send(data, address)
 
 
 class UdpClient(_UdpSocket):
@@ -107,7 +122,7 @@ class UdpClient(_UdpSocket):
         """The datagrams that wait."""
         chunks: list[Chunk] = []
         counters = self.counters
-        for _, data in self._receiver.receive():
+        for _, data in self._datagrams.receive():
             counters.chunks_in += 1
             counters.bytes_in += len(data)
             if data:
@@ -116,7 +131,7 @@ class UdpClient(_UdpSocket):
 
     def write(self, data: bytes) -> None:
         """Send one datagram."""
-        _send(self.sock, data, self.counters)
+        self._send(data)
 
 
 def lost_in_kernel(sock: socket.socket) -> int:
@@ -126,20 +141,6 @@ def lost_in_kernel(sock: socket.socket) -> int:
     except (OSError, struct.error):
         return 0
     return int(words[DROPPED])
-
-
-def _send(
-    sock: socket.socket, data: bytes, counters: LinkCounters, address: bytes | None = None
-) -> None:
-    """Send and count; a refusal belongs to an earlier datagram and is cleared by reporting it."""
-    if not send(sock.fileno(), data, address):
-        # The kernel reports that an earlier datagram was refused at the next call: once more.
-        counters.errors += 1
-        if not send(sock.fileno(), data, address):
-            counters.drops += 1
-            return
-    counters.chunks_out += 1
-    counters.bytes_out += len(data)
 
 
 OPENERS = {"udpin": UdpServer, "udpout": UdpClient}

@@ -273,9 +273,13 @@ class Control:
         document = read_yaml(payload.decode("utf-8", "replace"), what)
         check_files(document.data, self.folders, what)
         schedule = parse_schedule(document)
+        # A thousand entries would hold the loop up for milliseconds: they are made here, and those
+        # that they replace are let go of here.
+        prepared = self.engine.prepared(schedule)
+        replaced: list[object] = []
 
         def act() -> Any:
-            self.engine.replace(schedule, anew=anew)
+            replaced.append(self.engine.replace(schedule, anew=anew, prepared=prepared))
             return {"faults": [entry.id for entry in schedule.faults]}
 
         return act

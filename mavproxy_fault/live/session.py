@@ -5,6 +5,7 @@ therefore waits until the loop, woken by a socket, has carried it out.
 """
 
 import contextlib
+import gc
 import itertools
 import logging
 import queue
@@ -52,10 +53,15 @@ def short_turns() -> Iterator[None]:
     """Let threads take short turns, so that one that imports or parses holds no frame up."""
     before_s = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_INTERVAL_S)
+    # What they make would be looked through for garbage meanwhile, in one long turn.
+    collects = gc.isenabled()
+    gc.disable()
     try:
         yield
     finally:
         sys.setswitchinterval(before_s)
+        if collects:
+            gc.enable()
 
 
 class Requests:

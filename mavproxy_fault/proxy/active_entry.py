@@ -9,7 +9,7 @@ from zlib import crc32
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.faults.fault import Buffering, Outgoing
+from mavproxy_fault.faults.fault import Outgoing
 from mavproxy_fault.schedule.entries import Entry
 from mavproxy_fault.schedule.triggers import Telemetry
 from mavproxy_fault.wire.frame import Frame
@@ -85,13 +85,15 @@ class Running:
         self.changed_us: int | None = None
         self.unannounced = False  # no label has told the newest value
         self._announced_us = 0
+        self._described: tuple[Any, ...] = ()
+        self._description: dict[str, Any] = {}
         where = entry.where
         # In a tuple: read for each frame that passes.
         self._where = (where.system, where.component, where.direction, where.id)
         self._anything = self._where == (None, None, None, None)
         self.takes_bytes = entry.ids is None and getattr(entry.fault, "takes_bytes", False)
         self.takes_sealed = getattr(entry.fault, "takes_sealed", False)
-        self.buffers = isinstance(entry.fault, Buffering)
+        self.buffers = hasattr(entry.fault, "release")  # `Buffering`; asking for that is slow
         self.ends_itself = hasattr(entry.fault, "done")
         self.keeps_back = getattr(entry.fault, "keeps_back", False)
 
@@ -383,7 +385,17 @@ class Running:
             self.states[direction] = self.fault.fed(state, value, t_us)
 
     def state(self) -> dict[str, Any]:
-        """What a page shows of it."""
+        """What a page shows of it; the same object as before where nothing has changed."""
+        now = (
+            self.active, self.starts, self.start_us, self.end_us, self.total_frames, self.magnitude,
+            self.saturated, self.sealed, self.failures, self.latency_us, self.value,
+        )  # fmt: skip
+        # Of a thousand entries nearly all wait: to describe them anew would hold frames up.
+        if now != self._described:
+            self._described, self._description = now, self._describe()
+        return self._description
+
+    def _describe(self) -> dict[str, Any]:
         phase = "active" if self.active else "done" if self.done else "waiting"
         return {
             "id": self.entry.id,

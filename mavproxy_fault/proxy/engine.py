@@ -5,7 +5,8 @@ on what the one before let through. Nothing here looks at a frame that no entry 
 says which messages must come by, and an entry costs nothing while it is not active.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from heapq import heapify, heappop, heappush
 from typing import Any
 
 import msgspec
@@ -46,6 +47,7 @@ class Engine:
         self._any: tuple[Running, ...] = ()
         self._buffering: tuple[Running, ...] = ()
         self._watched: dict[int, tuple[Running, ...]] = {}
+        self._followers: dict[str, list[tuple[int, Running]]] = {}
         self._telemetry = Telemetry()
         self._edge_us = 0
         self._labels: list[Label] = []
@@ -116,16 +118,24 @@ class Engine:
 
     def _advance(self, t_us: int) -> None:
         """Start and end what the clock says; several times where one hangs on another."""
-        while True:
-            late = min((r for r in self._all if r.next_us <= t_us), key=_next, default=None)
-            if late is None:
-                break
-            at_us = late.next_us
+        self._followers = self._that_follow()
+        due = [(r.next_us, place) for place, r in enumerate(self._all) if r.next_us <= t_us]
+        # A schedule whose times have passed has thousands of events: looking through all entries
+        # for the next one would hold the forwarding up.
+        heapify(due)
+        while due:
+            at_us, place = heappop(due)
+            late = self._all[place]
+            if late.next_us != at_us:  # it was set to another time meanwhile
+                continue
             if late.active:
                 self._end(late, at_us)
             else:
                 late.begin()
                 self._follow(late, "start", at_us)
+            for further, running in [(place, late), *self._followers.get(late.entry.id, ())]:
+                if running.next_us <= t_us:
+                    heappush(due, (running.next_us, further))
         self._index()
 
     def _end(self, running: Running, t_us: int) -> None:
@@ -138,18 +148,27 @@ class Engine:
 
     def _follow(self, leader: Running, event: str, t_us: int) -> None:
         """Set the start of entries that wait for another one."""
-        for running in self._all:
+        for _, running in self._followers.get(leader.entry.id, ()):
             after = running.entry.after
             if after is None or running.starts or running.start_us < NEVER_US:
                 continue
-            if after.id == leader.entry.id and after.event == event:
+            if after.event == event:
                 running.follow(after_s(t_us, after.delay_s))
+
+    def _that_follow(self) -> dict[str, list[tuple[int, Running]]]:
+        """The entries that wait for another one, with their places, by its id."""
+        found: dict[str, list[tuple[int, Running]]] = {}
+        for place, running in enumerate(self._all):
+            if running.entry.after is not None:
+                found.setdefault(running.entry.after.id, []).append((place, running))
+        return found
 
     def _index(self) -> None:
         """Who acts on which message now, and when that changes by the clock."""
         self.changes += 1
         active = [running for running in self._all if running.active]
         ids = {number for running in active for number in running.entry.ids or ()}
+        self._followers = self._that_follow()
         self._any = tuple(r for r in active if r.entry.ids is None)
         self._buffering = tuple(r for r in active if r.buffers)
         self._by_id = {
@@ -309,9 +328,11 @@ class Engine:
 
     def clear(self, id: str) -> bool:
         """End and forget a fault (with its parts), or `all`; whether there was one."""
-        ids = [one.id for one in self._entries() if _of(one.id, id)]
-        for one in ids:
-            self._stop(one)
+        ids = {one.id for one in self._entries() if _of(one.id, id)}
+        for running in self._all:
+            if running.active and running.entry.id in ids:
+                self._end(running, self.now_us)
+        self._all = [running for running in self._all if running.entry.id not in ids]
         kept = tuple(one for one in self._schedule.faults if one.id not in ids)
         self._schedule = msgspec.structs.replace(self._schedule, faults=kept)
         self._edited()
@@ -339,25 +360,60 @@ class Engine:
         chosen[0].feed(value, self.now_us, latency_us)
         self._edited()
 
-    def replace(self, schedule: Schedule, *, anew: bool = False) -> None:
+    def prepared(self, schedule: Schedule) -> dict[str, Running]:
+        """What `replace` will need, by id; it touches nothing, so another thread may make it."""
+        t0_us = self.t0_us
+        if t0_us is None:
+            return {}
+        found = {entry.id: self._run(entry, t0_us) for entry in schedule.faults}
+        followed = {entry.after.id for entry in schedule.faults if entry.after is not None}
+        for running in found.values():
+            # What is over by now need not be begun and ended in the loop.
+            over = running.end_us <= self.now_us and running.entry.repeat is None
+            if over and running.entry.id not in followed:
+                running.begin()
+                running.rest(self.now_us)
+            running.state()  # it is asked for right after
+        return found
+
+    def replace(
+        self,
+        schedule: Schedule,
+        *,
+        anew: bool = False,
+        prepared: Mapping[str, Running] | None = None,
+    ) -> Sequence[Running]:
         """Take another schedule; entries that stand in both as they were go on undisturbed.
 
         With `anew` the times count from now instead of the start, and every entry begins again.
+        Gives the entries as they were, since to forget a thousand takes milliseconds too.
         """
+        before = self._all
         self._check(schedule.faults)
         self._schedule = schedule
         if self.t0_us is not None:
-            fresh = {} if anew else {entry.id: _essence(entry) for entry in schedule.faults}
-            for running in list(self._all):
-                if _essence(running.entry, self._late_s(running)) != fresh.get(running.entry.id):
-                    self._stop(running.entry.id)
-            going = {running.entry.id: running for running in self._all}
+            wanted = {} if anew else {entry.id: entry for entry in schedule.faults}
+            going: dict[str, Running] = {}
+            for running in self._all:
+                entry = wanted.get(running.entry.id)
+                if entry and _essence(running.entry, self._late_s(running)) == _essence(entry):
+                    going[entry.id] = running
+                elif running.active:
+                    self._end(running, self.now_us)
             base_us = self.now_us if anew else self.t0_us
+            # Of no use where the schedule has begun again since, or its times count from now.
+            fresh = {
+                id: running
+                for id, running in (prepared or {}).items()
+                if running.base_us == base_us and running.t0_us == self.t0_us
+            }
             self._all = [
-                going.get(entry.id) or self._run(entry, base_us) for entry in schedule.faults
+                going.get(entry.id) or fresh.get(entry.id) or self._run(entry, base_us)
+                for entry in schedule.faults
             ]
             self._advance(self.now_us)
         self._edited()
+        return before
 
     # -- what there is ---------------------------------------------------------------------------
 
@@ -411,10 +467,6 @@ def _essence(entry: Entry, late_s: float = 0.0) -> Entry:
     return msgspec.structs.replace(entry, at_s=round(late_s + entry.at_s, 6), written={})
 
 
-def _next(running: Running) -> int:
-    return running.next_us
-
-
 def _of(id: str, chosen: str) -> bool:
     """Whether an id is the one chosen, or a part of it."""
     head, _, part = id.rpartition(".")
@@ -433,6 +485,9 @@ def _through(running: Running, sends: list[Outgoing], direction: str, t_us: int)
             if further.frame is frame and further.due_us == t_us:
                 found.append(out)
                 continue
-            due_us = further.due_us + out.due_us - t_us
-            found.append(msgspec.structs.replace(further, due_us=due_us))
+            # Copied only where the entries before held it back.
+            if out.due_us != t_us:
+                due_us = further.due_us + out.due_us - t_us
+                further = msgspec.structs.replace(further, due_us=due_us)
+            found.append(further)
     return found

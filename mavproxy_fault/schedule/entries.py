@@ -1,6 +1,7 @@
 """Schedules: which faults, when, on which frames; read from YAML with every error and its line."""
 
 import reprlib
+from collections.abc import Sequence
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
@@ -10,7 +11,14 @@ from msgspec import Meta
 from mavproxy_fault.documents.document_check import DocumentCheck
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
-from mavproxy_fault.documents.yaml_document import Document, Path, read_document, read_yaml
+from mavproxy_fault.documents.yaml_document import (
+    Document,
+    Flaw,
+    FlawedDocumentError,
+    Path,
+    read_document,
+    read_yaml,
+)
 from mavproxy_fault.faults.fault import Fault
 from mavproxy_fault.faults.profile import Duration, Profile, Seconds
 from mavproxy_fault.faults.registry import fault_class, known_aliases, known_faults
@@ -117,13 +125,21 @@ def read_schedule(path: FilePath | str, via: Via = "proxy") -> Schedule:
     ConfigError
         With every error of the file and its line, or if it cannot be read.
     """
-    return parse_schedule(read_document(path), via=via)
+    try:
+        return parse_schedule(read_document(path), via=via)
+    except FlawedDocumentError as error:
+        # What is wrong in its entries is told in the same breath.
+        return parse_schedule(error.document, via=via, flaws=error.flaws)
 
 
 def parse_schedule(
-    source: Document | dict[str, Any] | str, where: str = "schedule", via: Via = "proxy"
+    source: Document | dict[str, Any] | str,
+    where: str = "schedule",
+    via: Via = "proxy",
+    flaws: Sequence[Flaw] = (),
 ) -> Schedule:
-    """The schedule of a document, of a YAML text, or of data; `where` names those in errors.
+    """The schedule of a document, of a YAML text, or of data; `where` names those in errors,
+    `flaws` are what is known to be wrong.
 
     Raises
     ------
@@ -134,7 +150,7 @@ def parse_schedule(
         source = read_yaml(source, where)
     # Data from a program have no lines.
     data, where, lines = source if isinstance(source, Document) else (source, where, None)
-    check = DocumentCheck(where, lines)
+    check = DocumentCheck(where, lines, flaws)
     if not isinstance(data, dict):
         raise ConfigError(f"{where}: is no schedule; give `seed` and a list of `faults`")
     if not data.keys() <= {"seed", "faults"} and (kind := kind_of(data)):
@@ -212,13 +228,13 @@ def _from_preset(
     parts = preset_parts(name)
     # The keys of the item overrule those of each part.
     own = {key: value for key, value in data.items() if key != "fault"}
-    before = len(check.errors)
+    before = check.count
     check.value(data.get("id"), str | None, (*path, "id"))
     for part, id in zip(parts, entry_ids(data, number), strict=True):
         entry = _entry({**part, **own, "id": id}, number, check, path, via)
         if entry is not None:
             entries.append(msgspec.structs.replace(entry, preset=name, written=data))
-        if len(check.errors) > before:  # the same would be wrong in each part
+        if check.count > before:  # the same would be wrong in each part
             break
     return entries
 
@@ -226,7 +242,7 @@ def _from_preset(
 def _entry(
     data: dict[str, Any], number: int, check: DocumentCheck, path: Path, via: Via
 ) -> Entry | None:
-    before = len(check.errors)
+    before = check.count
     keys = check.arguments({k: v for k, v in data.items() if k in KEYS}, Keys, path, ())
     _check_repeat(keys, check, path)
     condition = _condition(keys.get("when"), check, path)
@@ -244,7 +260,7 @@ def _entry(
     for text in wrong_targets(name, kind, names) if None not in names else ():
         check.wrong((*path, "target"), f"= {text}" if names else text)
     # Binding needs every field right.
-    if len(check.errors) > before:
+    if check.count > before:
         return None
     at = aim(name, kind, names)
     # Only satellites can be falsified in two places.

@@ -39,18 +39,17 @@ def check_together(listed: list[Any], check: DocumentCheck) -> None:
             if not ID.fullmatch(id):  # no query could name it
                 check.wrong(("faults", i, "id"), f"= {id!r} holds one of / * $ ? #; leave it out")
     waits: dict[str, str] = {}
-    for id, i in places.items():
-        awaited = _awaited(listed[i].get("after"))
+    for i, item in enumerate(listed):
+        awaited = _awaited(item.get("after")) if isinstance(item, dict) else None
         if awaited is None:
             continue
         # Waiting for another part of the same item counts as for itself.
         if awaited not in places or places[awaited] == i:
             others = [name for name, place in places.items() if place != i]
             text = f"= {awaited} is no other fault; {near(awaited, others)}"
-            if id == entry_ids(listed[i], i)[0]:  # once for a preset's parts
-                check.wrong(("faults", i, "after"), text)
+            check.wrong(("faults", i, "after"), text)
         else:
-            waits[id] = awaited
+            waits.update((id, awaited) for id in entry_ids(item, i) if places[id] == i)
     _check_circles(waits, places, check)
 
 

@@ -7,13 +7,13 @@ scenario's own is flown until it does. Without one the scenario ends in time.
 """
 
 import argparse
-import select
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from typing import Any
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.descriptors import wait_on
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link, parse_spec
@@ -177,7 +177,7 @@ class FreeLoop:
         self._pace = Pace(speed)
         self._progress = progress
         self._clock = clock
-        self._files = [link.fileno() for link in (hil, gcs) if link is not None]
+        self._links = [link for link in (hil, gcs) if link is not None]
 
     def run(self, until_us: int | None) -> None:
         """Step until `until_us`, or for ever."""
@@ -187,7 +187,7 @@ class FreeLoop:
             self._progress.step(self.t_us, now_s)
             wait_s = self._pace.wait_s(self.t_us, now_s)
             if wait_s > 0.0:
-                select.select(self._files, [], [], wait_s)
+                wait_on(self._links, wait_s)
 
     def step(self) -> None:
         """One step of the simulation and of everything on the links."""

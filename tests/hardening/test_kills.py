@@ -81,27 +81,68 @@ def test_a_killed_proxy_leaves_all_but_the_last_second(kill: int, tmp_path: Path
     print(f"proxy {kill}: {len(frames)} of {len(sent_at_s)} recorded, {lost_s:.2f} s lost")
 
 
-@pytest.mark.parametrize("kill", range(KILLS))
-def test_a_killed_run_leaves_logs_and_results_that_can_be_read(kill: int, tmp_path: Path) -> None:
-    out = tmp_path / "out"
+WRITTEN = ("received.tlog", "sent.tlog", "labels.jsonl", "results.jsonl")
+
+
+def start(out: Path) -> "subprocess.Popen[bytes]":
+    """The demo without a bus, at twenty times real time."""
     command = [*OURS, "run", "--zenoh", "off", "--gcs", "off", "--speed", "20", "--out", str(out)]
-    with subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-    ) as process:
-        enough = random.Random(kill).randrange(1, 1_000_000)
-        while process.poll() is None and size(out / "received.tlog") < enough:
+    quiet = subprocess.DEVNULL
+    return subprocess.Popen(command, stdout=quiet, stderr=quiet, start_new_session=True)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run that nobody kills."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    assert start(out).wait() == 0
+    return out
+
+
+# The file to wait for, and the bytes that it must have: of a whole run's, a share.
+MOMENTS = [
+    ("received.tlog", 1.0), ("results.jsonl", 1.0), ("summary.json.new", 0.0),
+    ("report.html.new", 0.0), ("summary.json", 0.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("kill", range(KILLS))
+def test_a_killed_run_leaves_logs_and_results_that_can_be_read(
+    kill: int, whole: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    rng = random.Random(kill)
+    name, share = MOMENTS[-1 - kill % len(MOMENTS)]
+    enough = share * rng.random() * size(whole / name) if share else 0
+    with start(out) as process:
+        while process.poll() is None and not ((out / name).exists() and size(out / name) > enough):
             os.sched_yield()
-        assert process.poll() is None
-        os.killpg(process.pid, signal.SIGKILL)  # its monitor too
-    received, sent = (list(read_records(out / f"{name}.tlog")) for name in ("received", "sent"))
+        ended = process.poll()
+        now_s = time.time()
+        ages_s = [now_s - (out / one).stat().st_mtime for one in ("sent.tlog", "results.jsonl")]
+        if ended is None:
+            os.killpg(process.pid, signal.SIGKILL)  # its monitor too
+    # What is short-lived may be missed: then the run ended by itself.
+    assert ended in (None, 0)
+    for one in WRITTEN:
+        if (out / one).exists():
+            assert (whole / one).read_bytes().startswith((out / one).read_bytes()), one
+    received, sent = (list(read_records(out / f"{one}.tlog")) for one in ("received", "sent"))
+    results = list(read_results(out / "results.jsonl"))
     assert received
-    for records in (received, sent):
-        stamps = [t_us for t_us, _, _ in records]
-        assert stamps == sorted(stamps)
-    results = len(list(read_results(out / "results.jsonl")))
-    labels = read_labels(out / "labels.jsonl") if (out / "labels.jsonl").exists() else []
-    print(f"run {kill}: {len(received)} frames, {len(labels)} labels, {results} results")
+    assert not (out / "summary.json").exists() or "verdict" in json.loads(
+        (out / "summary.json").read_text()
+    )
+    if (out / "report.html").exists():
+        assert (out / "report.html").read_text().rstrip().endswith("</html>")
+    print(
+        f"run {kill}, {name}: {len(received)} frames, {len(sent)} sent, {len(results)} results, "
+        f"written {ages_s[0]:.2f} and {ages_s[1]:.2f} s before"
+    )
 
 
 def size(path: Path) -> int:
-    return path.stat().st_size if path.exists() else 0
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:  # not yet, or moved meanwhile
+        return 0

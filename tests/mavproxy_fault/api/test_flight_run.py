@@ -27,7 +27,7 @@ def test_a_run_gives_labels_results_and_columns_as_arrays(tmp_path: Path) -> Non
     assert change.max() == pytest.approx(0.3, abs=1e-6)
     errors = run.results["AttitudeError"]
     assert errors["angle"].dtype == float
-    assert len(errors["angle"]) == len(errors["t_s"]) > 50
+    assert len(errors["angle"]) == len(errors["t_us"]) > 50
     assert run.summary["sim_s"] == pytest.approx(8, abs=0.1)
     assert run.report.is_file()
 

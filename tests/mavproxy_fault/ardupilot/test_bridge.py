@@ -50,7 +50,7 @@ class Simulator:
         self.listen(0.0)
 
     def listen(self, wait_s: float) -> None:
-        select.select([self._inbox.link.fileno()], [], [], wait_s)
+        select.select(self._inbox.link.filenos(), [], [], wait_s)
         for frame in self._inbox.frames():
             mine = frame.layout.name == "HIL_ACTUATOR_CONTROLS"
             (self.answers if mine else self.others).append(frame)
@@ -158,8 +158,8 @@ def test_a_simulator_that_falls_silent_behind_a_proxy_is_told_once():
 
         started, armed, steps, t_us = True, False, 0, 0
 
-        def fileno(self):
-            return quiet.fileno()
+        def filenos(self):
+            return [quiet.fileno()]
 
         def read(self):
             return []

@@ -13,7 +13,7 @@ def test_a_serial_device_carries_bytes_both_ways() -> None:
     master, slave = os.openpty()
     link = open_link(f"{os.ttyname(slave)},57600")
     os.write(master, b"\x00\xfd\x11\x13\r\n\xff")
-    assert select.select([link], [], [], 5)[0]
+    assert select.select(link.filenos(), [], [], 5)[0]
     assert link.read() == [(0, b"\x00\xfd\x11\x13\r\n\xff")]
     assert link.read() == []
     link.write(b"\n\x04\x80")
@@ -34,7 +34,7 @@ def test_a_device_that_was_unplugged_is_opened_again(
     os.close(slave)
     os.close(master)
     device.unlink()
-    assert select.select([link], [], [], 5)[0]
+    assert select.select(link.filenos(), [], [], 5)[0]
     assert link.read() == [(0, b"")]
     assert link.peer_count == 0
     link.write(b"lost")
@@ -45,7 +45,7 @@ def test_a_device_that_was_unplugged_is_opened_again(
     link.read()
     assert link.peer_count == 1
     os.write(master, b"back")
-    assert select.select([link], [], [], 5)[0]
+    assert select.select(link.filenos(), [], [], 5)[0]
     assert link.read() == [(1, b"back")]
     link.close()
     os.close(master)

@@ -27,7 +27,7 @@ def sockets() -> Iterator[list[socket.socket]]:
 
 
 def ready(link: UdpServer | UdpClient) -> bool:
-    return bool(select.select([link], [], [], 5)[0])
+    return bool(select.select(link.filenos(), [], [], 5)[0])
 
 
 def test_a_server_keeps_the_boundaries_of_datagrams(

@@ -1,3 +1,5 @@
+import time
+
 import msgspec
 import pytest
 
@@ -362,3 +364,52 @@ def test_a_fault_whose_clock_goes_far_back_does_not_overflow() -> None:
     it.apply(sensor(10**9), "to-vehicle", 10**9)
     it.apply(sensor(10**9), "to-vehicle", 10**6)
     assert it.state()["faults"][0]["failures"] == 0
+
+
+def test_a_schedule_of_a_thousand_entries_costs_ten_times_one_of_a_hundred() -> None:
+    # All times have passed: every entry begins and ends within the edit.
+    few, many = (loading_s(count) for count in (100, 1000))
+    assert many < 40 * few  # what looks through all entries for each of them takes 100 times more
+
+
+def loading_s(count: int) -> float:
+    """The processor time of an edit that takes another schedule, the least of some."""
+    engine = Engine(parse_schedule("faults: []"))
+    engine.start_at(0)
+    engine.tell_time(10**9)
+    times = []
+    for number in range(5):
+        schedule = parse_schedule(
+            "faults:\n" + "".join(
+                f"  - {{id: s{number}-{n}, fault: bias, target: ATTITUDE.roll, value: 1, "
+                f"at_s: {n / 100}, for_s: 0.005}}\n"
+                for n in range(count)
+            )
+        )  # fmt: skip
+        begun_s = time.thread_time()
+        engine.replace(schedule)
+        times.append(time.thread_time() - begun_s)
+    assert all(one["state"] == "done" for one in engine.state()["faults"])
+    return min(times)
+
+
+def test_entries_made_beforehand_are_those_that_the_edit_would_make() -> None:
+    schedule = parse_schedule("""
+faults:
+  - {id: over, fault: bias, target: ATTITUDE.roll, value: 1, at_s: 1, for_s: 1}
+  - {id: leads, fault: bias, target: ATTITUDE.roll, value: 1, at_s: 2, for_s: 1}
+  - {id: follows, fault: bias, target: ATTITUDE.yaw, value: 1, after: {id: leads, delay_s: 2}}
+  - {id: again, fault: bias, target: ATTITUDE.roll, value: 1, for_s: 1, repeat: {every_s: 3}}
+  - {id: acts, fault: bias, target: ATTITUDE.pitch, value: 1, at_s: 3}
+  - {id: waits, fault: bias, target: ATTITUDE.pitch, value: 1, at_s: 30, for_s: 1}
+""")
+    states = []
+    for beforehand in (False, True):
+        engine = Engine(parse_schedule("faults: []"))
+        engine.start_at(0)
+        engine.tell_time(10_000_000)
+        prepared = engine.prepared(schedule) if beforehand else None
+        engine.replace(schedule, prepared=prepared)
+        states.append((engine.state(), engine.edge_us, engine.active))
+    assert states[0] == states[1]
+    assert states[0][2] == ["follows", "acts"]

@@ -215,3 +215,23 @@ def test_the_plant_is_told_apart_from_messages() -> None:
     entry = {"fault": "bias", "target": "PLANT.wind_n_mps", "value": 1}
     with pytest.raises(ConfigError, match="PLANT is the simulated plant and no message; `fault: p"):
         parse_schedule({"faults": [entry]})
+
+
+def test_a_number_of_two_readings_does_not_hide_what_else_is_wrong(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text(
+        "faults:\n"
+        "- {id: a, fault: bias, target: HIL_SENSOR.xgyro, value: 010}\n"
+        "- {id: b, fault: biass, target: HIL_SENSOR.xgyro, value: 1}\n"
+        "- {id: b, fault: drop, target: HIL_GPS, after: nobody}\n"
+        "- {id: c, fault: drop, target: HIL_GPS, after: a}\n"
+    )
+    with pytest.raises(ConfigError) as found:
+        read_schedule(path)
+    told = [line.removeprefix(f"{path}:") for line in str(found.value).splitlines()]
+    assert [line.partition(";")[0] for line in told] == [
+        "2: faults[0].value = 010 is octal to some",
+        "3: faults[1].fault = biass is unknown",
+        "4: faults[2].id = b stands twice",
+        "4: faults[2].after = nobody is no other fault",
+    ]

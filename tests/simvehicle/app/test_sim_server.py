@@ -195,7 +195,7 @@ def test_a_flight_begun_in_the_background_ends_with_its_summary(
             stderr=subprocess.PIPE,
             text=True,
         )
-        select.select([far], (), (), 200)
+        select.select(far.filenos(), (), (), 200)
         process.send_signal(number)
         _, told = process.communicate(timeout=60)
     assert process.returncode == 0

@@ -1,0 +1,77 @@
+"""Few descriptors, little memory, nothing that can be written: it says so and forwards."""
+
+import contextlib
+import socket
+from pathlib import Path
+
+import pytest
+
+from tests.hardening.proxy_process import driven
+
+
+@pytest.mark.parametrize(
+    ("limits", "reason"),
+    [
+        ("ulimit -n 16", "Too many open files"),
+        ("ulimit -v 300000", "Cannot allocate memory"),
+        ("ulimit -v 120000", "Cannot allocate memory"),
+    ],
+)
+def test_a_limited_proxy_goes_without_live_control_and_forwards(limits: str, reason: str) -> None:
+    with driven(limits=limits) as proxy:
+        assert proxy.process.stderr is not None
+        told = ""
+        while "no live control" not in told:
+            proxy.pass_frame()
+            told = proxy.process.stderr.readline()
+        assert told.startswith("no live control, forwarding goes on: ")
+        assert reason in told
+        for _ in range(100):
+            proxy.pass_frame()
+        printed, told = proxy.end()
+    assert told == ""
+    assert printed.split("\n")[1].split()[2] == str(proxy.sent)
+
+
+def test_live_control_asked_for_by_name_is_refused_with_the_limit() -> None:
+    with (
+        pytest.raises(AssertionError, match=r"live control cannot be had: .*ulimit -n"),
+        driven("--zenoh", "tcp/127.0.0.1:0", limits="ulimit -n 16"),
+    ):
+        pass
+
+
+def test_peers_beyond_the_descriptors_are_turned_away_and_the_others_served() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as place:
+        port = place.getsockname()[1]
+    options = ("--zenoh", "off", "--to", f"tcpin:127.0.0.1:{port}")
+    with contextlib.ExitStack() as opened, driven(*options, limits="ulimit -n 32") as proxy:
+        unknown = []
+        for _ in range(40):
+            unknown.append(opened.enter_context(socket.create_connection(("127.0.0.1", port))))
+            unknown[-1].setblocking(False)
+        turned_away = 0
+        while unknown:
+            proxy.pass_frame()
+            for peer in unknown[:]:
+                with contextlib.suppress(BlockingIOError):
+                    # A frame goes to those who were let in, the others hear the end.
+                    turned_away += not peer.recv(1)
+                    unknown.remove(peer)
+        printed, told = proxy.end()
+    assert 8 < turned_away < 40
+    assert told.count("no descriptor for a further peer; allow more (ulimit -n)") == 1
+    row = next(line for line in printed.splitlines() if line.startswith("tcpin"))
+    # One error for each that was turned away: the loop did not go round in vain.
+    assert int(row.split()[12]) == turned_away
+
+
+def test_without_a_home_or_a_folder_to_write_to_it_is_controlled_all_the_same(
+    tmp_path: Path,
+) -> None:
+    nowhere = {"HOME": "/proc/none", "XDG_STATE_HOME": "", "TMPDIR": str(tmp_path)}
+    with driven("--zenoh", "tcp/127.0.0.1:0", folder=Path("/proc"), **nowhere) as proxy:
+        for _ in range(100):
+            proxy.pass_frame()
+        _, told = proxy.end()
+    assert told == ""
