@@ -12,7 +12,21 @@ import msgspec
 EITHER = "-or-"  # joins those whom a detector cannot tell apart
 
 
-class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False):
+class Stamped(msgspec.Struct, frozen=True, kw_only=True, gc=False):
+    """What is said of one instant, by the one clock of labels, samples and faults: the vehicle's.
+
+    Whoever shows a time subtracts the zero that suits: `t0_us` of the labels, or the first stamp.
+    """
+
+    t_us: int
+
+    @property
+    def t_s(self) -> float:
+        """Seconds on the vehicle's clock."""
+        return self.t_us * 1e-6
+
+
+class Decision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False):
     """The verdict of the detector on one GNSS epoch.
 
     `hypothesis` is one of none, satellites, imu, clock, gps (without raw ranges: the receiver's own
@@ -26,8 +40,6 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=
     in use.
     """
 
-    t_s: float
-    t_us: int
     statistic: float | None
     threshold: float | None
     dof: int
@@ -39,7 +51,7 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=
     satellites: tuple[str, ...] = ()
     residual_m: tuple[float | None, ...] = ()
     normalised: tuple[float | None, ...] = ()  # residuals over their sigmas
-    onset_s: float | None = None
+    onset_us: int | None = None
     probabilities: dict[str, float] = {}
     position_ecef_m: tuple[float, float, float] | None = None
     position_sigma_m: tuple[float, float, float] | None = None
@@ -59,17 +71,13 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=
     vpl_m: float | None = None
 
 
-class SensorDecision(
-    msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False
-):
+class SensorDecision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False):
     """The verdict on another sensor against the inertial reference, or on the actuators.
 
     `sensor` is one of baro, airspeed, mag, vision, range, gps-position, gps-velocity, imu,
     actuators. `suspect` is who of them it is, where that is not the sensor itself.
     """
 
-    t_s: float
-    t_us: int
     sensor: str
     statistic: float | None
     threshold: float | None
@@ -80,13 +88,9 @@ class SensorDecision(
     suspect: str = ""
 
 
-class AttitudeError(
-    msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False
-):
+class AttitudeError(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False):
     """Estimate minus truth at one instant, in degrees, wrapped; `angle` is the rotation between."""
 
-    t_s: float
-    t_us: int
     estimator: str
     roll: float
     pitch: float
@@ -94,14 +98,12 @@ class AttitudeError(
     angle: float
 
 
-class FusedState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False):
+class FusedState(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False):
     """The fused navigation solution of one epoch with one-sigma values and the factors in use.
 
     `name` tells the solution ("fused") from the one without isolation computed beside it.
     """
 
-    t_s: float
-    t_us: int
     position_ecef_m: tuple[float, float, float]
     velocity_ned_mps: tuple[float, float, float]
     q_nb: tuple[float, float, float, float]

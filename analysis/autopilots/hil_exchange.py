@@ -202,7 +202,7 @@ class FromAutopilot:
     ) -> None:
         self.link = links[0]
         self._outward, self._patience, self._lockstep = outward, patience, lockstep
-        self._inboxes = {link.fileno(): Inbox(link) for link in links}
+        self._inboxes = [Inbox(link) for link in links]
 
     def frames(self, wait_s: float = 0.0) -> list[Frame]:
         """What came and left the proxy for the simulator."""
@@ -210,9 +210,10 @@ class FromAutopilot:
         outward, flight = self._outward, self._outward.flight
         outward.hear_all()
         found, outward.returned = outward.returned, []
-        ready, _, _ = select.select(self._inboxes, (), (), wait_s)
+        by_fd = {fd: inbox for inbox in self._inboxes for fd in inbox.link.filenos()}
+        ready, _, _ = select.select(by_fd, (), (), wait_s)
         for descriptor in ready:
-            for frame in self._inboxes[descriptor].frames():
+            for frame in by_fd[descriptor].frames():
                 if frame.layout is ANSWER:
                     self._lockstep.received(int(frame.number("time_usec")), time.monotonic())
                 for send in flight.core.received_frame(VEHICLE, frame, flight.now_us):

@@ -26,7 +26,6 @@ def decision(
     # A fault found by its past is one of satellites, also where this epoch passed.
     hypothesis = "satellites" if late and outcome.hypothesis == "none" else outcome.hypothesis
     return Decision(
-        t_s=epoch.t_us * 1e-6,
         t_us=epoch.t_us,
         statistic=outcome.statistic,
         threshold=outcome.threshold,
@@ -39,7 +38,7 @@ def decision(
         residual_m=tuple(outcome.residual_m),
         normalised=tuple(outcome.normalised),
         # The newest onset: older exclusions were told before.
-        onset_s=max(onsets) * 1e-6 if onsets else None,
+        onset_us=max(onsets, default=None),
         probabilities=dict(outcome.probabilities),
         position_ecef_m=_position(motion) if motion is not None else None,
         position_sigma_m=_sigma(motion, bounds) if motion and not outcome.unbounded else None,
@@ -63,7 +62,6 @@ def started(epoch: Epoch, observed: Observed, begun: Start, core: Core) -> Decis
     few = "" if begun.dof > 1 else "a start with 1 degree of freedom: it tests little"
     bounds = None if leapt else begun.bounds
     return Decision(
-        t_s=epoch.t_us * 1e-6,
         t_us=epoch.t_us,
         statistic=begun.statistic,
         threshold=begun.threshold,
@@ -86,7 +84,6 @@ def started(epoch: Epoch, observed: Observed, begun: Start, core: Core) -> Decis
 def untestable(t_us: int, reason: str, excluded: Iterable[str] = ()) -> Decision:
     """No decision, and why."""
     return Decision(
-        t_s=t_us * 1e-6,
         t_us=t_us,
         statistic=None,
         threshold=None,
@@ -108,7 +105,6 @@ def imu_results(epoch: Epoch, outcome: Outcome, config: DetectorConfig) -> list[
         return []
     return [
         SensorDecision(
-            t_s=epoch.t_us * 1e-6,
             t_us=epoch.t_us,
             sensor="imu",
             statistic=outcome.rate,
@@ -126,7 +122,6 @@ def rate_results(epoch: Epoch, outcome: Outcome) -> list[Result]:
     velocity alone."""
     return [
         SensorDecision(
-            t_s=epoch.t_us * 1e-6,
             t_us=epoch.t_us,
             sensor="satellites",
             suspect=name,

@@ -23,7 +23,7 @@ from analysis.detection.filter.propagation import keep_pending, split_pending
 from analysis.detection.isolation.epoch_test import judge_epoch
 from analysis.detection.isolation.exclusion import exclude
 from analysis.detection.isolation.ramp_test import onset_of
-from analysis.detection.sensors.receiver_fix import step_position
+from analysis.detection.receiver.receiver_fix import step_position
 from analysis.orbits.broadcast import pack_ephemeris
 from analysis.results import Result
 from analysis.samples.block import EPOCH, FIX, Block, ImuRun, Piece, block_of, pieces

@@ -5,7 +5,7 @@ import numpy as np
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import RECEIVER, Core
 from analysis.detection.isolation.chi_square import p_value
-from analysis.detection.sensors.position_test import Check
+from analysis.detection.receiver.position_test import Check
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import GpsFix
 
@@ -34,7 +34,6 @@ def fix_decision(
     if position is not None:
         sigma = np.sqrt(sigma**2 + LASTING**2 * (position.h[:, :3] ** 2).T @ position.variance)
     return Decision(
-        t_s=fix.t_us * 1e-6,
         t_us=fix.t_us,
         statistic=position.statistic if position else None,
         threshold=position.threshold if position else None,
@@ -69,7 +68,6 @@ def fix_sensors(
         if part is not None:
             results.append(
                 SensorDecision(
-                    t_s=fix.t_us * 1e-6,
                     t_us=fix.t_us,
                     sensor=sensor,
                     statistic=part.statistic,
@@ -83,7 +81,6 @@ def fix_sensors(
     if silent or hypothesis == "imu":
         results.append(
             SensorDecision(
-                t_s=fix.t_us * 1e-6,
                 t_us=fix.t_us,
                 sensor="imu",
                 # Silent: there was nothing to test.

@@ -32,7 +32,6 @@ def fused_state(graph: Graph, name: str, weights: dict[str, float], reason: str)
     numbers = rows.tolist()
     each: list[Any] = [tuple(numbers[at : at + 3]) for at in range(0, 15, 3)]
     return FusedState(
-        t_s=node.t_us * 1e-6,
         t_us=node.t_us,
         name=name,
         position_ecef_m=each[0],
@@ -51,7 +50,6 @@ def gap(last: FusedState, t_us: int, why: str) -> FusedState:
     """The last good state once more, where there is no other."""
     return msgspec.structs.replace(
         last,
-        t_s=t_us * 1e-6,
         t_us=t_us,
         weights={},  # nothing was used
         reason=f"the graph failed ({why}); this is the last good state",

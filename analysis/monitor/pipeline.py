@@ -10,8 +10,6 @@ from operator import itemgetter
 from typing import Any
 
 import msgspec
-import numpy as np
-from msgspec.structs import force_setattr
 
 from analysis.detection import DetectorConfig
 from analysis.detection.actuators.actuator_watch import ActuatorWatch
@@ -23,9 +21,10 @@ from analysis.detection.sensors.jamming_watch import JammingWatch
 from analysis.detection.sensors.level_watch import LevelWatch
 from analysis.detection.sensors.sensor_tests import References
 from analysis.detection.sensors.stream_watch import StreamWatch
+from analysis.detection.sensors.turn_watch import TurnWatch
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.results import Result, SensorDecision
-from analysis.samples.block import EPHEMERIS, Block, Piece, block_of, pieces
+from analysis.samples.block import Block, Piece, block_of, pieces
 from analysis.samples.sample import Sample
 from analysis.scoring.attitude_scores import with_repeaters_last
 from analysis.scoring.attitude_scoring import AUTOPILOTS, AttitudeConfig, AttitudeScorer
@@ -78,7 +77,7 @@ def monitor_config(values: Any, where: str, lines: Lines | None = None) -> Monit
 
 
 class Pipeline:
-    """The steps and their states; times in results count from the first stamped sample."""
+    """The steps and their states."""
 
     def __init__(self, config: MonitorConfig) -> None:
         self._attitude = AttitudeScorer(config.attitude)
@@ -89,6 +88,8 @@ class Pipeline:
         self._streams_state = StreamWatch().new_state()
         self._vote = InstanceVote()
         self._vote_state = self._vote.new_state()
+        self._turns = TurnWatch()
+        self._turns_state = self._turns.new_state()
         self._levels = LevelWatch()
         self._levels_state = self._levels.new_state()
         self._jamming = JammingWatch()
@@ -109,7 +110,6 @@ class Pipeline:
                 self._fusions.append(Fusion(believing, config.detector, WITHOUT_ISOLATION))
             self._feed_back = fed_back if config.fusion.feedback else None
         self._fusion_states = [fusion.new_state() for fusion in self._fusions]
-        self._t0_us: int | None = None
 
     def push(self, samples: Sample | Block) -> list[Result]:
         """What a block of samples, or a single one, leads to."""
@@ -118,10 +118,6 @@ class Pipeline:
 
     def push_rows(self, block: Block) -> list[tuple[int, Result]]:
         """The same with the row of the block that led to each."""
-        if self._t0_us is None:
-            # Ephemerides carry no stamp of the vehicle.
-            stamped = np.flatnonzero(block.kind < EPHEMERIS)
-            self._t0_us = int(block.t_us[stamped[0]]) if len(stamped) else None
         if self._fusions:
             found = [
                 (piece.last, result) for piece in pieces(block) for result in self._fused(piece)
@@ -134,7 +130,8 @@ class Pipeline:
             troubles, self._streams_state = self._streams.step(block, self._streams_state)
             left, self._levels_state = self._levels.step(block, self._levels_state)
             voted, self._vote_state = self._vote.step(block, self._vote_state)
-            troubles += left + voted
+            turned, self._turns_state = self._turns.step(block, self._turns_state)
+            troubles += left + voted + turned
         jammed, self._jamming_state = self._jamming.step(block, self._jamming_state)
         found += troubles + jammed
         obeyed, self._actuators_state = self._actuators.step(block, self._actuators_state)
@@ -146,9 +143,6 @@ class Pipeline:
         if self._actuators_state is not None:
             crash_us = int(self._actuators_state.counts[CRASH_US])
             found, self._imu_us = judged(found, crash_us, self._imu_us)
-        base_us = self._t0_us or 0
-        for _, result in found:  # they are this step's own, nobody has seen them yet
-            force_setattr(result, "t_s", (result.t_us - base_us) / 1e6)
         return found
 
     def _fused(self, piece: Piece) -> list[Result]:

@@ -13,7 +13,10 @@ REDRAW_S = 0.2
 
 
 class Watch:
-    """Redraws a small table a few times a second; into a pipe it prints what changes."""
+    """Redraws a small table a few times a second; into a pipe it prints what changes.
+
+    Seconds count from the first result.
+    """
 
     def __init__(self) -> None:
         self._console = Console()
@@ -21,6 +24,7 @@ class Watch:
         # Redrawn by hand: a thread of its own would cost more than the table.
         self._live = Live(console=self._console, auto_refresh=False)
         self._drawn_s = 0.0
+        self._begin_s: float | None = None
 
     def __enter__(self) -> "Watch":
         if self._console.is_terminal:
@@ -39,15 +43,18 @@ class Watch:
         """Take results and redraw when it is time."""
         for result in results:
             name, row = _row(result)
+            if self._begin_s is None:
+                self._begin_s = result.t_s
+            since_s = result.t_s - self._begin_s
             # Into a pipe only changes of the verdict are printed.
             before = self._rows.get(name)
             self._rows[name] = row
             if not self._console.is_terminal and (before is None or before[1] != row[1]):
-                self._console.print(f"{result.t_s:9.1f} s  {name:<14} {row[1]} {row[2]}")
+                self._console.print(f"{since_s:9.1f} s  {name:<14} {row[1]} {row[2]}")
         now_s = time.monotonic()
         if results and self._console.is_terminal and now_s - self._drawn_s > REDRAW_S:
             self._drawn_s = now_s
-            self._live.update(self._table(results[-1].t_s), refresh=True)
+            self._live.update(self._table(since_s), refresh=True)
 
     def _table(self, t_s: float) -> Table:
         table = Table("source", "value", "verdict", "", box=None, title=f"{t_s:.1f} s")

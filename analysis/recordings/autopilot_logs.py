@@ -1,7 +1,7 @@
 """PX4's ULog and ArduPilot's dataflash logs as samples: what the autopilot's sensors measured.
 
-Of each kind of sensor the first is read: magnetometer, barometer, airspeed, range finder, GPS; of
-ArduPilot's IMUs all. The autopilot's own attitude comes beside them.
+Of each kind of sensor the first is what detectors use; further IMUs, magnetometers, barometers and
+receivers are read for the vote. The autopilot's own attitude comes beside them.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -20,12 +20,17 @@ from analysis.samples.block import (
     COMMAND,
     COMMAND_SOURCE,
     FIX,
+    FIX_TYPE,
     IMU,
     IMU_ID,
     MAG,
     OUTPUTS,
     RANGE,
     SOURCES,
+    SPARE,
+    SPARE_ID,
+    SPARE_KIND,
+    SPARE_NUMBERS,
     WIDTH,
     Block,
     Part,
@@ -38,7 +43,9 @@ Topic = Mapping[str, NDArray[Any]]
 Columns = Callable[[Topic], list[NDArray[Any]]]
 Topics = Mapping[tuple[str, int], Topic]
 HEAD = 16
-IMUS = 3
+FIX_3D = 3
+INSTANCES = 3
+VOTERS = (IMU, MAG, BARO, FIX)  # kinds of which a log's further sensors are read
 SYSTEM = 1  # whose attitude it is
 MILLIGAUSS = 1e-3
 PER_OUTPUT = 1e-3  # of a sample, for microseconds of a pulse
@@ -93,7 +100,7 @@ def _parts(
     for name, kind, columns in table:
         if kind in done:
             continue
-        for number in range(IMUS if name == "IMU" else 1):
+        for number in range(INSTANCES if kind in VOTERS else 1):
             topic = topics.get((name, number))
             if topic is None:
                 continue
@@ -103,10 +110,25 @@ def _parts(
                 continue
             if kind == IMU:
                 values[:, IMU_ID] = number
+            elif number:
+                yield SPARE, *_spare(kind, number, topic[stamp].astype(np.int64), values)
+                continue
             done.add(kind)
             # The detector keeps to the IMU that speaks first.
             spoken = topic[stamp] >= topics.get((name, 0), topic)[stamp][0]
             yield kind, topic[stamp][spoken].astype(np.int64), values[spoken, :WIDTH]
+
+
+def _spare(
+    kind: int, number: int, t_us: NDArray[np.int64], values: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Stamps and rows of a further sensor, of a receiver those with a fix."""
+    keep = values[:, FIX_TYPE] >= FIX_3D if kind == FIX else np.ones(len(t_us), bool)
+    found = np.zeros((int(keep.sum()), SPARE_NUMBERS + 3))
+    found[:, SPARE_KIND], found[:, SPARE_ID] = kind, number
+    numbers = values[keep, :3]
+    found[:, SPARE_NUMBERS : SPARE_NUMBERS + numbers.shape[1]] = numbers
+    return t_us[keep], found
 
 
 def _each(*names: str, scale: float = 1.0) -> Columns:

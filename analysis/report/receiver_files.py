@@ -8,7 +8,7 @@ import numpy as np
 
 from analysis.recordings.position_reference import PositionReference
 from analysis.report.gnss_figures import gnss_pictures
-from analysis.report.recordings.from_results import recording_of_results
+from analysis.report.recordings.from_results import axis_start, recording_of_results
 from analysis.report.recordings.recording import Recording, Track
 from analysis.report.solution_files import write_solution
 from analysis.results import Decision, FusedState, Result
@@ -27,7 +27,7 @@ def receiver_files(
     integrity: Integrity,
 ) -> dict[str, Any]:
     """Write positions and tracks into the folder; tracks and pictures for the report."""
-    t0_us = results[0].t_us - round(results[0].t_s * 1e6) if results else 0
+    t0_us = axis_start(labels, results) or 0
     recording = recording_of_results(labels, results, t0_us)
     truth = [] if reference is None else _truth(results, reference, t0_us)
     recording.tracks.extend(truth)

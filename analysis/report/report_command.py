@@ -21,6 +21,7 @@ from analysis.report.recordings.opening import log_file, log_files
 from analysis.report.recordings.sources import group, read_flight
 from analysis.report.report_files import write_json, write_junit
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.whole_file import write_whole
 from mavproxy_fault.wire.label import read_labels
 
 
@@ -127,7 +128,7 @@ def write_report(
     tables = comparison_tables(outcome, others) if others else []
     page = log_page(outcome, tables)
     fields = field_data(recording.messages, data, folder)
-    (folder / "report.html").write_text(html(page, recording, fields), encoding="utf-8")
+    write_whole(folder / "report.html", html(page, recording, fields))
     write_json(folder / "summary.json", outcome.summary)
     write_junit(folder / "junit.xml", recording.name, outcome.checks)
 

@@ -8,12 +8,13 @@ from typing import Any
 
 from analysis.report.judging.checks import FAIL, NONE, Check
 from analysis.report.run_folder import finite
+from mavproxy_fault.documents.whole_file import write_whole
 
 
 def write_json(path: Path, summary: dict[str, Any]) -> None:
     """Write a summary; null stands for a number that is not finite."""
     text = json.dumps(finite(summary), indent=1, allow_nan=False, ensure_ascii=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    write_whole(path, text + "\n")
 
 
 def write_junit(path: Path, name: str, checks: Sequence[Check]) -> None:

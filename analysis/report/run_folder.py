@@ -3,7 +3,6 @@
 import itertools
 import json
 import math
-import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -11,8 +10,7 @@ from typing import Any
 
 from analysis.results import Result, encode_lines
 from mavproxy_fault.documents.errors import ConfigError
-
-FLUSH_S = 1.0  # what a killed run may lose of its results
+from mavproxy_fault.documents.whole_file import write_whole
 
 
 def make_folder(out: str | None, name: str) -> Path:
@@ -43,11 +41,10 @@ def make_folder(out: str | None, name: str) -> Path:
 
 
 class ResultFile:
-    """`results.jsonl`, one result a line, flushed each second of wall time."""
+    """`results.jsonl`, one result a line; what was written survives a kill of the process."""
 
     def __init__(self, folder: Path) -> None:
         self._file = (folder / "results.jsonl").open("wb")
-        self._flushed_s = time.monotonic()
 
     def __enter__(self) -> "ResultFile":
         return self
@@ -63,16 +60,13 @@ class ResultFile:
     def write(self, results: Iterable[Result]) -> None:
         """Append results."""
         self._file.write(encode_lines(results))
-        now_s = time.monotonic()
-        if now_s - self._flushed_s >= FLUSH_S:
-            self._flushed_s = now_s
-            self._file.flush()
+        self._file.flush()
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
     """`summary.json`, for people and scripts; null stands for a number that is not finite."""
     text = json.dumps(finite(summary), indent=2, allow_nan=False)
-    (folder / "summary.json").write_text(text + "\n")
+    write_whole(folder / "summary.json", text + "\n")
 
 
 def finite(value: Any) -> Any:

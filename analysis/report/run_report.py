@@ -11,10 +11,11 @@ from analysis.report.page.page_file import html
 from analysis.report.page.page_parts import SENSOR_LIMIT, Page
 from analysis.report.page.panels import DETECTION, FUSION
 from analysis.report.page.report_tables import criteria_reasons, facts, matrix_table, run_tables
-from analysis.report.recordings.from_results import recording_of_results
+from analysis.report.recordings.from_results import axis_start, recording_of_results
 from analysis.report.recordings.from_tlog import recording_of
 from analysis.report.recordings.recording import Recording, joined
 from analysis.results import Result
+from mavproxy_fault.documents.whole_file import write_whole
 from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.tlog import Columns
 
@@ -55,7 +56,7 @@ def write(
         The file written.
     """
     results = list(results)
-    t0_us = labels[0].t0_us if labels else _origin(results)
+    t0_us = axis_start(labels, results)
     flight = recording_of(columns, name=title, t0_us=t0_us) if columns else Recording(title)
     if t0_us is None:
         t0_us = flight.t0_us
@@ -70,12 +71,5 @@ def write(
     reasons, verdict = criteria_reasons(summary), str(summary.get("verdict", ""))
     page = Page(title, verdict, facts(summary), tables, SENSOR_LIMIT, reasons, pictures)
     path = out / "report.html"
-    path.write_text(
-        html(page, together, field_data(together.messages, str(INSIDE_MB), out)), encoding="utf-8"
-    )
+    write_whole(path, html(page, together, field_data(together.messages, str(INSIDE_MB), out)))
     return path
-
-
-def _origin(results: Sequence[Result]) -> int | None:
-    """The vehicle time of t_s = 0, from a result that gives both."""
-    return round(results[0].t_us - results[0].t_s * 1e6) if results else None

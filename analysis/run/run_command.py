@@ -80,8 +80,9 @@ def main(args: argparse.Namespace) -> int:
     if twin is not None:
         # It flies beside the run, on the second core, and is mostly done by now.
         twin.join()
-        curves = twin_curves(folder, folder / FOLDER, flight.core.clock.t0_us or 0)
-        summary["effects"] = effects(curves, flight.completed_labels())
+        t0_us = flight.core.clock.t0_us or 0
+        curves = twin_curves(folder, folder / FOLDER, t0_us)
+        summary["effects"] = effects(curves, flight.completed_labels(), t0_us)
     write_summary(folder, summary)
     if args.report:
         report(folder, summary, columns, curves)
@@ -130,8 +131,8 @@ def fly(
                     labels = flight.drain_labels()
                     recorder.write(flight.tape, labels, live.edits())
                     live.publish(flight.stats(), labels)
-                    # Somebody watches: results must not wait for a full batch.
-                    if together or ground is not None:
+                    # Somebody may watch: results must not wait for a full batch.
+                    if together or math.isfinite(pace.speed):
                         deliver(monitor.feed(b"", now=True))
                     progress.show(flight.t_us * 1e-6, flight.engine.active)
         # After the loop too: a stop ends the faults as the scenario's end does.

@@ -48,6 +48,9 @@ class MonitorDiedError(RuntimeError):
 @contextlib.contextmanager
 def _without(*signals: signal.Signals) -> Iterator[None]:
     """Signals are the parent's, who still wants a summary: what is started inherits the mask."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows has no signals to mask
+        yield
+        return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     try:
         yield

@@ -24,6 +24,7 @@ from analysis.samples.sample import (
     MagSample,
     RangeSample,
     Sample,
+    SpareSample,
     TruthSample,
     Vector,
     VisionSample,
@@ -38,6 +39,7 @@ WIDTH = 13
 IMU, MAG, BARO, AIRSPEED, RANGE, VISION, TRUTH, ATTITUDE = range(8)
 FIX, EPOCH, EPHEMERIS, IONOSPHERE = range(8, 12)  # what may lead to a decision: events
 COMMAND = 12  # behind them, as its stamp need not be of the sensors' clock
+SPARE = 13  # a further sensor of a kind
 KINDS: dict[type, int] = {
     ImuSample: IMU,
     MagSample: MAG,
@@ -52,6 +54,7 @@ KINDS: dict[type, int] = {
     EphemerisSample: EPHEMERIS,
     IonosphereSample: IONOSPHERE,
     CommandSample: COMMAND,
+    SpareSample: SPARE,
 }
 # The index is what stands in a row for the message's name.
 SOURCES = (
@@ -63,6 +66,7 @@ CONTROLS, OUTPUTS = SOURCES.index("HIL_ACTUATOR_CONTROLS"), SOURCES.index("OUTPU
 RATES, FORCE, IMU_ID = 0, 3, 6  # of an IMU
 FIX_VELOCITY, FIX_TYPE = 3, 6  # of a fix
 COMMAND_SOURCE = 12  # of a command, behind the outputs
+SPARE_KIND, SPARE_ID, SPARE_NUMBERS = range(3)  # of a further sensor
 ATTITUDE_SOURCE = 5  # of an attitude, behind the quaternion and the system
 UNKNOWN_3 = (np.nan, np.nan, np.nan)
 
@@ -173,6 +177,7 @@ ROWS: dict[int, Callable[[Any], Sequence[float]]] = {
     TRUTH: lambda s: (*s.q_nb, *s.omega_b_rps, s.lat_deg, s.lon_deg, s.alt_m, *s.v_ned_mps),
     ATTITUDE: lambda s: (*s.q_nb, s.system, SOURCES.index(s.source)),
     COMMAND: lambda s: (*s.outputs, SOURCES.index(s.source)),
+    SPARE: lambda s: (s.kind, s.instance, *s.numbers),
     FIX: lambda s: (
         *(s.lat_deg, s.lon_deg, s.alt_m),
         *_or_unknown(s.v_ned_mps),
@@ -219,6 +224,7 @@ SAMPLES: dict[int, Callable[[int, Vector], Sample]] = {
     ATTITUDE: lambda t, v: AttitudeSample(t, v[0:4], int(v[4]), SOURCES[int(v[ATTITUDE_SOURCE])]),
     FIX: _fix,
     COMMAND: lambda t, v: CommandSample(t, v[:COMMAND_SOURCE], SOURCES[int(v[COMMAND_SOURCE])]),
+    SPARE: lambda t, v: SpareSample(t, int(v[SPARE_KIND]), int(v[SPARE_ID]), v[SPARE_NUMBERS:8]),
 }
 
 

@@ -5,11 +5,11 @@ takes longer.
 """
 
 import queue
-import select
 import threading
 from collections.abc import Iterator
 from types import TracebackType
 
+from mavproxy_fault.links.descriptors import wait_on
 from mavproxy_fault.links.link import Link
 
 MOST_CHUNKS = 500_000  # about ten minutes of HIL traffic
@@ -55,8 +55,8 @@ class Intake:
 
     def _receive(self) -> None:
         while not self._over.is_set():
-            # `select` with a time limit: the thread must look at the flag also on a silent link.
-            select.select([self._link.fileno()], [], [], PATIENCE_S)
+            # With a time limit: the thread must look at the flag also on a silent link.
+            wait_on([self._link], PATIENCE_S)
             for _, data in self._link.read():
                 try:
                     self._chunks.put_nowait(data)

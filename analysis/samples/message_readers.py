@@ -27,6 +27,8 @@ from analysis.samples.block import (
     OUTPUTS,
     RANGE,
     SOURCES,
+    SPARE,
+    SPARE_NUMBERS,
     TRUTH,
     VISION,
     Indices,
@@ -46,6 +48,7 @@ AIRSPEED_BIT = 0x400
 HECTOPASCAL = 100.0
 DOWNWARD = 25  # MAV_SENSOR_ROTATION_PITCH_270
 BODY_FRD = 12  # MAV_FRAME_BODY_FRD
+FIX_3D = 3  # GPS_FIX_TYPE
 # MAVLink's word for unknown in unsigned 16-bit fields.
 UNKNOWN_16 = 0xFFFF
 PER_OUTPUT = 1e-3  # of a sample, for microseconds of a pulse
@@ -118,10 +121,26 @@ def _since_boot(rows: Rows) -> Stamps:
 
 
 def _scaled_imu(rows: Rows) -> list[Read]:
+    return _whole(IMU, _since_boot(rows), _scaled(rows))
+
+
+def _scaled(rows: Rows) -> Vector:
+    """Rates and specific force (m, 6) in rad/s and m/s^2."""
     # Milliradians per second and thousandths of gravity.
     rates = _numbers(rows, "xgyro", "ygyro", "zgyro") * 1e-3
     force = _numbers(rows, "xacc", "yacc", "zacc") * (STANDARD_GRAVITY_MPS2 * 1e-3)
-    return _whole(IMU, _since_boot(rows), np.column_stack([rates, force]))
+    return np.column_stack([rates, force])
+
+
+def _further_imu(number: int) -> Callable[[Rows], list[Read]]:
+    """SCALED_IMU2 and 3, for the vote of IMUs."""
+    return lambda rows: _whole(SPARE, _since_boot(rows), _spare(IMU, number, _scaled(rows)))
+
+
+def _spare(kind: int, number: int, numbers: Vector) -> Vector:
+    """Rows of a further sensor from its numbers (m, n)."""
+    known = np.full((len(numbers), SPARE_NUMBERS), (kind, number), float)
+    return np.column_stack([known, numbers])
 
 
 def _fix(rows: Rows, source: str, v_ned: Vector, accuracy_m: Vector) -> list[Read]:
@@ -139,6 +158,14 @@ def _hil_gps(rows: Rows) -> list[Read]:
     # Centimetres; in HIL_GPS unknown is the largest number.
     accuracy_m = np.where(accuracy != UNKNOWN_16, accuracy * 1e-2, np.nan)
     return _fix(rows, "HIL_GPS", _numbers(rows, "vn", "ve", "vd") * 1e-2, accuracy_m)
+
+
+def _second_fix(rows: Rows) -> list[Read]:
+    """The place that a second receiver tells, for the vote of receivers."""
+    row = np.flatnonzero(rows["fix_type"] >= FIX_3D)
+    place = _numbers(rows[row], "lat", "lon", "alt") * (1e-7, 1e-7, 1e-3)
+    t_us = rows["time_usec"][row].astype(np.int64)
+    return [Read(SPARE, row, t_us, _spare(FIX, 1, place))]
 
 
 def _gps_raw_int(rows: Rows) -> list[Read]:
@@ -240,8 +267,11 @@ READERS: dict[str, Callable[[Rows], list[Read]]] = {
     "HIL_SENSOR": _hil_sensor,
     "HIGHRES_IMU": _highres_imu,
     "SCALED_IMU": _scaled_imu,
+    "SCALED_IMU2": _further_imu(1),
+    "SCALED_IMU3": _further_imu(2),
     "HIL_GPS": _hil_gps,
     "GPS_RAW_INT": _gps_raw_int,
+    "GPS2_RAW": _second_fix,
     "HIL_STATE_QUATERNION": _hil_state,
     "HIL_ACTUATOR_CONTROLS": _actuator_controls,
     "SERVO_OUTPUT_RAW": _servo_outputs,

@@ -200,6 +200,21 @@ class CommandSample:
     source: str = "HIL_ACTUATOR_CONTROLS"
 
 
+@dataclass(frozen=True, slots=True)
+class SpareSample:
+    """What a further sensor of one kind measures, which nothing but the vote of its kind uses.
+
+    `kind` is that of the block, `instance` counts from 1; `numbers` (up to 6,) are rates in rad/s
+    and specific force in m/s^2, the field in gauss, the pressure in Pa, or latitude and longitude
+    in degrees and altitude in m.
+    """
+
+    t_us: int
+    kind: int
+    instance: int
+    numbers: Vector
+
+
 Sample = (
     ImuSample
     | MagSample
@@ -214,4 +229,5 @@ Sample = (
     | TruthSample
     | AttitudeSample
     | CommandSample
+    | SpareSample
 )

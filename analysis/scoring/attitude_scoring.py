@@ -224,17 +224,16 @@ class AttitudeScorer:
                 known.append(cells.at(mine))
             if known:
                 state.sums[number] = known[-1].sums[-1]
-        return self._results(state.t0_us, estimates.at(opened), error[opened], row[opened])
+        return self._results(estimates.at(opened), error[opened], row[opened])
 
     def _results(
-        self, t0_us: int, estimates: Estimates, error: Vector, row: Indices
+        self, estimates: Estimates, error: Vector, row: Indices
     ) -> list[tuple[int, AttitudeError]]:
         columns = row, estimates.source, estimates.t_us, *np.degrees(error).T
         return [
             (
                 at,
                 AttitudeError(
-                    t_s=(t_us - t0_us) * 1e-6,
                     t_us=t_us,
                     estimator=self._names[number],
                     roll=roll,

@@ -8,7 +8,6 @@ from analysis.results import Decision, SensorDecision, decode, encode, read_resu
 
 def decision(t_s: float) -> Decision:
     return Decision(
-        t_s=t_s,
         t_us=int(t_s * 1e6),
         statistic=3.5,
         threshold=25.0,
@@ -26,7 +25,7 @@ def test_a_result_survives_json() -> None:
 
 def test_the_kind_of_a_result_is_in_its_json() -> None:
     sensor = SensorDecision(
-        t_s=0, t_us=0, sensor="baro", statistic=math.inf, threshold=1, dof=1, alarm=True
+        t_us=0, sensor="baro", statistic=math.inf, threshold=1, dof=1, alarm=True
     )
     assert b'"type":"SensorDecision"' in encode(sensor)
     assert decode(encode(sensor)).statistic is None  # type: ignore[union-attr]

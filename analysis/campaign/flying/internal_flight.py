@@ -65,10 +65,11 @@ def fly(
             phases.note(flight.t_us * 1e-6, truth)
     batch += flight.finish().monitor
     results += monitor.push_bytes([bytes(batch)], datagrams=False)
+    t0_us = flight.core.clock.t0_us or 0
     found = {
-        name: of_monitor(results, np.array(track))
+        name: of_monitor(results, np.array(track), t0_us)
         if name == MONITOR
-        else of_estimator(results, name)
+        else of_estimator(results, name, t0_us)
         for name in subjects
     }
     labels = flight.drain_labels()
@@ -88,18 +89,22 @@ def write_logs(flight: Flight, labels: Sequence[Label], folder: Path) -> None:
     recorder.close(flight.core.clock.t0_us, flight.now_us)
 
 
-def of_estimator(results: Sequence[Result], name: str) -> Evidence:
-    """An estimator's attitude error; it flags nothing."""
+def _seconds(result: Result, t0_us: int) -> float:
+    return round((result.t_us - t0_us) * 1e-6, 3)
+
+
+def of_estimator(results: Sequence[Result], name: str, t0_us: int) -> Evidence:
+    """An estimator's attitude error by seconds from `t0_us`; it flags nothing."""
     errors = [r for r in results if isinstance(r, AttitudeError) and r.estimator == name]
     curve = Curve(
-        [round(e.t_s, 3) for e in errors],
+        [_seconds(e, t0_us) for e in errors],
         # An estimate that is no number any more counts as wrong as can be.
         [round(e.angle, 4) if np.isfinite(e.angle) else WIDEST_DEG for e in errors],
     )
     return Evidence({ATTITUDE: curve})
 
 
-def of_monitor(results: Sequence[Result], track: Vector) -> Evidence:
+def of_monitor(results: Sequence[Result], track: Vector, t0_us: int) -> Evidence:
     """The monitor's position error by the true track (n, 4) [us, m ECEF], and its alarms."""
     decisions = [r for r in results if isinstance(r, Decision)]
     fixes = [d for d in decisions if d.position_ecef_m is not None]
@@ -108,10 +113,10 @@ def of_monitor(results: Sequence[Result], track: Vector) -> Evidence:
         t_us = np.array([d.t_us for d in fixes])
         true = np.stack([np.interp(t_us, track[:, 0], track[:, i]) for i in (1, 2, 3)], axis=1)
         error = np.linalg.norm(np.array([d.position_ecef_m for d in fixes]) - true, axis=1)
-        curves[POSITION] = Curve([round(d.t_s, 3) for d in fixes], error.round(3).tolist())
-    alarms = [Mark(d.t_s, "detected", d.hypothesis) for d in decisions if d.alarm]
+        curves[POSITION] = Curve([_seconds(d, t0_us) for d in fixes], error.round(3).tolist())
+    alarms = [Mark(_seconds(d, t0_us), "detected", d.hypothesis) for d in decisions if d.alarm]
     alarms += [
-        Mark(r.t_s, "detected", r.sensor)
+        Mark(_seconds(r, t0_us), "detected", r.sensor)
         for r in results
         if isinstance(r, SensorDecision) and r.alarm
     ]

@@ -16,6 +16,7 @@ from analysis.campaign.plan import Plan
 from analysis.campaign.results.campaign_page import page
 from analysis.campaign.results.grid import badness
 from analysis.campaign.results.outcome_markdown import markdown
+from mavproxy_fault.documents.whole_file import write_whole
 
 MOST_CURVES = 300  # flights whose curves stand in the page: the worst
 
@@ -48,10 +49,8 @@ def write_page(
         for subject, evidence in flown.evidence.items()
     }
     text = page(plan, results, curves, twins, reload_s)
-    # Put in place whole: a browser may load it at any moment.
-    fresh = folder / "campaign.html.part"
-    fresh.write_text(text, encoding="utf-8")
-    fresh.replace(folder / "campaign.html")
+    # A browser may load it at any moment.
+    write_whole(folder / "campaign.html", text)
     return campaign, results
 
 

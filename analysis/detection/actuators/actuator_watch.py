@@ -83,7 +83,6 @@ def _commanded(effects: Effects) -> Obedience:
 def _result(t_us: int, blamed: list[str], statistic: float, deficit: float) -> SensorDecision:
     name = EITHER.join(blamed)
     return SensorDecision(
-        t_s=t_us * 1e-6,
         t_us=t_us,
         sensor=ACTUATORS,
         statistic=None if statistic == OFF else statistic,

@@ -28,6 +28,7 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import matrix, turned
 
 # An older alignment begins anew: the gyro's bias grows in it with time.
 LONGEST_S = 20.0
+SLOWEST_S = 0.07  # between samples of an IMU that may carry the filter
 # A shorter one would rest on the noise of a few velocities.
 SHORTEST_S = 2.0
 HEADING_BY_MOTION_RAD = 0.12
@@ -134,6 +135,9 @@ def find_attitude(
     """After an epoch without inertial attitude: gather, and switch to the IMU once it is found."""
     if motion.inertial or not len(part.samples) or part.gap_s > config.gap_s:
         return motion
+    # Between samples so far apart a vehicle turns in ways that nobody measured.
+    if dt_s > SLOWEST_S * (len(part.samples) - 1):
+        return motion._replace(alignment=None)
     # An IMU that was blamed must stay sound for a while before it may give an attitude.
     if core.imu_bad_until_us is not None and motion.t_us < core.imu_bad_until_us:
         return motion

@@ -1,96 +1,171 @@
-"""IMUs of one vehicle vote: who disagrees with two others that agree is at fault.
+"""Sensors of one kind vote: who disagrees with two others that agree is at fault.
 
-All of them feel the same motion, so that the differences of their means over half a second stay
-what they are: mounting, calibration. Two differences that change together name the IMU that both
-have in common; of two IMUs a difference tells that one of them is wrong, and not who.
+All of them feel the same, so that the differences of their means over a moment stay what they are:
+mounting, calibration. Two differences that change together name the sensor that both have in
+common; of two sensors a difference tells that one of them is wrong, and not who. IMUs vote on rates
+and forces, magnetometers on the field along the vehicle's axes, barometers on the altitude,
+receivers on their place.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import combinations, pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from analysis.results import SensorDecision
-from analysis.samples.block import IMU, IMU_ID, Block
+from analysis.samples.block import (
+    BARO,
+    FIX,
+    FIX_TYPE,
+    IMU,
+    IMU_ID,
+    MAG,
+    SPARE,
+    SPARE_ID,
+    SPARE_KIND,
+    SPARE_NUMBERS,
+    Block,
+    Indices,
+)
 from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
-IMUS, NUMBERS = 3, 6
-WINDOW_US = 500_000
-LEAST_SAMPLES = 5  # in a window: of fewer the mean hangs on their times
+MOST = 3  # of one kind
 LEARNT, MEMORY = 10, 60  # windows
-# rad/s and m/s^2: the least change of a difference that counts, and its own spread
-LEAST = np.repeat([0.03, 0.5], 3)
 SIGMAS, LASTS = 8.0, 2  # windows in a row
-PAIRS = tuple(combinations(range(IMUS), 2))
+PAIRS = tuple(combinations(range(MOST), 2))
+FIX_3D = 3
+METRES_PER_PASCAL = 0.0843  # ICAO standard atmosphere at sea level
+
+
+class Voters(NamedTuple):
+    """The sensors of one kind: `sensor` is their channel; a mean is that of a window of `window_us`
+    with `fewest` samples, `least` (n,) is the least change of a difference that counts."""
+
+    kind: int
+    sensor: str
+    name: str
+    window_us: int
+    fewest: int
+    least: Vector
+
+
+VOTERS = (
+    # rad/s and m/s^2; gauss; m; m north, east, up
+    Voters(IMU, "imu", "IMU", 500_000, 5, np.repeat([0.03, 0.5], 3)),
+    Voters(MAG, "mag", "magnetometer", 1_000_000, 3, np.full(3, 0.1)),
+    Voters(BARO, "baro", "barometer", 1_000_000, 3, np.array([3.0])),
+    Voters(FIX, "gps-position", "receiver", 2_000_000, 3, np.array([10.0, 10.0, 15.0])),
+)
 
 
 @dataclass
 class Difference:
-    """Of two IMUs: mean and mean square (6,) of the difference, windows, windows off in a row."""
+    """Of two sensors: mean and mean square (n,) of the difference, windows, windows off in a
+    row."""
 
-    mean: Vector = field(default_factory=lambda: np.zeros(NUMBERS))
-    square: Vector = field(default_factory=lambda: np.zeros(NUMBERS))
+    mean: Vector
+    square: Vector
     windows: int = 0
     off: int = 0
 
 
-@dataclass
 class VoteState:
-    """The window that is being filled, its sums (IMUS, 6) and counts (IMUS,), and differences."""
+    """Of one kind: the window that is being filled, its sums (MOST, n) and counts (MOST,), and
+    differences."""
 
-    window: int | None = None
-    sums: Vector = field(default_factory=lambda: np.zeros((IMUS, NUMBERS)))
-    counts: Vector = field(default_factory=lambda: np.zeros(IMUS))
-    differences: dict[tuple[int, int], Difference] = field(
-        default_factory=lambda: {pair: Difference() for pair in PAIRS}
-    )
+    def __init__(self, count: int) -> None:
+        self.window: int | None = None
+        self.sums, self.counts = np.zeros((MOST, count)), np.zeros(MOST)
+        self.differences = {pair: Difference(np.zeros(count), np.zeros(count)) for pair in PAIRS}
 
 
 @dataclass(frozen=True)
 class InstanceVote:
-    """A step of the pipeline; with one IMU it does nothing."""
+    """A step of the pipeline; with one sensor of each kind it does nothing."""
 
-    def new_state(self) -> VoteState:
+    def new_state(self) -> list[VoteState]:
         """Nothing came yet."""
-        return VoteState()
+        return [VoteState(len(voters.least)) for voters in VOTERS]
 
     def step(
-        self, block: Block, state: VoteState
-    ) -> tuple[list[tuple[int, SensorDecision]], VoteState]:
+        self, block: Block, state: list[VoteState]
+    ) -> tuple[list[tuple[int, SensorDecision]], list[VoteState]]:
         """Who disagrees, by the row that shows it, and the next state.
 
         The state is changed in place.
         """
-        rows = block.rows(IMU)
-        ids = block.values[rows, IMU_ID].astype(int)
-        # Only the first IMU has spoken so far: there is nobody to compare it with.
-        if state.window is None and not ids.any():
-            return [], state
-        known = (ids >= 0) & (ids < IMUS) & np.isfinite(block.values[rows, :NUMBERS]).all(axis=1)
-        rows, ids = rows[known], ids[known]
-        windows = block.t_us[rows] // WINDOW_US
         found: list[tuple[int, SensorDecision]] = []
-        for begin, end in _runs(windows):
-            row, window = int(rows[begin]), int(windows[begin])
-            if window != state.window:
-                found += [(row, result) for result in _judged(int(block.t_us[row]), state)]
-                state.window = window
-                state.sums[:], state.counts[:] = 0.0, 0.0
-            np.add.at(state.sums, ids[begin:end], block.values[rows[begin:end], :NUMBERS])
-            np.add.at(state.counts, ids[begin:end], 1.0)
+        spare = block.rows(SPARE)
+        for voters, own in zip(VOTERS, state, strict=True):
+            found += _voted(block, spare, voters, own)
         return found, state
 
 
-def _runs(numbers: Vector) -> Iterator[tuple[int, int]]:
+def _voted(
+    block: Block, spare: Indices, voters: Voters, state: VoteState
+) -> list[tuple[int, SensorDecision]]:
+    rows, ids = _rows(block, spare, voters.kind)
+    # Only the first has spoken so far: there is nobody to compare it with.
+    if state.window is None and not ids.any():
+        return []
+    numbers = _numbers(block, rows, voters.kind)
+    known = (ids >= 0) & (ids < MOST) & np.isfinite(numbers).all(axis=1)
+    rows, ids, numbers = rows[known], ids[known], numbers[known]
+    windows = block.t_us[rows] // voters.window_us
+    found: list[tuple[int, SensorDecision]] = []
+    for begin, end in _runs(windows):
+        row, window = int(rows[begin]), int(windows[begin])
+        if window != state.window:
+            found += [(row, result) for result in _judged(int(block.t_us[row]), voters, state)]
+            state.window = window
+            state.sums[:], state.counts[:] = 0.0, 0.0
+        np.add.at(state.sums, ids[begin:end], numbers[begin:end])
+        np.add.at(state.counts, ids[begin:end], 1.0)
+    return found
+
+
+def _rows(block: Block, spare: Indices, kind: int) -> tuple[Indices, Indices]:
+    """The rows (m,) of all sensors of a kind in their order, and which sensor each is of."""
+    rows = block.rows(kind)
+    ids = block.values[rows, IMU_ID].astype(int) if kind == IMU else np.zeros(len(rows), int)
+    further = spare[block.values[spare, SPARE_KIND] == kind]
+    if not len(further):
+        return rows, ids
+    ids = np.r_[ids, block.values[further, SPARE_ID].astype(int)]
+    rows = np.r_[rows, further]
+    order = np.argsort(rows, kind="stable")
+    return rows[order], ids[order]
+
+
+def _numbers(block: Block, rows: Indices, kind: int) -> Vector:
+    """What the sensors of a kind are compared by (m, n); not finite where there is nothing."""
+    first = block.kind[rows] == kind
+    count = IMU_ID if kind == IMU else 3
+    at = np.where(first, 0, SPARE_NUMBERS)[:, None] + np.arange(count)
+    values: Vector = block.values[rows[:, None], at]
+    if kind in (IMU, MAG):
+        return values
+    if kind == BARO:
+        return -METRES_PER_PASCAL * values[:, :1]
+    lat, lon = np.radians(values[:, 0]), np.radians(values[:, 1])
+    level = MEAN_EARTH_RADIUS_M * np.column_stack([lat, lon * np.cos(lat)])
+    found = np.column_stack([level, values[:, 2]])
+    found[first & ~(block.values[rows, FIX_TYPE] >= FIX_3D)] = np.nan
+    return found
+
+
+def _runs(numbers: Indices) -> Iterator[tuple[int, int]]:
     """Where equal numbers in a row begin and end."""
     edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
     return ((a, b) for a, b in pairwise(edges) if b > a)
 
 
-def _judged(t_us: int, state: VoteState) -> list[SensorDecision]:
+def _judged(t_us: int, voters: Voters, state: VoteState) -> list[SensorDecision]:
     """The vote on the window that is full."""
-    heard = [i for i in range(IMUS) if state.counts[i] >= LEAST_SAMPLES]
+    heard = [i for i in range(MOST) if state.counts[i] >= voters.fewest]
     off = {
         pair
         for pair in combinations(heard, 2)
@@ -98,15 +173,16 @@ def _judged(t_us: int, state: VoteState) -> list[SensorDecision]:
             state.sums[pair[0]] / state.counts[pair[0]]
             - state.sums[pair[1]] / state.counts[pair[1]],
             state.differences[pair],
+            voters.least,
         )
     }
     alone = [
         i for i in heard if len(heard) > 2 and all(_pair(i, j) in off for j in heard if j != i)
     ]
     if len(alone) == 1:
-        return [_result(t_us, alone, "disagrees with the others")]
+        return [_result(t_us, voters, alone, "disagrees with the others")]
     if len(heard) == 2 and off:
-        return [_result(t_us, heard, "disagree")]
+        return [_result(t_us, voters, heard, "disagree")]
     return []
 
 
@@ -114,12 +190,12 @@ def _pair(i: int, j: int) -> tuple[int, int]:
     return (min(i, j), max(i, j))
 
 
-def _is_off(now: Vector, known: Difference) -> bool:
-    """Whether a difference (6,) has left what it was, which is learnt where it has not."""
+def _is_off(now: Vector, known: Difference, least: Vector) -> bool:
+    """Whether a difference (n,) has left what it was, which is learnt where it has not."""
     change = now - known.mean
-    least = np.maximum(LEAST, SIGMAS * np.sqrt(known.square))
+    most = np.maximum(least, SIGMAS * np.sqrt(known.square))
     # Nothing is learnt meanwhile, or the fault would become what is usual.
-    if known.windows >= LEARNT and (np.abs(change) > least).any():
+    if known.windows >= LEARNT and (np.abs(change) > most).any():
         known.off += 1
         return known.off >= LASTS
     known.off = 0
@@ -131,15 +207,14 @@ def _is_off(now: Vector, known: Difference) -> bool:
     return False
 
 
-def _result(t_us: int, who: list[int], says: str) -> SensorDecision:
-    names = [f"IMU {i + 1}" for i in who]
+def _result(t_us: int, voters: Voters, who: list[int], says: str) -> SensorDecision:
+    names = [f"{voters.name} {i + 1}" for i in who]
     return SensorDecision(
-        t_s=t_us * 1e-6,
         t_us=t_us,
-        sensor="imu",
+        sensor=voters.sensor,
         statistic=None,
         threshold=None,
-        dof=NUMBERS,
+        dof=len(voters.least),
         alarm=True,
         isolated=len(who) == 1,
         reason=f"{' and '.join(names)} {says}",

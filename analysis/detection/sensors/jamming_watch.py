@@ -146,7 +146,6 @@ def fallen_together(losses_db: Iterable[float], already: bool = False) -> float:
 def _result(t_us: int, fallen_db: float) -> SensorDecision:
     weaker = f"jamming: all signals are {fallen_db:.0f} dB weaker"
     return SensorDecision(
-        t_s=t_us * 1e-6,
         t_us=t_us,
         sensor="satellites",
         statistic=None,

@@ -72,7 +72,6 @@ def _has_fix(block: Block) -> Quantities:
 
 def _result(t_us: int, level: int, off: float) -> SensorDecision:
     return SensorDecision(
-        t_s=t_us * 1e-6,
         t_us=t_us,
         sensor=SENSOR_OF[level],
         statistic=None,

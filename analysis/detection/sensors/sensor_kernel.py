@@ -38,7 +38,7 @@ OF_ROW, SENSOR, CODE, STATISTIC, DOF, IS_OUT, DECIDED_US, FIX_OF, OUTCOME = rang
 QUIET_S = 30.0  # in which a sensor shows how quiet it is
 SIGMA, WALK, QUIET = range(3)  # rows of the noise
 # By kind of sample the sensor it belongs to (of a fix the first of two); -1: none
-SENSOR_OF = (-1, 0, 1, 2, 3, 4, -1, -1, models.GPS_POSITION, -1, -1, -1, -1)
+SENSOR_OF = (-1, 0, 1, 2, 3, 4, -1, -1, models.GPS_POSITION, -1, -1, -1, -1, -1)
 
 Counts = NDArray[np.int64]
 

@@ -205,7 +205,6 @@ def _results(outcomes: Vector, thresholds: Vector) -> list[tuple[int, Result]]:
         (
             at,
             SensorDecision(
-                t_s=stamp_us * 1e-6,
                 t_us=stamp_us,
                 sensor=SENSORS[number],
                 statistic=statistic if why == TESTED and math.isfinite(statistic) else None,

@@ -25,8 +25,8 @@ STREAMS = ("imu", "imu", "imu", "mag", "baro", "airspeed", "range", "vision", "g
 LINK = len(STREAMS) - 1
 SATELLITES = LINK - 1  # raw ranges have no stamp of their own, theirs is another message's
 # By kind of sample its stream, and how many of its numbers are measured; -1: only a witness of time
-STREAM_OF = (0, 3, 4, 5, 6, 7, -1, -1, 8, 9, -2, -2, -2)
-NUMBERS = (6, 3, 1, 1, 1, 3, 0, 0, 0, 0, 0, 0, 0)
+STREAM_OF = (0, 3, 4, 5, 6, 7, -1, -1, 8, 9, -2, -2, -2, -2)
+NUMBERS = (6, 3, 1, 1, 1, 3, 0, 0, 0, 0, 0, 0, 0, 0)
 FIX_SOURCE, OWN_SOURCE = 10, SOURCES.index("HIL_GPS")  # a fix's column of who sent it
 FIX_NUMBERS, MOVING_MPS = 5, 1.0  # of a fix: place and level velocity together, while it moves
 
@@ -38,6 +38,7 @@ SURE_US, ALONE_US = 250_000, 1_000_000  # for which a leap of several streams, o
 RHYTHM = 5  # samples after which the interval of a stream is about known
 REGULAR = 1.5  # usual intervals after which a sample still comes as it should
 INTERVALS = 5.0  # usual intervals that a pause must be long
+PAUSES, FORGOTTEN_US = 1.5, 60e6  # longest pauses of late, in a log or on a link that loses much
 LATE_US = 300_000
 BACK_US = 20_000
 STANDS = 5
@@ -47,6 +48,7 @@ EPOCH_1970_US = 100_000_000_000_000  # later stamps do not count from boot
 AGAIN_US = 500_000  # between two results about the same trouble
 NEVER_US = -(1 << 62)
 
+INTERVAL, LATENESS, PAUSE = range(3)  # what is usual of a stream
 # What is counted of a stream
 LAST_US, COUNT, DUE_US, STOOD, REPORTED_US, CLOCK, HEARD_US = range(7)
 # Of each number of a stream: when it took its value, how often it stayed, the most that it ever did
@@ -59,7 +61,8 @@ NEWEST_US, QUIET_US, FROM_US, TO_US, BY = range(5)
 class Watched(NamedTuple):
     """What is known of s streams; `watch` changes it in place.
 
-    `counts` (s, 7), `usual` (s, 2): interval and lateness in us; the newest `values` (s, w) and the
+    `counts` (s, 7), `usual` (s, 3): interval, lateness and longest pause in us;
+    the newest `values` (s, w) and the
     `runs` (s, w, 3) of each number; `clocks` (2, 5).
     """
 
@@ -90,7 +93,8 @@ def _tell(found: Found, row: int, t_us: int, stream: int, what: int, seconds: fl
 
 @inlined
 def _limit_us(usual: Vector, stream: int) -> int:
-    limit_us: int = max(SILENT_US, int(INTERVALS * usual[stream, 0]))
+    own_us = max(INTERVALS * usual[stream, INTERVAL], PAUSES * usual[stream, PAUSE])
+    limit_us: int = max(SILENT_US, int(own_us))
     return limit_us
 
 
@@ -139,7 +143,7 @@ def _leaps(watched: Watched, stream: int, ahead_us: int, t_us: int) -> bool:
     """Whether a sample is further ahead of the newest than its stream alone is believed."""
     if stream < 0 or watched.counts[stream, COUNT] < RHYTHM:
         return ahead_us > SILENT_US
-    regular_us = REGULAR * watched.usual[stream, 0]  # a slow stream alone may carry time on
+    regular_us = REGULAR * watched.usual[stream, INTERVAL]  # a slow stream alone may carry time on
     return ahead_us > LEAP_US and t_us - watched.counts[stream, LAST_US] > regular_us
 
 
@@ -179,7 +183,7 @@ def _stamp_is_wrong(
     """Whether a sample's stamp goes back, stands or comes too late, which is told."""
     count = watched.counts[s]
     gap_us, late_us = t_us - count[LAST_US], newest_us - t_us
-    limit_us = watched.usual[s, 1] + max(LATE_US, INTERVALS * watched.usual[s, 0])
+    limit_us = watched.usual[s, LATENESS] + max(LATE_US, INTERVALS * watched.usual[s, INTERVAL])
     if gap_us < -BACK_US:
         _tell(found, row, newest_us, s, BACK, -gap_us * 1e-6)
         return True
@@ -199,9 +203,11 @@ def _stamp_is_wrong(
 def _learn(usual: Vector, s: int, count: int, gap_us: int, late_us: int) -> None:
     """The interval and the lateness of a stream, from a sample as it should be."""
     share = max(SHARE, 1.0 / (1.0 + count))
-    if count < LEARNT or gap_us < INTERVALS * usual[s, 0]:
-        usual[s, 0] += share * (gap_us - usual[s, 0])
-    usual[s, 1] += share * (late_us - usual[s, 1])
+    if count < LEARNT or gap_us < INTERVALS * usual[s, INTERVAL]:
+        usual[s, INTERVAL] += share * (gap_us - usual[s, INTERVAL])
+    usual[s, LATENESS] += share * (late_us - usual[s, LATENESS])
+    if count >= RHYTHM and gap_us < _limit_us(usual, s):
+        usual[s, PAUSE] = max(gap_us, usual[s, PAUSE] * (1.0 - gap_us / FORGOTTEN_US))
 
 
 @inlined
@@ -277,7 +283,7 @@ def watch(kind: Indices, t_us: Stamps, values: Vector, watched: Watched, found: 
         newest_us = clocks[clock, NEWEST_US]
         if now_us > newest_us:
             if newest_us != NEVER_US:
-                usual[LINK, 0] += SHARE * (now_us - newest_us - usual[LINK, 0])
+                usual[LINK, INTERVAL] += SHARE * (now_us - newest_us - usual[LINK, INTERVAL])
             clocks[clock, NEWEST_US] = newest_us = now_us
             if now_us >= clocks[clock, QUIET_US]:
                 _silent(watched, found, row, s, clock, now_us)

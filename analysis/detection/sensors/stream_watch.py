@@ -48,7 +48,7 @@ class StreamWatch:
         counts[:, REPORTED_US] = NEVER_US
         return Watched(
             counts,
-            np.zeros((count, 2)),
+            np.zeros((count, 3)),
             # NaN equals nothing: no first value is a repetition.
             np.full((count, WIDTH), np.nan),
             np.zeros((count, WIDTH, 3), np.int64),
@@ -74,7 +74,6 @@ class StreamWatch:
 
 def _result(t_us: int, stream: int, what: int, seconds: float) -> SensorDecision:
     return SensorDecision(
-        t_s=t_us * 1e-6,
         t_us=t_us,
         sensor=STREAMS[stream],
         statistic=None,

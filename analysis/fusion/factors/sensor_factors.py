@@ -6,7 +6,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from analysis.detection.sensors.position_test import measure
+from analysis.detection.receiver.position_test import measure
 from analysis.detection.sensors.sensor_models import (
     SLOW_AIR_MPS,
     density_kgpm3,

@@ -53,13 +53,12 @@ def twin_curves(folder: Path, twin: Path, t0_us: int) -> list[Signal]:
     return found
 
 
-def effects(curves: Sequence[Signal], labels: Sequence[Label]) -> list[dict[str, Any]]:
-    """By fault the greatest and the lasting change of each curve."""
-    # From the label's own zero, which is the axis of the curves too.
-    starts_s = [(label.start_us - label.t0_us) * 1e-6 for label in labels]
+def effects(curves: Sequence[Signal], labels: Sequence[Label], t0_us: int) -> list[dict[str, Any]]:
+    """By fault the greatest and the lasting change of each curve, whose axis starts at `t0_us`."""
+    starts_s = [(label.start_us - t0_us) * 1e-6 for label in labels]
     rows = []
     for label, start_s in zip(labels, starts_s, strict=True):
-        end_s = np.inf if label.end_us is None else (label.end_us - label.t0_us) * 1e-6 + RECOVERY_S
+        end_s = np.inf if label.end_us is None else (label.end_us - t0_us) * 1e-6 + RECOVERY_S
         # Until the next fault begins: what follows is not told apart.
         end_s = min([end_s, *(other for other in starts_s if other > start_s)])
         row: dict[str, Any] = {"id": label.id}

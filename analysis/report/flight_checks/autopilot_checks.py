@@ -1,14 +1,23 @@
 """What the autopilot itself said: flags, texts, system status."""
 
+import numpy as np
+
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, Check, Windows, within
 from analysis.report.judging.texts import texts_check
 from analysis.report.recordings.recording import Recording
 
+SWITCHES_S = 10.0
+
 
 def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
     """One check a voice."""
-    return [_flags(recording, armed), texts_check(recording, armed), _status(recording, armed)]
+    return [
+        _flags(recording, armed),
+        _switches(recording, th, armed),
+        texts_check(recording, armed),
+        _status(recording, armed),
+    ]
 
 
 def _flags(recording: Recording, armed: Windows | None) -> Check:
@@ -29,6 +38,32 @@ def _flags(recording: Recording, armed: Windows | None) -> Check:
         shown += f" and {len(spans) - 4} more"
     windows = tuple((s.start_s, s.end_s) for s in spans)
     return Check(name=name, verdict=WARN, evidence=shown, limit="warn: any", windows=windows)
+
+
+def _switches(recording: Recording, th: Thresholds, armed: Windows | None) -> Check:
+    """How often the estimator in use changed: one change helps, many within seconds do not."""
+    name, (warn, fail) = "estimator switches", th.estimator_switches
+    limit = f"warn from {warn:g}, fail from {fail:g} within {SWITCHES_S:g} s"
+    spans = [s for s in recording.spans if s.lane == "estimator in use"]
+    if not spans or armed == []:
+        reason = "never armed" if spans else "not told, or one throughout"
+        return Check(name=name, verdict=NONE, evidence=reason, limit=limit)
+    # The first is the one it began with.
+    starts_s = np.sort([s.start_s for s in spans])[1:]
+    starts_s = starts_s[[within(float(t_s), armed) for t_s in starts_s]]
+    counts = np.arange(1, len(starts_s) + 1) - np.searchsorted(starts_s, starts_s - SWITCHES_S)
+    most = int(counts.max(initial=0))
+    if most < warn:
+        evidence = f"at most {most} within {SWITCHES_S:g} s"
+        return Check(name=name, verdict=PASS, evidence=evidence, limit=limit)
+    end_s = float(starts_s[counts.argmax()])
+    return Check(
+        name=name,
+        verdict=FAIL if most >= fail else WARN,
+        evidence=f"{len(starts_s)} in all, {most} within {SWITCHES_S:g} s up to {end_s:.1f} s",
+        limit=limit,
+        windows=((end_s - SWITCHES_S, end_s),),
+    )
 
 
 def _status(recording: Recording, armed: Windows | None) -> Check:

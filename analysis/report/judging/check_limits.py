@@ -48,6 +48,7 @@ class Thresholds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     gyro_apart_rps: tuple[float, float] = (0.05, 0.2)
     accel_apart_mps2: tuple[float, float] = (1.0, 3.0)
     estimators_apart_deg: tuple[float, float] = (5.0, 15.0)
+    estimator_switches: tuple[float, float] = (3.0, 8.0)
     cell_v: tuple[float, float] = (3.4, 3.2)
     long_loops: tuple[float, float] = (100.0, 1000.0)
     hold_s: float = 1.0

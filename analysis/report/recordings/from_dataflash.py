@@ -21,6 +21,7 @@ from analysis.report.recordings.mode_names import (
     mode_name,
 )
 from analysis.report.recordings.recording import (
+    REFUSED_S,
     UNGRADED,
     Event,
     Message,
@@ -29,7 +30,8 @@ from analysis.report.recordings.recording import (
     Span,
     Track,
     Vector,
-    runs,
+    active_spans,
+    flag_events,
 )
 
 ARMED, DISARMED = 10, 11  # EV.Id
@@ -38,6 +40,11 @@ NOT_YET = 3  # severity of an error
 # Bits of the field TS.
 TIMEOUTS = {0: "position timeout", 1: "velocity timeout", 2: "height timeout", 3: "compass timeout"}
 SOLUTION = {14: "GPS glitch"}  # bits of the field SS, nav_filter_status in AP_Nav_Common.h
+# Test ratios of innovations: from 1 on a measurement is refused.
+REFUSED = {
+    "SV": "velocity refused", "SP": "position refused", "SH": "height refused",
+    "SM": "compass refused", "SVT": "airspeed refused",
+}  # fmt: skip
 GPS_EPOCH_US = 315_964_800_000_000  # 6 January 1980 in Unix time
 WEEK_US = 604_800_000_000
 LEAP_US = 18_000_000  # GPS is ahead of UTC since 2017
@@ -142,17 +149,20 @@ def _add_flags(found: Recording, log: DataflashFile, start_us: int) -> None:
     if topic is None:
         return
     t_s = _seconds(topic, start_us)
+    spans: list[Span] = []
     for field, texts in (("TS", TIMEOUTS), ("SS", SOLUTION)):
         if field not in topic:
             continue
         flags: NDArray[np.int64] = topic[field].astype(np.int64)
         for bit, text in texts.items():
-            for begin, end in runs(flags >> bit & 1 == 1):
-                lane = f"estimator: {text}"
-                # The end of a stretch is the first row without the flag.
-                stop = float(t_s[min(end, len(t_s) - 1)])
-                found.spans.append(Span(lane, float(t_s[begin]), stop, text, "flag"))
-                found.events.append(Event(float(t_s[begin]), "flag", f"{lane} raised", 4))
+            lane = f"estimator: {text}"
+            spans += active_spans(lane, t_s, flags >> bit & 1 == 1, text, "flag")
+    for field, text in REFUSED.items():
+        if field in topic:
+            refused = topic[field] >= 1.0  # innovation over its gate
+            spans += active_spans(f"estimator: {text}", t_s, refused, text, "flag", REFUSED_S)
+    found.spans.extend(spans)
+    found.events.extend(flag_events(spans, float(t_s[-1])))
 
 
 def _add_core(found: Recording, log: DataflashFile, start_us: int) -> None:

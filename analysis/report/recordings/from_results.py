@@ -16,6 +16,13 @@ EVERY_EPOCH = {"fdi-residual", "fdi-normalised", "fdi-probability"}
 Points = dict[tuple[str, str], list[tuple[float, float]]]
 
 
+def axis_start(labels: Sequence[Label], results: Sequence[Result]) -> int | None:
+    """The vehicle's time that is zero on an axis: the schedule's, else that of the first result."""
+    if labels:
+        return labels[0].t0_us
+    return results[0].t_us if results else None
+
+
 def recording_of_results(
     labels: Sequence[Label], results: Iterable[Result], t0_us: int
 ) -> Recording:

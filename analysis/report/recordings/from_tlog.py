@@ -23,9 +23,9 @@ from analysis.report.recordings.recording import (
     Message,
     Recording,
     Signal,
-    Span,
     Track,
-    runs,
+    active_spans,
+    flag_events,
     stretches,
 )
 from mavproxy_fault.wire.tlog import Columns
@@ -261,14 +261,10 @@ def _add_flags(found: Recording, vehicle: _Vehicle) -> None:
         t_s, flags = _in_order(vehicle.clock.seconds(rows), rows["flags"].astype(float))
         for bit, text in bits.items():
             raised = flags.astype(np.int64) >> bit & 1 == 1
-            for begin, end in runs(raised):
-                # Up to the first sample without the flag.
-                stop = float(t_s[min(end, len(t_s) - 1)])
-                lane = f"estimator: {text}{vehicle.suffix}"
-                found.spans.append(Span(lane, float(t_s[begin]), stop, text, "flag"))
-                found.events.append(Event(float(t_s[begin]), "flag", f"{lane} raised", 4))
-                if end < len(t_s):
-                    found.events.append(Event(stop, "flag", f"{lane} cleared", 5))
+            lane = f"estimator: {text}{vehicle.suffix}"
+            spans = active_spans(lane, t_s, raised, text, "flag")
+            found.spans.extend(spans)
+            found.events.extend(flag_events(spans, float(t_s[-1])))
 
 
 def _add_texts(found: Recording, vehicle: _Vehicle) -> None:

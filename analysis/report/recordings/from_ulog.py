@@ -1,7 +1,6 @@
 """A PX4 ULog to a `Recording`; topics and fields as PX4's message definitions name them."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +9,6 @@ from analysis.recordings.ulog import Topic, ULogFile
 from analysis.report.curves.field_values import values_of
 from analysis.report.curves.ulog_curves import CURVES
 from analysis.report.curves.ulog_innovations import innovations
-from analysis.report.recordings.mode_names import ESTIMATOR_FLAGS
 from analysis.report.recordings.recording import (
     Event,
     Message,
@@ -18,9 +16,11 @@ from analysis.report.recordings.recording import (
     Signal,
     Span,
     Track,
-    runs,
+    active_spans,
+    flag_events,
     stretches,
 )
+from analysis.report.recordings.ulog_flags import flag_spans
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
 Values = NDArray[np.float64]
@@ -30,31 +30,6 @@ NAV_STATES = {
     18: "LAND", 19: "FOLLOW", 20: "PRECLAND", 21: "ORBIT", 22: "VTOL TAKEOFF",
 }  # fmt: skip
 ARMED = 2
-UNLIKELY_FLAGS = ("fs_", "reject_")  # of estimator_status_flags: faults and refused measurements
-GPS_CHECKS = "gps_check_fail_flags"
-# Bits of estimator_status, as PX4's message definition numbers them; the last field was dropped
-# when estimator_status_flags came.
-ESTIMATOR_BITS = {
-    "solution_status_flags": ESTIMATOR_FLAGS,
-    GPS_CHECKS: {
-        0: "GPS fix refused", 1: "GPS satellites refused", 2: "GPS dilution refused",
-        3: "GPS horizontal accuracy refused", 4: "GPS vertical accuracy refused",
-        5: "GPS speed accuracy refused", 6: "GPS horizontal drift refused",
-        7: "GPS vertical drift refused", 8: "GPS horizontal speed refused",
-        9: "GPS vertical speed refused",
-    },
-    "innovation_check_flags": {
-        0: "velocity refused", 1: "horizontal position refused", 2: "vertical position refused",
-        3: "compass x refused", 4: "compass y refused", 5: "compass z refused", 6: "yaw refused",
-        7: "airspeed refused",
-    },
-}  # fmt: skip
-FAILSAFES = (
-    "attitude_invalid", "local_position_invalid", "global_position_invalid", "gcs_connection_lost",
-    "manual_control_signal_lost", "battery_unhealthy", "geofence_breached", "mission_failure",
-    "wind_limit_exceeded", "fd_critical_failure", "fd_imbalanced_prop", "fd_motor_failure",
-    "local_position_accuracy_low",
-)  # fmt: skip
 JAMMING = {2: "warning", 3: "critical"}  # jamming_state of sensor_gps
 SPOOFING = {2: "indicated", 3: "multiple indications"}
 SATURATED = 0.99  # of a motor's range
@@ -75,7 +50,10 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Rec
                 found.signals.append(Signal(curve.panel, curve.name + suffix, t_s, y))
         try:
             found.tracks.extend(_tracks(topic_name, suffix, topic, t_s))
-            found.spans.extend(_spans(topic_name, suffix, topic, t_s))
+            spans = _spans(topic_name, suffix, topic, t_s)
+            spans += flag_spans(topic_name, suffix, topic, t_s)
+            found.spans.extend(spans)
+            found.events.extend(flag_events(spans, float(t_s[-1])))
         except KeyError:  # a definition that is damaged, or of another version of PX4
             log_lacks.append(topic_name)
     found.signals.extend(innovations(log.topics, log.parameters, start_us))
@@ -151,17 +129,6 @@ def _spans(name: str, suffix: str, topic: Topic, t_s: Values) -> list[Span]:
         texts = [NAV_STATES.get(state, f"state {state}") for state in states]
         words = ["armed" if now else "disarmed" for now in armed]
         return stretches("mode", t_s, texts) + stretches("armed", t_s, words)
-    if name == "failsafe_flags":
-        return _flag_spans("failsafe", FAILSAFES, topic, t_s)
-    if name == "estimator_status_flags":
-        flags = [key for key in topic if key.startswith(UNLIKELY_FLAGS)]
-        return _flag_spans(f"estimator{suffix}", flags, topic, t_s)
-    if name == "estimator_status":
-        return [
-            span
-            for field, texts in ESTIMATOR_BITS.items()
-            for span in _bit_spans(f"estimator{suffix}", (field, texts), topic, t_s)
-        ]
     if name == "estimator_selector_status":
         texts = [f"instance {i + 1}" for i in topic["primary_instance"].tolist()]
         return stretches("estimator in use", t_s, texts)
@@ -187,43 +154,13 @@ def _state_spans(
 
 def _saturated(topic: Topic, t_s: Values) -> list[Span]:
     """When each motor was at the top of its range."""
-    found = []
+    found: list[Span] = []
     for number in range(1, 13):
         raw = topic.get(f"control[{number - 1}]")
         if raw is not None:
-            for begin, end in runs(raw >= SATURATED):
-                span = (float(t_s[begin]), float(t_s[min(end, len(t_s) - 1)]))
-                found.append(Span("motor at its limit", *span, f"motor {number}", "warn"))
-    return found
-
-
-def _flag_spans(lane: str, flags: Sequence[str], topic: Topic, t_s: Values) -> list[Span]:
-    spans = []
-    for flag in flags:
-        raised: NDArray[Any] | None = topic.get(flag)
-        if raised is None or raised.all():
-            continue  # a flag that is always up tells of the set-up, not of the flight
-        for begin, end in runs(raised.astype(bool)):
-            stop = float(t_s[min(end, len(t_s) - 1)])
-            text = flag.replace("_", " ")
-            spans.append(Span(f"{lane}: {text}", float(t_s[begin]), stop, text, "flag"))
-    return spans
-
-
-def _bit_spans(
-    lane: str, bits: tuple[str, Mapping[int, str]], topic: Topic, t_s: Values
-) -> list[Span]:
-    """Stretches in which bits of a field were set that mean trouble."""
-    field, texts = bits
-    found: list[Span] = []
-    # A receiver that is not good enough yet is no alarm: the estimator goes on with what it has.
-    kind = "warn" if field == GPS_CHECKS else "flag"
-    for bit, text in texts.items() if field in topic else ():
-        raised = topic[field].astype(np.int64) >> bit & 1 == 1
-        # A bit that is always set tells of the set-up, not of the flight.
-        for begin, end in [] if raised.all() else runs(raised):
-            stop = float(t_s[min(end, len(t_s) - 1)])
-            found.append(Span(f"{lane}: {text}", float(t_s[begin]), stop, text, kind))
+            found += active_spans(
+                "motor at its limit", t_s, raw >= SATURATED, f"motor {number}", "warn"
+            )
     return found
 
 
@@ -234,10 +171,7 @@ def _mode_events(spans: Sequence[Span]) -> list[Event]:
         if span.kind == "mode" and span.lane in lanes:  # the first one is no change
             found.append(Event(span.start_s, "mode", span.text))
         lanes.add(span.lane)
-    # Mode events come from the spans, flags too: each stretch is told once.
-    return found + [
-        Event(s.start_s, "flag", f"{s.lane} raised", 4) for s in spans if s.kind == "flag"
-    ]
+    return found
 
 
 def _notes(log: ULogFile, lacking: Sequence[str]) -> list[str]:

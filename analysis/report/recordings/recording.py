@@ -160,6 +160,40 @@ def runs(active: NDArray[np.bool_]) -> list[tuple[int, int]]:
     )
 
 
+REFUSED_S = 1.0  # of an estimator: single measurements are refused in sound flights too
+
+
+def active_spans(
+    lane: str,
+    t_s: NDArray[np.float64],
+    active: NDArray[np.bool_],
+    text: str,
+    kind: str,
+    least_s: float = 0.0,
+) -> list[Span]:
+    """One span per stretch of True at the times `t_s` (n,) that lasts `least_s` or longer.
+
+    It ends at the first row without.
+    """
+    last = len(t_s) - 1
+    return [
+        Span(lane, float(t_s[begin]), stop_s, text, kind)
+        for begin, end in runs(active)
+        if (stop_s := float(t_s[min(end, last)])) - float(t_s[begin]) >= least_s
+    ]
+
+
+def flag_events(spans: Sequence[Span], end_s: float) -> list[Event]:
+    """When flags were raised and cleared; at `end_s` the log of them ends, and no flag with it."""
+    found = []
+    for span in spans:
+        if span.kind == "flag":
+            found.append(Event(span.start_s, "flag", f"{span.lane} raised", 4))
+            if span.end_s < end_s:
+                found.append(Event(span.end_s, "flag", f"{span.lane} cleared", 5))
+    return found
+
+
 def stretches(
     lane: str, t_s: NDArray[np.float64], values: Sequence[str], kind: str = "mode"
 ) -> list[Span]:

@@ -11,7 +11,7 @@ import msgspec
 from analysis.recordings.dataflash import is_dataflash, read_dataflash
 from analysis.recordings.ulog import is_ulog, read_ulog
 from analysis.report.recordings.from_dataflash import recording_of_dataflash
-from analysis.report.recordings.from_results import recording_of_results
+from analysis.report.recordings.from_results import axis_start, recording_of_results
 from analysis.report.recordings.from_tlog import merged, recording_of
 from analysis.report.recordings.from_ulog import recording_of_ulog
 from analysis.report.recordings.recording import Recording, joined
@@ -156,7 +156,7 @@ def _results_alone(path: Path, labels: Sequence[Label]) -> Flight:
     results = _results(path) if path.suffix == ".jsonl" else _mcap_results(path)
     if not results:
         raise ConfigError(f"{path}: no results in the file; give results.jsonl or its MCAP export")
-    t0_us = labels[0].t0_us if labels else round(results[0].t_us - results[0].t_s * 1e6)
+    t0_us = axis_start(labels, results) or 0
     recording = recording_of_results(labels, results, t0_us)
     end_s = (max(result.t_us for result in results) - t0_us) * 1e-6
     return Flight(replace(recording, name=path.stem, duration_s=end_s), (path,), labels, results)

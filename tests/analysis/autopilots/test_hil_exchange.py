@@ -125,7 +125,7 @@ def test_a_delayed_answer_frees_the_step_and_acts_later(flight_of):
             fly(outward, 1)
             lockstep.sent(outward.step_us, 0.0)
             autopilot.sendall(answer(outward.step_us))
-            select.select([link], [], [], 5.0)
+            select.select(link.filenos(), [], [], 5.0)
             found = [f for f in inward.frames() if f.layout.name == "HIL_ACTUATOR_CONTROLS"]
             acted.append([int(frame.number("time_usec")) for frame in found])
             assert lockstep.wait_s(0.0) == 0.0
@@ -179,7 +179,7 @@ def answer(stamp_us):
 def connected(link):
     with socket.create_connection(("127.0.0.1", link.port), timeout=5) as autopilot:
         while not link.peer_count:
-            select.select([link], [], [], 5.0)
+            select.select(link.filenos(), [], [], 5.0)
             link.read()
         yield autopilot
 

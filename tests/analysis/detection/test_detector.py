@@ -99,8 +99,8 @@ def test_a_slow_ramp_is_found_by_its_past_before_eight_metres_and_repaired(fligh
     first = next(decision for decision in found if decision.alarm)
     assert first.excluded == (name,)
     assert 0.5 * (first.t_s - FROM_S) < 8.0
-    assert first.onset_s is not None
-    assert first.onset_s < first.t_s
+    assert first.onset_us is not None
+    assert first.onset_us < first.t_us
     clean = errors(flight, decisions(flight))
     assert np.sqrt((errors(changed, found) ** 2).mean()) < 1.3 * np.sqrt((clean**2).mean())
 

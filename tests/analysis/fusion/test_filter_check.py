@@ -136,7 +136,6 @@ def test_a_graph_that_knows_much_less_than_the_filter_is_told(begun):
 
 def state_at(x_m: float) -> FusedState:
     return FusedState(
-        t_s=0.0,
         t_us=0,
         position_ecef_m=(x_m, 0.0, 0.0),
         velocity_ned_mps=(0.0, 0.0, 0.0),
@@ -153,7 +152,7 @@ def state_at(x_m: float) -> FusedState:
 )
 def test_a_graph_that_is_not_told_apart_from_the_filter_has_its_position(off_m, told_m, share):
     decision = Decision(
-        t_s=0.0, t_us=0, statistic=1.0, threshold=9.0, dof=5, p_value=0.5, alarm=False,
+        t_us=0, statistic=1.0, threshold=9.0, dof=5, p_value=0.5, alarm=False,
         hypothesis="none", position_ecef_m=(0.0, 0.0, 0.0), position_sigma_m=(3.0, 0.0, 0.0),
     )  # fmt: skip
     told = told_apart(state_at(off_m), decision)

@@ -22,7 +22,6 @@ CONFIG = FusionConfig()
 def decided(**changes: object) -> Decision:
     """A clean decision on three satellites, changed."""
     clean = Decision(
-        t_s=1.0,
         t_us=1_000_000,
         statistic=3.0,
         threshold=20.0,
@@ -74,7 +73,7 @@ def test_without_decisions_everything_weighs_one():
 def test_isolated_and_alarmed_sensors_are_left_out():
     said = [
         SensorDecision(
-            t_s=0, t_us=0, sensor=name, statistic=1, threshold=1, dof=1, alarm=alarm, isolated=out
+            t_us=0, sensor=name, statistic=1, threshold=1, dof=1, alarm=alarm, isolated=out
         )
         for name, alarm, out in (("baro", True, False), ("mag", False, True), ("imu", False, False))
     ]
@@ -106,7 +105,7 @@ def test_fusion_is_off_unless_asked_for():
 def test_a_wrong_rate_is_that_of_the_satellite_it_is_told_of():
     def told(sensor: str, suspect: str) -> SensorDecision:
         return SensorDecision(
-            t_s=0.0, t_us=0, sensor=sensor, statistic=40.0, threshold=30.0, dof=8, alarm=True,
+            t_us=0, sensor=sensor, statistic=40.0, threshold=30.0, dof=8, alarm=True,
             isolated=True, suspect=suspect,
         )  # fmt: skip
 

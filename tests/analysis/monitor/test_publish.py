@@ -1,17 +1,18 @@
 """Results on the bus."""
 
+import json
 import queue
+from pathlib import Path
 
 import msgspec
 
 from analysis.monitor.publish import Publisher
-from analysis.results import Decision, decode
+from analysis.results import AttitudeError, Decision, FusedState, SensorDecision, decode
 from mavproxy_fault.links.bus import open_bus
 
 
 def decision(t_s: float, excluded: tuple[str, ...] = ()) -> Decision:
     return Decision(
-        t_s=t_s,
         t_us=int(t_s * 1e6),
         statistic=3.0,
         threshold=25.0,
@@ -46,3 +47,42 @@ def test_isolation_is_told_when_the_excluded_change_and_not_with_every_verdict()
         Publisher(bus).publish(decisions)
         told = [got.get(timeout=5) for _ in range(3)]  # one of each verdict would be another
     assert [decode(data) for data in told] == [decisions[0], *decisions[2:]]
+
+
+def test_every_key_that_is_published_has_a_schema_and_none_is_listed_in_vain() -> None:
+    zeros: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    fused = FusedState(
+        t_us=1, position_ecef_m=zeros, velocity_ned_mps=zeros, q_nb=(1.0, 0.0, 0.0, 0.0),
+        position_sigma_m=zeros, velocity_sigma_mps=zeros, attitude_sigma_deg=zeros,
+    )  # fmt: skip
+    results = [
+        decision(0.0, ("G12",)),
+        SensorDecision(t_us=1, sensor="{sensor}", statistic=1.0, threshold=2.0, dof=1, alarm=True),
+        AttitudeError(t_us=1, estimator="{estimator}", roll=0.0, pitch=0.0, yaw=0.0, angle=0.0),
+        fused,
+        msgspec.structs.replace(fused, name="another"),
+    ]
+    published: list[str] = []
+
+    class Bus:
+        """One that only notes the keys: placeholders are no keys that Zenoh would take."""
+
+        def put(self, suffix: str, *_: object, history: int = 0) -> None:
+            published.append(suffix)
+
+    Publisher(Bus()).publish(results)  # type: ignore[arg-type]
+    schema = json.loads((Path(__file__).parents[3] / "docs" / "zenoh.schema.json").read_text())
+    listed = {key for key in schema["keys"] if not key.startswith(("proxy/", "schedule/"))}
+    assert set(published) == listed
+
+
+def test_a_plain_get_finds_nothing_and_who_joins_late_the_newest() -> None:
+    with open_bus("tcp/127.0.0.1:0", run="t", router=True) as bus:
+        Publisher(bus).publish([decision(0.0), decision(0.4, ("G12",))])
+        with open_bus(bus.url, run="t") as late:
+            replies = [reply.ok for reply in late._session.get(late.key("fdi/isolation"))]
+            got: queue.Queue[bytes] = queue.Queue(20)
+            late.subscribe("fdi/isolation", lambda _, data: got.put(data))
+            kept = decode(got.get(timeout=60))
+    assert replies == []
+    assert kept == decision(0.4, ("G12",))

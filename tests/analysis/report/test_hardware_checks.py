@@ -123,3 +123,27 @@ def test_what_lasts_until_arming_warns_and_what_ended_before_does_not() -> None:
     early = Signal("gps-fix", "GPS", T_S, np.where(T_S < 5, 0.0, 3.0))
     assert verdict(checks(late, armed=(10.5, 60.0)), "before arming") == "WARN"
     assert verdict(checks(early, armed=(10.5, 60.0)), "before arming") == "PASS"
+
+
+@pytest.mark.parametrize(
+    ("starts_s", "expected"),
+    [
+        ([], "not judged"),
+        ([0.0, 12.0, 30.0, 60.0], "PASS"),
+        ([0.0, 12.0, 15.0, 21.0], "WARN"),
+        ([0.0, 70.0, 71.0, 72.0], "PASS"),  # disarmed
+        ([0.0, *np.arange(20.0, 28.0)], "FAIL"),
+    ],
+)
+def test_an_estimator_that_is_changed_again_and_again_is_told(
+    starts_s: list[float], expected: str
+) -> None:
+    ends_s = [*starts_s[1:], 90.0]
+    spans = [Span("armed", 1.0, 65.0, "armed", "mode")]
+    spans += [
+        Span("estimator in use", begin, end, f"instance {i % 2 + 1}", "mode")
+        for i, (begin, end) in enumerate(zip(starts_s, ends_s, strict=False))
+    ]
+    recording = Recording("a", spans=spans, duration_s=90.0)
+    found = {check.name: check for check in flight_checks(recording, Thresholds())}
+    assert found["estimator switches"].verdict == expected

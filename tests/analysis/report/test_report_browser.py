@@ -75,7 +75,7 @@ def test_a_logarithmic_plot_has_a_range_that_its_curves_can_be_drawn_in(
     """A grid without curves has ink enough for the test above."""
     decisions = [
         Decision(
-            t_s=float(t), t_us=t * 1_000_000, statistic=3.0 + 40.0 * (10 <= t < 20), threshold=18.5,
+            t_us=t * 1_000_000, statistic=3.0 + 40.0 * (10 <= t < 20), threshold=18.5,
             dof=2, p_value=None, alarm=10 <= t < 20, hypothesis="none", excluded=(),
             satellites=("G01",), residual_m=(0.5,),
         )

@@ -180,7 +180,22 @@ def test_what_ardupilots_estimator_says_of_a_receiver_is_a_flag(tmp_path: Path) 
     found = recording_of_dataflash(log, "a")
     (span,) = [span for span in found.spans if span.kind == "flag"]
     assert (span.lane, span.start_s, span.end_s) == ("estimator: GPS glitch", 3.0, 5.0)
-    assert ("flag", "estimator: GPS glitch raised") in {(e.kind, e.text) for e in found.events}
+    assert [(e.t_s, e.text) for e in found.events if e.kind == "flag"] == [
+        (3.0, "estimator: GPS glitch raised"),
+        (5.0, "estimator: GPS glitch cleared"),
+    ]
+
+
+def test_a_measurement_that_ardupilot_refuses_for_a_second_is_a_flag(tmp_path: Path) -> None:
+    log = read_dataflash(dataflash(tmp_path / "a.bin"))
+    t_us = np.arange(1_000_000, 11_000_000, 100_000)
+    ratio = np.where((t_us >= 4_000_000) & (t_us < 6_000_000), 1.1, 0.4)
+    short = np.where((t_us >= 4_000_000) & (t_us < 4_500_000), 1.1, 0.4)
+    zeros = np.zeros(len(t_us), np.int64)
+    log.topics[("XKF4", 0)] = {"TimeUS": t_us, "TS": zeros, "SH": ratio, "SP": short}
+    found = recording_of_dataflash(log, "a")
+    (span,) = [span for span in found.spans if span.kind == "flag"]
+    assert (span.lane, span.start_s, span.end_s) == ("estimator: height refused", 3.0, 5.0)
 
 
 def test_what_px4s_estimator_says_of_its_solution_is_a_flag(shared_data: Path) -> None:
@@ -204,6 +219,21 @@ def test_what_px4s_estimator_says_of_its_solution_is_a_flag(shared_data: Path) -
     }
     seconds = (topic["timestamp"][[100, 200]] - log.start_us) * 1e-6
     assert {(span.start_s, span.end_s) for span in spans} == {tuple(seconds.tolist())}
+
+
+def test_a_measurement_that_px4_refuses_for_a_second_is_a_flag(shared_data: Path) -> None:
+    log = read_ulog(shared_data / "ulog" / "gps_interference.ulg")
+    name = ("estimator_aid_src_baro_hgt", 0)
+    topic = log.topics[name]
+    t_s = (topic["timestamp"] - log.start_us) * 1e-6
+    begin_s = float(t_s[len(t_s) // 2])
+    for for_s, texts in ((0.4, []), (3.0, ["baro height refused"])):
+        refused = (t_s >= begin_s) & (t_s < begin_s + for_s)
+        log.topics[name] = {**topic, "innovation_rejected": refused.astype(np.uint8)}
+        found = recording_of_ulog(log, "a")
+        spans = [s for s in found.spans if s.lane.startswith("estimator: ")]
+        assert [span.text for span in spans] == texts
+        assert all(span.start_s == begin_s and span.kind == "flag" for span in spans)
 
 
 def test_a_battery_that_is_not_connected_fails_no_log(shared_data: Path) -> None:

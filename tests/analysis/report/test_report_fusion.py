@@ -18,7 +18,6 @@ def state(second, up_m, name="fused", **changes):
     """A fused state above the place."""
     at = ecef_from_geodetic(np.radians(LAT_DEG), np.radians(LON_DEG), ALT_M + up_m)
     return FusedState(
-        t_s=float(second),
         t_us=second * 1_000_000,
         position_ecef_m=tuple(at),
         velocity_ned_mps=(0.0, 0.0, 0.0),

@@ -39,15 +39,17 @@ def test_the_twin_shows_what_a_gust_did_to_the_truth(tmp_path: Path) -> None:
     assert "What the faults did" in (out / "report.html").read_text()
 
 
-def label(id: str, start_s: float, end_s: float) -> Label:
-    stamps = {"t0_us": 0, "start_us": round(start_s * 1e6), "end_us": round(end_s * 1e6)}
+def label(id: str, start_s: float, end_s: float, t0_us: int = 0) -> Label:
+    stamps = {"t0_us": t0_us, "start_us": round(start_s * 1e6), "end_us": round(end_s * 1e6)}
     return Label(id=id, fault="bias", **stamps)
 
 
 def test_an_effect_counts_until_the_next_fault_or_the_end_of_its_echo() -> None:
     t_s = np.arange(0.0, 60.0, 0.1)
     curve = Signal("twin-position", "truth", t_s, t_s)
-    rows = effects([curve], [label("a", 10, 20), label("b", 25, 30)])
+    # The second came with a schedule that was loaded on the way and has a zero of its own.
+    labels = [label("a", 10, 20), label("b", 25, 30, t0_us=22_000_000)]
+    rows = effects([curve], labels, t0_us=0)
     extents = [row["position_m"]["truth"] for row in rows]
     assert extents[0]["most"] == pytest.approx(25.0, abs=0.11)
     assert extents[1] == {

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from analysis.samples.block import FIX, IMU
 from analysis.samples.decoder import Decoder
 from analysis.samples.sample import (
     AirspeedSample,
@@ -18,6 +19,7 @@ from analysis.samples.sample import (
     MagSample,
     RangeSample,
     Sample,
+    SpareSample,
     TruthSample,
     VisionSample,
 )
@@ -218,3 +220,20 @@ def test_what_drives_the_motors_comes_in_thousands() -> None:
     assert (first.t_us, first.source) == (7, "OUTPUTS")
     assert first.outputs.tolist() == pytest.approx([1.1, 1.101, 1.102, 1.103] + 8 * [0.0])
     assert (second.t_us, second.outputs[0]) == (9, pytest.approx(0.9))
+
+
+def test_further_imus_and_a_second_receiver_are_told_apart() -> None:
+    decoder = Decoder()
+    rates = {"xgyro": 100, "time_boot_ms": 5}
+    (first,) = samples_of(decoder, frame("SCALED_IMU", **rates))
+    (third,) = samples_of(decoder, frame("SCALED_IMU3", **rates))
+    assert isinstance(first, ImuSample)
+    assert isinstance(third, SpareSample)
+    assert (third.kind, third.instance) == (IMU, 2)
+    assert third.numbers.tolist() == [*first.gyro_b_rps, *first.accel_b_mps2]
+    place = {"lat": 470000000, "lon": 80000000, "alt": 500000, "time_usec": 7}
+    (second,) = samples_of(decoder, frame("GPS2_RAW", fix_type=3, **place))
+    assert isinstance(second, SpareSample)
+    assert (second.kind, second.instance) == (FIX, 1)
+    assert second.numbers[:3] == pytest.approx([47.0, 8.0, 500.0])
+    assert samples_of(decoder, frame("GPS2_RAW", fix_type=1, **place)) == []

@@ -16,7 +16,7 @@ TRUE_M = ecef_from_geodetic(LAT, LON, 500.0)
 def decision(north_m, down_m, hpl_m, vpl_m):
     position = TRUE_M + np.array([north_m, 0.0, down_m]) @ ned_axes(LAT, LON)
     return Decision(
-        t_s=0.0, t_us=0, statistic=None, threshold=None, dof=0, p_value=None, alarm=False,
+        t_us=0, statistic=None, threshold=None, dof=0, p_value=None, alarm=False,
         hypothesis="none", position_ecef_m=tuple(position), hpl_m=hpl_m, vpl_m=vpl_m,
     )  # fmt: skip
 

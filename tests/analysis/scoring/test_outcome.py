@@ -35,7 +35,6 @@ def label(
 
 def decision(t_s: float, excluded: Sequence[str] = (), hypothesis: str = "") -> Decision:
     return Decision(
-        t_s=t_s,
         t_us=stamp(t_s),
         statistic=99.0,
         threshold=25.0,
@@ -54,7 +53,6 @@ def actuator(t_s: float, name: str) -> SensorDecision:
 
 def sensor(t_s: float, name: str, isolated: bool = True, alarm: bool = True) -> SensorDecision:
     return SensorDecision(
-        t_s=t_s,
         t_us=stamp(t_s),
         sensor=name,
         statistic=50.0 if alarm else 1.0,

@@ -33,7 +33,6 @@ def written(
     (run / "summary.json").write_text(json.dumps({"autopilot": account}))
     errors = [
         AttitudeError(
-            t_s=t,
             t_us=t * 1_000_000,
             estimator=estimator,
             pitch=0.0,

@@ -97,13 +97,13 @@ class Loop:
         large = 60.0 if excluded else 0.0
         t_us = round(t_s * 1e6)
         decision = Decision(
-            t_s=t_s, t_us=t_us, statistic=4.0 + t_s % 2 + large, threshold=16.8, dof=6, p_value=0.5,
+            t_us=t_us, statistic=4.0 + t_s % 2 + large, threshold=16.8, dof=6, p_value=0.5,
             alarm=bool(excluded), hypothesis="satellites" if excluded else "none",
             excluded=excluded, satellites=SATELLITES, residual_m=(1.0,) * 6,
             normalised=tuple(7.4 if name in excluded else 0.8 for name in SATELLITES),
         )  # fmt: skip
         error = AttitudeError(
-            t_s=t_s, t_us=t_us, estimator="ekf", roll=0.1, pitch=0.1, yaw=0.3, angle=0.3 + t_s % 1
+            t_us=t_us, estimator="ekf", roll=0.1, pitch=0.1, yaw=0.3, angle=0.3 + t_s % 1
         )
         self.publisher.publish([decision, error])
 

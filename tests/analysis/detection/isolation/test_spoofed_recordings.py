@@ -37,7 +37,7 @@ def spoofed(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Spoo
         results, _ = detector.step(read_rinex(obs, nav, None, changed), detector.new_state())
         found = [result for result in results if isinstance(result, Decision)]
         begin_us = found[0].t_us + AT_S * 1_000_000
-        return [msgspec.structs.replace(d, t_s=(d.t_us - begin_us) * 1e-6) for d in found]
+        return [msgspec.structs.replace(d, t_us=d.t_us - begin_us) for d in found]
 
     return decisions
 

@@ -1,12 +1,21 @@
-"""IMUs that disagree with others."""
+"""Sensors that disagree with others of their kind."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from analysis.detection.sensors.instance_vote import InstanceVote
 from analysis.results import SensorDecision
-from analysis.samples.block import Block, block_of
-from analysis.samples.sample import ImuSample
+from analysis.samples.block import BARO, FIX, MAG, Block, block_of
+from analysis.samples.sample import (
+    BaroSample,
+    GpsFix,
+    ImuSample,
+    MagSample,
+    Sample,
+    SpareSample,
+)
 
 HZ, ENDS_S, WRONG_S = 50, 20.0, (10.0, 15.0)
 LIGHT = np.array([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])  # biases, rad/s and m/s^2
@@ -63,3 +72,90 @@ def test_the_cut_into_blocks_changes_nothing() -> None:
         found, state = vote.step(whole.between(row, row + 1), state)
         one_by_one += [result for _, result in found]
     assert one_by_one == told(whole)
+
+
+NUMBERS = {
+    MAG: np.array([0.2, 0.0, 0.43]),
+    BARO: np.array([95_000.0, np.nan, 0.0]),
+    FIX: np.array([47.0, 8.0, 500.0]),
+}
+FAULTS = {
+    MAG: np.array([0.15, 0.0, 0.0]),
+    BARO: np.array([100.0, 0.0, 0.0]),  # 8 m
+    FIX: np.array([0.0, 50.0 / 76_000.0, 0.0]),  # 50 m east
+}
+NAMES = {
+    MAG: ("mag", "magnetometer"),
+    BARO: ("baro", "barometer"),
+    FIX: ("gps-position", "receiver"),
+}
+
+
+def of(kind: int, t_us: int, number: int, numbers: np.ndarray) -> Sample:
+    """The first sensor of a kind, or a further one."""
+    if number:
+        return SpareSample(t_us, kind, number, numbers)
+    if kind == MAG:
+        return MagSample(t_us, numbers)
+    if kind == BARO:
+        return BaroSample(t_us, numbers[0], np.nan)
+    return GpsFix(t_us, *numbers.tolist(), None, 3, 12, 1.0, 1.0, "GPS_RAW_INT")
+
+
+def doubled(kind: int, count: int, wrong: int | None) -> Block:
+    rng = np.random.default_rng(3)
+    spread = np.abs(FAULTS[kind]) / 100.0
+    samples = []
+    for k in range(300):
+        t_s = 0.1 * k
+        for number in range(count):
+            felt = NUMBERS[kind] + number * spread * 10.0 + rng.normal(0.0, 1.0, 3) * spread
+            if number == wrong and WRONG_S[0] + 5.0 <= t_s < WRONG_S[1] + 8.0:
+                felt = felt + FAULTS[kind]
+            samples.append(of(kind, round(t_s * 1e6) + number, number, felt))
+    return block_of(samples)
+
+
+@pytest.mark.parametrize("kind", [MAG, BARO])
+@pytest.mark.parametrize("wrong", [0, 1, 2])
+def test_of_three_magnetometers_or_barometers_the_one_is_named(kind: int, wrong: int) -> None:
+    channel, name = NAMES[kind]
+    found = told(doubled(kind, 3, wrong))
+    assert {(r.sensor, r.reason, r.isolated) for r in found} == {
+        (channel, f"{name} {wrong + 1} disagrees with the others", True)
+    }
+    assert found[0].t_us * 1e-6 <= WRONG_S[0] + 5.0 + 3.1
+
+
+@pytest.mark.parametrize("kind", [MAG, BARO])
+@pytest.mark.parametrize("wrong", [0, 1])
+def test_of_two_that_disagree_both_are_named_and_nobody_blamed(kind: int, wrong: int) -> None:
+    channel, name = NAMES[kind]
+    found = told(doubled(kind, 2, wrong))
+    assert {(r.sensor, r.reason, r.isolated) for r in found} == {
+        (channel, f"{name} 1 and {name} 2 disagree", False)
+    }
+
+
+def test_two_receivers_that_part_are_told() -> None:
+    once = list(doubled(FIX, 2, None).samples())
+    # Ten windows of two seconds are learnt first.
+    longer = [replace(s, t_us=s.t_us + lap * 30_000_000) for lap in range(4) for s in once]
+    assert told(block_of(longer)) == []
+    parted = [
+        moved(sample) if sample.t_us > 100_000_000 and isinstance(sample, SpareSample) else sample
+        for sample in longer
+    ]
+    found = told(block_of(parted))
+    assert {(r.sensor, r.reason) for r in found} == {
+        ("gps-position", "receiver 1 and receiver 2 disagree")
+    }
+
+
+def moved(sample: SpareSample) -> SpareSample:
+    return replace(sample, numbers=sample.numbers[:3] + FAULTS[FIX])
+
+
+@pytest.mark.parametrize("kind", [MAG, BARO, FIX])
+def test_further_sensors_that_agree_are_not_told_of(kind: int) -> None:
+    assert told(doubled(kind, 3, None)) == []

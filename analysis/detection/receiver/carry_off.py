@@ -27,7 +27,7 @@ import numpy as np
 from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.inertial import ERRORS, V
 from analysis.detection.filter.information import Indices, move
-from analysis.detection.sensors.position_test import Check, Measured
+from analysis.detection.receiver.position_test import Check, Measured
 from analysis.samples.sample import Vector
 
 WINDOW_COUNT = 20

@@ -7,7 +7,7 @@ from analysis.detection.detector_state import Core, LastFix
 from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.propagation import Segment
 from analysis.detection.isolation.chi_square import chi_square
-from analysis.detection.sensors.carry_off import (
+from analysis.detection.receiver.carry_off import (
     Carried,
     Found,
     extended,
@@ -17,11 +17,13 @@ from analysis.detection.sensors.carry_off import (
     renewed,
     searched,
 )
-from analysis.detection.sensors.position_test import Check, Measured
-from analysis.detection.sensors.receiver_or_imu import mean_force
+from analysis.detection.receiver.fix_latency import accelerated
+from analysis.detection.receiver.position_test import Check, Measured
+from analysis.detection.receiver.receiver_or_imu import mean_force
 from analysis.samples.sample import Vector
 
 AT_REST_MPS = 0.3
+STEADY_MPS2 = 1.0
 BLOW_MPS2 = 5.0  # more than a flight's own change of mean force from fix to fix
 Tests = tuple[Check, Check | None]  # of a fix's position, and of its velocity where it is known
 
@@ -49,7 +51,7 @@ def carried_off(
     dt_s = (motion.t_us - core.motion.t_us) * 1e-6
     fix = fitted(measured, position, velocity, motion.p)
     carry = extended(carry, motion.t_us, dt_s, phi, measured.axes, fix)
-    if _blow(core.last_fix, part):
+    if _blow(core.last_fix, part) or _smoothed(core, motion, measured):
         carry = carry._replace(doubt_us=motion.t_us)
     found = None
     # Touching down stops a receiver, by a force that an IMU is often too slow to show.
@@ -68,6 +70,15 @@ def _blow(last: LastFix | None, part: Segment) -> bool:
     if last is None or force is None or not last.forces_b_mps2:
         return False
     return float(np.linalg.norm(force - last.forces_b_mps2[0])) > BLOW_MPS2
+
+
+def _smoothed(core: Core, motion: Motion, measured: Measured) -> bool:
+    """Whether the vehicle accelerates so that a real receiver, which comes late and smooths its
+    velocity, contradicts an IMU."""
+    assert core.motion is not None
+    acceleration = accelerated(core.motion, motion, measured.axes)
+    real = core.latency.variance > 0.0
+    return real and float(np.linalg.norm(acceleration)) > STEADY_MPS2
 
 
 def moved_along(core: Core, measured: Measured, velocity: Check | None) -> Core:

@@ -19,7 +19,7 @@ from analysis.detection.detector_state import LastFix
 from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.propagation import Segment
 from analysis.detection.isolation.chi_square import chi_square
-from analysis.detection.sensors.position_test import VELOCITY_SIGMA_MPS, Check, Measured
+from analysis.detection.receiver.position_test import VELOCITY_SIGMA_MPS, Check, Measured
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.rotations.rotation_kernel import matrix
 

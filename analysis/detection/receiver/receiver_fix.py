@@ -21,14 +21,15 @@ from analysis.detection.fix_record import fix_decision, fix_sensors
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.isolation.exclusion import exclude
 from analysis.detection.isolation.range_test import free_position
-from analysis.detection.sensors.carried_receiver import (
+from analysis.detection.receiver.carried_receiver import (
     Tests,
     carried_off,
     moved_along,
     still_carried,
 )
-from analysis.detection.sensors.carry_off import taken_back
-from analysis.detection.sensors.position_test import (
+from analysis.detection.receiver.carry_off import taken_back
+from analysis.detection.receiver.fix_latency import accelerated, latency_of, learnt, on_time
+from analysis.detection.receiver.position_test import (
     VELOCITY_SIGMA_MPS,
     Measured,
     check,
@@ -36,12 +37,13 @@ from analysis.detection.sensors.position_test import (
     start_at,
     updated,
 )
-from analysis.detection.sensors.receiver_or_imu import UNDECIDED, culprit, last_fix
+from analysis.detection.receiver.receiver_or_imu import UNDECIDED, culprit, last_fix
 from analysis.results import Result
 from analysis.samples.sample import GpsFix
 
 RECEIVER_VELOCITY = "gps-velocity"  # among what is excluded: beside the position, the velocity
 FREEING = ("imu", UNDECIDED)  # hypotheses after which the filter does not trust the IMU for a while
+PAUSED_S = 1.5  # without a fix
 LOST_M = 300.0  # a filter as unsure as this is started anew
 
 
@@ -52,7 +54,8 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     # followed, HIL_GPS wherever it is.
     if core.gps_source not in (None, fix.source) and fix.source != "HIL_GPS":
         return [], state
-    core = core._replace(gps_source=fix.source, mag_b=mag_b)
+    latency = core.latency if fix.source == core.gps_source else latency_of(fix.source)
+    core = core._replace(gps_source=fix.source, latency=latency, mag_b=mag_b)
     measured, reason = measure(fix)
     motion = core.motion
     if measured is None:
@@ -67,22 +70,26 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     run, pending = split_pending(pending, fix.t_us)
     if motion is None:
         motion = start_at(fix.t_us, measured)
-        core = core._replace(motion=motion, excluded={}, last_fix=None, unbounded=False)
-        core = core._replace(carry=None, carried=None)
+        core = core._replace(
+            motion=motion, excluded={}, last_fix=None, unbounded=False, carry=None, carried=None
+        )
         return [fix_decision(fix, core, None, None, "none", False, "start")], State(
             core, pending, mag_b
         )
     part = segment(run, motion, fix.t_us)
     predicted, phi = advance(motion, part, fix.t_us, config)
-    position, velocity = check(measured, predicted, config)
-    hypothesis, alarm = _judge(core, measured, predicted, part, (position, velocity), config)
-    tests = (position, velocity)
+    acceleration = accelerated(motion, predicted, measured.axes)
+    measured = on_time(measured, predicted, acceleration, core.latency)
+    tests = check(measured, predicted, config)
+    hypothesis, alarm = _judge(core, measured, predicted, part, tests, config)
     core, found = carried_off(core, (predicted, phi), part, measured, tests, config)
     if found is not None:
         predicted, hypothesis, alarm = taken_back(predicted, found), "gps", True
-        position, velocity = check(measured, predicted, config)
-    core = _with_hysteresis(core, hypothesis, measured, (position, velocity), predicted, config)
-    moved = _used(predicted, core, hypothesis, measured, (position, velocity), config)
+        tests = check(measured, predicted, config)
+    if hypothesis == "none" and tests[1] is not None:
+        core = core._replace(latency=learnt(core.latency, tests[1], acceleration, predicted.p))
+    core = _with_hysteresis(core, hypothesis, measured, tests, predicted, config)
+    moved = _used(predicted, core, hypothesis, measured, tests, config)
     dt_s = (fix.t_us - motion.t_us) * 1e-6
     moved = find_attitude(core, moved, part, dt_s, config)
     core = core._replace(motion=moved, last_fix=last_fix(core.last_fix, measured, part, moved))
@@ -92,9 +99,11 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     elif hypothesis == "none" and core.imu_bad_until_us is not None:
         shown = UNDECIDED if core.unbounded else "imu"
     mode = "position" if moved.inertial else "position-free"
-    results: list[Result] = [fix_decision(fix, core, position, velocity, shown, alarm, mode)]
-    gap = part.gap_s if predicted.inertial or motion.inertial else 0.0
-    results += fix_sensors(fix, core, position, velocity, gap, hypothesis, config)
+    results: list[Result] = [fix_decision(fix, core, *tests, shown, alarm, mode)]
+    # Everybody paused where there was no fix either.
+    paused = dt_s > PAUSED_S and part.gap_s > 0.8 * dt_s
+    gap = part.gap_s if (predicted.inertial or motion.inertial) and not paused else 0.0
+    results += fix_sensors(fix, core, *tests, gap, hypothesis, config)
     return results, State(core, pending, mag_b)
 
 

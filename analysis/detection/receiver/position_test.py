@@ -21,12 +21,16 @@ VELOCITY_SIGMA_MPS = (0.3, 0.4)
 
 
 class Measured(NamedTuple):
-    """A fix in ECEF: position and variance along north, east, down; velocity where known."""
+    """A fix in ECEF: position and variance along north, east, down; velocity where known.
+
+    `v_variance` (3,) is the velocity's, in m^2/s^2.
+    """
 
     r_ecef_m: Vector
     axes: Vector
     variance_m2: Vector
     v_ned_mps: Vector | None
+    v_variance: Vector
 
 
 class Check(NamedTuple):
@@ -61,7 +65,9 @@ def measure(fix: GpsFix) -> tuple[Measured | None, str]:
     ]
     variance = np.array([sigma[0], sigma[0], sigma[1]]) ** 2
     r_ecef_m = np.asarray(ecef_from_geodetic(lat, lon, fix.alt_m))
-    return Measured(r_ecef_m, ned_axes(float(lat), float(lon)), variance, fix.v_ned_mps), ""
+    axes = ned_axes(float(lat), float(lon))
+    v_sigma = np.array([VELOCITY_SIGMA_MPS[0], *VELOCITY_SIGMA_MPS])
+    return Measured(r_ecef_m, axes, variance, fix.v_ned_mps, v_sigma**2), ""
 
 
 def check(measured: Measured, motion: Motion, config: DetectorConfig) -> tuple[Check, Check | None]:
@@ -78,8 +84,8 @@ def check(measured: Measured, motion: Motion, config: DetectorConfig) -> tuple[C
     h = np.zeros((3, ERRORS))
     h[:, 3:6] = measured.axes
     v = measured.v_ned_mps - measured.axes @ motion.x[3:6]
-    sigma = np.array([VELOCITY_SIGMA_MPS[0], *VELOCITY_SIGMA_MPS])
-    return position, _check(motion.p, v[known], h[known], sigma[known] ** 2, config.p_other)
+    variance = measured.v_variance[known]
+    return position, _check(motion.p, v[known], h[known], variance, config.p_other)
 
 
 def _check(p: Vector, v: Vector, h: Vector, variance: Vector, p_false_alarm: float) -> Check:

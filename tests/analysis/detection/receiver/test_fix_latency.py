@@ -1,0 +1,69 @@
+"""Fixes that come late, as real receivers' do, and do not say so."""
+
+import numpy as np
+import pytest
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.receiver.fix_latency import (
+    SIGMA_S,
+    USUAL_S,
+    Latency,
+    accelerated,
+    latency_of,
+    learnt,
+    on_time,
+)
+from analysis.detection.receiver.position_test import Measured, check, start_at
+from analysis.samples.sample import Vector
+
+TRUE_S = 0.4
+AXES = np.eye(3)
+
+
+def fix(place_m: Vector, velocity_mps: Vector) -> Measured:
+    return Measured(place_m, AXES, np.ones(3), velocity_mps, np.array([0.09, 0.09, 0.16]))
+
+
+def flown(seconds: float) -> tuple[list[bool], Latency]:
+    """A vehicle that weaves with 4 m/s^2; the filter knows its motion, the fixes are late."""
+    latency, passed = latency_of("GPS_RAW_INT"), []
+    before: Motion | None = None
+    for t_s in np.arange(0.0, seconds, 0.2):
+        place, velocity = np.zeros(3), np.zeros(3)
+        place[0], velocity[0] = -4.0 * np.cos(t_s), 4.0 * np.sin(t_s)
+        told = np.array([4.0 * np.sin(t_s - TRUE_S), 0.0, 0.0])
+        now = start_at(round(t_s * 1e6), fix(place, velocity))._replace(inertial=True)
+        now = now._replace(p=now.p * 1e-3)
+        if before is not None:
+            acceleration = accelerated(before, now, AXES)
+            measured = on_time(fix(place, told), now, acceleration, latency)
+            _, tested = check(measured, now, DetectorConfig())
+            assert tested is not None
+            passed.append(tested.passes)
+            latency = learnt(latency, tested, acceleration, now.p)
+        before = now
+    return passed, latency
+
+
+def test_a_late_receiver_is_not_blamed_and_its_latency_is_learnt() -> None:
+    passed, latency = flown(20.0)
+    assert all(passed)
+    assert latency.seconds == pytest.approx(TRUE_S, abs=0.05)
+    assert latency.variance < 0.06**2
+
+
+def test_before_it_is_known_a_latency_widens_the_test_by_what_it_may_do() -> None:
+    now = start_at(200_000, fix(np.zeros(3), np.array([10.0, 0.0, 0.0])))._replace(inertial=True)
+    measured = fix(np.zeros(3), np.zeros(3))
+    late = on_time(measured, now, np.array([3.0, 0.0, 0.0]), latency_of("GPS_RAW_INT"))
+    assert late.r_ecef_m == pytest.approx([10.0 * USUAL_S, 0, 0])
+    assert late.variance_m2 - measured.variance_m2 == pytest.approx([(10 * SIGMA_S) ** 2, 0, 0])
+    assert late.v_ned_mps == pytest.approx([3.0 * USUAL_S, 0, 0])
+    assert late.v_variance - measured.v_variance == pytest.approx([(3 * SIGMA_S) ** 2, 0, 0])
+
+
+def test_a_simulators_fix_is_taken_as_it_is_stamped() -> None:
+    now = start_at(200_000, fix(np.zeros(3), np.array([10.0, 0.0, 0.0])))._replace(inertial=True)
+    measured = fix(np.zeros(3), np.zeros(3))
+    assert on_time(measured, now, np.ones(3), latency_of("HIL_GPS")) is measured
