@@ -225,6 +225,7 @@ def test_a_number_of_two_readings_does_not_hide_what_else_is_wrong(tmp_path: Pat
         "- {id: b, fault: biass, target: HIL_SENSOR.xgyro, value: 1}\n"
         "- {id: b, fault: drop, target: HIL_GPS, after: nobody}\n"
         "- {id: c, fault: drop, target: HIL_GPS, after: a}\n"
+        "- {id: d, fault: drop, target: 010}\n"
     )
     with pytest.raises(ConfigError) as found:
         read_schedule(path)
@@ -234,4 +235,5 @@ def test_a_number_of_two_readings_does_not_hide_what_else_is_wrong(tmp_path: Pat
         "3: faults[1].fault = biass is unknown",
         "4: faults[2].id = b stands twice",
         "4: faults[2].after = nobody is no other fault",
+        "6: faults[4].target = 010 is octal to some",
     ]
