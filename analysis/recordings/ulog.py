@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.recordings.ulog_words import printed, words
 from mavproxy_fault.documents.errors import ConfigError
 
 NUMBER = (int, float)  # what a parameter is, unless its definition is damaged
@@ -32,7 +33,7 @@ class ULogFile:
     topics : dict
         By topic name and instance its columns.
     messages : list of (t_us, severity, text)
-        What the autopilot logged, severity as in MAVLink, 0 (worst) to 7.
+        What the autopilot said, severity as in MAVLink, 0 (worst) to 7.
     parameters : dict
         Initial parameters by name.
     changes : list of (t_us, name, value)
@@ -42,6 +43,8 @@ class ULogFile:
     info : dict
         The file's information messages (version, hardware).
     dropouts : list of (t_us, duration_s)
+    printed : dict
+        By title what the system printed: console, processes, counters.
     damaged : bool
         Whether parts of the file could not be read.
     cut : bool
@@ -56,6 +59,7 @@ class ULogFile:
     info: dict[str, Any]
     start_us: int
     dropouts: list[tuple[int, float]]
+    printed: dict[str, str]
     damaged: bool
     cut: bool
 
@@ -110,8 +114,7 @@ def read_ulog(path: str | Path) -> ULogFile:
     }
     return ULogFile(
         topics,
-        # The level is the character of a digit; one that is damaged must still be a severity.
-        [(m.timestamp, (m.log_level - ord("0")) & 7, m.message) for m in log.logged_messages],
+        words(log),
         {name: float(v) for name, v in log.initial_parameters.items() if isinstance(v, NUMBER)},
         [
             (t_us, name, float(v))
@@ -122,6 +125,7 @@ def read_ulog(path: str | Path) -> ULogFile:
         dict(log.msg_info_dict),
         int(log.start_timestamp),
         [(drop.timestamp, drop.duration * 1e-3) for drop in log.dropouts],
+        printed(log),
         bool(log.file_corruption or complaints.getvalue()),
         file.cut,
     )

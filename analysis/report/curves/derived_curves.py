@@ -12,6 +12,7 @@ OWN_ATTITUDE = ("ATTITUDE", "ATTITUDE_QUATERNION")
 LONG_STEP_S = 3.0  # fixes further apart than this say nothing about a jump
 BALANCE_S = 1.0
 ACCEPTED_M = 5.0  # an estimate that moves so far between two samples was reset
+LEAST_SAMPLES, EVEN_SHARE = 100, 0.8  # of a log whose intervals are drawn
 
 
 def with_derived(recording: Recording) -> Recording:
@@ -43,6 +44,7 @@ def derived(recording: Recording) -> tuple[list[Signal], list[Event]]:
     signals.extend(_attitude_errors(recording))
     signals.extend(_divergence(recording))
     signals.extend(_balance(recording))
+    signals.extend(_intervals(recording))
     return signals, events
 
 
@@ -91,7 +93,7 @@ def _position_errors(recording: Recording) -> list[Signal]:
         return []
     found = []
     for track in recording.tracks:
-        if track is truth:
+        if track is truth or track.on_earth != truth.on_earth:
             continue
         # Beyond the truth's own time `interp` would hold its last value.
         inside = (track.t_s >= truth.t_s[0]) & (track.t_s <= truth.t_s[-1])
@@ -172,3 +174,15 @@ def _balance(recording: Recording) -> list[Signal]:
     return [
         Signal("balance", motor.name, t_s, row) for motor, row in zip(motors, smooth, strict=True)
     ]
+
+
+def _intervals(recording: Recording) -> list[Signal]:
+    """Time from one logged sample of the gyroscope to the next: gaps and uneven logging."""
+    signal = next(iter(recording.of("gyro")), None)
+    if signal is None or len(signal.t_s) < LEAST_SAMPLES:
+        return []
+    step_s = np.diff(signal.t_s)
+    # Of a log that was thinned on reading, steps say nothing.
+    if np.mean(step_s < 2.0 * np.median(step_s)) < EVEN_SHARE:
+        return []
+    return [Signal("interval", "gyroscope", signal.t_s[1:], step_s * 1e3)]

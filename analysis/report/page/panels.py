@@ -130,6 +130,7 @@ PANELS = (
     Panel("memory", SYSTEM, "Free memory", "KiB"),
     Panel("scheduler", SYSTEM, "Loops that took too long (count)", ""),
     Panel("loop-time", SYSTEM, "Longest loop", "ms"),
+    Panel("interval", SYSTEM, "Between logged samples of the gyroscope", "ms"),
     Panel("link-lost", LINK, "Frames lost, by sequence numbers", "%"),
     Panel("link-drop", LINK, "Packets dropped, as the autopilot counts", "%"),
     Panel("radio", LINK, "Radio signal strength and noise", ""),
