@@ -45,6 +45,7 @@ def derived(recording: Recording) -> tuple[list[Signal], list[Event]]:
     signals.extend(_divergence(recording))
     signals.extend(_balance(recording))
     signals.extend(_intervals(recording))
+    signals.extend(_tilt(recording))
     return signals, events
 
 
@@ -174,6 +175,18 @@ def _balance(recording: Recording) -> list[Signal]:
     return [
         Signal("balance", motor.name, t_s, row) for motor, row in zip(motors, smooth, strict=True)
     ]
+
+
+def _tilt(recording: Recording) -> list[Signal]:
+    """The angle between the vehicle's vertical and the world's, by the autopilot's estimate."""
+    angles = {(part, s.name): s for part in ("roll", "pitch") for s in recording.of(part)}
+    own = next((name for name in OWN_ATTITUDE if ("roll", name) in angles), None)
+    if own is None or ("pitch", own) not in angles:
+        return []
+    roll, pitch = angles["roll", own], angles["pitch", own]
+    there = np.interp(roll.t_s, pitch.t_s, pitch.value)
+    level = np.cos(np.radians(roll.value)) * np.cos(np.radians(there))
+    return [Signal("tilt", own, roll.t_s, np.degrees(np.arccos(np.clip(level, -1.0, 1.0))))]
 
 
 def _intervals(recording: Recording) -> list[Signal]:

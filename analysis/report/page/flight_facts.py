@@ -2,10 +2,9 @@
 
 import numpy as np
 
+from analysis.report.curves.derived_curves import OWN_ATTITUDE
 from analysis.report.judging.checks import armed_windows
 from analysis.report.recordings.recording import Recording, Signal
-
-ATTITUDES = ("ATTITUDE", "ATTITUDE_QUATERNION")
 
 
 def flight_facts(recording: Recording) -> list[tuple[str, str]]:
@@ -24,13 +23,9 @@ def flight_facts(recording: Recording) -> list[tuple[str, str]]:
     if height is not None:
         span_m = float(np.nanmax(height.value) - np.nanmin(height.value))
         found.append(("between lowest and highest", _metres(span_m)))
-    roll = _inside(recording, "roll", ATTITUDES, armed)
-    pitch = _inside(recording, "pitch", ATTITUDES, armed)
-    if roll is not None and pitch is not None:
-        level = np.cos(np.radians(roll.value))
-        level *= np.cos(np.radians(np.interp(roll.t_s, pitch.t_s, pitch.value)))
-        tilt = np.degrees(np.arccos(np.clip(level, -1.0, 1.0)))
-        found.append(("greatest tilt", f"{np.nanmax(tilt):.0f}°"))
+    tilt = _inside(recording, "tilt", OWN_ATTITUDE, armed)
+    if tilt is not None:
+        found.append(("greatest tilt", f"{np.nanmax(tilt.value):.0f}°"))
     return found
 
 

@@ -56,6 +56,7 @@ PANELS = (
     Panel("roll", ATTITUDE, "Roll", "deg"),
     Panel("pitch", ATTITUDE, "Pitch", "deg"),
     Panel("yaw", ATTITUDE, "Yaw", "deg"),
+    Panel("tilt", ATTITUDE, "Tilt", "deg"),
     Panel("altitude", POSITION, "Altitude above mean sea level", "m"),
     Panel("height", POSITION, "Height above home", "m"),
     Panel("speed", POSITION, "Ground speed and airspeed", "m/s"),

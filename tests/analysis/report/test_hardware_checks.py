@@ -105,6 +105,21 @@ def test_a_log_that_ends_in_the_air_warns_and_one_that_ends_falling_fails() -> N
     assert verdict(checks(aloft, armed=(2.0, 50.0)), "log ends on the ground") == "PASS"
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "word"),
+    [(0.0, 2.0, "PASS"), (0.0, 178.0, "FAIL"), (0.0, 85.0, "FAIL"), (90.0, 90.0, "PASS")],
+)
+def test_a_vehicle_that_lies_on_its_back_fails_and_a_tail_sitter_may_stand(
+    before: float, after: float, word: str
+) -> None:
+    # In between it is flown upside down, which is nobody's fault.
+    tilt = np.where(T_S < 10, before, np.where(T_S < 55, 180.0, after))
+    signal = Signal("tilt", "ATTITUDE", T_S, tilt)
+    for end_s in (57.0, 60.0):  # disarmed, or the log is cut off armed
+        assert verdict(checks(signal, armed=(2.0, end_s)), "vehicle ends upright") == word
+    assert verdict(checks(), "vehicle ends upright") == "not judged"
+
+
 def test_a_height_off_the_truth_fails_though_the_place_is_right() -> None:
     place = np.full_like(T_S, 47.0), np.full_like(T_S, 8.0)
     truth = Track("truth", T_S, *place, np.full_like(T_S, 500.0))
