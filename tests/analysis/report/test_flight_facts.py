@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.recordings.ulog import read_ulog
-from analysis.report.curves.derived_curves import derived
+from analysis.report.curves.derived_curves import derived, with_derived
 from analysis.report.page.flight_facts import flight_facts
 from analysis.report.recordings.from_ulog import recording_of_ulog
 from analysis.report.recordings.recording import Recording, Signal, Span
@@ -27,7 +27,7 @@ def flight() -> Recording:
 
 
 def test_numbers_are_those_while_armed() -> None:
-    facts = dict(flight_facts(flight()))
+    facts = dict(flight_facts(with_derived(flight())))
     assert facts["armed"] == "80 s"
     assert facts["flown over ground"] == "800 m"
     assert facts["fastest over ground"] == "10.0 m/s"
@@ -45,7 +45,7 @@ def test_a_log_that_never_says_armed_has_no_numbers() -> None:
 def test_numbers_of_a_real_flight_are_those_of_flight_review(shared_data: Path) -> None:
     """Flight Review: 6.1 m (in space, ours is over ground), 1 m, 3.1 km/h, 8.3 degrees."""
     log = read_ulog(shared_data / "ulog" / "gps_interference.ulg")
-    facts = dict(flight_facts(recording_of_ulog(log, "")))
+    facts = dict(flight_facts(with_derived(recording_of_ulog(log, ""))))
     assert float(facts["flown over ground"].removesuffix(" m")) == pytest.approx(4.9, abs=0.3)
     assert facts["between lowest and highest"] == "0.9 m"
     assert facts["fastest over ground"] == "0.9 m/s"
