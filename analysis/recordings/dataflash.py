@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.wire.written import written_bytes
 
 Topic = dict[str, NDArray[Any]]
 MAGIC = b"\xa3\x95"
@@ -84,7 +85,7 @@ def read_dataflash(path: str | Path) -> DataflashFile:
         columns["TimeUS"] = _time_us(name, at, columns, times)
         for key, rows in _instances(name, columns):
             topics[key] = {column: values[rows] for column, values in columns.items()}
-    unread_bytes = max(Path(path).stat().st_size - MOST_BYTES, 0)
+    unread_bytes = max(written_bytes(Path(path)) - MOST_BYTES, 0)
     stamps = times[1]
     return DataflashFile(topics, int(stamps.min()), int(stamps.max()), unread_bytes, damaged, cut)
 
@@ -111,11 +112,12 @@ def _printing_to(file: IO[bytes]) -> Iterator[None]:
 @contextlib.contextmanager
 def _beginning(path: Path) -> Iterator[Path]:
     """The file, or a copy of as much of it as is read: pymavlink takes whole files only."""
-    if path.stat().st_size <= MOST_BYTES:
+    written = written_bytes(path)
+    if written == path.stat().st_size <= MOST_BYTES:
         yield path
         return
     with tempfile.NamedTemporaryFile(suffix=".bin") as copy, path.open("rb") as file:
-        remaining = MOST_BYTES
+        remaining = min(written, MOST_BYTES)
         while remaining > 0 and (data := file.read(min(remaining, 1 << 24))):
             copy.write(data)
             remaining -= len(data)

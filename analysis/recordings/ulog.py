@@ -6,7 +6,7 @@ the vehicle's clock. Field names that PX4 1.14 and later changed are given their
 
 import contextlib
 import io
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 
 from analysis.recordings.ulog_words import printed, words
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.wire.written import written_bytes
 
 NUMBER = (int, float)  # what a parameter is, unless its definition is damaged
 Topic = dict[str, NDArray[Any]]
 MAGIC = b"ULog\x01\x12\x35"
+TELL_BYTES = 1 << 20  # between two words of how far the reader is
 MOST_READS = 100  # times the file's size that a reader may read of it
 DEGREES = {"lat": "latitude_deg", "lon": "longitude_deg"}
 
@@ -65,20 +67,30 @@ class ULogFile:
 
 
 class _Patient(io.FileIO):
-    """A file that ends a reader which goes over the same damaged bytes for ever, as pyulog can."""
+    """A file that ends a reader which goes over the same damaged bytes for ever, as pyulog can.
 
-    def __init__(self, path: str | Path) -> None:
+    It ends where nothing was written any more, and tells how far the reader is.
+    """
+
+    def __init__(self, path: str | Path, told: Callable[[float], None]) -> None:
         super().__init__(path, "rb")
         self.cut = False  # whether it ended in the middle of what a reader asked for
-        self._remaining_reads = MOST_READS * Path(path).stat().st_size + 10_000_000
+        self._written = written_bytes(Path(path))
+        self._remaining_reads = MOST_READS * self._written + 10_000_000
+        self._told, self._tell_at = told, 0
 
     def read(self, size: int | None = -1, /) -> bytes:
         """As in any file, until too much was read."""
-        data = super().read(-1 if size is None else size) or b""
+        at = self.tell()
+        left = max(self._written - at, 0)
+        data = super().read(left if size is None or size < 0 else min(size, left)) or b""
         self.cut |= size is not None and 0 < len(data) < size
         self._remaining_reads -= len(data) + 1
         if self._remaining_reads < 0:
             raise RuntimeError("damaged beyond reading")
+        if at >= self._tell_at:
+            self._tell_at = at + TELL_BYTES
+            self._told(at / self._written)
         return data
 
 
@@ -87,8 +99,10 @@ def is_ulog(head: bytes) -> bool:
     return head.startswith(MAGIC)
 
 
-def read_ulog(path: str | Path) -> ULogFile:
+def read_ulog(path: str | Path, told: Callable[[float], None] = lambda _: None) -> ULogFile:
     """Read a whole ULog; what a damaged file still holds comes back with `damaged` set.
+
+    `told` is called with the share that is read, from 0 to 1.
 
     Raises
     ------
@@ -99,7 +113,7 @@ def read_ulog(path: str | Path) -> ULogFile:
 
     complaints = io.StringIO()  # pyulog prints what it cannot read
     try:
-        file = _Patient(path)
+        file = _Patient(path, told)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; give the path of a ULog") from error
     try:

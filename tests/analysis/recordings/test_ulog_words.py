@@ -75,3 +75,16 @@ def test_a_real_log_tells_what_flight_review_shows_of_it(shared_data: Path) -> N
     assert "ekf2: IMU message missed: 0 events" in found.printed[
         "Performance counters after the flight"
     ]  # fmt: skip
+
+
+def test_a_log_in_reserved_space_is_read_as_far_as_it_was_written(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    data = (shared_data / "ulog" / "gps_interference.ulg").read_bytes()
+    with (tmp_path / "a.ulg").open("wb") as file:
+        file.write(data)
+        file.truncate(1 << 33)
+    shares: list[float] = []
+    found = read_ulog(tmp_path / "a.ulg", shares.append)
+    assert len(found.topics) == len(read_ulog(shared_data / "ulog" / "gps_interference.ulg").topics)
+    assert 0.7 < shares[-1] <= 1.0
