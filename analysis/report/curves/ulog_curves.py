@@ -164,7 +164,7 @@ _SENSORS = (
 )  # fmt: skip
 _SYSTEM = (
     Curve("battery_status", "battery-voltage", "battery", field("voltage_v")),
-    Curve("battery_status", "battery-current", "battery", field("current_a")),
+    Curve("battery_status", "battery-current", "battery", field("current_a", unknown=-1)),
     Curve("battery_status", "battery-remaining", "battery", _remaining),
     *(
         Curve("battery_status", "battery-cells", f"cell {i + 1}", used(f"voltage_cell_v[{i}]"))
