@@ -1,4 +1,5 @@
-"""Ephemerides from the bits that satellites send: GPS subframes and Galileo I/NAV words.
+"""Ephemerides from the bits that satellites send: GPS's subframes, which QZSS has taken over, and
+Galileo's I/NAV words.
 
 Fields, their bits and their scales are those of RTCM 1019 and 1046, which took them over; here
 stands where they lie [1]_ [2]_. The week of an ephemeris is the one that puts its time next to that
