@@ -20,6 +20,7 @@ from analysis.orbits.broadcast import (
     satellite_states,
 )
 from analysis.recordings.recordings import read_rinex_samples
+from analysis.recordings.rinex_navigation import read_navigation
 from analysis.recordings.ubx_log import read_ubx
 from analysis.results import Decision
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
@@ -28,7 +29,8 @@ from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris, l1_health
 from tests.analysis.recordings.ubx_encoding import broadcast, rawx
 
-FOLDER = Path(__file__).parents[2] / "data/gnss_qzss"
+TESTS = Path(__file__).parents[2]
+FOLDER, RTKLIB = TESTS / "data/gnss_qzss", TESTS / "authorities/rtklib_qzss"
 ANTENNA = np.asarray(
     ecef_from_geodetic(math.radians(35.134707705), math.radians(136.977577939), 104.853)
 )
@@ -86,6 +88,38 @@ def test_a_detector_takes_qzss_without_another_clock():
     assert {name for name in last.satellites if name[0] == "J"} == {"J03", "J07"}
     assert last.parity_dof == len(last.satellites) - 4
     assert not any(d.alarm for d in decisions)
+
+
+def test_a_real_u_blox_log_brings_qzss_with_the_orbits_that_rtklib_finds_in_it():
+    epochs, sent = read_ubx(FOLDER / "f9p.ubx")
+    assert all({"J02", "J03", "J04", "J07"} <= set(epoch.satellites) for epoch in epochs)
+    assert len(epochs) == 5
+    theirs = {
+        s.ephemeris.satellite: s.ephemeris
+        for s in read_navigation(RTKLIB / "orbits.nav")
+        if isinstance(s, EphemerisSample)
+    }
+    ours = {s.ephemeris.satellite: s.ephemeris for s in sent if isinstance(s, EphemerisSample)}
+    assert {name[0] for name in theirs} == {"G", "J"}
+    assert set(ours) == set(theirs)
+    for name, wanted in theirs.items():
+        packed = pack_ephemeris(ours[name]), pack_ephemeris(wanted)
+        np.testing.assert_allclose(*packed, rtol=1e-11, atol=1e-16, err_msg=name)
+
+
+def test_four_satellites_of_qzss_move_a_position_by_gps_by_a_metre():
+    samples = read_rinex_samples(FOLDER / "f9p.ubx", [])
+    with_qzss, without = (
+        [d for d in run(Detector(DetectorConfig(systems=systems)), samples)
+         if isinstance(d, Decision)][-1]
+        for systems in ("GJ", "G")
+    )  # fmt: skip
+    assert (with_qzss.parity_dof, without.parity_dof) == (13 - 4, 9 - 4)
+    assert not with_qzss.alarm
+    assert with_qzss.position_ecef_m is not None
+    assert without.position_ecef_m is not None
+    # Orbits, clocks and the ionosphere leave GPS alone 2 m of sigma there.
+    assert math.dist(with_qzss.position_ecef_m, without.position_ecef_m) < 2.0
 
 
 def test_every_system_has_a_clock():
