@@ -2,8 +2,7 @@
 
 A satellite's first signal stands whole, its others as differences from it, so that L1 may be
 either [1]_. What else is in the log is passed over; a block whose checksum is wrong is looked for
-again behind its first byte, so that a damaged length swallows nothing. Of GLONASS and BeiDou there
-are ranges, for navigation files beside the log.
+again behind its first byte, so that a damaged length swallows nothing.
 
 References
 ----------
@@ -93,7 +92,7 @@ def read_sbf(path: Path) -> tuple[list[Epoch], list[EphemerisSample | Ionosphere
     if not measured:
         raise ConfigError(
             f"{path}: has no whole MeasEpoch; let the receiver send it (Meas3Ranges is not read),"
-            " and GPSNav, GALNav, QZSNav and GPSIon"
+            " and GPSNav, GALNav, GLONav, BDSNav, QZSNav and GPSIon"
         )
     epochs = list(_epochs(measured))
     near_s = epochs[0].t_us * 1e-6 if epochs else 0.0
