@@ -203,7 +203,9 @@ def test_qzss_on_either_code_is_read_and_glonass_has_its_channel(tmp_path: Path)
 
 def test_qzss_s_orbits_are_told_as_gps_s(tmp_path: Path):
     data = LOG.read_bytes()
-    at = next(i for i in range(len(data)) if data[i : i + 2] == b"$@" and number_at(data, i) == GPS_NAV)
+    at = next(
+        i for i in range(len(data)) if data[i : i + 2] == b"$@" and number_at(data, i) == GPS_NAV
+    )
     payload = bytearray(data[at + 8 : at + int.from_bytes(data[at + 6 : at + 8], "little")])
     gps = f"G{payload[6]:02d}"
     payload[6], payload[12] = 184, 0b010000  # J04, and C/A is what it does not send
