@@ -79,7 +79,10 @@ function take(key, value) {
 function connect() {
   socket = new WebSocket(`ws://${location.host}/api/live`);
   socket.onopen = () => wish(wished);
-  socket.onmessage = (message) => { for (const [key, value] of JSON.parse(message.data)) take(key, value); };
+  socket.onmessage = (message) => {
+    for (const [key, value] of JSON.parse(message.data)) take(key, value);
+    verdicts.follow();
+  };
   socket.onclose = () => {
     $("connection").className = "gone";
     $("connection").textContent = "The page's server is gone; trying again";
@@ -106,7 +109,7 @@ $("span").onchange = () => { shown.span_s = Number($("span").value); moved_ms = 
 
 function frame(now_ms) {
   moveAxis(now_ms);
-  drawEpoch();
+  drawVerdicts();
   statistic.draw();
   others.draw();
   attitude.draw();
