@@ -145,6 +145,22 @@ def test_a_curve_is_interrupted_where_its_sensor_was_not_tested(page: Any) -> No
     assert page.evaluate(GAPS) == [1, 1]
 
 
+SPIKE = """() => {
+  shown.span_s = 600;
+  const kept = [];
+  extremes(30000, (i) => i / 50, (i) => i === 12345 ? 9 : i === 12346 ? null : Math.sin(i / 40),
+    (i) => kept.push(i));
+  return [kept.includes(12345), kept.length, kept.every((i, n) => !n || i > kept[n - 1])];
+}"""
+
+
+def test_of_ten_minutes_a_spike_of_one_sample_is_drawn(page: Any) -> None:
+    seen, count, in_order = page.evaluate(SPIKE)
+    assert seen
+    assert count <= 2 * 401  # of each bin the least and the greatest
+    assert in_order
+
+
 ISOLATED = """() => {
   const tell = (t_s, statistic, isolated) => showSensor({ sensor: "mag", t_us: 1e9 + t_s * 1e6,
     statistic, threshold: statistic === null ? null : 10, alarm: isolated, isolated });
