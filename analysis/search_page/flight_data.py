@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.search.session import Session
+from analysis.search.search_session import Session
 from analysis.search.shrink import pinned
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import msgspec
 
-from analysis.search.session import Session
+from analysis.search.search_session import Session
 from analysis.search_page.flight_data import flight_data
 from mavproxy_fault.documents.errors import ConfigError
 

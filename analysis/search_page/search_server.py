@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from analysis.search.search_command import chosen, new_folder
-from analysis.search.session import Session
+from analysis.search.search_session import Session
 from analysis.search.space.test_file import TestFile, read_test
 from analysis.search_page.flight_routes import FlightPage
 from analysis.search_page.flights import Flights

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.search.session import Session
+from analysis.search.search_session import Session
 from analysis.search.space.fault_range import FaultRange
 from analysis.search.space.test_file import Initial, Limits, TestFile
 from analysis.search_page import flight_data as module

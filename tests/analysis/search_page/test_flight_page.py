@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from analysis.search.session import Session
+from analysis.search.search_session import Session
 from analysis.search.space.fault_range import FaultRange
 from analysis.search.space.test_file import Initial, TestFile
 from analysis.search_page.flights import Flights

@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from analysis.search.session import COLUMNS, Session
+from analysis.search.search_session import COLUMNS, Session
 from analysis.search.space.test_file import Initial, TestFile, read_test
 
 TEST = TestFile(duration_s=1.0, initial=Initial(roll_deg=(-30.0, 30.0)))
