@@ -45,8 +45,8 @@ class Flights:
         """
         with self._lock:
             self._refuse_in_flight()
-            if self._session.trace is None:
-                raise ConfigError("there is nothing to save yet; fly a test first")
+            if self._number is None or self._failed:
+                raise ConfigError("no test is on show that could be saved; fly one first")
             try:
                 files = self._session.save()
             except OSError as error:

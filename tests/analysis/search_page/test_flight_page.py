@@ -98,6 +98,27 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
         flights.save()
 
 
+class BrokenSession(Session):
+    """A session whose second flight fails, as by a mistake of ours."""
+
+    def next(self) -> Any:
+        if self.number == 0:
+            raise RuntimeError("a mistake of ours")
+        return super().next()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_flight_that_fails_is_told_and_saves_nothing(tmp_path: Path) -> None:
+    flights = Flights(BrokenSession(TEST, tmp_path / "found"))
+    for _ in range(2):
+        flights.next()
+        flights.close()
+    assert json.loads(flights.state()) == {"number": 0, "flying": False, "failed": True}
+    with pytest.raises(ConfigError, match="no test is on show that could be saved"):
+        flights.save()
+    assert not (tmp_path / "found").exists()
+
+
 @pytest.fixture
 def page(browser: Any, address: str) -> Iterator[Any]:
     found = browser.new_page(viewport={"width": 1360, "height": 900})
