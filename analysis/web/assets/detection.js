@@ -53,7 +53,7 @@ function drawVerdicts() {
   drawEpoch();
   for (const [sensor, chip] of sensors) {
     chip.className = verdicts.isBad(sensor) ? "bad" : "";
-    chip.textContent = `${NAMES[sensor] || sensor}: ${verdicts.stateOf(sensor)}`;
+    retext(chip, `${NAMES[sensor] || sensor}: ${verdicts.stateOf(sensor)}`);
   }
   showVerdict();
 }

@@ -92,6 +92,11 @@ class Loop:
         raw = build(known("COMMAND_ACK"), {"command": number})
         self.core.received(0, raw, self._t_us)
 
+    @property
+    def now_s(self) -> float:
+        """The vehicle's time."""
+        return self._t_us / 1e6
+
     def epoch(self, t_s: float, excluded: tuple[str, ...] = ()) -> None:
         """Publish what a monitor says of one epoch."""
         large = 60.0 if excluded else 0.0

@@ -221,6 +221,16 @@ def test_a_finding_that_is_not_repeated_ends(page: Any, loop: Any) -> None:
     page.wait_for_selector("#sensors li:not(.bad):has-text('magnetometer: nothing found now')")
 
 
+def test_a_blame_ends_where_no_further_verdict_comes(page: Any, loop: Any) -> None:
+    # Without a receiver nothing is tested, and what watches the streams is silent again.
+    loop.sensor(loop.now_s, "mag", bad=True)
+    page.wait_for_selector("#verdict.alarm:has-text('fault in magnetometer')")
+    page.wait_for_selector("#verdict:not(.alarm):has-text('nothing found, nothing tested now')")
+    assert "nothing was found against it for 3 s" in page.text_content("#verdict")
+    page.wait_for_selector("#sensors li:not(.bad):has-text('magnetometer: nothing found now')")
+    page.wait_for_selector("#events li:has-text('blame ended: fault in magnetometer')")
+
+
 def test_the_end_of_a_fault_explains_that_of_a_blame_without_satellites(
     page: Any, loop: Any
 ) -> None:
