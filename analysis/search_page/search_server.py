@@ -64,9 +64,10 @@ def main(args: argparse.Namespace) -> int:
     folder = Path(args.out) if args.out else new_folder(Path("runs"))
     flights = flights_of(chosen(read_test(args.testfile), args), folder)
     server, bound, address = prepare(flights, None)
-    print(f"page: {address}", flush=True)
     with contextlib.suppress(KeyboardInterrupt):
+        print(f"page: {address}", flush=True)
         server.run([bound])
+    flights.close()
     saved = [str(path) for path in flights.saved]
     print(*(saved or ["nothing was saved"]), sep="\n")
     return 0
