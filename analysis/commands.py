@@ -181,12 +181,16 @@ def add_search(commands: Any) -> None:
     where.add_argument("--ray", metavar="ADDRESS", help="a Ray cluster")
     parser.add_argument("--out", metavar="DIR", help="(default: runs/ and a number)")
     parser.add_argument(
-        "--interactive", action="store_true", help="look at one test after the other"
+        "--interactive", action="store_true", help="look at one test after the other, on a page"
     )
     parser.set_defaults(main=_search)
 
 
 def _search(args: argparse.Namespace) -> int:
+    if args.interactive:
+        from analysis.search_page.search_server import main as look
+
+        return look(args)
     from analysis.search.search_command import main
 
     return main(args)

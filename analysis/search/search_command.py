@@ -43,10 +43,6 @@ def main(args: argparse.Namespace) -> int:
     test = chosen(read_test(args.testfile), args)
     # Runs get their own folder, numbered: nothing is written over.
     folder = Path(args.out) if args.out else new_folder(Path("runs"))
-    if args.interactive:
-        from analysis.search.interactive import show
-
-        return show(test, folder)
     pool = pool_of(args.workers, args.ray)
     try:
         progress = SearchProgress(test.unit)

@@ -11,9 +11,11 @@ from types import FrameType
 from typing import NamedTuple
 
 import uvicorn
+from starlette.applications import Starlette
 
 from analysis.web.feed import Feed
-from analysis.web.routes import Access, Page
+from analysis.web.gate import Gate
+from analysis.web.routes import Page
 from analysis.web.run_source import Source
 from analysis.web.sequence_folder import SequenceFolder
 from mavproxy_fault.documents.errors import ConfigError
@@ -80,25 +82,38 @@ def prepare(
     """
     folder = SequenceFolder(offer.sequences)
     bound = listen(port)
+    gate, address = guarded(bound)
+    feed = Feed()
+    source = Source(feed, zenoh, config_file)
+    page = Page(feed, source, gate, folder, offer.commands)
+    return server_of(page.app), source, bound, address
+
+
+def guarded(bound: socket.socket) -> tuple[Gate, str]:
+    """Who may call a page on that socket, and the address with the token."""
     number = bound.getsockname()[1]
     # 18 bytes of chance: nobody guesses it.
     token = secrets.token_urlsafe(18)
     # Only these names: a foreign name that leads to loopback is refused.
     hosts = frozenset({f"127.0.0.1:{number}", f"localhost:{number}"})
-    feed = Feed()
-    source = Source(feed, zenoh, config_file)
-    page = Page(feed, source, Access(token, hosts, offer.commands), folder)
-    config = uvicorn.Config(
-        page.app,
-        ws="websockets-sansio",
-        ws_max_size=LARGEST_WISH,
-        ws_per_message_deflate=False,  # it would cost more than all the rest, and loopback is wide
-        log_level="warning",
-        access_log=False,
-        timeout_graceful_shutdown=1,
-    )
     # Behind the `#`: browsers send that part to nobody.
-    return PageServer(config), source, bound, f"http://127.0.0.1:{number}/#token={token}"
+    return Gate(token, hosts), f"http://127.0.0.1:{number}/#token={token}"
+
+
+def server_of(app: Starlette) -> PageServer:
+    """A server for the routes, not started yet."""
+    return PageServer(
+        uvicorn.Config(
+            app,
+            ws="websockets-sansio",
+            ws_max_size=LARGEST_WISH,
+            # It would cost more than all the rest, and loopback is wide.
+            ws_per_message_deflate=False,
+            log_level="warning",
+            access_log=False,
+            timeout_graceful_shutdown=1,
+        )
+    )
 
 
 @contextlib.contextmanager

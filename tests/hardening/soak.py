@@ -1,9 +1,10 @@
 """Hours of traffic with ten faults and an edit a second, and the page that watches it.
 
-    python tests/hardening/soak.py --minutes 240 --rate 20000 --page
+    python -m tests.hardening.soak --minutes 240 --rate 20000 --page
 
 Prints a row of figures now and then (`--csv FILE` keeps them): what the proxy holds, how late its
-frames are, and with `--page` what a browser (Debian's Chromium) and the page's server take. Edits
+frames are, and with `--page` what a browser (Debian's Chromium), its frames at the end of the row's
+time, and the page's server take. Edits
 are counted row by row. Ctrl-C or SIGTERM end it with a last row and what the proxy itself counted;
 SIGSTOP pauses it: traffic goes on where it was.
 """
@@ -12,7 +13,6 @@ import argparse
 import contextlib
 import csv
 import os
-import shutil
 import signal
 import socket
 import struct
@@ -22,7 +22,6 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from fastcrc.crc16 import mcrf4xx
@@ -33,10 +32,12 @@ from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.links.link import enlarge_buffers
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import build
+from tests.hardening.page_watcher import FRAME_COLUMNS, PageWatcher, watched_page
 
 MARKED = 42  # the system whose heartbeats are timed
 MARK_EVERY = 50  # frames
 BURST_S = 0.005  # between two bursts of frames
+FRAMES_S = 20.0  # of the page's frames, looked at one by one
 SO_TIMESTAMPNS = 35  # Linux <asm-generic/socket.h>
 FIELDS = (
     "xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "xmag", "ymag", "zmag", "abs_pressure",
@@ -44,7 +45,7 @@ FIELDS = (
 COLUMNS = (
     "min", "sent/s", "came/s", "edits", "unanswered", "marks missing", "proxy, of a core",
     "proxy MB", "descriptors", "p50 ms", "p99 ms", "max ms", "server, of a core", "server MB",
-    "script s/s", "heap MB",
+    "script s/s", "heap MB", *FRAME_COLUMNS,
 )  # fmt: skip
 
 
@@ -140,32 +141,6 @@ def command(*words: str) -> Iterator[tuple[int, str]]:
             print(process.stdout.read())  # a proxy ends with what it counted, losses too
 
 
-@contextlib.contextmanager
-def watcher(address: str) -> Iterator[Any]:
-    """A browser that shows the page; a session of its debugging protocol."""
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        arguments = ["--no-sandbox", "--disable-gpu", "--enable-precise-memory-info"]
-        browser = playwright.chromium.launch(
-            executable_path=shutil.which("chromium"), args=arguments
-        )
-        page = browser.new_page()
-        page.goto(address)
-        page.wait_for_selector("#connection.there")
-        session = page.context.new_cdp_session(page)
-        session.send("Performance.enable")
-        yield session
-        browser.close()
-
-
-def browser_usage(session: Any) -> tuple[float, float]:
-    """Seconds of script so far, and the heap in MB after its garbage was collected."""
-    session.send("HeapProfiler.collectGarbage")
-    found = {one["name"]: one["value"] for one in session.send("Performance.getMetrics")["metrics"]}
-    return found["ScriptDuration"], found["JSHeapUsedSize"] / 1e6
-
-
 class Rows:
     """The table of figures: printed, and written to a file as it grows."""
 
@@ -201,7 +176,7 @@ def edit(proxy: Proxy, faults: list[LiveFault], until_s: float) -> tuple[int, in
 
 
 def watch(args: argparse.Namespace, traffic: Traffic, pids: list[int], router: str,
-          session: Any) -> None:  # fmt: skip
+          page: PageWatcher | None) -> None:  # fmt: skip
     """Edit a fault every second, and add a row after each `--every` minutes, also the last."""
     rows = Rows(args.csv)
     begin_s = time.monotonic()
@@ -213,7 +188,7 @@ def watch(args: argparse.Namespace, traffic: Traffic, pids: list[int], router: s
         ]
         while not stopped and (from_s := time.monotonic()) < end_s:
             cpu_s = [usage(pid)[0] for pid in pids]
-            script_s = browser_usage(session)[0] if session else 0.0
+            script_s = page.usage()[0] if page else 0.0
             from_sent, from_came = traffic.sent, traffic.came
             edits = unanswered = 0
             try:
@@ -231,10 +206,10 @@ def watch(args: argparse.Namespace, traffic: Traffic, pids: list[int], router: s
                    f"{(traffic.came - from_came) / span_s:.0f}", edits, unanswered,
                    traffic.missing(), share[0], f"{used[0][1]:.1f}", used[0][2],
                    *traffic.latencies()]  # fmt: skip
-            if session:
-                script_now_s, heap_mb = browser_usage(session)
+            if page:
+                script_now_s, heap_mb = page.usage()
                 row += [share[1], f"{used[1][1]:.1f}", f"{(script_now_s - script_s) / span_s:.3f}",
-                        f"{heap_mb:.1f}"]  # fmt: skip
+                        f"{heap_mb:.1f}", *page.frames(FRAMES_S).cells()]  # fmt: skip
             rows.add(row)
 
 
@@ -254,7 +229,7 @@ def main() -> None:
         router = stack.enter_context(open_bus("tcp/127.0.0.1:0", run="soak", router=True)).url
         links = ("--master", "udpin:127.0.0.1:0", "--to", f"udpout:127.0.0.1:{station}")
         pid, ready = stack.enter_context(command("proxy", *links, "--zenoh", router))
-        pids, session = [pid], None
+        pids, page = [pid], None
         traffic.vehicle.connect(("127.0.0.1", int(ready.split()[1].rpartition(":")[2])))
         for work in (traffic.receive, traffic.send):
             thread = threading.Thread(target=work)
@@ -264,8 +239,9 @@ def main() -> None:
         if args.page:
             server, line = stack.enter_context(command("ui", "--port", "0", "--zenoh", router))
             pids.append(server)
-            session = stack.enter_context(watcher("http://" + line.partition("http://")[2].strip()))
-        watch(args, traffic, pids, router, session)
+            address = "http://" + line.partition("http://")[2].strip()
+            page = stack.enter_context(watched_page(address))
+        watch(args, traffic, pids, router, page)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,13 @@
 "use strict";
-// Elements by id, what is asked of the server, and where its answers are said.
+// Elements by id and new ones, what is asked of the server, and where its answers are said.
 
 const $ = (id) => document.getElementById(id);
+
+function make(tag, properties = {}, ...children) {
+  const element = Object.assign(document.createElement(tag), properties);
+  element.append(...children);
+  return element;
+}
 
 const printed = new URLSearchParams(location.hash.slice(1)).get("token");
 if (printed) {

@@ -19,29 +19,17 @@ function clearDetection() {
   ratios.clear();
   satellites.clear();
   $("verdict").hidden = true;
-  $("now").textContent = crossed = ended = "";
-  blame = null;
+  $("now").textContent = crossed = "";
+  verdicts.clear();
 }
 
 function showDecision(decision) {
   epoch = decision;
-  $("quiet").hidden = true;
+  verdicts.addDecision(decision);
   statistic.add(store.seconds(decision.t_us), { statistic: decision.statistic, threshold: decision.threshold });
   if (decision.statistic > decision.threshold) crossed = `; was above at ${store.seconds(decision.t_us).toFixed(1)} s with ${decision.statistic.toFixed(0)}`;
   const { alarm, hypothesis, excluded } = decision;
   store.note("gnss", decision.t_us, { statistic: decision.statistic, threshold: decision.threshold, alarm, hypothesis, excluded: excluded.join(" ") });
-}
-
-const NAMES = { imu: "IMU", baro: "barometer", airspeed: "airspeed", mag: "magnetometer", vision: "vision", range: "rangefinder",
-  "gps-position": "GPS position", "gps-velocity": "GPS velocity" };
-const BLAMED = { satellites: "satellites", imu: "IMU", clock: "receiver clock", gps: "GPS position", "multiple-unknown": "several satellites, not told apart" };
-
-// In words, with the satellites that are left out.
-function spoken(decision) {
-  if (decision.hypothesis === "none") return "no fault found";
-  if (decision.hypothesis === "untestable") return `cannot be tested: ${decision.reason || "too little data"}`;
-  const out = decision.excluded.length ? ` ${decision.excluded.join(", ")}` : "";
-  return `fault in ${BLAMED[decision.hypothesis] || decision.hypothesis}${out}`;
 }
 
 function drawEpoch() {
@@ -54,38 +42,20 @@ function drawEpoch() {
   const { statistic: now, threshold } = epoch;
   $("now").textContent = now == null ? "" : `${now.toFixed(1)} is ${now > threshold ? "above" : "below"} ${threshold.toFixed(1)}${crossed}`;
   $("now").className = now > threshold ? "bad" : "note";
-  showVerdict(epoch);
   epoch = null;
 }
 
-// The blame that stands, and the last one with when it ended and why.
-let blame = null, ended = "";
-const WHY_S = 20; // a fault that ended so shortly before explains the end of its blame
-
-function followBlame(bad, words, t_us) {
-  if (bad && !blame) blame = { words, from_us: t_us };
-  else if (bad) blame.words = words === "no fault found" ? blame.words : words;
-  else if (blame) {
-    const t_s = store.seconds(t_us);
-    const over = [...stretches].filter(([, [, end]]) => end !== null && end <= t_s && end > t_s - WHY_S).at(-1);
-    const why = over ? `${over[0].replace(/ \d+$/, "")} ended at ${over[1][1].toFixed(1)} s` : "it agrees with the others again";
-    ended = `${blame.words} from ${store.seconds(blame.from_us).toFixed(1)} to ${t_s.toFixed(1)} s; ${why}`;
-    addEvent(t_us, `blame ended: ${ended}`, "done");
-    blame = null;
+// What the verdicts are just now, of satellites or without them.
+function drawVerdicts() {
+  if (!verdicts.fresh) return;
+  verdicts.fresh = false;
+  $("quiet").hidden = true;
+  drawEpoch();
+  for (const [sensor, chip] of sensors) {
+    chip.className = verdicts.isBad(sensor) ? "bad" : "";
+    retext(chip, `${NAMES[sensor] || sensor}: ${verdicts.stateOf(sensor)}`);
   }
-}
-
-// One line that says what is found just now, by any detector.
-function showVerdict(decision) {
-  const blamed = [...sensors].filter(([, chip]) => chip.className === "bad").map(([name]) => NAMES[name] || name);
-  const bad = decision.alarm || decision.excluded.length > 0 || blamed.length > 0;
-  const words = decision.hypothesis === "none" && blamed.length ? `fault in ${blamed.join(", ")}` : spoken(decision);
-  $("verdict").hidden = false;
-  $("verdict").className = `badge ${bad ? "alarm" : "calm"}`;
-  followBlame(bad, words, decision.t_us);
-  const text = bad ? `⚠ ${words}` : `✓ ${words}${ended && words === "no fault found" ? ` (last: ${ended})` : ""}`;
-  if ($("verdict").textContent !== text) $("verdict").textContent = text; // a screen reader says what changes
-  $("clock").textContent = `${store.seconds(decision.t_us).toFixed(1)} s`;
+  showVerdict();
 }
 
 function saidOf(decision) {
@@ -108,8 +78,7 @@ function followCurve({ sensor, t_us, statistic, threshold, isolated }) {
 function showSensor(decision) {
   const chip = sensors.get(decision.sensor) || $("sensors").appendChild(make("li"));
   sensors.set(decision.sensor, chip);
-  chip.className = decision.alarm || decision.isolated ? "bad" : "";
-  chip.textContent = `${NAMES[decision.sensor] || decision.sensor}: ${saidOf(decision)}`;
+  verdicts.addSensor(decision);
   followCurve(decision);
   const { alarm, isolated } = decision;
   store.note(decision.sensor, decision.t_us, { statistic: decision.statistic, threshold: decision.threshold, alarm, isolated });

@@ -13,12 +13,6 @@ function spelled(key) {
   return (end ? `${key.slice(0, -end.length)}, ${UNITS[end]}` : key).replaceAll("_", " ");
 }
 
-function make(tag, properties = {}, ...children) {
-  const element = Object.assign(document.createElement(tag), properties);
-  element.append(...children);
-  return element;
-}
-
 function resolved(schema, defs) {
   if (schema.$ref) return { ...defs[schema.$ref.split("/").pop()], default: schema.default };
   if (!schema.anyOf) return schema;

@@ -4,18 +4,6 @@
 const SKY = ["#3b82c4", "#2b5f92"], GROUND = ["#8a6238", "#6b4a29"]; // light, dark
 const dark = matchMedia("(prefers-color-scheme: dark)");
 
-// A canvas of the size it has on the screen, in its own pixels; its context is in CSS pixels.
-function fitted(canvas) {
-  const ratio = devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
-  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
-  }
-  const ctx = canvas.getContext("2d");
-  ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
-  return [ctx, width, height];
-}
-
 function drawHorizon(canvas, main, second) {
   const [ctx, width, height] = fitted(canvas);
   ctx.clearRect(0, 0, width, height);

@@ -79,7 +79,10 @@ function take(key, value) {
 function connect() {
   socket = new WebSocket(`ws://${location.host}/api/live`);
   socket.onopen = () => wish(wished);
-  socket.onmessage = (message) => { for (const [key, value] of JSON.parse(message.data)) take(key, value); };
+  socket.onmessage = (message) => {
+    for (const [key, value] of JSON.parse(message.data)) take(key, value);
+    verdicts.follow();
+  };
   socket.onclose = () => {
     $("connection").className = "gone";
     $("connection").textContent = "The page's server is gone; trying again";
@@ -92,26 +95,33 @@ function connect() {
 
 $("csv").onclick = () => download("received.csv", store.csv(), "text/csv");
 
-const AXIS_MS = 100; // the time axis moves so often: plots are drawn anew for it
-let moved_ms = 0;
+const AXIS_MS = 100; // the time axis moves so often, or by one of BINS: plots are drawn anew for it
+let moved_ms = 0, drawnLast = 0;
 
 // The end of the time axis follows what is newest.
 function moveAxis(now_ms) {
-  if (now_ms - moved_ms < AXIS_MS || store.newest_us === null) return;
+  if (now_ms - moved_ms < Math.max(AXIS_MS, 1e3 * shown.span_s / BINS) || store.newest_us === null) return;
   moved_ms = now_ms;
   shown.end_s = store.seconds(store.newest_us);
 }
 
 $("span").onchange = () => { shown.span_s = Number($("span").value); moved_ms = 0; shown.end_s = -Infinity; };
 
+// One plot in a frame, each in its turn: all at once would be seen as a jerk.
+function drawNext() {
+  const plots = [statistic, others, attitude, ...signals.shown.values()];
+  for (let n = 0; n < plots.length; n++) {
+    drawnLast = (drawnLast + 1) % plots.length;
+    if (plots[drawnLast].draw()) return;
+  }
+}
+
 function frame(now_ms) {
   moveAxis(now_ms);
-  drawEpoch();
-  statistic.draw();
-  others.draw();
-  attitude.draw();
+  drawVerdicts();
   drawVehicle(now_ms);
-  signals.draw(now_ms);
+  signals.begin();
+  drawNext();
   requestAnimationFrame(frame);
 }
 

@@ -40,6 +40,36 @@ function shadeFaults(u) {
   ctx.restore();
 }
 
+const BINS = 400; // of the stretch shown: more samples than two in each cannot be told apart on a screen
+
+// Calls `keep` with the numbers of the samples to draw: the least and the greatest in each bin, in order of time. Bins
+// lie at fixed times, so that a curve does not flicker as it moves. `null` is no sample.
+function extremes(count, seconds, value, keep) {
+  const bin_s = shown.span_s / BINS;
+  let bin = null, least = 0, greatest = 0, low = 0, high = 0;
+  const flush = () => {
+    if (bin === null) return;
+    keep(Math.min(least, greatest));
+    if (least !== greatest) keep(Math.max(least, greatest));
+  };
+  for (let i = 0; i < count; i++) {
+    const y = value(i);
+    if (y == null) continue;
+    const now = Math.floor(seconds(i) / bin_s);
+    if (now !== bin) {
+      flush();
+      bin = now;
+      least = greatest = i;
+      low = high = y;
+    } else if (y < low) { least = i; low = y; }
+    else if (y > high) { greatest = i; high = y; }
+  }
+  flush();
+}
+
+// Over a long stretch curves have so many bends that only a hairline is drawn in time.
+const lineWidth = (usual) => shown.span_s > 60 ? 1 : usual;
+
 const GAP_S = 3; // between two samples of a curve: longer, and nothing was told meanwhile
 
 // Where a curve is interrupted, in pixels. Its nulls alone say nothing: other curves have samples there.
@@ -55,6 +85,7 @@ function gapsOf(u, number, from, to) {
 
 // The curve of a sensor goes on while it is isolated: dashed, under a name of its own.
 const ISOLATED = ", isolated";
+const LINE = 1.4; // pixels
 
 class Sliding {
   // Curves by name over the shared stretch of time; a name that is new adds a curve. With `decades` the
@@ -100,12 +131,29 @@ class Sliding {
     this.t.splice(0, old);
     for (const row of this.rows.values()) row.splice(0, old);
   }
+  // Whether there was something to draw.
   draw() {
     if (this.stale) this.rebuild();
-    if (!this.plot || !this.dirty && this.end_s === shown.end_s) return;
+    if (!this.plot || !this.dirty && this.end_s === shown.end_s) return false;
     this.dirty = false;
     this.end_s = shown.end_s;
-    this.plot.setData([this.t, ...this.names.map((name) => this.rows.get(name))]);
+    for (const one of this.plot.series) one.width = lineWidth(LINE);
+    this.plot.setData(this.data());
+    return true;
+  }
+  // Curves have their extremes at times of their own, and nothing at the others'.
+  data() {
+    const { t } = this, [from] = shownRange();
+    let first = t.length;
+    while (first && t[first - 1] >= from - GAP_S) first--;
+    const kept = new Set(), curves = this.names.map((name) => {
+      const y = this.rows.get(name), own = new Map();
+      extremes(t.length - first, (i) => t[first + i], (i) => y[first + i], (i) => own.set(first + i, y[first + i]));
+      for (const i of own.keys()) kept.add(i);
+      return own;
+    });
+    const order = [...kept].sort((one, other) => one - other);
+    return [order.map((i) => t[i]), ...curves.map((own) => order.map((i) => own.get(i) ?? null))];
   }
   strokeOf(name) {
     if (this.dashed.includes(name)) return colour("--bad");
@@ -125,12 +173,12 @@ class Sliding {
       axes: plotAxes(), hooks: { drawClear: [shadeFaults] },
       series: [{ label: "t", value: (u, t) => t == null ? "–" : `${t.toFixed(2)} s` },
         ...this.names.map((name) => ({
-          label: name, width: 1.4, gaps: gapsOf, points: { show: false },
+          label: name, width: lineWidth(LINE), gaps: gapsOf, points: { show: false },
           stroke: () => this.strokeOf(name),
           dash: this.dashed.includes(name) || name.endsWith(ISOLATED) ? [6, 4] : undefined,
           value: (u, value) => value == null ? "–" : String(+value.toPrecision(4)),
         }))],
-    }, [this.t, ...this.names.map((name) => this.rows.get(name))], this.area);
+    }, this.data(), this.area);
   }
   resize() {
     if (this.plot) this.plot.setSize({ width: Math.max(240, this.area.clientWidth), height: 190 });

@@ -2,7 +2,7 @@
 // Plots of single fields: as they came to the proxy, as they left it, and what was true.
 
 const MOST_SIGNALS = 6;
-const DRAW_MS = 80;
+const LINES = [0, 3.5, 1.5, 1.2]; // widths in pixels: time, received, sent on, truth
 const FIRST = ["HIL_SENSOR.xgyro", "ATTITUDE.rollspeed", "RAW_IMU.xgyro"];
 const DEGREES = 180 / Math.PI;
 
@@ -30,25 +30,27 @@ function angles([w, x, y, z]) {
     Math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))];
 }
 
+// The truth of a field as rows and what to read from them.
 function truthOf(name, end_us, span_us) {
   const table = store.tables.get("HIL_STATE_QUATERNION");
   const [field, factor = 1] = TRUTH[name] || [];
-  if (!table || field === undefined) return [];
-  const q = table.place("attitude_quaternion");
-  const read = typeof field === "number" ? (row) => angles(row.slice(q, q + 4))[field] : (row) => row[table.place(field)] * factor;
-  return table.window("sent", end_us, span_us).map((row) => [row[0], read(row)]);
+  if (!table || field === undefined) return [[], null];
+  const q = table.place("attitude_quaternion"), place = table.place(field);
+  const read = typeof field === "number" ? (row) => angles(row.slice(q, q + 4))[field] : (row) => row[place] * factor;
+  return [table.window("sent", end_us, span_us), read];
 }
 
-// Points as two columns; a break where far more time passed than is usual.
-function column(points, usual_us) {
-  const t = [], y = [];
+// Rows [t_us, ...] as two columns, as many as can be told apart; a break where far more time passed than is usual.
+function column(rows, read, usual_us) {
+  const t = [], y = [], far_us = Math.max(4 * usual_us, 2e6 * shown.span_s / BINS);
   let before = null;
-  for (const [t_us, value] of points) {
-    if (before !== null && t_us - before > 4 * usual_us) { t.push(store.seconds(before + usual_us)); y.push(null); }
+  extremes(rows.length, (i) => rows[i][0] / 1e6, (i) => read(rows[i]), (i) => {
+    const t_us = rows[i][0];
+    if (before !== null && t_us - before > far_us) { t.push(store.seconds(before + usual_us)); y.push(null); }
     t.push(store.seconds(t_us));
-    y.push(value);
+    y.push(read(rows[i]));
     before = t_us;
-  }
+  });
   return [t, y];
 }
 
@@ -76,28 +78,32 @@ class Signal {
     const came = new Map(table.window("received", store.newest_us, span_us).map((row) => [row[0], row[place]]));
     return table.window("sent", store.newest_us, span_us).map((row) => [row[0], row[place] == null ? null : row[place] - came.get(row[0])]);
   }
+  // Whether there was something to draw.
   draw() {
     const table = store.tables.get(this.message);
     const drawn = `${shown.end_s} ${shown.span_s}`;
-    if (!table?.has(this.field) || drawn === this.drawn) return;
+    if (!table?.has(this.field) || drawn === this.drawn) return false;
     this.drawn = drawn;
     const span_us = shown.span_s * 1e6, place = table.place(this.field);
     const received = table.window("received", store.newest_us, span_us);
-    if (!received.length) return;
+    if (!received.length) return false;
     const usual_us = (received.at(-1)[0] - received[0][0]) / Math.max(1, received.length - 1) || 1e6;
-    const pick = (row) => [row[0], row[place]];
-    const sent = this.range ? this.changes(table, place, span_us) : table.window("sent", store.newest_us, span_us).map(pick);
+    const pick = (row) => row[place];
+    const sent = this.range ? this.changes(table, place, span_us) : table.window("sent", store.newest_us, span_us);
+    const came = column(received, this.range ? () => 0 : pick, usual_us);
     const data = uPlot.join([
-      column(this.range ? received.map((row) => [row[0], 0]) : received.map(pick), usual_us),
-      column(sent, usual_us),
-      column(truthOf(this.name, store.newest_us, span_us), 1e9),
+      came,
+      !this.range && !table.faulted ? came : column(sent, this.range ? (row) => row[1] : pick, usual_us),
+      column(...truthOf(this.name, store.newest_us, span_us), 1e9),
     ], [[1, 1], [1, 1], [1, 1]]);
     this.said.hidden = true;
     const digits = (value) => value == null ? "–" : String(+value.toPrecision(Math.abs(value) > 1e5 ? 10 : 5));
     this.now.textContent = this.range ? `sent on minus received ${digits(sent.at(-1)?.[1])}`
       : `received ${digits(table.newest(this.field, "received"))}, sent on ${digits(table.newest(this.field))}`;
-    if (this.plot) this.plot.setData(data);
-    else this.make(data);
+    if (!this.plot) this.make(data);
+    this.plot.series.forEach((one, number) => { one.width = lineWidth(LINES[number]); });
+    this.plot.setData(data);
+    return true;
   }
   make(data) {
     const line = (label, stroke, more) => ({ label, stroke: () => colour(stroke), points: { show: false },
@@ -108,8 +114,7 @@ class Signal {
       scales: { x: { time: false, range: shownRange } },
       axes: [x, { ...y, size: wide }], hooks: { drawClear: [shadeFaults] },
       series: [{ label: "t", value: (u, t) => t == null ? "–" : `${t.toFixed(2)} s` },
-        line("received", "--s0", { width: 3.5, alpha: 0.45 }), line("sent on", "--s1", { width: 1.5 }),
-        line("truth", "--s2", { width: 1.2, dash: [5, 4] })],
+        line("received", "--s0", { alpha: 0.45 }), line("sent on", "--s1"), line("truth", "--s2", { dash: [5, 4] })],
     }, data, this.area);
     this.plot.over.setAttribute("aria-hidden", "true");
   }
@@ -134,7 +139,6 @@ class Signals {
     this.followed = [];
     this.acting = [];
     this.removed = new Set();
-    this.drawn = 0;
   }
   pick(name) {
     this.picked.add(name);
@@ -166,14 +170,9 @@ class Signals {
     this.lay();
     $("field").focus();
   }
-  draw(now_ms) {
-    if (now_ms - this.drawn < DRAW_MS) return;
-    this.drawn = now_ms;
-    if (!this.shown.size && !this.removed.size) this.begin();
-    for (const signal of this.shown.values()) signal.draw();
-  }
   // Something to see before any fault has acted.
   begin() {
+    if (this.shown.size || this.removed.size) return;
     const found = FIRST.find((name) => store.tables.has(name.split(".")[0]));
     if (found) { this.followed = [found]; this.lay(); }
   }

@@ -126,7 +126,7 @@ def test_the_command_writes_log_and_files_that_fly_the_cases_again(tmp_path, cap
     out = tmp_path / "out"
     arguments = argparse.Namespace(
         testfile=str(path), budget=80, method="random", seed=2, workers=None, ray=None,
-        out=str(out), interactive=False,
+        out=str(out),
     )  # fmt: skip
     assert main(arguments) == 0
     text = (out / "TestResFile.log").read_text()

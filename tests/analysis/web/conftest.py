@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from analysis.monitor.publish import Publisher
-from analysis.results import AttitudeError, Decision
+from analysis.results import AttitudeError, Decision, SensorDecision
 from analysis.web.page_server import serve
 from mavproxy_fault.links.bus import Bus, open_bus
 from mavproxy_fault.live.control import Control
@@ -92,6 +92,11 @@ class Loop:
         raw = build(known("COMMAND_ACK"), {"command": number})
         self.core.received(0, raw, self._t_us)
 
+    @property
+    def now_s(self) -> float:
+        """The vehicle's time."""
+        return self._t_us / 1e6
+
     def epoch(self, t_s: float, excluded: tuple[str, ...] = ()) -> None:
         """Publish what a monitor says of one epoch."""
         large = 60.0 if excluded else 0.0
@@ -106,6 +111,17 @@ class Loop:
             t_us=t_us, estimator="ekf", roll=0.1, pitch=0.1, yaw=0.3, angle=0.3 + t_s % 1
         )
         self.publisher.publish([decision, error])
+
+    def sensor(
+        self, t_s: float, name: str, statistic: float | None = None, *, bad: bool = False
+    ) -> None:
+        """Publish what a monitor says of one sensor; with a threshold of ten where it tests it."""
+        tested = statistic is not None
+        decision = SensorDecision(
+            t_us=round(t_s * 1e6), sensor=name, statistic=statistic,
+            threshold=10.0 if tested else None, dof=3 if tested else 0, alarm=bad, isolated=bad,
+        )  # fmt: skip
+        self.publisher.publish([decision])
 
     def close(self) -> None:
         """End the loop and the bus, as a proxy that is stopped does."""

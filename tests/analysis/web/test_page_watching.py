@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from analysis.web.page_server import serve
@@ -144,6 +145,22 @@ def test_a_curve_is_interrupted_where_its_sensor_was_not_tested(page: Any) -> No
     assert page.evaluate(GAPS) == [1, 1]
 
 
+SPIKE = """() => {
+  shown.span_s = 600;
+  const kept = [];
+  extremes(30000, (i) => i / 50, (i) => i === 12345 ? 9 : i === 12346 ? null : Math.sin(i / 40),
+    (i) => kept.push(i));
+  return [kept.includes(12345), kept.length, kept.every((i, n) => !n || i > kept[n - 1])];
+}"""
+
+
+def test_of_ten_minutes_a_spike_of_one_sample_is_drawn(page: Any) -> None:
+    seen, count, in_order = page.evaluate(SPIKE)
+    assert seen
+    assert count <= 2 * 401  # of each bin the least and the greatest
+    assert in_order
+
+
 ISOLATED = """() => {
   const tell = (t_s, statistic, isolated) => showSensor({ sensor: "mag", t_us: 1e9 + t_s * 1e6,
     statistic, threshold: statistic === null ? null : 10, alarm: isolated, isolated });
@@ -176,6 +193,57 @@ def test_the_header_says_when_blame_ended_and_why(page: Any, loop: Any) -> None:
     assert stretch is not None
     assert float(stretch[2]) - float(stretch[1]) == pytest.approx(3.0, abs=0.11)
     assert "blame ended: fault in satellites G12" in page.text_content("#events")
+
+
+def test_blame_is_told_without_any_satellite_epoch(page: Any, loop: Any) -> None:
+    # As where there is no receiver: verdicts on sensors alone.
+    loop.sensor(10.0, "baro", 2.0)
+    page.wait_for_selector("#verdict.calm:has-text('no fault found')")
+    loop.sensor(11.0, "baro", 40.0, bad=True)
+    page.wait_for_selector("#verdict.alarm:has-text('fault in barometer')")
+    page.wait_for_selector("#sensors li.bad:has-text('barometer: isolated')")
+    loop.sensor(14.0, "baro", 3.0)
+    page.wait_for_selector("#verdict.calm:has-text('it agrees with the others again')")
+    page.wait_for_selector("#events li:has-text('blame ended: fault in barometer from')")
+    assert not page.is_visible("#quiet")
+    assert page.complaints == []
+
+
+def test_a_finding_that_is_not_repeated_ends(page: Any, loop: Any) -> None:
+    # What watches a stream speaks only while it is silent; nobody says that it is well again.
+    loop.sensor(10.0, "mag", bad=True)
+    page.wait_for_selector("#verdict.alarm:has-text('fault in magnetometer')")
+    loop.sensor(12.0, "baro", 2.0)
+    page.wait_for_selector("#sensors li:has-text('barometer: agrees')")
+    assert page.is_visible("#verdict.alarm")
+    loop.sensor(13.5, "baro", 2.0)
+    page.wait_for_selector("#verdict.calm:has-text('nothing was found against it for 3 s')")
+    page.wait_for_selector("#sensors li:not(.bad):has-text('magnetometer: nothing found now')")
+
+
+def test_a_blame_ends_where_no_further_verdict_comes(page: Any, loop: Any) -> None:
+    # Without a receiver nothing is tested, and what watches the streams is silent again.
+    loop.sensor(loop.now_s, "mag", bad=True)
+    page.wait_for_selector("#verdict.alarm:has-text('fault in magnetometer')")
+    page.wait_for_selector("#verdict:not(.alarm):has-text('nothing found, nothing tested now')")
+    assert "nothing was found against it for 3 s" in page.text_content("#verdict")
+    page.wait_for_selector("#sensors li:not(.bad):has-text('magnetometer: nothing found now')")
+    page.wait_for_selector("#events li:has-text('blame ended: fault in magnetometer')")
+
+
+def test_the_end_of_a_fault_explains_that_of_a_blame_without_satellites(
+    page: Any, loop: Any
+) -> None:
+    stale = {"fault": "freeze", "target": "HIL_SENSOR.xmag"}
+    loop.live.ask("@ctl/fault/stale/arm", msgspec.json.encode(stale))
+    page.wait_for_selector("#events li:has-text('stale: fault begins')")
+    loop.sensor(500.0, "mag", 40.0, bad=True)
+    page.wait_for_selector("#verdict.alarm")
+    loop.live.ask("@ctl/fault/stale/disarm", b"")
+    page.wait_for_selector("#events li:has-text('stale: fault ended')")
+    (label,) = [one for one in loop.labels if one.end_us is not None]
+    loop.sensor(label.end_us / 1e6 + 1.0, "mag", 3.0)
+    page.wait_for_selector("#verdict.calm:has-text('stale ended at')")
 
 
 FILLED = """(canvas) => {

@@ -1,0 +1,114 @@
+"""A search that is looked at: one test at a time, flown in full, saved on request."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.search.breakdown import flight_of
+from analysis.search.cases import yaml_of
+from analysis.search.evaluation.compiled_batch import Batch
+from analysis.search.evaluation.traced_flight import Trace
+from analysis.search.searchers import searcher
+from analysis.search.shrink import pinned
+from analysis.search.space.test_file import TestFile
+from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
+
+Array = NDArray[np.float64]
+COLUMNS = (
+    "t_s", "north_m", "east_m", "down_m", "u_mps", "v_mps", "w_mps", "roll_rad", "pitch_rad",
+    "yaw_rad", "p_rps", "q_rps", "r_rps", "gyro_x_rps", "gyro_y_rps", "gyro_z_rps",
+    "accel_x_mps2", "accel_y_mps2", "accel_z_mps2", "estimate_roll_rad", "estimate_pitch_rad",
+    "estimate_yaw_rad",
+)  # fmt: skip
+
+
+class Session:
+    """The tests of a search, one at a time; the searcher learns from each.
+
+    `error` and `worst` are in the criterion's unit, `values` those of the test that was flown last.
+    """
+
+    def __init__(self, test: TestFile, folder: Path) -> None:
+        self.test = test
+        self.folder = folder
+        self.number = -1
+        self.worst = 0.0
+        self._batch = Batch(test)
+        dimension = self._batch.space.dimension
+        # Without a dimension every method would divide by it; random points of none are the one
+        # test.
+        self._searcher = searcher(test.method if dimension else "random", dimension, test.seed, 1)
+        self._waiting: list[Array] = []
+        self._evaluated: list[tuple[Array, float]] = []
+        self.values: dict[str, float] = {}
+        self.trace: Trace | None = None
+        self.error = 0.0
+
+    def next(self) -> Trace:
+        """Fly the next test."""
+        # A searcher learns in batches: it is told when all points of one have been flown.
+        if not self._waiting:
+            if self._evaluated:
+                points, fitness = zip(*self._evaluated, strict=True)
+                self._searcher.tell(np.array(points), np.array(fitness))
+            self._evaluated = []
+            self._waiting = list(self._searcher.ask())
+        point = self._waiting.pop(0)
+        self.number += 1
+        values = self._batch.space.values(point[None, :])
+        self.values = {name: float(value[0]) for name, value in values.items()}
+        self.trace = flight_of(self.test, self.values, self.test.seed, self.number)
+        # Flown twice: the trace for the eye, the batch for the very fitness that `search` sees.
+        outcome = self._batch.evaluate(point[None, :], self.test.seed, self.number, 1)
+        self.error = float(outcome.fitness[0])
+        self.worst = max(self.worst, self.error)
+        self._evaluated.append((point, self.error))
+        return self.trace
+
+    @property
+    def title(self) -> str:
+        """What stands above the flight."""
+        unit = f" {self.test.unit}".rstrip()
+        # Fitness is zero or less only where the flight left the envelope.
+        if self.error <= 0.0:
+            return f"test {self.number}: left the envelope"
+        return (
+            f"test {self.number}: {self.test.estimator} errs by {self.error:.3f}{unit}"
+            f" (worst so far {self.worst:.3f}{unit})"
+        )
+
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """From where to where each value is searched; those that are fixed are left out."""
+        space = self._batch.space
+        ends = zip(space.low.tolist(), space.high.tolist(), strict=True)
+        return dict(zip(space.names, ends, strict=True))
+
+    def save(self) -> list[Path]:
+        """Time series as CSV and the case as a test file."""
+        assert self.trace is not None
+        self.folder.mkdir(parents=True, exist_ok=True)
+        table = self.folder / f"test-{self.number:04}.csv"
+        with table.open("w", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(COLUMNS)
+            writer.writerows(table_of(self.trace).tolist())
+        case = self.folder / f"test-{self.number:04}.yaml"
+        case.write_text(yaml_of(pinned(self.test, self.values)))
+        return [table, case]
+
+
+def table_of(trace: Trace) -> Array:
+    """The columns of COLUMNS (n, 22)."""
+    euler = euler_from_quat(trace.state[:, 6:10])
+    return np.column_stack(
+        [
+            trace.t_s,
+            trace.state[:, :6],
+            euler,
+            trace.state[:, 10:13],
+            trace.measured[:, :6],
+            euler_from_quat(trace.q_estimate),
+        ]
+    )

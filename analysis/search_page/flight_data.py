@@ -1,0 +1,75 @@
+"""A flight as the page draws it: truth, sensors and estimate over time, path and parameters."""
+
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.search.search_session import Session
+from analysis.search.shrink import pinned
+from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
+
+MOST = 12_000  # samples the page is given; of a longer flight every second, third, ...
+DIGITS = 5  # behind the point
+Array = NDArray[np.float64]
+
+
+def flight_data(session: Session) -> bytes:
+    """The flight on show as JSON; up to where it left the envelope, if it did."""
+    trace = session.trace
+    assert trace is not None
+    count = max(int(trace.alive.sum()), 1)
+    step = math.ceil(count / MOST)
+    state = trace.state[:count]
+    # Unwrapped, so that a heading through north draws no vertical line.
+    truth = np.degrees(np.unwrap(euler_from_quat(state[:, 6:10]), axis=0))
+    error = np.degrees(trace.errors_rad()[:count])
+    begin = state[0, :3]
+    columns = {
+        "t": trace.t_s[:count, None],
+        "truth": truth,
+        # Truth plus error: the estimate stays beside the truth where both wrap.
+        "estimate": truth + error[:, :3],
+        "error": error[:, :3],
+        "gyro": np.degrees(trace.measured[:count, 0:3]),
+        "accel": trace.measured[:count, 3:6],
+        "path": np.column_stack([state[:, 1], state[:, 0], -state[:, 2]])
+        - [begin[1], begin[0], -begin[2]],
+        "q": state[:, 6:10],
+        "believed": trace.q_estimate[:count],
+    }
+    flight: dict[str, Any] = {name: rounded(values[::step]) for name, values in columns.items()}
+    return msgspec.json.encode(
+        {
+            **flight,
+            "number": session.number,
+            "title": session.title,
+            "rotors": trace.plan.rotors,
+            "step": step,
+            "parameters": parameters_of(session),
+            "faults": [
+                {"what": f"{one.fault} on {one.target}", "at_s": one.at_s, "for_s": one.for_s}
+                for one in pinned(session.test, session.values).faults
+            ],
+        }
+    )
+
+
+def rounded(values: Array) -> list[list[float]]:
+    """The columns of (n, k) as lists, short enough to be sent."""
+    return np.round(values.T, DIGITS).tolist()  # type: ignore[no-any-return]
+
+
+def parameters_of(session: Session) -> list[dict[str, Any]]:
+    """Each value that is searched, with its range; the number of a target by the target's name."""
+    faults = pinned(session.test, session.values).faults
+    found = []
+    for name, (low, high) in session.ranges().items():
+        value: float | str = session.values[name]
+        section, _, key = name.partition("].")
+        if key == "target":
+            value = faults[int(section.removeprefix("faults["))].target or ""
+        found.append({"name": name, "value": value, "low": low, "high": high})
+    return found

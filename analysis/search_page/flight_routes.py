@@ -1,0 +1,64 @@
+"""The routes of the search's page; who may call them is said in `analysis.web.gate`."""
+
+import contextlib
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+
+from analysis.search_page.flights import Flights
+from analysis.web.gate import FILES, Gate
+
+HERE = Path(__file__).parent / "assets"
+OWN = {path.name: path for path in HERE.iterdir() if path.suffix in (".js", ".css")}
+
+
+class FlightPage:
+    """The page's routes over the flights of a session."""
+
+    def __init__(self, flights: Flights, gate: Gate) -> None:
+        self._flights, self._gate = flights, gate
+        self.app = Starlette(
+            routes=[
+                Route("/", self._index),
+                Route("/assets/{name}", self._asset),
+                Route("/api/state", self._state),
+                Route("/api/flight", self._flight),
+                Route("/api/next", self._next, methods=["POST"]),
+                Route("/api/save", self._save, methods=["POST"]),
+            ],
+            lifespan=self._lifespan,
+        )
+
+    @contextlib.asynccontextmanager
+    async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
+        self._flights.next()  # something to see when the page is opened
+        yield
+        await run_in_threadpool(self._flights.close)
+
+    async def _index(self, request: Request) -> Response:
+        return self._gate.file(request, HERE / "flight.html")
+
+    async def _asset(self, request: Request) -> Response:
+        name = request.path_params["name"]
+        return self._gate.file(request, OWN.get(name) or FILES.get(name))
+
+    async def _state(self, request: Request) -> Response:
+        return await self._gate.look(request, self._flights.state)
+
+    async def _flight(self, request: Request) -> Response:
+        return await self._gate.look(request, self._flights.newest)
+
+    async def _next(self, request: Request) -> Response:
+        def act(_: bytes) -> dict[str, object]:
+            self._flights.next()
+            return {}
+
+        return await self._gate.answer(request, act)
+
+    async def _save(self, request: Request) -> Response:
+        return await self._gate.answer(request, lambda _: {"files": self._flights.save()})

@@ -1,0 +1,88 @@
+"""The flights of a session, flown in a thread of their own while the page goes on."""
+
+import threading
+from pathlib import Path
+
+import msgspec
+
+from analysis.search.search_session import Session
+from analysis.search_page.flight_data import flight_data
+from mavproxy_fault.documents.errors import ConfigError
+
+
+class Flights:
+    """One flight at a time; the newest is kept as the page asks for it."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._lock = threading.Lock()
+        self._thread: threading.Thread | None = None
+        self._number: int | None = None
+        self._newest = b"null"
+        self._failed = False
+        self.saved: list[Path] = []
+
+    def next(self) -> None:
+        """Begin the next test.
+
+        Raises
+        ------
+        ConfigError
+            If one is still flying.
+        """
+        with self._lock:
+            self._refuse_in_flight()
+            self._thread = threading.Thread(target=self._fly, name="flight")
+            self._thread.start()
+
+    def save(self) -> list[str]:
+        """Write the data of the test on show; the files.
+
+        Raises
+        ------
+        ConfigError
+            If none is on show, or it cannot be written.
+        """
+        with self._lock:
+            self._refuse_in_flight()
+            if self._number is None or self._failed:
+                raise ConfigError("no test is on show that could be saved; fly one first")
+            try:
+                files = self._session.save()
+            except OSError as error:
+                raise ConfigError(
+                    f"{self._session.folder}: cannot be written ({error.strerror}); "
+                    "give another folder by --out"
+                ) from None
+            self.saved += [one for one in files if one not in self.saved]
+            return [str(one) for one in files]
+
+    def state(self) -> bytes:
+        """The number of the test on show, whether one is flying, whether the last one failed."""
+        flying = self._flying()
+        return msgspec.json.encode(
+            {"number": self._number, "flying": flying, "failed": self._failed and not flying}
+        )
+
+    def newest(self) -> bytes:
+        """The flight on show as JSON; null where there is none yet."""
+        return self._newest
+
+    def close(self) -> None:
+        """Wait for the flight that is on."""
+        if self._thread is not None:
+            self._thread.join()
+
+    def _fly(self) -> None:
+        self._failed = True  # until it is down
+        self._session.next()
+        self._newest = flight_data(self._session)
+        self._number = self._session.number
+        self._failed = False
+
+    def _flying(self) -> bool:
+        return self._thread is not None and self._thread.is_alive()
+
+    def _refuse_in_flight(self) -> None:
+        if self._flying():
+            raise ConfigError("a test is being flown; wait until it is down")

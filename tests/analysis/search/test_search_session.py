@@ -1,0 +1,43 @@
+"""A search that is looked at, one test at a time."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from analysis.search.search_session import COLUMNS, Session
+from analysis.search.space.test_file import Initial, TestFile, read_test
+
+TEST = TestFile(duration_s=1.0, initial=Initial(roll_deg=(-30.0, 30.0)))
+
+
+def test_a_session_steps_and_saves(tmp_path):
+    session = Session(TEST, tmp_path)
+    first = session.next()
+    second = session.next()
+    assert session.number == 1
+    assert not np.array_equal(second.state, first.state)
+    table, case = session.save()
+    with table.open() as file:
+        rows = list(csv.reader(file))
+    assert tuple(rows[0]) == COLUMNS
+    assert len(rows) == 102
+    assert float(rows[1][7]) == pytest.approx(np.radians(read_test(case).initial.roll_deg))
+
+
+def test_a_session_learns_like_the_search(tmp_path):
+    session = Session(TEST, tmp_path)
+    for _ in range(70):
+        session.next()
+    assert session.number == 69
+    assert session.worst >= session.error
+
+
+def test_the_title_has_the_unit_of_the_criterion(tmp_path):
+    test = TestFile(
+        duration_s=1.0, estimator="inverse-model", criterion="height",
+        initial=Initial(roll_deg=(-30.0, 30.0)),
+    )  # fmt: skip
+    session = Session(test, tmp_path)
+    session.next()
+    assert f"inverse-model errs by {session.error:.3f} m (worst so far" in session.title
