@@ -69,6 +69,13 @@ def test_doubled_parts_that_disagree_fail(panel: str, value: float, name: str) -
     assert verdict(checks(Signal(panel, "x", T_S, apart)), name) == "FAIL"
 
 
+def test_long_loops_fail_but_not_those_of_a_simulated_processor() -> None:
+    loops = Signal("scheduler", "long loops", T_S, np.full_like(T_S, 1100.0))
+    assert verdict(checks(loops), "scheduler") == "FAIL"
+    simulated = {"SIM_SPEEDUP": [(0.0, 1.0)]}
+    assert verdict(checks(loops, parameters=simulated), "scheduler") == "not judged"
+
+
 def test_a_flat_cell_fails_and_one_that_is_not_there_does_not() -> None:
     flat = Signal("battery-cells", "cell 3", T_S, np.where(T_S > 40, 3.1, 3.9))
     absent = Signal("battery-cells", "cell 4", T_S, NONE)
