@@ -1,8 +1,8 @@
 """The operator of a flight under a real autopilot: arms it, has it fly, lands it; no I/O.
 
-The operator waits until the estimator has a position, uploads the mission, arms, takes off, flies
-the mission or waits where it is, lands, and waits for the motors to stop. What is not answered is
-asked again each second of the vehicle's time.
+The operator waits until the estimator has had a position for a while, uploads the mission, arms,
+takes off, flies the mission or waits where it is, lands, and waits for the motors to stop. What is
+not answered is asked again each second of the vehicle's time.
 """
 
 from collections.abc import Sequence
@@ -19,6 +19,9 @@ COMPONENT = 190  # MAV_COMP_ID_MISSIONPLANNER
 ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED
 POSITION, CONSTANT_POSITION = 0x10, 0x80  # EKF_STATUS_REPORT.flags, ESTIMATOR_STATUS.flags
 AGAIN_US = 1_000_000
+# Of a position. PX4's detector of landings needs as long to see that a plane stands: armed before,
+# it takes it to fly, and banks it on the runway.
+SETTLED_US = 10_000_000
 REACHED = 0.9  # of the height, where the take-off is over
 OFF_THE_GROUND_M = 1.0
 LYING_S = 30.0  # on the ground with motors on, after which nothing more will come of a flight
@@ -91,7 +94,8 @@ class Operator:
         self.gave_up = ""
         self._plan, self._requests = plan, requests
         self._t_us = self._since_us = self._again_us = self._hello_us = 0
-        self._positioned = self._armed = self._uploaded = False
+        self._positioned_us: int | None = None  # since when
+        self._armed = self._uploaded = False
         self._height_m = 0.0
         self._aloft_us = 0  # when it last was in the air, or had not yet been
         self._seq = 0
@@ -113,7 +117,9 @@ class Operator:
             flags = int(frame.number("flags"))
             # PX4 sets the second flag of every vehicle on the ground
             constant = name == "EKF_STATUS_REPORT" and flags & CONSTANT_POSITION
-            self._positioned = bool(flags & POSITION) and not constant
+            positioned = bool(flags & POSITION) and not constant
+            if not positioned or self._positioned_us is None:
+                self._positioned_us = self._t_us if positioned else None
         elif name == "GLOBAL_POSITION_INT":
             self._height_m = frame.number("relative_alt") * 1e-3
             if self._armed and self._height_m > OFF_THE_GROUND_M:
@@ -162,7 +168,8 @@ class Operator:
     def _done(self) -> bool:
         match self.phase:
             case Phase.WAITING:
-                return self._positioned
+                since_us = self._positioned_us
+                return since_us is not None and self._t_us - since_us >= SETTLED_US
             case Phase.UPLOADING:
                 return self._uploaded or not self._plan.waypoints
             case Phase.ARMING:

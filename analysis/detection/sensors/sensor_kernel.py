@@ -18,7 +18,7 @@ from analysis.detection.sensors.sensor_models import (
     S,
     V,
 )
-from analysis.samples.block import FIX, FIX_TYPE, Indices, Stamps
+from analysis.samples.block import FIX, FIX_TYPE, IMU, Indices, Stamps
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
@@ -49,7 +49,7 @@ class Kept(NamedTuple):
     `stamps` (s,) and `values` (s, WIDTH): the newest sample since the newest decision, NEVER_US
     where there is none; `counts` (s, 4) and `slow` (s, 12): what is counted, and the slow states, b
     (3,) and p (3, 3); `shown` (s,): the variance that the innovations show; `last` (4,): the newest
-    decision.
+    decision; `turning` (1,): the greatest rate of turn since, rad/s.
     """
 
     stamps: Stamps
@@ -58,6 +58,7 @@ class Kept(NamedTuple):
     slow: Vector
     shown: Vector
     last: Counts
+    turning: Vector
 
     def copy(self) -> "Kept":
         """The same, to be changed."""
@@ -68,6 +69,7 @@ class Kept(NamedTuple):
             self.slow.copy(),
             self.shown.copy(),
             self.last.copy(),
+            self.turning.copy(),
         )
 
 
@@ -281,10 +283,13 @@ def _decided(
 
 
 @compiled
-def _outcomes(row: int, at: Vector, kept: Kept, limits: Limits, found: Vector, count: int) -> int:
-    """Every sensor's test at a decision, added to `found` behind `count`; how many there are."""
+def _outcomes(
+    row: int, first: int, at: Vector, kept: Kept, limits: Limits, found: Vector, count: int
+) -> int:
+    """The tests of the `first` sensor and those behind it at a decision, added to `found` behind
+    `count`; how many there are."""
     sound = kept.last[HOW] == SOUND
-    for sensor in range(len(kept.stamps)):
+    for sensor in range(first, len(kept.stamps)):
         late_us = abs(kept.stamps[sensor] - kept.last[T_US])
         if kept.stamps[sensor] == NEVER_US or (sound and late_us > STALE_US):
             continue
@@ -299,15 +304,23 @@ def _outcomes(row: int, at: Vector, kept: Kept, limits: Limits, found: Vector, c
             found[count, DECIDED_US] = max(kept.last[T_US], kept.stamps[sensor])
             found[count, FIX_OF] = kept.values[sensor, FIX_TYPE]
             count += 1
-    for sensor in range(len(kept.stamps)):
+    for sensor in range(first, len(kept.stamps)):
         # Each sample is tested once.
         kept.stamps[sensor] = NEVER_US
     return count
 
 
 @compiled
+def _turning(rates: Vector, kept: Kept) -> None:
+    """Keep the greatest rate of turn."""
+    rate = math.sqrt(rates[0] ** 2 + rates[1] ** 2 + rates[2] ** 2)
+    if rate > kept.turning[0]:  # not where it is no number
+        kept.turning[0] = rate
+
+
+@compiled
 def judge(rows: Rows, decisions: Decisions, kept: Kept, limits: Limits) -> Vector:
-    """Every sensor's test at each decision on an epoch, and at fixes that belong to one.
+    """Every sensor's test at each decision on an epoch; a receiver's at fixes that belong to one.
 
     `kept` is changed in place. The outcomes (k, OUTCOME) are: row, sensor, code, statistic, degrees
     of freedom, whether it is isolated, the decision's stamp, the sample's seventh number, a fix's
@@ -324,11 +337,16 @@ def judge(rows: Rows, decisions: Decisions, kept: Kept, limits: Limits) -> Vecto
         sensor = SENSOR_OF[kind]
         if sensor >= 0:
             _keep(sensor, t_us, rows.values[row], kept)
+        elif kind == IMU:
+            _turning(rows.values[row], kept)
         if kind == FIX:
             _keep(sensor + 1, t_us, rows.values[row], kept)
+        before = used
         fits, used = _decided(row, kind, t_us, decisions.numbers, used, kept.last)
         if not fits:
             continue
+        # A fix may come long after its epoch, when the others' newest samples are of the next one.
+        first = 0 if used > before else models.GPS_POSITION
         if kept.last[BY_FIX]:  # it is the filter's own input
             kept.stamps[models.GPS_POSITION] = kept.stamps[models.GPS_VELOCITY] = NEVER_US
         if kept.stamps.max() == NEVER_US:
@@ -336,5 +354,8 @@ def judge(rows: Rows, decisions: Decisions, kept: Kept, limits: Limits) -> Vecto
         at = np.zeros(models.VIEW)
         if kept.last[HOW] == SOUND:
             at = view(decisions.x[used], decisions.p[used], decisions.inertial[used] != 0)
-        count = _outcomes(row, at, kept, limits, found, count)
+            at[models.TURNING] = kept.turning[0]
+        count = _outcomes(row, first, at, kept, limits, found, count)
+        if first == 0:
+            kept.turning[0] = 0.0
     return found[:count]

@@ -51,9 +51,10 @@ REASONS = {
     NO_REFERENCE: "no sound reference",
 }
 # The view: position in ECEF, height, velocity NED, how much older the sample is in s, axes NED in
-# ECEF, rotation body to NED (known or not), and covariances of position, velocity and attitude.
+# ECEF, rotation body to NED (known or not), covariances of position, velocity and attitude, and the
+# greatest rate of turn of late in rad/s.
 R, HEIGHT, V_NED, LATE_S, AXES, ROT, UPRIGHT = 0, 3, 4, 7, 8, 17, 53
-P_POSITION, P_VELOCITY, P_ATTITUDE, VIEW = 26, 35, 44, 54
+P_POSITION, P_VELOCITY, P_ATTITUDE, TURNING, VIEW = 26, 35, 44, 54, 55
 V, H, S = 0, 1, 4  # rows of `out`
 
 
@@ -146,12 +147,14 @@ def mag(
     x, y, z_ = out[V, 0], out[V, 1], out[V, 2]
     # A small rotation moves the field by its cross product: the attitude's share of doubt.
     cross = np.array([0.0, -z_, y, z_, 0.0, -x, -y, x, 0.0])
+    turned_sq = (at[LATE_S] * at[TURNING]) ** 2
     for i in range(3):
         for j in range(3):
             for k in range(9):
                 part = cross[3 * i + k // 3] * at[P_ATTITUDE + k] * cross[3 * j + k % 3]
                 out[S + i, j] += part
-        out[S + i, i] += sigma**2
+        # What it may have turned between the sample and the state, about any axis.
+        out[S + i, i] += sigma**2 + turned_sq * (x * x + y * y + z_ * z_)
     return _own(out, b, known, 3)
 
 

@@ -104,6 +104,7 @@ class References:
             np.zeros((count, 12)),
             self.sensors.sigmas() ** 2,
             np.full(4, UNTESTED),
+            np.zeros(1),
         )
         return ReferenceState(self.detector.new_state(), kept)
 

@@ -16,6 +16,10 @@ def frame(name, **values):
     return Frame(build(layout, values), layout)
 
 
+READY = frame("EKF_STATUS_REPORT", flags=0x33F)
+LOST = frame("EKF_STATUS_REPORT", flags=0xA7)
+
+
 def names(frames):
     return [item.layout.name for item in decoded(frames)]
 
@@ -50,9 +54,14 @@ class Autopilot:
             self.operator.heard(one)
         return self.operator.step(self.t_us, on_ground=on_ground)
 
+    def settle(self):
+        """What is sent when the estimator has had a position for long enough."""
+        while self.operator.phase is Phase.WAITING:
+            frames = self.second(READY)
+        return frames
+
     def up_to(self, phase):
-        ready = frame("EKF_STATUS_REPORT", flags=0x33F)
-        self.second(ready)
+        self.settle()
         if phase is Phase.ARMING:
             return
         self.second(frame("HEARTBEAT", base_mode=217))
@@ -63,11 +72,21 @@ class Autopilot:
 
 def test_nothing_is_armed_before_the_estimator_has_a_position():
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
-    frames = autopilot.second(frame("EKF_STATUS_REPORT", flags=0xA7))
-    assert names(frames) == ["HEARTBEAT"]
+    assert names(autopilot.second(LOST)) == ["HEARTBEAT"]
     assert autopilot.operator.phase is Phase.WAITING
-    frames = autopilot.second(frame("EKF_STATUS_REPORT", flags=0x33F))
-    assert commands(frames) == [(176, 4.0), (400, 0.0)]
+    assert commands(autopilot.settle()) == [(176, 4.0), (400, 0.0)]
+
+
+def test_a_position_has_to_stay_for_a_while():
+    autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
+    for _ in range(3):
+        for _ in range(8):
+            autopilot.second(READY)
+        autopilot.second(LOST)
+    assert autopilot.operator.phase is Phase.WAITING
+    begun_us = autopilot.t_us
+    autopilot.settle()
+    assert 10 * SECOND_US <= autopilot.t_us - begun_us <= 11 * SECOND_US
 
 
 def test_what_is_not_answered_is_asked_again_each_second():
@@ -96,18 +115,13 @@ def test_the_moments_of_a_flight_are_kept():
     autopilot.second(frame("MISSION_ITEM_REACHED", seq=2))
     moments = autopilot.operator.moments_us
     # each is noted at the latest stamp the operator was stepped to
-    assert moments["arming"] == 1 * SECOND_US
-    assert moments["take-off"] == 2 * SECOND_US
-    assert moments["mission-item:2"] == 3 * SECOND_US
+    assert moments["take-off"] == moments["arming"] + 1 * SECOND_US
+    assert moments["mission-item:2"] == moments["arming"] + 2 * SECOND_US
 
 
 def test_a_mission_is_uploaded_item_by_item_and_flown():
     autopilot = Autopilot(operator(FlightPlan(20.0, 60.0, CORNERS)))
-    (count,) = [
-        one
-        for one in decoded(autopilot.second(frame("EKF_STATUS_REPORT", flags=0x33F)))
-        if one.layout.name == "MISSION_COUNT"
-    ]
+    (count,) = [one for one in decoded(autopilot.settle()) if one.layout.name == "MISSION_COUNT"]
     assert count.number("count") == 4  # home, which ArduPilot keeps, a speed and two corners
     items = []
     for number in range(4):
