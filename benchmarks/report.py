@@ -1,11 +1,16 @@
-"""How large a report is and how fast it opens: ten curves of 60,000 noisy samples in five plots.
+"""How large a report is and how fast it opens, each time in a browser that was just started.
 
-    python benchmarks/report.py
+    python benchmarks/report.py                              # ten curves of 60,000 noisy samples
+    python benchmarks/report.py --log hil.tlog --megabytes 500   # a log repeated to that size
 
 Needs Debian's chromium and Playwright. "Opened" is until the page is ready with what is in view
 drawn, "all drawn" until every plot is.
 """
 
+import argparse
+import resource
+import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -15,8 +20,10 @@ import numpy as np
 from analysis.report.page.page_file import html
 from analysis.report.page.page_parts import Page
 from analysis.report.recordings.recording import Recording, Signal
+from mavproxy_fault.wire import tlog
 
 SAMPLES, PANELS = 60_000, ("roll", "pitch", "yaw", "accel", "gyro")
+TIMES = 3
 
 
 def recording() -> Recording:
@@ -32,20 +39,39 @@ def recording() -> Recording:
     )
 
 
-def main() -> None:
+def repeated(log: Path, megabytes: int, path: Path) -> None:
+    """Write a log over and over, its stamps moved on each time."""
+    records = [(t_us, raw) for t_us, raw, _ in tlog.read_records(log)]
+    length_us = records[-1][0] - records[0][0] + 10_000
+    with path.open("wb") as file:
+        moved_us = 0
+        while file.tell() < megabytes * 1_000_000:
+            file.write(b"".join(tlog.record(t_us + moved_us, raw) for t_us, raw in records))
+            moved_us += length_us
+
+
+def reported(log: Path, megabytes: int, folder: Path) -> Path:
+    """The report of a log of that size, by the command itself."""
+    large = folder / "large.tlog"
+    repeated(log, megabytes, large)
+    start_s = time.perf_counter()
+    command = ["mavproxy-fault", "report", str(large), "--out", str(folder)]
+    subprocess.run(command, stdout=subprocess.DEVNULL, check=False)
+    memory_mb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1000
+    print(f"reported in {time.perf_counter() - start_s:.1f} s, {memory_mb:.0f} MB of memory")
+    return folder / "report.html"
+
+
+def open_in_browser(path: Path) -> None:
     from playwright.sync_api import sync_playwright
 
-    start_s = time.perf_counter()
-    text = html(Page("benchmark", "PASS", [], []), recording())
-    print(f"written in {time.perf_counter() - start_s:.2f} s, {len(text) / 1e6:.2f} MB")
-    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
-        path = Path(folder) / "report.html"
-        path.write_text(text, encoding="utf-8")
-        browser = playwright.chromium.launch(
-            executable_path="/usr/bin/chromium",
-            args=["--headless", "--no-sandbox", "--disable-gpu"],
-        )
-        for _ in range(3):
+    print(f"{path.stat().st_size / 1e6:.2f} MB")
+    for _ in range(TIMES):
+        with sync_playwright() as playwright:
+            browser = playwright.chromium.launch(
+                executable_path="/usr/bin/chromium",
+                args=["--headless", "--no-sandbox", "--disable-gpu"],
+            )
             page = browser.new_page(viewport={"width": 1200, "height": 900})
             start_s = time.perf_counter()
             page.goto(path.as_uri())
@@ -53,9 +79,28 @@ def main() -> None:
             opened_s = time.perf_counter() - start_s
             page.evaluate("report.all()")
             print(f"opened {opened_s:.2f} s, all drawn {time.perf_counter() - start_s:.2f} s")
-            page.close()
-        browser.close()
+            browser.close()
+
+
+def main() -> int:
+    """Write a report and open it some times."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--log", type=Path, help="a tlog (default: curves made here)")
+    parser.add_argument("--megabytes", type=int, default=500, help="repeat the log up to this size")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if args.log is not None:
+            open_in_browser(reported(args.log, args.megabytes, folder))
+            return 0
+        start_s = time.perf_counter()
+        text = html(Page("benchmark", "PASS", [], []), recording())
+        print(f"written in {time.perf_counter() - start_s:.2f} s")
+        path = folder / "report.html"
+        path.write_text(text, encoding="utf-8")
+        open_in_browser(path)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -21,7 +21,7 @@ from analysis.autopilots.flight_plan import HEIGHTS_M, flight_plan
 from analysis.autopilots.hil_exchange import FromAutopilot, Patience, ToAutopilot, of_lockstep
 from analysis.autopilots.onlookers import Onlookers
 from analysis.autopilots.own_parameters import read_parameters
-from analysis.autopilots.program import Program
+from analysis.autopilots.program import Program, Start
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.run.proxied_flight import GROUND, MONITOR, Flight, session
 from analysis.run.run_command import EXIT_CODES, report
@@ -202,6 +202,7 @@ class AutopilotRun:
         self._operator = Operator(flight_plan(simulation), requests)
         mav_type, mix = airframe(simulation)
         with program as flying:
+            self._start = Start(flying)
             patience = Patience(flying.links[0], flying.process, START_S)
             lockstep = Lockstep()
             outward = ToAutopilot(
@@ -267,6 +268,7 @@ class AutopilotRun:
         if self._onlookers is not None:
             self._onlookers.serve()
         t_us = self.flight.vehicle_us
+        self._start.hold(t_us)
         frames: list[bytes] = []
         if t_us >= self._operator_us:
             self._operator_us = t_us + OPERATOR_US

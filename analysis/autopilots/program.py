@@ -2,6 +2,7 @@
 
 import contextlib
 import subprocess
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,8 @@ from analysis.autopilots.hil_exchange import Ending, StepMessage
 from mavproxy_fault.ardupilot.child_process import ending
 from mavproxy_fault.links.link import Link
 
+HOLD_S = 0.05  # by which the flight may be ahead of the wall clock
+MOST_START_S = 20.0
 END_S = 10.0  # for a program to close its logs
 
 Process = subprocess.Popen[bytes]
@@ -19,7 +22,8 @@ Process = subprocess.Popen[bytes]
 class Program:
     """What flies, the log of what it says on its console, and the message that steps it.
 
-    The first link is the HIL link, further ones are its telemetry.
+    The first link is the HIL link, further ones are its telemetry. `started` are words of the
+    console that end its start, while which it already answers.
     """
 
     name: str
@@ -27,6 +31,7 @@ class Program:
     links: Sequence[Link]
     log: Path
     step: StepMessage
+    started: str = ""
 
     def last_words(self) -> str:
         """How it ended where it was killed, else what it said last; for a message."""
@@ -35,6 +40,34 @@ class Program:
                 return f"; {self.name} ended {ending(code)}"
         lines = self.log.read_text(errors="replace").strip().splitlines()
         return f"; {self.name} said: {lines[-1]}" if lines else ""
+
+
+class Start:
+    """Keeps a flight to the wall clock until the program has started all of its parts.
+
+    The program answers steps long before that, and at full speed it would have flown before, say,
+    its own log begins.
+    """
+
+    def __init__(self, program: Program) -> None:
+        self._program = program
+        self._over = not program.started
+        self._began_s: float | None = None
+        self._first_us = 0
+
+    def hold(self, t_us: int) -> None:
+        """Wait until the wall clock is as far as the vehicle's."""
+        if self._over:
+            return
+        if self._began_s is None:
+            self._began_s, self._first_us = time.monotonic(), t_us
+        ahead_s = (t_us - self._first_us) * 1e-6 - (time.monotonic() - self._began_s)
+        if ahead_s < HOLD_S:
+            return
+        time.sleep(ahead_s)
+        told = self._program.started in self._program.log.read_text(errors="replace")
+        # Another version may use other words.
+        self._over = told or time.monotonic() - self._began_s > MOST_START_S
 
 
 @contextlib.contextmanager

@@ -31,6 +31,7 @@ from simvehicle.simulation.simulation import Simulation
 LOOPBACK = "127.0.0.1"
 FIRST_PORT = 4560  # TCP, where instance 0 looks for its simulator
 MOST_INSTANCES = 100
+STARTED = "Startup script returned"  # the logger is started by its last lines
 STREAMS_HZ = {
     "SYS_STATUS": 2,
     "EXTENDED_SYS_STATE": 2,
@@ -100,7 +101,7 @@ def started(
                 preexec_fn=die_with_parent,
             )
         stack.enter_context(ended(process))
-        yield Program("PX4", process, [hil, telemetry], path, PX4_STEP)
+        yield Program("PX4", process, [hil, telemetry], path, PX4_STEP, STARTED)
 
 
 def free_instance() -> tuple[int, TcpServer]:

@@ -11,6 +11,7 @@ from analysis.autopilots.own_parameters import read_parameters
 from analysis.campaign.cell import MONITOR
 from analysis.campaign.outcomes import Limits
 from analysis.estimators import names
+from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.document_check import DocumentCheck, decode
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
@@ -233,6 +234,9 @@ def read_campaign(path: Path | str) -> CampaignFile:
     kinds = {isinstance(scenario, CompiledScenario) for scenario in campaign.scenarios}
     if len(kinds) > 1:
         raise ConfigError(f"{path}: scenarios mix compiled ones and files; one kind in a campaign")
+    for i, scenario in enumerate(campaign.scenarios):
+        if isinstance(scenario, CompiledScenario):
+            decode(document, TestFile, ("scenarios", i, "compiled"))
     known = [MONITOR, *names()]
     check = DocumentCheck(document.where, document.lines)
     for i, subject in enumerate(campaign.subjects):

@@ -129,7 +129,7 @@ class DetectorConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     `p_false_alarm` is per GNSS epoch for the main test F00; `p_slow` per epoch for the tests with
     memory and `p_other` for Doppler and the other sensors. `rule` is how a verdict is found and
     `left_out` the most satellites left out for it. `systems` are the first letters of those that
-    are used: GPS, Galileo, GLONASS (R), BeiDou (C). `antenna_b_m` is where the
+    are used: GPS, Galileo, GLONASS (R), BeiDou (C), QZSS (J). `antenna_b_m` is where the
     antenna is from the IMU, in body axes. `readmit_s` is how long an excluded satellite
     must look healthy before it is used again, `imu_hold_s` how long a faulty IMU is not, `gap_s`
     the longest IMU gap that is bridged, `reset_s` the longest gap of epochs. `slow_accel_mps2` is

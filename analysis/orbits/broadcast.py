@@ -1,4 +1,4 @@
-"""Broadcast orbits and clocks of GPS, Galileo, GLONASS and BeiDou, and the atmosphere's delays.
+"""Broadcast orbits and clocks of five systems, and the atmosphere's delays.
 
 Positions and velocities follow the algorithm of the interface documents [1]_ [2]_ with the
 velocity in closed form; the ionosphere is Klobuchar's model [1]_, the troposphere Saastamoinen's
@@ -11,6 +11,7 @@ References
    5.2.4.12. GLONASS: `glonass`.
 .. [3] J. Saastamoinen, Bulletin Geodesique 107, 1973.
 .. [4] H. D. Black and A. Eisner, J. Geophys. Res. 89 (D2), 1984.
+.. [5] IS-QZSS-PNT: L1 C/A with GPS's message (LNAV) and GPS's constants.
 """
 
 import math
@@ -31,7 +32,12 @@ from mavproxy_fault.numerics.constants import (
 from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
-SYSTEMS = "GERC"  # a satellite's first letter; each but the first has a clock offset of its own
+# By a satellite's first letter: GPS, Galileo, GLONASS, BeiDou, QZSS.
+SYSTEMS = "GERCJ"
+# The receiver's clock that a system is measured by, each but the first with an offset of its own.
+# QZSS sends GPS's signal on GPS's time [5]_: one clock serves both.
+CLOCK_OF = {"G": 0, "E": 1, "R": 2, "C": 3, "J": 0}
+CLOCKS = 4
 BEIDOU_BEHIND_S = 14.0  # BeiDou's time against GPS's
 GEOSTATIONARY = (*range(1, 6), *range(59, 64))  # BeiDou's, by number
 B1I_HZ = 1561.098e6
@@ -79,7 +85,7 @@ def pack_ephemeris(ephemeris: Ephemeris | StateVector) -> Vector:
             GNSS_EARTH_RATE_RPS * ephemeris.toe_s - BEIDOU_EARTH_RATE_RPS * own_s
         )
         values["omega_dot_rps"] += 0.0 if still else GNSS_EARTH_RATE_RPS - BEIDOU_EARTH_RATE_RPS
-    mu = GPS_GM_M3PS2 if ephemeris.satellite[0] == "G" else WGS84_GM_M3PS2
+    mu = GPS_GM_M3PS2 if ephemeris.satellite[0] in "GJ" else WGS84_GM_M3PS2
     kind = GEOSTATIONARY_ORBIT if still else ELEMENTS
     return np.array([mu, float(ephemeris.week), *values.values(), kind, 1.0])
 

@@ -5,7 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.orbits.broadcast import AZIMUTH, ELEVATION, SYSTEMS, predict_ranges, satellite_states
+from analysis.orbits.broadcast import (
+    AZIMUTH,
+    CLOCK_OF,
+    ELEVATION,
+    predict_ranges,
+    satellite_states,
+)
 from analysis.samples.sample import Epoch, Vector
 
 Indices = NDArray[np.int64]
@@ -19,8 +25,8 @@ class Fix:
     """A snapshot solution.
 
     `r_ecef_m` (3,), `clock_m` the receiver clock, `isb_m` the other systems' offsets against the
-    first of `gnss.SYSTEMS` that is there, `residual_m` and `sigma_m` (n,), `design` (n, k) the
-    geometry with k = 3 + systems, `cofactor` its inverse normal matrix (weights included),
+    first of `broadcast.CLOCK_OF` that is there, `residual_m` and `sigma_m` (n,), `design` (n, k)
+    the geometry with k = 3 + systems, `cofactor` its inverse normal matrix (weights included),
     `dof` = n - k, `statistic` the weighted sum of squared residuals; `elevation_rad` and
     `azimuth_rad` (n,).
     """
@@ -40,7 +46,7 @@ class Fix:
 
 
 def systems_of(system: Indices) -> list[int]:
-    """The systems among `system` (n,), places in `gnss.SYSTEMS`; the first has no offset."""
+    """The systems among `system` (n,), places by `broadcast.CLOCK_OF`; the first has no offset."""
     return sorted(set(system.tolist()))
 
 
@@ -71,7 +77,7 @@ def solve(
         None where there are too few satellites or their geometry fails.
     """
     states = satellite_states(packed, float(epoch.week), epoch.tow_s, epoch.pseudorange_m)
-    system = np.array([SYSTEMS.index(name[0]) for name in epoch.satellites], dtype=np.int64)
+    system = np.array([CLOCK_OF[name[0]] for name in epoch.satellites], dtype=np.int64)
     r = np.zeros(3) if guess is None else guess.copy()
     clock = np.zeros(len(systems_of(system)))
     for _ in range(ITERATIONS):

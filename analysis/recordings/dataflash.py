@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.wire.written import written_bytes
 
 Topic = dict[str, NDArray[Any]]
 MAGIC = b"\xa3\x95"
@@ -27,6 +28,7 @@ HEAD = 3  # bytes of a message before its fields
 MOST_BYTES = 500_000_000  # of a file that are read
 FORMATS = 0x80  # the type of FMT messages
 NUMBERED = ("IMU", "MAG", "GPS", "GPA", "BARO", "BAT", "CURR")  # IMU2 of an old log: a second one
+RATES = {"R", "P", "Y", "RDes", "PDes", "YDes"}
 INSTANCES = ("I", "C", "Instance")  # what tells the messages of two sensors or cores apart
 
 
@@ -84,7 +86,8 @@ def read_dataflash(path: str | Path) -> DataflashFile:
         columns["TimeUS"] = _time_us(name, at, columns, times)
         for key, rows in _instances(name, columns):
             topics[key] = {column: values[rows] for column, values in columns.items()}
-    unread_bytes = max(Path(path).stat().st_size - MOST_BYTES, 0)
+    _rates_in_degrees(topics)
+    unread_bytes = max(written_bytes(Path(path)) - MOST_BYTES, 0)
     stamps = times[1]
     return DataflashFile(topics, int(stamps.min()), int(stamps.max()), unread_bytes, damaged, cut)
 
@@ -111,11 +114,12 @@ def _printing_to(file: IO[bytes]) -> Iterator[None]:
 @contextlib.contextmanager
 def _beginning(path: Path) -> Iterator[Path]:
     """The file, or a copy of as much of it as is read: pymavlink takes whole files only."""
-    if path.stat().st_size <= MOST_BYTES:
+    written = written_bytes(path)
+    if written == path.stat().st_size <= MOST_BYTES:
         yield path
         return
     with tempfile.NamedTemporaryFile(suffix=".bin") as copy, path.open("rb") as file:
-        remaining = MOST_BYTES
+        remaining = min(written, MOST_BYTES)
         while remaining > 0 and (data := file.read(min(remaining, 1 << 24))):
             copy.write(data)
             remaining -= len(data)
@@ -195,6 +199,18 @@ def _time_us(
     if own is not None:
         return own
     return times[1][np.maximum(np.searchsorted(times[0], at) - 1, 0)]
+
+
+def _rates_in_degrees(topics: Mapping[tuple[str, int], Topic]) -> None:
+    """Make RATE degrees per second, which logs of 2015 and before give in hundredths."""
+    rate, imu = topics.get(("RATE", 0), {}), topics.get(("IMU", 0), {})
+    if "R" not in rate or "GyrX" not in imu:
+        return
+    turned = np.degrees(np.interp(rate["TimeUS"], imu["TimeUS"], imu["GyrX"]))
+    # Ten lies between one and a hundred: filters and delays change less.
+    if np.median(np.abs(rate["R"])) > 10.0 * np.median(np.abs(turned)) > 0.0:
+        for name in rate.keys() & RATES:
+            rate[name] = rate[name] * 0.01
 
 
 def _instances(

@@ -1,4 +1,5 @@
-"""Ephemerides from the bits that satellites send: GPS subframes and Galileo I/NAV words.
+"""Ephemerides from the bits that satellites send: GPS's subframes, which QZSS has taken over, and
+Galileo's I/NAV words.
 
 Fields, their bits and their scales are those of RTCM 1019 and 1046, which took them over; here
 stands where they lie [1]_ [2]_. The week of an ephemeris is the one that puts its time next to that
@@ -111,7 +112,7 @@ def gps_ephemeris(
         return None
     values = parts[1] | parts[2] | parts[3]
     values["iodc"] = 256 * values["iodc_high"] + values["iodc_low"]
-    return ephemeris_of(satellite, _week(values, near_s), values)
+    return ephemeris_of(satellite, week_near(values["toe_s"], near_s), values)
 
 
 def inav_word(words: Sequence[int]) -> tuple[int, bytes] | None:
@@ -153,8 +154,9 @@ def inav_ephemeris(satellite: str, words: dict[int, bytes], near_s: float) -> Ep
     values = {name: value for part in parts.values() for name, value in part.items()}
     e5b = 2 * values["e5b_health"] + values["e5b_invalid"]
     values["health"] = 8 * e5b + 2 * values["e1_health"] + values["e1_invalid"]
-    return ephemeris_of(satellite, _week(values, near_s), values)
+    return ephemeris_of(satellite, week_near(values["toe_s"], near_s), values)
 
 
-def _week(values: Fields, near_s: float) -> int:
-    return round((near_s - values["toe_s"]) / WEEK_S)
+def week_near(toe_s: float, near_s: float) -> int:
+    """The GPS week that puts a time of the week next to a time of GPS's count of seconds."""
+    return round((near_s - toe_s) / WEEK_S)

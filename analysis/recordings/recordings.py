@@ -45,26 +45,26 @@ def read_rinex(
 ) -> Block:
     """A RINEX observation file with its navigation files, and IMU samples where there are any.
 
-    A u-blox log takes the place of the observation file, and of the navigation files where it has
-    what the satellites sent. `lines` are those of the observation file where they were changed
-    before they are read. The IMU file has one sample a line: GPS time on Unix's count of seconds,
-    specific force (3) in g and rates (3) in rad/s, axes forward-left-up; further columns are passed
-    over. `t_us` counts from the start of GPS time; what the navigation files hold comes first,
-    stamped as the first.
+    A receiver's own log takes the place of the observation file, and of the navigation files where
+    it has what the satellites sent. `lines` are those of the observation file where they were
+    changed before they are read. The IMU file has one sample a line: GPS time on Unix's count of
+    seconds, specific force (3) in g and rates (3) in rad/s, axes forward-left-up; further columns
+    are passed over. `t_us` counts from the start of GPS time; what the navigation files hold comes
+    first, stamped as the first.
 
     Raises
     ------
     ConfigError
         If a file cannot be read as what it should be, or does not fit the others.
     """
+    from analysis.recordings.receiver_logs import is_receiver_log, read_receiver_log
     from analysis.recordings.rinex_navigation import read_navigation
     from analysis.recordings.rinex_observations import epochs_of, read_observations
-    from analysis.recordings.ubx_log import is_ubx, read_ubx
 
     files = [navigation] if isinstance(navigation, Path) else list(navigation)
     broadcast: list[EphemerisSample | IonosphereSample] = []
-    if is_ubx(observations):
-        epochs, broadcast = read_ubx(observations)
+    if is_receiver_log(observations):
+        epochs, broadcast = read_receiver_log(observations)
     else:
         epochs = (
             read_observations(observations) if lines is None else epochs_of(observations, lines)

@@ -31,7 +31,7 @@ from mavproxy_fault.rinex.navigation_record import (
     orbit,
 )
 from mavproxy_fault.rinex.rinex_text import header_of, read_rinex_text
-from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
+from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris, l1_health
 
 MESSAGES = ("LNAV", "INAV", "FNAV", "FDMA", "D1", "D2")  # RINEX 4 names the message of each record
 BEIDOU_WEEK_ZERO = 1356  # in GPS weeks
@@ -140,7 +140,8 @@ def _ephemeris(name: str, head: str, body: list[str], indent: int) -> tuple[Ephe
     toc = gps_time(year, month, day, hour * 3600 + minute * 60 + float(second))
     af0, af1, af2 = (_float(head[start + 19 * i : start + 19 * i + 19]) for i in range(3))
     v = [_float(line[indent + 19 * i : indent + 19 * i + 19]) for line in body for i in range(4)]
-    galileo, week, toe_s = name[0] == "E", int(v[WEEK]), v[TOE]
+    galileo, lnav = name[0] == "E", name[0] in "GJ"
+    week, toe_s = int(v[WEEK]), v[TOE]
     # BeiDou's own weeks and seconds, 14 s behind GPS's.
     if name[0] == "C":
         week, toe_s = _later(week + BEIDOU_WEEK_ZERO, toe_s, BEIDOU_BEHIND_S)
@@ -156,12 +157,12 @@ def _ephemeris(name: str, head: str, body: list[str], indent: int) -> tuple[Ephe
         af1=af1,
         af2_per_s=af2,
         iode=int(v[IODE]),
-        iodc=int(v[DELAY_B]) if name[0] == "G" else int(v[IODE]),
+        iodc=int(v[DELAY_B]) if lnav else int(v[IODE]),
         **orbit(v),
         group_delay_s=delay,
         group_delay_e5a_s=v[DELAY] if galileo else 0.0,
-        accuracy=0 if name[0] != "G" else sum(v[ACCURACY] > limit for limit in ACCURACY_INDEX_M),
-        health=int(v[HEALTH]),
+        accuracy=sum(v[ACCURACY] > limit for limit in ACCURACY_INDEX_M) if lnav else 0,
+        health=l1_health(name, int(v[HEALTH])),
     )
     return ephemeris, fnav
 

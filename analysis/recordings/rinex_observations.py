@@ -1,9 +1,9 @@
 """RINEX 2, 3 and 4 observation files, one code range, Doppler and C/N0 per satellite.
 
-Only what the detector needs is read: GPS L1, Galileo E1, GLONASS G1, and B1I or B3I of BeiDou. Of
-each satellite the first code signal in `PREFERRED` that has a value is used, on the carrier it was
-first seen on [1]_ [2]_. Lines that are no observation are passed over; a file cut short ends with
-its last whole epoch.
+Only what the detector needs is read: L1 of GPS and QZSS, Galileo E1, GLONASS G1, and B1I or B3I of
+BeiDou. Of each satellite the first code signal in `PREFERRED` that has a value is used, on the
+carrier it was first seen on [1]_ [2]_. Lines that are no observation are passed over; a file cut
+short ends with its last whole epoch.
 
 References
 ----------
@@ -30,6 +30,7 @@ PREFERRED = {
     "E": ("1C", "1X", "1B", "1A"),
     "R": ("1C", "1P"),
     "C": ("2I", "1I", "2X", "6I", "6X"),  # 1I is what RINEX 3.02 calls B1I
+    "J": ("1C", "1E", "1X", "1L", "1S"),  # 1E: C/B, which later satellites send in place of C/A
 }
 BEIDOU_HZ = {"1": B1I_HZ, "2": B1I_HZ, "6": B3I_HZ}  # by the band
 GPS_DAY_ZERO = date(1980, 1, 6).toordinal()

@@ -2,7 +2,8 @@
 
 What else is in the log is passed over. A frame whose checksum is wrong, or whose end is missing, is
 looked for again behind its first byte, so that a damaged length swallows nothing. Orbits are read
-of GPS and Galileo; ranges of GLONASS and BeiDou too, for navigation files beside the log [1]_.
+of GPS, QZSS and Galileo; ranges of GLONASS and BeiDou too, for navigation files beside the log
+[1]_.
 
 A PX4 log holds such bytes where GPS_DUMP_COMM had them logged (message GpsDump) [2]_.
 
@@ -56,14 +57,15 @@ SIGNALS = {
     (2, 1): ("E", "1B", L1_HZ),
     (3, 0): ("C", "2I", B1I_HZ),
     (3, 1): ("C", "2I", B1I_HZ),
+    (5, 0): ("J", "1C", L1_HZ),
     (6, 0): ("R", "1C", CENTRE_HZ),
 }
 CHANNEL_ZERO = 7  # GLONASS's channels are sent as numbers from 0
 UNKNOWN_SATELLITE = 255
 HEAD_BYTES = 8  # of SFRBX before its words; RAWX has more
-GPS, GALILEO = 0, 2
+GPS, GALILEO, QZSS = 0, 2, 5
 # C/A; E1 and E5b, 0 on receivers that know E1 alone. Other signals carry other messages.
-MESSAGE_SIGNALS = {GPS: (0,), GALILEO: (0, 1, 5, 6)}
+MESSAGE_SIGNALS = {GPS: (0,), GALILEO: (0, 1, 5, 6), QZSS: (0,)}
 Broadcast = EphemerisSample | IonosphereSample
 ULOG = ".ulg"
 TO_RECEIVER = 0x80  # bit of a dump's length
@@ -186,11 +188,12 @@ def _broadcasts(payloads: list[bytes], near_s: float) -> Iterator[Broadcast]:
             continue
         words = np.frombuffer(payload, "<u4", count, HEAD_BYTES).tolist()
         ephemeris = None
-        if system == GPS and (part := subframe(words)) is not None:
-            name = f"G{number:02d}"
+        if system in (GPS, QZSS) and (part := subframe(words)) is not None:
+            name = f"{'G' if system == GPS else 'J'}{number:02d}"
             subframes.setdefault(name, {})[part.number] = part
             ephemeris = gps_ephemeris(name, subframes[name], near_s)
-            if (ionosphere := klobuchar(part)) is not None:
+            # QZSS's own coefficients are those of Japan alone.
+            if system == GPS and (ionosphere := klobuchar(part)) is not None:
                 yield IonosphereSample(0, *ionosphere)
         elif system == GALILEO and (word := inav_word(words)) is not None:
             name = f"E{number:02d}"

@@ -6,7 +6,7 @@ the vehicle's clock. Field names that PX4 1.14 and later changed are given their
 
 import contextlib
 import io
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.recordings.ulog_words import printed, words
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.wire.written import written_bytes
 
 NUMBER = (int, float)  # what a parameter is, unless its definition is damaged
 Topic = dict[str, NDArray[Any]]
 MAGIC = b"ULog\x01\x12\x35"
+TELL_BYTES = 1 << 20  # between two words of how far the reader is
 MOST_READS = 100  # times the file's size that a reader may read of it
 DEGREES = {"lat": "latitude_deg", "lon": "longitude_deg"}
 
@@ -32,7 +35,7 @@ class ULogFile:
     topics : dict
         By topic name and instance its columns.
     messages : list of (t_us, severity, text)
-        What the autopilot logged, severity as in MAVLink, 0 (worst) to 7.
+        What the autopilot said, severity as in MAVLink, 0 (worst) to 7.
     parameters : dict
         Initial parameters by name.
     changes : list of (t_us, name, value)
@@ -42,6 +45,8 @@ class ULogFile:
     info : dict
         The file's information messages (version, hardware).
     dropouts : list of (t_us, duration_s)
+    printed : dict
+        By title what the system printed: console, processes, counters.
     damaged : bool
         Whether parts of the file could not be read.
     cut : bool
@@ -56,25 +61,36 @@ class ULogFile:
     info: dict[str, Any]
     start_us: int
     dropouts: list[tuple[int, float]]
+    printed: dict[str, str]
     damaged: bool
     cut: bool
 
 
 class _Patient(io.FileIO):
-    """A file that ends a reader which goes over the same damaged bytes for ever, as pyulog can."""
+    """A file that ends a reader which goes over the same damaged bytes for ever, as pyulog can.
 
-    def __init__(self, path: str | Path) -> None:
+    It ends where nothing was written any more, and tells how far the reader is.
+    """
+
+    def __init__(self, path: str | Path, told: Callable[[float], None]) -> None:
         super().__init__(path, "rb")
         self.cut = False  # whether it ended in the middle of what a reader asked for
-        self._remaining_reads = MOST_READS * Path(path).stat().st_size + 10_000_000
+        self._written = written_bytes(Path(path))
+        self._remaining_reads = MOST_READS * self._written + 10_000_000
+        self._told, self._tell_at = told, 0
 
     def read(self, size: int | None = -1, /) -> bytes:
         """As in any file, until too much was read."""
-        data = super().read(-1 if size is None else size) or b""
+        at = self.tell()
+        left = max(self._written - at, 0)
+        data = super().read(left if size is None or size < 0 else min(size, left)) or b""
         self.cut |= size is not None and 0 < len(data) < size
         self._remaining_reads -= len(data) + 1
         if self._remaining_reads < 0:
             raise RuntimeError("damaged beyond reading")
+        if at >= self._tell_at:
+            self._tell_at = at + TELL_BYTES
+            self._told(at / self._written)
         return data
 
 
@@ -83,8 +99,10 @@ def is_ulog(head: bytes) -> bool:
     return head.startswith(MAGIC)
 
 
-def read_ulog(path: str | Path) -> ULogFile:
+def read_ulog(path: str | Path, told: Callable[[float], None] = lambda _: None) -> ULogFile:
     """Read a whole ULog; what a damaged file still holds comes back with `damaged` set.
+
+    `told` is called with the share that is read, from 0 to 1.
 
     Raises
     ------
@@ -95,7 +113,7 @@ def read_ulog(path: str | Path) -> ULogFile:
 
     complaints = io.StringIO()  # pyulog prints what it cannot read
     try:
-        file = _Patient(path)
+        file = _Patient(path, told)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; give the path of a ULog") from error
     try:
@@ -110,8 +128,7 @@ def read_ulog(path: str | Path) -> ULogFile:
     }
     return ULogFile(
         topics,
-        # The level is the character of a digit; one that is damaged must still be a severity.
-        [(m.timestamp, (m.log_level - ord("0")) & 7, m.message) for m in log.logged_messages],
+        words(log),
         {name: float(v) for name, v in log.initial_parameters.items() if isinstance(v, NUMBER)},
         [
             (t_us, name, float(v))
@@ -122,6 +139,7 @@ def read_ulog(path: str | Path) -> ULogFile:
         dict(log.msg_info_dict),
         int(log.start_timestamp),
         [(drop.timestamp, drop.duration * 1e-3) for drop in log.dropouts],
+        printed(log),
         bool(log.file_corruption or complaints.getvalue()),
         file.cut,
     )

@@ -29,27 +29,25 @@ def export_tracks(recording: Recording, folder: Path, form: str) -> Path:
 
 def _lines(recording: Recording) -> Iterator[tuple[str, str, Track]]:
     """Name, colour and places of each track, then of the stretches in which a fault acted."""
-    colours = series_colours([track.name for track in recording.tracks])
-    for track, colour in zip(recording.tracks, colours, strict=True):
+    tracks = [track for track in recording.tracks if track.on_earth]
+    colours = series_colours([track.name for track in tracks])
+    for track, colour in zip(tracks, colours, strict=True):
         yield track.name, PALETTE[colour], _thin(track)
     for span in recording.spans:
         if span.kind != "injected":
             continue
-        for track in recording.tracks:
+        for track in tracks:
             inside = (track.t_s >= span.start_s) & (track.t_s <= span.end_s)
             # A line needs two points; a fault shorter than two fixes has no stretch to draw.
             if inside.sum() > 1:
                 name = f"{span.lane.removeprefix('injected: ')} on {track.name}"
-                columns = (track.t_s, track.lat_deg, track.lon_deg, track.alt_m)
-                stretch = Track(name, *(column[inside] for column in columns))
-                yield name, PALETTE[1], _thin(stretch)
+                yield name, PALETTE[1], _thin(track.part(inside))
 
 
 def _thin(track: Track) -> Track:
     # Rounded up, so that the thinned track never exceeds POINTS.
     step = -(-len(track.t_s) // POINTS)
-    columns = (track.t_s, track.lat_deg, track.lon_deg, track.alt_m)
-    return Track(track.name, *(column[::step] for column in columns))
+    return track.part(slice(None, None, step))
 
 
 def _write_kml(path: Path, name: str, lines: list[tuple[str, str, Track]]) -> None:

@@ -24,8 +24,9 @@ def gnss_pictures(
     found = []
     if seen:
         table, names = _table(seen)
+        elevation, azimuth, _, out, places = table.T
         found = [
-            ("Sky: in use, and left out (red)", _sky(table, names)),
+            ("Sky: in use, and left out (red)", sky(elevation, azimuth, out, places, names)),
             ("Residuals by elevation, left out in red", _residuals(table)),
         ]
     if errors:
@@ -72,17 +73,20 @@ def _svg(figure: Any) -> bytes:
     return found.getvalue()
 
 
-def _sky(table: Vector, names: Sequence[str]) -> bytes:
+def sky(
+    elevation_deg: Vector, azimuth_deg: Vector, out: Vector, places: Vector, names: Sequence[str]
+) -> bytes:
+    """Directions (k,) of satellites, north up, those left `out` in red; `places` (k,) of names."""
     figure, axes = _figure(5, 5, projection="polar")
     axes.set_theta_zero_location("N")
     axes.set_theta_direction(-1)
     axes.set(rlim=(0, 90), yticks=(0, 30, 60, 90), yticklabels=("90°", "60°", "30°", ""))
     for i, colour in enumerate(series_colours(list(names))):
-        elevation, azimuth, _, excluded, _ = table[table[:, -1] == i].T
-        angle, radius = np.radians(azimuth), 90.0 - elevation
-        out = excluded > 0.0
+        own = places == i
+        angle, radius = np.radians(azimuth_deg[own]), 90.0 - elevation_deg[own]
+        red = out[own] > 0.0
         axes.scatter(angle, radius, s=3, color=PALETTE[colour], rasterized=True)
-        axes.scatter(angle[out], radius[out], s=12, color=LEFT_OUT, rasterized=True)
+        axes.scatter(angle[red], radius[red], s=12, color=LEFT_OUT, rasterized=True)
         axes.annotate(names[i], (angle[-1], radius[-1]), fontsize=8)
     return _svg(figure)
 

@@ -69,7 +69,8 @@ def write(
     if fused is not None:
         tables.append((FUSION, fused))
     reasons, verdict = criteria_reasons(summary), str(summary.get("verdict", ""))
-    page = Page(title, verdict, facts(summary), tables, SENSOR_LIMIT, reasons, pictures)
+    shown = [(DETECTION, *picture) for picture in pictures]
+    page = Page(title, verdict, facts(summary), tables, SENSOR_LIMIT, reasons, shown)
     path = out / "report.html"
     write_whole(path, html(page, together, field_data(together.messages, str(INSIDE_MB), out)))
     return path

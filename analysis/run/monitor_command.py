@@ -17,8 +17,8 @@ from analysis.monitor.publish import Publisher
 from analysis.monitor.watch import Watch
 from analysis.recordings.autopilot_logs import is_autopilot_log
 from analysis.recordings.position_reference import PositionReference, read_reference
+from analysis.recordings.receiver_logs import is_receiver_log
 from analysis.recordings.recordings import read_log, read_rinex
-from analysis.recordings.ubx_log import is_ubx
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result
 from analysis.run.stop import Stop, stop_requests
@@ -163,9 +163,9 @@ def blocks_of(args: argparse.Namespace) -> Iterator[Block]:
 def rinex_block(args: argparse.Namespace) -> tuple[Block, list[Label] | None]:
     """A RINEX recording with the faults of `--schedule` in it, and their labels."""
     obs, *nav = (Path(path) for path in args.rinex)
-    if is_ubx(obs) and args.schedule is not None:
-        raise ConfigError(f"--schedule: {obs} is a u-blox log; faults go into RINEX files")
-    if not nav and not is_ubx(obs):
+    if is_receiver_log(obs) and args.schedule is not None:
+        raise ConfigError(f"--schedule: {obs} is a receiver's log; faults go into RINEX files")
+    if not nav and not is_receiver_log(obs):
         raise ConfigError(f"--rinex {obs}: has no navigation file beside it; give OBS NAV")
     lines = labels = None
     if args.schedule is not None:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
 LOG = logging.getLogger(__name__)
+BOTH = "both"  # directions of one stretch
 NEVER_US = 1 << 62
 TELL_US = 200_000  # between two labels about new values of one fault
 
@@ -233,6 +234,8 @@ class Running:
         if self.first_us is None:
             self.first_us = t_us
             self.direction = direction
+        elif self.direction != direction:
+            self.direction = BOTH
         for out in sends:
             self._measure(out)
         return sends

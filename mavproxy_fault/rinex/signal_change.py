@@ -18,7 +18,7 @@ Vector = NDArray[np.float64]
 Sky = Callable[[int], Mapping[str, Vector]]
 
 HEALTHY = Setting(0.0, 0.0)
-EVERYBODY = "GE"  # the systems that `[all]` stands for
+EVERYBODY = "GEJ"  # the systems that `[all]` stands for
 
 
 class SignalChange(NamedTuple):

@@ -15,10 +15,11 @@ FIELD, VALUE = 16, 14  # F14.3, loss of lock, signal strength
 LOCK_DBHZ = 25.0  # weaker signals are lost, as in the simulator's receiver
 USUAL_DBHZ = 45.0  # where a file does not tell
 CODES = "CP"  # RINEX 2 calls the code on the encrypted signal P
-# Carriers by system and band: RINEX 3.05, tables 4 (GPS) and 6 (Galileo).
+# Carriers by system and band: RINEX 3.05, tables 4 (GPS), 6 (Galileo) and 8 (QZSS).
 CARRIERS_MHZ = {
     "G": {"1": 1575.42, "2": 1227.6, "5": 1176.45},
     "E": {"1": 1575.42, "5": 1176.45, "7": 1207.14, "8": 1191.795, "6": 1278.75},
+    "J": {"1": 1575.42, "2": 1227.6, "5": 1176.45, "6": 1278.75},
 }
 
 

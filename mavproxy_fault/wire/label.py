@@ -14,8 +14,8 @@ class Label(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
     A label is written when the fault first touches a frame (`end_us` is None) and again, complete,
     when it ends; the last line with the same `id` and `start_us` holds.
     Stamps are microseconds on the vehicle's clock, like the frames' own; `t0_us` is the stamp from
-    which the schedule's `at_s` counts. Where the fault's value is changed while it acts, another
-    line tells the new value and when it came.
+    which the schedule's `at_s` counts. `direction` is from-vehicle, to-vehicle, or both. Where the
+    fault's value is changed while it acts, another line tells the new value and when it came.
     """
 
     id: str

@@ -23,6 +23,7 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.crc import SLICES, slicing_tables
 from mavproxy_fault.wire.dialect import Layout, known, message_names
 from mavproxy_fault.wire.frame import HEADER_V1, HEADER_V2, SIGNATURE_LENGTH, SIGNED, Frame
+from mavproxy_fault.wire.written import written_bytes
 
 if TYPE_CHECKING:  # numba is loaded when a log is read, not before
     from mavproxy_fault.wire.log_walk import LogFrames, LogMessages
@@ -37,11 +38,15 @@ END_BYTES = 1 << 16  # as much of a log's beginning or end as shows its first or
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Frames of a stretch of a log: a row per run of them (`walk.walk`), frames of each message."""
+    """Frames of a stretch of a log: a row per run of them (`walk.walk`), frames of each message.
+
+    `end` is the place in the log behind the stretch.
+    """
 
     runs: NDArray[np.int64]
     counts: NDArray[np.int64]
     junk_bytes: int
+    end: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +61,15 @@ class Log:
         Every frame in the log's order: `t_us`, `id`, `system`, `component`, `seq`, `known`.
     junk_bytes : int
         Bytes that belong to no frame found: broken records, a cut tail, foreign bytes.
-    size : int
-        Bytes of the file.
+    size, end : int
+        Bytes of the file as far as it was written, and of them those walked so far.
     """
 
     columns: Columns
     frames: NDArray[np.void]
     junk_bytes: int
     size: int
+    end: int
 
 
 FRAMES = np.dtype(
@@ -128,10 +134,11 @@ def map_bytes(path: Path) -> NDArray[np.uint8]:
         raise ConfigError(f"{path}: not a file; give the path of a log")
     if not path.is_file():
         raise ConfigError(f"{path}: there is no such file; give the path of a log")
-    if path.stat().st_size == 0:
+    size = written_bytes(path)
+    if size == 0:
         raise ConfigError(f"{path}: the log is empty; nothing was recorded")
     # Pages come in as the walk needs them: a log may be larger than memory.
-    return np.memmap(path, np.uint8, mode="r")
+    return np.memmap(path, np.uint8, mode="r", shape=(size,))
 
 
 def _blocks(data: NDArray[np.uint8], frames: int) -> Iterator[_Block]:
@@ -144,7 +151,7 @@ def _blocks(data: NDArray[np.uint8], frames: int) -> Iterator[_Block]:
     while start < len(data):
         counts = np.zeros(len(messages.lengths), np.int64)
         found, start, junk = walk(data, start, messages, runs, counts)
-        yield _Block(runs[:found].copy(), counts, junk)
+        yield _Block(runs[:found].copy(), counts, junk, start)
 
 
 def _whole(data: NDArray[np.uint8]) -> _Block:
@@ -154,6 +161,7 @@ def _whole(data: NDArray[np.uint8]) -> _Block:
         np.concatenate([block.runs for block in blocks]),
         np.sum([block.counts for block in blocks], axis=0),
         sum(block.junk_bytes for block in blocks),
+        blocks[-1].end,
     )
 
 
@@ -238,7 +246,7 @@ def read_parts(path: str | Path) -> Iterator[Log]:
 def _log(data: NDArray[np.uint8], block: _Block) -> Log:
     frames = np.concatenate([_frames(data, some) for some in _unrolled(data, block)])
     columns = _columns(data, block.counts, _unrolled(data, block))
-    return Log(columns, frames, block.junk_bytes, len(data))
+    return Log(columns, frames, block.junk_bytes, len(data), block.end)
 
 
 def read_columns(path: str | Path, only: Collection[str] | None = None) -> Columns:

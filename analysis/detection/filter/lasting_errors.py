@@ -24,7 +24,7 @@ import numpy as np
 
 from analysis.detection.filter.inertial import ISB
 from analysis.detection.filter.measurement import Modelled
-from analysis.orbits.broadcast import SYSTEMS, troposphere_m
+from analysis.orbits.broadcast import CLOCKS, troposphere_m
 from analysis.samples.block import Indices
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
@@ -81,10 +81,10 @@ def lines_of(used: Modelled, axes: Vector) -> Lines:
     count, h = used.h.shape[0], used.h
     sight, clock = np.zeros((count, AXES)), np.empty(count, np.int64)
     # The last place is GPS's, whose clock is the filter's own.
-    place, unknowns = np.full(len(SYSTEMS), -1), AXES
+    place, unknowns = np.full(CLOCKS, -1), AXES
     for i in range(count):
-        system = len(SYSTEMS) - 1
-        for k in range(len(SYSTEMS) - 1):
+        system = CLOCKS - 1
+        for k in range(CLOCKS - 1):
             if h[i, ISB + k] != 0.0:
                 system = k
         if place[system] < 0:

@@ -22,6 +22,7 @@ from analysis.detection.filter.inertial import (
 )
 from analysis.detection.values import Value
 from analysis.orbits.broadcast import (
+    CLOCK_OF,
     DELAY,
     ELEVATION,
     PACKED,
@@ -42,7 +43,7 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 COEFFICIENTS = 8  # Klobuchar's; behind them, how much more than broadcast ones they are off
 CHOSEN_S = 300.0  # at the latest the choice is looked at again
-# Of the variance, in the order of SYSTEMS: GLONASS's channels have delays of their own (RTKLIB's
+# Of the variance, by clock: GLONASS's channels have delays of their own (RTKLIB's
 # factor), BeiDou's B3I wanders as much more on a recorded walk.
 SPREAD = (1.0, 1.0, 1.5**2, 1.5**2)
 RANGE_LIMITS_M = (1.5e7, 6.0e7)  # medium orbits as seen from near the earth
@@ -63,7 +64,8 @@ class Measured(NamedTuple):
 class Observed(Value, frozen=True):
     """Usable satellites of one epoch: parallel arrays (n,), their ephemerides packed (n, 25).
 
-    `system` (n,) is each one's place in `gnss.SYSTEMS`; `week` and `tow_s` are the receiver's time.
+    `system` (n,) is each one's clock by `broadcast.CLOCK_OF`; `week` and `tow_s` are the
+    receiver's time.
     """
 
     satellites: tuple[str, ...]
@@ -196,7 +198,7 @@ def choose(
         np.array(keep, dtype=np.int64) if len(keep) < len(epoch.satellites) else None,
         names,
         np.array(rows).reshape(len(rows), PACKED),
-        np.array([SYSTEMS.index(name[0]) for name in names], dtype=np.int64),
+        np.array([CLOCK_OF[name[0]] for name in names], dtype=np.int64),
     )
 
 

@@ -9,7 +9,7 @@ from analysis.detection.detection_config import SigmaNumbers
 from analysis.detection.filter.inertial import X_CLOCK, X_DRIFT, V
 from analysis.detection.filter.measurement import Indices, Measured, modelled_at, states_at
 from analysis.orbits.broadcast import CLOCK as SAT_CLOCK
-from analysis.orbits.broadcast import SYSTEMS
+from analysis.orbits.broadcast import CLOCKS
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
@@ -117,8 +117,8 @@ def whitened(
 def snapshot_covariance(table: Vector, weights: Vector, system: Indices, share: float) -> Vector:
     """Covariance (3, 3) in ECEF of a snapshot solution with a clock per system from the satellites
     with a weight, their sigmas multiplied by `share`; NaN where it is undetermined."""
-    clock, size, count = np.zeros(len(SYSTEMS), np.int64), 3, 0
-    for kind in range(len(SYSTEMS)):
+    clock, size, count = np.zeros(CLOCKS, np.int64), 3, 0
+    for kind in range(CLOCKS):
         before = count
         for i in range(table.shape[0]):
             if weights[i] > 0.0 and system[i] == kind:

@@ -12,6 +12,7 @@ OWN_ATTITUDE = ("ATTITUDE", "ATTITUDE_QUATERNION")
 LONG_STEP_S = 3.0  # fixes further apart than this say nothing about a jump
 BALANCE_S = 1.0
 ACCEPTED_M = 5.0  # an estimate that moves so far between two samples was reset
+LEAST_SAMPLES, EVEN_SHARE = 100, 0.8  # of a log whose intervals are drawn
 
 
 def with_derived(recording: Recording) -> Recording:
@@ -43,6 +44,8 @@ def derived(recording: Recording) -> tuple[list[Signal], list[Event]]:
     signals.extend(_attitude_errors(recording))
     signals.extend(_divergence(recording))
     signals.extend(_balance(recording))
+    signals.extend(_intervals(recording))
+    signals.extend(_tilt(recording))
     return signals, events
 
 
@@ -91,7 +94,7 @@ def _position_errors(recording: Recording) -> list[Signal]:
         return []
     found = []
     for track in recording.tracks:
-        if track is truth:
+        if track is truth or track.on_earth != truth.on_earth:
             continue
         # Beyond the truth's own time `interp` would hold its last value.
         inside = (track.t_s >= truth.t_s[0]) & (track.t_s <= truth.t_s[-1])
@@ -172,3 +175,27 @@ def _balance(recording: Recording) -> list[Signal]:
     return [
         Signal("balance", motor.name, t_s, row) for motor, row in zip(motors, smooth, strict=True)
     ]
+
+
+def _tilt(recording: Recording) -> list[Signal]:
+    """The angle between the vehicle's vertical and the world's, by the autopilot's estimate."""
+    angles = {(part, s.name): s for part in ("roll", "pitch") for s in recording.of(part)}
+    own = next((name for name in OWN_ATTITUDE if ("roll", name) in angles), None)
+    if own is None or ("pitch", own) not in angles:
+        return []
+    roll, pitch = angles["roll", own], angles["pitch", own]
+    there = np.interp(roll.t_s, pitch.t_s, pitch.value)
+    level = np.cos(np.radians(roll.value)) * np.cos(np.radians(there))
+    return [Signal("tilt", own, roll.t_s, np.degrees(np.arccos(np.clip(level, -1.0, 1.0))))]
+
+
+def _intervals(recording: Recording) -> list[Signal]:
+    """Time from one logged sample of the gyroscope to the next: gaps and uneven logging."""
+    signal = next(iter(recording.of("gyro")), None)
+    if signal is None or len(signal.t_s) < LEAST_SAMPLES:
+        return []
+    step_s = np.diff(signal.t_s)
+    # Of a log that was thinned on reading, steps say nothing.
+    if np.mean(step_s < 2.0 * np.median(step_s)) < EVEN_SHARE:
+        return []
+    return [Signal("interval", "gyroscope", signal.t_s[1:], step_s * 1e3)]

@@ -17,6 +17,7 @@ Values = NDArray[np.float64]
 Reader = Callable[[Columns], Values]
 
 DEG = 180 / np.pi
+UNKNOWN_M = 1e6  # 2^32 mm is u-blox's "unknown"
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +92,16 @@ def positive(name: str, scale: float = 1.0) -> Reader:
     def values(columns: Columns) -> Values:
         raw = column(columns, name)
         return np.where(raw > 0, raw, np.nan) * scale
+
+    return values
+
+
+def accuracy(name: str, scale: float = 1.0) -> Reader:
+    """An accuracy, m; receivers without a fix give the earth's size and more, or zero."""
+
+    def values(columns: Columns) -> Values:
+        metres = column(columns, name) * scale
+        return np.where((metres > 0) & (metres < UNKNOWN_M), metres, np.nan)
 
     return values
 

@@ -7,6 +7,7 @@ from analysis.report.curves.field_values import (
     Curve,
     Reader,
     Values,
+    accuracy,
     column,
     degrees,
     euler_deg,
@@ -102,7 +103,7 @@ _ESTIMATOR = (
         Curve("estimator_status", "ratio", name, field(f"{word}_test_ratio"))
         for word, name in _RATIOS
     ),
-    Curve("estimator_status", "accuracy", "horizontal", field("pos_horiz_accuracy")),
+    Curve("estimator_status", "accuracy", "horizontal", accuracy("pos_horiz_accuracy")),
     Curve("estimator_status", "accuracy", "vertical", field("pos_vert_accuracy")),
     *(
         Curve("estimator_sensor_bias", f"{sensor}-bias", axis, field(f"{sensor}_bias[{i}]"))
@@ -113,8 +114,8 @@ _ESTIMATOR = (
 _GPS = (
     Curve("vehicle_gps_position", "gps-satellites", "GPS", field("satellites_used")),
     Curve("vehicle_gps_position", "gps-fix", "GPS", field("fix_type")),
-    Curve("vehicle_gps_position", "gps-accuracy", "horizontal", field("eph")),
-    Curve("vehicle_gps_position", "gps-accuracy", "vertical", field("epv")),
+    Curve("vehicle_gps_position", "gps-accuracy", "horizontal", accuracy("eph")),
+    Curve("vehicle_gps_position", "gps-accuracy", "vertical", accuracy("epv")),
     Curve("vehicle_gps_position", "gps-accuracy", "speed, m/s", field("s_variance_m_s")),
     Curve("vehicle_gps_position", "gps-dilution", "hdop", _dilution("hdop")),
     Curve("vehicle_gps_position", "gps-dilution", "vdop", _dilution("vdop")),
@@ -163,7 +164,7 @@ _SENSORS = (
 )  # fmt: skip
 _SYSTEM = (
     Curve("battery_status", "battery-voltage", "battery", field("voltage_v")),
-    Curve("battery_status", "battery-current", "battery", field("current_a")),
+    Curve("battery_status", "battery-current", "battery", field("current_a", unknown=-1)),
     Curve("battery_status", "battery-remaining", "battery", _remaining),
     *(
         Curve("battery_status", "battery-cells", f"cell {i + 1}", used(f"voltage_cell_v[{i}]"))

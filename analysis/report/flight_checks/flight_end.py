@@ -20,8 +20,8 @@ ESTIMATES = ("estimate", "CTUN", "GPS")
 
 
 def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
-    """The impact on the ground, and whether the log ends in flight."""
-    return [_impact(recording, th, armed), _aloft(recording, armed)]
+    """The impact on the ground, how the vehicle then lies, and whether the log ends in flight."""
+    return [_impact(recording, th, armed), _upright(recording, armed), _aloft(recording, armed)]
 
 
 def _impact(recording: Recording, th: Thresholds, armed: Windows | None) -> Check:
@@ -47,6 +47,31 @@ def _impact(recording: Recording, th: Thresholds, armed: Windows | None) -> Chec
         limit=limit,
         windows=((at_s, at_s + STOP_S),),
         panel="climb",
+    )
+
+
+def _upright(recording: Recording, armed: Windows | None) -> Check:
+    """Whether the vehicle ends each flight as it stood before; a tail-sitter may stand on end."""
+    name, limit = "vehicle ends upright", f"fail: tilted by more than {OVER_DEG:g}°"
+    tilt = next(iter(recording.of("tilt")), None)
+    if tilt is None or not armed:
+        reason = "no attitude in the log" if tilt is None else "the log does not say when armed"
+        return Check(name=name, verdict=NONE, evidence=reason, limit=limit)
+    fallen = {
+        (end - REST_S, end + REST_S): lies
+        for start, end in armed
+        # Around disarming, which the autopilot does by itself after a crash.
+        if (lies := _tilt(tilt, end - REST_S / 2, end + REST_S / 2)) > OVER_DEG
+        and _tilt(tilt, start - REST_S / 2, start + REST_S / 2) < OVER_DEG
+    }
+    worst = max(fallen.values(), default=0.0)
+    return Check(
+        name=name,
+        verdict=FAIL if fallen else PASS,
+        evidence=f"tilted by {worst:.0f}° when disarmed or cut off" if fallen else "it does",
+        limit=limit,
+        windows=tuple(fallen),
+        panel="tilt",
     )
 
 
@@ -119,7 +144,7 @@ def _aloft(recording: Recording, armed: Windows | None) -> Check:
     # Disarmed well before the end, or low and at rest.
     if armed[-1][1] < recording.duration_s - 1.0 or not up:
         return Check(name=name, verdict=PASS, evidence="it does", limit=limit)
-    tilt = max((_tilt_at_end(s) for p in ("roll", "pitch") for s in recording.of(p)), default=0.0)
+    tilt = next((_tilt(s, s.t_s[-1] - 1.0, s.t_s[-1]) for s in recording.of("tilt")), 0.0)
     return Check(
         name=name,
         verdict=FAIL if sink > FALLING_MPS or tilt > OVER_DEG else WARN,
@@ -131,7 +156,8 @@ def _aloft(recording: Recording, armed: Windows | None) -> Check:
     )
 
 
-def _tilt_at_end(signal: Signal) -> float:
-    if not signal.name.startswith("ATTITUDE") or not len(signal.t_s):
-        return 0.0
-    return float(np.nanmax(np.abs(signal.value[signal.t_s > signal.t_s[-1] - 1.0]), initial=0.0))
+def _tilt(signal: Signal, start_s: float, end_s: float) -> float:
+    """The usual tilt within a stretch, degrees; 0 without a sample."""
+    inside = signal.value[(signal.t_s >= start_s) & (signal.t_s <= end_s)]
+    inside = inside[np.isfinite(inside)]
+    return float(np.median(inside)) if len(inside) else 0.0

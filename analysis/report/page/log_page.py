@@ -4,9 +4,11 @@ from collections.abc import Sequence
 
 from analysis.report.judging.checks import FAIL, PASS, WARN, Check
 from analysis.report.judging.flight_verdict import Outcome
+from analysis.report.log_sky import sky_pictures
+from analysis.report.page.flight_facts import flight_facts
 from analysis.report.page.fused_table import fused_table
 from analysis.report.page.page_parts import SENSOR_LIMIT, Limit, Page, Table
-from analysis.report.page.panels import CHECKS, DETECTION, FUSION, LINK, TIMELINE
+from analysis.report.page.panels import CHECKS, DETECTION, FUSION, GPS, LINK, TIMELINE
 from analysis.report.page.report_tables import (
     checks_tables,
     facts,
@@ -52,7 +54,7 @@ def log_page(outcome: Outcome, tables: Sequence[tuple[str, Table]]) -> Page:
     shown = [("flight", f"{recording.duration_s:.0f} s"), *_counts(outcome.checks)]
     if recording.autopilot:
         shown.append(("autopilot", AUTOPILOTS[recording.autopilot]))
-    shown += _run_facts(outcome)
+    shown += flight_facts(recording) + _run_facts(outcome)
     return Page(
         recording.name,
         outcome.verdict,
@@ -60,6 +62,7 @@ def log_page(outcome: Outcome, tables: Sequence[tuple[str, Table]]) -> Page:
         every,
         {**SENSOR_LIMIT, **panel_limits(outcome.checks)},
         reasons(outcome.checks),
+        [(GPS, *picture) for picture in sky_pictures(recording)],
     )
 
 

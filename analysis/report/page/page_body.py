@@ -9,7 +9,15 @@ from html import escape
 
 from analysis.report.page.page_model import Model
 from analysis.report.page.page_parts import Cell, Moments, Page, Table
-from analysis.report.page.panels import BY_KEY, CHECKS, DETECTION, FIELDS, PANELS, SPECTRA, TIMELINE
+from analysis.report.page.panels import (
+    BY_KEY,
+    CHECKS,
+    FIELDS,
+    PANELS,
+    SPECTRA,
+    SYSTEM,
+    TIMELINE,
+)
 from analysis.report.recordings.recording import Recording
 
 VERDICTS = ("PASS", "WARN", "FAIL")
@@ -37,9 +45,11 @@ def sections_of(page: Page, recording: Recording, model: Model, fields: bool) ->
     with_plots = {BY_KEY[str(panel["key"])].section for panel in model["panels"]}
     # The empty name is the overview, which is no foldable section.
     with_tables = {section for section, _ in page.tables if section}
+    with_pictures = {section for section, _, _ in page.pictures}
     # dict.fromkeys: each section once, in the order of the panels.
     every = dict.fromkeys(panel.section for panel in PANELS)
-    sections = [name for name in every if name in with_plots | with_tables]
+    shown = with_plots | with_tables | with_pictures | ({SYSTEM} if recording.printed else set())
+    sections = [name for name in every if name in shown]
     first = []
     if recording.spans or recording.events or TIMELINE in with_tables:
         first.append(TIMELINE)
@@ -96,13 +106,14 @@ def section_html(section: str, page: Page, recording: Recording, model: Model) -
             for panel in model["spectra"]
             for image in panel["images"]
         ]
-    if section == DETECTION:
-        plots += [_picture(title, svg) for title, svg in page.pictures]
+    plots += [_picture(title, svg) for place, title, svg in page.pictures if place == section]
     if plots:
         parts.append(f'<div class="plots">{"".join(plots)}</div>')
     parts.extend(_table(table) for name, table in page.tables if name == section)
     if section == TIMELINE:
         parts.append(_events(recording))
+    if section == SYSTEM:
+        parts.extend(_printed(title, text) for title, text in recording.printed.items())
     # The attribute keeps it open where the style folds the others.
     narrow = " data-narrow" if section in OPEN_WHEN_NARROW else ""
     return (
@@ -145,7 +156,7 @@ _MAP = (
     '<canvas id="map" role="img" aria-label="Tracks from above" tabindex="0"></canvas>'
     '<canvas id="space" role="img" aria-label="Tracks in space" tabindex="0"></canvas></div>'
     '<p class="note hint">Drag to move (left) or turn (right), wheel to zoom, double click '
-    "to reset.</p>"
+    "to reset. Ellipses hold 95 % by the accuracy that the log itself gives.</p>"
 )
 _SPECTRA = (
     '<p class="note">While armed, where the log says when. Dashed lines are filters by the '
@@ -169,6 +180,13 @@ def _events(recording: Recording) -> str:
     note = f"{missing} more are in the JSON file." if missing else ""
     title = f"Events and messages ({len(recording.events)})"
     return _table(Table(title, ("time", "kind", "text"), rows, note, folded=len(rows) > 12))
+
+
+def _printed(title: str, text: str) -> str:
+    return (
+        f"<details><summary>{escape(title)}</summary>"
+        f'<pre class="wide" tabindex="0">{escape(text)}</pre></details>'
+    )
 
 
 def _table(table: Table) -> str:

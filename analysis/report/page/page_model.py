@@ -12,6 +12,7 @@ from analysis.report.page.pack import PackedNumbers, broken, longest_curve, thin
 from analysis.report.page.page_parts import Page
 from analysis.report.page.panels import BY_KEY, PANELS
 from analysis.report.page.series_colours import series_colours
+from analysis.report.page.uncertainty import track_sigma
 from analysis.report.recordings.recording import Recording, Signal, Track, Vector
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
@@ -44,9 +45,9 @@ def page_model(page: Page, recording: Recording, numbers: PackedNumbers) -> Mode
             for s in sorted(recording.spans, key=lambda span: _lane_rank(span.lane))
         ],
         "marks": [asdict(event) for event in recording.events[:MARKS_SHOWN]],
-        "tracks": _tracks(tracks, numbers),
+        "tracks": _tracks(tracks, recording, numbers),
         # Tracks are given in metres from here.
-        "origin": [float(tracks[0].lat_deg[0]), float(tracks[0].lon_deg[0])] if tracks else None,
+        "origin": _origin(tracks),
         "spectra": [_spectrum(panel, numbers) for panel in spectra],
         "frequencies": marks(recording),
     }  # fmt: skip
@@ -91,23 +92,32 @@ def longest_armed(recording: Recording) -> tuple[float, float] | None:
 
 
 def flown(recording: Recording) -> list[Track]:
-    """Tracks while armed, where the log says when: before, there may be no position yet."""
+    """Tracks while armed, where the log says when: before, there may be no position yet.
+
+    A path that nobody knows the place of is not drawn beside those on the earth.
+    """
+    placed = [track for track in recording.tracks if track.on_earth] or recording.tracks
     armed = armed_windows(recording)
     if not armed:
-        return recording.tracks
+        return placed
     found = []
-    for track in recording.tracks:
+    for track in placed:
         inside = np.zeros(len(track.t_s), bool)
         for start, end in armed:
             # Some seconds around, so that take-off itself is seen where arming was logged late.
             inside |= (track.t_s >= start - MARGIN_S) & (track.t_s <= end + MARGIN_S)
         if inside.sum() > 1:
-            columns = (track.t_s, track.lat_deg, track.lon_deg, track.alt_m)
-            found.append(Track(track.name, *(column[inside] for column in columns)))
+            found.append(track.part(inside))
     return found
 
 
-def _tracks(tracks: Sequence[Track], numbers: PackedNumbers) -> list[Model]:
+def _origin(tracks: Sequence[Track]) -> list[float] | None:
+    if not tracks or not tracks[0].on_earth:
+        return None
+    return [float(tracks[0].lat_deg[0]), float(tracks[0].lon_deg[0])]
+
+
+def _tracks(tracks: Sequence[Track], recording: Recording, numbers: PackedNumbers) -> list[Model]:
     """Tracks in metres east, north and up of the first one's first point."""
     if not tracks:
         return []
@@ -119,7 +129,9 @@ def _tracks(tracks: Sequence[Track], numbers: PackedNumbers) -> list[Model]:
         east = np.radians(track.lon_deg - lon0) * MEAN_EARTH_RADIUS_M * np.cos(np.radians(lat0))
         north = np.radians(track.lat_deg - lat0) * MEAN_EARTH_RADIUS_M
         step = max(1, len(track.t_s) // TRACK_POINTS)
-        axes: tuple[tuple[str, Vector], ...] = (("e", east), ("n", north), ("u", track.alt_m))
+        axes: list[tuple[str, Vector]] = [("e", east), ("n", north), ("u", track.alt_m)]
+        if (sigma := track_sigma(track, recording)) is not None:
+            axes += zip(("sn", "se"), sigma, strict=True)
         places: Model = {
             "name": track.name,
             "colour": colour,

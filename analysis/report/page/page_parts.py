@@ -46,7 +46,7 @@ class Page:
 
     `limits` are keyed by panel; `tables` by the section they stand at the end of ("" is the
     overview); `reasons` say in a line each what the verdict rests on: (kind, text); `pictures` are
-    of the section of satellites: (title, SVG).
+    (section, title, SVG).
     """
 
     title: str
@@ -55,4 +55,4 @@ class Page:
     tables: Sequence[tuple[str, Table]]
     limits: Mapping[str, Sequence[Limit]] = field(default_factory=dict)
     reasons: Sequence[tuple[str, str]] = ()
-    pictures: Sequence[tuple[str, bytes]] = ()
+    pictures: Sequence[tuple[str, str, bytes]] = ()

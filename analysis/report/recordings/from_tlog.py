@@ -26,6 +26,7 @@ from analysis.report.recordings.recording import (
     Track,
     active_spans,
     flag_events,
+    local_track,
     stretches,
 )
 from mavproxy_fault.wire.tlog import Columns
@@ -220,8 +221,13 @@ def _add_tracks(found: Recording, vehicle: _Vehicle) -> None:
         if len(rows) < 2:
             continue
         lat, lon = rows["lat"] * 1e-7, rows["lon"] * 1e-7
-        columns = _in_order(vehicle.clock.seconds(rows), lat, lon, rows["alt"] * scale)
-        found.tracks.append(Track(label + vehicle.suffix, *columns))
+        t_s, lat, lon, alt = _in_order(vehicle.clock.seconds(rows), lat, lon, rows["alt"] * scale)
+        found.tracks.append(Track(label + vehicle.suffix, t_s, lat, lon, alt))
+    rows = vehicle.columns.get("LOCAL_POSITION_NED")
+    # Indoors there is no other position.
+    if rows is not None and len(rows) > 1 and not found.tracks:
+        t_s, *ned = _in_order(vehicle.clock.seconds(rows), rows["x"], rows["y"], rows["z"])
+        found.tracks.append(local_track("local estimate" + vehicle.suffix, t_s, *ned))
 
 
 def _add_modes(found: Recording, vehicle: _Vehicle) -> None:

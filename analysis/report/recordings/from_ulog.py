@@ -18,6 +18,7 @@ from analysis.report.recordings.recording import (
     Track,
     active_spans,
     flag_events,
+    local_track,
     stretches,
 )
 from analysis.report.recordings.ulog_flags import flag_spans
@@ -32,6 +33,7 @@ NAV_STATES = {
 ARMED = 2
 JAMMING = {2: "warning", 3: "critical"}  # jamming_state of sensor_gps
 SPOOFING = {2: "indicated", 3: "multiple indications"}
+LOCAL = "local estimate"
 SATURATED = 0.99  # of a motor's range
 
 
@@ -65,7 +67,7 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Rec
         for t_us, for_s in log.dropouts
     )
     for t_us, severity, text in log.messages:
-        found.events.append(Event((t_us - start_us) * 1e-6, "text", text.strip(), severity))
+        found.events.append(Event((t_us - start_us) * 1e-6, "text", text, severity))
     found.events.extend(_mode_events(found.spans))
     found.events.sort(key=lambda event: event.t_s)
     for parameter, value in log.parameters.items():
@@ -77,7 +79,7 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Rec
         name, "px4", start_us, max((float(s.t_s[-1]) for s in found.signals), default=0.0),
         found.signals, found.spans, found.events, found.tracks, [], found.parameters,
         _notes(log, log_lacks), utc0_us=_utc0_us(log.topics, start_us), messages=found.messages,
-        defaults=log.defaults,
+        defaults=log.defaults, printed=log.printed,
     )  # fmt: skip
 
 
@@ -110,16 +112,18 @@ def _tracks(name: str, suffix: str, topic: Topic, t_s: Values) -> list[Track]:
 
 
 def _local_track(topic: Topic, t_s: Values) -> list[Track]:
-    """The local estimate around its reference point, on a sphere."""
+    """The local estimate around its reference point, on a sphere; without one about nowhere."""
     lat0, lon0 = topic["ref_lat"].astype(float), topic["ref_lon"].astype(float)
-    keep = np.isfinite(lat0) & (lat0 != 0) & np.isfinite(topic["x"])
+    known = np.isfinite(topic["x"])
+    keep = np.isfinite(lat0) & (lat0 != 0) & known
     if keep.sum() < 2:
-        return []
+        north, east, down = (topic[key][known].astype(float) for key in "xyz")
+        return [local_track(LOCAL, t_s[known], north, east, down)] if known.sum() > 1 else []
     lat = lat0 + np.degrees(topic["x"] / MEAN_EARTH_RADIUS_M)
     # Degrees of longitude grow towards the poles.
     lon = lon0 + np.degrees(topic["y"] / MEAN_EARTH_RADIUS_M) / np.cos(np.radians(lat0))
     alt = topic["ref_alt"] - topic["z"]
-    return [Track("local estimate", t_s[keep], lat[keep], lon[keep], alt[keep].astype(float))]
+    return [Track(LOCAL, t_s[keep], lat[keep], lon[keep], alt[keep].astype(float))]
 
 
 def _spans(name: str, suffix: str, topic: Topic, t_s: Values) -> list[Span]:

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
+
 Vector = NDArray[np.float64]
 UNGRADED = 8  # severity of a text in a log that gives none
 
@@ -53,13 +55,29 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """A path over ground; degrees, and metres above mean sea level; shape (n,) each."""
+    """A path over ground; degrees, and metres above mean sea level; shape (n,) each.
+
+    Without `on_earth` nobody knows where it was flown: it lies about 0, 0.
+    """
 
     name: str
     t_s: Vector
     lat_deg: Vector
     lon_deg: Vector
     alt_m: Vector
+    on_earth: bool = True
+
+    def part(self, rows: NDArray[np.bool_] | slice) -> "Track":
+        """The rows chosen."""
+        names = ("t_s", "lat_deg", "lon_deg", "alt_m")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+
+def local_track(name: str, t_s: Vector, north_m: Vector, east_m: Vector, down_m: Vector) -> Track:
+    """A path (n,) about a point that nobody knows."""
+    # About the equator, where a degree of longitude is one of latitude.
+    lat, lon = (np.degrees(metres / MEAN_EARTH_RADIUS_M) for metres in (north_m, east_m))
+    return Track(name, t_s, lat, lon, -down_m, on_earth=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +122,8 @@ class Recording:
         By name every message of the log, whether or not a curve is made of it.
     defaults : dict
         Values that parameters have unless someone sets them, where the log tells them.
+    printed : dict
+        By title what the system printed: console, processes, counters.
     """
 
     name: str
@@ -123,6 +143,7 @@ class Recording:
     utc0_us: int = 0
     messages: dict[str, Message] = field(default_factory=dict)
     defaults: dict[str, float] = field(default_factory=dict)
+    printed: dict[str, str] = field(default_factory=dict)
 
     def of(self, panel: str) -> list[Signal]:
         """The signals of one panel."""
@@ -136,7 +157,7 @@ def joined(first: Recording, second: Recording) -> Recording:
         for part in fields(Recording)
         if isinstance(getattr(first, part.name), (list, tuple))
     }
-    for name in ("parameters", "messages", "defaults"):
+    for name in ("parameters", "messages", "defaults", "printed"):
         together[name] = getattr(first, name) | getattr(second, name)
     return replace(
         first,

@@ -14,12 +14,14 @@ from analysis.report.recordings.from_dataflash import recording_of_dataflash
 from analysis.report.recordings.from_results import axis_start, recording_of_results
 from analysis.report.recordings.from_tlog import merged, recording_of
 from analysis.report.recordings.from_ulog import recording_of_ulog
+from analysis.report.recordings.reading_bar import reading_bar
 from analysis.report.recordings.recording import Recording, joined
 from analysis.report.recordings.thinning import contents
 from analysis.results import Result, decode, read_results
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.label import Label, read_labels
+from mavproxy_fault.wire.written import written_bytes
 
 HEAD = 16
 MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -90,7 +92,9 @@ def read_flight(paths: Sequence[Path], labels: Sequence[Label]) -> Flight:
     if head.startswith(MCAP_MAGIC) or paths[0].suffix == ".jsonl":
         return _results_alone(paths[0], labels)
     if is_ulog(head):
-        recording = recording_of_ulog(read_ulog(paths[0]), name, t0_us)
+        with reading_bar(paths[0]) as told:
+            log = read_ulog(paths[0], told)
+        recording = recording_of_ulog(log, name, t0_us)
     elif is_dataflash(head):
         recording = recording_of_dataflash(read_dataflash(paths[0]), name, t0_us)
     else:
@@ -99,11 +103,21 @@ def read_flight(paths: Sequence[Path], labels: Sequence[Label]) -> Flight:
         raise ConfigError(
             f"{paths[0]}: the log holds nothing that a report shows; give a whole log"
         )
+    recording.notes.extend(filter(None, map(_unwritten, paths)))
     return _with_labels(Flight(recording, tuple(paths), labels))
 
 
+def _unwritten(path: Path) -> str:
+    """What is said of a file with a hole at its end."""
+    hole = path.stat().st_size - written_bytes(path)
+    return f"the last {hole / 1e6:.1f} MB of {path.name} were never written" if hole else ""
+
+
 def _tlogs(paths: Sequence[Path], t0_us: int | None) -> Recording:
-    logs = {path.name: contents(path) for path in paths}
+    logs = {}
+    for path in paths:
+        with reading_bar(path) as told:
+            logs[path.name] = contents(path, told)
     for path in paths:
         log = logs[path.name]
         if log.frames == 0 or log.junk_bytes > (1 - LEAST_SHARE) * log.size:

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.report.recordings.link_quality import Sender, stretches
+from analysis.report.recordings.reading_bar import Told
 from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.tlog import Columns
+from mavproxy_fault.wire.written import written_bytes
 
 WHOLE_BYTES = 128_000_000  # of a log; beyond, it is thinned
 ROWS = 300_000  # of one message kept of a thinned log, at the most
@@ -55,9 +57,9 @@ def extremes(value: NDArray[np.float64], buckets: int) -> NDArray[np.int64]:
     return np.unique(np.concatenate(((starts + low)[some], (starts + high)[some])))
 
 
-def contents(path: Path) -> Contents:
-    """A tlog, thinned if it is large."""
-    size = path.stat().st_size
+def contents(path: Path, told: Told) -> Contents:
+    """A tlog, thinned if it is large; `told` is called with the share that is read."""
+    size = written_bytes(path)
     thin = size > WHOLE_BYTES
     # What each block may keep, so that all blocks together keep ROWS.
     budget = max(60, ROWS * tlog.BLOCK_FRAMES * LEAST_RECORD // max(size, 1))
@@ -73,6 +75,7 @@ def contents(path: Path) -> Contents:
         frames += len(part.frames)
         unknown += int((~part.frames["known"]).sum())
         junk_bytes += part.junk_bytes
+        told(part.end / part.size)
     columns = {name: some[0] if len(some) == 1 else _sorted(some) for name, some in parts.items()}
     return Contents(columns, np.concatenate(links), frames, unknown, junk_bytes, size, thin)
 

@@ -29,6 +29,7 @@ def main() -> int:
         telemetry.sendto(frame.raw, ("127.0.0.1", int(remote[1])))
     hil = socket.create_connection(("127.0.0.1", 4560 + instance), timeout=TIMEOUT_S)
     hil.sendall(hello.raw)
+    print("INFO  [px4] Startup script returned successfully", flush=True)
     parser, last_us = Parser(), max(by_stamp)
     while data := hil.recv(65536):
         for frame in parser.push(data):

@@ -6,6 +6,8 @@ from contextlib import closing
 import pytest
 
 from analysis.autopilots import px4_program
+from analysis.autopilots.hil_exchange import BRIDGE_STEP, PX4_STEP
+from analysis.autopilots.program import Program, Start
 from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
@@ -45,6 +47,30 @@ def test_the_scripts_are_found_beside_the_program(binary):
     (scripts / "init.d-posix").mkdir(parents=True)
     (scripts / "init.d-posix" / "rcS").touch()
     assert px4_program.command(str(binary)) == [str(binary), "-d", str(scripts)]
+
+
+@pytest.mark.parametrize(("told_s", "held_s"), [(3.0, 3.0), (None, 20.0)])
+def test_a_flight_keeps_to_the_wall_clock_until_the_start_script_is_over(
+    tmp_path, monkeypatch, told_s, held_s
+):
+    now = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    monkeypatch.setattr("time.sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
+    log = tmp_path / "px4.log"
+    log.write_text("INFO  [px4] startup script: rcS 0\n")
+    start = Start(Program("PX4", None, [], log, PX4_STEP, px4_program.STARTED))
+    for tick in range(10_000):  # 40 s of a vehicle that needs no time of its own
+        start.hold(1_000_000 + 4000 * tick)
+        if told_s is not None and now[0] >= 100.0 + told_s:
+            log.write_text("INFO  [px4] Startup script returned successfully\n")
+    assert now[0] - 100.0 == pytest.approx(held_s, abs=0.2)
+
+
+def test_a_program_without_such_words_is_not_held(tmp_path, monkeypatch):
+    monkeypatch.setattr("time.sleep", lambda seconds: pytest.fail("slept"))
+    start = Start(Program("ArduPilot", None, [], tmp_path / "none", BRIDGE_STEP))
+    start.hold(0)
+    start.hold(10_000_000)
 
 
 def test_two_runs_at_once_are_two_instances():

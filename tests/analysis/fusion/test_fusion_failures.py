@@ -30,6 +30,14 @@ def indeterminate(graph):
     graph.attach("loose", graph.node.epoch, gtsam.BetweenFactorDouble(*keys, 0.0, noise))
 
 
+def far_off(graph):
+    """A measurement of the pose that is 100 m wrong and sure of itself."""
+    pose = graph.node.pose
+    wrong = gtsam.Pose3(pose.rotation(), pose.translation() + np.array([100.0, 0.0, 0.0]))
+    name = key("x", graph.node.epoch)
+    graph.attach("wrong", graph.node.epoch, gtsam.PriorFactorPose3(name, wrong, alike(6, 1e-3)))
+
+
 def results_of(samples):
     """All results of a fused flight."""
     pipeline = Pipeline(monitor_config({"fusion": {}, "attitude": {"estimators": []}}, "x"))
@@ -73,3 +81,24 @@ def test_the_smoother_raises_what_the_step_catches():
     window.attach("lost", 0, 0.0, gtsam.PriorFactorDouble(key("c", 7), 0.0, alike(1, 1.0)))
     with pytest.raises((RuntimeError, ValueError, IndexError)):
         window.commit()
+
+
+def test_a_graph_that_leaves_the_filter_tells_the_filter_s_answer_and_goes_on(monkeypatch, short):
+    commit, seen = Graph.commit, []
+
+    def misled(graph):
+        if graph.node.t_us == FAILS_US and not seen:
+            seen.append(graph)
+            far_off(graph)
+        commit(graph)
+
+    monkeypatch.setattr(Graph, "commit", misled)
+    results = results_of(short)
+    states = [r for r in results if isinstance(r, FusedState)]
+    assert seen
+    assert [s.t_us for s in states if "off the filter; it began anew there" in s.reason] == [
+        FAILS_US
+    ]
+    places = {r.t_us: r.position_ecef_m for r in results if isinstance(r, Decision)}
+    apart = [np.linalg.norm(np.subtract(s.position_ecef_m, places[s.t_us])) for s in states]
+    assert max(apart) < 2.0

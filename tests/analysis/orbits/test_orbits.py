@@ -150,5 +150,5 @@ def test_beidou_joins_with_an_offset_of_its_own(shared_data: Path):
 
 
 def test_systems_that_are_none_are_refused():
-    with pytest.raises(ValueError, match="letters of GERC are known"):
+    with pytest.raises(ValueError, match="letters of GERCJ are known"):
         DetectorConfig(systems="GX")

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.recordings.dataflash import read_dataflash
 from analysis.recordings.recordings import read_log
 from analysis.samples.block import ATTITUDE, BARO, COMMAND, FIX, IMU, MAG
 from analysis.samples.sample import CommandSample, GpsFix, ImuSample, MagSample
@@ -20,6 +21,7 @@ FORMATS = {  # name: (type, struct code, dataflash code, columns)
     "BARO": (12, "Qff", "Qff", "TimeUS,Alt,Press"),
     "GPS": (13, "QBBfiiffff", "QBBfLLffff", "TimeUS,Status,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ"),
     "ATT": (14, "Qfff", "Qfff", "TimeUS,Roll,Pitch,Yaw"),
+    "RATE": (17, "Qff", "Qff", "TimeUS,RDes,R"),
     "RCOU": (15, "QHHHH", "QHHHH", "TimeUS,C1,C2,C3,C4"),
 }
 
@@ -29,7 +31,7 @@ def row(name: str, *values: object) -> bytes:
     return HEAD + bytes((number,)) + struct.pack("<" + code, *values)
 
 
-def dataflash(path: Path, *names: str) -> Path:
+def dataflash(path: Path, *names: str, rate: float = 6.0) -> Path:
     """A second of a flight to the east, with messages of some names."""
     data = b"".join(
         row("FMT", n, 3 + struct.calcsize("<" + code), name.encode(), form.encode(), cols.encode())
@@ -44,11 +46,19 @@ def dataflash(path: Path, *names: str) -> Path:
             "MAG": (t_us + 1, 200, 0, 400),
             "BARO": (t_us + 2, 0.0, 95_000.0),
             "ATT": (t_us + 4, 0.0, 0.0, 90.0),
+            "RATE": (t_us + 6, rate, rate),
             "RCOU": (t_us + 5, 1500, 1510, 1520, 1000),
         }
         data += b"".join(row(name, *rows[name]) for name in names)
     path.write_bytes(data)
     return path
+
+
+@pytest.mark.parametrize("rate", [5.0, 500.0])
+def test_rates_are_degrees_also_where_the_log_has_hundredths(tmp_path: Path, rate: float) -> None:
+    topics = read_dataflash(dataflash(tmp_path / "a.bin", "IMU", "RATE", rate=rate)).topics
+    assert topics["RATE", 0]["R"] == pytest.approx([5.0] * 10)
+    assert topics["RATE", 0]["RDes"] == pytest.approx([5.0] * 10)
 
 
 def test_a_dataflash_log_holds_what_the_monitor_needs(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """RINEX and IMU files as people have them: several, cut, of other days, with odd lines."""
 
 import gzip
+import json
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,10 @@ from analysis.recordings.recordings import read_rinex, read_rinex_samples
 from analysis.recordings.rinex_navigation import read_navigation
 from analysis.recordings.rinex_observations import read_observations
 from analysis.samples.sample import EphemerisSample, ImuSample
+from mavproxy_fault.cli import main
 from mavproxy_fault.documents.errors import ConfigError
+
+QZSS = Path(__file__).parents[2] / "data/gnss_qzss"
 
 
 def line(text: str, label: str) -> str:
@@ -116,6 +120,47 @@ def test_navigation_files_add_up(tmp_path: Path, walk: Path):
     assert systems == {"G", "E"}
 
 
+def records_of(system: str) -> str:
+    """The header of a navigation file, and the records of one system."""
+    head, body = (QZSS / "base.nav").read_text().split("END OF HEADER")
+    rows = body.splitlines(keepends=True)[1:]
+    starts = [i for i, row in enumerate(rows) if row[:1] == system]
+    return head + "END OF HEADER\n" + "".join("".join(rows[i : i + 8]) for i in starts)
+
+
+def test_the_command_takes_a_navigation_file_of_each_system(tmp_path: Path):
+    parts = [tmp_path / "gps.nav", tmp_path / "galileo.nav"]
+    for path, system in zip(parts, "GE", strict=True):
+        path.write_text(records_of(system))
+    files, out = [str(QZSS / "base.obs"), *map(str, parts)], tmp_path / "run"
+    # One epoch in ten is the start, which nothing tests: no PASS, but no refusal either.
+    assert main(["monitor", "--rinex", *files, "--zenoh", "off", "--out", str(out)]) in (0, 1)
+    rows = [json.loads(row) for row in (out / "results.jsonl").read_text().splitlines()]
+    last = [row for row in rows if row["type"] == "Decision"][-1]
+    assert {name[0] for name in last["satellites"]} == {"G", "E"}
+
+
+def test_the_command_ends_in_a_line_where_nothing_can_be_judged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    obs, nav = QZSS / "base.obs", tmp_path / "a.nav"
+    empty = tmp_path / "a.obs"
+    empty.write_text(obs.read_text().split("> ")[0])
+    records = records_of("G")
+    # GPS's week, so that each orbit's time moves with its stamp.
+    other_week = records.replace(" 2.320000000000E+03 ", " 2.319000000000E+03 ")
+    assert other_week != records
+    cases = [
+        (obs, other_week, "give the navigation file of that day"),
+        (obs, records_of("C"), "no ephemeris that can be read"),
+        (empty, records, "has no epoch"),
+    ]
+    for observations, orbits, words in cases:
+        nav.write_text(orbits)
+        assert main(["monitor", "--rinex", str(observations), str(nav), "--zenoh", "off"]) == 2
+        assert words in capsys.readouterr().err
+
+
 def test_navigation_of_another_day_is_refused(shared_data: Path, walk: Path):
     with pytest.raises(ConfigError, match="give the navigation file of that day"):
         read_rinex(walk / "walk_ex.obs", shared_data / "gnss_static/SEPT078M.21P")
@@ -140,9 +185,10 @@ def imu_lines(walk: Path) -> list[str]:
     return (walk / "imu_1730_sf.csv").read_text().splitlines(keepends=True)[:400]
 
 
-def test_an_imu_file_may_have_a_header_and_a_byte_order_mark(tmp_path: Path, walk: Path):
+@pytest.mark.parametrize("head", ["", "time,ax,ay,az,gx,gy,gz,a,b,c\n"])
+def test_an_imu_file_may_have_a_header_and_a_byte_order_mark(head: str, tmp_path: Path, walk: Path):
     path = tmp_path / "imu.csv"
-    path.write_text("\ufefftime,ax,ay,az,gx,gy,gz,a,b,c\n" + "".join(imu_lines(walk)))
+    path.write_text(f"\ufeff{head}" + "".join(imu_lines(walk)))
     samples = read_rinex_samples(walk / "walk_ex.obs", walk / "walk_ex.nav", path)
     assert sum(isinstance(s, ImuSample) for s in samples) == 400
 

@@ -13,7 +13,7 @@ from mavproxy_fault.rtcm.bit_fields import pack_bits
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 from mavproxy_fault.rtcm.transport import crc24q
 
-SYSTEM = {"G": 0, "E": 2}
+SYSTEM = {"G": 0, "E": 2, "J": 5}
 Field = tuple[int, int]
 
 
@@ -28,7 +28,7 @@ def frame(kind: int, payload: bytes) -> bytes:
 
 
 def rawx(epoch: Epoch) -> bytes:
-    """RXM-RAWX of an epoch of GPS and Galileo."""
+    """RXM-RAWX of an epoch of GPS, Galileo and QZSS."""
     rows = b""
     table = zip(
         epoch.satellites, epoch.pseudorange_m, epoch.doppler_mps, epoch.cn0_dbhz, strict=True
@@ -45,7 +45,7 @@ def rawx(epoch: Epoch) -> bytes:
 
 def sfrbx(satellite: str, words: Sequence[int]) -> bytes:
     """RXM-SFRBX of a subframe or a page."""
-    signal = 0 if satellite[0] == "G" else 1
+    signal = 1 if satellite[0] == "E" else 0
     head = bytes([SYSTEM[satellite[0]], int(satellite[1:]), signal, 0, len(words), 0, 2, 0])
     return frame(0x13, head + pack(f"<{len(words)}I", *words))
 
@@ -62,7 +62,7 @@ def angle(value: float) -> int:
 
 def broadcast(e: Ephemeris) -> bytes:
     """Everything a satellite sends of its orbit and clock."""
-    pages = subframes(e) if e.satellite[0] == "G" else inav_pages(e)
+    pages = inav_pages(e) if e.satellite[0] == "E" else subframes(e)
     return b"".join(sfrbx(e.satellite, words) for words in pages)
 
 

@@ -69,6 +69,13 @@ def test_doubled_parts_that_disagree_fail(panel: str, value: float, name: str) -
     assert verdict(checks(Signal(panel, "x", T_S, apart)), name) == "FAIL"
 
 
+def test_long_loops_fail_but_not_those_of_a_simulated_processor() -> None:
+    loops = Signal("scheduler", "long loops", T_S, np.full_like(T_S, 1100.0))
+    assert verdict(checks(loops), "scheduler") == "FAIL"
+    simulated = {"SIM_SPEEDUP": [(0.0, 1.0)]}
+    assert verdict(checks(loops, parameters=simulated), "scheduler") == "not judged"
+
+
 def test_a_flat_cell_fails_and_one_that_is_not_there_does_not() -> None:
     flat = Signal("battery-cells", "cell 3", T_S, np.where(T_S > 40, 3.1, 3.9))
     absent = Signal("battery-cells", "cell 4", T_S, NONE)
@@ -103,6 +110,21 @@ def test_a_log_that_ends_in_the_air_warns_and_one_that_ends_falling_fails() -> N
     falling = Signal("height", "estimate", T_S, np.where(T_S > 57, 60 - 8 * (T_S - 57), 60.0))
     assert verdict(checks(falling), "log ends on the ground") == "FAIL"
     assert verdict(checks(aloft, armed=(2.0, 50.0)), "log ends on the ground") == "PASS"
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "word"),
+    [(0.0, 2.0, "PASS"), (0.0, 178.0, "FAIL"), (0.0, 85.0, "FAIL"), (90.0, 90.0, "PASS")],
+)
+def test_a_vehicle_that_lies_on_its_back_fails_and_a_tail_sitter_may_stand(
+    before: float, after: float, word: str
+) -> None:
+    # In between it is flown upside down, which is nobody's fault.
+    tilt = np.where(T_S < 10, before, np.where(T_S < 55, 180.0, after))
+    signal = Signal("tilt", "ATTITUDE", T_S, tilt)
+    for end_s in (57.0, 60.0):  # disarmed, or the log is cut off armed
+        assert verdict(checks(signal, armed=(2.0, end_s)), "vehicle ends upright") == word
+    assert verdict(checks(), "vehicle ends upright") == "not judged"
 
 
 def test_a_height_off_the_truth_fails_though_the_place_is_right() -> None:

@@ -31,8 +31,13 @@ def outcome(path: Path) -> Outcome:
 @pytest.mark.usefixtures("small_memory")
 def test_a_large_log_is_thinned_and_says_so(flight: Flight) -> None:
     path = flight(seconds=200)
-    found = thin.contents(path)
+    shares: list[float] = []
+    found = thin.contents(path, shares.append)
     assert found.thinned
+    # A bar shows it.
+    assert len(shares) > 1
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
     assert len(found.columns["ATTITUDE"]) < 0.8 * len(tlog.read_columns(path)["ATTITUDE"])
     assert any("is large" in note for note in outcome(path).summary["notes"])
 

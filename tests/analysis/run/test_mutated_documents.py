@@ -13,6 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from analysis.campaign.campaign_command import size_of
+from analysis.campaign.campaign_file import read_campaign
+from analysis.campaign.plan import Plan
 from analysis.report.judging.check_limits import Thresholds, read_thresholds
 from analysis.run.setup import read_setup
 from analysis.search.space.test_file import read_test
@@ -61,6 +64,16 @@ def parameters(path: Path) -> object:
     return read_parameters(path, FixedWingParameters)
 
 
+def dry_run(path: Path) -> object:
+    """What `campaign --dry-run` does with a file."""
+    return size_of(Plan(read_campaign(path), None), 2)
+
+
+def campaign(path: Path) -> str:
+    """A campaign whose scenarios are found from elsewhere."""
+    return re.sub(r"(?<=[\[ ])(?=\w+\.yaml)", f"{path.parent}/", path.read_text())
+
+
 DEMO = ROOT / "simvehicle/scenario/demo.yaml"
 KINDS: list[tuple[Callable[[Path], object], Path | str]] = [
     (lambda path: read_setup(str(path)), DEMO),
@@ -70,6 +83,7 @@ KINDS: list[tuple[Callable[[Path], object], Path | str]] = [
     (read_map, SHIPPED),
     (parameters, ROOT / "simvehicle/vehicles/aerosonde-2025.yaml"),
     *((read_test, path) for path in sorted((ROOT / "examples").glob("*search*.yaml"))[:2]),
+    *((dry_run, campaign(path)) for path in sorted((ROOT / "examples").glob("campaign_*.yaml"))),
     *((read_schedule, path) for path in sorted((ROOT / "examples").glob("*.yaml"))
       if path.read_text().startswith(("seed", "faults")) or "\nfaults:" in path.read_text()),
 ]  # fmt: skip

@@ -66,6 +66,15 @@ def test_the_label_tells_what_was_done_not_what_was_planned():
     assert closed.parameters == {"value": 0.25}
 
 
+def test_a_label_names_both_ways_of_a_fault_that_cut_both():
+    it = engine("  - {id: cut, fault: drop, target: HIL_SENSOR, at_s: 0, for_s: 1}\n")
+    ways = ["to-vehicle", "to-vehicle", "from-vehicle"]
+    for i, way in enumerate(ways):
+        it.apply(sensor(1_000_000 + i), way, 1_000_000 + i)
+    opened, closed = [*it.drain_labels(), *it.finish(1_000_003)]
+    assert (opened.direction, closed.direction) == ("to-vehicle", "both")
+
+
 def test_a_fault_that_meets_no_frame_writes_no_label():
     it = engine("  - {fault: bias, target: HIL_GPS.alt, value: 5, at_s: 0.1, for_s: 0.2}")
     run(it, 0.5)

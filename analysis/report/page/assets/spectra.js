@@ -22,8 +22,9 @@ function drawSpectrum(area, panel, page, numbers, axis) {
   return labelled(plot, `Spectrum, ${panel.title}: ${panel.series.map((s) => s.name).join(", ")}`);
 }
 
-// Filters and motors as dashed lines, over a spectrum (along x) or over a spectrogram (along y).
-function markFrequencies(u, marks, scale) {
+// Filters and motors as dashed lines, over a spectrum (along x) or over a spectrogram (along y),
+// which lies between `left` and `right`.
+function markFrequencies(u, marks, scale, left, right) {
   const { ctx, bbox } = u;
   ctx.save();
   ctx.setLineDash([5, 4]);
@@ -34,12 +35,12 @@ function markFrequencies(u, marks, scale) {
   marks.forEach(([hz, text], number) => {
     const at = u.valToPos(hz, scale, true), label = `${text} ${+hz.toFixed(1)} Hz`;
     ctx.beginPath();
-    if (scale === "x") { ctx.moveTo(at, bbox.top); ctx.lineTo(at, bbox.top + bbox.height); } else { ctx.moveTo(bbox.left, at); ctx.lineTo(bbox.left + bbox.width, at); }
+    if (scale === "x") { ctx.moveTo(at, bbox.top); ctx.lineTo(at, bbox.top + bbox.height); } else { ctx.moveTo(left, at); ctx.lineTo(right, at); }
     ctx.stroke();
     if (scale === "x") {
       ctx.textAlign = at > bbox.left + bbox.width * 0.7 ? "right" : "left";
       ctx.fillText(label, at + (ctx.textAlign === "left" ? 4 : -4), bbox.top + (12 + 13 * (number % 4)) * devicePixelRatio);
-    } else ctx.fillText(label, bbox.left + 6, at + (number % 2 ? 13 : -4) * devicePixelRatio);
+    } else ctx.fillText(label, left + 6, at + (number % 2 ? 13 : -4) * devicePixelRatio);
   });
   ctx.restore();
 }
@@ -75,7 +76,7 @@ function drawSpectrogram(area, panel, image, page, numbers, axis) {
     ctx.imageSmoothingEnabled = false;
     ctx.drawImage(drawn, left, top, right - left, bottom - top);
     ctx.restore();
-    markFrequencies(u, marks, "y");
+    markFrequencies(u, marks, "y", Math.max(left, bbox.left), Math.min(right, bbox.left + bbox.width));
   };
   const shared = byTime ? options(area, axis, 230, {}) : { width: plotWidth(area), height: 230, cursor: { drag: { x: false, y: false } },
     scales: { x: { time: false, range: () => [image.start, image.end] } } };

@@ -2,6 +2,9 @@
 // The tracks of a report on a canvas: from above (a map without tiles) and in space.
 // Drag to move (from above) or to turn (in space), wheel to zoom, double click to reset.
 
+const ELLIPSE_SIGMAS = 2.448; // hold 95 % of a normal error in the plane
+const ELLIPSES = 12; // along the stretch that is shown
+
 class TrackView {
   constructor(canvas, tracks, axis, solid, faults) {
     Object.assign(this, { canvas, tracks, axis, solid, faults, t: null, value: null, hidden: new Set() });
@@ -120,13 +123,33 @@ class TrackView {
       }
     }
     ctx.globalAlpha = 1;
-    if (this.t == null) return;
-    let i = 0, j = track.t.length - 1;
-    if (this.t < track.t[0] || this.t > track.t[j]) return;
-    while (j - i > 1) { const k = (i + j) >> 1; if (track.t[k] <= this.t) i = k; else j = k; }
+    if (track.sn) for (let k = 0; k < ELLIPSES; k++) this.ellipse(ctx, place, track, placeAt(track.t, from + (to - from) * (k + 0.5) / ELLIPSES), stroke, 0.45);
+    if (this.t == null || this.t < track.t[0] || this.t > track.t[track.t.length - 1]) return;
+    const i = placeAt(track.t, this.t);
+    if (track.sn) this.ellipse(ctx, place, track, i, stroke, 1);
     ctx.fillStyle = stroke; ctx.beginPath();
     ctx.arc(...place(track.e[i], track.n[i], track.u[i]), 4.5, 0, 7); ctx.fill();
   }
+  // Where the track's own log believes it to be with 95 %.
+  ellipse(ctx, place, track, i, stroke, alpha) {
+    const east = ELLIPSE_SIGMAS * track.se[i], north = ELLIPSE_SIGMAS * track.sn[i];
+    if (track.e[i] == null || !(east * north > 0)) return;
+    ctx.strokeStyle = stroke; ctx.globalAlpha = alpha; ctx.lineWidth = 1;
+    ctx.beginPath();
+    for (let turn = 0; turn < 49; turn++) {
+      const angle = turn * Math.PI / 24;
+      ctx.lineTo(...place(track.e[i] + east * Math.cos(angle), track.n[i] + north * Math.sin(angle), track.u[i]));
+    }
+    ctx.stroke();
+    ctx.globalAlpha = 1;
+  }
+}
+
+// The last place of a time axis that is not after `time`.
+function placeAt(t, time) {
+  let i = 0, j = t.length - 1;
+  while (j - i > 1) { const k = (i + j) >> 1; if (t[k] <= time) i = k; else j = k; }
+  return i;
 }
 
 function trackViews(page, numbers, axis) {
@@ -134,6 +157,7 @@ function trackViews(page, numbers, axis) {
   const paths = page.tracks.map((track) => ({
     name: track.name, colour: track.colour, t: decodeTimes(track.t, numbers), e: decodeValues(track.e, numbers),
     n: decodeValues(track.n, numbers), u: decodeValues(track.u, numbers),
+    ...(track.sn && { sn: decodeValues(track.sn, numbers), se: decodeValues(track.se, numbers) }),
   }));
   const faults = page.spans.filter((span) => span.kind === "injected").map((span) => [span.start, span.end]);
   const views = [["map", false], ["space", true]].map(([id, solid]) => new TrackView(document.getElementById(id), paths, axis, solid, faults));
@@ -178,9 +202,5 @@ function valueChoice(page, numbers, views) {
 function curveAt(t, y) {
   const sorted = y.filter((value) => value !== null).sort((one, other) => one - other);
   return { low: sorted[Math.floor(0.05 * (sorted.length - 1))], high: sorted[Math.ceil(0.95 * (sorted.length - 1))],
-    at: (time) => {
-      let i = 0, j = t.length - 1;
-      while (j - i > 1) { const k = (i + j) >> 1; if (t[k] <= time) i = k; else j = k; }
-      return y[i] ?? NaN;
-    } };
+    at: (time) => y[placeAt(t, time)] ?? NaN };
 }

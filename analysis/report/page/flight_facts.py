@@ -1,0 +1,48 @@
+"""What a flight was like in a few numbers: how long, how far, how high, how fast, how steep."""
+
+import numpy as np
+
+from analysis.report.curves.derived_curves import OWN_ATTITUDE
+from analysis.report.judging.checks import armed_windows
+from analysis.report.recordings.recording import Recording, Signal
+
+
+def flight_facts(recording: Recording) -> list[tuple[str, str]]:
+    """Name and value of each number that the log's own estimate gives, while armed."""
+    armed = armed_windows(recording)
+    if not armed:
+        return []
+    found = [("armed", f"{sum(end - start for start, end in armed):.0f} s")]
+    speed = _inside(recording, "speed", ("ground", "GPS"), armed)
+    if speed is not None:
+        # Gaps between the windows of arming have no speed and count for nothing.
+        steps = np.diff(speed.t_s) * (speed.value[1:] + speed.value[:-1]) / 2.0
+        found.append(("flown over ground", _metres(float(np.nansum(steps)))))
+        found.append(("fastest over ground", f"{np.nanmax(speed.value):.1f} m/s"))
+    height = _inside(recording, "height", ("estimate",), armed)
+    if height is not None:
+        span_m = float(np.nanmax(height.value) - np.nanmin(height.value))
+        found.append(("between lowest and highest", _metres(span_m)))
+    tilt = _inside(recording, "tilt", OWN_ATTITUDE, armed)
+    if tilt is not None:
+        found.append(("greatest tilt", f"{np.nanmax(tilt.value):.0f}°"))
+    return found
+
+
+def _inside(
+    recording: Recording, panel: str, names: tuple[str, ...], armed: list[tuple[float, float]]
+) -> Signal | None:
+    """The first curve of these names, NaN outside the windows; None without any value."""
+    curves = {signal.name: signal for signal in recording.of(panel)}
+    signal = next((curves[name] for name in names if name in curves), None)
+    if signal is None:
+        return None
+    inside = np.zeros(len(signal.t_s), bool)
+    for start, end in armed:
+        inside |= (signal.t_s >= start) & (signal.t_s <= end)
+    value = np.where(inside, signal.value, np.nan)
+    return Signal(panel, signal.name, signal.t_s, value) if np.isfinite(value).any() else None
+
+
+def _metres(length_m: float) -> str:
+    return f"{length_m:.1f} m" if length_m < 100.0 else f"{length_m:,.0f} m"

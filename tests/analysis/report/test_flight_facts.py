@@ -1,0 +1,62 @@
+"""The few numbers of a flight against what was put in, and against a real log."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.recordings.ulog import read_ulog
+from analysis.report.curves.derived_curves import derived, with_derived
+from analysis.report.page.flight_facts import flight_facts
+from analysis.report.recordings.from_ulog import recording_of_ulog
+from analysis.report.recordings.recording import Recording, Signal, Span
+
+T = np.arange(0.0, 100.0, 0.1)
+
+
+def flight() -> Recording:
+    """10 m/s for 80 s armed, before and after 99 m/s that nobody flew."""
+    armed = (T >= 10) & (T <= 90)
+    signals = [
+        Signal("speed", "ground", T, np.where(armed, 10.0, 99.0)),
+        Signal("height", "estimate", T, np.where(armed, T, -50.0)),
+        Signal("roll", "ATTITUDE", T, np.full(len(T), 30.0)),
+        Signal("pitch", "ATTITUDE", T, np.full(len(T), 40.0)),
+    ]
+    return Recording("", signals=signals, spans=[Span("armed", 10.0, 90.0, "armed", "mode")])
+
+
+def test_numbers_are_those_while_armed() -> None:
+    facts = dict(flight_facts(with_derived(flight())))
+    assert facts["armed"] == "80 s"
+    assert facts["flown over ground"] == "800 m"
+    assert facts["fastest over ground"] == "10.0 m/s"
+    assert facts["between lowest and highest"] == "80.0 m"
+    # cos of the tilt is cos 30 cos 40.
+    assert facts["greatest tilt"] == "48°"
+
+
+def test_a_log_that_never_says_armed_has_no_numbers() -> None:
+    recording = flight()
+    recording.spans.clear()
+    assert flight_facts(recording) == []
+
+
+def test_numbers_of_a_real_flight_are_those_of_flight_review(shared_data: Path) -> None:
+    """Flight Review: 6.1 m (in space, ours is over ground), 1 m, 3.1 km/h, 8.3 degrees."""
+    log = read_ulog(shared_data / "ulog" / "gps_interference.ulg")
+    facts = dict(flight_facts(with_derived(recording_of_ulog(log, ""))))
+    assert float(facts["flown over ground"].removesuffix(" m")) == pytest.approx(4.9, abs=0.3)
+    assert facts["between lowest and highest"] == "0.9 m"
+    assert facts["fastest over ground"] == "0.9 m/s"
+    assert facts["greatest tilt"] == "8°"
+
+
+def test_intervals_show_gaps_but_not_those_of_a_thinned_log() -> None:
+    t_s = np.delete(np.arange(0.0, 2.0, 0.004), slice(100, 110))
+    (found,) = derived(Recording("", signals=[Signal("gyro", "x", t_s, t_s)]))[0]
+    assert found.panel == "interval"
+    assert np.median(found.value) == pytest.approx(4.0)
+    assert found.value.max() == pytest.approx(44.0)
+    thinned = np.sort(np.random.default_rng(0).choice(t_s, 200, replace=False))
+    assert derived(Recording("", signals=[Signal("gyro", "x", thinned, thinned)]))[0] == []
