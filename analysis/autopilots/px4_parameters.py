@@ -18,6 +18,7 @@ PLANE = {  # faster than PX4's own
     "NAV_LOITER_RAD": 150,
     "FW_LND_USETER": 0,  # the ground is where the mission says, with or without a range finder
 }
+LEAST_OFFSET_PA = 1e-3
 CORNER_M = 2.0  # as ArduCopter's WPNAV_RADIUS
 
 
@@ -28,6 +29,11 @@ def parameters(simulation: Simulation, height_m: float) -> dict[str, float]:
         "COM_RC_IN_MODE": NO_RADIO,
         "MIS_TAKEOFF_ALT": height_m,
     }
+    offset_pa = simulation.pitot_offset_pa()
+    if offset_pa is not None:
+        # As an operator calibrates it: a plane that seems to move takes off from a loiter. For PX4
+        # zero is not calibrated.
+        found["SENS_DPRES_OFF"] = offset_pa or LEAST_OFFSET_PA
     vehicle = simulation.vehicle
     if not isinstance(vehicle, Multirotor):
         return found | PLANE

@@ -32,6 +32,7 @@ from simvehicle.guidance.open_loop import OpenLoopController
 from simvehicle.guidance.route import PathTrack
 from simvehicle.guidance.sway import SwayController
 from simvehicle.scenario.scenario_file import Scenario
+from simvehicle.sensors.airspeed import Airspeed
 from simvehicle.sensors.readings import Reading
 from simvehicle.simulation.kinds import Controller, kind_of
 from simvehicle.simulation.onboard import fit
@@ -176,6 +177,14 @@ class Simulation:
             self._plant = changed
         else:
             self._satellite_plant(name, value)
+
+    def pitot_offset_pa(self) -> float | None:
+        """What the pitot tube shows without wind, as who calibrates it before a flight finds it;
+        None without one."""
+        for fitted in self._fitted:
+            if isinstance(fitted.sensor, Airspeed):
+                return float(fitted.state.bias[0] + fitted.state.drift[0])
+        return None
 
     def _satellite_plant(self, name: str, value: float | None) -> None:
         for fitted in self._fitted:

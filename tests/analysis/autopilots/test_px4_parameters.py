@@ -43,3 +43,14 @@ def test_a_plane_takes_off_to_the_plans_height_with_its_own_speeds(tmp_path):
     assert found["MIS_TAKEOFF_ALT"] == 50.0
     assert found["FW_AIRSPD_TRIM"] == 25
     assert "CA_ROTOR_COUNT" not in found
+
+
+@pytest.mark.parametrize(("bias_pa", "offset"), [(35.0, 35.0), (0.0, 1e-3)])
+def test_a_planes_pitot_tube_is_calibrated_before_the_flight(tmp_path, bias_pa, offset):
+    file = tmp_path / "scenario.yaml"
+    file.write_text(
+        "name: it\nvehicle: {kind: fixedwing, parameters: aerosonde-2025}\n"
+        f"sensors: {{imu: {{}}, airspeed: {{noise: {{bias: {bias_pa}}}}}}}"
+    )
+    found = parameters(Simulation(read_scenario(str(file))), 50.0)
+    assert found["SENS_DPRES_OFF"] == pytest.approx(offset)
