@@ -10,6 +10,7 @@ from rich.table import Table
 from analysis.results import AttitudeError, Decision, FusedState, Result, SensorDecision
 
 REDRAW_S = 0.2
+OLD_S = 3.0  # of a verdict: some detectors speak of alarms alone, and fall silent when they end
 
 
 class Watch:
@@ -21,6 +22,7 @@ class Watch:
     def __init__(self) -> None:
         self._console = Console()
         self._rows: dict[str, tuple[str, str, str]] = {}
+        self._told_s: dict[str, float] = {}
         # Redrawn by hand: a thread of its own would cost more than the table.
         self._live = Live(console=self._console, auto_refresh=False)
         self._drawn_s = 0.0
@@ -48,7 +50,7 @@ class Watch:
             since_s = result.t_s - self._begin_s
             # Into a pipe only changes of the verdict are printed.
             before = self._rows.get(name)
-            self._rows[name] = row
+            self._rows[name], self._told_s[name] = row, since_s
             if not self._console.is_terminal and (before is None or before[1] != row[1]):
                 self._console.print(f"{since_s:9.1f} s  {name:<14} {row[1]} {row[2]}")
         now_s = time.monotonic()
@@ -59,7 +61,10 @@ class Watch:
     def _table(self, t_s: float) -> Table:
         table = Table("source", "value", "verdict", "", box=None, title=f"{t_s:.1f} s")
         for name, (value, verdict, remark) in self._rows.items():
+            old_s = t_s - self._told_s[name]
             colour = "green" if verdict in ("sound", "none", "") else "red"
+            if old_s > OLD_S:
+                colour, remark = "dim", f"{remark} ({old_s:.0f} s ago)".lstrip()
             table.add_row(name, value, f"[{colour}]{verdict}[/]", remark)
         return table
 
