@@ -89,9 +89,10 @@ class TcpServer:
             except BlockingIOError:
                 return
             except OSError as error:
-                self.counters.errors += 1
                 if error.errno in (errno.EMFILE, errno.ENFILE):
                     self._turn_away()
+                else:
+                    self.counters.errors += 1
                 return
             _prepare(sock)
             stream = _stream(sock, self._descriptors, self.counters)
@@ -102,10 +103,14 @@ class TcpServer:
         """Close a connection for which there is no descriptor, in the place of the reserve."""
         # Left waiting it would wake the loop for ever.
         self._reserve.close()
-        with contextlib.suppress(OSError):
+        try:
             self._listener.accept()[0].close()
-        with contextlib.suppress(OSError):  # another thread was faster: the next one waits
-            self._reserve = socket.socket()
+            self.counters.errors += 1
+        except OSError:  # nobody waits: Linux looks for a descriptor first
+            return
+        finally:
+            with contextlib.suppress(OSError):  # another thread was faster: the next one waits
+                self._reserve = socket.socket()
         if not self._told:
             LOG.warning("%s: no descriptor for a further peer; allow more (ulimit -n)", self.name)
             self._told = True

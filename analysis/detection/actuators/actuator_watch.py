@@ -13,8 +13,10 @@ from analysis.detection.actuators.motion_cells import no_cells
 from analysis.detection.actuators.motion_filter import nothing_learnt
 from analysis.detection.actuators.mutual_judgement import ACTUATORS
 from analysis.detection.actuators.obedience_kernel import (
+    BY_ITS_START,
     COUNTS,
     CRASH_US,
+    FLIES_MPS,
     NEVER_US,
     OFF,
     SUSPECT,
@@ -26,6 +28,8 @@ from analysis.detection.actuators.suspects import LOAD, NOBODY, SURE
 from analysis.detection.actuators.switched_off import no_outputs
 from analysis.results import EITHER, SensorDecision
 from analysis.samples.block import COMMAND, Block
+
+ELEVATOR = "elevator"  # of those with wings
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,7 @@ def _commanded(effects: Effects) -> Obedience:
         effects.mix,
         effects.disturbance(),
         counts,
-        np.array([np.nan]),
+        np.array([np.nan, BY_ITS_START if ELEVATOR in effects.names else FLIES_MPS]),
         np.array([np.nan]),
     )
 

@@ -2,7 +2,8 @@
 
 Nothing is judged on the ground, which carries what no motor does: a vehicle flies from when it is
 3 m above its first fix, or faster than 3 m/s, until it stands still near the first height again. In
-between, low and slow, it may already touch the ground with a leg, and nothing is judged either.
+between, low and slow, it may already touch the ground with a leg, and nothing is judged either; one
+with wings that began at rest may roll there at any speed.
 A blow while an actuator is to blame is a crash: from then on nothing that a sensor says is judged,
 until it flies anew.
 """
@@ -41,6 +42,7 @@ SLIGHT, SLIGHT_CELLS = 0.15, 8  # a deficit that a gust may look like, and how l
 AGAIN_BLAMED, AGAIN_SOUND = 5, 10  # cells between two results
 FIX_3D = 3
 FLIES_M, FLIES_MPS, STANDS_MPS = 3.0, 3.0, 0.5
+BY_ITS_START = -1.0
 ALT, VELOCITY = 2, 3  # columns of a fix
 GAP_US = 500_000  # without a sample of the IMU
 # A command that comes so much later or earlier than usual, against the IMU's stamps; the cells that
@@ -61,7 +63,8 @@ class Obedience(NamedTuple):
     """All that is kept; `follow` changes it in place.
 
     `outputs` are watched for being switched off; `mix` (COMMANDS, COMMANDS) makes commands of them;
-    `disturbance` (AXES, AXES) is of gusts and the model; `first_m` (1,) is the first fix's height,
+    `disturbance` (AXES, AXES) is of gusts and the model; `start` (2,) is the first fix's height and
+    below which speed the ground may carry it near that (`BY_ITS_START`: the first fix decides);
     `lag_us` (1,) how far commands usually lie behind the IMU.
     """
 
@@ -71,7 +74,7 @@ class Obedience(NamedTuple):
     mix: Vector
     disturbance: Vector
     counts: NDArray[np.int64]
-    first_m: Vector
+    start: Vector
     lag_us: Vector
 
 
@@ -182,21 +185,23 @@ def _fly(fix: Vector, kept: Obedience) -> None:
     """Take off and land, by a receiver's fix."""
     if fix[FIX_TYPE] < FIX_3D:
         return
-    if np.isnan(kept.first_m[0]):
-        kept.first_m[0] = fix[ALT]
-    up = abs(fix[ALT] - kept.first_m[0]) > FLIES_M
     speed = 0.0
     for i in range(3):
         if not np.isnan(fix[VELOCITY + i]):
             speed += fix[VELOCITY + i] ** 2
     speed = np.sqrt(speed)
+    if np.isnan(kept.start[0]):
+        kept.start[0] = fix[ALT]
+        if kept.start[1] == BY_ITS_START:
+            kept.start[1] = np.inf if speed < STANDS_MPS else FLIES_MPS
+    up = abs(fix[ALT] - kept.start[0]) > FLIES_M
     if not kept.counts[FLIES] and (up or speed > FLIES_MPS):
         kept.counts[FLIES], kept.counts[CRASH_US] = 1, NEVER_US
         _begin(kept)
     elif kept.counts[FLIES] and not up and speed < STANDS_MPS:
         kept.counts[FLIES] = 0
         kept.counts[BLAMED : BLAMED + 2] = NOBODY
-    elif not up and speed < FLIES_MPS:
+    elif not up and speed < kept.start[1]:
         kept.counts[IRREGULAR] = IRREGULAR_CELLS
 
 

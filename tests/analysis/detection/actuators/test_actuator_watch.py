@@ -217,6 +217,31 @@ def test_low_and_slow_a_leg_may_touch_the_ground_and_nobody_is_blamed(
     assert bool(alarms) == judged
 
 
+@pytest.mark.parametrize(("began_mps", "judged"), [(0.0, False), (12.0, True)])
+def test_wheels_hold_what_surfaces_would_turn_after_a_landing(
+    began_mps: float, judged: bool
+) -> None:
+    """An elevator that is told to do more, and nothing follows, 2 m above the first fix; a plane
+    that began in flight may fly there."""
+    effects = setup_of("fixed wing").monitor.actuators
+    assert effects is not None
+    watch, rng = ActuatorWatch(effects), np.random.default_rng(3)
+    fix = GpsFix(0, 47.0, 8.0, 500.0, np.array([began_mps, 0.0, 0.0]), 3, 12, 1.0, 1.0, "HIL_GPS")
+    samples: list[Any] = [CommandSample(0, np.zeros(12)), fix]
+    rolling = np.array([12.0, 0.0, 0.0])
+    for k in range(900):
+        t_us, commands = 10_000 * k, np.zeros(12)
+        commands[6:8] = 0.5 * (k > 700)
+        if k % 20 == 0:
+            alt_m = 502.0 if k > 600 else 510.0
+            samples.append(dataclasses.replace(fix, t_us=t_us, alt_m=alt_m, v_ned_mps=rolling))
+        samples.append(CommandSample(t_us, commands))
+        samples.append(ImuSample(t_us, 0.01 * rng.normal(size=3), np.array([0.0, 0.0, -9.8])))
+    found, _ = watch.step(block_of(samples), watch.new_state())
+    alarms = [r for _, r in found if isinstance(r, SensorDecision) and r.alarm]
+    assert bool(alarms) == judged
+
+
 def _flying(block: Block) -> Block:
     """The block with fixes of a vehicle that moves, before and after its first command."""
     fix = GpsFix(0, 47.0, 8.0, 500.0, np.array([5.0, 0.0, 0.0]), 3, 12, 1.0, 1.0, "HIL_GPS")
