@@ -31,7 +31,6 @@ GROUPS = (
     ("spectrum-torque", "Torque asked for", ("torque",), "1"),
     ("spectrum-actuators", "Motors and outputs", ("actuators", "outputs"), "1"),
 )  # fmt: skip
-SUMMED = ("spectrum-gyro", "spectrum-rate", "spectrum-accel")  # of these there are spectrograms
 FILTERS = (
     ("IMU_GYRO_CUTOFF", "gyro low-pass"), ("IMU_DGYRO_CUTOFF", "D-term low-pass"),
     ("IMU_GYRO_NF0_FRQ", "notch 1"), ("IMU_GYRO_NF1_FRQ", "notch 2"),
@@ -91,8 +90,8 @@ def spectrum_panels(
         fast = _fast_signals(recording, panels, window)
         if not fast:
             continue
-        images = _images(recording, fast) if key in SUMMED else []
-        found.append(SpectrumPanel(key, title, unit, [_density(s) for s in fast], images))
+        densities = [_density(signal) for signal in fast]
+        found.append(SpectrumPanel(key, title, unit, densities, _images(recording, fast)))
     return found
 
 
@@ -172,10 +171,11 @@ def _density(signal: Signal) -> Spectrum:
 
 
 def _images(recording: Recording, fast: Sequence[Signal]) -> list[Spectrogram]:
-    """The axes of the first instance summed, by time, and by throttle where that is logged."""
+    """The axes of the first instance, or all motors, summed: by time, and by throttle where that is
+    logged."""
     from matplotlib.mlab import specgram
 
-    first = [s for s in fast if s.name in ("x", "y", "z", "roll", "pitch", "yaw")] or fast[:3]
+    first = [s for s in fast if s.name in ("x", "y", "z", "roll", "pitch", "yaw")] or fast
     # Axes of one sensor may differ by a sample.
     n = min(len(signal.value) for signal in first)
     # Windows overlap by three quarters; of a long log by less, so that no more columns than pixels.

@@ -37,6 +37,15 @@ def test_a_spectrogram_shows_when_the_frequency_changed() -> None:
     assert loudest_hz[at_s > 11] == pytest.approx(80, abs=2)
 
 
+def test_what_the_motors_do_together_has_a_spectrogram_too() -> None:
+    hum = np.sin(2 * np.pi * 40 * T_S)
+    motors = [Signal("actuators", f"motor {i}", T_S, 0.5 + 0.1 * i * hum) for i in (1, 2, 3, 4)]
+    (panel,) = spectrum_panels(Recording("r", signals=motors))
+    (image,) = panel.images
+    loudest_hz = (np.argmax(image.level_db, axis=0) + 1) / len(image.level_db) * image.highest_hz
+    assert loudest_hz == pytest.approx(40, abs=2)
+
+
 def test_slow_uneven_and_constant_signals_have_no_spectrum() -> None:
     rng = np.random.default_rng(1)
     slow = Signal("gyro", "x", np.arange(1000) * 0.2, rng.normal(size=1000))

@@ -89,7 +89,7 @@ function drawSpectrogram(area, panel, image, page, numbers, axis) {
   }, [byTime ? axis.full : [image.start, image.end], [null, null]], area);
   const note = document.createElement("p");
   note.className = "note";
-  note.textContent = `sum of the axes, ${image.low.toFixed(0)} (dark) to ${image.high.toFixed(0)} dB of ${panel.unit}${byTime ? "" : ", mean of all windows at that throttle"}`;
+  note.textContent = `sum of the curves, ${image.low.toFixed(0)} (dark) to ${image.high.toFixed(0)} dB of ${panel.unit}${byTime ? "" : ", mean of all windows at that throttle"}`;
   area.append(note);
   if (byTime) axis.plots.add(plot);
   return labelled(plot, `Spectrogram ${image.title}, ${panel.title}`);
