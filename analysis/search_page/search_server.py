@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import socket
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from analysis.search.search_session import Session
 from analysis.search.space.test_file import TestFile, read_test
 from analysis.search_page.flight_routes import FlightPage
 from analysis.search_page.flights import Flights
-from analysis.web.page_server import PageServer, guarded, listen, server_of
+from analysis.web.page_server import PageServer, guarded, in_thread, listen, server_of
 from mavproxy_fault.documents.errors import ConfigError
 
 
@@ -49,14 +48,8 @@ def prepare(flights: Flights, port: int | None) -> tuple[PageServer, socket.sock
 def serve(flights: Flights, port: int | None = None) -> Iterator[str]:
     """Serve the page from a thread for the length of the block; the address to open."""
     server, bound, address = prepare(flights, port)
-    thread = threading.Thread(target=server.run, args=([bound],), name="search page")
-    thread.start()
-    try:
+    with in_thread(server, bound):
         yield address
-    finally:
-        server.should_exit = True
-        thread.join()
-        bound.close()
 
 
 def main(args: argparse.Namespace) -> int:

@@ -117,6 +117,19 @@ def server_of(app: Starlette) -> PageServer:
 
 
 @contextlib.contextmanager
+def in_thread(server: PageServer, bound: socket.socket) -> Iterator[None]:
+    """Let a server answer on a socket for the length of the block."""
+    thread = threading.Thread(target=server.run, args=([bound],), name="page")
+    thread.start()
+    try:
+        yield
+    finally:
+        server.should_exit = True
+        thread.join()
+        bound.close()
+
+
+@contextlib.contextmanager
 def serve(
     zenoh: str | None = None,
     port: int | None = None,
@@ -131,15 +144,8 @@ def serve(
         If the port is taken or none.
     """
     server, source, bound, address = prepare(zenoh, port, config_file, offer)
-    thread = threading.Thread(target=server.run, args=([bound],), name="page")
-    thread.start()
-    try:
+    with contextlib.closing(source), in_thread(server, bound):
         yield address
-    finally:
-        server.should_exit = True
-        thread.join()
-        source.close()
-        bound.close()
 
 
 @contextlib.contextmanager

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 from analysis.report.judging.checks import FAIL, PASS, WARN, Check
+from analysis.report.judging.flight_facts import flight_facts
 from analysis.report.judging.flight_verdict import Outcome
 from analysis.report.log_sky import sky_pictures
-from analysis.report.page.flight_facts import flight_facts
 from analysis.report.page.fused_table import fused_table
 from analysis.report.page.page_parts import SENSOR_LIMIT, Limit, Page, Table
 from analysis.report.page.panels import CHECKS, DETECTION, FUSION, GPS, LINK, TIMELINE

@@ -7,7 +7,7 @@ import pytest
 
 from analysis.recordings.ulog import read_ulog
 from analysis.report.curves.derived_curves import derived, with_derived
-from analysis.report.page.flight_facts import flight_facts
+from analysis.report.judging.flight_facts import flight_facts
 from analysis.report.recordings.from_ulog import recording_of_ulog
 from analysis.report.recordings.recording import Recording, Signal, Span
 
