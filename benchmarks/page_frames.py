@@ -61,7 +61,9 @@ def main() -> None:
         thread.start()
         try:
             with serve(bus.url, port=0) as address, watched_page(address) as watcher:
-                watcher.page.wait_for_function("store.tables.get('HIL_SENSOR')?.received.length")
+                watcher.page.wait_for_function(
+                    "() => store.tables.get('HIL_SENSOR')?.received.length"
+                )
                 watcher.page.evaluate(FILL, [FIELDS, ROWS])
                 print("| on show |", " | ".join(FRAME_COLUMNS), "|")
                 print("|---" * (1 + len(FRAME_COLUMNS)) + "|")

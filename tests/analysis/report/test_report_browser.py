@@ -96,7 +96,7 @@ def test_plots_below_the_window_are_drawn_too_and_nothing_moves(opened: Opened) 
     top = "[...document.querySelectorAll('.section')].at(-1).getBoundingClientRect().y"
     before = opened.page.evaluate(top)
     opened.page.wait_for_function(
-        "[...document.querySelectorAll('.plots .area')].every((a) => a.dataset.drawn === 'yes')"
+        "() => [...document.querySelectorAll('.plots .area')].every((a) => a.dataset.drawn)"
     )
     plots = opened.page.evaluate("document.querySelectorAll('.plots .area').length")
     # Legends of several lines are higher than the place that is kept.

@@ -1,5 +1,6 @@
 """A small proxy that runs, the page over it, and Debian's Chromium to look at it with."""
 
+import math
 import select
 import socket
 import threading
@@ -44,6 +45,7 @@ class Loop:
         self.labels: list[Label] = []
         self.commands: list[tuple[int, float]] = []  # that the vehicle was given, with param7
         self.xgyro = 0.0  # as the vehicle was sent it last
+        self.steps_left = math.inf  # at nought the vehicle's time stands, however slow a page is
         self._t_us = 1_000_000
         self._seq = 0
         self._stop, self._stopped = socket.socketpair()
@@ -56,7 +58,8 @@ class Loop:
             ready, _, _ = select.select(waited, (), (), STEP_US * 1e-6)
             if self._stopped in ready:
                 return
-            if not ready:
+            if not ready and self.steps_left > 0:
+                self.steps_left -= 1
                 self._step()
             self.live.serve()
             labels = self.core.drain_labels()
