@@ -23,7 +23,7 @@ class Monitor:
         self._decoder = Decoder()
         self._pipeline = Pipeline(config)
         self.detector = config.detector
-        self._tally = Tally(reference)
+        self._tally = Tally(reference, link=config.link)
 
     @property
     def t_s(self) -> float:

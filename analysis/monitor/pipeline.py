@@ -16,6 +16,7 @@ from analysis.detection.actuators.actuator_watch import ActuatorWatch
 from analysis.detection.actuators.effects import Effects, unknown_effects
 from analysis.detection.actuators.mutual_judgement import NEVER_US, judged
 from analysis.detection.actuators.obedience_kernel import CRASH_US, Obedience
+from analysis.detection.sensors.earth_watch import EarthWatch
 from analysis.detection.sensors.instance_vote import InstanceVote
 from analysis.detection.sensors.jamming_watch import JammingWatch
 from analysis.detection.sensors.level_watch import LevelWatch
@@ -38,15 +39,19 @@ WITHOUT_ISOLATION = "fused without isolation"
 class MonitorConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The detector with the checks of other sensors, attitude scores, and fusion where wanted.
 
-    `streams` asks for what only a link can do: fall silent, repeat itself, lose its time.
+    `streams` asks for what only a link can do: fall silent, repeat itself, lose its time. `link` is
+    whether everything came by one: a log of the autopilot's own pauses when nobody writes it.
     `actuators` is what commands do to the vehicle; where that is not known it is learnt in flight.
+    `field_ned_gauss` is the magnetic field of a world that has its own.
     """
 
     detector: DetectorConfig = DetectorConfig()
     attitude: AttitudeConfig = AttitudeConfig()
     fusion: FusionConfig | None = None
     streams: bool = True
+    link: bool = True
     actuators: Effects = unknown_effects()
+    field_ned_gauss: tuple[float, float, float] | None = None
 
 
 class MonitorSection(DetectorConfig, frozen=True, kw_only=True):
@@ -84,12 +89,14 @@ class Pipeline:
         self._attitude_state = self._attitude.new_state()
         self._detector = References(config.detector)
         self._detector_state = self._detector.new_state()
-        self._streams = StreamWatch() if config.streams else None
+        self._streams = StreamWatch(config.link) if config.streams else None
         self._streams_state = StreamWatch().new_state()
         self._vote = InstanceVote()
         self._vote_state = self._vote.new_state()
         self._turns = TurnWatch()
         self._turns_state = self._turns.new_state()
+        self._earth = EarthWatch(config.field_ned_gauss)
+        self._earth_state = self._earth.new_state()
         self._levels = LevelWatch()
         self._levels_state = self._levels.new_state()
         self._jamming = JammingWatch()
@@ -131,7 +138,8 @@ class Pipeline:
             left, self._levels_state = self._levels.step(block, self._levels_state)
             voted, self._vote_state = self._vote.step(block, self._vote_state)
             turned, self._turns_state = self._turns.step(block, self._turns_state)
-            troubles += left + voted + turned
+            alien, self._earth_state = self._earth.step(block, self._earth_state)
+            troubles += left + voted + turned + alien
         jammed, self._jamming_state = self._jamming.step(block, self._jamming_state)
         found += troubles + jammed
         obeyed, self._actuators_state = self._actuators.step(block, self._actuators_state)

@@ -50,7 +50,9 @@ def main(args: argparse.Namespace) -> int:
     if args.rinex is not None:
         config = msgspec.structs.replace(config, streams=False)  # a file has no link
         criteria = criteria if args.scenario else receiver_criteria(reference is not None)
-    elif args.schedule is not None:
+    elif args.log is not None and Path(args.log).is_file() and is_autopilot_log(Path(args.log)):
+        config = msgspec.structs.replace(config, link=False)
+    if args.rinex is None and args.schedule is not None:
         raise ConfigError("--schedule: is for --rinex; `replay` puts faults into a log")
     # On a link the proxy writes the labels meanwhile: they are read at the end.
     if args.link is None:

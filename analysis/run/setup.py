@@ -18,6 +18,7 @@ from mavproxy_fault.documents.yaml_document import Path as DocumentPath
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule, read_schedule
 from simvehicle.scenario.changed_scenario import changed, parse_change
 from simvehicle.scenario.scenario_file import Scenario, decode_scenario, open_scenario
+from simvehicle.sensors.magnetometer import Magnetometer
 from simvehicle.simulation.kinds import kind_of
 
 
@@ -61,7 +62,9 @@ def read_setup(
     if schedule is not None:
         criteria = _about(criteria, faults)
     monitor = monitor_config(scenario.monitor, document.where, document.lines)
-    monitor = msgspec.structs.replace(monitor, actuators=vehicle_effects(scenario))
+    monitor = msgspec.structs.replace(
+        monitor, actuators=vehicle_effects(scenario), field_ned_gauss=_field_ned_gauss(scenario)
+    )
     return Setup(scenario, faults, monitor, criteria)
 
 
@@ -69,6 +72,13 @@ def setup_of(args: argparse.Namespace) -> Setup:
     """What the command line of `run` asks for; errors as `read_setup` has them."""
     changes = dict(map(parse_change, args.set))
     return read_setup(args.scenario, args.schedule, args.seed, changes)
+
+
+def _field_ned_gauss(scenario: Scenario) -> tuple[float, float, float] | None:
+    """The field that a scenario gives its compass, None where it is the Earth's."""
+    mag = scenario.sensors.mag
+    first = mag[0] if isinstance(mag, list) and mag else mag
+    return first.field_ned_gauss if isinstance(first, Magnetometer) else None
 
 
 def _about(criteria: Criteria, faults: Schedule) -> Criteria:

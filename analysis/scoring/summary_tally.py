@@ -29,14 +29,14 @@ class Tally:
     """Counts epochs, collects alarms and errors of positions; the truth is in the log, or it is the
     `reference`."""
 
-    def __init__(self, reference: PositionReference | None = None) -> None:
+    def __init__(self, reference: PositionReference | None = None, *, link: bool = True) -> None:
         self.epochs = 0
         self.untestable = 0
         self.first_us: int | None = None
         self.last_us = 0
         self.alarms: list[Alarm] = []
-        # The link is always watched: its frames are counted.
-        self._watched = {"link"}  # channels that tested something
+        # Channels that tested something; a link is always watched, its frames are counted.
+        self._watched = {"link"} if link else set()
         self._epochs_us: tuple[int, int] = (0, 0)  # the first and the last
         self._truth: Vector | None = None  # latitude, longitude in degrees, altitude (3,)
         self._reference = reference

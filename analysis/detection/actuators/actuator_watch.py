@@ -80,7 +80,7 @@ def _commanded(effects: Effects) -> Obedience:
         effects.disturbance(),
         counts,
         np.array([np.nan, BY_ITS_START if ELEVATOR in effects.names else FLIES_MPS]),
-        np.array([np.nan]),
+        np.full(3, np.nan),
     )
 
 

@@ -48,6 +48,8 @@ GAP_US = 500_000  # without a sample of the IMU
 # A command that comes so much later or earlier than usual, against the IMU's stamps; the cells that
 # are passed over then, or after it was low and slow; and what a command counts in the usual
 LATE_US, IRREGULAR_CELLS, LAG_SHARE = 60_000, 10, 0.02
+SELDOM_US = 60_000  # between commands: what they were meanwhile is not known, nor what they do
+LAG_US, INTERVAL_US, NEWEST_US = range(3)  # of the usual `rhythm` of commands
 BLOW_MPS2 = 100.0  # specific force of no manoeuvre
 
 # Of `counts`: whether it flies, loud cells in a row, cells without a suspect, cells in a row with
@@ -65,7 +67,8 @@ class Obedience(NamedTuple):
     `outputs` are watched for being switched off; `mix` (COMMANDS, COMMANDS) makes commands of them;
     `disturbance` (AXES, AXES) is of gusts and the model; `start` (2,) is the first fix's height and
     below which speed the ground may carry it near that (`BY_ITS_START`: the first fix decides);
-    `lag_us` (1,) how far commands usually lie behind the IMU.
+    `rhythm` (3,) of commands in us: how far they usually lie behind the IMU and apart, NaN before
+    the first, and the newest stamp.
     """
 
     cells: Cells
@@ -75,7 +78,7 @@ class Obedience(NamedTuple):
     disturbance: Vector
     counts: NDArray[np.int64]
     start: Vector
-    lag_us: Vector
+    rhythm: Vector
 
 
 class Verdicts(NamedTuple):
@@ -132,6 +135,7 @@ def _command(row: int, t_us: int, outputs: Vector, kept: Obedience, verdicts: Ve
     if source != counts[COMMANDED]:
         return
     _compare_lag(float(kept.cells.clock[SAMPLE_US] - t_us), kept)
+    _compare_interval(t_us, kept.rhythm)
     kept.cells.commands[0] = kept.mix @ outputs[:COMMANDS]
     if source == OUTPUTS:
         off = command(outputs[:COMMANDS], t_us, counts[FLIES] == 1, kept.outputs)
@@ -144,11 +148,22 @@ def _compare_lag(lag_us: float, kept: Obedience) -> None:
     """Hold how far a command lies behind the IMU against what is usual."""
     if not kept.counts[FLIES] or abs(lag_us) > GAP_US:
         return
-    if np.isnan(kept.lag_us[0]):
-        kept.lag_us[0] = lag_us
-    elif abs(lag_us - kept.lag_us[0]) > LATE_US:
+    if np.isnan(kept.rhythm[LAG_US]):
+        kept.rhythm[LAG_US] = lag_us
+    elif abs(lag_us - kept.rhythm[LAG_US]) > LATE_US:
         kept.counts[IRREGULAR] = IRREGULAR_CELLS
-    kept.lag_us[0] += LAG_SHARE * (lag_us - kept.lag_us[0])
+    kept.rhythm[LAG_US] += LAG_SHARE * (lag_us - kept.rhythm[LAG_US])
+
+
+@compiled
+def _compare_interval(t_us: int, rhythm: Vector) -> None:
+    """Learn how far commands lie apart."""
+    apart_us = t_us - rhythm[NEWEST_US]
+    rhythm[NEWEST_US] = t_us
+    if 0.0 < apart_us < GAP_US:
+        if np.isnan(rhythm[INTERVAL_US]):
+            rhythm[INTERVAL_US] = apart_us
+        rhythm[INTERVAL_US] += LAG_SHARE * (apart_us - rhythm[INTERVAL_US])
 
 
 @compiled
@@ -209,7 +224,9 @@ def _fly(fix: Vector, kept: Obedience) -> None:
 def _can_tell(kept: Obedience) -> bool:
     """Whether the effects of the actuators are known; with a motor off the vehicle is another."""
     learnt = kept.learnt
-    known = not learnt.counts[UNKNOWN] or known_rotors(learnt.theta, learnt.p) == ROTORS
+    known = not learnt.counts[UNKNOWN] or (
+        kept.rhythm[INTERVAL_US] < SELDOM_US and known_rotors(learnt.theta, learnt.p) == ROTORS
+    )
     return known and not kept.outputs.gone.any()
 
 

@@ -42,6 +42,7 @@ X_Q, X_BG, X_BA, X_CLOCK, X_DRIFT, X_ISB = 6, 10, 13, 16, 17, 18
 DT, GYRO, ACCEL, SAMPLE = 0, 1, 4, 7  # columns of a sample, and how many
 DIAGONAL = ERRORS + 1  # from one diagonal element of a covariance (400,) to the next
 TOGETHER_S = 0.25  # so much at most of the covariance's way at once
+SELDOM_S = 0.03  # of longer steps nobody knows what the force was meanwhile
 
 
 @compiled
@@ -249,17 +250,20 @@ def propagate_inertial(
     row = 0
     while row < samples.shape[0]:
         phi = np.eye(ERRORS)
-        first, row = row, _advance(x, phi.reshape(ERRORS * ERRORS), samples, row)
+        first = row
+        row, unseen = _advance(x, phi.reshape(ERRORS * ERRORS), samples, row)
         p = _carried(p, phi, noise)
+        for i in range(V, PSI):
+            p[i, i] += unseen
         whole = phi if first == 0 else multiply(phi, whole)
     return x, p, whole
 
 
 @compiled
-def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> int:
+def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> tuple[int, float]:
     """Advance x and the transition phi (400,) in place by the samples from a row on, over
-    `TOGETHER_S` at most; returns the row after."""
-    until_s = TOGETHER_S
+    `TOGETHER_S` at most; the row after, and the variance of what was not seen of the velocity."""
+    until_s, unseen = TOGETHER_S, 0.0
     while row < samples.shape[0] and until_s > 0.0:
         # Two samples with one stamp are one sample.
         dt = samples[row, DT]
@@ -267,8 +271,22 @@ def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> int:
             c, f = _mechanise(x, samples, row)
             _add_step(phi, c, f, dt)
             until_s -= dt
+            if dt > SELDOM_S and row > 0:
+                unseen += _unseen(samples, row)
         row += 1
-    return row
+    return row, unseen
+
+
+@compiled
+def _unseen(samples: Vector, row: int) -> float:
+    """Variance of a step's velocity where the force was anything between two samples of it."""
+    square = 0.0
+    for i in range(ACCEL, SAMPLE):
+        change = samples[row, i] - samples[row - 1, i]
+        square += change * change
+    # Of a white force: a change has twice its variance, on each of three axes.
+    variance: float = square * samples[row, DT] ** 2 / 6.0
+    return variance
 
 
 @compiled

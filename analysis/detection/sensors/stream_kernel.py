@@ -44,6 +44,7 @@ BACK_US = 20_000
 STANDS = 5
 # A repetition beyond what the sensor's own past shows
 RUN_FACTOR, RUN_MORE, RUN_US = 3, 10, 500_000
+STILL = 20  # samples for which a number once stood in a sound sensor: then it tells nothing
 EPOCH_1970_US = 100_000_000_000_000  # later stamps do not count from boot
 AGAIN_US = 500_000  # between two results about the same trouble
 NEVER_US = -(1 << 62)
@@ -222,7 +223,8 @@ def _repeated(
         if values[row, i] == last[s, i]:
             runs[s, i, RUN] = run + 1
             for_us = t_us - runs[s, i, SINCE_US]
-            if known and run + 1 > RUN_FACTOR * longest + RUN_MORE and for_us >= RUN_US:
+            most = RUN_FACTOR * longest + RUN_MORE
+            if known and longest <= STILL and run + 1 > most and for_us >= RUN_US:
                 worst = max(worst, for_us * 1e-6)
             if not known:
                 runs[s, i, LONGEST] = max(longest, run + 1)

@@ -13,6 +13,7 @@ from analysis.detection.sensors.stream_kernel import (
     AHEAD,
     BACK,
     LATE,
+    LINK,
     NEVER_US,
     REPEATED,
     REPORTED_US,
@@ -39,7 +40,9 @@ MOST = 10_000  # results from one block
 
 @dataclass(frozen=True)
 class StreamWatch:
-    """A step of the pipeline."""
+    """A step of the pipeline; without a `link` nobody is blamed where everything pauses."""
+
+    link: bool = True
 
     def new_state(self) -> Watched:
         """Nothing came yet."""
@@ -69,6 +72,7 @@ class StreamWatch:
         return [
             (row, _result(t_us, stream, what, seconds))
             for (row, t_us, stream, what), seconds in rows
+            if self.link or stream != LINK
         ], state
 
 

@@ -17,9 +17,12 @@ from analysis.results import Decision, Result, SensorDecision
 from analysis.run.proxied_flight import Flight
 from analysis.run.setup import Setup, read_setup
 from analysis.run.vehicle_effects import vehicle_effects
-from analysis.samples.block import Block, block_of
+from analysis.samples.block import COMMAND, Block, block_of
+from analysis.samples.decoder import Decoder
 from analysis.samples.sample import CommandSample, GpsFix, ImuSample
 from mavproxy_fault.schedule.entries import parse_schedule
+from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.parser import Parser
 
 HOVER = str(Path(__file__).parents[4] / "examples" / "hover.yaml")
 IMU_HZ = 100.0
@@ -58,6 +61,14 @@ def flown(
     vehicle: str, duration_s: float, *faults: dict[str, Any], seed: int = 1, unknown: bool = False
 ) -> list[Result]:
     """The monitor's results of a flight with faults from 20 s on; it may not know the vehicle."""
+    config = MonitorConfig() if unknown else setup_of(vehicle).monitor
+    return Monitor(config).push_bytes(
+        [sent(vehicle, duration_s, *faults, seed=seed)], datagrams=False
+    )
+
+
+def sent(vehicle: str, duration_s: float, *faults: dict[str, Any], seed: int = 1) -> bytes:
+    """What the monitor hears of such a flight."""
     setup = setup_of(vehicle)
     scenario = msgspec.structs.replace(setup.scenario, seed=seed, duration_s=duration_s)
     entries = [{"id": f"fault-{i}", "at_s": 20.0, **fault} for i, fault in enumerate(faults)]
@@ -65,8 +76,7 @@ def flown(
     data = bytearray()
     while not flight.over:
         data += flight.advance([]).monitor
-    config = MonitorConfig() if unknown else setup.monitor
-    return Monitor(config).push_bytes([bytes(data)], datagrams=False)
+    return bytes(data)
 
 
 def blamed(results: list[Result]) -> dict[str, float]:
@@ -137,6 +147,18 @@ def test_a_weak_motor_is_named_by_what_was_learnt_of_an_unknown_quad(value: floa
 def test_what_cannot_be_learnt_of_an_unknown_vehicle_is_not_judged(vehicle: str) -> None:
     results = flown(vehicle, 40.0, NEVER, unknown=True)
     assert not [r for r in results if isinstance(r, SensorDecision) and r.sensor == "actuators"]
+
+
+def test_commands_that_are_logged_seldom_do_not_tell_what_an_unknown_quad_was_told() -> None:
+    fault = {"fault": "plant", "target": "PLANT.motor_efficiency[2]", "value": 0.8}
+    frames = Parser().push(sent("quad", 23.0, fault), datagram=False)
+    block = Decoder().decode(frame for frame in frames if isinstance(frame, Frame))
+    commands = block.rows(COMMAND)
+    apart_us = float(np.median(np.diff(block.t_us[commands])))
+    keep = np.ones(len(block.kind), bool)
+    keep[commands] = np.arange(len(commands)) % round(100_000 / apart_us) == 0
+    for heard, names in ((block, ["motor 3"]), (block.where(keep), [])):
+        assert list(blamed(Monitor(MonitorConfig()).push(heard))) == names
 
 
 def test_gusts_blame_no_motor_of_an_unknown_quad() -> None:

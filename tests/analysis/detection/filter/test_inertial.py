@@ -1,6 +1,7 @@
 """The covariance between epochs against its transition."""
 
 import numpy as np
+import pytest
 
 from analysis.detection.detection_config import NoiseDensities
 from analysis.detection.filter.inertial import ERRORS, X_SIZE, propagate_inertial
@@ -32,6 +33,26 @@ def test_without_noise_the_covariance_follows_the_transition():
     _, after, phi = propagate_inertial(x, p, samples, NO_NOISE)
     assert np.allclose(after, phi @ p @ phi.T, rtol=1e-11, atol=1e-9)
     assert (after == after.T).all()
+
+
+@pytest.mark.parametrize("rate_hz", [10, 25])
+def test_what_a_slow_imu_does_not_see_is_in_the_velocitys_sigma(rate_hz: int):
+    x = moving()[0]
+    x[3:6] = 0.0
+    step = 400 // rate_hz
+    errors, variances = [], []
+    for _ in range(200):
+        fast = RNG.normal(UPHOLDING_MPS2, 10.0, (1 + 400, 3))
+        forces = fast[::step][1:]
+        samples = np.hstack([np.full((rate_hz, 1), 1 / rate_hz), np.zeros((rate_hz, 3)), forces])
+        exact = np.hstack([np.full((400, 1), 1 / 400), np.zeros((400, 3)), fast[1:]])
+        seen, p, _ = propagate_inertial(x, np.zeros((ERRORS, ERRORS)), samples, NO_NOISE)
+        true, none, _ = propagate_inertial(x, np.zeros((ERRORS, ERRORS)), exact, NO_NOISE)
+        assert not none.any()
+        errors.append(seen[3:6] - true[3:6])
+        variances.append(np.diag(p)[3:6])
+    ratio = np.sqrt(np.mean(np.square(errors)) / np.mean(variances))
+    assert 0.8 < ratio < 1.25
 
 
 def test_the_transition_is_the_derivative_of_the_motion():

@@ -114,6 +114,18 @@ def test_a_sound_stream_is_left_alone(options: dict[str, float]) -> None:
     assert troubles(stream(40, **options)) == []
 
 
+def test_a_number_that_stood_before_may_stand_again() -> None:
+    """A compass that is logged in whole milligauss does not show that a vehicle hovers."""
+    rng = np.random.default_rng(4)
+
+    def field(t_us: int) -> Sample:
+        hovers = t_us % (10 * SECOND) > SECOND
+        return MagSample(t_us, np.full(3, 0.25 if hovers else rng.integers(20, 30) / 100))
+
+    samples = [field(s.t_us) if isinstance(s, MagSample) else s for s in stream(40)]
+    assert troubles(samples) == []
+
+
 def test_what_an_autopilot_passes_on_of_its_receiver_is_no_stream_of_its_own() -> None:
     samples: list[Sample] = []
     for sample in stream():
@@ -129,6 +141,12 @@ def test_a_pause_of_everything_is_the_links_and_nobody_elses() -> None:
     assert {result.sensor for result in found} == {"link"}
     first, last = found[0], found[-1]
     assert (first.t_us * 1e-6, last.t_us * 1e-6) == pytest.approx((10.5, 14.0), abs=0.02)
+
+
+def test_a_log_that_pauses_blames_no_link() -> None:
+    watch = StreamWatch(link=False)
+    block = block_of([s for s in stream() if not BEGIN_US <= s.t_us < END_US])
+    assert watch.step(block, watch.new_state())[0] == []
 
 
 def test_sensors_that_share_a_clock_which_leaps_are_told_and_those_that_do_not_are_sound() -> None:
