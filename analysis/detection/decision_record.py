@@ -12,6 +12,7 @@ from analysis.detection.filter.measurement import Observed
 from analysis.detection.isolation.chi_square import chi_square, p_value
 from analysis.detection.isolation.whole_receiver import LEAPT
 from analysis.detection.protection import WORST_M, Bounds
+from analysis.detection.sensors.pause_watch import IMU_SILENT
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import Epoch
 
@@ -112,7 +113,7 @@ def imu_results(epoch: Epoch, outcome: Outcome, config: DetectorConfig) -> list[
             dof=outcome.rate_dof,
             alarm=faulty,
             isolated=faulty,
-            reason=f"no IMU samples for {outcome.gap_s:.2f} s" if silent else "",
+            reason=f"{IMU_SILENT} {outcome.gap_s:.2f} s" if silent else "",
         )
     ]
 

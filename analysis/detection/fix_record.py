@@ -6,6 +6,7 @@ from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import RECEIVER, Core
 from analysis.detection.isolation.chi_square import p_value
 from analysis.detection.receiver.position_test import Check
+from analysis.detection.sensors.pause_watch import IMU_SILENT
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import GpsFix
 
@@ -89,7 +90,7 @@ def fix_sensors(
                 dof=len(velocity.v) if velocity and not silent else 0,
                 alarm=True,
                 isolated=True,
-                reason=f"no IMU samples for {gap_s:.2f} s" if silent else "",
+                reason=f"{IMU_SILENT} {gap_s:.2f} s" if silent else "",
             )
         )
     return results

@@ -20,6 +20,7 @@ from analysis.detection.sensors.earth_watch import EarthWatch
 from analysis.detection.sensors.instance_vote import InstanceVote
 from analysis.detection.sensors.jamming_watch import JammingWatch
 from analysis.detection.sensors.level_watch import LevelWatch
+from analysis.detection.sensors.pause_watch import Newest, PauseWatch
 from analysis.detection.sensors.sensor_tests import References
 from analysis.detection.sensors.stream_watch import StreamWatch
 from analysis.detection.sensors.turn_watch import TurnWatch
@@ -91,6 +92,8 @@ class Pipeline:
         self._detector_state = self._detector.new_state()
         self._streams = StreamWatch(config.link) if config.streams else None
         self._streams_state = StreamWatch().new_state()
+        self._pauses = PauseWatch() if config.streams else None
+        self._pauses_state = Newest()
         self._vote = InstanceVote()
         self._vote_state = self._vote.new_state()
         self._turns = TurnWatch()
@@ -131,6 +134,8 @@ class Pipeline:
             ]
         else:
             found, self._detector_state = self._detector.step_rows(block, self._detector_state)
+        if self._pauses is not None:
+            found, self._pauses_state = self._pauses.step(block, found, self._pauses_state)
         # Whether sensors speak at all is looked at apart from what they say.
         troubles: list[tuple[int, SensorDecision]] = []
         if self._streams is not None:

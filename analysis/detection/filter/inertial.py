@@ -42,7 +42,7 @@ X_Q, X_BG, X_BA, X_CLOCK, X_DRIFT, X_ISB = 6, 10, 13, 16, 17, 18
 DT, GYRO, ACCEL, SAMPLE = 0, 1, 4, 7  # columns of a sample, and how many
 DIAGONAL = ERRORS + 1  # from one diagonal element of a covariance (400,) to the next
 TOGETHER_S = 0.25  # so much at most of the covariance's way at once
-SELDOM_S = 0.03  # of longer steps nobody knows what the force was meanwhile
+SELDOM_S = 0.03  # of longer steps nobody knows what force and rates were meanwhile
 
 
 @compiled
@@ -251,19 +251,21 @@ def propagate_inertial(
     while row < samples.shape[0]:
         phi = np.eye(ERRORS)
         first = row
-        row, unseen = _advance(x, phi.reshape(ERRORS * ERRORS), samples, row)
+        row, speed, turn = _advance(x, phi.reshape(ERRORS * ERRORS), samples, row)
         p = _carried(p, phi, noise)
-        for i in range(V, PSI):
-            p[i, i] += unseen
+        for i in range(3):
+            p[V + i, V + i] += speed
+            p[PSI + i, PSI + i] += turn
         whole = phi if first == 0 else multiply(phi, whole)
     return x, p, whole
 
 
 @compiled
-def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> tuple[int, float]:
+def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> tuple[int, float, float]:
     """Advance x and the transition phi (400,) in place by the samples from a row on, over
-    `TOGETHER_S` at most; the row after, and the variance of what was not seen of the velocity."""
-    until_s, unseen = TOGETHER_S, 0.0
+    `TOGETHER_S` at most; the row after, and the variances of the velocity and of the attitude by
+    what no sample has seen."""
+    until_s, speed, turn = TOGETHER_S, 0.0, 0.0
     while row < samples.shape[0] and until_s > 0.0:
         # Two samples with one stamp are one sample.
         dt = samples[row, DT]
@@ -272,19 +274,21 @@ def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> tuple[int, fl
             _add_step(phi, c, f, dt)
             until_s -= dt
             if dt > SELDOM_S and row > 0:
-                unseen += _unseen(samples, row)
+                speed += _unseen(samples, row, ACCEL)
+                turn += _unseen(samples, row, GYRO)
         row += 1
-    return row, unseen
+    return row, speed, turn
 
 
 @compiled
-def _unseen(samples: Vector, row: int) -> float:
-    """Variance of a step's velocity where the force was anything between two samples of it."""
+def _unseen(samples: Vector, row: int, first: int) -> float:
+    """Variance of the integral of force or rates over a step, beginning in a column of theirs,
+    where they may have been anything between two samples."""
     square = 0.0
-    for i in range(ACCEL, SAMPLE):
+    for i in range(first, first + 3):
         change = samples[row, i] - samples[row - 1, i]
         square += change * change
-    # Of a white force: a change has twice its variance, on each of three axes.
+    # Of white ones: a change has twice its variance, on each of three axes.
     variance: float = square * samples[row, DT] ** 2 / 6.0
     return variance
 

@@ -29,6 +29,7 @@ from analysis.detection.receiver.carried_receiver import (
 )
 from analysis.detection.receiver.carry_off import taken_back
 from analysis.detection.receiver.fix_latency import accelerated, latency_of, learnt, on_time
+from analysis.detection.receiver.heading import with_honest_heading
 from analysis.detection.receiver.position_test import (
     VELOCITY_SIGMA_MPS,
     Measured,
@@ -39,7 +40,7 @@ from analysis.detection.receiver.position_test import (
 )
 from analysis.detection.receiver.receiver_or_imu import UNDECIDED, culprit, last_fix
 from analysis.results import Result
-from analysis.samples.sample import GpsFix
+from analysis.samples.sample import GpsFix, Vector
 
 RECEIVER_VELOCITY = "gps-velocity"  # among what is excluded: beside the position, the velocity
 FREEING = ("imu", UNDECIDED)  # hypotheses after which the filter does not trust the IMU for a while
@@ -89,7 +90,7 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     if hypothesis == "none" and tests[1] is not None:
         core = core._replace(latency=learnt(core.latency, tests[1], acceleration, predicted.p))
     core = _with_hysteresis(core, hypothesis, measured, tests, predicted, config)
-    moved = _used(predicted, core, hypothesis, measured, tests, config)
+    moved = _used(predicted, core, hypothesis, measured, tests, acceleration, config)
     dt_s = (fix.t_us - motion.t_us) * 1e-6
     moved = find_attitude(core, moved, part, dt_s, config)
     core = core._replace(motion=moved, last_fix=last_fix(core.last_fix, measured, part, moved))
@@ -196,6 +197,7 @@ def _used(
     hypothesis: str,
     measured: Measured,
     tests: Tests,
+    acceleration_mps2: Vector,
     config: DetectorConfig,
 ) -> Motion:
     """The filter after what is trusted of the fix."""
@@ -203,10 +205,11 @@ def _used(
     if hypothesis in FREEING or (hypothesis == "none" and not position.passes):
         motion = free_position(motion)
         position, velocity = check(measured, motion, config)
+    before = motion
     if RECEIVER not in core.excluded and position.passes:
         motion = updated(motion, position)
     if velocity is not None and velocity.passes and RECEIVER_VELOCITY not in core.excluded:
         # Predicted anew, as the position has just moved the filter's velocity, too.
         again = check(measured, motion, config)[1]
         motion = updated(motion, again if again is not None else velocity)
-    return motion
+    return with_honest_heading(before, motion, acceleration_mps2, measured.axes)

@@ -35,6 +35,7 @@ from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 MOST = 3  # of one kind
 LEARNT, MEMORY = 10, 60  # windows
 SIGMAS, LASTS = 8.0, 2  # windows in a row
+ERRORS = 4.0  # standard errors of the difference of two means: shaken sensors do not err alike
 PAIRS = tuple(combinations(range(MOST), 2))
 FIX_3D = 3
 METRES_PER_PASCAL = 0.0843  # ICAO standard atmosphere at sea level
@@ -73,12 +74,13 @@ class Difference:
 
 
 class VoteState:
-    """Of one kind: the window that is being filled, its sums (MOST, n) and counts (MOST,), and
-    differences."""
+    """Of one kind: the window that is being filled, its sums and sums of squares (MOST, n) and
+    counts (MOST,), and differences."""
 
     def __init__(self, count: int) -> None:
         self.window: int | None = None
-        self.sums, self.counts = np.zeros((MOST, count)), np.zeros(MOST)
+        self.sums, self.squares = np.zeros((MOST, count)), np.zeros((MOST, count))
+        self.counts = np.zeros(MOST)
         self.differences = {pair: Difference(np.zeros(count), np.zeros(count)) for pair in PAIRS}
 
 
@@ -121,8 +123,9 @@ def _voted(
         if window != state.window:
             found += [(row, result) for result in _judged(int(block.t_us[row]), voters, state)]
             state.window = window
-            state.sums[:], state.counts[:] = 0.0, 0.0
+            state.sums[:], state.squares[:], state.counts[:] = 0.0, 0.0, 0.0
         np.add.at(state.sums, ids[begin:end], numbers[begin:end])
+        np.add.at(state.squares, ids[begin:end], numbers[begin:end] ** 2)
         np.add.at(state.counts, ids[begin:end], 1.0)
     return found
 
@@ -166,14 +169,19 @@ def _runs(numbers: Indices) -> Iterator[tuple[int, int]]:
 def _judged(t_us: int, voters: Voters, state: VoteState) -> list[SensorDecision]:
     """The vote on the window that is full."""
     heard = [i for i in range(MOST) if state.counts[i] >= voters.fewest]
+    mean = {i: state.sums[i] / state.counts[i] for i in heard}
+    # Of the mean, squared; rounding may make a variance negative.
+    error = {
+        i: np.maximum(state.squares[i] / state.counts[i] - mean[i] ** 2, 0.0) / state.counts[i]
+        for i in heard
+    }
     off = {
-        pair
-        for pair in combinations(heard, 2)
+        (i, j)
+        for i, j in combinations(heard, 2)
         if _is_off(
-            state.sums[pair[0]] / state.counts[pair[0]]
-            - state.sums[pair[1]] / state.counts[pair[1]],
-            state.differences[pair],
-            voters.least,
+            mean[i] - mean[j],
+            state.differences[i, j],
+            np.maximum(voters.least, ERRORS * np.sqrt(error[i] + error[j])),
         )
     }
     alone = [

@@ -25,6 +25,8 @@ NOBODY, FIELD, RATES, EITHER = range(4)  # who is at fault
 CELL_US, CELLS = 500_000, 8
 GAP_US, STEP_US = 100_000, 150_000  # of the gyro; between two fields that may show a jump
 STEP_RAD = 0.1  # of the gyro: what turns further between two samples is not known well
+# Between samples so far apart shaking passes for a slow turn: if the rates change by so much more
+SELDOM_US, SHAKING_RPS = 30_000, 0.1
 LEAST_RAD, SHARE, MOST_RAD = 0.08, 0.3, 0.35  # limit: LEAST + SHARE * turn, which is MOST at most
 FIELD_PER_TURN = 3.0  # turns about an axis near the field's change its direction less
 LASTS = 2  # cells in a row
@@ -91,12 +93,22 @@ def _turn(t_us: int, rates: Vector, kept: Turns) -> None:
     elif elapsed_us > 0:
         half_s = 0.5e-6 * elapsed_us
         x, y, z = [half_s * (rates[i] + kept.rates[i]) for i in range(3)]
-        if x * x + y * y + z * z > STEP_RAD**2:
+        if x * x + y * y + z * z > STEP_RAD**2 or (
+            elapsed_us > SELDOM_US and _change_sq(rates, kept.rates) > SHAKING_RPS**2
+        ):
             _begin(kept)
         rotate(kept.q, quaternion_of_rotation(x, y, z))
     kept.stamps[GYRO] = t_us
     for i in range(3):
         kept.rates[i] = rates[i] if np.isfinite(rates[i]) else 0.0
+
+
+@compiled
+def _change_sq(rates: Vector, before: Vector) -> float:
+    total = 0.0
+    for i in range(3):
+        total += (rates[i] - before[i]) ** 2
+    return total
 
 
 @compiled

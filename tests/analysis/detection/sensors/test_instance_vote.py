@@ -64,6 +64,15 @@ def test_offsets_that_stay_are_no_disagreement(count: int) -> None:
     assert told(flight(count)) == []
 
 
+def test_imus_that_are_shaken_do_not_disagree() -> None:
+    """Each is sampled at other instants of a vibration that is far from what they are used to."""
+    rng = np.random.default_rng(3)
+    block = flight(2)
+    shaken = (block.t_us > WRONG_S[0] * 1e6) & (block.t_us < WRONG_S[1] * 1e6)
+    block.values[shaken, 3:6] += rng.normal(0.0, 20.0, (int(shaken.sum()), 3))
+    assert told(block) == []
+
+
 def test_the_cut_into_blocks_changes_nothing() -> None:
     whole = flight(3, wrong=1)
     vote = InstanceVote()

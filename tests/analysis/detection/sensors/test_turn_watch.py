@@ -114,6 +114,17 @@ def test_nothing_is_known_across_a_pause_of_the_gyro_or_of_a_slow_one() -> None:
     assert told(flight(gyro=rates(0.0, 0.0, 0.1), imu_s=0.2)) == []
 
 
+@pytest.mark.parametrize(("shakes_rps", "judged"), [(0.0, True), (0.4, False)])
+def test_a_slow_gyro_that_is_shaken_tells_no_turn(shakes_rps: float, judged: bool) -> None:
+    """Sampled 25 times a second, vibration looks like a slow turn, which it is not."""
+    beat = 2.0 * np.pi * 12.0  # close to half of the rate: a sample is up, the next is down
+
+    def gyro(t_s: float) -> np.ndarray:
+        return np.array([shakes_rps * np.sin(beat * t_s), 0.0, 0.1])
+
+    assert bool(told(flight(gyro=gyro, imu_s=0.04))) == judged
+
+
 def test_how_the_stream_is_cut_changes_nothing() -> None:
     block = flight(gyro=rates(0.0, 0.0, 0.3))
     edges = [0, 1, 500, 501, 2000, len(block.kind)]

@@ -1,0 +1,64 @@
+"""How well fixes tell the heading: no better than the vehicle's acceleration beside their error's.
+
+Only by accelerating does a vehicle show which way it points. What errs in a receiver's velocity
+lasts for seconds, though, and looks like an acceleration of its own; a filter that takes it for
+noise that is new at each fix is sure within a minute of hovering of a heading that is anywhere
+(by up to 180 degrees on real multirotors). So an update gives back what it may not have learnt of
+the rotation about the vertical: the partial update of [1]_, of state and covariance alike.
+
+References
+----------
+.. [1] Brink, Partial-Update Schmidt-Kalman Filter, Journal of Guidance, Control, and Dynamics
+   40(9), 2017.
+"""
+
+import numpy as np
+
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.inertial import BG, ERRORS, PSI, X_BG, X_Q
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.rotations.rotation_kernel import matrix, turned_in_reference
+
+ERROR_MPS2 = 0.2  # of the acceleration that a receiver's velocities make believe
+
+
+def with_honest_heading(
+    before: Motion, after: Motion, acceleration_mps2: Vector, axes: Vector
+) -> Motion:
+    """`after` an update of `before` by a fix, as sure of its heading as the fix may make it.
+
+    `acceleration_mps2` (3,) is the vehicle's since the last fix, along `axes` (3, 3) north, east
+    and down in ECEF.
+    """
+    if not (before.inertial and after.inertial):
+        return after
+    down = axes[2]
+    was, learnt = (
+        float(down @ motion.p[PSI : PSI + 3, PSI : PSI + 3] @ down) for motion in (before, after)
+    )
+    level_mps2 = float(np.hypot(acceleration_mps2[0], acceleration_mps2[1]))
+    allowed = min(was, (ERROR_MPS2 / max(level_mps2, 1e-6)) ** 2)
+    if learnt >= allowed:
+        return after
+    share = float(np.sqrt((allowed - learnt) / (was - learnt)))
+    # The gyro's bias that turns the vehicle about the vertical goes with it.
+    down_b = matrix(after.x[X_Q:X_BG]).T @ down
+    back = np.zeros((ERRORS, ERRORS))
+    back[PSI : PSI + 3, PSI : PSI + 3] = share * np.outer(down, down)
+    back[BG : BG + 3, BG : BG + 3] = share * np.outer(down_b, down_b)
+    x = after.x.copy()
+    turn = -share * _turn_about(down, before.x[X_Q:X_BG], after.x[X_Q:X_BG]) * down
+    x[X_Q:X_BG] = turned_in_reference(x[X_Q:X_BG], *turn)
+    change = after.x[X_BG : X_BG + 3] - before.x[X_BG : X_BG + 3]
+    x[X_BG : X_BG + 3] -= share * (down_b @ change) * down_b
+    p = after.p + back @ (before.p - after.p) @ back.T
+    return after._replace(x=x, p=0.5 * (p + p.T))
+
+
+def _turn_about(axis: Vector, q: Vector, after: Vector) -> float:
+    """The small turn from an attitude (4,) to another, about an axis (3,) of the reference."""
+    change = matrix(after) @ matrix(q).T
+    turn = 0.5 * np.array(
+        [change[2, 1] - change[1, 2], change[0, 2] - change[2, 0], change[1, 0] - change[0, 1]]
+    )
+    return float(axis @ turn)
