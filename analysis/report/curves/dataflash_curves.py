@@ -49,6 +49,11 @@ def _millivolts(topic: Columns) -> Values:
     return column(topic, "Vcc") * 1e-3
 
 
+def _long_loops(topic: Columns) -> Values:
+    """Percent of the loops that took too long."""
+    return 100.0 * column(topic, "NLon") / np.maximum(column(topic, "NLoop"), 1.0)
+
+
 def _estimator(status: str, innovations: str, state: str, core: str) -> tuple[Curve, ...]:
     """One core's state, test ratios and innovations; `core` is part of each curve's name.
 
@@ -163,7 +168,7 @@ CURVES: tuple[Curve, ...] = (
     Curve("POWR", "temperature", "processor", used("MTemp"), False),
     # PM gives the load in tenths of a percent, the longest loop in microseconds.
     Curve("PM", "load", "processor", field("Load", 0.1), False),
-    Curve("PM", "scheduler", "long loops", field("NLon"), False),
+    Curve("PM", "scheduler", "long loops", _long_loops, False),
     Curve("PM", "loop-time", "longest loop", field("MaxT", 1e-3), False),
     Curve("PM", "memory", "free", field("Mem", 1 / 1024), False),
     Curve("RAD", "radio", "signal", field("RSSI"), False),

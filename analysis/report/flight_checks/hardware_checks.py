@@ -43,7 +43,7 @@ def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[
             armed,
         ),
         level("cell voltage", cells, Limits(*th.cell_v, "V", below=True, hold_s=hold), armed),
-        level("scheduler", loops, Limits(*th.long_loops, "loops"), armed),
+        level("scheduler", loops, Limits(*th.long_loops_percent, "%"), armed),
     ]
 
 

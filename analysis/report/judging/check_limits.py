@@ -50,7 +50,7 @@ class Thresholds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     estimators_apart_deg: tuple[float, float] = (5.0, 15.0)
     estimator_switches: tuple[float, float] = (3.0, 8.0)
     cell_v: tuple[float, float] = (3.4, 3.2)
-    long_loops: tuple[float, float] = (100.0, 1000.0)
+    long_loops_percent: tuple[float, float] = (6.0, 10.0)  # as ArduPilot's LogAnalyzer
     hold_s: float = 1.0
 
 

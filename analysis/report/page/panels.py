@@ -129,7 +129,7 @@ PANELS = (
     Panel("board-voltage", POWER, "Board voltage", "V"),
     Panel("load", SYSTEM, "Load of processor and memory", "%"),
     Panel("memory", SYSTEM, "Free memory", "KiB"),
-    Panel("scheduler", SYSTEM, "Loops that took too long (count)", ""),
+    Panel("scheduler", SYSTEM, "Loops that took too long", "%"),
     Panel("loop-time", SYSTEM, "Longest loop", "ms"),
     Panel("interval", SYSTEM, "Between logged samples of the gyroscope", "ms"),
     Panel("link-lost", LINK, "Frames lost, by sequence numbers", "%"),

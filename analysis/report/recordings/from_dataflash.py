@@ -35,6 +35,8 @@ from analysis.report.recordings.recording import (
 )
 
 ARMED, DISARMED = 10, 11  # EV.Id
+# Throttle was raised, it left the ground, its motors may turn: it is armed, and did not fly before.
+AUTO_ARMED, NOT_LANDED, MOTORS_ALLOWED = 15, 28, 57
 COPTER = 2  # MAV_TYPE of a quadrotor
 NOT_YET = 3  # severity of an error
 # Bits of the field TS.
@@ -127,15 +129,20 @@ def _add_armed(found: Recording, log: DataflashFile, start_us: int) -> None:
     if topic is None:
         return
     since: float | None = None
-    first = True
-    # By the first event: a log that begins in flight has a disarming without an arming.
+    first, began = True, 0.0
+    # By the first event: a log that begins in flight has a disarming without an arming. So has one
+    # that lost the arming, which shows by what comes only once a flight.
     for t_s, number in zip(_seconds(topic, start_us).tolist(), topic["Id"].tolist(), strict=True):
         if number in EVENTS:
             found.events.append(Event(t_s, "mode", EVENTS[number]))
+        if first and not began and number in (AUTO_ARMED, NOT_LANDED, MOTORS_ALLOWED):
+            began = t_s
         if number == ARMED and since is None:
             since = t_s
         if number == DISARMED and (since is not None or first):
-            found.spans.append(Span("armed", since or 0.0, t_s, "armed", "mode"))
+            found.spans.append(
+                Span("armed", since if since is not None else began, t_s, "armed", "mode")
+            )
             since = None
         first &= number not in (ARMED, DISARMED)
     if since is not None:

@@ -1,7 +1,9 @@
 """ULog and dataflash logs give the same kinds of curves as tlogs do."""
 
 import struct
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from analysis.recordings.dataflash import read_dataflash
 from analysis.recordings.ulog import read_ulog
 from analysis.report.export import tables_of
 from analysis.report.judging.check_limits import Thresholds
+from analysis.report.judging.checks import armed_windows
 from analysis.report.judging.flight_verdict import judged
 from analysis.report.recordings.from_dataflash import recording_of_dataflash
 from analysis.report.recordings.from_ulog import recording_of_ulog
@@ -36,8 +39,8 @@ def row(name: str, *values: object) -> bytes:
     return HEAD + bytes((number,)) + struct.pack("<" + code, *values)
 
 
-def dataflash(path: Path) -> Path:
-    """Ten seconds of a copter that vibrates, armed from 1 s."""
+def dataflash(path: Path, events: Mapping[int, int] = MappingProxyType({2_000_000: 10})) -> Path:
+    """Ten seconds of a copter that vibrates, armed from 1 s; `events` by their time in us."""
     data = bytearray()
     for name, (number, code, form, columns) in FORMATS.items():
         length = 3 + struct.calcsize("<" + code)
@@ -45,7 +48,8 @@ def dataflash(path: Path) -> Path:
     data += row("MSG", 1_000_000, b"ArduCopter V4.5")
     data += row("PARM", 1_000_000, b"INS_GYRO_FILTER", 20.0)
     data += row("MODE", 1_100_000, 5, 5, 1)
-    data += row("EV", 2_000_000, 10)
+    for t_us, number in events.items():
+        data += row("EV", t_us, number)
     for tick in range(100):
         t_us = 1_000_000 + tick * 100_000
         data += row("ATT", t_us, 1.0, 2.0, 90.0)
@@ -98,6 +102,24 @@ def test_a_dataflash_log_is_judged_like_any_other(tmp_path: Path) -> None:
     checks = {check.name: check.verdict for check in judged(flight, Thresholds()).checks}
     assert checks["vibration"] == "FAIL"
     assert checks["GPS satellites"] == "PASS"
+
+
+@pytest.mark.parametrize(
+    ("events", "since_s"),
+    [
+        ({2_000_000: 10, 9_000_000: 11}, 1.0),
+        ({9_000_000: 11}, 0.0),  # it begins in flight
+        ({4_000_000: 57, 5_000_000: 28, 9_000_000: 11}, 3.0),  # the arming was not logged
+        ({4_000_000: 28, 5_000_000: 10, 9_000_000: 11}, 4.0),
+    ],
+)
+def test_when_a_vehicle_was_armed_is_told_by_what_the_log_has(
+    tmp_path: Path, events: dict[int, int], since_s: float
+) -> None:
+    log = read_dataflash(dataflash(tmp_path / "log.bin", events))
+    found = recording_of_dataflash(log, "log")
+    (armed,) = armed_windows(found) or ()
+    assert armed == pytest.approx((since_s, 8.0))
 
 
 def test_an_old_dataflash_log_in_milliseconds_is_read(tmp_path: Path) -> None:
