@@ -223,11 +223,11 @@ def _fly(fix: Vector, kept: Obedience) -> None:
 @compiled
 def _can_tell(kept: Obedience) -> bool:
     """Whether the effects of the actuators are known; with a motor off the vehicle is another."""
-    learnt = kept.learnt
+    learnt, outputs = kept.learnt, kept.outputs
     known = not learnt.counts[UNKNOWN] or (
         kept.rhythm[INTERVAL_US] < SELDOM_US and known_rotors(learnt.theta, learnt.p) == ROTORS
     )
-    return known and not kept.outputs.gone.any()
+    return known and not outputs.gone.any() and not outputs.parked.any()
 
 
 @compiled

@@ -2,7 +2,8 @@
 
 An output that rose at take-off drives a motor. In flight a controller keeps it above the value that
 it had on the ground; there it goes back only if somebody takes it out of the controller's hands. A
-landing or a stop of all motors takes all of them at once, and blames nobody.
+landing or a stop of all motors takes all of them at once, and blames nobody; nor does one whose
+wings carry it, and which parks those that lifted it, three or more.
 """
 
 from typing import NamedTuple
@@ -19,6 +20,7 @@ OFF_SHARE, WORKS_SHARE = 0.03, 0.5  # of what it is above the ground's value on 
 OFF_US = 500_000
 MEMORY = 0.02  # of a new output in the average
 LEAST_WORKING = 2  # others that go on
+TOGETHER = 3  # that are off are parked
 UNKNOWN_US = -1
 
 
@@ -27,13 +29,14 @@ class Outputs(NamedTuple):
 
     `ground` and `usual` (COMMANDS,): the least before the flight, the average in it; `off_us`
     (COMMANDS,): since when it is off, later when that was told last; `gone` (COMMANDS,): whether
-    it was told in this flight.
+    it was told in this flight; `parked` (COMMANDS,): whether it is off with several others.
     """
 
     ground: Vector
     usual: Vector
     off_us: NDArray[np.int64]
     gone: NDArray[np.bool_]
+    parked: NDArray[np.bool_]
 
 
 def no_outputs() -> Outputs:
@@ -43,13 +46,14 @@ def no_outputs() -> Outputs:
         np.full(COMMANDS, np.inf),
         np.full(COMMANDS, UNKNOWN_US),
         np.zeros(COMMANDS, np.bool_),
+        np.zeros(COMMANDS, np.bool_),
     )
 
 
 @compiled
 def command(outputs: Vector, t_us: int, flies: bool, kept: Outputs) -> int:
     """Follow outputs (COMMANDS,) in thousands; which one is found to be switched off, or -1."""
-    found, working = -1, 0
+    found, working, off = -1, 0, 0
     for i in range(COMMANDS):
         if not flies:
             kept.ground[i] = min(kept.ground[i], outputs[i])
@@ -57,14 +61,18 @@ def command(outputs: Vector, t_us: int, flies: bool, kept: Outputs) -> int:
         rises = kept.usual[i] - kept.ground[i]
         above = outputs[i] - kept.ground[i]
         if flies and rises > RISES and above <= OFF_SHARE * rises:
+            off += 1
             if kept.off_us[i] == UNKNOWN_US:
                 kept.off_us[i] = t_us
-            if found < 0 and t_us - kept.off_us[i] >= OFF_US:
+            if found < 0 and t_us - kept.off_us[i] >= OFF_US and not kept.parked[i]:
                 found = i
         else:
             working += rises > RISES and above >= WORKS_SHARE * rises
-            kept.off_us[i] = UNKNOWN_US
+            kept.off_us[i], kept.parked[i] = UNKNOWN_US, False
             kept.usual[i] += MEMORY * (outputs[i] - kept.usual[i])
+    if off >= TOGETHER:
+        kept.parked[:] |= kept.off_us != UNKNOWN_US
+        return -1
     if found < 0 or working < LEAST_WORKING:
         return -1
     kept.gone[found], kept.off_us[found] = True, t_us

@@ -7,6 +7,7 @@ from analysis.report.judging.checks import Check, Limits, Windows, level
 from analysis.report.recordings.recording import Recording, Signal
 
 CONTROL_HOLD_S = 0.3  # out of control, a vehicle swings: no error stays large for long
+POWERED_V = 2.0  # that a rail had once, or it is not connected
 
 
 def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
@@ -17,8 +18,8 @@ def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[
     tilt = [signal for signal in of("control-error") if signal.name == "tilt"]
     compass = Limits(*th.compass_change_percent, "% off its median", hold_s=hold)
     remaining = Limits(*th.battery_remaining_percent, "%", below=True, hold_s=hold)
-    # A rail that was never powered has no limit.
-    powered = [s for s in of("board-voltage") if s.value.max(initial=0) > 0]
+    # A rail that was never powered has no limit: it shows some hundredths of a volt.
+    powered = [s for s in of("board-voltage") if s.value.max(initial=0) > POWERED_V]
     voltage = Limits(*th.board_voltage_v, "V", below=True)
     return [
         level("vibration", of("vibration"), Limits(*shaking, "m/s²", hold_s=hold), armed),

@@ -172,3 +172,11 @@ def test_an_estimator_that_is_changed_again_and_again_is_told(
     recording = Recording("a", spans=spans, duration_s=90.0)
     found = {check.name: check for check in flight_checks(recording, Thresholds())}
     assert found["estimator switches"].verdict == expected
+
+
+def test_a_servo_rail_without_power_is_no_brown_out() -> None:
+    board = Signal("board-voltage", "Vcc", T_S, np.full_like(T_S, 5.0))
+    nothing = Signal("board-voltage", "servo rail", T_S, np.where(T_S > 30, 0.12, 0.0))
+    assert verdict(checks(board, nothing), "board voltage") == "PASS"
+    gone = Signal("board-voltage", "servo rail", T_S, np.where(T_S > 30, 0.1, 5.1))
+    assert verdict(checks(board, gone), "board voltage") == "FAIL"

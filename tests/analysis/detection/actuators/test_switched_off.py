@@ -8,7 +8,7 @@ import pytest
 from analysis.detection.actuators.actuator_watch import ActuatorWatch
 from analysis.detection.actuators.effects import unknown_effects
 from analysis.results import SensorDecision
-from analysis.samples.block import Block, block_of
+from analysis.samples.block import COMMAND, Block, block_of
 from analysis.samples.sample import CommandSample, GpsFix, Sample
 
 GROUND, HOVER, LEAST = 1.0, 1.5, 1.15  # ms
@@ -60,6 +60,19 @@ def test_two_motors_that_are_switched_off_are_both_named() -> None:
 )
 def test_nobody_is_blamed_for(after: Mapping[int, float]) -> None:
     assert told(flight(after)) == []
+
+
+def test_motors_that_are_parked_are_not_switched_off_and_one_that_starts_again_may_be() -> None:
+    """As a vehicle does that is carried by its wings, and keeps two motors for itself."""
+    block = flight({2: GROUND, 3: GROUND, 4: GROUND, 5: GROUND})
+    assert told(block) == []
+    late = (block.kind == COMMAND) & (block.t_us >= (CHANGES_S + 1.0) * 1e6)
+    block.values[late, 2:4] = HOVER  # two of them again, two stay parked
+    assert told(block) == []
+    later = (block.kind == COMMAND) & (block.t_us >= (CHANGES_S + 2.0) * 1e6)
+    block.values[later, 4:6] = HOVER
+    block.values[later, 0] = GROUND
+    assert {result.suspect for result in told(block)} == {"motor 1"}
 
 
 def test_controls_say_nothing_of_being_off() -> None:
