@@ -34,7 +34,7 @@ from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
 MOST = 3  # of one kind
 LEARNT, MEMORY = 10, 60  # windows
-SIGMAS, LASTS = 8.0, 2  # windows in a row
+SIGMAS, LASTS = 8.0, 3  # windows in a row
 ERRORS = 4.0  # standard errors of the difference of two means: shaken sensors do not err alike
 PAIRS = tuple(combinations(range(MOST), 2))
 FIX_3D = 3
@@ -74,13 +74,13 @@ class Difference:
 
 
 class VoteState:
-    """Of one kind: the window that is being filled, its sums and sums of squares (MOST, n) and
-    counts (MOST,), and differences."""
+    """Of one kind: the window that is being filled, its sums and those of squared changes from
+    sample to sample (MOST, n), counts (MOST,) and newest samples (MOST, n); and differences."""
 
     def __init__(self, count: int) -> None:
         self.window: int | None = None
-        self.sums, self.squares = np.zeros((MOST, count)), np.zeros((MOST, count))
-        self.counts = np.zeros(MOST)
+        self.sums, self.changes = np.zeros((MOST, count)), np.zeros((MOST, count))
+        self.counts, self.newest = np.zeros(MOST), np.full((MOST, count), np.nan)
         self.differences = {pair: Difference(np.zeros(count), np.zeros(count)) for pair in PAIRS}
 
 
@@ -123,11 +123,19 @@ def _voted(
         if window != state.window:
             found += [(row, result) for result in _judged(int(block.t_us[row]), voters, state)]
             state.window = window
-            state.sums[:], state.squares[:], state.counts[:] = 0.0, 0.0, 0.0
-        np.add.at(state.sums, ids[begin:end], numbers[begin:end])
-        np.add.at(state.squares, ids[begin:end], numbers[begin:end] ** 2)
-        np.add.at(state.counts, ids[begin:end], 1.0)
+            state.sums[:], state.changes[:], state.counts[:] = 0.0, 0.0, 0.0
+        for i in np.unique(ids[begin:end]):
+            _add(state, int(i), numbers[begin:end][ids[begin:end] == i])
     return found
+
+
+def _add(state: VoteState, i: int, samples: Vector) -> None:
+    """Add samples (m, n) of a sensor to the window."""
+    changes = np.diff(samples, axis=0, prepend=state.newest[i : i + 1])
+    state.sums[i] += samples.sum(axis=0)
+    state.changes[i] += np.nansum(changes**2, axis=0)  # there is none before the first
+    state.counts[i] += len(samples)
+    state.newest[i] = samples[-1]
 
 
 def _rows(block: Block, spare: Indices, kind: int) -> tuple[Indices, Indices]:
@@ -170,11 +178,9 @@ def _judged(t_us: int, voters: Voters, state: VoteState) -> list[SensorDecision]
     """The vote on the window that is full."""
     heard = [i for i in range(MOST) if state.counts[i] >= voters.fewest]
     mean = {i: state.sums[i] / state.counts[i] for i in heard}
-    # Of the mean, squared; rounding may make a variance negative.
-    error = {
-        i: np.maximum(state.squares[i] / state.counts[i] - mean[i] ** 2, 0.0) / state.counts[i]
-        for i in heard
-    }
+    # Of the mean, squared: the change of two samples has twice the variance of one, and what moves
+    # all sensors slowly is not in it.
+    error = {i: state.changes[i] / (2.0 * state.counts[i] ** 2) for i in heard}
     off = {
         (i, j)
         for i, j in combinations(heard, 2)
