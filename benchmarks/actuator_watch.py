@@ -2,7 +2,8 @@
 
 `python benchmarks/actuator_watch.py` flies the examples' quad, the hexarotor and the demo's fixed
 wing by the simulator alone, `SEEDS` flights a fault and an hour and more of gusts each, gives their
-IMU and commands to the monitor's actuator channel, and prints the tables of docs/verdicts.md.
+IMU, airspeed and commands to the monitor's actuator channel, and prints the tables of
+docs/verdicts.md.
 """
 
 import functools
@@ -17,12 +18,12 @@ from analysis.detection.actuators.actuator_watch import ActuatorWatch
 from analysis.detection.actuators.effects import COMMANDS, unknown_effects
 from analysis.run.setup import read_setup
 from analysis.run.vehicle_effects import vehicle_effects
-from analysis.samples.block import COMMAND, CONTROLS, FIX, IMU, WIDTH, Block
+from analysis.samples.block import AIRSPEED, COMMAND, CONTROLS, FIX, IMU, WIDTH, Block
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.hil.actuator_commands import ActuatorCommands
 from simvehicle.scenario.scenario_file import Scenario
-from simvehicle.sensors.readings import ImuReading
+from simvehicle.sensors.readings import AirspeedReading, ImuReading
 from simvehicle.simulation.kinds import kind_of
 from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.body import Controls
@@ -72,7 +73,7 @@ FAULTS = {"quad": ROTORS, LEARNT: ROTORS, "hexa": ROTORS, "fixed wing": WING}
 
 @functools.cache
 def scenario_of(vehicle: str) -> Scenario:
-    """A vehicle with the IMU alone."""
+    """A vehicle without GNSS."""
     scenario = read_setup(None if vehicle == "fixed wing" else str(HOVER)).scenario
     if vehicle == "hexa":
         parameters = msgspec.structs.replace(scenario.vehicle, parameters="hexa")
@@ -83,7 +84,7 @@ def scenario_of(vehicle: str) -> Scenario:
 
 
 def flown(vehicle: str, seed: int, duration_s: float, fault: Fault | None) -> Block:
-    """IMU and commands of a flight until it comes down, with a fix that says that it flies."""
+    """IMU, airspeed and commands of a flight until it comes down; a fix says that it flies."""
     scenario = scenario_of(vehicle)
     gusts: Any = "moderate" if seed % 2 else "light"
     air = msgspec.structs.replace(scenario.environment, gusts=gusts)
@@ -112,6 +113,8 @@ def flown(vehicle: str, seed: int, duration_s: float, fault: Fault | None) -> Bl
         for reading in readings:
             if isinstance(reading, ImuReading):
                 rows.append((IMU, t_us, [*reading.gyro_b_rps, *reading.accel_b_mps2]))
+            elif isinstance(reading, AirspeedReading):
+                rows.append((AIRSPEED, t_us, [reading.diff_pressure_pa]))
     table = np.zeros((len(rows), WIDTH))
     for at, (_, _, numbers) in enumerate(rows):
         table[at, : len(numbers)] = numbers

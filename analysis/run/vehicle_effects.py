@@ -11,9 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.detection.actuators.effects import (
+    AIRSPEED,
     ANGULAR,
     COMMANDS,
     FORCE,
+    FORWARD,
+    IN_AIR,
     OUTPUT,
     RATE,
     TERMS,
@@ -23,10 +26,11 @@ from mavproxy_fault.numerics.constants import (
     SEA_LEVEL_DENSITY_KGPM3,
     STANDARD_GRAVITY_MPS2,
 )
+from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 from simvehicle.hil.actuator_commands import CHANNELS_OF
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.simulation.kinds import kind_of
-from simvehicle.vehicles.rigidbody_kernel import RIGID, P, U
+from simvehicle.vehicles.rigidbody_kernel import E0, RIGID, P, U
 from simvehicle.vehicles.vehicle import surroundings
 
 Array = NDArray[np.float64]
@@ -34,7 +38,8 @@ STEPS, STEP_S = 30, 5e-3  # six lags of a slow motor
 HEIGHT_M = 100.0  # nothing is touched there
 COMMAND_STEP, RATE_STEP_RPS, SPEED_STEP_MPS = 0.05, 0.05, 0.5
 HALVINGS = 12
-CRUISING_THROTTLE = 0.5
+FORCE_X, FORCE_Y, FORCE_Z = range(ANGULAR, 6)  # behind the angular accelerations
+BODY_AXES = 6
 LEAST_WING_HZ = 0.1  # m/s^2 for each m/s of air across; less is no wing
 
 
@@ -67,16 +72,19 @@ class _Held:
         return np.concatenate([turned, load[:3]])
 
     def _trim(self, names: list[str]) -> Array:
-        """Commands (n,) of steady flight: surfaces in the middle, rotors that carry the weight."""
-        rotors = np.array([name.startswith("motor") for name in names])
-        throttle = np.array([name == "throttle" for name in names]) * CRUISING_THROTTLE
+        """Commands (n,) of steady flight: surfaces in the middle, motors that carry the weight up
+        or the drag forward."""
+        motors = np.array([name == "throttle" or name.startswith("motor") for name in names])
+        axis, sign = (0, 1.0) if "throttle" in names else (2, -1.0)
+        q = self._state[E0 : E0 + 4]
+        carried_mps2 = -sign * STANDARD_GRAVITY_MPS2 * matrix_from_quat(q)[2, axis]
         low, high = 0.0, 1.0
-        for _ in range(HALVINGS if rotors.any() else 0):
+        for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
-            *_, down_mps2 = self.motion(middle * rotors, np.zeros(RIGID))
-            lifts = -down_mps2 > STANDARD_GRAVITY_MPS2
-            low, high = (low, middle) if lifts else (middle, high)
-        return throttle + high * rotors
+            force = self.motion(middle * motors, np.zeros(RIGID))[ANGULAR:]
+            carries = sign * force[axis] > carried_mps2
+            low, high = (low, middle) if carries else (middle, high)
+        return high * motors
 
 
 def vehicle_effects(scenario: Scenario) -> Effects:
@@ -95,7 +103,7 @@ def vehicle_effects(scenario: Scenario) -> Effects:
             lambda change: held.motion(held.trim + change, at_rest), len(names), number, step
         )
 
-    coefficients, mix = np.zeros((6, TERMS)), np.zeros((COMMANDS, COMMANDS))
+    coefficients, mix = np.zeros((BODY_AXES, TERMS)), np.zeros((COMMANDS, COMMANDS))
     for i, name in enumerate(names[:COMMANDS]):
         coefficients[:, OUTPUT + i] = by_command(i, COMMAND_STEP)
         channels = [pair for pair in CHANNELS_OF.get(name, ((i, 1.0),)) if pair[0] < COMMANDS]
@@ -105,9 +113,13 @@ def vehicle_effects(scenario: Scenario) -> Effects:
         coefficients[:, RATE + i] = by_state(P + i, RATE_STEP_RPS)
     air = np.column_stack([by_state(U + i, SPEED_STEP_MPS) for i in range(3)])
     _tell_by_force(coefficients, air)
-    rows = [0, 1, 2, ANGULAR, ANGULAR + 2]  # the force across tells the air's angle, no actuator
+    # Of the force across, which tells the air's angle and no actuator, there is no axis.
+    rows = [0, 1, 2, FORCE_X, FORCE_X, FORCE_Z]
+    coefficients, air = coefficients[rows], air[rows]
+    if coefficients[FORWARD, FORCE:].any():  # wings
+        coefficients[IN_AIR, AIRSPEED], air[IN_AIR, 0] = air[FORWARD, 0], 0.0
     # Actuators have their names from their kind, `motor 1` or `elevator`.
-    return Effects(tuple(names[:COMMANDS]), mix, coefficients[rows], air[rows])
+    return Effects(tuple(names[:COMMANDS]), mix, coefficients, air)
 
 
 def _slope(motion: Callable[[Array], Array], size: int, entry: int, step: float) -> Array:
@@ -118,13 +130,14 @@ def _slope(motion: Callable[[Array], Array], size: int, entry: int, step: float)
 
 
 def _tell_by_force(coefficients: Array, air: Array) -> None:
-    """Tell the air's moments by the force that comes with them, in place; (6, TERMS), (6, 3)."""
-    for i, axis in enumerate((ANGULAR + 1, ANGULAR + 2)):
+    """Tell what the air does by the force across that comes with it; (6, TERMS), (6, 3)."""
+    told = slice(0, FORCE_Y)
+    for i, axis in enumerate((FORCE_Y, FORCE_Z)):
         pushed = air[axis, i + 1]
         if abs(pushed) > LEAST_WING_HZ:
-            coefficients[:ANGULAR, FORCE + i] = air[:ANGULAR, i + 1] / pushed
-    across = coefficients[:ANGULAR, FORCE:]
-    forces = slice(ANGULAR + 1, ANGULAR + 3)
+            coefficients[told, FORCE + i] = air[told, i + 1] / pushed
+    across = coefficients[told, FORCE:AIRSPEED]
+    forces = slice(FORCE_Y, BODY_AXES)
     # What a command or a rate does by way of the force is in the force's term already.
-    coefficients[:ANGULAR, :FORCE] -= across @ coefficients[forces, :FORCE]
-    air[:ANGULAR] -= across @ air[forces]
+    coefficients[told, :FORCE] -= across @ coefficients[forces, :FORCE]
+    air[told] -= across @ air[forces]

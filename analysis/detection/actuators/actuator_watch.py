@@ -24,7 +24,7 @@ from analysis.detection.actuators.obedience_kernel import (
     Verdicts,
     follow,
 )
-from analysis.detection.actuators.suspects import LOAD, NOBODY, SURE
+from analysis.detection.actuators.suspects import LOAD, NOBODY, PITOT, SURE
 from analysis.detection.actuators.switched_off import no_outputs
 from analysis.results import EITHER, SensorDecision
 from analysis.samples.block import COMMAND, Block
@@ -60,7 +60,7 @@ class ActuatorWatch:
         follow(block.kind, block.t_us, block.values, state, verdicts)
         filled = int(verdicts.filled[0])
         rows = zip(verdicts.rows[:filled].tolist(), verdicts.figures[:filled].tolist(), strict=True)
-        names = dict(enumerate(self.effects.names)) | {LOAD: "load"}
+        names = dict(enumerate(self.effects.names)) | {LOAD: "load", PITOT: "airspeed"}
         return [
             (row, _result(t_us, [names[n] for n in numbers if n != NOBODY], statistic, deficit))
             for (row, t_us, *numbers), (statistic, deficit) in rows

@@ -1,9 +1,11 @@
 """What is known beforehand of a vehicle's motion: a linear model about steady flight.
 
-The axes are angular acceleration about x, y and z in rad/s^2 and specific force along x and z in
-m/s^2, body axes. On each of them the motion is a sum of terms: a constant, the commands of the
-actuators, the rates in rad/s, and, for the angular ones, the specific force along y and z. That
-stands for the angles of the air, which nobody measures: what turns the body also pushes it.
+The axes are angular acceleration about x, y and z in rad/s^2 and specific force along x, along x
+once more, and along z in m/s^2, body axes. On each of them the motion is a sum of terms: a
+constant, the commands of the actuators, the rates in rad/s, and, for all but the last, the specific
+force along y and z. That stands for the angles of the air, which nobody measures: what turns the
+body or drags at it also pushes it. The second axis along x is told the airspeed in m/s, too, where
+it is measured; what is wrong there alone is wrong with the pitot tube.
 """
 
 from typing import NamedTuple
@@ -13,11 +15,13 @@ import numpy as np
 from analysis.samples.sample import Vector
 
 COMMANDS = 12  # outputs of an autopilot in a sample, and the most actuators of a vehicle
-AXES, ANGULAR = 5, 3
+AXES, ANGULAR = 6, 3
+FORWARD, IN_AIR, DOWN = range(ANGULAR, AXES)
 # Where the terms begin in a row of coefficients; behind the last there are `TERMS`.
 CONSTANT, OUTPUT, RATE = 0, 1, 1 + COMMANDS
 FORCE = RATE + 3
-TERMS = FORCE + 2
+AIRSPEED = FORCE + 2
+TERMS = AIRSPEED + 1
 CONSTANT_SIGMA = 30.0  # of an axis before the flight: the weight, and any trim
 SHARE = 0.15  # one sigma of a coefficient, and of what is not linear in it
 # One sigma of coefficients that are small or missing: a share of the greatest of their kind, and
@@ -49,21 +53,23 @@ class Effects(NamedTuple):
         """Of the coefficients before the flight (AXES, TERMS, TERMS)."""
         if self.unknown:
             sigma = np.full((AXES, TERMS), UNKNOWN_RATE_HZ)
-            sigma[:, CONSTANT], sigma[:, FORCE:] = CONSTANT_SIGMA, UNKNOWN_FORCE
+            sigma[:, CONSTANT] = CONSTANT_SIGMA
+            sigma[:ANGULAR, FORCE:AIRSPEED] = UNKNOWN_FORCE
+            sigma[ANGULAR:, FORCE:] = sigma[:, AIRSPEED:] = 0.0
             # Rotors lift and turn, and push nowhere else.
             sigma[:ANGULAR, OUTPUT:RATE] = UNKNOWN_SIGMA
-            sigma[AXES - 1, OUTPUT:RATE] = UNKNOWN_LIFT_MPS2 / 2.0
+            sigma[DOWN, OUTPUT:RATE] = UNKNOWN_LIFT_MPS2 / 2.0
             return np.array([np.diag(row**2) for row in sigma])
         sigma = SHARE * np.abs(self.coefficients)
         kinds = ((OUTPUT, RATE, SMALL_COMMAND), (RATE, FORCE, SMALL_RATE))
-        for begin, end, least in (*kinds, (FORCE, TERMS, SMALL_FORCE)):
+        for begin, end, least in (*kinds, (FORCE, AIRSPEED, SMALL_FORCE)):
             greatest = np.abs(self.coefficients[:, begin:end]).max(axis=1, keepdims=True)
             sigma[:, begin:end] = np.hypot(
                 sigma[:, begin:end], np.maximum(SMALL_SHARE * greatest, least)
             )
         sigma[:, CONSTANT] = CONSTANT_SIGMA
-        # Angular axes alone have the terms of the force.
-        sigma[ANGULAR:, FORCE:] = 0.0
+        # What drags at a vehicle without wings is not told by what pushes it, nor by the airspeed.
+        sigma[ANGULAR:, FORCE:] *= self.coefficients[ANGULAR:, FORCE:] != 0.0
         return np.array([np.diag(row**2) for row in sigma])
 
     def disturbance(self) -> Vector:
@@ -77,7 +83,7 @@ class Effects(NamedTuple):
 def unknown_effects() -> Effects:
     """Of a vehicle of which nothing is known: every output may be a motor, by its number."""
     coefficients = np.zeros((AXES, TERMS))
-    coefficients[AXES - 1, OUTPUT:RATE] = -UNKNOWN_LIFT_MPS2
+    coefficients[DOWN, OUTPUT:RATE] = -UNKNOWN_LIFT_MPS2
     return Effects(
         tuple(f"motor {i + 1}" for i in range(COMMANDS)),
         np.eye(COMMANDS),

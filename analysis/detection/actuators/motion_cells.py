@@ -13,11 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.detection.actuators.effects import (
-    ANGULAR,
+    AIRSPEED,
     AXES,
     COMMANDS,
     CONSTANT,
+    DOWN,
     FORCE,
+    FORWARD,
+    IN_AIR,
     OUTPUT,
     RATE,
     TERMS,
@@ -31,22 +34,27 @@ NEVER = -(1 << 40)
 
 # Of a cell's `clock`: its number, the newest sample's stamp, and whether a cell is before it
 NUMBER, SAMPLE_US, FOLLOWS = range(3)
-# Of `sums`: samples, their times in the cell, rates, specific force, lagged commands; then the same
-# weighted by the time in the cell, which rises from 0 to 1
+# Of `sums`: samples, their times in the cell, rates, specific force, lagged commands, airspeed;
+# then the same weighted by the time in the cell, which rises from 0 to 1
 COUNT, TIME, RATES, FORCES, LAGGED = 0, 1, 2, 5, 8
-WIDTH = LAGGED + COMMANDS
+AIR = LAGGED + COMMANDS
+WIDTH = AIR + 1
+VALUE_MPS, UNTIL_US = range(2)  # of `air`
+AIR_LASTS_US = 300_000  # an airspeed
 
 
 class Cells(NamedTuple):
     """The cell that is being filled, and the one before; `fill` changes them in place.
 
-    `clock` (3,) as named above; `commands` (2, COMMANDS): the newest, and behind their lag; `sums`
-    (2, 2, WIDTH): cell and the one before, plain and weighted. `terms` (TERMS,) and `motion`
-    (AXES,) are those of the last two full cells.
+    `clock` (3,) as named above; `commands` (2, COMMANDS): the newest, and behind their lag; `air`
+    (2,): the newest airspeed, and until when it is; `sums` (2, 2, WIDTH): cell and the one before,
+    plain and weighted. `terms` (TERMS,) and `motion` (AXES,) are those of the last two full cells;
+    without an airspeed its term is 0.
     """
 
     clock: NDArray[np.int64]
     commands: Vector
+    air: Vector
     sums: Vector
     terms: Vector
     motion: Vector
@@ -57,6 +65,7 @@ def no_cells() -> Cells:
     return Cells(
         np.array([NEVER, 0, 0]),
         np.zeros((2, COMMANDS)),
+        np.zeros(2),
         np.zeros((2, 2, WIDTH)),
         np.zeros(TERMS),
         np.zeros(AXES),
@@ -105,6 +114,7 @@ def _add(cells: Cells, at: float, rates_force: Vector) -> None:
             row[RATES + i] += weight * rates_force[i]
         for i in range(COMMANDS):
             row[LAGGED + i] += weight * cells.commands[1, i]
+        row[AIR] += weight * cells.air[VALUE_MPS]
 
 
 @compiled
@@ -133,8 +143,10 @@ def _close(cells: Cells) -> bool:
         at = FORCES + i
         force = (before[1, at] + now[0, at] - now[1, at]) / total
         if i == 0:
-            motion[ANGULAR] = force
+            motion[FORWARD] = motion[IN_AIR] = force
         else:
             terms[FORCE + i - 1] = force
-    motion[ANGULAR + 1] = terms[FORCE + 1]
+    motion[DOWN] = terms[FORCE + 1]
+    known = cells.clock[SAMPLE_US] < cells.air[UNTIL_US]
+    terms[AIRSPEED] = (before[1, AIR] + now[0, AIR] - now[1, AIR]) / total if known else 0.0
     return True

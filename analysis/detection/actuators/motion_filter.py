@@ -21,15 +21,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.detection.actuators.effects import (
-    ANGULAR,
+    AIRSPEED,
     AXES,
     CONSTANT,
+    DOWN,
     FORCE,
+    FORWARD,
+    IN_AIR,
+    OUTPUT,
+    SHARE,
     TERMS,
     Effects,
 )
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 
 CELL_S = 0.1
 SHORT_S, LONG_S, CONSTANT_S = 0.5, 60.0, 20.0  # memories of m, of C, and of the constant term
@@ -38,6 +44,7 @@ LATER = 8  # cells until one is learnt from
 SPREAD_FROM = 10  # cells after which C is learnt: before, theta is off by its beginning
 NOISE_PER_SPREAD = 3.0  # of e over that of m; 10 would be white noise
 FIRST_SPREAD = 0.03  # variance of m before anything is known
+NOTHING = 1e6  # variance of what is not told
 GREATEST = 3.0  # sigmas of e that are learnt from
 LOUD = 10.0  # m' inv(V) m beyond which m counts less for C
 
@@ -49,8 +56,10 @@ CELLS, WAITING, UNKNOWN = range(3)
 class Learnt(NamedTuple):
     """What is known of the motion; `predict` and `learn` change it in place.
 
-    `theta` (AXES, TERMS), its covariances `p` (AXES, TERMS, TERMS); `mean` (AXES,) is m and
-    `spread` (AXES, AXES) is C; `error` and `doubt` (AXES,): e and the variance of theta' x.
+    `theta` (AXES, TERMS), its covariances `p` (AXES, TERMS, TERMS); `mean` (AXES,) is m,
+    `spread` (AXES, AXES) is C, and `bent` (AXES,) what m has of a motion that is not linear;
+    `usual` (TERMS,) are the terms that it is linear about;
+    `error` and `doubt` (AXES,): e and the variance of theta' x.
     `waiting` (LATER + 1, TERMS + 2 AXES + 1): terms, motion, m and its statistic of cells that are
     not yet learnt from; `counts` (3,).
     """
@@ -59,6 +68,8 @@ class Learnt(NamedTuple):
     p: Vector
     mean: Vector
     spread: Vector
+    bent: Vector
+    usual: Vector
     error: Vector
     doubt: Vector
     waiting: Vector
@@ -72,6 +83,8 @@ def nothing_learnt(effects: Effects) -> Learnt:
         effects.covariances(),
         np.zeros(AXES),
         FIRST_SPREAD * np.eye(AXES),
+        np.zeros(AXES),
+        np.zeros(TERMS),
         np.zeros(AXES),
         np.zeros(AXES),
         np.zeros((LATER + 1, TERMS + 2 * AXES + 1)),
@@ -87,10 +100,17 @@ def _share(memory_s: float, cells: int) -> float:
 
 
 @compiled
+def knows_the_air(terms: Vector, learnt: Learnt) -> bool:
+    """Whether the axis that is told the airspeed says anything of a cell."""
+    known: bool = terms[AIRSPEED] > 0.0 and learnt.theta[IN_AIR, AIRSPEED] != 0.0
+    return known
+
+
+@compiled
 def _predict(terms: Vector, motion: Vector, learnt: Learnt) -> None:
     """Fill in error and doubt of the motion in a cell."""
     for axis in range(AXES):
-        count = TERMS if axis < ANGULAR else FORCE
+        count = FORCE if axis == DOWN else TERMS
         predicted = variance = 0.0
         for i in range(count):
             if terms[i] == 0.0:  # most outputs drive nothing
@@ -99,6 +119,8 @@ def _predict(terms: Vector, motion: Vector, learnt: Learnt) -> None:
             for j in range(count):
                 variance += terms[i] * learnt.p[axis, i, j] * terms[j]
         learnt.error[axis], learnt.doubt[axis] = motion[axis] - predicted, variance
+    if not knows_the_air(terms, learnt):
+        learnt.error[IN_AIR], learnt.doubt[IN_AIR] = 0.0, NOTHING
 
 
 @compiled
@@ -108,6 +130,13 @@ def compare(terms: Vector, motion: Vector, learnt: Learnt) -> None:
     learnt.counts[CELLS] += 1
     for axis in range(AXES):
         learnt.mean[axis] += CELL_S / SHORT_S * (learnt.error[axis] - learnt.mean[axis])
+    # What drags goes with the square of what lifts, and a propeller pulls less in faster air.
+    square = (terms[FORCE + 1] + STANDARD_GRAVITY_MPS2) ** 2 / (2.0 * STANDARD_GRAVITY_MPS2)
+    for axis in (FORWARD, IN_AIR):
+        bent = (learnt.theta[axis, FORCE + 1] * square) ** 2
+        for i in range(OUTPUT, TERMS):
+            bent += (SHARE * learnt.theta[axis, i] * (terms[i] - learnt.usual[i])) ** 2
+        learnt.bent[axis] += CELL_S / SHORT_S * (np.sqrt(bent) - learnt.bent[axis])
 
 
 @compiled
@@ -144,8 +173,9 @@ def _update(terms: Vector, motion: Vector, learnt: Learnt) -> None:
     """One Kalman update an axis."""
     _predict(terms, motion, learnt)
     walk = _share(CONSTANT_S, learnt.counts[CELLS])
+    learnt.usual[:] += walk * (terms - learnt.usual)
     for axis in range(AXES):
-        count = TERMS if axis < ANGULAR else FORCE
+        count = FORCE if axis == DOWN else TERMS
         noise = NOISE_PER_SPREAD * learnt.spread[axis, axis]
         variance = learnt.doubt[axis] + noise
         most = GREATEST * np.sqrt(variance)

@@ -14,11 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.detection.actuators.effects import AXES, COMMANDS, OUTPUT, RATE
-from analysis.detection.actuators.motion_cells import FOLLOWS, SAMPLE_US, Cells, fill
+from analysis.detection.actuators.motion_cells import (
+    AIR_LASTS_US,
+    FOLLOWS,
+    SAMPLE_US,
+    UNTIL_US,
+    VALUE_MPS,
+    Cells,
+    fill,
+)
 from analysis.detection.actuators.motion_filter import CELLS, UNKNOWN, Learnt, compare, learn
 from analysis.detection.actuators.suspects import LOUD, NOBODY, Suspicion, known_rotors, suspect
 from analysis.detection.actuators.switched_off import Outputs, command
 from analysis.samples.block import (
+    AIRSPEED,
     COMMAND,
     COMMAND_SOURCE,
     CONTROLS,
@@ -31,6 +40,7 @@ from analysis.samples.block import (
 )
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 
 LEARNT = 30  # cells of flight before anybody is suspected
 ROTORS = 4  # that a controller moves apart from each other: of more, effects cannot be told
@@ -103,6 +113,10 @@ def follow(
             continue
         elif kind[row] == FIX:
             _fly(values[row], kept)
+        elif kind[row] == AIRSPEED and 0.0 < values[row, 0] < np.inf:
+            air = kept.cells.air
+            air[VALUE_MPS] = np.sqrt(2.0 * values[row, 0] / SEA_LEVEL_DENSITY_KGPM3)
+            air[UNTIL_US] = t_us[row] + AIR_LASTS_US
         # Of the first IMU alone.
         elif kind[row] == IMU and values[row, 6] == 0.0 and kept.counts[FLIES]:
             if not np.isfinite(values[row, :6]).all():
@@ -192,7 +206,7 @@ def _begin(kept: Obedience) -> None:
     """A flight begins, or goes on after a gap: what it was like before says little."""
     kept.cells.clock[FOLLOWS] = 0
     kept.learnt.counts[:UNKNOWN] = 0
-    kept.learnt.mean[:] = 0.0
+    kept.learnt.mean[:] = kept.learnt.bent[:] = 0.0
 
 
 @compiled
@@ -237,7 +251,7 @@ def _judge(kept: Obedience) -> Suspicion:
     compare(cells.terms, cells.motion, learnt)
     usual = learnt.spread + kept.disturbance
     for axis in range(AXES):
-        usual[axis, axis] += learnt.doubt[axis]
+        usual[axis, axis] += learnt.doubt[axis] + learnt.bent[axis] ** 2
         if learnt.counts[UNKNOWN]:
             strongest = np.abs(learnt.theta[axis, OUTPUT:RATE]).max()
             usual[axis, axis] += (LEARNT_SHARE * strongest) ** 2

@@ -16,15 +16,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.actuators.effects import AXES, COMMANDS, OUTPUT, SHARE
+from analysis.detection.actuators.effects import AXES, COMMANDS, DOWN, IN_AIR, OUTPUT, SHARE
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.linear import inverse
 
-LOUD = 15.0  # m' inv(V) m beyond which nothing is learnt for a while: chi2inv(0.99, 5)
+LOUD = 16.8  # m' inv(V) m beyond which nothing is learnt for a while: chi2inv(0.99, 6)
 SURE, AHEAD = 25.0, 8.0  # scores better than nobody's, and than the next one's
 # What is left may be as large as this, or this share of what there was: the model is linear.
-FITS, FITS_SHARE = 20.0, 0.08
+FITS, FITS_SHARE = 22.0, 0.08
 LEAST_DEFICIT = 0.05  # of a command of 1
 # A rotor that does more than its command is rare: it has to be stuck higher than it is wanted.
 RARE, LIFTS_MPS2 = 8.0, -2.0
@@ -32,7 +32,7 @@ ROLL, PITCH, YAW = range(3)  # among the axes
 # Of a learnt effect: sigmas, and what lifts: a controller that meets gusts hides a part of it
 KNOWN, LEARNT_LIFTS_MPS2 = 5.0, -0.3
 SHIFTS = 0.5  # deficit of an elevator: what a load may do that slides
-NOBODY, LOAD = -1, COMMANDS  # in the place of an actuator
+NOBODY, LOAD, PITOT = -1, COMMANDS, COMMANDS + 1  # in the place of an actuator
 
 
 class Suspicion(NamedTuple):
@@ -58,7 +58,7 @@ def _product(a: Vector, matrix: Vector, b: Vector) -> float:
 @compiled
 def _known_rotor(i: int, theta: Vector, p: Vector) -> bool:
     """Whether an output of an unknown vehicle is known to lift it."""
-    lift, at = theta[AXES - 1, OUTPUT + i], OUTPUT + i
+    lift, at = theta[DOWN, OUTPUT + i], OUTPUT + i
     surest = 0.0
     for axis in range(AXES):
         surest = max(surest, theta[axis, at] ** 2 / p[axis, at, at])
@@ -102,13 +102,16 @@ def suspect(mean: Vector, usual: Vector, theta: Vector, p: Vector, rotors_alone:
             first, best, deficit, rest = i, score, found, remaining
         elif score < following:
             second, following = i, score
-    if first != NOBODY and abs(deficit) < SHIFTS and _pitches(theta[:, OUTPUT + first]):
-        along = (information[PITCH] * mean).sum()
-        score = nobody - along**2 / information[PITCH, PITCH]
-        if score < following:
-            second, following = LOAD, score
+    # Two more explain one axis each: a load that slides, and a pitot tube.
+    loaded = first != NOBODY and abs(deficit) < SHIFTS and _pitches(theta[:, OUTPUT + first])
+    for other, axis, may in ((LOAD, PITCH, loaded), (PITOT, IN_AIR, first != NOBODY)):
+        along = (information[axis] * mean).sum()
+        score = nobody - along**2 / information[axis, axis]
+        if may and score < following:
+            second, following = other, score
     believed = nobody - best > SURE and rest < max(FITS, FITS_SHARE * statistic)
-    if not believed or abs(deficit) < LEAST_DEFICIT:
+    no_actuator = second == PITOT and best - following > AHEAD
+    if not believed or no_actuator or abs(deficit) < LEAST_DEFICIT:
         return Suspicion(statistic, NOBODY, NOBODY, 0.0)
     return Suspicion(statistic, first, second if following - best < AHEAD else NOBODY, deficit)
 
@@ -116,7 +119,7 @@ def suspect(mean: Vector, usual: Vector, theta: Vector, p: Vector, rotors_alone:
 @compiled
 def _pitches(effect: Vector) -> bool:
     """Whether an effect (AXES,) is that of an elevator, which a load that slides is like."""
-    rotor = effect[AXES - 1] < LIFTS_MPS2
+    rotor = effect[DOWN] < LIFTS_MPS2
     return not rotor and abs(effect[PITCH]) > abs(effect[ROLL])
 
 
@@ -127,7 +130,7 @@ def _hypothesis(
     """Score of the hypothesis of one actuator, what it leaves, and the deficit, of a first guess
     and the variance (AXES,) of the actuator's effect."""
     own = usual.copy()
-    rotor = effect[AXES - 1] < LIFTS_MPS2
+    rotor = effect[DOWN] < LIFTS_MPS2
     for axis in range(AXES):
         # A broken propeller loses lift, but not its drag, which turns the body about z.
         share = 1.0 if rotor and axis == YAW else SHARE
