@@ -56,8 +56,7 @@ where they differ; what is missed in ten seconds may be found in a longer flight
 the start to the first alarm that can see it. *Moved* is how far the true position came to lie
 from that of the clean flight, at most; a dash means below a decimetre.
 
-Faults of the actuators that move nothing are missed, as is a fifth or a third of a fixed wing's
-thrust.
+Faults of the actuators that move next to nothing are missed.
 """
 
 
