@@ -4,12 +4,12 @@
 
 A room is a folder of a package; its sentence is the first of the folder's docstring. The order of
 the rooms is that of the layers in pyproject.toml, which import-linter holds: within a package, a
-room imports only rooms below it. Lines are imports across packages, thicker where there are more.
+room imports only rooms below it. Lines are imports across packages; how many there are does not
+show, so that the drawing changes with the rooms alone.
 """
 
 import ast
 import tomllib
-from collections import Counter
 from html import escape
 from pathlib import Path
 from textwrap import wrap
@@ -42,9 +42,9 @@ def room_of(module: str) -> Room | None:
     return (parts[0], parts[1]) if parts[0] in PACKAGES and len(parts) > 1 else None
 
 
-def imports() -> Counter[tuple[Room, Room]]:
-    """How many imports lead from room to room."""
-    found: Counter[tuple[Room, Room]] = Counter()
+def imports() -> set[tuple[Room, Room]]:
+    """From which room imports lead to which."""
+    found: set[tuple[Room, Room]] = set()
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):
             inside = path.relative_to(ROOT).with_suffix("").parts
@@ -53,7 +53,7 @@ def imports() -> Counter[tuple[Room, Room]]:
                 if isinstance(node, ast.ImportFrom) and node.module and here:
                     there = room_of(node.module)
                     if there and there != here:
-                        found[here, there] += 1
+                        found.add((here, there))
     return found
 
 
@@ -94,7 +94,7 @@ def drawn_room(room: Room, place: tuple[float, float, float]) -> list[str]:
 
 
 def drawn_line(
-    start: tuple[float, float, float], end: tuple[float, float, float], colour: str, count: int
+    start: tuple[float, float, float], end: tuple[float, float, float], colour: str
 ) -> str:
     """A curve from the near side of one room to the near side of another."""
     rightwards = end[0] > start[0]
@@ -104,7 +104,7 @@ def drawn_line(
     bend = GAP * 0.6 if rightwards else -GAP * 0.6
     return (
         f'<path d="M{x0:.0f} {y0:.0f}C{x0 + bend:.0f} {y0:.0f} {x1 - bend:.0f} {y1:.0f} '
-        f'{x1:.0f} {y1:.0f}" stroke="{colour}" stroke-width="{min(0.6 + 0.3 * count, 5):.1f}"/>'
+        f'{x1:.0f} {y1:.0f}" stroke="{colour}" stroke-width="1.5"/>'
     )
 
 
@@ -128,9 +128,9 @@ def picture() -> str:
         colour = COLOURS[package]
         parts.append(f'<text x="{x}" y="76" class="title" fill="{colour}">{package}</text>')
     parts.append('<g fill="none" stroke-opacity="0.35">')
-    for (here, there), count in sorted(imports().items()):
+    for here, there in sorted(imports()):
         if here[0] != there[0] and here in where and there in where:
-            parts.append(drawn_line(where[here], where[there], COLOURS[here[0]], count))
+            parts.append(drawn_line(where[here], where[there], COLOURS[here[0]]))
     parts.append("</g>")
     for room, place in where.items():
         parts += drawn_room(room, place)
