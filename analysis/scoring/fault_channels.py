@@ -102,6 +102,8 @@ def sight(label: Label) -> Sight:
         return RECEIVER_SIGHT
     if label.fault == "command":
         return Sight(frozenset(), reason="a command to the vehicle falsifies nothing")
+    if label.fault == "duplicate":
+        return Sight(frozenset(), reason="what comes twice is as it was")
     if not label.targets:
         return _of_link(label.fault)
     found = [
@@ -130,7 +132,7 @@ def _of_link(fault: str) -> Sight:
     """A fault of the whole link falsifies nobody, but everybody may fall silent."""
     if fault not in LOSSES:
         return Sight(frozenset(), reason=f"{fault} on a link leaves every value as it was")
-    everybody = frozenset({*BY_NAME, *RECEIVER, EVERY_SATELLITE})
+    everybody = frozenset({*BY_NAME, *WHOLE_RECEIVER})
     return Sight(frozenset({LINK}), (everybody,), everybody)
 
 

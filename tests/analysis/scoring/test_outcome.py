@@ -307,6 +307,7 @@ def test_a_right_blame_that_outlasts_the_echo_is_false_from_there() -> None:
         ("drop", "DISTANCE_SENSOR", "link range"),
         ("outage", "", "link"),
         ("jitter", "", ""),
+        ("duplicate", "HIL_SENSOR", ""),
         ("gps-spoof", "", "gps-position gps-velocity satellites"),
         ("bias", "ODOMETRY.x", "vision"),
     ],
@@ -315,6 +316,11 @@ def test_channels_follow_from_target_and_kind(fault: str, targets: str, channels
     found = sight(label("f", targets, fault=fault))
     assert sorted(found.channels) == channels.split()
     assert bool(found.reason) is not bool(channels)
+
+
+def test_on_a_link_that_loses_frames_the_raw_ranges_may_fall_silent_as_well() -> None:
+    silent = windows([sensor(12, "satellites"), sensor(12, "link")])
+    assert not false_alarms([label("f", "", fault="drop")], silent, 100.0)
 
 
 def test_bits_cleared_by_group_belong_to_that_sensor() -> None:
