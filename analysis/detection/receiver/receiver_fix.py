@@ -38,7 +38,7 @@ from analysis.detection.receiver.position_test import (
     start_at,
     updated,
 )
-from analysis.detection.receiver.receiver_or_imu import UNDECIDED, culprit, last_fix
+from analysis.detection.receiver.receiver_or_imu import UNDECIDED, accelerated_by, culprit, last_fix
 from analysis.results import Result
 from analysis.samples.sample import GpsFix, Vector
 
@@ -83,10 +83,15 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     measured = on_time(measured, predicted, acceleration, core.latency)
     tests = check(measured, predicted, config)
     hypothesis, alarm = _judge(core, measured, predicted, part, tests, config)
-    core, found = carried_off(core, (predicted, phi), part, measured, tests, config)
+    core, found, wrong_mps2 = carried_off(core, (predicted, phi), part, measured, tests, config)
     if found is not None:
         predicted, hypothesis, alarm = taken_back(predicted, found), "gps", True
         tests = check(measured, predicted, config)
+    elif wrong_mps2 is not None:
+        hypothesis, alarm = (
+            accelerated_by(core.last_fix, wrong_mps2, measured, predicted, part),
+            True,
+        )
     if hypothesis == "none" and tests[1] is not None:
         core = core._replace(latency=learnt(core.latency, tests[1], acceleration, predicted.p))
     core = _with_hysteresis(core, hypothesis, measured, tests, predicted, config)
