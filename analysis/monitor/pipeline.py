@@ -19,6 +19,7 @@ from analysis.detection.actuators.obedience_kernel import CRASH_US, Obedience
 from analysis.detection.actuators.obedience_kernel import NEVER_US as NEVER_CRASHED_US
 from analysis.detection.actuators.tumble_kernel import follow as follow_tumble
 from analysis.detection.actuators.tumble_kernel import no_tumble
+from analysis.detection.receiver.frozen_fix import FrozenFix
 from analysis.detection.sensors.earth_watch import EarthWatch
 from analysis.detection.sensors.instance_vote import InstanceVote
 from analysis.detection.sensors.jamming_watch import JammingWatch
@@ -105,6 +106,8 @@ class Pipeline:
         self._earth_state = self._earth.new_state()
         self._levels = LevelWatch()
         self._levels_state = self._levels.new_state()
+        self._frozen = FrozenFix()
+        self._frozen_state = self._frozen.new_state()
         self._jamming = JammingWatch()
         self._jamming_state = self._jamming.new_state()
         self._actuators = ActuatorWatch(config.actuators)
@@ -148,7 +151,8 @@ class Pipeline:
             voted, self._vote_state = self._vote.step(block, self._vote_state)
             turned, self._turns_state = self._turns.step(block, self._turns_state)
             alien, self._earth_state = self._earth.step(block, self._earth_state)
-            troubles += left + voted + turned + alien
+            frozen, self._frozen_state = self._frozen.step(block, self._frozen_state)
+            troubles += left + voted + turned + alien + frozen
         jammed, self._jamming_state = self._jamming.step(block, self._jamming_state)
         found += troubles + jammed
         obeyed, self._actuators_state = self._actuators.step(block, self._actuators_state)
