@@ -13,7 +13,8 @@ from analysis.samples.sample import GpsFix
 
 FIX_3D, OWN_SOURCE = 3, "HIL_GPS"
 LEARNT = 100  # fixes after which it is known
-FACTOR, MORE, STILL = 3, 10, 20  # repetitions beyond the most so far; what holds still so long may
+# Repetitions beyond the most so far; one that ever held still so long (a simulator's) may
+FACTOR, MORE, STILL = 3, 10, 3
 LASTS_US, AGAIN_US = 500_000, 500_000
 
 
