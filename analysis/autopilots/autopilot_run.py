@@ -24,7 +24,7 @@ from analysis.autopilots.own_parameters import read_parameters
 from analysis.autopilots.program import Program, Start
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.run.proxied_flight import GROUND, MONITOR, Flight, session
-from analysis.run.run_command import EXIT_CODES, report
+from analysis.run.run_command import EXIT_CODES, report, tell_idle
 from analysis.run.setup import Setup, setup_of
 from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary
@@ -34,7 +34,7 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import Bus, open_run_bus
 from mavproxy_fault.live.journal import JOIN, Journal
 from mavproxy_fault.proxy.interfaces import Send
-from mavproxy_fault.schedule.entries import Schedule, never_acted
+from mavproxy_fault.schedule.entries import Schedule
 from mavproxy_fault.schedule.saving import as_yaml
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
@@ -117,7 +117,7 @@ def main(args: argparse.Namespace) -> int:
         wall_s = time.monotonic() - started_s
         labels = flown.flight.completed_labels()
         summary = monitor.summary(labels, setup.criteria, wall_s)
-    summary["never_acted"] = never_acted(setup.schedule, {label.id for label in labels})
+    tell_idle(summary, setup.schedule, labels)
     summary["autopilot"] = flown.account(reason)
     write_summary(folder, summary)
     if args.report:

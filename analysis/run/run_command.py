@@ -26,8 +26,8 @@ from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.live.journal import JOIN, Journal
 from mavproxy_fault.live.session import Live
-from mavproxy_fault.schedule.entries import never_acted
-from mavproxy_fault.wire.label import read_labels
+from mavproxy_fault.schedule.entries import Schedule, never_acted
+from mavproxy_fault.wire.label import Label, read_labels
 from mavproxy_fault.wire.tlog import Columns, read_columns
 from simvehicle.app.pace import Pace, parse_speed
 
@@ -78,7 +78,7 @@ def main(args: argparse.Namespace) -> int:
         wall_s = time.monotonic() - started_s
         labels = flight.completed_labels()
         summary = monitor.summary(labels, setup.criteria, wall_s)
-    summary["never_acted"] = never_acted(setup.schedule, {label.id for label in labels})
+    tell_idle(summary, setup.schedule, labels)
     curves = []
     if twin is not None:
         # It flies beside the run, on the second core, and is mostly done by now.
@@ -91,6 +91,13 @@ def main(args: argparse.Namespace) -> int:
         report(folder, summary, columns, curves)
     print_summary(summary, folder)
     return EXIT_CODES[summary["verdict"]]
+
+
+def tell_idle(summary: dict[str, Any], schedule: Schedule, labels: Sequence[Label]) -> None:
+    """Put into a summary what of a schedule met nothing; where all of it did nothing was tested."""
+    summary["never_acted"] = never_acted(schedule, {label.id for label in labels})
+    if schedule.faults and not labels and summary["verdict"] == "PASS":
+        summary["verdict"] = "NO VERDICT"
 
 
 def fly(

@@ -3,8 +3,10 @@ from pathlib import Path
 
 import pytest
 
+from analysis.run.run_command import tell_idle
 from analysis.run.setup import read_setup
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.schedule.entries import Schedule, parse_schedule
 from simvehicle.scenario.changed_scenario import parse_change
 
 HOVER = str(Path(__file__).parents[3] / "examples" / "hover.yaml")
@@ -108,3 +110,13 @@ def test_a_part_that_the_vehicle_does_not_have_is_refused(
     with pytest.raises(ConfigError, match=f"fault a: plant: {re.escape(name)} is unknown") as error:
         read_setup(HOVER, str(schedule))
     assert known in str(error.value)
+
+
+def test_a_schedule_of_which_nothing_met_anything_proves_nothing() -> None:
+    schedule = parse_schedule("faults: [{id: a, preset: airspeed-blockage}]")
+    summary = {"verdict": "PASS"}
+    tell_idle(summary, schedule, [])
+    assert summary == {"verdict": "NO VERDICT", "never_acted": ["a (airspeed-blockage)"]}
+    none: dict[str, object] = {"verdict": "PASS"}
+    tell_idle(none, Schedule(), [])
+    assert none == {"verdict": "PASS", "never_acted": []}
