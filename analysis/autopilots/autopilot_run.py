@@ -34,7 +34,7 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import Bus, open_run_bus
 from mavproxy_fault.live.journal import JOIN, Journal
 from mavproxy_fault.proxy.interfaces import Send
-from mavproxy_fault.schedule.entries import Schedule
+from mavproxy_fault.schedule.entries import Schedule, never_acted
 from mavproxy_fault.schedule.saving import as_yaml
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
@@ -115,7 +115,9 @@ def main(args: argparse.Namespace) -> int:
         columns = read_columns(folder / "sent.tlog")
         file.write(flown.results + monitor.results())
         wall_s = time.monotonic() - started_s
-        summary = monitor.summary(flown.flight.completed_labels(), setup.criteria, wall_s)
+        labels = flown.flight.completed_labels()
+        summary = monitor.summary(labels, setup.criteria, wall_s)
+    summary["never_acted"] = never_acted(setup.schedule, {label.id for label in labels})
     summary["autopilot"] = flown.account(reason)
     write_summary(folder, summary)
     if args.report:

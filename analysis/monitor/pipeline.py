@@ -16,6 +16,10 @@ from analysis.detection.actuators.actuator_watch import ActuatorWatch
 from analysis.detection.actuators.effects import Effects, unknown_effects
 from analysis.detection.actuators.mutual_judgement import NEVER_US, judged
 from analysis.detection.actuators.obedience_kernel import CRASH_US, Obedience
+from analysis.detection.actuators.obedience_kernel import NEVER_US as NEVER_CRASHED_US
+from analysis.detection.actuators.tumble_kernel import follow as follow_tumble
+from analysis.detection.actuators.tumble_kernel import no_tumble
+from analysis.detection.receiver.frozen_fix import FrozenFix
 from analysis.detection.sensors.earth_watch import EarthWatch
 from analysis.detection.sensors.instance_vote import InstanceVote
 from analysis.detection.sensors.jamming_watch import JammingWatch
@@ -102,10 +106,13 @@ class Pipeline:
         self._earth_state = self._earth.new_state()
         self._levels = LevelWatch()
         self._levels_state = self._levels.new_state()
+        self._frozen = FrozenFix()
+        self._frozen_state = self._frozen.new_state()
         self._jamming = JammingWatch()
         self._jamming_state = self._jamming.new_state()
         self._actuators = ActuatorWatch(config.actuators)
         self._actuators_state: Obedience | None = None
+        self._tumble = no_tumble()
         self._imu_us = NEVER_US  # when the IMU was blamed last
         self._fusions: list[Any] = []
         self._feed_back: Any = None
@@ -144,7 +151,8 @@ class Pipeline:
             voted, self._vote_state = self._vote.step(block, self._vote_state)
             turned, self._turns_state = self._turns.step(block, self._turns_state)
             alien, self._earth_state = self._earth.step(block, self._earth_state)
-            troubles += left + voted + turned + alien
+            frozen, self._frozen_state = self._frozen.step(block, self._frozen_state)
+            troubles += left + voted + turned + alien + frozen
         jammed, self._jamming_state = self._jamming.step(block, self._jamming_state)
         found += troubles + jammed
         obeyed, self._actuators_state = self._actuators.step(block, self._actuators_state)
@@ -153,9 +161,11 @@ class Pipeline:
         found += errors
         # By row, so that results do not hang on how the stream was cut into blocks.
         found.sort(key=itemgetter(0))
-        if self._actuators_state is not None:
-            crash_us = int(self._actuators_state.counts[CRASH_US])
-            found, self._imu_us = judged(found, crash_us, self._imu_us)
+        lost = follow_tumble(block.kind, block.t_us, block.values, self._tumble)
+        known = self._actuators_state
+        if known is not None or lost.any():
+            crash_us = int(known.counts[CRASH_US]) if known is not None else NEVER_CRASHED_US
+            found, self._imu_us = judged(found, crash_us, lost, self._imu_us)
         return found
 
     def _fused(self, piece: Piece) -> list[Result]:

@@ -18,6 +18,8 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
         console.print(_faults(summary["faults"]))
         for line in remarks(summary["faults"]):
             console.print(f"                {line}", soft_wrap=True)
+    for word in summary.get("never_acted", ()):
+        console.print(f"never acted     [yellow]{word}[/]: it met nothing that it names")
     attitude = summary["attitude_rmse_deg"]
     if attitude:
         axes = ", ".join(f"{axis} {attitude[axis]:.2f}" for axis in ("roll", "pitch", "yaw"))

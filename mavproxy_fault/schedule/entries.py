@@ -1,7 +1,7 @@
 """Schedules: which faults, when, on which frames; read from YAML with every error and its line."""
 
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
@@ -115,6 +115,19 @@ class Schedule(msgspec.Struct, frozen=True):
 
     seed: int = 0
     faults: tuple[Entry, ...] = ()
+
+
+def never_acted(schedule: Schedule, acted: Collection[str]) -> list[str]:
+    """What of a schedule met nothing, given the ids of what did: one word an entry as written.
+
+    A preset names every message in which its sensor may speak: it is enough that one part met it.
+    """
+    idle: dict[str, bool] = {}
+    for entry in schedule.faults:
+        name = entry.id if entry.preset is None else entry.written.get("id", entry.preset)
+        word = f"{name} ({entry.preset or entry.name})"
+        idle[word] = idle.get(word, True) and entry.id not in acted
+    return [word for word, never in idle.items() if never]
 
 
 def read_schedule(path: FilePath | str, via: Via = "proxy") -> Schedule:

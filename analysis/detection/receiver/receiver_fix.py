@@ -29,6 +29,7 @@ from analysis.detection.receiver.carried_receiver import (
 )
 from analysis.detection.receiver.carry_off import taken_back
 from analysis.detection.receiver.fix_latency import accelerated, latency_of, learnt, on_time
+from analysis.detection.receiver.frozen_fix import numbers_of
 from analysis.detection.receiver.heading import with_honest_heading
 from analysis.detection.receiver.position_test import (
     VELOCITY_SIGMA_MPS,
@@ -38,7 +39,7 @@ from analysis.detection.receiver.position_test import (
     start_at,
     updated,
 )
-from analysis.detection.receiver.receiver_or_imu import UNDECIDED, culprit, last_fix
+from analysis.detection.receiver.receiver_or_imu import UNDECIDED, accelerated_by, culprit, last_fix
 from analysis.results import Result
 from analysis.samples.sample import GpsFix, Vector
 
@@ -57,6 +58,7 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
         return [], state
     latency = core.latency if fix.source == core.gps_source else latency_of(fix.source)
     core = core._replace(gps_source=fix.source, latency=latency, mag_b=mag_b)
+    core = core._replace(repeats=core.repeats.after(fix.t_us, numbers_of(fix)))
     measured, reason = measure(fix)
     motion = core.motion
     if measured is None:
@@ -82,11 +84,20 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     acceleration = accelerated(motion, predicted, measured.axes)
     measured = on_time(measured, predicted, acceleration, core.latency)
     tests = check(measured, predicted, config)
-    hypothesis, alarm = _judge(core, measured, predicted, part, tests, config)
-    core, found = carried_off(core, (predicted, phi), part, measured, tests, config)
+    # A fix that is only repeated measures nothing, however well it fits.
+    frozen = core.repeats.frozen
+    hypothesis, alarm = (
+        ("gps", True) if frozen else _judge(core, measured, predicted, part, tests, config)
+    )
+    core, found, wrong_mps2 = carried_off(core, (predicted, phi), part, measured, tests, config)
     if found is not None:
         predicted, hypothesis, alarm = taken_back(predicted, found), "gps", True
         tests = check(measured, predicted, config)
+    elif wrong_mps2 is not None:
+        hypothesis, alarm = (
+            accelerated_by(core.last_fix, wrong_mps2, measured, predicted, part),
+            True,
+        )
     if hypothesis == "none" and tests[1] is not None:
         core = core._replace(latency=learnt(core.latency, tests[1], acceleration, predicted.p))
     core = _with_hysteresis(core, hypothesis, measured, tests, predicted, config)
@@ -172,9 +183,9 @@ def _with_hysteresis(
         core = core._replace(imu_bad_until_us=None)
     if hypothesis in ("gps", "multiple-unknown"):
         core = moved_along(core, measured, velocity)
-        # One that is carried off slowly fits at first.
-        fits = core.carried is None
-        names = (RECEIVER,) if fits else (RECEIVER, RECEIVER_VELOCITY)
+        # One that is carried off slowly, or stands, fits at first.
+        position_alone = core.carried is None and not core.repeats.frozen
+        names = (RECEIVER,) if position_alone else (RECEIVER, RECEIVER_VELOCITY)
         excluded = exclude(core.excluded, names, t_us, t_us)
         again = replace(excluded[RECEIVER], healthy_since_us=None)
         return core._replace(excluded={**excluded, RECEIVER: again}, unbounded=False)

@@ -296,6 +296,27 @@ TEXTS = {
         "FAIL",
         "'BARO #0 failed: STALE!' at 20.0 s",
     ),
+    "a sensor that is off": (
+        [text(20, "BARO #0 failed:  OFF!", 0)],
+        "FAIL",
+        "'BARO #0 failed:  OFF!' at 20.0 s",
+    ),
+    "what is not over": (
+        [text(20, "Compass not ok", 2)],
+        "WARN",
+        "'Compass not ok' at 20.0 s",
+    ),
+    "an event that is off": (
+        [text(20, "Failsafe. Short event on", 4), text(26, "Failsafe. Short event off", 4)],
+        "WARN",
+        "'Failsafe. Short event on' at 20.0 s",
+    ),
+    "said as it disarms": (
+        [text(100.6, "Crash: Disarming: AngErr=45>30", 0)],
+        "FAIL",
+        "'Crash: Disarming: AngErr=45>30' at 100.6 s",
+    ),
+    "said on the bench afterwards": ([text(110, "Crash: check", 0)], "PASS", ""),
     "sixty times": (
         [text(20 + 0.5 * i, "Throttle saturated", 2) for i in range(60)],
         "WARN",
