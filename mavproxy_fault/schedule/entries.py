@@ -9,6 +9,7 @@ import msgspec
 from msgspec import Meta
 
 from mavproxy_fault.documents.document_check import DocumentCheck
+from mavproxy_fault.documents.document_kind import refuse_others
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.documents.yaml_document import (
@@ -23,7 +24,6 @@ from mavproxy_fault.faults.fault import Fault
 from mavproxy_fault.faults.profile import Duration, Profile, Seconds
 from mavproxy_fault.faults.registry import fault_class, known_aliases, known_faults
 from mavproxy_fault.schedule.binding import GIVEN, aim, bind, wrong_targets
-from mavproxy_fault.schedule.document_kind import kind_of
 from mavproxy_fault.schedule.presets import preset_names, preset_parts
 from mavproxy_fault.schedule.together import check_together, default_id, entry_ids
 from mavproxy_fault.schedule.triggers import Condition
@@ -166,8 +166,7 @@ def parse_schedule(
     check = DocumentCheck(where, lines, flaws)
     if not isinstance(data, dict):
         raise ConfigError(f"{where}: is no schedule; give `seed` and a list of `faults`")
-    if not data.keys() <= {"seed", "faults"} and (kind := kind_of(data)):
-        raise ConfigError(f"{where}: is {kind}; a schedule has `seed` and a list of `faults`")
+    refuse_others(data, where, "a schedule")
     check.keys(data, ("seed", "faults"), ())
     seed = check.value(data.get("seed", 0), Annotated[int, Meta(ge=0)], ("seed",))
     listed = data.get("faults") or []
