@@ -72,32 +72,22 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
             motion = None
     run, pending = split_pending(pending, fix.t_us)
     if motion is None:
-        motion = start_at(fix.t_us, measured)
-        core = core._replace(
-            motion=motion, excluded={}, last_fix=None, unbounded=False, carry=None, carried=None
-        )
-        return [fix_decision(fix, core, None, None, "none", False, "start")], State(
-            core, pending, mag_b
-        )
+        core = _begun(core, start_at(fix.t_us, measured))
+        decision = fix_decision(fix, core, None, None, "none", False, "start")
+        return [decision], State(core, pending, mag_b)
     part = segment(run, motion, fix.t_us)
     predicted, phi = advance(motion, part, fix.t_us, config)
     acceleration = accelerated(motion, predicted, measured.axes)
     measured = on_time(measured, predicted, acceleration, core.latency)
     tests = check(measured, predicted, config)
-    # A fix that is only repeated measures nothing, however well it fits.
-    frozen = core.repeats.frozen
-    hypothesis, alarm = (
-        ("gps", True) if frozen else _judge(core, measured, predicted, part, tests, config)
-    )
+    hypothesis, alarm = _judge(core, measured, predicted, part, tests, config)
     core, found, wrong_mps2 = carried_off(core, (predicted, phi), part, measured, tests, config)
     if found is not None:
         predicted, hypothesis, alarm = taken_back(predicted, found), "gps", True
         tests = check(measured, predicted, config)
     elif wrong_mps2 is not None:
-        hypothesis, alarm = (
-            accelerated_by(core.last_fix, wrong_mps2, measured, predicted, part),
-            True,
-        )
+        alarm = True
+        hypothesis = accelerated_by(core.last_fix, wrong_mps2, measured, predicted, part)
     if hypothesis == "none" and tests[1] is not None:
         core = core._replace(latency=learnt(core.latency, tests[1], acceleration, predicted.p))
     core = _with_hysteresis(core, hypothesis, measured, tests, predicted, config)
@@ -105,11 +95,7 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     dt_s = (fix.t_us - motion.t_us) * 1e-6
     moved = find_attitude(core, moved, part, dt_s, config)
     core = core._replace(motion=moved, last_fix=last_fix(core.last_fix, measured, part, moved))
-    shown = hypothesis
-    if hypothesis == "none" and RECEIVER in core.excluded:
-        shown = "gps"
-    elif hypothesis == "none" and core.imu_bad_until_us is not None:
-        shown = UNDECIDED if core.unbounded else "imu"
+    shown = _shown(core, hypothesis)
     mode = "position" if moved.inertial else "position-free"
     results: list[Result] = [fix_decision(fix, core, *tests, shown, alarm, mode)]
     # Everybody paused where there was no fix either.
@@ -117,6 +103,24 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     gap = part.gap_s if (predicted.inertial or motion.inertial) and not paused else 0.0
     results += fix_sensors(fix, core, *tests, gap, hypothesis, config)
     return results, State(core, pending, mag_b)
+
+
+def _begun(core: Core, motion: Motion) -> Core:
+    """A filter that begins, and nothing of the past."""
+    return core._replace(
+        motion=motion, excluded={}, last_fix=None, unbounded=False, carry=None, carried=None
+    )
+
+
+def _shown(core: Core, hypothesis: str) -> str:
+    """What the decision says while somebody is still left out."""
+    if hypothesis != "none":
+        return hypothesis
+    if RECEIVER in core.excluded:
+        return "gps"
+    if core.imu_bad_until_us is not None:
+        return UNDECIDED if core.unbounded else "imu"
+    return "none"
 
 
 def _judge(
@@ -130,6 +134,9 @@ def _judge(
     """Whose fault a failed test is, and whether it is an alarm; `part` is the IMU since the last
     fix, which moved the filter to `motion`."""
     position, velocity = tests
+    # A fix that is only repeated measures nothing, however well it fits.
+    if core.repeats.frozen:
+        return "gps", True
     if position.passes and (velocity is None or velocity.passes):
         return "none", False
     agrees = _self_consistent(core, measured, motion.t_us, config)
