@@ -148,9 +148,8 @@ def _divergence(recording: Recording) -> list[Signal]:
     angles = [recording.of(f"instance-{part}") for part in ("roll", "pitch")]
     found = []
     # `strict=False`: an instance may lack one of the angles; the first is the reference.
-    pairs = list(zip(*angles, strict=False))
-    for roll, pitch in pairs[1:]:
-        first = _down(*pairs[0], roll.t_s)
+    for roll, pitch in list(zip(*angles, strict=False))[1:]:
+        first = _down(angles[0][0], angles[1][0], roll.t_s)
         sine = np.linalg.norm(np.cross(first, further := _down(roll, pitch, roll.t_s)), axis=1)
         lean = np.degrees(np.arctan2(sine, (first * further).sum(axis=1)))
         found.append(Signal("divergence", roll.name, roll.t_s, lean))
