@@ -228,7 +228,7 @@ def read_campaign(path: Path | str) -> CampaignFile:
     document = read_document(path)
     if not isinstance(document.data, dict):
         raise ConfigError(f"{path}: holds no keys; a campaign file is a YAML mapping")
-    refuse_others(document.data, str(path), "a campaign")
+    refuse_others(document.data, CampaignFile.__struct_fields__, str(path), "a campaign")
     # Scenarios lie beside the campaign's file.
     data = {**document.data, "folder": str(Path(path).parent)}
     campaign = decode(document._replace(data=data), CampaignFile)

@@ -19,8 +19,8 @@ def kind_of(keys: Iterable[str]) -> str | None:
     return next((kind for kind, (own, _) in KINDS.items() if own & given), None)
 
 
-def refuse_others(keys: Iterable[str], where: str, wanted: str) -> None:
-    """Refuse a document of another kind than is wanted, with what reads it.
+def refuse_others(keys: Iterable[str], known: Iterable[str], where: str, wanted: str) -> None:
+    """Refuse a document of another kind than is wanted, by a key that is not `known` there.
 
     Raises
     ------
@@ -28,6 +28,6 @@ def refuse_others(keys: Iterable[str], where: str, wanted: str) -> None:
         If the keys are those of another kind.
     """
     kind = kind_of(keys)
-    if kind not in (wanted, None):
+    if kind not in (wanted, None) and not set(keys) <= set(known):
         command = f"`mavproxy-fault {KINDS[kind][1]}`"
         raise ConfigError(f"{where}: is {kind}, which {command} reads; {wanted} is needed here")

@@ -28,6 +28,7 @@ from mavproxy_fault.schedule.presets import preset_names, preset_parts
 from mavproxy_fault.schedule.together import check_together, default_id, entry_ids
 from mavproxy_fault.schedule.triggers import Condition
 
+SCHEDULE_KEYS = ("seed", "faults")
 Via = Literal["proxy", "simulator"]
 Byte = Annotated[int, Meta(ge=0, le=255)]
 
@@ -166,8 +167,8 @@ def parse_schedule(
     check = DocumentCheck(where, lines, flaws)
     if not isinstance(data, dict):
         raise ConfigError(f"{where}: is no schedule; give `seed` and a list of `faults`")
-    refuse_others(data, where, "a schedule")
-    check.keys(data, ("seed", "faults"), ())
+    refuse_others(data, SCHEDULE_KEYS, where, "a schedule")
+    check.keys(data, SCHEDULE_KEYS, ())
     seed = check.value(data.get("seed", 0), Annotated[int, Meta(ge=0)], ("seed",))
     listed = data.get("faults") or []
     entries: list[Entry] = []

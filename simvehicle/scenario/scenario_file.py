@@ -229,7 +229,7 @@ def open_scenario(path: str | Path | None) -> Document:
     document = read_document(path)
     if not isinstance(document.data, dict):
         raise ConfigError(f"{document.where}:1: is no scenario; a mapping with keys is expected")
-    refuse_others(document.data, document.where, "a scenario")
+    refuse_others(document.data, Scenario.__struct_fields__, document.where, "a scenario")
     sensors = document.data.get("sensors")
     # A name of a file instead of a section.
     if isinstance(sensors, str):

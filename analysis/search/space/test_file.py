@@ -259,7 +259,7 @@ def read_test(path: Path | str) -> TestFile:
     data = document.data
     if not isinstance(data, dict):
         raise ConfigError(f"{path}:1: holds no keys; a test file is a YAML mapping")
-    refuse_others(data, str(path), "a search")
+    refuse_others(data, TestFile.__struct_fields__, str(path), "a search")
     named = data.get("scenario")
     if named is not None or data.get("estimator") in SIMULATED:
         # Behind, what the file says itself.

@@ -38,8 +38,8 @@ def test_every_example_is_known_for_what_it_is() -> None:
 def test_a_document_of_another_kind_is_called_what_it_is(wanted: str, given: str) -> None:
     read = READERS[wanted][0]
     _, name, command = READERS[given]
-    if given == wanted:
-        read(EXAMPLES / name)
+    if given == wanted or (given, wanted) == ("a schedule", "a search"):
+        read(EXAMPLES / name)  # a search may have nothing but a seed and faults
         return
     says = f"{name}: is {given}, which `mavproxy-fault {command}` reads; {wanted} is needed here"
     with pytest.raises(ConfigError, match=says):
