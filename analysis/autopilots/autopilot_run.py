@@ -23,7 +23,7 @@ from analysis.autopilots.onlookers import Onlookers
 from analysis.autopilots.own_parameters import read_parameters
 from analysis.autopilots.program import Program, Start
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
-from analysis.run.proxied_flight import GROUND, MONITOR, Flight, session
+from analysis.run.proxied_flight import GROUND, Flight, session
 from analysis.run.run_command import EXIT_CODES, report
 from analysis.run.setup import Setup, setup_of
 from analysis.run.stop import Stop, stop_requests
@@ -98,7 +98,7 @@ def main(args: argparse.Namespace) -> int:
     folder = make_folder(args.out, setup.scenario.name)
     started_s = time.monotonic()
     with contextlib.ExitStack() as stack:
-        monitor = stack.enter_context(MonitorProcess(setup.monitor))
+        monitor = stack.enter_context(MonitorProcess(setup.monitor, records=True))
         file = stack.enter_context(ResultFile(folder))
         stop = stack.enter_context(stop_requests())
         flown = AutopilotRun(setup, folder, args.count_from, monitor, stop)
@@ -250,8 +250,6 @@ class AutopilotRun:
         }
 
     def _hear(self, sends: list[Send]) -> None:
-        watched = b"".join([send.data for send in sends if send.link == MONITOR])
-        self._take(self._monitor.feed(watched))
         for send in sends:
             if send.link == GROUND and not of_lockstep(send.data):
                 for item in self._parser.push(send.data, datagram=True):
@@ -303,11 +301,12 @@ class AutopilotRun:
     def _record(self) -> None:
         self._recorded_us = self.flight.t_us
         labels = self.flight.drain_labels()
+        sent = bytes(self.flight.tape.sent)
         self._recorder.write(self.flight.tape, labels, self._journal.drain())
+        # Somebody may watch: results must not wait for a full batch then.
+        self._take(self._monitor.feed(sent, now=self._onlookers is not None))
         if self._onlookers is not None:
             self._onlookers.tell_labels(labels)
-            # Somebody watches: results must not wait for a full batch.
-            self._take(self._monitor.feed(b"", now=True))
 
     def _close(self) -> None:
         self._hear(self.flight.core.finish(self.flight.now_us))
