@@ -30,6 +30,7 @@ from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary
 from analysis.run.worker import MonitorProcess
 from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.compiled.passage import new_passage
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import Bus, open_run_bus
 from mavproxy_fault.live.journal import JOIN, Journal
@@ -183,6 +184,7 @@ class AutopilotRun:
             folder, session(setup.scenario.name, setup.schedule.seed, self.flight)
         )
         self._parser = Parser()
+        self._passage = new_passage(self.flight.core, self.flight.tape)
         self._recorded_us = self._operator_us = 0
         self._scheduled = False
         self._progress = Progress(time.monotonic())
@@ -212,6 +214,7 @@ class AutopilotRun:
                 self._commands,
                 flying.links[-1],
                 flying.step,
+                self._passage,
             )
             loop = LockstepLoop(
                 simulation,
@@ -301,6 +304,8 @@ class AutopilotRun:
     def _record(self) -> None:
         self._recorded_us = self.flight.t_us
         labels = self.flight.drain_labels()
+        if self._passage is not None:
+            self._passage.count()
         sent = bytes(self.flight.tape.sent)
         self._recorder.write(self.flight.tape, labels, self._journal.drain())
         # Somebody may watch: results must not wait for a full batch then.
