@@ -13,13 +13,13 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
 from analysis.run.proxied_flight import GROUND, SIMULATOR, VEHICLE, Flight, is_hil
-from mavproxy_fault.compiled.passage import Passage, Passed
+from mavproxy_fault.compiled.passage import CRC_LENGTH, Passage, Passed, split
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.wire.dialect import known, layout
-from mavproxy_fault.wire.frame import STX_V2, Frame
+from mavproxy_fault.wire.frame import HEADER_V2, STX_V2, Frame
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.hil.hil_frames import Hil
 from simvehicle.hil.lockstep import Lockstep
@@ -115,8 +115,9 @@ class ToAutopilot:
             self._sort(core.received(GROUND, raw, now_us), out)
         frames = self._packer.frames(t_us, truth, readings)
         if (passed := self.passed(SIMULATOR, b"".join(frames), now_us)) is not None:
-            for raw in passed.frames if passed.links >> VEHICLE & 1 else ():
-                self._leave(raw, out)
+            if passed.links >> VEHICLE & 1:
+                out.append(passed.data)
+                self._note_step(passed.data)
             return out
         for raw in frames:
             self._sort(core.received_frame(SIMULATOR, packed_frame(raw), now_us), out)
@@ -165,9 +166,17 @@ class ToAutopilot:
             self._telemetry.write(data)
             return
         out.append(data)
+        if data[0] == STX_V2:
+            self._note_step(data)
+
+    def _note_step(self, data: bytes) -> None:
+        """Keep the stamp of a step among frames of MAVLink 2."""
         number, below_bytes = self._step
-        if data[0] == STX_V2 and data[7] == number and data[1] < below_bytes:
-            self.step_us = int.from_bytes(data[STAMP], "little")
+        at, end = 0, len(data) - HEADER_V2
+        while at < end:
+            if data[at + 7] == number and data[at + 1] < below_bytes:
+                self.step_us = int.from_bytes(data[at:][STAMP], "little")
+            at += HEADER_V2 + data[at + 1] + CRC_LENGTH
 
 
 def number_of(raw: bytes) -> int:
@@ -254,7 +263,7 @@ class FromAutopilot:
     def _take(self, data: bytes, passed: Passed, found: list[Frame]) -> None:
         """Frames that came and left together: `data` is what they were before."""
         at, now_us = 0, self._outward.flight.now_us
-        for raw in passed.frames:
+        for raw in split(passed.data):
             if of_answer(raw):
                 # As it came: a fault may have set another stamp.
                 self._answered(packed_frame(data[at : at + len(raw)]))

@@ -11,7 +11,8 @@ from analysis.autopilots.hil_exchange import Ending, StepMessage
 from mavproxy_fault.ardupilot.child_process import ending
 from mavproxy_fault.links.link import Link
 
-HOLD_S = 0.05  # by which the flight may be ahead of the wall clock
+HOLD_S = 0.02  # wall time by which the flight may be ahead of its pace
+PACE = 6.0  # times real time: slower the flight waits for the start, faster it holds it up
 MOST_START_S = 20.0
 END_S = 10.0  # for a program to close its logs
 
@@ -43,7 +44,7 @@ class Program:
 
 
 class Start:
-    """Keeps a flight to the wall clock until the program has started all of its parts.
+    """Keeps a flight to a pace until the program has started all of its parts.
 
     The program answers steps long before that, and at full speed it would have flown before, say,
     its own log begins.
@@ -56,12 +57,12 @@ class Start:
         self._first_us = 0
 
     def hold(self, t_us: int) -> None:
-        """Wait until the wall clock is as far as the vehicle's."""
+        """Wait until the wall clock is as far as the pace asks."""
         if self._over:
             return
         if self._began_s is None:
             self._began_s, self._first_us = time.monotonic(), t_us
-        ahead_s = (t_us - self._first_us) * 1e-6 - (time.monotonic() - self._began_s)
+        ahead_s = (t_us - self._first_us) * 1e-6 / PACE - (time.monotonic() - self._began_s)
         if ahead_s < HOLD_S:
             return
         time.sleep(ahead_s)

@@ -1,7 +1,7 @@
 """The compiled form without sockets: for a process that has both ends of a link in itself."""
 
 import sys
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled import object_file
@@ -16,10 +16,10 @@ CRC_LENGTH = 2
 
 
 class Passed(NamedTuple):
-    """What became of a datagram: the links it leaves on, as a mask, and its frames then."""
+    """What became of a datagram: the links it leaves on, as a mask, and its bytes then."""
 
     links: int
-    frames: list[bytes]
+    data: bytes
 
 
 class Passage(Tables):
@@ -47,7 +47,7 @@ class Passage(Tables):
                 self._learn(frame)
             return None
         self._settle()
-        return Passed(mask, split(bytes(self._data[:length])))
+        return Passed(mask, bytes(self._data[:length]))
 
     def count(self) -> None:
         """Add the machine code's counts to the core's."""
@@ -60,7 +60,7 @@ class Passage(Tables):
                 ports[number, column] = 0
 
     def _way(self, number: int) -> tuple[int, int]:
-        engine = self._core.engine
+        engine: Any = self._core.engine
         acting = () if engine is None or engine.t0_us is None else engine.acting(number) or ()
         # Numbers drawn ahead for one datagram cost more than the noise of it.
         if any(isinstance(running.fault, Noise) for running in acting):

@@ -201,7 +201,7 @@ def lent(traffic: Sequence[bytes], schedule: str, came_us: Sequence[int]) -> Out
         if passed is None:
             sent.append([send.data for send in core.received(0, datagram, now_us)])
         else:
-            sent.append([b"".join(passed.frames)] if passed.links else [])
+            sent.append([passed.data] if passed.links else [])
         reference.received(0, datagram, now_us)
     passage.count()
     for one in cores:
