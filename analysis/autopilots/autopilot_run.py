@@ -172,8 +172,9 @@ class AutopilotRun:
         monitor: MonitorProcess,
         stop: Stop,
     ) -> None:
-        # Empty at first: the faults come once the chosen moment is there.
-        self.flight = Flight(setup.scenario, Schedule(setup.schedule.seed, ()))
+        # The faults come once the chosen moment is there, but for those that name one themselves.
+        own = tuple(entry for entry in setup.schedule.faults if "from" in entry.written)
+        self.flight = Flight(setup.scenario, Schedule(setup.schedule.seed, own))
         self.results: list[Any] = []
         self._schedule = setup.schedule
         self._count_from, self._stop = count_from, stop
@@ -275,7 +276,8 @@ class AutopilotRun:
             self._operator_us = t_us + OPERATOR_US
             on_ground = self.flight.simulation.truth.on_ground
             # Before the first stamp there is no time.
-            frames = self._operator.step(t_us, on_ground=on_ground) if t_us else []
+            started = self._start.over
+            frames = self._operator.step(t_us, on_ground=on_ground, started=started) if t_us else []
         if not self._scheduled and self._count_from in self._operator.moments_us:
             self._begin_schedule(t_us)
         if self._phase != self._operator.phase:
@@ -295,7 +297,9 @@ class AutopilotRun:
         self._scheduled = True
         # The schedule counts from the first stamp; this moment lies so much later.
         late_s = (t_us - (self.flight.core.clock.t0_us or t_us)) * 1e-6
-        entries = [(entry, late_s) for entry in self._schedule.faults]
+        entries = [
+            (entry, 0.0 if "from" in entry.written else late_s) for entry in self._schedule.faults
+        ]
         text = as_yaml(self._schedule.seed, entries).encode()
         at_us = self._journal.begin(self.flight.now_us)
         self.flight.control.answer(LOAD, text, at_us)

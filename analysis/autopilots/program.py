@@ -12,8 +12,8 @@ from mavproxy_fault.ardupilot.child_process import ending
 from mavproxy_fault.links.link import Link
 
 HOLD_S = 0.02  # wall time by which the flight may be ahead of its pace
-PACE = 6.0  # times real time: slower the flight waits for the start, faster it holds it up
-MOST_START_S = 20.0
+PACE = 4.0  # times real time: slower the flight waits for the start, faster it holds it up
+MOST_START_S = 60.0
 END_S = 10.0  # for a program to close its logs
 
 Process = subprocess.Popen[bytes]
@@ -52,13 +52,13 @@ class Start:
 
     def __init__(self, program: Program) -> None:
         self._program = program
-        self._over = not program.started
+        self.over = not program.started
         self._began_s: float | None = None
         self._first_us = 0
 
     def hold(self, t_us: int) -> None:
         """Wait until the wall clock is as far as the pace asks."""
-        if self._over:
+        if self.over:
             return
         if self._began_s is None:
             self._began_s, self._first_us = time.monotonic(), t_us
@@ -68,7 +68,7 @@ class Start:
         time.sleep(ahead_s)
         told = self._program.started in self._program.log.read_text(errors="replace")
         # Another version may use other words.
-        self._over = told or time.monotonic() - self._began_s > MOST_START_S
+        self.over = told or time.monotonic() - self._began_s > MOST_START_S
 
 
 @contextlib.contextmanager
