@@ -68,7 +68,8 @@ class Keys(
 ):
     """What every entry of a schedule may say; the fault's own parameters stand beside it.
 
-    `at_s` counts from the moment `from`. With `via: simulator` a satellite fault acts in the simulated receiver instead of on the wire.
+    `at_s` counts from the moment `from`. With `via: simulator` a satellite fault acts in the
+    simulated receiver instead of on the wire.
     """
 
     id: str | None = None
