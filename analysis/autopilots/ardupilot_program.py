@@ -19,12 +19,13 @@ KINDS: dict[str, Kind] = {
     "multirotor": "copter",
     "fixedwing": "plane",
 }  # of the bridge, by the scenario's
+BINARIES = {kind: f"ardu{name}" for kind, name in KINDS.items()}
 MODES = {"multirotor": COPTER, "fixedwing": PLANE}
 
 
-def command(binary: str | None) -> list[str]:
+def command(binary: str) -> list[str]:
     """The words that start it; ConfigError where there is no such program."""
-    return check_command(binary or "arducopter", option="--binary")
+    return check_command(binary, option="--binary")
 
 
 @contextlib.contextmanager

@@ -90,12 +90,19 @@ class FlightOverError(Exception):
 
 def main(args: argparse.Namespace) -> int:
     """Fly, report, and return the exit code: 1 too where the flight was not flown to its end."""
-    autopilot = AUTOPILOTS[args.autopilot]
-    words = autopilot.command(args.binary)
+    name, _, vehicle = args.autopilot.partition(":")
+    autopilot = AUTOPILOTS[name]
     check_moment(args.count_from)
     own = read_parameters(args.parameters)
     setup = setup_of(args)
     check_vehicle(setup.scenario)
+    binary = autopilot.BINARIES[setup.scenario.vehicle.kind]
+    if vehicle and binary != f"ardu{vehicle}":
+        raise ConfigError(
+            f"--autopilot {args.autopilot}: the scenario's vehicle is a "
+            f"{setup.scenario.vehicle.kind}, which {binary} flies"
+        )
+    words = autopilot.command(args.binary or binary)
     folder = make_folder(args.out, setup.scenario.name)
     started_s = time.monotonic()
     with contextlib.ExitStack() as stack:
