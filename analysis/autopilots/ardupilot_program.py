@@ -6,6 +6,7 @@ from pathlib import Path
 
 from analysis.autopilots.ardupilot_requests import COPTER, PLANE, ArduPilotRequests
 from analysis.autopilots.flight_operator import Requests
+from analysis.autopilots.flight_plan import flight_plan
 from analysis.autopilots.hil_exchange import BRIDGE_STEP
 from analysis.autopilots.own_parameters import text_of
 from analysis.autopilots.program import Program
@@ -31,7 +32,8 @@ def command(binary: str) -> list[str]:
 @contextlib.contextmanager
 def requests(simulation: Simulation) -> Iterator[Requests]:
     """How it is asked."""
-    yield ArduPilotRequests(MODES[simulation.scenario.vehicle.kind])
+    kind = simulation.scenario.vehicle.kind
+    yield ArduPilotRequests(MODES[kind], flight_plan(simulation).landing)
 
 
 @contextlib.contextmanager
