@@ -24,7 +24,7 @@ from analysis.autopilots.own_parameters import read_parameters
 from analysis.autopilots.program import Program, Start
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.run.proxied_flight import GROUND, Flight, session
-from analysis.run.run_command import EXIT_CODES, report
+from analysis.run.run_command import EXIT_CODES, report, tell_idle
 from analysis.run.setup import Setup, setup_of
 from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary
@@ -123,7 +123,9 @@ def main(args: argparse.Namespace) -> int:
         columns = read_columns(folder / "sent.tlog")
         file.write(flown.results + monitor.results())
         wall_s = time.monotonic() - started_s
-        summary = monitor.summary(flown.flight.completed_labels(), setup.criteria, wall_s)
+        labels = flown.flight.completed_labels()
+        summary = monitor.summary(labels, setup.criteria, wall_s)
+    tell_idle(summary, setup.schedule, labels)
     summary["autopilot"] = flown.account(reason)
     write_summary(folder, summary)
     if args.report:

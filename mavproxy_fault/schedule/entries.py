@@ -1,7 +1,7 @@
 """Schedules: which faults, when, on which frames; read from YAML with every error and its line."""
 
 import reprlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
@@ -9,6 +9,7 @@ import msgspec
 from msgspec import Meta
 
 from mavproxy_fault.documents.document_check import DocumentCheck
+from mavproxy_fault.documents.document_kind import refuse_others
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.documents.yaml_document import (
@@ -23,7 +24,6 @@ from mavproxy_fault.faults.fault import Fault
 from mavproxy_fault.faults.profile import Duration, Profile, Seconds
 from mavproxy_fault.faults.registry import fault_class, known_aliases, known_faults
 from mavproxy_fault.schedule.binding import GIVEN, aim, bind, wrong_targets
-from mavproxy_fault.schedule.document_kind import kind_of
 from mavproxy_fault.schedule.presets import preset_names, preset_parts
 from mavproxy_fault.schedule.together import check_together, default_id, entry_ids
 from mavproxy_fault.schedule.triggers import Condition, moment
@@ -127,6 +127,19 @@ class Schedule(msgspec.Struct, frozen=True):
     faults: tuple[Entry, ...] = ()
 
 
+def never_acted(schedule: Schedule, acted: Collection[str]) -> list[str]:
+    """What of a schedule met nothing, given the ids of what did: one word an entry as written.
+
+    A preset names every message in which its sensor may speak: it is enough that one part met it.
+    """
+    idle: dict[str, bool] = {}
+    for entry in schedule.faults:
+        name = entry.id if entry.preset is None else entry.written.get("id", entry.preset)
+        word = f"{name} ({entry.preset or entry.name})"
+        idle[word] = idle.get(word, True) and entry.id not in acted
+    return [word for word, never in idle.items() if never]
+
+
 def read_schedule(path: FilePath | str, via: Via = "proxy") -> Schedule:
     """The schedule of a YAML file; `via` is where satellite faults act that do not say.
 
@@ -163,8 +176,7 @@ def parse_schedule(
     check = DocumentCheck(where, lines, flaws)
     if not isinstance(data, dict):
         raise ConfigError(f"{where}: is no schedule; give `seed` and a list of `faults`")
-    if not data.keys() <= {"seed", "faults"} and (kind := kind_of(data)):
-        raise ConfigError(f"{where}: is {kind}; a schedule has `seed` and a list of `faults`")
+    refuse_others(data, where, "a schedule")
     check.keys(data, ("seed", "faults"), ())
     seed = check.value(data.get("seed", 0), Annotated[int, Meta(ge=0)], ("seed",))
     listed = data.get("faults") or []
