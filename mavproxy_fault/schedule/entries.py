@@ -1,7 +1,7 @@
 """Schedules: which faults, when, on which frames; read from YAML with every error and its line."""
 
 import reprlib
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
@@ -26,7 +26,7 @@ from mavproxy_fault.faults.registry import fault_class, known_aliases, known_fau
 from mavproxy_fault.schedule.binding import GIVEN, aim, bind, wrong_targets
 from mavproxy_fault.schedule.presets import preset_names, preset_parts
 from mavproxy_fault.schedule.together import check_together, default_id, entry_ids
-from mavproxy_fault.schedule.triggers import Condition
+from mavproxy_fault.schedule.triggers import Condition, moment
 
 SCHEDULE_KEYS = ("seed", "faults")
 Via = Literal["proxy", "simulator"]
@@ -60,16 +60,24 @@ class Repeat(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     times: Annotated[int, Meta(ge=1)] | None = None
 
 
-class Keys(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Keys(
+    msgspec.Struct,
+    frozen=True,
+    forbid_unknown_fields=True,
+    kw_only=True,
+    rename={"count_from": "from"},
+):
     """What every entry of a schedule may say; the fault's own parameters stand beside it.
 
-    With `via: simulator` a satellite fault acts in the simulated receiver instead of on the wire.
+    `at_s` counts from the moment `from`. With `via: simulator` a satellite fault acts in the
+    simulated receiver instead of on the wire.
     """
 
     id: str | None = None
     fault: str | None = None
     preset: str | None = None
     target: str | tuple[str, ...] = ()
+    count_from: str | None = None
     at_s: Seconds = 0.0
     for_s: Duration | None = None
     when: str | None = None
@@ -80,13 +88,14 @@ class Keys(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     via: Via | None = None
 
 
-KEYS = tuple(field.name for field in msgspec.structs.fields(Keys))
+KEYS = tuple(field.encode_name for field in msgspec.structs.fields(Keys))
 
 
 class Entry(msgspec.Struct, frozen=True, kw_only=True):
     """One fault of a schedule, ready to run.
 
     `ids` are the messages it acts on (None: all); `written` are the keys as the user wrote them.
+    Until its `moment` is true, where it has one, `at_s` does not count.
     """
 
     id: str
@@ -94,6 +103,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     fault: Fault
     ids: frozenset[int] | None
     condition: Condition | None = None
+    moment: Condition | None = None
     targets: tuple[str, ...] = ()
     preset: str | None = None
     at_s: float = 0.0
@@ -258,7 +268,10 @@ def _entry(
     before = check.count
     keys = check.arguments({k: v for k, v in data.items() if k in KEYS}, Keys, path, ())
     _check_repeat(keys, check, path)
-    condition = _condition(keys.get("when"), check, path)
+    keys["condition"] = _condition(keys.get("when"), check, (*path, "when"), Condition)
+    keys["moment"] = _condition(keys.pop("count_from", None), check, (*path, "from"), moment)
+    if keys["moment"] is not None and "after" in keys:
+        check.wrong((*path, "from"), "stands beside after; give one of them")
     name = keys.pop("fault", None)
     kind = _kind(name, data, check, path)
     if kind is None:
@@ -286,7 +299,6 @@ def _entry(
     after = keys.pop("after", None)
     keys["after"] = After(id=after) if isinstance(after, str) else after
     keys["id"] = keys.get("id") or default_id(name, number)
-    keys["condition"] = condition
     return Entry(name=name, fault=fault, ids=ids, targets=names, written=data, **keys)
 
 
@@ -317,10 +329,12 @@ def _check_repeat(keys: dict[str, Any], check: DocumentCheck, path: Path) -> Non
         check.wrong((*path, "repeat", "every_s"), text)
 
 
-def _condition(text: str | None, check: DocumentCheck, path: Path) -> Condition | None:
-    """The trigger; None without one, or with the error noted."""
+def _condition(
+    text: str | None, check: DocumentCheck, path: Path, read: Callable[[str], Condition | None]
+) -> Condition | None:
+    """What a text waits for; None without one, or with the error noted."""
     try:
-        return None if text is None else Condition(text)
+        return None if text is None else read(text)
     except ValueError as error:
-        check.wrong((*path, "when"), str(error))
+        check.wrong(path, str(error))
         return None
