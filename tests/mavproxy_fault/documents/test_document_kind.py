@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -33,14 +34,13 @@ def test_every_example_is_known_for_what_it_is() -> None:
             assert kind_of(keys) == ("a campaign" if campaign else "a scenario"), path
 
 
-@pytest.mark.parametrize("wanted", READERS)
-@pytest.mark.parametrize("given", READERS)
-def test_a_document_of_another_kind_is_called_what_it_is(wanted: str, given: str) -> None:
+# A search may have nothing but a seed and faults: by its keys alone a schedule could be one.
+@pytest.mark.parametrize(
+    ("given", "wanted"), sorted({*permutations(READERS, 2)} - {("a schedule", "a search")})
+)
+def test_a_document_of_another_kind_is_called_what_it_is(given: str, wanted: str) -> None:
     read = READERS[wanted][0]
     _, name, command = READERS[given]
-    if given == wanted or (given, wanted) == ("a schedule", "a search"):
-        read(EXAMPLES / name)  # a search may have nothing but a seed and faults
-        return
     says = f"{name}: is {given}, which `mavproxy-fault {command}` reads; {wanted} is needed here"
     with pytest.raises(ConfigError, match=says):
         read(EXAMPLES / name)
