@@ -1,6 +1,7 @@
 """Few descriptors, little memory, nothing that can be written: it says so and forwards."""
 
 import contextlib
+import itertools
 import json
 import os
 import resource
@@ -122,6 +123,12 @@ def _read(descriptor: int) -> str:
     return ""
 
 
+def _next_descriptor(process: int) -> int:
+    """The number that the next descriptor of a process gets."""
+    held = {int(name) for name in os.listdir(f"/proc/{process}/fd")}
+    return next(number for number in itertools.count() if number not in held)
+
+
 def test_descriptors_that_run_out_meanwhile_turn_new_peers_away_and_stop_no_frame(
     tmp_path: Path,
 ) -> None:
@@ -131,8 +138,9 @@ def test_descriptors_that_run_out_meanwhile_turn_new_peers_away_and_stop_no_fram
     with driven(*options) as proxy, socket.create_connection(("127.0.0.1", port)) as early:
         proxy.pass_frame()
         assert early.recv(1)  # let in
-        _, highest = resource.prlimit(proxy.process.pid, resource.RLIMIT_NOFILE)
-        resource.prlimit(proxy.process.pid, resource.RLIMIT_NOFILE, (3, highest))
+        number = proxy.process.pid
+        _, highest = resource.prlimit(number, resource.RLIMIT_NOFILE)
+        resource.prlimit(number, resource.RLIMIT_NOFILE, (_next_descriptor(number), highest))
         with socket.create_connection(("127.0.0.1", port)) as late:
             assert late.recv(1) == b""
         for _ in range(100):
