@@ -15,12 +15,11 @@ import numpy as np
 
 from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.faults.driven import Bias, Constant, Drift, Driven, Scale
-from mavproxy_fault.faults.elements import Element
 from mavproxy_fault.faults.freeze import Freeze
 from mavproxy_fault.faults.noise_fault import Noise
 from mavproxy_fault.faults.value_fault import each
 from mavproxy_fault.proxy.active_entry import Running
-from mavproxy_fault.wire.dialect import Field, Layout
+from mavproxy_fault.wire.dialect import Layout
 
 MODES = {"add": k.ADD, "scale": k.SCALE, "replace": k.REPLACE}
 WAYS = {"to-vehicle": 0, "from-vehicle": 1}
@@ -106,45 +105,38 @@ class Plans:
     def _one(self, layout: Layout, running: Running) -> Planned:
         """Write a fault's rows, where it can be carried out there."""
         fault, where = running.fault, running.entry.where
-        places = fault.elements.get(layout.id, ())
-        fields = [layout.fields[name] for name, _ in places]
+        elements = fault.elements.get(layout.id, ())
         first = self._rows_used
         none = Planned(-1, running, fault, stage(running))
         if (
             running.entry.probability < 1
             or layout.id in fault.factors  # its values are in another message's unit
-            or first + len(places) > k.MOST_PLANS
-            or any(field.code not in CODES for field in fields)
+            or first + len(elements) > k.MOST_PLANS
+            or any(one.code not in CODES for one in elements)
         ):
             return none
         plan = self.rows[first]
         plan[:] = -1
-        plan[k.ROWS], plan[k.START] = len(places), running.start_us
+        plan[k.ROWS], plan[k.START] = len(elements), running.start_us
         plan[k.WAITS] = running.first_us is None or running.unannounced
         plan[k.SYSTEM : k.DIRECTION + 1] = [
             -1 if one is None else one
             for one in (where.system, where.component, WAYS.get(where.direction or ""))
         ]
-        block = self._source(layout, running, plan, places)
+        block = self._source(layout, running, plan, len(elements))
         if plan[k.SOURCE] < 0:
             return none
-        self._elements(first, fields, places)
+        for row, one in enumerate(elements, first):
+            self.rows[row, k.OFFSET], self.rows[row, k.CODE] = one.start, ord(one.code)
         self.hits[first], self.steps[first] = 0, -1.0
-        self._rows_used += len(places)
+        self._rows_used += len(elements)
         return none._replace(first=first, block=block)
-
-    def _elements(self, first: int, fields: list[Field], places: tuple[Element, ...]) -> None:
-        for n, (field, (_, index)) in enumerate(zip(fields, places, strict=True)):
-            self.rows[first + n, k.OFFSET] = field.offset + index * field.size
-            self.rows[first + n, k.CODE] = ord(field.code)
 
     # What meets the healthy value
 
-    def _source(
-        self, layout: Layout, running: Running, plan: Any, places: tuple[Element, ...]
-    ) -> int | None:
+    def _source(self, layout: Layout, running: Running, plan: Any, count: int) -> int | None:
         """Fill in mode, source and numbers; the source stays -1 if the fault cannot be planned."""
-        fault, first, count = running.fault, self._rows_used, len(places)
+        fault, first = running.fault, self._rows_used
         numbers = self.numbers[first : first + count]
         plan[k.MODE] = k.ADD
         if isinstance(fault, Freeze):

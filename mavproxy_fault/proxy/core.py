@@ -325,7 +325,7 @@ class Core:
         """Send or keep what the engine gave back for `origin`, which may be an earlier frame."""
         frame = outgoing.frame
         raw = frame if isinstance(frame, bytes) else frame.raw
-        if origin is not None and frame is not origin and source_of(raw) != source_of(origin.raw):
+        if origin is not None and frame is not origin and source_of(frame) != source_of(origin):
             # What goes back reaches where its cause came from, whoever else signs as it does there.
             mask = self._links_of_pending(frame) | (mask if outgoing.back else 0)
         if isinstance(frame, Frame) and frame.signed and frame is not origin and self._signing:
@@ -388,7 +388,7 @@ class Core:
 
     def _links_of_pending(self, frame: Frame | bytes) -> int:
         """Where a frame goes that was kept since some earlier time, by its sender's home link."""
-        home = self._routes.home.get(source_of(frame if isinstance(frame, bytes) else frame.raw))
+        home = self._routes.home.get(source_of(frame))
         if home is None:
             return self._routes.everywhere
         if isinstance(frame, Frame):
