@@ -216,7 +216,7 @@ class Fusion:
             self._drop_outliers(graph)
         state.excluded = excluded
         state.good = Good(graph.frame, graph.node, graph.covariance, graph.aligned)
-        weights = used | dict.fromkeys(excluded, 0.0)
+        weights = used | dict.fromkeys(sorted(excluded), 0.0)
         fused = fused_state(graph, self.name, weights, "; ".join(state.notes))
         state.waiting, state.notes = {}, []
         return fused
