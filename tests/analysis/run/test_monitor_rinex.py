@@ -138,8 +138,11 @@ def test_a_recording_that_is_refused_leaves_no_folder(shared_data, tmp_path, cap
 
 def test_why_epochs_could_not_be_tested_is_told(shared_data, tmp_path, capsys):
     data, lost = shared_data / "gnss_static", tmp_path / "lost.yaml"
-    names = [f"PSEUDORANGE.{letter}{n:02d}" for letter in "GE" for n in range(1, 37)]
-    lost.write_text(f"faults: [{{fault: drop, target: {names[2:]}, at_s: 100, for_s: 60}}]\n")
+    # All of GPS, and of Galileo all but two that are in view.
+    names = ["G", *(f"E{n:02d}" for n in range(1, 37) if n not in (1, 13))]
+    targets = [f"PLANT.satellite_lost[{name}]" for name in names]
+    fault = {"fault": "plant", "target": targets, "value": 1, "at_s": 100, "for_s": 60}
+    lost.write_text(json.dumps({"faults": [fault]}))
     files = [str(data / "SEPT078M.21O"), str(data / "SEPT078M.21P")]
     given = ["--schedule", str(lost), "--zenoh", "off", "--out", str(tmp_path / "run")]
     main(["monitor", "--rinex", *files, *given])
