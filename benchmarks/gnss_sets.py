@@ -7,7 +7,8 @@ Run by hand: `python benchmarks/gnss_sets.py SETS.yaml [TRIALS]`. SETS.yaml list
 Paths count from the list's folder; `truth` is what `monitor --truth` takes. Every fault is put into
 the observation file by the proxy's engine (`replay`), so that anybody gets the same files. An epoch
 is right where exactly the faulty satellites are left out beside those that are without the fault;
-RTKLIB's where its position is within 1 m of its own without the fault.
+RTKLIB's where its position is within 1 m of its own without the fault. The last two columns are a
+Stanford diagram's counts, clean or of all trials: see `stanford`.
 """
 
 import subprocess
@@ -27,6 +28,7 @@ from analysis.recordings.position_reference import PositionReference, read_refer
 from analysis.recordings.recordings import read_rinex
 from analysis.results import Decision, FusedState
 from analysis.samples.block import EPOCH, pieces
+from analysis.scoring.integrity import ALERT_LIMITS_M, ERROR, LEVEL, Integrity
 from analysis.scoring.position_scores import PositionScores
 from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.documents.yaml_document import read_document
@@ -65,6 +67,7 @@ class Found(NamedTuple):
     filtered: Places
     alarms: int
     scores: PositionScores
+    integrity: Integrity
 
 
 def recordings(path: Path) -> Iterable[Recording]:
@@ -84,10 +87,12 @@ def judged(recording: Recording, lines: list[str]) -> Found:
     references, fusion = References(config), Fusion(FusionConfig(), config)
     detecting, fusing = references.new_state(), fusion.new_state()
     excluded, filtered, alarms, scores = {}, {}, 0, PositionScores()
+    integrity = Integrity(recording.truth)
     counts: dict[str, int] = {}
     for piece in pieces(read_rinex(recording.obs, recording.nav, None, lines)):
         results, detecting = references.step_piece(piece, detecting)
         fused, fusing = fusion.step_piece(piece, results, detecting.detector.core, fusing)
+        integrity.add(results)
         for result in (*results, *fused):
             if not isinstance(result, (Decision, FusedState)) or result.position_ecef_m is None:
                 continue
@@ -102,7 +107,24 @@ def judged(recording: Recording, lines: list[str]) -> Found:
                 where = result.position_ecef_m, result.position_sigma_m, true_m
                 scores.add(name, *where)
     often = sorted(name for name, count in counts.items() if count > 0.9 * len(filtered))
-    return Found(often, excluded, filtered, alarms, scores)
+    return Found(often, excluded, filtered, alarms, scores, integrity)
+
+
+def stanford(trials: Iterable[Integrity]) -> str:
+    """Two cells, horizontal and vertical: errors above their level of the epochs with both, the
+    largest error over its level, and how many levels are within the alert limit, with an error
+    above that limit."""
+    kept, cells = list(trials), []
+    for direction, limit_m in ALERT_LIMITS_M.items():
+        table = np.vstack([each.table(direction) for each in kept])
+        error, level = table[:, ERROR], table[:, LEVEL]
+        within = level <= limit_m
+        most = f"{(error / level).max():.2f}" if len(table) else "-"
+        cells.append(
+            f"{(error > level).sum()} of {len(table)}, {most}; {within.sum()} within"
+            f" {limit_m:.0f} m, {(error[within] > limit_m).sum()} of them hazardous"
+        )
+    return " | ".join(cells)
 
 
 def rtklib(recording: Recording, lines: list[str], stamps: list[int]) -> Places:
@@ -149,7 +171,8 @@ def row(recording: Recording, trials: int) -> None:
         f" {len(clean.filtered)} tested, {clean.alarms} alarms ({per_hour:.0f} an hour)"
         f" | {ours.get('horizontal_50_m')} / {ours.get('horizontal_95_m')}"
         f" | {_percentiles(rtk)} | {_ratio(clean.scores)}"
-        f" | {ours.get('over_sigma_50')} / {ours.get('over_sigma_95')} |",
+        f" | {ours.get('over_sigma_50')} / {ours.get('over_sigma_95')}"
+        f" | {stanford([clean.integrity])} |",
         flush=True,
     )
     span_s = (stamps[-1] - stamps[0]) * 1e-6
@@ -158,6 +181,7 @@ def row(recording: Recording, trials: int) -> None:
     rng = np.random.default_rng(1)
     for title, (count, fault, value) in FAULTS.items():
         right, our_total, their_right, their_total, ratios = 0, 0, 0, 0, []
+        levels: list[Integrity] = []
         for _ in range(trials):
             names = rng.choice(clean.often, count, replace=False).tolist()
             at_s = float(np.floor(rng.uniform(EDGE_S, span_s - FAULT_S - EDGE_S)))
@@ -178,11 +202,15 @@ def row(recording: Recording, trials: int) -> None:
                     near = place is not None and np.linalg.norm(place - theirs[t_us]) < NEAR_M
                     their_right += bool(near)
             ratios.append(_ratio(found.scores))
+            levels.append(found.integrity)
         cells = f"{100 * right / max(our_total, 1):.0f} %"
         other = f"{100 * their_right / max(their_total, 1):.0f} %"
         known = [ratio for ratio in ratios if ratio is not None]
         worst = f"{np.median(known):.2f}, most {max(known):.2f}" if known else "-"
-        print(f"| | {title} | {trials} trials | {cells} | {other} | {worst} | |", flush=True)
+        print(
+            f"| | {title} | {trials} trials | {cells} | {other} | {worst} | | {stanford(levels)} |",
+            flush=True,
+        )
 
 
 def _percentiles(scores: PositionScores) -> str:
@@ -200,8 +228,9 @@ if __name__ == "__main__":
     number = int(sys.argv[2]) if len(sys.argv) > 2 else 10
     print(
         "| recording, systems | fault | | epochs right; clean: horizontal error 50 / 95 %, m"
-        " | RTKLIB the same | fused / filter | error over sigma 50 / 95 % |"
+        " | RTKLIB the same | fused / filter | error over sigma 50 / 95 % | errors above their"
+        " level, horizontal | vertical |"
     )
-    print("|---|---|---|---|---|---|---|")
+    print("|---" * 9 + "|")
     for each in recordings(Path(sys.argv[1])):
         row(each, number)
