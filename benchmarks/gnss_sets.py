@@ -6,8 +6,9 @@ Run by hand: `python benchmarks/gnss_sets.py SETS.yaml [TRIALS]`. SETS.yaml list
 
 Paths count from the list's folder; `truth` is what `monitor --truth` takes. Every fault is put into
 the observation file by the proxy's engine (`replay`), so that anybody gets the same files. An epoch
-is right where exactly the faulty satellites are left out beside those that are without the fault;
-RTKLIB's where its position is within 1 m of its own without the fault. The last two columns are a
+is right where exactly the faulty satellites are left out beside those that are without the fault,
+and near where its position is within 1 m of its own without the fault; RTKLIB's is right where it
+is near. The last two columns are a
 Stanford diagram's counts, clean or of all trials: see `stanford`.
 """
 
@@ -180,7 +181,7 @@ def row(recording: Recording, trials: int) -> None:
         return
     rng = np.random.default_rng(1)
     for title, (count, fault, value) in FAULTS.items():
-        right, our_total, their_right, their_total, ratios = 0, 0, 0, 0, []
+        right, near, our_total, their_right, their_total, ratios = 0, 0, 0, 0, 0, []
         levels: list[Integrity] = []
         for _ in range(trials):
             names = rng.choice(clean.often, count, replace=False).tolist()
@@ -196,14 +197,14 @@ def row(recording: Recording, trials: int) -> None:
                 if t_us in clean.excluded:
                     our_total += 1
                     right += found.excluded.get(t_us) == clean.excluded[t_us] | wanted
+                    near += _near(found.filtered.get(t_us), clean.filtered[t_us])
                 if t_us in theirs:
                     their_total += 1
-                    place = rtk_found.get(t_us)
-                    near = place is not None and np.linalg.norm(place - theirs[t_us]) < NEAR_M
-                    their_right += bool(near)
+                    their_right += _near(rtk_found.get(t_us), theirs[t_us])
             ratios.append(_ratio(found.scores))
             levels.append(found.integrity)
-        cells = f"{100 * right / max(our_total, 1):.0f} %"
+        shares = 100 * np.array([right, near]) / max(our_total, 1)
+        cells = f"{shares[0]:.0f} %, near {shares[1]:.0f} %"
         other = f"{100 * their_right / max(their_total, 1):.0f} %"
         known = [ratio for ratio in ratios if ratio is not None]
         worst = f"{np.median(known):.2f}, most {max(known):.2f}" if known else "-"
@@ -211,6 +212,11 @@ def row(recording: Recording, trials: int) -> None:
             f"| | {title} | {trials} trials | {cells} | {other} | {worst} | | {stanford(levels)} |",
             flush=True,
         )
+
+
+def _near(place: Any, clean: Any) -> bool:
+    """Whether a position is where it is without the fault."""
+    return place is not None and bool(np.linalg.norm(np.subtract(place, clean)) < NEAR_M)
 
 
 def _percentiles(scores: PositionScores) -> str:

@@ -13,8 +13,9 @@ begins with every fix. A sound receiver's velocity is off by something for secon
 it is c' inv(J + k J^2) c that is tested.
 
 A wrong acceleration, the IMU's or by its attitude, has three responses of its own and is the rival:
-a step of velocity and one of acceleration look alike at first and grow apart with time. What looks
-more like the rival is held against nobody here.
+a step of velocity and one of acceleration look alike at first and grow apart with time. Where the
+rival explains more for seconds on end, either the IMU is wrong or the receiver is dragged faster
+and faster: `lasts`. A blow and a receiver's lag look like it for a moment.
 
 The noise that the filter assumes of a receiver is one that few exceed; most are far better. So the
 ratios are taken over the squared innovations that this flight had before the windows began.
@@ -40,6 +41,8 @@ SETTLED_US = 10_000_000  # in which the filter follows what was a blow or a wron
 MEMORY_S = 30.0  # of the level of the innovations
 FIRST_WEIGHT = 10.0  # fixes in favour of the noise as it is assumed
 LEAST_LEVEL = 0.1
+# 163 logs of sound IMUs and receivers have it for 1.0 s and six fixes at most, in a crash.
+LASTS_US, LASTS = 2_000_000, 5
 MOST_SQUARE = 9.0  # one outlier says little of the level
 
 
@@ -60,7 +63,8 @@ class Carry(NamedTuple):
     `starts_us` (w,) is when each began (0: not yet), the next does at `due_us`; `d` (20, 6 w) are
     the responses, `c` (w, 6) and `j` (w, 6, 6) the sums, `levels` (w,) those of the innovations
     when a window began. `squares` (6,) are the normalised innovations' mean squares now, of
-    `fixes`, and at `doubt_us` something was seen that no spoofer is needed for.
+    `fixes`, and at `doubt_us` something was seen that no spoofer is needed for. For `accelerated`
+    fixes without a break, since `accelerated_us`, a wrong acceleration has explained more.
     """
 
     due_us: int
@@ -72,6 +76,16 @@ class Carry(NamedTuple):
     squares: Vector
     fixes: float = FIRST_WEIGHT
     doubt_us: int = -SETTLED_US
+    accelerated: int = 0
+    accelerated_us: int = 0
+
+    def unsettled(self, t_us: int) -> "Carry":
+        """With something seen that no spoofer and no wrong acceleration is needed for."""
+        return self._replace(doubt_us=t_us, accelerated=0)
+
+    def lasts(self, t_us: int) -> bool:
+        """Whether a wrong acceleration has been the better explanation for long."""
+        return self.accelerated >= LASTS and t_us - self.accelerated_us >= LASTS_US
 
 
 class Carried(NamedTuple):
@@ -162,7 +176,11 @@ def searched(carry: Carry, t_us: int, threshold: float) -> tuple[Carry, Found | 
     window = begun[ratio.argmax()]
     # What follows a wrong acceleration, once the filter has learnt it, looks like a carry-off.
     if rival.max() > max(threshold, ratio.max() + BETTER):
-        carry = carry._replace(doubt_us=t_us)
+        since_us = carry.accelerated_us if carry.accelerated else t_us
+        running = carry.accelerated + 1
+        carry = carry._replace(doubt_us=t_us, accelerated=running, accelerated_us=since_us)
+    else:
+        carry = carry._replace(accelerated=0)
     tempered = _ratios(carry, np.array([window]), CARRIED, NATURAL_MPS)[0] / level
     clear = tempered > threshold and ratio.max() > rival.max() + BETTER
     # Nobody is blamed before the filter has settled and all windows have begun behind that.

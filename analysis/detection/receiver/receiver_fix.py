@@ -83,7 +83,9 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     measured = on_time(measured, predicted, acceleration, core.latency)
     tests = check(measured, predicted, config)
     hypothesis, alarm = _judge(core, measured, predicted, part, tests, config)
-    core, found = carried_off(core, (predicted, phi), part, measured, tests, config)
+    core, found, apart = carried_off(core, (predicted, phi), part, measured, tests, config)
+    if apart:
+        hypothesis, alarm = UNDECIDED, True
     if found is not None:
         predicted, hypothesis, alarm = taken_back(predicted, found), "gps", True
         tests = check(measured, predicted, config)
