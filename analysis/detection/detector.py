@@ -120,9 +120,7 @@ class Detector:
         if observed is None:
             return [untestable(epoch.t_us, why_none(epoch, core.ephemerides), core.excluded)], state
         if core.ranges_us is None:
-            core = _forgotten(core)._replace(
-                unbounded=False
-            )  # what there is came from the receiver's own position
+            core = _forgotten(core)  # what there is came from the receiver's own position
         elif core.motion is not None:  # it is at the epoch before, testable or not
             core = _spaced(core, epoch.t_us - core.motion.t_us)
         reset_us = self._reset_us(core)
@@ -136,7 +134,7 @@ class Detector:
             alone_us = epoch.t_us - _fed_us(core)
             # Gone back further: nothing known of before holds.
             if since_us <= 0:
-                core = _forgotten(core)._replace(unbounded=False)
+                core = _forgotten(core)
             elif alone_us > reset_us:
                 core = _interrupted(core, alone_us, self.config)
             motion = core.motion
@@ -182,7 +180,8 @@ class Detector:
         history: tuple[Record, ...],
     ) -> tuple[list[Result], Core]:
         config = self.config
-        outcome = judge_epoch(epoch.t_us, observed, run, core, config, history)
+        run_before = history[-1].run if history else None
+        outcome = judge_epoch(epoch.t_us, observed, run, core, config, run_before)
         # One in, one out: the history stays as long as `history_s`.
         if history and history[0].t_us < epoch.t_us - config.history_s * 1e6:
             history = history[1:]
@@ -237,8 +236,9 @@ class Detector:
             if core.motion is None:
                 break
             t_us, observed, run = record.t_us, record.observed, record.run
-            again_found = judge_epoch(t_us, observed, run, core, self.config, replayed)
+            run_before = replayed[-1].run if replayed else None
             replayed.append(Record(t_us, core, observed, run))
+            again_found = judge_epoch(t_us, observed, run, core, self.config, run_before)
             core, bounds = again_found.core, again_found.bounds
         # What the replay found wins over what was known.
         excluded = {**outcome.core.excluded, **core.excluded}
@@ -269,14 +269,13 @@ def _fed_us(core: Core) -> int:
 
 def _interrupted(core: Core, gap_us: int, config: DetectorConfig) -> Core:
     """The core after a gap too long to bridge: its place and its exclusions are still known."""
-    excluded, leapt_m, unbounded = {}, None, False
+    excluded, leapt_m = {}, None
     if gap_us <= config.sigma.slow_s * 1e6:  # what is wrong with a satellite lasts about so long
-        leapt_m, unbounded = core.leapt_m, core.unbounded
+        leapt_m = core.leapt_m
         excluded = {
             name: replace(entry, healthy_since_us=None) for name, entry in core.excluded.items()
         }
-    known = _forgotten(core)._replace(leapt_m=leapt_m, unbounded=unbounded)
-    return known._replace(excluded=excluded, before=core.motion)
+    return _forgotten(core)._replace(excluded=excluded, leapt_m=leapt_m, before=core.motion)
 
 
 def _spaced(core: Core, gap_us: int) -> Core:
