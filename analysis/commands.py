@@ -43,11 +43,11 @@ def add_run(commands: Any) -> None:
     )
     parser.add_argument(
         "--autopilot",
-        choices=("ardupilot", "px4"),
-        help="who flies (default: the built-in controller)",
+        choices=("ardupilot", "ardupilot:copter", "ardupilot:plane", "px4"),
+        help="who flies (default: the built-in controller); ArduPilot's vehicle is the scenario's",
     )
     parser.add_argument(
-        "--binary", metavar="PATH", help="its SITL program (default: arducopter, px4)"
+        "--binary", metavar="PATH", help="its SITL program (default: arducopter, arduplane, px4)"
     )
     parser.add_argument(
         "--parameters",

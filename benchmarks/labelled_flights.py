@@ -1,10 +1,14 @@
-"""Reports on labelled public flights: per check and class of fault how many logs it speaks up in.
+"""Reports on labelled flights: per check and class of fault how many logs it speaks up in.
 
     python benchmarks/labelled_flights.py FOLDER [--split test]
 
 FOLDER holds logs and `labels.csv` (file, class, split): `split` says whether a log was looked at
-while checks were made (`tune`) or only judged (`test`). Prints the table of docs/verdicts.md, and
+while checks were made (`tune`) or only judged (`test`). Prints the tables of docs/verdicts.md, and
 whom of its motors the monitor blames in each log that is named after those which are off (`m1m3`).
+
+With the columns target, from_s and to_s as well (HIL_SENSOR.xgyro, in the log's own time; empty
+where nothing is wrong) the monitor is held to the definition of docs/verdicts.md: the outcome of
+each class, and how often each name was blamed rightly and wrongly.
 """
 
 import argparse
@@ -12,6 +16,7 @@ import csv
 import re
 from collections import Counter, defaultdict
 from pathlib import Path
+from typing import Any
 
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
@@ -21,9 +26,12 @@ from analysis.report.judging.checks import FAIL, WARN
 from analysis.report.judging.flight_verdict import judged
 from analysis.report.recordings.sources import read_flight
 from analysis.results import SensorDecision
+from analysis.scoring.criteria import Criteria
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.wire.label import Label
 
 UNREADABLE = "unreadable"
+VERDICTS = ("isolated", "ambiguous", "detected", "late", "missed", "wrong", "not judged")
 
 
 def main() -> None:
@@ -35,6 +43,8 @@ def main() -> None:
     with (args.folder / "labels.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["split"] == args.split]
     flights = Counter(row["class"] for row in rows)
+    if rows and "target" in rows[0]:
+        print_monitor([(row["class"], told(args.folder, row)) for row in rows])
     named: dict[str, Counter[str]] = defaultdict(Counter)
     spoke: dict[str, Counter[str]] = defaultdict(Counter)
     for row in rows:
@@ -50,6 +60,54 @@ def main() -> None:
         print(f"| {name} | " + " | ".join(cells) + " |")
     for kind, words in named.items():
         print(f"{kind}: motors named: " + ", ".join(f"{n} {w}" for w, n in words.items()))
+
+
+def told(folder: Path, row: dict[str, str]) -> dict[str, Any]:
+    """The monitor's summary of a log against its label."""
+    labels = []
+    if row["target"]:
+        start_us, end_us = (round(float(row[name]) * 1e6) for name in ("from_s", "to_s"))
+        labels.append(
+            Label(
+                id=row["class"],
+                fault="bias",
+                targets=tuple(row["target"].split()),
+                t0_us=0,
+                start_us=start_us,
+                end_us=end_us,
+                frames=1,
+            )
+        )
+    monitor = Monitor(MonitorConfig(link=False))
+    for block in read_log(folder / row["file"]):
+        monitor.push(block)
+    return monitor.summary(labels, Criteria(), 0.0)
+
+
+def print_monitor(flown: list[tuple[str, dict[str, Any]]]) -> None:
+    """The outcomes by class, and in how many flights who was blamed rightly and wrongly."""
+    flights = Counter(kind for kind, _ in flown)
+    found: dict[str, Counter[str]] = defaultdict(Counter)
+    rightly, wrongly, suspected = Counter[str](), Counter[str](), Counter[str]()
+    hours = sum(summary["sim_s"] for _, summary in flown) / 3600.0
+    for kind, summary in flown:
+        for fault in summary["faults"]:
+            found[kind][fault["verdict"]] += 1
+            rightly.update(fault["isolated"])
+        for row in summary["false_by_channel"]:
+            found[kind]["false"] += row["outside"] + row["inside"]
+            wrongly.update(row["blamed"])
+            suspected[row["channel"]] += row["outside"] + row["inside"]
+    print(f"| fault | flights | {' | '.join(VERDICTS)} | false alarms |")
+    print("|---|" + "---|" * (2 + len(VERDICTS)))
+    for kind, count in flights.items():
+        cells = [found[kind][verdict] or "" for verdict in (*VERDICTS, "false")]
+        print(f"| {kind} | {count} | {' | '.join(map(str, cells))} |")
+    print(f"\n{hours:.2f} h; false alarms by channel: {dict(suspected)}\n")
+    print("| blamed | rightly, flights | wrongly, flights |\n|---|---|---|")
+    for name in sorted(rightly | wrongly):
+        print(f"| {name} | {rightly[name] or ''} | {wrongly[name] or ''} |")
+    print()
 
 
 def verdicts(path: Path) -> dict[str, str]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from analysis.autopilots.ardupilot_requests import COPTER, PLANE, ArduPilotRequests
 from analysis.autopilots.flight_operator import Requests
+from analysis.autopilots.flight_plan import flight_plan
 from analysis.autopilots.hil_exchange import BRIDGE_STEP
 from analysis.autopilots.own_parameters import text_of
 from analysis.autopilots.program import Program
@@ -19,18 +20,20 @@ KINDS: dict[str, Kind] = {
     "multirotor": "copter",
     "fixedwing": "plane",
 }  # of the bridge, by the scenario's
+BINARIES = {kind: f"ardu{name}" for kind, name in KINDS.items()}
 MODES = {"multirotor": COPTER, "fixedwing": PLANE}
 
 
-def command(binary: str | None) -> list[str]:
+def command(binary: str) -> list[str]:
     """The words that start it; ConfigError where there is no such program."""
-    return check_command(binary or "arducopter", option="--binary")
+    return check_command(binary, option="--binary")
 
 
 @contextlib.contextmanager
 def requests(simulation: Simulation) -> Iterator[Requests]:
     """How it is asked."""
-    yield ArduPilotRequests(MODES[simulation.scenario.vehicle.kind])
+    kind = simulation.scenario.vehicle.kind
+    yield ArduPilotRequests(MODES[kind], flight_plan(simulation).landing)
 
 
 @contextlib.contextmanager

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from analysis.autopilots.flight_operator import COMPONENT, GROUND_STATION
 from analysis.autopilots.flight_plan import Waypoint
-from analysis.autopilots.mission_items import Item, along, corner
+from analysis.autopilots.mission_items import Item, along, approach, corner
 from mavproxy_fault.wire.dialect import Layout, known
 from mavproxy_fault.wire.frame import Frame, build
 
@@ -13,6 +13,7 @@ COMMAND_LONG, MISSION_COUNT = known("COMMAND_LONG"), known("MISSION_COUNT")
 MISSION_ITEM_INT = known("MISSION_ITEM_INT")
 TAKE_OFF, SET_MODE, ARM, START = 22, 176, 400, 300  # MAV_CMD_
 CUSTOM_MODE = 1  # MAV_MODE_FLAG_
+ACCEPTED, IN_PROGRESS = 0, 5  # MAV_RESULT_
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +36,14 @@ class ArduPilotRequests:
     Parameters
     ----------
     modes : Modes
+    landing : sequence of Waypoint
+        A plane's way to the ground, where its version has no mode that lands.
     """
 
-    def __init__(self, modes: Modes) -> None:
-        self._modes = modes
+    def __init__(self, modes: Modes, landing: Sequence[Waypoint] = ()) -> None:
+        self._modes, self._landing = modes, landing
+        self._asked_mode = -1
+        self._cannot_land = self._landing_uploaded = False
         self._items: list[Item] = []
         self._seq = 0
         self._pending: list[bytes] = []
@@ -49,7 +54,13 @@ class ArduPilotRequests:
         return frames
 
     def heard(self, frame: Frame) -> None:
-        """Send the mission's items, each when it is asked for."""
+        """Send the mission's items, each when it is asked for; learn what is refused."""
+        if frame.layout.name == "COMMAND_ACK" and frame.number("command") == SET_MODE:
+            refused = frame.number("result") not in (ACCEPTED, IN_PROGRESS)
+            # Before 4.7 a plane has no AUTOLAND.
+            self._cannot_land |= refused and self._asked_mode == self._modes.land
+        elif frame.layout.name == "MISSION_ACK" and self._cannot_land:
+            self._landing_uploaded = frame.number("type") == 0
         if frame.layout.name in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and self._items:
             number = min(int(frame.number("seq")), len(self._items) - 1)
             self._send(MISSION_ITEM_INT, {"seq": number, "autocontinue": 1, **self._items[number]})
@@ -75,10 +86,17 @@ class ArduPilotRequests:
         self._command(START)
 
     def land(self) -> None:
-        """Change to the mode that lands."""
-        self._mode(self._modes.land)
+        """Change to the mode that lands, or fly the landing as a mission."""
+        if not (self._cannot_land and self._landing):
+            self._mode(self._modes.land)
+        elif not self._landing_uploaded:
+            self._items = [corner(self._landing[0]), *approach(self._landing)]
+            self._send(MISSION_COUNT, {"count": len(self._items)})
+        elif self._asked_mode != self._modes.auto:
+            self.fly_mission()
 
     def _mode(self, number: int) -> None:
+        self._asked_mode = number
         self._command(SET_MODE, CUSTOM_MODE, number)
 
     def _command(self, number: int, *parameters: float) -> None:

@@ -23,13 +23,14 @@ from analysis.autopilots.onlookers import Onlookers
 from analysis.autopilots.own_parameters import read_parameters
 from analysis.autopilots.program import Program, Start
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
-from analysis.run.proxied_flight import GROUND, MONITOR, Flight, session
-from analysis.run.run_command import EXIT_CODES, report
+from analysis.run.proxied_flight import GROUND, Flight, session
+from analysis.run.run_command import EXIT_CODES, report, tell_idle
 from analysis.run.setup import Setup, setup_of
 from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary
 from analysis.run.worker import MonitorProcess
 from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.compiled.passage import new_passage
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import Bus, open_run_bus
 from mavproxy_fault.live.journal import JOIN, Journal
@@ -89,16 +90,23 @@ class FlightOverError(Exception):
 
 def main(args: argparse.Namespace) -> int:
     """Fly, report, and return the exit code: 1 too where the flight was not flown to its end."""
-    autopilot = AUTOPILOTS[args.autopilot]
-    words = autopilot.command(args.binary)
+    name, _, vehicle = args.autopilot.partition(":")
+    autopilot = AUTOPILOTS[name]
     check_moment(args.count_from)
     own = read_parameters(args.parameters)
     setup = setup_of(args)
     check_vehicle(setup.scenario)
+    binary = autopilot.BINARIES[setup.scenario.vehicle.kind]
+    if vehicle and binary != f"ardu{vehicle}":
+        raise ConfigError(
+            f"--autopilot {args.autopilot}: the scenario's vehicle is a "
+            f"{setup.scenario.vehicle.kind}, which {binary} flies"
+        )
+    words = autopilot.command(args.binary or binary)
     folder = make_folder(args.out, setup.scenario.name)
     started_s = time.monotonic()
     with contextlib.ExitStack() as stack:
-        monitor = stack.enter_context(MonitorProcess(setup.monitor))
+        monitor = stack.enter_context(MonitorProcess(setup.monitor, records=True))
         file = stack.enter_context(ResultFile(folder))
         stop = stack.enter_context(stop_requests())
         flown = AutopilotRun(setup, folder, args.count_from, monitor, stop)
@@ -115,7 +123,9 @@ def main(args: argparse.Namespace) -> int:
         columns = read_columns(folder / "sent.tlog")
         file.write(flown.results + monitor.results())
         wall_s = time.monotonic() - started_s
-        summary = monitor.summary(flown.flight.completed_labels(), setup.criteria, wall_s)
+        labels = flown.flight.completed_labels()
+        summary = monitor.summary(labels, setup.criteria, wall_s)
+    tell_idle(summary, setup.schedule, labels)
     summary["autopilot"] = flown.account(reason)
     write_summary(folder, summary)
     if args.report:
@@ -171,8 +181,9 @@ class AutopilotRun:
         monitor: MonitorProcess,
         stop: Stop,
     ) -> None:
-        # Empty at first: the faults come once the chosen moment is there.
-        self.flight = Flight(setup.scenario, Schedule(setup.schedule.seed, ()))
+        # The faults come once the chosen moment is there, but for those that name one themselves.
+        own = tuple(entry for entry in setup.schedule.faults if "from" in entry.written)
+        self.flight = Flight(setup.scenario, Schedule(setup.schedule.seed, own))
         self.results: list[Any] = []
         self._schedule = setup.schedule
         self._count_from, self._stop = count_from, stop
@@ -183,6 +194,7 @@ class AutopilotRun:
             folder, session(setup.scenario.name, setup.schedule.seed, self.flight)
         )
         self._parser = Parser()
+        self._passage = new_passage(self.flight.core, self.flight.tape)
         self._recorded_us = self._operator_us = 0
         self._scheduled = False
         self._progress = Progress(time.monotonic())
@@ -212,6 +224,7 @@ class AutopilotRun:
                 self._commands,
                 flying.links[-1],
                 flying.step,
+                self._passage,
             )
             loop = LockstepLoop(
                 simulation,
@@ -250,8 +263,6 @@ class AutopilotRun:
         }
 
     def _hear(self, sends: list[Send]) -> None:
-        watched = b"".join([send.data for send in sends if send.link == MONITOR])
-        self._take(self._monitor.feed(watched))
         for send in sends:
             if send.link == GROUND and not of_lockstep(send.data):
                 for item in self._parser.push(send.data, datagram=True):
@@ -274,7 +285,8 @@ class AutopilotRun:
             self._operator_us = t_us + OPERATOR_US
             on_ground = self.flight.simulation.truth.on_ground
             # Before the first stamp there is no time.
-            frames = self._operator.step(t_us, on_ground=on_ground) if t_us else []
+            started = self._start.over
+            frames = self._operator.step(t_us, on_ground=on_ground, started=started) if t_us else []
         if not self._scheduled and self._count_from in self._operator.moments_us:
             self._begin_schedule(t_us)
         if self._phase != self._operator.phase:
@@ -294,7 +306,9 @@ class AutopilotRun:
         self._scheduled = True
         # The schedule counts from the first stamp; this moment lies so much later.
         late_s = (t_us - (self.flight.core.clock.t0_us or t_us)) * 1e-6
-        entries = [(entry, late_s) for entry in self._schedule.faults]
+        entries = [
+            (entry, 0.0 if "from" in entry.written else late_s) for entry in self._schedule.faults
+        ]
         text = as_yaml(self._schedule.seed, entries).encode()
         at_us = self._journal.begin(self.flight.now_us)
         self.flight.control.answer(LOAD, text, at_us)
@@ -303,11 +317,14 @@ class AutopilotRun:
     def _record(self) -> None:
         self._recorded_us = self.flight.t_us
         labels = self.flight.drain_labels()
+        if self._passage is not None:
+            self._passage.count()
+        sent = bytes(self.flight.tape.sent)
         self._recorder.write(self.flight.tape, labels, self._journal.drain())
+        # Somebody may watch: results must not wait for a full batch then.
+        self._take(self._monitor.feed(sent, now=self._onlookers is not None))
         if self._onlookers is not None:
             self._onlookers.tell_labels(labels)
-            # Somebody watches: results must not wait for a full batch.
-            self._take(self._monitor.feed(b"", now=True))
 
     def _close(self) -> None:
         self._hear(self.flight.core.finish(self.flight.now_us))

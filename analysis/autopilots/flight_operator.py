@@ -95,7 +95,7 @@ class Operator:
         self._plan, self._requests = plan, requests
         self._t_us = self._since_us = self._again_us = self._hello_us = 0
         self._positioned_us: int | None = None  # since when
-        self._armed = self._uploaded = False
+        self._armed = self._uploaded = self._started = False
         self._height_m = 0.0
         self._aloft_us = 0  # when it last was in the air, or had not yet been
         self._seq = 0
@@ -133,9 +133,12 @@ class Operator:
             assert isinstance(text, bytes)
             self.texts.append((self._t_us, text.decode("utf-8", "replace")))
 
-    def step(self, t_us: int, *, on_ground: bool = False) -> list[bytes]:
-        """What to send at this time of the vehicle, which may truly lie on the ground."""
-        self._t_us = t_us
+    def step(self, t_us: int, *, on_ground: bool = False, started: bool = True) -> list[bytes]:
+        """What to send at this time of the vehicle, which may truly lie on the ground.
+
+        Before the program has `started` all of its parts, it is not armed.
+        """
+        self._t_us, self._started = t_us, started
         self._note("first-stamp")
         if not on_ground or "take-off" not in self.moments_us:
             self._aloft_us = t_us
@@ -169,7 +172,8 @@ class Operator:
         match self.phase:
             case Phase.WAITING:
                 since_us = self._positioned_us
-                return since_us is not None and self._t_us - since_us >= SETTLED_US
+                settled = since_us is not None and self._t_us - since_us >= SETTLED_US
+                return settled and self._started
             case Phase.UPLOADING:
                 return self._uploaded or not self._plan.waypoints
             case Phase.ARMING:

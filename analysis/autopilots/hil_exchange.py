@@ -1,7 +1,8 @@
 """The proxy's core between the simulator's lockstep loop and an autopilot on a link.
 
 The loop packs frames for the autopilot and reads what it says; here both pass through the core of
-a flight, so that faults act on them. The core's wall clock is simulated time: a delay is one of
+a flight, so that faults act on them, as machine code where that can carry it out
+(`compiled.passage`). The core's wall clock is simulated time: a delay is one of
 the vehicle's time, however fast the flight is. Nobody waits for what a fault withholds: a step is
 answered by the autopilot's word on it, and where none of it reached the autopilot, by nothing.
 """
@@ -12,12 +13,13 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
 from analysis.run.proxied_flight import GROUND, SIMULATOR, VEHICLE, Flight, is_hil
+from mavproxy_fault.compiled.passage import CRC_LENGTH, Passage, Passed, split
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.wire.dialect import known, layout
-from mavproxy_fault.wire.frame import STX_V2, Frame
+from mavproxy_fault.wire.frame import HEADER_V2, STX_V2, Frame
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.hil.hil_frames import Hil
 from simvehicle.hil.lockstep import Lockstep
@@ -42,9 +44,14 @@ PX4_STEP = StepMessage(107, 65)  # HIL_SENSOR; the id is its last byte, and cut 
 BRIDGE_STEP = StepMessage(115, 256)  # HIL_STATE_QUATERNION
 
 
+def of_answer(data: bytes) -> bool:
+    """Whether a frame is an autopilot's answer to a step."""
+    return data[0] == STX_V2 and data[7:10] == ANSWER_ID
+
+
 def of_lockstep(data: bytes) -> bool:
     """Whether a frame is of the HIL link's own traffic, which no ground station needs."""
-    return is_hil(data) or (data[0] == STX_V2 and data[7:10] == ANSWER_ID)
+    return is_hil(data) or of_answer(data)
 
 
 class ToAutopilot:
@@ -61,6 +68,8 @@ class ToAutopilot:
     telemetry : Link, optional
         Where a ground station's frames leave; without it, where the step does.
     step : StepMessage
+    passage : Passage, optional
+        The core's compiled form; without it every frame goes the interpreted way.
 
     Attributes
     ----------
@@ -80,6 +89,7 @@ class ToAutopilot:
         commands: Callable[[], list[bytes]] = list,
         telemetry: Link | None = None,
         step: StepMessage = PX4_STEP,
+        passage: Passage | None = None,
     ) -> None:
         self.start_us = packer.start_us
         self.step_us: int | None = None
@@ -87,7 +97,7 @@ class ToAutopilot:
         self.unheard: list[Send] = []
         self.flight, self._hear = flight, hear
         self._packer, self._commands = packer, commands
-        self._telemetry, self._step = telemetry, step
+        self._telemetry, self._step, self._passage = telemetry, step, passage
         self._parser = Parser()
         self._answers: list[bytes] = []  # the proxy's own word to the autopilot
 
@@ -103,9 +113,19 @@ class ToAutopilot:
             self._leave(raw, out)
         for raw in self._commands():
             self._sort(core.received(GROUND, raw, now_us), out)
-        for raw in self._packer.frames(t_us, truth, readings):
+        frames = self._packer.frames(t_us, truth, readings)
+        if (passed := self.passed(SIMULATOR, b"".join(frames), now_us)) is not None:
+            if passed.links >> VEHICLE & 1:
+                out.append(passed.data)
+                self._note_step(passed.data)
+            return out
+        for raw in frames:
             self._sort(core.received_frame(SIMULATOR, packed_frame(raw), now_us), out)
         return out
+
+    def passed(self, link: int, data: bytes, now_us: int) -> Passed | None:
+        """What became of whole frames as machine code; None where the core has to take them."""
+        return None if self._passage is None else self._passage.passed(link, data, now_us)
 
     def _sort(self, sends: list[Send], out: list[bytes]) -> None:
         for send in sends:
@@ -146,14 +166,27 @@ class ToAutopilot:
             self._telemetry.write(data)
             return
         out.append(data)
+        if data[0] == STX_V2:
+            self._note_step(data)
+
+    def _note_step(self, data: bytes) -> None:
+        """Keep the stamp of a step among frames of MAVLink 2."""
         number, below_bytes = self._step
-        if data[0] == STX_V2 and data[7] == number and data[1] < below_bytes:
-            self.step_us = int.from_bytes(data[STAMP], "little")
+        at, end = 0, len(data) - HEADER_V2
+        while at < end:
+            if data[at + 7] == number and data[at + 1] < below_bytes:
+                self.step_us = int.from_bytes(data[at:][STAMP], "little")
+            at += HEADER_V2 + data[at + 1] + CRC_LENGTH
+
+
+def number_of(raw: bytes) -> int:
+    """The number of a frame's message."""
+    return int.from_bytes(raw[7:10], "little") if raw[0] == STX_V2 else raw[5]
 
 
 def packed_frame(raw: bytes) -> Frame:
-    """A frame of the packer, which nobody has to verify."""
-    described = layout(int.from_bytes(raw[7:10], "little"))
+    """A frame that nobody has to verify: the packer's, or one that was verified."""
+    described = layout(number_of(raw))
     assert described is not None
     return Frame(raw, described)
 
@@ -213,9 +246,33 @@ class FromAutopilot:
         by_fd = {fd: inbox for inbox in self._inboxes for fd in inbox.link.filenos()}
         ready, _, _ = select.select(by_fd, (), (), wait_s)
         for descriptor in ready:
-            for frame in by_fd[descriptor].frames():
-                if frame.layout is ANSWER:
-                    self._lockstep.received(int(frame.number("time_usec")), time.monotonic())
-                for send in flight.core.received_frame(VEHICLE, frame, flight.now_us):
-                    outward.sort(send, found, frame)
+            inbox = by_fd[descriptor]
+            for stream, data in inbox.link.read():
+                passed = None
+                if data and not inbox.incomplete(stream):
+                    passed = outward.passed(VEHICLE, data, flight.now_us)
+                if passed is not None:
+                    self._take(data, passed, found)
+                    continue
+                for frame in inbox.parsed(stream, data):
+                    self._answered(frame)
+                    for send in flight.core.received_frame(VEHICLE, frame, flight.now_us):
+                        outward.sort(send, found, frame)
         return found
+
+    def _take(self, data: bytes, passed: Passed, found: list[Frame]) -> None:
+        """Frames that came and left together: `data` is what they were before."""
+        at, now_us = 0, self._outward.flight.now_us
+        for raw in split(passed.data):
+            if of_answer(raw):
+                # As it came: a fault may have set another stamp.
+                self._answered(packed_frame(data[at : at + len(raw)]))
+            at += len(raw)
+            if passed.links >> SIMULATOR & 1 and number_of(raw) in FOR_SIMULATOR:
+                found.append(packed_frame(raw))
+            if passed.links >> GROUND & 1 and not of_lockstep(raw):
+                self._outward.unheard.append(Send(GROUND, raw, now_us))
+
+    def _answered(self, frame: Frame) -> None:
+        if frame.layout is ANSWER:
+            self._lockstep.received(int(frame.number("time_usec")), time.monotonic())

@@ -11,8 +11,9 @@ from analysis.autopilots.hil_exchange import Ending, StepMessage
 from mavproxy_fault.ardupilot.child_process import ending
 from mavproxy_fault.links.link import Link
 
-HOLD_S = 0.05  # by which the flight may be ahead of the wall clock
-MOST_START_S = 20.0
+HOLD_S = 0.02  # wall time by which the flight may be ahead of its pace
+PACE = 4.0  # times real time: slower the flight waits for the start, faster it holds it up
+MOST_START_S = 60.0
 END_S = 10.0  # for a program to close its logs
 
 Process = subprocess.Popen[bytes]
@@ -43,7 +44,7 @@ class Program:
 
 
 class Start:
-    """Keeps a flight to the wall clock until the program has started all of its parts.
+    """Keeps a flight to a pace until the program has started all of its parts.
 
     The program answers steps long before that, and at full speed it would have flown before, say,
     its own log begins.
@@ -51,23 +52,23 @@ class Start:
 
     def __init__(self, program: Program) -> None:
         self._program = program
-        self._over = not program.started
+        self.over = not program.started
         self._began_s: float | None = None
         self._first_us = 0
 
     def hold(self, t_us: int) -> None:
-        """Wait until the wall clock is as far as the vehicle's."""
-        if self._over:
+        """Wait until the wall clock is as far as the pace asks."""
+        if self.over:
             return
         if self._began_s is None:
             self._began_s, self._first_us = time.monotonic(), t_us
-        ahead_s = (t_us - self._first_us) * 1e-6 - (time.monotonic() - self._began_s)
+        ahead_s = (t_us - self._first_us) * 1e-6 / PACE - (time.monotonic() - self._began_s)
         if ahead_s < HOLD_S:
             return
         time.sleep(ahead_s)
         told = self._program.started in self._program.log.read_text(errors="replace")
         # Another version may use other words.
-        self._over = told or time.monotonic() - self._began_s > MOST_START_S
+        self.over = told or time.monotonic() - self._began_s > MOST_START_S
 
 
 @contextlib.contextmanager

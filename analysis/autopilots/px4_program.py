@@ -28,6 +28,7 @@ from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.links.udp import UdpServer
 from simvehicle.simulation.simulation import Simulation
 
+BINARIES = dict.fromkeys(AIRFRAMES, "px4")
 LOOPBACK = "127.0.0.1"
 FIRST_PORT = 4560  # TCP, where instance 0 looks for its simulator
 MOST_INSTANCES = 100
@@ -47,7 +48,7 @@ STREAMS_HZ = {
 }
 
 
-def command(binary: str | None) -> list[str]:
+def command(binary: str) -> list[str]:
     """The words that start it.
 
     Raises
@@ -55,13 +56,13 @@ def command(binary: str | None) -> list[str]:
     ConfigError
         If there is no such program, or it stands without its start scripts.
     """
-    words = shlex.split(binary or "px4")
+    words = shlex.split(binary)
     found = shutil.which(words[0]) if words else None
     scripts = Path(found).resolve().parent.parent / "etc" if found else None
     if found is None or scripts is None or not (scripts / "init.d-posix" / "rcS").is_file():
         wrong = "is no program" if found is None else f"stands without {scripts}/init.d-posix/rcS"
         raise ConfigError(
-            f"--binary: {binary or 'px4'!r} {wrong}; give PX4's SITL binary, which "
+            f"--binary: {binary!r} {wrong}; give PX4's SITL binary, which "
             "`make px4_sitl_default` leaves in build/px4_sitl_default/bin/px4"
         )
     return [str(Path(found).resolve()), *words[1:], "-d", str(scripts)]

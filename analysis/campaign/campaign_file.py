@@ -13,6 +13,7 @@ from analysis.campaign.outcomes import Limits
 from analysis.estimators import names
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.document_check import DocumentCheck, decode
+from mavproxy_fault.documents.document_kind import refuse_others
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.documents.yaml_document import read_document
@@ -227,6 +228,7 @@ def read_campaign(path: Path | str) -> CampaignFile:
     document = read_document(path)
     if not isinstance(document.data, dict):
         raise ConfigError(f"{path}: holds no keys; a campaign file is a YAML mapping")
+    refuse_others(document.data, CampaignFile.__struct_fields__, str(path), "a campaign")
     # Scenarios lie beside the campaign's file.
     data = {**document.data, "folder": str(Path(path).parent)}
     campaign = decode(document._replace(data=data), CampaignFile)

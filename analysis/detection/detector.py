@@ -23,6 +23,7 @@ from analysis.detection.filter.propagation import keep_pending, split_pending
 from analysis.detection.isolation.epoch_test import judge_epoch
 from analysis.detection.isolation.exclusion import exclude
 from analysis.detection.isolation.ramp_test import onset_of
+from analysis.detection.receiver.clock_drift import clock_results
 from analysis.detection.receiver.receiver_fix import step_position
 from analysis.orbits.broadcast import pack_ephemeris
 from analysis.results import Result
@@ -196,6 +197,8 @@ class Detector:
             return [untestable(epoch.t_us, outcome.reason, core.excluded)], core
         decided = decision(epoch, outcome, core, bool(late), config)
         beside = imu_results(epoch, outcome, config) + rate_results(epoch, outcome)
+        if core.motion is not None:
+            beside += clock_results(core.motion, core.history)
         return [decided, *beside], core
 
     def _late(self, outcome: Outcome, core: Core, t_us: int) -> dict[str, int]:

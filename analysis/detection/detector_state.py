@@ -9,6 +9,7 @@ from analysis.detection.filter.propagation import Segment, segment
 from analysis.detection.isolation.ramp_test import RampBank
 from analysis.detection.receiver.carry_off import Carried, Carry
 from analysis.detection.receiver.fix_latency import Latency
+from analysis.detection.receiver.frozen_fix import Repeats
 from analysis.detection.values import Value
 from analysis.samples.block import ImuRun
 from analysis.samples.sample import Vector
@@ -51,9 +52,9 @@ class Core(Value, frozen=True):
     `imu_bad_until_us` is when a faulty IMU is tried again (None: it is trusted), `unknown_since_us`
     since when no epoch could be used, `distrusted` what of all satellites together was wrong at the
     last one ("ranges", "rates" or nothing). `ranges_us` is when raw ranges were last usable,
-    `frozen` what is subtracted from them; `gps_source`, `last_fix` and `latency` serve when there
-    are none, `carry` are the windows that look for one that is carried off, `carried` is how one
-    left out was moved, and `unbounded` says that the filter may follow a lying receiver.
+    `frozen` what is subtracted from them; `gps_source`, `last_fix`, `latency` and `repeats` serve
+    when there are none, `carry` are the windows that look for one that is carried off, `carried` is
+    how one left out was moved, and `unbounded` says that the filter may follow a lying receiver.
     `spacing_us` is the time between epochs (0: not known), `gap_us` the newest that was another;
     `before` is the filter as it was before a gap too long; `misfit` is how the ranges have fitted
     for the last minute;
@@ -78,6 +79,7 @@ class Core(Value, frozen=True):
     gps_source: str | None = None
     last_fix: LastFix | None = None
     latency: Latency = Latency()
+    repeats: Repeats = Repeats()
     carry: Carry | None = None
     carried: Carried | None = None
     unbounded: bool = False

@@ -3,16 +3,19 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+import numpy as np
+
 from analysis.monitor.pipeline import MonitorConfig, Pipeline
 from analysis.recordings.position_reference import PositionReference
 from analysis.results import Result
 from analysis.samples.block import Block
-from analysis.samples.decoder import Decoder
+from analysis.samples.decoder import MESSAGES, Decoder
 from analysis.scoring.criteria import Criteria
 from analysis.scoring.summary_tally import Tally
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.parser import Parser
+from mavproxy_fault.wire.tlog import ordered
 
 
 class Monitor:
@@ -36,6 +39,13 @@ class Monitor:
         items = (item for data in chunks for item in self._parser.push(data, datagram=datagrams))
         # Bytes that are no frame were counted by the parser and carry no sample.
         return self.push(self._decoder.decode(i for i in items if isinstance(i, Frame)))
+
+    def push_records(self, records: bytes) -> list[Result]:
+        """Results of whole records of a log, found by compiled code."""
+        results: list[Result] = []
+        for columns, orders in ordered(np.frombuffer(records, np.uint8), MESSAGES):
+            results += self.push(self._decoder.columns(columns, orders))
+        return results
 
     def push(self, block: Block) -> list[Result]:
         """Results of samples in order."""

@@ -10,12 +10,22 @@ from operator import itemgetter
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from analysis.detection import DetectorConfig
 from analysis.detection.actuators.actuator_watch import ActuatorWatch
 from analysis.detection.actuators.effects import Effects, unknown_effects
 from analysis.detection.actuators.mutual_judgement import NEVER_US, judged
 from analysis.detection.actuators.obedience_kernel import CRASH_US, Obedience
+from analysis.detection.actuators.obedience_kernel import NEVER_US as NEVER_CRASHED_US
+from analysis.detection.actuators.suspected_imu import (
+    not_silent,
+    suspected_until,
+    trusted_rows,
+)
+from analysis.detection.actuators.tumble_kernel import follow as follow_tumble
+from analysis.detection.actuators.tumble_kernel import no_tumble
+from analysis.detection.receiver.frozen_fix import FrozenFix
 from analysis.detection.sensors.earth_watch import EarthWatch
 from analysis.detection.sensors.instance_vote import InstanceVote
 from analysis.detection.sensors.jamming_watch import JammingWatch
@@ -102,10 +112,14 @@ class Pipeline:
         self._earth_state = self._earth.new_state()
         self._levels = LevelWatch()
         self._levels_state = self._levels.new_state()
+        self._frozen = FrozenFix()
+        self._frozen_state = self._frozen.new_state()
         self._jamming = JammingWatch()
         self._jamming_state = self._jamming.new_state()
         self._actuators = ActuatorWatch(config.actuators)
         self._actuators_state: Obedience | None = None
+        self._tumble = no_tumble()
+        self._suspected_us = NEVER_US  # until when the IMU is suspected
         self._imu_us = NEVER_US  # when the IMU was blamed last
         self._fusions: list[Any] = []
         self._feed_back: Any = None
@@ -128,23 +142,11 @@ class Pipeline:
 
     def push_rows(self, block: Block) -> list[tuple[int, Result]]:
         """The same with the row of the block that led to each."""
-        if self._fusions:
-            found = [
-                (piece.last, result) for piece in pieces(block) for result in self._fused(piece)
-            ]
-        else:
-            found, self._detector_state = self._detector.step_rows(block, self._detector_state)
+        # Whether sensors speak at all, and agree, is looked at apart from what they say.
+        troubles = self._troubles(block)
+        found = self._detected(block, troubles)
         if self._pauses is not None:
             found, self._pauses_state = self._pauses.step(block, found, self._pauses_state)
-        # Whether sensors speak at all is looked at apart from what they say.
-        troubles: list[tuple[int, SensorDecision]] = []
-        if self._streams is not None:
-            troubles, self._streams_state = self._streams.step(block, self._streams_state)
-            left, self._levels_state = self._levels.step(block, self._levels_state)
-            voted, self._vote_state = self._vote.step(block, self._vote_state)
-            turned, self._turns_state = self._turns.step(block, self._turns_state)
-            alien, self._earth_state = self._earth.step(block, self._earth_state)
-            troubles += left + voted + turned + alien
         jammed, self._jamming_state = self._jamming.step(block, self._jamming_state)
         found += troubles + jammed
         obeyed, self._actuators_state = self._actuators.step(block, self._actuators_state)
@@ -153,10 +155,44 @@ class Pipeline:
         found += errors
         # By row, so that results do not hang on how the stream was cut into blocks.
         found.sort(key=itemgetter(0))
-        if self._actuators_state is not None:
-            crash_us = int(self._actuators_state.counts[CRASH_US])
-            found, self._imu_us = judged(found, crash_us, self._imu_us)
+        lost = follow_tumble(block.kind, block.t_us, block.values, self._tumble)
+        known = self._actuators_state
+        if known is not None or lost.any():
+            crash_us = int(known.counts[CRASH_US]) if known is not None else NEVER_CRASHED_US
+            found, self._imu_us = judged(found, crash_us, lost, self._imu_us)
         return found
+
+    def _troubles(self, block: Block) -> list[tuple[int, SensorDecision]]:
+        """What streams and sensors show by themselves, without the filter."""
+        if self._streams is None:
+            return []
+        troubles, self._streams_state = self._streams.step(block, self._streams_state)
+        left, self._levels_state = self._levels.step(block, self._levels_state)
+        voted, self._vote_state = self._vote.step(block, self._vote_state)
+        turned, self._turns_state = self._turns.step(block, self._turns_state)
+        alien, self._earth_state = self._earth.step(block, self._earth_state)
+        frozen, self._frozen_state = self._frozen.step(block, self._frozen_state)
+        return troubles + left + voted + turned + alien + frozen
+
+    def _detected(
+        self, block: Block, troubles: list[tuple[int, SensorDecision]]
+    ) -> list[tuple[int, Result]]:
+        """What the filter finds, or with it the fusion, without an IMU that is suspected."""
+        if not len(block.kind):
+            return []
+        until = suspected_until(block, troubles, self._suspected_us)
+        self._suspected_us = int(until[-1])
+        rows = trusted_rows(block, until)
+        used = block if rows is None else block.where(np.isin(np.arange(len(until)), rows))
+        if self._fusions:
+            found = [
+                (piece.last, result) for piece in pieces(used) for result in self._fused(piece)
+            ]
+        else:
+            found, self._detector_state = self._detector.step_rows(used, self._detector_state)
+        if rows is not None:
+            found = [(int(rows[row]), result) for row, result in found]
+        return not_silent(found, until) if until[-1] != NEVER_US else found
 
     def _fused(self, piece: Piece) -> list[Result]:
         """Results with the fused states; with feedback the detector goes on from those."""

@@ -26,7 +26,8 @@ from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.live.journal import JOIN, Journal
 from mavproxy_fault.live.session import Live
-from mavproxy_fault.wire.label import read_labels
+from mavproxy_fault.schedule.entries import Schedule, never_acted
+from mavproxy_fault.wire.label import Label, read_labels
 from mavproxy_fault.wire.tlog import Columns, read_columns
 from simvehicle.app.pace import Pace, parse_speed
 
@@ -75,19 +76,28 @@ def main(args: argparse.Namespace) -> int:
         deliver(monitor.results())
         # The wall time ends with the last result, not with the report.
         wall_s = time.monotonic() - started_s
-        summary = monitor.summary(flight.completed_labels(), setup.criteria, wall_s)
+        labels = flight.completed_labels()
+        summary = monitor.summary(labels, setup.criteria, wall_s)
+    tell_idle(summary, setup.schedule, labels)
     curves = []
     if twin is not None:
         # It flies beside the run, on the second core, and is mostly done by now.
         twin.join()
         t0_us = flight.core.clock.t0_us or 0
         curves = twin_curves(folder, folder / FOLDER, t0_us)
-        summary["effects"] = effects(curves, flight.completed_labels(), t0_us)
+        summary["effects"] = effects(curves, labels, t0_us)
     write_summary(folder, summary)
     if args.report:
         report(folder, summary, columns, curves)
     print_summary(summary, folder)
     return EXIT_CODES[summary["verdict"]]
+
+
+def tell_idle(summary: dict[str, Any], schedule: Schedule, labels: Sequence[Label]) -> None:
+    """Put into a summary what of a schedule met nothing; where all of it did nothing was tested."""
+    summary["never_acted"] = never_acted(schedule, {label.id for label in labels})
+    if schedule.faults and not labels and summary["verdict"] == "PASS":
+        summary["verdict"] = "NO VERDICT"
 
 
 def fly(

@@ -15,11 +15,13 @@ from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import Document, Lines
 from mavproxy_fault.documents.yaml_document import Path as DocumentPath
+from mavproxy_fault.faults.plant_fault import InSimulator
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule, read_schedule
 from simvehicle.scenario.changed_scenario import changed, parse_change
 from simvehicle.scenario.scenario_file import Scenario, decode_scenario, open_scenario
 from simvehicle.sensors.magnetometer import Magnetometer
 from simvehicle.simulation.kinds import kind_of
+from simvehicle.simulation.simulation import Simulation
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +58,7 @@ def read_setup(
     # Wrong parameters are found here, before anything has started.
     kind_of(scenario.vehicle.kind).read(scenario.vehicle.parameters)
     faults = read_schedule(schedule) if schedule is not None else _schedule(scenario, document)
+    _check_plant(scenario, faults)
     criteria = Criteria()
     if scenario.criteria is not None:
         criteria = decode(document, Criteria, ("criteria",))
@@ -72,6 +75,26 @@ def setup_of(args: argparse.Namespace) -> Setup:
     """What the command line of `run` asks for; errors as `read_setup` has them."""
     changes = dict(map(parse_change, args.set))
     return read_setup(args.scenario, args.schedule, args.seed, changes)
+
+
+def _check_plant(scenario: Scenario, schedule: Schedule) -> None:
+    """Refuse faults of what the simulated vehicle does not have: they would never act."""
+    asked = [
+        (entry.id, name)
+        for entry in schedule.faults
+        if isinstance(entry.fault, InSimulator)
+        for name in entry.fault.names
+    ]
+    simulation = Simulation(scenario) if asked else None
+    flaws = []
+    for id, name in asked:
+        assert simulation is not None
+        try:
+            simulation.check_plant(name)
+        except ConfigError as error:
+            flaws.append(f"fault {id}: {error}")
+    if flaws:
+        raise ConfigError("\n".join(flaws))
 
 
 def _field_ned_gauss(scenario: Scenario) -> tuple[float, float, float] | None:

@@ -19,6 +19,8 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
         console.print(_faults(summary["faults"]))
         for line in remarks(summary["faults"]):
             console.print(f"                {line}", soft_wrap=True)
+    for word in summary.get("never_acted", ()):
+        console.print(f"never acted     [yellow]{word}[/]: it met nothing that it names")
     attitude = summary["attitude_rmse_deg"]
     if attitude:
         axes = ", ".join(f"{axis} {attitude[axis]:.2f}" for axis in ("roll", "pitch", "yaw"))
@@ -70,8 +72,7 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
             )
     for row in summary.get("effects", ()):
         console.print(f"effect          {row['id']}: {_effect(row)}", soft_wrap=True)
-    verdict = summary["verdict"]
-    console.print(f"verdict         [{COLOURS.get(verdict, 'yellow')}]{verdict}[/]")
+    console.print(f"verdict         {_coloured(summary['verdict'])}")
     if folder is not None and (folder / "report.html").is_file():
         console.print(f"report          {folder / 'report.html'}", soft_wrap=True)
 
@@ -86,6 +87,10 @@ def remarks(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         for blame in row["wrongly"]
     ]
     return lines
+
+
+def _coloured(word: str) -> str:
+    return f"[{COLOURS.get(word, 'yellow')}]{word}[/]"
 
 
 def _effect(row: Mapping[str, Any]) -> str:
@@ -133,6 +138,6 @@ def _faults(rows: list[Mapping[str, Any]]) -> Table:
             str(row["frames"]),
             "" if row["delay_s"] is None else f"{row['delay_s']:.2f}",
             ", ".join(row["isolated"]),
-            f"[{COLOURS.get(word, 'yellow')}]{word}[/]",
+            _coloured(word),
         )
     return table

@@ -21,12 +21,14 @@ from analysis.scoring.criteria import Criteria
 from mavproxy_fault.ardupilot.child_process import die_with_parent, ending
 from mavproxy_fault.wire.label import Label
 
-BATCH_BYTES = 32_768
-MOST_BATCHES = 1000  # 32 MB that the flight may be ahead
+BATCH_BYTES = 1 << 19  # some 4,000 frames: in small blocks the monitor does more than reckon
+MOST_BATCHES = 64  # 32 MB that the flight may be ahead
 Order = bytes | tuple[list[Label], Criteria, float]
 
 
-def _work(orders: "Queue[Order | None]", answers: Connection, config: MonitorConfig) -> None:
+def _work(
+    orders: "Queue[Order | None]", answers: Connection, config: MonitorConfig, records: bool
+) -> None:
     """The process: bytes in, results out; a question is answered by the summary."""
     # Without this a killed run would leave the monitor behind.
     die_with_parent()
@@ -35,7 +37,9 @@ def _work(orders: "Queue[Order | None]", answers: Connection, config: MonitorCon
     monitor = Monitor(config)
     while (order := orders.get()) is not None:
         # Bytes are work, a tuple asks for the summary, None ends.
-        if isinstance(order, bytes):
+        if isinstance(order, bytes) and records:
+            answers.send(monitor.push_records(order))
+        elif isinstance(order, bytes):
             answers.send(monitor.push_bytes([order], datagrams=False))
         else:
             answers.send(monitor.summary(*order))
@@ -59,15 +63,18 @@ def _without(*signals: signal.Signals) -> Iterator[None]:
 
 
 class MonitorProcess:
-    """A monitor to feed; it works on what it was given while the caller makes more."""
+    """A monitor to feed; it works on what it was given while the caller makes more.
 
-    def __init__(self, config: MonitorConfig) -> None:
+    It is fed frames, or with `records` whole records of a log, which it reads sooner.
+    """
+
+    def __init__(self, config: MonitorConfig, *, records: bool = False) -> None:
         # A fork would copy threads' locks as they stand.
         context = multiprocessing.get_context("spawn")
         self._orders: Queue[Order | None] = context.Queue(MOST_BATCHES)
         self._answers, theirs = context.Pipe(duplex=False)
         self._process = context.Process(
-            target=_work, args=(self._orders, theirs, config), daemon=True
+            target=_work, args=(self._orders, theirs, config, records), daemon=True
         )
         # Only the first run after an installation compiles.
         mark = rehearsal.due()

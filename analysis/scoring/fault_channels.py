@@ -102,9 +102,16 @@ def sight(label: Label) -> Sight:
         return RECEIVER_SIGHT
     if label.fault == "command":
         return Sight(frozenset(), reason="a command to the vehicle falsifies nothing")
+    if label.fault == "duplicate":
+        return Sight(frozenset(), reason="what comes twice is as it was")
     if not label.targets:
         return _of_link(label.fault)
-    found = [target_sight(target, label.parameters) for target in label.targets]
+    found = [
+        _unheard(target)
+        if label.fault in LOSSES and _is_satellite(target)
+        else target_sight(target, label.parameters)
+        for target in label.targets
+    ]
     # A target that nothing watches does not hide the ones that are watched.
     seen = [one for one in found if one.channels]
     if not seen:
@@ -125,7 +132,7 @@ def _of_link(fault: str) -> Sight:
     """A fault of the whole link falsifies nobody, but everybody may fall silent."""
     if fault not in LOSSES:
         return Sight(frozenset(), reason=f"{fault} on a link leaves every value as it was")
-    everybody = frozenset({*BY_NAME, *RECEIVER, EVERY_SATELLITE})
+    everybody = frozenset({*BY_NAME, *WHOLE_RECEIVER})
     return Sight(frozenset({LINK}), (everybody,), everybody)
 
 
@@ -138,7 +145,8 @@ def target_sight(target: str, parameters: Mapping[str, object] = NOTHING) -> Sig
     if message == "PLANT":
         satellite = SATELLITE.search(path)
         if satellite is not None:
-            return _of_satellite(satellite.group())
+            lost = path.startswith("satellite_lost")
+            return (_unheard if lost else _of_satellite)(satellite.group())
         if IN_RECEIVER.fullmatch(path):
             return RECEIVER_SIGHT
         motor, surface = MOTOR.fullmatch(path), SURFACE.fullmatch(path)
@@ -179,6 +187,18 @@ def _of_satellite(name: str) -> Sight:
         return RECEIVER_SIGHT
     own = frozenset({name})
     return Sight(OF_RECEIVER, (own,), own | RECEIVER)
+
+
+def _is_satellite(target: str) -> bool:
+    """Whether a target is the ranges of one satellite."""
+    message, _, name = target.partition(".")
+    return message == "PSEUDORANGE" and SATELLITE.fullmatch(name) is not None
+
+
+def _unheard(target: str) -> Sight:
+    """One satellite that no longer comes in. Blaming it would not be wrong, nor who needs it."""
+    names = RECEIVER | {target.rpartition(".")[2], SATELLITES, LINK}
+    return Sight(frozenset(), (), names, "a hill hides a satellite as well: it is no error")
 
 
 def _devices(message: str, name: str, parameters: Mapping[str, object]) -> tuple[str, ...]:

@@ -126,7 +126,8 @@ def described(entry: Entry) -> str:
     elif entry.after:
         words.append(f"after the {entry.after.event} of {entry.after.id}")
     else:
-        words.append(f"from {entry.at_s:g} s")
+        moment = f" after {entry.written['from']}" if entry.moment is not None else ""
+        words.append(f"from {entry.at_s:g} s{moment}")
     words.append("for good" if entry.for_s is None else f"for {entry.for_s:g} s")
     return ", ".join(words)
 

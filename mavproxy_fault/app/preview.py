@@ -106,7 +106,9 @@ def curves(entry: Entry, seed: int) -> list[Curve]:
     """What one entry does, on its own, from the time it is due; triggers are left out."""
     # Triggers would need telemetry that nobody sends here: the fault begins by the clock.
     at_s = entry.at_s or BEFORE_S
-    alone = msgspec.structs.replace(entry, when=None, condition=None, after=None, at_s=at_s)
+    alone = msgspec.structs.replace(
+        entry, when=None, condition=None, after=None, moment=None, at_s=at_s
+    )
     begin_s, end_s = window(alone)
     # Alone in its engine: no other entry disturbs the picture.
     engine = Engine(Schedule(seed, (alone,)))

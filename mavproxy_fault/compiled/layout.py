@@ -59,8 +59,9 @@ TIME_AT, POLLS_AT, HEADS_AT, HEADERS_AT, PEERS_AT = range(18, 23)  # addresses, 
 DUE_COUNT, DUE_AT = 24, 25  # datagrams to send at one time, kept in the rows after the links'
 COMPILED_LINKS = 26  # bit mask
 FRAME_COUNT, DRAWS, UNDO_COUNT = range(27, 30)  # of the datagram that is looked at
-LOOP_SIZE = 30
-TIME_IS_UP, HANDED_OVER, OTHER_READY, LOG_FULL, DUE_SENT = range(5)  # why it returns
+LENT, MASK = 30, 31  # bytes of a datagram lent in the first row; the links it leaves on
+LOOP_SIZE = 32
+TIME_IS_UP, HANDED_OVER, OTHER_READY, LOG_FULL, DUE_SENT, LENT_PASSED = range(6)  # why it returns
 
 UNDO_PLACE, UNDO_VALUE = range(2)  # columns of `undo`
 CLOCK_CELLS = 7  # entries of `senders` that one frame's time may change
@@ -128,7 +129,7 @@ def new_arrays(links: int, descriptors: int, *, keep: bool) -> dict[str, Any]:
     tables.cast("B")[:] = memoryview(slicing_tables()).cast("B")
     return {
         "loop": table("q", LOOP_SIZE),
-        "polls": table("q", descriptors),
+        "polls": table("q", max(descriptors, 1)),
         "ports": table("q", links, PORT_SIZE),
         "heads": table("q", links + 1, BATCH, HEADER),
         "headers": table("q", links + 1, BATCH, HEADER),

@@ -202,6 +202,18 @@ def _send_due(shared: Shared) -> None:
 
 
 @kernel
+def _pass_lent(shared: Shared) -> None:
+    """Pass on a datagram that lies in the first row, and leave it there as it is then."""
+    loop = shared.loop
+    length, link, now_us = loop[k.LENT], loop[k.LINK], loop[k.CAME]
+    loop[k.LENT] = 0
+    mask = links_of(0, length, link, now_us, shared)
+    if mask >= 0:
+        step(0, length, link, mask, now_us, shared)
+    loop[k.MASK] = mask
+
+
+@kernel
 def _drain_links(first: int, look: bool, shared: Shared) -> int:
     """Drain the links from `first` on; the reason to return, -1 for none."""
     loop, ports, polls = shared.loop, shared.ports, shared.polls
@@ -227,6 +239,9 @@ def _forward(shared: Shared) -> int:
     if loop[k.DUE_COUNT]:
         _send_due(shared)
         return k.DUE_SENT
+    if loop[k.LENT]:
+        _pass_lent(shared)
+        return k.LENT_PASSED
     while True:
         if loop[k.KEEP] and max(loop[k.RECEIVED_AT], loop[k.SENT_AT]) > k.LOG_SIZE - k.LOG_MARGIN:
             return k.LOG_FULL

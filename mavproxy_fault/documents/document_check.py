@@ -125,11 +125,12 @@ class DocumentCheck:
         for field in msgspec.structs.fields(kind):
             if field.name in given:
                 continue
-            if field.name in data:
-                here = (*path, field.name)
-                found[field.name] = self.value(data[field.name], hints[field.name], here)
+            # A key that is a word of Python is a field by another name.
+            key = field.encode_name
+            if key in data:
+                found[field.name] = self.value(data[key], hints[field.name], (*path, key))
             elif field.required:
-                self.wrong(path, f"lacks {field.name}; it must be given")
+                self.wrong(path, f"lacks {key}; it must be given")
         return found
 
     def struct(self, data: Any, kind: type[msgspec.Struct], path: Path) -> Any:

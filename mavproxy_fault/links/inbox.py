@@ -20,13 +20,19 @@ class Inbox:
         """
         if wait_s > 0.0:
             wait_on([self.link], wait_s)
-        found = []
-        for stream, data in self.link.read():
-            # The stream has ended: its half frame must not be joined with what comes next.
-            if not data:
-                self._parsers.pop(stream, None)
-                continue
-            parser = self._parsers.setdefault(stream, Parser())
-            items = parser.push(data, datagram=self.link.datagrams)
-            found += [item for item in items if isinstance(item, Frame)]
-        return found
+        return [frame for chunk in self.link.read() for frame in self.parsed(*chunk)]
+
+    def incomplete(self, stream: int) -> bool:
+        """Whether a stream owes the rest of a frame."""
+        parser = self._parsers.get(stream)
+        return parser is not None and parser.incomplete > 0
+
+    def parsed(self, stream: int, data: bytes) -> list[Frame]:
+        """The frames that a chunk completes."""
+        # The stream has ended: its half frame must not be joined with what comes next.
+        if not data:
+            self._parsers.pop(stream, None)
+            return []
+        parser = self._parsers.setdefault(stream, Parser())
+        items = parser.push(data, datagram=self.link.datagrams)
+        return [item for item in items if isinstance(item, Frame)]

@@ -198,6 +198,9 @@ class TcpClient:
         return True
 
     def _lose(self, sock: socket.socket, stream: Stream) -> None:
+        # Whoever flies should know; attempts at a server that is not there are not told.
+        if stream.open:
+            LOG.warning("%s: the connection was lost; it is made again", self.name)
         stream.abandon()
         sock.close()
         self._peer = None

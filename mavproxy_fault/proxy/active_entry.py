@@ -66,9 +66,9 @@ class Running:
         self.condition = entry.condition
         self.armed = True  # a condition starts the fault when it becomes true, not while it is
         self.earliest_us = after_s(base_us, entry.at_s)
-        self.start_us = NEVER_US if entry.when or entry.after else self.earliest_us
-        # With both, the condition counts from the event on.
-        self._waits = entry.after is not None
+        # With a condition too, that counts from the event or moment on.
+        self._waits = entry.after is not None or entry.moment is not None
+        self.start_us = NEVER_US if entry.when or self._waits else self.earliest_us
         self.end_us = self._end()
         self.active = False
         self.starts = 0
@@ -98,6 +98,12 @@ class Running:
         self.ends_itself = hasattr(entry.fault, "done")
         self.keeps_back = getattr(entry.fault, "keeps_back", False)
 
+    @property
+    def watches(self) -> set[int]:
+        """The messages that it looks at besides those it acts on."""
+        conditions = (self.condition, self.entry.moment)
+        return {number for one in conditions if one is not None for number in one.ids}
+
     @cached_property
     def rng(self) -> "Generator":
         """The entry's own chance."""
@@ -125,7 +131,11 @@ class Running:
             self.trigger(self.earliest_us)
 
     def watch(self, t_us: int, telemetry: Telemetry) -> bool:
-        """Start if the condition has become true; whether it did."""
+        """Start if the condition has become true, or note the moment; whether it did."""
+        moment = self.entry.moment
+        if moment is not None and self._waits and moment.holds(telemetry):
+            self.follow(after_s(t_us, self.entry.at_s))
+            return True
         # One that acts, or waits for its end, is not started a second time.
         if self.active or self.condition is None or self._waits or t_us < self.earliest_us:
             return False

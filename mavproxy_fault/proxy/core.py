@@ -181,11 +181,11 @@ class Core:
     def next_due_us(self) -> int | None:
         """Wall time at which `due` has something to do; None if nothing waits."""
         # The earliest of faults, delayed frames and broken-off streams.
-        when_us = min(
-            self._engine_due_us(),
-            self._pending[0][0] if self._pending else NEVER_US,
-            min(self._give_up_us.values(), default=NEVER_US),
-        )
+        when_us = self._engine_due_us()
+        if self._pending:
+            when_us = min(when_us, self._pending[0][0])
+        if self._give_up_us:
+            when_us = min(when_us, *self._give_up_us.values())
         return None if when_us >= NEVER_US else when_us
 
     def finish(self, now_us: int) -> list[Send]:

@@ -185,12 +185,12 @@ class Engine:
         for entry in self._entries():
             everything |= entry.ids is None
             ids |= entry.ids or set()
-            if entry.condition is not None:
-                ids |= entry.condition.ids
+            for condition in (entry.condition, entry.moment):
+                ids |= condition.ids if condition is not None else set()
         self.wanted = None if everything else frozenset(ids)
         self._watched = {
-            number: tuple(r for r in self._all if r.condition and number in r.condition.ids)
-            for number in {n for r in self._all if r.condition for n in r.condition.ids}
+            number: tuple(r for r in self._all if number in r.watches)
+            for number in {n for r in self._all for n in r.watches}
         }
         self._index()
 

@@ -1,7 +1,7 @@
 """Schedules: which faults, when, on which frames; read from YAML with every error and its line."""
 
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
@@ -9,6 +9,7 @@ import msgspec
 from msgspec import Meta
 
 from mavproxy_fault.documents.document_check import DocumentCheck
+from mavproxy_fault.documents.document_kind import refuse_others
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.documents.yaml_document import (
@@ -23,11 +24,11 @@ from mavproxy_fault.faults.fault import Fault
 from mavproxy_fault.faults.profile import Duration, Profile, Seconds
 from mavproxy_fault.faults.registry import fault_class, known_aliases, known_faults
 from mavproxy_fault.schedule.binding import GIVEN, aim, bind, wrong_targets
-from mavproxy_fault.schedule.document_kind import kind_of
 from mavproxy_fault.schedule.presets import preset_names, preset_parts
 from mavproxy_fault.schedule.together import check_together, default_id, entry_ids
-from mavproxy_fault.schedule.triggers import Condition
+from mavproxy_fault.schedule.triggers import Condition, moment
 
+SCHEDULE_KEYS = ("seed", "faults")
 Via = Literal["proxy", "simulator"]
 Byte = Annotated[int, Meta(ge=0, le=255)]
 
@@ -59,16 +60,24 @@ class Repeat(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     times: Annotated[int, Meta(ge=1)] | None = None
 
 
-class Keys(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Keys(
+    msgspec.Struct,
+    frozen=True,
+    forbid_unknown_fields=True,
+    kw_only=True,
+    rename={"count_from": "from"},
+):
     """What every entry of a schedule may say; the fault's own parameters stand beside it.
 
-    With `via: simulator` a satellite fault acts in the simulated receiver instead of on the wire.
+    `at_s` counts from the moment `from`. With `via: simulator` a satellite fault acts in the
+    simulated receiver instead of on the wire.
     """
 
     id: str | None = None
     fault: str | None = None
     preset: str | None = None
     target: str | tuple[str, ...] = ()
+    count_from: str | None = None
     at_s: Seconds = 0.0
     for_s: Duration | None = None
     when: str | None = None
@@ -79,13 +88,14 @@ class Keys(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     via: Via | None = None
 
 
-KEYS = tuple(field.name for field in msgspec.structs.fields(Keys))
+KEYS = tuple(field.encode_name for field in msgspec.structs.fields(Keys))
 
 
 class Entry(msgspec.Struct, frozen=True, kw_only=True):
     """One fault of a schedule, ready to run.
 
     `ids` are the messages it acts on (None: all); `written` are the keys as the user wrote them.
+    Until its `moment` is true, where it has one, `at_s` does not count.
     """
 
     id: str
@@ -93,6 +103,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     fault: Fault
     ids: frozenset[int] | None
     condition: Condition | None = None
+    moment: Condition | None = None
     targets: tuple[str, ...] = ()
     preset: str | None = None
     at_s: float = 0.0
@@ -115,6 +126,19 @@ class Schedule(msgspec.Struct, frozen=True):
 
     seed: int = 0
     faults: tuple[Entry, ...] = ()
+
+
+def never_acted(schedule: Schedule, acted: Collection[str]) -> list[str]:
+    """What of a schedule met nothing, given the ids of what did: one word an entry as written.
+
+    A preset names every message in which its sensor may speak: it is enough that one part met it.
+    """
+    idle: dict[str, bool] = {}
+    for entry in schedule.faults:
+        name = entry.id if entry.preset is None else entry.written.get("id", entry.preset)
+        word = f"{name} ({entry.preset or entry.name})"
+        idle[word] = idle.get(word, True) and entry.id not in acted
+    return [word for word, never in idle.items() if never]
 
 
 def read_schedule(path: FilePath | str, via: Via = "proxy") -> Schedule:
@@ -153,9 +177,8 @@ def parse_schedule(
     check = DocumentCheck(where, lines, flaws)
     if not isinstance(data, dict):
         raise ConfigError(f"{where}: is no schedule; give `seed` and a list of `faults`")
-    if not data.keys() <= {"seed", "faults"} and (kind := kind_of(data)):
-        raise ConfigError(f"{where}: is {kind}; a schedule has `seed` and a list of `faults`")
-    check.keys(data, ("seed", "faults"), ())
+    refuse_others(data, SCHEDULE_KEYS, where, "a schedule")
+    check.keys(data, SCHEDULE_KEYS, ())
     seed = check.value(data.get("seed", 0), Annotated[int, Meta(ge=0)], ("seed",))
     listed = data.get("faults") or []
     entries: list[Entry] = []
@@ -245,7 +268,10 @@ def _entry(
     before = check.count
     keys = check.arguments({k: v for k, v in data.items() if k in KEYS}, Keys, path, ())
     _check_repeat(keys, check, path)
-    condition = _condition(keys.get("when"), check, path)
+    keys["condition"] = _condition(keys.get("when"), check, (*path, "when"), Condition)
+    keys["moment"] = _condition(keys.pop("count_from", None), check, (*path, "from"), moment)
+    if keys["moment"] is not None and "after" in keys:
+        check.wrong((*path, "from"), "stands beside after; give one of them")
     name = keys.pop("fault", None)
     kind = _kind(name, data, check, path)
     if kind is None:
@@ -273,7 +299,6 @@ def _entry(
     after = keys.pop("after", None)
     keys["after"] = After(id=after) if isinstance(after, str) else after
     keys["id"] = keys.get("id") or default_id(name, number)
-    keys["condition"] = condition
     return Entry(name=name, fault=fault, ids=ids, targets=names, written=data, **keys)
 
 
@@ -304,10 +329,12 @@ def _check_repeat(keys: dict[str, Any], check: DocumentCheck, path: Path) -> Non
         check.wrong((*path, "repeat", "every_s"), text)
 
 
-def _condition(text: str | None, check: DocumentCheck, path: Path) -> Condition | None:
-    """The trigger; None without one, or with the error noted."""
+def _condition(
+    text: str | None, check: DocumentCheck, path: Path, read: Callable[[str], Condition | None]
+) -> Condition | None:
+    """What a text waits for; None without one, or with the error noted."""
     try:
-        return None if text is None else Condition(text)
+        return None if text is None else read(text)
     except ValueError as error:
-        check.wrong((*path, "when"), str(error))
+        check.wrong(path, str(error))
         return None

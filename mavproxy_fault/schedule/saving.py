@@ -17,7 +17,8 @@ def as_yaml(seed: int, entries: Iterable[tuple[Entry, float]]) -> str:
         whole = entry.id.rpartition(".")[0] if entry.preset else ""  # one part of several
         data = {"id": whole or entry.id, **entry.written}
         # Live edits may begin long after the file's own times: they are moved by that much.
-        if late_s:
+        # A moment of the flight is the same whenever they were made.
+        if late_s and entry.moment is None:
             data["at_s"] = round(late_s + entry.at_s, 6)
         # Once for all parts.
         written.setdefault(data["id"], data)

@@ -11,6 +11,7 @@ The syntax is Python's, read by its parser; of the syntax tree only what is list
 
 import ast
 import operator
+import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -64,6 +65,11 @@ WORDS: Mapping[str, str] = {
     "mode": "HEARTBEAT",
     "altitude_m": "GLOBAL_POSITION_INT",
 }
+
+
+MOMENTS = {"arming": "armed", "take-off": "armed and altitude_m > 0.5"}
+FIRST_STAMP = "first-stamp"
+ITEM = re.compile(r"mission-item:(\d+)")
 
 
 class Telemetry:
@@ -266,3 +272,23 @@ def mode(heartbeat: Frame) -> str | int:
 def altitude_m(position: Frame) -> float:
     """Height above home in metres."""
     return position.number("relative_alt") / 1000.0
+
+
+def moment(text: str) -> Condition | None:
+    """What is true from a moment of a flight on; None for the first stamp, which needs nothing.
+
+    Raises
+    ------
+    ValueError
+        If there is no such moment.
+    """
+    if text == FIRST_STAMP:
+        return None
+    if item := ITEM.fullmatch(text):
+        return Condition(f"MISSION_ITEM_REACHED.seq >= {item[1]}")
+    if text not in MOMENTS:
+        raise ValueError(
+            f"= {text} is no moment of a flight; there are {FIRST_STAMP}, {', '.join(MOMENTS)} "
+            "and mission-item:N"
+        )
+    return Condition(MOMENTS[text])

@@ -276,7 +276,13 @@ def read_ordered(
     path: str | Path, only: Collection[str], frames: int = ORDERED_FRAMES
 ) -> Iterator[tuple[Columns, dict[str, NDArray[np.int64]]]]:
     """The columns of so many frames at a time, with the place (n,) of each row among all frames."""
-    data = map_bytes(Path(path))
+    yield from ordered(map_bytes(Path(path)), only, frames)
+
+
+def ordered(
+    data: NDArray[np.uint8], only: Collection[str], frames: int = ORDERED_FRAMES
+) -> Iterator[tuple[Columns, dict[str, NDArray[np.int64]]]]:
+    """The same of a log's bytes (n,) in memory."""
     slots = {name: slot for slot, name in enumerate(message_names())}
     for block in _blocks(data, frames):
         parts = [

@@ -171,7 +171,10 @@ class LockstepLoop:
         if locked:
             self._progress.say(f"in lockstep from {stamp_s:.3f} s")
         else:
-            self._progress.say(f"no answer to the step at {stamp_s:.3f} s; going on in real time")
+            self._progress.say(
+                f"no answer to the step at {stamp_s:.3f} s; going on in real time on the last "
+                "commands"
+            )
 
     def _receive(self, frame: Frame) -> None:
         if frame.layout.name == "HIL_ACTUATOR_CONTROLS":

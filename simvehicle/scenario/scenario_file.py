@@ -12,6 +12,7 @@ from typing import Any, Literal
 import msgspec
 
 from mavproxy_fault.documents.document_check import DocumentCheck, decode
+from mavproxy_fault.documents.document_kind import refuse_others
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import Document, read_document
 from mavproxy_fault.documents.yaml_document import Path as DocumentPath
@@ -228,6 +229,7 @@ def open_scenario(path: str | Path | None) -> Document:
     document = read_document(path)
     if not isinstance(document.data, dict):
         raise ConfigError(f"{document.where}:1: is no scenario; a mapping with keys is expected")
+    refuse_others(document.data, Scenario.__struct_fields__, document.where, "a scenario")
     sensors = document.data.get("sensors")
     # A name of a file instead of a section.
     if isinstance(sensors, str):

@@ -35,7 +35,7 @@ from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.sensors.airspeed import Airspeed
 from simvehicle.sensors.readings import Reading
 from simvehicle.simulation.kinds import Controller, kind_of
-from simvehicle.simulation.onboard import fit
+from simvehicle.simulation.onboard import Fitted, fit
 from simvehicle.simulation.weather import Weather
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.fixedwing import FixedWing
@@ -178,6 +178,17 @@ class Simulation:
         else:
             self._satellite_plant(name, value)
 
+    def check_plant(self, name: str) -> None:
+        """Refuse a plant fault that this simulation cannot have; nothing is changed.
+
+        Raises
+        ------
+        ConfigError
+            With what it can have.
+        """
+        if name not in (*_WINDS, *self.vehicle.plant_names):
+            self._with_satellite_plant(name, None)
+
     def pitot_offset_pa(self) -> float | None:
         """What the pitot tube shows without wind, as who calibrates it before a flight finds it;
         None without one."""
@@ -187,11 +198,15 @@ class Simulation:
         return None
 
     def _satellite_plant(self, name: str, value: float | None) -> None:
+        fitted, state = self._with_satellite_plant(name, value)
+        fitted.state = state
+
+    def _with_satellite_plant(self, name: str, value: float | None) -> tuple[Fitted, Any]:
+        """The sensor that receives satellites, and its state with one of its parameters set."""
         for fitted in self._fitted:
             sensor: Any = fitted.sensor
             if hasattr(sensor, "with_plant"):
-                fitted.state = sensor.with_plant(fitted.state, name, value)
-                return
+                return fitted, sensor.with_plant(fitted.state, name, value)
         known = ", ".join((*self.vehicle.plant_names, *_WINDS))
         raise ConfigError(f"plant: {name} is unknown; known: {known}")
 

@@ -2,12 +2,14 @@
 
 The actuators are judged by the IMU, so nobody of them is blamed while the IMU is, nor for a while
 after. After a crash that an actuator led to, what the sensors say proves nothing against them: a
-blow of many g is beyond what an IMU measures.
+blow of many g is beyond what an IMU measures, and so is a tumble faster than its gyro's range.
 """
 
 from collections.abc import Iterable
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from analysis.results import Decision, Result, SensorDecision
 
@@ -15,10 +17,11 @@ ACTUATORS = "actuators"  # the sensor's name in results
 IMU_US = 20_000_000  # after an alarm of the IMU: as long as its hold, and until it is learnt anew
 NEVER_US = -(1 << 62)
 CRASHED, IMU_AT_FAULT = "after a crash", "the IMU is at fault"
+TUMBLES = "turned faster than the gyro can tell"
 
 
 def judged(
-    found: Iterable[tuple[int, Result]], crash_us: int, imu_us: int
+    found: Iterable[tuple[int, Result]], crash_us: int, lost: NDArray[np.bool_], imu_us: int
 ) -> tuple[list[tuple[int, Result]], int]:
     """Results as they count, by row in order, and when the IMU was blamed last.
 
@@ -28,12 +31,18 @@ def judged(
         In order of their rows.
     crash_us : int
         When the vehicle crashed.
+    lost : array
+        Whether the attitude is lost at each row, shape (n,).
     imu_us : int
         When the IMU was blamed last, before these.
     """
     kept: list[tuple[int, Result]] = []
     for row, result in found:
-        one = _after_crash(result) if result.t_us >= crash_us else result
+        one = result
+        if result.t_us >= crash_us:
+            one = _unjudged(result, CRASHED)
+        elif lost[row]:
+            one = _unjudged(result, TUMBLES)
         if _blames_imu(one):
             imu_us = one.t_us
         elif isinstance(one, SensorDecision) and one.sensor == ACTUATORS and one.alarm:
@@ -48,13 +57,13 @@ def _blames_imu(result: Result) -> bool:
     return isinstance(result, Decision) and result.alarm and result.hypothesis == "imu"
 
 
-def _after_crash(result: Result) -> Result:
+def _unjudged(result: Result, reason: str) -> Result:
     if isinstance(result, Decision):
         return msgspec.structs.replace(
-            result, alarm=False, hypothesis="untestable", excluded=(), reason=CRASHED
+            result, alarm=False, hypothesis="untestable", excluded=(), reason=reason
         )
     if isinstance(result, SensorDecision) and result.sensor != ACTUATORS:
-        return _untested(result, CRASHED)
+        return _untested(result, reason)
     return result
 
 

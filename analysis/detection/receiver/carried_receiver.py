@@ -35,34 +35,35 @@ def carried_off(
     measured: Measured,
     tests: Tests,
     config: DetectorConfig,
-) -> tuple[Core, Found | None, bool]:
+) -> tuple[Core, Found | None, Vector | None]:
     """What the windows say after a fix, before which the IMU's `part` moved the filter; `predicted`
-    are the filter then and the transition phi (20, 20): a carry-off, and whether receiver and IMU
-    have differed by an acceleration for long. They begin anew behind all else that was found."""
+    are the filter then and the transition phi (20, 20): a receiver that is carried off, or a wrong
+    acceleration (3,). They begin anew behind all else that was found."""
     (position, velocity), (motion, phi) = tests, predicted
     v_ned_mps = measured.v_ned_mps
     assert core.motion is not None
     moved = motion.inertial and core.motion.inertial and not core.excluded
     if v_ned_mps is None or velocity is None:
-        return core._replace(carry=None), None, False
+        return core._replace(carry=None), None, None
     if not (moved and position.passes and velocity.passes):
-        return core._replace(carry=None), None, False
+        return core._replace(carry=None), None, None
     carry = core.carry if core.carry is not None else new_carry(motion.t_us)
     dt_s = (motion.t_us - core.motion.t_us) * 1e-6
     fix = fitted(measured, position, velocity, motion.p)
     carry = extended(carry, motion.t_us, dt_s, phi, measured.axes, fix)
     if _blow(core.last_fix, part) or _smoothed(core, motion, measured):
-        carry = carry.unsettled(motion.t_us)
-    found = None
+        carry = carry._replace(doubt_us=motion.t_us, blown_us=motion.t_us)
+    found = wrong_mps2 = None
     # Touching down stops a receiver, by a force that an IMU is often too slow to show.
     if float(np.linalg.norm(np.nan_to_num(v_ned_mps))) > AT_REST_MPS:
         # One share for all windows: they overlap nearly whole, and what they say changes slowly.
-        carry, found = searched(carry, motion.t_us, chi_square(3, config.p_slow))
+        carry, found, wrong_mps2 = searched(carry, motion.t_us, chi_square(3, config.p_slow))
     if found is not None:
-        return core._replace(carry=None, carried=found.carried), found, False
-    if carry.lasts(motion.t_us):
-        return core._replace(carry=None), None, True
-    return core._replace(carry=renewed(carry, motion.t_us)), None, False
+        return core._replace(carry=None, carried=found.carried), found, None
+    # A real receiver smooths its velocity and comes late, so that a sound IMU contradicts it.
+    if core.latency.variance > 0.0:
+        wrong_mps2 = None
+    return core._replace(carry=renewed(carry, motion.t_us)), None, wrong_mps2
 
 
 def _blow(last: LastFix | None, part: Segment) -> bool:

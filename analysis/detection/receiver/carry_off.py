@@ -13,9 +13,8 @@ begins with every fix. A sound receiver's velocity is off by something for secon
 it is c' inv(J + k J^2) c that is tested.
 
 A wrong acceleration, the IMU's or by its attitude, has three responses of its own and is the rival:
-a step of velocity and one of acceleration look alike at first and grow apart with time. Where the
-rival explains more for seconds on end, either the IMU is wrong or the receiver is dragged faster
-and faster: `lasts`. A blow and a receiver's lag look like it for a moment.
+a step of velocity and one of acceleration look alike at first and grow apart with time. What looks
+more like the rival is told as such: it is no receiver that is carried off steadily.
 
 The noise that the filter assumes of a receiver is one that few exceed; most are far better. So the
 ratios are taken over the squared innovations that this flight had before the windows began.
@@ -35,14 +34,13 @@ WINDOW_COUNT = 20
 STRIDE_US = 180_000  # a window begins with every fix, where those do not come faster
 CARRIED, ACCELERATED = slice(0, 3), slice(3, 6)  # a window's responses, along north, east, down
 EACH = 6
-NATURAL_MPS = 0.2  # what a sound receiver's velocity is off by for seconds
+# What a sound receiver's velocity and a sound IMU's acceleration are off by for seconds
+NATURAL_MPS, NATURAL_MPS2 = 0.2, 0.2
 BETTER = 10.0  # by which a carry-off or its rival must explain more than the other
 SETTLED_US = 10_000_000  # in which the filter follows what was a blow or a wrong acceleration
 MEMORY_S = 30.0  # of the level of the innovations
 FIRST_WEIGHT = 10.0  # fixes in favour of the noise as it is assumed
 LEAST_LEVEL = 0.1
-# 163 logs of sound IMUs and receivers have it for 1.0 s and six fixes at most, in a crash.
-LASTS_US, LASTS = 2_000_000, 5
 MOST_SQUARE = 9.0  # one outlier says little of the level
 
 
@@ -63,8 +61,8 @@ class Carry(NamedTuple):
     `starts_us` (w,) is when each began (0: not yet), the next does at `due_us`; `d` (20, 6 w) are
     the responses, `c` (w, 6) and `j` (w, 6, 6) the sums, `levels` (w,) those of the innovations
     when a window began. `squares` (6,) are the normalised innovations' mean squares now, of
-    `fixes`, and at `doubt_us` something was seen that no spoofer is needed for. For `accelerated`
-    fixes without a break, since `accelerated_us`, a wrong acceleration has explained more.
+    `fixes`. At `doubt_us` something was seen that no spoofer is needed for, at `blown_us` something
+    that neither a spoofer nor a wrong IMU is.
     """
 
     due_us: int
@@ -76,16 +74,7 @@ class Carry(NamedTuple):
     squares: Vector
     fixes: float = FIRST_WEIGHT
     doubt_us: int = -SETTLED_US
-    accelerated: int = 0
-    accelerated_us: int = 0
-
-    def unsettled(self, t_us: int) -> "Carry":
-        """With something seen that no spoofer and no wrong acceleration is needed for."""
-        return self._replace(doubt_us=t_us, accelerated=0)
-
-    def lasts(self, t_us: int) -> bool:
-        """Whether a wrong acceleration has been the better explanation for long."""
-        return self.accelerated >= LASTS and t_us - self.accelerated_us >= LASTS_US
+    blown_us: int = -SETTLED_US
 
 
 class Carried(NamedTuple):
@@ -164,32 +153,44 @@ def renewed(carry: Carry, t_us: int) -> Carry:
     return carry._replace(due_us=due_us, starts_us=starts_us, d=d, c=c, j=j, levels=levels)
 
 
-def searched(carry: Carry, t_us: int, threshold: float) -> tuple[Carry, Found | None]:
-    """The carry-off that the windows show, if they do beyond the chi-square `threshold`."""
+def searched(
+    carry: Carry, t_us: int, threshold: float
+) -> tuple[Carry, Found | None, Vector | None]:
+    """What the windows show beyond the chi-square `threshold`: a carry-off, or a wrong acceleration
+    (3,) along north, east and down."""
     begun = np.flatnonzero(carry.starts_us)
     if not len(begun):
-        return carry, None
+        return carry, None, None
     # From before any of the windows: what they hold must not excuse itself.
     oldest = begun[carry.starts_us[begun].argmin()]
     level = float(carry.levels[oldest])
     ratio, rival = (_ratios(carry, begun, part) / level for part in (CARRIED, ACCELERATED))
     window = begun[ratio.argmax()]
     # What follows a wrong acceleration, once the filter has learnt it, looks like a carry-off.
+    wrong_mps2 = None
     if rival.max() > max(threshold, ratio.max() + BETTER):
-        since_us = carry.accelerated_us if carry.accelerated else t_us
-        running = carry.accelerated + 1
-        carry = carry._replace(doubt_us=t_us, accelerated=running, accelerated_us=since_us)
-    else:
-        carry = carry._replace(accelerated=0)
+        carry = carry._replace(doubt_us=t_us)
+        if carry.starts_us[oldest] >= carry.blown_us + SETTLED_US:
+            wrong_mps2 = _accelerated(carry, int(begun[rival.argmax()]), level * threshold)
     tempered = _ratios(carry, np.array([window]), CARRIED, NATURAL_MPS)[0] / level
     clear = tempered > threshold and ratio.max() > rival.max() + BETTER
     # Nobody is blamed before the filter has settled and all windows have begun behind that.
     if not clear or carry.starts_us[oldest] < carry.doubt_us + SETTLED_US:
-        return carry, None
+        return carry, None, wrong_mps2
     covariance = np.linalg.inv(carry.j[window, CARRIED, CARRIED])
     d = carry.d[:, window * EACH : window * EACH + 3]
     u = covariance @ carry.c[window, CARRIED]
-    return carry, Found(Carried(int(carry.starts_us[window]), u), d @ u, d @ covariance @ d.T)
+    found = Found(Carried(int(carry.starts_us[window]), u), d @ u, d @ covariance @ d.T)
+    return carry, found, None
+
+
+def _accelerated(carry: Carry, window: int, threshold: float) -> Vector | None:
+    """The likeliest wrong acceleration (3,) of a window, if it is more than a sound IMU's."""
+    ratio = _ratios(carry, np.array([window]), ACCELERATED, NATURAL_MPS2)[0]
+    if ratio <= threshold:
+        return None
+    information = carry.j[window, ACCELERATED, ACCELERATED] + 1e-9 * np.eye(3)
+    return np.asarray(np.linalg.solve(information, carry.c[window, ACCELERATED]))
 
 
 def _ratios(carry: Carry, windows: Indices, part: slice, natural: float = 0.0) -> Vector:

@@ -29,6 +29,7 @@ from analysis.detection.receiver.carried_receiver import (
 )
 from analysis.detection.receiver.carry_off import taken_back
 from analysis.detection.receiver.fix_latency import accelerated, latency_of, learnt, on_time
+from analysis.detection.receiver.frozen_fix import numbers_of
 from analysis.detection.receiver.heading import with_honest_heading
 from analysis.detection.receiver.position_test import (
     VELOCITY_SIGMA_MPS,
@@ -38,7 +39,7 @@ from analysis.detection.receiver.position_test import (
     start_at,
     updated,
 )
-from analysis.detection.receiver.receiver_or_imu import UNDECIDED, culprit, last_fix
+from analysis.detection.receiver.receiver_or_imu import UNDECIDED, accelerated_by, culprit, last_fix
 from analysis.results import Result
 from analysis.samples.sample import GpsFix, Vector
 
@@ -57,6 +58,7 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
         return [], state
     latency = core.latency if fix.source == core.gps_source else latency_of(fix.source)
     core = core._replace(gps_source=fix.source, latency=latency, mag_b=mag_b)
+    core = core._replace(repeats=core.repeats.after(fix.t_us, numbers_of(fix)))
     measured, reason = measure(fix)
     motion = core.motion
     if measured is None:
@@ -70,25 +72,22 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
             motion = None
     run, pending = split_pending(pending, fix.t_us)
     if motion is None:
-        motion = start_at(fix.t_us, measured)
-        core = core._replace(
-            motion=motion, excluded={}, last_fix=None, unbounded=False, carry=None, carried=None
-        )
-        return [fix_decision(fix, core, None, None, "none", False, "start")], State(
-            core, pending, mag_b
-        )
+        core = _begun(core, start_at(fix.t_us, measured))
+        decision = fix_decision(fix, core, None, None, "none", False, "start")
+        return [decision], State(core, pending, mag_b)
     part = segment(run, motion, fix.t_us)
     predicted, phi = advance(motion, part, fix.t_us, config)
     acceleration = accelerated(motion, predicted, measured.axes)
     measured = on_time(measured, predicted, acceleration, core.latency)
     tests = check(measured, predicted, config)
     hypothesis, alarm = _judge(core, measured, predicted, part, tests, config)
-    core, found, apart = carried_off(core, (predicted, phi), part, measured, tests, config)
-    if apart:
-        hypothesis, alarm = UNDECIDED, True
+    core, found, wrong_mps2 = carried_off(core, (predicted, phi), part, measured, tests, config)
     if found is not None:
         predicted, hypothesis, alarm = taken_back(predicted, found), "gps", True
         tests = check(measured, predicted, config)
+    elif wrong_mps2 is not None:
+        alarm = True
+        hypothesis = accelerated_by(core.last_fix, wrong_mps2, measured, predicted, part)
     if hypothesis == "none" and tests[1] is not None:
         core = core._replace(latency=learnt(core.latency, tests[1], acceleration, predicted.p))
     core = _with_hysteresis(core, hypothesis, measured, tests, predicted, config)
@@ -96,11 +95,7 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     dt_s = (fix.t_us - motion.t_us) * 1e-6
     moved = find_attitude(core, moved, part, dt_s, config)
     core = core._replace(motion=moved, last_fix=last_fix(core.last_fix, measured, part, moved))
-    shown = hypothesis
-    if hypothesis == "none" and RECEIVER in core.excluded:
-        shown = "gps"
-    elif hypothesis == "none" and core.imu_bad_until_us is not None:
-        shown = UNDECIDED if core.unbounded else "imu"
+    shown = _shown(core, hypothesis)
     mode = "position" if moved.inertial else "position-free"
     results: list[Result] = [fix_decision(fix, core, *tests, shown, alarm, mode)]
     # Everybody paused where there was no fix either.
@@ -108,6 +103,24 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
     gap = part.gap_s if (predicted.inertial or motion.inertial) and not paused else 0.0
     results += fix_sensors(fix, core, *tests, gap, hypothesis, config)
     return results, State(core, pending, mag_b)
+
+
+def _begun(core: Core, motion: Motion) -> Core:
+    """A filter that begins, and nothing of the past."""
+    return core._replace(
+        motion=motion, excluded={}, last_fix=None, unbounded=False, carry=None, carried=None
+    )
+
+
+def _shown(core: Core, hypothesis: str) -> str:
+    """What the decision says while somebody is still left out."""
+    if hypothesis != "none":
+        return hypothesis
+    if RECEIVER in core.excluded:
+        return "gps"
+    if core.imu_bad_until_us is not None:
+        return UNDECIDED if core.unbounded else "imu"
+    return "none"
 
 
 def _judge(
@@ -121,6 +134,9 @@ def _judge(
     """Whose fault a failed test is, and whether it is an alarm; `part` is the IMU since the last
     fix, which moved the filter to `motion`."""
     position, velocity = tests
+    # A fix that is only repeated measures nothing, however well it fits.
+    if core.repeats.frozen:
+        return "gps", True
     if position.passes and (velocity is None or velocity.passes):
         return "none", False
     agrees = _self_consistent(core, measured, motion.t_us, config)
@@ -174,9 +190,9 @@ def _with_hysteresis(
         core = core._replace(imu_bad_until_us=None)
     if hypothesis in ("gps", "multiple-unknown"):
         core = moved_along(core, measured, velocity)
-        # One that is carried off slowly fits at first.
-        fits = core.carried is None
-        names = (RECEIVER,) if fits else (RECEIVER, RECEIVER_VELOCITY)
+        # One that is carried off slowly, or stands, fits at first.
+        position_alone = core.carried is None and not core.repeats.frozen
+        names = (RECEIVER,) if position_alone else (RECEIVER, RECEIVER_VELOCITY)
         excluded = exclude(core.excluded, names, t_us, t_us)
         again = replace(excluded[RECEIVER], healthy_since_us=None)
         return core._replace(excluded={**excluded, RECEIVER: again}, unbounded=False)

@@ -25,7 +25,9 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import matrix
 
 UNDECIDED = "GPS-or-imu"
 EXCUSED_SIGMAS = 4.0  # of the velocity's noise, that a growth may exceed what an IMU can do
-INTERVALS = 3  # in which a fault of the IMU may have begun before it is found
+ALIKE = 0.4  # share by which a change of the IMU's force may differ from a wrong acceleration
+# In which a fault of the IMU may have begun before a fix shows it, or several together
+INTERVALS, SEVERAL = 3, 6
 FORCE = slice(4, 7)  # of a row of the IMU's segment: specific force, behind its time and rates
 
 
@@ -34,7 +36,7 @@ def last_fix(before: LastFix | None, measured: Measured, part: Segment, motion: 
     velocity = np.full(3, np.nan) if measured.v_ned_mps is None else measured.v_ned_mps
     off = np.nan_to_num(velocity - measured.axes @ motion.x[3:6])
     force = mean_force(part)
-    past = () if before is None else before.forces_b_mps2[: INTERVALS - 1]
+    past = () if before is None else before.forces_b_mps2[: SEVERAL - 1]
     forces = () if force is None else (force, *past)
     return LastFix(motion.t_us, measured.r_ecef_m, velocity, forces, off)
 
@@ -66,7 +68,7 @@ def culprit(
     dt_s = (predicted.t_us - last.t_us) * 1e-6
     rot = measured.axes @ matrix(predicted.x[6:10])
     sigma_mps = np.array([VELOCITY_SIGMA_MPS[0], *VELOCITY_SIGMA_MPS])[known]
-    for since, before in enumerate(last.forces_b_mps2, start=1):
+    for since, before in enumerate(last.forces_b_mps2[:INTERVALS], start=1):
         changed_mps = (rot @ (force - before) * dt_s)[known]
         size = float(changed_mps @ changed_mps)
         # A fault that began in these intervals has acted for none to all of their time.
@@ -78,3 +80,18 @@ def culprit(
     most_mps2 = max(np.linalg.norm(force), np.linalg.norm(last.forces_b_mps2[0]))
     excused_mps = float(most_mps2) * dt_s + EXCUSED_SIGMAS * VELOCITY_SIGMA_MPS[0]
     return "gps" if grown_mps > excused_mps else UNDECIDED
+
+
+def accelerated_by(
+    last: LastFix | None, wrong_mps2: Vector, measured: Measured, predicted: Motion, part: Segment
+) -> str:
+    """`imu` or `GPS-or-imu`, for a filter that is accelerated wrongly (3,), against a receiver that
+    agrees with itself: the IMU, if its force changed by that within the last intervals."""
+    force = mean_force(part)
+    if last is None or force is None:
+        return UNDECIDED
+    rot = measured.axes @ matrix(predicted.x[6:10])
+    most_mps2 = ALIKE * float(np.linalg.norm(wrong_mps2))
+    changes = [rot @ (force - before) for before in last.forces_b_mps2]
+    alike = [float(np.linalg.norm(change - wrong_mps2)) <= most_mps2 for change in changes]
+    return "imu" if any(alike) else UNDECIDED

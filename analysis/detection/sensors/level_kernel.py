@@ -2,7 +2,7 @@
 
 Of each quantity a short mean is held against a long one, and against how far the short mean usually
 lies from it. The long mean waits while they differ, so that a step stays one; after a while the new
-level is the usual one.
+level is the usual one. Who comes back to the level from before is not off again.
 """
 
 from typing import NamedTuple
@@ -22,14 +22,15 @@ SHORT_S, LONG_S, LEARNT_S, USUAL_S = 0.3, 30.0, 4.0, 20.0
 LASTS_US, AGAIN_US = 300_000, 500_000
 GAP_US = 1_000_000  # after which a stream begins anew
 
-# Of the means; of the stamps in us: begin, newest, since when it is off, when that was told last
-SHORT, LONG, SQUARE = range(3)
+# Of the means, the last is the level from before; of the stamps in us: begin, newest, since when it
+# is off, when that was told last
+SHORT, LONG, SQUARE, HOME = range(4)
 BEGAN, NEWEST, OFF, TOLD = range(4)
 NEVER_US = -(1 << 62)
 
 
 class Levels(NamedTuple):
-    """What is known of each level: `means` (l, 3) and `stamps` (l, 4); `follow` changes it."""
+    """What is known of each level: `means` (l, 4) and `stamps` (l, 4); `follow` changes it."""
 
     means: Vector
     stamps: NDArray[np.int64]
@@ -37,7 +38,7 @@ class Levels(NamedTuple):
 
 def no_levels() -> Levels:
     """Nothing came yet."""
-    return Levels(np.zeros((len(LEVELS), 3)), np.full((len(LEVELS), 4), NEVER_US))
+    return Levels(np.zeros((len(LEVELS), 4)), np.full((len(LEVELS), 4), NEVER_US))
 
 
 @compiled
@@ -58,7 +59,7 @@ def follow(
 def _step(level: int, t_us: int, value: float, means: Vector, stamps: NDArray[np.int64]) -> float:
     elapsed_us = t_us - stamps[NEWEST]
     if stamps[BEGAN] == NEVER_US or elapsed_us > GAP_US or elapsed_us < 0:
-        means[:] = value, value, 0.0
+        means[:] = value, value, 0.0, np.nan
         stamps[:] = t_us, t_us, NEVER_US, NEVER_US
         return 0.0
     stamps[NEWEST] = t_us
@@ -67,12 +68,16 @@ def _step(level: int, t_us: int, value: float, means: Vector, stamps: NDArray[np
     change = means[SHORT] - means[LONG]
     least = UP[level] if change > 0.0 else DOWN[level]
     known = t_us - stamps[BEGAN] > LEARNT_S * 1e6
-    if known and abs(change) > max(least, SIGMAS * np.sqrt(means[SQUARE])):
+    limit = max(least, SIGMAS * np.sqrt(means[SQUARE]))
+    if known and abs(change) > limit and abs(means[SHORT] - means[HOME]) < limit:
+        means[LONG], means[HOME], stamps[OFF] = means[HOME], np.nan, NEVER_US
+        return 0.0
+    if known and abs(change) > limit:
         if stamps[OFF] == NEVER_US:
             stamps[OFF] = t_us
         since_us = t_us - stamps[OFF]
         if since_us > USUAL_S * 1e6:  # what lasts is what it is like now
-            means[LONG], stamps[OFF] = means[SHORT], NEVER_US
+            means[HOME], means[LONG], stamps[OFF] = means[LONG], means[SHORT], NEVER_US
         elif since_us >= LASTS_US and t_us - stamps[TOLD] >= AGAIN_US:
             stamps[TOLD] = t_us
             return float(change)

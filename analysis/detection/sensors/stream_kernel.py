@@ -14,11 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.detection.sensors.rate_kernel import SINKS, at_once, count, is_known, missing
 from analysis.samples.block import FIX, FIX_VELOCITY, IMU, IMU_ID, SOURCES, Indices, Stamps
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
 
-SILENT, REPEATED, STANDING, AHEAD, BACK, LATE = range(1, 7)
+SILENT, REPEATED, STANDING, AHEAD, BACK, LATE, SELDOM, BURSTING = range(1, 9)
 IMUS = 3
 STREAMS = ("imu", "imu", "imu", "mag", "baro", "airspeed", "range", "vision", "gps-position",
            "satellites", "link")  # fmt: skip
@@ -39,7 +40,7 @@ RHYTHM = 5  # samples after which the interval of a stream is about known
 REGULAR = 1.5  # usual intervals after which a sample still comes as it should
 INTERVALS = 5.0  # usual intervals that a pause must be long
 PAUSES, FORGOTTEN_US = 1.5, 60e6  # longest pauses of late, in a log or on a link that loses much
-LATE_US = 300_000
+LATE_US, SPREADS = 300_000, 8.0  # later than usual: at least, and in what is usual of that
 BACK_US = 20_000
 STANDS = 5
 # A repetition beyond what the sensor's own past shows
@@ -49,46 +50,48 @@ EPOCH_1970_US = 100_000_000_000_000  # later stamps do not count from boot
 AGAIN_US = 500_000  # between two results about the same trouble
 NEVER_US = -(1 << 62)
 
-INTERVAL, LATENESS, PAUSE = range(3)  # what is usual of a stream
+INTERVAL, LATENESS, PAUSE, SPREAD = range(4)  # what is usual of a stream, the last of its lateness
 # What is counted of a stream
-LAST_US, COUNT, DUE_US, STOOD, REPORTED_US, CLOCK, HEARD_US = range(7)
+LAST_US, COUNT, DUE_US, STOOD, REPORTED_US, CLOCK, HEARD_US, WENT_US = range(8)
 # Of each number of a stream: when it took its value, how often it stayed, the most that it ever did
 SINCE_US, RUN, LONGEST = range(3)
-# Of a clock: its newest stamp, before when nobody can be silent, and a leap not yet understood,
-# where BY has a bit for each who made it
-NEWEST_US, QUIET_US, FROM_US, TO_US, BY = range(5)
+# Of a clock: its newest stamp, before when nobody can be silent, a leap not yet understood, where
+# BY has a bit for each who made it, and how far it went while samples came: without pauses of all
+NEWEST_US, QUIET_US, FROM_US, TO_US, BY, GONE_US = range(6)
 
 
 class Watched(NamedTuple):
     """What is known of s streams; `watch` changes it in place.
 
-    `counts` (s, 7), `usual` (s, 3): interval, lateness and longest pause in us;
-    the newest `values` (s, w) and the
-    `runs` (s, w, 3) of each number; `clocks` (2, 5).
+    `counts` (s, 8), `usual` (s, 4): interval, lateness, longest pause and the spread of the
+    lateness in us; the newest `values` (s, w) and the `runs` (s, w, 3) of each number; `rates`
+    (s, 8) of `rate_kernel`; `clocks` (2, 6).
     """
 
     counts: NDArray[np.int64]
     usual: Vector
     values: Vector
     runs: NDArray[np.int64]
+    rates: Vector
     clocks: NDArray[np.int64]
 
 
 class Found(NamedTuple):
-    """Troubles (k, 4): row, stamp, stream, what; how much (k,) in s; how many are `filled` (1,)."""
+    """Troubles (k, 4): row, stamp, stream, what; how much (k,), in s, a share or samples; how many
+    are `filled` (1,)."""
 
     rows: NDArray[np.int64]
-    seconds: Vector
+    amounts: Vector
     filled: NDArray[np.int64]
 
 
 @compiled
-def _tell(found: Found, row: int, t_us: int, stream: int, what: int, seconds: float) -> None:
+def _tell(found: Found, row: int, t_us: int, stream: int, what: int, amount: float) -> None:
     at = found.filled[0]
     if at < len(found.rows):
         for i, number in enumerate((row, t_us, stream, what)):
             found.rows[at, i] = number
-        found.seconds[at] = seconds
+        found.amounts[at] = amount
         found.filled[0] += 1
 
 
@@ -157,6 +160,7 @@ def _paused(watched: Watched, found: Found, row: int, clock: int) -> None:
     for s in range(LINK):
         if watched.counts[s, CLOCK] == clock and watched.counts[s, COUNT] > 0:
             watched.counts[s, LAST_US] = watched.counts[s, HEARD_US] = at[TO_US]
+            watched.counts[s, WENT_US] = NEVER_US  # who came since then was not counted
             watched.counts[s, DUE_US] = at[TO_US] + _limit_us(watched.usual, s)
     at[NEWEST_US], at[TO_US] = at[TO_US], NEVER_US
 
@@ -184,7 +188,7 @@ def _stamp_is_wrong(
     """Whether a sample's stamp goes back, stands or comes too late, which is told."""
     count = watched.counts[s]
     gap_us, late_us = t_us - count[LAST_US], newest_us - t_us
-    limit_us = watched.usual[s, LATENESS] + max(LATE_US, INTERVALS * watched.usual[s, INTERVAL])
+    limit_us = watched.usual[s, LATENESS] + max(LATE_US, SPREADS * watched.usual[s, SPREAD])
     if gap_us < -BACK_US:
         _tell(found, row, newest_us, s, BACK, -gap_us * 1e-6)
         return True
@@ -206,9 +210,35 @@ def _learn(usual: Vector, s: int, count: int, gap_us: int, late_us: int) -> None
     share = max(SHARE, 1.0 / (1.0 + count))
     if count < LEARNT or gap_us < INTERVALS * usual[s, INTERVAL]:
         usual[s, INTERVAL] += share * (gap_us - usual[s, INTERVAL])
+    usual[s, SPREAD] += share * (abs(late_us - usual[s, LATENESS]) - usual[s, SPREAD])
     usual[s, LATENESS] += share * (late_us - usual[s, LATENESS])
     if count >= RHYTHM and gap_us < _limit_us(usual, s):
         usual[s, PAUSE] = max(gap_us, usual[s, PAUSE] * (1.0 - gap_us / FORGOTTEN_US))
+
+
+@compiled
+def _rate_is_wrong(
+    watched: Watched, found: Found, row: int, s: int, share: float, together: float, t_us: int
+) -> None:
+    """Tell of a stream that several samples of it come at once, or too few."""
+    who = s if together > 0.0 or _another_comes(watched, s) else LINK
+    if t_us - watched.counts[who, REPORTED_US] >= AGAIN_US:
+        what, amount = (BURSTING, together) if together > 0.0 else (SELDOM, 1.0 - share)
+        _tell(found, row, t_us, who, what, amount)
+        watched.counts[who, REPORTED_US] = t_us
+
+
+@compiled
+def _another_comes(watched: Watched, stream: int) -> bool:
+    """Whether a stream whose rate is known comes as usual, or no other is: else all sink."""
+    others = False
+    for s in range(LINK):
+        interval_s = watched.usual[s, INTERVAL] * 1e-6
+        if s != stream and is_known(watched.rates, s, interval_s):
+            others = True
+            if missing(watched.rates, s, interval_s) < SINKS:
+                return True
+    return not others
 
 
 @inlined
@@ -267,7 +297,7 @@ def _is_receivers(watched: Watched, s: int, source: float) -> bool:
 @compiled
 def watch(kind: Indices, t_us: Stamps, values: Vector, watched: Watched, found: Found) -> None:
     """Look at the samples of a block, kind (n,), t_us (n,), values (n, w), one after the other."""
-    counts, usual, last, runs, clocks = watched
+    counts, usual, last, runs, rates, clocks = watched
     for row in range(len(kind)):
         s = STREAM_OF[kind[row]]
         if s == -2 or t_us[row] <= 0:  # broadcasts, and what has no stamp yet
@@ -285,7 +315,9 @@ def watch(kind: Indices, t_us: Stamps, values: Vector, watched: Watched, found: 
         newest_us = clocks[clock, NEWEST_US]
         if now_us > newest_us:
             if newest_us != NEVER_US:
-                usual[LINK, INTERVAL] += SHARE * (now_us - newest_us - usual[LINK, INTERVAL])
+                step_us = now_us - newest_us
+                usual[LINK, INTERVAL] += SHARE * (step_us - usual[LINK, INTERVAL])
+                clocks[clock, GONE_US] += min(step_us, int(INTERVALS * usual[LINK, INTERVAL]))
             clocks[clock, NEWEST_US] = newest_us = now_us
             if now_us >= clocks[clock, QUIET_US]:
                 _silent(watched, found, row, s, clock, now_us)
@@ -299,6 +331,14 @@ def watch(kind: Indices, t_us: Stamps, values: Vector, watched: Watched, found: 
             )
             if gap_us > 0 and not wrong:
                 _learn(usual, s, counts[s, COUNT], gap_us, late_us)
+                share = 0.0
+                if gap_us < _limit_us(usual, s) and counts[s, WENT_US] != NEVER_US:
+                    went_us = clocks[clock, GONE_US] - counts[s, WENT_US]
+                    share = count(rates, s, went_us * 1e-6, usual[s, INTERVAL] * 1e-6)
+                stands = late_us > 0 and newest_us == counts[s, HEARD_US]
+                together = at_once(rates, s, stands, counts[s, COUNT] >= LEARNT_VALUES)
+                if share > 0.0 or together > 0.0:
+                    _rate_is_wrong(watched, found, row, s, share, together, newest_us)
         if kind[row] == FIX:
             for_s = _fix_repeated(watched, s, values[row], now_us)
         else:
@@ -309,4 +349,5 @@ def watch(kind: Indices, t_us: Stamps, values: Vector, watched: Watched, found: 
             counts[s, REPORTED_US] = now_us
         counts[s, LAST_US], counts[s, CLOCK] = now_us, clock
         counts[s, HEARD_US], counts[s, DUE_US] = newest_us, newest_us + _limit_us(usual, s)
+        counts[s, WENT_US] = clocks[clock, GONE_US]
         counts[s, COUNT] += 1

@@ -1,7 +1,8 @@
-"""Every stream that once came is watched: silence, repetition, and stamps that stand or leap.
+"""Every stream that once came is watched: silence, repetition, rate, stamps that stand or leap.
 
-A sensor that falls silent, repeats itself against its own noise and resolution, or whose stamps are
-wrong is at fault whatever it says. When everything pauses together it is the link that was lost.
+A sensor that falls silent, comes too seldom or in bursts, repeats itself against its own noise and
+resolution, or whose stamps are wrong is at fault whatever it says. When everything pauses together
+it is the link that was lost.
 The results are those of `SensorDecision`, without a statistic, every half second while it lasts.
 """
 
@@ -9,14 +10,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from analysis.detection.sensors.rate_kernel import COLUMNS
 from analysis.detection.sensors.stream_kernel import (
     AHEAD,
     BACK,
+    BURSTING,
     LATE,
     LINK,
     NEVER_US,
     REPEATED,
     REPORTED_US,
+    SELDOM,
     SILENT,
     STANDING,
     STREAMS,
@@ -34,6 +38,8 @@ REASONS = {
     AHEAD: "its time leaps {:.2f} s ahead",
     BACK: "its time goes back by {:.2f} s",
     LATE: "{:.2f} s late",
+    SELDOM: "comes {:.2f} times as often as usual",
+    BURSTING: "{:.0f} samples at once",
 }
 MOST = 10_000  # results from one block
 
@@ -47,15 +53,16 @@ class StreamWatch:
     def new_state(self) -> Watched:
         """Nothing came yet."""
         count = len(STREAMS)
-        counts = np.zeros((count, 7), np.int64)
+        counts = np.zeros((count, 8), np.int64)
         counts[:, REPORTED_US] = NEVER_US
         return Watched(
             counts,
-            np.zeros((count, 3)),
+            np.zeros((count, 4)),
             # NaN equals nothing: no first value is a repetition.
             np.full((count, WIDTH), np.nan),
             np.zeros((count, WIDTH, 3), np.int64),
-            np.full((2, 5), NEVER_US),
+            np.zeros((count, COLUMNS)),
+            np.full((2, 6), NEVER_US),
         )
 
     def step(
@@ -68,15 +75,15 @@ class StreamWatch:
         found = Found(np.empty((MOST, 4), np.int64), np.empty(MOST), np.zeros(1, np.int64))
         watch(block.kind, block.t_us, block.values, state, found)
         count = int(found.filled[0])
-        rows = zip(found.rows[:count].tolist(), found.seconds[:count].tolist(), strict=True)
+        rows = zip(found.rows[:count].tolist(), found.amounts[:count].tolist(), strict=True)
         return [
-            (row, _result(t_us, stream, what, seconds))
-            for (row, t_us, stream, what), seconds in rows
+            (row, _result(t_us, stream, what, amount))
+            for (row, t_us, stream, what), amount in rows
             if self.link or stream != LINK
         ], state
 
 
-def _result(t_us: int, stream: int, what: int, seconds: float) -> SensorDecision:
+def _result(t_us: int, stream: int, what: int, amount: float) -> SensorDecision:
     return SensorDecision(
         t_us=t_us,
         sensor=STREAMS[stream],
@@ -85,5 +92,5 @@ def _result(t_us: int, stream: int, what: int, seconds: float) -> SensorDecision
         dof=0,
         alarm=True,
         isolated=True,
-        reason=REASONS[what].format(seconds),
+        reason=REASONS[what].format(amount),
     )

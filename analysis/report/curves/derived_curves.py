@@ -143,17 +143,25 @@ def _difference(panel: str, name: str, own: Signal, other: Signal) -> Signal:
 
 
 def _divergence(recording: Recording) -> list[Signal]:
-    """How far each further instance of the estimator leans from the first, degrees."""
+    """How far each further instance of the estimator leans from the first, degrees: the angle
+    between where they see down, as roll and pitch leap upside down and at the zenith."""
     angles = [recording.of(f"instance-{part}") for part in ("roll", "pitch")]
     found = []
     # `strict=False`: an instance may lack one of the angles; the first is the reference.
     for roll, pitch in list(zip(*angles, strict=False))[1:]:
-        apart = []
-        for first, further in zip((angles[0][0], angles[1][0]), (roll, pitch), strict=True):
-            there = np.interp(further.t_s, first.t_s, first.value)
-            apart.append(further.value - there)
-        found.append(Signal("divergence", roll.name, roll.t_s, np.hypot(*apart)))
+        first = _down(angles[0][0], angles[1][0], roll.t_s)
+        sine = np.linalg.norm(np.cross(first, further := _down(roll, pitch, roll.t_s)), axis=1)
+        lean = np.degrees(np.arctan2(sine, (first * further).sum(axis=1)))
+        found.append(Signal("divergence", roll.name, roll.t_s, lean))
     return found
+
+
+def _down(roll: Signal, pitch: Signal, t_s: Vector) -> Vector:
+    """Down in the body (n, 3) at times (n,), by angles in degrees."""
+    # Unwrapped, or between 179 and -179 degrees there would be 0.
+    r = np.radians(np.interp(t_s, roll.t_s, np.unwrap(roll.value, period=360)))
+    p = np.radians(np.interp(t_s, pitch.t_s, pitch.value))
+    return np.column_stack((-np.sin(p), np.sin(r) * np.cos(p), np.cos(r) * np.cos(p)))
 
 
 def _balance(recording: Recording) -> list[Signal]:

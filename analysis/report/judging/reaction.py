@@ -15,10 +15,12 @@ from analysis.report.judging.checks import Check
 from analysis.report.judging.texts import alarming
 from analysis.report.recordings.recording import Event, Recording
 from analysis.scoring.alarm_windows import Window
-from analysis.scoring.outcome import MISSED, NOT_JUDGED, FaultOutcome, outcomes
+from analysis.scoring.fault_channels import sight
+from analysis.scoring.outcome import ENDLESS_US, MISSED, NOT_JUDGED, FaultOutcome, outcomes
 from mavproxy_fault.wire.label import Label
 
 ECHO_S = 15.0  # what follows a fault's end so soon is its echo
+SAMPLE_US = 1_000_000  # a check's window may begin with the sample before a fault
 REACTION_US = 10_000_000  # how long an estimator may hold out against its sensors
 AUTOPILOT = "autopilot"  # the channel of what names no sensor
 NAMED = (
@@ -52,7 +54,7 @@ def reactions(
     heard = [_of_event(e, recording) for e in raised]
     # The log was changed after the flight: the autopilot never saw the fault.
     if edited:
-        heard = _of_checks(checks, recording)
+        heard = _of_checks(checks, recording, labels)
     heard.sort(key=lambda window: window.start_us)
     # Which sensors anybody watched: an unwatched one cannot have been missed.
     watched = {CHECKED[check.name] for check in checks if _was_judged(check)} if edited else set()
@@ -70,15 +72,30 @@ def _was_judged(check: Check) -> bool:
     return check.name in CHECKED and check.verdict != "not judged"
 
 
-def _of_checks(checks: Sequence[Check], recording: Recording) -> list[Window]:
-    return [
-        Window(CHECKED[check.name], CHECKED[check.name], begin, end, 1, True)
-        for check in checks
-        if _was_judged(check)
-        for begin, end in (
-            (_stamp(t_s, recording), _stamp(end_s, recording)) for t_s, end_s in check.windows
-        )
-    ]
+def _of_checks(
+    checks: Sequence[Check], recording: Recording, labels: Sequence[Label]
+) -> list[Window]:
+    """What the checks hold against sensors. One that speaks where nothing was edited tells of the
+    flight as it was: for an edit of its own sensor it counts, against others it proves nothing."""
+    found = []
+    for check in filter(_was_judged, checks):
+        name = CHECKED[check.name]
+        spans = [(_stamp(b, recording), _stamp(e, recording)) for b, e in check.windows]
+        troubled = any(not any(_within(span, label) for label in labels) for span in spans)
+        for begin_us, end_us in spans:
+            own = [one for one in labels if _within((begin_us, end_us), one)]
+            own = [one for one in own if sight(one).suspected(name)]
+            # A window may begin with the sample before the fault.
+            begin_us = min((max(begin_us, one.start_us) for one in own), default=begin_us)
+            if own or not troubled:
+                found.append(Window(name, name, begin_us, max(begin_us, end_us), 1, True))
+    return found
+
+
+def _within(span: tuple[int, int], label: Label) -> bool:
+    """Whether a stretch of time may be the doing of a fault."""
+    end_us = ENDLESS_US if label.end_us is None else label.end_us
+    return label.start_us - SAMPLE_US <= span[0] and span[1] <= end_us + round(ECHO_S * 1e6)
 
 
 def _stamp(t_s: float, recording: Recording) -> int:

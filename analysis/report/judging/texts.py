@@ -22,9 +22,12 @@ GRAVE = re.compile(
     re.IGNORECASE,
 )
 OVER = re.compile(r"\b(cleared|resolved|recovered|regained|restored|ended|off|ok)\b", re.IGNORECASE)
+# "BARO #0 failed: OFF!" is no end, nor is "compass not ok".
+NOT_OVER = re.compile(r"\bfail(ed|s|ure)?\b.*\boff\b|\bnot (yet )?\w+", re.IGNORECASE)
 BENCH = re.compile(r"pre-?arm|preflight|arming denied|^arm(ing)?:", re.IGNORECASE)
 ALERT, ERROR, WARNING = 1, 3, 4  # MAV_SEVERITY
 SHOWN = 5  # texts of the evidence
+AFTER_S = 2.0  # who disarms for a crash says so, which may be written down after the disarming
 NAME = "messages of the autopilot"
 LIMIT = "warn: an error or an alarming text; fail: emergency, alert, crash or failsafe while armed"
 
@@ -44,7 +47,7 @@ def alarming(event: Event) -> bool:
     if event.kind == "error":
         return event.severity <= WARNING
     # What is over, and what was refused on the bench, alarms nobody in flight.
-    if OVER.search(event.text) or BENCH.search(event.text):
+    if over(event.text) or BENCH.search(event.text):
         return False
     if event.severity == UNGRADED:
         return bool(ALARMING.search(event.text))
@@ -52,6 +55,11 @@ def alarming(event: Event) -> bool:
     if event.severity <= ERROR:
         return True
     return bool((ALARMING if event.severity == WARNING else GRAVE).search(event.text))
+
+
+def over(text: str) -> bool:
+    """Whether a text says that something has ended."""
+    return bool(OVER.search(text)) and not NOT_OVER.search(text)
 
 
 def texts_check(recording: Recording, armed: Windows | None) -> Check:
@@ -76,10 +84,12 @@ def findings(spoken: Sequence[Event], armed: Windows | None) -> list[Finding]:
     found: dict[str, Finding] = {}
     for event in spoken:
         subject = _subject(event.text)
-        if OVER.search(event.text) or (event.kind == "error" and not alarming(event)):
+        if over(event.text) or (event.kind == "error" and not alarming(event)):
             _end(found.get(subject), event.t_s)
-        elif alarming(event) and within(event.t_s, armed):
-            grave = event.severity <= ALERT or bool(GRAVE.search(event.text))
+            continue
+        grave = event.severity <= ALERT or bool(GRAVE.search(event.text))
+        flown = within(event.t_s, armed) or (grave and within(event.t_s - AFTER_S, armed))
+        if alarming(event) and flown:
             finding = found.setdefault(subject, Finding(event.text, WARN, event.severity, []))
             finding.verdict = FAIL if grave else finding.verdict
             # The gravest of all that were said of the subject.

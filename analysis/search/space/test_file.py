@@ -13,6 +13,7 @@ from analysis.search.space.airframe import has_rotors
 from analysis.search.space.fault_range import FaultRange
 from analysis.search.space.section import Range, Section
 from mavproxy_fault.documents.document_check import decode
+from mavproxy_fault.documents.document_kind import refuse_others
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
@@ -258,6 +259,7 @@ def read_test(path: Path | str) -> TestFile:
     data = document.data
     if not isinstance(data, dict):
         raise ConfigError(f"{path}:1: holds no keys; a test file is a YAML mapping")
+    refuse_others(data, TestFile.__struct_fields__, str(path), "a search")
     named = data.get("scenario")
     if named is not None or data.get("estimator") in SIMULATED:
         # Behind, what the file says itself.

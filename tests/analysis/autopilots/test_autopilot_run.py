@@ -45,7 +45,9 @@ IMU_HZ = {"ardupilot": 400, "px4": 250}
 def run(tmp_path, *options, scenario=None, autopilot="ardupilot"):
     file = tmp_path / "hover.yaml"
     scenario = scenario or SCENARIO.format(duration_s=12)
-    file.write_text(scenario.replace("rate_hz: 400", f"rate_hz: {IMU_HZ[autopilot]}"))
+    file.write_text(
+        scenario.replace("rate_hz: 400", f"rate_hz: {IMU_HZ[autopilot.partition(':')[0]]}")
+    )
     return subprocess.Popen(
         [sys.executable, "-m", "mavproxy_fault.cli", "run", str(file), "--autopilot", autopilot,
          "--zenoh", "off", "--out", str(tmp_path / "out"), *options],
@@ -122,6 +124,13 @@ def test_a_start_in_the_air_is_refused(tmp_path):
     said, _ = process.communicate(timeout=60)
     assert process.returncode == 2
     assert "start.height_m = 30 is in the air" in said
+
+
+def test_a_vehicle_that_is_not_the_scenarios_is_refused(tmp_path):
+    process = run(tmp_path, "--binary", "true", autopilot="ardupilot:plane")
+    said, _ = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert "the scenario's vehicle is a multirotor, which arducopter flies" in said
 
 
 def test_an_autopilot_that_dies_leaves_a_readable_folder_and_the_reason(tmp_path):

@@ -89,6 +89,16 @@ def test_a_position_has_to_stay_for_a_while():
     assert 10 * SECOND_US <= autopilot.t_us - begun_us <= 11 * SECOND_US
 
 
+def test_nothing_is_armed_before_the_program_has_started():
+    autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
+    for second in range(1, 60):
+        autopilot.operator.heard(READY)
+        autopilot.operator.step(second * SECOND_US, started=False)
+        assert autopilot.operator.phase is Phase.WAITING
+    autopilot.operator.step(60 * SECOND_US)
+    assert autopilot.operator.phase is Phase.ARMING
+
+
 def test_what_is_not_answered_is_asked_again_each_second():
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     autopilot.up_to(Phase.ARMING)

@@ -17,6 +17,7 @@ from analysis.autopilots.hil_exchange import (
     ToAutopilot,
 )
 from analysis.run.proxied_flight import VEHICLE, Flight
+from mavproxy_fault.compiled.passage import new_passage
 from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.links.udp import UdpServer
 from mavproxy_fault.schedule.entries import parse_schedule
@@ -42,11 +43,14 @@ sensors:
 
 
 @pytest.fixture
-def flight_of(tmp_path):
+def scenario(tmp_path):
     file = tmp_path / "scenario.yaml"
     file.write_text(SCENARIO)
-    scenario = read_scenario(str(file))
+    return read_scenario(str(file))
 
+
+@pytest.fixture
+def flight_of(scenario):
     def make(**fault) -> Flight:
         return Flight(scenario, parse_schedule({"faults": [{"id": "f", "at_s": 0, **fault}]}))
 
@@ -76,6 +80,43 @@ def test_a_delay_is_one_of_the_vehicles_time(flight_of):
     ]
     assert len(late_us) >= 3
     assert late_us == pytest.approx([500_000] * len(late_us), abs=4_000)  # of a step
+
+
+FAULTS = [
+    {"fault": "bias", "target": "HIL_SENSOR.xgyro", "value": 0.1, "at_s": 0.1, "for_s": 0.3},
+    {"fault": "noise", "target": "HIL_SENSOR.zacc", "value": 0.1, "at_s": 0.3, "for_s": 0.2},
+    {"fault": "delay", "target": "HIL_GPS", "value": 0.1, "at_s": 0.2, "for_s": 0.5},
+    {"fault": "drop", "target": "HIL_SENSOR", "at_s": 0.6, "for_s": 0.1},
+    {"fault": "freeze", "target": "HIL_ACTUATOR_CONTROLS.controls[0]", "at_s": 0.4, "for_s": 0.2},
+]
+
+
+def flown(scenario, compiled):
+    """What left for an autopilot that answers everything, what it commanded, and the logs."""
+    faults = [{"id": f"f{n}", **fault} for n, fault in enumerate(FAULTS)]
+    flight = Flight(scenario, parse_schedule({"seed": 5, "faults": faults}))
+    passage = new_passage(flight.core, flight.tape) if compiled else None
+    outward, lockstep = ToAutopilot(flight, Hil(), lambda sends: None, passage=passage), Lockstep()
+    left, steps, commanded = [], [], []
+    with closing(TcpServer("127.0.0.1", 0)) as link, connected(link) as autopilot:
+        inward = FromAutopilot(outward, [link], Patience(link, None, 5.0), lockstep)
+        for step in range(250):
+            left.append(b"".join(outward.frames(*flight.simulation.step(None))))
+            steps.append(outward.step_us)
+            values = {"time_usec": START_US + 4_000 * (step + 1), "controls": [step] * 16}
+            raw = build(known("HIL_ACTUATOR_CONTROLS"), values, seq=step & 0xFF)
+            for part in (raw[:20], raw[20:]) if step % 7 == 3 else (raw,):
+                autopilot.sendall(part)
+                select.select(link.filenos(), [], [], 5.0)
+                commanded += [frame.raw for frame in inward.frames()]
+    if passage is not None:
+        passage.count()
+    core = flight.core
+    return left, steps, commanded, flight.tape, core.drain_labels(), core.states, core.senders
+
+
+def test_machine_code_and_the_core_let_the_same_bytes_through(scenario):
+    assert flown(scenario, True) == flown(scenario, False)
 
 
 def test_steps_go_on_while_their_sensor_frames_are_held_back(flight_of):

@@ -49,8 +49,8 @@ def test_the_scripts_are_found_beside_the_program(binary):
     assert px4_program.command(str(binary)) == [str(binary), "-d", str(scripts)]
 
 
-@pytest.mark.parametrize(("told_s", "held_s"), [(3.0, 3.0), (None, 20.0)])
-def test_a_flight_keeps_to_the_wall_clock_until_the_start_script_is_over(
+@pytest.mark.parametrize(("told_s", "held_s"), [(3.0, 3.0), (None, 60.0)])
+def test_a_flight_keeps_to_a_pace_until_the_start_script_is_over(
     tmp_path, monkeypatch, told_s, held_s
 ):
     now = [100.0]
@@ -59,7 +59,7 @@ def test_a_flight_keeps_to_the_wall_clock_until_the_start_script_is_over(
     log = tmp_path / "px4.log"
     log.write_text("INFO  [px4] startup script: rcS 0\n")
     start = Start(Program("PX4", None, [], log, PX4_STEP, px4_program.STARTED))
-    for tick in range(10_000):  # 40 s of a vehicle that needs no time of its own
+    for tick in range(80_000):  # 320 s of a vehicle that needs no time of its own
         start.hold(1_000_000 + 4000 * tick)
         if told_s is not None and now[0] >= 100.0 + told_s:
             log.write_text("INFO  [px4] Startup script returned successfully\n")

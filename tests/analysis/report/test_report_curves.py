@@ -101,4 +101,17 @@ def test_instances_that_lean_apart_diverge() -> None:
     ]
     (apart,) = [s for s in derived(Recording("r", signals=signals))[0] if s.panel == "divergence"]
     assert apart.name == "instance 2"
-    assert apart.value == pytest.approx(np.hypot(3, 3))
+    assert apart.value == pytest.approx(np.hypot(3, 3), rel=1e-3)
+
+
+def test_estimators_that_are_both_upside_down_agree() -> None:
+    """One rolls through 180 degrees a little before the other."""
+    t_s = np.arange(0.0, 10.0, 0.1)
+    rolls = [(36.0 * t_s + lead + 180.0) % 360.0 - 180.0 for lead in (0.0, 2.0)]
+    signals = [
+        Signal(f"instance-{part}", f"instance {i + 1}", t_s, value)
+        for i, roll in enumerate(rolls)
+        for part, value in (("roll", roll), ("pitch", np.full(len(t_s), 10.0)))
+    ]
+    (apart,) = [s for s in derived(Recording("r", signals=signals))[0] if s.panel == "divergence"]
+    assert apart.value.max() == pytest.approx(2.0 * np.cos(np.radians(10.0)), abs=0.01)

@@ -10,11 +10,13 @@ import pytest
 from analysis.report.judging.check_limits import Thresholds, read_thresholds
 from analysis.report.judging.checks import Check, Limits, lasting, level, verdict_of
 from analysis.report.judging.flight_verdict import Outcome, judged
+from analysis.report.judging.reaction import reactions
 from analysis.report.judging.texts import texts_check
 from analysis.report.recordings.recording import UNGRADED, Event, Recording, Signal
 from analysis.report.recordings.sources import Flight as Source
 from analysis.report.recordings.sources import group, read_flight
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.label import Label
 
 Flight = Callable[..., Path]
@@ -245,6 +247,35 @@ def test_an_edit_does_not_prove_another(flight: Flight) -> None:
     assert fault_rows(found)["compass"][0] == "not judged"
 
 
+def test_labels_of_a_recording_in_which_the_vehicle_restarted_count_on(
+    flight: Flight, tmp_path: Path
+) -> None:
+    """Half a minute passes between both flights: the proxy's clock, and labels, know nothing of
+    it."""
+    first, second = flight("first"), flight("second", jump_at_s=10.0)
+    records = [(t_us, raw) for t_us, raw, _ in tlog.read_records(first)]
+    records += [(t_us + 50_000_000, raw) for t_us, raw, _ in tlog.read_records(second)]
+    path = tmp_path / "both.tlog"
+    tlog.write(path, records)
+    label = jump(recorded=True, start_us=30_700_000, end_us=40_800_000)
+    assert fault_rows(outcome(path, label)) == {"jump": ("isolated", "")}
+
+
+def test_a_trouble_of_the_recording_itself_blames_nobody_for_an_edit() -> None:
+    """The real flight shook before, while and after its GPS was edited, which the edit did not."""
+    shaken = Check(
+        name="vibration", verdict="FAIL", evidence="", windows=((3.0, 4.0), (11.0, 12.0))
+    )
+    jumps = Check(name="GPS jumps", verdict="FAIL", evidence="", windows=((9.8, 10.1),))
+    recording = Recording("x", "ardupilot", 1_000_000, 60.0, [])
+    rows = reactions([jump(recorded=True)], recording, [shaken, jumps])
+    # A window that begins with the sample before the edit is not from before it.
+    assert [(row["verdict"], row["delay_s"]) for row in rows] == [("isolated", 0.0)]
+    calm = msgspec.structs.replace(shaken, windows=((11.0, 12.0),))
+    (row,) = reactions([jump(recorded=True)], recording, [calm, jumps])
+    assert (row["verdict"], row["wrongly"][0]["who"]) == ("wrong", "imu")
+
+
 def test_a_log_with_labels_needs_no_criteria_for_a_verdict(flight: Flight) -> None:
     found = outcome(flight(), jump())
     assert fault_rows(found)["jump"] == ("missed", "")
@@ -296,6 +327,27 @@ TEXTS = {
         "FAIL",
         "'BARO #0 failed: STALE!' at 20.0 s",
     ),
+    "a sensor that is off": (
+        [text(20, "BARO #0 failed:  OFF!", 0)],
+        "FAIL",
+        "'BARO #0 failed:  OFF!' at 20.0 s",
+    ),
+    "what is not over": (
+        [text(20, "Compass not ok", 2)],
+        "WARN",
+        "'Compass not ok' at 20.0 s",
+    ),
+    "an event that is off": (
+        [text(20, "Failsafe. Short event on", 4), text(26, "Failsafe. Short event off", 4)],
+        "WARN",
+        "'Failsafe. Short event on' at 20.0 s",
+    ),
+    "said as it disarms": (
+        [text(100.6, "Crash: Disarming: AngErr=45>30", 0)],
+        "FAIL",
+        "'Crash: Disarming: AngErr=45>30' at 100.6 s",
+    ),
+    "said on the bench afterwards": ([text(110, "Crash: check", 0)], "PASS", ""),
     "sixty times": (
         [text(20 + 0.5 * i, "Throttle saturated", 2) for i in range(60)],
         "WARN",

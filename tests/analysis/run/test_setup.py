@@ -3,9 +3,13 @@ from pathlib import Path
 
 import pytest
 
+from analysis.run.run_command import tell_idle
 from analysis.run.setup import read_setup
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.schedule.entries import Schedule, parse_schedule
 from simvehicle.scenario.changed_scenario import parse_change
+
+HOVER = str(Path(__file__).parents[3] / "examples" / "hover.yaml")
 
 
 @pytest.mark.parametrize("head", ["schedule:\n  faults:\n", "schedule:\n"])
@@ -86,3 +90,33 @@ def test_single_values_of_a_scenario_can_be_set() -> None:
 def test_a_value_that_cannot_be_set_is_told(change: str, error: str) -> None:
     with pytest.raises(ConfigError, match=re.escape(error)):
         read_setup(None, changes=dict([parse_change(change)]))
+
+
+@pytest.mark.parametrize(
+    ("target", "known"),
+    [
+        ("PLANT.motor_efficiency[5]", "motor_efficiency[3]"),
+        ("PLANT.elevator_efficiency", "motor_efficiency[0]"),
+        ("PLANT.pseudorange_m[G12]", "mass_kg_add"),
+    ],
+)
+def test_a_part_that_the_vehicle_does_not_have_is_refused(
+    target: str, known: str, tmp_path: Path
+) -> None:
+    """It would never act, and be called missed."""
+    schedule = tmp_path / "faults.yaml"
+    schedule.write_text(f"faults: [{{id: a, fault: plant, target: '{target}', value: 0.5}}]\n")
+    name = target.removeprefix("PLANT.")
+    with pytest.raises(ConfigError, match=f"fault a: plant: {re.escape(name)} is unknown") as error:
+        read_setup(HOVER, str(schedule))
+    assert known in str(error.value)
+
+
+def test_a_schedule_of_which_nothing_met_anything_proves_nothing() -> None:
+    schedule = parse_schedule("faults: [{id: a, preset: airspeed-blockage}]")
+    summary = {"verdict": "PASS"}
+    tell_idle(summary, schedule, [])
+    assert summary == {"verdict": "NO VERDICT", "never_acted": ["a (airspeed-blockage)"]}
+    none: dict[str, object] = {"verdict": "PASS"}
+    tell_idle(none, Schedule(), [])
+    assert none == {"verdict": "PASS", "never_acted": []}

@@ -2,12 +2,16 @@
 
 import os
 import signal
+from pathlib import Path
 
 import pytest
 
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.run.worker import MonitorDiedError, MonitorProcess
 from analysis.scoring.criteria import Criteria
+from mavproxy_fault.wire.tlog import read_records, record
+
+RECORDED = Path(__file__).resolve().parents[2] / "data" / "jmavsim" / "hil.tlog"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -23,3 +27,14 @@ def test_a_monitor_that_was_killed_is_told() -> None:
         os.kill(monitor.pid, signal.SIGKILL)
         with pytest.raises(MonitorDiedError, match="the monitor's process ended by signal 9"):
             monitor.summary([], Criteria(), 1.0)
+
+
+def test_records_lead_to_what_frames_lead_to() -> None:
+    frames = [raw for _, raw, _ in read_records(RECORDED)]
+    results = []
+    for records in (False, True):
+        with MonitorProcess(MonitorConfig(), records=records) as monitor:
+            for raw in frames:
+                monitor.feed(record(0, raw) if records else raw)
+            results.append(monitor.results())
+    assert results[0] == results[1] != []

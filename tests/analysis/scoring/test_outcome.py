@@ -164,6 +164,11 @@ TRUTH = {
         [],
         *("not judged", (), (), "no channel watches BATTERY_STATUS.voltages[0]"),
     ),
+    "a satellite that is lost": (
+        "PLANT.satellite_lost[G12]",
+        [],
+        *("not judged", (), (), "a hill hides a satellite as well: it is no error"),
+    ),
     "no such sensor": (
         "HIL_SENSOR.diff_pressure",
         [],
@@ -218,6 +223,23 @@ def test_truth_table(case: tuple) -> None:
     (row,) = judged([label("f", targets)], results)
     found = row.verdict, row.isolated, tuple(blame.who for blame in row.wrongly), row.reason
     assert found == (verdict, isolated, wrongly, reason)
+
+
+@pytest.mark.parametrize(
+    ("fault", "target", "verdict"),
+    [
+        ("drop", G12, "not judged"),
+        ("drop", "PSEUDORANGE", "missed"),
+        ("drop", f"{G12} HIL_SENSOR.xgyro", "missed"),
+        ("bias", G12, "missed"),
+    ],
+)
+def test_a_satellite_that_does_not_come_in_is_not_judged_a_receiver_that_is_silent_is(
+    fault: str, target: str, verdict: str
+) -> None:
+    done = msgspec.structs.replace(label("f", target), fault=fault)
+    (row,) = judged([done], [])
+    assert row.verdict == verdict
 
 
 def test_a_wrong_blame_is_told_with_its_time() -> None:
@@ -285,6 +307,7 @@ def test_a_right_blame_that_outlasts_the_echo_is_false_from_there() -> None:
         ("drop", "DISTANCE_SENSOR", "link range"),
         ("outage", "", "link"),
         ("jitter", "", ""),
+        ("duplicate", "HIL_SENSOR", ""),
         ("gps-spoof", "", "gps-position gps-velocity satellites"),
         ("bias", "ODOMETRY.x", "vision"),
     ],
@@ -293,6 +316,11 @@ def test_channels_follow_from_target_and_kind(fault: str, targets: str, channels
     found = sight(label("f", targets, fault=fault))
     assert sorted(found.channels) == channels.split()
     assert bool(found.reason) is not bool(channels)
+
+
+def test_on_a_link_that_loses_frames_the_raw_ranges_may_fall_silent_as_well() -> None:
+    silent = windows([sensor(12, "satellites"), sensor(12, "link")])
+    assert not false_alarms([label("f", "", fault="drop")], silent, 100.0)
 
 
 def test_bits_cleared_by_group_belong_to_that_sensor() -> None:

@@ -19,11 +19,13 @@ from mavproxy_fault.app.proxy_command import roles
 from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled.forwarder import Forwarder
 from mavproxy_fault.compiled.object_file import load, make
+from mavproxy_fault.compiled.passage import Passage
 from mavproxy_fault.links.udp import UdpClient, UdpServer
 from mavproxy_fault.proxy.core import Core, LinkState
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import LinkRole
 from mavproxy_fault.proxy.statistics import Latencies
+from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import INTEGER_LIMITS, build
@@ -186,6 +188,28 @@ def interpreted(traffic: Sequence[bytes], schedule: str, came_us: Sequence[int])
     return Outcome(sent, core.drain_labels(), core.states, core.senders)
 
 
+def lent(traffic: Sequence[bytes], schedule: str, came_us: Sequence[int]) -> Outcome:
+    """What becomes of the same without sockets; the tape holds what the core's would."""
+    links = [LinkRole("vehicle", "from-vehicle"), LinkRole("station", "to-vehicle")]
+    cores = [Core(links, Engine(parse_schedule(schedule)), tape=Tape()) for _ in range(2)]
+    core, reference = cores
+    tape = core._tape
+    assert tape is not None
+    passage, sent = Passage(core, tape), []
+    for datagram, now_us in zip(traffic, came_us, strict=True):
+        passed = passage.passed(0, datagram, now_us)
+        if passed is None:
+            sent.append([send.data for send in core.received(0, datagram, now_us)])
+        else:
+            sent.append([passed.data] if passed.links else [])
+        reference.received(0, datagram, now_us)
+    passage.count()
+    for one in cores:
+        one.finish(came_us[-1])
+    assert tape == reference._tape
+    return Outcome(sent, core.drain_labels(), core.states, core.senders)
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _machine_code() -> None:
     make()
@@ -197,7 +221,9 @@ def check(traffic: Sequence[bytes], faults: Sequence[dict[str, Any]]) -> None:
     named = [{"id": f"f{n}", **fault} for n, fault in enumerate(faults)]
     schedule = json.dumps({"seed": 3, "faults": named})
     fast, came_us = compiled(traffic, schedule)
-    assert interpreted(traffic, schedule, came_us) == fast
+    reference = interpreted(traffic, schedule, came_us)
+    assert reference == fast
+    assert reference == lent(traffic, schedule, came_us)
 
 
 @settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])

@@ -103,6 +103,17 @@ def test_a_client_connects_when_its_server_appears(monkeypatch: pytest.MonkeyPat
     client.close()
 
 
+def test_a_client_tells_of_a_connection_that_is_lost_but_of_no_attempt(server, caplog) -> None:
+    client = TcpClient("127.0.0.1", server.port)
+    read_until(server, lambda _: server.peer_count == 1)
+    client.read()
+    server.close()
+    read_until(client, lambda _: client.counters.errors >= 1)
+    client.close()
+    told = [record.message for record in caplog.records]
+    assert told == [f"tcp:127.0.0.1:{server.port}: the connection was lost; it is made again"]
+
+
 def test_what_is_written_while_connecting_arrives(server: TcpServer) -> None:
     client = TcpClient("127.0.0.1", server.port)
     client.write(b"at once")

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.schedule.entries import Schedule, parse_schedule, read_schedule
+from mavproxy_fault.schedule.entries import Schedule, never_acted, parse_schedule, read_schedule
 from mavproxy_fault.wire.dialect import known
 
 GOOD = """\
@@ -237,3 +237,20 @@ def test_a_number_of_two_readings_does_not_hide_what_else_is_wrong(tmp_path: Pat
         "4: faults[2].after = nobody is no other fault",
         "6: faults[4].target = 010 is octal to some",
     ]
+
+
+def test_what_met_nothing_is_told_once_and_a_preset_needs_one_part_only() -> None:
+    text = """
+faults:
+  - {id: a, fault: bias, target: HIL_SENSOR.xgyro, value: 1}
+  - {id: b, preset: sensor-power-failure}
+  - {preset: baro-off}
+  - {id: c.1, preset: airspeed-blockage}
+"""
+    schedule = parse_schedule(text)
+    assert never_acted(schedule, {"b.1"}) == [
+        "a (bias)",
+        "baro-off (baro-off)",
+        "c.1 (airspeed-blockage)",
+    ]
+    assert never_acted(schedule, {"a", "b.2", "baro-off.2", "c.1"}) == []

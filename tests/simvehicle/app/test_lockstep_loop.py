@@ -163,7 +163,9 @@ def test_a_missing_answer_is_told_and_passed_over() -> None:
                 if said.getvalue().count("in lockstep from") == 2:
                     break
     lines = said.getvalue().splitlines()
-    missed = lines.index("no answer to the step at 1.200 s; going on in real time")
+    missed = lines.index(
+        "no answer to the step at 1.200 s; going on in real time on the last commands"
+    )
     assert lines[missed + 1].startswith("in lockstep from ")
 
 

@@ -80,6 +80,16 @@ def test_what_lasts_becomes_the_usual_level() -> None:
     assert 29.0 < told(block)[-1].t_us * 1e-6 < 31.0
 
 
+@pytest.mark.parametrize("lasts_s", [20.1, 20.3, 25.0, 40.0])
+def test_who_comes_back_from_what_has_become_usual_is_not_off_again(lasts_s: float) -> None:
+    make, begin_s = field_of(1.3), 10.0
+    stamps = range(0, 90_000_000, 20_000)
+    block = block_of([make(t_us, begin_s <= t_us * 1e-6 < begin_s + lasts_s) for t_us in stamps])
+    found = told(block)
+    assert found[0].t_us * 1e-6 < begin_s + 1.0
+    assert found[-1].t_us * 1e-6 < begin_s + 20.6
+
+
 def test_the_cut_into_blocks_changes_nothing() -> None:
     whole = flight(field_of(1.3))
     watch = LevelWatch()

@@ -181,3 +181,73 @@ def test_blocks_of_any_length_say_the_same() -> None:
         results, state = watch.step(block_of(samples[begin : begin + 37]), state)
         found += [result for _, result in results]
     assert found == troubles(samples)
+
+
+def every_other(samples: Sequence[Sample], *kinds: type) -> list[Sample]:
+    """From 10 to 14 s only every other sample of these kinds comes, of each by itself."""
+    kept: list[Sample] = []
+    came = dict.fromkeys(kinds, 0)
+    for sample in samples:
+        if isinstance(sample, kinds) and BEGIN_US <= sample.t_us < END_US:
+            came[type(sample)] += 1
+            if came[type(sample)] % 2:
+                continue
+        kept.append(sample)
+    return kept
+
+
+def test_a_stream_that_comes_half_as_often_is_told_until_it_comes_as_before() -> None:
+    found = troubles(every_other(stream(), BaroSample))
+    assert {result.sensor for result in found} == {"baro"}
+    assert found[0].reason.startswith("comes 0.")
+    assert BEGIN_US + SECOND < found[0].t_us < END_US
+    assert found[-1].t_us < END_US + 2 * SECOND
+
+
+def test_when_all_come_half_as_often_it_is_the_link() -> None:
+    kinds = (ImuSample, MagSample, BaroSample, GpsFix)
+    assert {result.sensor for result in troubles(every_other(stream(), *kinds))} == {"link"}
+
+
+def test_a_rate_that_stays_is_the_usual_one_after_a_while() -> None:
+    samples = [
+        sample
+        for at, sample in enumerate(stream(60))
+        if not (isinstance(sample, BaroSample) and sample.t_us > BEGIN_US and at // 5 % 2)
+    ]
+    found = troubles(samples)
+    assert {result.sensor for result in found} == {"baro"}
+    assert found[-1].t_us < BEGIN_US + 25 * SECOND
+
+
+@pytest.mark.parametrize("for_us", [SECOND // 3, 4 * SECOND // 10])
+def test_a_short_pause_of_everything_makes_no_stream_seldom(for_us: int) -> None:
+    assert troubles([s for s in stream() if not BEGIN_US <= s.t_us < BEGIN_US + for_us]) == []
+
+
+def test_samples_that_were_kept_back_and_come_at_once_are_told() -> None:
+    samples: list[Sample] = []
+    kept: list[Sample] = []
+    for sample in stream():
+        if isinstance(sample, MagSample) and BEGIN_US <= sample.t_us < END_US:
+            kept.append(sample)
+            continue
+        samples.append(sample)
+        if sample.t_us % (SECOND // 4) == 0 and isinstance(sample, ImuSample):
+            samples += kept
+            kept = []
+    found = troubles(samples)
+    assert {(result.sensor, result.reason.split(" ", 1)[1]) for result in found} >= {
+        ("mag", "samples at once")
+    }
+    assert {result.sensor for result in found} == {"mag"}
+
+
+def test_a_receiver_that_comes_half_a_second_later_than_usual_is_told() -> None:
+    late = [
+        (s.t_us + SECOND // 2 if isinstance(s, GpsFix) and s.t_us >= BEGIN_US else s.t_us, s)
+        for s in stream()
+    ]
+    found = troubles([sample for _, sample in sorted(late, key=lambda arrival: arrival[0])])
+    assert {result.sensor for result in found} == {"gps-position"}
+    assert found[0].reason == "0.49 s late"  # the newest sample is that of 10 ms before

@@ -1,0 +1,90 @@
+"""The compiled form without sockets: for a process that has both ends of a link in itself."""
+
+import sys
+from typing import Any, NamedTuple
+
+from mavproxy_fault.compiled import layout as k
+from mavproxy_fault.compiled import object_file
+from mavproxy_fault.compiled.tables import Tables
+from mavproxy_fault.faults.noise_fault import Noise
+from mavproxy_fault.links import datagram_batch
+from mavproxy_fault.proxy.core import Core
+from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.wire.frame import HEADER_V1, HEADER_V2, STX_V2
+
+CRC_LENGTH = 2
+
+
+class Passed(NamedTuple):
+    """What became of a datagram: the links it leaves on, as a mask, and its bytes then."""
+
+    links: int
+    data: bytes
+
+
+class Passage(Tables):
+    """Datagrams through a core as machine code; what it cannot carry out is the core's."""
+
+    def __init__(self, core: Core, tape: Tape) -> None:
+        super().__init__(core, 0, tape)
+        self.loop[k.COMPILED_LINKS] = (1 << len(core.links)) - 1
+        self._data = self._arrays["data"]
+
+    def passed(self, link: int, data: bytes, now_us: int) -> Passed | None:
+        """What became of a datagram; None where the core has to carry it out."""
+        core, loop, length = self._core, self.loop, len(data)
+        due_us = core.next_due_us
+        # What is due leaves first.
+        if length > k.ROW or (due_us is not None and due_us <= now_us):
+            return None
+        self._refresh()
+        self._data[:length] = data
+        loop[k.LENT], loop[k.LINK], loop[k.CAME] = length, link, now_us
+        self._forward(self._addresses)
+        mask = loop[k.MASK]
+        if mask < 0:
+            for frame in split(data):
+                self._learn(frame)
+            return None
+        self._settle()
+        return Passed(mask, bytes(self._data[:length]))
+
+    def count(self) -> None:
+        """Add the machine code's counts to the core's."""
+        ports = self.ports
+        for number, state in enumerate(self._core.states):
+            state.frames += ports[number, k.FRAMES]
+            state.gaps += ports[number, k.MISSING]
+            state.faulted += ports[number, k.FAULTED]
+            for column in (k.FRAMES, k.MISSING, k.FAULTED):
+                ports[number, column] = 0
+
+    def _way(self, number: int) -> tuple[int, int]:
+        engine: Any = self._core.engine
+        acting = () if engine is None or engine.t0_us is None else engine.acting(number) or ()
+        # Numbers drawn ahead for one datagram cost more than the noise of it.
+        if any(isinstance(running.fault, Noise) for running in acting):
+            return k.INTERPRETED, -1
+        return super()._way(number)
+
+
+def split(data: bytes) -> list[bytes]:
+    """The frames of a datagram, which are whole and not signed."""
+    found, at = [], 0
+    while at + 1 < len(data):
+        head = HEADER_V2 if data[at] == STX_V2 else HEADER_V1
+        end = at + head + data[at + 1] + CRC_LENGTH
+        found.append(data[at:end])
+        at = end
+    return found
+
+
+def new_passage(core: Core, tape: Tape) -> Passage | None:
+    """A passage, whose machine code is made where there is none yet; None where it cannot be."""
+    if not datagram_batch.BATCHES:
+        return None
+    if object_file.load() is None:
+        print("first use: machine code is being made, once, which takes up to a minute",
+              file=sys.stderr, flush=True)  # fmt: skip
+        object_file.make()
+    return Passage(core, tape)

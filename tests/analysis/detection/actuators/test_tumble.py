@@ -1,0 +1,72 @@
+"""A body that turns faster than its gyro can tell."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from analysis.detection.actuators.mutual_judgement import TUMBLES, judged
+from analysis.detection.actuators.tumble_kernel import follow, no_tumble
+from analysis.results import SensorDecision
+from analysis.samples.block import Block, block_of
+from analysis.samples.sample import ImuSample, MagSample, Sample
+
+RANGE_RPS, BEGIN_S, END_S = 4.36, 2.0, 3.0
+
+
+def flight(*, turns: bool = True, jumps: bool = False, blow_s: float = np.inf) -> Block:
+    """A roll that grows to twice the range of the gyro, and is over after a second."""
+    rng = np.random.default_rng(1)
+    samples: list[Sample] = []
+    angle = 0.0
+    for k in range(6_000):
+        t_s = k * 0.005
+        rate = np.interp(t_s, [BEGIN_S, 2.2, 2.8, END_S], [0.0, 8.0, 8.0, 0.0])
+        angle += 0.005 * rate
+        shown = RANGE_RPS * (BEGIN_S < t_s < END_S) if jumps else min(rate, RANGE_RPS)
+        gyro = np.array([shown, 0.0, 0.0]) + rng.normal(0.0, 0.003, 3)
+        force = np.array([0.0, 0.0, -120.0 if abs(t_s - blow_s) < 0.01 else -9.81])
+        samples.append(ImuSample(round(t_s * 1e6), gyro, force))
+        if k % 8 == 0:
+            c, s = (np.cos(angle), np.sin(angle)) if turns else (1.0, 0.0)
+            field = np.array([0.2, 0.43 * s, 0.43 * c]) + rng.normal(0.0, 0.003, 3)
+            samples.append(MagSample(round(t_s * 1e6), field))
+    return block_of(samples)
+
+
+def lost_s(block: Block) -> np.ndarray:
+    lost = follow(block.kind, block.t_us, block.values, no_tumble())
+    return block.t_us[lost] * 1e-6
+
+
+def test_the_attitude_is_lost_where_gyro_stands_and_compass_turns_until_it_is_found_anew() -> None:
+    found = lost_s(flight())
+    assert 2.1 < found[0] < 2.4
+    assert 22.0 < found[-1] < 23.5
+
+
+def test_a_blow_within_a_tumble_is_a_crash_and_ends_it_for_good() -> None:
+    assert lost_s(flight(blow_s=4.0))[-1] == pytest.approx(29.995)
+
+
+def test_a_gyro_that_stands_while_the_compass_does_too_is_the_gyros_fault() -> None:
+    assert not len(lost_s(flight(turns=False, jumps=True)))
+
+
+def test_how_the_stream_is_cut_changes_nothing() -> None:
+    block = flight(blow_s=4.0)
+    whole = follow(block.kind, block.t_us, block.values, no_tumble())
+    kept, edges = no_tumble(), [0, 1, 450, 451, 3000, len(block.kind)]
+    parts = [
+        follow(block.kind[a:b], block.t_us[a:b], block.values[a:b], kept)
+        for a, b in pairwise(edges)
+    ]
+    assert (np.concatenate(parts) == whole).all()
+
+
+def test_what_is_held_against_a_lost_attitude_is_not_judged() -> None:
+    alarm = SensorDecision(
+        t_us=5, sensor="imu", statistic=None, threshold=None, dof=0, alarm=True, isolated=True
+    )
+    found, _ = judged([(0, alarm), (1, alarm)], 1 << 62, np.array([False, True]), -(1 << 62))
+    assert [(one.alarm, one.reason) for _, one in found] == [(True, ""), (False, TUMBLES)]

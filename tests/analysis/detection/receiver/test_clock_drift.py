@@ -1,0 +1,45 @@
+"""A receiver's clock that runs away."""
+
+import numpy as np
+import pytest
+
+from analysis.detection.detector_state import Core, Record
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.inertial import DRIFT, ERRORS, X_DRIFT, X_SIZE
+from analysis.detection.receiver.clock_drift import clock_results
+from analysis.samples.sample import Vector
+
+
+def motion(t_s: float, drift_mps: float, sigma_mps: float) -> Motion:
+    x, p = np.zeros(X_SIZE), np.zeros((ERRORS, ERRORS))
+    x[X_DRIFT], p[DRIFT, DRIFT] = drift_mps, sigma_mps**2
+    return Motion(round(t_s * 1e6), x, p)
+
+
+def told(drifts_mps: Vector, every_s: float, sigma_mps: float = 0.1) -> list[int]:
+    """The epochs, by number, at which a filter with these drifts tells of its clock."""
+    history: tuple[Record, ...] = ()
+    numbers = []
+    for number, drift in enumerate(drifts_mps):
+        now = motion(number * every_s, drift, sigma_mps)
+        if clock_results(now, history):
+            numbers.append(number)
+        core = Core(now, {}, np.zeros(9))
+        # Neither ranges nor IMU are asked for.
+        history = (*history, Record(now.t_us, core, None, None))  # type: ignore[arg-type]
+    return numbers
+
+
+@pytest.mark.parametrize("every_s", [0.2, 1.0])
+def test_a_clock_that_leaves_at_once_is_told_for_a_second(every_s: float) -> None:
+    drifts = np.repeat([100.0, 130.0], 20)
+    assert told(drifts, every_s) == list(range(20, 20 + round(1.0 / every_s)))
+
+
+def test_a_crystal_that_warms_up_is_not_nor_a_clock_that_is_not_known_well() -> None:
+    assert not told(np.arange(100) * 0.2 * 10.0, 0.2)  # 33 nanoseconds each second, every second
+    assert not told(np.repeat([0.0, 30.0], 20), 0.2, sigma_mps=2.0)
+
+
+def test_after_a_gap_nothing_is_said() -> None:
+    assert not told(np.array([0.0, 0.0, 200.0]), 3.0)

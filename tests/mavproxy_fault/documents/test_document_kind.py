@@ -1,0 +1,51 @@
+from collections.abc import Callable
+from itertools import permutations
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from analysis.campaign.campaign_file import read_campaign
+from analysis.search.space.test_file import read_test
+from mavproxy_fault.documents.document_kind import kind_of
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.yaml_document import read_document
+from mavproxy_fault.schedule.entries import parse_schedule, read_schedule
+from simvehicle.scenario.scenario_file import open_scenario
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+READERS: dict[str, tuple[Callable[[Path], Any], str, str]] = {
+    "a schedule": (read_schedule, "gyro_bias.yaml", "run --schedule"),
+    "a scenario": (open_scenario, "hover.yaml", "run"),
+    "a campaign": (read_campaign, "campaign_estimators.yaml", "campaign"),
+    "a search": (read_test, "gyro_search.yaml", "search"),
+}
+
+
+def test_every_example_is_known_for_what_it_is() -> None:
+    for path in EXAMPLES.glob("*.yaml"):
+        keys = read_document(path).data.keys()
+        if keys <= {"seed", "faults"}:
+            assert kind_of(keys) == "a schedule"
+        elif "search" in path.name:
+            assert kind_of(keys) == "a search", path
+        else:
+            campaign = "campaign" in path.name
+            assert kind_of(keys) == ("a campaign" if campaign else "a scenario"), path
+
+
+# A search may have nothing but a seed and faults: by its keys alone a schedule could be one.
+@pytest.mark.parametrize(
+    ("given", "wanted"), sorted({*permutations(READERS, 2)} - {("a schedule", "a search")})
+)
+def test_a_document_of_another_kind_is_called_what_it_is(given: str, wanted: str) -> None:
+    read = READERS[wanted][0]
+    _, name, command = READERS[given]
+    says = f"{name}: is {given}, which `mavproxy-fault {command}` reads; {wanted} is needed here"
+    with pytest.raises(ConfigError, match=says):
+        read(EXAMPLES / name)
+
+
+def test_a_misspelt_key_of_a_schedule_stays_its_own_error() -> None:
+    with pytest.raises(ConfigError, match="did you mean faults"):
+        parse_schedule({"seed": 1, "fault": []})
