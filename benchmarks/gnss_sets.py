@@ -44,6 +44,7 @@ FAULTS: dict[str, tuple[int, str, float]] = {  # how many satellites, fault, val
     "20 m step": (1, "bias", 20.0),
     "0.5 m/s ramp": (1, "drift", 0.5),
     "50 m on two": (2, "bias", 50.0),
+    "50 m on three": (3, "bias", 50.0),
 }
 SYSTEMS = {"G": 1, "E": 8, "R": 4, "C": 32}  # RTKLIB's bits
 Places = dict[int, Any]
