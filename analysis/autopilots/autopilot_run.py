@@ -21,7 +21,7 @@ from analysis.autopilots.flight_plan import HEIGHTS_M, flight_plan
 from analysis.autopilots.hil_exchange import FromAutopilot, Patience, ToAutopilot, of_lockstep
 from analysis.autopilots.onlookers import Onlookers
 from analysis.autopilots.own_parameters import read_parameters
-from analysis.autopilots.program import Program, Start
+from analysis.autopilots.program import Program, Start, Unhurried
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.run.proxied_flight import GROUND, Flight, session
 from analysis.run.run_command import EXIT_CODES, report, tell_idle
@@ -195,6 +195,7 @@ class AutopilotRun:
         )
         self._parser = Parser()
         self._passage = new_passage(self.flight.core, self.flight.tape)
+        self._unhurried = Unhurried()
         self._recorded_us = self._operator_us = 0
         self._scheduled = False
         self._progress = Progress(time.monotonic())
@@ -211,6 +212,7 @@ class AutopilotRun:
     ) -> str:
         """Fly to the landing; why it did not come to it, or nothing."""
         simulation = self.flight.simulation
+        self._requests = requests
         self._operator = Operator(flight_plan(simulation), requests)
         mav_type, mix = airframe(simulation)
         with program as flying:
@@ -280,6 +282,7 @@ class AutopilotRun:
             self._onlookers.serve()
         t_us = self.flight.vehicle_us
         self._start.hold(t_us)
+        self._unhurried.hold(t_us, awaiting=self._requests.awaiting)
         frames: list[bytes] = []
         if t_us >= self._operator_us:
             self._operator_us = t_us + OPERATOR_US

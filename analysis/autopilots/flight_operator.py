@@ -30,6 +30,10 @@ LYING_S = 30.0  # on the ground with motors on, after which nothing more will co
 class Requests(Protocol):
     """What an autopilot is asked for, in its own words; each is asked until it is seen done."""
 
+    @property
+    def awaiting(self) -> bool:
+        """Whether somebody is at work on a request who lives on the wall clock."""
+
     def upload(self, waypoints: Sequence[Waypoint]) -> None:
         """Give it the mission."""
 
