@@ -143,6 +143,8 @@ class Operator:
         Before the program has `started` all of its parts, it is not armed.
         """
         self._t_us, self._started = t_us, started
+        if not started:
+            self._since_us = t_us  # patience is with the vehicle, not with a busy machine
         self._note("first-stamp")
         if not on_ground or "take-off" not in self.moments_us:
             self._aloft_us = t_us
