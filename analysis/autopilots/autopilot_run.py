@@ -15,6 +15,8 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from analysis.autopilots import ardupilot_program, px4_program
 from analysis.autopilots.flight_operator import Operator, Requests
 from analysis.autopilots.flight_plan import HEIGHTS_M, flight_plan
@@ -29,6 +31,7 @@ from analysis.run.setup import Setup, setup_of
 from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary
 from analysis.run.worker import MonitorProcess
+from analysis.scoring.criteria import Check
 from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.compiled.passage import new_passage
 from mavproxy_fault.documents.errors import ConfigError
@@ -126,12 +129,21 @@ def main(args: argparse.Namespace) -> int:
         labels = flown.flight.completed_labels()
         summary = monitor.summary(labels, setup.criteria, wall_s)
     tell_idle(summary, setup.schedule, labels)
+    if reason:
+        tell_early_end(summary, reason)
     summary["autopilot"] = flown.account(reason)
     write_summary(folder, summary)
     if args.report:
         report(folder, summary, columns)
     print_summary(summary, folder)
     return 1 if reason else EXIT_CODES[summary["verdict"]]
+
+
+def tell_early_end(summary: dict[str, Any], reason: str) -> None:
+    """Put into a summary that the flight was not flown to its end: whatever was seen, it fails."""
+    check = Check(name="flown to the landing", limit="landed", value=reason, passed=False)
+    summary["criteria"].append(msgspec.structs.asdict(check))
+    summary["verdict"] = "FAIL"
 
 
 def check_vehicle(scenario: Scenario) -> None:
