@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 GOOD, BAD = ("PASS", "isolated"), ("FAIL", "wrong", "missed", "late")
+MANY = 20.0  # alarms an hour; noise as assumed brings at most 1 at 1 Hz, 8 at 10 Hz
 COLOURS = dict.fromkeys(GOOD, "green") | dict.fromkeys(BAD, "red")
 
 
@@ -44,8 +45,11 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
         )
     console.print(
         f"epochs          {summary['epochs']}, untestable {summary['untestable_epochs']}, "
-        f"alarms {summary['alarms']}, of them false {_known(summary['false_alarms'])}"
+        f"alarms {summary['alarms']}, of them false {_known(summary['false_alarms'])}",
+        soft_wrap=True,
     )
+    for reason, count in summary["untestable_reasons"].items():
+        console.print(f"untestable      {count} times: {reason}", soft_wrap=True)
     for limit in _limits(summary):
         console.print(f"cannot tell     {limit}", soft_wrap=True)
     for row in summary["false_by_channel"] or ():
@@ -105,6 +109,12 @@ def _limits(summary: Mapping[str, Any]) -> list[str]:
     # With an IMU the first seconds have none yet: its attitude is being found.
     if 2 * summary["epochs_without_imu"] > epochs:
         found.append("without an IMU satellites that are carried off all together are believed")
+        # Nobody knows which alarms are false, and a plain antenna on the ground has a hundred.
+        if summary["false_alarms"] is None and summary["alarms"] * 3600.0 > MANY * summary["sim_s"]:
+            found.append(
+                "satellites that are at fault from a receiver noisier than assumed:"
+                " --calibrate fits the noise to a recording that is sound"
+            )
     if summary["unbounded_epochs"]:
         found.append(f"{summary['unbounded_epochs']} of {epochs} positions, which nothing bounds")
     return found

@@ -135,6 +135,21 @@ def test_one_motor_stops_and_the_others_run() -> None:
     assert result(it, failure(101, 1, 17)) == UNSUPPORTED
 
 
+def test_an_esc_that_is_off_stops_its_motor_and_tells_so() -> None:
+    it = control("HIL_ACTUATOR_CONTROLS", "ESC_TELEMETRY_1_TO_4", "ESC_TELEMETRY_5_TO_8")
+    assert result(it, failure(106, 1, 6)) == ACCEPTED
+    told = {
+        "HIL_ACTUATOR_CONTROLS": ("controls", [0.5] * 16, 5),
+        "ESC_TELEMETRY_1_TO_4": ("rpm", [5000] * 4, None),
+        "ESC_TELEMETRY_5_TO_8": ("rpm", [5000] * 4, 1),
+    }
+    for message, (field, values, stopped) in told.items():
+        (out,) = through(it, frame(message, **{field: values}), 2_100_000)
+        assert isinstance(out.frame, Frame)
+        left = [out.frame.number(field, i) for i in range(len(values))]
+        assert left == [0 if i == stopped else value for i, value in enumerate(values)]
+
+
 def test_ok_ends_the_failures_of_its_unit_only() -> None:
     it = control("HIL_SENSOR")
     for unit in (0, 1):
