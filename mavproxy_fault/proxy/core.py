@@ -295,9 +295,7 @@ class Core:
             self.senders[SPEAKER] = system
         return True
 
-    def _time(
-        self, frame: Frame, now_us: int, state: LinkState, departures: Departures
-    ) -> int:
+    def _time(self, frame: Frame, now_us: int, state: LinkState, departures: Departures) -> int:
         senders = self.senders
         t_us = self.clock.read(frame, now_us)
         if senders[DOUBTED] != self._doubted:
