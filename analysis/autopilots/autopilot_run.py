@@ -261,6 +261,8 @@ class AutopilotRun:
                 reason = f"{wrong}{flying.last_words()}"
         outward.hear_all()
         self._close()
+        if reason and simulation.truth.battery_remaining <= 0.0:
+            reason += "; the simulated battery was empty"
         if reason:
             self._progress.say(f"the flight ended early: {reason}")
         return reason

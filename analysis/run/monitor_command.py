@@ -33,7 +33,7 @@ from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import open_run_bus
 from mavproxy_fault.links.spec import open_link
-from mavproxy_fault.schedule.entries import read_schedule
+from mavproxy_fault.schedule.entries import never_acted, read_schedule
 from mavproxy_fault.wire.label import Label, newest, read_labels
 
 PART_ROWS = 500  # of a recording at once: a stop is looked for between two
@@ -89,6 +89,9 @@ def main(args: argparse.Namespace) -> int:
     if labels is None:  # nothing tells what was done, so no fault can have been missed
         criteria = msgspec.structs.replace(criteria, must_detect=(), must_isolate=())
     summary = monitor.summary(labels, criteria, time.monotonic() - started_s)
+    if injected is not None:
+        faults = read_schedule(args.schedule)
+        summary["never_acted"] = never_acted(faults, {label.id for label in injected})
     if reference is not None:
         summary["integrity"] = integrity.summary()
     if folder is not None:

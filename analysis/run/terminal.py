@@ -27,22 +27,7 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
         console.print(f"attitude RMSE   {axes} degrees")
     if summary["position_rmse_m"] is not None:
         console.print(f"position RMSE   {summary['position_rmse_m']:.2f} m")
-    for name, row in summary.get("position_error", {}).items():
-        console.print(
-            f"error of {name:<6} {row['horizontal_50_m']:.2f} m at 50 %, "
-            f"{row['horizontal_95_m']:.2f} m at 95 % horizontal; {row['vertical_50_m']:.2f} m, "
-            f"{row['vertical_95_m']:.2f} m vertical; over its sigma {row['over_sigma_50']}, "
-            f"{row['over_sigma_95']}",
-            soft_wrap=True,
-        )
-    for name, row in summary.get("integrity", {}).items():
-        console.print(
-            f"level           {name}: {row['median_level_m']:.1f} m in the median, error above it"
-            f" in {row['misleading']} of {row['with_level']} epochs (most"
-            f" {row['largest_error_over_level']:.2f} of it); within {row['alert_limit_m']:.0f} m"
-            f" in {100 * row['available_share']:.1f} %",
-            soft_wrap=True,
-        )
+    _print_errors(console, summary)
     console.print(
         f"epochs          {summary['epochs']}, untestable {summary['untestable_epochs']}, "
         f"alarms {summary['alarms']}, of them false {_known(summary['false_alarms'])}",
@@ -75,6 +60,26 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
     console.print(f"verdict         {_coloured(summary['verdict'])}")
     if folder is not None and (folder / "report.html").is_file():
         console.print(f"report          {folder / 'report.html'}", soft_wrap=True)
+
+
+def _print_errors(console: Console, summary: Mapping[str, Any]) -> None:
+    """Print errors against the truth, and protection levels."""
+    for name, row in summary.get("position_error", {}).items():
+        console.print(
+            f"error of {name:<6} {row['horizontal_50_m']:.2f} m at 50 %, "
+            f"{row['horizontal_95_m']:.2f} m at 95 % horizontal; {row['vertical_50_m']:.2f} m, "
+            f"{row['vertical_95_m']:.2f} m vertical; over its sigma {row['over_sigma_50']}, "
+            f"{row['over_sigma_95']}",
+            soft_wrap=True,
+        )
+    for name, row in summary.get("integrity", {}).items():
+        console.print(
+            f"level           {name}: {row['median_level_m']:.1f} m in the median, error above it"
+            f" in {row['misleading']} of {row['with_level']} epochs (most"
+            f" {row['largest_error_over_level']:.2f} of it); within {row['alert_limit_m']:.0f} m"
+            f" in {100 * row['available_share']:.1f} %",
+            soft_wrap=True,
+        )
 
 
 def remarks(rows: Sequence[Mapping[str, Any]]) -> list[str]:

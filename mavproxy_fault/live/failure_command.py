@@ -11,7 +11,8 @@ References
 .. [1] MAVLink common message set, MAV_CMD_INJECT_FAILURE, FAILURE_UNIT, FAILURE_TYPE.
 """
 
-from collections.abc import Collection
+import math
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +29,7 @@ TYPES = {
     7: "intermittent", 8: "drift",
 }  # fmt: skip
 
+SIGNED = ("wrong", "drift")
 SLOW_S = 1.0  # a slow sensor renews its values this often
 DELAY_S = 0.5
 LINK_HZ = 10.0  # of a slow link
@@ -165,6 +167,20 @@ class Extent:
     def of(self, usual: float) -> float:
         """The magnitude, or the usual one."""
         return usual if self.magnitude is None else self.magnitude
+
+
+def extent_of(kind: str, given: Sequence[float]) -> Extent:
+    """Magnitude and duration as params 4 and 5 give them.
+
+    0 stands for "not given" as NaN does: what does not fill a field leaves it 0. Only an offset and
+    a drift have a sign.
+    """
+    magnitude, for_s = [
+        one if math.isfinite(one) and one != 0.0 else None for one in (*given, 0.0, 0.0)[:2]
+    ]
+    if magnitude is not None and kind not in SIGNED:
+        magnitude = abs(magnitude)
+    return Extent(magnitude, for_s if for_s is not None and for_s > 0.0 else None)
 
 
 def faults_for(

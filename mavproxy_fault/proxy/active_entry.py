@@ -346,8 +346,9 @@ class Running:
 
     def close(self, t_us: int) -> Label | None:
         """The complete label of a stretch that ended, and a clean count; None if it did nothing."""
-        # A stretch in which nothing was touched has no label.
-        label = self.label(t_us) if self.first_us is not None else None
+        # A stretch in which nothing was touched has no label. What ends one may bear an older
+        # stamp than its first frame: an answer without a stamp of its own, say.
+        label = None if self.first_us is None else self.label(max(t_us, self.first_us))
         self.frames = self.saturated = 0
         self.magnitude = self.first_us = self.changed_us = None
         self.direction = ""

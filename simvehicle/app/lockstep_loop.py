@@ -6,6 +6,7 @@ from typing import Protocol
 
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.wire.frame import Frame
+from simvehicle.app.battery_watch import BatteryWatch
 from simvehicle.app.pace import Pace
 from simvehicle.app.sim_progress import Progress
 from simvehicle.hil.lockstep import AutopilotSilentError, Lockstep
@@ -90,6 +91,7 @@ class LockstepLoop:
         self._hil = hil
         self._inbox = inbox
         self._changes = PlantChanges(simulation, progress.say)
+        self._battery = BatteryWatch(progress.say)
         self._mix = mix
         self._progress = progress
         self._controls = Controls(mix([0.0] * CHANNELS), armed=False)  # until PX4's first answer
@@ -138,6 +140,7 @@ class LockstepLoop:
 
     def _step(self) -> None:
         self.t_us, truth, readings = self._simulation.step(self._controls)
+        self._battery.look(truth)
         # Sent in one piece: an autopilot must not be woken by half a step.
         self._inbox.link.write(b"".join(self._hil.frames(self.t_us, truth, readings)))
         now_s = time.monotonic()

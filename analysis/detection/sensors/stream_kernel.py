@@ -146,7 +146,7 @@ def _contradicted(watched: Watched, found: Found, row: int, clock: int) -> None:
 def _leaps(watched: Watched, stream: int, clock: int, t_us: int) -> bool:
     """Whether a sample is further ahead of the newest than its stream alone is believed."""
     at = watched.clocks[clock]
-    ahead_us = t_us - at[NEWEST_US]
+    ahead_us: int = t_us - at[NEWEST_US]
     if stream < 0 or watched.counts[stream, COUNT] < RHYTHM:
         # Where others have leapt, one without a rhythm only bears them out.
         return ahead_us > (SILENT_US if at[TO_US] == NEVER_US else LEAP_US)

@@ -90,6 +90,26 @@ def test_what_a_receiver_says_of_its_accuracy_is_read_from_where_it_is_logged(
             assert (fix.eph_m, fix.epv_m) == pytest.approx(said, nan_ok=True)
 
 
+def test_a_message_of_an_impossible_time_is_damage(tmp_path: Path) -> None:
+    path = dataflash(tmp_path / "a.bin", "GPS", "IMU")
+    data = bytearray(path.read_bytes())
+    data[data.index(row("IMU", 1_500_000, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8)) + 3 + 4] ^= 0x40
+    path.write_bytes(data)
+    found = read_dataflash(path)
+    assert found.damaged
+    assert (found.start_us, found.end_us) == (1_000_000, 1_900_003)
+    assert len(found.topics["IMU", 0]["TimeUS"]) == 9
+    assert len(found.topics["GPS", 0]["TimeUS"]) == 10
+
+
+@pytest.mark.parametrize("content", [b"\x00" * 5000, b"no log at all, but some words\n" * 40])
+def test_a_file_without_any_message_of_a_sensor_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "a.bin"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match="nothing in it can be tested"):
+        list(read_log(path))
+
+
 def test_all_imus_of_a_dataflash_log_are_read(tmp_path: Path) -> None:
     path = dataflash(tmp_path / "a.bin", "GPS", "IMU", "IMU2")
     (block,) = read_log(path)

@@ -100,13 +100,15 @@ def test_faults_of_a_schedule_are_found_in_the_recording(shared_data, tmp_path):
         "faults:\n"
         "  - {id: step, fault: bias, target: PSEUDORANGE.G19, value: 50, at_s: 300, for_s: 60}\n"
         "  - {id: ramp, fault: drift, target: PSEUDORANGE.E13, value: 0.5, at_s: 500, for_s: 60}\n"
+        "  - {id: nowhere, fault: bias, target: PSEUDORANGE.G31, value: 50}\n"
     )
     files = [str(data / "SEPT078M.21O"), str(data / "SEPT078M.21P")]
     out = tmp_path / "run"
     given = ["--schedule", str(faults), f"--truth={TRUTH}", "--zenoh", "off", "--out", str(out)]
     assert main(["monitor", "--rinex", *files, *given]) == 0
-    rows = json.loads((out / "summary.json").read_text())["faults"]
-    assert [(row["verdict"], row["isolated"]) for row in rows] == [
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["never_acted"] == ["nowhere (bias)"]
+    assert [(row["verdict"], row["isolated"]) for row in summary["faults"]] == [
         ("isolated", ["G19"]),
         ("isolated", ["E13"]),
     ]

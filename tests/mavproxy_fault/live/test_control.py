@@ -317,6 +317,14 @@ def test_params_4_and_5_are_a_magnitude_and_a_duration() -> None:
         assert (entry.parameters["value"], entry.for_s) == ([0.5, 0.5, 0.5], None)
 
 
+@pytest.mark.parametrize(("kind", "value"), [(4, -0.25), (8, -0.25), (3, 0.25)])
+def test_an_offset_and_a_drift_may_be_negative_and_a_noise_has_no_sign(kind, value) -> None:
+    it = control("HIL_SENSOR")
+    assert result(it, failure_with(-0.25, -3.0, kind=kind)) == ACCEPTED
+    (entry,) = parse_schedule(it.engine.save()).faults
+    assert (entry.parameters["value"], entry.for_s) == ([value] * 3, None)
+
+
 def test_a_delay_and_a_slow_sensor_take_their_seconds_from_param_4() -> None:
     it = control("HIL_SENSOR", "HIL_GPS")
     for kind, message, value in ((6, 4, 2.5), (5, 4, 2.0), (6, 0, 0.25)):

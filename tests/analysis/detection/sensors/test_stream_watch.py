@@ -154,7 +154,12 @@ def test_a_witness_of_time_alone_does_not_carry_it_on_over_a_pause_of_half_a_sec
     last_us: int,
 ) -> None:
     watch = StreamWatch(link=False)
-    slow = {AttitudeSample: 100_000, ImuSample: 40_000, MagSample: 100_000, BaroSample: 100_000}
+    slow: dict[type, int] = {
+        AttitudeSample: 100_000,
+        ImuSample: 40_000,
+        MagSample: 100_000,
+        BaroSample: 100_000,
+    }
     kept = [s for s in stream() if (s.t_us // 10_000 * 10_000) % slow.get(type(s), 200_000) == 0]
     # The IMU goes on a little before the rest, as it comes more often.
     until_us = BEGIN_US + 460_000 + last_us
