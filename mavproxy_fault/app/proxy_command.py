@@ -202,9 +202,10 @@ def main(args: argparse.Namespace) -> int:
             if not by_name:
                 start_live(args, engine, server)
             server.run(wake)
+        figures = table(server.stats())  # a closed socket no longer says what the kernel dropped
     finally:
         # Also after an error: ports must be free for the next start.
         for link in links:
             link.close()
-    print(table(server.stats()), flush=True)
+    print(figures, flush=True)
     return 0

@@ -206,6 +206,24 @@ def test_the_process_stops_cleanly_and_says_what_passed(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "session.json").read_text())["end_us"] > 10**15
 
 
+def test_what_the_kernel_dropped_stands_in_the_figures_at_the_end() -> None:
+    with udp() as station, udp() as vehicle:
+        command = [sys.executable, "-m", "mavproxy_fault.cli", "proxy", "--zenoh", "off"]
+        command += ["--master", "udpin:127.0.0.1:0"]
+        command += ["--out", f"127.0.0.1:{station.getsockname()[1]}"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            port = int(process.stdout.readline().split()[1].rsplit(":", 1)[1])
+            process.send_signal(signal.SIGSTOP)
+            for _ in range(2000):  # more than its buffer holds
+                vehicle.sendto(bytes(60_000), ("127.0.0.1", port))
+            process.send_signal(signal.SIGCONT)
+            process.send_signal(signal.SIGINT)
+            names, row, *_ = process.stdout.read().replace("bytes ", "bytes-").splitlines()
+    lost = dict(zip(names.split(), row.split(), strict=False))["lost"]
+    assert 0 < int(lost) < 2000
+
+
 def test_a_proxy_without_faults_does_not_load_what_only_faults_need() -> None:
     code = (
         "import mavproxy_fault.app.proxy_command, sys\n"
