@@ -147,7 +147,8 @@ def fly(
                     # Somebody may watch: results must not wait for a full batch.
                     if together or math.isfinite(pace.speed):
                         deliver(monitor.feed(b"", now=True))
-                    progress.show(flight.t_us * 1e-6, flight.engine.active)
+                    acting = ", ".join(flight.engine.active) or "no fault"
+                    progress.show(flight.t_us * 1e-6, acting)
         # After the loop too: a stop ends the faults as the scenario's end does.
         deliver(monitor.feed(flight.finish().monitor, now=True))
         recorder.write(flight.tape, flight.drain_labels())
