@@ -30,6 +30,10 @@ LYING_S = 30.0  # on the ground with motors on, after which nothing more will co
 class Requests(Protocol):
     """What an autopilot is asked for, in its own words; each is asked until it is seen done."""
 
+    @property
+    def awaiting(self) -> bool:
+        """Whether somebody is at work on a request who lives on the wall clock."""
+
     def upload(self, waypoints: Sequence[Waypoint]) -> None:
         """Give it the mission."""
 
@@ -139,6 +143,8 @@ class Operator:
         Before the program has `started` all of its parts, it is not armed.
         """
         self._t_us, self._started = t_us, started
+        if not started:
+            self._since_us = t_us  # patience is with the vehicle, not with a busy machine
         self._note("first-stamp")
         if not on_ground or "take-off" not in self.moments_us:
             self._aloft_us = t_us

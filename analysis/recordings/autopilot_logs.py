@@ -70,7 +70,7 @@ def read_autopilot_log(path: Path) -> Block:
     """
     with path.open("rb") as file:
         ulog = is_ulog(file.read(HEAD))
-    topics: Topics = read_ulog(path).topics if ulog else read_dataflash(path).topics
+    topics = read_ulog(path).topics if ulog else _with_accuracy(read_dataflash(path).topics)
     stamp = "timestamp" if ulog else "TimeUS"
     found = list(_parts(topics, ULOG if ulog else DATAFLASH, stamp))
     missing = [name for kind, name in ((IMU, "IMU"), (FIX, "GPS")) if not _holds(found, kind)]
@@ -86,6 +86,19 @@ def read_autopilot_log(path: Path) -> Block:
     ends = np.cumsum([len(t_us) for _, t_us, _ in found])
     orders = np.split(rank, ends[:-1])
     return joined([Part(k, o, t, v) for (k, t, v), o in zip(found, orders, strict=True)], ())
+
+
+def _with_accuracy(topics: Topics) -> Topics:
+    """Topics of ArduPilot with what each receiver says of its accuracy, which is logged apart."""
+    found = dict(topics)
+    for number in range(INSTANCES):
+        fixes, said = topics.get(("GPS", number)), topics.get(("GPA", number))
+        if fixes is None or said is None or not {"HAcc", "VAcc"} <= said.keys():
+            continue
+        # Both bear one stamp; the newest counts where one is missing.
+        newest = np.maximum(np.searchsorted(said["TimeUS"], fixes["TimeUS"], "right") - 1, 0)
+        found["GPS", number] = {**fixes, **{name: said[name][newest] for name in ("HAcc", "VAcc")}}
+    return found
 
 
 def _holds(found: Iterable[tuple[int, Any, Any]], kind: int) -> bool:
@@ -161,9 +174,9 @@ def _ardupilot_fix(topic: Topic) -> list[NDArray[Any]]:
     course = np.radians(topic["GCrs"])
     v_ned = [topic["Spd"] * np.cos(course), topic["Spd"] * np.sin(course), topic["VZ"]]
     place = [topic[name] for name in ("Lat", "Lng", "Alt")]
-    # ArduPilot logs a receiver's accuracy apart, in GPA.
     unknown = _filled(topic, np.nan)
-    state = [topic["Status"], topic["NSats"], unknown, unknown]
+    accuracy = [topic.get(name, unknown) for name in ("HAcc", "VAcc")]
+    state = [topic["Status"], topic["NSats"], *accuracy]
     return [*place, *v_ned, *state, _filled(topic, GPS_SOURCE)]
 
 

@@ -33,8 +33,13 @@ def read_log(path: Path | str) -> Iterator[Block]:
         yield read_autopilot_log(Path(path))
         return
     decoder = Decoder()
+    sensed = False
     for columns, orders in read_ordered(path, MESSAGES):
-        yield decoder.columns(columns, orders)
+        block = decoder.columns(columns, orders)
+        sensed |= len(block.kind) > 0
+        yield block
+    if not sensed:
+        raise ConfigError(f"{path}: holds no message of a sensor; nothing in it can be tested")
 
 
 def read_rinex(

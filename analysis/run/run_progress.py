@@ -46,6 +46,10 @@ class RunProgress:
         """Wall time since the start."""
         return time.monotonic() - self._start_s
 
+    def say(self, text: str) -> None:
+        """A line of its own, above the bar."""
+        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+
     def show(self, sim_s: float, beside: str = "") -> None:
         """Draw how far it is, and what stands beside it, at most a few times a second."""
         now_s = self.elapsed_s

@@ -13,10 +13,10 @@ import msgspec
 
 from analysis.results import EITHER
 from analysis.scoring.alarm_windows import Window, without
-from analysis.scoring.fault_channels import RECEIVER, Sight, sight
+from analysis.scoring.fault_channels import HARMLESS, RECEIVER, Sight, sight
 from mavproxy_fault.wire.label import Label
 
-RECOVERY_S = 10.0  # alarms so long after a fault's end are its echo
+RECOVERY_S = 10.0  # alarms so long after the first epoch behind a fault are its echo
 # Later than any stamp, with room to add.
 ENDLESS_US = 1 << 62
 
@@ -101,12 +101,14 @@ def outcomes(
 def _watch(label: Label, epoch_us: int, witnesses: frozenset[str] = frozenset()) -> _Watch:
     # A fault still acting at the end of the log.
     end_us = ENDLESS_US if label.end_us is None else label.end_us
-    echo_us = end_us + round(RECOVERY_S * 1e6)
+    # Who was left out looks sound from the first epoch on, and comes back so long after it.
+    echo_us = end_us + epoch_us + round(RECOVERY_S * 1e6)
     seen = sight(label)
     # The first sound fix after a receiver's fault shows no more than the way back.
     of_receiver = any(culprits >= RECEIVER for culprits in seen.culprits)
     until_us = end_us if of_receiver else end_us + epoch_us
-    return _Watch(label, seen, until_us, echo_us, witnesses)
+    asked = frozenset[str]() if label.fault in HARMLESS else witnesses
+    return _Watch(label, seen, until_us, echo_us, asked)
 
 
 def _outcome(
@@ -224,11 +226,10 @@ class FalseAlarms(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def false_alarms(
-    labels: Sequence[Label], windows: Sequence[Window], span_s: float
+    labels: Sequence[Label], windows: Sequence[Window], span_s: float, epoch_us: int
 ) -> list[FalseAlarms]:
     """By channel what no fault explains, whether or not another fault acted meanwhile."""
-    # Without the epoch of grace: here only the echo counts.
-    watches = [_watch(label, 0) for label in labels]
+    watches = [_watch(label, epoch_us) for label in labels]
     acting = [(watch.label.start_us, watch.echo_us) for watch in watches]
     rows: dict[str, list[tuple[Window, bool, float]]] = {}
     for window in windows:

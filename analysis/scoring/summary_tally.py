@@ -149,7 +149,9 @@ class Tally:
             How long the run took.
         """
         windows = windows_of(self.alarms)
-        false = None if labels is None else false_alarms(labels, windows, self.span_s)
+        false = None
+        if labels is not None:
+            false = false_alarms(labels, windows, self.span_s, self.epoch_us)
         found_faults = outcomes(labels or (), windows, self._watched, self.epoch_us)
         # An autopilot that repeats the truth would make every criterion pass.
         first = next((attitude[name] for name in attitude if not name.endswith(REPEATED)), None)

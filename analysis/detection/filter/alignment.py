@@ -16,7 +16,15 @@ import numpy as np
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import Core
 from analysis.detection.filter.filter_state import Alignment, Motion
-from analysis.detection.filter.inertial import BA, BG, ERRORS, GYRO, PSI, gravity_ecef
+from analysis.detection.filter.inertial import (
+    BA,
+    BG,
+    ERRORS,
+    GYRO,
+    PSI,
+    gravity_ecef,
+    unseen_step,
+)
 from analysis.detection.filter.initial_fix import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.detection.filter.propagation import Segment
 from analysis.samples.sample import Vector
@@ -38,11 +46,15 @@ MAG_AFTER_S = 4.0
 # The filter's own variance leaves out errors common to the epochs of an alignment.
 VELOCITY_FLOOR_MPS = 0.2
 FLOOR_RAD = 0.05  # gyro bias and timing over the alignment
+# Of the tilt: the filter is linear in its error, and sines of more are none
+LOST_RAD = 0.35
 
 
 @compiled
-def _integrate(q: Vector, alpha: Vector, samples: Vector) -> tuple[Vector, Vector]:
-    alpha = alpha.copy()
+def _integrate(
+    q: Vector, alpha: Vector, samples: Vector
+) -> tuple[Vector, Vector, tuple[float, float]]:
+    alpha, speed, turn = alpha.copy(), 0.0, 0.0
     for k in range(samples.shape[0]):
         dt = samples[k, 0]
         rx, ry, rz = samples[k, GYRO] * dt, samples[k, GYRO + 1] * dt, samples[k, GYRO + 2] * dt
@@ -52,7 +64,10 @@ def _integrate(q: Vector, alpha: Vector, samples: Vector) -> tuple[Vector, Vecto
             for j in range(3):
                 alpha[i] += mid[i, j] * samples[k, 4 + j] * dt
         q = turned(q, rx, ry, rz)
-    return q, alpha
+        more_speed, more_turn = unseen_step(samples, k)
+        speed += more_speed
+        turn += more_turn
+    return q, alpha, (speed, turn)
 
 
 def new_alignment(motion: Motion) -> Alignment:
@@ -65,7 +80,8 @@ def new_alignment(motion: Motion) -> Alignment:
 
 def extend(alignment: Alignment, motion: Motion, samples: Vector, dt_s: float) -> Alignment:
     """One epoch more: the IMU's samples (k, 7) since the last and the filter's velocity now."""
-    q, alpha = _integrate(alignment.q_0b, alignment.alpha, samples)
+    q, alpha, more = _integrate(alignment.q_0b, alignment.alpha, samples)
+    speed, turn = (before + news for before, news in zip(alignment.unseen, more, strict=True))
     v = motion.x[3:6]
     # Coriolis over the interval by the mean velocity of its two ends.
     mean = 0.5 * (v + alignment.v_ecef_mps)
@@ -73,12 +89,14 @@ def extend(alignment: Alignment, motion: Motion, samples: Vector, dt_s: float) -
     gravity = gravity_ecef(motion.x[0:3])
     beta = alignment.beta + v - alignment.v_ecef_mps - (gravity + coriolis) * dt_s
     variance = float(np.trace(motion.p[3:6, 3:6])) / 3.0 + VELOCITY_FLOOR_MPS**2
+    variance += speed + turn * float(alpha @ alpha)
     cross = alignment.cross + np.outer(beta, alpha) / variance
     # A pair of parallel vectors says nothing of a turn about them: hence the projection.
     information = (
         alignment.information + (beta @ beta * np.eye(3) - np.outer(beta, beta)) / variance
     )
-    return Alignment(alignment.start_us, q, alpha, beta, v.copy(), cross, information)
+    unseen = (speed, turn)
+    return Alignment(alignment.start_us, q, alpha, beta, v.copy(), cross, information, unseen)
 
 
 def aligned(alignment: Alignment, motion: Motion, mag_b: Vector | None) -> Motion | None:
@@ -95,10 +113,11 @@ def aligned(alignment: Alignment, motion: Motion, mag_b: Vector | None) -> Motio
         alpha, north = _mag_pair(alignment, motion, mag_b)
         cross = cross + np.outer(north, alpha) / HEADING_BY_MAG_RAD**2
         information = information + (np.eye(3) - np.outer(north, north)) / HEADING_BY_MAG_RAD**2
-        # A heading by the magnetometer alone must pass, so the limit lies just above its own sigma.
-        limit = 1.01 * HEADING_BY_MAG_RAD
-    # The weakest axis decides; an information of 1 / limit^2 is a sigma of `limit`.
-    if np.linalg.eigvalsh(information)[0] < limit**-2.0:
+        # A heading by the magnetometer alone must pass, so the limit lies above its own sigma.
+        limit = 1.1 * HEADING_BY_MAG_RAD
+    # The weakest axis decides, and how far the vehicle may have turned between two samples.
+    turn = alignment.unseen[1]
+    if np.linalg.eigvalsh(information)[0] * (limit**2 - turn) < 1.0:
         return None
     left, _, right = np.linalg.svd(cross)
     # The determinant keeps a rotation: without it noise can make a reflection the best fit.
@@ -111,11 +130,21 @@ def aligned(alignment: Alignment, motion: Motion, mag_b: Vector | None) -> Motio
         # Correlations of the old attitude with anything else are void.
         p[at : at + 3, :] = 0.0
         p[:, at : at + 3] = 0.0
-    p[PSI : PSI + 3, PSI : PSI + 3] = np.linalg.inv(information) + FLOOR_RAD**2 * np.eye(3)
+    p[PSI : PSI + 3, PSI : PSI + 3] = np.linalg.inv(information) + (FLOOR_RAD**2 + turn) * np.eye(3)
     for at, sigma in ((BG, GYRO_BIAS_SIGMA_RPS), (BA, ACCEL_BIAS_SIGMA_MPS2)):
         p[range(at, at + 3), range(at, at + 3)] = sigma**2
     assert p.shape == (ERRORS, ERRORS)
     return Motion(motion.t_us, x, p, True)
+
+
+def _tilt_variance(motion: Motion) -> float:
+    """Variance of the tilt about the axis of which the filter is least sure, rad^2."""
+    lat, lon, _ = geodetic(motion.x[0:3])
+    level = ned_axes(lat, lon)[:2]
+    variance: float = np.linalg.eigvalsh(level @ motion.p[PSI : PSI + 3, PSI : PSI + 3] @ level.T)[
+        1
+    ]
+    return variance
 
 
 def _mag_pair(alignment: Alignment, motion: Motion, mag_b: Vector) -> tuple[Vector, Vector]:
@@ -132,8 +161,11 @@ def _mag_pair(alignment: Alignment, motion: Motion, mag_b: Vector) -> tuple[Vect
 def find_attitude(
     core: Core, motion: Motion, part: Segment, dt_s: float, config: DetectorConfig
 ) -> Motion:
-    """After an epoch without inertial attitude: gather, and switch to the IMU once it is found."""
-    if motion.inertial or not len(part.samples) or part.gap_s > config.gap_s:
+    """After an epoch without inertial attitude: gather, and switch to the IMU once it is found; one
+    that has been lost is found anew."""
+    if motion.inertial:
+        return motion if _tilt_variance(motion) < LOST_RAD**2 else motion._replace(inertial=False)
+    if not len(part.samples) or part.gap_s > config.gap_s:
         return motion
     # Between samples so far apart a vehicle turns in ways that nobody measured.
     if dt_s > SLOWEST_S * (len(part.samples) - 1):

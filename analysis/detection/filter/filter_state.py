@@ -25,7 +25,8 @@ class Alignment:
 
     `q_0b` (4,) turns body to the axes at the start, `alpha` (3,) is the specific force integrated
     in those, `beta` (3,) the same from GNSS in ECEF; `cross` and `information` (3, 3) are sums of
-    beta alpha' and of (beta' beta I - beta beta'), each over the pair's variance.
+    beta alpha' and of (beta' beta I - beta beta'), each over the pair's variance. `unseen` are the
+    variances of alpha and of the turn by what happened between the samples of a slow IMU.
     """
 
     start_us: int
@@ -35,6 +36,7 @@ class Alignment:
     v_ecef_mps: Vector
     cross: Vector
     information: Vector
+    unseen: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

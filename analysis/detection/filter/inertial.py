@@ -273,11 +273,19 @@ def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> tuple[int, fl
             c, f = _mechanise(x, samples, row)
             _add_step(phi, c, f, dt)
             until_s -= dt
-            if dt > SELDOM_S and row > 0:
-                speed += _unseen(samples, row, ACCEL)
-                turn += _unseen(samples, row, GYRO)
+            more_speed, more_turn = unseen_step(samples, row)
+            speed += more_speed
+            turn += more_turn
         row += 1
     return row, speed, turn
+
+
+@compiled
+def unseen_step(samples: Vector, row: int) -> tuple[float, float]:
+    """Variances of velocity and attitude by what no sample has seen since the row before."""
+    if row == 0 or samples[row, DT] <= SELDOM_S:
+        return 0.0, 0.0
+    return _unseen(samples, row, ACCEL), _unseen(samples, row, GYRO)
 
 
 @compiled

@@ -120,7 +120,7 @@ def _leap(watched: Watched, found: Found, row: int, stream: int, clock: int, t_u
             several = at[BY] & (at[BY] - 1) != 0
             if t_us - at[TO_US] > (SURE_US if several else ALONE_US):
                 _paused(watched, found, row, clock)
-    if at[NEWEST_US] == NEVER_US or not _leaps(watched, stream, t_us - at[NEWEST_US], t_us):
+    if at[NEWEST_US] == NEVER_US or not _leaps(watched, stream, clock, t_us):
         return True
     if at[TO_US] == NEVER_US:
         at[FROM_US], at[TO_US], at[BY] = at[NEWEST_US], t_us, own
@@ -143,10 +143,13 @@ def _contradicted(watched: Watched, found: Found, row: int, clock: int) -> None:
 
 
 @compiled
-def _leaps(watched: Watched, stream: int, ahead_us: int, t_us: int) -> bool:
+def _leaps(watched: Watched, stream: int, clock: int, t_us: int) -> bool:
     """Whether a sample is further ahead of the newest than its stream alone is believed."""
+    at = watched.clocks[clock]
+    ahead_us: int = t_us - at[NEWEST_US]
     if stream < 0 or watched.counts[stream, COUNT] < RHYTHM:
-        return ahead_us > SILENT_US
+        # Where others have leapt, one without a rhythm only bears them out.
+        return ahead_us > (SILENT_US if at[TO_US] == NEVER_US else LEAP_US)
     regular_us = REGULAR * watched.usual[stream, INTERVAL]  # a slow stream alone may carry time on
     return ahead_us > LEAP_US and t_us - watched.counts[stream, LAST_US] > regular_us
 

@@ -145,6 +145,9 @@ def _add_armed(found: Recording, log: DataflashFile, start_us: int) -> None:
             )
             since = None
         first &= number not in (ARMED, DISARMED)
+    # It lost the arming and ends in flight.
+    if first and began:
+        since = began
     if since is not None:
         found.spans.append(Span("armed", since, found.duration_s, "armed", "mode"))
 

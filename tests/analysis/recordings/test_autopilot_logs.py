@@ -20,6 +20,7 @@ FORMATS = {  # name: (type, struct code, dataflash code, columns)
     "MAG": (11, "Qhhh", "Qhhh", "TimeUS,MagX,MagY,MagZ"),
     "BARO": (12, "Qff", "Qff", "TimeUS,Alt,Press"),
     "GPS": (13, "QBBfiiffff", "QBBfLLffff", "TimeUS,Status,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ"),
+    "GPA": (18, "QHHH", "QCCC", "TimeUS,HAcc,VAcc,SAcc"),
     "ATT": (14, "Qfff", "Qfff", "TimeUS,Roll,Pitch,Yaw"),
     "RATE": (17, "Qff", "Qff", "TimeUS,RDes,R"),
     "RCOU": (15, "QHHHH", "QHHHH", "TimeUS,C1,C2,C3,C4"),
@@ -41,6 +42,7 @@ def dataflash(path: Path, *names: str, rate: float = 6.0) -> Path:
         t_us = 1_000_000 + tick * 100_000
         rows = {
             "GPS": (t_us + 3, 3, 12, 0.8, 470_000_000, 80_000_000 + tick, 500.0, 5.0, 90.0, -1.0),
+            "GPA": (t_us + 3, 80, 120, 25),
             "IMU": (t_us, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8),
             "IMU2": (t_us, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8),
             "MAG": (t_us + 1, 200, 0, 400),
@@ -74,6 +76,38 @@ def test_a_dataflash_log_holds_what_the_monitor_needs(tmp_path: Path) -> None:
     assert (fix.lat_deg, fix.fix_type, fix.satellites) == (pytest.approx(47.0), 3, 12)
     assert fix.v_ned_mps == pytest.approx([0.0, 5.0, -1.0], abs=1e-6)
     assert block.sample(4).q_nb == pytest.approx([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
+
+
+def test_what_a_receiver_says_of_its_accuracy_is_read_from_where_it_is_logged(
+    tmp_path: Path,
+) -> None:
+    for names, said in ((("GPS", "GPA", "IMU"), (0.8, 1.2)), (("GPS", "IMU"), (np.nan, np.nan))):
+        (block,) = read_log(dataflash(tmp_path / "a.bin", *names))
+        fixes = [block.sample(row) for row in block.rows(FIX).tolist()]
+        assert len(fixes) == 10
+        for fix in fixes:
+            assert isinstance(fix, GpsFix)
+            assert (fix.eph_m, fix.epv_m) == pytest.approx(said, nan_ok=True)
+
+
+def test_a_message_of_an_impossible_time_is_damage(tmp_path: Path) -> None:
+    path = dataflash(tmp_path / "a.bin", "GPS", "IMU")
+    data = bytearray(path.read_bytes())
+    data[data.index(row("IMU", 1_500_000, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8)) + 3 + 4] ^= 0x40
+    path.write_bytes(data)
+    found = read_dataflash(path)
+    assert found.damaged
+    assert (found.start_us, found.end_us) == (1_000_000, 1_900_003)
+    assert len(found.topics["IMU", 0]["TimeUS"]) == 9
+    assert len(found.topics["GPS", 0]["TimeUS"]) == 10
+
+
+@pytest.mark.parametrize("content", [b"\x00" * 5000, b"no log at all, but some words\n" * 40])
+def test_a_file_without_any_message_of_a_sensor_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "a.bin"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match="nothing in it can be tested"):
+        list(read_log(path))
 
 
 def test_all_imus_of_a_dataflash_log_are_read(tmp_path: Path) -> None:

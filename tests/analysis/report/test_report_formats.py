@@ -105,21 +105,22 @@ def test_a_dataflash_log_is_judged_like_any_other(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("events", "since_s"),
+    ("events", "since_s", "until_s"),
     [
-        ({2_000_000: 10, 9_000_000: 11}, 1.0),
-        ({9_000_000: 11}, 0.0),  # it begins in flight
-        ({4_000_000: 57, 5_000_000: 28, 9_000_000: 11}, 3.0),  # the arming was not logged
-        ({4_000_000: 28, 5_000_000: 10, 9_000_000: 11}, 4.0),
+        ({2_000_000: 10, 9_000_000: 11}, 1.0, 8.0),
+        ({9_000_000: 11}, 0.0, 8.0),  # it begins in flight
+        ({4_000_000: 57, 5_000_000: 28, 9_000_000: 11}, 3.0, 8.0),  # the arming was not logged
+        ({4_000_000: 57, 5_000_000: 28}, 3.0, 9.9),  # nor did it come down
+        ({4_000_000: 28, 5_000_000: 10, 9_000_000: 11}, 4.0, 8.0),
     ],
 )
 def test_when_a_vehicle_was_armed_is_told_by_what_the_log_has(
-    tmp_path: Path, events: dict[int, int], since_s: float
+    tmp_path: Path, events: dict[int, int], since_s: float, until_s: float
 ) -> None:
     log = read_dataflash(dataflash(tmp_path / "log.bin", events))
     found = recording_of_dataflash(log, "log")
     (armed,) = armed_windows(found) or ()
-    assert armed == pytest.approx((since_s, 8.0))
+    assert armed == pytest.approx((since_s, until_s))
 
 
 def test_an_old_dataflash_log_in_milliseconds_is_read(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from analysis.results import Decision, Result, SensorDecision
 from analysis.scoring.alarm_windows import Window, alarms_of, channel_of, windows_of
 from analysis.scoring.fault_channels import OF_PLANE, sight
-from analysis.scoring.outcome import FaultOutcome, false_alarms, outcomes
+from analysis.scoring.outcome import RECOVERY_S, FaultOutcome, false_alarms, outcomes
 from mavproxy_fault.wire.label import Label
 from simvehicle.hil.actuator_commands import CHANNELS_OF
 
@@ -274,7 +274,7 @@ def test_false_alarms_are_counted_by_channel_outside_and_inside_faults() -> None
         sensor(14, "mag", isolated=False),  # a suspicion while something was wrong
         *(sensor(t, "mag") for t in from_to(40, 42)),
     ]
-    rows = false_alarms([label("f", G12)], windows(results), 100.0)
+    rows = false_alarms([label("f", G12)], windows(results), 100.0, 200_000)
     found = [(r.channel, r.outside, r.inside, r.blamed, r.seconds, r.per_hour) for r in rows]
     assert found == [
         ("baro", 1, 0, (), 0.0, 36.0),
@@ -285,10 +285,16 @@ def test_false_alarms_are_counted_by_channel_outside_and_inside_faults() -> None
 
 def test_a_right_blame_that_outlasts_the_echo_is_false_from_there() -> None:
     (row,) = false_alarms(
-        [label("f", G12)], windows(decision(t, ["G12"]) for t in from_to(11, 35)), 60
+        [label("f", G12)], windows(decision(t, ["G12"]) for t in from_to(11, 35)), 60, 200_000
     )
     assert (row.outside, row.inside, row.blamed) == (1, 0, ("G12",))
-    assert row.seconds == pytest.approx(5.0, abs=0.01)
+    assert row.seconds == pytest.approx(4.8, abs=0.01)
+
+
+def test_who_is_back_ten_seconds_after_the_first_sound_epoch_was_left_out_rightly() -> None:
+    fault, back_s = label("f", "HIL_GPS.lat", 10, 20.12), 20.2 + RECOVERY_S
+    left_out = [decision(t, ["GPS"]) for t in from_to(10.2, back_s - 0.1)]
+    assert not false_alarms([fault], windows(left_out), 60.0, 200_000)
 
 
 @pytest.mark.parametrize(
@@ -320,7 +326,7 @@ def test_channels_follow_from_target_and_kind(fault: str, targets: str, channels
 
 def test_on_a_link_that_loses_frames_the_raw_ranges_may_fall_silent_as_well() -> None:
     silent = windows([sensor(12, "satellites"), sensor(12, "link")])
-    assert not false_alarms([label("f", "", fault="drop")], silent, 100.0)
+    assert not false_alarms([label("f", "", fault="drop")], silent, 100.0, 200_000)
 
 
 def test_bits_cleared_by_group_belong_to_that_sensor() -> None:

@@ -1,18 +1,22 @@
-"""Attitude of an IMU that lies still beside a real antenna: level, heading by the magnetometer."""
+"""Attitude found from nothing: of an IMU that lies still beside a real antenna, and of one that is
+shaken faster than it is logged."""
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from analysis.detection import Detector
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.inertial import PSI
 from analysis.detection.filter.initial_fix import GYRO_BIAS_SIGMA_RPS
 from analysis.recordings.recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.block import block_of
-from analysis.samples.sample import Epoch, ImuSample, MagSample, Sample
+from analysis.samples.sample import Epoch, GpsFix, ImuSample, MagSample, Sample
 from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
 from mavproxy_fault.numerics.rotations.rotation_kernel import matrix
 
@@ -84,3 +88,70 @@ def test_without_a_magnetometer_its_heading_stays_unknown_and_it_moves_nothing(
     decisions = [r for r in results if isinstance(r, Decision)]
     assert {decision.mode for decision in decisions} == {"start", "free"}
     assert not any(decision.alarm for decision in decisions)
+
+
+def shaken(seconds: float, rate_hz: int, shaking_rps: float, seed: int) -> list[Sample]:
+    """A vehicle that hovers level and points north; its gyro is shaken faster than it is logged,
+    so that what is read between two samples is anything."""
+    rng, found = np.random.default_rng(seed), list[Sample]()
+    for step in range(round(seconds * rate_hz)):
+        t_us = round(step * 1e6 / rate_hz)
+        rates = rng.normal(0.0, shaking_rps, 3) * [1.0, 1.0, 0.0]
+        force = np.array([0.0, 0.0, -GRAVITY_MPS2]) + rng.normal(0.0, 0.1, 3)
+        found.append(ImuSample(t_us, rates, force))
+        if step % (rate_hz // 5) == 0:
+            found.append(MagSample(t_us, np.array([0.21, 0.0, 0.43])))
+            v_ned_mps = rng.normal(0.0, 0.05, 3)
+            found.append(GpsFix(t_us, 47.0, 8.0, 500.0, v_ned_mps, 3, 12, 0.8, 1.2, "HIL_GPS"))
+    return found
+
+
+def tilt(motion: Motion) -> tuple[float, float]:
+    """How far the filter's vertical is off that of a level vehicle, and its sigma, in rad."""
+    lat, lon, _ = geodetic(motion.x[:3])
+    axes = ned_axes(lat, lon)
+    rot_nb = axes @ matrix(motion.x[6:10])
+    variances = np.diag(axes @ motion.p[PSI : PSI + 3, PSI : PSI + 3] @ axes.T)
+    return math.acos(min(float(rot_nb[2, 2]), 1.0)), math.sqrt(variances[:2].max())
+
+
+@pytest.mark.parametrize("shaking_rps", [0.02, 0.3])
+def test_an_attitude_found_from_a_slow_shaken_imu_knows_how_unsure_it_is(
+    shaking_rps: float,
+) -> None:
+    detector, ratios = Detector(), []
+    for seed in range(12):
+        state = detector.new_state()
+        for sample in shaken(12.0, 25, shaking_rps, seed):
+            _, state = detector.step(sample, state)
+            motion = state.core.motion
+            if motion is not None and motion.inertial:
+                off_rad, sigma_rad = tilt(motion)
+                ratios.append(off_rad / sigma_rad)
+                break
+    assert len(ratios) == 12
+    assert np.sqrt(np.mean(np.square(ratios))) < 2.0
+
+
+def test_a_receiver_is_not_blamed_for_what_a_slow_shaken_imu_makes_of_the_attitude() -> None:
+    detector = Detector()
+    results, state = detector.step(block_of(shaken(90.0, 25, 1.6, 1)), detector.new_state())
+    decisions = [r for r in results if isinstance(r, Decision)]
+    assert not any(decision.alarm for decision in decisions)
+    assert state.core.motion is not None
+    assert not state.core.motion.inertial
+
+
+def test_an_attitude_that_shaking_has_lost_holds_nothing_against_the_receiver() -> None:
+    calm, rough = shaken(20.0, 25, 0.02, 2), shaken(60.0, 25, 1.6, 3)
+    detector = Detector()
+    _, state = detector.step(block_of(calm), detector.new_state())
+    assert state.core.motion is not None
+    assert state.core.motion.inertial
+    # Without the receiver's help nothing holds the attitude in place.
+    later = [replace(s, t_us=s.t_us + 20_000_000) for s in rough]
+    alone = [s for s in later if not isinstance(s, GpsFix) or s.t_us > 24_000_000]
+    results, state = detector.step(block_of(alone), state)
+    assert not any(r.alarm and r.hypothesis == "gps" for r in results if isinstance(r, Decision))
+    assert state.core.motion is not None
+    assert not state.core.motion.inertial

@@ -149,6 +149,24 @@ def test_a_log_that_pauses_blames_no_link() -> None:
     assert watch.step(block, watch.new_state())[0] == []
 
 
+@pytest.mark.parametrize("last_us", [20_000, 40_000, 60_000, 80_000, 100_000])
+def test_a_witness_of_time_alone_does_not_carry_it_on_over_a_pause_of_half_a_second(
+    last_us: int,
+) -> None:
+    watch = StreamWatch(link=False)
+    slow: dict[type, int] = {
+        AttitudeSample: 100_000,
+        ImuSample: 40_000,
+        MagSample: 100_000,
+        BaroSample: 100_000,
+    }
+    kept = [s for s in stream() if (s.t_us // 10_000 * 10_000) % slow.get(type(s), 200_000) == 0]
+    # The IMU goes on a little before the rest, as it comes more often.
+    until_us = BEGIN_US + 460_000 + last_us
+    block = block_of([s for s in kept if not BEGIN_US + last_us < s.t_us < until_us])
+    assert watch.step(block, watch.new_state())[0] == []
+
+
 def test_sensors_that_share_a_clock_which_leaps_are_told_and_those_that_do_not_are_sound() -> None:
     ahead = (ImuSample, MagSample, GpsFix)
     samples = [
