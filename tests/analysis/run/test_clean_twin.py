@@ -40,6 +40,7 @@ def test_the_twin_shows_what_a_gust_did_to_the_truth(tmp_path: Path) -> None:
     assert row["position_m"]["truth"]["most"] > 1.0
     assert row["speed_mps"]["truth"]["most"] > 0.5
     assert row["position_m"]["estimate"]["most"] > 1.0
+    assert set(row["attitude_deg"]) == {"truth", "error of the estimate"}
     assert (out / "clean" / "sent.tlog").stat().st_size > 100_000
     assert "What the faults did" in (out / "report.html").read_text()
 
