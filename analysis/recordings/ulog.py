@@ -148,16 +148,17 @@ def read_ulog(path: str | Path, told: Callable[[float], None] = lambda _: None) 
 
 
 def without_misdated(topics: dict[tuple[str, int], Topic]) -> bool:
-    """Take out rows whose stamp lies far from all of the densest topic; whether there were any."""
+    """Take out rows stamped far behind all of the densest topic; whether there were any. Topics
+    that were published before the log began bear stamps from before."""
     if not topics:
         return False
     dense = max(topics.values(), key=lambda topic: len(topic["timestamp"]))["timestamp"]
     stamps = dense.astype(np.int64)
     sound = stamps[~misdated(stamps)]
-    first_us, last_us = sound[0] - FAR_US, sound[-1] + FAR_US
+    last_us = sound[-1] + FAR_US
     found = False
     for topic in topics.values():
-        kept = (topic["timestamp"] >= max(first_us, 0)) & (topic["timestamp"] <= last_us)
+        kept = topic["timestamp"] <= last_us
         if not kept.all():
             found = True
             topic.update({name: values[kept] for name, values in topic.items()})
