@@ -8,8 +8,8 @@ Paths count from the list's folder; `truth` is what `monitor --truth` takes. Eve
 the observation file by the proxy's engine (`replay`), so that anybody gets the same files. An epoch
 is right where exactly the faulty satellites are left out beside those that are without the fault,
 and near where its position is within 1 m of its own without the fault; RTKLIB's is right where it
-is near. The last two columns are a
-Stanford diagram's counts, clean or of all trials: see `stanford`.
+is near. The last two columns are a Stanford diagram's counts, clean or of all trials: see
+`stanford`.
 """
 
 import subprocess

@@ -189,6 +189,7 @@ def _concluded(
     # Without an inertial prediction its failure is a manoeuvre, not a fault of the IMU.
     imu_blamed = before.inertial and "imu" in verdicts
     undecided = imu_blamed and judged.accused == UNDECIDED
+    told_apart = imu_blamed and not undecided  # then it was the IMU before, too
     if imu_blamed and moved.inertial:
         moved = free_position(moved)
     sight = judged.sight
@@ -204,7 +205,7 @@ def _concluded(
         distrusted=distrusted(core, judged.rates, tested) if judged.leap_m is None else "",
         leapt_m=after_leap(core.leapt_m, judged.leap_m),
         carried=judged.carried if tested.hypothesis == "gps" and judged.leap_m is None else None,
-        unbounded=core.unbounded or undecided,
+        unbounded=(core.unbounded or undecided) and not told_apart,
         rates_off=_rates_off(judged),
     )
     moved = find_attitude(core, moved, part, (t_us - before.t_us) * 1e-6, config)

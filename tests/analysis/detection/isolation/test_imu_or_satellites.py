@@ -2,12 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from analysis.detection import Detector, DetectorConfig
 from analysis.detection.detector import run
+from analysis.detection.isolation.whole_receiver import FOLLOWED
+from analysis.recordings.recordings import read_rinex_samples
 from analysis.results import Decision, SensorDecision
 from analysis.samples.sample import ImuSample, Sample, TruthSample
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
@@ -91,3 +94,26 @@ def test_a_wrong_imu_is_still_the_imu(gyro_rps: float, accel_mps2: float, flight
     assert [r for r in imu if r.alarm]
     assert all(d.position_sigma_m is not None for d in decisions)
     assert max(errors[-50:]) < 3.0
+
+
+def test_an_imu_that_is_told_apart_later_gives_the_position_its_bound_back(
+    shared_data: Path,
+) -> None:
+    folder = shared_data / "gnss_imu_walk"
+    files = folder / "walk_ex.obs", folder / "walk_ex.nav", folder / "imu_1730_sf.csv"
+    samples = read_rinex_samples(*files)
+    begin_us = next(s.t_us for s in samples if isinstance(s, ImuSample))
+    x = np.array([0.3, 0.0, 0.0])
+    wrong = [
+        replace(s, gyro_b_rps=s.gyro_b_rps + x)
+        if isinstance(s, ImuSample) and 55.0 <= (s.t_us - begin_us) * 1e-6 < 70.0
+        else s
+        for s in samples
+    ]
+    decisions = [r for r in run(Detector(DetectorConfig()), wrong) if isinstance(r, Decision)]
+    blamed = [d for d in decisions if d.alarm and d.hypothesis in ("imu", "GPS-or-imu")]
+    assert {d.hypothesis for d in blamed} == {"imu", "GPS-or-imu"}
+    unbounded = [d for d in decisions if d.reason == FOLLOWED]
+    assert unbounded[0].t_us == blamed[0].t_us
+    assert unbounded[-1].t_us < blamed[-1].t_us
+    assert decisions[-1].position_sigma_m is not None
