@@ -95,6 +95,11 @@ def main(args: argparse.Namespace) -> int:
     """Fly, report, and return the exit code: 1 too where the flight was not flown to its end."""
     name, _, vehicle = args.autopilot.partition(":")
     autopilot = AUTOPILOTS[name]
+    if args.against_clean:
+        raise ConfigError(
+            f"--against-clean: two flights of {name} differ without any fault, too; run both"
+            " schedules, and hold their logs against each other by report --against"
+        )
     check_moment(args.count_from)
     own = read_parameters(args.parameters)
     setup = setup_of(args)

@@ -19,6 +19,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.recordings.misdated import misdated
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.written import written_bytes
 
@@ -29,7 +30,6 @@ MOST_BYTES = 500_000_000  # of a file that are read
 FORMATS = 0x80  # the type of FMT messages
 NUMBERED = ("IMU", "MAG", "GPS", "GPA", "BARO", "BAT", "CURR")  # IMU2 of an old log: a second one
 RATES = {"R", "P", "Y", "RDes", "PDes", "YDes"}
-FAR_US, AROUND = 10_000_000, 4  # by which no message differs from the median of those around it
 INSTANCES = ("I", "C", "Instance")  # what tells the messages of two sensors or cores apart
 
 
@@ -82,12 +82,12 @@ def read_dataflash(path: str | Path) -> DataflashFile:
     times = _clock(raw)
     if len(times[0]) == 0:
         raise ConfigError(f"{path}: the dataflash log holds no message with a time")
-    wrong = _misdated(times[1])
-    misdated, damaged = times[0][wrong], damaged or bool(wrong.any())
+    wrong = misdated(times[1])
+    places, damaged = times[0][wrong], damaged or bool(wrong.any())
     times = times[0][~wrong], times[1][~wrong]
     topics: dict[tuple[str, int], Topic] = {}
     for name, (place, fields) in raw.items():
-        sound = ~np.isin(place, misdated)
+        sound = ~np.isin(place, places)
         at, columns = place[sound], {key: values[sound] for key, values in fields.items()}
         if not len(at):
             continue
@@ -194,16 +194,6 @@ def _clock(
     place = np.concatenate(places)
     order = np.argsort(place)
     return place[order], np.concatenate(times)[order]
-
-
-def _misdated(times: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which of the times in order of their places are far from all around them: damaged ones."""
-    wrong = np.zeros(len(times), bool)
-    leaps = np.flatnonzero(np.abs(np.diff(times)) > FAR_US)
-    for i in np.union1d(leaps, leaps + 1).tolist():
-        around = times[max(i - AROUND, 0) : i + AROUND + 1]
-        wrong[i] = abs(times[i] - np.median(around)) > FAR_US
-    return wrong
 
 
 def _time_us(

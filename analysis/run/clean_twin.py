@@ -6,8 +6,10 @@ did.
 
 import multiprocessing
 import signal
+import sys
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -19,30 +21,48 @@ from mavproxy_fault.app.recorder import Recorder
 
 FOLDER = "clean"
 BATCH_BYTES = 32_768
+ENDLESS_US = 1 << 62
 
 
-def start_twin(setup: Setup, folder: Path) -> BaseProcess:
+class Twin(NamedTuple):
+    """The process that flies the twin, and the time `until_us` it flies, which may change."""
+
+    process: BaseProcess
+    until_us: Any
+
+    def flown(self, until_us: int) -> bool:
+        """Wait until it has come as far as the run did; whether it came there."""
+        self.until_us.value = until_us
+        self.process.join()
+        if self.process.exitcode:
+            code = self.process.exitcode
+            print(f"the twin without the faults ended with code {code}", file=sys.stderr)
+        return self.process.exitcode == 0
+
+
+def start_twin(setup: Setup, folder: Path) -> Twin:
     """Begin to fly the twin in a process of its own, into a folder inside the run's."""
     own = folder / FOLDER
     # Made here, before the process: a folder that cannot be made is the run's error.
     own.mkdir()
     # Spawned: a fork would copy threads and their locks.
-    process = multiprocessing.get_context("spawn").Process(
-        target=fly_twin, args=(setup, own), daemon=True
-    )
+    spawned = multiprocessing.get_context("spawn")
+    until_us = spawned.Value("q", ENDLESS_US)
+    process = spawned.Process(target=fly_twin, args=(setup, own, until_us), daemon=True)
     process.start()
-    return process
+    return Twin(process, until_us)
 
 
-def fly_twin(setup: Setup, folder: Path) -> None:
-    """Fly a scenario without its faults to the end; logs and results go to the folder."""
+def fly_twin(setup: Setup, folder: Path, until_us: Any) -> None:
+    """Fly a scenario without its faults to the end, or until a time that the run tells; logs and
+    results go to the folder."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the run's, which ends this one
     schedule = msgspec.structs.replace(setup.schedule, faults=())
     flight, monitor = Flight(setup.scenario, schedule), Monitor(setup.monitor)
     recorder = Recorder(folder, session(setup.scenario.name, schedule.seed, flight))
     batch = bytearray()
     with ResultFile(folder) as file:
-        while not flight.over:
+        while not flight.over and flight.now_us < until_us.value:
             batch += flight.advance([]).monitor
             if len(batch) >= BATCH_BYTES:
                 file.write(monitor.push_bytes([bytes(batch)], datagrams=False))

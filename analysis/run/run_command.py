@@ -81,9 +81,8 @@ def main(args: argparse.Namespace) -> int:
         summary = monitor.summary(labels, setup.criteria, wall_s)
     tell_idle(summary, setup.schedule, labels)
     curves = []
-    if twin is not None:
-        # It flies beside the run, on the second core, and is mostly done by now.
-        twin.join()
+    # It flies beside the run, on the second core, and is mostly done by now.
+    if twin is not None and twin.flown(flight.now_us):
         t0_us = flight.core.clock.t0_us or 0
         curves = twin_curves(folder, folder / FOLDER, t0_us)
         summary["effects"] = effects(curves, labels, t0_us)

@@ -21,6 +21,9 @@ TRUTH = "HIL_STATE_QUATERNION"
 LAST_S = 1.0  # the end of a fault's time, whose middle value is its lasting effect
 PANELS = {"position_m": "twin-position", "speed_mps": "twin-speed", "attitude_deg": "twin-attitude"}
 
+# Of the attitude results tell the estimate's error alone, so that its change is shown
+ESTIMATE_OF = {"twin-position": "estimate", "twin-attitude": "error of the estimate"}
+
 
 class Track(NamedTuple):
     """Stamps (n,), and what was at each of them (n, k)."""
@@ -49,7 +52,7 @@ def twin_curves(folder: Path, twin: Path, t0_us: int) -> list[Signal]:
         if panel in theirs_:
             t_s, values, clean_values = _common(track, theirs_[panel], t0_us)
             off = np.linalg.norm(values - clean_values, axis=1)
-            found.append(Signal(panel, "estimate", t_s, off))
+            found.append(Signal(panel, ESTIMATE_OF[panel], t_s, off))
     return found
 
 

@@ -109,7 +109,10 @@ def _remark(row: Mapping[str, Any]) -> str:
 
 def _effect_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Greatest and lasting change of truth and estimate by each fault."""
-    kinds = [(key, name) for key in EFFECTS for name in ("truth", "estimate")]
+    names = dict.fromkeys(name for row in rows for kind in EFFECTS for name in row.get(kind, {}))
+    kinds = [
+        (key, n) for key in EFFECTS for n in names if any(n in row.get(key, {}) for row in rows)
+    ]
     head = ("fault", *(f"{EFFECTS[key]}, {name}: most / lasting" for key, name in kinds))
     cells = []
     for row in rows:

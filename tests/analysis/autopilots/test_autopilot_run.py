@@ -330,3 +330,10 @@ def test_without_the_right_to_a_real_time_priority_a_flight_goes_on(
     with ahead_of_logs():
         assert gc.get_freeze_count() > 0
     assert gc.get_freeze_count() == 0
+
+
+def test_an_autopilots_flight_has_no_twin(tmp_path):
+    process = run(tmp_path, "--against-clean")
+    said, _ = process.communicate()
+    assert process.returncode == 2
+    assert "--against-clean: two flights of ardupilot differ" in said

@@ -99,6 +99,14 @@ def test_nothing_is_armed_before_the_program_has_started():
     assert autopilot.operator.phase is Phase.ARMING
 
 
+@pytest.mark.parametrize(("mav_type", "ends"), [(1, True), (2, False), (13, False), (0, False)])
+def test_an_autopilot_for_another_kind_of_vehicle_is_told(mav_type, ends):
+    autopilot = Autopilot(operator(FlightPlan(10.0, 30.0, kind="multirotor")))
+    autopilot.second(frame("HEARTBEAT", type=mav_type))
+    reason = autopilot.operator.gave_up
+    assert ("flies a fixedwing, the scenario's vehicle is a multirotor" in reason) == ends
+
+
 def test_a_start_that_takes_long_is_not_held_against_the_vehicle():
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     for second in range(1, 230):

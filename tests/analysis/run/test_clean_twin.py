@@ -2,14 +2,19 @@
 
 import argparse
 import json
+import signal
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from analysis.report.curves.twin_curves import effects
 from analysis.report.recordings.recording import Signal
+from analysis.run.clean_twin import Twin, fly_twin
 from analysis.run.run_command import main
+from analysis.run.setup import read_setup
 from mavproxy_fault.wire.label import Label
 
 SHORT = Path(__file__).with_name("short.yaml")
@@ -35,8 +40,28 @@ def test_the_twin_shows_what_a_gust_did_to_the_truth(tmp_path: Path) -> None:
     assert row["position_m"]["truth"]["most"] > 1.0
     assert row["speed_mps"]["truth"]["most"] > 0.5
     assert row["position_m"]["estimate"]["most"] > 1.0
+    assert set(row["attitude_deg"]) == {"truth", "error of the estimate"}
     assert (out / "clean" / "sent.tlog").stat().st_size > 100_000
     assert "What the faults did" in (out / "report.html").read_text()
+
+
+def test_the_twin_flies_no_further_than_a_run_that_was_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # it is this process, not one of its own
+    fly_twin(read_setup(str(SHORT)), tmp_path, SimpleNamespace(value=0))
+    assert (tmp_path / "sent.tlog").stat().st_size < 10_000
+
+
+@pytest.mark.parametrize(("exitcode", "flown"), [(0, True), (1, False), (-9, False)])
+def test_a_twin_that_fails_is_told_and_costs_the_effects_alone(
+    exitcode: int, flown: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    process: Any = SimpleNamespace(exitcode=exitcode, join=lambda: None)
+    twin = Twin(process, SimpleNamespace(value=1 << 62))
+    assert twin.flown(5_000_000) is flown
+    assert twin.until_us.value == 5_000_000
+    assert bool(capsys.readouterr().err) is not flown
 
 
 def label(id: str, start_s: float, end_s: float, t0_us: int = 0) -> Label:
